@@ -1,0 +1,232 @@
+"""Rotations as quaternions `(w, x, y, z)`, matrices, 6D vectors and Euler angles.
+
+Rotations turn column vectors actively; `quaternion_multiply(a, b)` turns by `b` first. All functions take NumPy or JAX
+arrays with any batch axes in front and return float32 arrays of the same library. Finite inputs give finite results.
+"""
+
+import itertools
+from typing import Literal
+
+from jaxtyping import Float
+
+from t2m_jax.motion.namespace import AnyArray, namespace_of
+
+EulerOrder = Literal["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"]
+
+_TINY = 1e-30  # below any length that matters, above the underflow of a float32
+
+
+def _dot(a: Float[AnyArray, "*#batch C"], b: Float[AnyArray, "*#batch C"]) -> Float[AnyArray, "*batch 1"]:
+    """Returns the inner products along the last axis, which is kept."""
+    return namespace_of(a, b).sum(a * b, axis=-1, keepdims=True)
+
+
+def _float32(*arrays: AnyArray) -> tuple[AnyArray, ...]:
+    """Returns `arrays` as float32 arrays of one library."""
+    xp = namespace_of(*arrays)
+    return tuple(xp.asarray(array, dtype=xp.float32) for array in arrays)
+
+
+def _normalized(vectors: Float[AnyArray, "*batch C"]) -> Float[AnyArray, "*batch C"]:
+    """Returns `vectors` at unit length; zero vectors stay zero."""
+    xp = namespace_of(vectors)
+    # Scaling by the largest entry first keeps the square of a short vector from vanishing.
+    scaled = vectors / xp.maximum(xp.max(xp.abs(vectors), axis=-1, keepdims=True), _TINY)
+    return scaled / xp.sqrt(xp.maximum(_dot(scaled, scaled), _TINY))
+
+
+def cross_product(a: Float[AnyArray, "*#batch 3"], b: Float[AnyArray, "*#batch 3"]) -> Float[AnyArray, "*batch 3"]:
+    """Returns the cross products along the last axis, in the precision of the inputs."""
+    xp = namespace_of(a, b)
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    return xp.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+
+
+def quaternion_multiply(
+    a: Float[AnyArray, "*#batch 4"], b: Float[AnyArray, "*#batch 4"]
+) -> Float[AnyArray, "*batch 4"]:
+    """Returns the Hamilton products `a * b`: the turn by `b`, then by `a`."""
+    a, b = _float32(a, b)
+    xp = namespace_of(a, b)
+    aw, ax, ay, az = (a[..., i] for i in range(4))
+    bw, bx, by, bz = (b[..., i] for i in range(4))
+    return xp.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=-1,
+    )
+
+
+def quaternion_inverse(quaternions: Float[AnyArray, "*batch 4"]) -> Float[AnyArray, "*batch 4"]:
+    """Returns the conjugates, which undo unit quaternions."""
+    (quaternions,) = _float32(quaternions)
+    xp = namespace_of(quaternions)
+    return xp.concatenate([quaternions[..., :1], -quaternions[..., 1:]], axis=-1)
+
+
+def quaternion_normalize(quaternions: Float[AnyArray, "*batch 4"]) -> Float[AnyArray, "*batch 4"]:
+    """Returns `quaternions` at unit length; zero stays zero."""
+    return _normalized(*_float32(quaternions))
+
+
+def rotate_vectors(
+    quaternions: Float[AnyArray, "*#batch 4"], vectors: Float[AnyArray, "*#batch 3"]
+) -> Float[AnyArray, "*batch 3"]:
+    """Returns `vectors` turned by unit `quaternions`."""
+    quaternions, vectors = _float32(quaternions, vectors)
+    w, u = quaternions[..., :1], quaternions[..., 1:]
+    uv = cross_product(u, vectors)
+    return vectors + 2 * (w * uv + cross_product(u, uv))
+
+
+def quaternion_between(a: Float[AnyArray, "*#batch 3"], b: Float[AnyArray, "*#batch 3"]) -> Float[AnyArray, "*batch 4"]:
+    """Returns the shortest turns from the directions `a` to the directions `b`, with w >= 0.
+
+    Lengths do not matter. Exactly opposite directions turn by half a turn about some axis square to them; a zero vector
+    gives the identity.
+    """
+    a, b = _float32(a, b)
+    xp = namespace_of(a, b)
+    a, b = _normalized(a), _normalized(b)
+    cosine, axis = _dot(a, b), cross_product(a, b)
+    sine_squared = _dot(axis, axis)
+    # 1 + cos loses all its digits near opposite directions; sin² / (1 − cos) is the same and keeps them.
+    real = xp.where(cosine < 0, sine_squared / (1 + xp.abs(cosine)), 1 + cosine)
+    opposite = (cosine < 0) & (sine_squared < 1e-13)
+    x, y, z = a[..., :1], a[..., 1:2], a[..., 2:]
+    zero = xp.zeros_like(x)
+    square = xp.where(xp.abs(x) < 0.8, xp.concatenate([zero, z, -y], axis=-1), xp.concatenate([-z, zero, x], axis=-1))
+    real, axis = xp.where(opposite, xp.zeros_like(real), real), xp.where(opposite, square, axis)
+    return _normalized(xp.concatenate([real, axis], axis=-1))
+
+
+def matrix_from_quaternion(quaternions: Float[AnyArray, "*batch 4"]) -> Float[AnyArray, "*batch 3 3"]:
+    """Returns rotation matrices; quaternions of any length are taken as if they had unit length."""
+    (quaternions,) = _float32(quaternions)
+    xp = namespace_of(quaternions)
+    scale = 2 / xp.maximum(_dot(quaternions, quaternions)[..., 0], _TINY)
+    w, x, y, z = (quaternions[..., i] for i in range(4))
+    xs, ys, zs = x * scale, y * scale, z * scale
+    rows = (
+        (1 - (y * ys + z * zs), x * ys - w * zs, x * zs + w * ys),
+        (x * ys + w * zs, 1 - (x * xs + z * zs), y * zs - w * xs),
+        (x * zs - w * ys, y * zs + w * xs, 1 - (x * xs + y * ys)),
+    )
+    return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quaternion_from_matrix(matrices: Float[AnyArray, "*batch 3 3"]) -> Float[AnyArray, "*batch 4"]:
+    """Returns the unit quaternions of rotation matrices, with w >= 0."""
+    (matrices,) = _float32(matrices)
+    xp = namespace_of(matrices)
+    m = [[matrices[..., i, j] for j in range(3)] for i in range(3)]
+    wx, wy, wz = m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]
+    xy, xz, yz = m[0][1] + m[1][0], m[0][2] + m[2][0], m[1][2] + m[2][1]
+    ww = 1 + m[0][0] + m[1][1] + m[2][2]
+    xx = 1 + m[0][0] - m[1][1] - m[2][2]
+    yy = 1 - m[0][0] + m[1][1] - m[2][2]
+    zz = 1 - m[0][0] - m[1][1] + m[2][2]
+    # 4 q qᵀ: every row is a multiple of the quaternion, and the one with the largest diagonal entry is the safest.
+    rows = ((ww, wx, wy, wz), (wx, xx, xy, xz), (wy, xy, yy, yz), (wz, xz, yz, zz))
+    products = xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
+    largest = xp.argmax(xp.stack([ww, xx, yy, zz], axis=-1), axis=-1)
+    quaternions = _normalized(xp.take_along_axis(products, largest[..., None, None], axis=-2)[..., 0, :])
+    return xp.where(quaternions[..., :1] < 0, -quaternions, quaternions)
+
+
+def rotation_6d_from_matrix(matrices: Float[AnyArray, "*batch 3 3"]) -> Float[AnyArray, "*batch 6"]:
+    """Returns the first and then the second column of each matrix."""
+    (matrices,) = _float32(matrices)
+    return namespace_of(matrices).concatenate([matrices[..., 0], matrices[..., 1]], axis=-1)
+
+
+def rotation_6d_from_quaternion(quaternions: Float[AnyArray, "*batch 4"]) -> Float[AnyArray, "*batch 6"]:
+    """Returns the first and then the second column of each quaternion's matrix."""
+    return rotation_6d_from_matrix(matrix_from_quaternion(quaternions))
+
+
+def matrix_from_rotation_6d(rotations_6d: Float[AnyArray, "*batch 6"]) -> Float[AnyArray, "*batch 3 3"]:
+    """Returns rotation matrices; the first vector keeps its direction, the second is made square to it."""
+    (rotations_6d,) = _float32(rotations_6d)
+    x = _normalized(rotations_6d[..., :3])
+    z = _normalized(cross_product(x, rotations_6d[..., 3:]))
+    return namespace_of(rotations_6d).stack([x, cross_product(z, x), z], axis=-1)
+
+
+def quaternion_from_rotation_6d(rotations_6d: Float[AnyArray, "*batch 6"]) -> Float[AnyArray, "*batch 4"]:
+    """Returns unit quaternions with w >= 0."""
+    return quaternion_from_matrix(matrix_from_rotation_6d(rotations_6d))
+
+
+def continuous_quaternions(quaternions: Float[AnyArray, "T *batch 4"]) -> Float[AnyArray, "T *batch 4"]:
+    """Returns the same rotations with signs such that no quaternion points away from the one a frame earlier."""
+    (quaternions,) = _float32(quaternions)
+    xp = namespace_of(quaternions)
+    flips = xp.where(_dot(quaternions[1:], quaternions[:-1]) < 0, xp.float32(-1), xp.float32(1))
+    signs = xp.concatenate([xp.ones_like(quaternions[:1, ..., :1]), xp.cumprod(flips, axis=0)], axis=0)
+    return quaternions * signs
+
+
+def _axis_matrix(axis: int, angles: Float[AnyArray, "*batch"]) -> Float[AnyArray, "*batch 3 3"]:
+    """Returns the turns by `angles` (radians) about one coordinate axis."""
+    xp = namespace_of(angles)
+    cos, sin, zero, one = xp.cos(angles), xp.sin(angles), xp.zeros_like(angles), xp.ones_like(angles)
+    j, k = (axis + 1) % 3, (axis + 2) % 3
+    entries = {(axis, axis): one, (j, j): cos, (j, k): -sin, (k, j): sin, (k, k): cos}
+    flat = [entries.get(index, zero) for index in itertools.product(range(3), repeat=2)]
+    return xp.stack(flat, axis=-1).reshape((*angles.shape, 3, 3))
+
+
+def matrix_from_euler(angles: Float[AnyArray, "*batch 3"], order: EulerOrder) -> Float[AnyArray, "*batch 3 3"]:
+    """Returns rotation matrices of Euler angles in radians, given in the order of the letters.
+
+    "ZXY" stands for Rz(angles[0]) @ Rx(angles[1]) @ Ry(angles[2]): the last letter turns first.
+    """
+    (angles,) = _float32(angles)
+    first, second, third = (_axis_matrix("XYZ".index(letter), angles[..., i]) for i, letter in enumerate(order))
+    return first @ second @ third
+
+
+def euler_from_matrix(matrices: Float[AnyArray, "*batch 3 3"], order: EulerOrder) -> Float[AnyArray, "*batch 3"]:
+    """Returns Euler angles in radians in the order of the letters, the middle one within ±π/2.
+
+    The angles always give the matrix back, also where the middle one is ±π/2 and the others are not unique.
+    """
+    (matrices,) = _float32(matrices)
+    xp = namespace_of(matrices)
+    i, j, k = ("XYZ".index(letter) for letter in order)
+    sign = 1.0 if (j - i) % 3 == 1 else -1.0
+    first = xp.arctan2(-sign * matrices[..., j, k], matrices[..., k, k])
+    middle = xp.arctan2(sign * matrices[..., i, k], xp.hypot(matrices[..., i, i], matrices[..., i, j]))
+    # Undoing the first turn before reading the third keeps their sum right where neither is well determined alone.
+    cos, sin = xp.cos(first), sign * xp.sin(first)
+    third = xp.arctan2(
+        sign * (cos * matrices[..., j, i] + sin * matrices[..., k, i]),
+        cos * matrices[..., j, j] + sin * matrices[..., k, j],
+    )
+    return xp.stack([first, middle, third], axis=-1)
+
+
+def slerp(
+    a: Float[AnyArray, "*#batch 4"], b: Float[AnyArray, "*#batch 4"], weight: float | Float[AnyArray, "*#batch"]
+) -> Float[AnyArray, "*batch 4"]:
+    """Returns the unit quaternions at `weight` (0 … 1) of the shorter way from `a` to `b`, at a constant speed."""
+    a, b = _float32(a, b)
+    xp = namespace_of(a, b)
+    weight = xp.asarray(weight, dtype=xp.float32)[..., None]
+    cosine = _dot(a, b)
+    b, cosine = xp.where(cosine < 0, -b, b), xp.abs(cosine)
+    difference = b - a
+    # Twice the angle of half the chord: exact for small angles, where arccos is not.
+    angle = 2 * xp.arctan2(xp.sqrt(_dot(difference, difference)), xp.sqrt(_dot(a + b, a + b)))
+    sine = xp.sin(angle)
+    near = sine < 1e-4
+    safe = xp.where(near, xp.ones_like(sine), sine)
+    weight_a = xp.where(near, 1 - weight, xp.sin((1 - weight) * angle) / safe)
+    weight_b = xp.where(near, weight * xp.ones_like(sine), xp.sin(weight * angle) / safe)
+    return _normalized(weight_a * a + weight_b * b)

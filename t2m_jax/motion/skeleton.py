@@ -1,0 +1,162 @@
+"""The two skeletons that motion features are defined for: HumanML3D (22 joints) and KIT-ML (21 joints)."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from t2m_jax.config import UserError
+from t2m_jax.motion.layout import FeatureLayout
+
+_X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+_MINUS_X, _MINUS_Y, _ROOT = (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 0.0)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Skeleton:
+    """A tree of joints with the constants that features depend on; hashable, so that `jit` takes it as static."""
+
+    name: str
+    """The name in `dataset.yaml` and in error messages."""
+    joint_names: tuple[str, ...]
+    """One name a joint; the first is the root."""
+    parents: tuple[int, ...]
+    """Index of each joint's parent, always smaller than its own; -1 for the root."""
+    rest_axes: tuple[tuple[float, float, float], ...]
+    """Unit vector from the parent to each joint at rest; zero for the root."""
+    bone_lengths: tuple[float, ...]
+    """Length of the bone that ends at each joint, in the skeleton's unit; zero for the root."""
+    chains: tuple[tuple[int, ...], ...]
+    """Limbs from their first joint outwards; together they hold every bone once."""
+    face_joints: tuple[int, int, int, int]
+    """Right hip, left hip, right shoulder, left shoulder, as the feature code calls them: they tell the heading."""
+    leg_joints: tuple[int, int]
+    """Ends of the thigh and the shin whose lengths decide the scale of a figure."""
+    left_foot: tuple[int, int]
+    """Ankle and toe behind the first two contact columns."""
+    right_foot: tuple[int, int]
+    """Ankle and toe behind the last two contact columns."""
+    mirror_pairs: tuple[tuple[int, int], ...]
+    """Left and right joints that change places in a mirror."""
+    fps: float
+    """Frames a second of its data sets."""
+    metres_per_unit: float
+    """Length of one unit of its positions."""
+    contact_threshold: float
+    """A foot joint touches the ground when its squared step in one frame is below this, in squared units."""
+    min_frames: int
+    """Shortest clip, in feature rows, that is trained and evaluated on."""
+    max_frames: int
+    """Longest motion, in feature rows, that models see."""
+
+    @property
+    def num_joints(self) -> int:
+        """Returns the number of joints, the root included."""
+        return len(self.parents)
+
+    @property
+    def layout(self) -> FeatureLayout:
+        """Returns the columns of its features."""
+        return FeatureLayout(self.num_joints)
+
+    @property
+    def feature_dim(self) -> int:
+        """Returns the width of its features."""
+        return self.layout.feature_dim
+
+    @property
+    def offsets(self) -> Float[np.ndarray, "J 3"]:
+        """Returns the template's vectors from parent to joint: rest axis times bone length, float32."""
+        return np.asarray(self.rest_axes, np.float32) * np.asarray(self.bone_lengths, np.float32)[:, None]
+
+
+# fmt: off
+HUMANML3D = Skeleton(
+    name="humanml3d",
+    joint_names=(
+        "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
+        "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder",
+        "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist",
+    ),
+    parents=(-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19),
+    rest_axes=(
+        _ROOT, _X, _MINUS_X, _Y, _MINUS_Y, _MINUS_Y, _Y, _MINUS_Y, _MINUS_Y, _Y, _Z, _Z, _Y, _X, _MINUS_X, _Z,
+        _MINUS_Y, _MINUS_Y, _MINUS_Y, _MINUS_Y, _MINUS_Y, _MINUS_Y,
+    ),
+    # One real subject, hence the unequal sides.
+    bone_lengths=(
+        0.0, 0.10307397, 0.10988337, 0.13156824, 0.3936232, 0.39018822, 0.14319022, 0.43243307, 0.42564335,
+        0.057364736, 0.14338182, 0.14941907, 0.21936005, 0.13748677, 0.14338283, 0.10303922, 0.13161404, 0.12298438,
+        0.25684, 0.26309174, 0.2660117, 0.26987638,
+    ),
+    chains=((0, 2, 5, 8, 11), (0, 1, 4, 7, 10), (0, 3, 6, 9, 12, 15), (9, 14, 17, 19, 21), (9, 13, 16, 18, 20)),
+    face_joints=(2, 1, 17, 16),
+    leg_joints=(5, 8),
+    left_foot=(7, 10),
+    right_foot=(8, 11),
+    mirror_pairs=((1, 2), (4, 5), (7, 8), (10, 11), (13, 14), (16, 17), (18, 19), (20, 21)),
+    fps=20.0,
+    metres_per_unit=1.0,
+    contact_threshold=0.002,
+    min_frames=40,
+    max_frames=196,
+)
+
+# KIT-ML's body is one metre tall (its root travels at life size), so pictures look right at about 1.7 times this scale.
+# Its joints are mirror images in a right-handed frame, which is why feet and face name the other side than the joints.
+KIT_ML = Skeleton(
+    name="kit_ml",
+    joint_names=(
+        "root", "BP", "BT", "BLN", "BUN", "LS", "LE", "LW", "RS", "RE", "RW", "LH", "LK", "LA", "LMrot", "LF",
+        "RH", "RK", "RA", "RMrot", "RF",
+    ),
+    parents=(-1, 0, 1, 2, 3, 3, 5, 6, 3, 8, 9, 0, 11, 12, 13, 14, 0, 16, 17, 18, 19),
+    rest_axes=(
+        _ROOT, _Y, _Y, _Y, _Y, _X, _MINUS_Y, _MINUS_Y, _MINUS_X, _MINUS_Y, _MINUS_Y,
+        _X, _MINUS_Y, _MINUS_Y, _Z, _Z, _MINUS_X, _MINUS_Y, _MINUS_Y, _Z, _Z,
+    ),
+    bone_lengths=(
+        0.0, 80.0, 120.0, 44.0, 30.0, 110.0, 188.0, 145.0, 110.0, 188.0, 145.0,
+        52.0, 245.0, 246.0, 30.273586, 56.28934, 52.0, 245.0, 246.0, 30.273586, 56.287346,
+    ),
+    chains=((0, 11, 12, 13, 14, 15), (0, 16, 17, 18, 19, 20), (0, 1, 2, 3, 4), (3, 5, 6, 7), (3, 8, 9, 10)),
+    face_joints=(11, 16, 5, 8),
+    leg_joints=(17, 18),
+    left_foot=(19, 20),
+    right_foot=(14, 15),
+    mirror_pairs=((5, 8), (6, 9), (7, 10), (11, 16), (12, 17), (13, 18), (14, 19), (15, 20)),
+    fps=12.5,
+    metres_per_unit=0.001,
+    contact_threshold=0.05,
+    min_frames=24,
+    max_frames=196,
+)
+# fmt: on
+
+_SKELETONS = (HUMANML3D, KIT_ML)
+
+
+def skeleton_from_name(name: str) -> Skeleton:
+    """Returns the skeleton called `name`.
+
+    Raises:
+        UserError: No skeleton has this name.
+    """
+    for skeleton in _SKELETONS:
+        if skeleton.name == name:
+            return skeleton
+    known = ", ".join(skeleton.name for skeleton in _SKELETONS)
+    raise UserError(f"unknown skeleton {name!r}; use one of: {known}")
+
+
+def skeleton_from_feature_dim(feature_dim: int) -> Skeleton:
+    """Returns the skeleton whose features are `feature_dim` wide.
+
+    Raises:
+        UserError: No skeleton has features of this width.
+    """
+    for skeleton in _SKELETONS:
+        if skeleton.feature_dim == feature_dim:
+            return skeleton
+    known = ", ".join(f"{skeleton.feature_dim} ({skeleton.name})" for skeleton in _SKELETONS)
+    raise UserError(f"no skeleton has motion features of width {feature_dim}; known widths: {known}")
