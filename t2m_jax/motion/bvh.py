@@ -1,0 +1,6 @@
+"""BVH files in and out."""
+
+from t2m_jax.motion.bvh_clip import BvhClip
+from t2m_jax.motion.bvh_reader import load_bvh
+
+__all__ = ["BvhClip", "load_bvh"]

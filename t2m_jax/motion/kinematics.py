@@ -1,0 +1,43 @@
+"""Forward kinematics of any joint hierarchy."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+
+class JointPoses(NamedTuple):
+    """Where every joint is and how it is turned, in the world."""
+
+    positions: Float[np.ndarray, "*batch J 3"]
+    rotations: Float[np.ndarray, "*batch J 3 3"]
+
+
+def forward_kinematics(
+    rotations: Float[np.ndarray, "*batch J 3 3"],
+    translations: Float[np.ndarray, "*batch J 3"],
+    parents: Sequence[int],
+) -> JointPoses:
+    """Returns the world poses of a hierarchy of joints.
+
+    Args:
+        rotations: Rotation of each joint in its parent's frame.
+        translations: Position of each joint in its parent's frame; the root's is its world position.
+        parents: Parent of each joint, which must come before it; -1 for the root.
+    """
+    # Joint first: a joint's matrices lie together, several times faster than striding over all joints.
+    local = np.moveaxis(np.asarray(rotations, np.float64), -3, 0)
+    steps = np.moveaxis(np.asarray(translations, np.float64), -2, 0)
+    world = np.empty(local.shape)
+    positions = np.empty(steps.shape)
+    for joint, parent in enumerate(parents):
+        if parent < 0:
+            world[joint], positions[joint] = local[joint], steps[joint]
+            continue
+        world[joint] = world[parent] @ local[joint]
+        positions[joint] = positions[parent] + np.einsum("...ij,...j->...i", world[parent], steps[joint])
+    return JointPoses(
+        positions=np.moveaxis(positions, 0, -2).astype(np.float32),
+        rotations=np.moveaxis(world, 0, -3).astype(np.float32),
+    )
