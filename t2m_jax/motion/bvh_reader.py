@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -81,16 +81,15 @@ def _rotations(hierarchy: Hierarchy, values: Float[np.ndarray, "T C"]) -> Float[
     """Returns the local rotation matrices; an axis without a channel does not turn."""
     result = np.empty((len(values), len(hierarchy.joint_names), 3, 3), dtype=np.float32)
     radians = np.concatenate((np.deg2rad(values), np.zeros((len(values), 1))), axis=1)
-    groups: dict[str, list[tuple[int, list[int]]]] = {}
+    groups: dict[EulerOrder, list[tuple[int, list[int]]]] = {}
     for joint, columns in enumerate(_columns(hierarchy)):
-        order = "".join(name[0] for name in columns if name in ROTATION_CHANNELS)
-        order += "".join(axis for axis in AXES if axis not in order)
-        picked = [columns.get(f"{axis}rotation", values.shape[1]) for axis in order]
+        named = "".join(name[0] for name in columns if name in ROTATION_CHANNELS)
+        order = cast(EulerOrder, named + "".join(axis for axis in AXES if axis not in named))
+        picked = [columns[f"{axis}rotation"] if axis in named else values.shape[1] for axis in order]
         groups.setdefault(order, []).append((joint, picked))
     for order, members in groups.items():
         joints = [joint for joint, _ in members]
-        picked_columns = np.array([picked for _, picked in members])
-        result[:, joints] = matrix_from_euler(radians[:, picked_columns], order)
+        result[:, joints] = matrix_from_euler(radians[:, np.array([picked for _, picked in members])], order)
     return result
 
 

@@ -41,3 +41,14 @@ def forward_kinematics(
         positions=np.moveaxis(positions, 0, -2).astype(np.float32),
         rotations=np.moveaxis(world, 0, -3).astype(np.float32),
     )
+
+
+def rigid_rotations(
+    rest: Float[np.ndarray, "N 3"], vectors: Float[np.ndarray, "*batch N 3"]
+) -> Float[np.ndarray, "*batch 3 3"]:
+    """Returns the rotations that take the vectors `rest` closest to `vectors` in least squares (Kabsch 1976)."""
+    left, _, right = np.linalg.svd(np.einsum("...na,nb->...ab", np.asarray(vectors, np.float64), rest))
+    # A mirror image may fit better than any rotation: then the least important axis is turned back.
+    signs = np.ones(left.shape[:-1])
+    signs[..., 2] = np.sign(np.linalg.det(left) * np.linalg.det(right))
+    return ((left * signs[..., None, :]) @ right).astype(np.float32)

@@ -1,5 +1,6 @@
 """From the joints of a BVH file to the 22 joints of HumanML3D."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -66,7 +67,7 @@ def _place_spine(
     lengths = [HUMANML3D.bone_lengths[HUMANML3D.joint_names.index(name)] for name in _SPINE]
     heights = dict(zip(_SPINE, np.cumsum(lengths), strict=True))
     known = [name for name in _SPINE if name in index]
-    for below, above in zip(known[:-1], known[1:], strict=True):
+    for below, above in itertools.pairwise(known):
         path = world[:, _joints_between(index[below], index[above], parents)]
         for name in _SPINE[_SPINE.index(below) + 1 : _SPINE.index(above)]:
             fraction = (heights[name] - heights[below]) / (heights[above] - heights[below])
