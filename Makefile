@@ -1,0 +1,63 @@
+# Every target sets itself up in .venv; nothing else on the machine is touched but pip's cache.
+#   make demo                      a generated motion as a page, a GIF and a BVH file
+#   make test PYTEST_ARGS="-x tests/motion"
+#   make lint PYTHON=python3.12    chooses the interpreter of a .venv that is yet to be made
+
+PYTHON ?= python3
+PYTEST_ARGS ?= -n 2
+VENV ?= .venv
+BIN := $(VENV)/bin
+PROMPT ?= a person waves with the left hand
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint format notebooks clean
+
+help:
+	@echo "make demo       generate a motion and say where it is"
+	@echo "make test       run the tests (PYTEST_ARGS=\"...\" changes which and how)"
+	@echo "make lint       check style, imports and types"
+	@echo "make format     write the code as the formatter wants it"
+	@echo "make notebooks  run the notebooks and keep their outputs"
+	@echo "make clean      remove .venv, caches and generated files"
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3.11 $(MAKECMDGOALS)" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+# The stamps say which extras lie in .venv and are outdated by a change of pyproject.toml.
+$(VENV)/.base: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+$(VENV)/.dev: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $(VENV)/.base $@
+
+$(VENV)/.notebooks: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[notebooks]'
+	@touch $(VENV)/.base $@
+
+demo: $(VENV)/.base
+	@mkdir -p demo
+	$(BIN)/t2m generate "$(PROMPT)" -o demo/wave.html -o demo/wave.gif -o demo/wave.bvh
+
+test: $(VENV)/.dev
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
+	$(BIN)/mypy
+
+format: $(VENV)/.dev
+	$(BIN)/ruff check --fix-only .
+	$(BIN)/ruff format .
+
+notebooks: $(VENV)/.notebooks
+	$(BIN)/jupyter execute --inplace notebooks/*.ipynb
+
+clean:
+	rm -rf $(VENV) demo build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

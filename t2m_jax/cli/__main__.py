@@ -1,0 +1,8 @@
+"""Lets `python -m t2m_jax.cli` stand for `t2m`."""
+
+import sys
+
+from t2m_jax.cli.main import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,29 @@
+"""Turns a motion file into files of other formats; the suffix of each output chooses the format."""
+
+import argparse
+from pathlib import Path
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the arguments of `t2m view`."""
+    parser.add_argument("file", type=Path, metavar="FILE", help="motion to read: .npz, .bvh, or .npy of a data set")
+    parser.add_argument(
+        "-o",
+        "--output",
+        dest="outputs",
+        type=Path,
+        action="append",
+        required=True,
+        metavar="FILE",
+        help="file to write: .html, .gif, .mp4, .bvh or .npz; may be given several times",
+    )
+
+
+def run(args: argparse.Namespace) -> None:
+    """Reads the motion once and writes every output."""
+    from t2m_jax.export.formats import load_motion
+
+    motion = load_motion(args.file)
+    for output in args.outputs:
+        motion.save(output)
+        print(output)

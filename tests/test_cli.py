@@ -1,0 +1,207 @@
+import argparse
+import errno
+import importlib.metadata
+import subprocess
+import sys
+import types
+
+import numpy as np
+import pytest
+
+from t2m_jax.cli.main import COMMANDS, main
+from t2m_jax.config import UserError
+
+
+@pytest.fixture
+def command(monkeypatch):
+    """Returns a function that adds the command `fake`, whose `run` is given."""
+
+    def add(run=lambda args: None, **attributes):
+        module = types.ModuleType("t2m_jax.cli.fake", "Does nothing.")
+
+        def add_arguments(parser: argparse.ArgumentParser) -> None:
+            parser.add_argument("text", nargs="*")
+            parser.add_argument("--seed", type=int, default=0)
+
+        module.__dict__.update(add_arguments=add_arguments, run=run, **attributes)
+        monkeypatch.setitem(COMMANDS, "fake", "do nothing")
+        monkeypatch.setitem(sys.modules, "t2m_jax.cli.fake", module)
+
+    return add
+
+
+def raising(error: BaseException):
+    """Returns a `run` that ends in an error."""
+
+    def run(args):
+        raise error
+
+    return run
+
+
+def test_a_command_gets_its_arguments(command, capsys):
+    seen = []
+    command(seen.append)
+    assert main(["fake", "a person waves", "--seed", "3"]) == 0
+    assert (seen[0].text, seen[0].seed) == (["a person waves"], 3)
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["fakee"], "unknown command 'fakee'; did you mean 'fake'?"),
+        (["zzzzzz"], "unknown command 'zzzzzz'; known: generate, "),
+        (["--versionn"], "unrecognized arguments: --versionn"),
+        (["fake", "--seed", "x"], "fake: argument --seed: invalid int value: 'x' (see `t2m fake --help`)"),
+        (["fake", "--sed", "3"], "fake: unknown argument '--sed'; did you mean '--seed'?"),
+        (["fake", "--see=3"], "fake: unknown argument '--see=3'; did you mean '--seed'?"),
+    ],
+)
+def test_refusals_of_arguments_are_one_line(command, capsys, arguments, message):
+    command()
+    assert main(arguments) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith(f"t2m: error: {message}")
+    assert printed.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (UserError("config.yaml:3: unknown key 'a'"), "config.yaml:3: unknown key 'a'"),
+        (UserError("two\nlines \x1b[31mred\x07"), r"two lines \x1b[31mred\x07"),
+        (UserError("wie schön 🙂"), "wie schön 🙂"),
+        (FileNotFoundError(errno.ENOENT, "No such file or directory", "a.npz"), "a.npz: No such file or directory"),
+        (PermissionError(errno.EACCES, "Permission denied", "/root/x"), "/root/x: Permission denied"),
+        (IsADirectoryError(errno.EISDIR, "Is a directory", "runs"), "runs: Is a directory"),
+        (OSError(errno.ENOSPC, "No space left on device"), "No space left on device"),
+        (FileNotFoundError("no model in runs/a"), "no model in runs/a"),
+    ],
+)
+def test_mistakes_of_the_user_end_in_one_line_and_code_2(command, capsys, error, line):
+    command(raising(error))
+    assert main(["fake"]) == 2
+    assert capsys.readouterr().err == f"t2m: error: {line}\n"
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--debug", "fake"], ["fake", "--debug"], ["fake", "x", "--debug", "--seed", "1"]]
+)
+def test_debug_shows_the_traceback_wherever_it_stands(command, capsys, arguments):
+    command(raising(UserError("no such joint")))
+    assert main(arguments) == 2
+    printed = capsys.readouterr().err
+    assert "Traceback" in printed
+    assert printed.endswith("t2m: error: no such joint\n")
+
+
+def test_text_after_a_double_dash_is_no_option(command):
+    seen = []
+    command(seen.append)
+    assert main(["fake", "--", "--debug", "--seed"]) == 0
+    assert seen[0].text == ["--debug", "--seed"]
+
+
+def test_a_bug_keeps_its_traceback(command):
+    command(raising(KeyError("bug")))
+    with pytest.raises(KeyError):
+        main(["fake"])
+
+
+def test_an_interrupt_is_no_traceback(command, capsys):
+    command(raising(KeyboardInterrupt()))
+    assert main(["fake"]) == 130
+    assert capsys.readouterr().err == "t2m: error: interrupted\n"
+
+
+def test_config_options_reach_the_commands_that_take_them(command):
+    seen = []
+    command(seen.append, TAKES_CONFIG_OPTIONS=True)
+    assert main(["fake", "a.yaml", "--train.lr", "1e-4", "--flag", "--widths", "1", "2"]) == 0
+    assert seen[0].text == ["a.yaml"]
+    assert seen[0].config_options == ["--train.lr", "1e-4", "--flag", "--widths", "1", "2"]
+
+
+def test_help_names_every_command_and_the_version_is_that_of_the_distribution(capsys):
+    assert main([]) == 0
+    without = capsys.readouterr().out
+    assert main(["--help"]) == 0
+    assert capsys.readouterr().out == without
+    assert all(f"\n  {name} " in without for name in COMMANDS)
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"t2m_jax {importlib.metadata.version('t2m-jax')}\n"
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help(name, capsys):
+    assert main([name, "--help"]) == 0
+    assert capsys.readouterr().out.startswith(f"usage: t2m {name}")
+
+
+def test_libraries_remark_in_vain_but_their_errors_are_shown():
+    # In a process of its own: what pytest does to logging would hide what a user sees.
+    program = """
+import logging, sys, types
+from t2m_jax.cli import main as program
+def run(args):
+    import absl.logging
+    absl.logging.warning("hidden")
+    for name in ("jax._src.xla_bridge", "orbax.checkpoint"):
+        logging.getLogger(name).warning("hidden")
+        logging.getLogger(name).error("shown %s", name)
+    logging.getLogger("t2m_jax.train").info("step 1")
+fake = types.ModuleType("fake")
+fake.add_arguments, fake.run = lambda parser: None, run
+program.COMMANDS["fake"] = ""
+sys.modules["t2m_jax.cli.fake"] = fake
+sys.exit(program.main(["fake"]))
+"""
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert result.returncode == 0
+    assert result.stderr.splitlines() == ["shown jax._src.xla_bridge", "shown orbax.checkpoint", "step 1"]
+
+
+def test_a_reader_that_leaves_is_no_error():
+    shell = f"{sys.executable} -m t2m_jax.cli --help | head -c 1; exit ${{PIPESTATUS[0]}}"
+    result = subprocess.run(["bash", "-c", shell], capture_output=True, text=True, check=False)
+    assert result.returncode in (0, 141)
+    assert (result.stdout, result.stderr) == ("u", "")
+
+
+def test_view_turns_a_file_into_others(tmp_path, capsys):
+    positions = np.random.default_rng(0).normal(size=(3, 22, 3)).astype(np.float32)
+    np.savez(tmp_path / "in.npz", positions=positions, fps=20.0, caption="a person waves")
+    outputs = [tmp_path / "out.npz", tmp_path / "out.html"]
+    assert main(["view", f"{tmp_path}/in.npz", "-o", f"{outputs[0]}", "-o", f"{outputs[1]}"]) == 0
+    assert capsys.readouterr().out.split() == [f"{output}" for output in outputs]
+    np.testing.assert_array_equal(np.load(outputs[0])["positions"], positions)
+    assert "a person waves" in outputs[1].read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["missing.npz", "-o", "out.html"], "missing.npz"),
+        (["in.npz", "-o", "out.xyz"], "out.xyz"),
+        (["in.npz", "-o", "nowhere/out.npz"], "nowhere"),
+        (["nan.npz", "-o", "out.npz"], "nan.npz"),
+        (["broken.npz", "-o", "out.npz"], "broken.npz"),
+        (["wide.npy", "-o", "out.npz"], "wide.npy"),
+        (["in.txt", "-o", "out.npz"], "in.txt"),
+    ],
+)
+def test_view_refuses_in_one_line(tmp_path, monkeypatch, capsys, arguments, named):
+    monkeypatch.chdir(tmp_path)
+    positions = np.zeros((3, 22, 3), np.float32)
+    np.savez("in.npz", positions=positions, fps=20.0)
+    np.savez("nan.npz", positions=positions * np.nan, fps=20.0)
+    np.save("wide.npy", np.zeros((5, 100), np.float32))
+    (tmp_path / "broken.npz").write_bytes(b"PK\x03\x04 no archive")
+    (tmp_path / "in.txt").write_text("no motion")
+    assert main(["view", *arguments]) == 2
+    printed = capsys.readouterr().err
+    assert printed.startswith("t2m: error: ")
+    assert named in printed
+    assert printed.count("\n") == 1

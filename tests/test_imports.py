@@ -1,0 +1,59 @@
+import importlib
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import t2m_jax
+
+PACKAGE = Path(t2m_jax.__file__).parent
+FILES = sorted(path for path in PACKAGE.rglob("*.py") if path.name != "__main__.py")
+MODULES = [".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__") for path in FILES]
+
+HEAVY = ("jax", "jaxlib", "flax", "numpy", "orbax", "optax", "omegaconf", "tyro", "tokenizers", "PIL")
+
+
+def run_python(program: str) -> str:
+    """Returns what a program of a fresh interpreter prints."""
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    return result.stdout.strip()
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_every_module_imports_and_says_what_it_is(name):
+    assert importlib.import_module(name).__doc__
+
+
+def test_every_folder_of_modules_is_a_package():
+    assert [path for path in FILES if not (path.parent / "__init__.py").exists()] == []
+
+
+def test_the_package_itself_imports_nothing():
+    program = "import sys; before = set(sys.modules); import t2m_jax; print(*sorted(set(sys.modules) - before))"
+    assert run_python(program) == "t2m_jax"
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["view", "--help"], ["no-such-command"]])
+def test_help_and_refusals_import_nothing_heavy(arguments):
+    program = f"""
+import contextlib, io, sys
+from t2m_jax.cli.main import main
+with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+    main({arguments!r})
+print(*[name for name in {HEAVY!r} if name in sys.modules])
+"""
+    assert run_python(program) == ""
+
+
+def test_importing_everything_touches_no_device():
+    program = f"""
+import importlib
+import jax
+from jax._src import xla_bridge
+for name in {MODULES!r}:
+    importlib.import_module(name)
+print(xla_bridge.backends_are_initialized())
+"""
+    assert run_python(program) == "False"
