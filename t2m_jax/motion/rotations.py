@@ -27,8 +27,8 @@ def _float32(*arrays: AnyArray) -> tuple[AnyArray, ...]:
     return tuple(xp.asarray(array, dtype=xp.float32) for array in arrays)
 
 
-def _normalized(vectors: Float[AnyArray, "*batch C"]) -> Float[AnyArray, "*batch C"]:
-    """Returns `vectors` at unit length; zero vectors stay zero."""
+def unit_vectors(vectors: Float[AnyArray, "*batch C"]) -> Float[AnyArray, "*batch C"]:
+    """Returns `vectors` at unit length, in the precision of the input; zero vectors stay zero."""
     xp = namespace_of(vectors)
     # Scaling by the largest entry first keeps the square of a short vector from vanishing.
     scaled = vectors / xp.maximum(xp.max(xp.abs(vectors), axis=-1, keepdims=True), _TINY)
@@ -41,6 +41,14 @@ def cross_product(a: Float[AnyArray, "*#batch 3"], b: Float[AnyArray, "*#batch 3
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
     return xp.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+
+
+def matrix_multiply(
+    a: Float[AnyArray, "*#batch 3 3"], b: Float[AnyArray, "*#batch 3 3"]
+) -> Float[AnyArray, "*batch 3 3"]:
+    """Returns the matrix products `a @ b` at full float32 precision, which `@` does not have on accelerators."""
+    a, b = _float32(a, b)
+    return (a[..., :, :, None] * b[..., None, :, :]).sum(-2)
 
 
 def quaternion_multiply(
@@ -71,7 +79,7 @@ def quaternion_inverse(quaternions: Float[AnyArray, "*batch 4"]) -> Float[AnyArr
 
 def quaternion_normalize(quaternions: Float[AnyArray, "*batch 4"]) -> Float[AnyArray, "*batch 4"]:
     """Returns `quaternions` at unit length; zero stays zero."""
-    return _normalized(*_float32(quaternions))
+    return unit_vectors(*_float32(quaternions))
 
 
 def rotate_vectors(
@@ -92,7 +100,7 @@ def quaternion_between(a: Float[AnyArray, "*#batch 3"], b: Float[AnyArray, "*#ba
     """
     a, b = _float32(a, b)
     xp = namespace_of(a, b)
-    a, b = _normalized(a), _normalized(b)
+    a, b = unit_vectors(a), unit_vectors(b)
     cosine, axis = _dot(a, b), cross_product(a, b)
     sine_squared = _dot(axis, axis)
     # 1 + cos loses all its digits near opposite directions; sin² / (1 − cos) is the same and keeps them.
@@ -102,7 +110,7 @@ def quaternion_between(a: Float[AnyArray, "*#batch 3"], b: Float[AnyArray, "*#ba
     zero = xp.zeros_like(x)
     square = xp.where(xp.abs(x) < 0.8, xp.concatenate([zero, z, -y], axis=-1), xp.concatenate([-z, zero, x], axis=-1))
     real, axis = xp.where(opposite, xp.zeros_like(real), real), xp.where(opposite, square, axis)
-    return _normalized(xp.concatenate([real, axis], axis=-1))
+    return unit_vectors(xp.concatenate([real, axis], axis=-1))
 
 
 def matrix_from_quaternion(quaternions: Float[AnyArray, "*batch 4"]) -> Float[AnyArray, "*batch 3 3"]:
@@ -135,7 +143,7 @@ def quaternion_from_matrix(matrices: Float[AnyArray, "*batch 3 3"]) -> Float[Any
     rows = ((ww, wx, wy, wz), (wx, xx, xy, xz), (wy, xy, yy, yz), (wz, xz, yz, zz))
     products = xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
     largest = xp.argmax(xp.stack([ww, xx, yy, zz], axis=-1), axis=-1)
-    quaternions = _normalized(xp.take_along_axis(products, largest[..., None, None], axis=-2)[..., 0, :])
+    quaternions = unit_vectors(xp.take_along_axis(products, largest[..., None, None], axis=-2)[..., 0, :])
     return xp.where(quaternions[..., :1] < 0, -quaternions, quaternions)
 
 
@@ -153,8 +161,8 @@ def rotation_6d_from_quaternion(quaternions: Float[AnyArray, "*batch 4"]) -> Flo
 def matrix_from_rotation_6d(rotations_6d: Float[AnyArray, "*batch 6"]) -> Float[AnyArray, "*batch 3 3"]:
     """Returns rotation matrices; the first vector keeps its direction, the second is made square to it."""
     (rotations_6d,) = _float32(rotations_6d)
-    x = _normalized(rotations_6d[..., :3])
-    z = _normalized(cross_product(x, rotations_6d[..., 3:]))
+    x = unit_vectors(rotations_6d[..., :3])
+    z = unit_vectors(cross_product(x, rotations_6d[..., 3:]))
     return namespace_of(rotations_6d).stack([x, cross_product(z, x), z], axis=-1)
 
 
@@ -189,7 +197,7 @@ def matrix_from_euler(angles: Float[AnyArray, "*batch 3"], order: EulerOrder) ->
     """
     (angles,) = _float32(angles)
     first, second, third = (_axis_matrix("XYZ".index(letter), angles[..., i]) for i, letter in enumerate(order))
-    return first @ second @ third
+    return matrix_multiply(matrix_multiply(first, second), third)
 
 
 def euler_from_matrix(matrices: Float[AnyArray, "*batch 3 3"], order: EulerOrder) -> Float[AnyArray, "*batch 3"]:
@@ -218,7 +226,8 @@ def slerp(
     """Returns the unit quaternions at `weight` (0 … 1) of the shorter way from `a` to `b`, at a constant speed."""
     a, b = _float32(a, b)
     xp = namespace_of(a, b)
-    weight = xp.asarray(weight, dtype=xp.float32)[..., None]
+    weight = xp.asarray(weight, dtype=xp.float32)
+    weight = weight[..., None] if weight.ndim else weight
     cosine = _dot(a, b)
     b, cosine = xp.where(cosine < 0, -b, b), xp.abs(cosine)
     difference = b - a
@@ -229,4 +238,4 @@ def slerp(
     safe = xp.where(near, xp.ones_like(sine), sine)
     weight_a = xp.where(near, 1 - weight, xp.sin((1 - weight) * angle) / safe)
     weight_b = xp.where(near, weight * xp.ones_like(sine), xp.sin(weight * angle) / safe)
-    return _normalized(weight_a * a + weight_b * b)
+    return unit_vectors(weight_a * a + weight_b * b)

@@ -1,0 +1,302 @@
+"""Motion features from joint positions and back.
+
+The HumanML3D encoding (Guo et al., CVPR 2022) with its quirks, because published statistics, models and metrics rest on
+them: the first heading is forced to +Z, headings are smoothed over a second, hips and shoulders pull the smoothed
+heading to opposite sides, and rotations are swings from a rest axis without twist. Positions are in the skeleton's unit
+(metres for HumanML3D, millimetres for KIT-ML), Y up; velocities are a frame, angles in radians.
+
+Everything takes NumPy or JAX arrays with batch axes in front and returns float32 arrays of the same library. Under
+`jit` the skeleton is a static argument.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from t2m_jax.config import UserError
+from t2m_jax.motion.namespace import AnyArray, namespace_of
+from t2m_jax.motion.rotations import (
+    matrix_from_quaternion,
+    matrix_from_rotation_6d,
+    matrix_multiply,
+    quaternion_between,
+    quaternion_inverse,
+    quaternion_multiply,
+    rotate_vectors,
+    rotation_6d_from_quaternion,
+    unit_vectors,
+)
+from t2m_jax.motion.skeleton import Skeleton
+
+HEADING_SIGMA = 20.0
+"""Standard deviation, in frames, of the Gaussian that smooths headings."""
+
+_TRUNCATE = 4  # the Gaussian ends after this many standard deviations
+_AHEAD = (0.0, 0.0, 1.0)
+
+
+def _checked_positions(positions: AnyArray, skeleton: Skeleton) -> AnyArray:
+    """Returns `positions` as float32, or refuses them."""
+    if positions.ndim < 3 or positions.shape[-1] != 3:
+        raise UserError(f"positions have shape {tuple(positions.shape)}; give [..., frames, joints, 3]")
+    if positions.shape[-2] != skeleton.num_joints:
+        raise UserError(
+            f"positions have {positions.shape[-2]} joints, but skeleton {skeleton.name} has {skeleton.num_joints}; "
+            "choose the joints of the skeleton, in its order"
+        )
+    if positions.shape[-3] < 2:
+        raise UserError(f"positions have {positions.shape[-3]} frames; features need at least 2")
+    xp = namespace_of(positions)
+    return xp.asarray(positions, dtype=xp.float32)
+
+
+def _checked_features(features: AnyArray, skeleton: Skeleton) -> AnyArray:
+    """Returns `features` as float32, or refuses them."""
+    if features.ndim < 2 or features.shape[-1] != skeleton.feature_dim:
+        raise UserError(
+            f"features have shape {tuple(features.shape)}, but those of skeleton {skeleton.name} are "
+            f"[..., frames, {skeleton.feature_dim}]; choose the skeleton they were made for"
+        )
+    xp = namespace_of(features)
+    return xp.asarray(features, dtype=xp.float32)
+
+
+def _constant(values: object, like: AnyArray, ndim: int) -> AnyArray:
+    """Returns float32 `values` in the library of `like`, with leading axes of size one up to `ndim` axes."""
+    array = np.asarray(values, np.float32)
+    return namespace_of(like).asarray(array.reshape((1,) * (ndim - array.ndim) + array.shape))
+
+
+def _bones(positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton) -> Float[AnyArray, "*batch T J-1 3"]:
+    """Returns the vectors from parent to joint of joints 1 … J−1."""
+    return positions[..., 1:, :] - positions[..., np.array(skeleton.parents[1:]), :]
+
+
+def _chain_predecessors(skeleton: Skeleton) -> np.ndarray:
+    """Returns for each joint the one before it in its chain; chains that begin at the chest start from the root too."""
+    predecessors = np.array(skeleton.parents)
+    for chain in skeleton.chains:
+        predecessors[chain[1]] = 0
+    return predecessors
+
+
+def retarget_positions(
+    positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton
+) -> Float[AnyArray, "*batch T J 3"]:
+    """Returns the motion on the template's bone lengths, which all data of a skeleton share.
+
+    Bones keep their directions. The root's path is scaled by the leg length of the template over that of the first
+    frame (one leg decides). Bones of no length stay so, and a figure without a leg keeps its path.
+    """
+    positions = _checked_positions(positions, skeleton)
+    xp = namespace_of(positions)
+    bones = _bones(positions, skeleton)
+    leg = np.array(skeleton.leg_joints)
+    source = xp.sqrt((bones[..., 0, leg - 1, :] ** 2).sum(-1)).sum(-1)
+    template = sum(skeleton.bone_lengths[joint] for joint in skeleton.leg_joints)
+    scale = xp.where(source > 0, template / xp.where(source > 0, source, xp.ones_like(source)), xp.ones_like(source))
+    bones = unit_vectors(bones) * _constant(skeleton.bone_lengths[1:], bones, bones.ndim - 1)[..., None]
+    joints = [positions[..., 0, :] * scale[..., None, None]]
+    for joint in range(1, skeleton.num_joints):
+        joints.append(joints[skeleton.parents[joint]] + bones[..., joint - 1, :])
+    return xp.stack(joints, axis=-2)
+
+
+def ground_positions(positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton) -> Float[AnyArray, "*batch T J 3"]:
+    """Returns the motion with its lowest joint at height 0, beginning over the origin and facing +Z."""
+    positions = _checked_positions(positions, skeleton)
+    xp = namespace_of(positions)
+    floor = positions[..., 1].min(axis=(-2, -1))
+    start = positions[..., 0, 0, :]
+    origin = xp.stack([start[..., 0], floor, start[..., 2]], axis=-1)
+    positions = positions - origin[..., None, None, :]
+    right_hip, left_hip, right_shoulder, left_shoulder = (positions[..., 0, j, :] for j in skeleton.face_joints)
+    across = (right_hip - left_hip) + (right_shoulder - left_shoulder)
+    turn = quaternion_between(_forward(across), _constant(_AHEAD, across, across.ndim))
+    return rotate_vectors(turn[..., None, None, :], positions)
+
+
+def _forward(across: Float[AnyArray, "*batch 3"]) -> Float[AnyArray, "*batch 3"]:
+    """Returns Y × across: ahead for someone whose right side points along `across`, with y = 0."""
+    xp = namespace_of(across)
+    return xp.stack([across[..., 2], xp.zeros_like(across[..., 0]), -across[..., 0]], axis=-1)
+
+
+def smooth_over_time(values: Float[AnyArray, "*batch T C"], *, sigma: float) -> Float[AnyArray, "*batch T C"]:
+    """Returns `values` under a Gaussian along time, with the end frames repeated outwards.
+
+    `sigma` counts frames. NumPy arrays are summed in float64 and come back so; JAX arrays stay float32.
+    """
+    xp = namespace_of(values)
+    dtype = np.float64 if xp is np else np.float32
+    radius = int(_TRUNCATE * sigma + 0.5)
+    steps = np.arange(-radius, radius + 1)
+    kernel = np.exp(-0.5 * (steps / sigma) ** 2)
+    kernel = (kernel / kernel.sum()).astype(dtype)
+    num_frames = values.shape[-2]
+    windows = np.clip(np.arange(num_frames)[:, None] + steps, 0, num_frames - 1)
+    neighbours = xp.asarray(values, dtype=dtype)[..., windows, :]
+    return (neighbours * kernel.reshape((1,) * (neighbours.ndim - 2) + (-1, 1))).sum(-2)
+
+
+def heading_quaternions(
+    positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton
+) -> Float[AnyArray, "*batch T 4"]:
+    """Returns the turn about Y that brings each frame's smoothed heading to +Z; the identity for frame 0.
+
+    The hip axis enters with the opposite sign to the shoulders': a slip of the original code that all published data
+    contain, and harmless only because the smoothing hides it.
+    """
+    positions = _checked_positions(positions, skeleton)
+    xp = namespace_of(positions)
+    right_hip, left_hip, right_shoulder, left_shoulder = (positions[..., j, :] for j in skeleton.face_joints)
+    across = unit_vectors((left_hip - right_hip) + (right_shoulder - left_shoulder))
+    forward = unit_vectors(smooth_over_time(_forward(across), sigma=HEADING_SIGMA))
+    headings = quaternion_between(forward, _constant(_AHEAD, forward, forward.ndim))
+    identity = xp.broadcast_to(_constant((1.0, 0.0, 0.0, 0.0), headings, headings.ndim), headings[..., :1, :].shape)
+    return xp.concatenate([identity, headings[..., 1:, :]], axis=-2)
+
+
+def swing_rotations(
+    positions: Float[AnyArray, "*batch T J 3"], headings: Float[AnyArray, "*batch T 4"], skeleton: Skeleton
+) -> Float[AnyArray, "*batch T J 4"]:
+    """Returns local rotations as quaternions; the root's are `headings`.
+
+    Each bone's rotation is the shortest swing from its rest axis, seen from the bone before it in its chain; chains
+    start from the heading. A bone that points opposite to its rest axis swings about an arbitrary axis, and a bone of
+    no length does not swing.
+    """
+    positions = _checked_positions(positions, skeleton)
+    bones = _bones(positions, skeleton)
+    axes = _constant(skeleton.rest_axes[1:], bones, bones.ndim)
+    swings = quaternion_between(axes, bones)
+    xp = namespace_of(swings)
+    swings = xp.concatenate([headings[..., None, :], swings], axis=-2)
+    before = swings[..., _chain_predecessors(skeleton)[1:], :]
+    local = quaternion_multiply(quaternion_inverse(before), swings[..., 1:, :])
+    return xp.concatenate([headings[..., None, :], local], axis=-2)
+
+
+def foot_contacts(positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton) -> Float[AnyArray, "*batch T-1 4"]:
+    """Returns 1 where a foot joint (left ankle, left toe, right ankle, right toe) hardly moves to the next frame."""
+    feet = positions[..., np.array(skeleton.left_foot + skeleton.right_foot), :]
+    steps = ((feet[..., 1:, :, :] - feet[..., :-1, :, :]) ** 2).sum(-1)
+    return (steps < skeleton.contact_threshold).astype(np.float32)
+
+
+def features_from_positions(
+    positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton, *, repair_sign_flip: bool = False
+) -> Float[AnyArray, "*batch T-1 D"]:
+    """Returns raw motion features of joint positions; one frame is lost.
+
+    The clip is first brought to the template's bones, the floor, the origin and the heading +Z. Heading smoothing
+    reaches 80 frames, so the features of a crop differ from the crop of the features. Finite positions give finite
+    features.
+
+    Args:
+        positions: Joints in the skeleton's unit, Y up, at the skeleton's frame rate.
+        skeleton: Where the joints are and what they are retargeted to.
+        repair_sign_flip: Whether to mend the one frame, in motions that turn past 180 degrees from their start, in
+            which the yaw step has the wrong sign. Published data are not mended.
+
+    Raises:
+        UserError: The joints are not the skeleton's, or there are fewer than two frames.
+    """
+    ground = ground_positions(retarget_positions(positions, skeleton), skeleton)
+    xp = namespace_of(ground)
+    headings = heading_quaternions(ground, skeleton)
+    rotations = swing_rotations(ground, headings, skeleton)[..., :-1, 1:, :]
+    now, ahead = headings[..., :-1, :], headings[..., 1:, :]
+
+    turn = quaternion_multiply(ahead, quaternion_inverse(now))
+    half_yaw = xp.arcsin(xp.clip(turn[..., 2:3], -1, 1))
+    if repair_sign_flip:
+        half_yaw = xp.where(turn[..., :1] < 0, -half_yaw, half_yaw)
+
+    steps = ground[..., 1:, :, :] - ground[..., :-1, :, :]
+    root_step = rotate_vectors(ahead, steps[..., 0, :])
+    root = ground[..., :-1, :1, :]
+    over_origin = xp.concatenate([root[..., :1], xp.zeros_like(root[..., :1]), root[..., 2:]], axis=-1)
+    local = rotate_vectors(now[..., None, :], ground[..., :-1, 1:, :] - over_origin)
+    velocities = rotate_vectors(now[..., None, :], steps)
+
+    def flat(values: AnyArray) -> AnyArray:
+        return values.reshape((*values.shape[:-2], -1))
+
+    columns = (
+        half_yaw,
+        root_step[..., ::2],
+        root[..., 0, 1:2],
+        flat(local),
+        flat(rotation_6d_from_quaternion(rotations)),
+        flat(velocities),
+        foot_contacts(ground, skeleton),
+    )
+    return xp.concatenate(columns, axis=-1)
+
+
+def root_from_features(
+    features: Float[AnyArray, "*batch T D"], skeleton: Skeleton
+) -> tuple[Float[AnyArray, "*batch T 4"], Float[AnyArray, "*batch T 3"]]:
+    """Returns the turns that bring each frame's heading to +Z, and the positions of the root.
+
+    The clip begins over the origin, heading +Z.
+    """
+    features = _checked_features(features, skeleton)
+    xp, layout = namespace_of(features), skeleton.layout
+    half_yaw = features[..., layout.root_yaw]
+    angle = xp.cumsum(xp.concatenate([xp.zeros_like(half_yaw[..., :1, :]), half_yaw[..., :-1, :]], axis=-2), axis=-2)
+    zero = xp.zeros_like(angle)
+    headings = xp.concatenate([xp.cos(angle), zero, xp.sin(angle), zero], axis=-1)
+
+    step = features[..., :-1, layout.root_velocity]
+    step = xp.concatenate([step[..., :1], zero[..., 1:, :], step[..., 1:]], axis=-1)
+    step = rotate_vectors(quaternion_inverse(headings[..., 1:, :]), step)
+    path = xp.cumsum(xp.concatenate([xp.zeros_like(features[..., :1, :3]), step], axis=-2), axis=-2)
+    root = xp.concatenate([path[..., :1], features[..., layout.root_height], path[..., 2:]], axis=-1)
+    return headings, root
+
+
+def positions_from_features(
+    features: Float[AnyArray, "*batch T D"], skeleton: Skeleton
+) -> Float[AnyArray, "*batch T J 3"]:
+    """Returns the joint positions of raw features, in the skeleton's unit.
+
+    The clip begins over the origin, heading +Z. Only the root's columns and the local positions are read, as in all
+    published evaluations.
+
+    Raises:
+        UserError: The features are not as wide as the skeleton's.
+    """
+    features = _checked_features(features, skeleton)
+    xp = namespace_of(features)
+    headings, root = root_from_features(features, skeleton)
+    local = features[..., skeleton.layout.positions]
+    local = local.reshape((*local.shape[:-1], skeleton.num_joints - 1, 3))
+    over_origin = xp.concatenate([root[..., :1], xp.zeros_like(root[..., :1]), root[..., 2:]], axis=-1)
+    joints = rotate_vectors(quaternion_inverse(headings)[..., None, :], local) + over_origin[..., None, :]
+    return xp.concatenate([root[..., None, :], joints], axis=-2)
+
+
+def positions_from_rotations(
+    features: Float[AnyArray, "*batch T D"], skeleton: Skeleton
+) -> Float[AnyArray, "*batch T J 3"]:
+    """Returns the joint positions that follow from the rotations of raw features on the template's bones.
+
+    Right only while the recovered heading is the encoder's: it is off after a frame of wrong yaw sign (see
+    `features_from_positions`). `positions_from_features` has no such weakness.
+
+    Raises:
+        UserError: The features are not as wide as the skeleton's.
+    """
+    features = _checked_features(features, skeleton)
+    headings, root = root_from_features(features, skeleton)
+    local = features[..., skeleton.layout.rotations]
+    local = matrix_from_rotation_6d(local.reshape((*local.shape[:-1], skeleton.num_joints - 1, 6)))
+    before = _chain_predecessors(skeleton)
+    turns, joints = [matrix_from_quaternion(headings)], [root]
+    for joint in range(1, skeleton.num_joints):
+        turns.append(matrix_multiply(turns[before[joint]], local[..., joint - 1, :, :]))
+        offset = _constant(skeleton.offsets[joint], root, root.ndim)
+        bone = (turns[joint] * offset[..., None, :]).sum(-1)
+        joints.append(joints[skeleton.parents[joint]] + bone)
+    return namespace_of(features).stack(joints, axis=-2)
