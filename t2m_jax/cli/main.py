@@ -1,8 +1,7 @@
 """The program `t2m`: finds the command, runs it, and turns what goes wrong into one line and an exit code.
 
 A command is a module of this package with two functions: `add_arguments(parser)` and `run(args)`. It imports what is
-heavy inside `run`, so that help and refusals come at once. A module with `TAKES_CONFIG_OPTIONS = True` finds options
-that its parser does not know in `args.config_options`, for `t2m_jax.config.override_config`.
+heavy inside `run`, so that help and refusals come at once.
 """
 
 import argparse
@@ -111,9 +110,7 @@ def _parse(module: ModuleType, name: str, arguments: list[str]) -> argparse.Name
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     module.add_arguments(parser)
     args, unknown = parser.parse_known_args(arguments)
-    if getattr(module, "TAKES_CONFIG_OPTIONS", False):
-        args.config_options = unknown
-    elif unknown:
+    if unknown:
         near = difflib.get_close_matches(unknown[0].partition("=")[0], _options(parser), n=1)
         parser.error(f"unknown argument '{unknown[0]}'" + (f"; did you mean '{near[0]}'?" if near else ""))
     return args
