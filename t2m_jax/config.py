@@ -137,10 +137,11 @@ def _check_yaml(text: str) -> dict[tuple[str, ...], int]:
     """Returns the line of every key, having refused what a config may not contain before anything expands it."""
     depth = 0
     for event in yaml.parse(text, Loader=yaml.SafeLoader):
+        mark = typing.cast(yaml.Mark, event.start_mark)
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         problem = _problem_of_event(event, depth)
         if problem:
-            raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
     root = yaml.compose(text, Loader=yaml.SafeLoader)
     if root is not None and not isinstance(root, yaml.MappingNode):
         raise yaml.MarkedYAMLError(problem="expected 'field: value' lines", problem_mark=root.start_mark)
@@ -153,8 +154,8 @@ def _problem_of_event(event: yaml.Event, depth: int) -> str:
         return f"nested deeper than {MAX_DEPTH} levels"
     if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
         return "anchors and aliases (& and *) are not supported; write the value out"
-    if getattr(event, "tag", None):
-        return f"tags such as '{event.tag}' are not supported"
+    if tag := getattr(event, "tag", None):
+        return f"tags such as '{tag}' are not supported"
     if isinstance(event, yaml.ScalarEvent) and "${" in event.value:
         return "interpolation '${…}' is not supported; write the value out"
     return ""

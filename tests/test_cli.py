@@ -16,14 +16,14 @@ from t2m_jax.config import UserError
 def command(monkeypatch):
     """Returns a function that adds the command `fake`, whose `run` is given."""
 
-    def add(run=lambda args: None):
+    def add(run=lambda args: None, **attributes):
         module = types.ModuleType("t2m_jax.cli.fake", "Does nothing.")
 
         def add_arguments(parser: argparse.ArgumentParser) -> None:
             parser.add_argument("text", nargs="*")
             parser.add_argument("--seed", type=int, default=0)
 
-        module.__dict__.update(add_arguments=add_arguments, run=run)
+        module.__dict__.update(add_arguments=add_arguments, run=run, **attributes)
         monkeypatch.setitem(COMMANDS, "fake", "do nothing")
         monkeypatch.setitem(sys.modules, "t2m_jax.cli.fake", module)
 
@@ -114,6 +114,14 @@ def test_an_interrupt_is_no_traceback(command, capsys):
     command(raising(KeyboardInterrupt()))
     assert main(["fake"]) == 130
     assert capsys.readouterr().err == "t2m: error: interrupted\n"
+
+
+def test_config_options_reach_the_commands_that_take_them(command):
+    seen = []
+    command(seen.append, TAKES_CONFIG_OPTIONS=True)
+    assert main(["fake", "a.yaml", "--train.lr", "1e-4", "--flag", "--widths", "1", "2", "--seed", "5"]) == 0
+    assert (seen[0].text, seen[0].seed) == (["a.yaml"], 5)
+    assert seen[0].config_options == ["--train.lr", "1e-4", "--flag", "--widths", "1", "2"]
 
 
 def test_help_names_every_command_and_the_version_is_that_of_the_distribution(capsys):

@@ -1,7 +1,9 @@
 """The program `t2m`: finds the command, runs it, and turns what goes wrong into one line and an exit code.
 
 A command is a module of this package with two functions: `add_arguments(parser)` and `run(args)`. It imports what is
-heavy inside `run`, so that help and refusals come at once.
+heavy inside `run`, so that help and refusals come at once. A module with `TAKES_CONFIG_OPTIONS = True` finds options
+that its parser does not know in `args.config_options`, for `t2m_jax.config.override_config`, and adds a `--help` of its
+own that tells about them.
 """
 
 import argparse
@@ -106,11 +108,16 @@ def _answer_without_command(arguments: list[str]) -> int:
 
 def _parse(module: ModuleType, name: str, arguments: list[str]) -> argparse.Namespace:
     """Returns the parsed arguments of a command."""
-    parser = _Parser(prog=f"t2m {name}", description=f"{module.__doc__ or ''}", allow_abbrev=False)
+    takes_config_options = getattr(module, "TAKES_CONFIG_OPTIONS", False)
+    parser = _Parser(
+        prog=f"t2m {name}", description=module.__doc__, allow_abbrev=False, add_help=not takes_config_options
+    )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     module.add_arguments(parser)
     args, unknown = parser.parse_known_args(arguments)
-    if unknown:
+    if takes_config_options:
+        args.config_options = unknown
+    elif unknown:
         near = difflib.get_close_matches(unknown[0].partition("=")[0], _options(parser), n=1)
         parser.error(f"unknown argument '{unknown[0]}'" + (f"; did you mean '{near[0]}'?" if near else ""))
     return args
@@ -118,7 +125,7 @@ def _parse(module: ModuleType, name: str, arguments: list[str]) -> argparse.Name
 
 def _options(parser: argparse.ArgumentParser) -> list[str]:
     """Returns the options of a parser and of the sub-commands below it."""
-    options = []
+    options: list[str] = []
     for action in parser._actions:
         options += action.option_strings
         if isinstance(action, argparse._SubParsersAction):
