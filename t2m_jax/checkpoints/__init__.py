@@ -1,0 +1,1 @@
+"""Trained weights on disk: run directories, bundles, official files."""

@@ -1,0 +1,143 @@
+"""A bundle: one folder that holds a complete text-to-motion model and can be passed on."""
+
+import dataclasses
+import importlib.resources
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from tokenizers import Tokenizer
+
+from t2m_jax.checkpoints.arrays import load_arrays, save_arrays
+from t2m_jax.config import UserError, load_config, save_config
+from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
+from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
+from t2m_jax.models.vqvae import VqVae, VqVaeConfig
+from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
+from t2m_jax.motion.skeleton import skeleton_from_name
+from t2m_jax.text.tokenization import load_tokenizer, save_tokenizer
+
+CONFIG_FILE = "bundle.yaml"
+WEIGHTS_FILE = "weights.safetensors"
+CARD_FILE = "README.md"
+BUNDLED = ("demo",)
+"""Names of the bundles that come with the package."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class BundleConfig:
+    """What a bundle says of itself."""
+
+    format_version: int = 1
+    """Layout of the folder."""
+    skeleton: str = "humanml3d"
+    """Name of the skeleton the motion is on."""
+    vqvae: VqVaeConfig = VqVaeConfig()
+    """Sizes of the VQ-VAE."""
+    gpt: MotionGptConfig = MotionGptConfig()
+    """Sizes of the GPT."""
+    caption_encoder: CaptionEncoderConfig = CaptionEncoderConfig()
+    """Sizes of the caption encoder."""
+
+
+class Bundle(NamedTuple):
+    """A complete text-to-motion model."""
+
+    config: BundleConfig
+    variables: dict[str, Any]
+    """`vqvae` (params, codebook), `gpt` (params), `caption_encoder` (params)."""
+    normalizer: Normalizer
+    tokenizer: Tokenizer
+
+
+def bundle_path(name_or_path: str | Path) -> Path:
+    """Returns the folder of a bundled model's name, or the path itself."""
+    if str(name_or_path) in BUNDLED:
+        return Path(str(importlib.resources.files("t2m_jax") / "bundles" / str(name_or_path)))
+    return Path(name_or_path)
+
+
+def vqvae_shapes(config: VqVaeConfig) -> dict[str, Any]:
+    """Returns the shapes of the VQ-VAE's variables."""
+    motion = jnp.zeros((1, config.downsample, config.feature_dim))
+    return jax.eval_shape(lambda: VqVae(config).init(jax.random.key(0), motion, train=False))
+
+
+def expected_variables(config: BundleConfig) -> dict[str, Any]:
+    """Returns the shapes of all variables of a bundle."""
+    text = jnp.zeros((1, config.gpt.text_dim))
+    tokens = jnp.zeros((1, config.caption_encoder.max_length), jnp.int32)
+
+    def gpt() -> Any:
+        return MotionGpt(config.gpt).init(jax.random.key(0), jnp.zeros((1, 0), jnp.int32), text, train=False)
+
+    def caption_encoder() -> Any:
+        module = CaptionEncoder(config.caption_encoder)
+        return module.init(jax.random.key(0), tokens, jnp.ones(tokens.shape, bool), train=False)
+
+    return {
+        "vqvae": vqvae_shapes(config.vqvae),
+        "gpt": jax.eval_shape(gpt),
+        "caption_encoder": jax.eval_shape(caption_encoder),
+    }
+
+
+def _check_config(config: BundleConfig, path: Path) -> None:
+    """Raises `UserError` where the parts do not fit each other."""
+    if config.format_version != BundleConfig().format_version:
+        raise UserError(f"{path}: format_version {config.format_version} is not known to this version of t2m_jax")
+    feature_dim = skeleton_from_name(config.skeleton).feature_dim
+    for name, found, wanted in (
+        ("vqvae.feature_dim", config.vqvae.feature_dim, feature_dim),
+        ("gpt.num_codes", config.gpt.num_codes, config.vqvae.num_codes),
+        ("gpt.text_dim", config.gpt.text_dim, config.caption_encoder.text_dim),
+    ):
+        if found != wanted:
+            raise UserError(f"{path}: {name} is {found}, but the other parts want {wanted}")
+
+
+def load_bundle(path: Path) -> Bundle:
+    """Returns the model of a bundle folder.
+
+    Raises:
+        UserError: if a file is missing or damaged, or the parts do not fit each other.
+    """
+    if not path.is_dir():
+        known = ", ".join(BUNDLED)
+        raise UserError(f"{path}: no such model; give a bundle folder, a run folder, or a bundled name ({known})")
+    config = load_config(path / CONFIG_FILE, BundleConfig)
+    _check_config(config, path / CONFIG_FILE)
+    variables = load_arrays(path / WEIGHTS_FILE, expected_variables(config))
+    normalizer = load_normalizer(path)
+    if normalizer.mean.shape != (config.vqvae.feature_dim,):
+        raise UserError(f"{path}: statistics of {normalizer.mean.shape[0]} features, {config.vqvae.feature_dim} wanted")
+    tokenizer = load_tokenizer(path)
+    if tokenizer.get_vocab_size() > config.caption_encoder.vocabulary_size:
+        raise UserError(f"{path}: the tokenizer has more tokens than caption_encoder.vocabulary_size")
+    return Bundle(config, variables, normalizer, tokenizer)
+
+
+def save_bundle(path: Path, bundle: Bundle, *, card: str) -> None:
+    """Writes a bundle folder, weights in half precision; it appears complete or not at all.
+
+    Raises:
+        UserError: if `path` exists already.
+    """
+    if path.exists():
+        raise UserError(f"{path}: exists already; choose another folder or remove it")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    folder = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+    try:
+        save_config(folder / CONFIG_FILE, bundle.config)
+        save_arrays(folder / WEIGHTS_FILE, bundle.variables, half=True)
+        save_normalizer(folder, bundle.normalizer)
+        save_tokenizer(folder, bundle.tokenizer)
+        (folder / CARD_FILE).write_text(card, encoding="utf-8")
+        folder.chmod(0o755)
+        folder.rename(path)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise

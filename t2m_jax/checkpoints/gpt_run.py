@@ -1,0 +1,67 @@
+"""A GPT's run directory as a complete model: what it trained, and the VQ-VAE it trained on."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from t2m_jax.checkpoints.bundle import CONFIG_FILE as BUNDLE_FILE
+from t2m_jax.checkpoints.bundle import Bundle, BundleConfig, bundle_path, expected_variables, load_bundle
+from t2m_jax.checkpoints.run_directory import Checkpoints, is_run_directory, run_info
+from t2m_jax.checkpoints.vqvae import load_vqvae
+from t2m_jax.config import UserError, load_config
+from t2m_jax.text.tokenization import load_tokenizer
+
+
+def load_gpt_run(path: Path) -> Bundle:
+    """Returns the newest checkpoint of a GPT's run as a bundle.
+
+    Raises:
+        UserError: if it is no such run, or has no checkpoint.
+    """
+    if run_info(path).kind != "gpt":
+        raise UserError(f"{path}: holds a VQ-VAE alone; generation needs the run of a GPT")
+    config = load_config(path / BUNDLE_FILE, BundleConfig)
+    expected = expected_variables(config)
+    shapes = {name: expected[name]["params"] for name in ("gpt", "caption_encoder")}
+    checkpoints = Checkpoints(path)
+    params = checkpoints.restore_fields({"params": shapes})["params"]
+    checkpoints.close()
+    vqvae = load_vqvae(path)
+    variables = {name: {"params": params[name]} for name in shapes} | {"vqvae": vqvae.variables}
+    return Bundle(config, jax.device_get(variables), vqvae.normalizer, load_tokenizer(path))
+
+
+def load_model(name_or_path: str | Path) -> Bundle:
+    """Returns a model by a bundled name, a bundle folder, or a GPT's run directory.
+
+    Raises:
+        UserError: if there is none, or it is damaged.
+    """
+    path = bundle_path(name_or_path)
+    return load_gpt_run(path) if is_run_directory(path) else load_bundle(path)
+
+
+def load_gpt_runs(paths: Sequence[Path]) -> tuple[Path, Bundle]:
+    """Returns the one GPT run among some run directories, and its model.
+
+    VQ-VAE runs may stand beside it: the GPT's run holds the copy it was trained on, so they are checked and not used.
+
+    Raises:
+        UserError: if there is not exactly one GPT run, or a VQ-VAE is not the one the GPT was trained on.
+    """
+    gpt_runs = [path for path in paths if run_info(path).kind == "gpt"]
+    if len(gpt_runs) != 1:
+        raise UserError(f"{len(gpt_runs)} of {len(paths)} folders are runs of a GPT; a bundle needs exactly one")
+    bundle = load_gpt_run(gpt_runs[0])
+    for path in paths:
+        if path == gpt_runs[0]:
+            continue
+        vqvae = load_vqvae(path)
+        same = vqvae.config == bundle.config.vqvae and jax.tree.all(
+            jax.tree.map(np.array_equal, jax.device_get(vqvae.variables), bundle.variables["vqvae"])
+        )
+        if not same:
+            raise UserError(f"{path}: not the VQ-VAE that {gpt_runs[0]} was trained on")
+    return gpt_runs[0], bundle

@@ -1,0 +1,48 @@
+"""Turn sentences into motion files: `t2m generate "a person waves" -o wave.html -o wave.bvh`."""
+
+import argparse
+import sys
+from pathlib import Path
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the options of the command."""
+    parser.add_argument("text", nargs="+", help="sentences in quotes, one motion (or --num-samples) each")
+    parser.add_argument("--model", default="demo", help="bundled name, bundle folder or run folder (default: demo)")
+    parser.add_argument("--seed", type=int, default=0, help="same seed, same motion (default: 0)")
+    parser.add_argument("--num-samples", type=int, default=1, help="motions for each sentence (default: 1)")
+    parser.add_argument("--temperature", type=float, default=1.0, help="below 1: safer; 0: always the likeliest code")
+    parser.add_argument("--top-k", type=int, default=None, help="choose among this many likeliest codes")
+    parser.add_argument("--top-p", type=float, default=None, help="choose among the likeliest codes of this probability")
+    parser.add_argument(
+        "-o",
+        "--output",
+        action="append",
+        default=None,
+        metavar="FILE",
+        help=".npz .bvh .gif .mp4 or .html; may be repeated; several motions get -0, -1, ... (default: motion.html)",
+    )
+
+
+def run(args: argparse.Namespace) -> None:
+    """Generates, writes the files and prints their names."""
+    from t2m_jax.motion.record import check_output
+    from t2m_jax.text.prompts import check_prompt
+
+    outputs = [Path(output) for output in args.output or ["motion.html"]]
+    for text in args.text:
+        check_prompt(text)
+    for output in outputs:
+        check_output(output)
+
+    from t2m_jax.sampling import TextToMotion
+    from t2m_jax.sampling.strategies import make_strategy
+
+    strategy = make_strategy(args.temperature, args.top_k, top_p=args.top_p)
+    model = TextToMotion.load(args.model)
+    motions = model.generate(args.text, seed=args.seed, num_samples=args.num_samples, strategy=strategy)
+    for output in outputs:
+        for number, motion in enumerate(motions):
+            path = output if len(motions) == 1 else output.with_stem(f"{output.stem}-{number}")
+            motion.save(path)
+            sys.stdout.write(f"{path}\n")

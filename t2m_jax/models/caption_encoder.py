@@ -1,0 +1,56 @@
+"""A small transformer that turns a caption's subword tokens into one text embedding."""
+
+import dataclasses
+
+import flax.linen as nn
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from t2m_jax.models.transformer import LAYER_NORM_EPSILON, WEIGHT_INIT, Block
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CaptionEncoderConfig:
+    """Sizes of the caption encoder."""
+
+    vocabulary_size: int = 1024
+    """Subword tokens, padding included."""
+    max_length: int = 48
+    """Longest caption in tokens; what exceeds it is cut."""
+    embed_dim: int = 256
+    """Width of the transformer."""
+    num_layers: int = 2
+    """Blocks."""
+    num_heads: int = 4
+    """Attention heads; must divide embed_dim."""
+    mlp_ratio: int = 4
+    """Width of a block's MLP over embed_dim."""
+    dropout: float = 0.1
+    """Dropout rate in attention and MLP."""
+    text_dim: int = 256
+    """Width of the embedding that comes out (E)."""
+
+
+class CaptionEncoder(nn.Module):
+    """Reads a whole caption and returns its embedding. RNG stream `dropout` when training."""
+
+    config: CaptionEncoderConfig
+
+    @nn.compact
+    def __call__(
+        self, caption_tokens: Int[Array, "B S"], caption_mask: Bool[Array, "B S"], *, train: bool
+    ) -> Float[Array, "B E"]:
+        """Returns the text embedding; tokens where the mask is False have no influence."""
+        config = self.config
+        positions = self.param("position_embedding", WEIGHT_INIT, (config.max_length, config.embed_dim))
+        hidden = nn.Embed(
+            config.vocabulary_size, config.embed_dim, embedding_init=WEIGHT_INIT, name="token_embedding"
+        )(caption_tokens)
+        hidden = hidden + positions[None, : caption_tokens.shape[1]]
+        for layer in range(config.num_layers):
+            block = Block(config.num_heads, config.mlp_ratio, config.dropout, name=f"block_{layer}")
+            hidden, _ = block(hidden, caption_mask[:, None, None, :], train=train)
+        hidden = nn.LayerNorm(epsilon=LAYER_NORM_EPSILON, name="final_norm")(hidden)
+        weights = caption_mask / jnp.maximum(caption_mask.sum(axis=1, keepdims=True), 1)
+        pooled = jnp.einsum("bs,bsw->bw", weights, hidden)
+        return nn.Dense(config.text_dim, kernel_init=WEIGHT_INIT, name="projection")(pooled)

@@ -1,0 +1,140 @@
+"""The 1-D convolutional encoder and decoder of T2M-GPT (arXiv 2301.06052, figure 2), masked.
+
+What lies past a clip's end is set to zero before every convolution, so that a clip in a padded batch meets exactly the
+zeros it would meet alone.
+"""
+
+from collections.abc import Callable
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {
+    "relu": nn.relu,
+    "silu": nn.silu,
+    "gelu": lambda values: nn.gelu(values, approximate=False),
+}
+
+
+def _fan_in_uniform(fan_in: int) -> nn.initializers.Initializer:
+    bound = fan_in**-0.5
+
+    def initialize(key, shape, dtype=jnp.float32):
+        return jax.random.uniform(key, shape, dtype, -bound, bound)
+
+    return initialize
+
+
+def halve_mask(mask: Bool[Array, "B T"]) -> Bool[Array, "B T//2"]:
+    """Returns the mask after a stride of 2: a clip of length t keeps t // 2 positions."""
+    return mask[:, 1::2]
+
+
+def double_mask(mask: Bool[Array, "B N"]) -> Bool[Array, "B 2*N"]:
+    """Returns the mask after every position was repeated."""
+    return jnp.repeat(mask, 2, axis=1)
+
+
+class MaskedConv(nn.Module):
+    """A 1-D convolution that sees zeros wherever `mask` is False."""
+
+    features: int
+    kernel_size: int
+    stride: int = 1
+    dilation: int = 1
+    padding: int = 0
+
+    @nn.compact
+    def __call__(self, inputs: Float[Array, "B T X"], mask: Bool[Array, "B T"]) -> Float[Array, "B U Y"]:
+        """Returns the convolved sequence, `U = T // stride` positions long."""
+        initializer = _fan_in_uniform(self.kernel_size * inputs.shape[-1])
+        return nn.Conv(
+            self.features,
+            (self.kernel_size,),
+            strides=(self.stride,),
+            kernel_dilation=(self.dilation,),
+            padding=[(self.padding, self.padding)],
+            kernel_init=initializer,
+            bias_init=initializer,
+            name="conv",
+        )(jnp.where(mask[:, :, None], inputs, 0.0))
+
+
+class ResidualUnit(nn.Module):
+    """Pre-activation residual unit: a dilated convolution of width 3, then one of width 1."""
+
+    dilation: int
+    activation: str
+
+    @nn.compact
+    def __call__(self, inputs: Float[Array, "B T W"], mask: Bool[Array, "B T"]) -> Float[Array, "B T W"]:
+        """Returns the inputs plus the unit's branch."""
+        width = inputs.shape[-1]
+        activation = ACTIVATIONS[self.activation]
+        branch = activation(inputs)
+        branch = MaskedConv(width, 3, dilation=self.dilation, padding=self.dilation, name="dilated")(branch, mask)
+        branch = MaskedConv(width, 1, name="pointwise")(activation(branch), mask)
+        return inputs + branch
+
+
+class ResidualStack(nn.Module):
+    """Residual units from the largest dilation to the smallest (the original reverses the order in both halves)."""
+
+    depth: int
+    dilation_growth: int
+    activation: str
+
+    @nn.compact
+    def __call__(self, hidden: Float[Array, "B T W"], mask: Bool[Array, "B T"]) -> Float[Array, "B T W"]:
+        """Returns the sequence after all units."""
+        for unit in range(self.depth):
+            dilation = self.dilation_growth ** (self.depth - 1 - unit)
+            hidden = ResidualUnit(dilation, self.activation, name=f"unit_{unit}")(hidden, mask)
+        return hidden
+
+
+class Encoder(nn.Module):
+    """Motion to latents: `num_stages` halvings, each followed by a residual stack."""
+
+    code_dim: int
+    width: int
+    num_stages: int
+    depth: int
+    dilation_growth: int
+    activation: str
+
+    @nn.compact
+    def __call__(self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"]) -> Float[Array, "B N C"]:
+        """Returns latents, N = T halved `num_stages` times (rounding down)."""
+        hidden = nn.relu(MaskedConv(self.width, 3, padding=1, name="input")(motion, mask))
+        for stage in range(self.num_stages):
+            hidden = MaskedConv(self.width, 4, stride=2, padding=1, name=f"down_{stage}")(hidden, mask)
+            mask = halve_mask(mask)
+            stack = ResidualStack(self.depth, self.dilation_growth, self.activation, name=f"stack_{stage}")
+            hidden = stack(hidden, mask)
+        return MaskedConv(self.code_dim, 3, padding=1, name="output")(hidden, mask)
+
+
+class Decoder(nn.Module):
+    """Latents to motion: `num_stages` residual stacks, each followed by a doubling."""
+
+    feature_dim: int
+    width: int
+    num_stages: int
+    depth: int
+    dilation_growth: int
+    activation: str
+
+    @nn.compact
+    def __call__(self, latents: Float[Array, "B N C"], mask: Bool[Array, "B N"]) -> Float[Array, "B T D"]:
+        """Returns motion, T = N * 2**num_stages."""
+        hidden = nn.relu(MaskedConv(self.width, 3, padding=1, name="input")(latents, mask))
+        for stage in range(self.num_stages):
+            stack = ResidualStack(self.depth, self.dilation_growth, self.activation, name=f"stack_{stage}")
+            hidden = jnp.repeat(stack(hidden, mask), 2, axis=1)
+            mask = double_mask(mask)
+            hidden = MaskedConv(self.width, 3, padding=1, name=f"up_{stage}")(hidden, mask)
+        hidden = nn.relu(MaskedConv(self.width, 3, padding=1, name="penultimate")(hidden, mask))
+        return MaskedConv(self.feature_dim, 3, padding=1, name="output")(hidden, mask)

@@ -1,0 +1,103 @@
+"""Pre-norm transformer blocks, shared by the motion GPT (causal, cached) and the caption encoder (both ways)."""
+
+from typing import NamedTuple
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+LAYER_NORM_EPSILON = 1e-5
+WEIGHT_INIT = nn.initializers.normal(0.02)
+
+
+class LayerCache(NamedTuple):
+    """Keys and values one attention layer has seen; positions not yet written hold zeros."""
+
+    keys: Float[Array, "B H L F"]
+    values: Float[Array, "B H L F"]
+
+
+def empty_cache(batch: int, length: int, *, embed_dim: int, num_heads: int) -> LayerCache:
+    """Returns a cache for `length` positions with nothing in it."""
+    zeros = jnp.zeros((batch, num_heads, length, embed_dim // num_heads))
+    return LayerCache(zeros, zeros)
+
+
+class Attention(nn.Module):
+    """Multi-head self-attention."""
+
+    num_heads: int
+    dropout: float
+
+    @nn.compact
+    def __call__(
+        self,
+        hidden: Float[Array, "B L E"],
+        mask: Bool[Array, "#B 1 L S"],
+        *,
+        train: bool,
+        cache: LayerCache | None = None,
+        position: Int[Array, ""] | None = None,
+    ) -> tuple[Float[Array, "B L E"], LayerCache | None]:
+        """Returns the attended sequence and, given a cache, the cache with this step written at `position`."""
+        embed_dim = hidden.shape[-1]
+
+        def project(name: str) -> Float[Array, "B H L F"]:
+            projected = nn.Dense(embed_dim, kernel_init=WEIGHT_INIT, name=name)(hidden)
+            return projected.reshape(*hidden.shape[:2], self.num_heads, -1).transpose(0, 2, 1, 3)
+
+        queries, keys, values = project("query"), project("key"), project("value")
+        if cache is not None:
+            assert position is not None, "a cached step needs its position"
+            keys = jax.lax.dynamic_update_slice_in_dim(cache.keys, keys, position, axis=2)
+            values = jax.lax.dynamic_update_slice_in_dim(cache.values, values, position, axis=2)
+            cache = LayerCache(keys, values)
+        scores = jnp.einsum("bhqf,bhkf->bhqk", queries, keys) * queries.shape[-1] ** -0.5
+        weights = nn.softmax(jnp.where(mask, scores, -jnp.inf))
+        weights = nn.Dropout(self.dropout)(weights, deterministic=not train)
+        attended = jnp.einsum("bhqk,bhkf->bhqf", weights, values).transpose(0, 2, 1, 3).reshape(hidden.shape)
+        output = nn.Dense(embed_dim, kernel_init=WEIGHT_INIT, name="proj")(attended)
+        return nn.Dropout(self.dropout)(output, deterministic=not train), cache
+
+
+class Mlp(nn.Module):
+    """Two layers with GELU (exact form) between."""
+
+    ratio: int
+    dropout: float
+
+    @nn.compact
+    def __call__(self, hidden: Float[Array, "B L E"], *, train: bool) -> Float[Array, "B L E"]:
+        """Returns the transformed sequence."""
+        embed_dim = hidden.shape[-1]
+        hidden = nn.Dense(self.ratio * embed_dim, kernel_init=WEIGHT_INIT, name="up")(hidden)
+        hidden = nn.gelu(hidden, approximate=False)
+        hidden = nn.Dense(embed_dim, kernel_init=WEIGHT_INIT, name="down")(hidden)
+        return nn.Dropout(self.dropout)(hidden, deterministic=not train)
+
+
+class Block(nn.Module):
+    """Attention and MLP, each behind a layer norm and beside a residual."""
+
+    num_heads: int
+    mlp_ratio: int
+    dropout: float
+
+    @nn.compact
+    def __call__(
+        self,
+        hidden: Float[Array, "B L E"],
+        mask: Bool[Array, "#B 1 L S"],
+        *,
+        train: bool,
+        cache: LayerCache | None = None,
+        position: Int[Array, ""] | None = None,
+    ) -> tuple[Float[Array, "B L E"], LayerCache | None]:
+        """Returns the sequence after the block and the updated cache, if one was given."""
+        normed = nn.LayerNorm(epsilon=LAYER_NORM_EPSILON, name="ln1")(hidden)
+        attention = Attention(self.num_heads, self.dropout, name="attn")
+        attended, cache = attention(normed, mask, train=train, cache=cache, position=position)
+        hidden = hidden + attended
+        normed = nn.LayerNorm(epsilon=LAYER_NORM_EPSILON, name="ln2")(hidden)
+        return hidden + Mlp(self.mlp_ratio, self.dropout, name="mlp")(normed, train=train), cache

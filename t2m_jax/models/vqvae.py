@@ -1,0 +1,112 @@
+"""The motion VQ-VAE of T2M-GPT (arXiv 2301.06052, section 3.1)."""
+
+import dataclasses
+from typing import Literal, NamedTuple
+
+import flax.linen as nn
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from t2m_jax.models.convolution import Decoder, Encoder, halve_mask
+from t2m_jax.models.quantizer import Quantizer
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class VqVaeConfig:
+    """Sizes of the VQ-VAE; the defaults are the published HumanML3D model."""
+
+    feature_dim: int = 263
+    """Features a frame (D)."""
+    num_codes: int = 512
+    """Codes in the codebook (K)."""
+    code_dim: int = 512
+    """Width of a code (C)."""
+    width: int = 512
+    """Channels of the convolutions."""
+    num_stages: int = 2
+    """Halvings in time; a code covers 2**num_stages frames."""
+    depth: int = 3
+    """Residual units in a stack."""
+    dilation_growth: int = 3
+    """Ratio of the dilations of neighbouring units."""
+    activation: Literal["relu", "silu", "gelu"] = "relu"
+    """Activation inside the residual units."""
+    quantizer: Literal["ema_reset"] = "ema_reset"
+    """How the codebook learns."""
+    ema_decay: float = 0.99
+    """Share of the old codebook statistics kept in a step."""
+    reset_threshold: float = 1.0
+    """A code whose averaged hits a batch fall under this is replaced."""
+
+    @property
+    def downsample(self) -> int:
+        """Frames a code covers."""
+        return 2**self.num_stages
+
+
+class VqVaeOutput(NamedTuple):
+    """One pass through the whole VQ-VAE."""
+
+    reconstruction: Float[Array, "B U D"]
+    """Normalized motion; U is T cut to a multiple of the downsampling."""
+    codes: Int[Array, "B N"]
+    commitment_loss: Float[Array, ""]
+    code_counts: Float[Array, " K"]
+
+
+class VqVae(nn.Module):
+    """Motion to codes and back. Collections: `params`, `codebook` (see `Quantizer`).
+
+    All motion is normalized. `mask` is True where there is data; None means everywhere. Results at positions past a
+    clip's end mean nothing; results before it do not depend on what lies past it.
+    """
+
+    config: VqVaeConfig
+
+    def setup(self) -> None:
+        """Builds the three parts."""
+        config = self.config
+        shape = (config.width, config.num_stages, config.depth, config.dilation_growth, config.activation)
+        self.encoder = Encoder(config.code_dim, *shape)
+        self.decoder = Decoder(config.feature_dim, *shape)
+        self.quantizer = Quantizer(config.num_codes, config.code_dim, config.ema_decay, config.reset_threshold)
+
+    def _latents(
+        self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"] | None
+    ) -> tuple[Float[Array, "B N C"], Bool[Array, "B N"]]:
+        if mask is None:
+            mask = jnp.ones(motion.shape[:2], bool)
+        latents = self.encoder(motion, mask)
+        for _ in range(self.config.num_stages):
+            mask = halve_mask(mask)
+        return latents, mask
+
+    def __call__(
+        self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"] | None = None, *, train: bool
+    ) -> VqVaeOutput:
+        """Returns the reconstruction, the codes and the commitment loss; moves the codebook when training."""
+        latents, code_mask = self._latents(motion, mask)
+        quantizer_output = self.quantizer(latents, code_mask, train=train)
+        return VqVaeOutput(
+            self.decoder(quantizer_output.quantized, code_mask),
+            quantizer_output.codes,
+            quantizer_output.commitment_loss,
+            quantizer_output.code_counts,
+        )
+
+    def encode(self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"] | None = None) -> Int[Array, "B N"]:
+        """Returns the codes of a motion, 0 past a clip's end."""
+        latents, code_mask = self._latents(motion, mask)
+        return jnp.where(code_mask, self.quantizer(latents, code_mask, train=False).codes, 0)
+
+    def encode_latents(
+        self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"] | None = None
+    ) -> Float[Array, "B N C"]:
+        """Returns the latents before the codebook."""
+        return self._latents(motion, mask)[0]
+
+    def decode(self, codes: Int[Array, "B N"], mask: Bool[Array, "B N"] | None = None) -> Float[Array, "B T D"]:
+        """Returns the motion of given codes, T = N * downsample; `mask` is over codes."""
+        if mask is None:
+            mask = jnp.ones(codes.shape, bool)
+        return self.decoder(self.quantizer.lookup(codes), mask)

@@ -1,0 +1,38 @@
+"""Checks of what a user typed."""
+
+import unicodedata
+
+from t2m_jax.config import UserError
+
+MAX_PROMPT_LENGTH = 1000
+"""Characters; far beyond any caption of the field's data sets."""
+
+_REFUSED_CATEGORIES = {
+    "Cc": "a control character",
+    "Cf": "an invisible formatting character",
+    "Cs": "a lone surrogate",
+    "Co": "a private-use character",
+    "Cn": "an unassigned character",
+    "So": "a symbol or emoji",
+    "Sk": "a modifier symbol",
+}
+
+
+def check_prompt(prompt: str) -> str:
+    """Returns the prompt with its white space folded.
+
+    Raises:
+        UserError: if it is empty, longer than `MAX_PROMPT_LENGTH`, or holds characters no caption has (control
+            characters, emoji and other symbols).
+    """
+    if len(prompt) > MAX_PROMPT_LENGTH:
+        raise UserError(f"prompt: {len(prompt):,} characters; describe the motion in at most {MAX_PROMPT_LENGTH:,}")
+    for character in prompt:
+        category = unicodedata.category(character)
+        if category in _REFUSED_CATEGORIES and character not in "\t\n\r":
+            kind = _REFUSED_CATEGORIES[category]
+            raise UserError(f"prompt: {kind} ({ascii(character)}, U+{ord(character):04X}); describe the motion in words")
+    folded = " ".join(prompt.split())
+    if not any(character.isalnum() for character in folded):
+        raise UserError(f"prompt: {folded!r} has no words; describe the motion, e.g. 'a person walks forward'")
+    return folded

@@ -1,0 +1,99 @@
+"""The one training loop."""
+
+import logging
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+import jax
+import numpy as np
+from tqdm import tqdm
+
+from t2m_jax.checkpoints.run_directory import Checkpoints
+from t2m_jax.config import UserError
+from t2m_jax.train.config import LoopConfig
+from t2m_jax.train.metric_log import MetricLog
+
+logger = logging.getLogger(__name__)
+
+
+class HasStep(Protocol):
+    """A training state: anything that counts its updates."""
+
+    @property
+    def step(self) -> Any:
+        """Updates made so far."""
+        ...
+
+
+State = TypeVar("State", bound=HasStep)
+Metrics = Mapping[str, jax.Array]
+
+
+def mean_metrics(history: list[Metrics], *, first_step: int) -> dict[str, float]:
+    """Returns the mean of each metric over some consecutive steps.
+
+    Raises:
+        UserError: if a loss is not finite, naming the step.
+    """
+    values = jax.device_get(history)
+    for offset, metrics in enumerate(values):
+        if not math.isfinite(metrics["loss"]):
+            raise UserError(
+                f"step {first_step + offset}: the loss is {metrics['loss']}; lower optimizer.learning_rate, "
+                "or look at the data with `t2m data check`; checkpoints before this step are kept"
+            )
+    return {name: float(np.mean([metrics[name] for metrics in values])) for name in values[0]}
+
+
+def run_loop(
+    run: Path,
+    state: State,
+    update: Callable[[State], tuple[State, Metrics]],
+    *,
+    config: LoopConfig,
+    validate: Callable[[State], Mapping[str, float]] | None = None,
+) -> State:
+    """Returns the state after `config.num_steps` updates, of which `state` has made some.
+
+    Logs the mean over the steps since the last row, validates, and writes checkpoints on the way; a checkpoint is never
+    written before the losses up to it were seen to be finite.
+
+    Raises:
+        UserError: on a non-finite loss, naming the step.
+    """
+    first_step = int(state.step)
+    checkpoints = Checkpoints(run, keep=config.keep_checkpoints)
+    log = MetricLog(run, first_step=first_step)
+    history: list[Metrics] = []
+
+    def due(every: int, step: int) -> bool:
+        return every > 0 and (step % every == 0 or step == config.num_steps)
+
+    try:
+        with tqdm(total=config.num_steps, initial=first_step, unit="step", disable=None) as progress:
+            for step in range(first_step + 1, config.num_steps + 1):
+                state, metrics = update(state)
+                history.append(metrics)
+                if due(config.log_every, step) or due(config.validate_every, step) or due(config.checkpoint_every, step):
+                    means = mean_metrics(history, first_step=step - len(history) + 1)
+                    log.write("train", step, means)
+                    progress.update(len(history))
+                    progress.set_postfix(loss=f"{means['loss']:.4f}")
+                    logger.info("step %d of %d: %s", step, config.num_steps, _in_words(means))
+                    history = []
+                if validate is not None and due(config.validate_every, step):
+                    scores = validate(state)
+                    log.write("val", step, scores)
+                    logger.info("step %d, validation: %s", step, _in_words(scores))
+                if due(config.checkpoint_every, step):
+                    checkpoints.save(step, state)
+    finally:
+        log.close()
+        checkpoints.close()
+    return state
+
+
+def _in_words(metrics: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {value:.4g}" for name, value in metrics.items())

@@ -1,0 +1,92 @@
+"""`t2m train vqvae`: from a data-set folder to a run directory."""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping
+
+import jax
+import numpy as np
+
+from t2m_jax.checkpoints.run_directory import Checkpoints, create_run
+from t2m_jax.checkpoints.vqvae import VQVAE_CONFIG
+from t2m_jax.config import UserError, save_config
+from t2m_jax.data.bank import MotionBank, batch_at, make_bank
+from t2m_jax.data.folder import Dataset, open_dataset
+from t2m_jax.motion.normalizer import Normalizer, save_normalizer
+from t2m_jax.train.config import TrainVqVaeConfig
+from t2m_jax.train.loop import Metrics, run_loop
+from t2m_jax.train.resume import check_resume
+from t2m_jax.train.streams import stream_key
+from t2m_jax.train.vqvae import VqVaeState, init_vqvae_state, vqvae_train_step, vqvae_validation_step
+
+
+def check_feature_dim(dataset: Dataset, feature_dim: int) -> None:
+    """Raises `UserError` where a data set does not have the width a model reads."""
+    if dataset.skeleton.feature_dim != feature_dim:
+        raise UserError(
+            f"{dataset.folder}: has {dataset.skeleton.feature_dim} features a frame, the model reads {feature_dim}; "
+            "set the VQ-VAE's feature_dim to match"
+        )
+
+
+@functools.partial(jax.jit, static_argnames="config", donate_argnums=0)
+def update(state: VqVaeState, bank: MotionBank, *, config: TrainVqVaeConfig) -> tuple[VqVaeState, Metrics]:
+    """Returns the state after one step on the batch that belongs to it; `state` is donated."""
+    data_key, model_key = stream_key(config.loop.seed, "data"), stream_key(config.loop.seed, "codebook")
+    windows = batch_at(bank, data_key, state.step, batch_size=config.loop.batch_size, window=config.window)
+    return vqvae_train_step(state, windows, jax.random.fold_in(model_key, state.step), config=config)
+
+
+@functools.partial(jax.jit, static_argnames="config")
+def _validation_batch(state: VqVaeState, bank: MotionBank, batch: jax.Array, *, config: TrainVqVaeConfig) -> Metrics:
+    key = stream_key(config.loop.seed, "validation")
+    windows = batch_at(bank, key, batch, batch_size=config.loop.batch_size, window=config.window)
+    return vqvae_validation_step(state, windows, config=config)
+
+
+def _make_validation(
+    dataset: Dataset, normalizer: Normalizer, config: TrainVqVaeConfig
+) -> Callable[[VqVaeState], Mapping[str, float]] | None:
+    """Returns a function from state to mean metrics over one pass of the validation split, None where it is empty."""
+    clips = dataset.clips("val", min_frames=config.model.downsample) if config.loop.validate_every else []
+    if not clips:
+        return None
+    bank = make_bank(clips, normalizer, max_window=config.window)
+    num_batches = max(len(clips) // config.loop.batch_size, 1)
+
+    def validate(state: VqVaeState) -> Mapping[str, float]:
+        results = [_validation_batch(state, bank, jax.numpy.array(i), config=config) for i in range(num_batches)]
+        fetched = jax.device_get(results)
+        return {name: float(np.mean([metrics[name] for metrics in fetched])) for name in fetched[0]}
+
+    return validate
+
+
+def train_vqvae(config: TrainVqVaeConfig, *, resume: bool = False) -> VqVaeState:
+    """Returns the trained state; the run directory holds config, statistics, metrics and checkpoints.
+
+    Raises:
+        UserError: if the data do not fit the model, the run exists (or, to resume, does not), or a loss is not finite.
+    """
+    dataset = open_dataset(config.data)
+    check_feature_dim(dataset, config.model.feature_dim)
+    normalizer = dataset.normalizer
+    clips = dataset.clips("train", min_frames=max(config.model.downsample, dataset.info.min_frames))
+    bank = make_bank(clips, normalizer, max_window=config.window)
+    validate = _make_validation(dataset, normalizer, config)
+    state = init_vqvae_state(config, stream_key(config.loop.seed, "init"))
+    if resume:
+        check_resume(config.run, config)
+        checkpoints = Checkpoints(config.run)
+        if checkpoints.latest_step is not None:
+            state = checkpoints.restore(state)
+        checkpoints.close()
+    else:
+        create_run(config.run, "vqvae", config)
+        save_normalizer(config.run, normalizer)
+        save_config(config.run / VQVAE_CONFIG, config.model)
+    # The length of the run is not part of what is compiled: a run that is prolonged finds its program in the cache.
+    step_config = dataclasses.replace(config, loop=dataclasses.replace(config.loop, num_steps=0))
+    return run_loop(
+        config.run, state, lambda state: update(state, bank, config=step_config), config=config.loop, validate=validate
+    )

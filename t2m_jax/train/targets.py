@@ -1,0 +1,57 @@
+"""From codes to what the GPT reads and what it must predict (T2M-GPT, section 3.2, and its code)."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Int, Key
+
+
+class Targets(NamedTuple):
+    """Codes, then End, then Pad."""
+
+    tokens: Int[Array, "B L"]
+    code_lengths: Int[Array, " B"]
+
+
+def make_targets(
+    codes: Int[Array, "B N"], code_lengths: Int[Array, " B"], *, num_codes: int, block_size: int
+) -> Targets:
+    """Returns targets of `block_size`: each motion's codes, End (= num_codes), then Pad (= num_codes + 1).
+
+    A motion longer than `block_size - 1` codes is cut there.
+    """
+    code_lengths = jnp.minimum(code_lengths, block_size - 1)
+    room = block_size - codes.shape[1]
+    padded = jnp.pad(codes, ((0, 0), (0, max(room, 0))))[:, :block_size]
+    position = jnp.arange(block_size)[None]
+    tokens = jnp.where(position < code_lengths[:, None], padded, num_codes + 1)
+    return Targets(jnp.where(position == code_lengths[:, None], num_codes, tokens), code_lengths)
+
+
+def drop_one_code(
+    codes: Int[Array, "B N"], code_lengths: Int[Array, " B"], drop: Bool[Array, " B"], *, at_head: Bool[Array, " B"]
+) -> tuple[Int[Array, "B N"], Int[Array, " B"]]:
+    """Returns codes and lengths with one code fewer where `drop`, taken from the head or the tail.
+
+    A motion of one code keeps it.
+    """
+    drop = drop & (code_lengths > 1)
+    shifted = jnp.where((drop & at_head)[:, None], jnp.roll(codes, -1, axis=1), codes)
+    return shifted, code_lengths - drop
+
+
+def corrupt(
+    tokens: Int[Array, "B L"], keep: Bool[Array, "B L"], replacements: Int[Array, "B L"]
+) -> Int[Array, "B L"]:
+    """Returns the tokens, replaced where `keep` is False (End and Pad too, as in the original code)."""
+    return jnp.where(keep, tokens, replacements)
+
+
+def random_corruption(
+    tokens: Int[Array, "B L"], key: Key[Array, ""], *, keep_probability: float, num_codes: int
+) -> Int[Array, "B L"]:
+    """Returns the tokens with each position replaced by a uniform code at chance 1 - `keep_probability`."""
+    keep_key, code_key = jax.random.split(key)
+    keep = jax.random.bernoulli(keep_key, keep_probability, tokens.shape)
+    return corrupt(tokens, keep, jax.random.randint(code_key, tokens.shape, 0, num_codes))

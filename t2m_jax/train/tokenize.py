@@ -1,0 +1,105 @@
+"""The data set as codes: every clip through the trained VQ-VAE, once, before the GPT trains."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+from tokenizers import Tokenizer
+from tqdm import tqdm
+
+from t2m_jax.config import UserError
+from t2m_jax.data.code_bank import CodeBank
+from t2m_jax.data.folder import Clip
+from t2m_jax.masks import mask_from_lengths
+from t2m_jax.models.vqvae import VqVae
+from t2m_jax.motion.normalizer import Normalizer
+from t2m_jax.text.tokenization import tokenize
+
+BATCH = 64
+FRAME_BUCKET = 64
+"""Clips are padded to a multiple of this many frames, so that few lengths are compiled."""
+
+
+class Item(NamedTuple):
+    """A motion and the captions that describe all of it."""
+
+    features: Float[np.ndarray, "T D"]
+    captions: tuple[str, ...]
+
+
+def items_from_clips(clips: Sequence[Clip], *, fps: float, min_frames: int) -> list[Item]:
+    """Returns what a GPT learns from: whole clips, and for every caption with time tags the piece it describes.
+
+    Pieces shorter than `min_frames` are left out, and so are clips without captions.
+    """
+    items = []
+    for clip in clips:
+        whole = tuple(caption.text for caption in clip.captions if caption.start == caption.end == 0.0)
+        if whole and len(clip.features) >= min_frames:
+            items.append(Item(clip.features, whole))
+        for caption in clip.captions:
+            if caption.start == caption.end == 0.0:
+                continue
+            piece = clip.features[int(caption.start * fps) : int(caption.end * fps)]
+            if len(piece) >= min_frames:
+                items.append(Item(piece, (caption.text,)))
+    return items
+
+
+def encode_motions(
+    vqvae: VqVae, variables: Any, motions: Sequence[Float[np.ndarray, "_ D"]]
+) -> list[Int[np.ndarray, " _"]]:
+    """Returns the codes of each normalized motion, batched by length."""
+    encode = jax.jit(lambda motion, mask: vqvae.apply(variables, motion, mask, method="encode"))
+    codes: list[Int[np.ndarray, " _"]] = [np.zeros(0, np.int32)] * len(motions)
+    order = sorted(range(len(motions)), key=lambda index: len(motions[index]))
+    for first in tqdm(range(0, len(order), BATCH), desc="encoding", unit="batch", disable=None):
+        chosen = order[first : first + BATCH]
+        lengths = np.zeros(BATCH, np.int32)
+        lengths[: len(chosen)] = [len(motions[index]) for index in chosen]
+        size = -(-int(lengths.max()) // FRAME_BUCKET) * FRAME_BUCKET
+        batch = np.zeros((BATCH, size, motions[chosen[0]].shape[1]), np.float32)
+        for row, index in enumerate(chosen):
+            batch[row, : lengths[row]] = motions[index]
+        found = np.asarray(encode(jnp.asarray(batch), mask_from_lengths(jnp.asarray(lengths), size)))
+        for row, index in enumerate(chosen):
+            codes[index] = found[row, : lengths[row] // vqvae.config.downsample]
+    return codes
+
+
+def make_code_bank(
+    items: Sequence[Item],
+    normalizer: Normalizer,
+    encode: Any,
+    tokenizer: Tokenizer,
+    *,
+    downsample: int,
+    max_caption_tokens: int,
+) -> CodeBank:
+    """Returns the items as codes, at each of `downsample` starting frames, with their tokenized captions.
+
+    Args:
+        items: Motions (raw features) and captions.
+        normalizer: Statistics the VQ-VAE was trained with.
+        encode: Normalized motions to codes.
+        tokenizer: Caption tokenizer.
+        downsample: Frames a code covers.
+        max_caption_tokens: Longest caption in tokens.
+    """
+    if not items:
+        raise UserError("no motion with a caption to train on: the split is empty or every clip was left out")
+    motions = [normalizer.normalize(item.features) for item in items]
+    variants = [encode([motion[offset:] for motion in motions]) for offset in range(downsample)]
+    lengths = np.array([[len(codes[index]) for codes in variants] for index in range(len(items))], np.int32)
+    codes = np.zeros((len(items), downsample, max(int(lengths.max()), 1)), np.int32)
+    for offset, variant in enumerate(variants):
+        for index, row in enumerate(variant):
+            codes[index, offset, : len(row)] = row
+    counts = np.array([len(item.captions) for item in items], np.int32)
+    captions = [caption for item in items for caption in item.captions]
+    tokens, mask = tokenize(tokenizer, captions, max_length=max_caption_tokens)
+    first = np.cumsum(counts, dtype=np.int32) - counts
+    return CodeBank(*map(jnp.asarray, (codes, lengths, tokens, mask, first, counts)))

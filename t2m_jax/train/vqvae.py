@@ -1,0 +1,85 @@
+"""Training of the VQ-VAE: state, one pure step, validation."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float, Int, Key
+
+from t2m_jax.data.bank import Windows
+from t2m_jax.losses import reconstruction_loss
+from t2m_jax.models.quantizer import perplexity_from_counts
+from t2m_jax.models.vqvae import VqVae, VqVaeOutput
+from t2m_jax.motion.skeleton import skeleton_from_feature_dim
+from t2m_jax.train.config import TrainVqVaeConfig
+from t2m_jax.train.schedules import make_optimizer
+
+Metrics = dict[str, Float[Array, ""]]
+
+
+class VqVaeState(NamedTuple):
+    """Everything an update changes."""
+
+    step: Int[Array, ""]
+    params: Any
+    codebook: Any
+    opt_state: optax.OptState
+
+
+def init_vqvae_state(config: TrainVqVaeConfig, key: Key[Array, ""]) -> VqVaeState:
+    """Returns the state before the first update; `key` is consumed."""
+    motion = jnp.zeros((1, config.window, config.model.feature_dim))
+    variables = jax.jit(VqVae(config.model).init, static_argnames="train")(key, motion, train=False)
+    opt_state = make_optimizer(config.optimizer).init(variables["params"])
+    return VqVaeState(jnp.array(0), variables["params"], variables["codebook"], opt_state)
+
+
+def vqvae_losses(output: VqVaeOutput, windows: Windows, config: TrainVqVaeConfig) -> Metrics:
+    """Returns the terms of the loss and their weighted sum, `loss`."""
+    positions = skeleton_from_feature_dim(config.model.feature_dim).layout.positions
+    motion = windows.motion[:, : output.reconstruction.shape[1]]
+    mask = windows.mask[:, : output.reconstruction.shape[1]]
+    everything = reconstruction_loss(output.reconstruction, motion, mask, kind=config.reconstruction)
+    joints = reconstruction_loss(
+        output.reconstruction, motion, mask, kind=config.reconstruction, features=positions
+    )
+    loss = everything + config.position_weight * joints + config.commitment_weight * output.commitment_loss
+    return {
+        "loss": loss,
+        "reconstruction": everything,
+        "positions": joints,
+        "commitment": output.commitment_loss,
+        "perplexity": perplexity_from_counts(output.code_counts),
+    }
+
+
+def vqvae_train_step(
+    state: VqVaeState, windows: Windows, key: Key[Array, ""], *, config: TrainVqVaeConfig
+) -> tuple[VqVaeState, Metrics]:
+    """Returns the state after one update and the metrics before it; `key` is consumed."""
+    model = VqVae(config.model)
+
+    def objective(params: Any) -> tuple[Float[Array, ""], tuple[Any, Metrics]]:
+        output, updates = model.apply(
+            {"params": params, "codebook": state.codebook},
+            windows.motion,
+            windows.mask,
+            train=True,
+            rngs={"codebook": key},
+            mutable=["codebook"],
+        )
+        metrics = vqvae_losses(output, windows, config)
+        return metrics["loss"], (updates["codebook"], metrics)
+
+    (_, (codebook, metrics)), gradient = jax.value_and_grad(objective, has_aux=True)(state.params)
+    updates, opt_state = make_optimizer(config.optimizer).update(gradient, state.opt_state, state.params)
+    params = optax.apply_updates(state.params, updates)
+    return VqVaeState(state.step + 1, params, codebook, opt_state), metrics
+
+
+def vqvae_validation_step(state: VqVaeState, windows: Windows, *, config: TrainVqVaeConfig) -> Metrics:
+    """Returns the losses on held-out windows; nothing is learned."""
+    variables = {"params": state.params, "codebook": state.codebook}
+    output = VqVae(config.model).apply(variables, windows.motion, windows.mask, train=False)
+    return vqvae_losses(output, windows, config)

@@ -1,0 +1,72 @@
+"""The GPT against arrays of the original PyTorch classes."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from t2m_jax.checkpoints.official import gpt_variables
+from t2m_jax.losses import token_loss
+from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
+from tests.golden_files import state_dict
+
+
+@pytest.fixture(scope="module", params=("gpt_l2", "gpt_l3"))
+def case(request, golden_dir):
+    arrays = np.load(golden_dir / "t2m_gpt" / f"{request.param}.npz")
+    sizes = json.loads(str(arrays["config_json"]))
+    config = MotionGptConfig(
+        num_codes=sizes["nb_code"],
+        embed_dim=sizes["embed_dim"],
+        text_dim=sizes["clip_dim"],
+        num_layers=2 * sizes["num_layers"],
+        num_heads=sizes["n_head"],
+        mlp_ratio=sizes["fc_rate"],
+        block_size=sizes["block_size"],
+        dropout=sizes["drop_out_rate"],
+    )
+    return arrays, MotionGpt(config), gpt_variables(state_dict(arrays), num_layers=config.num_layers)
+
+
+def test_logits(case):
+    arrays, model, variables = case
+    text = jnp.asarray(arrays["clip_feat"])
+    tokens = jnp.asarray(arrays["input_tokens"])
+    for length, expected in ((tokens.shape[1], "logits"), (0, "logits_empty"), (4, "logits_prefix4")):
+        logits = model.apply(variables, tokens[:, :length], text, train=False)
+        np.testing.assert_allclose(logits, arrays[expected], atol=1e-4, rtol=1e-4)
+
+
+def test_loss_and_gradient(case):
+    arrays, model, variables = case
+    text, tokens = jnp.asarray(arrays["clip_feat"]), jnp.asarray(arrays["input_tokens"])
+
+    def loss_function(params):
+        logits = model.apply({"params": params}, tokens, text, train=False)
+        return token_loss(logits, jnp.asarray(arrays["target"]), jnp.asarray(arrays["n_tokens"]))
+
+    (loss, right), gradient = jax.value_and_grad(loss_function, has_aux=True)(variables["params"])
+    np.testing.assert_allclose(loss, arrays["loss"], rtol=1e-5)
+    counted = np.sum(arrays["n_tokens"] + 1)
+    np.testing.assert_allclose(right * counted, arrays["argmax_right"], rtol=1e-5)
+    for ours, theirs in (
+        (gradient["token_embedding"]["embedding"], "trans_base.tok_emb.weight"),
+        (gradient["block_0"]["attn"]["query"]["kernel"], "trans_base.blocks.0.attn.query.weight"),
+        (gradient["head"]["kernel"], "trans_head.head.weight"),
+    ):
+        np.testing.assert_allclose(jnp.linalg.norm(ours), arrays[f"gradnorm/{theirs}"], rtol=1e-4)
+
+
+def test_cached_steps_equal_the_whole_sequence(case):
+    arrays, model, variables = case
+    text, tokens = jnp.asarray(arrays["clip_feat"]), jnp.asarray(arrays["input_tokens"])
+    whole = model.apply(variables, tokens, text, train=False)
+    logits, caches = model.apply(variables, text, method="prefill")
+    np.testing.assert_allclose(logits, whole[:, 0], atol=1e-5)
+    for position in range(1, tokens.shape[1] + 1):
+        logits, caches = model.apply(
+            variables, tokens[:, position - 1], caches, jnp.array(position), method="decode_step"
+        )
+        np.testing.assert_allclose(logits, whole[:, position], atol=1e-5)

@@ -1,0 +1,85 @@
+"""The VQ-VAE against arrays of the original PyTorch classes."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from t2m_jax.checkpoints.official import vqvae_variables
+from t2m_jax.losses import reconstruction_loss
+from t2m_jax.models.quantizer import perplexity_from_counts
+from t2m_jax.models.vqvae import VqVae, VqVaeConfig
+from t2m_jax.motion.layout import FeatureLayout
+from tests.golden_files import state_dict
+
+NAMES = ("vqvae_d2_dim263_relu_ema_reset", "vqvae_d3_dim251_relu_orig")
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def case(request, golden_dir):
+    arrays = np.load(golden_dir / "t2m_gpt" / f"{request.param}.npz")
+    sizes = json.loads(str(arrays["config_json"]))
+    config = VqVaeConfig(
+        feature_dim=sizes["input_dim"],
+        num_codes=sizes["nb_code"],
+        code_dim=sizes["code_dim"],
+        width=sizes["width"],
+        num_stages=sizes["down_t"],
+        depth=sizes["depth"],
+        dilation_growth=sizes["dilation_growth_rate"],
+        activation=sizes["activation"],
+    )
+    variables = vqvae_variables(state_dict(arrays), num_stages=config.num_stages, depth=config.depth)
+    return arrays, VqVae(config), variables, sizes["quantizer"]
+
+
+def test_encoder_and_codes(case):
+    arrays, model, variables, _ = case
+    for motion, latents, codes in (("x", "z_nct", "code_idx"), ("x_odd", "z_odd_nct", "code_idx_odd")):
+        found = model.apply(variables, jnp.asarray(arrays[motion]), method="encode_latents")
+        np.testing.assert_allclose(found, arrays[latents].transpose(0, 2, 1), atol=1e-4, rtol=1e-4)
+        np.testing.assert_array_equal(model.apply(variables, jnp.asarray(arrays[motion]), method="encode"), arrays[codes])
+
+
+def test_reconstruction(case):
+    arrays, model, variables, _ = case
+    for motion, reconstruction in (("x", "y"), ("x_odd", "y_odd")):
+        output = model.apply(variables, jnp.asarray(arrays[motion]), train=False)
+        np.testing.assert_allclose(output.reconstruction, arrays[reconstruction], atol=1e-4, rtol=1e-4)
+
+
+def test_decoding_of_given_codes(case):
+    arrays, model, variables, _ = case
+    for codes, motion in ((arrays["probe_idx"], "dec_probe"), (arrays["code_idx"][:1], "dec_sample0")):
+        decoded = model.apply(variables, jnp.asarray(codes), method="decode")
+        np.testing.assert_allclose(decoded, arrays[motion], atol=1e-4, rtol=1e-4)
+
+
+def test_losses_and_gradient_norms(case):
+    arrays, model, variables, quantizer = case
+    motion = jnp.asarray(arrays["x"])
+    mask = jnp.ones(motion.shape[:2], bool)
+    positions = FeatureLayout(22 if motion.shape[2] == 263 else 21).positions
+
+    def total(params):
+        output = model.apply({**variables, "params": params}, motion, train=False)
+        recon = reconstruction_loss(output.reconstruction, motion, mask, kind="l1_smooth")
+        velocity = reconstruction_loss(output.reconstruction, motion, mask, kind="l1_smooth", features=positions)
+        return recon + 0.02 * output.commitment_loss + 0.5 * velocity, (recon, velocity, output)
+
+    (loss, (recon, velocity, output)), gradient = jax.value_and_grad(total, has_aux=True)(variables["params"])
+    np.testing.assert_allclose(recon, arrays["recon_loss"], rtol=1e-5)
+    np.testing.assert_allclose(velocity, arrays["vel_loss"], rtol=1e-5)
+    np.testing.assert_allclose(perplexity_from_counts(output.code_counts), arrays["perplexity"], rtol=1e-5)
+    if quantizer == "orig":
+        # Its loss holds the codebook term as well, equal in value to the commitment.
+        np.testing.assert_allclose(2 * output.commitment_loss, arrays["loss_commit"], rtol=1e-5)
+        return
+    np.testing.assert_allclose(output.commitment_loss, arrays["loss_commit"], rtol=1e-5)
+    np.testing.assert_allclose(loss, arrays["total_loss"], rtol=1e-5)
+    kernel_norm = jnp.linalg.norm(gradient["encoder"]["input"]["conv"]["kernel"])
+    np.testing.assert_allclose(kernel_norm, arrays["gradnorm/vqvae.encoder.model.0.weight"], rtol=1e-4)
+    kernel_norm = jnp.linalg.norm(gradient["decoder"]["output"]["conv"]["kernel"])
+    np.testing.assert_allclose(kernel_norm, arrays["gradnorm/vqvae.decoder.model.6.weight"], rtol=1e-4)
