@@ -13,6 +13,7 @@ _NUMBER_BYTES = np.zeros(256, dtype=bool)
 _NUMBER_BYTES[list(b"0123456789+-.eE \t\r\n\f\v")] = True
 _LINE_END = ord("\n")
 _BLANK = ord(" ")
+_RATE_TOLERANCE = 0.015  # 0.033 seconds are 30 frames per second, 0.08 are not 12
 
 
 class MotionTable(NamedTuple):
@@ -77,10 +78,11 @@ def _frame_rate(line_text: str, path: Path, *, line: int) -> float:
         seconds = np.nan
     if not 1e-4 <= seconds <= 10:
         raise UserError(f'{path}:{line}: bad frame time "{found[1]}"; it must be seconds per frame, 0.0001 to 10')
-    nearest = round(1 / seconds)
+    nearest = max(round(1 / seconds), 1)
     decimals = len(found[1].partition(".")[2]) if "e" not in found[1].lower() else 9
-    same_digits = nearest > 0 and round(1 / nearest, decimals) == round(seconds, decimals)
-    return float(nearest) if same_digits else 1 / seconds
+    same_digits = round(1 / nearest, decimals) == round(seconds, decimals)
+    close = abs(nearest * seconds - 1) < _RATE_TOLERANCE
+    return float(nearest) if same_digits and close else 1 / seconds
 
 
 def _check_layout(text: bytes, path: Path, *, first_row: int, num_frames: int, num_channels: int) -> np.ndarray:

@@ -1,7 +1,6 @@
 """Writing motions of the 22 joints as BVH files that animation programs open with a T-pose at rest."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -9,11 +8,9 @@ from jaxtyping import Float
 from t2m_jax.config import UserError
 from t2m_jax.motion.inverse_kinematics import fit_rig
 from t2m_jax.motion.kinematics import forward_kinematics
-from t2m_jax.motion.rotations import euler_from_matrix
+from t2m_jax.motion.record import Motion
+from t2m_jax.motion.rotations import EulerOrder, euler_from_matrix
 from t2m_jax.motion.skeleton import HUMANML3D
-
-if TYPE_CHECKING:
-    from t2m_jax.motion.record import Motion
 
 # fmt: off
 BVH_JOINT_NAMES = (
@@ -26,13 +23,13 @@ BVH_JOINT_NAMES = (
 
 # One order for all joints, as many readers assume. Turning about Y comes first of all, so that a figure may face
 # anywhere and elbows may bend to any angle without gimbal lock.
-_ORDER = "ZXY"
+_ORDER: EulerOrder = "ZXY"
 _LOCKED_COSINE = 1e-4
 # End Sites lengthen the last bone of a limb: to the crown, the finger tips and the tip of the shoe.
 _END_SITES = {"Head": 1.7, "LeftHand": 0.65, "RightHand": 0.65, "LeftToe": 0.35, "RightToe": 0.35}
 
 
-def save_bvh(path: Path | str, motion: "Motion", *, tpose_frame: bool = False) -> None:
+def save_bvh(path: Path | str, motion: Motion, *, tpose_frame: bool = False) -> None:
     """Writes `motion` as a BVH file in metres, Y up.
 
     The OFFSETs are the rest pose, a T-pose. The root has OFFSET zero, so its position channels mean the same to

@@ -8,8 +8,15 @@ from jaxtyping import Float
 
 from t2m_jax.motion.kinematics import rigid_rotations
 from t2m_jax.motion.limb_twist import limb_rotations
-from t2m_jax.motion.rotations import matrix_from_quaternion, quaternion_between, quaternion_from_matrix
-from t2m_jax.motion.rotations import quaternion_inverse, quaternion_multiply, rotate_vectors, slerp
+from t2m_jax.motion.rotations import (
+    matrix_from_quaternion,
+    quaternion_between,
+    quaternion_from_matrix,
+    quaternion_inverse,
+    quaternion_multiply,
+    rotate_vectors,
+    slerp,
+)
 from t2m_jax.motion.skeleton import HUMANML3D
 
 _INDEX = {name: i for i, name in enumerate(HUMANML3D.joint_names)}

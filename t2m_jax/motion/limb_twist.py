@@ -8,8 +8,14 @@ bent, near the natural one where it is straight, and never faster than people tu
 import numpy as np
 from jaxtyping import Complex, Float
 
-from t2m_jax.motion.rotations import cross_product, quaternion_between, quaternion_inverse, quaternion_multiply
-from t2m_jax.motion.rotations import quaternion_normalize, rotate_vectors
+from t2m_jax.motion.rotations import (
+    cross_product,
+    quaternion_between,
+    quaternion_inverse,
+    quaternion_multiply,
+    quaternion_normalize,
+    rotate_vectors,
+)
 
 _NUM_ANGLES = 72
 _MAX_DEGREES_PER_SECOND = 800.0

@@ -48,10 +48,7 @@ def make_rig(table: Mapping[str, str | Sequence[str]], *, name: str) -> Rig:
         raise UserError(f"{name}: no joint is given for {', '.join(missing)}")
     sources = []
     for joint, names in table.items():
-        spellings = (names,) if isinstance(names, str) else tuple(names)
-        if not spellings or not all(isinstance(spelling, str) for spelling in spellings):
-            raise UserError(f"{name}: {joint} must be a joint name or a list of joint names")
-        sources.append((joint, spellings))
+        sources.append((joint, (names,) if isinstance(names, str) else tuple(names)))
     return Rig(name=name, sources=tuple(sources))
 
 
@@ -65,6 +62,10 @@ def load_rig(path: Path | str) -> Rig:
         raise UserError(f"{path}: is no YAML: {' '.join(str(error).split())}") from error
     if not isinstance(table, dict):
         raise UserError(f"{path}: must hold one line a joint, such as `pelvis: Hips`")
+    for joint, names in table.items():
+        spellings = names if isinstance(names, list) else [names]
+        if not isinstance(joint, str) or not spellings or not all(isinstance(one, str) for one in spellings):
+            raise UserError(f"{path}: {joint} must be given a joint name or a list of joint names")
     return make_rig(table, name=str(path))
 
 
