@@ -1,3 +1,4 @@
+import ast
 import importlib
 import subprocess
 import sys
@@ -57,3 +58,22 @@ for name in {MODULES!r}:
 print(xla_bridge.backends_are_initialized())
 """
     assert run_python(program) == "False"
+
+
+def longest_function(tree: ast.Module) -> tuple[int, str]:
+    """Returns the lines of the longest function, docstring not counted, and its name."""
+    lengths = [(0, "")]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            docstring = node.body[0] if ast.get_docstring(node) else None
+            lines = node.end_lineno - node.lineno + 1
+            lengths.append((lines - (docstring.end_lineno - docstring.lineno + 1 if docstring else 0), node.name))
+    return max(lengths)
+
+
+@pytest.mark.parametrize("path", FILES, ids=MODULES)
+def test_files_and_functions_stay_short_enough_to_read(path):
+    text = path.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 400
+    lines, name = longest_function(ast.parse(text))
+    assert lines <= 60, name
