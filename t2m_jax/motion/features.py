@@ -270,8 +270,7 @@ def positions_from_features(
     features = _checked_features(features, skeleton)
     xp = namespace_of(features)
     headings, root = root_from_features(features, skeleton)
-    local = features[..., skeleton.layout.positions]
-    local = local.reshape((*local.shape[:-1], skeleton.num_joints - 1, 3))
+    local = features[..., skeleton.layout.positions].reshape((*features.shape[:-1], skeleton.num_joints - 1, 3))
     over_origin = xp.concatenate([root[..., :1], xp.zeros_like(root[..., :1]), root[..., 2:]], axis=-1)
     joints = rotate_vectors(quaternion_inverse(headings)[..., None, :], local) + over_origin[..., None, :]
     return xp.concatenate([root[..., None, :], joints], axis=-2)
@@ -290,8 +289,8 @@ def positions_from_rotations(
     """
     features = _checked_features(features, skeleton)
     headings, root = root_from_features(features, skeleton)
-    local = features[..., skeleton.layout.rotations]
-    local = matrix_from_rotation_6d(local.reshape((*local.shape[:-1], skeleton.num_joints - 1, 6)))
+    columns = features[..., skeleton.layout.rotations].reshape((*features.shape[:-1], skeleton.num_joints - 1, 6))
+    local = matrix_from_rotation_6d(columns)
     before = _chain_predecessors(skeleton)
     turns, joints = [matrix_from_quaternion(headings)], [root]
     for joint in range(1, skeleton.num_joints):

@@ -2,14 +2,14 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.config import UserError
 from t2m_jax.motion.layout import FeatureLayout
-from t2m_jax.motion.namespace import AnyArray, namespace_of
+from t2m_jax.motion.namespace import AnyArray, EitherArray, namespace_of
 
 _MEAN_FILE, _STD_FILE = "Mean.npy", "Std.npy"
 
@@ -17,20 +17,20 @@ _MEAN_FILE, _STD_FILE = "Mean.npy", "Std.npy"
 class Normalizer(NamedTuple):
     """Statistics of raw features, one number a column."""
 
-    mean: Float[AnyArray, " D"]
-    std: Float[AnyArray, " D"]
+    mean: Float[EitherArray, " D"]
+    std: Float[EitherArray, " D"]
 
     def normalize(self, motion: Float[AnyArray, "*batch D"]) -> Float[AnyArray, "*batch D"]:
         """Returns raw features normalized, in float32."""
-        mean, std, motion = self._aligned(motion)
-        return (motion - mean) / std
+        mean, std, raw = self._aligned(motion)
+        return (raw - mean) / std
 
     def denormalize(self, motion: Float[AnyArray, "*batch D"]) -> Float[AnyArray, "*batch D"]:
         """Returns normalized features raw, in float32."""
-        mean, std, motion = self._aligned(motion)
-        return motion * std + mean
+        mean, std, normalized = self._aligned(motion)
+        return normalized * std + mean
 
-    def _aligned(self, motion: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
+    def _aligned(self, motion: EitherArray) -> tuple[Any, Any, Any]:
         """Returns mean, std and motion as float32 arrays of one library and equally many axes."""
         if motion.shape[-1] != self.mean.shape[-1]:
             raise UserError(

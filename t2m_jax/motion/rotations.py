@@ -4,7 +4,6 @@ Rotations turn column vectors actively; `quaternion_multiply(a, b)` turns by `b`
 arrays with any batch axes in front and return float32 arrays of the same library. Finite inputs give finite results.
 """
 
-import itertools
 from typing import Literal
 
 from jaxtyping import Float
@@ -186,8 +185,8 @@ def _axis_matrix(axis: int, angles: Float[AnyArray, "*batch"]) -> Float[AnyArray
     cos, sin, zero, one = xp.cos(angles), xp.sin(angles), xp.zeros_like(angles), xp.ones_like(angles)
     j, k = (axis + 1) % 3, (axis + 2) % 3
     entries = {(axis, axis): one, (j, j): cos, (j, k): -sin, (k, j): sin, (k, k): cos}
-    flat = [entries.get(index, zero) for index in itertools.product(range(3), repeat=2)]
-    return xp.stack(flat, axis=-1).reshape((*angles.shape, 3, 3))
+    rows = [xp.stack([entries.get((row, column), zero) for column in range(3)], axis=-1) for row in range(3)]
+    return xp.stack(rows, axis=-2)
 
 
 def matrix_from_euler(angles: Float[AnyArray, "*batch 3"], order: EulerOrder) -> Float[AnyArray, "*batch 3 3"]:
@@ -226,8 +225,8 @@ def slerp(
     """Returns the unit quaternions at `weight` (0 … 1) of the shorter way from `a` to `b`, at a constant speed."""
     a, b = _float32(a, b)
     xp = namespace_of(a, b)
-    weight = xp.asarray(weight, dtype=xp.float32)
-    weight = weight[..., None] if weight.ndim else weight
+    share = xp.asarray(weight, dtype=xp.float32)
+    share = share[..., None] if share.ndim else share
     cosine = _dot(a, b)
     b, cosine = xp.where(cosine < 0, -b, b), xp.abs(cosine)
     difference = b - a
@@ -236,6 +235,6 @@ def slerp(
     sine = xp.sin(angle)
     near = sine < 1e-4
     safe = xp.where(near, xp.ones_like(sine), sine)
-    weight_a = xp.where(near, 1 - weight, xp.sin((1 - weight) * angle) / safe)
-    weight_b = xp.where(near, weight * xp.ones_like(sine), xp.sin(weight * angle) / safe)
+    weight_a = xp.where(near, 1 - share, xp.sin((1 - share) * angle) / safe)
+    weight_b = xp.where(near, share * xp.ones_like(sine), xp.sin(share * angle) / safe)
     return unit_vectors(weight_a * a + weight_b * b)
