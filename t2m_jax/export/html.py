@@ -1,0 +1,87 @@
+"""A viewer in one HTML file: the motions and the program that draws them, nothing fetched from anywhere."""
+
+import base64
+import functools
+import html
+import importlib.resources
+import json
+import pathlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from t2m_jax.export.figure import TINTS
+from t2m_jax.export.scene import Figure, Scene, scene_from_motions
+from t2m_jax.export.writing import whole_file
+from t2m_jax.motion.record import Motion
+
+SCRIPTS = ("algebra.js", "figures.js", "camera.js", "shaders.js", "webgl.js", "canvas2d.js", "viewer.js")
+FINEST_STEP = 1e-4
+"""Metres: points are stored no more finely than this, and more coarsely only when a figure travels beyond 3 m."""
+
+
+def save_html(path: pathlib.Path, motions: Sequence[Motion]) -> None:
+    """Writes one HTML file that shows the motions side by side."""
+    page = viewer_html(motions, embed=False)
+    with whole_file(path) as part:
+        part.write_text(page, encoding="utf-8")
+
+
+def viewer_html(motions: Sequence[Motion], *, embed: bool = True) -> str:
+    """Returns the viewer as an HTML page or, with `embed`, as an iframe that holds the page, for notebooks."""
+    page = _page(scene_from_motions(motions))
+    if not embed:
+        return page
+    return (
+        f'<iframe srcdoc="{html.escape(page)}" title="Motion viewer" sandbox="allow-scripts" allowfullscreen '
+        'style="width: 100%; height: 520px; border: 0; border-radius: 12px"></iframe>'
+    )
+
+
+def _page(scene: Scene) -> str:
+    """Returns the page: the template with style, script and data in their places."""
+    document = {"seconds": scene.seconds, "figures": [_figure_record(figure) for figure in scene.figures]}
+    # Inside a script element only `<` can do harm; ASCII keeps the rest (U+2028, lone surrogates) out of trouble.
+    data = json.dumps(document, ensure_ascii=True, separators=(",", ":")).replace("<", "\\u003c")
+    before, after = _shell()
+    return f"{before}{data}{after}"
+
+
+@functools.lru_cache
+def _shell() -> tuple[str, str]:
+    """Returns the page before and after the place of the data."""
+    assets = importlib.resources.files("t2m_jax.export") / "assets"
+
+    def read(name: str) -> str:
+        """Returns the text of an asset."""
+        return (assets / name).read_text(encoding="utf-8").rstrip("\n")
+
+    script = "(() => {\n" + "\n".join(['"use strict";', *map(read, SCRIPTS)]) + "\n})();"
+    page = read("viewer.html").replace("/*{{style}}*/", read("viewer.css")).replace("/*{{script}}*/", script)
+    before, after = page.split("/*{{data}}*/")
+    return before, after + "\n"
+
+
+def _figure_record(figure: Figure) -> dict[str, Any]:
+    """Returns one figure as JSON takes it, its points as base64 of little-endian 16-bit steps from their middle."""
+    num_frames, num_points, _ = figure.points.shape
+    low, high = figure.points.min(axis=(0, 1)), figure.points.max(axis=(0, 1))
+    origin = (low + high).astype(np.float64) / 2
+    step = max(float((high - low).max()) / 2 / 32767, FINEST_STEP)
+    steps = np.rint((figure.points - origin) / step).clip(-32767, 32767).astype("<i2")
+    parts = [
+        [part.start, part.end, round(part.start_radius, 4), round(part.end_radius, 4), TINTS.index(part.tint)]
+        for part in figure.parts
+    ]
+    return {
+        "caption": figure.caption,
+        "fps": figure.fps,
+        "frames": num_frames,
+        "points": num_points,
+        "head": figure.head,
+        "step": step,
+        "origin": [float(value) for value in origin],
+        "parts": parts,
+        "data": base64.b64encode(steps.tobytes()).decode("ascii"),
+    }
