@@ -100,9 +100,11 @@ def quaternion_between(a: Float[AnyArray, "*#batch 3"], b: Float[AnyArray, "*#ba
     a, b = _float32(a, b)
     xp = namespace_of(a, b)
     a, b = unit_vectors(a), unit_vectors(b)
-    cosine, axis = _dot(a, b), cross_product(a, b)
+    cosine = _dot(a, b)
+    # a × b and 1 + cos lose their digits near opposite directions; a × (a + b) and sin² / (1 − cos) are the same and
+    # keep them.
+    axis = cross_product(a, xp.where(cosine < 0, a + b, b))
     sine_squared = _dot(axis, axis)
-    # 1 + cos loses all its digits near opposite directions; sin² / (1 − cos) is the same and keeps them.
     real = xp.where(cosine < 0, sine_squared / (1 + xp.abs(cosine)), 1 + cosine)
     opposite = (cosine < 0) & (sine_squared < 1e-13)
     x, y, z = a[..., :1], a[..., 1:2], a[..., 2:]
