@@ -1,0 +1,85 @@
+"""Caption files of a data-set folder: `caption#word/POS word/POS#from#to`, one caption a line."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from t2m_jax.config import UserError
+
+
+class Caption(NamedTuple):
+    """One sentence about a clip or, where `end` is after `start`, about a part of it."""
+
+    text: str
+    tokens: tuple[str, ...] = ()
+    start: float = 0.0
+    end: float = 0.0
+
+    @property
+    def whole_clip(self) -> bool:
+        """Whether the caption speaks of the whole clip (both times zero)."""
+        return self.start == 0.0 and self.end == 0.0
+
+
+def _seconds(field: str, *, source: str) -> float:
+    """Returns a time tag in seconds; `nan`, which HumanML3D has in places, reads as 0 there and here."""
+    try:
+        value = float(field)
+    except ValueError as error:
+        raise UserError(f"{source}: '{field}' is not a time in seconds; write caption#tokens#from#to") from error
+    return 0.0 if math.isnan(value) else value
+
+
+def parse_caption(line: str, *, source: str) -> Caption:
+    """Returns the caption on one line of a text file.
+
+    Args:
+        line: four fields separated by `#`.
+        source: `file:line` for messages.
+
+    Raises:
+        UserError: the line has not four fields, no caption, or times that are no numbers.
+    """
+    fields = line.rstrip("\r\n").split("#")
+    if len(fields) != 4:
+        raise UserError(f"{source}: {len(fields)} fields separated by '#', expected 4 (caption#tokens#from#to)")
+    text, tokens, start, end = (field.strip() for field in fields)
+    if not text:
+        raise UserError(f"{source}: the caption is empty; write one or remove the line")
+    return Caption(text, tuple(tokens.split()), _seconds(start, source=source), _seconds(end, source=source))
+
+
+def format_caption(caption: Caption) -> str:
+    """Returns the line for one caption, without line end.
+
+    Raises:
+        UserError: the caption or a token holds `#` or a line break, which the format cannot carry.
+    """
+    tokens = " ".join(caption.tokens)
+    if any(mark in caption.text + tokens for mark in "#\n\r"):
+        raise UserError(
+            f"caption {caption.text!r} holds '#' or a line break, which the text format cannot carry; remove it"
+        )
+    return f"{caption.text}#{tokens}#{caption.start}#{caption.end}"
+
+
+def load_captions(path: Path) -> tuple[Caption, ...]:
+    """Returns all captions of a text file in order; blank lines are skipped.
+
+    Raises:
+        UserError: the file is missing, is not UTF-8 or has a broken line, named as `file:line`.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror}); every clip needs a caption file") from error
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path}: is not UTF-8 text; save it as UTF-8") from error
+    lines = enumerate(text.split("\n"), start=1)
+    return tuple(parse_caption(line, source=f"{path}:{number}") for number, line in lines if line.strip())
+
+
+def save_captions(path: Path, captions: Sequence[Caption]) -> None:
+    """Writes a caption file."""
+    path.write_text("".join(format_caption(caption) + "\n" for caption in captions), encoding="utf-8")

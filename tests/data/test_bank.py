@@ -1,0 +1,107 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from t2m_jax.config import UserError
+from t2m_jax.data.bank import batch_at, batch_clips, cut_windows, epoch_order, make_bank
+from t2m_jax.data.folder import Clip
+from t2m_jax.motion.normalizer import Normalizer
+
+WINDOW = 16
+LENGTHS = (16, 40, 7, 25, 17, 9)
+
+
+def make_clips(width=5):
+    """Clips whose every value tells clip and frame: 1000 * clip + frame + 1."""
+    return [
+        Clip(
+            f"clip{number}",
+            (1000.0 * number + np.arange(1, length + 1, dtype=np.float32))[:, None] * np.ones((1, width), np.float32),
+            (),
+        )
+        for number, length in enumerate(LENGTHS)
+    ]
+
+
+@pytest.fixture(scope="module")
+def bank():
+    return make_bank(make_clips(), Normalizer(np.zeros(5, np.float32), np.ones(5, np.float32)), max_window=WINDOW)
+
+
+def test_bank_holds_normalized_clips():
+    clips = make_clips()
+    normalizer = Normalizer(np.full(5, 3.0, np.float32), np.full(5, 2.0, np.float32))
+    made = make_bank(clips, normalizer, max_window=WINDOW)
+    for clip, start, length in zip(clips, made.starts, made.lengths, strict=True):
+        np.testing.assert_allclose(made.frames[start : start + length], (clip.features - 3) / 2)
+
+
+def test_windows_never_show_a_neighbour_and_pad_with_zeros(bank):
+    clips = jnp.arange(len(LENGTHS))
+    for seed in range(20):
+        windows = cut_windows(bank, clips, jax.random.key(seed), window=WINDOW)
+        for number, length in enumerate(LENGTHS):
+            values = np.asarray(windows.motion[number, :, 0])
+            mask = np.asarray(windows.mask[number])
+            assert mask.sum() == min(length, WINDOW)
+            assert mask[: mask.sum()].all()
+            assert (values[~mask] == 0).all()
+            frames = values[mask] - 1000 * number
+            assert frames[0] >= 1 and frames[-1] <= length
+            np.testing.assert_array_equal(np.diff(frames), 1)
+            if length <= WINDOW:
+                assert frames[0] == 1
+
+
+def test_every_start_is_drawn_also_the_last(bank):
+    clips = jnp.full(4000, 4)
+    starts = np.asarray(cut_windows(bank, clips, jax.random.key(0), window=WINDOW).motion[:, 0, 0]) - 4001
+    assert set(starts) == {0, 1}
+    assert abs(starts.mean() - 0.5) < 0.05
+
+
+def test_the_last_clip_is_not_clamped(bank):
+    window = cut_windows(bank, jnp.array([5]), jax.random.key(0), window=WINDOW)
+    np.testing.assert_array_equal(window.motion[0, :9, 0], 5000 + np.arange(1, 10))
+
+
+def test_an_epoch_visits_each_clip_once_and_epochs_differ():
+    key = jax.random.key(1)
+    orders = [np.asarray(epoch_order(key, epoch, num_clips=50)) for epoch in range(3)]
+    for order in orders:
+        np.testing.assert_array_equal(np.sort(order), np.arange(50))
+    assert not np.array_equal(orders[0], orders[1])
+    np.testing.assert_array_equal(orders[2], epoch_order(key, 2, num_clips=50))
+
+
+def test_steps_walk_through_epochs_and_drop_the_rest():
+    key = jax.random.key(1)
+    steps = [np.asarray(batch_clips(key, step, num_clips=10, batch_size=4)) for step in range(4)]
+    first, second = np.concatenate(steps[:2]), np.concatenate(steps[2:])
+    assert len(set(first)) == len(set(second)) == 8
+    np.testing.assert_array_equal(first, epoch_order(key, 0, num_clips=10)[:8])
+    np.testing.assert_array_equal(second, epoch_order(key, 1, num_clips=10)[:8])
+
+
+def test_a_small_data_set_fills_the_batch_by_repeating():
+    clips = np.asarray(batch_clips(jax.random.key(1), 7, num_clips=3, batch_size=8))
+    assert np.bincount(clips).min() >= 2
+
+
+def test_a_batch_is_a_pure_function_of_key_and_step(bank):
+    key = jax.random.key(9)
+    jitted = jax.jit(batch_at, static_argnames=("batch_size", "window"))
+    for step in (0, 3):
+        plain = batch_at(bank, key, step, batch_size=2, window=WINDOW)
+        again = jitted(bank, key, jnp.int32(step), batch_size=2, window=WINDOW)
+        np.testing.assert_array_equal(plain.motion, again.motion)
+        np.testing.assert_array_equal(plain.mask, again.mask)
+        with jax.disable_jit():
+            np.testing.assert_array_equal(plain.motion, batch_at(bank, key, step, batch_size=2, window=WINDOW).motion)
+    other = batch_at(bank, key, 4, batch_size=2, window=WINDOW)
+    assert not np.array_equal(plain.motion, other.motion)
+
+
+def test_no_clips_is_a_user_error():
+    with pytest.raises(UserError, match="no clips"):
+        make_bank([], Normalizer(np.zeros(5), np.ones(5)), max_window=WINDOW)

@@ -1,0 +1,63 @@
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from t2m_jax.config import UserError
+from t2m_jax.data.texts import Caption, format_caption, load_captions, parse_caption, save_captions
+
+LINE = "a man waves.#a/DET man/NOUN wave/VERB#0.0#0.0"
+
+
+def test_parse_a_humanml3d_line():
+    caption = parse_caption(LINE, source="x:1")
+    assert caption == Caption("a man waves.", ("a/DET", "man/NOUN", "wave/VERB"), 0.0, 0.0)
+    assert caption.whole_clip
+    assert format_caption(caption) == LINE
+
+
+def test_nan_times_read_as_zero():
+    assert parse_caption("he waves#he/PRON#nan#nan", source="x:1").whole_clip
+    assert parse_caption("he waves#he/PRON#1.5#nan", source="x:1").start == 1.5
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("no fields", "1 fields"),
+        ("five#a/DET#0.0#0.0#", "5 fields"),
+        ("#a/DET#0.0#0.0", "empty"),
+        ("he waves#he/PRON#zero#0.0", "'zero'"),
+    ],
+)
+def test_broken_lines_name_file_and_line(tmp_path, line, words):
+    path = tmp_path / "clip.txt"
+    path.write_text(f"{LINE}\n\n{line}\n", encoding="utf-8")
+    with pytest.raises(UserError, match=rf"clip\.txt:3: .*{words}"):
+        load_captions(path)
+
+
+def test_missing_and_binary_files_are_user_errors(tmp_path):
+    with pytest.raises(UserError, match=r"none\.txt"):
+        load_captions(tmp_path / "none.txt")
+    (tmp_path / "binary.txt").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(UserError, match=r"binary\.txt.*UTF-8"):
+        load_captions(tmp_path / "binary.txt")
+
+
+@pytest.mark.parametrize("text", ["a # b", "two\nlines"])
+def test_what_the_format_cannot_carry_is_refused(text):
+    with pytest.raises(UserError, match="cannot carry"):
+        format_caption(Caption(text))
+
+
+@given(
+    text=st.text(
+        st.characters(codec="utf-8", exclude_characters="#\n\r", exclude_categories=("Cs", "Cc", "Zs", "Zl", "Zp")),
+        min_size=1,
+    ),
+    times=st.tuples(st.floats(0, 100), st.floats(0, 100)),
+)
+def test_captions_survive_a_file(tmp_path_factory, text, times):
+    path = tmp_path_factory.mktemp("texts") / "clip.txt"
+    captions = (Caption(text, ("a/DET", "b/NOUN"), *times), Caption("plain"))
+    save_captions(path, captions)
+    assert load_captions(path) == captions
