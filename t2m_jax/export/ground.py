@@ -104,7 +104,7 @@ def _in_front(
     return np.where(behind[0], cuts, starts), np.where(behind[1], cuts, ends)
 
 
-def add_shadows(picture: Image.Image, view: View, figures: Sequence[tuple[Figure, Float[np.ndarray, "P 3"]]]) -> None:
+def add_shadows(picture: Image.Image, view: View, figures: Sequence[tuple[Figure, Float[np.ndarray, "_ 3"]]]) -> None:
     """Darkens the picture where the figures keep the lamp off the ground."""
     mask = Image.new("L", (view.width // 2, view.height // 2))
     draw = ImageDraw.Draw(mask)

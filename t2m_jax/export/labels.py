@@ -21,7 +21,7 @@ def make_label(caption: str, *, size: int, width: int, max_lines: int) -> Image.
     """
     font = ImageFont.load_default(size)
     margin = round(0.7 * size)
-    lines = wrap(caption, font.getlength, width=width - 2 * margin, max_lines=max_lines)
+    lines = wrap(caption, font.getlength, width=float(width - 2 * margin), max_lines=max_lines)
     if not lines:
         return None
     line_height = round(1.35 * size)

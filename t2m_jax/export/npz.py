@@ -2,6 +2,7 @@
 
 import pathlib
 import zipfile
+import zlib
 from collections.abc import Sequence
 from typing import Any
 
@@ -94,7 +95,7 @@ def _read_entry(path: pathlib.Path, archive: "np.lib.npyio.NpzFile", key: str) -
         return archive[key]
     except ValueError as error:
         raise UserError(f"{path}: entry {key!r} does not hold plain numbers or text") from error
-    except (zipfile.BadZipFile, EOFError, zipfile.LargeZipFile) as error:
+    except (zipfile.BadZipFile, EOFError, zlib.error) as error:
         raise UserError(f"{path}: entry {key!r} is damaged; copy the file again") from error
 
 

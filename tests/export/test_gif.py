@@ -1,0 +1,86 @@
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image, ImageSequence
+
+from t2m_jax.config import UserError
+from t2m_jax.export import save_gif, save_mp4
+from t2m_jax.export.gif import frame_durations
+from t2m_jax.motion.record import Motion
+
+
+def test_gif_has_every_frame_at_its_time(tmp_path, walk):
+    save_gif(tmp_path / "a.gif", [Motion(walk.positions[:41], 20.0, caption="a person walks")], height=96)
+    with Image.open(tmp_path / "a.gif") as image:
+        assert image.size == (96, 96) and image.n_frames == 41 and image.info["loop"] == 0
+        assert [frame.info["duration"] for frame in ImageSequence.Iterator(image)] == [50] * 41
+        frames = [np.asarray(frame.convert("RGB"), int) for frame in ImageSequence.Iterator(image)]
+    assert np.mean(np.abs(frames[0] - frames[40]) > 12) > 0.03
+
+
+def test_gif_looks_like_what_was_drawn(tmp_path, walk):
+    from t2m_jax.export.rendering import render_film
+
+    short = Motion(walk.positions[:12], 20.0, caption="a person walks")
+    save_gif(tmp_path / "a.gif", [short], height=160)
+    film = render_film([short], height=160, max_fps=34.0)
+    with Image.open(tmp_path / "a.gif") as image:
+        for number, frame in enumerate(ImageSequence.Iterator(image)):
+            drawn = np.asarray(film.draw_frame(number), int)
+            assert np.abs(np.asarray(frame.convert("RGB"), int) - drawn).mean() < 2.5
+
+
+@pytest.mark.parametrize(("fps", "expected"), [(20.0, {50}), (12.5, {80}), (30.0, {30, 40}), (25.0, {40})])
+def test_durations_do_not_drift(fps, expected):
+    durations = frame_durations(301, fps)
+    assert set(durations) == expected
+    assert sum(durations) == pytest.approx(301_000 / fps, abs=5.1)
+
+
+def test_a_single_frame_and_several_motions(tmp_path, walk, kit_walk):
+    save_gif(tmp_path / "one.gif", [Motion(walk.positions[:1], 20.0)], height=64)
+    save_gif(tmp_path / "two.gif", [Motion(walk.positions[:8], 20.0), Motion(walk.positions[:5], 20.0)], height=64)
+    with Image.open(tmp_path / "one.gif") as one, Image.open(tmp_path / "two.gif") as two:
+        assert one.size == (64, 64) and two.size == (96, 64)
+        assert sum(frame.info["duration"] for frame in ImageSequence.Iterator(two)) == 8 * 50
+
+
+TIMING = """
+import sys, time
+import numpy as np
+from t2m_jax.export import save_gif
+from t2m_jax.motion.record import Motion
+positions = np.concatenate([np.load(sys.argv[1])["ground_positions"]] * 3)[:200]
+start = time.process_time()
+save_gif(sys.argv[2], [Motion(positions, 20.0, caption="a person walks on and on")])
+print(time.process_time() - start)
+"""
+
+
+def test_two_hundred_frames_take_less_than_eight_seconds(tmp_path, golden_dir):
+    # In a process of its own, because here every call is checked for types.
+    walk = golden_dir / "motion" / "synth22_walk.npz"
+    command = [sys.executable, "-c", TIMING, str(walk), str(tmp_path / "a.gif")]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert float(result.stdout) < 8
+
+
+# The reader of imageio-ffmpeg leaves its pipes to the garbage collector.
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+def test_mp4_plays(tmp_path, walk):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
+    save_mp4(tmp_path / "a.mp4", [Motion(walk.positions[:20], 20.0, caption="walks")], height=128)
+    reader = ffmpeg.read_frames(str(tmp_path / "a.mp4"))
+    facts = next(reader)
+    frames = [np.frombuffer(frame, np.uint8) for frame in reader]
+    assert facts["size"] == (128, 128) and facts["fps"] == 20 and len(frames) == 20
+    assert np.std(frames[0].astype(float)) > 10 and np.any(frames[0] != frames[-1])
+
+
+def test_mp4_without_the_extra_says_what_to_install(tmp_path, walk, monkeypatch):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(UserError, match=r"pip install 't2m-jax\[video\]'"):
+        save_mp4(tmp_path / "a.mp4", [walk])
+    assert list(tmp_path.iterdir()) == []

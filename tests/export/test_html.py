@@ -1,0 +1,80 @@
+import base64
+import html.parser
+import json
+import re
+
+import numpy as np
+import pytest
+
+from t2m_jax.export import save_html, viewer_html
+from t2m_jax.export.scene import scene_from_motions
+from t2m_jax.motion.record import Motion
+from tests.export.conftest import NASTY_CAPTION
+
+
+class Elements(html.parser.HTMLParser):
+    """Collects the start tags of a page and what its data element holds."""
+
+    def __init__(self, page: str):
+        super().__init__()
+        self.tags: list[tuple[str, dict]] = []
+        self.data = ""
+        self.feed(page)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data):
+        if self.tags and self.tags[-1][1].get("id") == "motion-data":
+            self.data = self.data or data
+
+
+def test_the_page_is_small_and_whole(tmp_path, walk):
+    motion = Motion(np.concatenate([walk.positions] * 3)[:200], 20.0, caption="walks")
+    save_html(tmp_path / "a.html", [motion])
+    page = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert len(page.encode()) < 400_000
+    assert "{{" not in page
+    assert not re.search(r"""(src|href)\s*=\s*["'](?!data:)|@import|url\(|https?://""", page)
+    assert "default-src 'none'" in page
+
+
+def test_positions_come_back_from_the_page(walk, kit_walk):
+    document = json.loads(Elements(viewer_html([walk, kit_walk], embed=False)).data)
+    scene = scene_from_motions([walk, kit_walk])
+    for record, figure in zip(document["figures"], scene.figures, strict=True):
+        steps = np.frombuffer(base64.b64decode(record["data"]), "<i2").reshape(record["frames"], record["points"], 3)
+        np.testing.assert_allclose(steps * record["step"] + record["origin"], figure.points, atol=1e-4)
+        assert record["fps"] == figure.fps and len(record["parts"]) == len(figure.parts)
+    assert document["seconds"] == pytest.approx(scene.seconds)
+
+
+def test_far_travel_costs_precision_not_size(walk):
+    far = Motion(
+        walk.positions * np.float32([1, 1, 1]) + np.linspace(0, 500, 80, dtype=np.float32)[:, None, None], 20.0
+    )
+    record = json.loads(Elements(viewer_html([far], embed=False)).data)["figures"][0]
+    assert record["step"] < 0.02
+
+
+@pytest.mark.parametrize("caption", [NASTY_CAPTION, "", "\x00\x1f\ud800 half a surrogate", "x" * 10_000])
+def test_captions_stay_text(walk, caption):
+    motion = Motion(walk.positions, 20.0, caption=caption)
+    plain = Elements(viewer_html([Motion(walk.positions, 20.0)], embed=False))
+    nasty = Elements(viewer_html([motion], embed=False))
+    assert nasty.tags == plain.tags
+    assert json.loads(nasty.data)["figures"][0]["caption"] == caption
+
+
+def test_a_strange_caption_is_written_to_disk(tmp_path, walk):
+    save_html(tmp_path / "a.html", [Motion(walk.positions, 20.0, caption="\ud800 half a surrogate")])
+    assert (tmp_path / "a.html").stat().st_size > 10_000
+
+
+def test_notebooks_get_one_frame_that_holds_the_page(nasty):
+    embedded = Elements(viewer_html([nasty]))
+    (tag, attributes), *others = embedded.tags
+    assert tag == "iframe" and not others and attributes["sandbox"] == "allow-scripts"
+    assert attributes["srcdoc"] == viewer_html([nasty], embed=False)
+    assert nasty._repr_html_() == viewer_html([nasty])

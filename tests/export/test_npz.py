@@ -1,0 +1,81 @@
+import numpy as np
+import pytest
+
+from t2m_jax.config import UserError
+from t2m_jax.export import load_npz, save_npz
+from t2m_jax.motion.record import Motion
+from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
+
+
+def test_everything_comes_back(tmp_path, walk):
+    features = np.arange(walk.num_frames * HUMANML3D.feature_dim, dtype=np.float32).reshape(walk.num_frames, -1)
+    motion = Motion(
+        walk.positions, 20.0, features=features, codes=np.arange(20), caption="walks\n👋 </script>", seed=2**40
+    )
+    save_npz(tmp_path / "a.npz", [motion])
+    back = load_npz(tmp_path / "a.npz")
+    np.testing.assert_array_equal(back.positions, motion.positions)
+    np.testing.assert_array_equal(back.features, features)
+    np.testing.assert_array_equal(back.codes, motion.codes)
+    assert (back.fps, back.caption, back.seed, back.skeleton) == (20.0, motion.caption, 2**40, HUMANML3D)
+
+
+def test_what_is_unknown_stays_unknown(tmp_path, kit_walk):
+    save_npz(tmp_path / "a.npz", [kit_walk])
+    back = load_npz(tmp_path / "a.npz")
+    assert back.features is None and back.codes is None and back.seed is None
+    assert back.skeleton is KIT_ML and back.fps == 12.5
+    with np.load(tmp_path / "a.npz") as archive:
+        assert set(archive.files) == {"positions", "fps", "caption", "skeleton"}
+
+
+def test_one_motion_a_file(tmp_path, walk):
+    for motions in ([], [walk, walk]):
+        with pytest.raises(UserError, match="exactly one motion"):
+            save_npz(tmp_path / "a.npz", motions)
+    assert list(tmp_path.iterdir()) == []
+
+
+GOOD = {"positions": np.zeros((2, 22, 3), np.float32), "fps": np.float64(20)}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"positions": None}, "no entry 'positions'"),
+        ({"fps": None}, "no entry 'fps'"),
+        ({"extra": np.zeros(1)}, "unknown entry 'extra'"),
+        ({"positions": np.zeros((2, 22), np.float32)}, "'positions' should hold real numbers with 3 axes"),
+        ({"positions": np.zeros((2, 21, 3), np.float32)}, "needs"),
+        ({"positions": np.full((2, 22, 3), np.nan)}, "not finite"),
+        ({"fps": np.float64(0)}, "fps"),
+        ({"fps": np.array("20")}, "'fps' should hold"),
+        ({"codes": np.zeros(3)}, "'codes' should hold whole numbers"),
+        ({"caption": np.zeros(3)}, "'caption' should be one text"),
+        ({"skeleton": np.array("spider")}, "unknown skeleton 'spider'"),
+        ({"positions": np.array([{"a": 1}], dtype=object)}, "'positions' does not hold plain numbers"),
+    ],
+)
+def test_wrong_entries_are_named(tmp_path, change, message):
+    path = tmp_path / "wrong.npz"
+    entries = {key: value for key, value in (GOOD | change).items() if value is not None}
+    np.savez(path, **entries)
+    with pytest.raises(UserError, match=message) as caught:
+        load_npz(path)
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_broken_files_are_refused(tmp_path, walk):
+    path = tmp_path / "a.npz"
+    save_npz(path, [walk])
+    whole = path.read_bytes()
+    for content in (b"", b"no archive at all", whole[: len(whole) // 2], whole[:400] + b"?" * 400 + whole[800:]):
+        path.write_bytes(content)
+        with pytest.raises(UserError, match=r"a\.npz"):
+            load_npz(path)
+    np.save(tmp_path / "single.npy", walk.positions)
+    (tmp_path / "single.npy").rename(path)
+    with pytest.raises(UserError, match="single array"):
+        load_npz(path)
+    with pytest.raises(UserError, match="no such file"):
+        load_npz(tmp_path / "absent.npz")

@@ -1,0 +1,158 @@
+import numpy as np
+import pytest
+from PIL import Image
+
+from t2m_jax.export.ground import draw_ground, make_ground
+from t2m_jax.export.labels import make_label, wrap
+from t2m_jax.export.rasterizer import (
+    TABLE_SIZE,
+    Ball,
+    Lighting,
+    colour_picture,
+    draw_capsule,
+    empty_canvas,
+    make_shade_tables,
+)
+from t2m_jax.export.rendering import picture_size, render_film
+from t2m_jax.export.view import View, project, sample_figure, smooth_path
+
+FOCAL = 1000.0
+
+
+def brute_force_depths(start: Ball, end: Ball, size: int) -> np.ndarray:
+    """Returns depths of a thousand balls between both, seen in parallel."""
+    scale = 2 * FOCAL / (start.depth + end.depth)
+    y, x = np.mgrid[0:size, 0:size] + 0.5
+    nearest = np.full((size, size), np.inf)
+    for share in np.linspace(0, 1, 1001):
+        mix = [a + share * (b - a) for a, b in zip(start, end, strict=True)]
+        square = mix[3] ** 2 - (x - mix[0]) ** 2 - (y - mix[1]) ** 2
+        height = np.where(square > 0, np.sqrt(np.maximum(square, 0)), -np.inf)
+        nearest = np.minimum(nearest, mix[2] - height / scale)
+    return nearest
+
+
+@pytest.mark.parametrize(
+    ("start", "end"),
+    [
+        (Ball(20.0, 20.0, 4.0, 9.0), Ball(44.0, 40.0, 4.0, 9.0)),
+        (Ball(20.0, 45.0, 4.0, 14.0), Ball(44.0, 20.0, 4.1, 5.0)),
+        (Ball(30.0, 20.0, 4.1, 6.0), Ball(34.0, 44.0, 3.95, 12.0)),
+        (Ball(30.0, 30.0, 4.1, 12.0), Ball(34.0, 31.0, 3.9, 8.0)),
+        (Ball(32.0, 32.0, 4.0, 12.0), Ball(32.0, 32.0, 4.0, 12.0)),
+        (Ball(32.0, 32.0, 4.0, 12.0), Ball(33.0, 32.0, 4.0, 4.0)),
+    ],
+)
+def test_capsule_is_the_hull_of_its_balls(start, end):
+    canvas = empty_canvas((64, 64), FOCAL)
+    edge = draw_capsule(canvas, start, end, 0)
+    expected = brute_force_depths(start, end, 64)
+    drawn = np.isfinite(canvas.depths)
+    assert np.all(np.isfinite(expected[drawn]))
+    assert np.abs(canvas.depths[drawn] - expected[drawn]).max() < 5e-4
+    covered = drawn.sum() + edge.cover.sum()
+    assert covered == pytest.approx(np.isfinite(expected).sum(), rel=0.03)
+
+
+def test_normals_select_the_shade_of_a_sphere():
+    canvas = empty_canvas((64, 64), FOCAL)
+    draw_capsule(canvas, Ball(32.0, 32.0, 4.0, 20.0), Ball(32.0, 32.0, 4.0, 20.0), 0)
+    row, column = np.divmod(canvas.shades, TABLE_SIZE)
+    y, x = np.nonzero(canvas.shades >= 0)
+    np.testing.assert_allclose((column[y, x] + 0.5) * 2 / TABLE_SIZE - 1, (x + 0.5 - 32) / 20, atol=1.01 / TABLE_SIZE)
+    np.testing.assert_allclose((row[y, x] + 0.5) * 2 / TABLE_SIZE - 1, (y + 0.5 - 32) / 20, atol=1.01 / TABLE_SIZE)
+
+
+def test_the_nearer_limb_hides_the_farther_in_either_order():
+    tables = make_shade_tables(np.array([[1.0, 0, 0], [0, 1.0, 0]]), LIGHT)
+    near, far = Ball(32.0, 32.0, 3.0, 10.0), Ball(32.0, 32.0, 5.0, 20.0)
+    pictures = []
+    for order in ([(far, 1), (near, 0)], [(near, 0), (far, 1)]):
+        canvas = empty_canvas((64, 64), FOCAL)
+        edges = [draw_capsule(canvas, ball, ball, table) for ball, table in order]
+        edges.sort(key=lambda edge: -edge.depths.mean())
+        picture = np.full((64, 64, 3), 255, np.uint8)
+        colour_picture(picture, canvas, edges, tables)
+        pictures.append(picture)
+    np.testing.assert_array_equal(*pictures)
+    assert pictures[0][32, 32, 0] > 100 and pictures[0][32, 32, 1] == 0
+    assert pictures[0][32, 48, 1] > 100 and tuple(pictures[0][2, 2]) == (255, 255, 255)
+
+
+LIGHT = Lighting(
+    key_direction=np.array([0, 0, 1.0]),
+    fill_direction=np.array([0, 0, 1.0]),
+    sky_direction=np.array([0, -1.0, 0]),
+    key=0.7,
+    fill=0.1,
+    sky=np.full(3, 0.3),
+    ground=np.full(3, 0.1),
+)
+
+
+def test_what_lies_outside_the_picture_is_not_drawn():
+    canvas = empty_canvas((64, 64), FOCAL)
+    assert draw_capsule(canvas, Ball(-100.0, 30.0, 4.0, 10.0), Ball(-80.0, 30.0, 4.0, 10.0), 0) is None
+    assert draw_capsule(canvas, Ball(-100.0, 30.0, 4.0, 10.0), Ball(80.0, 30.0, 4.0, 10.0), 0) is not None
+    assert (canvas.shades[:, 0] >= 0).any() and (canvas.shades[:, -1] >= 0).any()
+
+
+def test_ground_lines_meet_where_they_should():
+    back = np.array([0.0, np.sin(0.3), np.cos(0.3)])
+    axes = np.stack([[1.0, 0, 0], np.cross([1.0, 0, 0], back), back])
+    view = View(4 * back, axes, 400.0, 240, 240, 120.0)
+    picture = np.asarray(draw_ground(make_ground(view), view)).astype(int).sum(axis=2)
+    corner = np.rint(project(view, np.zeros(3))[:2]).astype(int)
+    empty = np.rint(project(view, np.array([0.25, 0, 0.25]))[:2]).astype(int)
+    assert picture[corner[1], corner[0]] < picture[empty[1], empty[0]] - 60
+
+
+def test_film_shows_the_figure_moving(walk):
+    film = render_film([walk], height=120, max_fps=100.0)
+    assert (film.num_frames, film.fps) == (80, 20.0)
+    first, later = film.draw_frame(0), film.draw_frame(40)
+    assert first.size == (120, 120)
+    assert np.mean(np.abs(np.asarray(first, int) - np.asarray(later, int)) > 12) > 0.03
+    np.testing.assert_array_equal(first, film.draw_frame(0))
+    # Both tints of the sides are there: bluish and reddish pixels that the grey ground does not have.
+    red, _, blue = (np.asarray(first, int)[..., channel] for channel in range(3))
+    assert np.sum(blue - red > 40) > 50 and np.sum(red - blue > 40) > 50
+
+
+def test_fast_motions_are_thinned_out_evenly(walk):
+    from t2m_jax.motion.record import Motion
+
+    film = render_film([Motion(walk.positions, 120.0)], height=60, max_fps=33.4)
+    assert (film.num_frames, film.fps) == (20, 30.0)
+    figure = Motion(walk.positions, 20.0)
+    from t2m_jax.export.scene import figure_from_motion
+
+    points = sample_figure(figure_from_motion(figure), 159, 40.0)
+    np.testing.assert_allclose(points[::2], figure_from_motion(figure).points)
+    np.testing.assert_allclose(points[1], (points[0] + points[2]) / 2, atol=1e-6)
+
+
+def test_smoothing_keeps_a_straight_path():
+    line = np.linspace(0, 9, 50)[:, None] * [[1.0, 2.0]]
+    np.testing.assert_allclose(smooth_path(line, 3)[6:-6], line[6:-6])
+    assert smooth_path(np.ones((1, 2)), 5).shape == (1, 2)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 9])
+def test_any_number_side_by_side(walk, kit_walk, count):
+    film = render_film([walk, kit_walk][:count] * (1 if count < 2 else count // 2), height=100, max_fps=30.0)
+    picture = film.draw_frame(film.num_frames - 1)
+    assert isinstance(picture, Image.Image) and picture.size[0] % 2 == 0
+    assert picture_size(count, 101)[1] % 2 == 0
+
+
+def test_captions_wrap_and_end():
+    assert wrap("one two three", len, width=7.0, max_lines=3) == ["one two", "three"]
+    assert wrap("", len, width=7.0, max_lines=3) == []
+    assert wrap("abcdefghij", len, width=4.0, max_lines=9) == ["abcd", "efgh", "ij"]
+    assert wrap("one two three four", len, width=5.0, max_lines=2) == ["one", "two…"]
+    assert wrap("tab\tnew\nline\x07bell", len, width=99.0, max_lines=2) == ["tab new line bell"]
+    lines = wrap("word " * 2000, len, width=20.0, max_lines=3)
+    assert len(lines) == 3 and lines[-1].endswith("…")
+    assert make_label(" \n ", size=12, width=100, max_lines=2) is None
+    assert make_label("x" * 10_000, size=12, width=100, max_lines=2).width <= 100

@@ -1,0 +1,292 @@
+"""The viewer in a browser that shows nothing on a screen."""
+
+import io
+import os
+import shutil
+import time
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from t2m_jax.export import save_html, viewer_html
+from t2m_jax.motion.record import Motion
+from tests.export.conftest import NASTY_CAPTION
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+SIZE = {"width": 420, "height": 360}
+# The viewer turns software WebGL down, and here there is no other.
+ALLOW_SOFTWARE = """
+const get = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, options) {
+  if (options) delete options.failIfMajorPerformanceCaveat;
+  return get.call(this, kind, options);
+};
+"""
+NO_WEBGL = """
+const get = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, options) {
+  return kind === "webgl2" ? null : get.call(this, kind, options);
+};
+"""
+NO_CANVAS = "HTMLCanvasElement.prototype.getContext = () => null;"
+
+
+@pytest.fixture(scope="module")
+def browser():
+    path = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
+    if path is None:
+        pytest.skip("no Chromium found (CHROMIUM names one)")
+    with playwright.sync_playwright() as running:
+        chromium = running.chromium.launch(executable_path=path, headless=True, args=ARGUMENTS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def open_viewer(browser, tmp_path):
+    """Returns a function that opens motions in a page; afterwards nothing may have gone wrong in any of them."""
+    contexts, troubles = [], []
+
+    def open_page(motions, *, script=NO_WEBGL, animate=False, **options):
+        path = tmp_path / "viewer.html"
+        save_html(path, motions)
+        motion = "no-preference" if animate else "reduce"
+        context = browser.new_context(**({"viewport": SIZE, "reduced_motion": motion} | options))
+        contexts.append(context)
+        context.add_init_script(script)
+        page = context.new_page()
+        page.on("console", lambda message: troubles.append(message.text) if message.type == "error" else None)
+        page.on("pageerror", lambda error: troubles.append(str(error)))
+        page.on("dialog", lambda dialog: troubles.append(f"dialog: {dialog.message}"))
+        page.on("request", lambda request: troubles.append(request.url) if request.url != path.as_uri() else None)
+        page.goto(path.as_uri())
+        wait_until(page, "window.t2mViewer !== undefined")
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert [trouble for trouble in troubles if not trouble.startswith("data:")] == []
+
+
+def picture(page) -> np.ndarray:
+    """Returns what is seen above the controls, once it has been drawn."""
+    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    box = page.locator(".stage").bounding_box()
+    shot = Image.open(io.BytesIO(page.screenshot(clip=box)))
+    return np.asarray(shot.convert("RGB"), int)
+
+
+def wait_until(target, condition: str) -> None:
+    """Waits for a condition; `wait_for_function` would evaluate text in the page, which the page forbids."""
+    end = time.monotonic() + 20
+    while not target.evaluate(condition):
+        assert time.monotonic() < end, condition
+        time.sleep(0.03)
+
+
+def changed(before: np.ndarray, after: np.ndarray) -> float:
+    """Returns the share of pixels that differ visibly."""
+    return float(np.mean(np.abs(before - after).max(axis=-1) > 16))
+
+
+def viewer(page, expression: str):
+    """Returns a property of the viewer."""
+    return page.evaluate(f"window.t2mViewer.{expression}")
+
+
+@pytest.mark.parametrize(("script", "renderer"), [(ALLOW_SOFTWARE, "webgl2"), (NO_WEBGL, "canvas2d")])
+def test_a_figure_is_drawn_and_moves(open_viewer, walk, script, renderer):
+    page = open_viewer([walk], script=script)
+    if renderer == "webgl2" and viewer(page, "renderer.name") != renderer:
+        pytest.skip("this browser has no WebGL 2")
+    assert viewer(page, "renderer.name") == renderer and viewer(page, "numFrames") == 80
+    first = picture(page)
+    red, _, blue = (first[..., channel] for channel in range(3))
+    # The bluish left and the reddish right side; neither page nor ground has such colours.
+    assert np.sum(blue - red > 40) > 200 and np.sum(red - blue > 40) > 200
+    page.evaluate("window.t2mViewer.frame = 40")
+    later = picture(page)
+    assert changed(first, later) > 0.01
+    page.evaluate("window.t2mViewer.frame = 0")
+    assert changed(first, picture(page)) < 0.001
+    page.mouse.move(200, 150)
+    page.mouse.down()
+    page.mouse.move(290, 120, steps=3)
+    page.mouse.up()
+    assert changed(first, picture(page)) > 0.01
+
+
+def test_dark_pages_are_dark(open_viewer, walk):
+    light, dark = (picture(open_viewer([walk], color_scheme=scheme)) for scheme in ("light", "dark"))
+    assert light[-5:].mean() > 200 and dark[-5:].mean() < 60
+
+
+def test_playing_and_pausing(open_viewer, walk):
+    page = open_viewer([walk], animate=True)
+    assert viewer(page, "playing") is True
+    wait_until(page, "window.t2mViewer.frame > 2")
+    page.keyboard.press("Space")
+    assert viewer(page, "playing") is False
+    stopped = viewer(page, "frame")
+    page.wait_for_timeout(150)
+    assert viewer(page, "frame") == stopped
+    page.get_by_role("button", name="Play").click()
+    wait_until(page, f"window.t2mViewer.frame !== {stopped}")
+    page.get_by_role("button", name="Pause").click()
+    assert viewer(page, "playing") is False
+    page.get_by_label("Speed").select_option("2")
+    assert viewer(page, "speed") == 2
+
+
+def test_speed_is_the_rate_of_time(open_viewer, walk):
+    page = open_viewer([walk])
+    advanced = page.evaluate("""() => {
+      const v = window.t2mViewer, passed = [];
+      for (const speed of [0.25, 1, 2]) {
+        v.frame = 0; v.speed = speed; v.playing = true;
+        v.last = 1000; v.tick(1100); passed.push(v.frame); v.playing = false;
+      }
+      return passed;
+    }""")
+    assert advanced == pytest.approx([0.5, 2.0, 4.0])
+
+
+def test_scrubbing_and_keys(open_viewer, walk):
+    page = open_viewer([walk])
+    first = picture(page)
+    page.locator(".scrub").fill("40")
+    assert viewer(page, "frame") == pytest.approx(40) and changed(first, picture(page)) > 0.01
+    page.locator(".picture").focus()
+    for key, frame in (("ArrowRight", 41), ("Shift+ArrowRight", 51), ("ArrowLeft", 50), ("Home", 0), ("End", 79)):
+        page.keyboard.press(key)
+        assert viewer(page, "frame") == pytest.approx(frame)
+    assert picture(page).shape == first.shape and page.locator(".scrub").input_value() == "79"
+    page.keyboard.press("ArrowUp")
+    assert viewer(page, "speed") == 1.5
+    page.keyboard.press("f")
+    assert viewer(page, "follow") is False
+    assert page.locator(".follow").get_attribute("aria-pressed") == "false"
+
+
+def test_mouse_orbits_pans_and_zooms(open_viewer, walk):
+    page = open_viewer([walk])
+    start, before = viewer(page, "camera"), picture(page)
+    page.mouse.move(200, 150)
+    page.mouse.wheel(0, -300)
+    wait_until(page, f"window.t2mViewer.camera.zoom > {start['zoom']}")
+    zoomed = picture(page)
+    assert changed(before, zoomed) > 0.01
+    page.keyboard.down("Shift")
+    page.mouse.down()
+    page.mouse.move(260, 170, steps=3)
+    page.mouse.up()
+    page.keyboard.up("Shift")
+    now = viewer(page, "camera")
+    assert now["yaw"] == start["yaw"] and np.linalg.norm(now["offset"]) > 0.05
+    page.mouse.down()
+    page.mouse.move(200, 150, steps=3)
+    page.mouse.up()
+    assert viewer(page, "camera")["yaw"] > start["yaw"] and viewer(page, "camera")["pitch"] < start["pitch"]
+    page.get_by_role("button", name="Reset view").click()
+    assert viewer(page, "camera") == start and changed(before, picture(page)) < 0.001
+
+
+def test_fingers_orbit_and_pinch(open_viewer, walk):
+    page = open_viewer([walk], has_touch=True)
+    session = page.context.new_cdp_session(page)
+
+    def touch(kind, *points):
+        places = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(points)]
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": places})
+
+    start = viewer(page, "camera")
+    touch("touchStart", (200, 150))
+    touch("touchMove", (150, 150))
+    touch("touchEnd")
+    wait_until(page, f"window.t2mViewer.camera.yaw > {start['yaw'] + 0.2}")
+    turned = viewer(page, "camera")
+    touch("touchStart", (180, 150), (220, 150))
+    touch("touchMove", (140, 150), (260, 150))
+    touch("touchEnd")
+    wait_until(page, "window.t2mViewer.camera.zoom > 2")
+    assert viewer(page, "camera.yaw") == turned["yaw"]
+
+
+def test_captions_are_shown_letter_by_letter(open_viewer, nasty, walk):
+    page = open_viewer([nasty])
+    assert page.locator(".caption").evaluate("(element) => element.textContent") == NASTY_CAPTION
+    assert page.locator(".caption").is_visible() and page.locator("img").count() == 0
+    page = open_viewer([Motion(walk.positions, 20.0)])
+    assert not page.locator(".caption").is_visible()
+    page = open_viewer([Motion(walk.positions, 20.0, caption="x" * 10_000)])
+    assert page.locator(".caption").bounding_box()["height"] < 0.5 * SIZE["height"]
+
+
+def test_several_stand_side_by_side(open_viewer, walk, kit_walk, nasty):
+    page = open_viewer([walk, kit_walk, nasty], viewport={"width": 900, "height": 420})
+    picture(page)
+    captions = page.locator(".caption")
+    assert captions.all_text_contents() == [walk.caption, kit_walk.caption, NASTY_CAPTION]
+    boxes = [captions.nth(number).bounding_box() for number in range(3)]
+    middles = [box["x"] + box["width"] / 2 for box in boxes]
+    assert middles == sorted(middles) and middles[2] - middles[0] > 200
+    assert all(box["x"] >= 0 and box["x"] + box["width"] <= 900 for box in boxes)
+    assert viewer(page, "seconds") == pytest.approx(kit_walk.seconds)
+
+
+def test_the_picture_follows_the_window(open_viewer, walk):
+    page = open_viewer([walk], device_scale_factor=2)
+    assert viewer(page, "canvas.width") == 2 * SIZE["width"]
+    page.set_viewport_size({"width": 300, "height": 500})
+    wait_until(page, "window.t2mViewer.canvas.width === 600")
+    shot = picture(page)
+    assert np.sum(shot[..., 2] - shot[..., 0] > 40) > 200
+
+
+def test_the_camera_follows_unless_told_otherwise(open_viewer, walk):
+    far = Motion(walk.positions + np.linspace(0, 30, 80, dtype=np.float32)[:, None, None] * np.float32([1, 0, 0]), 20.0)
+    page = open_viewer([far])
+    page.evaluate("window.t2mViewer.frame = 40")
+    picture(page)
+    following = viewer(page, "cameraState.target")
+    assert abs(following[0] - far.positions[40, 0, 0]) < 1.0
+    page.get_by_role("button", name="Camera follows the figure").click()
+    picture(page)
+    standing = viewer(page, "cameraState.target")
+    page.evaluate("window.t2mViewer.frame = 79")
+    picture(page)
+    assert viewer(page, "cameraState.target") == standing != following
+
+
+def test_one_frame_stands_still(open_viewer, walk):
+    page = open_viewer([Motion(walk.positions[:1], 20.0)], animate=True)
+    assert viewer(page, "numFrames") == 1 and viewer(page, "playing") is False
+    assert len(np.unique(picture(page).reshape(-1, 3), axis=0)) > 200
+
+
+def test_without_any_canvas_the_page_says_so(open_viewer, walk):
+    page = open_viewer([walk], script=NO_CANVAS)
+    assert "neither WebGL nor a 2D canvas" in page.get_by_role("alert").text_content()
+
+
+def test_notebooks_show_it_in_a_frame(browser, nasty):
+    page = browser.new_page(viewport=SIZE, reduced_motion="reduce")
+    page.set_content(viewer_html([nasty]))
+    frame = page.frames[1]
+    wait_until(frame, "window.t2mViewer !== undefined")
+    assert frame.locator(".caption").evaluate("(element) => element.textContent") == NASTY_CAPTION
+    page.close()
