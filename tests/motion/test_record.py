@@ -1,0 +1,108 @@
+from importlib.metadata import EntryPoint
+
+import jax.numpy as jnp
+import jaxtyping
+import numpy as np
+import pytest
+
+from t2m_jax.config import UserError
+from t2m_jax.motion import record
+from t2m_jax.motion.record import Motion, motion_formats, save_motions
+from t2m_jax.motion.skeleton import KIT_ML
+
+
+def standing(frames=4, joints=22):
+    return np.ones((frames, joints, 3), np.float32)
+
+
+@pytest.fixture
+def unchecked(monkeypatch):
+    """Turns the shape checks of test runs off: what users meet is the record's own refusal."""
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+
+
+def write_repr(path, motions):
+    path.write_text(repr(motions))
+
+
+def viewer(motions, *, embed):
+    return f"<p>{motions} {embed}</p>"
+
+
+def register(monkeypatch, **functions):
+    """Makes functions of this file what installed packages offer."""
+    points = [EntryPoint(name, f"{__name__}:{function}", "") for name, function in functions.items()]
+    monkeypatch.setattr(record, "entry_points", lambda group: points)
+
+
+def test_a_motion_takes_what_becomes_an_array(unchecked):
+    motion = Motion(jnp.ones((4, 22, 3)), 20, features=np.zeros((4, 263)), codes=[1], caption="stands", seed=3)
+    assert isinstance(motion.positions, np.ndarray)
+    assert motion.positions.dtype == motion.features.dtype == np.float32
+    assert (motion.num_frames, motion.seconds, motion.fps) == (4, 0.2, 20.0)
+    np.testing.assert_array_equal(motion.codes, [1])
+    assert repr(motion) == "Motion(4 frames, 0.20 s, humanml3d, 'stands')"
+    assert repr(Motion(standing(5, 21), 12.5, skeleton=KIT_ML)) == "Motion(5 frames, 0.40 s, kit_ml)"
+
+
+def test_a_motion_may_have_several_layers_of_codes():
+    assert Motion(standing(), 20.0, codes=np.zeros((1, 6), np.int32)).codes.shape == (1, 6)
+
+
+def with_nan():
+    positions = standing()
+    positions[2, 3, 1] = np.nan
+    return positions
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"positions": standing(joints=21)}, r"\(4, 21, 3\); skeleton humanml3d needs \[frames, 22, 3\]"),
+        ({"positions": standing(frames=0)}, r"needs \[frames, 22, 3\] with a frame"),
+        ({"positions": standing()[0]}, r"\(22, 3\)"),
+        ({"positions": with_nan()}, "positions of frame 2 are not finite"),
+        ({"fps": 0.0}, r"fps is 0.0; give a number above zero"),
+        ({"fps": float("nan")}, "fps is nan"),
+        ({"features": np.zeros((3, 263))}, r"\(3, 263\); these positions need \[4, 263\]"),
+        ({"codes": np.zeros(2)}, "codes have shape .* give whole numbers"),
+        ({"codes": np.zeros((1, 1, 1), int)}, "codes have shape"),
+    ],
+)
+def test_what_is_no_motion_is_refused(unchecked, fields, message):
+    with pytest.raises(UserError, match=message):
+        Motion(**{"positions": standing(), "fps": 20.0} | fields)
+
+
+def test_saving_goes_by_the_suffix(monkeypatch, tmp_path):
+    register(monkeypatch, txt="write_repr", abc="unknown")
+    Motion(standing(), 20.0).save(str(tmp_path / "wave.TXT"))
+    assert (tmp_path / "wave.TXT").read_text() == "[Motion(4 frames, 0.20 s, humanml3d)]"
+    assert motion_formats() == ("abc", "txt")
+
+
+@pytest.mark.parametrize("name", ["wave.abc", "wave"])
+def test_unknown_suffixes_are_refused_with_the_known_ones(monkeypatch, tmp_path, name):
+    register(monkeypatch, txt="write_repr", npz="unknown")
+    with pytest.raises(UserError, match=f"{name}: no motion format has the suffix .*; use one of .npz, .txt"):
+        Motion(standing(), 20.0).save(tmp_path / name)
+
+
+def test_files_that_cannot_be_written_are_refused(monkeypatch, tmp_path):
+    register(monkeypatch, txt="write_repr")
+    with pytest.raises(UserError, match=r"wave.txt: the folder .*missing does not exist"):
+        save_motions(tmp_path / "missing" / "wave.txt", [])
+    (tmp_path / "wave.txt").mkdir()
+    with pytest.raises(UserError, match=r"wave.txt: cannot be written \(.*Is a directory"):
+        save_motions(tmp_path / "wave.txt", [])
+
+
+def test_nothing_registered_says_how_to_install(monkeypatch, tmp_path):
+    register(monkeypatch)
+    with pytest.raises(UserError, match="pip install -e"):
+        Motion(standing(), 20.0).save(tmp_path / "wave.npz")
+
+
+def test_a_notebook_shows_the_viewer(monkeypatch):
+    register(monkeypatch, html="viewer")
+    assert Motion(standing(), 20.0)._repr_html_() == "<p>[Motion(4 frames, 0.20 s, humanml3d)] True</p>"
