@@ -9,6 +9,15 @@ class Camera {
     this.figures = figures;
     this.box = bounds(figures);
     this.follow = true;
+    // How far roots get from the followed path along x, y and z, and half the height to be seen.
+    this.strays = [0, 0, 0];
+    this.path.forEach((spot, i) => {
+      for (const figure of figures) {
+        const away = subtract(rootAt(figure, Math.round((i / this.rate) * figure.fps)), spot);
+        this.strays = this.strays.map((stray, axis) => Math.max(stray, Math.abs(away[axis])));
+      }
+    });
+    this.standing = Math.max(0.5 * this.box.high[1] + 0.33, 1.0);
     this.reset();
   }
 
@@ -33,11 +42,7 @@ class Camera {
       const size = subtract(this.box.high, this.box.low);
       return { across: Math.max(Math.hypot(size[0], size[2]) / 2, 0.7), up: Math.max(size[1] / 2 + 0.35, 0.95) };
     }
-    const roots = this.figures.map((figure) => rootAt(figure, 0));
-    const xs = roots.map((root) => root[0]);
-    const zs = roots.map((root) => root[2]);
-    const spread = Math.hypot(Math.max(...xs) - Math.min(...xs), Math.max(...zs) - Math.min(...zs)) / 2;
-    return { across: spread + 0.8, up: Math.max(0.5 * this.box.high[1] + 0.33, 1.0) + 0.15 * spread };
+    return { across: Math.hypot(this.strays[0], 0.5 * this.strays[2]) + 0.8, up: this.standing + 0.12 * this.strays[2] };
   }
 
   update(seconds, aspect) {

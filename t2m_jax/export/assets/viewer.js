@@ -39,13 +39,16 @@ function fail(text) {
 function makeCaptions(figures) {
   const list = find(".captions");
   list.classList.add(figures.length > 1 ? "several" : "alone");
-  return figures.map((figure) => {
+  return figures.map((figure, number) => {
     const caption = document.createElement("p");
     caption.className = "caption";
     caption.dir = "auto";
     caption.textContent = figure.caption;
     caption.title = figure.caption;
     caption.hidden = !figure.caption.trim();
+    // Which caption belongs to which figure: both have the colour of the trail.
+    const accent = THEMES.light.accents[number % THEMES.light.accents.length];
+    if (figures.length > 1) caption.style.boxShadow = `inset 0 -3px 0 ${css(accent, 1)}`;
     list.append(caption);
     return caption;
   });
@@ -166,21 +169,29 @@ class Viewer {
     scrub.setAttribute("aria-valuetext", `frame ${scrub.value} of ${this.numFrames - 1}, ${this.time.toFixed(1)} seconds`);
   }
 
-  // Several captions hang over their figures, or under them when the head is near the top.
+  // Several captions hang over their figures; where two would cover each other, the right one moves on.
   placeCaptions() {
     const { clientWidth, clientHeight } = this.canvas;
-    this.figures.forEach((figure, number) => {
+    const room = clamp((0.9 * clientWidth) / Math.min(this.figures.length, 6), 90, 240);
+    const places = this.figures.map((figure, number) => {
+      const caption = this.captionElements[number];
+      caption.style.maxWidth = `${room}px`;
       const [x, y, z] = figure.current.subarray(3 * figure.head, 3 * figure.head + 3);
       const p = project(this.cameraState.matrix, x, y + 0.24, z);
-      const caption = this.captionElements[number];
-      const width = Math.max((0.9 * clientWidth) / Math.min(this.figures.length, 6), 90);
-      caption.style.maxWidth = `${Math.min(width, 240)}px`;
-      const left = clamp((0.5 + 0.5 * p.x) * clientWidth - caption.offsetWidth / 2, 4, clientWidth - caption.offsetWidth - 4);
-      const top = clamp((0.5 - 0.5 * p.y) * clientHeight - caption.offsetHeight, 4, clientHeight - caption.offsetHeight - 4);
-      caption.style.transform = `translate(${left.toFixed(1)}px, ${top.toFixed(1)}px)`;
+      const [width, height] = [caption.offsetWidth, caption.offsetHeight];
+      const left = (0.5 + 0.5 * p.x) * clientWidth - width / 2;
+      const top = clamp((0.5 - 0.5 * p.y) * clientHeight - height, 4, clientHeight - height - 4);
       caption.style.visibility = p.w > 0 ? "visible" : "hidden";
-      caption.style.zIndex = String(1000 - Math.round(10 * p.w));
+      return { caption, left, top, width, height };
     });
+    const placed = [];
+    for (const place of places.sort((a, b) => a.left - b.left)) {
+      const beside = placed.filter(({ top, height }) => top < place.top + place.height && place.top < top + height);
+      const edge = Math.max(4, ...beside.map(({ left, width }) => left + width + 4));
+      place.left = clamp(Math.max(place.left, edge), 4, Math.max(clientWidth - place.width - 4, 4));
+      place.caption.style.transform = `translate(${place.left.toFixed(1)}px, ${place.top.toFixed(1)}px)`;
+      placed.push(place);
+    }
   }
 
   resize() {
