@@ -3,15 +3,24 @@
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, Protocol, TypeVar, runtime_checkable
 
 import jax
 import orbax.checkpoint as ocp
 
 from t2m_jax.config import UserError, load_config, save_config
 
-State = TypeVar("State", bound=NamedTuple)
 RunKind = Literal["vqvae", "gpt"]
+
+
+@runtime_checkable
+class NamedFields(Protocol):
+    """What any `NamedTuple` is."""
+
+    def _asdict(self) -> dict[str, Any]: ...
+
+
+State = TypeVar("State", bound=NamedFields)
 
 CONFIG_FILE = "config.yaml"
 INFO_FILE = "run.yaml"
@@ -74,7 +83,7 @@ class Checkpoints:
         """The step of the newest checkpoint, None where there is none."""
         return self._manager.latest_step()
 
-    def save(self, step: int, state: NamedTuple) -> None:
+    def save(self, step: int, state: NamedFields) -> None:
         """Writes a checkpoint, once a step: every field of the state is an item of its own."""
         if step != self.latest_step:
             items = {name: ocp.args.StandardSave({name: value}) for name, value in state._asdict().items()}

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import os
 from collections.abc import Sequence
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -110,20 +111,27 @@ def motion_formats() -> tuple[str, ...]:
     return tuple(sorted(_entry_points(_FORMATS)))
 
 
+def check_output(path: str | Path) -> None:
+    """Raises `UserError` where a motion could not be saved: so that it is said before the work is done."""
+    path, formats = Path(path), motion_formats()
+    if path.suffix.lower().removeprefix(".") not in formats:
+        known = ", ".join(f".{name}" for name in formats)
+        raise UserError(f"{path}: no motion format has the suffix {path.suffix!r}; use one of {known}")
+    if not path.parent.is_dir():
+        raise UserError(f"{path}: the folder {path.parent} does not exist; make it first")
+    if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise UserError(f"{path}: cannot be written; choose another place")
+
+
 def save_motions(path: str | Path, motions: Sequence[Motion]) -> None:
     """Writes motions into one file; the suffix chooses the format. Some formats hold exactly one motion.
 
     Raises:
         UserError: The suffix is unknown, the format does not hold that many, or the file cannot be written.
     """
-    path, formats = Path(path), _entry_points(_FORMATS)
-    writer = formats.get(path.suffix.lower().removeprefix("."))
-    if writer is None:
-        known = ", ".join(f".{name}" for name in sorted(formats))
-        raise UserError(f"{path}: no motion format has the suffix {path.suffix!r}; use one of {known}")
-    if not path.parent.is_dir():
-        raise UserError(f"{path}: the folder {path.parent} does not exist; make it first")
-    save = writer.load()
+    path = Path(path)
+    check_output(path)
+    save = _entry_points(_FORMATS)[path.suffix.lower().removeprefix(".")].load()
     try:
         save(path, motions)
     except OSError as error:

@@ -84,7 +84,7 @@ def decode_motion(
     mask = mask_from_lengths(code_lengths, codes.shape[1])
     motion = VqVae(config.vqvae).apply(variables["vqvae"], codes, mask, method="decode")
     mean, std = statistics
-    features = motion * std + mean
+    features = motion * std[None, None] + mean[None, None]
     return GeneratedMotion(features, positions_from_features(features, skeleton_from_name(config.skeleton)))
 
 

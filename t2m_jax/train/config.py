@@ -42,6 +42,9 @@ class TrainVqVaeConfig:
     """Sizes."""
     window: int = 64
     """Frames of a training window; shorter clips are padded and masked."""
+    root_weight: float = 25.0
+    """How much larger the root's columns and the contacts are made before the VQ-VAE sees them. The original divides
+    their standard deviations by 5 twice; without it heading and path drift."""
     reconstruction: ReconstructionKind = "l1_smooth"
     """Loss of the difference between motion and reconstruction."""
     position_weight: float = 0.5

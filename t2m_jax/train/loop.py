@@ -4,7 +4,7 @@ import logging
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import jax
 import numpy as np
@@ -18,8 +18,11 @@ from t2m_jax.train.metric_log import MetricLog
 logger = logging.getLogger(__name__)
 
 
-class HasStep(Protocol):
-    """A training state: anything that counts its updates."""
+@runtime_checkable
+class TrainingState(Protocol):
+    """Any `NamedTuple` that counts its updates."""
+
+    def _asdict(self) -> dict[str, Any]: ...
 
     @property
     def step(self) -> Any:
@@ -27,7 +30,7 @@ class HasStep(Protocol):
         ...
 
 
-State = TypeVar("State", bound=HasStep)
+State = TypeVar("State", bound=TrainingState)
 Metrics = Mapping[str, jax.Array]
 
 

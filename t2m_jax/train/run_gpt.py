@@ -79,9 +79,19 @@ def check_fit(vqvae: TrainedVqVae, dataset: Dataset, config: TrainGptConfig) -> 
             f"caption_encoder.text_dim: {config.caption_encoder.text_dim}, "
             f"but the GPT reads model.text_dim {config.model.text_dim}"
         )
+    check_statistics(dataset, vqvae)
+
+
+def check_statistics(dataset: Dataset, vqvae: TrainedVqVae) -> None:
+    """Raises `UserError` where a VQ-VAE was trained with statistics of other data.
+
+    Root and contact columns are left out of the comparison of deviations: training may have weighted them.
+    """
+    layout = dataset.skeleton.layout
+    kept = np.r_[layout.positions, layout.rotations, layout.velocities]
     ours, theirs = dataset.normalizer, vqvae.normalizer
-    if not (np.allclose(ours.mean, theirs.mean, atol=1e-5) and np.allclose(ours.std, theirs.std, atol=1e-5)):
-        raise UserError(f"{dataset.folder}: its statistics are not those {config.vqvae} was trained with")
+    if not (np.allclose(ours.mean, theirs.mean, atol=1e-5) and np.allclose(ours.std[kept], theirs.std[kept], atol=1e-5)):
+        raise UserError(f"{dataset.folder}: its statistics (Mean.npy, Std.npy) are not those the VQ-VAE was trained with")
 
 
 def _write_run(config: TrainGptConfig, vqvae: TrainedVqVae, dataset: Dataset, tokenizer: Tokenizer) -> None:

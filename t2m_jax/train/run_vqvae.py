@@ -12,7 +12,7 @@ from t2m_jax.checkpoints.vqvae import VQVAE_CONFIG
 from t2m_jax.config import UserError, save_config
 from t2m_jax.data.bank import MotionBank, batch_at, make_bank
 from t2m_jax.data.folder import Dataset, open_dataset
-from t2m_jax.motion.normalizer import Normalizer, save_normalizer
+from t2m_jax.motion.normalizer import Normalizer, save_normalizer, weighted_normalizer
 from t2m_jax.train.config import TrainVqVaeConfig
 from t2m_jax.train.loop import Metrics, run_loop
 from t2m_jax.train.resume import check_resume
@@ -70,7 +70,7 @@ def train_vqvae(config: TrainVqVaeConfig, *, resume: bool = False) -> VqVaeState
     """
     dataset = open_dataset(config.data)
     check_feature_dim(dataset, config.model.feature_dim)
-    normalizer = dataset.normalizer
+    normalizer = weighted_normalizer(dataset.normalizer, dataset.skeleton.layout, factor=config.root_weight)
     clips = dataset.clips("train", min_frames=max(config.model.downsample, dataset.info.min_frames))
     bank = make_bank(clips, normalizer, max_window=config.window)
     validate = _make_validation(dataset, normalizer, config)

@@ -1,0 +1,79 @@
+"""Measure a model: `t2m evaluate {reconstruction,prompts} --model M [--data DIR] [--json F]`.
+
+`reconstruction` puts every clip of a split through the VQ-VAE; `prompts` generates from held-out sentences of the
+Bandai-Namco contents and tests each motion against a kinematic rule.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+LABELS = {
+    "mpjpe_mm": "MPJPE, mm (root-aligned)",
+    "mpjpe_median_clip_mm": "MPJPE of the median clip, mm",
+    "codebook_usage": "codebook usage",
+    "perplexity": "perplexity",
+    "num_clips": "clips",
+    "num_frames": "frames",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the options of the command."""
+    parser.add_argument("what", choices=("reconstruction", "prompts"), help="what to measure")
+    parser.add_argument("--model", default="demo", help="bundled name, bundle folder or run folder (default: demo)")
+    parser.add_argument("--data", default=None, metavar="DIR", help="data-set folder (reconstruction)")
+    parser.add_argument("--split", default="test", help="split to measure on (default: test)")
+    parser.add_argument("--num-seeds", type=int, default=20, help="samples a content (prompts; default: 20)")
+    parser.add_argument("--json", default=None, metavar="F", help="also write the figures to this file")
+
+
+def run(args: argparse.Namespace) -> None:
+    """Prints a table and writes the JSON file."""
+    from t2m_jax.config import UserError
+    from t2m_jax.evaluation.reports import check_json_path, save_json
+    from t2m_jax.sampling.compilation import use_compilation_cache
+
+    if args.what == "reconstruction" and args.data is None:
+        raise UserError("evaluate reconstruction: --data is missing; give the data-set folder")
+    if args.num_seeds < 1:
+        raise UserError(f"evaluate prompts: --num-seeds {args.num_seeds} is not a whole number above 0")
+    if args.json:
+        check_json_path(Path(args.json))
+    use_compilation_cache()
+    figures = _reconstruction(args) if args.what == "reconstruction" else _prompts(args)
+    if args.json:
+        save_json(Path(args.json), figures)
+
+
+def _reconstruction(args: argparse.Namespace) -> dict[str, Any]:
+    from t2m_jax.checkpoints.vqvae import load_vqvae
+    from t2m_jax.data.folder import open_dataset
+    from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
+
+    report = evaluate_reconstruction(load_vqvae(Path(args.model)), open_dataset(args.data), split=args.split)
+    for name, label in LABELS.items():
+        value = getattr(report, name)
+        sys.stdout.write(f"{label:32} {value:,.3f}\n" if isinstance(value, float) else f"{label:32} {value:,}\n")
+    return report._asdict()
+
+
+def _prompts(args: argparse.Namespace) -> dict[str, Any]:
+    from t2m_jax.evaluation.prompt_following import evaluate_prompt_following, markdown_table
+    from t2m_jax.sampling import TextToMotion
+
+    model = TextToMotion.load(args.model)
+    results = evaluate_prompt_following(
+        lambda sentence, seed: model.generate(sentence, seed=seed)[0], num_seeds=args.num_seeds
+    )
+    sys.stdout.write(markdown_table(results) + "\n")
+    right, total = sum(row.num_right for row in results), sum(row.num_samples for row in results)
+    return {
+        "prompt_following": right / total,
+        "num_samples": total,
+        "contents": {
+            row.content: {"right": row.num_right, "samples": row.num_samples, "failures": list(row.failures)}
+            for row in results
+        },
+    }

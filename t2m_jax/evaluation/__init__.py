@@ -1,0 +1,1 @@
+"""Protocols that turn models and data into figures."""

@@ -1,0 +1,55 @@
+"""Losses against the original's arrays."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from t2m_jax.losses import elementwise_loss, reconstruction_loss, token_loss
+from t2m_jax.motion.layout import FeatureLayout
+
+
+@pytest.mark.parametrize("joints", [22, 21])
+@pytest.mark.parametrize("kind", ["l1", "l2", "l1_smooth"])
+def test_golden_losses(golden_dir, joints, kind):
+    arrays = np.load(golden_dir / "t2m_gpt" / "losses.npz")
+    prefix = f"J{joints}"
+    pred, motion = (jnp.asarray(arrays[f"{prefix}/{name}"]) for name in ("pred", "gt"))
+    mask = jnp.ones(pred.shape[:2], bool)
+    positions = FeatureLayout(joints).positions
+    assert [positions.start, positions.stop] == arrays[f"{prefix}/vel_slice"].tolist()
+
+    def total(pred):
+        everything = reconstruction_loss(pred, motion, mask, kind=kind)
+        joints_alone = reconstruction_loss(pred, motion, mask, kind=kind, features=positions)
+        return everything + 0.02 * 0.37 + 0.5 * joints_alone, (everything, joints_alone)
+
+    (loss, parts), gradient = jax.value_and_grad(total, has_aux=True)(pred)
+    expected = [arrays[f"{prefix}/{kind}/{name}"] for name in ("recon", "vel")]
+    np.testing.assert_allclose(parts, expected, rtol=1e-5)
+    np.testing.assert_allclose(loss, arrays[f"{prefix}/{kind}/total_commit0.37"], rtol=1e-5)
+    np.testing.assert_allclose(gradient, arrays[f"{prefix}/{kind}/grad_total"], atol=1e-7, rtol=1e-4)
+
+
+def test_masked_frames_do_not_count():
+    pred, motion = jnp.zeros((1, 4, 3)), jnp.array([[[1.0] * 3, [1.0] * 3, [9.0] * 3, [9.0] * 3]])
+    mask = jnp.array([[True, True, False, False]])
+    assert reconstruction_loss(pred, motion, mask, kind="l1") == 1.0
+
+
+def test_smooth_l1_is_quadratic_below_one():
+    np.testing.assert_allclose(elementwise_loss(jnp.array([0.5, -3.0]), "l1_smooth"), [0.125, 2.5])
+
+
+def test_every_motion_weighs_the_same():
+    logits = jnp.zeros((2, 6, 4)).at[0, :, 0].set(10.0)
+    targets = jnp.array([[0, 0, 0, 0, 0, 0], [1, 3, 4, 4, 4, 4]])
+    loss, _ = token_loss(logits, targets, jnp.array([5, 1]))
+    np.testing.assert_allclose(loss, (0.0 + np.log(4.0)) / 2, atol=1e-3)
+
+
+def test_padding_does_not_count():
+    logits = jax.random.normal(jax.random.key(0), (1, 5, 4))
+    short = token_loss(logits, jnp.array([[1, 2, 3, 0, 0]]), jnp.array([2]))
+    other = token_loss(logits.at[:, 3:].set(99.0), jnp.array([[1, 2, 3, 7, 7]]), jnp.array([2]))
+    np.testing.assert_allclose(short, other)

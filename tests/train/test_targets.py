@@ -1,0 +1,70 @@
+"""Targets and corruption against the original's arrays."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from t2m_jax.train.targets import corrupt, drop_one_code, make_targets, random_corruption
+
+
+def test_golden_targets(golden_dir):
+    arrays = np.load(golden_dir / "t2m_gpt" / "targets.npz")
+    cases = sorted({key.split("/")[0] for key in arrays if key.startswith("case")})
+    assert len(cases) == 36
+    for case in cases:
+        get = {key.split("/")[1]: arrays[key] for key in arrays if key.startswith(f"{case}/")}
+        codes = jnp.asarray(get["tokens"])[None]
+        codes, lengths = drop_one_code(
+            codes,
+            jnp.array([codes.shape[1]]),
+            jnp.array([bool(get["drop"])]),
+            at_head=jnp.array([not get["drop_tail"]]),
+        )
+        targets = make_targets(codes, lengths, num_codes=int(get["nb_code"]), block_size=int(get["block"]))
+        np.testing.assert_array_equal(targets.tokens[0], get["target"])
+        assert targets.code_lengths[0] == get["n_tokens"]
+
+
+def test_golden_corruption(golden_dir):
+    arrays = np.load(golden_dir / "t2m_gpt" / "corruption.npz")
+    cases = sorted({key.split("/")[0] for key in arrays if key.endswith("/corrupted")})
+    assert cases
+    for case in cases:
+        found = corrupt(
+            jnp.asarray(arrays[f"{case}/input_index"]),
+            jnp.asarray(arrays[f"{case}/mask_keep"]).astype(bool),
+            jnp.asarray(arrays[f"{case}/random_indices"]),
+        )
+        np.testing.assert_array_equal(found, arrays[f"{case}/corrupted"])
+
+
+def test_random_corruption_replaces_the_right_share():
+    tokens = jnp.full((200, 50), 99)
+    found = random_corruption(tokens, jax.random.key(0), keep_probability=0.7, num_codes=8)
+    np.testing.assert_allclose(np.mean(found == 99), 0.7, atol=0.02)
+    assert set(np.unique(found)) == {*range(8), 99}
+    untouched = random_corruption(tokens, jax.random.key(0), keep_probability=1.0, num_codes=8)
+    np.testing.assert_array_equal(untouched, tokens)
+
+
+def test_a_single_code_is_never_dropped():
+    codes, lengths = drop_one_code(jnp.array([[5, 0]]), jnp.array([1]), jnp.array([True]), at_head=jnp.array([True]))
+    assert lengths[0] == 1
+    assert codes[0, 0] == 5
+
+
+def test_long_motions_are_cut_to_leave_room_for_end():
+    targets = make_targets(jnp.arange(9)[None], jnp.array([9]), num_codes=20, block_size=6)
+    np.testing.assert_array_equal(targets.tokens, [[0, 1, 2, 3, 4, 20]])
+
+
+def test_jit_equals_eager():
+    codes, lengths = jnp.arange(12).reshape(3, 4), jnp.array([4, 2, 0])
+
+    def build(codes, lengths):
+        return make_targets(codes, lengths, num_codes=30, block_size=7)
+
+    jitted = jax.jit(build)(codes, lengths)
+    with jax.disable_jit():
+        eager = build(codes, lengths)
+    np.testing.assert_array_equal(jitted.tokens, eager.tokens)
