@@ -9,6 +9,8 @@ Everything takes NumPy or JAX arrays with batch axes in front and returns float3
 `jit` the skeleton is a static argument.
 """
 
+import itertools
+
 import numpy as np
 from jaxtyping import Float
 
@@ -79,6 +81,17 @@ def _chain_predecessors(skeleton: Skeleton) -> np.ndarray:
     return predecessors
 
 
+def _paths(skeleton: Skeleton) -> np.ndarray:
+    """Returns for each joint itself and its ancestors, filled up with the root."""
+    paths = []
+    for joint in range(skeleton.num_joints):
+        path = [joint]
+        while path[-1] > 0:
+            path.append(skeleton.parents[path[-1]])
+        paths.append(path)
+    return np.array(list(itertools.zip_longest(*paths, fillvalue=0))).T
+
+
 def retarget_positions(
     positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton
 ) -> Float[AnyArray, "*batch T J 3"]:
@@ -95,10 +108,9 @@ def retarget_positions(
     template = sum(skeleton.bone_lengths[joint] for joint in skeleton.leg_joints)
     scale = xp.where(source > 0, template / xp.where(source > 0, source, xp.ones_like(source)), xp.ones_like(source))
     bones = unit_vectors(bones) * _constant(skeleton.bone_lengths[1:], bones, bones.ndim - 1)[..., None]
-    joints = [positions[..., 0, :] * scale[..., None, None]]
-    for joint in range(1, skeleton.num_joints):
-        joints.append(joints[skeleton.parents[joint]] + bones[..., joint - 1, :])
-    return xp.stack(joints, axis=-2)
+    root = positions[..., :1, :] * scale[..., None, None, None]
+    bones = xp.concatenate([xp.zeros_like(root), bones], axis=-2)
+    return root + bones[..., _paths(skeleton), :].sum(-2)
 
 
 def ground_positions(positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton) -> Float[AnyArray, "*batch T J 3"]:
