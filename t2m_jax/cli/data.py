@@ -5,6 +5,10 @@ import dataclasses
 import json
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from t2m_jax.data.writer import ImportReport
 
 DESCRIPTION = "make a data-set folder from motion files, or check one"
 MAX_LINES = 20
@@ -60,7 +64,7 @@ def run(args: argparse.Namespace) -> None:
         _show_import(_import(args), args.destination)
 
 
-def _import(args: argparse.Namespace) -> "object":
+def _import(args: argparse.Namespace) -> "ImportReport":
     """Returns the report of the chosen importer."""
     if args.source_kind == "bandai-namco":
         from t2m_jax.data.bandai_namco import import_bandai_namco
@@ -82,7 +86,7 @@ def _import(args: argparse.Namespace) -> "object":
     return import_humanml3d(args.source, args.destination)
 
 
-def _show_import(report: "object", destination: Path) -> None:
+def _show_import(report: "ImportReport", destination: Path) -> None:
     """Prints what an import wrote and what it left out."""
     sizes = ", ".join(f"{split} {size}" for split, size in report.split_sizes.items())
     print(f"{destination}: {report.num_clips} clips ({report.num_frames} frames; mirrored twins included): {sizes}")
@@ -113,8 +117,8 @@ def _check(args: argparse.Namespace) -> None:
     print(f"{report.folder}: {report.name or 'unnamed'}, skeleton {report.skeleton}, {report.fps:g} frames a second")
     for split, count in report.splits.items():
         print(
-            f"  {split:5} {count.clips:6} clips ({count.mirrored} mirrored), {count.hours:.2f} h, {count.captions} captions, "
-            f"{count.shortest} to {count.longest} frames"
+            f"  {split:5} {count.clips:6} clips ({count.mirrored} mirrored), {count.hours:.2f} h, "
+            f"{count.captions} captions, {count.shortest} to {count.longest} frames"
         )
     for note in report.notes:
         print(f"  note: {note}")

@@ -41,7 +41,8 @@ class SplitCounts:
     longest: int
     """Feature rows of its longest clip."""
     out_of_range: int
-    """Clips shorter than the data set's `min_frames` or longer than its `max_frames`: kept on disk, skipped or cut in training."""
+    """Clips shorter than the data set's `min_frames` or longer than its `max_frames`: kept on disk, skipped or cut
+    in training."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -178,7 +179,7 @@ def check_statistics(dataset: Dataset, splits: dict[str, tuple[str, ...]]) -> li
     if not deviations:
         return []
     return [
-        f"Mean.npy, Std.npy: differ from the clips' statistics by {min(deviations):.2f} standard deviations; are they of other data?"
+        f"Mean.npy, Std.npy: differ from the clips' statistics by {min(deviations):.2f} of their spread; import again"
     ]
 
 

@@ -46,10 +46,10 @@ INFO = DatasetInfo(
     source="https://github.com/BandaiNamcoResearchInc/Bandai-Namco-Research-Motiondataset",
     attribution=(
         "Bandai-Namco-Research-Motiondataset-1 and -2, © 2022 Bandai Namco Research Inc., CC BY-NC 4.0, "
-        "https://github.com/BandaiNamcoResearchInc/Bandai-Namco-Research-Motiondataset. Changed: resampled to 20 frames a "
-        "second, retargeted to 22 joints, encoded as motion features, mirrored, captions added. Paper: M. Kobayashi, "
-        "C.-C. Liao, K. Inoue, S. Yojima, M. Takahashi, Motion Capture Dataset for Practical Use of AI-based Motion Editing "
-        "and Stylization, 2023, arXiv:2306.08861."
+        "https://github.com/BandaiNamcoResearchInc/Bandai-Namco-Research-Motiondataset. Changed: resampled to 20 "
+        "frames a second, retargeted to 22 joints, encoded as motion features, mirrored, captions added. "
+        "Paper: M. Kobayashi, C.-C. Liao, K. Inoue, S. Yojima, M. Takahashi, Motion Capture Dataset for Practical Use "
+        "of AI-based Motion Editing and Stylization, 2023, arXiv:2306.08861."
     ),
 )
 
@@ -94,7 +94,8 @@ def find_clips(source: Path) -> dict[str, Path]:
     files = {path.stem: path for path in sorted(source.rglob("dataset-*_*.bvh"))}
     if not files:
         raise UserError(
-            f"{source}: no dataset-N_*.bvh below it; give the folder that holds dataset/Bandai-Namco-Research-Motiondataset-*"
+            f"{source}: no dataset-N_*.bvh below it; give the folder of the unpacked archive, "
+            "which holds dataset/Bandai-Namco-Research-Motiondataset-*"
         )
     return dict(sorted(files.items()))
 
@@ -193,7 +194,7 @@ def import_bandai_namco(
     divided = _split_clips(names, lists)
     wanted = sorted(name for members in divided.values() for name in members)
     left_out = {name: f"flagged in {flags_from}" for name in files if name in flagged}
-    left_out |= {name: f"in no list of {lists}" for name in sorted(set(names) - set(wanted))}
+    left_out |= dict.fromkeys(sorted(set(names) - set(wanted)), f"in no list of {lists}")
     workers = min(workers or os.cpu_count() or 1, max(1, len(wanted) // 16))
     frames = 0
     with new_folder(destination) as folder:

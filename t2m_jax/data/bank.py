@@ -18,7 +18,7 @@ from t2m_jax.motion.normalizer import Normalizer
 
 
 class MotionBank(NamedTuple):
-    """All clips of a split, normalized, one behind the other; clip m is `frames[starts[m] : starts[m] + lengths[m]]`."""
+    """All clips of a split, normalized, end to end: `frames[starts[m] : starts[m] + lengths[m]]` is clip m."""
 
     frames: Float[Array, "F D"]
     starts: Int[Array, " M"]
@@ -38,8 +38,8 @@ def make_bank(clips: Sequence[Clip], normalizer: Normalizer, *, max_window: int)
     Args:
         clips: what to train on; every clip counts once an epoch.
         normalizer: statistics of the training split.
-        max_window: the longest window that will be cut. So many zero frames are put behind the last clip: `dynamic_slice`
-            moves a window that would leave the array back inside it, which would show the wrong frames.
+        max_window: the longest window that will be cut. So many zero frames are put behind the last clip:
+            `dynamic_slice` moves a window that would leave the array back inside it, which would show wrong frames.
 
     Raises:
         UserError: there are no clips.
@@ -55,15 +55,15 @@ def make_bank(clips: Sequence[Clip], normalizer: Normalizer, *, max_window: int)
 
 
 def epoch_order(key: PRNGKeyArray, epoch: Int[Array, ""] | int, *, num_clips: int) -> Int[Array, " M"]:
-    """Returns the order in which an epoch visits the clips, each exactly once; the same key and epoch give the same order."""
+    """Returns the order in which an epoch visits the clips, each exactly once: a pure function of key and epoch."""
     return jax.random.permutation(jax.random.fold_in(key, epoch), num_clips)
 
 
 def batch_clips(key: PRNGKeyArray, step: Int[Array, ""] | int, *, num_clips: int, batch_size: int) -> Int[Array, " B"]:
     """Returns the clips of training step `step` (counted from 0 over the whole run).
 
-    Epochs have `num_clips // batch_size` steps; the clips left over at the end of an order are dropped for that epoch. A
-    data set smaller than one batch is repeated inside the batch.
+    Epochs have `num_clips // batch_size` steps; the clips left over at the end of an order are dropped for that
+    epoch. A data set smaller than one batch is repeated inside the batch.
 
     Args:
         key: key of the run's data order; not consumed, give the same key at every step.

@@ -27,7 +27,7 @@ POP = 0.5
 
 
 def clip_name(path: Path, source: Path) -> str:
-    """Returns the clip name of a BVH file: its path below `source`, joined by `_`; never a leading M, which marks twins."""
+    """Returns the clip name of a BVH file: its path below `source`, without a leading M, which marks twins."""
     name = re.sub(r"[^\w-]+", "_", path.relative_to(source).with_suffix("").as_posix()).strip("_")
     return f"m{name[1:]}" if name.startswith("M") else name
 
@@ -161,13 +161,14 @@ def import_bvh_folder(
 ) -> ImportReport:
     """Returns what was written after converting a folder of BVH files into a new data-set folder.
 
-    Clips are resampled to 20 frames a second, retargeted, encoded and mirrored, and split 80/5/15 %. A clip without caption, or
-    whose file is broken, is left out and named in the report.
+    Clips are resampled to 20 frames a second, retargeted, encoded and mirrored, and split 80/5/15 %. A clip without
+    caption, or whose file is broken, is left out and named in the report.
 
     Args:
         source: folder searched for `*.bvh` at any depth.
         destination: folder to make.
-        captions: `.csv` (file,caption[,start,end]) or `.txt` (`file: caption` lines); `captions.csv` or `captions.txt` in the
+        captions: `.csv` (file,caption[,start,end]) or `.txt` (`file: caption` lines); `captions.csv` or
+            `captions.txt` in the
             folder by default. A `.txt` beside a BVH file is read in any case.
         rig: name of a rig or a YAML table `pelvis: Hips`; detected from the joint names by default.
         caption_from_name: a clip without caption gets the words of its file name.

@@ -1,7 +1,7 @@
 """Captions of Bandai-Namco clips, composed from the labels and from what is measured in the motion.
 
-Every clip gets several different sentences. Which ones depends on the clip's name alone, so an import gives the same folder
-every time; style is said in some and left out in others, since people who ask for motion do both.
+Every clip gets several different sentences. Which ones depends on the clip's name alone, so an import gives the same
+folder every time; style is said in some and left out in others, since people who ask for motion do both.
 """
 
 import random
@@ -38,10 +38,11 @@ SPEED_LIMITS: dict[str, tuple[float, float]] = {
     "wave-right-hand": _WAVE_LIMITS,
     "wave-both-hands": _WAVE_LIMITS,
 }
-"""content -> metres a second (`Facts.speed`) below which a clip is slow and above which it is fast: about the slowest and the
-fastest fifth of the training clips"""
+"""content -> metres a second (`Facts.speed`) below which a clip is slow and above which it is fast: about the
+slowest and the fastest fifth of the training clips"""
 LOW_HANDS = 0.02
-"""metres above the shoulder that a wrist must reach before its hand counts as raised rather than lifted to shoulder height"""
+"""metres above the shoulder that a wrist must reach before its hand counts as raised rather than lifted to shoulder
+height"""
 LOW_SHARE = 0.7
 """share of the captions of a clip with low hands which say that they stay low; the others say the style"""
 _SPEED_WORDS = {
@@ -96,7 +97,7 @@ def _style_manners(style: Style) -> list[Manner]:
 
 
 def _pace_manners(content: Content, pace: str) -> list[Manner]:
-    """Returns the ways of saying "slow" or "fast" of someone who goes somewhere or, hands only, of someone who stands."""
+    """Returns the ways of saying "slow" or "fast" of someone who goes somewhere, or who stands and moves the hands."""
     goes = content.side == "" or any("walk" in wording.predicate for wording in content.wordings)
     words = (_SPEED_WORDS if goes else _STANDING_SPEED_WORDS)[pace]
     return [Manner(text, "end") for text in words] + [
@@ -148,8 +149,8 @@ def compose(labels: Labels, wording: Wording, *, facts: Facts, style_share: floa
 def _draw_wording(wordings: Sequence[Wording], generator: random.Random) -> tuple[Wording, float]:
     """Returns a wording and how often its caption should say the style.
 
-    Hands that stay low are said to stay low, or the style that explains it is said: the bare "raises the left hand" is kept for
-    hands that do go up, which is what people mean by it.
+    Hands that stay low are said to stay low, or the style that explains it is said: the bare "raises the left hand"
+    is kept for hands that do go up, which is what people mean by it.
     """
     low = [wording for wording in wordings if wording.needs == "low"]
     if not low:

@@ -162,7 +162,8 @@ class Dataset:
             split: "train", "val", "test" or any other list in the folder.
             min_frames: least number of feature rows.
             mirrored: include mirrored twins.
-            skip_missing: leave out clips whose files are missing (the published KIT-ML lists name some) in place of refusing.
+            skip_missing: leave out clips whose files are missing (the published KIT-ML lists name some) in place of
+                refusing.
 
         Raises:
             UserError: a file is missing, damaged or of another feature width; the message names it.
@@ -212,11 +213,11 @@ def open_dataset(folder: str | Path) -> Dataset:
 
 
 def samples_from_clip(clip: Clip, info: DatasetInfo) -> list[Clip]:
-    """Returns the clip as text-to-motion training and evaluation count it: whole, and once for each time-tagged caption.
+    """Returns the samples that a clip counts as in text-to-motion: whole, and once for each time-tagged caption.
 
-    Captions with times become samples of their own, named "A_<clip>", "B_<clip>" ... (HumanML3D draws the letter at random).
-    Whole or part, a sample outside `min_frames`...`max_frames` + 3 (a length that a multiple of four rounds down to the maximum)
-    is dropped, and with a whole clip all its parts, as the published loaders do.
+    Captions with times become samples of their own, named "A_<clip>", "B_<clip>" ... (HumanML3D draws the letter at
+    random). Whole or part, a sample outside `min_frames`...`max_frames` + 3 (a length that a multiple of four rounds
+    down to the maximum) is dropped, and with a whole clip all its parts, as the published loaders do.
     """
 
     def fits(length: int) -> bool:

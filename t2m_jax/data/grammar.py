@@ -1,7 +1,7 @@
 """Sentences from predicates: who does it, in which tense, how.
 
-A predicate is text with the verbs in brackets, "[raise] {limb} and [lower] {it} again". Slots: `{poss}` his, her, their, the
-or your; `{limb}` "his left hand", "both arms"; `{it}` it or them; `{side}` left or right.
+A predicate is text with the verbs in brackets, "[raise] {limb} and [lower] {it} again". Slots: `{poss}` his, her,
+their, the or your; `{limb}` "his left hand", "both arms"; `{it}` it or them; `{side}` left or right.
 """
 
 import re

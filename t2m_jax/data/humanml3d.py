@@ -24,8 +24,8 @@ def _copy_clip(dataset: Dataset, name: str, folder: Path) -> int:
 def import_humanml3d(source: str | Path, destination: str | Path) -> ImportReport:
     """Returns what was copied from a folder of HumanML3D's layout (or KIT-ML's) into a new data-set folder.
 
-    The statistics are taken over if there, else computed from the training clips. Clips that a list names but whose files are
-    missing are left out, since the published lists have such.
+    The statistics are taken over if there, else computed from the training clips. Clips that a list names but whose
+    files are missing are left out, since the published lists have such.
 
     Raises:
         UserError: no data set there, a damaged file, a list missing, or a destination that exists.

@@ -19,7 +19,6 @@ WALK = make_wordings(
     "[step] forward",
     "[make] some steps forward",
     "[walk] a few steps",
-    "[walk] around",
     "[travel] forward by walking",
     "[move] ahead on foot",
     not_fast=("[stroll] forward", "[stroll] along", "[wander] ahead"),

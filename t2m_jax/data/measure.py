@@ -24,7 +24,8 @@ class Facts(NamedTuple):
     leftward: float
     """metres travelled to the actor's own left"""
     above_head: tuple[float, float]
-    """metres by which the left and the right wrist come above the head joint at their highest; negative when they do not"""
+    """metres by which the left and the right wrist come above the head joint at their highest; negative when they do
+    not"""
     above_shoulder: tuple[float, float]
     """the same against the shoulder of that side"""
     waves: int

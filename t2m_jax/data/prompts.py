@@ -1,7 +1,7 @@
 """Sentences which no training caption equals, to measure a model with wordings it was not trained on.
 
-They are made of words that training captions use, in combinations which the grammar of the training captions cannot produce:
-a model that only remembers whole sentences fails on them.
+They are made of words that training captions use, in combinations which the grammar of the training captions cannot
+produce: a model that only remembers whole sentences fails on them.
 """
 
 _WALK = (

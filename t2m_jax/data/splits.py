@@ -19,8 +19,8 @@ def split_by_hash(groups: Iterable[Sequence[str]], *, seed: str = "t2m_jax") -> 
 
     Args:
         groups: names which should be spread alike over the splits, such as clips of one content and style. A group is
-            shuffled by hash and dealt out, each clip to the split that lags farthest behind its share so far; the counts
-            run on from group to group, so that groups of one clip do not all go to train.
+            shuffled by hash and dealt out, each clip to the split that lags farthest behind its share so far; the
+            counts run on from group to group, so that groups of one clip do not all go to train.
         seed: another one gives another division.
     """
     counts = dict.fromkeys(SHARES, 0)

@@ -1,7 +1,7 @@
-"""A procedural data set: simple labelled motions of a jointed figure, for tests and for a first training run without downloads.
+"""A procedural data set: simple labelled motions, for tests and for a first training run without downloads.
 
-Each motion is a set of bone directions in the body's frame over time, with speed, amplitude, phase and heading drawn from a
-seed; bones of the template hang together along them, the root walks, and the lowest joint stands on the floor.
+Each motion is a set of bone directions in the body's frame over time, with speed, amplitude, phase and heading drawn
+from a seed; bones of the template hang together along them, the root walks, and the lowest joint stands on the floor.
 """
 
 from collections.abc import Callable
@@ -159,7 +159,7 @@ KINDS: dict[str, Callable[[Float[np.ndarray, " T"], np.random.Generator], Pose]]
 
 
 def _limb(swing: Swing, *, side: float, bend_sign: float) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T 3"]]:
-    """Returns directions of the upper and lower bone of a limb; `side` is +1 on the left, knees bend back, elbows forward."""
+    """Returns directions of a limb's upper and lower bone; `side` is +1 on the left, `bend_sign` -1 for knees."""
 
     def direction(angle: Float[np.ndarray, " T"], spread: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 3"]:
         down, ahead = -np.cos(angle), np.sin(angle)
@@ -191,7 +191,7 @@ def _directions(pose: Pose) -> _Directions:
 
 
 def _positions_from_pose(pose: Pose) -> Float[np.ndarray, "T J 3"]:
-    """Returns joint positions of the template: bones along their directions, lowest joint of each frame on the floor."""
+    """Returns joint positions of the template, the lowest joint of each frame on the floor."""
     directions, frames = _directions(pose), len(pose.heading)
     local = np.zeros((frames, HUMANML3D.num_joints, 3))
     for joint in range(1, HUMANML3D.num_joints):

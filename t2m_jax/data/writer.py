@@ -35,7 +35,7 @@ class ImportReport(NamedTuple):
 
 @contextlib.contextmanager
 def new_folder(destination: Path) -> Iterator[Path]:
-    """Gives an empty folder beside `destination`, which takes that name when the block ends well and vanishes otherwise.
+    """Yields an empty folder which takes the name `destination` when the block ends well and vanishes otherwise.
 
     Raises:
         UserError: `destination` exists and holds something, or cannot be made.
@@ -76,8 +76,8 @@ def write_twins(
 ) -> int:
     """Writes a clip and its mirrored twin from joint positions and returns the number of feature rows of each.
 
-    The twin is encoded from mirrored positions, not by flipping features: the template has unequal legs and the rotation
-    features no mirror image.
+    The twin is encoded from mirrored positions, not by flipping features: the template has unequal legs and the
+    rotation features no mirror image.
 
     Raises:
         UserError: the features are not finite (a bone of no length, a single frame).
@@ -113,8 +113,8 @@ def finish_folder(
 ) -> dict[str, int]:
     """Writes split lists, statistics and `dataset.yaml`, and returns the sizes of the splits.
 
-    The statistics are those of the training clips. HumanML3D's published ones are over all files, test included; a model
-    measured on the test split should not have seen even its mean.
+    The statistics are those of the training clips. HumanML3D's published ones are over all files, test included; a
+    model measured on the test split should not have seen even its mean.
 
     Raises:
         UserError: the training split is empty.

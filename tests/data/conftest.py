@@ -1,4 +1,5 @@
 import pytest
+
 from t2m_jax.data.synthetic import write_synthetic_dataset
 
 

@@ -3,6 +3,7 @@ import shutil
 
 import numpy as np
 import pytest
+
 from t2m_jax.config import UserError
 from t2m_jax.data.folder import Clip, DatasetInfo, open_dataset, samples_from_clip
 from t2m_jax.data.texts import Caption

@@ -3,6 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from t2m_jax.config import UserError
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.measure import measure

@@ -1,6 +1,7 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from t2m_jax.config import UserError
 from t2m_jax.data.texts import Caption, format_caption, load_captions, parse_caption, save_captions
 

@@ -1,0 +1,153 @@
+import dataclasses
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from t2m_jax.cli import data as cli
+from t2m_jax.config import UserError
+from t2m_jax.data.audit import audit_dataset
+from t2m_jax.data.folder import open_dataset
+from t2m_jax.data.humanml3d import import_humanml3d
+
+
+@pytest.fixture
+def folder(synthetic_folder, tmp_path):
+    """A copy that a test may break."""
+    return shutil.copytree(synthetic_folder, tmp_path / "data")
+
+
+def change_features(folder, change):
+    """Changes the features of the first training clip and returns its name."""
+    name = open_dataset(folder).names("train")[0]
+    path = folder / "new_joint_vecs" / f"{name}.npy"
+    np.save(path, change(np.load(path)))
+    return name
+
+
+def set_value(value, index):
+    def change(features):
+        features[index] = value
+        return features
+
+    return change
+
+
+def test_a_good_folder_has_no_problems(synthetic_folder):
+    report = audit_dataset(synthetic_folder)
+    assert report.problems == []
+    assert report.skeleton == "humanml3d"
+    train = report.splits["train"]
+    assert train.clips == 2 * train.mirrored == 32
+    assert train.frames == sum(len(clip.features) for clip in open_dataset(synthetic_folder).clips("train"))
+    assert train.captions == 6 * train.clips
+    assert json.loads(json.dumps(dataclasses.asdict(report)))["splits"]["train"]["clips"] == 32
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (set_value(np.nan, (3, 5)), "1 values that are NaN"),
+        (lambda features: features[:1], "has 1 frames"),
+        (lambda features: features[:, :251], "expected T x 263"),
+        (set_value(3.0, (4, 2)), "m/s"),
+        (set_value(9.0, (slice(None), slice(3, 67))), "not on the floor"),
+        (lambda features: features.astype(np.int64), "no floating-point"),
+    ],
+)
+def test_broken_features_are_found(folder, change, words):
+    name = change_features(folder, change)
+    problems = audit_dataset(folder).problems
+    assert any(name in problem and words in problem for problem in problems), problems
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "has no caption"),
+        ("he waves##0.0#0.0\n", "no word/POS"),
+        ("he waves#he wave#0.0#0.0\n", "a token that is no word/POS"),
+        ("he # waves#he/PRON#0.0#0.0\n", "5 fields"),
+        ("#he/PRON#0.0#0.0\n", "caption is empty"),
+        ("he waves#he/PRON#1.0#99.0\n", "ends at 99.0 s"),
+        ("he waves#he/PRON#2.0#1.0\n", "has times 2.0 to 1.0"),
+    ],
+)
+def test_broken_captions_are_found(folder, text, words):
+    name = open_dataset(folder).names("train")[0]
+    (folder / "texts" / f"{name}.txt").write_text(text)
+    problems = audit_dataset(folder).problems
+    assert len(problems) == 1 and name in problems[0] and words in problems[0]
+
+
+def test_overlap_counts_twins(folder):
+    name = open_dataset(folder).names("train")[0]
+    with (folder / "test.txt").open("a") as file:
+        file.write(f"M{name}\n")
+    assert audit_dataset(folder).problems == [f"test.txt: {name} or its mirrored twin is in train.txt, too"]
+
+
+def test_names_twice_orphans_and_missing_files(folder):
+    train = open_dataset(folder).names("train")
+    (folder / "train.txt").write_text("".join(f"{name}\n" for name in (*train[1:], train[1])))
+    (folder / "new_joint_vecs" / f"{train[2]}.npy").unlink()
+    problems = "\n".join(audit_dataset(folder).problems)
+    assert f"names {train[1]} 2 times" in problems
+    assert f"1 files of clips in no split list, such as {train[0]}.npy" in problems
+    assert f"{train[2]}.npy: cannot be read" in problems
+
+
+def test_foreign_statistics_are_found(folder):
+    np.save(folder / "Mean.npy", np.load(folder / "Mean.npy") + 1)
+    assert any("Mean.npy" in problem for problem in audit_dataset(folder).problems)
+    (folder / "Mean.npy").unlink()
+    assert any("Mean.npy" in problem for problem in audit_dataset(folder).problems)
+
+
+def test_no_folder_is_a_user_error(tmp_path):
+    with pytest.raises(UserError, match="no data set here"):
+        audit_dataset(tmp_path)
+
+
+def test_humanml3d_folders_are_copied_without_what_is_missing(folder, tmp_path):
+    (folder / "dataset.yaml").unlink()
+    shutil.rmtree(folder / "new_joints")
+    name = open_dataset(folder).names("val")[0]
+    (folder / "new_joint_vecs" / f"{name}.npy").unlink()
+    (folder / "texts" / f"{name}.txt").unlink()
+    report = import_humanml3d(folder, tmp_path / "copy")
+    assert list(report.left_out) == [name]
+    dataset = open_dataset(tmp_path / "copy")
+    assert (dataset.folder / "dataset.yaml").exists() and name not in dataset.names("val")
+    np.testing.assert_array_equal(dataset.normalizer.mean, open_dataset(folder).normalizer.mean)
+    assert audit_dataset(tmp_path / "copy").problems == []
+
+
+def run_cli(*arguments):
+    """Runs `t2m data` with arguments."""
+    import argparse
+
+    parser = argparse.ArgumentParser()
+    cli.add_arguments(parser)
+    cli.run(parser.parse_args(arguments))
+
+
+def test_check_prints_counts_and_writes_json(synthetic_folder, tmp_path, capsys):
+    run_cli("check", str(synthetic_folder), "--json", str(tmp_path / "report.json"))
+    assert "no problems found" in capsys.readouterr().out
+    assert json.loads((tmp_path / "report.json").read_text())["problems"] == []
+
+
+def test_check_ends_with_1_on_problems(folder, capsys):
+    name = change_features(folder, set_value(np.nan, (0, 0)))
+    with pytest.raises(SystemExit) as error:
+        run_cli("check", str(folder))
+    assert error.value.code == 1
+    assert name in capsys.readouterr().out
+
+
+def test_synthetic_from_the_command_line(tmp_path, capsys):
+    run_cli("synthetic", str(tmp_path / "data"), "--num-clips", "20")
+    assert "40 clips" in capsys.readouterr().out
+    assert audit_dataset(tmp_path / "data").problems == []

@@ -1,0 +1,113 @@
+import numpy as np
+import pytest
+
+from t2m_jax.config import UserError
+from t2m_jax.data.audit import audit_dataset
+from t2m_jax.data.bvh_folder import import_bvh_folder
+from t2m_jax.data.folder import open_dataset
+from tests.data.bvh_files import write_bvh
+
+
+def write_clips(folder, names):
+    for seed, name in enumerate(names):
+        write_bvh(folder / f"{name}.bvh", seed=seed)
+    return folder
+
+
+def all_captions(folder):
+    dataset = open_dataset(folder)
+    names = [name for split in ("train", "val", "test") for name in dataset.names(split)]
+    return {name: [caption.text for caption in dataset.captions(name)] for name in names}
+
+
+def test_captions_from_a_table(tmp_path):
+    source = write_clips(tmp_path / "source", ["a", "sub/b", "c"])
+    (source / "captions.csv").write_text(
+        'file,caption,start,end\na.bvh,"a person glides, slowly",,\na,he turns left,0.2,1.0\nsub/b,she waves,,\n'
+    )
+    report = import_bvh_folder(source, tmp_path / "data")
+    assert report.num_clips == 4
+    assert list(report.left_out) == ["c"] and "no caption" in report.left_out["c"]
+    captions = all_captions(tmp_path / "data")
+    assert captions["a"] == ["a person glides, slowly", "he turns left"]
+    assert captions["Ma"] == ["a person glides, slowly", "he turns right"]
+    assert captions["sub_b"] == ["she waves"]
+    assert audit_dataset(tmp_path / "data").problems == []
+
+
+def test_captions_beside_the_files(tmp_path):
+    source = write_clips(tmp_path / "source", ["a", "b"])
+    (source / "a.txt").write_text("a man walks\n\nsomeone is walking\n")
+    (source / "b.txt").write_text("he waves#he/PRON wave/VERB#0.0#0.0\n")
+    import_bvh_folder(source, tmp_path / "data")
+    captions = all_captions(tmp_path / "data")
+    assert captions["a"] == ["a man walks", "someone is walking"] and captions["b"] == ["he waves"]
+
+
+def test_captions_from_a_list_or_from_names(tmp_path):
+    source = write_clips(tmp_path / "source", ["Man_jumping_02", "b"])
+    (source / "captions.txt").write_text("b.bvh: a person stands\n")
+    report = import_bvh_folder(source, tmp_path / "data", caption_from_name=True)
+    assert not report.left_out
+    captions = all_captions(tmp_path / "data")
+    assert captions["man_jumping_02"] == ["man jumping"]  # a leading M would mean a mirrored twin
+    assert captions["b"] == ["a person stands"]
+
+
+def test_broken_clips_are_named_and_the_rest_is_kept(tmp_path):
+    source = write_clips(tmp_path / "source", ["good", "broken"])
+    (source / "broken.bvh").write_text("HIERARCHY\n")
+    report = import_bvh_folder(source, tmp_path / "data", caption_from_name=True)
+    assert list(report.left_out) == ["broken"] and "broken.bvh" in report.left_out["broken"]
+    assert report.num_clips == 2
+
+
+def test_a_rest_pose_in_front_is_dropped(tmp_path):
+    source = write_clips(tmp_path / "source", ["a"])
+    lines = (source / "a.bvh").read_text().split("\n")
+    first = lines.index("Frame Time:\t0.0333333") + 1
+    far = lines[first].split()
+    far[8] = "300"  # the hips three metres off
+    lines[first] = " ".join(far)
+    (source / "a.bvh").write_text("\n".join(lines))
+    import_bvh_folder(source, tmp_path / "data", caption_from_name=True)
+    joints = np.load(tmp_path / "data/new_joints/a.npy")
+    assert np.linalg.norm(np.diff(joints, axis=0), axis=-1).max() < 0.2
+
+
+def test_the_seed_decides_the_split(tmp_path):
+    source = write_clips(tmp_path / "source", [f"walk{letter}" for letter in "abcdefghijkl"])
+    for number, seed in enumerate((0, 0, 1)):
+        import_bvh_folder(source, tmp_path / f"{number}", caption_from_name=True, seed=seed)
+    trains = [(tmp_path / f"{number}" / "train.txt").read_text() for number in range(3)]
+    assert trains[0] == trains[1] != trains[2]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("name,text\na,b\n", r"captions\.csv:1: .*file,caption"),
+        ("file,caption\na,\n", r"captions\.csv:2: .*empty"),
+        ("file,caption\na,he # waves\n", r"captions\.csv:2: .*'#'"),
+        ("file,caption,start,end\na,he waves,one,2\n", r"captions\.csv:2: .*'one'"),
+    ],
+)
+def test_broken_tables_name_the_line(tmp_path, content, words):
+    source = write_clips(tmp_path / "source", ["a"])
+    (source / "captions.csv").write_text(content)
+    with pytest.raises(UserError, match=words):
+        import_bvh_folder(source, tmp_path / "data")
+    assert not (tmp_path / "data").exists()
+
+
+def test_refusals(tmp_path):
+    with pytest.raises(UserError, match=r"no \.bvh files"):
+        import_bvh_folder(tmp_path, tmp_path / "data")
+    source = write_clips(tmp_path / "source", ["a"])
+    with pytest.raises(UserError, match="none of 1 clips"):
+        import_bvh_folder(source, tmp_path / "data")
+    with pytest.raises(UserError, match="no such file"):
+        import_bvh_folder(source, tmp_path / "data", captions=tmp_path / "missing.csv")
+    write_clips(source, ["b c", "b_c"])
+    with pytest.raises(UserError, match="would be named b_c"):
+        import_bvh_folder(source, tmp_path / "data")
