@@ -93,7 +93,17 @@ def test_files_that_cannot_be_written_are_refused(monkeypatch, tmp_path):
     with pytest.raises(UserError, match=r"wave.txt: the folder .*missing does not exist"):
         save_motions(tmp_path / "missing" / "wave.txt", [])
     (tmp_path / "wave.txt").mkdir()
-    with pytest.raises(UserError, match=r"wave.txt: cannot be written \(.*Is a directory"):
+    with pytest.raises(UserError, match=r"wave.txt: cannot be written; choose another place"):
+        save_motions(tmp_path / "wave.txt", [])
+
+
+def fill_the_disk(path, motions):
+    raise OSError(28, "No space left on device")
+
+
+def test_a_disk_that_is_full_is_no_traceback(monkeypatch, tmp_path):
+    register(monkeypatch, txt="fill_the_disk")
+    with pytest.raises(UserError, match=r"wave.txt: cannot be written \(.*No space left"):
         save_motions(tmp_path / "wave.txt", [])
 
 
