@@ -53,14 +53,19 @@ def is_run_directory(path: Path) -> bool:
     return (path / INFO_FILE).is_file()
 
 
+def refuse_existing_run(path: Path) -> None:
+    """Raises `UserError` where a new run would write over another."""
+    if is_run_directory(path):
+        raise UserError(f"{path}: holds a run already; add --resume to go on with it, or choose another run")
+
+
 def create_run(path: Path, kind: RunKind, config: Any) -> None:
     """Makes a run directory with its config.
 
     Raises:
         UserError: if there is one already.
     """
-    if is_run_directory(path):
-        raise UserError(f"{path}: holds a run already; add --resume to go on with it, or choose another run")
+    refuse_existing_run(path)
     path.mkdir(parents=True, exist_ok=True)
     save_config(path / CONFIG_FILE, config)
     # Last: a directory without it is not a run, so a start that was interrupted can simply be repeated.
@@ -112,7 +117,9 @@ class Checkpoints:
             restored = self._manager.restore(step, args=ocp.args.Composite(**items))
         except (ValueError, KeyError, FileNotFoundError) as error:
             reason = str(error).splitlines()[0]
-            raise UserError(f"{self._run}: checkpoint {step} does not fit its config or is damaged ({reason})") from error
+            raise UserError(
+                f"{self._run}: checkpoint {step} does not fit its config or is damaged ({reason})"
+            ) from error
         return {name: restored[name][name] for name in like}
 
     def close(self) -> None:

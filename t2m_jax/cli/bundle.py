@@ -7,9 +7,9 @@ from pathlib import Path
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the options of the command."""
-    parser.add_argument("runs", nargs="+", help="run folder of a GPT (it holds its VQ-VAE already); more are not needed")
+    parser.add_argument("runs", nargs="+", help="run folder of a GPT; it holds its VQ-VAE already")
     parser.add_argument("destination", help="folder to write")
-    parser.add_argument("--card", default=None, metavar="FILE", help="model card (Markdown) to put in; else a plain one")
+    parser.add_argument("--card", default=None, metavar="FILE", help="model card (Markdown) to put in")
 
 
 def run(args: argparse.Namespace) -> None:

@@ -8,12 +8,12 @@ from pathlib import Path
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the options of the command."""
     parser.add_argument("text", nargs="+", help="sentences in quotes, one motion (or --num-samples) each")
-    parser.add_argument("--model", default="demo", help="bundled name, bundle folder or run folder (default: demo)")
+    parser.add_argument("--model", default="demo", help="bundled name, bundle or run folder (default: demo)")
     parser.add_argument("--seed", type=int, default=0, help="same seed, same motion (default: 0)")
     parser.add_argument("--num-samples", type=int, default=1, help="motions for each sentence (default: 1)")
     parser.add_argument("--temperature", type=float, default=1.0, help="below 1: safer; 0: always the likeliest code")
     parser.add_argument("--top-k", type=int, default=None, help="choose among this many likeliest codes")
-    parser.add_argument("--top-p", type=float, default=None, help="choose among the likeliest codes of this probability")
+    parser.add_argument("--top-p", type=float, default=None, help="choose among the likeliest, up to this probability")
     parser.add_argument(
         "-o",
         "--output",

@@ -27,7 +27,6 @@ def _schema(stage: str) -> type:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the options of the command; what it does not know are fields of the config."""
-    parser.conflict_handler = "resolve"
     parser.add_argument("stage", choices=("vqvae", "gpt"), help="what to train")
     parser.add_argument("config", help="YAML file with what differs from the defaults")
     parser.add_argument("--resume", action="store_true", help="go on from the run's newest checkpoint")
@@ -38,15 +37,16 @@ def run(args: argparse.Namespace) -> None:
     """Trains; the run directory is the result."""
     from t2m_jax.config import load_config, override_config
 
-    config = override_config(
-        load_config(args.config, _schema(args.stage)), args.config_options, prog=f"t2m train {args.stage}"
-    )
+    config: Any = load_config(args.config, _schema(args.stage))
+    config = override_config(config, args.config_options, prog=f"t2m train {args.stage}")
 
     from t2m_jax.sampling.compilation import use_compilation_cache
     from t2m_jax.train.run_gpt import train_gpt
     from t2m_jax.train.run_vqvae import train_vqvae
 
     use_compilation_cache()
-    train = {"vqvae": train_vqvae, "gpt": train_gpt}[args.stage]
-    train(config, resume=args.resume)
+    if args.stage == "vqvae":
+        train_vqvae(config, resume=args.resume)
+    else:
+        train_gpt(config, resume=args.resume)
     logging.getLogger("t2m_jax").info("done: %s", config.run)

@@ -115,9 +115,7 @@ def requests(content: str, *, num_seeds: int) -> list[tuple[int, str]]:
     return [(seed, sentences[seed % len(sentences)]) for seed in range(num_seeds)]
 
 
-def evaluate_prompt_following(
-    generate: Callable[[str, int], Motion], *, num_seeds: int
-) -> list[ContentResult]:
+def evaluate_prompt_following(generate: Callable[[str, int], Motion], *, num_seeds: int) -> list[ContentResult]:
     """Returns one row a content.
 
     Args:
@@ -135,9 +133,7 @@ def evaluate_prompt_following(
 def markdown_table(results: list[ContentResult]) -> str:
     """Returns the rows as a Markdown table with a last row for all."""
     lines = ["| content | rule | did what was asked |", "| --- | --- | ---: |"]
-    lines += [
-        f"| {row.content} | {row.rule} | {row.num_right} of {row.num_samples} |" for row in results
-    ]
+    lines += [f"| {row.content} | {row.rule} | {row.num_right} of {row.num_samples} |" for row in results]
     right, total = sum(row.num_right for row in results), sum(row.num_samples for row in results)
     lines.append(f"| **all** | | **{right} of {total} ({right / total:.0%})** |")
     return "\n".join(lines)

@@ -4,9 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 
-def joint_errors(
-    positions: Float[Array, "B T J 3"], reference: Float[Array, "B T J 3"]
-) -> Float[Array, "B T"]:
+def joint_errors(positions: Float[Array, "B T J 3"], reference: Float[Array, "B T J 3"]) -> Float[Array, "B T"]:
     """Returns the mean distance of the joints in each frame after both roots were moved to the origin.
 
     Orientation is not aligned. Unit: that of the positions.

@@ -4,12 +4,13 @@ What lies past a clip's end is set to zero before every convolution, so that a c
 zeros it would meet alone.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jax.typing import DTypeLike
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {
     "relu": nn.relu,
@@ -21,7 +22,7 @@ ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {
 def _fan_in_uniform(fan_in: int) -> nn.initializers.Initializer:
     bound = fan_in**-0.5
 
-    def initialize(key, shape, dtype=jnp.float32):
+    def initialize(key: PRNGKeyArray, shape: Sequence[int], dtype: DTypeLike = jnp.float32) -> jax.Array:
         return jax.random.uniform(key, shape, dtype, -bound, bound)
 
     return initialize

@@ -102,9 +102,7 @@ class MotionGpt(nn.Module):
         cache = empty_cache(batch, config.block_size, embed_dim=config.embed_dim, num_heads=config.num_heads)
         return (cache,) * config.num_layers
 
-    def prefill(
-        self, text_embedding: Float[Array, "B E"]
-    ) -> tuple[Float[Array, "B V"], tuple[LayerCache, ...]]:
+    def prefill(self, text_embedding: Float[Array, "B E"]) -> tuple[Float[Array, "B V"], tuple[LayerCache, ...]]:
         """Returns the logits of the first token and the caches that hold the text."""
         hidden = self.text_projection(text_embedding)
         return self._step(hidden, self.empty_caches(text_embedding.shape[0]), jnp.array(0))

@@ -118,25 +118,19 @@ class Quantizer(nn.Module):
 
     def setup(self) -> None:
         """Declares the codebook's variables."""
-        zeros = nn.initializers.zeros_init()
-        shapes = CodebookState((self.num_codes, self.code_dim), (self.num_codes, self.code_dim), (self.num_codes,), ())
-        self._variables = CodebookState(
-            self.variable("codebook", "codebook", zeros, None, shapes.codebook),
-            self.variable("codebook", "ema_sum", zeros, None, shapes.ema_sum),
-            self.variable("codebook", "ema_count", zeros, None, shapes.ema_count),
-            self.variable("codebook", "initialised", lambda: jnp.array(False)),
-        )
+        rows, counts = (self.num_codes, self.code_dim), (self.num_codes,)
+        self.codebook = self.variable("codebook", "codebook", jnp.zeros, rows)
+        self.ema_sum = self.variable("codebook", "ema_sum", jnp.zeros, rows)
+        self.ema_count = self.variable("codebook", "ema_count", jnp.zeros, counts)
+        self.initialised = self.variable("codebook", "initialised", lambda: jnp.array(False))
 
     def _current(self) -> CodebookState:
-        return CodebookState(*(variable.value for variable in self._variables))
+        return CodebookState(self.codebook.value, self.ema_sum.value, self.ema_count.value, self.initialised.value)
 
     def _assign(self, state: CodebookState) -> None:
-        for variable, value in zip(self._variables, state, strict=True):
-            variable.value = value
+        self.codebook.value, self.ema_sum.value, self.ema_count.value, self.initialised.value = state
 
-    def __call__(
-        self, latents: Float[Array, "B N C"], mask: Bool[Array, "B N"], *, train: bool
-    ) -> QuantizerOutput:
+    def __call__(self, latents: Float[Array, "B N C"], mask: Bool[Array, "B N"], *, train: bool) -> QuantizerOutput:
         """Returns quantized latents, codes and the commitment loss, which is taken before the codebook moves."""
         rows = latents.reshape(-1, self.code_dim)
         row_mask = mask.reshape(-1)
@@ -155,15 +149,11 @@ class Quantizer(nn.Module):
         if learn:
             candidates = candidate_codes(detached, row_mask, reset_key, num_codes=self.num_codes)
             self._assign(
-                update_codebook(
-                    state, batch_hits, candidates, decay=self.ema_decay, threshold=self.reset_threshold
-                )
+                update_codebook(state, batch_hits, candidates, decay=self.ema_decay, threshold=self.reset_threshold)
             )
         straight_through = rows + jax.lax.stop_gradient(quantized - rows)
-        return QuantizerOutput(
-            straight_through.reshape(latents.shape), codes.reshape(mask.shape), loss, batch_hits[1]
-        )
+        return QuantizerOutput(straight_through.reshape(latents.shape), codes.reshape(mask.shape), loss, batch_hits[1])
 
     def lookup(self, codes: Int[Array, "B N"]) -> Float[Array, "B N C"]:
         """Returns the codebook rows of `codes`."""
-        return self._variables.codebook.value[codes]
+        return self.codebook.value[codes]

@@ -32,7 +32,12 @@ def random_gpt_variables(config: MotionGptConfig) -> dict[str, Any]:
 
 @functools.partial(jax.jit, static_argnames=("config", "num_codes"))
 def _decode(
-    variables: dict[str, Any], text: Float[Array, "B E"], keys: Key[Array, " B"], *, config: MotionGptConfig, num_codes: int
+    variables: dict[str, Any],
+    text: Float[Array, "B E"],
+    keys: Key[Array, " B"],
+    *,
+    config: MotionGptConfig,
+    num_codes: int,
 ) -> Int[Array, "B N"]:
     gpt = MotionGpt(config)
     return decode_codes(

@@ -17,7 +17,7 @@ def use_compilation_cache() -> Path | None:
     """
     if os.environ.get(DISABLE_VARIABLE):
         return None
-    configured = jax.config.jax_compilation_cache_dir
+    configured = jax.config.values["jax_compilation_cache_dir"]
     if configured:
         return Path(configured)
     folder = Path(platformdirs.user_cache_dir("t2m_jax")) / "xla"

@@ -31,7 +31,7 @@ def check_prompt(prompt: str) -> str:
         category = unicodedata.category(character)
         if category in _REFUSED_CATEGORIES and character not in "\t\n\r":
             kind = _REFUSED_CATEGORIES[category]
-            raise UserError(f"prompt: {kind} ({ascii(character)}, U+{ord(character):04X}); describe the motion in words")
+            raise UserError(f"prompt: {kind} ({character!a}, U+{ord(character):04X}); describe the motion in words")
     folded = " ".join(prompt.split())
     if not any(character.isalnum() for character in folded):
         raise UserError(f"prompt: {folded!r} has no words; describe the motion, e.g. 'a person walks forward'")

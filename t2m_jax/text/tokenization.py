@@ -61,5 +61,5 @@ def load_tokenizer(folder: Path) -> Tokenizer:
         return Tokenizer.from_str(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise UserError(f"{path}: missing; the folder is not a complete model") from None
-    except Exception as error:  # the library raises plain Exception for any content it cannot read
+    except Exception as error:  # noqa: BLE001 - the library raises nothing narrower for content it cannot read
         raise UserError(f"{path}: not a tokenizer file ({str(error).splitlines()[0]})") from None

@@ -62,9 +62,7 @@ def gpt_metrics(
     text_embedding = CaptionEncoder(config.caption_encoder).apply(
         {"params": params["caption_encoder"]}, batch.caption_tokens, batch.caption_mask, train=train, rngs=rngs[0]
     )
-    logits = MotionGpt(config.model).apply(
-        {"params": params["gpt"]}, inputs, text_embedding, train=train, rngs=rngs[1]
-    )
+    logits = MotionGpt(config.model).apply({"params": params["gpt"]}, inputs, text_embedding, train=train, rngs=rngs[1])
     loss, accuracy = token_loss(logits, batch.targets.tokens, batch.targets.code_lengths)
     return {"loss": loss, "accuracy": accuracy}
 

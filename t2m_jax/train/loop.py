@@ -79,7 +79,11 @@ def run_loop(
             for step in range(first_step + 1, config.num_steps + 1):
                 state, metrics = update(state)
                 history.append(metrics)
-                if due(config.log_every, step) or due(config.validate_every, step) or due(config.checkpoint_every, step):
+                if (
+                    due(config.log_every, step)
+                    or due(config.validate_every, step)
+                    or due(config.checkpoint_every, step)
+                ):
                     means = mean_metrics(history, first_step=step - len(history) + 1)
                     log.write("train", step, means)
                     progress.update(len(history))

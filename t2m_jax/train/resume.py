@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-from t2m_jax.checkpoints.run_directory import CONFIG_FILE, run_info
+from t2m_jax.checkpoints.run_directory import CONFIG_FILE, refuse_existing_run, run_info
 from t2m_jax.config import UserError, config_to_dict, load_config
 
 MAY_CHANGE = ("run", "loop.num_steps", "loop.log_every", "loop.checkpoint_every", "loop.keep_checkpoints")
@@ -12,17 +12,22 @@ MAY_CHANGE = ("run", "loop.num_steps", "loop.log_every", "loop.checkpoint_every"
 
 
 def _flat(config: Any, prefix: str = "") -> dict[str, Any]:
-    flat = {}
+    flat: dict[str, Any] = {}
     for name, value in config.items():
         flat |= _flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
     return flat
 
 
-def check_resume(run: Path, config: Any) -> None:
-    """Raises `UserError` where `run` is no run, or was started with another config."""
+def check_start(run: Path, config: Any, *, resume: bool) -> None:
+    """Raises `UserError` where a new run would write over another, or one to resume does not fit the config."""
+    if not resume:
+        refuse_existing_run(run)
+        return
     run_info(run)
     assert dataclasses.is_dataclass(config)
     saved = _flat(config_to_dict(load_config(run / CONFIG_FILE, type(config))))
     for name, value in _flat(config_to_dict(config)).items():
         if name not in MAY_CHANGE and saved[name] != value:
-            raise UserError(f"{run}: was started with {name} {saved[name]}, not {value}; resume it with the same config")
+            raise UserError(
+                f"{run}: was started with {name} {saved[name]}, not {value}; resume it with the same config"
+            )

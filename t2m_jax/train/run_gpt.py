@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import logging
 from collections.abc import Callable, Mapping, Sequence
 
 import jax
@@ -16,17 +17,19 @@ from t2m_jax.checkpoints.run_directory import Checkpoints, create_run
 from t2m_jax.checkpoints.vqvae import TrainedVqVae, load_vqvae, save_vqvae_copy
 from t2m_jax.config import UserError, save_config
 from t2m_jax.data.code_bank import CodeBank, CodeBatch, code_batch_at
-from t2m_jax.data.folder import Dataset, open_dataset
+from t2m_jax.data.folder import Clip, Dataset, open_dataset, samples_from_clip
 from t2m_jax.models.vqvae import VqVae
 from t2m_jax.text.tokenization import load_tokenizer, save_tokenizer, train_tokenizer
 from t2m_jax.train.config import TrainGptConfig
 from t2m_jax.train.gpt import GptBatch, GptState, gpt_train_step, gpt_validation_step, init_gpt_state
 from t2m_jax.train.loop import Metrics, run_loop
-from t2m_jax.train.resume import check_resume
+from t2m_jax.train.resume import check_start
 from t2m_jax.train.run_vqvae import check_feature_dim
 from t2m_jax.train.streams import stream_key
 from t2m_jax.train.targets import drop_one_code, make_targets
-from t2m_jax.train.tokenize import Item, encode_motions, items_from_clips, make_code_bank
+from t2m_jax.train.tokenize import encode_motions, make_code_bank
+
+logger = logging.getLogger(__name__)
 
 
 def make_batch(batch: CodeBatch, key: Key[Array, ""] | None, *, config: TrainGptConfig) -> GptBatch:
@@ -37,9 +40,7 @@ def make_batch(batch: CodeBatch, key: Key[Array, ""] | None, *, config: TrainGpt
         drop = jax.random.bernoulli(drop_key, config.drop_probability, code_lengths.shape)
         at_head = jax.random.bernoulli(head_key, 0.5, code_lengths.shape)
         codes, code_lengths = drop_one_code(codes, code_lengths, drop, at_head=at_head)
-    targets = make_targets(
-        codes, code_lengths, num_codes=config.model.num_codes, block_size=config.model.block_size
-    )
+    targets = make_targets(codes, code_lengths, num_codes=config.model.num_codes, block_size=config.model.block_size)
     return GptBatch(targets, batch.caption_tokens, batch.caption_mask)
 
 
@@ -63,17 +64,34 @@ def _validation_batch(state: GptState, bank: CodeBank, step: Int[Array, ""], *, 
     return gpt_validation_step(state, batch, config=config)
 
 
-def _items(dataset: Dataset, split: str, downsample: int) -> list[Item]:
+def load_samples(dataset: Dataset, split: str, *, downsample: int) -> list[Clip]:
+    """Returns what the GPT learns from: whole clips and time-tagged pieces of them, each long enough to be encoded.
+
+    What is left out is counted in the log.
+    """
+    clips = dataset.clips(split)
     # One more code than the shortest: every starting offset must leave at least one.
-    clips = dataset.clips(split, min_frames=max(2 * downsample, dataset.info.min_frames))
-    return items_from_clips(clips, fps=dataset.info.fps, min_frames=2 * downsample)
+    samples = [
+        sample
+        for clip in clips
+        for sample in samples_from_clip(clip, dataset.info)
+        if len(sample.features) >= 2 * downsample
+    ]
+    whole = {clip.name for clip in clips} & {sample.name for sample in samples}
+    if len(whole) < len(clips):
+        limits = f"shorter than {dataset.info.min_frames} or longer than {dataset.info.max_frames + 3} frames"
+        left_out = len(clips) - len(whole)
+        logger.warning("%s: %d clips of %s are not used whole (%s)", dataset.folder, left_out, split, limits)
+    return samples
 
 
 def check_fit(vqvae: TrainedVqVae, dataset: Dataset, config: TrainGptConfig) -> None:
     """Raises `UserError` where GPT, VQ-VAE, caption encoder and data do not fit each other."""
     check_feature_dim(dataset, vqvae.config.feature_dim)
     if config.model.num_codes != vqvae.config.num_codes:
-        raise UserError(f"model.num_codes: {config.model.num_codes}, but {config.vqvae} has {vqvae.config.num_codes} codes")
+        raise UserError(
+            f"model.num_codes: {config.model.num_codes}, but {config.vqvae} has {vqvae.config.num_codes} codes"
+        )
     if config.model.text_dim != config.caption_encoder.text_dim:
         raise UserError(
             f"caption_encoder.text_dim: {config.caption_encoder.text_dim}, "
@@ -90,8 +108,12 @@ def check_statistics(dataset: Dataset, vqvae: TrainedVqVae) -> None:
     layout = dataset.skeleton.layout
     kept = np.r_[layout.positions, layout.rotations, layout.velocities]
     ours, theirs = dataset.normalizer, vqvae.normalizer
-    if not (np.allclose(ours.mean, theirs.mean, atol=1e-5) and np.allclose(ours.std[kept], theirs.std[kept], atol=1e-5)):
-        raise UserError(f"{dataset.folder}: its statistics (Mean.npy, Std.npy) are not those the VQ-VAE was trained with")
+    if not (
+        np.allclose(ours.mean, theirs.mean, atol=1e-5) and np.allclose(ours.std[kept], theirs.std[kept], atol=1e-5)
+    ):
+        raise UserError(
+            f"{dataset.folder}: its statistics (Mean.npy, Std.npy) are not those the VQ-VAE was trained with"
+        )
 
 
 def _write_run(config: TrainGptConfig, vqvae: TrainedVqVae, dataset: Dataset, tokenizer: Tokenizer) -> None:
@@ -104,9 +126,7 @@ def _write_run(config: TrainGptConfig, vqvae: TrainedVqVae, dataset: Dataset, to
     save_config(config.run / BUNDLE_FILE, bundle)
 
 
-def _make_validation(
-    bank: CodeBank | None, config: TrainGptConfig
-) -> Callable[[GptState], Mapping[str, float]] | None:
+def _make_validation(bank: CodeBank | None, config: TrainGptConfig) -> Callable[[GptState], Mapping[str, float]] | None:
     """Returns a function from state to mean metrics over one pass of the validation split."""
     if bank is None:
         return None
@@ -124,32 +144,33 @@ def train_gpt(config: TrainGptConfig, *, resume: bool = False) -> GptState:
     """Returns the trained state; the run directory is a complete model that `TextToMotion.load` reads.
 
     Raises:
-        UserError: if data, VQ-VAE and GPT do not fit, the run exists (or, to resume, does not), or a loss is not finite.
+        UserError: if data, VQ-VAE and GPT do not fit, the run exists (or, to resume, does not), or a loss is infinite.
     """
+    check_start(config.run, config, resume=resume)
     dataset = open_dataset(config.data)
     vqvae = load_vqvae(config.run if resume else config.vqvae)
     check_fit(vqvae, dataset, config)
-    train_items = _items(dataset, "train", vqvae.config.downsample)
+    downsample = vqvae.config.downsample
+    train_samples = load_samples(dataset, "train", downsample=downsample)
     if resume:
-        check_resume(config.run, config)
         tokenizer = load_tokenizer(config.run)
     else:
-        captions = [caption for item in train_items for caption in item.captions]
+        captions = [caption.text for sample in train_samples for caption in sample.captions]
         tokenizer = train_tokenizer(captions, vocabulary_size=config.caption_encoder.vocabulary_size)
 
-    def bank_of(items: Sequence[Item]) -> CodeBank:
+    def bank_of(samples: Sequence[Clip]) -> CodeBank:
         return make_code_bank(
-            items,
+            samples,
             vqvae.normalizer,
             lambda motions: encode_motions(VqVae(vqvae.config), vqvae.variables, motions),
             tokenizer,
-            downsample=vqvae.config.downsample,
+            downsample=downsample,
             max_caption_tokens=config.caption_encoder.max_length,
         )
 
-    bank = bank_of(train_items)
-    val_items = _items(dataset, "val", vqvae.config.downsample) if config.loop.validate_every else []
-    validate = _make_validation(bank_of(val_items) if val_items else None, config)
+    bank = bank_of(train_samples)
+    val_samples = load_samples(dataset, "val", downsample=downsample) if config.loop.validate_every else []
+    validate = _make_validation(bank_of(val_samples) if val_samples else None, config)
     state = init_gpt_state(config, stream_key(config.loop.seed, "init"))
     if resume:
         checkpoints = Checkpoints(config.run)

@@ -15,7 +15,7 @@ from t2m_jax.data.folder import Dataset, open_dataset
 from t2m_jax.motion.normalizer import Normalizer, save_normalizer, weighted_normalizer
 from t2m_jax.train.config import TrainVqVaeConfig
 from t2m_jax.train.loop import Metrics, run_loop
-from t2m_jax.train.resume import check_resume
+from t2m_jax.train.resume import check_start
 from t2m_jax.train.streams import stream_key
 from t2m_jax.train.vqvae import VqVaeState, init_vqvae_state, vqvae_train_step, vqvae_validation_step
 
@@ -68,6 +68,7 @@ def train_vqvae(config: TrainVqVaeConfig, *, resume: bool = False) -> VqVaeState
     Raises:
         UserError: if the data do not fit the model, the run exists (or, to resume, does not), or a loss is not finite.
     """
+    check_start(config.run, config, resume=resume)
     dataset = open_dataset(config.data)
     check_feature_dim(dataset, config.model.feature_dim)
     normalizer = weighted_normalizer(dataset.normalizer, dataset.skeleton.layout, factor=config.root_weight)
@@ -76,7 +77,6 @@ def train_vqvae(config: TrainVqVaeConfig, *, resume: bool = False) -> VqVaeState
     validate = _make_validation(dataset, normalizer, config)
     state = init_vqvae_state(config, stream_key(config.loop.seed, "init"))
     if resume:
-        check_resume(config.run, config)
         checkpoints = Checkpoints(config.run)
         if checkpoints.latest_step is not None:
             state = checkpoints.restore(state)

@@ -41,9 +41,7 @@ def drop_one_code(
     return shifted, code_lengths - drop
 
 
-def corrupt(
-    tokens: Int[Array, "B L"], keep: Bool[Array, "B L"], replacements: Int[Array, "B L"]
-) -> Int[Array, "B L"]:
+def corrupt(tokens: Int[Array, "B L"], keep: Bool[Array, "B L"], replacements: Int[Array, "B L"]) -> Int[Array, "B L"]:
     """Returns the tokens, replaced where `keep` is False (End and Pad too, as in the original code)."""
     return jnp.where(keep, tokens, replacements)
 

@@ -1,7 +1,7 @@
 """The data set as codes: every clip through the trained VQ-VAE, once, before the GPT trains."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,32 +21,6 @@ from t2m_jax.text.tokenization import tokenize
 BATCH = 64
 FRAME_BUCKET = 64
 """Clips are padded to a multiple of this many frames, so that few lengths are compiled."""
-
-
-class Item(NamedTuple):
-    """A motion and the captions that describe all of it."""
-
-    features: Float[np.ndarray, "T D"]
-    captions: tuple[str, ...]
-
-
-def items_from_clips(clips: Sequence[Clip], *, fps: float, min_frames: int) -> list[Item]:
-    """Returns what a GPT learns from: whole clips, and for every caption with time tags the piece it describes.
-
-    Pieces shorter than `min_frames` are left out, and so are clips without captions.
-    """
-    items = []
-    for clip in clips:
-        whole = tuple(caption.text for caption in clip.captions if caption.start == caption.end == 0.0)
-        if whole and len(clip.features) >= min_frames:
-            items.append(Item(clip.features, whole))
-        for caption in clip.captions:
-            if caption.start == caption.end == 0.0:
-                continue
-            piece = clip.features[int(caption.start * fps) : int(caption.end * fps)]
-            if len(piece) >= min_frames:
-                items.append(Item(piece, (caption.text,)))
-    return items
 
 
 def encode_motions(
@@ -71,7 +45,7 @@ def encode_motions(
 
 
 def make_code_bank(
-    items: Sequence[Item],
+    samples: Sequence[Clip],
     normalizer: Normalizer,
     encode: Any,
     tokenizer: Tokenizer,
@@ -79,27 +53,27 @@ def make_code_bank(
     downsample: int,
     max_caption_tokens: int,
 ) -> CodeBank:
-    """Returns the items as codes, at each of `downsample` starting frames, with their tokenized captions.
+    """Returns samples as codes, at each of `downsample` starting frames, with their tokenized captions.
 
     Args:
-        items: Motions (raw features) and captions.
+        samples: Motions (raw features), each with captions that describe all of it.
         normalizer: Statistics the VQ-VAE was trained with.
         encode: Normalized motions to codes.
         tokenizer: Caption tokenizer.
         downsample: Frames a code covers.
         max_caption_tokens: Longest caption in tokens.
     """
-    if not items:
+    if not samples:
         raise UserError("no motion with a caption to train on: the split is empty or every clip was left out")
-    motions = [normalizer.normalize(item.features) for item in items]
+    motions = [normalizer.normalize(sample.features) for sample in samples]
     variants = [encode([motion[offset:] for motion in motions]) for offset in range(downsample)]
-    lengths = np.array([[len(codes[index]) for codes in variants] for index in range(len(items))], np.int32)
-    codes = np.zeros((len(items), downsample, max(int(lengths.max()), 1)), np.int32)
+    lengths = np.array([[len(codes[index]) for codes in variants] for index in range(len(samples))], np.int32)
+    codes = np.zeros((len(samples), downsample, max(int(lengths.max()), 1)), np.int32)
     for offset, variant in enumerate(variants):
         for index, row in enumerate(variant):
             codes[index, offset, : len(row)] = row
-    counts = np.array([len(item.captions) for item in items], np.int32)
-    captions = [caption for item in items for caption in item.captions]
+    counts = np.array([len(sample.captions) for sample in samples], np.int32)
+    captions = [caption.text for sample in samples for caption in sample.captions]
     tokens, mask = tokenize(tokenizer, captions, max_length=max_caption_tokens)
     first = np.cumsum(counts, dtype=np.int32) - counts
     return CodeBank(*map(jnp.asarray, (codes, lengths, tokens, mask, first, counts)))

@@ -41,9 +41,7 @@ def vqvae_losses(output: VqVaeOutput, windows: Windows, config: TrainVqVaeConfig
     motion = windows.motion[:, : output.reconstruction.shape[1]]
     mask = windows.mask[:, : output.reconstruction.shape[1]]
     everything = reconstruction_loss(output.reconstruction, motion, mask, kind=config.reconstruction)
-    joints = reconstruction_loss(
-        output.reconstruction, motion, mask, kind=config.reconstruction, features=positions
-    )
+    joints = reconstruction_loss(output.reconstruction, motion, mask, kind=config.reconstruction, features=positions)
     loss = everything + config.position_weight * joints + config.commitment_weight * output.commitment_loss
     return {
         "loss": loss,

@@ -40,7 +40,9 @@ def test_encoder_and_codes(case):
     for motion, latents, codes in (("x", "z_nct", "code_idx"), ("x_odd", "z_odd_nct", "code_idx_odd")):
         found = model.apply(variables, jnp.asarray(arrays[motion]), method="encode_latents")
         np.testing.assert_allclose(found, arrays[latents].transpose(0, 2, 1), atol=1e-4, rtol=1e-4)
-        np.testing.assert_array_equal(model.apply(variables, jnp.asarray(arrays[motion]), method="encode"), arrays[codes])
+        np.testing.assert_array_equal(
+            model.apply(variables, jnp.asarray(arrays[motion]), method="encode"), arrays[codes]
+        )
 
 
 def test_reconstruction(case):

@@ -40,9 +40,7 @@ def test_padding_changes_nothing(model_and_variables, length):
     padded = model.apply(variables, batch, mask, train=False)
     num_codes = length // 4
     np.testing.assert_array_equal(padded.codes[0, :num_codes], alone.codes[0])
-    np.testing.assert_allclose(
-        padded.reconstruction[0, : 4 * num_codes], alone.reconstruction[0], atol=1e-5, rtol=1e-5
-    )
+    np.testing.assert_allclose(padded.reconstruction[0, : 4 * num_codes], alone.reconstruction[0], atol=1e-5, rtol=1e-5)
     code_mask = jnp.arange(6)[None] < num_codes
     codes = jnp.where(code_mask, padded.codes[:1], 7)
     decoded = model.apply(variables, codes, code_mask, method="decode")
@@ -62,8 +60,7 @@ def test_jit_equals_eager(model_and_variables):
 def test_parameter_tree_is_a_file_format(model_and_variables):
     _, variables = model_and_variables
     paths = {
-        "/".join(key.key for key in path): leaf.shape
-        for path, leaf in jax.tree_util.tree_leaves_with_path(variables)
+        "/".join(key.key for key in path): leaf.shape for path, leaf in jax.tree_util.tree_leaves_with_path(variables)
     }
     assert len(paths) == 52
     assert paths["params/encoder/down_1/conv/kernel"] == (4, 12, 12)

@@ -22,9 +22,7 @@ from tests.golden_files import state_dict
 def assert_close_parameters(found, expected, *, skip: str = "?"):
     """Adam turns rounding into full-size steps where a gradient is near 0: the worst element is far from the median."""
     errors = []
-    for (path, leaf), other in zip(
-        jax.tree_util.tree_leaves_with_path(found), jax.tree.leaves(expected), strict=True
-    ):
+    for (path, leaf), other in zip(jax.tree_util.tree_leaves_with_path(found), jax.tree.leaves(expected), strict=True):
         if skip not in jax.tree_util.keystr(path):
             errors.append(np.abs(np.asarray(leaf) - np.asarray(other)).ravel())
     errors = np.concatenate(errors)
