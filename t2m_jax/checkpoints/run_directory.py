@@ -60,7 +60,7 @@ def refuse_existing_run(path: Path) -> None:
 
 
 def create_run(path: Path, kind: RunKind, config: Any) -> None:
-    """Makes a run directory with its config.
+    """Makes a folder a run directory, with its config; to be called when everything else that a run needs is in it.
 
     Raises:
         UserError: if there is one already.
@@ -68,7 +68,7 @@ def create_run(path: Path, kind: RunKind, config: Any) -> None:
     refuse_existing_run(path)
     path.mkdir(parents=True, exist_ok=True)
     save_config(path / CONFIG_FILE, config)
-    # Last: a directory without it is not a run, so a start that was interrupted can simply be repeated.
+    # Last: a folder without it is not a run, so a start that was interrupted can simply be repeated.
     save_config(path / INFO_FILE, RunInfo(kind=kind))
 
 
@@ -125,3 +125,12 @@ class Checkpoints:
     def close(self) -> None:
         """Ends background work."""
         self._manager.close()
+
+
+def restore_latest(run: Path, state: State) -> State:
+    """Returns the newest checkpoint of a run in the structure of `state`, or `state` where there is none yet."""
+    checkpoints = Checkpoints(run)
+    try:
+        return state if checkpoints.latest_step is None else checkpoints.restore(state)
+    finally:
+        checkpoints.close()

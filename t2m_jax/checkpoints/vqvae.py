@@ -46,7 +46,7 @@ def load_vqvae(path: Path) -> TrainedVqVae:
 def save_vqvae_copy(run: Path, vqvae: TrainedVqVae) -> None:
     """Writes the VQ-VAE into a GPT's run, so that the run needs no other folder."""
     folder = run / COPY_FOLDER
-    folder.mkdir()
+    folder.mkdir(parents=True, exist_ok=True)
     save_config(folder / VQVAE_CONFIG, vqvae.config)
     save_arrays(folder / COPY_WEIGHTS, vqvae.variables)
     save_normalizer(folder, vqvae.normalizer)

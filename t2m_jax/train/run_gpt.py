@@ -1,6 +1,5 @@
 """`t2m train gpt`: from a data-set folder and a trained VQ-VAE to a run directory."""
 
-import dataclasses
 import functools
 import logging
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +12,7 @@ from tokenizers import Tokenizer
 
 from t2m_jax.checkpoints.bundle import CONFIG_FILE as BUNDLE_FILE
 from t2m_jax.checkpoints.bundle import BundleConfig
-from t2m_jax.checkpoints.run_directory import Checkpoints, create_run
+from t2m_jax.checkpoints.run_directory import create_run, restore_latest
 from t2m_jax.checkpoints.vqvae import TrainedVqVae, load_vqvae, save_vqvae_copy
 from t2m_jax.config import UserError, save_config
 from t2m_jax.data.code_bank import CodeBank, CodeBatch, code_batch_at
@@ -117,13 +116,13 @@ def check_statistics(dataset: Dataset, vqvae: TrainedVqVae) -> None:
 
 
 def _write_run(config: TrainGptConfig, vqvae: TrainedVqVae, dataset: Dataset, tokenizer: Tokenizer) -> None:
-    create_run(config.run, "gpt", config)
     save_vqvae_copy(config.run, vqvae)
     save_tokenizer(config.run, tokenizer)
     bundle = BundleConfig(
         skeleton=dataset.skeleton.name, vqvae=vqvae.config, gpt=config.model, caption_encoder=config.caption_encoder
     )
     save_config(config.run / BUNDLE_FILE, bundle)
+    create_run(config.run, "gpt", config)
 
 
 def _make_validation(bank: CodeBank | None, config: TrainGptConfig) -> Callable[[GptState], Mapping[str, float]] | None:
@@ -173,13 +172,9 @@ def train_gpt(config: TrainGptConfig, *, resume: bool = False) -> GptState:
     validate = _make_validation(bank_of(val_samples) if val_samples else None, config)
     state = init_gpt_state(config, stream_key(config.loop.seed, "init"))
     if resume:
-        checkpoints = Checkpoints(config.run)
-        if checkpoints.latest_step is not None:
-            state = checkpoints.restore(state)
-        checkpoints.close()
+        state = restore_latest(config.run, state)
     else:
         _write_run(config, vqvae, dataset, tokenizer)
-    step_config = dataclasses.replace(config, loop=dataclasses.replace(config.loop, num_steps=0))
     return run_loop(
-        config.run, state, lambda state: update(state, bank, config=step_config), config=config.loop, validate=validate
+        config.run, state, lambda state: update(state, bank, config=config), config=config.loop, validate=validate
     )

@@ -1,13 +1,12 @@
 """`t2m train vqvae`: from a data-set folder to a run directory."""
 
-import dataclasses
 import functools
 from collections.abc import Callable, Mapping
 
 import jax
 import numpy as np
 
-from t2m_jax.checkpoints.run_directory import Checkpoints, create_run
+from t2m_jax.checkpoints.run_directory import create_run, restore_latest
 from t2m_jax.checkpoints.vqvae import VQVAE_CONFIG
 from t2m_jax.config import UserError, save_config
 from t2m_jax.data.bank import MotionBank, batch_at, make_bank
@@ -77,16 +76,11 @@ def train_vqvae(config: TrainVqVaeConfig, *, resume: bool = False) -> VqVaeState
     validate = _make_validation(dataset, normalizer, config)
     state = init_vqvae_state(config, stream_key(config.loop.seed, "init"))
     if resume:
-        checkpoints = Checkpoints(config.run)
-        if checkpoints.latest_step is not None:
-            state = checkpoints.restore(state)
-        checkpoints.close()
+        state = restore_latest(config.run, state)
     else:
-        create_run(config.run, "vqvae", config)
         save_normalizer(config.run, normalizer)
         save_config(config.run / VQVAE_CONFIG, config.model)
-    # The length of the run is not part of what is compiled: a run that is prolonged finds its program in the cache.
-    step_config = dataclasses.replace(config, loop=dataclasses.replace(config.loop, num_steps=0))
+        create_run(config.run, "vqvae", config)
     return run_loop(
-        config.run, state, lambda state: update(state, bank, config=step_config), config=config.loop, validate=validate
+        config.run, state, lambda state: update(state, bank, config=config), config=config.loop, validate=validate
     )
