@@ -1,5 +1,6 @@
 """The decoding loop: golden greedy sequences, cached against uncached, independence of the batch."""
 
+import functools
 import json
 
 import jax
@@ -12,39 +13,53 @@ from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
 from t2m_jax.sampling.decoding import CHUNK, decode_codes
 from t2m_jax.sampling.strategies import Greedy, Temperature, TopK
 from tests.golden_files import state_dict
+from tests.tiny import random_variables
 
 CONFIG = MotionGptConfig(num_codes=11, embed_dim=16, text_dim=6, num_layers=2, num_heads=2, block_size=20, dropout=0.0)
+BATCH = 8
 
 
 @pytest.fixture(scope="module")
 def model_and_variables():
+    """A model whose weights are large enough that texts end at different places, also greedily."""
     model = MotionGpt(CONFIG)
-    variables = model.init(jax.random.key(0), jnp.zeros((1, 3), int), jnp.zeros((1, 6)), train=False)
-    return model, jax.tree.map(lambda leaf: 8.0 * leaf, variables)
+    tokens, text = jnp.zeros((1, 3), int), jnp.zeros((1, CONFIG.text_dim))
+    return model, random_variables(jax.eval_shape(lambda: model.init(jax.random.key(0), tokens, text, train=False)))
 
 
-def decode(model, variables, text_embedding, keys, **options):
+@functools.partial(jax.jit, static_argnames=("model", "strategy", "max_codes", "min_codes"))
+def decode(model, variables, text_embedding, keys, *, strategy, max_codes=None, min_codes=0):
     return decode_codes(
         lambda text: model.apply(variables, text, method="prefill"),
         lambda tokens, caches, position: model.apply(variables, tokens, caches, position, method="decode_step"),
         text_embedding,
         keys,
-        max_codes=model.config.max_codes,
-        **options,
+        strategy=strategy,
+        max_codes=max_codes or model.config.max_codes,
+        min_codes=min_codes,
     )
 
 
-def decode_without_cache(model, variables, text_embedding, key, strategy):
-    """The slow loop of the original: the whole sequence again for every code, one motion at a time."""
-    codes = []
+@functools.partial(jax.jit, static_argnames=("model", "strategy"))
+def next_tokens(model, variables, tokens, text_embedding, keys, step, *, strategy):
+    """The next token of each sequence from the logits of the whole sequences, as the original makes them."""
+    logits = model.apply(variables, tokens, text_embedding, train=False)[:, step]
+    return jnp.stack([strategy(row[None], jax.random.fold_in(key, step))[0] for row, key in zip(logits, keys, strict=True)])
+
+
+def decode_without_cache(model, variables, text_embedding, keys, strategy):
+    """The slow loop of the original: the whole sequences again for every code."""
+    tokens = np.zeros((len(keys), model.config.max_codes), np.int32)
     for step in range(model.config.max_codes):
-        tokens = jnp.array(codes, int)[None]
-        logits = model.apply(variables, tokens, text_embedding[None], train=False)[:, -1]
-        token = int(strategy(logits, jax.random.fold_in(key, step))[0])
-        if token == model.config.end_token:
-            break
-        codes.append(token)
-    return codes
+        tokens[:, step] = next_tokens(model, variables, tokens, text_embedding, keys, step, strategy=strategy)
+        tokens[:, step + 1 :] = 0
+    ends = [[*row, model.config.end_token].index(model.config.end_token) for row in tokens.tolist()]
+    return [row[:end].tolist() for row, end in zip(tokens, ends, strict=True)]
+
+
+def texts_and_keys(seed, batch=BATCH):
+    text_key, sample_key = jax.random.split(jax.random.key(seed))
+    return jax.random.normal(text_key, (batch, CONFIG.text_dim)), jax.random.split(sample_key, batch)
 
 
 @pytest.mark.parametrize("name", ["gpt_l2", "gpt_l3"])
@@ -67,54 +82,59 @@ def test_golden_greedy_sequences(golden_dir, name):
         np.testing.assert_array_equal(decoded.codes[row, :length], arrays["greedy_tokens"][row, :length])
 
 
-@pytest.mark.parametrize("strategy", [Greedy(), Temperature(), TopK(k=3)])
+@pytest.mark.parametrize("strategy", [Greedy(), TopK(k=3)])
 def test_cached_equals_uncached(model_and_variables, strategy):
     model, variables = model_and_variables
-    texts, keys = jax.random.normal(jax.random.key(1), (6, 6)), jax.random.split(jax.random.key(2), 6)
+    texts, keys = texts_and_keys(1)
     decoded = decode(model, variables, texts, keys, strategy=strategy)
-    assert len(set(decoded.code_lengths.tolist())) > 1, "the test wants motions of several lengths"
-    for row in range(6):
-        expected = decode_without_cache(model, variables, texts[row], keys[row], strategy)
-        assert decoded.codes[row, : decoded.code_lengths[row]].tolist() == expected
+    lengths = decoded.code_lengths.tolist()
+    assert len(set(lengths)) > 2 and min(lengths) < CONFIG.max_codes, "the test wants motions of several lengths"
+    found = [codes[:length].tolist() for codes, length in zip(decoded.codes, lengths, strict=True)]
+    assert found == decode_without_cache(model, variables, texts, keys, strategy)
+
+
+def test_past_its_end_a_sequence_is_zero(model_and_variables):
+    texts, keys = texts_and_keys(1)
+    decoded = decode(*model_and_variables, texts, keys, strategy=Greedy())
+    past = np.arange(CONFIG.max_codes)[None] >= np.asarray(decoded.code_lengths)[:, None]
+    assert past.any()
+    np.testing.assert_array_equal(np.asarray(decoded.codes)[past], 0)
 
 
 def test_a_batch_equals_its_members_alone(model_and_variables):
-    model, variables = model_and_variables
-    texts, keys = jax.random.normal(jax.random.key(3), (8, 6)), jax.random.split(jax.random.key(4), 8)
-    together = decode(model, variables, texts, keys, strategy=Temperature())
-    for row in range(8):
-        alone = decode(model, variables, texts[row : row + 1], keys[row : row + 1], strategy=Temperature())
+    texts, keys = texts_and_keys(3)
+    together = decode(*model_and_variables, texts, keys, strategy=TopK(k=3))
+    for row in range(BATCH):
+        alone = decode(*model_and_variables, texts[row : row + 1], keys[row : row + 1], strategy=TopK(k=3))
         np.testing.assert_array_equal(together.codes[row], alone.codes[0])
         assert together.code_lengths[row] == alone.code_lengths[0]
 
 
 def test_jit_equals_eager(model_and_variables):
-    model, variables = model_and_variables
-    texts, keys = jax.random.normal(jax.random.key(5), (2, 6)), jax.random.split(jax.random.key(6), 2)
-    jitted = jax.jit(lambda texts, keys: decode(model, variables, texts, keys, strategy=Temperature()))(texts, keys)
+    texts, keys = texts_and_keys(5, batch=2)
+    jitted = decode(*model_and_variables, texts, keys, strategy=Temperature(), max_codes=5)
     with jax.disable_jit():
-        eager = decode(model, variables, texts, keys, strategy=Temperature())
+        eager = decode(*model_and_variables, texts, keys, strategy=Temperature(), max_codes=5)
     np.testing.assert_array_equal(jitted.codes, eager.codes)
+    np.testing.assert_array_equal(jitted.code_lengths, eager.code_lengths)
 
 
 def test_short_motions_cost_few_steps(model_and_variables):
-    model, variables = model_and_variables
-
     def always_end(logits, key):
         del key
         return jnp.full(logits.shape[0], CONFIG.end_token)
 
-    texts, keys = jnp.zeros((3, 6)), jax.random.split(jax.random.key(7), 3)
-    decoded = decode(model, variables, texts, keys, strategy=always_end)
+    texts, keys = texts_and_keys(7)
+    decoded = decode(*model_and_variables, texts, keys, strategy=always_end)
     assert decoded.steps == CHUNK
     np.testing.assert_array_equal(decoded.code_lengths, 0)
 
 
 def test_end_waits_for_min_codes(model_and_variables):
-    model, variables = model_and_variables
-    loud = jax.tree.map(lambda leaf: leaf, variables)
-    loud["params"]["head"]["kernel"] = variables["params"]["head"]["kernel"].at[:, -1].set(0.0)
-    loud["params"]["final_norm"]["scale"] = jnp.zeros(16)
-    texts, keys = jnp.zeros((2, 6)), jax.random.split(jax.random.key(8), 2)
-    decoded = decode(model, loud, texts, keys, strategy=Temperature(), min_codes=CONFIG.max_codes)
-    np.testing.assert_array_equal(decoded.code_lengths, CONFIG.max_codes)
+    texts, keys = texts_and_keys(1)
+    free = decode(*model_and_variables, texts, keys, strategy=Greedy())
+    held = decode(*model_and_variables, texts, keys, strategy=Greedy(), min_codes=6)
+    assert np.min(free.code_lengths) < 6 <= np.min(held.code_lengths)
+    late = np.asarray(free.code_lengths) >= 6
+    assert late.any()
+    np.testing.assert_array_equal(free.codes[late], held.codes[late])

@@ -1,0 +1,75 @@
+"""Tiny models: everything of the real ones but their size, so that tests make and train them in seconds."""
+
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from t2m_jax.checkpoints.bundle import Bundle, BundleConfig, expected_variables
+from t2m_jax.data.synthetic import make_motion
+from t2m_jax.models.caption_encoder import CaptionEncoderConfig
+from t2m_jax.models.motion_gpt import MotionGptConfig
+from t2m_jax.models.vqvae import VqVaeConfig
+from t2m_jax.motion.features import features_from_positions
+from t2m_jax.motion.normalizer import Normalizer, normalizer_from_clips
+from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.text.tokenization import train_tokenizer
+from t2m_jax.train.config import LoopConfig, TrainGptConfig, TrainVqVaeConfig
+from t2m_jax.train.schedules import OptimizerConfig
+
+VQVAE = VqVaeConfig(num_codes=16, code_dim=8, width=16, depth=1)
+GPT = MotionGptConfig(num_codes=16, embed_dim=16, text_dim=12, num_layers=2, num_heads=2, block_size=41)
+CAPTION_ENCODER = CaptionEncoderConfig(
+    vocabulary_size=90, max_length=16, embed_dim=16, num_layers=1, num_heads=2, text_dim=12
+)
+BUNDLE = BundleConfig(vqvae=VQVAE, gpt=GPT, caption_encoder=CAPTION_ENCODER)
+LOOP = LoopConfig(num_steps=8, batch_size=4, seed=5, log_every=3, validate_every=4, checkpoint_every=4)
+OPTIMIZER = OptimizerConfig(learning_rate=1e-3, warmup_steps=4)
+CAPTIONS = (
+    "a person walks forward",
+    "a person waves with the left hand",
+    "the man turns to the right while walking",
+    "someone raises both arms",
+    "a woman is walking slowly and turns left",
+)
+
+
+def vqvae_training(data: Path, run: Path, *, loop: LoopConfig = LOOP) -> TrainVqVaeConfig:
+    """Returns the config of a first stage that takes seconds."""
+    return TrainVqVaeConfig(data=data, run=run, model=VQVAE, window=32, optimizer=OPTIMIZER, loop=loop)
+
+
+def gpt_training(data: Path, vqvae: Path, run: Path, *, loop: LoopConfig = LOOP) -> TrainGptConfig:
+    """Returns the config of a second stage that takes seconds."""
+    return TrainGptConfig(
+        data=data, vqvae=vqvae, run=run, model=GPT, caption_encoder=CAPTION_ENCODER, optimizer=OPTIMIZER, loop=loop
+    )
+
+
+def random_variables(shapes, *, seed: int = 10, gain: float = 2.0):
+    """Returns weights that say something: matrices of the given gain, scales of one, biases of zero.
+
+    With these a GPT's answers depend on text and position, and its motions end at different places, also greedily.
+    """
+    generator = np.random.default_rng(seed)
+
+    def fill(path, leaf):
+        if leaf.dtype == bool or "scale" in jax.tree_util.keystr(path):
+            return np.ones(leaf.shape, leaf.dtype)
+        if leaf.ndim < 2:
+            return np.zeros(leaf.shape, leaf.dtype)
+        return (gain * generator.normal(size=leaf.shape) / np.sqrt(np.prod(leaf.shape[:-1]))).astype(leaf.dtype)
+
+    return jax.tree_util.tree_map_with_path(fill, shapes)
+
+
+def walking_normalizer() -> Normalizer:
+    """Returns statistics of a synthetic walk, so that random features still look like somebody."""
+    features = features_from_positions(make_motion("walk", seed=0, num_frames=60), HUMANML3D)
+    return normalizer_from_clips([np.asarray(features)], HUMANML3D.layout)
+
+
+def random_bundle(*, seed: int = 10) -> Bundle:
+    """Returns a complete model that nobody trained."""
+    tokenizer = train_tokenizer(CAPTIONS, vocabulary_size=CAPTION_ENCODER.vocabulary_size)
+    return Bundle(BUNDLE, random_variables(expected_variables(BUNDLE), seed=seed), walking_normalizer(), tokenizer)
