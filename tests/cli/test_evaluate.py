@@ -1,0 +1,67 @@
+"""`t2m evaluate`: tables, JSON, and one line for mistakes."""
+
+import json
+import shutil
+
+import numpy as np
+
+from t2m_jax.cli.main import main
+
+
+def test_reconstruction_writes_json(bundle_folder, data_folder, tmp_path, capsys):
+    output = tmp_path / "figures.json"
+    arguments = ["--model", f"{bundle_folder}", "--data", f"{data_folder}", "--json", f"{output}"]
+    assert main(["evaluate", "reconstruction", *arguments]) == 0
+    figures = json.loads(output.read_text())
+    assert figures["mpjpe_mm"] > 0
+    assert 0 < figures["codebook_usage"] <= 1
+    assert figures["split"] == "test"
+    assert f"{figures['mpjpe_mm']:,.3f}" in capsys.readouterr().out
+
+
+def test_prompts_writes_json(bundle_folder, tmp_path, capsys):
+    output = tmp_path / "figures.json"
+    arguments = ["--model", f"{bundle_folder}", "--num-seeds", "1", "--json", f"{output}"]
+    assert main(["evaluate", "prompts", *arguments]) == 0
+    figures = json.loads(output.read_text())
+    assert figures["num_samples"] == 10
+    assert len(figures["contents"]) == 10
+    assert "| **all** |" in capsys.readouterr().out
+
+
+def test_a_model_of_another_width_is_refused(refusal, bundle_folder, data_folder, tmp_path):
+    kit = tmp_path / "kit"
+    shutil.copytree(data_folder, kit)
+    (kit / "dataset.yaml").unlink()
+    for path in (kit / "new_joint_vecs").iterdir():
+        np.save(path, np.load(path)[:, :251])
+    for name in ("Mean", "Std"):
+        np.save(kit / f"{name}.npy", np.load(kit / f"{name}.npy")[:251])
+    line = refusal("evaluate", "reconstruction", "--model", bundle_folder, "--data", kit)
+    assert "251" in line
+    assert "263" in line
+
+
+def test_a_clip_of_another_width_is_refused_by_name(refusal, bundle_folder, data_folder, tmp_path):
+    broken = tmp_path / "broken"
+    shutil.copytree(data_folder, broken)
+    name = (broken / "test.txt").read_text().split()[0]
+    np.save(broken / "new_joint_vecs" / f"{name}.npy", np.zeros((50, 260), np.float32))
+    assert name in refusal("evaluate", "reconstruction", "--model", bundle_folder, "--data", broken)
+
+
+def test_data_of_nothing_but_nan_are_refused(refusal, bundle_folder, data_folder, tmp_path):
+    broken = tmp_path / "nan"
+    shutil.copytree(data_folder, broken)
+    for path in (broken / "new_joint_vecs").iterdir():
+        np.save(path, np.full_like(np.load(path), np.nan))
+    assert "no clips" in refusal("evaluate", "reconstruction", "--model", bundle_folder, "--data", broken)
+
+
+def test_mistakes_are_told_in_one_line(refusal, bundle_folder, data_folder, tmp_path):
+    assert "--data" in refusal("evaluate", "reconstruction", "--model", bundle_folder)
+    assert "no data set" in refusal("evaluate", "reconstruction", "--model", bundle_folder, "--data", tmp_path)
+    arguments = ("evaluate", "reconstruction", "--model", bundle_folder, "--data", data_folder)
+    assert "does not exist" in refusal(*arguments, "--json", tmp_path / "no" / "figures.json")
+    assert "nonsense" in refusal(*arguments, "--split", "nonsense")
+    assert "--num-seeds" in refusal("evaluate", "prompts", "--model", bundle_folder, "--num-seeds", "0")

@@ -1,0 +1,97 @@
+"""`t2m generate`: files for sentences, one line for mistakes."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from t2m_jax.cli.main import main
+from t2m_jax.export.formats import load_motion
+
+
+@pytest.mark.parametrize(
+    ("prompt", "said"),
+    [
+        ("", "no words"),
+        ("   \n", "no words"),
+        ("?!", "no words"),
+        ("a" * 10_000, "10,000 characters"),
+        ("a person\x07 waves", "control character"),
+        ("a person waves \N{WAVING HAND SIGN}", "emoji"),
+    ],
+)
+def test_prompts_that_are_refused(refusal, bundle_folder, tmp_path, prompt, said):
+    line = refusal("generate", prompt, "--model", bundle_folder, "-o", tmp_path / "out.npz")
+    assert said in line
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["-o", "out.fbx"], ".fbx"),
+        (["-o", "out"], "suffix"),
+        (["-o", "no/such/folder/out.npz"], "does not exist"),
+        (["--temperature", "-1", "-o", "out.npz"], "temperature"),
+        (["--top-k", "0", "-o", "out.npz"], "top-k"),
+        (["--top-p", "2", "-o", "out.npz"], "top-p"),
+        (["--top-k", "3", "--top-p", "0.5", "-o", "out.npz"], "exclude"),
+        (["--num-samples", "0", "-o", "out.npz"], "num-samples"),
+        (["--seed", "-1", "-o", "out.npz"], "seed"),
+    ],
+)
+def test_options_that_are_refused(refusal, bundle_folder, tmp_path, monkeypatch, options, said):
+    monkeypatch.chdir(tmp_path)
+    assert said in refusal("generate", "a person walks", "--model", bundle_folder, *options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_in_the_place_of_the_file_is_refused(refusal, bundle_folder, tmp_path):
+    (tmp_path / "out.npz").mkdir()
+    line = refusal("generate", "a person walks", "--model", bundle_folder, "-o", tmp_path / "out.npz")
+    assert "cannot be written" in line
+
+
+def test_models_that_are_refused(refusal, bundle_folder, tmp_path):
+    output = tmp_path / "out.npz"
+    assert "no such model" in refusal("generate", "a person walks", "--model", tmp_path / "nothing", "-o", output)
+    for name in ("bundle.yaml", "weights.safetensors", "Mean.npy", "tokenizer.json"):
+        broken = tmp_path / f"without-{name}"
+        shutil.copytree(bundle_folder, broken)
+        (broken / name).unlink()
+        assert name in refusal("generate", "a person walks", "--model", broken, "-o", output)
+    (broken / "tokenizer.json").write_text("{}")
+    assert "tokenizer.json" in refusal("generate", "a person walks", "--model", broken, "-o", output)
+    assert not output.exists()
+
+
+def test_every_format_is_written(bundle_folder, tmp_path, capsys):
+    outputs = [tmp_path / f"walk.{suffix}" for suffix in ("npz", "bvh", "html", "gif")]
+    options = [option for output in outputs for option in ("-o", f"{output}")]
+    assert main(["generate", "a person walks", "--model", f"{bundle_folder}", "--seed", "7", *options]) == 0
+    assert capsys.readouterr().out.split() == [f"{output}" for output in outputs]
+    arrays = np.load(outputs[0])
+    assert {"positions", "features", "codes", "fps", "caption", "seed"} <= set(arrays)
+    assert (str(arrays["caption"]), int(arrays["seed"]), float(arrays["fps"])) == ("a person walks", 7, 20.0)
+    assert len(arrays["positions"]) == 4 * len(arrays["codes"]) == len(arrays["features"])
+    read_back = load_motion(outputs[1])
+    assert read_back.num_frames == len(arrays["positions"])
+
+
+def test_several_motions_are_numbered(bundle_folder, tmp_path, capsys):
+    output = tmp_path / "many.npz"
+    texts = ["a person walks", "someone waves"]
+    assert main(["generate", *texts, "--model", f"{bundle_folder}", "--num-samples", "2", "-o", f"{output}"]) == 0
+    names = [f"many-{number}.npz" for number in range(4)]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names
+    captions = [str(np.load(tmp_path / name)["caption"]) for name in names]
+    assert captions == [texts[0], texts[0], texts[1], texts[1]]
+    capsys.readouterr()
+
+
+def test_same_seed_same_files(bundle_folder, tmp_path):
+    for name in ("one.npz", "two.npz"):
+        assert main(["generate", "a person walks", "--model", f"{bundle_folder}", "-o", f"{tmp_path / name}"]) == 0
+    one, two = np.load(tmp_path / "one.npz"), np.load(tmp_path / "two.npz")
+    np.testing.assert_array_equal(one["codes"], two["codes"])
+    np.testing.assert_array_equal(one["positions"], two["positions"])

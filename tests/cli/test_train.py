@@ -1,0 +1,62 @@
+"""`t2m train`: configs from file and command line, refusals before any work."""
+
+import pytest
+
+from t2m_jax.cli.main import main
+from t2m_jax.config import load_config
+from t2m_jax.train.config import TrainVqVaeConfig
+
+TINY = """
+model: {num_codes: 16, code_dim: 8, width: 16, depth: 1}
+window: 32
+loop: {num_steps: 2, batch_size: 4, validate_every: 0}
+"""
+
+
+@pytest.fixture
+def config_file(tmp_path, data_folder):
+    path = tmp_path / "vqvae.yaml"
+    path.write_text(f"data: {data_folder}\nrun: {tmp_path / 'run'}\n{TINY}")
+    return path
+
+
+def test_the_command_line_changes_fields(config_file, tmp_path):
+    assert main(["train", "vqvae", f"{config_file}", "--loop.seed", "9", "--run", f"{tmp_path / 'other'}"]) == 0
+    trained = load_config(tmp_path / "other" / "config.yaml", TrainVqVaeConfig)
+    assert trained.loop.seed == 9
+    assert trained.model.num_codes == 16
+    assert not (tmp_path / "run").exists()
+
+
+def test_unknown_keys_are_refused_with_the_nearest(refusal, config_file):
+    config_file.write_text(config_file.read_text().replace("window:", "windw:"))
+    line = refusal("train", "vqvae", config_file)
+    assert f"{config_file}" in line
+    assert "window" in line
+
+
+def test_unknown_options_are_refused_with_the_nearest(refusal, config_file):
+    assert "num_steps" in refusal("train", "vqvae", config_file, "--loop.num_stepz", "3")
+
+
+def test_help_lists_the_fields(capsys):
+    assert main(["train", "vqvae", "--help"]) == 0
+    assert "--loop.num_steps" in capsys.readouterr().out.replace("-num-", "-num_").replace(".num-", ".num_")
+
+
+def test_a_run_is_not_written_over(refusal, config_file):
+    assert main(["train", "vqvae", f"{config_file}"]) == 0
+    assert "--resume" in refusal("train", "vqvae", config_file)
+    assert "model.width" in refusal("train", "vqvae", config_file, "--resume", "--model.width", "32")
+
+
+def test_a_model_that_does_not_fit_the_data_is_refused(refusal, config_file):
+    line = refusal("train", "vqvae", config_file, "--model.feature_dim", "251")
+    assert "251" in line
+    assert "263" in line
+
+
+def test_missing_places_are_named(refusal, config_file, tmp_path):
+    assert "nowhere.yaml" in refusal("train", "vqvae", tmp_path / "nowhere.yaml")
+    assert "nowhere" in refusal("train", "vqvae", config_file, "--data", tmp_path / "nowhere")
+    assert "not a run" in refusal("train", "vqvae", config_file, "--resume")

@@ -1,0 +1,72 @@
+"""The kinematic rules on procedural motions whose content is known."""
+
+import numpy as np
+import pytest
+
+from t2m_jax.data.prompts import HELD_OUT
+from t2m_jax.data.synthetic import KINDS, make_motion
+from t2m_jax.evaluation.prompt_following import (
+    RULES,
+    evaluate_prompt_following,
+    follows,
+    markdown_table,
+    requests,
+)
+from t2m_jax.motion.record import Motion
+
+OTHERS = (
+    ("walk-turn-left", "walk-turn-right"),
+    ("walk-turn-right", "walk-turn-left"),
+    ("walk", "walk-turn-left"),
+    ("walk", "run"),
+    ("wave-left-hand", "wave-right-hand"),
+    ("wave-right-hand", "wave-left-hand"),
+    ("wave-left-hand", "wave-both-hands"),
+    ("wave-both-hands", "wave-left-hand"),
+    ("raise-up-left-hand", "raise-up-right-hand"),
+    ("raise-up-both-hands", "wave-both-hands"),
+)
+
+
+def motion_of(kind: str, seed: int) -> Motion:
+    return Motion(make_motion(kind, seed=seed, num_frames=100), 20.0)
+
+
+@pytest.mark.parametrize("kind", sorted(set(RULES) & set(KINDS)))
+def test_motions_keep_their_own_rule(kind):
+    assert sum(follows(kind, motion_of(kind, seed)) for seed in range(5)) >= 4
+
+
+@pytest.mark.parametrize(("kind", "other"), OTHERS)
+def test_motions_break_the_rule_of_another(kind, other):
+    assert not any(follows(other, motion_of(kind, seed)) for seed in range(5))
+
+
+def test_someone_who_stands_does_nothing_that_was_asked():
+    still = Motion(np.repeat(make_motion("walk", seed=0, num_frames=40)[:1], 40, axis=0), 20.0)
+    assert not any(follows(content, still) for content in RULES)
+
+
+def test_requests_cover_the_held_out_sentences():
+    for content in RULES:
+        asked = requests(content, num_seeds=20)
+        assert [seed for seed, _ in asked] == list(range(20))
+        assert len({sentence for _, sentence in asked}) == 20
+        assert {sentence for _, sentence in asked} <= set(HELD_OUT[content])
+
+
+def test_results_count_what_was_done():
+    def generate(sentence: str, seed: int) -> Motion:
+        return motion_of("walk", seed)
+
+    results = evaluate_prompt_following(generate, num_seeds=3)
+    assert [row.content for row in results] == list(RULES)
+    right = {row.content: row.num_right for row in results}
+    assert right["walk"] == 3
+    assert right["wave-left-hand"] == 0
+    row = next(row for row in results if row.content == "wave-left-hand")
+    assert row.failures == tuple(sentence for _, sentence in requests("wave-left-hand", num_seeds=3))
+    total = sum(right.values())
+    table = markdown_table(results)
+    assert f"{total} of 30 ({total / 30:.0%})" in table
+    assert len(table.splitlines()) == 2 + len(RULES) + 1

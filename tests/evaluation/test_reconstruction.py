@@ -1,0 +1,65 @@
+"""Reconstruction figures: against a plain NumPy computation, whatever the batch."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from t2m_jax.checkpoints.vqvae import TrainedVqVae
+from t2m_jax.config import UserError
+from t2m_jax.data.folder import open_dataset
+from t2m_jax.data.synthetic import write_synthetic_dataset
+from t2m_jax.evaluation import reconstruction
+from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
+from t2m_jax.models.vqvae import VqVae
+from t2m_jax.motion.features import positions_from_features
+from tests.tiny import VQVAE, random_bundle
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("reconstruction") / "data"
+    write_synthetic_dataset(folder, num_clips=20, seed=6)
+    return open_dataset(folder)
+
+
+@pytest.fixture(scope="module")
+def vqvae():
+    bundle = random_bundle()
+    return TrainedVqVae(VQVAE, bundle.variables["vqvae"], bundle.normalizer)
+
+
+@pytest.fixture(scope="module")
+def report(vqvae, dataset):
+    return evaluate_reconstruction(vqvae, dataset, split="test")
+
+
+def test_figures_equal_a_plain_computation(vqvae, dataset, report):
+    apply = jax.jit(lambda motion: VqVae(VQVAE).apply(vqvae.variables, motion, train=False))
+    errors, per_clip, used = [], [], set()
+    for clip in dataset.clips("test"):
+        features = clip.features[: len(clip.features) // 4 * 4]
+        output = apply(jnp.asarray(vqvae.normalizer.normalize(features))[None])
+        raw = vqvae.normalizer.denormalize(np.asarray(output.reconstruction[0]))
+        found, wanted = (positions_from_features(x, dataset.skeleton).astype(np.float64) for x in (raw, features))
+        distance = np.linalg.norm((found - found[:, :1]) - (wanted - wanted[:, :1]), axis=-1).mean(axis=-1)
+        errors.append(distance)
+        per_clip.append(distance.mean())
+        used |= set(np.asarray(output.codes).ravel().tolist())
+    np.testing.assert_allclose(report.mpjpe_mm, 1000 * np.concatenate(errors).mean(), rtol=1e-3)
+    np.testing.assert_allclose(report.mpjpe_median_clip_mm, 1000 * np.median(per_clip), rtol=1e-3)
+    assert report.codebook_usage == len(used) / VQVAE.num_codes
+    assert report.num_clips == len(errors)
+    assert report.num_frames == sum(map(len, errors))
+
+
+def test_the_batch_does_not_matter(vqvae, dataset, report, monkeypatch):
+    monkeypatch.setattr(reconstruction, "BATCH", 2)
+    other = evaluate_reconstruction(vqvae, dataset, split="test")
+    np.testing.assert_allclose(other.mpjpe_mm, report.mpjpe_mm, rtol=1e-4)
+    assert other.codebook_usage == report.codebook_usage
+
+
+def test_a_split_without_clips_is_refused(vqvae, dataset, tmp_path):
+    with pytest.raises(UserError, match="nothing"):
+        evaluate_reconstruction(vqvae, dataset, split="nothing")
