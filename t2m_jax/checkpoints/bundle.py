@@ -136,7 +136,10 @@ def save_bundle(path: Path, bundle: Bundle, *, card: str) -> None:
         save_normalizer(folder, bundle.normalizer)
         save_tokenizer(folder, bundle.tokenizer)
         (folder / CARD_FILE).write_text(card, encoding="utf-8")
+        # A temporary folder and safetensors' files are private; a bundle is made to be shared.
         folder.chmod(0o755)
+        for file in folder.iterdir():
+            file.chmod(0o644)
         folder.rename(path)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)

@@ -29,10 +29,10 @@ def load_vqvae(path: Path) -> TrainedVqVae:
         UserError: if there is none, or it is damaged.
     """
     path = bundle_path(path)
-    if (path / BUNDLE_FILE).is_file():
-        bundle = load_bundle(path)
-        return TrainedVqVae(bundle.config.vqvae, bundle.variables["vqvae"], bundle.normalizer)
     if not is_run_directory(path):
+        if (path / BUNDLE_FILE).is_file():
+            bundle = load_bundle(path)
+            return TrainedVqVae(bundle.config.vqvae, bundle.variables["vqvae"], bundle.normalizer)
         raise UserError(f"{path}: neither a run directory nor a bundle; train a VQ-VAE with `t2m train vqvae` first")
     if run_info(path).kind == "gpt":
         return _load_copy(path / COPY_FOLDER)

@@ -2,8 +2,10 @@
 
 import pytest
 
+from t2m_jax.checkpoints.run_directory import create_run
 from t2m_jax.cli.main import main
 from t2m_jax.config import load_config
+from t2m_jax.train import run_vqvae
 from t2m_jax.train.config import TrainVqVaeConfig
 
 TINY = """
@@ -20,12 +22,20 @@ def config_file(tmp_path, data_folder):
     return path
 
 
-def test_the_command_line_changes_fields(config_file, tmp_path):
-    assert main(["train", "vqvae", f"{config_file}", "--loop.seed", "9", "--run", f"{tmp_path / 'other'}"]) == 0
-    trained = load_config(tmp_path / "other" / "config.yaml", TrainVqVaeConfig)
-    assert trained.loop.seed == 9
-    assert trained.model.num_codes == 16
-    assert not (tmp_path / "run").exists()
+@pytest.fixture
+def trained(monkeypatch):
+    """Returns what the command would train, instead of training it."""
+    seen = []
+    monkeypatch.setattr(run_vqvae, "train_vqvae", lambda config, *, resume: seen.append((config, resume)))
+    return seen
+
+
+def test_the_command_line_changes_fields(config_file, trained):
+    assert main(["train", "vqvae", f"{config_file}", "--loop.seed", "9", "--model.width", "32", "--resume"]) == 0
+    [(config, resume)] = trained
+    assert resume
+    assert (config.loop.seed, config.model.width, config.model.num_codes, config.window) == (9, 32, 16, 32)
+    assert config.optimizer == TrainVqVaeConfig().optimizer
 
 
 def test_unknown_keys_are_refused_with_the_nearest(refusal, config_file):
@@ -45,7 +55,8 @@ def test_help_lists_the_fields(capsys):
 
 
 def test_a_run_is_not_written_over(refusal, config_file):
-    assert main(["train", "vqvae", f"{config_file}"]) == 0
+    config = load_config(config_file, TrainVqVaeConfig)
+    create_run(config.run, "vqvae", config)
     assert "--resume" in refusal("train", "vqvae", config_file)
     assert "model.width" in refusal("train", "vqvae", config_file, "--resume", "--model.width", "32")
 

@@ -18,7 +18,6 @@ OTHERS = (
     ("walk-turn-left", "walk-turn-right"),
     ("walk-turn-right", "walk-turn-left"),
     ("walk", "walk-turn-left"),
-    ("walk", "run"),
     ("wave-left-hand", "wave-right-hand"),
     ("wave-right-hand", "wave-left-hand"),
     ("wave-left-hand", "wave-both-hands"),

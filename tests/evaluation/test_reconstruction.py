@@ -35,11 +35,11 @@ def report(vqvae, dataset):
 
 
 def test_figures_equal_a_plain_computation(vqvae, dataset, report):
-    apply = jax.jit(lambda motion: VqVae(VQVAE).apply(vqvae.variables, motion, train=False))
+    apply = jax.jit(lambda variables, motion: VqVae(VQVAE).apply(variables, motion, train=False))
     errors, per_clip, used = [], [], set()
     for clip in dataset.clips("test"):
         features = clip.features[: len(clip.features) // 4 * 4]
-        output = apply(jnp.asarray(vqvae.normalizer.normalize(features))[None])
+        output = apply(vqvae.variables, jnp.asarray(vqvae.normalizer.normalize(features))[None])
         raw = vqvae.normalizer.denormalize(np.asarray(output.reconstruction[0]))
         found, wanted = (positions_from_features(x, dataset.skeleton).astype(np.float64) for x in (raw, features))
         distance = np.linalg.norm((found - found[:, :1]) - (wanted - wanted[:, :1]), axis=-1).mean(axis=-1)
