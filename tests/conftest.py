@@ -1,10 +1,12 @@
-"""What every test shares: the CPU, strict broadcasting and the places of reference data."""
+"""What every test shares: the CPU, quick compilation, strict broadcasting and the places of reference data."""
 
 import os
 from pathlib import Path
 
 # Before the first import of jax, and for the programs that tests start.
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
+# Tiny models run for milliseconds and compile for seconds: a quarter of the time with the compiler's least effort.
+os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
 
 import jax
 import pytest

@@ -34,7 +34,7 @@ class Attention(nn.Module):
     def __call__(
         self,
         hidden: Float[Array, "B L E"],
-        mask: Bool[Array, "#B 1 L S"],
+        mask: Bool[Array, "#B 1 #L S"],
         *,
         train: bool,
         cache: LayerCache | None = None,
@@ -88,7 +88,7 @@ class Block(nn.Module):
     def __call__(
         self,
         hidden: Float[Array, "B L E"],
-        mask: Bool[Array, "#B 1 L S"],
+        mask: Bool[Array, "#B 1 #L S"],
         *,
         train: bool,
         cache: LayerCache | None = None,

@@ -1,5 +1,6 @@
 """Training of the GPT together with its caption encoder: state, one pure step, validation."""
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -33,17 +34,18 @@ class GptState(NamedTuple):
     opt_state: optax.OptState
 
 
+@functools.partial(jax.jit, static_argnames="config")
 def init_gpt_state(config: TrainGptConfig, key: Key[Array, ""]) -> GptState:
     """Returns the state before the first update; `key` is consumed."""
     gpt_key, caption_key = jax.random.split(key)
     tokens = jnp.zeros((1, config.model.max_codes), jnp.int32)
     text = jnp.zeros((1, config.model.text_dim))
     captions = jnp.zeros((1, config.caption_encoder.max_length), jnp.int32)
-    gpt = jax.jit(MotionGpt(config.model).init, static_argnames="train")(gpt_key, tokens, text, train=False)
-    encoder = jax.jit(CaptionEncoder(config.caption_encoder).init, static_argnames="train")
-    caption_encoder = encoder(caption_key, captions, jnp.ones(captions.shape, bool), train=False)
+    mask = jnp.ones(captions.shape, bool)
+    gpt = MotionGpt(config.model).init(gpt_key, tokens, text, train=False)
+    caption_encoder = CaptionEncoder(config.caption_encoder).init(caption_key, captions, mask, train=False)
     params = {"gpt": gpt["params"], "caption_encoder": caption_encoder["params"]}
-    return GptState(jnp.array(0), params, make_optimizer(config.optimizer).init(params))
+    return GptState(jnp.array(0, jnp.int32), params, make_optimizer(config.optimizer).init(params))
 
 
 def gpt_metrics(

@@ -26,7 +26,7 @@ class MetricLog:
             self._opened.add(split)
         is_new = not path.exists()
         with path.open("a", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
+            writer = csv.writer(file, lineterminator="\n")
             if is_new:
                 writer.writerow(["step", *metrics])
             # repr keeps every bit of a float.
@@ -46,7 +46,7 @@ def _truncate(path: Path, last_step: int) -> None:
     lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
     kept = [line for line in lines[1:] if line.endswith("\n") and int(line.split(",")[0]) <= last_step]
     replacement = path.with_suffix(".csv.partial")
-    replacement.write_text("".join([*lines[:1], *kept]) if kept else "", encoding="utf-8")
+    replacement.write_text("".join([*lines[:1], *kept]) if kept else "", encoding="utf-8", newline="\n")
     if kept:
         os.replace(replacement, path)
     else:

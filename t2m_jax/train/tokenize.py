@@ -1,12 +1,13 @@
 """The data set as codes: every clip through the trained VQ-VAE, once, before the GPT trains."""
 
+import functools
 from collections.abc import Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Bool, Float, Int
 from tokenizers import Tokenizer
 from tqdm import tqdm
 
@@ -23,11 +24,18 @@ FRAME_BUCKET = 64
 """Clips are padded to a multiple of this many frames, so that few lengths are compiled."""
 
 
+@functools.partial(jax.jit, static_argnames="vqvae")
+def encode_batch(
+    variables: Any, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"], *, vqvae: VqVae
+) -> Int[Array, "B N"]:
+    """Returns the codes of a batch of normalized motions, 0 past their ends."""
+    return vqvae.apply(variables, motion, mask, method="encode")
+
+
 def encode_motions(
     vqvae: VqVae, variables: Any, motions: Sequence[Float[np.ndarray, "_ D"]]
 ) -> list[Int[np.ndarray, " _"]]:
     """Returns the codes of each normalized motion, batched by length."""
-    encode = jax.jit(lambda motion, mask: vqvae.apply(variables, motion, mask, method="encode"))
     codes: list[Int[np.ndarray, " _"]] = [np.zeros(0, np.int32)] * len(motions)
     order = sorted(range(len(motions)), key=lambda index: len(motions[index]))
     for first in tqdm(range(0, len(order), BATCH), desc="encoding", unit="batch", disable=None):
@@ -38,7 +46,8 @@ def encode_motions(
         batch = np.zeros((BATCH, size, motions[chosen[0]].shape[1]), np.float32)
         for row, index in enumerate(chosen):
             batch[row, : lengths[row]] = motions[index]
-        found = np.asarray(encode(jnp.asarray(batch), mask_from_lengths(jnp.asarray(lengths), size)))
+        mask = mask_from_lengths(jnp.asarray(lengths), size)
+        found = np.asarray(encode_batch(variables, jnp.asarray(batch), mask, vqvae=vqvae))
         for row, index in enumerate(chosen):
             codes[index] = found[row, : lengths[row] // vqvae.config.downsample]
     return codes

@@ -1,5 +1,6 @@
 """Training of the VQ-VAE: state, one pure step, validation."""
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -27,12 +28,13 @@ class VqVaeState(NamedTuple):
     opt_state: optax.OptState
 
 
+@functools.partial(jax.jit, static_argnames="config")
 def init_vqvae_state(config: TrainVqVaeConfig, key: Key[Array, ""]) -> VqVaeState:
     """Returns the state before the first update; `key` is consumed."""
     motion = jnp.zeros((1, config.window, config.model.feature_dim))
-    variables = jax.jit(VqVae(config.model).init, static_argnames="train")(key, motion, train=False)
+    variables = VqVae(config.model).init(key, motion, train=False)
     opt_state = make_optimizer(config.optimizer).init(variables["params"])
-    return VqVaeState(jnp.array(0), variables["params"], variables["codebook"], opt_state)
+    return VqVaeState(jnp.array(0, jnp.int32), variables["params"], variables["codebook"], opt_state)
 
 
 def vqvae_losses(output: VqVaeOutput, windows: Windows, config: TrainVqVaeConfig) -> Metrics:

@@ -1,0 +1,86 @@
+"""A data set, a trained VQ-VAE and a trained GPT, all tiny, made once for the tests of this folder."""
+
+import dataclasses
+import functools
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+import pytest
+
+from t2m_jax.checkpoints.run_directory import Checkpoints
+from t2m_jax.data.synthetic import write_synthetic_dataset
+from t2m_jax.train import run_gpt, run_vqvae
+from tests.tiny import gpt_training, vqvae_training
+
+
+class Runs(NamedTuple):
+    """Finished runs; nobody may write into them."""
+
+    data: Path
+    vqvae: Path
+    gpt: Path
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled_once():
+    """Lets runs that differ in places and lengths alone share their compiled programs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("T2M_JAX_NO_COMPILATION_CACHE", "1")
+        for module, init in ((run_vqvae, "init_vqvae_state"), (run_gpt, "init_gpt_state")):
+            for name in (init, "update", "_validation_batch"):
+                patch.setattr(module, name, _blind_to_places(getattr(module, name)))
+        yield
+
+
+def _blind_to_places(function):
+    """Returns a jitted function that takes the first config of those that compute the same for all of them."""
+    seen = {}
+
+    def first(config):
+        same = dataclasses.replace(config.loop, **dict.fromkeys(("num_steps", "log_every", "checkpoint_every"), 0))
+        places = {name: Path() for name in ("data", "run", "vqvae") if hasattr(config, name)}
+        return seen.setdefault(dataclasses.replace(config, loop=same, **places), config)
+
+    @functools.wraps(function)
+    def call(*arguments, **options):
+        arguments = [first(argument) if hasattr(argument, "loop") else argument for argument in arguments]
+        return function(*arguments, **{name: first(option) for name, option in options.items()})
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def data(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("training") / "data"
+    write_synthetic_dataset(folder, num_clips=20, seed=3)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def runs(data) -> Runs:
+    """Both stages, trained without a stop; the VQ-VAE's folder was moved after the GPT had been trained on it."""
+    first, vqvae, gpt = data.parent / "first", data.parent / "moved", data.parent / "gpt"
+    run_vqvae.train_vqvae(vqvae_training(data, first))
+    run_gpt.train_gpt(gpt_training(data, first, gpt))
+    first.rename(vqvae)
+    return Runs(data, vqvae, gpt)
+
+
+def newest_checkpoint(run: Path):
+    """Returns the step of a run's newest checkpoint and what is in it."""
+    checkpoints = Checkpoints(run)
+    step = checkpoints.latest_step
+    tree = checkpoints._manager.restore(step)
+    checkpoints.close()
+    return step, dict(tree)
+
+
+def assert_same_checkpoint(run: Path, other: Path) -> None:
+    """Fails where two runs do not end in the same state, bit for bit."""
+    (step, tree), (other_step, other_tree) = newest_checkpoint(run), newest_checkpoint(other)
+    assert step == other_step
+    assert jax.tree.structure(tree) == jax.tree.structure(other_tree)
+    assert len(jax.tree.leaves(tree)) > 20
+    jax.tree.map(np.testing.assert_array_equal, tree, other_tree)

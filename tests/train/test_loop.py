@@ -1,0 +1,161 @@
+"""The loop with updates that do nothing: what is logged, validated, kept, and what stops it."""
+
+import csv
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from t2m_jax.checkpoints.run_directory import Checkpoints
+from t2m_jax.config import UserError
+from t2m_jax.train.config import LoopConfig
+from t2m_jax.train.loop import mean_metrics, run_loop
+from t2m_jax.train.metric_log import MetricLog
+
+
+class Counter(NamedTuple):
+    """A state that counts, and remembers the last loss."""
+
+    step: jax.Array
+    weight: jax.Array
+
+
+START = Counter(jnp.array(0), jnp.zeros(2))
+
+
+def counting(bad_step=None, bad_loss=float("nan")):
+    """Returns an update whose loss is the number of its step, but for one."""
+
+    def update(state):
+        step = int(state.step) + 1
+        loss = bad_loss if step == bad_step else float(step)
+        return Counter(jnp.array(step), jnp.full(2, loss)), {"loss": jnp.array(loss), "square": jnp.array(loss**2)}
+
+    return update
+
+
+def rows(run, split="train"):
+    with (run / f"{split}.csv").open(encoding="utf-8") as file:
+        return [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
+
+
+def kept_steps(run):
+    return sorted(int(folder.name) for folder in (run / "checkpoints").iterdir())
+
+
+def loop(num_steps=10, log_every=4, validate_every=0, checkpoint_every=5, keep=2):
+    return LoopConfig(
+        num_steps=num_steps,
+        log_every=log_every,
+        validate_every=validate_every,
+        checkpoint_every=checkpoint_every,
+        keep_checkpoints=keep,
+    )
+
+
+def test_rows_are_means_since_the_row_before(tmp_path):
+    state = run_loop(tmp_path, START, counting(), config=loop())
+    assert int(state.step) == 10
+    assert [row["step"] for row in rows(tmp_path)] == [4, 5, 8, 10]
+    assert [row["loss"] for row in rows(tmp_path)] == [2.5, 5.0, 7.0, 9.5]
+    assert rows(tmp_path)[0]["square"] == np.mean([1, 4, 9, 16])
+
+
+def test_validation_sees_the_state_of_its_step(tmp_path):
+    def validate(state):
+        return {"loss": 100.0 + int(state.step), "weight": float(state.weight[0])}
+
+    run_loop(tmp_path, START, counting(), config=loop(num_steps=7, validate_every=3), validate=validate)
+    assert [(row["step"], row["loss"]) for row in rows(tmp_path, "val")] == [(3, 103), (6, 106), (7, 107)]
+    assert [row["weight"] for row in rows(tmp_path, "val")] == [3, 6, 7]
+
+
+def test_validation_can_be_left_out(tmp_path):
+    run_loop(tmp_path, START, counting(), config=loop(validate_every=3))
+    assert not (tmp_path / "val.csv").exists()
+
+
+@pytest.mark.parametrize(("keep", "expected"), [(1, [10]), (2, [9, 10]), (9, [3, 6, 9, 10])])
+def test_the_newest_checkpoints_are_kept(tmp_path, keep, expected):
+    run_loop(tmp_path, START, counting(), config=loop(checkpoint_every=3, keep=keep))
+    assert kept_steps(tmp_path) == expected
+    checkpoints = Checkpoints(tmp_path)
+    state = checkpoints.restore(START)
+    checkpoints.close()
+    assert int(state.step) == 10
+    np.testing.assert_array_equal(state.weight, [10.0, 10.0])
+
+
+@pytest.mark.parametrize("bad_loss", [float("nan"), float("inf")])
+@pytest.mark.parametrize(
+    ("bad_step", "log_every", "kept"),
+    [(1, 100, []), (7, 100, [3, 6]), (6, 100, [3]), (7, 1, [3, 6]), (10, 4, [3, 6, 9])],
+)
+def test_a_loss_that_is_not_finite_stops_with_its_step_and_is_never_kept(tmp_path, bad_loss, bad_step, log_every, kept):
+    config = loop(log_every=log_every, checkpoint_every=3, keep=9)
+    with pytest.raises(UserError, match=rf"^step {bad_step}: the loss is {bad_loss}"):
+        run_loop(tmp_path, START, counting(bad_step, bad_loss), config=config)
+    assert kept_steps(tmp_path) == kept
+    if kept:
+        assert max(row["step"] for row in rows(tmp_path)) < bad_step
+
+
+def test_a_run_goes_on_from_a_state(tmp_path):
+    run_loop(tmp_path / "whole", START, counting(), config=loop())
+    run_loop(tmp_path / "parts", START, counting(), config=loop(num_steps=5))
+    checkpoints = Checkpoints(tmp_path / "parts")
+    middle = checkpoints.restore(START)
+    checkpoints.close()
+    run_loop(tmp_path / "parts", middle, counting(), config=loop())
+    assert (tmp_path / "parts/train.csv").read_bytes() == (tmp_path / "whole/train.csv").read_bytes()
+    assert kept_steps(tmp_path / "parts") == kept_steps(tmp_path / "whole")
+
+
+def test_a_finished_state_is_left_alone(tmp_path):
+    state = run_loop(tmp_path, START, counting(), config=loop())
+    written = (tmp_path / "train.csv").read_bytes()
+    again = run_loop(tmp_path, state, counting(), config=loop())
+    assert again is state
+    assert (tmp_path / "train.csv").read_bytes() == written
+
+
+def test_means_are_over_the_steps():
+    history = [{"loss": jnp.array(value), "other": jnp.array(2 * value)} for value in (1.0, 2.0, 6.0)]
+    assert mean_metrics(history, first_step=5) == {"loss": 3.0, "other": 6.0}
+    history[1]["other"] = jnp.array(jnp.nan)
+    assert np.isnan(mean_metrics(history, first_step=5)["other"])
+    history[2]["loss"] = jnp.array(jnp.inf)
+    with pytest.raises(UserError, match=r"^step 7: "):
+        mean_metrics(history, first_step=5)
+
+
+TABLE = "step,loss\n2,0.5\n4,0.25\n6,0.125\n"
+
+
+@pytest.mark.parametrize(
+    ("left", "first_step", "kept"),
+    [
+        (TABLE, 6, "step,loss\n2,0.5\n4,0.25\n6,0.125\n"),
+        (TABLE, 4, "step,loss\n2,0.5\n4,0.25\n"),
+        (TABLE, 5, "step,loss\n2,0.5\n4,0.25\n"),
+        (TABLE, 0, "step,loss\n"),
+        (TABLE + "8,0.06", 8, TABLE),
+        (TABLE + "8", 8, TABLE),
+        (TABLE[:-1], 6, "step,loss\n2,0.5\n4,0.25\n"),
+        ("step,lo", 6, "step,loss\n"),
+        ("", 6, "step,loss\n"),
+        (None, 6, "step,loss\n"),
+    ],
+)
+def test_a_table_that_a_crash_left_is_mended(tmp_path, left, first_step, kept):
+    if left is not None:
+        (tmp_path / "train.csv").write_bytes(left.encode())
+    log = MetricLog(tmp_path, first_step=first_step)
+    log.write("train", 10, {"loss": 0.1})
+    log.write("train", 12, {"loss": 1 / 3})
+    log.close()
+    expected = kept + f"10,0.1\n12,{1 / 3!r}\n"
+    assert (tmp_path / "train.csv").read_bytes().decode() == expected
+    assert {path.name for path in tmp_path.iterdir()} == {"train.csv", "tensorboard"}

@@ -1,0 +1,150 @@
+"""Going on with a run: as if it had never stopped, and only with the config it was started with."""
+
+import csv
+import dataclasses
+import shutil
+
+import jax
+import numpy as np
+import pytest
+
+from t2m_jax.checkpoints.run_directory import Checkpoints
+from t2m_jax.config import UserError
+from t2m_jax.train import run_gpt, run_vqvae
+from tests.tiny import LOOP, gpt_training, vqvae_training
+from tests.train.conftest import assert_same_checkpoint, newest_checkpoint
+
+STAGES = ["vqvae", "gpt"]
+STOP = 7
+"""The update that never ends; the newest checkpoint is then that of step 4, and rows past it were written."""
+
+
+class Stage:
+    """One of the two trainings, into a folder of its own."""
+
+    def __init__(self, name, runs, run):
+        self.module, self.finished = {"vqvae": (run_vqvae, runs.vqvae), "gpt": (run_gpt, runs.gpt)}[name]
+        self._train = {"vqvae": run_vqvae.train_vqvae, "gpt": run_gpt.train_gpt}[name]
+        # The config of a run to resume has to name the VQ-VAE by which it was started.
+        self.config = vqvae_training(runs.data, run) if name == "vqvae" else gpt_training(runs.data, runs.vqvae, run)
+
+    def train(self, *, resume=False, **loop):
+        config = dataclasses.replace(self.config, loop=dataclasses.replace(self.config.loop, **loop))
+        return self._train(config, resume=resume)
+
+
+@pytest.fixture
+def stage(request, runs, tmp_path):
+    return Stage(request.param, runs, tmp_path / "run")
+
+
+def stop_at(step, module, monkeypatch):
+    """Interrupts training in the given update, as Ctrl-C would."""
+    update = module.update
+
+    def interrupted(state, *arguments, **options):
+        if int(state.step) + 1 == step:
+            raise KeyboardInterrupt
+        return update(state, *arguments, **options)
+
+    monkeypatch.setattr(module, "update", interrupted)
+    return lambda: monkeypatch.setattr(module, "update", update)
+
+
+def texts(run):
+    return {name: (run / name).read_bytes() for name in ("train.csv", "val.csv")}
+
+
+@pytest.mark.parametrize("stage", STAGES, indirect=True)
+def test_a_resumed_run_equals_one_that_never_stopped(stage, monkeypatch):
+    mend = stop_at(STOP, stage.module, monkeypatch)
+    with pytest.raises(KeyboardInterrupt):
+        stage.train()
+    run = stage.config.run
+    assert newest_checkpoint(run)[0] == 4
+    with (run / "train.csv").open(encoding="utf-8") as file:
+        assert [row["step"] for row in csv.DictReader(file)] == ["3", "4", "6"]
+    mend()
+    state = stage.train(resume=True)
+    assert int(state.step) == LOOP.num_steps
+    assert texts(run) == texts(stage.finished)
+    assert_same_checkpoint(run, stage.finished)
+
+
+@pytest.mark.parametrize("stage", STAGES, indirect=True)
+def test_a_run_that_stopped_before_its_first_checkpoint_starts_over(stage, monkeypatch):
+    mend = stop_at(4, stage.module, monkeypatch)
+    with pytest.raises(KeyboardInterrupt):
+        stage.train()
+    assert (stage.config.run / "train.csv").exists()
+    mend()
+    stage.train(resume=True)
+    assert texts(stage.config.run) == texts(stage.finished)
+    assert_same_checkpoint(stage.config.run, stage.finished)
+
+
+@pytest.mark.parametrize("stage", STAGES, indirect=True)
+def test_a_run_may_be_prolonged_and_a_finished_one_is_left_alone(stage):
+    run = stage.config.run
+    stage.train(num_steps=4)
+    before = {path: path.stat().st_mtime_ns for path in (run / "checkpoints").rglob("*")}
+    written = texts(run)
+    state = stage.train(resume=True, num_steps=4)
+    assert int(state.step) == 4
+    assert texts(run) == written
+    assert {path: path.stat().st_mtime_ns for path in (run / "checkpoints").rglob("*")} == before
+    stage.train(resume=True)
+    assert texts(run) == texts(stage.finished)
+    assert_same_checkpoint(run, stage.finished)
+
+
+def test_the_step_counts(runs, tmp_path):
+    """What the equalities above could not see: that steps differ and that training moves every part."""
+    shutil.copytree(runs.vqvae, tmp_path / "run")
+    checkpoints = Checkpoints(tmp_path / "run")
+    early, late = checkpoints._manager.restore(4), checkpoints._manager.restore(8)
+    checkpoints.close()
+    assert (early["step"]["step"], late["step"]["step"]) == (4, 8)
+    for part in ("params", "codebook", "opt_state"):
+        same = jax.tree.map(np.array_equal, early[part], late[part])
+        assert not all(jax.tree.leaves(same))
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "says"),
+    [
+        ("vqvae", {"window": 16}, "window 32, not 16"),
+        ("vqvae", {"loop.seed": 6}, "loop.seed 5, not 6"),
+        ("vqvae", {"loop.batch_size": 5}, "loop.batch_size 4, not 5"),
+        ("vqvae", {"optimizer.learning_rate": 0.5}, "optimizer.learning_rate 0.001, not 0.5"),
+        ("vqvae", {"model.width": 8}, "model.width 16, not 8"),
+        ("gpt", {"model.num_layers": 1}, "model.num_layers 2, not 1"),
+        ("gpt", {"keep_probability": 0.9}, "keep_probability 0.5, not 0.9"),
+        ("gpt", {"caption_encoder.dropout": 0.0}, "caption_encoder.dropout 0.1, not 0.0"),
+    ],
+)
+def test_another_config_is_refused_with_the_field_named(runs, tmp_path, name, change, says):
+    stage = Stage(name, runs, runs.vqvae if name == "vqvae" else runs.gpt)
+    config = stage.config
+    if name == "gpt":
+        config = dataclasses.replace(config, vqvae=runs.data.parent / "first")
+    for field, value in change.items():
+        section, _, field = field.rpartition(".")
+        part = dataclasses.replace(getattr(config, section) if section else config, **{field: value})
+        config = dataclasses.replace(config, **{section: part}) if section else part
+    with pytest.raises(UserError) as caught:
+        stage._train(config, resume=True)
+    assert says in str(caught.value)
+    assert str(config.run) in str(caught.value)
+
+
+@pytest.mark.parametrize("stage", STAGES, indirect=True)
+def test_a_run_is_neither_written_over_nor_made_up(stage):
+    with pytest.raises(UserError, match="not a run directory"):
+        stage.train(resume=True)
+    assert not stage.config.run.exists()
+    stage.config = dataclasses.replace(stage.config, run=stage.finished)
+    before = texts(stage.finished)
+    with pytest.raises(UserError, match="--resume"):
+        stage.train()
+    assert texts(stage.finished) == before
