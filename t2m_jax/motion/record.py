@@ -119,7 +119,11 @@ def check_output(path: str | Path) -> None:
         raise UserError(f"{path}: no motion format has the suffix {path.suffix!r}; use one of {known}")
     if not path.parent.is_dir():
         raise UserError(f"{path}: the folder {path.parent} does not exist; make it first")
-    if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+    try:
+        possible = not path.is_dir() and os.access(path if path.exists() else path.parent, os.W_OK)
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written ({error.strerror}); choose another name") from error
+    if not possible:
         raise UserError(f"{path}: cannot be written; choose another place")
 
 

@@ -34,9 +34,8 @@ def drop_one_code(
 ) -> tuple[Int[Array, "B N"], Int[Array, " B"]]:
     """Returns codes and lengths with one code fewer where `drop`, taken from the head or the tail.
 
-    A motion of one code keeps it.
+    A motion of one code is left with none, as in the original: its target is End at once.
     """
-    drop = drop & (code_lengths > 1)
     shifted = jnp.where((drop & at_head)[:, None], jnp.roll(codes, -1, axis=1), codes)
     return shifted, code_lengths - drop
 

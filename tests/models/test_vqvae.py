@@ -62,7 +62,7 @@ def test_parameter_tree_is_a_file_format(model_and_variables):
     paths = {
         "/".join(key.key for key in path): leaf.shape for path, leaf in jax.tree_util.tree_leaves_with_path(variables)
     }
-    assert len(paths) == 52
+    assert len(paths) == 54
     assert paths["params/encoder/down_1/conv/kernel"] == (4, 12, 12)
     assert paths["params/encoder/stack_0/unit_1/dilated/conv/kernel"] == (3, 12, 12)
     assert paths["params/decoder/stack_1/unit_0/pointwise/conv/bias"] == (12,)

@@ -44,7 +44,9 @@ def decode(model, variables, text_embedding, keys, *, strategy, max_codes=None, 
 def next_tokens(model, variables, tokens, text_embedding, keys, step, *, strategy):
     """The next token of each sequence from the logits of the whole sequences, as the original makes them."""
     logits = model.apply(variables, tokens, text_embedding, train=False)[:, step]
-    return jnp.stack([strategy(row[None], jax.random.fold_in(key, step))[0] for row, key in zip(logits, keys, strict=True)])
+    return jnp.stack(
+        [strategy(row[None], jax.random.fold_in(key, step))[0] for row, key in zip(logits, keys, strict=True)]
+    )
 
 
 def decode_without_cache(model, variables, text_embedding, keys, strategy):

@@ -47,10 +47,12 @@ def test_random_corruption_replaces_the_right_share():
     np.testing.assert_array_equal(untouched, tokens)
 
 
-def test_a_single_code_is_never_dropped():
-    codes, lengths = drop_one_code(jnp.array([[5, 0]]), jnp.array([1]), jnp.array([True]), at_head=jnp.array([True]))
-    assert lengths[0] == 1
-    assert codes[0, 0] == 5
+def test_head_and_tail_are_dropped():
+    codes = jnp.array([[5, 6, 7, 0]] * 3)
+    drop, at_head = jnp.array([True, True, False]), jnp.array([True, False, True])
+    found, lengths = drop_one_code(codes, jnp.array([3, 3, 3]), drop, at_head=at_head)
+    assert lengths.tolist() == [2, 2, 3]
+    assert [row[:length].tolist() for row, length in zip(found, lengths, strict=True)] == [[6, 7], [5, 6], [5, 6, 7]]
 
 
 def test_long_motions_are_cut_to_leave_room_for_end():

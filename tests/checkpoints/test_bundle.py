@@ -1,0 +1,160 @@
+"""Bundles: what was saved comes back, and what is broken is refused by name."""
+
+import shutil
+
+import jax
+import numpy as np
+import pytest
+import yaml
+
+from t2m_jax.checkpoints.arrays import load_arrays, save_arrays
+from t2m_jax.checkpoints.bundle import CONFIG_FILE, WEIGHTS_FILE, bundle_path, load_bundle, save_bundle
+from t2m_jax.checkpoints.gpt_run import load_model
+from t2m_jax.checkpoints.vqvae import load_vqvae
+from t2m_jax.config import UserError
+from tests.tiny import BUNDLE, random_bundle
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bundles") / "tiny"
+    save_bundle(folder, random_bundle(), card="# tiny\n")
+    return folder
+
+
+@pytest.fixture
+def copy(saved, tmp_path):
+    shutil.copytree(saved, tmp_path / "copy")
+    return tmp_path / "copy"
+
+
+def change_config(folder, **changes):
+    data = yaml.safe_load((folder / CONFIG_FILE).read_text())
+    for dotted, value in changes.items():
+        *sections, field = dotted.split("__")
+        place = data
+        for section in sections:
+            place = place[section]
+        place[field] = value
+    (folder / CONFIG_FILE).write_text(yaml.safe_dump(data))
+
+
+def refused(folder) -> str:
+    with pytest.raises(UserError) as caught:
+        load_bundle(folder)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_round_trip(saved):
+    original, loaded = random_bundle(), load_bundle(saved)
+    assert loaded.config == BUNDLE
+    jax.tree.map(
+        lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-4),
+        original.variables,
+        loaded.variables,
+    )
+    jax.tree.map(np.testing.assert_array_equal, original.normalizer, loaded.normalizer)
+    assert loaded.tokenizer.to_str() == original.tokenizer.to_str()
+    assert {leaf.dtype for leaf in jax.tree.leaves(loaded.variables["gpt"])} == {np.dtype(np.float32)}
+
+
+def test_weights_take_two_bytes_a_number(saved):
+    count = sum(leaf.size for leaf in jax.tree.leaves(random_bundle().variables))
+    assert (saved / WEIGHTS_FILE).stat().st_size < 2 * count + 20_000
+
+
+def test_everybody_may_read_it(saved):
+    assert all(path.stat().st_mode & 0o044 == 0o044 for path in (saved, *saved.iterdir()))
+
+
+def test_the_vqvae_can_be_had_alone(saved):
+    assert load_vqvae(saved).config == BUNDLE.vqvae
+
+
+def test_an_existing_folder_is_not_written_over(saved):
+    before = sorted(path.name for path in saved.parent.iterdir())
+    with pytest.raises(UserError, match="exists"):
+        save_bundle(saved, random_bundle(), card="")
+    assert sorted(path.name for path in saved.parent.iterdir()) == before
+
+
+def test_the_demo_model_loads():
+    """What travels with the package: complete, small, and with its licence on the card."""
+    folder = bundle_path("demo")
+    bundle = load_model("demo")
+    assert bundle.config.skeleton == "humanml3d"
+    assert sum(path.stat().st_size for path in folder.iterdir()) < 20e6
+    assert "CC BY-NC 4.0" in (folder / "README.md").read_text()
+
+
+@pytest.mark.parametrize("name", [CONFIG_FILE, WEIGHTS_FILE, "Mean.npy", "Std.npy", "tokenizer.json"])
+def test_missing_and_empty_files_are_named(copy, name):
+    (copy / name).write_bytes(b"")
+    if name != CONFIG_FILE:  # an empty config means all defaults, which do not fit the other files
+        assert name in refused(copy)
+    (copy / name).unlink()
+    assert name in refused(copy)
+
+
+def test_missing_folders_name_what_there_is(tmp_path):
+    assert "demo" in refused(tmp_path / "nothing")
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"format_version": 2}, "format_version"),
+        ({"skeleton": "kit_ml"}, "vqvae.feature_dim"),
+        ({"skeleton": "horse"}, "horse"),
+        ({"gpt__num_codes": 17}, "gpt.num_codes"),
+        ({"gpt__text_dim": 13}, "gpt.text_dim"),
+        ({"gpt__embed_dim": 15}, "num_heads"),
+        ({"gpt__embed_dim": 32}, "shape"),
+        ({"vqvae__depth": 2}, "is missing"),
+        ({"gpt__num_layers": 1}, "not part of the model"),
+        ({"caption_encoder__vocabulary_size": 5}, "shape"),
+        ({"gpt__num_layerz": 1}, "num_layers"),
+    ],
+)
+def test_configs_that_do_not_fit_are_refused(copy, changes, said):
+    change_config(copy, **changes)
+    assert said in refused(copy)
+
+
+def test_weights_that_are_not_finite_are_refused(copy):
+    variables = load_bundle(copy).variables
+    variables["gpt"]["params"]["head"]["kernel"][0, 0] = np.nan
+    save_arrays(copy / WEIGHTS_FILE, variables)
+    assert "gpt/params/head/kernel" in refused(copy)
+
+
+def test_statistics_of_another_width_are_refused(copy):
+    for name in ("Mean", "Std"):
+        np.save(copy / f"{name}.npy", np.ones(251, np.float32))
+    assert "251" in refused(copy)
+
+
+@pytest.mark.parametrize("name", [CONFIG_FILE, WEIGHTS_FILE, "Mean.npy", "tokenizer.json"])
+def test_damaged_files_are_refused_and_never_crash(saved, copy, name):
+    generator = np.random.default_rng(0)
+    whole = (saved / name).read_bytes()
+    for trial in range(12):
+        damaged = bytearray(whole)
+        if trial % 2:
+            del damaged[int(generator.integers(len(whole))) :]
+        else:
+            for place in generator.integers(min(len(whole), 2000), size=8):
+                damaged[place] = int(generator.integers(256))
+        (copy / name).write_bytes(bytes(damaged))
+        try:
+            load_bundle(copy)
+        except UserError as error:
+            assert "\n" not in str(error)
+
+
+def test_arrays_keep_their_types(tmp_path):
+    tree = {"a": {"b": np.arange(3, dtype=np.int32)}, "c": np.array(True), "d": np.ones(2, np.float32)}
+    save_arrays(tmp_path / "x.safetensors", tree, half=True)
+    loaded = load_arrays(tmp_path / "x.safetensors", tree)
+    assert [leaf.dtype for leaf in jax.tree.leaves(loaded)] == [np.int32, np.bool_, np.float32]

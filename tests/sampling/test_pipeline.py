@@ -1,0 +1,139 @@
+"""`TextToMotion`: a sample is a function of seed, sentence and its number, and of nothing beside it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from t2m_jax.config import UserError
+from t2m_jax.sampling import Greedy, TextToMotion
+from t2m_jax.sampling.pipeline import MAX_BATCH, decode_motion, generate_codes, sample_key
+from t2m_jax.sampling.strategies import Temperature
+from t2m_jax.text.tokenization import tokenize
+from tests.tiny import BUNDLE, CAPTIONS, random_bundle
+
+
+@pytest.fixture(scope="module")
+def bundle():
+    return random_bundle()
+
+
+@pytest.fixture(scope="module")
+def model(bundle):
+    return TextToMotion(bundle)
+
+
+@pytest.fixture(scope="module")
+def eight(model):
+    return model.generate(CAPTIONS[:4], seed=3, num_samples=2)
+
+
+def assert_same(motion, other):
+    np.testing.assert_array_equal(motion.codes, other.codes)
+    np.testing.assert_allclose(motion.positions, other.positions, atol=1e-4)
+    assert (motion.caption, motion.seed) == (other.caption, other.seed)
+
+
+def test_a_motion_is_complete(model, eight):
+    assert [motion.caption for motion in eight] == [caption for caption in CAPTIONS[:4] for _ in range(2)]
+    for motion in eight:
+        assert motion.seed == 3
+        assert motion.fps == 20.0
+        assert motion.positions.shape == (4 * len(motion.codes), 22, 3)
+        assert motion.features.shape == (4 * len(motion.codes), 263)
+        assert 0 < len(motion.codes) <= model.config.gpt.max_codes
+        assert motion.codes.max() < BUNDLE.vqvae.num_codes
+    assert len({len(motion.codes) for motion in eight}) > 1, "the test wants motions of several lengths"
+
+
+def test_eight_together_equal_eight_alone(model, eight):
+    """The second sample of a sentence cannot be had alone: two are made, and the batch is another one all the same."""
+    for number, caption in enumerate(CAPTIONS[:4]):
+        first, second = eight[2 * number : 2 * number + 2]
+        assert_same(first, model.generate(caption, seed=3)[0])
+        assert_same(second, model.generate([caption], seed=3, num_samples=2)[1])
+
+
+def test_order_and_neighbours_do_not_matter(model, eight):
+    others = model.generate([CAPTIONS[4], CAPTIONS[2], CAPTIONS[0]], seed=3)
+    assert_same(others[1], eight[4])
+    assert_same(others[2], eight[0])
+
+
+def test_seeds_and_samples_differ(model, eight):
+    assert eight[0].codes.tolist() != eight[1].codes.tolist()
+    assert model.generate(CAPTIONS[0], seed=4)[0].codes.tolist() != eight[0].codes.tolist()
+
+
+def test_more_than_one_batch(model):
+    many = model.generate(CAPTIONS[0], seed=1, num_samples=MAX_BATCH + 2)
+    assert len(many) == MAX_BATCH + 2
+    assert_same(many[0], model.generate(CAPTIONS[0], seed=1)[0])
+
+
+def test_white_space_is_folded(model, eight):
+    assert_same(model.generate(f"  {CAPTIONS[0]}\n", seed=3)[0], eight[0])
+
+
+def test_greedy_needs_no_seed(model):
+    one, other = (model.generate(CAPTIONS[1], seed=seed, strategy=Greedy())[0] for seed in (0, 1))
+    np.testing.assert_array_equal(one.codes, other.codes)
+
+
+def test_length_can_be_limited(model):
+    assert all(len(motion.codes) <= 3 for motion in model.generate(CAPTIONS, max_codes=3))
+
+
+def test_decode_gives_the_generated_motion_again(model, eight):
+    again = model.decode(eight[0].codes, caption=eight[0].caption)
+    np.testing.assert_allclose(again.positions, eight[0].positions, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        ({"seed": -1}, "seed"),
+        ({"seed": 2**32}, "seed"),
+        ({"num_samples": 0}, "num-samples"),
+        ({"max_codes": 0}, "max-codes"),
+        ({"max_codes": 1000}, "max-codes"),
+    ],
+)
+def test_numbers_out_of_range_are_refused(model, options, name):
+    with pytest.raises(UserError, match=name):
+        model.generate(CAPTIONS[0], **options)
+
+
+@pytest.mark.parametrize("codes", [[], [-1], [BUNDLE.vqvae.num_codes]])
+def test_codes_out_of_range_are_refused(model, codes):
+    with pytest.raises(UserError, match="codes"):
+        model.decode(np.array(codes, np.int32))
+
+
+def test_sample_keys_are_distinct():
+    keys = [sample_key(seed, caption, sample) for seed in (0, 1) for caption in CAPTIONS for sample in (0, 1)]
+    assert len({tuple(jax.random.key_data(key).tolist()) for key in keys}) == len(keys)
+
+
+def test_jit_equals_eager(bundle, model):
+    tokens = tokenize(bundle.tokenizer, CAPTIONS[:2], max_length=BUNDLE.caption_encoder.max_length)
+    keys = jnp.stack([sample_key(0, caption, 0) for caption in CAPTIONS[:2]])
+    variables, statistics = model.variables, tuple(map(jnp.asarray, bundle.normalizer))
+
+    def both():
+        decoded = generate_codes(
+            variables,
+            jnp.asarray(tokens.tokens),
+            jnp.asarray(tokens.mask),
+            keys,
+            config=BUNDLE,
+            strategy=Temperature(),
+            max_codes=6,
+        )
+        return decoded, decode_motion(variables, statistics, decoded.codes, decoded.code_lengths, config=BUNDLE)
+
+    jitted = both()
+    with jax.disable_jit():
+        eager = both()
+    np.testing.assert_array_equal(jitted[0].codes, eager[0].codes)
+    np.testing.assert_allclose(jitted[1].positions, eager[1].positions, atol=1e-3)
