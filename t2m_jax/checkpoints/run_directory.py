@@ -26,6 +26,9 @@ CONFIG_FILE = "config.yaml"
 INFO_FILE = "run.yaml"
 CHECKPOINTS = "checkpoints"
 
+_DAMAGED = (OSError, LookupError, ValueError, TypeError, AttributeError, RuntimeError)
+"""What Orbax raises on damaged files: it uses their metadata without looking whether they are what it expects."""
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RunInfo:
@@ -115,8 +118,8 @@ class Checkpoints:
         items = {name: ocp.args.StandardRestore({name: value}) for name, value in shapes.items()}
         try:
             restored = self._manager.restore(step, args=ocp.args.Composite(**items))
-        except (ValueError, KeyError, FileNotFoundError) as error:
-            reason = str(error).splitlines()[0]
+        except _DAMAGED as error:
+            reason = next(iter(str(error).splitlines()), type(error).__name__)
             raise UserError(
                 f"{self._run}: checkpoint {step} does not fit its config or is damaged ({reason})"
             ) from error

@@ -9,13 +9,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Float, Int, Key
 
 from t2m_jax.checkpoints.bundle import Bundle, BundleConfig
 from t2m_jax.checkpoints.gpt_run import load_model
 from t2m_jax.config import UserError
 from t2m_jax.masks import mask_from_lengths
-from t2m_jax.models.caption_encoder import CaptionEncoder
 from t2m_jax.models.motion_gpt import MotionGpt
 from t2m_jax.models.vqvae import VqVae
 from t2m_jax.motion.features import positions_from_features
@@ -24,8 +23,9 @@ from t2m_jax.motion.skeleton import skeleton_from_name
 from t2m_jax.sampling.compilation import use_compilation_cache
 from t2m_jax.sampling.decoding import DecodedCodes, decode_codes
 from t2m_jax.sampling.strategies import Strategy, Temperature
+from t2m_jax.sampling.text_encoder import CaptionTextEncoder
+from t2m_jax.text.encoder import TextEncoder
 from t2m_jax.text.prompts import check_prompt
-from t2m_jax.text.tokenization import tokenize
 
 MAX_BATCH = 32
 """Motions made at a time; more are made in turns."""
@@ -47,18 +47,14 @@ def sample_key(seed: int, caption: str, sample: int) -> Key[Array, ""]:
 @functools.partial(jax.jit, static_argnames=("config", "strategy", "max_codes"))
 def generate_codes(
     variables: dict[str, Any],
-    caption_tokens: Int[Array, "B S"],
-    caption_mask: Bool[Array, "B S"],
+    text_embedding: Float[Array, "B E"],
     keys: Key[Array, " B"],
     *,
     config: BundleConfig,
     strategy: Strategy,
     max_codes: int,
 ) -> DecodedCodes:
-    """Returns codes for tokenized captions: caption encoder and cached decoding in one program."""
-    text_embedding = CaptionEncoder(config.caption_encoder).apply(
-        variables["caption_encoder"], caption_tokens, caption_mask, train=False
-    )
+    """Returns codes for text embeddings, by cached decoding in one program."""
     gpt = MotionGpt(config.gpt)
     return decode_codes(
         lambda text: gpt.apply(variables["gpt"], text, method="prefill"),
@@ -96,8 +92,10 @@ class TextToMotion:
         self.config = bundle.config
         self.skeleton = skeleton_from_name(bundle.config.skeleton)
         self.normalizer = bundle.normalizer
-        self._tokenizer = bundle.tokenizer
         self._variables = jax.device_put(bundle.variables)
+        self.text_encoder: TextEncoder = CaptionTextEncoder(
+            bundle.config.caption_encoder, self._variables["caption_encoder"], bundle.tokenizer
+        )
         self._statistics = (jnp.asarray(bundle.normalizer.mean), jnp.asarray(bundle.normalizer.std))
 
     @classmethod
@@ -165,13 +163,9 @@ class TextToMotion:
         # Sizes are powers of two, so that few programs are compiled; the filling repeats the first request.
         size = 1 << (len(requests) - 1).bit_length()
         filled = [*requests, *[requests[0]] * (size - len(requests))]
-        tokens = tokenize(
-            self._tokenizer, [text for text, _ in filled], max_length=self.config.caption_encoder.max_length
-        )
         decoded = generate_codes(
             self._variables,
-            jnp.asarray(tokens.tokens),
-            jnp.asarray(tokens.mask),
+            self.text_encoder([text for text, _ in filled]),
             jnp.stack([sample_key(seed, text, sample) for text, sample in filled]),
             config=self.config,
             strategy=strategy,

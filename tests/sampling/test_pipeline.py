@@ -9,7 +9,7 @@ from t2m_jax.config import UserError
 from t2m_jax.sampling import Greedy, TextToMotion
 from t2m_jax.sampling.pipeline import MAX_BATCH, decode_motion, generate_codes, sample_key
 from t2m_jax.sampling.strategies import Temperature
-from t2m_jax.text.tokenization import tokenize
+from t2m_jax.text.encoder import TextEncoder
 from tests.tiny import BUNDLE, CAPTIONS, random_bundle
 
 
@@ -110,26 +110,27 @@ def test_codes_out_of_range_are_refused(model, codes):
         model.decode(np.array(codes, np.int32))
 
 
+def test_the_text_encoder_reads_each_caption_for_itself(model):
+    assert isinstance(model.text_encoder, TextEncoder)
+    together = model.text_encoder(CAPTIONS)
+    assert together.shape == (len(CAPTIONS), BUNDLE.gpt.text_dim)
+    for caption, embedding in zip(CAPTIONS, together, strict=True):
+        np.testing.assert_allclose(model.text_encoder([caption])[0], embedding, atol=1e-5)
+    assert len(np.unique(np.round(together, 3), axis=0)) == len(CAPTIONS)
+
+
 def test_sample_keys_are_distinct():
     keys = [sample_key(seed, caption, sample) for seed in (0, 1) for caption in CAPTIONS for sample in (0, 1)]
     assert len({tuple(jax.random.key_data(key).tolist()) for key in keys}) == len(keys)
 
 
 def test_jit_equals_eager(bundle, model):
-    tokens = tokenize(bundle.tokenizer, CAPTIONS[:2], max_length=BUNDLE.caption_encoder.max_length)
     keys = jnp.stack([sample_key(0, caption, 0) for caption in CAPTIONS[:2]])
     variables, statistics = model.variables, tuple(map(jnp.asarray, bundle.normalizer))
 
     def both():
-        decoded = generate_codes(
-            variables,
-            jnp.asarray(tokens.tokens),
-            jnp.asarray(tokens.mask),
-            keys,
-            config=BUNDLE,
-            strategy=Temperature(),
-            max_codes=6,
-        )
+        text = model.text_encoder(CAPTIONS[:2])
+        decoded = generate_codes(variables, text, keys, config=BUNDLE, strategy=Temperature(), max_codes=6)
         return decoded, decode_motion(variables, statistics, decoded.codes, decoded.code_lengths, config=BUNDLE)
 
     jitted = both()
