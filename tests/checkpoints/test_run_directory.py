@@ -1,0 +1,214 @@
+"""Run directories: what is written comes back, and what is broken is refused by name."""
+
+import dataclasses
+import random
+import shutil
+import subprocess
+import sys
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from t2m_jax.checkpoints.run_directory import (
+    CHECKPOINTS,
+    CONFIG_FILE,
+    INFO_FILE,
+    Checkpoints,
+    create_run,
+    is_run_directory,
+    restore_latest,
+    run_info,
+)
+from t2m_jax.config import UserError, load_config
+
+
+class State(NamedTuple):
+    """Something like a training state."""
+
+    step: jax.Array
+    params: dict
+    ready: jax.Array
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Config:
+    """Something like a training config."""
+
+    width: int = 3
+    """A number."""
+
+
+def state_at(step) -> State:
+    weights = np.random.default_rng(step).normal(size=(5, 3)).astype(np.float32)
+    params = {"layer": {"kernel": jnp.asarray(weights), "bias": jnp.full(3, 1e-30 * step)}}
+    return State(jnp.array(step, jnp.int32), params, jnp.array(True))
+
+
+def save(run, *steps, keep=None):
+    checkpoints = Checkpoints(run, keep=keep)
+    for step in steps:
+        checkpoints.save(step, state_at(step))
+    checkpoints.close()
+
+
+def restore(run, like=None):
+    checkpoints = Checkpoints(run)
+    try:
+        return checkpoints.restore(state_at(0) if like is None else like)
+    finally:
+        checkpoints.close()
+
+
+def assert_same(state, other):
+    for one, another in zip(jax.tree.leaves(state), jax.tree.leaves(other), strict=True):
+        assert one.dtype == another.dtype
+        np.testing.assert_array_equal(one, another)
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    run = tmp_path_factory.mktemp("runs") / "run"
+    create_run(run, "vqvae", Config(width=7))
+    save(run, 3, 6)
+    return run
+
+
+@pytest.fixture
+def copy(saved, tmp_path):
+    shutil.copytree(saved, tmp_path / "run")
+    return tmp_path / "run"
+
+
+def test_a_run_says_what_it_is(saved):
+    assert is_run_directory(saved)
+    assert run_info(saved).kind == "vqvae"
+    assert load_config(saved / CONFIG_FILE, Config) == Config(width=7)
+
+
+def test_a_run_is_made_once(copy, tmp_path):
+    with pytest.raises(UserError, match=r"holds a run already; add --resume"):
+        create_run(copy, "gpt", Config())
+    assert run_info(copy).kind == "vqvae"
+    (tmp_path / "interrupted").mkdir()
+    (tmp_path / "interrupted" / CONFIG_FILE).write_text("width: 1", encoding="utf-8")
+    create_run(tmp_path / "interrupted", "gpt", Config())
+    assert run_info(tmp_path / "interrupted").kind == "gpt"
+
+
+def test_the_newest_checkpoint_comes_back_bit_for_bit(saved):
+    assert_same(restore(saved), state_at(6))
+    shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), state_at(0))
+    assert_same(restore(saved, shapes), state_at(6))
+
+
+def test_some_fields_can_be_had_alone(saved):
+    checkpoints = Checkpoints(saved)
+    found = checkpoints.restore_fields({"params": state_at(0).params})
+    checkpoints.close()
+    assert_same(found, {"params": state_at(6).params})
+
+
+def test_a_step_is_written_once(copy):
+    (before,) = (copy / CHECKPOINTS / "6").glob("_CHECKPOINT_METADATA")
+    written = before.stat().st_mtime_ns
+    save(copy, 6)
+    assert before.stat().st_mtime_ns == written
+
+
+@pytest.mark.parametrize(("keep", "left"), [(None, ["1", "2", "3"]), (1, ["3"]), (2, ["2", "3"])])
+def test_old_checkpoints_go(tmp_path, keep, left):
+    save(tmp_path, 1, 2, 3, keep=keep)
+    assert sorted(path.name for path in (tmp_path / CHECKPOINTS).iterdir()) == left
+
+
+def test_without_a_checkpoint_a_run_starts_from_its_first_state(tmp_path, saved):
+    first = state_at(0)
+    assert restore_latest(tmp_path, first) is first
+    assert_same(restore_latest(saved, first), state_at(6))
+    with pytest.raises(UserError, match="no checkpoint yet"):
+        restore(tmp_path / "other")
+
+
+def test_what_a_crash_left_half_written_is_no_checkpoint(copy):
+    """The newest but one counts; the leftovers go with the next write and are in nobody's way."""
+    shutil.copytree(copy / CHECKPOINTS / "6", copy / CHECKPOINTS / "9.orbax-checkpoint-tmp-0")
+    (copy / CHECKPOINTS / "9.orbax-checkpoint-tmp-0" / "_CHECKPOINT_METADATA").unlink()
+    assert_same(restore(copy), state_at(6))
+    save(copy, 9)
+    assert_same(restore(copy), state_at(9))
+    assert {path.name for path in (copy / CHECKPOINTS).iterdir()} >= {"3", "6", "9"}
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (None, "not a run directory"),
+        ("", "missing field 'kind'"),
+        ("kind: gan", "expected one of 'vqvae', 'gpt'"),
+        ("kind: gpt\nextra: 1", "unknown key 'extra'"),
+        ("kind: [", "cannot read this YAML"),
+    ],
+)
+def test_folders_that_are_no_run_are_named(copy, content, says):
+    (copy / INFO_FILE).unlink()
+    if content is not None:
+        (copy / INFO_FILE).write_text(content, encoding="utf-8")
+    with pytest.raises(UserError, match=says) as caught:
+        run_info(copy)
+    assert str(copy) in str(caught.value)
+
+
+def refusal(run, like=None) -> str:
+    """Returns the one line with which a run's newest checkpoint is refused, nothing where it loads unharmed."""
+    try:
+        state = restore(run, like)
+    except UserError as error:
+        assert str(run) in str(error)
+        assert "\n" not in str(error)
+        return str(error)
+    assert_same(state, state_at(6))
+    return ""
+
+
+def refuse_other_models(run) -> None:
+    """Fails where a state of other shapes or names is taken for that of the run."""
+    for layer in (
+        {"layer": {"kernel": jnp.zeros((5, 4)), "bias": jnp.zeros(3)}},
+        {"other": {"kernel": jnp.zeros((5, 3)), "bias": jnp.zeros(3)}},
+        {"layer": {"kernel": jnp.zeros((5, 3))}},
+    ):
+        assert "checkpoint 6 does not fit its config" in refusal(run, state_at(0)._replace(params=layer))
+
+
+def refuse_damaged_files(run) -> None:
+    """Fails where a run with bytes changed, cut off or lost, one file at a time, is neither whole nor refused."""
+    draws = random.Random(0)
+    refused = 0
+    for path in [path for path in sorted((run / CHECKPOINTS / "6").rglob("*")) if path.is_file()]:
+        whole = path.read_bytes()
+        place = draws.randrange(len(whole))
+        for damaged in (whole[:place] + bytes([draws.randrange(256)]) + whole[place + 1 :], whole[:place]):
+            path.write_bytes(damaged)
+            refused += bool(refusal(run))
+        path.unlink()
+        refused += bool(refusal(run))
+        path.write_bytes(whole)
+    # Orbax keeps much twice and some only for its own reports, so that not every loss is one.
+    assert refused > 10
+    assert not refusal(run)
+
+
+@pytest.mark.parametrize("check", [refuse_other_models, refuse_damaged_files])
+def test_checkpoints_that_do_not_fit_or_are_damaged_are_refused(copy, check):
+    # In a process of its own: Orbax's readers that were under way when another failed complain until the very end.
+    program = f"""
+from pathlib import Path
+from tests.checkpoints.test_run_directory import {check.__name__}
+{check.__name__}(Path({str(copy)!r}))
+"""
+    command = [sys.executable, "-W", "ignore", "-c", program]
+    result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    assert result.returncode == 0, result.stderr

@@ -1,0 +1,110 @@
+"""Batches of codes and captions: which motion, offset, caption and piece a step sees."""
+
+import collections
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from t2m_jax.data.code_bank import CodeBank, code_batch_at, crop_codes
+
+NUM_MOTIONS, OFFSETS, LONGEST = 7, 4, 9
+NUM_CAPTIONS = np.array([1, 3, 2, 1, 1, 4, 2])
+batch_at = jax.jit(code_batch_at, static_argnames=("batch_size", "max_codes"))
+
+
+@pytest.fixture(scope="module")
+def bank():
+    """Code n of motion m at offset o is 100 m + 10 o + n; caption q of motion m is m, then q."""
+    motion, offset, number = np.ogrid[:NUM_MOTIONS, :OFFSETS, :LONGEST]
+    lengths = np.maximum(2 + np.arange(NUM_MOTIONS)[:, None] - (np.arange(OFFSETS) > 1), 1)
+    captions = [(owner, own) for owner, count in enumerate(NUM_CAPTIONS) for own in range(count)]
+    return CodeBank(
+        codes=jnp.asarray(100 * motion + 10 * offset + number),
+        code_lengths=jnp.asarray(lengths),
+        caption_tokens=jnp.asarray(captions),
+        caption_mask=jnp.ones((len(captions), 2), bool),
+        first_caption=jnp.asarray(np.cumsum(NUM_CAPTIONS) - NUM_CAPTIONS),
+        num_captions=jnp.asarray(NUM_CAPTIONS),
+    )
+
+
+def batches(bank, steps, *, batch_size=3, max_codes=20, seed=0):
+    return [batch_at(bank, jax.random.key(seed), step, batch_size=batch_size, max_codes=max_codes) for step in steps]
+
+
+def test_short_motions_are_kept_whole():
+    codes = jnp.arange(20).reshape(2, 10)
+    cropped, lengths = crop_codes(codes, jnp.array([10, 4]), jax.random.key(0), max_codes=12)
+    assert cropped.shape == (2, 12)
+    np.testing.assert_array_equal(lengths, [10, 4])
+    np.testing.assert_array_equal(cropped[0, :10], codes[0])
+    np.testing.assert_array_equal(cropped[1, :4], codes[1, :4])
+
+
+def test_long_motions_are_cut_at_every_start_alike():
+    length, window, trials = 10, 6, 5000
+    codes = jnp.tile(jnp.arange(15), (trials, 1))
+    cropped, lengths = crop_codes(codes, jnp.full(trials, length), jax.random.key(1), max_codes=window)
+    np.testing.assert_array_equal(lengths, window)
+    np.testing.assert_array_equal(cropped - cropped[:, :1], np.tile(np.arange(window), (trials, 1)))
+    starts = np.bincount(np.asarray(cropped[:, 0]), minlength=15)
+    assert (starts[length - window + 1 :] == 0).all(), "a piece holds what lies past the motion's end"
+    np.testing.assert_allclose(starts[: length - window + 1] / trials, 1 / 5, atol=0.03)
+
+
+def test_a_batch_is_a_function_of_key_and_step(bank):
+    for step in (0, 5, 123):
+        one, again = batches(bank, [step, step])
+        jax.tree.map(np.testing.assert_array_equal, one, again)
+        traced = batch_at(bank, jax.random.key(0), jnp.array(step), batch_size=3, max_codes=20)
+        jax.tree.map(np.testing.assert_array_equal, one, traced)
+    other_step, other_key = batches(bank, [6])[0], batches(bank, [5], seed=1)[0]
+    assert not np.array_equal(batches(bank, [5])[0].codes, other_step.codes)
+    assert not np.array_equal(batches(bank, [5])[0].codes, other_key.codes)
+
+
+def test_an_epoch_shows_each_motion_once_and_with_its_own_captions(bank):
+    steps_an_epoch = NUM_MOTIONS // 3
+    orders = []
+    for epoch in range(4):
+        seen = []
+        for batch in batches(bank, range(epoch * steps_an_epoch, (epoch + 1) * steps_an_epoch)):
+            owners = np.asarray(batch.codes[:, 0]) // 100
+            np.testing.assert_array_equal(batch.caption_tokens[:, 0], owners)
+            assert (np.asarray(batch.caption_tokens[:, 1]) < NUM_CAPTIONS[owners]).all()
+            seen += owners.tolist()
+        assert len(set(seen)) == len(seen) == 3 * steps_an_epoch
+        orders.append(tuple(seen))
+    assert len(set(orders)) == 4
+
+
+def test_lengths_belong_to_motion_and_offset(bank):
+    for batch in batches(bank, range(20)):
+        first = np.asarray(batch.codes[:, 0])
+        np.testing.assert_array_equal(batch.code_lengths, bank.code_lengths[first // 100, first // 10 % 10])
+        np.testing.assert_array_equal(first % 10, 0)
+
+
+def test_offsets_and_captions_are_drawn_alike(bank):
+    offsets, captions = collections.Counter(), collections.Counter()
+    for batch in batches(bank, range(60), batch_size=7 * 8):
+        offsets.update((np.asarray(batch.codes[:, 0]) // 10 % 10).tolist())
+        captions.update(own for owner, own in batch.caption_tokens.tolist() if owner == 5)
+    for counts, kinds in ((offsets, OFFSETS), (captions, NUM_CAPTIONS[5])):
+        shares = np.array([counts[kind] for kind in range(kinds)]) / counts.total()
+        np.testing.assert_allclose(shares, 1 / kinds, atol=0.06)
+
+
+def test_a_bank_smaller_than_a_batch_is_repeated(bank):
+    batch = batches(bank, [0], batch_size=2 * NUM_MOTIONS)[0]
+    owners = (np.asarray(batch.codes[:, 0]) // 100).tolist()
+    assert collections.Counter(owners) == dict.fromkeys(range(NUM_MOTIONS), 2)
+
+
+def test_jit_equals_eager(bank):
+    jitted = batches(bank, [3], max_codes=4)[0]
+    with jax.disable_jit():
+        eager = batches(bank, [3], max_codes=4)[0]
+    jax.tree.map(np.testing.assert_array_equal, jitted, eager)
