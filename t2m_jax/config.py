@@ -73,6 +73,17 @@ def config_from_dict(schema: type[T], data: Mapping[str, Any], *, source: str = 
         raise UserError(f"{source}: {error}") from error
 
 
+def check_sizes(config: Any, *names: str) -> None:
+    """Raises `ValueError` where one of a config's fields (without names: any whole number) is below 1.
+
+    It is meant for `__post_init__`; whatever reads the config then tells where the value stands.
+    """
+    for name in names or (field.name for field in dataclasses.fields(config)):
+        value = getattr(config, name)
+        if type(value) is int and value < 1:
+            raise ValueError(f"{name}: {value} is not a whole number above 0")
+
+
 def config_to_dict(config: Any) -> dict[str, Any]:
     """Returns a config as nested dictionaries, lists, numbers, strings and None: what `config_from_dict` takes."""
     return {field.name: _plain_from_value(getattr(config, field.name)) for field in dataclasses.fields(config)}

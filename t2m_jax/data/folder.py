@@ -8,6 +8,7 @@ import dataclasses
 import logging
 import string
 from pathlib import Path
+from tokenize import TokenError
 from typing import NamedTuple
 
 import numpy as np
@@ -83,7 +84,7 @@ def load_array(path: Path, *, mmap: bool = False) -> np.ndarray:  # any shape: t
         array = np.load(path, mmap_mode="r" if mmap else None, allow_pickle=False)
     except OSError as error:
         raise UserError(f"{path}: cannot be read ({error.strerror or error}); is the copy complete?") from error
-    except (ValueError, EOFError) as error:
+    except (ValueError, EOFError, TokenError) as error:  # the last from a damaged header
         raise UserError(f"{path}: is not a complete .npy file ({error}); copy or import it again") from error
     if not isinstance(array, np.ndarray) or array.dtype.kind != "f":
         raise UserError(f"{path}: holds no floating-point numbers; expected a float32 array")

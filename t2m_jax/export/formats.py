@@ -2,6 +2,7 @@
 
 import pathlib
 from collections.abc import Callable
+from tokenize import TokenError
 
 import numpy as np
 
@@ -43,7 +44,7 @@ def load_npy(path: pathlib.Path) -> Motion:
     """Returns a data set's array as a motion: joints [T, 22 or 21, 3] or raw features [T, 263 or 251]."""
     try:
         array = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
+    except (ValueError, EOFError, OSError, TokenError) as error:  # the last from a damaged header
         raise UserError(f"{path}: this is no array file ({error})") from error
     if not isinstance(array, np.ndarray) or array.dtype.kind != "f":
         raise UserError(f"{path}: this does not hold an array of real numbers")

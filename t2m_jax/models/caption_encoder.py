@@ -6,6 +6,7 @@ import flax.linen as nn
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from t2m_jax.config import check_sizes
 from t2m_jax.models.transformer import LAYER_NORM_EPSILON, WEIGHT_INIT, Block
 
 
@@ -29,6 +30,11 @@ class CaptionEncoderConfig:
     """Dropout rate in attention and MLP."""
     text_dim: int = 256
     """Width of the embedding that comes out (E)."""
+
+    def __post_init__(self) -> None:
+        check_sizes(self)
+        if self.embed_dim % self.num_heads:
+            raise ValueError(f"num_heads: {self.num_heads} does not divide embed_dim {self.embed_dim}")
 
 
 class CaptionEncoder(nn.Module):

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from t2m_jax.config import check_sizes
 from t2m_jax.models.transformer import LAYER_NORM_EPSILON, WEIGHT_INIT, Block, LayerCache, empty_cache
 
 
@@ -32,6 +33,9 @@ class MotionGptConfig:
     """Dropout rate in attention and MLP."""
 
     def __post_init__(self) -> None:
+        check_sizes(self)
+        if self.block_size < 2:
+            raise ValueError(f"block_size: {self.block_size} has no room for a code beside the text")
         if self.embed_dim % self.num_heads:
             raise ValueError(f"num_heads: {self.num_heads} does not divide embed_dim {self.embed_dim}")
 

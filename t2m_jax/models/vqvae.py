@@ -7,6 +7,7 @@ import flax.linen as nn
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from t2m_jax.config import check_sizes
 from t2m_jax.models.convolution import Decoder, Encoder, halve_mask
 from t2m_jax.models.quantizer import Quantizer
 
@@ -37,6 +38,9 @@ class VqVaeConfig:
     """Share of the old codebook statistics kept in a step."""
     reset_threshold: float = 1.0
     """A code whose averaged hits a batch fall under this is replaced."""
+
+    def __post_init__(self) -> None:
+        check_sizes(self)
 
     @property
     def downsample(self) -> int:

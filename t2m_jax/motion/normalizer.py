@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -104,7 +105,7 @@ def _load_statistics(path: Path) -> Float[np.ndarray, " D"]:
         values = np.load(path)
     except FileNotFoundError as error:
         raise UserError(f"{path}: missing; a data set keeps its statistics there") from error
-    except (OSError, ValueError, EOFError) as error:
+    except (OSError, ValueError, EOFError, TokenError) as error:  # the last from a damaged header
         raise UserError(f"{path}: cannot be read as a NumPy array") from error
     if not isinstance(values, np.ndarray) or values.ndim != 1 or values.dtype.kind != "f":
         raise UserError(f"{path}: expected one row of floating-point numbers")

@@ -3,6 +3,7 @@
 import dataclasses
 from pathlib import Path
 
+from t2m_jax.config import check_sizes
 from t2m_jax.losses import ReconstructionKind
 from t2m_jax.models.caption_encoder import CaptionEncoderConfig
 from t2m_jax.models.motion_gpt import MotionGptConfig
@@ -28,6 +29,9 @@ class LoopConfig:
     """Updates between two checkpoints; one is written at the end in any case."""
     keep_checkpoints: int = 2
     """How many of the newest checkpoints are kept."""
+
+    def __post_init__(self) -> None:
+        check_sizes(self, "num_steps", "batch_size", "keep_checkpoints")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -55,6 +59,10 @@ class TrainVqVaeConfig:
     """Optimiser and schedule."""
     loop: LoopConfig = LoopConfig()
     """Length, batch, seed, checkpoints."""
+
+    def __post_init__(self) -> None:
+        if self.window < self.model.downsample:
+            raise ValueError(f"window: {self.window} is shorter than one code, {self.model.downsample} frames")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

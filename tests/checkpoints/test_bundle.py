@@ -115,6 +115,11 @@ def test_missing_folders_name_what_there_is(tmp_path):
         ({"gpt__num_layers": 1}, "not part of the model"),
         ({"caption_encoder__vocabulary_size": 5}, "shape"),
         ({"gpt__num_layerz": 1}, "num_layers"),
+        ({"gpt__num_heads": 0}, "num_heads: 0"),
+        ({"gpt__block_size": 1}, "block_size: 1"),
+        ({"caption_encoder__num_heads": 3}, "num_heads: 3 does not divide"),
+        ({"vqvae__width": 0}, "width: 0"),
+        ({"vqvae__num_stages": -1}, "num_stages: -1"),
     ],
 )
 def test_configs_that_do_not_fit_are_refused(copy, changes, said):
@@ -133,6 +138,12 @@ def test_statistics_of_another_width_are_refused(copy):
     for name in ("Mean", "Std"):
         np.save(copy / f"{name}.npy", np.ones(251, np.float32))
     assert "251" in refused(copy)
+
+
+def test_statistics_with_a_damaged_header_are_refused(copy):
+    whole = (copy / "Std.npy").read_bytes()
+    (copy / "Std.npy").write_bytes(whole.replace(b"(263,)", b"(263,("))
+    assert "Std.npy" in refused(copy)
 
 
 @pytest.mark.parametrize("name", [CONFIG_FILE, WEIGHTS_FILE, "Mean.npy", "tokenizer.json"])

@@ -39,7 +39,7 @@ def _blind_to_places(function):
     seen = {}
 
     def first(config):
-        same = dataclasses.replace(config.loop, **dict.fromkeys(("num_steps", "log_every", "checkpoint_every"), 0))
+        same = dataclasses.replace(config.loop, num_steps=1, log_every=1, checkpoint_every=1)
         places = {name: Path() for name in ("data", "run", "vqvae") if hasattr(config, name)}
         return seen.setdefault(dataclasses.replace(config, loop=same, **places), config)
 

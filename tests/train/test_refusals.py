@@ -1,0 +1,107 @@
+"""What training does not take: sizes that describe nothing, data that hold nothing, data of another width."""
+
+import logging
+import shutil
+
+import numpy as np
+import pytest
+
+from t2m_jax.cli.main import main
+from t2m_jax.config import UserError, config_from_dict, save_config
+from t2m_jax.data.folder import FEATURES, open_dataset
+from t2m_jax.train.config import TrainGptConfig, TrainVqVaeConfig
+from tests.tiny import gpt_training, vqvae_training
+
+
+@pytest.mark.parametrize(
+    ("schema", "data", "says"),
+    [
+        (TrainVqVaeConfig, {"model": {"width": 0}}, "model: width: 0 is not a whole number above 0"),
+        (TrainVqVaeConfig, {"model": {"num_stages": -1}}, "model: num_stages: -1"),
+        (TrainVqVaeConfig, {"window": 3}, "window: 3 is shorter than one code, 4 frames"),
+        (TrainVqVaeConfig, {"window": 7, "model": {"num_stages": 3}}, "window: 7 is shorter than one code, 8 frames"),
+        (TrainVqVaeConfig, {"loop": {"batch_size": 0}}, "loop: batch_size: 0"),
+        (TrainGptConfig, {"loop": {"keep_checkpoints": 0}}, "loop: keep_checkpoints: 0"),
+        (TrainGptConfig, {"loop": {"num_steps": -5}}, "loop: num_steps: -5"),
+        (TrainGptConfig, {"model": {"block_size": 1}}, "model: block_size: 1 has no room"),
+        (TrainGptConfig, {"model": {"num_heads": 0}}, "model: num_heads: 0"),
+        (TrainGptConfig, {"model": {"num_heads": 7}}, "model: num_heads: 7 does not divide"),
+        (TrainGptConfig, {"caption_encoder": {"num_heads": 3}}, "caption_encoder: num_heads: 3 does not divide"),
+        (TrainGptConfig, {"caption_encoder": {"max_length": 0}}, "caption_encoder: max_length: 0"),
+    ],
+)
+def test_sizes_that_describe_nothing(schema, data, says):
+    with pytest.raises(UserError) as caught:
+        config_from_dict(schema, data, source="config.yaml")
+    assert str(caught.value).startswith(f"config.yaml: {says}")
+
+
+@pytest.fixture(params=["vqvae", "gpt"])
+def refusal(request, runs, tmp_path, capsys):
+    """Returns a function that trains a stage on data, which must be refused, and gives the one line that is said."""
+
+    def train(data):
+        config = {
+            "vqvae": lambda: vqvae_training(data, tmp_path / "run"),
+            "gpt": lambda: gpt_training(data, runs.vqvae, tmp_path / "run"),
+        }[request.param]()
+        save_config(tmp_path / "config.yaml", config)
+        assert main(["train", request.param, f"{tmp_path / 'config.yaml'}"]) == 2
+        assert not (tmp_path / "run").exists(), "a run that cannot start was written"
+        (line,) = capsys.readouterr().err.splitlines()
+        return line
+
+    return train
+
+
+@pytest.fixture
+def copy(data, tmp_path):
+    shutil.copytree(data, tmp_path / "data")
+    return tmp_path / "data"
+
+
+def features_of(folder):
+    return sorted((folder / FEATURES).iterdir())
+
+
+def test_data_of_nothing_but_nan(refusal, copy):
+    for path in features_of(copy):
+        np.save(path, np.full_like(np.load(path), np.nan))
+    assert "every clip was left out" in refusal(copy)
+
+
+def test_data_of_another_width(refusal, copy):
+    (copy / "dataset.yaml").unlink()
+    for path in [*features_of(copy), copy / "Mean.npy", copy / "Std.npy"]:
+        np.save(path, np.load(path)[..., :251])
+    line = refusal(copy)
+    assert f"{copy}" in line
+    assert "251 features a frame, the model reads 263" in line
+
+
+def test_a_clip_of_another_width(refusal, copy):
+    name = (copy / "train.txt").read_text(encoding="utf-8").split()[0]
+    np.save(copy / FEATURES / f"{name}.npy", np.zeros((50, 260), np.float32))
+    assert f"{name}.npy: has shape 50x260" in refusal(copy)
+
+
+def test_a_missing_clip(refusal, copy):
+    name = (copy / "train.txt").read_text(encoding="utf-8").split()[0]
+    (copy / FEATURES / f"{name}.npy").unlink()
+    assert f"{name}.npy: cannot be read" in refusal(copy)
+
+
+def test_data_that_are_not_there(refusal, tmp_path):
+    assert f"{tmp_path / 'nowhere'}: no data set here" in refusal(tmp_path / "nowhere")
+
+
+def test_a_clip_that_holds_nan_is_left_out_and_named(copy, caplog):
+    names = (copy / "train.txt").read_text(encoding="utf-8").split()
+    path = copy / FEATURES / f"{names[3]}.npy"
+    features = np.load(path)
+    features[7, 2] = np.nan
+    np.save(path, features)
+    with caplog.at_level(logging.WARNING):
+        clips = open_dataset(copy).clips("train")
+    assert [clip.name for clip in clips] == names[:3] + names[4:]
+    assert f"1 clips of train hold NaN and are left out: {names[3]}" in caplog.text
