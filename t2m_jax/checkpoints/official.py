@@ -26,14 +26,18 @@ def _layer_norm(state_dict: StateDict, key: str) -> dict:
     return {"scale": jnp.asarray(state_dict[f"{key}.weight"]), "bias": jnp.asarray(state_dict[f"{key}.bias"])}
 
 
-def _stack(state_dict: StateDict, key: str, depth: int) -> dict:
-    return {
-        f"unit_{unit}": {
-            "dilated": _conv(state_dict, f"{key}.model.{unit}.conv1"),
-            "pointwise": _conv(state_dict, f"{key}.model.{unit}.conv2"),
-        }
-        for unit in range(depth)
+def _unit(state_dict: StateDict, key: str) -> dict:
+    """Returns a residual unit, with its norms where there are some."""
+    norms = {
+        name: _layer_norm(state_dict, f"{key}.{name}")
+        for name in ("norm1", "norm2")
+        if f"{key}.{name}.weight" in state_dict
     }
+    return norms | {"dilated": _conv(state_dict, f"{key}.conv1"), "pointwise": _conv(state_dict, f"{key}.conv2")}
+
+
+def _stack(state_dict: StateDict, key: str, depth: int) -> dict:
+    return {f"unit_{unit}": _unit(state_dict, f"{key}.model.{unit}") for unit in range(depth)}
 
 
 def vqvae_variables(state_dict: StateDict, *, num_stages: int, depth: int) -> dict:
@@ -53,15 +57,19 @@ def vqvae_variables(state_dict: StateDict, *, num_stages: int, depth: int) -> di
     encoder["output"] = _conv(state_dict, f"vqvae.encoder.model.{2 + num_stages}")
     decoder["penultimate"] = _conv(state_dict, f"vqvae.decoder.model.{2 + num_stages}")
     decoder["output"] = _conv(state_dict, f"vqvae.decoder.model.{4 + num_stages}")
-    key = "vqvae.quantizer.codebook"
-    codebook = jnp.asarray(state_dict[key if key in state_dict else "vqvae.quantizer.embedding.weight"])
+    params = {"encoder": encoder, "decoder": decoder}
+    if "vqvae.quantizer.embedding.weight" in state_dict:
+        return {
+            "params": params | {"quantizer": {"codebook": jnp.asarray(state_dict["vqvae.quantizer.embedding.weight"])}}
+        }
+    codebook = jnp.asarray(state_dict["vqvae.quantizer.codebook"])
     quantizer = {
         "codebook": codebook,
         "ema_sum": codebook,
         "ema_count": jnp.ones(codebook.shape[0]),
         "initialised": jnp.array(True),
     }
-    return {"params": {"encoder": encoder, "decoder": decoder}, "codebook": {"quantizer": quantizer}}
+    return {"params": params, "codebook": {"quantizer": quantizer}}
 
 
 def _block(state_dict: StateDict, key: str) -> dict:

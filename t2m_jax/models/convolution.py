@@ -5,6 +5,7 @@ zeros it would meet alone.
 """
 
 from collections.abc import Callable, Sequence
+from typing import Literal
 
 import flax.linen as nn
 import jax
@@ -17,6 +18,30 @@ ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {
     "silu": nn.silu,
     "gelu": lambda values: nn.gelu(values, approximate=False),
 }
+
+
+NormKind = Literal["none", "LN", "GN", "BN"]
+GROUPS = 32
+"""Groups of channels of `GN`."""
+
+
+def normalized(
+    hidden: Float[Array, "B T W"], mask: Bool[Array, "B T"], *, kind: NormKind, name: str, train: bool
+) -> Float[Array, "B T W"]:
+    """Returns the sequence after a normalization layer called `name`; to be called inside a module's `compact` method.
+
+    `LN` is over the channels of one position, `GN` over the positions of a clip and the channels of a group, `BN` over
+    the batch, with running statistics in the collection `batch_stats`. Masked positions count in none of them.
+    """
+    if kind == "LN":
+        return nn.LayerNorm(epsilon=1e-5, use_fast_variance=False, name=name)(hidden)
+    if kind == "GN":
+        norm = nn.GroupNorm(GROUPS, epsilon=1e-6, use_fast_variance=False, name=name)
+        return norm(hidden, mask=mask[:, :, None])
+    if kind == "BN":
+        norm = nn.BatchNorm(not train, momentum=0.9, epsilon=1e-6, use_fast_variance=False, name=name)
+        return norm(hidden, mask=mask[:, :, None])
+    return hidden
 
 
 def _fan_in_uniform(fan_in: int) -> nn.initializers.Initializer:
@@ -64,20 +89,23 @@ class MaskedConv(nn.Module):
 
 
 class ResidualUnit(nn.Module):
-    """Pre-activation residual unit: a dilated convolution of width 3, then one of width 1."""
+    """Pre-activation residual unit: a dilated convolution of width 3, then one of width 1, each behind its norm."""
 
     dilation: int
     activation: str
+    norm: NormKind
 
     @nn.compact
-    def __call__(self, inputs: Float[Array, "B T W"], mask: Bool[Array, "B T"]) -> Float[Array, "B T W"]:
+    def __call__(
+        self, inputs: Float[Array, "B T W"], mask: Bool[Array, "B T"], *, train: bool
+    ) -> Float[Array, "B T W"]:
         """Returns the inputs plus the unit's branch."""
         width = inputs.shape[-1]
         activation = ACTIVATIONS[self.activation]
-        branch = activation(inputs)
+        branch = activation(normalized(inputs, mask, kind=self.norm, name="norm1", train=train))
         branch = MaskedConv(width, 3, dilation=self.dilation, padding=self.dilation, name="dilated")(branch, mask)
-        branch = MaskedConv(width, 1, name="pointwise")(activation(branch), mask)
-        return inputs + branch
+        branch = activation(normalized(branch, mask, kind=self.norm, name="norm2", train=train))
+        return inputs + MaskedConv(width, 1, name="pointwise")(branch, mask)
 
 
 class ResidualStack(nn.Module):
@@ -86,13 +114,16 @@ class ResidualStack(nn.Module):
     depth: int
     dilation_growth: int
     activation: str
+    norm: NormKind
 
     @nn.compact
-    def __call__(self, hidden: Float[Array, "B T W"], mask: Bool[Array, "B T"]) -> Float[Array, "B T W"]:
+    def __call__(
+        self, hidden: Float[Array, "B T W"], mask: Bool[Array, "B T"], *, train: bool
+    ) -> Float[Array, "B T W"]:
         """Returns the sequence after all units."""
         for unit in range(self.depth):
             dilation = self.dilation_growth ** (self.depth - 1 - unit)
-            hidden = ResidualUnit(dilation, self.activation, name=f"unit_{unit}")(hidden, mask)
+            hidden = ResidualUnit(dilation, self.activation, self.norm, name=f"unit_{unit}")(hidden, mask, train=train)
         return hidden
 
 
@@ -105,16 +136,19 @@ class Encoder(nn.Module):
     depth: int
     dilation_growth: int
     activation: str
+    norm: NormKind
 
     @nn.compact
-    def __call__(self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"]) -> Float[Array, "B N C"]:
+    def __call__(
+        self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"], *, train: bool
+    ) -> Float[Array, "B N C"]:
         """Returns latents, N = T halved `num_stages` times (rounding down)."""
+        stack = (self.depth, self.dilation_growth, self.activation, self.norm)
         hidden = nn.relu(MaskedConv(self.width, 3, padding=1, name="input")(motion, mask))
         for stage in range(self.num_stages):
             hidden = MaskedConv(self.width, 4, stride=2, padding=1, name=f"down_{stage}")(hidden, mask)
             mask = halve_mask(mask)
-            stack = ResidualStack(self.depth, self.dilation_growth, self.activation, name=f"stack_{stage}")
-            hidden = stack(hidden, mask)
+            hidden = ResidualStack(*stack, name=f"stack_{stage}")(hidden, mask, train=train)
         return MaskedConv(self.code_dim, 3, padding=1, name="output")(hidden, mask)
 
 
@@ -127,14 +161,17 @@ class Decoder(nn.Module):
     depth: int
     dilation_growth: int
     activation: str
+    norm: NormKind
 
     @nn.compact
-    def __call__(self, latents: Float[Array, "B N C"], mask: Bool[Array, "B N"]) -> Float[Array, "B T D"]:
+    def __call__(
+        self, latents: Float[Array, "B N C"], mask: Bool[Array, "B N"], *, train: bool
+    ) -> Float[Array, "B T D"]:
         """Returns motion, T = N * 2**num_stages."""
+        stack = (self.depth, self.dilation_growth, self.activation, self.norm)
         hidden = nn.relu(MaskedConv(self.width, 3, padding=1, name="input")(latents, mask))
         for stage in range(self.num_stages):
-            stack = ResidualStack(self.depth, self.dilation_growth, self.activation, name=f"stack_{stage}")
-            hidden = jnp.repeat(stack(hidden, mask), 2, axis=1)
+            hidden = jnp.repeat(ResidualStack(*stack, name=f"stack_{stage}")(hidden, mask, train=train), 2, axis=1)
             mask = double_mask(mask)
             hidden = MaskedConv(self.width, 3, padding=1, name=f"up_{stage}")(hidden, mask)
         hidden = nn.relu(MaskedConv(self.width, 3, padding=1, name="penultimate")(hidden, mask))

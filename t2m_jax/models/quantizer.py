@@ -1,10 +1,13 @@
-"""Vector quantization: nearest-code lookup and the codebook's own learning rule (EMA with reset).
+"""Vector quantization: nearest-code lookup, and four ways in which a codebook learns.
 
-The rule is T2M-GPT's (arXiv 2301.06052, section 3.1) as its code has it: sums and counts are averaged separately, a
-code whose averaged count falls under the threshold is replaced by a row of the current batch, its statistics stay.
+They are those of T2M-GPT (arXiv 2301.06052, section 3.1 and table 3) as its code has them. `orig` trains the codebook
+by gradient; the others move it themselves: `ema` and `ema_reset` to the running average of the latents that chose a
+code, with sums and counts averaged separately; `reset` and `ema_reset` replace a code that is hardly chosen by a row of
+the current batch, and leave its statistics alone. With `reset` alone a code never moves but by being replaced.
 """
 
-from typing import NamedTuple
+import dataclasses
+from typing import Literal, NamedTuple
 
 import flax.linen as nn
 import jax
@@ -13,10 +16,40 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 CANDIDATE_NOISE = 0.01
 """Standard deviation of the noise on repeated rows, times 1/sqrt(code_dim)."""
+LEAST_COUNT = 1e-30
+"""Averaged counts below this are leftovers of codes unused for thousands of steps: their average means nothing."""
+
+QuantizerKind = Literal["orig", "ema", "reset", "ema_reset"]
+
+
+@dataclasses.dataclass(frozen=True)
+class CodebookRule:
+    """How a codebook moves in training; one that does neither is a parameter and learns by gradient."""
+
+    averages: bool
+    """Codes follow the running average of the latents that chose them."""
+    resets: bool
+    """Codes that are hardly chosen are replaced by latents of the batch."""
+
+    @property
+    def by_gradient(self) -> bool:
+        """Whether the optimiser moves the codebook."""
+        return not (self.averages or self.resets)
+
+
+RULES: dict[str, CodebookRule] = {
+    "orig": CodebookRule(averages=False, resets=False),
+    "ema": CodebookRule(averages=True, resets=False),
+    "reset": CodebookRule(averages=False, resets=True),
+    "ema_reset": CodebookRule(averages=True, resets=True),
+}
 
 
 class CodebookState(NamedTuple):
-    """What the codebook remembers between steps; the collection `codebook`, leaf for leaf."""
+    """What a codebook that moves itself remembers between steps; the collection `codebook`, leaf for leaf.
+
+    Without averaging, `ema_sum` and `ema_count` are those of the last batch alone.
+    """
 
     codebook: Float[Array, "K C"]
     ema_sum: Float[Array, "K C"]
@@ -31,6 +64,8 @@ class QuantizerOutput(NamedTuple):
     """Straight-through: the value of the code, the gradient of the latent."""
     codes: Int[Array, "B N"]
     commitment_loss: Float[Array, ""]
+    """Mean squared distance of latents and codes; for a codebook that learns by gradient its own loss is added, which
+    is equal in value and pulls the codes."""
     code_counts: Float[Array, " K"]
     """How often each code was chosen in this batch, masked positions not counted."""
 
@@ -82,43 +117,54 @@ def update_codebook(
     batch_hits: tuple[Float[Array, "K C"], Float[Array, " K"]],
     candidates: Float[Array, "K C"],
     *,
+    rule: CodebookRule,
     decay: float,
     threshold: float,
 ) -> CodebookState:
-    """Returns the codebook after one step of EMA with reset.
+    """Returns the codebook after one step of a rule that averages, resets, or does both.
 
     Args:
         state: The codebook that was used for the lookup.
         batch_hits: Sums and counts of `hits`.
         candidates: Row k replaces code k if that code is dead.
+        rule: What to do.
         decay: Share of the old averages that is kept.
-        threshold: A code lives while its averaged count is at least this.
+        threshold: A code lives while its count, averaged if the rule averages, is at least this.
     """
-    sums, counts = batch_hits
-    ema_sum = decay * state.ema_sum + (1.0 - decay) * sums
-    ema_count = decay * state.ema_count + (1.0 - decay) * counts
-    alive = ema_count >= threshold
-    # The denominator of a dead code may be 0 or denormal; it must not reach the division even where it is not used.
-    averages = ema_sum / jnp.where(alive, ema_count, 1.0)[:, None]
-    codebook = jnp.where(alive[:, None], averages, candidates)
+    kept = decay if rule.averages else 0.0
+    ema_sum, ema_count = (
+        kept * old + (1.0 - kept) * new for old, new in zip((state.ema_sum, state.ema_count), batch_hits, strict=True)
+    )
+    alive = ema_count >= (threshold if rule.resets else LEAST_COUNT)
+    codebook = state.codebook
+    if rule.averages:
+        # The denominator of a dead code may be 0 or denormal; it must not reach the division even where it is unused.
+        codebook = jnp.where(alive[:, None], ema_sum / jnp.where(alive, ema_count, 1.0)[:, None], codebook)
+    if rule.resets:
+        codebook = jnp.where(alive[:, None], codebook, candidates)
     return CodebookState(codebook, ema_sum, ema_count, state.initialised)
 
 
 class Quantizer(nn.Module):
     """Replaces latents by their nearest codes and, in training, moves the codebook towards them.
 
-    Collection `codebook`: `codebook` [K, C], `ema_sum` [K, C], `ema_count` [K], `initialised` []; it changes only when
-    `train` is True and the collection is mutable. RNG stream `codebook` (training): noise on repeated candidates.
+    Of kind `orig` the codebook is the parameter `codebook` [K, C]. Otherwise it is the collection `codebook`:
+    `codebook` [K, C], `ema_sum` [K, C], `ema_count` [K], `initialised` []; it changes only when `train` is True and the
+    collection is mutable. RNG stream `codebook` (training): noise on repeated candidates.
     """
 
     num_codes: int
     code_dim: int
+    kind: QuantizerKind
     ema_decay: float
     reset_threshold: float
 
     def setup(self) -> None:
-        """Declares the codebook's variables."""
+        """Declares the codebook."""
         rows, counts = (self.num_codes, self.code_dim), (self.num_codes,)
+        if RULES[self.kind].by_gradient:
+            self.embedding = self.param("codebook", _uniform_codes, rows)
+            return
         self.codebook = self.variable("codebook", "codebook", jnp.zeros, rows)
         self.ema_sum = self.variable("codebook", "ema_sum", jnp.zeros, rows)
         self.ema_count = self.variable("codebook", "ema_count", jnp.zeros, counts)
@@ -132,28 +178,56 @@ class Quantizer(nn.Module):
 
     def __call__(self, latents: Float[Array, "B N C"], mask: Bool[Array, "B N"], *, train: bool) -> QuantizerOutput:
         """Returns quantized latents, codes and the commitment loss, which is taken before the codebook moves."""
-        rows = latents.reshape(-1, self.code_dim)
-        row_mask = mask.reshape(-1)
-        state = self._current()
-        learn = train and self.is_mutable_collection("codebook") and not self.is_initializing()
-        if learn:
-            initial_key, reset_key = jax.random.split(self.make_rng("codebook"))
-            detached = jax.lax.stop_gradient(rows)
-            first = candidate_codes(detached, row_mask, initial_key, num_codes=self.num_codes)
-            state = initial_codebook(state, first)
-        codes = nearest_codes(rows, state.codebook)
+        rows, row_mask = latents.reshape(-1, self.code_dim), mask.reshape(-1)
+        rule = RULES[self.kind]
+        moves = train and not rule.by_gradient and self.is_mutable_collection("codebook") and not self.is_initializing()
+        if moves:
+            self._start(rows, row_mask)
+        codebook = self._codebook()
+        codes = nearest_codes(rows, codebook)
         batch_hits = hits(jax.lax.stop_gradient(rows), codes, row_mask, num_codes=self.num_codes)
-        quantized = state.codebook[codes]
-        squared = jnp.where(row_mask[:, None], (rows - jax.lax.stop_gradient(quantized)) ** 2, 0.0)
-        loss = jnp.sum(squared) / jnp.maximum(jnp.sum(row_mask) * self.code_dim, 1)
-        if learn:
-            candidates = candidate_codes(detached, row_mask, reset_key, num_codes=self.num_codes)
-            self._assign(
-                update_codebook(state, batch_hits, candidates, decay=self.ema_decay, threshold=self.reset_threshold)
-            )
+        quantized = codebook[codes]
+        loss = _mean_square(rows - jax.lax.stop_gradient(quantized), row_mask)
+        if rule.by_gradient:
+            loss += _mean_square(quantized - jax.lax.stop_gradient(rows), row_mask)
+        if moves:
+            self._move(rows, row_mask, batch_hits)
         straight_through = rows + jax.lax.stop_gradient(quantized - rows)
         return QuantizerOutput(straight_through.reshape(latents.shape), codes.reshape(mask.shape), loss, batch_hits[1])
 
+    def _candidates(self, rows: Float[Array, "M C"], row_mask: Bool[Array, " M"]) -> Float[Array, "K C"]:
+        return candidate_codes(
+            jax.lax.stop_gradient(rows), row_mask, self.make_rng("codebook"), num_codes=self.num_codes
+        )
+
+    def _start(self, rows: Float[Array, "M C"], row_mask: Bool[Array, " M"]) -> None:
+        """Makes a codebook that was never used start from the first batch."""
+        self._assign(initial_codebook(self._current(), self._candidates(rows, row_mask)))
+
+    def _move(
+        self,
+        rows: Float[Array, "M C"],
+        row_mask: Bool[Array, " M"],
+        batch_hits: tuple[Float[Array, "K C"], Float[Array, " K"]],
+    ) -> None:
+        """Moves the codebook by one step."""
+        candidates = self._candidates(rows, row_mask)
+        options = {"rule": RULES[self.kind], "decay": self.ema_decay, "threshold": self.reset_threshold}
+        self._assign(update_codebook(self._current(), batch_hits, candidates, **options))
+
+    def _codebook(self) -> Float[Array, "K C"]:
+        return self.embedding if RULES[self.kind].by_gradient else self.codebook.value
+
     def lookup(self, codes: Int[Array, "B N"]) -> Float[Array, "B N C"]:
         """Returns the codebook rows of `codes`."""
-        return self.codebook.value[codes]
+        return self._codebook()[codes]
+
+
+def _uniform_codes(key: PRNGKeyArray, shape: tuple[int, int]) -> Float[Array, "K C"]:
+    return jax.random.uniform(key, shape, minval=-1.0 / shape[0], maxval=1.0 / shape[0])
+
+
+def _mean_square(difference: Float[Array, "M C"], mask: Bool[Array, " M"]) -> Float[Array, ""]:
+    """Returns the mean of squares over the True rows."""
+    squares = jnp.where(mask[:, None], difference**2, 0.0)
+    return jnp.sum(squares) / jnp.maximum(jnp.sum(mask) * difference.shape[1], 1)

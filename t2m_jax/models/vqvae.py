@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from t2m_jax.config import check_sizes
-from t2m_jax.models.convolution import Decoder, Encoder, halve_mask
-from t2m_jax.models.quantizer import Quantizer
+from t2m_jax.models.convolution import GROUPS, Decoder, Encoder, NormKind, halve_mask
+from t2m_jax.models.quantizer import Quantizer, QuantizerKind
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -32,8 +32,10 @@ class VqVaeConfig:
     """Ratio of the dilations of neighbouring units."""
     activation: Literal["relu", "silu", "gelu"] = "relu"
     """Activation inside the residual units."""
-    quantizer: Literal["ema_reset"] = "ema_reset"
-    """How the codebook learns."""
+    norm: NormKind = "none"
+    """Normalization inside the residual units: over channels, over groups of 32 of them, over the batch."""
+    quantizer: QuantizerKind = "ema_reset"
+    """How the codebook learns: by gradient (`orig`), by running averages, by replacing unused codes, or by both."""
     ema_decay: float = 0.99
     """Share of the old codebook statistics kept in a step."""
     reset_threshold: float = 1.0
@@ -41,6 +43,8 @@ class VqVaeConfig:
 
     def __post_init__(self) -> None:
         check_sizes(self)
+        if self.norm == "GN" and self.width % GROUPS:
+            raise ValueError(f"width: {self.width} is not a multiple of {GROUPS}, as norm GN needs")
 
     @property
     def downsample(self) -> int:
@@ -59,7 +63,9 @@ class VqVaeOutput(NamedTuple):
 
 
 class VqVae(nn.Module):
-    """Motion to codes and back. Collections: `params`, `codebook` (see `Quantizer`).
+    """Motion to codes and back.
+
+    Collections: `params`, `codebook` (see `Quantizer`; none with quantizer `orig`), `batch_stats` (with norm `BN`).
 
     All motion is normalized. `mask` is True where there is data; None means everywhere. Results at positions past a
     clip's end mean nothing; results before it do not depend on what lies past it.
@@ -70,17 +76,19 @@ class VqVae(nn.Module):
     def setup(self) -> None:
         """Builds the three parts."""
         config = self.config
-        shape = (config.width, config.num_stages, config.depth, config.dilation_growth, config.activation)
+        shape = (config.width, config.num_stages, config.depth, config.dilation_growth, config.activation, config.norm)
         self.encoder = Encoder(config.code_dim, *shape)
         self.decoder = Decoder(config.feature_dim, *shape)
-        self.quantizer = Quantizer(config.num_codes, config.code_dim, config.ema_decay, config.reset_threshold)
+        self.quantizer = Quantizer(
+            config.num_codes, config.code_dim, config.quantizer, config.ema_decay, config.reset_threshold
+        )
 
     def _latents(
-        self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"] | None
+        self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"] | None, *, train: bool
     ) -> tuple[Float[Array, "B N C"], Bool[Array, "B N"]]:
         if mask is None:
             mask = jnp.ones(motion.shape[:2], bool)
-        latents = self.encoder(motion, mask)
+        latents = self.encoder(motion, mask, train=train)
         for _ in range(self.config.num_stages):
             mask = halve_mask(mask)
         return latents, mask
@@ -89,10 +97,10 @@ class VqVae(nn.Module):
         self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"] | None = None, *, train: bool
     ) -> VqVaeOutput:
         """Returns the reconstruction, the codes and the commitment loss; moves the codebook when training."""
-        latents, code_mask = self._latents(motion, mask)
+        latents, code_mask = self._latents(motion, mask, train=train)
         quantizer_output = self.quantizer(latents, code_mask, train=train)
         return VqVaeOutput(
-            self.decoder(quantizer_output.quantized, code_mask),
+            self.decoder(quantizer_output.quantized, code_mask, train=train),
             quantizer_output.codes,
             quantizer_output.commitment_loss,
             quantizer_output.code_counts,
@@ -100,17 +108,17 @@ class VqVae(nn.Module):
 
     def encode(self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"] | None = None) -> Int[Array, "B N"]:
         """Returns the codes of a motion, 0 past a clip's end."""
-        latents, code_mask = self._latents(motion, mask)
+        latents, code_mask = self._latents(motion, mask, train=False)
         return jnp.where(code_mask, self.quantizer(latents, code_mask, train=False).codes, 0)
 
     def encode_latents(
         self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"] | None = None
     ) -> Float[Array, "B N C"]:
         """Returns the latents before the codebook."""
-        return self._latents(motion, mask)[0]
+        return self._latents(motion, mask, train=False)[0]
 
     def decode(self, codes: Int[Array, "B N"], mask: Bool[Array, "B N"] | None = None) -> Float[Array, "B T D"]:
         """Returns the motion of given codes, T = N * downsample; `mask` is over codes."""
         if mask is None:
             mask = jnp.ones(codes.shape, bool)
-        return self.decoder(self.quantizer.lookup(codes), mask)
+        return self.decoder(self.quantizer.lookup(codes), mask, train=False)

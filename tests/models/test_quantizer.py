@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from t2m_jax.models.quantizer import (
+    RULES,
     CodebookState,
     Quantizer,
     candidate_codes,
     hits,
     initial_codebook,
     nearest_codes,
+    perplexity_from_counts,
     update_codebook,
 )
 
@@ -23,11 +25,26 @@ def fresh_state(num_codes: int, code_dim: int) -> CodebookState:
     return CodebookState(zeros, zeros, jnp.zeros(num_codes), jnp.array(False))
 
 
-@pytest.mark.parametrize("name", ["quantizer_ema_reset_big", "quantizer_ema_reset_tile"])
+GOLDEN = {
+    "quantizer_ema_reset_big": "ema_reset",
+    "quantizer_ema_reset_tile": "ema_reset",
+    "quantizer_ema_big": "ema",
+    "quantizer_reset_big": "reset",
+}
+
+
+def call(module, variables, latents, mask):
+    """Returns output and updated collections of one training step."""
+    return module.apply(
+        variables, latents, mask, train=True, rngs={"codebook": jax.random.key(1)}, mutable=["codebook"]
+    )
+
+
+@pytest.mark.parametrize("name", GOLDEN)
 def test_golden_sequence(golden_dir, name):
     arrays = np.load(golden_dir / "t2m_gpt" / f"{name}.npz")
     sizes = json.loads(str(arrays["config_json"]))
-    num_codes = sizes["nb_code"]
+    num_codes, decay = sizes["nb_code"], sizes.get("effective_mu") or 0.99
     state = initial_codebook(fresh_state(num_codes, sizes["code_dim"]), jnp.asarray(arrays["init_candidates"]))
     for step, latents in enumerate(arrays["x_nct"]):
         rows = jnp.asarray(latents.transpose(0, 2, 1).reshape(-1, sizes["code_dim"]))
@@ -35,18 +52,20 @@ def test_golden_sequence(golden_dir, name):
         codes = nearest_codes(rows, state.codebook)
         np.testing.assert_array_equal(codes.reshape(arrays["code_idx"][step].shape), arrays["code_idx"][step])
         batch_hits = hits(rows, codes, jnp.ones(len(rows), bool), num_codes=num_codes)
-        candidates = jnp.asarray(arrays["reset_candidates"][step])
-        state = update_codebook(state, batch_hits, candidates, decay=sizes["effective_mu"], threshold=1.0)
+        candidates = jnp.asarray(arrays["reset_candidates" if RULES[GOLDEN[name]].resets else "codebook_after"][step])
+        state = update_codebook(state, batch_hits, candidates, rule=RULES[GOLDEN[name]], decay=decay, threshold=1.0)
         np.testing.assert_allclose(state.codebook, arrays["codebook_after"][step], atol=1e-5)
         np.testing.assert_allclose(state.ema_count, arrays["code_count_after"][step], atol=1e-6)
-        np.testing.assert_allclose(state.ema_sum, arrays["code_sum_after"][step], atol=1e-5)
+        if RULES[GOLDEN[name]].averages:
+            np.testing.assert_allclose(state.ema_sum, arrays["code_sum_after"][step], atol=1e-5)
 
 
-def test_module_learns_as_the_golden_sequence(golden_dir):
+@pytest.mark.parametrize("kind", ["ema_reset", "ema", "reset"])
+def test_module_learns_as_the_golden_sequence(golden_dir, kind):
     """With more rows than codes nothing is random, so the whole module can be compared, gradients included."""
-    arrays = np.load(golden_dir / "t2m_gpt" / "quantizer_ema_reset_big.npz")
+    arrays = np.load(golden_dir / "t2m_gpt" / f"quantizer_{kind}_big.npz")
     sizes = json.loads(str(arrays["config_json"]))
-    module = Quantizer(sizes["nb_code"], sizes["code_dim"], sizes["effective_mu"], 1.0)
+    module = Quantizer(sizes["nb_code"], sizes["code_dim"], kind, sizes.get("effective_mu") or 0.99, 1.0)
     first = jnp.asarray(arrays["x_nct"][0].transpose(0, 2, 1))
     mask = jnp.ones(first.shape[:2], bool)
     variables = module.init(jax.random.key(0), first, mask, train=True)
@@ -56,9 +75,7 @@ def test_module_learns_as_the_golden_sequence(golden_dir):
         probe = jnp.asarray(arrays["probe_r"][step].transpose(0, 2, 1))
 
         def scalar(latents, variables=variables, probe=probe):
-            output, updates = module.apply(
-                variables, latents, mask, train=True, rngs={"codebook": jax.random.key(1)}, mutable=["codebook"]
-            )
+            output, updates = call(module, variables, latents, mask)
             return output.commitment_loss + jnp.sum(output.quantized * probe), (output, updates)
 
         (_, (output, updates)), gradient = jax.value_and_grad(scalar, has_aux=True)(latents)
@@ -66,12 +83,62 @@ def test_module_learns_as_the_golden_sequence(golden_dir):
         np.testing.assert_allclose(output.commitment_loss, arrays["loss"][step], rtol=1e-5)
         np.testing.assert_allclose(output.quantized.transpose(0, 2, 1), arrays["out_nct"][step], atol=1e-5)
         np.testing.assert_allclose(gradient.transpose(0, 2, 1), arrays["grad_x_nct"][step], atol=1e-5)
+        found = perplexity_from_counts(output.code_counts)
+        np.testing.assert_allclose(found, arrays["perplexity"][step], rtol=1e-5)
         np.testing.assert_allclose(updates["codebook"]["codebook"], arrays["codebook_after"][step], atol=1e-5)
         variables = updates
+    latents = jnp.asarray(arrays["eval_x_nct"].transpose(0, 2, 1))
+    output = module.apply(variables, latents, jnp.ones(latents.shape[:2], bool), train=False)
+    np.testing.assert_array_equal(output.codes, arrays["eval_code_idx"])
+    np.testing.assert_allclose(output.commitment_loss, arrays["eval_loss"], rtol=1e-5)
+
+
+def test_a_codebook_that_learns_by_gradient(golden_dir):
+    """The original's naive quantizer: its loss, the gradient of table and latents, and six steps of plain descent."""
+    arrays = np.load(golden_dir / "t2m_gpt" / "quantizer_orig.npz")
+    sizes = json.loads(str(arrays["config_json"]))
+    module = Quantizer(sizes["nb_code"], sizes["code_dim"], "orig", 0.99, 1.0)
+    mask = jnp.ones(arrays["code_idx"].shape[1:], bool)
+    params = {"codebook": jnp.asarray(arrays["codebook_initial"])}
+    for step, latents in enumerate(arrays["x_nct"]):
+        latents = jnp.asarray(latents.transpose(0, 2, 1))
+        probe = jnp.asarray(arrays["probe_r"][step].transpose(0, 2, 1))
+
+        def scalar(params, latents, probe=probe):
+            output, updates = call(module, {"params": params}, latents, mask)
+            assert not updates, "the codebook is a parameter, nothing else moves it"
+            return output.commitment_loss + jnp.sum(output.quantized * probe), output
+
+        (table, rows), output = jax.grad(scalar, argnums=(0, 1), has_aux=True)(params, latents)
+        np.testing.assert_array_equal(output.codes, arrays["code_idx"][step])
+        np.testing.assert_allclose(output.commitment_loss, arrays["loss"][step], rtol=1e-5)
+        np.testing.assert_allclose(table["codebook"], arrays["grad_embedding"][step], atol=1e-6)
+        np.testing.assert_allclose(rows.transpose(0, 2, 1), arrays["grad_x_nct"][step], atol=1e-5)
+        params = {"codebook": params["codebook"] - sizes["sgd_lr"] * table["codebook"]}
+        np.testing.assert_allclose(params["codebook"], arrays["codebook_after"][step], atol=1e-5)
+
+
+def test_the_initial_table_of_the_naive_quantizer_is_small():
+    module = Quantizer(64, 8, "orig", 0.99, 1.0)
+    latents = jnp.zeros((1, 2, 8))
+    variables = module.init(jax.random.key(0), latents, jnp.ones((1, 2), bool), train=True)
+    assert set(variables) == {"params"}
+    table = np.asarray(variables["params"]["codebook"])
+    assert 0.9 / 64 < np.abs(table).max() <= 1 / 64
+
+
+def test_averages_of_codes_that_nobody_chose_for_ages_keep_their_place():
+    """Counts that decayed to nothing must not turn into a ratio of leftovers."""
+    state = CodebookState(jnp.ones((3, 2)), jnp.full((3, 2), 1e-38), jnp.full(3, 1e-39), jnp.array(True))
+    rule = RULES["ema"]
+    moved = update_codebook(
+        state, (jnp.zeros((3, 2)), jnp.zeros(3)), jnp.full((3, 2), 5.0), rule=rule, decay=0.99, threshold=1.0
+    )
+    np.testing.assert_array_equal(moved.codebook, 1.0)
 
 
 def test_evaluation_leaves_the_codebook_alone():
-    module = Quantizer(8, 4, 0.99, 1.0)
+    module = Quantizer(8, 4, "ema_reset", 0.99, 1.0)
     latents, mask = jax.random.normal(jax.random.key(0), (2, 6, 4)), jnp.ones((2, 6), bool)
     variables = module.init(jax.random.key(0), latents, mask, train=False)
     _, updates = module.apply(variables, latents, mask, train=False, mutable=["codebook"])
@@ -83,7 +150,10 @@ def test_zero_counts_stay_finite_in_value_and_gradient():
     state = CodebookState(jnp.ones((3, 2)), jnp.zeros((3, 2)), jnp.zeros(3), jnp.array(True))
 
     def total(sums):
-        updated = update_codebook(state, (sums, jnp.zeros(3)), jnp.full((3, 2), 5.0), decay=0.99, threshold=1.0)
+        candidates = jnp.full((3, 2), 5.0)
+        updated = update_codebook(
+            state, (sums, jnp.zeros(3)), candidates, rule=RULES["ema_reset"], decay=0.99, threshold=1.0
+        )
         return jnp.sum(updated.codebook), updated.codebook
 
     (_, codebook), gradient = jax.value_and_grad(total, has_aux=True)(jnp.zeros((3, 2)))
