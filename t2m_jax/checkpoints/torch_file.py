@@ -1,0 +1,228 @@
+"""Files of `torch.save`, read without PyTorch: nothing in them is run, and only what tensors need is understood.
+
+Two formats are known: the zip archive of PyTorch 1.6 and later (a pickle, and one member for each storage of numbers)
+and the one before it (pickles one after the other, then the storages).
+"""
+
+import contextlib
+import math
+import os
+import struct
+import sys
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from t2m_jax.checkpoints.torch_pickle import MAX_PICKLE_BYTES, Name, Pickle, Storage, Tensor, read_pickle
+from t2m_jax.config import UserError
+
+MAX_DEPTH = 32
+"""Deepest nesting of dictionaries and lists that is read; it bounds the recursion below."""
+MAX_VALUES = 200_000
+"""Most values that are read, those that stand in several places counted each time; a published model has 314."""
+MAX_SHARING = 8
+"""Most numbers in tensors for each byte of the file: tensors may share a storage, but not without end."""
+MAX_AXES = 16
+
+_ZIP_START = b"PK\x03\x04"
+_LEGACY_START = b"\x80\x02\x8a\x0al\xfc\x9cF\xf9 j\xa8P\x19."
+"""The pickle of the number that the older format begins with."""
+_LEGACY_VERSION = 1001
+_DAMAGED_ZIP = (zipfile.BadZipFile, RuntimeError, struct.error, ValueError, LookupError, EOFError, OverflowError)
+"""What `zipfile` raises on damaged archives, and on what it cannot read (encryption)."""
+
+StorageReader = Callable[[Storage], np.ndarray]
+"""Returns the numbers of a storage, having checked that there are as many as it says."""
+
+
+def load_torch_file(path: str | Path) -> dict[str | int, Any]:
+    """Returns what a file of `torch.save` holds: nested dictionaries, lists and tuples of arrays, numbers and strings.
+
+    Parameters come as plain arrays, and devices are no matter. The arrays are read-only: some may share their memory.
+
+    Raises:
+        UserError: if it is no such file, is damaged, or holds anything else; the line names it.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            value = _read_file(file)
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror or error})") from None
+    if not isinstance(value, dict):
+        raise UserError(f"{path}: holds a {type(value).__name__} where a dictionary of tensors is expected")
+    return value
+
+
+def _read_file(file: BinaryIO) -> Any:
+    """Returns the content of an open file of either format."""
+    start = file.read(len(_LEGACY_START))
+    if start.startswith(_ZIP_START):
+        return _read_archive(file)
+    if start == _LEGACY_START:
+        return _read_legacy(file)
+    raise UserError("not a file of torch.save (a .pth or .tar); download it again, and do not unpack or convert it")
+
+
+def _size(file: BinaryIO) -> int:
+    return os.fstat(file.fileno()).st_size
+
+
+@contextlib.contextmanager
+def _refusing_damage() -> Iterator[None]:
+    """Turns what reading a damaged archive raises into a refusal."""
+    try:
+        yield
+    except UserError:
+        raise
+    except _DAMAGED_ZIP as error:
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise UserError(f"cut off or damaged; download it again ({reason})") from None
+
+
+def _read_archive(file: BinaryIO) -> Any:
+    """Returns the content of a file in the format of PyTorch 1.6 and later."""
+    size = _size(file)
+    with _refusing_damage(), zipfile.ZipFile(file) as archive:
+        members = {member.filename: member for member in archive.infolist()}
+        _check_members(archive, size)
+        roots = [name.removesuffix("/data.pkl") for name in members if name.count("/") == 1 and "/data.pkl" in name]
+        if len(roots) != 1:
+            raise UserError(
+                "a zip archive, but not of torch.save; do not unpack or repack the file that was downloaded"
+            )
+        (root,) = roots
+        if members[f"{root}/data.pkl"].file_size > MAX_PICKLE_BYTES:
+            raise UserError(f"its table of contents is larger than {MAX_PICKLE_BYTES // 1_000_000} MB; no model's is")
+        order = archive.read(f"{root}/byteorder") if f"{root}/byteorder" in members else b"little"
+        if order not in (b"little", b"big"):
+            raise UserError(f"its byte order is {order[:20]!r}, which is neither little nor big")
+
+        def read_storage(storage: Storage) -> np.ndarray:
+            member = members.get(f"{root}/data/{storage.key}")
+            if member is None or member.file_size != storage.count * storage.dtype.itemsize:
+                raise UserError(f"storage {storage.key[:60]!r} is missing or not of the size it should have")
+            return _numbers(archive.read(member), storage.dtype, order=order.decode())
+
+        content = read_pickle(archive.read(f"{root}/data.pkl"))
+        return _Content(read_storage, size).plain(content.value)
+
+
+def _check_members(archive: zipfile.ZipFile, size: int) -> None:
+    """Raises `UserError` where an archive holds what could unpack to more than the file itself."""
+    members = archive.infolist()
+    if len({member.filename for member in members}) < len(members):
+        raise UserError("its archive holds two members of the same name")
+    if any(member.compress_type != zipfile.ZIP_STORED for member in members):
+        raise UserError("its archive is compressed, as torch.save never does; do not repack the file")
+    if any(member.file_size != member.compress_size for member in members):
+        raise UserError("its archive is damaged: a member has two sizes")
+    if sum(member.file_size for member in members) > size:
+        raise UserError("its archive is damaged: the members are larger than the file")
+
+
+def _read_legacy(file: BinaryIO) -> Any:
+    """Returns the content of a file in the format before PyTorch 1.6."""
+    file.seek(0)
+    head = file.read(MAX_PICKLE_BYTES)
+    version = read_pickle(head, start=len(_LEGACY_START))
+    system = read_pickle(head, start=version.end)
+    fits = isinstance(system.value, dict) and system.value.get("little_endian") is True
+    if version.value != _LEGACY_VERSION or not fits:
+        raise UserError("written by a PyTorch that cannot be read; load and save it again with a current PyTorch")
+    content = read_pickle(head, start=system.end)
+    keys = read_pickle(head, start=content.end)
+    places = _legacy_places(file, keys, content.storages)
+
+    def read_storage(storage: Storage) -> np.ndarray:
+        file.seek(places[storage.key])
+        return _numbers(file.read(storage.count * storage.dtype.itemsize), storage.dtype, order="little")
+
+    return _Content(read_storage, _size(file)).plain(content.value)
+
+
+def _legacy_places(file: BinaryIO, keys: Pickle, storages: dict[str, Storage]) -> dict[str, int]:
+    """Returns where the numbers of each storage begin: they follow the list of keys, each row after its count."""
+    if not isinstance(keys.value, list) or {*map(repr, keys.value)} != {*map(repr, storages)}:
+        raise UserError("its list of storages does not fit its tensors")
+    position, places = keys.end, {}
+    for key in keys.value:
+        file.seek(position)
+        if file.read(8) != storages[key].count.to_bytes(8, "little"):
+            raise UserError(f"storage {key[:60]!r} is missing or not of the size it should have")
+        places[key] = position + 8
+        position += 8 + storages[key].count * storages[key].dtype.itemsize
+    if position > _size(file):
+        raise UserError("cut off; download it again")
+    return places
+
+
+def _numbers(content: bytes, dtype: np.dtype, *, order: str) -> np.ndarray:
+    """Returns one row of numbers of a storage."""
+    if dtype == np.bool_ and content.strip(b"\0\1"):
+        raise UserError("has truth values that are neither true nor false")
+    row = np.frombuffer(content, dtype)
+    if order != sys.byteorder:
+        row = row.view(f"u{dtype.itemsize}").byteswap().view(dtype)
+    return row
+
+
+class _Content:
+    """Turns the records of a pickle into arrays, and counts what it hands out: neither may grow beyond the file."""
+
+    def __init__(self, read_storage: StorageReader, size: int):
+        self._read_storage = read_storage
+        self._rows: dict[str, np.ndarray] = {}
+        self._values_left = MAX_VALUES
+        self._numbers_left = MAX_SHARING * size
+
+    def plain(self, value: Any, depth: int = 0) -> Any:
+        """Returns a value with arrays for its tensors.
+
+        Raises:
+            UserError: if something in it is no plain value, or it is nested too deep or too often in itself.
+        """
+        self._values_left -= 1
+        if depth > MAX_DEPTH:
+            raise UserError(f"nested deeper than {MAX_DEPTH} dictionaries and lists")
+        if self._values_left < 0:
+            raise UserError(f"holds more than {MAX_VALUES} values")
+        if isinstance(value, Tensor):
+            return self._array(value)
+        if isinstance(value, Name | Storage):
+            raise UserError(f"holds a bare {type(value).__name__.lower()} where a tensor, number or string is expected")
+        if isinstance(value, dict):
+            return {key: self.plain(item, depth + 1) for key, item in value.items()}
+        if isinstance(value, list | tuple):
+            return type(value)(self.plain(item, depth + 1) for item in value)
+        return value
+
+    def _array(self, tensor: Tensor) -> np.ndarray:
+        """Returns the array that a tensor describes, once it is certain that it lies inside its storage."""
+        shape, strides, offset, storage = tensor.shape, tensor.strides, tensor.offset, tensor.storage
+        axes_fit = isinstance(shape, tuple) and isinstance(strides, tuple) and len(shape) == len(strides) <= MAX_AXES
+        if not axes_fit or any(type(number) is not int or number < 0 for number in (offset, *shape, *strides)):
+            raise UserError("has a tensor whose shape, strides or offset mean nothing")
+        count = math.prod(shape)
+        last = offset + sum((size - 1) * stride for size, stride in zip(shape, strides, strict=True))
+        # An empty tensor has no last element, but its other sizes must be such as numpy can count.
+        fits = (
+            count <= storage.count and last < storage.count if count else math.prod(size or 1 for size in shape) < 2**31
+        )
+        if not fits:
+            raise UserError("has a tensor that does not fit into its storage: its shape or strides are absurd")
+        self._numbers_left -= count
+        if self._numbers_left < 0:
+            raise UserError("has tensors that share their numbers more often than any model does")
+        if not count:
+            return np.zeros(shape, storage.dtype)
+        if storage.key not in self._rows:
+            self._rows[storage.key] = self._read_storage(storage)
+        row = self._rows[storage.key]
+        byte_strides = [stride * row.itemsize for stride in strides]
+        return np.lib.stride_tricks.as_strided(row[offset:], shape, byte_strides, writeable=False)

@@ -1,0 +1,338 @@
+"""The pickles inside files of `torch.save`, read as data.
+
+A pickle is a program for a small stack machine, and Python's own machine imports what the program names and calls it.
+The machine here knows the instructions that put together dictionaries, lists, tuples, numbers and strings, and five
+names that it treats as mere words. It imports nothing and calls nothing, so there is nothing for a hostile file to run.
+"""
+
+import pickle
+import pickletools
+import struct
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import ml_dtypes
+import numpy as np
+
+from t2m_jax.config import UserError
+
+MAX_PICKLE_BYTES = 4_000_000
+"""Longest pickle that is read: a published model takes 60 kB, and work and memory grow with the length."""
+
+DTYPES: dict[str, np.dtype] = {
+    "DoubleStorage": np.dtype(np.float64),
+    "FloatStorage": np.dtype(np.float32),
+    "HalfStorage": np.dtype(np.float16),
+    "BFloat16Storage": np.dtype(ml_dtypes.bfloat16),
+    "LongStorage": np.dtype(np.int64),
+    "IntStorage": np.dtype(np.int32),
+    "ShortStorage": np.dtype(np.int16),
+    "CharStorage": np.dtype(np.int8),
+    "ByteStorage": np.dtype(np.uint8),
+    "BoolStorage": np.dtype(np.bool_),
+}
+"""The type of the numbers in each kind of storage."""
+
+_ORDERED_DICT, _SIZE = "collections.OrderedDict", "torch.Size"
+_TENSOR, _PARAMETER = "torch._utils._rebuild_tensor_v2", "torch._utils._rebuild_parameter"
+_STORAGES = {f"{module}.{name}": dtype for module in ("torch", "torch.cuda") for name, dtype in DTYPES.items()}
+_NAMES = frozenset((_ORDERED_DICT, _SIZE, _TENSOR, _PARAMETER, *_STORAGES))
+
+
+class _DamageError(LookupError):
+    """The pickle does not follow the rules of its own language."""
+
+
+class Name(NamedTuple):
+    """A class or function that a pickle names; here no more than the word."""
+
+    text: str
+
+
+class Storage(NamedTuple):
+    """A row of numbers that lies outside the pickle."""
+
+    key: str
+    dtype: np.dtype
+    count: int
+
+
+class Tensor(NamedTuple):
+    """A view of a storage, in elements, as the file claims it: nothing about it is checked yet."""
+
+    storage: Storage
+    offset: Any
+    shape: Any
+    strides: Any
+
+
+class Pickle(NamedTuple):
+    """One pickle, read."""
+
+    value: Any
+    """Dictionaries, lists, tuples, numbers, strings and `Tensor`s; a `Storage` or `Name` where none belongs."""
+    storages: dict[str, Storage]
+    """What lies outside the pickle, by key."""
+    end: int
+    """The place of the first byte after it."""
+
+
+def read_pickle(data: bytes, *, start: int = 0) -> Pickle:
+    """Returns the pickle that begins at a place of `data`.
+
+    Raises:
+        UserError: if it names or does anything else than tensors need, or is damaged.
+    """
+    machine = _Machine(data, start)
+    try:
+        return Pickle(machine.run(), machine.storages, machine.position)
+    except (LookupError, UnicodeDecodeError):
+        raise UserError(f"its pickle is cut off or damaged at byte {machine.position}") from None
+
+
+# How the argument of an instruction is stored: a number, or a count of bytes and then the bytes.
+_FIXED = {
+    pickle.BININT: "<i",
+    pickle.BININT1: "<B",
+    pickle.BININT2: "<H",
+    pickle.BINFLOAT: ">d",
+    pickle.BINGET: "<B",
+    pickle.LONG_BINGET: "<I",
+    pickle.BINPUT: "<B",
+    pickle.LONG_BINPUT: "<I",
+    pickle.PROTO: "<B",
+    pickle.FRAME: "<Q",
+}
+_COUNTED = {
+    pickle.BINUNICODE: "<I",
+    pickle.SHORT_BINUNICODE: "<B",
+    pickle.SHORT_BINSTRING: "<B",
+    pickle.BINSTRING: "<I",
+    pickle.LONG1: "<B",
+}
+_CONSTANTS: dict[bytes, Callable[[], Any]] = {
+    pickle.NONE: lambda: None,
+    pickle.NEWTRUE: lambda: True,
+    pickle.NEWFALSE: lambda: False,
+    pickle.EMPTY_DICT: dict,
+    pickle.EMPTY_LIST: list,
+    pickle.EMPTY_TUPLE: tuple,
+}
+_TUPLES = {pickle.TUPLE1: 1, pickle.TUPLE2: 2, pickle.TUPLE3: 3}
+
+
+class _Machine:
+    """The stack, the stacks put aside by open marks, and the memo."""
+
+    def __init__(self, data: bytes, position: int):
+        self.position = position
+        self.storages: dict[str, Storage] = {}
+        self._data = data
+        self._stack: list[Any] = []
+        self._outer: list[list[Any]] = []
+        self._memo: dict[int, Any] = {}
+
+    def run(self) -> Any:
+        """Returns the value that is left when the pickle stops."""
+        while (code := self._bytes(1)) != pickle.STOP:
+            if code in _FIXED:
+                self._fixed(code, self._number(_FIXED[code]))
+            elif code in _COUNTED:
+                content = self._bytes(self._number(_COUNTED[code]))
+                is_number = code == pickle.LONG1
+                self._stack.append(int.from_bytes(content, "little", signed=True) if is_number else content.decode())
+            elif code in _CONSTANTS:
+                self._stack.append(_CONSTANTS[code]())
+            elif code in _TUPLES:
+                items = self._stack[-_TUPLES[code] :]
+                self._pop(_TUPLES[code])
+                self._stack.append(tuple(items))
+            elif code in _INSTRUCTIONS:
+                _INSTRUCTIONS[code](self)
+            else:
+                raise UserError(f"its pickle has the instruction {_instruction_name(code)}, which no tensor needs")
+        return self._stack.pop()
+
+    def _bytes(self, count: int) -> bytes:
+        found = self._data[self.position : self.position + count]
+        if len(found) < count:
+            raise _DamageError
+        self.position += count
+        return found
+
+    def _line(self) -> str:
+        """Returns the text up to the end of a line."""
+        end = self._data.find(b"\n", self.position, self.position + 1000)
+        if end < 0:
+            raise _DamageError
+        return self._bytes(end + 1 - self.position)[:-1].decode()
+
+    def _number(self, layout: str) -> Any:
+        return struct.unpack(layout, self._bytes(struct.calcsize(layout)))[0]
+
+    def _fixed(self, code: bytes, number: Any) -> None:
+        """Carries out an instruction whose argument is a number."""
+        if code in (pickle.BINGET, pickle.LONG_BINGET):
+            self._stack.append(self._memo[number])
+        elif code in (pickle.BINPUT, pickle.LONG_BINPUT):
+            self._memo[number] = self._stack[-1]
+        elif code not in (pickle.PROTO, pickle.FRAME):
+            self._stack.append(number)
+
+    def _pop(self, count: int = 1) -> Any:
+        """Returns the last value taken off, having taken off `count` of them, which must be there."""
+        if len(self._stack) < count:
+            raise _DamageError
+        for _ in range(count):
+            value = self._stack.pop()
+        return value
+
+    def _mark(self) -> None:
+        self._outer.append(self._stack)
+        self._stack = []
+
+    def _marked(self) -> list[Any]:
+        """Returns the values since the last mark, and forgets it."""
+        items, self._stack = self._stack, self._outer.pop()
+        return items
+
+    def _memoize(self) -> None:
+        self._memo[len(self._memo)] = self._stack[-1]
+
+    def _make_tuple(self) -> None:
+        items = self._marked()
+        self._stack.append(tuple(items))
+
+    def _make_list(self) -> None:
+        items = self._marked()
+        self._stack.append(items)
+
+    def _make_dict(self) -> None:
+        items = self._marked()
+        self._stack.append({})
+        self._set(items)
+
+    def _set(self, items: list[Any]) -> None:
+        """Puts keys and values by turns into the dictionary on the stack."""
+        target = self._stack[-1]
+        if type(target) is not dict or len(items) % 2:
+            raise _DamageError
+        for key, value in zip(items[::2], items[1::2], strict=True):
+            # Other keys could make hashing or comparing them take for ever.
+            if not isinstance(key, str) and not (isinstance(key, int) and abs(key) < 2**63):
+                raise UserError(f"holds a dictionary whose keys are neither strings nor numbers ({_kind(key)})")
+            target[key] = value
+
+    def _append(self, items: list[Any]) -> None:
+        if type(self._stack[-1]) is not list:
+            raise _DamageError
+        self._stack[-1].extend(items)
+
+    def _set_item(self) -> None:
+        value, key = self._pop(), self._pop()
+        self._set([key, value])
+
+    def _set_items(self) -> None:
+        self._set(self._marked())
+
+    def _append_item(self) -> None:
+        self._append([self._pop()])
+
+    def _append_items(self) -> None:
+        self._append(self._marked())
+
+    def _name(self) -> None:
+        self._push_name(self._line(), self._line())
+
+    def _name_from_stack(self) -> None:
+        name, module = self._pop(), self._pop()
+        self._push_name(module, name)
+
+    def _push_name(self, module: Any, name: Any) -> None:
+        text = f"{module}.{name}" if isinstance(module, str) and isinstance(name, str) else "something without a name"
+        # The name must be one word: `a.b` would be a way into what `a` holds.
+        if text not in _NAMES or "." in name:
+            raise UserError(
+                f"holds {_shown(text)}, which is not a tensor, dictionary, number or string; refused, nothing was run"
+            )
+        self._stack.append(Name(text))
+
+    def _storage(self) -> None:
+        """Puts what a persistent id means on the stack: kind, type, key, device (no matter) and count of a storage."""
+        found = self._pop()
+        if not isinstance(found, tuple) or len(found) not in (5, 6) or found[0] != "storage":
+            raise UserError("refers to something outside the pickle that is not a storage of numbers")
+        _, kind, key, _, count, *view = found
+        if not isinstance(kind, Name) or kind.text not in _STORAGES:
+            raise UserError(f"has a storage of an unknown type ({_kind(kind)})")
+        if not isinstance(key, str) or type(count) is not int or count < 0 or view not in ([], [None]):
+            raise UserError("has a storage that is described in a way no version of PyTorch does")
+        storage = Storage(key, _STORAGES[kind.text], count)
+        if self.storages.setdefault(key, storage) != storage:
+            raise UserError(f"describes storage {_shown(key)} in two ways")
+        self._stack.append(storage)
+
+    def _reduce(self) -> None:
+        """Puts what a name stands for, given its arguments, on the stack."""
+        arguments, name = self._pop(), self._pop()
+        made = _made(name.text, arguments) if isinstance(name, Name) and isinstance(arguments, tuple) else None
+        if made is None:
+            raise UserError(
+                f"makes something of {_kind(name)} in a way no version of PyTorch does; refused, nothing was run"
+            )
+        self._stack.append(made)
+
+    def _build(self) -> None:
+        """Drops what a dictionary is to remember beside its content, such as the `_metadata` of a state dict."""
+        self._pop()
+        if type(self._stack[-1]) is not dict:
+            raise UserError(
+                f"changes the inside of {_kind(self._stack[-1])}, which is not a dictionary; refused, nothing was run"
+            )
+
+
+def _made(name: str, arguments: tuple) -> Any:
+    """Returns the plain value or the record that a name makes of its arguments, None where they do not fit."""
+    if name == _ORDERED_DICT and not arguments:
+        return {}
+    if name == _SIZE and len(arguments) == 1 and isinstance(arguments[0], tuple):
+        return arguments[0]
+    if name == _PARAMETER and len(arguments) == 3 and isinstance(arguments[0], Tensor):
+        return arguments[0]
+    # After the view: requires_grad, backward hooks, and marks of lazily conjugated or negated tensors.
+    if name == _TENSOR and len(arguments) in (6, 7) and isinstance(arguments[0], Storage) and not any(arguments[6:]):
+        return Tensor(*arguments[:4])
+    return None
+
+
+def _instruction_name(code: bytes) -> str:
+    found = pickletools.code2op.get(code.decode("latin-1"))
+    return found.name if found else repr(code)
+
+
+def _kind(value: Any) -> str:
+    """Returns what to call a value in a refusal."""
+    return _shown(value.text) if isinstance(value, Name) else f"a {type(value).__name__}"
+
+
+def _shown(text: str) -> str:
+    return repr(text if len(text) <= 60 else f"{text[:57]}…")
+
+
+_INSTRUCTIONS: dict[bytes, Callable[[_Machine], None]] = {
+    pickle.MARK: _Machine._mark,
+    pickle.MEMOIZE: _Machine._memoize,
+    pickle.TUPLE: _Machine._make_tuple,
+    pickle.LIST: _Machine._make_list,
+    pickle.DICT: _Machine._make_dict,
+    pickle.SETITEM: _Machine._set_item,
+    pickle.SETITEMS: _Machine._set_items,
+    pickle.APPEND: _Machine._append_item,
+    pickle.APPENDS: _Machine._append_items,
+    pickle.GLOBAL: _Machine._name,
+    pickle.STACK_GLOBAL: _Machine._name_from_stack,
+    pickle.BINPERSID: _Machine._storage,
+    pickle.REDUCE: _Machine._reduce,
+    pickle.BUILD: _Machine._build,
+}
+"""What each instruction without an argument does."""
