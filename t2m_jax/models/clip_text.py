@@ -1,0 +1,106 @@
+"""The text tower of CLIP (arXiv 2103.00020, section 2.4): a caption's tokens to one embedding."""
+
+import dataclasses
+from typing import Literal
+
+import flax.linen as nn
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from t2m_jax.config import check_sizes
+from t2m_jax.models.transformer import WEIGHT_INIT, Attention
+
+Activation = Literal["quick_gelu", "gelu"]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ClipTextConfig:
+    """Sizes of the text tower; the defaults are ViT-B/32."""
+
+    vocabulary_size: int = 49408
+    """Subword tokens, start and end included."""
+    max_length: int = 77
+    """Longest caption in tokens, start and end included; what exceeds it is cut."""
+    embed_dim: int = 512
+    """Width of the transformer."""
+    num_layers: int = 12
+    """Blocks."""
+    num_heads: int = 8
+    """Attention heads; must divide embed_dim."""
+    mlp_dim: int = 2048
+    """Width of a block's MLP."""
+    activation: Activation = "quick_gelu"
+    """What the MLP uses: `quick_gelu` (x times sigmoid of 1.702 x; OpenAI's weights) or `gelu` (the exact form)."""
+    layer_norm_epsilon: float = 1e-5
+    """Added to the variance in every layer norm."""
+    text_dim: int = 512
+    """Width of the embedding that comes out (E)."""
+    end_token: int | None = None
+    """The token at whose first place the caption is read; None reads at the largest token, as the original does.
+
+    The two agree while End is the last token of the vocabulary; with tokens added behind it only the first is right.
+    """
+
+    def __post_init__(self) -> None:
+        check_sizes(self, *(f.name for f in dataclasses.fields(self) if f.name not in ("end_token", "max_length")))
+        if self.max_length < 2:
+            raise ValueError(f"max_length: {self.max_length} has no room for a start and an end")
+        if self.embed_dim % self.num_heads:
+            raise ValueError(f"num_heads: {self.num_heads} does not divide embed_dim {self.embed_dim}")
+        if self.end_token is not None and not 0 <= self.end_token < self.vocabulary_size:
+            raise ValueError(f"end_token: {self.end_token} is not one of the {self.vocabulary_size} tokens")
+
+
+def quick_gelu(values: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """Returns OpenAI's approximation of GELU."""
+    return values * nn.sigmoid(1.702 * values)
+
+
+class ClipBlock(nn.Module):
+    """Attention and MLP, each behind a layer norm and beside a residual."""
+
+    config: ClipTextConfig
+
+    @nn.compact
+    def __call__(self, hidden: Float[Array, "B S W"], mask: Bool[Array, "1 1 S S"]) -> Float[Array, "B S W"]:
+        """Returns the sequence after the block."""
+        config = self.config
+        attention = Attention(config.num_heads, 0.0, name="attn")
+        attended, _ = attention(layer_norm(config, "ln1")(hidden), mask, train=False)
+        hidden = hidden + attended
+        wide = nn.Dense(config.mlp_dim, kernel_init=WEIGHT_INIT, name="up")(layer_norm(config, "ln2")(hidden))
+        wide = quick_gelu(wide) if config.activation == "quick_gelu" else nn.gelu(wide, approximate=False)
+        return hidden + nn.Dense(config.embed_dim, kernel_init=WEIGHT_INIT, name="down")(wide)
+
+
+def layer_norm(config: ClipTextConfig, name: str) -> nn.LayerNorm:
+    """Returns a layer norm of the tower; the slow variance, because the mean of CLIP's activations is far from zero."""
+    return nn.LayerNorm(epsilon=config.layer_norm_epsilon, use_fast_variance=False, name=name)
+
+
+class ClipText(nn.Module):
+    """Reads a caption from start to end and returns its embedding, as CLIP's `encode_text` does: not normalised."""
+
+    config: ClipTextConfig
+
+    @nn.compact
+    def __call__(self, caption_tokens: Int[Array, "B S"]) -> Float[Array, "B E"]:
+        """Returns the text embedding; what stands behind the end of a caption has no influence."""
+        config = self.config
+        length = caption_tokens.shape[1]
+        if length > config.max_length:
+            raise ValueError(f"{length} tokens do not fit a max_length of {config.max_length}")
+        positions = self.param("position_embedding", WEIGHT_INIT, (config.max_length, config.embed_dim))
+        hidden = nn.Embed(config.vocabulary_size, config.embed_dim, embedding_init=WEIGHT_INIT, name="token_embedding")(
+            caption_tokens
+        )
+        hidden = hidden + positions[None, :length]
+        causal = jnp.tril(jnp.ones((1, 1, length, length), bool))
+        for layer in range(config.num_layers):
+            hidden = ClipBlock(config, name=f"block_{layer}")(hidden, causal)
+        # Both forms take the first place, so padding with End itself changes nothing.
+        is_end = caption_tokens if config.end_token is None else caption_tokens == config.end_token
+        ends = jnp.argmax(is_end, axis=1)
+        read = jnp.take_along_axis(hidden, ends[:, None, None], axis=1)[:, 0]
+        read = layer_norm(config, "final_norm")(read)
+        return nn.Dense(config.text_dim, use_bias=False, kernel_init=WEIGHT_INIT, name="projection")(read)
