@@ -23,18 +23,27 @@ def save_arrays(path: Path, tree: Mapping[str, Any], *, half: bool = False) -> N
     save_file(arrays, path)
 
 
+def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Returns the arrays of a file by name, as they are.
+
+    Raises:
+        UserError: if the file is missing or damaged.
+    """
+    try:
+        return load_file(path)
+    except FileNotFoundError:
+        raise UserError(f"{path}: missing; the folder is not a complete model") from None
+    except (SafetensorError, OSError, ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{path}: damaged or not a safetensors file ({str(error).splitlines()[0]})") from None
+
+
 def load_arrays(path: Path, expected: Mapping[str, Any]) -> dict[str, Any]:
     """Returns the nested dictionary of a file, in the dtypes of `expected` (arrays or shape structs).
 
     Raises:
         UserError: if the file is missing or damaged, or its names, shapes or values are not as expected.
     """
-    try:
-        found = load_file(path)
-    except FileNotFoundError:
-        raise UserError(f"{path}: missing; the folder is not a complete model") from None
-    except (SafetensorError, OSError, ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{path}: damaged or not a safetensors file ({str(error).splitlines()[0]})") from None
+    found = read_arrays(path)
     wanted = traverse_util.flatten_dict(dict(expected), sep="/")
     for name in sorted(wanted.keys() ^ found.keys()):
         kind = "is missing" if name in wanted else "is not part of the model its config describes"

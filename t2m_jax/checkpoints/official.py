@@ -1,100 +1,219 @@
-"""Variables of our modules from the state dicts of the original PyTorch code, by key name (facts: T2M-GPT b1446f1)."""
+"""Checkpoints of the original PyTorch code as models of ours: sizes are read off the tensors, every key must fit."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, Literal, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
+from flax import traverse_util
+
+from t2m_jax.checkpoints.arrays import read_arrays
+from t2m_jax.checkpoints.official_names import (
+    Weight,
+    constant,
+    gpt_constant_shapes,
+    gpt_weights,
+    is_used,
+    vqvae_constant_shapes,
+    vqvae_weights,
+)
+from t2m_jax.checkpoints.torch_file import load_torch_file
+from t2m_jax.config import UserError
+from t2m_jax.models.convolution import NormKind
+from t2m_jax.models.motion_gpt import MotionGptConfig
+from t2m_jax.models.quantizer import QuantizerKind
+from t2m_jax.models.vqvae import VqVaeConfig
 
 StateDict = Mapping[str, np.ndarray]
+Config = TypeVar("Config")
+
+WRAPPERS = {"net": "a VQ-VAE", "trans": "a GPT"}
+"""The key under which the original saves each model."""
+POSITION_TOLERANCE = 1e-4
+"""How far a file's fixed position table may be from ours; rounding alone makes 3e-7."""
 
 
-def _conv(state_dict: StateDict, key: str) -> dict:
-    """Returns a convolution: (out, in, kernel) becomes (kernel, in, out)."""
-    kernel = state_dict[f"{key}.weight"].transpose(2, 1, 0)
-    return {"conv": {"kernel": jnp.asarray(kernel), "bias": jnp.asarray(state_dict[f"{key}.bias"])}}
-
-
-def _dense(state_dict: StateDict, key: str) -> dict:
-    """Returns a linear layer: (out, in) becomes (in, out)."""
-    layer = {"kernel": jnp.asarray(state_dict[f"{key}.weight"].T)}
-    if f"{key}.bias" in state_dict:
-        layer["bias"] = jnp.asarray(state_dict[f"{key}.bias"])
-    return layer
-
-
-def _layer_norm(state_dict: StateDict, key: str) -> dict:
-    return {"scale": jnp.asarray(state_dict[f"{key}.weight"]), "bias": jnp.asarray(state_dict[f"{key}.bias"])}
-
-
-def _unit(state_dict: StateDict, key: str) -> dict:
-    """Returns a residual unit, with its norms where there are some."""
-    norms = {
-        name: _layer_norm(state_dict, f"{key}.{name}")
-        for name in ("norm1", "norm2")
-        if f"{key}.{name}.weight" in state_dict
-    }
-    return norms | {"dilated": _conv(state_dict, f"{key}.conv1"), "pointwise": _conv(state_dict, f"{key}.conv2")}
-
-
-def _stack(state_dict: StateDict, key: str, depth: int) -> dict:
-    return {f"unit_{unit}": _unit(state_dict, f"{key}.model.{unit}") for unit in range(depth)}
-
-
-def vqvae_variables(state_dict: StateDict, *, num_stages: int, depth: int) -> dict:
-    """Returns the `params` and `codebook` collections of a `VqVae`.
+def vqvae_variables(state_dict: StateDict, config: VqVaeConfig) -> dict[str, Any]:
+    """Returns the collections of a `VqVae`.
 
     The original does not save the codebook's averages: they start from the loaded codebook with counts of one, and
     the codebook counts as initialised (the original would throw it away on the first training step).
     """
-    encoder = {"input": _conv(state_dict, "vqvae.encoder.model.0")}
-    decoder = {"input": _conv(state_dict, "vqvae.decoder.model.0")}
-    for stage in range(num_stages):
-        key = f"model.{2 + stage}"
-        encoder[f"down_{stage}"] = _conv(state_dict, f"vqvae.encoder.{key}.0")
-        encoder[f"stack_{stage}"] = _stack(state_dict, f"vqvae.encoder.{key}.1", depth)
-        decoder[f"stack_{stage}"] = _stack(state_dict, f"vqvae.decoder.{key}.0", depth)
-        decoder[f"up_{stage}"] = _conv(state_dict, f"vqvae.decoder.{key}.2")
-    encoder["output"] = _conv(state_dict, f"vqvae.encoder.model.{2 + num_stages}")
-    decoder["penultimate"] = _conv(state_dict, f"vqvae.decoder.model.{2 + num_stages}")
-    decoder["output"] = _conv(state_dict, f"vqvae.decoder.model.{4 + num_stages}")
-    params = {"encoder": encoder, "decoder": decoder}
-    if "vqvae.quantizer.embedding.weight" in state_dict:
-        return {
-            "params": params | {"quantizer": {"codebook": jnp.asarray(state_dict["vqvae.quantizer.embedding.weight"])}}
+    variables = _variables(state_dict, vqvae_weights(config))
+    if "codebook" in variables:
+        codebook = variables["codebook"]["quantizer"]["codebook"]
+        variables["codebook"]["quantizer"] |= {
+            "ema_sum": codebook,
+            "ema_count": jnp.ones(codebook.shape[0]),
+            "initialised": jnp.array(True),
         }
-    codebook = jnp.asarray(state_dict["vqvae.quantizer.codebook"])
-    quantizer = {
-        "codebook": codebook,
-        "ema_sum": codebook,
-        "ema_count": jnp.ones(codebook.shape[0]),
-        "initialised": jnp.array(True),
-    }
-    return {"params": params, "codebook": {"quantizer": quantizer}}
+    return variables
 
 
-def _block(state_dict: StateDict, key: str) -> dict:
-    attention = {name: _dense(state_dict, f"{key}.attn.{name}") for name in ("query", "key", "value", "proj")}
-    return {
-        "ln1": _layer_norm(state_dict, f"{key}.ln1"),
-        "ln2": _layer_norm(state_dict, f"{key}.ln2"),
-        "attn": attention,
-        "mlp": {"up": _dense(state_dict, f"{key}.mlp.0"), "down": _dense(state_dict, f"{key}.mlp.2")},
-    }
-
-
-def gpt_variables(state_dict: StateDict, *, num_layers: int) -> dict:
-    """Returns the `params` collection of a `MotionGpt` with `num_layers` blocks (base and head together).
+def gpt_variables(state_dict: StateDict, config: MotionGptConfig, *, num_base: int | None = None) -> dict[str, Any]:
+    """Returns the collections of a `MotionGpt`; without `num_base`, half of its blocks are the original's base.
 
     The masks, the unused learned position table and the fixed sinusoid are left out.
     """
-    half = num_layers // 2
-    params = {
-        "token_embedding": {"embedding": jnp.asarray(state_dict["trans_base.tok_emb.weight"])},
-        "text_projection": _dense(state_dict, "trans_base.cond_emb"),
-        "final_norm": _layer_norm(state_dict, "trans_head.ln_f"),
-        "head": _dense(state_dict, "trans_head.head"),
-    }
-    for layer in range(num_layers):
-        key = f"trans_base.blocks.{layer}" if layer < half else f"trans_head.blocks.{layer - half}"
-        params[f"block_{layer}"] = _block(state_dict, key)
-    return {"params": params}
+    return _variables(
+        state_dict, gpt_weights(config, num_base=config.num_layers // 2 if num_base is None else num_base)
+    )
+
+
+def _variables(state_dict: StateDict, weights: Iterable[Weight]) -> dict[str, Any]:
+    """Returns the arrays of a state dict in their places."""
+    placed = {}
+    for weight in weights:
+        array = state_dict[weight.key]
+        placed[weight.path] = jnp.asarray(array.T if weight.is_reversed else array)
+    return traverse_util.unflatten_dict(placed)
+
+
+def load_vqvae(
+    path: str | Path,
+    *,
+    dilation_growth: int = 3,
+    activation: Literal["relu", "silu", "gelu"] = "relu",
+    norm: NormKind | None = None,
+    quantizer: QuantizerKind | None = None,
+) -> tuple[VqVaeConfig, dict[str, Any]]:
+    """Returns the config and the variables of an original VQ-VAE (`.pth`, `.tar` or `.safetensors`).
+
+    Args:
+        path: The file.
+        dilation_growth: Ratio of the dilations of neighbouring units; the file does not tell.
+        activation: Inside the residual units; the file does not tell.
+        norm: By default what the file has; `LN` and `GN` cannot be told apart, then it is `LN`.
+        quantizer: How the codebook learnt; by default `orig` or `ema_reset`, by the name of its key.
+
+    Raises:
+        UserError: if it is no such file, or a key is missing, unknown, of another shape, or not finite.
+    """
+    path = Path(path)
+    state = _load_state_dict(path, wrapper="net")
+    codebook = "vqvae.quantizer.embedding.weight"
+    is_orig = codebook in state
+    width, feature_dim, _ = _shape(path, state, "vqvae.encoder.model.0.weight", axes=3)
+    num_codes, code_dim = _shape(path, state, codebook if is_orig else "vqvae.quantizer.codebook", axes=2)
+    config = _config(
+        path,
+        VqVaeConfig,
+        feature_dim=feature_dim,
+        num_codes=num_codes,
+        code_dim=code_dim,
+        width=width,
+        num_stages=_count(state, "vqvae.encoder.model.{}.0.weight", first=2),
+        depth=_count(state, "vqvae.encoder.model.2.1.model.{}.conv1.weight"),
+        dilation_growth=dilation_growth,
+        activation=activation,
+        norm=norm or _norm_kind(state),
+        quantizer=quantizer or ("orig" if is_orig else "ema_reset"),
+    )
+    state = _checked(path, state, list(vqvae_weights(config)), vqvae_constant_shapes(config))
+    return config, vqvae_variables(state, config)
+
+
+def load_gpt(path: str | Path, *, num_heads: int = 16) -> tuple[MotionGptConfig, dict[str, Any]]:
+    """Returns the config and the variables of an original GPT (`.pth`, `.tar` or `.safetensors`).
+
+    Args:
+        path: The file.
+        num_heads: Attention heads; the file does not tell.
+
+    Raises:
+        UserError: if it is no such file, or a key is missing, unknown, of another shape, or not what it must be.
+    """
+    path = Path(path)
+    state = _load_state_dict(path, wrapper="trans")
+    num_tokens, embed_dim = _shape(path, state, "trans_base.tok_emb.weight", axes=2)
+    num_base = _count(state, "trans_base.blocks.{}.ln1.weight")
+    config = _config(
+        path,
+        MotionGptConfig,
+        num_codes=num_tokens - 2,
+        embed_dim=embed_dim,
+        text_dim=_shape(path, state, "trans_base.cond_emb.weight", axes=2)[1],
+        num_layers=num_base + _count(state, "trans_head.blocks.{}.ln1.weight"),
+        num_heads=num_heads,
+        mlp_ratio=_shape(path, state, "trans_base.blocks.0.mlp.0.weight", axes=2)[0] // max(embed_dim, 1),
+        block_size=_shape(path, state, "trans_base.pos_embed.embed", axes=3)[0],
+    )
+    weights = list(gpt_weights(config, num_base=num_base))
+    state = _checked(path, state, weights, gpt_constant_shapes(config, num_base=num_base))
+    return config, gpt_variables(state, config, num_base=num_base)
+
+
+def _load_state_dict(path: Path, *, wrapper: str) -> dict[str, np.ndarray]:
+    """Returns the arrays of a file by key, taken out of what they are wrapped in."""
+    content: Mapping[Any, Any] = read_arrays(path) if path.suffix == ".safetensors" else load_torch_file(path)
+    for key, kind in WRAPPERS.items():
+        if key != wrapper and isinstance(content.get(key), dict) and wrapper not in content:
+            raise UserError(f"{path}: holds {kind} ({key!r}), but {WRAPPERS[wrapper]} is wanted")
+    state = content.get(wrapper, content)
+    if not isinstance(state, Mapping) or not state:
+        raise UserError(f"{path}: {wrapper!r} is not a dictionary of tensors")
+    for key, value in state.items():
+        if not isinstance(key, str) or not isinstance(value, np.ndarray):
+            raise UserError(f"{path}: {str(key)[:80]!r} is not a tensor of {WRAPPERS[wrapper]}")
+    prefix = "module." if all(key.startswith("module.") for key in state) else ""
+    return {key.removeprefix(prefix): value for key, value in state.items()}
+
+
+def _shape(path: Path, state: StateDict, key: str, *, axes: int) -> tuple[int, ...]:
+    """Returns the shape of an array, from which sizes are to be read."""
+    if key not in state:
+        raise UserError(f"{path}: {key!r} is missing; not a checkpoint of the original T2M-GPT code")
+    if state[key].ndim != axes:
+        raise UserError(f"{path}: {key!r} has shape {state[key].shape}, {axes} axes are wanted")
+    return state[key].shape
+
+
+def _count(state: StateDict, pattern: str, *, first: int = 0) -> int:
+    """Returns how many keys there are of a pattern with a number in it, counted from `first` without a gap."""
+    number = first
+    while pattern.format(number) in state:
+        number += 1
+    return number - first
+
+
+def _norm_kind(state: StateDict) -> NormKind:
+    unit = "vqvae.encoder.model.2.1.model.0.norm1"
+    if f"{unit}.running_mean" in state:
+        return "BN"
+    return "LN" if f"{unit}.weight" in state else "none"
+
+
+def _config(path: Path, schema: Callable[..., Config], **sizes: Any) -> Config:
+    """Returns a config of the sizes that a file and the options give."""
+    try:
+        return schema(**sizes)
+    except ValueError as error:
+        raise UserError(f"{path}: {error}") from None
+
+
+def _checked(
+    path: Path, state: StateDict, weights: list[Weight], constants: Mapping[str, tuple[int, ...]]
+) -> dict[str, np.ndarray]:
+    """Returns the weights in single precision, having looked at every key of the file."""
+    shapes = {weight.key: weight.shape for weight in weights} | dict(constants)
+    for key in sorted(shapes.keys() ^ state.keys()):
+        problem = "is missing" if key in shapes else "is not part of the model that the other keys describe"
+        raise UserError(f"{path}: {key[:80]!r} {problem}")
+    for key, shape in shapes.items():
+        if state[key].shape != shape:
+            raise UserError(f"{path}: {key!r} has shape {state[key].shape}, the other keys want {shape}")
+    for key, shape in constants.items():
+        if is_used(key) and not np.allclose(state[key], constant(key, shape), rtol=0, atol=POSITION_TOLERANCE):
+            raise UserError(f"{path}: {key!r} is not the table that the original computes; another model than T2M-GPT")
+    return {weight.key: _float32(path, weight.key, state[weight.key]) for weight in weights}
+
+
+def _float32(path: Path, key: str, array: np.ndarray) -> np.ndarray:
+    if not jnp.issubdtype(array.dtype, jnp.floating):
+        raise UserError(f"{path}: {key!r} holds {array.dtype} where floating-point numbers are expected")
+    with np.errstate(over="ignore"):  # doubles that are too large become infinite, and are refused
+        single = array.astype(np.float32)
+    if not np.all(np.isfinite(single)):
+        raise UserError(f"{path}: {key!r} has values that are not finite")
+    return single

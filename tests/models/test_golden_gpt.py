@@ -27,7 +27,7 @@ def case(request, golden_dir):
         block_size=sizes["block_size"],
         dropout=sizes["drop_out_rate"],
     )
-    return arrays, MotionGpt(config), gpt_variables(state_dict(arrays), num_layers=config.num_layers)
+    return arrays, MotionGpt(config), gpt_variables(state_dict(arrays), config)
 
 
 def test_logits(case):

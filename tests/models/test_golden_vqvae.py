@@ -38,7 +38,7 @@ def case(request, golden_dir):
         norm=sizes["norm"] or "none",
         quantizer=sizes["quantizer"],
     )
-    variables = vqvae_variables(state_dict(arrays), num_stages=config.num_stages, depth=config.depth)
+    variables = vqvae_variables(state_dict(arrays), config)
     return arrays, VqVae(config), variables
 
 
@@ -86,7 +86,7 @@ def test_losses_and_gradient_norms(case):
     np.testing.assert_allclose(loss, arrays["total_loss"], rtol=1e-5)
     weights, norms = state_dict(arrays), state_dict(arrays, "gradnorm/")
     placed = {key: np.full((1,) * weight.ndim, norms.get(key, 0.0)) for key, weight in weights.items()}
-    expected = vqvae_variables(placed, num_stages=model.config.num_stages, depth=model.config.depth)["params"]
+    expected = vqvae_variables(placed, model.config)["params"]
 
     def compare(path, ours, theirs):
         name = jax.tree_util.keystr(path)

@@ -76,7 +76,7 @@ def test_golden_greedy_sequences(golden_dir, name):
         num_heads=sizes["n_head"],
         block_size=sizes["block_size"],
     )
-    variables = gpt_variables(state_dict(arrays), num_layers=config.num_layers)
+    variables = gpt_variables(state_dict(arrays), config)
     texts = jnp.asarray(arrays["greedy_clip_feat"])
     decoded = decode(MotionGpt(config), variables, texts, jax.random.split(jax.random.key(0), 6), strategy=Greedy())
     np.testing.assert_array_equal(decoded.code_lengths, arrays["greedy_length"])

@@ -1,0 +1,126 @@
+"""What every weight is called in the original PyTorch code and where it stands in our modules (T2M-GPT b1446f1)."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from t2m_jax.models.motion_gpt import MotionGptConfig, sinusoidal_table
+from t2m_jax.models.vqvae import VqVaeConfig
+
+
+class Weight(NamedTuple):
+    """One array, in both worlds."""
+
+    key: str
+    """Its name in the original's state dict."""
+    shape: tuple[int, ...]
+    """Its shape there."""
+    path: tuple[str, ...]
+    """Collection, modules and name in our variables."""
+    is_reversed: bool = False
+    """Whether the axes stand the other way round: (out, in, kernel) and (out, in) there, the input first here."""
+
+
+def vqvae_weights(config: VqVaeConfig) -> Iterator[Weight]:
+    """Yields every array of a `VqVae` that the original saves."""
+    encoder, decoder, last = "vqvae.encoder.model", "vqvae.decoder.model", 2 + config.num_stages
+    features, width, codes = config.feature_dim, config.width, config.code_dim
+    yield from _conv(f"{encoder}.0", (width, features, 3), "encoder", "input")
+    yield from _conv(f"{decoder}.0", (width, codes, 3), "decoder", "input")
+    for stage in range(config.num_stages):
+        yield from _conv(f"{encoder}.{2 + stage}.0", (width, width, 4), "encoder", f"down_{stage}")
+        yield from _stack(f"{encoder}.{2 + stage}.1", config, "encoder", f"stack_{stage}")
+        yield from _stack(f"{decoder}.{2 + stage}.0", config, "decoder", f"stack_{stage}")
+        yield from _conv(f"{decoder}.{2 + stage}.2", (width, width, 3), "decoder", f"up_{stage}")
+    yield from _conv(f"{encoder}.{last}", (codes, width, 3), "encoder", "output")
+    yield from _conv(f"{decoder}.{last}", (width, width, 3), "decoder", "penultimate")
+    yield from _conv(f"{decoder}.{last + 2}", (features, width, 3), "decoder", "output")
+    codebook = (config.num_codes, codes)
+    if config.quantizer == "orig":
+        yield Weight("vqvae.quantizer.embedding.weight", codebook, ("params", "quantizer", "codebook"))
+    else:
+        yield Weight("vqvae.quantizer.codebook", codebook, ("codebook", "quantizer", "codebook"))
+
+
+def _conv(key: str, shape: tuple[int, int, int], *path: str) -> Iterator[Weight]:
+    yield Weight(f"{key}.weight", shape, ("params", *path, "conv", "kernel"), is_reversed=True)
+    yield Weight(f"{key}.bias", shape[:1], ("params", *path, "conv", "bias"))
+
+
+def _norm(key: str, width: int, *path: str) -> Iterator[Weight]:
+    yield Weight(f"{key}.weight", (width,), ("params", *path, "scale"))
+    yield Weight(f"{key}.bias", (width,), ("params", *path, "bias"))
+
+
+def _stack(key: str, config: VqVaeConfig, *path: str) -> Iterator[Weight]:
+    """Yields the weights of the residual units of one stage."""
+    width = config.width
+    for unit in range(config.depth):
+        name, place = f"{key}.model.{unit}", (*path, f"unit_{unit}")
+        yield from _conv(f"{name}.conv1", (width, width, 3), *place, "dilated")
+        yield from _conv(f"{name}.conv2", (width, width, 1), *place, "pointwise")
+        for norm in ("norm1", "norm2") if config.norm != "none" else ():
+            yield from _norm(f"{name}.{norm}", width, *place, norm)
+            if config.norm == "BN":
+                yield Weight(f"{name}.{norm}.running_mean", (width,), ("batch_stats", *place, norm, "mean"))
+                yield Weight(f"{name}.{norm}.running_var", (width,), ("batch_stats", *place, norm, "var"))
+
+
+def vqvae_constant_shapes(config: VqVaeConfig) -> dict[str, tuple[int, ...]]:
+    """Returns what the original saves beside the weights: how many batches a norm has seen. Nothing depends on it."""
+    keys = [weight.key.rpartition(".") for weight in vqvae_weights(config)]
+    return {f"{norm}.num_batches_tracked": () for norm, _, name in keys if name == "running_mean"}
+
+
+def gpt_weights(config: MotionGptConfig, *, num_base: int) -> Iterator[Weight]:
+    """Yields every array of a `MotionGpt`; the first `num_base` blocks are the original's base, the others its head."""
+    width, inner = config.embed_dim, config.mlp_ratio * config.embed_dim
+    tokens = (config.num_codes + 2, width)
+    yield Weight("trans_base.tok_emb.weight", tokens, ("params", "token_embedding", "embedding"))
+    yield from _dense("trans_base.cond_emb", (width, config.text_dim), "text_projection")
+    for layer, key in enumerate(_blocks(config, num_base=num_base)):
+        block = f"block_{layer}"
+        yield from _norm(f"{key}.ln1", width, block, "ln1")
+        yield from _norm(f"{key}.ln2", width, block, "ln2")
+        for name in ("query", "key", "value", "proj"):
+            yield from _dense(f"{key}.attn.{name}", (width, width), block, "attn", name)
+        yield from _dense(f"{key}.mlp.0", (inner, width), block, "mlp", "up")
+        yield from _dense(f"{key}.mlp.2", (width, inner), block, "mlp", "down")
+    yield from _norm("trans_head.ln_f", width, "final_norm")
+    head = (config.num_codes + 1, width)
+    yield Weight("trans_head.head.weight", head, ("params", "head", "kernel"), is_reversed=True)
+
+
+def _dense(key: str, shape: tuple[int, int], *path: str) -> Iterator[Weight]:
+    yield Weight(f"{key}.weight", shape, ("params", *path, "kernel"), is_reversed=True)
+    yield Weight(f"{key}.bias", shape[:1], ("params", *path, "bias"))
+
+
+def _blocks(config: MotionGptConfig, *, num_base: int) -> list[str]:
+    parts = (("trans_base", num_base), ("trans_head", config.num_layers - num_base))
+    return [f"{part}.blocks.{block}" for part, count in parts for block in range(count)]
+
+
+_FIXED_POSITIONS, _UNUSED_POSITIONS = "trans_base.pos_embed.embed", "trans_base.pos_embedding.weight"
+
+
+def gpt_constant_shapes(config: MotionGptConfig, *, num_base: int) -> dict[str, tuple[int, ...]]:
+    """Returns what the original saves beside the weights: causal masks, a fixed position table, and one never read."""
+    length, width = config.block_size, config.embed_dim
+    masks = {f"{block}.attn.mask": (1, 1, length, length) for block in _blocks(config, num_base=num_base)}
+    return masks | {_FIXED_POSITIONS: (length, 1, width), _UNUSED_POSITIONS: (length, width)}
+
+
+def constant(key: str, shape: tuple[int, ...]) -> np.ndarray:
+    """Returns an array of the original that follows from its name and shape alone; zeros where any value would do."""
+    if key == _FIXED_POSITIONS:
+        return sinusoidal_table(shape[0], shape[2])[:, None]
+    if key.endswith(".attn.mask"):
+        return np.tril(np.ones(shape, np.float32))
+    return np.zeros(shape, np.float32 if shape else np.int64)
+
+
+def is_used(key: str) -> bool:
+    """Returns whether the original's results depend on a constant."""
+    return key != _UNUSED_POSITIONS and not key.endswith(".num_batches_tracked")
