@@ -18,11 +18,16 @@ from t2m_jax.motion.normalizer import Normalizer
 
 
 class MotionBank(NamedTuple):
-    """All clips of a split, normalized, end to end: `frames[starts[m] : starts[m] + lengths[m]]` is clip m."""
+    """Raw frames that hold all clips of a split: clip m is `frames[starts[m] : starts[m] + lengths[m]]`.
+
+    Windows are normalized when they are cut: normalized frames would be a second copy of the data set.
+    """
 
     frames: Float[Array, "F D"]
     starts: Int[Array, " M"]
     lengths: Int[Array, " M"]
+    mean: Float[Array, " D"]
+    std: Float[Array, " D"]
 
 
 class Windows(NamedTuple):
@@ -32,26 +37,62 @@ class Windows(NamedTuple):
     mask: Bool[Array, "B T"]
 
 
-def make_bank(clips: Sequence[Clip], normalizer: Normalizer, *, max_window: int) -> MotionBank:
+def make_bank(clips: Sequence[Clip], normalizer: Normalizer) -> MotionBank:
     """Returns the clips on the default device.
+
+    Clips that are views of one array, as those of a data set's cache are, are not copied: on a CPU the bank is that
+    very memory, on an accelerator it is uploaded in one piece.
 
     Args:
         clips: what to train on; every clip counts once an epoch.
         normalizer: statistics of the training split.
-        max_window: the longest window that will be cut. So many zero frames are put behind the last clip:
-            `dynamic_slice` moves a window that would leave the array back inside it, which would show wrong frames.
 
     Raises:
-        UserError: there are no clips.
+        UserError: there are no clips, or the statistics are of other features.
     """
     if not clips:
         raise UserError("no clips to train on: the split is empty or every clip was left out")
+    width = clips[0].features.shape[1]
+    if normalizer.mean.shape != (width,):
+        raise UserError(f"the clips have {width} features, the statistics {normalizer.mean.shape[0]}; use their own")
     lengths = np.array([len(clip.features) for clip in clips], dtype=np.int32)
-    frames = np.zeros((int(lengths.sum()) + max_window, clips[0].features.shape[1]), dtype=np.float32)
-    starts = np.cumsum(lengths, dtype=np.int32) - lengths
-    for clip, start in zip(clips, starts, strict=True):
-        frames[start : start + len(clip.features)] = normalizer.normalize(clip.features)
-    return MotionBank(jnp.asarray(frames), jnp.asarray(starts), jnp.asarray(lengths))
+    frames, starts = _frames_in_place(clips) or _frames_joined(clips)
+    mean, std = (jnp.asarray(statistic, jnp.float32) for statistic in normalizer)
+    # `jnp.asarray` would copy; this shares the memory where the device can, which nobody writes to.
+    return MotionBank(jax.device_put(frames, may_alias=True), jnp.asarray(starts), jnp.asarray(lengths), mean, std)
+
+
+class _Frames(NamedTuple):
+    """Rows that hold clips, and where each begins."""
+
+    frames: Float[np.ndarray, "F D"]
+    starts: Int[np.ndarray, " M"]
+
+
+def _frames_in_place(clips: Sequence[Clip]) -> _Frames | None:
+    """Returns the stretch of the array that all clips are views of, from the first clip to the last, or None."""
+    whole = clips[0].features.base
+    if not isinstance(whole, np.ndarray) or whole.ndim != 2 or not whole.flags.c_contiguous:
+        return None
+    for clip in clips:
+        part = clip.features
+        if part.base is not whole or part.shape[1] != whole.shape[1] or part.strides != whole.strides:
+            return None
+    if whole.dtype != np.float32 or whole.flags.writeable:
+        return None
+    offsets = np.array([clip.features.ctypes.data - whole.ctypes.data for clip in clips])
+    starts = offsets // whole.strides[0]
+    # Devices share only memory that begins at a multiple of 64 bytes, as every 16th row of an aligned array does.
+    first = int(starts.min()) // 16 * 16
+    last = max(int(start) + len(clip.features) for start, clip in zip(starts, clips, strict=True))
+    return _Frames(whole[first:last], (starts - first).astype(np.int32))
+
+
+def _frames_joined(clips: Sequence[Clip]) -> _Frames:
+    """Returns a copy of the clips, end to end."""
+    frames = np.concatenate([clip.features for clip in clips], dtype=np.float32)
+    lengths = np.array([len(clip.features) for clip in clips], dtype=np.int32)
+    return _Frames(frames, np.cumsum(lengths, dtype=np.int32) - lengths)
 
 
 def epoch_order(key: PRNGKeyArray, epoch: Int[Array, ""] | int, *, num_clips: int) -> Int[Array, " M"]:
@@ -84,20 +125,19 @@ def cut_windows(bank: MotionBank, clips: Int[Array, " B"], key: PRNGKeyArray, *,
     zeros and a False mask behind its end.
 
     Args:
-        bank: made with `max_window >= window`.
+        bank: the clips.
         clips: positions in the bank.
         key: consumed.
         window: frames to cut.
     """
     lengths = bank.lengths[clips]
-    slack = jnp.maximum(lengths - window, 0)
-    offsets = jax.random.randint(key, clips.shape, 0, slack + 1)
-
-    def cut(start: Int[Array, ""]) -> Float[Array, "T D"]:
-        return jax.lax.dynamic_slice_in_dim(bank.frames, start, window)
-
-    motion = jax.vmap(cut)(bank.starts[clips] + offsets)
+    offsets = jax.random.randint(key, clips.shape, 0, jnp.maximum(lengths - window, 0) + 1)
+    rows = (bank.starts[clips] + offsets)[:, None] + jnp.arange(window)[None, :]
     mask = jnp.arange(window)[None, :] < lengths[:, None]
+    raw = bank.frames.at[rows].get(mode="clip")
+    # Without the barrier XLA multiplies by 1 / std, which differs from the division in the last bit.
+    std = jax.lax.optimization_barrier(jnp.broadcast_to(bank.std[None, None], raw.shape))
+    motion = (raw - bank.mean[None, None]) / std
     return Windows(jnp.where(mask[:, :, None], motion, 0.0), mask)
 
 

@@ -50,7 +50,7 @@ def _make_validation(
     clips = dataset.clips("val", min_frames=config.model.downsample) if config.loop.validate_every else []
     if not clips:
         return None
-    bank = make_bank(clips, normalizer, max_window=config.window)
+    bank = make_bank(clips, normalizer)
     num_batches = max(len(clips) // config.loop.batch_size, 1)
 
     def validate(state: VqVaeState) -> Mapping[str, float]:
@@ -72,7 +72,7 @@ def train_vqvae(config: TrainVqVaeConfig, *, resume: bool = False) -> VqVaeState
     check_feature_dim(dataset, config.model.feature_dim)
     normalizer = weighted_normalizer(dataset.normalizer, dataset.skeleton.layout, factor=config.root_weight)
     clips = dataset.clips("train", min_frames=max(config.model.downsample, dataset.info.min_frames))
-    bank = make_bank(clips, normalizer, max_window=config.window)
+    bank = make_bank(clips, normalizer)
     validate = _make_validation(dataset, normalizer, config)
     state = init_vqvae_state(config, stream_key(config.loop.seed, "init"))
     if resume:

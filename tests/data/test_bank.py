@@ -26,15 +26,70 @@ def make_clips(width=5):
 
 @pytest.fixture(scope="module")
 def bank():
-    return make_bank(make_clips(), Normalizer(np.zeros(5, np.float32), np.ones(5, np.float32)), max_window=WINDOW)
+    return make_bank(make_clips(), Normalizer(np.zeros(5, np.float32), np.ones(5, np.float32)))
 
 
-def test_bank_holds_normalized_clips():
-    clips = make_clips()
-    normalizer = Normalizer(np.full(5, 3.0, np.float32), np.full(5, 2.0, np.float32))
-    made = make_bank(clips, normalizer, max_window=WINDOW)
+def noise_clips(num_clips=6, *, width=263, seed=0):
+    """Clips of noise, read-only views of one array with other frames before, between and behind them."""
+    generator = np.random.default_rng(seed)
+    whole = generator.normal(size=(400, width)).astype(np.float32)
+    whole.flags.writeable = False
+    starts = 37 + 50 * np.arange(num_clips)
+    lengths = generator.integers(5, 45, num_clips)
+    return [
+        Clip(f"clip{start}", whole[start : start + length], ()) for start, length in zip(starts, lengths, strict=True)
+    ]
+
+
+def noise_normalizer(width=263):
+    generator = np.random.default_rng(1)
+    return Normalizer(
+        generator.normal(size=width).astype(np.float32), generator.uniform(0.01, 3, width).astype(np.float32)
+    )
+
+
+def copied(clips):
+    """The same clips, each an array of its own."""
+    return [clip._replace(features=clip.features.copy()) for clip in clips]
+
+
+@pytest.mark.parametrize("own", [False, True], ids=["views", "arrays"])
+def test_bank_holds_the_clips_as_they_are(own):
+    clips = copied(noise_clips()) if own else noise_clips()
+    made = make_bank(clips, noise_normalizer())
     for clip, start, length in zip(clips, made.starts, made.lengths, strict=True):
-        np.testing.assert_allclose(made.frames[start : start + length], (clip.features - 3) / 2)
+        np.testing.assert_array_equal(made.frames[start : start + length], clip.features)
+
+
+def test_views_of_a_mapped_file_are_not_copied(tmp_path):
+    clips = noise_clips()
+    np.save(tmp_path / "frames.npy", clips[0].features.base)
+    whole = np.load(tmp_path / "frames.npy", mmap_mode="r")
+    clips = [clip._replace(features=whole[start:][:20]) for clip, start in zip(clips, (300, 37, 90), strict=False)]
+    made = make_bank(clips, noise_normalizer())
+    # The mapped memory itself, from the last row before the first clip that is a multiple of 16 rows down the file.
+    assert made.frames.unsafe_buffer_pointer() == whole.ctypes.data + 32 * whole.strides[0]
+    assert len(made.frames) == 320 - 32
+
+
+def test_arrays_that_somebody_may_write_to_are_copied():
+    whole = np.zeros((40, 5), np.float32)
+    made = make_bank([Clip("a", whole[:16], ()), Clip("b", whole[16:], ())], noise_normalizer(5))
+    whole[:] = 1
+    assert not np.any(made.frames)
+
+
+@pytest.mark.parametrize("own", [False, True], ids=["views", "arrays"])
+def test_windows_are_those_of_clips_normalized_first_to_the_last_bit(own):
+    clips, normalizer, key = noise_clips(), noise_normalizer(), jax.random.key(4)
+    made = make_bank(copied(clips) if own else clips, normalizer)
+    chosen = jnp.array([5, 0, 3, 1, 2, 4])
+    cut = jax.jit(cut_windows, static_argnames="window")(made, chosen, key, window=WINDOW)
+    offsets = jax.random.randint(key, chosen.shape, 0, jnp.maximum(made.lengths[chosen] - WINDOW, 0) + 1)
+    for row, (number, offset) in enumerate(zip(chosen, offsets, strict=True)):
+        expected = normalizer.normalize(clips[number].features)[offset : offset + WINDOW]
+        np.testing.assert_array_equal(cut.motion[row, : len(expected)], expected)
+        assert cut.mask[row].sum() == len(expected)
 
 
 def test_windows_never_show_a_neighbour_and_pad_with_zeros(bank):
@@ -103,7 +158,12 @@ def test_a_batch_is_a_pure_function_of_key_and_step(bank):
 
 def test_no_clips_is_a_user_error():
     with pytest.raises(UserError, match="no clips"):
-        make_bank([], Normalizer(np.zeros(5), np.ones(5)), max_window=WINDOW)
+        make_bank([], Normalizer(np.zeros(5), np.ones(5)))
+
+
+def test_statistics_of_other_features_are_a_user_error(bank):
+    with pytest.raises(UserError, match="5 features, the statistics 4"):
+        make_bank(make_clips(), Normalizer(np.zeros(4), np.ones(4)))
 
 
 def test_windows_are_the_same_without_jit(bank):
