@@ -27,6 +27,7 @@ COMMANDS = {
     "train": "train a model from a config file",
     "evaluate": "measure a model against data",
     "bundle": "pack run folders into one model to share",
+    "convert": "turn published weights into a model, and back",
     "view": "turn any motion file into any other format",
     "bench": "measure speed",
 }

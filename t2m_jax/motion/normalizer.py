@@ -91,11 +91,20 @@ def load_normalizer(folder: str | Path) -> Normalizer:
     Raises:
         UserError: A file is missing or no array, the two do not fit together, or a deviation is not above zero.
     """
-    mean, std = (_load_statistics(Path(folder) / name) for name in (_MEAN_FILE, _STD_FILE))
+    return normalizer_from_files(Path(folder) / _MEAN_FILE, Path(folder) / _STD_FILE)
+
+
+def normalizer_from_files(mean_file: Path, std_file: Path) -> Normalizer:
+    """Returns the statistics kept in two files.
+
+    Raises:
+        UserError: A file is missing or no array, the two do not fit together, or a deviation is not above zero.
+    """
+    mean, std = _load_statistics(mean_file), _load_statistics(std_file)
     if mean.shape != std.shape:
-        raise UserError(f"{folder}: {_MEAN_FILE} has {len(mean)} columns and {_STD_FILE} has {len(std)}")
+        raise UserError(f"{mean_file} has {len(mean)} columns and {std_file.name} has {len(std)}")
     if not (std > 0).all():
-        raise UserError(f"{Path(folder) / _STD_FILE}: column {int(np.argmax(std <= 0))} is not above zero")
+        raise UserError(f"{std_file}: column {int(np.argmax(std <= 0))} is not above zero")
     return Normalizer(mean, std)
 
 
