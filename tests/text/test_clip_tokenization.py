@@ -1,0 +1,134 @@
+"""CLIP's tokens: those of the reference, from either form of the files; what is broken is refused by name."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from t2m_jax.config import UserError
+from t2m_jax.text.clip_tokenization import END, START, clip_tokens, load_clip_tokenizer
+from tests.clip_golden import CAPTIONS, FULL, ONE_FILE, TEXT_ONLY, TWO_FILES, golden
+
+MAX_LENGTH = 77
+
+
+def copy_tokenizer(names, folder):
+    for name in names:
+        shutil.copy(FULL / name, folder)
+    return folder
+
+
+def refused(folder) -> str:
+    with pytest.raises(UserError) as caught:
+        load_clip_tokenizer(folder)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.fixture(scope="module")
+def tokenizer():
+    return load_clip_tokenizer(FULL)
+
+
+@pytest.mark.parametrize("names", [ONE_FILE, TWO_FILES])
+def test_the_tokens_are_those_of_the_reference(names, tmp_path):
+    tokenizer = load_clip_tokenizer(copy_tokenizer(names, tmp_path))
+    tokens = clip_tokens(tokenizer, CAPTIONS, max_length=MAX_LENGTH)
+    assert tokens.dtype == np.int32
+    assert len(CAPTIONS) == 64
+    np.testing.assert_array_equal(tokens, golden(FULL, "tokens"))
+
+
+def test_added_tokens_are_those_of_the_reference():
+    tokens = clip_tokens(load_clip_tokenizer(TEXT_ONLY), CAPTIONS, max_length=MAX_LENGTH)
+    np.testing.assert_array_equal(tokens, golden(TEXT_ONLY, "tokens"))
+    assert tokens.max() > golden(FULL, "tokens").max()
+
+
+def test_an_empty_caption_is_start_and_end(tokenizer):
+    start, end = tokenizer.token_to_id(START), tokenizer.token_to_id(END)
+    for caption in ("", "  ", "\n"):
+        np.testing.assert_array_equal(clip_tokens(tokenizer, [caption], max_length=4), [[start, end, end, end]])
+
+
+def test_a_long_caption_loses_its_tail_and_keeps_its_end(tokenizer):
+    caption = " ".join(f"step {number}" for number in range(60))
+    whole = clip_tokens(tokenizer, [caption], max_length=1000)[0]
+    cut = clip_tokens(tokenizer, [caption], max_length=MAX_LENGTH)[0]
+    end = tokenizer.token_to_id(END)
+    assert list(whole).index(end) > MAX_LENGTH
+    np.testing.assert_array_equal(cut[:-1], whole[: MAX_LENGTH - 1])
+    assert cut[-1] == end
+
+
+def test_case_and_spaces_do_not_matter(tokenizer):
+    plain, odd = clip_tokens(tokenizer, ["a person walks", "  A  Person\tWALKS\n"], max_length=MAX_LENGTH)
+    np.testing.assert_array_equal(plain, odd)
+
+
+def test_a_caption_does_not_depend_on_its_neighbours(tokenizer):
+    together = clip_tokens(tokenizer, CAPTIONS, max_length=MAX_LENGTH)
+    for row in range(0, len(CAPTIONS), 7):
+        alone = clip_tokens(tokenizer, [CAPTIONS[row]], max_length=MAX_LENGTH)
+        np.testing.assert_array_equal(together[row], alone[0])
+
+
+def test_no_captions_are_no_rows(tokenizer):
+    assert clip_tokens(tokenizer, [], max_length=MAX_LENGTH).shape == (0, MAX_LENGTH)
+
+
+def test_cutting_and_filling_that_a_file_asks_for_are_left_out(tokenizer, tmp_path):
+    data = json.loads((FULL / "tokenizer.json").read_text())
+    data["truncation"] = {"direction": "Right", "max_length": 5, "strategy": "LongestFirst", "stride": 0}
+    data["padding"] = {
+        "strategy": {"Fixed": 9},
+        "direction": "Left",
+        "pad_to_multiple_of": None,
+        "pad_id": 0,
+        "pad_type_id": 0,
+        "pad_token": "!",
+    }
+    (tmp_path / "tokenizer.json").write_text(json.dumps(data))
+    tokens = clip_tokens(load_clip_tokenizer(tmp_path), CAPTIONS, max_length=MAX_LENGTH)
+    np.testing.assert_array_equal(tokens, golden(FULL, "tokens"))
+
+
+def test_a_folder_without_a_tokenizer_is_named(tmp_path):
+    message = refused(tmp_path)
+    assert str(tmp_path) in message
+    for name in (*ONE_FILE, *TWO_FILES):
+        assert name in message
+    copy_tokenizer(["vocab.json"], tmp_path)
+    assert "merges.txt" in refused(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "reason"),
+    [
+        ("vocab.json", "{", "not a JSON file"),
+        ("vocab.json", "[" * 100_000, "not a JSON file"),
+        ("vocab.json", "[1, 2]", "not a vocabulary"),
+        ("vocab.json", '{"a": 0, "b": 0}', "not a vocabulary"),
+        ("vocab.json", '{"a": 0, "b": 7}', "not a vocabulary"),
+        ("vocab.json", '{"a": "0"}', "not a vocabulary"),
+        ("vocab.json", "{}", "does not fit vocab.json"),
+        ("merges.txt", "#version: 0.2\na b\na b c\n", ":3: expected two pieces"),
+        ("merges.txt", "#version: 0.2\n人 人\n", "does not fit vocab.json"),
+        ("merges.txt", b"\xff\xfe\x00", "not a text file"),
+    ],
+)
+def test_older_files_that_are_damaged_are_named(name, content, reason, tmp_path):
+    copy_tokenizer(TWO_FILES, tmp_path)
+    (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    message = refused(tmp_path)
+    assert reason in message
+    assert str(tmp_path) in message
+
+
+@pytest.mark.parametrize("names", [ONE_FILE, TWO_FILES])
+def test_a_tokenizer_that_is_not_clips_is_named(names, tmp_path):
+    copy_tokenizer(names, tmp_path)
+    path = tmp_path / names[0]
+    path.write_text(path.read_text(encoding="utf-8").replace(START, "<s>"), encoding="utf-8")
+    assert START in refused(tmp_path)
