@@ -26,6 +26,9 @@ _TABLE = """CREATE TABLE IF NOT EXISTS embeddings (
 
 _SELECT = "SELECT caption, embedding, digest FROM embeddings WHERE fingerprint = ? AND caption IN"
 
+_FAILURES = (sqlite3.Error, OSError, UnicodeDecodeError)
+"""What use of a file can raise; the last where SQLite's message quotes the damage."""
+
 _OUT_OF_REACH = {
     sqlite3.SQLITE_PERM,
     sqlite3.SQLITE_BUSY,
@@ -58,7 +61,7 @@ class EmbeddingCache:
                     chunk = list(captions[first : first + CAPTIONS_A_QUERY])
                     marks = ", ".join("?" * len(chunk))
                     rows += connection.execute(f"{_SELECT} ({marks})", [fingerprint, *chunk]).fetchall()
-        except (sqlite3.Error, OSError) as error:
+        except _FAILURES as error:
             self._do_without(error)
             return {}
         sound = {
@@ -79,7 +82,7 @@ class EmbeddingCache:
         try:
             with self._open() as connection:
                 connection.executemany("INSERT OR REPLACE INTO embeddings VALUES (?, ?, ?, ?)", rows)
-        except (sqlite3.Error, OSError) as error:
+        except _FAILURES as error:
             self._do_without(error)
 
     @contextlib.contextmanager
