@@ -21,7 +21,7 @@ from t2m_jax.config import UserError
 
 MAX_DEPTH = 32
 """Deepest nesting of dictionaries and lists that is read; it bounds the recursion below."""
-MAX_VALUES = 200_000
+MAX_VALUES = 50_000
 """Most values that are read, those that stand in several places counted each time; a published model has 314."""
 MAX_SHARING = 8
 """Most numbers in tensors for each byte of the file: tensors may share a storage, but not without end."""

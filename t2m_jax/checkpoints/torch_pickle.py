@@ -16,7 +16,7 @@ import numpy as np
 
 from t2m_jax.config import UserError
 
-MAX_PICKLE_BYTES = 4_000_000
+MAX_PICKLE_BYTES = 1_000_000
 """Longest pickle that is read: a published model takes 60 kB, and work and memory grow with the length."""
 
 DTYPES: dict[str, np.dtype] = {
@@ -312,7 +312,7 @@ def _instruction_name(code: bytes) -> str:
 
 def _kind(value: Any) -> str:
     """Returns what to call a value in a refusal."""
-    return _shown(value.text) if isinstance(value, Name) else f"a {type(value).__name__}"
+    return _shown(value.text) if isinstance(value, Name) else f"a value of type {type(value).__name__}"
 
 
 def _shown(text: str) -> str:

@@ -64,5 +64,15 @@ def write_archive(
     return path
 
 
+def write_legacy(path: Path) -> Path:
+    """Writes what `TENSOR` says in the format before PyTorch 1.6, and returns its path."""
+    magic = pickle.dumps(0x1950A86A20F9469CFC6C, protocol=2)
+    system = {"protocol_version": 1001, "little_endian": True, "type_sizes": {"short": 2, "int": 4, "long": 4}}
+    parts = [magic, pickle.dumps(1001, protocol=2), pickle.dumps(system, protocol=2)]
+    parts += [TENSOR.replace(b"tQ", b"NtQ"), pickle.dumps(["0"], protocol=2)]
+    path.write_bytes(b"".join(parts) + struct.pack("<q", 6) + np.arange(6, dtype="<f4").tobytes())
+    return path
+
+
 TENSOR = entry(text("a"), tensor((2, 3), (3, 1)))
 """The pickle of {"a": [[0, 1, 2], [3, 4, 5]]}."""
