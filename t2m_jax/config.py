@@ -89,6 +89,18 @@ def config_to_dict(config: Any) -> dict[str, Any]:
     return {field.name: _plain_from_value(getattr(config, field.name)) for field in dataclasses.fields(config)}
 
 
+def flat_fields(config: Any) -> dict[str, Any]:
+    """Returns the plain values of a config by dotted name."""
+    flat: dict[str, Any] = {}
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            flat |= {f"{field.name}.{name}": below for name, below in flat_fields(value).items()}
+        else:
+            flat[field.name] = _plain_from_value(value)
+    return flat
+
+
 def save_config(path: str | Path, config: Any) -> None:
     """Writes every field of a config, defaults included, as YAML that `load_config` reads back to an equal config.
 

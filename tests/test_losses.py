@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.losses import elementwise_loss, reconstruction_loss, token_loss
+from t2m_jax.losses import elementwise_loss, reconstruction_loss, token_loss, velocity_loss
 from t2m_jax.motion.layout import FeatureLayout
 
 
@@ -53,3 +53,31 @@ def test_padding_does_not_count():
     short = token_loss(logits, jnp.array([[1, 2, 3, 0, 0]]), jnp.array([2]))
     other = token_loss(logits.at[:, 3:].set(99.0), jnp.array([[1, 2, 3, 7, 7]]), jnp.array([2]))
     np.testing.assert_allclose(short, other)
+
+
+def test_tokens_can_weigh_the_same():
+    logits = jnp.zeros((2, 6, 4)).at[0, :, 0].set(10.0)
+    targets = jnp.array([[0, 0, 0, 0, 0, 0], [1, 3, 4, 4, 4, 4]])
+    loss, right = token_loss(logits, targets, jnp.array([5, 1]), mean_over="tokens")
+    np.testing.assert_allclose(loss, 2 * np.log(4.0) / 8, atol=1e-3)
+    np.testing.assert_allclose(right, token_loss(logits, targets, jnp.array([5, 1]))[1])
+
+
+def velocity(pred, motion, mask, kind):
+    return float(velocity_loss(pred, motion, mask, kind="l1", velocity=kind, positions=slice(1, 3)))
+
+
+def test_the_two_meanings_of_velocity():
+    motion, mask = jnp.zeros((1, 4, 5)), jnp.ones((1, 4), bool)
+    shifted = motion.at[..., 1:3].set(2.0)
+    assert velocity(shifted, motion, mask, "joint_positions") == 2.0
+    assert velocity(shifted, motion, mask, "frame_difference") == 0.0
+    moving = motion + jnp.arange(4.0)[None, :, None] * 3
+    assert velocity(moving, motion, mask, "frame_difference") == 3.0
+
+
+def test_differences_across_a_clips_end_do_not_count():
+    motion = jnp.zeros((1, 4, 5))
+    pred = motion.at[:, 2:].set(9.0)
+    assert velocity(pred, motion, jnp.array([[True, True, False, False]]), "frame_difference") == 0.0
+    assert velocity(pred, motion, jnp.array([[True, True, True, False]]), "frame_difference") == 4.5

@@ -5,13 +5,14 @@ import importlib.resources
 import shutil
 import tempfile
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from tokenizers import Tokenizer
 
 from t2m_jax.checkpoints.arrays import load_arrays, save_arrays
+from t2m_jax.checkpoints.clip import TrainedClip, save_clip
 from t2m_jax.config import UserError, load_config, save_config
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
 from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
@@ -23,8 +24,15 @@ from t2m_jax.text.tokenization import load_tokenizer, save_tokenizer
 CONFIG_FILE = "bundle.yaml"
 WEIGHTS_FILE = "weights.safetensors"
 CARD_FILE = "README.md"
+CLIP_FOLDER = "clip"
+"""Folder of a bundle that may hold its CLIP."""
+CLIP_NAME = "openai/clip-vit-base-patch32"
+"""The CLIP of T2M-GPT on the Hugging Face hub."""
 BUNDLED = ("demo",)
 """Names of the bundles that come with the package."""
+
+
+TextEncoderKind = Literal["caption_encoder", "clip"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -39,8 +47,12 @@ class BundleConfig:
     """Sizes of the VQ-VAE."""
     gpt: MotionGptConfig = MotionGptConfig()
     """Sizes of the GPT."""
+    text_encoder: TextEncoderKind = "caption_encoder"
+    """What reads the captions."""
+    clip: str = CLIP_NAME
+    """With text encoder `clip`: folder or name on the Hugging Face hub. A folder `clip` in the bundle comes first."""
     caption_encoder: CaptionEncoderConfig = CaptionEncoderConfig()
-    """Sizes of the caption encoder."""
+    """Sizes of the caption encoder, where it is the text encoder."""
 
 
 class Bundle(NamedTuple):
@@ -48,9 +60,10 @@ class Bundle(NamedTuple):
 
     config: BundleConfig
     variables: dict[str, Any]
-    """`vqvae` (params, codebook), `gpt` (params), `caption_encoder` (params)."""
+    """The collections of `vqvae`, `gpt` and, where it is the text encoder, `caption_encoder`."""
     normalizer: Normalizer
-    tokenizer: Tokenizer
+    tokenizer: Tokenizer | None
+    """Of the caption encoder; None with another text encoder."""
 
 
 def bundle_path(name_or_path: str | Path) -> Path:
@@ -78,11 +91,10 @@ def expected_variables(config: BundleConfig) -> dict[str, Any]:
         module = CaptionEncoder(config.caption_encoder)
         return module.init(jax.random.key(0), tokens, jnp.ones(tokens.shape, bool), train=False)
 
-    return {
-        "vqvae": vqvae_shapes(config.vqvae),
-        "gpt": jax.eval_shape(gpt),
-        "caption_encoder": jax.eval_shape(caption_encoder),
-    }
+    shapes = {"vqvae": vqvae_shapes(config.vqvae), "gpt": jax.eval_shape(gpt)}
+    if config.text_encoder == "caption_encoder":
+        shapes["caption_encoder"] = jax.eval_shape(caption_encoder)
+    return shapes
 
 
 def _check_config(config: BundleConfig, path: Path) -> None:
@@ -90,11 +102,13 @@ def _check_config(config: BundleConfig, path: Path) -> None:
     if config.format_version != BundleConfig().format_version:
         raise UserError(f"{path}: format_version {config.format_version} is not known to this version of t2m_jax")
     feature_dim = skeleton_from_name(config.skeleton).feature_dim
-    for name, found, wanted in (
+    fits = [
         ("vqvae.feature_dim", config.vqvae.feature_dim, feature_dim),
         ("gpt.num_codes", config.gpt.num_codes, config.vqvae.num_codes),
-        ("gpt.text_dim", config.gpt.text_dim, config.caption_encoder.text_dim),
-    ):
+    ]
+    if config.text_encoder == "caption_encoder":
+        fits.append(("gpt.text_dim", config.gpt.text_dim, config.caption_encoder.text_dim))
+    for name, found, wanted in fits:
         if found != wanted:
             raise UserError(f"{path}: {name} is {found}, but the other parts want {wanted}")
 
@@ -114,14 +128,25 @@ def load_bundle(path: Path) -> Bundle:
     normalizer = load_normalizer(path)
     if normalizer.mean.shape != (config.vqvae.feature_dim,):
         raise UserError(f"{path}: statistics of {normalizer.mean.shape[0]} features, {config.vqvae.feature_dim} wanted")
-    tokenizer = load_tokenizer(path)
-    if tokenizer.get_vocab_size() > config.caption_encoder.vocabulary_size:
-        raise UserError(f"{path}: the tokenizer has more tokens than caption_encoder.vocabulary_size")
+    tokenizer = None
+    if config.text_encoder == "caption_encoder":
+        tokenizer = load_tokenizer(path)
+        if tokenizer.get_vocab_size() > config.caption_encoder.vocabulary_size:
+            raise UserError(f"{path}: the tokenizer has more tokens than caption_encoder.vocabulary_size")
+    elif (path / CLIP_FOLDER).is_dir():
+        config = dataclasses.replace(config, clip=str(path / CLIP_FOLDER))
     return Bundle(config, variables, normalizer, tokenizer)
 
 
-def save_bundle(path: Path, bundle: Bundle, *, card: str) -> None:
-    """Writes a bundle folder, weights in half precision; it appears complete or not at all.
+def save_bundle(path: Path, bundle: Bundle, *, card: str, half: bool = True, clip: TrainedClip | None = None) -> None:
+    """Writes a bundle folder; it appears complete or not at all.
+
+    Args:
+        path: Folder to make.
+        bundle: The model.
+        card: Markdown on what it is.
+        half: Whether weights are stored in 16 bits.
+        clip: The text encoder to put in, where it is CLIP; without, a user of the bundle needs it by its name.
 
     Raises:
         UserError: if `path` exists already.
@@ -132,14 +157,17 @@ def save_bundle(path: Path, bundle: Bundle, *, card: str) -> None:
     folder = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
     try:
         save_config(folder / CONFIG_FILE, bundle.config)
-        save_arrays(folder / WEIGHTS_FILE, bundle.variables, half=True)
+        save_arrays(folder / WEIGHTS_FILE, bundle.variables, half=half)
         save_normalizer(folder, bundle.normalizer)
-        save_tokenizer(folder, bundle.tokenizer)
+        if bundle.tokenizer is not None:
+            save_tokenizer(folder, bundle.tokenizer)
+        if clip is not None:
+            save_clip(folder / CLIP_FOLDER, clip)
         (folder / CARD_FILE).write_text(card, encoding="utf-8")
         # A temporary folder and safetensors' files are private; a bundle is made to be shared.
         folder.chmod(0o755)
-        for file in folder.iterdir():
-            file.chmod(0o644)
+        for file in folder.rglob("*"):
+            file.chmod(0o755 if file.is_dir() else 0o644)
         folder.rename(path)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)

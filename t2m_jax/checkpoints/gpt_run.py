@@ -24,13 +24,14 @@ def load_gpt_run(path: Path) -> Bundle:
         raise UserError(f"{path}: holds a VQ-VAE alone; generation needs the run of a GPT")
     config = load_config(path / BUNDLE_FILE, BundleConfig)
     expected = expected_variables(config)
-    shapes = {name: expected[name]["params"] for name in ("gpt", "caption_encoder")}
+    shapes = {name: expected[name]["params"] for name in expected if name != "vqvae"}
     checkpoints = Checkpoints(path)
     params = checkpoints.restore_fields({"params": shapes})["params"]
     checkpoints.close()
     vqvae = load_vqvae(path)
     variables = {name: {"params": params[name]} for name in shapes} | {"vqvae": vqvae.variables}
-    return Bundle(config, jax.device_get(variables), vqvae.normalizer, load_tokenizer(path))
+    tokenizer = load_tokenizer(path) if config.text_encoder == "caption_encoder" else None
+    return Bundle(config, jax.device_get(variables), vqvae.normalizer, tokenizer)
 
 
 def load_model(name_or_path: str | Path) -> Bundle:

@@ -92,9 +92,13 @@ class Checkpoints:
         return self._manager.latest_step()
 
     def save(self, step: int, state: NamedFields) -> None:
-        """Writes a checkpoint, once a step: every field of the state is an item of its own."""
+        """Writes a checkpoint, once a step: every field of the state that holds arrays is an item of its own."""
         if step != self.latest_step:
-            items = {name: ocp.args.StandardSave({name: value}) for name, value in state._asdict().items()}
+            items = {
+                name: ocp.args.StandardSave({name: value})
+                for name, value in state._asdict().items()
+                if jax.tree.leaves(value)
+            }
             self._manager.save(step, args=ocp.args.Composite(**items))
 
     def restore(self, like: State) -> State:
@@ -114,7 +118,8 @@ class Checkpoints:
         step = self.latest_step
         if step is None:
             raise UserError(f"{self._run}: no checkpoint yet; train it first")
-        shapes = jax.tree.map(ocp.utils.to_shape_dtype_struct, dict(like))
+        held = {name: value for name, value in like.items() if jax.tree.leaves(value)}
+        shapes = jax.tree.map(ocp.utils.to_shape_dtype_struct, held)
         items = {name: ocp.args.StandardRestore({name: value}) for name, value in shapes.items()}
         try:
             restored = self._manager.restore(step, args=ocp.args.Composite(**items))
@@ -123,7 +128,7 @@ class Checkpoints:
             raise UserError(
                 f"{self._run}: checkpoint {step} does not fit its config or is damaged ({reason})"
             ) from error
-        return {name: restored[name][name] for name in like}
+        return dict(like) | {name: restored[name][name] for name in held}
 
     def close(self) -> None:
         """Ends background work."""

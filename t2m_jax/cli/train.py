@@ -1,7 +1,12 @@
-"""Train a model: `t2m train {vqvae,gpt} CONFIG [--field value]...`; fields are those of the config, dotted."""
+"""Train a model: `t2m train {vqvae,gpt} CONFIG [--field value]...`; fields are those of the config, dotted.
+
+CONFIG is a YAML file, or a recipe of T2M-GPT by name: `official` or `paper`, for KIT-ML `kit_ml/official` and so on.
+`t2m train gpt --diff paper official` shows in what two of them differ.
+"""
 
 import argparse
 import logging
+import sys
 from typing import Any
 
 TAKES_CONFIG_OPTIONS = True
@@ -28,16 +33,24 @@ def _schema(stage: str) -> type:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the options of the command; what it does not know are fields of the config."""
     parser.add_argument("stage", choices=("vqvae", "gpt"), help="what to train")
-    parser.add_argument("config", help="YAML file with what differs from the defaults")
+    parser.add_argument("config", nargs="?", help="YAML file with what differs from the defaults, or name of a recipe")
     parser.add_argument("--resume", action="store_true", help="go on from the run's newest checkpoint")
+    parser.add_argument(
+        "--diff", nargs=2, metavar=("A", "B"), help="show in what two configs or recipes differ, and train nothing"
+    )
     parser.add_argument("-h", "--help", nargs=0, action=_Help, help="show this (after a stage: all fields) and exit")
 
 
 def run(args: argparse.Namespace) -> None:
     """Trains; the run directory is the result."""
-    from t2m_jax.config import load_config, override_config
+    if args.diff:
+        _show_differences(args)
+        return
+    from t2m_jax.config import UserError, override_config
 
-    config: Any = load_config(args.config, _schema(args.stage))
+    if args.config is None:
+        raise UserError(f"train {args.stage}: give a CONFIG, a YAML file or the name of a recipe such as 'official'")
+    config: Any = _config(args.stage, args.config)
     config = override_config(config, args.config_options, prog=f"t2m train {args.stage}")
 
     from t2m_jax.sampling.compilation import use_compilation_cache
@@ -50,3 +63,30 @@ def run(args: argparse.Namespace) -> None:
     else:
         train_gpt(config, resume=args.resume)
     logging.getLogger("t2m_jax").info("done: %s", config.run)
+
+
+def _config(stage: str, name: str) -> Any:
+    """Returns the config of a file or, where there is no such file, of a recipe."""
+    from pathlib import Path
+
+    from t2m_jax.config import load_config
+    from t2m_jax.train.presets import load_preset, preset_names
+
+    if name in preset_names() and not Path(name).exists():
+        return load_preset(stage, name)
+    return load_config(name, _schema(stage))
+
+
+def _show_differences(args: argparse.Namespace) -> None:
+    """Prints a table of the fields in which two configs differ."""
+    from t2m_jax.config import UserError
+    from t2m_jax.train.presets import differences
+
+    if args.config_options:
+        raise UserError(f"train {args.stage}: --diff compares configs as they are; leave {args.config_options[0]} out")
+    rows = [("field", *args.diff)]
+    for field, values in differences(*(_config(args.stage, name) for name in args.diff)).items():
+        rows.append((field, *map(str, values)))
+    widths = [max(len(row[column]) for row in rows) for column in range(3)]
+    for row in rows:
+        sys.stdout.write("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() + "\n")

@@ -1,12 +1,16 @@
 """Codes and captions of a data set on the device: what the GPT trains on."""
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Int, Key
+from jaxtyping import Array, Float, Int, Key
 
 from t2m_jax.data.bank import batch_clips
+from t2m_jax.text.tokenization import CaptionTokens
+
+Captions: TypeAlias = CaptionTokens | Float[Array, "B E"]
+"""Captions as a text encoder that is trained reads them, or as the embeddings of one that is not."""
 
 
 class CodeBank(NamedTuple):
@@ -14,8 +18,8 @@ class CodeBank(NamedTuple):
 
     codes: Int[Array, "M S N"]
     code_lengths: Int[Array, "M S"]
-    caption_tokens: Int[Array, "Q L"]
-    caption_mask: Bool[Array, "Q L"]
+    captions: Captions
+    """One row a caption."""
     first_caption: Int[Array, " M"]
     num_captions: Int[Array, " M"]
 
@@ -25,8 +29,7 @@ class CodeBatch(NamedTuple):
 
     codes: Int[Array, "B N"]
     code_lengths: Int[Array, " B"]
-    caption_tokens: Int[Array, "B L"]
-    caption_mask: Bool[Array, "B L"]
+    captions: Captions
 
 
 def crop_codes(
@@ -55,4 +58,4 @@ def code_batch_at(
     codes, code_lengths = crop_codes(
         bank.codes[motions, offsets], bank.code_lengths[motions, offsets], crop_key, max_codes=max_codes
     )
-    return CodeBatch(codes, code_lengths, bank.caption_tokens[captions], bank.caption_mask[captions])
+    return CodeBatch(codes, code_lengths, jax.tree.map(lambda rows: rows[captions], bank.captions))

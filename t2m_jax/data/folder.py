@@ -1,29 +1,27 @@
-"""Reading a data-set folder: HumanML3D's layout, so that the real one just works.
-
-new_joint_vecs/<id>.npy [T, D] float32, raw    new_joints/<id>.npy [T, J, 3] (optional)    texts/<id>.txt
-train.txt val.txt test.txt    Mean.npy Std.npy    dataset.yaml (optional)
-"""
+"""An opened data-set folder: its splits as clips, whole, and as the samples that text-to-motion counts."""
 
 import dataclasses
 import logging
 import string
+from collections.abc import Mapping
 from pathlib import Path
-from tokenize import TokenError
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.config import UserError, load_config
+from t2m_jax.data.cache import open_clips
+from t2m_jax.data.files import FEATURES, INFO, MIRROR_PREFIX, TEXTS, load_array, load_features, read_names
+from t2m_jax.data.splits import nested_choice
 from t2m_jax.data.texts import Caption, load_captions
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer
 from t2m_jax.motion.skeleton import Skeleton, skeleton_from_feature_dim, skeleton_from_name
 
 logger = logging.getLogger(__name__)
 
-FEATURES, POSITIONS, TEXTS, INFO = "new_joint_vecs", "new_joints", "texts", "dataset.yaml"
-SPLITS = ("train", "val", "test")
-MIRROR_PREFIX = "M"
+NAMED = 5
+"""How many clips of one kind a message names."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -47,6 +45,10 @@ class DatasetInfo:
     attribution: str = ""
     """What has to be said wherever something derived from the data is shown."""
 
+    def fits(self, num_frames: int) -> bool:
+        """Returns whether text-to-motion uses a motion of this length; a little over the maximum is rounded down."""
+        return self.min_frames <= num_frames < self.max_frames + 4
+
 
 class Clip(NamedTuple):
     """One motion (features, raw) and what is said about it."""
@@ -59,54 +61,6 @@ class Clip(NamedTuple):
     def is_mirrored(self) -> bool:
         """Whether the clip is the mirrored twin of another."""
         return self.name.startswith(MIRROR_PREFIX)
-
-
-def load_features(path: Path, *, feature_dim: int) -> Float[np.ndarray, "T D"]:
-    """Returns the raw features of one clip; they may hold NaN.
-
-    Raises:
-        UserError: the file is missing, is no .npy array of numbers, or has another width.
-    """
-    array = load_array(path)
-    if array.ndim != 2 or array.shape[1] != feature_dim:
-        shape = "x".join(str(size) for size in array.shape)
-        raise UserError(f"{path}: has shape {shape}, expected T x {feature_dim}; is it features of another skeleton?")
-    return array.astype(np.float32, copy=False)
-
-
-def load_array(path: Path, *, mmap: bool = False) -> np.ndarray:  # any shape: the caller checks it
-    """Returns the array in a .npy file of floating-point numbers.
-
-    Raises:
-        UserError: the file is missing or damaged, or holds something else.
-    """
-    try:
-        array = np.load(path, mmap_mode="r" if mmap else None, allow_pickle=False)
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror or error}); is the copy complete?") from error
-    except (ValueError, EOFError, TokenError) as error:  # the last from a damaged header
-        raise UserError(f"{path}: is not a complete .npy file ({error}); copy or import it again") from error
-    if not isinstance(array, np.ndarray) or array.dtype.kind != "f":
-        raise UserError(f"{path}: holds no floating-point numbers; expected a float32 array")
-    return array
-
-
-def read_names(path: Path) -> tuple[str, ...]:
-    """Returns the clip names of a split list, one a line, blank lines skipped.
-
-    Raises:
-        UserError: the list is missing, or a name in it would leave the folder.
-    """
-    try:
-        lines = path.read_text(encoding="utf-8").split("\n")
-    except OSError as error:
-        raise UserError(
-            f"{path}: cannot be read ({error.strerror}); it lists the clips of the split, one a line"
-        ) from error
-    for number, line in enumerate(lines, start=1):
-        if "/" in line or "\\" in line:
-            raise UserError(f"{path}:{number}: '{line}' is no clip name; names have no folder part")
-    return tuple(line.strip() for line in lines if line.strip())
 
 
 def _guess_info(folder: Path) -> DatasetInfo:
@@ -126,7 +80,11 @@ def _guess_info(folder: Path) -> DatasetInfo:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Dataset:
-    """An opened data-set folder; clips are read when asked for."""
+    """An opened data-set folder.
+
+    `clips` reads from a cache of the whole folder, which is made on first use and whenever the files have changed;
+    `features` and `captions` look at the files of one clip.
+    """
 
     folder: Path
     """Where it is."""
@@ -149,55 +107,77 @@ class Dataset:
         return load_features(self.folder / FEATURES / f"{name}.npy", feature_dim=self.skeleton.feature_dim)
 
     def captions(self, name: str) -> tuple[Caption, ...]:
-        """Returns the captions of a clip."""
+        """Returns the captions of a clip, all of which must be sound."""
         return load_captions(self.folder / TEXTS / f"{name}.txt")
 
     def clips(
-        self, split: str, *, min_frames: int = 1, mirrored: bool = True, skip_missing: bool = False
+        self, split: str, *, min_frames: int = 1, mirrored: bool = True, fraction: float = 1.0, seed: int = 0
     ) -> list[Clip]:
-        """Returns the clips of a split, whole, in the order of its list.
+        """Returns the clips of a split, whole, in the order of its list; their features are read-only views of a file.
 
-        Clips that hold NaN are left out, and so are those shorter than `min_frames`; a warning counts them.
+        Clips that cannot be used are left out: files missing or damaged, NaN, a single frame, another width. So are
+        caption lines that cannot be read, and clips shorter than `min_frames`. Warnings count and name them.
 
         Args:
             split: "train", "val", "test" or any other list in the folder.
             min_frames: least number of feature rows.
             mirrored: include mirrored twins.
-            skip_missing: leave out clips whose files are missing (the published KIT-ML lists name some) in place of
-                refusing.
+            fraction: share of the list that is used, above 0 and up to 1; a smaller share is part of a larger one, and
+                a clip and its mirrored twin go together.
+            seed: another one gives another share.
 
         Raises:
-            UserError: a file is missing, damaged or of another feature width; the message names it.
+            UserError: the list is missing, or more than half of its clips cannot be used.
         """
-        clips: list[Clip] = []
-        broken, short = [], 0
-        for name in self.names(split):
-            if (name.startswith(MIRROR_PREFIX) and not mirrored) or (skip_missing and not self.has(name)):
-                continue
-            features = self.features(name)
-            if not np.all(np.isfinite(features)):
-                broken.append(name)
-            elif len(features) < min_frames:
-                short += 1
-            else:
-                clips.append(Clip(name, features, self.captions(name)))
+        names = [name for name in self.names(split) if mirrored or not name.startswith(MIRROR_PREFIX)]
+        names = nested_choice(names, fraction=fraction, seed=seed)
+        cached = open_clips(self.folder, feature_dim=self.skeleton.feature_dim)
+        left_out = {name: cached.left_out.get(name, "files missing") for name in names if name not in cached.spans}
+        self._tell_left_out(split, left_out, num_clips=len(names))
+        broken = [name for name in names if name in cached.broken_captions]
         if broken:
             logger.warning(
-                "%s: %d clips of %s hold NaN and are left out: %s",
+                "%s: %d caption lines of %s cannot be read and are left out, in clips %s; `t2m data check` tells more",
                 self.folder,
-                len(broken),
+                sum(cached.broken_captions[name] for name in broken),
                 split,
-                ", ".join(broken[:5]),
+                _first_of(broken),
             )
-        if short:
+        spans = [(name, *cached.spans[name]) for name in names if name in cached.spans]
+        long = [(name, first, last) for name, first, last in spans if last - first >= min_frames]
+        if len(long) < len(spans):
             logger.warning(
-                "%s: %d clips of %s are shorter than %d frames and are left out", self.folder, short, split, min_frames
+                "%s: %d clips of %s are shorter than %d frames and are left out",
+                self.folder,
+                len(spans) - len(long),
+                split,
+                min_frames,
             )
-        return clips
+        return [Clip(name, cached.frames[first:last], cached.captions[name]) for name, first, last in long]
 
-    def has(self, name: str) -> bool:
-        """Returns whether both files of a clip are there."""
-        return (self.folder / FEATURES / f"{name}.npy").exists() and (self.folder / TEXTS / f"{name}.txt").exists()
+    def _tell_left_out(self, split: str, left_out: Mapping[str, str], *, num_clips: int) -> None:
+        """Warns of clips that cannot be used, and refuses a split that mostly cannot."""
+        if not left_out:
+            return
+        words = f"{len(left_out)} of {num_clips} clips cannot be used: {left_out_in_words(left_out)}"
+        if 2 * len(left_out) > num_clips:
+            raise UserError(
+                f"{self.folder / split}.txt: {words}; is the copy complete? `t2m data check` tells more of each"
+            )
+        logger.warning("%s: %s; left out of %s", self.folder, words, split)
+
+
+def left_out_in_words(left_out: Mapping[str, str]) -> str:
+    """Returns how many clips were left out for each reason, with the first names."""
+    kinds: dict[str, list[str]] = {}
+    for name, reason in left_out.items():
+        kinds.setdefault(reason, []).append(name)
+    return "; ".join(f"{len(names)} {reason} ({_first_of(names)})" for reason, names in kinds.items())
+
+
+def _first_of(names: list[str]) -> str:
+    """Returns the first names of a list, and a sign where there are more."""
+    return ", ".join(names[:NAMED]) + (", ..." if len(names) > NAMED else "")
 
 
 def open_dataset(folder: str | Path) -> Dataset:
@@ -216,21 +196,25 @@ def open_dataset(folder: str | Path) -> Dataset:
 def samples_from_clip(clip: Clip, info: DatasetInfo) -> list[Clip]:
     """Returns the samples that a clip counts as in text-to-motion: whole, and once for each time-tagged caption.
 
-    Captions with times become samples of their own, named "A_<clip>", "B_<clip>" ... (HumanML3D draws the letter at
-    random). Whole or part, a sample outside `min_frames`...`max_frames` + 3 (a length that a multiple of four rounds
-    down to the maximum) is dropped, and with a whole clip all its parts, as the published loaders do.
+    Captions with times become samples of their own, named "A_<clip>", "B_<clip>" ..., after Z "AA_<clip>" (HumanML3D
+    draws the letter at random). Whole or part, a sample outside `min_frames`...`max_frames` + 3 (a length that a
+    multiple of four rounds down to the maximum) is dropped, and with a whole clip all its parts, as the published
+    loaders do.
     """
-
-    def fits(length: int) -> bool:
-        return info.min_frames <= length < info.max_frames + 4
-
-    if not fits(len(clip.features)):
+    if not info.fits(len(clip.features)):
         return []
     whole = tuple(caption for caption in clip.captions if caption.whole_clip)
     samples = [Clip(clip.name, clip.features, whole)] if whole else []
     parts = [caption for caption in clip.captions if not caption.whole_clip]
-    for letter, caption in zip(string.ascii_uppercase, parts, strict=False):
+    for number, caption in enumerate(parts):
         features = clip.features[int(caption.start * info.fps) : int(caption.end * info.fps)]
-        if fits(len(features)):
-            samples.append(Clip(f"{letter}_{clip.name}", features, (caption._replace(start=0.0, end=0.0),)))
+        if info.fits(len(features)):
+            name = f"{_letters(number)}_{clip.name}"
+            samples.append(Clip(name, features, (caption._replace(start=0.0, end=0.0),)))
     return samples
+
+
+def _letters(number: int) -> str:
+    """Returns A ... Z, AA, AB ... for 0, 1 ..."""
+    before, last = divmod(number, len(string.ascii_uppercase))
+    return (_letters(before - 1) if before else "") + string.ascii_uppercase[last]

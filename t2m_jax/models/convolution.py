@@ -37,7 +37,7 @@ def normalized(
         return nn.LayerNorm(epsilon=1e-5, use_fast_variance=False, name=name)(hidden)
     if kind == "GN":
         norm = nn.GroupNorm(GROUPS, epsilon=1e-6, use_fast_variance=False, name=name)
-        return norm(hidden, mask=mask[:, :, None])
+        return norm(hidden, mask=jnp.broadcast_to(mask[:, :, None], hidden.shape))
     if kind == "BN":
         norm = nn.BatchNorm(not train, momentum=0.9, epsilon=1e-6, use_fast_variance=False, name=name)
         return norm(hidden, mask=mask[:, :, None])

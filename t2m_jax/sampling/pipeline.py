@@ -23,7 +23,7 @@ from t2m_jax.motion.skeleton import skeleton_from_name
 from t2m_jax.sampling.compilation import use_compilation_cache
 from t2m_jax.sampling.decoding import DecodedCodes, decode_codes
 from t2m_jax.sampling.strategies import Strategy, Temperature
-from t2m_jax.sampling.text_encoder import CaptionTextEncoder
+from t2m_jax.sampling.text_encoder import make_text_encoder
 from t2m_jax.text.encoder import TextEncoder
 from t2m_jax.text.prompts import check_prompt
 
@@ -88,14 +88,16 @@ class TextToMotion:
     """A loaded model: `TextToMotion.load("demo").generate(["a person walks forward"])`."""
 
     def __init__(self, bundle: Bundle):
-        """Puts the weights on the default device."""
+        """Puts the weights on the default device.
+
+        Raises:
+            UserError: if the model reads text with CLIP and that is not to be had.
+        """
         self.config = bundle.config
         self.skeleton = skeleton_from_name(bundle.config.skeleton)
         self.normalizer = bundle.normalizer
         self._variables = jax.device_put(bundle.variables)
-        self.text_encoder: TextEncoder = CaptionTextEncoder(
-            bundle.config.caption_encoder, self._variables["caption_encoder"], bundle.tokenizer
-        )
+        self.text_encoder: TextEncoder = make_text_encoder(bundle)
         self._statistics = (jnp.asarray(bundle.normalizer.mean), jnp.asarray(bundle.normalizer.std))
 
     @classmethod

@@ -1,4 +1,4 @@
-"""The caption encoder that was trained with a GPT, as a text encoder."""
+"""The text encoder of a model: the caption encoder that was trained with its GPT, or CLIP."""
 
 import functools
 from collections.abc import Sequence
@@ -9,7 +9,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 from tokenizers import Tokenizer
 
+from t2m_jax.checkpoints.bundle import Bundle
+from t2m_jax.checkpoints.clip import load_clip
+from t2m_jax.config import UserError
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
+from t2m_jax.sampling.clip_text_encoder import ClipTextEncoder
+from t2m_jax.text.encoder import TextEncoder
 from t2m_jax.text.tokenization import tokenize
 
 
@@ -38,3 +43,21 @@ class CaptionTextEncoder:
         """Returns one embedding a caption; what is longer than the encoder reads is cut."""
         tokens, mask = tokenize(self._tokenizer, captions, max_length=self._config.max_length)
         return encode_captions(self._variables, jnp.asarray(tokens), jnp.asarray(mask), config=self._config)
+
+
+def make_text_encoder(bundle: Bundle) -> TextEncoder:
+    """Returns what reads the captions of a model.
+
+    Raises:
+        UserError: if it is CLIP and not to be had, or of another width than the GPT reads.
+    """
+    config = bundle.config
+    if bundle.tokenizer is not None:
+        variables = jax.device_put(bundle.variables["caption_encoder"])
+        return CaptionTextEncoder(config.caption_encoder, variables, bundle.tokenizer)
+    clip = load_clip(config.clip)
+    if clip.config.text_dim != config.gpt.text_dim:
+        raise UserError(
+            f"{config.clip}: gives {clip.config.text_dim} numbers a caption, the GPT reads {config.gpt.text_dim}"
+        )
+    return ClipTextEncoder(clip, cache=None)

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Array, Bool, Int
 from tokenizers import Tokenizer, models, normalizers, pre_tokenizers, trainers
 
 from t2m_jax.config import UserError
@@ -17,8 +17,8 @@ TOKENIZER_FILE = "tokenizer.json"
 class CaptionTokens(NamedTuple):
     """A batch of captions as the caption encoder reads it."""
 
-    tokens: Int[np.ndarray, "B S"]
-    mask: Bool[np.ndarray, "B S"]
+    tokens: Int[Array | np.ndarray, "B S"]
+    mask: Bool[Array | np.ndarray, "B S"]
 
 
 def train_tokenizer(captions: Iterable[str], *, vocabulary_size: int) -> Tokenizer:

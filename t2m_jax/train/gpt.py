@@ -1,4 +1,4 @@
-"""Training of the GPT together with its caption encoder: state, one pure step, validation."""
+"""Training of the GPT, together with its caption encoder where it has one: state, one pure step, validation."""
 
 import functools
 from typing import Any, NamedTuple
@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Float, Int, Key
 
+from t2m_jax.data.code_bank import Captions
 from t2m_jax.losses import token_loss
 from t2m_jax.models.caption_encoder import CaptionEncoder
 from t2m_jax.models.motion_gpt import MotionGpt
@@ -22,12 +23,11 @@ class GptBatch(NamedTuple):
     """Targets and their captions."""
 
     targets: Targets
-    caption_tokens: Int[Array, "B S"]
-    caption_mask: Bool[Array, "B S"]
+    captions: Captions
 
 
 class GptState(NamedTuple):
-    """Everything an update changes; `params` holds `gpt` and `caption_encoder`."""
+    """Everything an update changes; `params` holds `gpt` and, where one is trained along, `caption_encoder`."""
 
     step: Int[Array, ""]
     params: Any
@@ -40,12 +40,28 @@ def init_gpt_state(config: TrainGptConfig, key: Key[Array, ""]) -> GptState:
     gpt_key, caption_key = jax.random.split(key)
     tokens = jnp.zeros((1, config.model.max_codes), jnp.int32)
     text = jnp.zeros((1, config.model.text_dim))
-    captions = jnp.zeros((1, config.caption_encoder.max_length), jnp.int32)
-    mask = jnp.ones(captions.shape, bool)
-    gpt = MotionGpt(config.model).init(gpt_key, tokens, text, train=False)
-    caption_encoder = CaptionEncoder(config.caption_encoder).init(caption_key, captions, mask, train=False)
-    params = {"gpt": gpt["params"], "caption_encoder": caption_encoder["params"]}
+    params = {"gpt": MotionGpt(config.model).init(gpt_key, tokens, text, train=False)["params"]}
+    if config.text_encoder == "caption_encoder":
+        captions = jnp.zeros((1, config.caption_encoder.max_length), jnp.int32)
+        caption_encoder = CaptionEncoder(config.caption_encoder)
+        variables = caption_encoder.init(caption_key, captions, jnp.ones(captions.shape, bool), train=False)
+        params["caption_encoder"] = variables["params"]
     return GptState(jnp.array(0, jnp.int32), params, make_optimizer(config.optimizer).init(params))
+
+
+def text_embeddings(
+    params: Any, captions: Captions, key: Key[Array, ""] | None, *, config: TrainGptConfig
+) -> Float[Array, "B E"]:
+    """Returns what the GPT is told: captions read by the encoder that is trained, or CLIP's embeddings as they are.
+
+    With `key` (consumed) the encoder drops out.
+    """
+    if isinstance(captions, jax.Array):
+        return captions
+    rngs = {} if key is None else {"dropout": key}
+    return CaptionEncoder(config.caption_encoder).apply(
+        {"params": params["caption_encoder"]}, captions.tokens, captions.mask, train=key is not None, rngs=rngs
+    )
 
 
 def gpt_metrics(
@@ -53,19 +69,20 @@ def gpt_metrics(
 ) -> Metrics:
     """Returns loss and accuracy; with `keys` (corruption, captions, GPT) as in training, without as in validation."""
     inputs = batch.targets.tokens[:, :-1]
-    train = keys is not None
-    rngs: list[dict[str, Key[Array, ""]]] = [{}, {}]
+    caption_key, rngs = None, {}
     if keys is not None:
-        corruption_key, *dropout_keys = keys
+        corruption_key, caption_key, gpt_key = keys
+        rngs = {"dropout": gpt_key}
         inputs = random_corruption(
-            inputs, corruption_key, keep_probability=config.keep_probability, num_codes=config.model.num_codes
+            inputs,
+            corruption_key,
+            tau=config.tau,
+            num_codes=config.model.num_codes,
+            past_end=config.corrupt_past_end,
         )
-        rngs = [{"dropout": key} for key in dropout_keys]
-    text_embedding = CaptionEncoder(config.caption_encoder).apply(
-        {"params": params["caption_encoder"]}, batch.caption_tokens, batch.caption_mask, train=train, rngs=rngs[0]
-    )
-    logits = MotionGpt(config.model).apply({"params": params["gpt"]}, inputs, text_embedding, train=train, rngs=rngs[1])
-    loss, accuracy = token_loss(logits, batch.targets.tokens, batch.targets.code_lengths)
+    text = text_embeddings(params, batch.captions, caption_key, config=config)
+    logits = MotionGpt(config.model).apply({"params": params["gpt"]}, inputs, text, train=keys is not None, rngs=rngs)
+    loss, accuracy = token_loss(logits, batch.targets.tokens, batch.targets.code_lengths, mean_over=config.mean_over)
     return {"loss": loss, "accuracy": accuracy}
 
 

@@ -1,21 +1,13 @@
 """Going on with a run: only with the config it was started with."""
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
 from t2m_jax.checkpoints.run_directory import CONFIG_FILE, refuse_existing_run, run_info
-from t2m_jax.config import UserError, config_to_dict, load_config
+from t2m_jax.config import UserError, flat_fields, load_config
 
 MAY_CHANGE = ("run", "loop.num_steps", "loop.log_every", "loop.checkpoint_every", "loop.keep_checkpoints")
 """Fields that do not touch what the run computes."""
-
-
-def _flat(config: Any, prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for name, value in config.items():
-        flat |= _flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
-    return flat
 
 
 def check_start(run: Path, config: Any, *, resume: bool) -> None:
@@ -24,9 +16,8 @@ def check_start(run: Path, config: Any, *, resume: bool) -> None:
         refuse_existing_run(run)
         return
     run_info(run)
-    assert dataclasses.is_dataclass(config)
-    saved = _flat(config_to_dict(load_config(run / CONFIG_FILE, type(config))))
-    for name, value in _flat(config_to_dict(config)).items():
+    saved = flat_fields(load_config(run / CONFIG_FILE, type(config)))
+    for name, value in flat_fields(config).items():
         if name not in MAY_CHANGE and saved[name] != value:
             raise UserError(
                 f"{run}: was started with {name} {saved[name]}, not {value}; resume it with the same config"

@@ -1,8 +1,8 @@
 """`t2m train gpt`: from a data-set folder and a trained VQ-VAE to a run directory."""
 
 import functools
-import logging
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,23 +12,23 @@ from tokenizers import Tokenizer
 
 from t2m_jax.checkpoints.bundle import CONFIG_FILE as BUNDLE_FILE
 from t2m_jax.checkpoints.bundle import BundleConfig
+from t2m_jax.checkpoints.clip import load_clip
 from t2m_jax.checkpoints.run_directory import create_run, restore_latest
 from t2m_jax.checkpoints.vqvae import TrainedVqVae, load_vqvae, save_vqvae_copy
 from t2m_jax.config import UserError, save_config
-from t2m_jax.data.code_bank import CodeBank, CodeBatch, code_batch_at
-from t2m_jax.data.folder import Clip, Dataset, open_dataset, samples_from_clip
-from t2m_jax.models.vqvae import VqVae
-from t2m_jax.text.tokenization import load_tokenizer, save_tokenizer, train_tokenizer
-from t2m_jax.train.config import TrainGptConfig
+from t2m_jax.data.code_bank import Captions, CodeBank, CodeBatch, code_batch_at
+from t2m_jax.data.folder import Dataset, open_dataset
+from t2m_jax.sampling.clip_text_encoder import ClipTextEncoder
+from t2m_jax.text.embedding_cache import EmbeddingCache
+from t2m_jax.text.tokenization import load_tokenizer, save_tokenizer, tokenize, train_tokenizer
+from t2m_jax.train.config import TrainGptConfig, computation
 from t2m_jax.train.gpt import GptBatch, GptState, gpt_train_step, gpt_validation_step, init_gpt_state
 from t2m_jax.train.loop import Metrics, run_loop
 from t2m_jax.train.resume import check_start
 from t2m_jax.train.run_vqvae import check_feature_dim
 from t2m_jax.train.streams import stream_key
 from t2m_jax.train.targets import drop_one_code, make_targets
-from t2m_jax.train.tokenize import encode_motions, make_code_bank
-
-logger = logging.getLogger(__name__)
+from t2m_jax.train.tokenize import CodedMotion, coded_motions, make_code_bank
 
 
 def make_batch(batch: CodeBatch, key: Key[Array, ""] | None, *, config: TrainGptConfig) -> GptBatch:
@@ -40,7 +40,7 @@ def make_batch(batch: CodeBatch, key: Key[Array, ""] | None, *, config: TrainGpt
         at_head = jax.random.bernoulli(head_key, 0.5, code_lengths.shape)
         codes, code_lengths = drop_one_code(codes, code_lengths, drop, at_head=at_head)
     targets = make_targets(codes, code_lengths, num_codes=config.model.num_codes, block_size=config.model.block_size)
-    return GptBatch(targets, batch.caption_tokens, batch.caption_mask)
+    return GptBatch(targets, batch.captions)
 
 
 def _batch_at(bank: CodeBank, stream: str, step: Int[Array, ""], *, config: TrainGptConfig) -> CodeBatch:
@@ -63,38 +63,12 @@ def _validation_batch(state: GptState, bank: CodeBank, step: Int[Array, ""], *, 
     return gpt_validation_step(state, batch, config=config)
 
 
-def load_samples(dataset: Dataset, split: str, *, downsample: int) -> list[Clip]:
-    """Returns what the GPT learns from: whole clips and time-tagged pieces of them, each long enough to be encoded.
-
-    What is left out is counted in the log.
-    """
-    clips = dataset.clips(split)
-    # One more code than the shortest: every starting offset must leave at least one.
-    samples = [
-        sample
-        for clip in clips
-        for sample in samples_from_clip(clip, dataset.info)
-        if len(sample.features) >= 2 * downsample
-    ]
-    whole = {clip.name for clip in clips} & {sample.name for sample in samples}
-    if len(whole) < len(clips):
-        limits = f"shorter than {dataset.info.min_frames} or longer than {dataset.info.max_frames + 3} frames"
-        left_out = len(clips) - len(whole)
-        logger.warning("%s: %d clips of %s are not used whole (%s)", dataset.folder, left_out, split, limits)
-    return samples
-
-
 def check_fit(vqvae: TrainedVqVae, dataset: Dataset, config: TrainGptConfig) -> None:
-    """Raises `UserError` where GPT, VQ-VAE, caption encoder and data do not fit each other."""
+    """Raises `UserError` where GPT, VQ-VAE and data do not fit each other."""
     check_feature_dim(dataset, vqvae.config.feature_dim)
     if config.model.num_codes != vqvae.config.num_codes:
         raise UserError(
             f"model.num_codes: {config.model.num_codes}, but {config.vqvae} has {vqvae.config.num_codes} codes"
-        )
-    if config.model.text_dim != config.caption_encoder.text_dim:
-        raise UserError(
-            f"caption_encoder.text_dim: {config.caption_encoder.text_dim}, "
-            f"but the GPT reads model.text_dim {config.model.text_dim}"
         )
     check_statistics(dataset, vqvae)
 
@@ -115,24 +89,68 @@ def check_statistics(dataset: Dataset, vqvae: TrainedVqVae) -> None:
         )
 
 
-def _write_run(config: TrainGptConfig, vqvae: TrainedVqVae, dataset: Dataset, tokenizer: Tokenizer) -> None:
+class CaptionReader(NamedTuple):
+    """How captions are made ready for training."""
+
+    read: Callable[[Sequence[str]], Captions]
+    tokenizer: Tokenizer | None
+    """Of the caption encoder that is trained along; None with CLIP."""
+
+
+def make_caption_reader(config: TrainGptConfig, tokenizer: Tokenizer | None) -> CaptionReader:
+    """Returns the reader of the configured text encoder; `tokenizer` is that of a caption encoder.
+
+    Raises:
+        UserError: if CLIP is not to be had, or of another width than the GPT reads.
+    """
+    if tokenizer is not None:
+        max_length = config.caption_encoder.max_length
+        return CaptionReader(lambda captions: tokenize(tokenizer, captions, max_length=max_length), tokenizer)
+    clip = load_clip(config.clip)
+    if clip.config.text_dim != config.model.text_dim:
+        raise UserError(f"model.text_dim: {config.model.text_dim}, but {config.clip} gives {clip.config.text_dim}")
+    return CaptionReader(ClipTextEncoder(clip, cache=EmbeddingCache()), None)
+
+
+def _tokenizer(config: TrainGptConfig, motions: Sequence[CodedMotion], *, resume: bool) -> Tokenizer | None:
+    """Returns the caption encoder's tokenizer, trained on the captions or, in a resumed run, read; None with CLIP."""
+    if config.text_encoder == "clip":
+        return None
+    if resume:
+        return load_tokenizer(config.run)
+    captions = [caption.text for motion in motions for caption in motion.captions]
+    return train_tokenizer(captions, vocabulary_size=config.caption_encoder.vocabulary_size)
+
+
+def _write_run(config: TrainGptConfig, vqvae: TrainedVqVae, dataset: Dataset, tokenizer: Tokenizer | None) -> None:
     save_vqvae_copy(config.run, vqvae)
-    save_tokenizer(config.run, tokenizer)
+    if tokenizer is not None:
+        save_tokenizer(config.run, tokenizer)
     bundle = BundleConfig(
-        skeleton=dataset.skeleton.name, vqvae=vqvae.config, gpt=config.model, caption_encoder=config.caption_encoder
+        skeleton=dataset.skeleton.name,
+        vqvae=vqvae.config,
+        gpt=config.model,
+        text_encoder=config.text_encoder,
+        clip=config.clip,
+        caption_encoder=config.caption_encoder,
     )
     save_config(config.run / BUNDLE_FILE, bundle)
     create_run(config.run, "gpt", config)
 
 
-def _make_validation(bank: CodeBank | None, config: TrainGptConfig) -> Callable[[GptState], Mapping[str, float]] | None:
-    """Returns a function from state to mean metrics over one pass of the validation split."""
-    if bank is None:
+def _make_validation(
+    dataset: Dataset, vqvae: TrainedVqVae, reader: CaptionReader, config: TrainGptConfig
+) -> Callable[[GptState], Mapping[str, float]] | None:
+    """Returns a function from state to mean metrics over one pass of the validation split, None where it is empty."""
+    clips = dataset.clips("val") if config.loop.validate_every else []
+    if not clips:
         return None
+    bank = make_code_bank(coded_motions(clips, dataset.info, vqvae, config=config), reader.read)
+    compiled = computation(config)
     num_batches = max(bank.codes.shape[0] // config.loop.batch_size, 1)
 
     def validate(state: GptState) -> Mapping[str, float]:
-        results = [_validation_batch(state, bank, jnp.array(step), config=config) for step in range(num_batches)]
+        results = [_validation_batch(state, bank, jnp.array(step), config=compiled) for step in range(num_batches)]
         fetched = jax.device_get(results)
         return {name: float(np.mean([metrics[name] for metrics in fetched])) for name in fetched[0]}
 
@@ -149,32 +167,17 @@ def train_gpt(config: TrainGptConfig, *, resume: bool = False) -> GptState:
     dataset = open_dataset(config.data)
     vqvae = load_vqvae(config.run if resume else config.vqvae)
     check_fit(vqvae, dataset, config)
-    downsample = vqvae.config.downsample
-    train_samples = load_samples(dataset, "train", downsample=downsample)
-    if resume:
-        tokenizer = load_tokenizer(config.run)
-    else:
-        captions = [caption.text for sample in train_samples for caption in sample.captions]
-        tokenizer = train_tokenizer(captions, vocabulary_size=config.caption_encoder.vocabulary_size)
-
-    def bank_of(samples: Sequence[Clip]) -> CodeBank:
-        return make_code_bank(
-            samples,
-            vqvae.normalizer,
-            lambda motions: encode_motions(VqVae(vqvae.config), vqvae.variables, motions),
-            tokenizer,
-            downsample=downsample,
-            max_caption_tokens=config.caption_encoder.max_length,
-        )
-
-    bank = bank_of(train_samples)
-    val_samples = load_samples(dataset, "val", downsample=downsample) if config.loop.validate_every else []
-    validate = _make_validation(bank_of(val_samples) if val_samples else None, config)
-    state = init_gpt_state(config, stream_key(config.loop.seed, "init"))
+    clips = dataset.clips("train", fraction=config.data_fraction)
+    motions = coded_motions(clips, dataset.info, vqvae, config=config)
+    reader = make_caption_reader(config, _tokenizer(config, motions, resume=resume))
+    bank = make_code_bank(motions, reader.read)
+    compiled = computation(config)
+    validate = _make_validation(dataset, vqvae, reader, config)
+    state = init_gpt_state(compiled, stream_key(config.loop.seed, "init"))
     if resume:
         state = restore_latest(config.run, state)
     else:
-        _write_run(config, vqvae, dataset, tokenizer)
+        _write_run(config, vqvae, dataset, reader.tokenizer)
     return run_loop(
-        config.run, state, lambda state: update(state, bank, config=config), config=config.loop, validate=validate
+        config.run, state, lambda state: update(state, bank, config=compiled), config=config.loop, validate=validate
     )

@@ -12,7 +12,7 @@ from t2m_jax.config import UserError, save_config
 from t2m_jax.data.bank import MotionBank, batch_at, make_bank
 from t2m_jax.data.folder import Dataset, open_dataset
 from t2m_jax.motion.normalizer import Normalizer, save_normalizer, weighted_normalizer
-from t2m_jax.train.config import TrainVqVaeConfig
+from t2m_jax.train.config import TrainVqVaeConfig, computation
 from t2m_jax.train.loop import Metrics, run_loop
 from t2m_jax.train.resume import check_start
 from t2m_jax.train.streams import stream_key
@@ -47,14 +47,16 @@ def _make_validation(
     dataset: Dataset, normalizer: Normalizer, config: TrainVqVaeConfig
 ) -> Callable[[VqVaeState], Mapping[str, float]] | None:
     """Returns a function from state to mean metrics over one pass of the validation split, None where it is empty."""
-    clips = dataset.clips("val", min_frames=config.model.downsample) if config.loop.validate_every else []
+    shortest = config.model.downsample if config.short_clips == "pad" else config.window
+    clips = dataset.clips("val", min_frames=shortest) if config.loop.validate_every else []
     if not clips:
         return None
     bank = make_bank(clips, normalizer)
+    compiled = computation(config)
     num_batches = max(len(clips) // config.loop.batch_size, 1)
 
     def validate(state: VqVaeState) -> Mapping[str, float]:
-        results = [_validation_batch(state, bank, jax.numpy.array(i), config=config) for i in range(num_batches)]
+        results = [_validation_batch(state, bank, jax.numpy.array(i), config=compiled) for i in range(num_batches)]
         fetched = jax.device_get(results)
         return {name: float(np.mean([metrics[name] for metrics in fetched])) for name in fetched[0]}
 
@@ -71,10 +73,13 @@ def train_vqvae(config: TrainVqVaeConfig, *, resume: bool = False) -> VqVaeState
     dataset = open_dataset(config.data)
     check_feature_dim(dataset, config.model.feature_dim)
     normalizer = weighted_normalizer(dataset.normalizer, dataset.skeleton.layout, factor=config.root_weight)
-    clips = dataset.clips("train", min_frames=max(config.model.downsample, dataset.info.min_frames))
+    # The original takes every clip that a window fits into, also those its other stages find too short.
+    shortest = max(config.model.downsample, dataset.info.min_frames) if config.short_clips == "pad" else config.window
+    clips = dataset.clips("train", min_frames=shortest, fraction=config.data_fraction)
     bank = make_bank(clips, normalizer)
     validate = _make_validation(dataset, normalizer, config)
-    state = init_vqvae_state(config, stream_key(config.loop.seed, "init"))
+    compiled = computation(config)
+    state = init_vqvae_state(compiled, stream_key(config.loop.seed, "init"))
     if resume:
         state = restore_latest(config.run, state)
     else:
@@ -82,5 +87,5 @@ def train_vqvae(config: TrainVqVaeConfig, *, resume: bool = False) -> VqVaeState
         save_config(config.run / VQVAE_CONFIG, config.model)
         create_run(config.run, "vqvae", config)
     return run_loop(
-        config.run, state, lambda state: update(state, bank, config=config), config=config.loop, validate=validate
+        config.run, state, lambda state: update(state, bank, config=compiled), config=config.loop, validate=validate
     )

@@ -1,10 +1,10 @@
 """From codes to what the GPT reads and what it must predict (T2M-GPT, section 3.2, and its code)."""
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 
 class Targets(NamedTuple):
@@ -46,9 +46,28 @@ def corrupt(tokens: Int[Array, "B L"], keep: Bool[Array, "B L"], replacements: I
 
 
 def random_corruption(
-    tokens: Int[Array, "B L"], key: Key[Array, ""], *, keep_probability: float, num_codes: int
+    tokens: Int[Array, "B L"],
+    key: Key[Array, ""],
+    *,
+    tau: float | Literal["per_batch", "per_motion"],
+    num_codes: int,
+    past_end: bool,
 ) -> Int[Array, "B L"]:
-    """Returns the tokens with each position replaced by a uniform code at chance 1 - `keep_probability`."""
-    keep_key, code_key = jax.random.split(key)
-    keep = jax.random.bernoulli(keep_key, keep_probability, tokens.shape)
+    """Returns the tokens with each position replaced by a uniform code at chance tau.
+
+    Args:
+        tokens: Codes, End (= `num_codes`) and Pad.
+        key: Consumed.
+        tau: The chance, or where one is drawn from 0 to 1: once for the batch, or once for each motion.
+        num_codes: Codes to draw from; one may draw the right one.
+        past_end: Whether End and Pad may be replaced, too.
+    """
+    share_key, replace_key, code_key = jax.random.split(key, 3)
+    share = jnp.asarray(tau) if isinstance(tau, float) else _drawn_share(share_key, tau, len(tokens))
+    replaced = jax.random.uniform(replace_key, tokens.shape) < share
+    keep = ~replaced if past_end else ~replaced | (tokens >= num_codes)
     return corrupt(tokens, keep, jax.random.randint(code_key, tokens.shape, 0, num_codes))
+
+
+def _drawn_share(key: Key[Array, ""], tau: Literal["per_batch", "per_motion"], batch: int) -> Float[Array, "#B 1"]:
+    return jax.random.uniform(key, (1 if tau == "per_batch" else batch, 1))

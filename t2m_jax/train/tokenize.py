@@ -1,27 +1,38 @@
 """The data set as codes: every clip through the trained VQ-VAE, once, before the GPT trains."""
 
 import functools
-from collections.abc import Sequence
-from typing import Any
+import logging
+import zlib
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
-from tokenizers import Tokenizer
 from tqdm import tqdm
 
+from t2m_jax.checkpoints.vqvae import TrainedVqVae
 from t2m_jax.config import UserError
-from t2m_jax.data.code_bank import CodeBank
-from t2m_jax.data.folder import Clip
+from t2m_jax.data.code_bank import Captions, CodeBank
+from t2m_jax.data.folder import Clip, DatasetInfo, samples_from_clip
+from t2m_jax.data.texts import Caption
 from t2m_jax.masks import mask_from_lengths
 from t2m_jax.models.vqvae import VqVae
-from t2m_jax.motion.normalizer import Normalizer
-from t2m_jax.text.tokenization import tokenize
+from t2m_jax.train.config import TrainGptConfig
+
+logger = logging.getLogger(__name__)
 
 BATCH = 64
 FRAME_BUCKET = 64
 """Clips are padded to a multiple of this many frames, so that few lengths are compiled."""
+
+
+class CodedMotion(NamedTuple):
+    """A motion as codes, from one or several starting frames on, and captions that describe all of it."""
+
+    variants: tuple[Int[np.ndarray, " _"], ...]
+    captions: tuple[Caption, ...]
 
 
 @functools.partial(jax.jit, static_argnames="vqvae")
@@ -32,10 +43,8 @@ def encode_batch(
     return vqvae.apply(variables, motion, mask, method="encode")
 
 
-def encode_motions(
-    vqvae: VqVae, variables: Any, motions: Sequence[Float[np.ndarray, "_ D"]]
-) -> list[Int[np.ndarray, " _"]]:
-    """Returns the codes of each normalized motion, batched by length."""
+def encode_motions(vqvae: TrainedVqVae, motions: Sequence[Float[np.ndarray, "_ D"]]) -> list[Int[np.ndarray, " _"]]:
+    """Returns the codes of each motion (raw features), batched by length."""
     codes: list[Int[np.ndarray, " _"]] = [np.zeros(0, np.int32)] * len(motions)
     order = sorted(range(len(motions)), key=lambda index: len(motions[index]))
     for first in tqdm(range(0, len(order), BATCH), desc="encoding", unit="batch", disable=None):
@@ -43,46 +52,86 @@ def encode_motions(
         lengths = np.zeros(BATCH, np.int32)
         lengths[: len(chosen)] = [len(motions[index]) for index in chosen]
         size = -(-int(lengths.max()) // FRAME_BUCKET) * FRAME_BUCKET
-        batch = np.zeros((BATCH, size, motions[chosen[0]].shape[1]), np.float32)
+        batch = np.zeros((BATCH, size, vqvae.config.feature_dim), np.float32)
         for row, index in enumerate(chosen):
-            batch[row, : lengths[row]] = motions[index]
+            batch[row, : lengths[row]] = vqvae.normalizer.normalize(motions[index])
         mask = mask_from_lengths(jnp.asarray(lengths), size)
-        found = np.asarray(encode_batch(variables, jnp.asarray(batch), mask, vqvae=vqvae))
+        found = np.asarray(encode_batch(vqvae.variables, jnp.asarray(batch), mask, vqvae=VqVae(vqvae.config)))
         for row, index in enumerate(chosen):
             codes[index] = found[row, : lengths[row] // vqvae.config.downsample]
     return codes
 
 
-def make_code_bank(
-    samples: Sequence[Clip],
-    normalizer: Normalizer,
-    encode: Any,
-    tokenizer: Tokenizer,
-    *,
-    downsample: int,
-    max_caption_tokens: int,
-) -> CodeBank:
-    """Returns samples as codes, at each of `downsample` starting frames, with their tokenized captions.
+def starting_frames(clip: Clip, *, downsample: int, config: TrainGptConfig) -> tuple[int, ...]:
+    """Returns the frames at which the first code of a clip may start."""
+    if config.offsets == "all":
+        return tuple(range(downsample))
+    generator = np.random.default_rng([config.loop.seed, zlib.crc32(clip.name.encode())])
+    return (int(generator.integers(len(clip.features) % downsample + 1)),)
 
-    Args:
-        samples: Motions (raw features), each with captions that describe all of it.
-        normalizer: Statistics the VQ-VAE was trained with.
-        encode: Normalized motions to codes.
-        tokenizer: Caption tokenizer.
-        downsample: Frames a code covers.
-        max_caption_tokens: Longest caption in tokens.
+
+def coded_motions(
+    clips: Sequence[Clip], info: DatasetInfo, vqvae: TrainedVqVae, *, config: TrainGptConfig
+) -> list[CodedMotion]:
+    """Returns what the GPT learns from: whole clips and time-tagged pieces of them, as codes.
+
+    Raises:
+        UserError: if nothing is left that is long enough and has a caption.
     """
-    if not samples:
+    downsample = vqvae.config.downsample
+    # One more code than the shortest: every starting frame must leave at least one.
+    shortest = max(2 * downsample, info.min_frames)
+    if config.timed_captions == "encode":
+        pieces = [piece for clip in clips for piece in samples_from_clip(clip, info)]
+    else:
+        pieces = [clip for clip in clips if info.fits(len(clip.features))]
+    pieces = [piece for piece in pieces if len(piece.features) >= shortest]
+    _tell_left_out(clips, pieces, info)
+    starts = [starting_frames(piece, downsample=downsample, config=config) for piece in pieces]
+    codes = iter(
+        encode_motions(
+            vqvae, [piece.features[start:] for piece, frames in zip(pieces, starts, strict=True) for start in frames]
+        )
+    )
+    motions = []
+    for piece, frames in zip(pieces, starts, strict=True):
+        variants = tuple(next(codes) for _ in frames)
+        motions += sliced(variants, piece.captions, codes_per_second=info.fps / downsample)
+    if not motions:
         raise UserError("no motion with a caption to train on: the split is empty or every clip was left out")
-    motions = [normalizer.normalize(sample.features) for sample in samples]
-    variants = [encode([motion[offset:] for motion in motions]) for offset in range(downsample)]
-    lengths = np.array([[len(codes[index]) for codes in variants] for index in range(len(samples))], np.int32)
-    codes = np.zeros((len(samples), downsample, max(int(lengths.max()), 1)), np.int32)
-    for offset, variant in enumerate(variants):
-        for index, row in enumerate(variant):
+    return motions
+
+
+def _tell_left_out(clips: Sequence[Clip], pieces: Sequence[Clip], info: DatasetInfo) -> None:
+    """Logs how many clips are not used whole: too short, too long, or without a caption for all of it."""
+    left_out = len({clip.name for clip in clips} - {piece.name for piece in pieces})
+    if left_out:
+        limits = f"shorter than {info.min_frames} or longer than {info.max_frames + 3} frames, or no caption for it all"
+        logger.warning("%s: %d of %d clips are not used whole (%s)", info.name, left_out, len(clips), limits)
+
+
+def sliced(
+    variants: tuple[Int[np.ndarray, " _"], ...], captions: Sequence[Caption], *, codes_per_second: float
+) -> list[CodedMotion]:
+    """Returns a clip's codes as motions: whole, and once for each caption with times that some codes fall into."""
+    whole = tuple(caption for caption in captions if caption.whole_clip)
+    motions = [CodedMotion(variants, whole)] if whole else []
+    for caption in captions:
+        first, last = int(caption.start * codes_per_second), int(caption.end * codes_per_second)
+        pieces = tuple(codes[first:last] for codes in variants)
+        if not caption.whole_clip and all(len(piece) for piece in pieces):
+            motions.append(CodedMotion(pieces, (caption,)))
+    return motions
+
+
+def make_code_bank(motions: Sequence[CodedMotion], read: Callable[[Sequence[str]], Captions]) -> CodeBank:
+    """Returns coded motions as arrays on the device; `read` makes of all captions what the text encoder takes."""
+    lengths = np.array([[len(codes) for codes in motion.variants] for motion in motions], np.int32)
+    codes = np.zeros((*lengths.shape, int(lengths.max())), np.int32)
+    for index, motion in enumerate(motions):
+        for offset, row in enumerate(motion.variants):
             codes[index, offset, : len(row)] = row
-    counts = np.array([len(sample.captions) for sample in samples], np.int32)
-    captions = [caption.text for sample in samples for caption in sample.captions]
-    tokens, mask = tokenize(tokenizer, captions, max_length=max_caption_tokens)
+    counts = np.array([len(motion.captions) for motion in motions], np.int32)
+    captions = read([caption.text for motion in motions for caption in motion.captions])
     first = np.cumsum(counts, dtype=np.int32) - counts
-    return CodeBank(*map(jnp.asarray, (codes, lengths, tokens, mask, first, counts)))
+    return CodeBank(*jax.tree.map(jnp.asarray, (codes, lengths, captions, first, counts)))

@@ -9,7 +9,7 @@ import optax
 from jaxtyping import Array, Float, Int, Key
 
 from t2m_jax.data.bank import Windows
-from t2m_jax.losses import reconstruction_loss
+from t2m_jax.losses import reconstruction_loss, velocity_loss
 from t2m_jax.models.quantizer import perplexity_from_counts
 from t2m_jax.models.vqvae import VqVae, VqVaeOutput
 from t2m_jax.motion.skeleton import skeleton_from_feature_dim
@@ -25,7 +25,15 @@ class VqVaeState(NamedTuple):
     step: Int[Array, ""]
     params: Any
     codebook: Any
+    """Empty where the codebook is a parameter."""
+    batch_stats: Any
+    """Running statistics of norm `BN`, empty with others."""
     opt_state: optax.OptState
+
+    @property
+    def variables(self) -> dict[str, Any]:
+        """The collections as the model takes them."""
+        return {"params": self.params, "codebook": self.codebook, "batch_stats": self.batch_stats}
 
 
 @functools.partial(jax.jit, static_argnames="config")
@@ -34,7 +42,8 @@ def init_vqvae_state(config: TrainVqVaeConfig, key: Key[Array, ""]) -> VqVaeStat
     motion = jnp.zeros((1, config.window, config.model.feature_dim))
     variables = VqVae(config.model).init(key, motion, train=False)
     opt_state = make_optimizer(config.optimizer).init(variables["params"])
-    return VqVaeState(jnp.array(0, jnp.int32), variables["params"], variables["codebook"], opt_state)
+    collections = (variables.get(name, {}) for name in ("params", "codebook", "batch_stats"))
+    return VqVaeState(jnp.array(0, jnp.int32), *collections, opt_state)
 
 
 def vqvae_losses(output: VqVaeOutput, windows: Windows, config: TrainVqVaeConfig) -> Metrics:
@@ -43,12 +52,19 @@ def vqvae_losses(output: VqVaeOutput, windows: Windows, config: TrainVqVaeConfig
     motion = windows.motion[:, : output.reconstruction.shape[1]]
     mask = windows.mask[:, : output.reconstruction.shape[1]]
     everything = reconstruction_loss(output.reconstruction, motion, mask, kind=config.reconstruction)
-    joints = reconstruction_loss(output.reconstruction, motion, mask, kind=config.reconstruction, features=positions)
-    loss = everything + config.position_weight * joints + config.commitment_weight * output.commitment_loss
+    velocity = velocity_loss(
+        output.reconstruction,
+        motion,
+        mask,
+        kind=config.reconstruction,
+        velocity=config.velocity,
+        positions=positions,
+    )
+    loss = everything + config.velocity_weight * velocity + config.commitment_weight * output.commitment_loss
     return {
         "loss": loss,
         "reconstruction": everything,
-        "positions": joints,
+        "velocity": velocity,
         "commitment": output.commitment_loss,
         "perplexity": perplexity_from_counts(output.code_counts),
     }
@@ -62,24 +78,24 @@ def vqvae_train_step(
 
     def objective(params: Any) -> tuple[Float[Array, ""], tuple[Any, Metrics]]:
         output, updates = model.apply(
-            {"params": params, "codebook": state.codebook},
+            state.variables | {"params": params},
             windows.motion,
             windows.mask,
             train=True,
             rngs={"codebook": key},
-            mutable=["codebook"],
+            mutable=["codebook", "batch_stats"],
         )
         metrics = vqvae_losses(output, windows, config)
-        return metrics["loss"], (updates["codebook"], metrics)
+        return metrics["loss"], (updates, metrics)
 
-    (_, (codebook, metrics)), gradient = jax.value_and_grad(objective, has_aux=True)(state.params)
+    (_, (moved, metrics)), gradient = jax.value_and_grad(objective, has_aux=True)(state.params)
     updates, opt_state = make_optimizer(config.optimizer).update(gradient, state.opt_state, state.params)
     params = optax.apply_updates(state.params, updates)
-    return VqVaeState(state.step + 1, params, codebook, opt_state), metrics
+    codebook, batch_stats = moved.get("codebook", {}), moved.get("batch_stats", {})
+    return VqVaeState(state.step + 1, params, codebook, batch_stats, opt_state), metrics
 
 
 def vqvae_validation_step(state: VqVaeState, windows: Windows, *, config: TrainVqVaeConfig) -> Metrics:
     """Returns the losses on held-out windows; nothing is learned."""
-    variables = {"params": state.params, "codebook": state.codebook}
-    output = VqVae(config.model).apply(variables, windows.motion, windows.mask, train=False)
+    output = VqVae(config.model).apply(state.variables, windows.motion, windows.mask, train=False)
     return vqvae_losses(output, windows, config)

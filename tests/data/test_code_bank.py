@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.data.code_bank import CodeBank, code_batch_at, crop_codes
+from t2m_jax.text.tokenization import CaptionTokens
 
 NUM_MOTIONS, OFFSETS, LONGEST = 7, 4, 9
 NUM_CAPTIONS = np.array([1, 3, 2, 1, 1, 4, 2])
@@ -23,8 +24,7 @@ def bank():
     return CodeBank(
         codes=jnp.asarray(100 * motion + 10 * offset + number),
         code_lengths=jnp.asarray(lengths),
-        caption_tokens=jnp.asarray(captions),
-        caption_mask=jnp.ones((len(captions), 2), bool),
+        captions=CaptionTokens(jnp.asarray(captions), jnp.ones((len(captions), 2), bool)),
         first_caption=jnp.asarray(np.cumsum(NUM_CAPTIONS) - NUM_CAPTIONS),
         num_captions=jnp.asarray(NUM_CAPTIONS),
     )
@@ -72,8 +72,8 @@ def test_an_epoch_shows_each_motion_once_and_with_its_own_captions(bank):
         seen = []
         for batch in batches(bank, range(epoch * steps_an_epoch, (epoch + 1) * steps_an_epoch)):
             owners = np.asarray(batch.codes[:, 0]) // 100
-            np.testing.assert_array_equal(batch.caption_tokens[:, 0], owners)
-            assert (np.asarray(batch.caption_tokens[:, 1]) < NUM_CAPTIONS[owners]).all()
+            np.testing.assert_array_equal(batch.captions.tokens[:, 0], owners)
+            assert (np.asarray(batch.captions.tokens[:, 1]) < NUM_CAPTIONS[owners]).all()
             seen += owners.tolist()
         assert len(set(seen)) == len(seen) == 3 * steps_an_epoch
         orders.append(tuple(seen))
@@ -91,7 +91,7 @@ def test_offsets_and_captions_are_drawn_alike(bank):
     offsets, captions = collections.Counter(), collections.Counter()
     for batch in batches(bank, range(60), batch_size=7 * 8):
         offsets.update((np.asarray(batch.codes[:, 0]) // 10 % 10).tolist())
-        captions.update(own for owner, own in batch.caption_tokens.tolist() if owner == 5)
+        captions.update(own for owner, own in batch.captions.tokens.tolist() if owner == 5)
     for counts, kinds in ((offsets, OFFSETS), (captions, NUM_CAPTIONS[5])):
         shares = np.array([counts[kind] for kind in range(kinds)]) / counts.total()
         np.testing.assert_allclose(shares, 1 / kinds, atol=0.06)

@@ -1,7 +1,5 @@
 """A data set, a trained VQ-VAE and a trained GPT, all tiny, made once for the tests of this folder."""
 
-import dataclasses
-import functools
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,31 +22,11 @@ class Runs(NamedTuple):
 
 
 @pytest.fixture(scope="session", autouse=True)
-def compiled_once():
-    """Lets runs that differ in places and lengths alone share their compiled programs."""
+def no_compilation_cache():
+    """Keeps programs in memory alone."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("T2M_JAX_NO_COMPILATION_CACHE", "1")
-        for module, init in ((run_vqvae, "init_vqvae_state"), (run_gpt, "init_gpt_state")):
-            for name in (init, "update", "_validation_batch"):
-                patch.setattr(module, name, _blind_to_places(getattr(module, name)))
         yield
-
-
-def _blind_to_places(function):
-    """Returns a jitted function that takes the first config of those that compute the same for all of them."""
-    seen = {}
-
-    def first(config):
-        same = dataclasses.replace(config.loop, num_steps=1, log_every=1, checkpoint_every=1)
-        places = {name: Path() for name in ("data", "run", "vqvae") if hasattr(config, name)}
-        return seen.setdefault(dataclasses.replace(config, loop=same, **places), config)
-
-    @functools.wraps(function)
-    def call(*arguments, **options):
-        arguments = [first(argument) if hasattr(argument, "loop") else argument for argument in arguments]
-        return function(*arguments, **{name: first(option) for name, option in options.items()})
-
-    return call
 
 
 @pytest.fixture(scope="session")

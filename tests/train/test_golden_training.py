@@ -43,7 +43,7 @@ def test_vqvae_steps(golden_dir):
             ema_decay=sizes["mu"],
         ),
         commitment_weight=sizes["commit"],
-        position_weight=sizes["loss_vel"],
+        velocity_weight=sizes["loss_vel"],
         optimizer=OptimizerConfig(
             learning_rate=sizes["lr"],
             warmup_steps=sizes["warm_up_iter"],
@@ -52,11 +52,11 @@ def test_vqvae_steps(golden_dir):
             betas=tuple(sizes["betas"]),
         ),
     )
-    variables = vqvae_variables(state_dict(arrays), num_stages=config.model.num_stages, depth=config.model.depth)
+    variables = vqvae_variables(state_dict(arrays), config.model)
     codebook = jax.tree.map(jnp.asarray, variables["codebook"])
     codebook["quantizer"]["initialised"] = jnp.array(False)
     opt_state = make_optimizer(config.optimizer).init(variables["params"])
-    state = VqVaeState(jnp.array(0), variables["params"], codebook, opt_state)
+    state = VqVaeState(jnp.array(0), variables["params"], codebook, {}, opt_state)
     step_function = jax.jit(vqvae_train_step, static_argnames="config")
     for step, motion in enumerate(arrays["x"]):
         windows = Windows(jnp.asarray(motion), jnp.ones(motion.shape[:2], bool))
@@ -64,7 +64,7 @@ def test_vqvae_steps(golden_dir):
         for ours, theirs in (
             ("loss", "total"),
             ("reconstruction", "recon"),
-            ("positions", "vel"),
+            ("velocity", "vel"),
             ("commitment", "commit"),
             ("perplexity", "perplexity"),
         ):
@@ -74,8 +74,7 @@ def test_vqvae_steps(golden_dir):
         np.testing.assert_allclose(quantizer["ema_count"], arrays["code_count_after"][step], atol=1e-5)
     final = vqvae_variables(
         {**state_dict(arrays, "final/"), "vqvae.quantizer.codebook": arrays["codebook_after"][-1]},
-        num_stages=config.model.num_stages,
-        depth=config.model.depth,
+        config.model,
     )
     assert_close_parameters(state.params, final["params"])
 
@@ -105,7 +104,7 @@ def test_gpt_steps(golden_dir):
         )
     )
     weights = state_dict(arrays)
-    params = gpt_variables(weights, num_layers=model.config.num_layers)["params"]
+    params = gpt_variables(weights, model.config)["params"]
     opt_state = optimizer.init(params)
 
     @jax.jit
@@ -132,5 +131,5 @@ def test_gpt_steps(golden_dir):
         )
         np.testing.assert_allclose(loss, arrays["loss"][step], rtol=1e-5)
     final = weights | state_dict(arrays, "final/")
-    expected = gpt_variables(final, num_layers=model.config.num_layers)["params"]
+    expected = gpt_variables(final, model.config)["params"]
     assert_close_parameters(params, expected, skip="['key']['bias']")

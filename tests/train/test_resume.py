@@ -119,7 +119,7 @@ def test_the_step_counts(runs, tmp_path):
         ("vqvae", {"optimizer.learning_rate": 0.5}, "optimizer.learning_rate 0.001, not 0.5"),
         ("vqvae", {"model.width": 8}, "model.width 16, not 8"),
         ("gpt", {"model.num_layers": 1}, "model.num_layers 2, not 1"),
-        ("gpt", {"keep_probability": 0.9}, "keep_probability 0.5, not 0.9"),
+        ("gpt", {"tau": 0.9}, "tau 0.5, not 0.9"),
         ("gpt", {"caption_encoder.dropout": 0.0}, "caption_encoder.dropout 0.1, not 0.0"),
     ],
 )

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from t2m_jax.data.bank import Windows
+from t2m_jax.text.tokenization import CaptionTokens
 from t2m_jax.train.config import TrainGptConfig, TrainVqVaeConfig
 from t2m_jax.train.gpt import GptBatch, gpt_train_step, init_gpt_state
 from t2m_jax.train.targets import make_targets
@@ -24,7 +25,7 @@ def gpt_batch() -> GptBatch:
     codes = jax.random.randint(jax.random.key(2), (3, 7), 0, GPT.num_codes)
     targets = make_targets(codes, jnp.array([7, 3, 5]), num_codes=GPT.num_codes, block_size=GPT.block_size)
     tokens = jax.random.randint(jax.random.key(3), (3, 16), 2, 90)
-    return GptBatch(targets, tokens, jnp.arange(16)[None] < jnp.array([4, 16, 9])[:, None])
+    return GptBatch(targets, CaptionTokens(tokens, jnp.arange(16)[None] < jnp.array([4, 16, 9])[:, None]))
 
 
 def assert_jit_equals_eager(step, state, batch, config):

@@ -40,11 +40,37 @@ def test_golden_corruption(golden_dir):
 
 def test_random_corruption_replaces_the_right_share():
     tokens = jnp.full((200, 50), 99)
-    found = random_corruption(tokens, jax.random.key(0), keep_probability=0.7, num_codes=8)
+    found = random_corruption(tokens, jax.random.key(0), tau=0.3, num_codes=8, past_end=True)
     np.testing.assert_allclose(np.mean(found == 99), 0.7, atol=0.02)
     assert set(np.unique(found)) == {*range(8), 99}
-    untouched = random_corruption(tokens, jax.random.key(0), keep_probability=1.0, num_codes=8)
+    untouched = random_corruption(tokens, jax.random.key(0), tau=0.0, num_codes=8, past_end=True)
     np.testing.assert_array_equal(untouched, tokens)
+    everything = random_corruption(tokens, jax.random.key(0), tau=1.0, num_codes=8, past_end=True)
+    assert np.max(everything) < 8
+
+
+def test_a_drawn_share_is_one_a_batch_or_one_a_motion():
+    tokens = jnp.full((40, 2000), 99)
+
+    def shares(tau, seed):
+        found = random_corruption(tokens, jax.random.key(seed), tau=tau, num_codes=8, past_end=True)
+        return np.mean(found != 99, axis=1)
+
+    batches = np.stack([shares("per_batch", seed) for seed in range(40)])
+    assert np.ptp(batches, axis=1).max() < 0.1, "motions of one batch differ"
+    assert batches.min() < 0.1 and batches.max() > 0.9
+    motions = shares("per_motion", 0)
+    assert motions.min() < 0.15 and motions.max() > 0.85
+    np.testing.assert_allclose(
+        np.concatenate([shares("per_motion", seed) for seed in range(10)]).mean(), 0.5, atol=0.05
+    )
+
+
+def test_end_and_pad_can_be_left_alone():
+    tokens = jnp.tile(jnp.array([1, 2, 3, 8, 9, 9]), (100, 1))
+    found = random_corruption(tokens, jax.random.key(0), tau=1.0, num_codes=8, past_end=False)
+    np.testing.assert_array_equal(found[:, 3:], tokens[:, 3:])
+    assert len(np.unique(found[:, :3])) == 8
 
 
 def test_head_and_tail_are_dropped():

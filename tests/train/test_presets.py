@@ -1,0 +1,117 @@
+"""The recipes of paper and code: in what they differ, and that each trains."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+from t2m_jax.checkpoints.clip import load_clip
+from t2m_jax.checkpoints.vqvae import load_vqvae
+from t2m_jax.cli.main import main
+from t2m_jax.sampling import TextToMotion
+from t2m_jax.train.presets import differences, load_preset, preset_names
+from t2m_jax.train.run_gpt import train_gpt
+from t2m_jax.train.run_vqvae import train_vqvae
+from tests.conftest import REPOSITORY
+from tests.tiny import GPT, LOOP, VQVAE
+
+RECIPES = ("official", "paper")
+SMALL_CLIP = REPOSITORY / "tests" / "golden" / "clip" / "text_only"
+
+
+@pytest.mark.parametrize("stage", ["vqvae", "gpt"])
+@pytest.mark.parametrize("name", preset_names())
+def test_presets_are_whole_configs(stage, name):
+    config = load_preset(stage, name)
+    assert name.rpartition("/")[2] in str(config.run)
+    kit = name.startswith("kit_ml")
+    assert ("kit_ml" in str(config.data)) == kit
+    if stage == "vqvae":
+        assert config.model.feature_dim == (251 if kit else 263)
+    else:
+        assert config.vqvae == load_preset("vqvae", name).run
+
+
+def test_in_what_the_recipes_differ():
+    """The values of the paper's text against those of the published commands."""
+    vqvae = differences(load_preset("vqvae", "paper"), load_preset("vqvae", "official"))
+    assert {name: values for name, values in vqvae.items() if name != "run"} == {
+        "velocity": ("frame_difference", "joint_positions"),
+        "commitment_weight": (1.0, 0.02),
+        "optimizer.warmup_steps": (0, 1000),
+        "loop.num_steps": (300_000, 300_999),
+    }
+    gpt = differences(load_preset("gpt", "paper"), load_preset("gpt", "official"))
+    assert {name: values for name, values in gpt.items() if name not in ("run", "vqvae")} == {
+        "corrupt_past_end": (False, True),
+        "mean_over": ("tokens", "motions"),
+        "optimizer.betas": ([0.5, 0.99], [0.5, 0.9]),
+        "optimizer.weight_decay": (0.0, 1e-6),
+    }
+    kit = differences(load_preset("gpt", "kit_ml/paper"), load_preset("gpt", "kit_ml/official"))
+    assert kit["tau"] == ("per_motion", 0.5)
+
+
+def test_the_command_shows_the_differences(capsys):
+    assert main(["train", "vqvae", "--diff", "paper", "official"]) == 0
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert rows[0] == ["field", "paper", "official"]
+    assert ["velocity", "frame_difference", "joint_positions"] in rows
+    config = REPOSITORY / "configs" / "demo" / "gpt.yaml"
+    assert main(["train", "gpt", "--diff", str(config), "kit_ml/paper"]) == 0
+    assert ["tau", "0.3", "per_motion"] in [line.split() for line in capsys.readouterr().out.splitlines()]
+
+
+def test_an_unknown_recipe_is_one_line(capsys):
+    assert main(["train", "gpt", "--diff", "paper", "oficial"]) == 2
+    assert "oficial" in capsys.readouterr().err
+    assert main(["train", "gpt"]) == 2
+    assert "give a CONFIG" in capsys.readouterr().err
+
+
+LONG = dataclasses.replace(LOOP, num_steps=50, log_every=10, validate_every=50, checkpoint_every=50)
+
+
+def losses(run):
+    return np.genfromtxt(run / "train.csv", delimiter=",", names=True)["loss"]
+
+
+@pytest.mark.parametrize("recipe", RECIPES)
+def test_each_recipe_trains_both_stages_at_reduced_size(recipe, data, tmp_path):
+    places = {"data": data, "loop": LONG}
+    first = dataclasses.replace(load_preset("vqvae", recipe), run=tmp_path / "vqvae", model=VQVAE, window=32, **places)
+    train_vqvae(first)
+    found = losses(first.run)
+    assert len(found) == 5 and found[-1] < found[0]
+    second = dataclasses.replace(
+        load_preset("gpt", recipe),
+        vqvae=first.run,
+        run=tmp_path / "gpt",
+        clip=str(SMALL_CLIP),
+        model=dataclasses.replace(GPT, text_dim=load_clip(SMALL_CLIP).config.text_dim),
+        **places,
+    )
+    train_gpt(second)
+    found = losses(second.run)
+    assert len(found) == 5 and found[-1] < found[0]
+    motion = TextToMotion.load(second.run).generate("a person walks", seed=1)[0]
+    assert np.isfinite(motion.positions).all()
+
+
+@pytest.mark.parametrize(("quantizer", "norm"), [("orig", "GN"), ("reset", "BN"), ("ema", "LN")])
+def test_every_kind_of_codebook_and_norm_is_saved_and_resumed(quantizer, norm, data, tmp_path):
+    """Kinds differ in which collections they have."""
+    model = dataclasses.replace(VQVAE, quantizer=quantizer, norm=norm, width=32)
+    config = dataclasses.replace(
+        load_preset("vqvae", "official"), data=data, run=tmp_path / "run", model=model, window=32, loop=LOOP
+    )
+    whole = train_vqvae(config)
+    halves = dataclasses.replace(config, run=tmp_path / "halves", loop=dataclasses.replace(LOOP, num_steps=4))
+    train_vqvae(halves)
+    again = train_vqvae(dataclasses.replace(halves, loop=LOOP), resume=True)
+    jax.tree.map(np.testing.assert_array_equal, again, whole)
+    loaded = load_vqvae(config.run).variables
+    assert ("codebook" in loaded) == (quantizer != "orig")
+    assert ("batch_stats" in loaded) == (norm == "BN")
+    jax.tree.map(np.testing.assert_array_equal, loaded, {name: whole.variables[name] for name in loaded})
