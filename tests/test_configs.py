@@ -1,30 +1,52 @@
-"""Every config in `configs/` loads, and its header names the command that uses it."""
+"""Every config in `configs/` loads, and every command its header names is one that works."""
+
+import re
+import shlex
 
 import pytest
 
-from t2m_jax.config import load_config
+from t2m_jax.cli.train import _config
+from t2m_jax.config import load_config, override_config
 from t2m_jax.train.config import TrainGptConfig, TrainVqVaeConfig
 from tests.conftest import REPOSITORY
 
-SCHEMAS = {"vqvae": TrainVqVaeConfig, "gpt": TrainGptConfig}
 CONFIGS = sorted((REPOSITORY / "configs").rglob("*.yaml"))
+PAIRS = sorted({path.parent for path in CONFIGS if path.stem in ("vqvae", "gpt")})
+
+
+def commands(path):
+    """Returns stage, config and options of each training command in a file's header."""
+    header = path.read_text(encoding="utf-8").partition("\ndata:")[0]
+    return [
+        (stage, name, shlex.split(rest))
+        for stage, name, rest in re.findall(r"t2m train (\w+) ([^\s`]+)([^`\n]*)", header)
+    ]
+
+
+def config_of(stage, name, options):
+    return override_config(_config(stage, name), options, prog="t2m train")
 
 
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: f"{path.parent.name}-{path.stem}")
-def test_config_loads(path):
-    config = load_config(path, SCHEMAS[path.stem])
-    assert config.run.is_relative_to("runs")
-    header = path.read_text().partition("\ndata:")[0]
-    assert f"t2m train {path.stem} {path.relative_to(REPOSITORY)}" in header
+def test_the_commands_of_a_header_work(path, monkeypatch):
+    monkeypatch.chdir(REPOSITORY)
+    found = commands(path)
+    own = [(stage, options) for stage, name, options in found if name == f"{path.relative_to(REPOSITORY)}"]
+    assert own, "the header does not say how to use the file"
+    configs = [config_of(stage, name, options) for stage, name, options in found]
+    assert all(config.run.is_relative_to("runs") for config in configs)
+    if path.parent.name == "ablations":
+        assert len(own) > 2
+        assert len({config.run for config in configs[: len(own)]}) == len(own), "two rows would share a run"
+        assert config_of(own[0][0], str(path), []) in configs, "no row is the file as it stands"
 
 
-@pytest.mark.parametrize("folder", sorted({path.parent for path in CONFIGS}), ids=lambda path: path.name)
+@pytest.mark.parametrize("folder", PAIRS, ids=lambda path: path.name)
 def test_the_stages_of_a_folder_fit(folder):
-    vqvae, gpt = (load_config(folder / f"{stage}.yaml", schema) for stage, schema in SCHEMAS.items())
+    vqvae, gpt = load_config(folder / "vqvae.yaml", TrainVqVaeConfig), load_config(folder / "gpt.yaml", TrainGptConfig)
     assert gpt.vqvae == vqvae.run
     assert gpt.data == vqvae.data
     assert gpt.model.num_codes == vqvae.model.num_codes
-    assert gpt.model.text_dim == gpt.caption_encoder.text_dim
 
 
 def test_the_defaults_are_the_published_models():
