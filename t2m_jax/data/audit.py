@@ -9,8 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.config import UserError
-from t2m_jax.data.folder import FEATURES, MIRROR_PREFIX, POSITIONS, SPLITS, TEXTS, Dataset, load_array, open_dataset
-from t2m_jax.data.texts import Caption
+from t2m_jax.data.cache import cache_places, damage, scan_sources
+from t2m_jax.data.files import FEATURES, MIRROR_PREFIX, POSITIONS, SPLITS, TEXTS, load_array
+from t2m_jax.data.folder import Dataset, open_dataset
+from t2m_jax.data.texts import Caption, read_captions
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.normalizer import Normalizer, normalizer_from_clips
 
@@ -110,10 +112,12 @@ def _check_clip(dataset: Dataset, name: str) -> tuple[list[str], int, int]:
     except UserError as error:
         problems.append(str(error))
     try:
-        captions = dataset.captions(name)
+        captions, broken = read_captions(dataset.folder / TEXTS / f"{name}.txt")
+        problems += broken
         count = len(captions)
         seconds = frames / dataset.info.fps
-        problems += [f"{TEXTS}/{name}.txt: {problem}" for problem in check_captions(captions, seconds=seconds)]
+        if captions or not broken:
+            problems += [f"{TEXTS}/{name}.txt: {problem}" for problem in check_captions(captions, seconds=seconds)]
     except UserError as error:
         problems.append(str(error))
     return problems, frames, count
@@ -212,6 +216,17 @@ def _check_positions(dataset: Dataset, names: Iterable[str]) -> list[str]:
     return problems
 
 
+def _check_cache(dataset: Dataset) -> list[str]:
+    """Returns where the cache of the clips, if there is one, is damaged; reading samples it, this reads all of it."""
+    sources = scan_sources(dataset.folder, feature_dim=dataset.skeleton.feature_dim)
+    problems = []
+    for place in cache_places(dataset.folder):
+        problem = damage(place, sources) if place.exists() else ""
+        if problem:
+            problems.append(f"{place}: {problem}; delete the file, it is made anew from the data set")
+    return problems
+
+
 def audit_dataset(folder: str | Path) -> AuditReport:
     """Returns counts of a data-set folder and everything wrong with it.
 
@@ -237,6 +252,7 @@ def audit_dataset(folder: str | Path) -> AuditReport:
     everything = {name for names in splits.values() for name in names}
     problems += check_overlap(splits) + check_statistics(dataset, splits)
     problems += _find_orphans(dataset, everything) + _check_positions(dataset, sorted(everything))
+    problems += _check_cache(dataset)
     info, outside = dataset.info, sum(count.out_of_range for count in counts.values())
     notes = [f"{outside} clips outside {info.min_frames} to {info.max_frames} frames"] if outside else []
     return AuditReport(

@@ -12,7 +12,8 @@ import tqdm
 from t2m_jax.config import UserError
 from t2m_jax.data.captions import Labels, write_captions
 from t2m_jax.data.contents import CONTENTS
-from t2m_jax.data.folder import SPLITS, DatasetInfo, read_names
+from t2m_jax.data.files import SPLITS, read_names
+from t2m_jax.data.folder import DatasetInfo
 from t2m_jax.data.measure import measure
 from t2m_jax.data.splits import split_by_hash
 from t2m_jax.data.styles import STYLES

@@ -132,7 +132,11 @@ class Dataset:
         names = [name for name in self.names(split) if mirrored or not name.startswith(MIRROR_PREFIX)]
         names = nested_choice(names, fraction=fraction, seed=seed)
         cached = open_clips(self.folder, feature_dim=self.skeleton.feature_dim)
-        left_out = {name: cached.left_out.get(name, "files missing") for name in names if name not in cached.spans}
+        left_out = {
+            name: cached.left_out.get(name, "without motion and caption file")
+            for name in names
+            if name not in cached.spans
+        }
         self._tell_left_out(split, left_out, num_clips=len(names))
         broken = [name for name in names if name in cached.broken_captions]
         if broken:

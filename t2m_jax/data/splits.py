@@ -3,7 +3,8 @@
 import hashlib
 from collections.abc import Iterable, Sequence
 
-from t2m_jax.data.folder import SPLITS
+from t2m_jax.config import UserError
+from t2m_jax.data.files import MIRROR_PREFIX, SPLITS
 
 SHARES = {"train": 0.80, "val": 0.05, "test": 0.15}
 """share of each split, as published with HumanML3D"""
@@ -32,3 +33,24 @@ def split_by_hash(groups: Iterable[Sequence[str]], *, seed: str = "t2m_jax") -> 
             counts[split] += 1
             result[split].append(name)
     return {split: sorted(names) for split, names in result.items()}
+
+
+def nested_choice(names: Sequence[str], *, fraction: float, seed: int) -> list[str]:
+    """Returns a share of the names, in their order: a smaller share is part of a larger one of the same seed.
+
+    A clip and its mirrored twin count as one and stay together.
+
+    Args:
+        names: of clips.
+        fraction: above 0 and up to 1; of the originals, rounded to whole ones, at least one.
+        seed: another one gives another share.
+
+    Raises:
+        UserError: the fraction is none.
+    """
+    if not 0 < fraction <= 1:
+        raise UserError(f"fraction {fraction}: a share of the clips is above 0 and up to 1")
+    originals = {name.removeprefix(MIRROR_PREFIX) for name in names}
+    ranked = sorted(originals, key=lambda name: (_rank(name, f"share {seed}"), name))
+    chosen = set(ranked[: max(int(fraction * len(ranked) + 0.5), 1)])
+    return [name for name in names if name.removeprefix(MIRROR_PREFIX) in chosen]

@@ -26,8 +26,10 @@ def _seconds(field: str, *, source: str) -> float:
     """Returns a time tag in seconds; `nan`, which HumanML3D has in places, reads as 0 there and here."""
     try:
         value = float(field)
-    except ValueError as error:
-        raise UserError(f"{source}: '{field}' is not a time in seconds; write caption#tokens#from#to") from error
+    except ValueError:
+        value = math.inf
+    if math.isinf(value):
+        raise UserError(f"{source}: '{field}' is not a time in seconds; write caption#tokens#from#to")
     return 0.0 if math.isnan(value) else value
 
 
@@ -64,11 +66,18 @@ def format_caption(caption: Caption) -> str:
     return f"{caption.text}#{tokens}#{caption.start}#{caption.end}"
 
 
-def load_captions(path: Path) -> tuple[Caption, ...]:
-    """Returns all captions of a text file in order; blank lines are skipped.
+class CaptionFile(NamedTuple):
+    """What a text file says, and its lines that say nothing: one message each, beginning with `file:line`."""
+
+    captions: tuple[Caption, ...]
+    problems: tuple[str, ...]
+
+
+def read_captions(path: Path) -> CaptionFile:
+    """Returns the captions of a text file in order, blank lines skipped and broken lines told apart.
 
     Raises:
-        UserError: the file is missing, is not UTF-8 or has a broken line, named as `file:line`.
+        UserError: the file is missing or is not UTF-8.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -76,8 +85,27 @@ def load_captions(path: Path) -> tuple[Caption, ...]:
         raise UserError(f"{path}: cannot be read ({error.strerror}); every clip needs a caption file") from error
     except UnicodeDecodeError as error:
         raise UserError(f"{path}: is not UTF-8 text; save it as UTF-8") from error
-    lines = enumerate(text.split("\n"), start=1)
-    return tuple(parse_caption(line, source=f"{path}:{number}") for number, line in lines if line.strip())
+    captions, problems = [], []
+    for number, line in enumerate(text.split("\n"), start=1):
+        if not line.strip():
+            continue
+        try:
+            captions.append(parse_caption(line, source=f"{path}:{number}"))
+        except UserError as error:
+            problems.append(str(error))
+    return CaptionFile(tuple(captions), tuple(problems))
+
+
+def load_captions(path: Path) -> tuple[Caption, ...]:
+    """Returns all captions of a text file in order; blank lines are skipped.
+
+    Raises:
+        UserError: the file is missing, is not UTF-8 or has a broken line, named as `file:line`.
+    """
+    captions, problems = read_captions(path)
+    if problems:
+        raise UserError(problems[0])
+    return captions
 
 
 def save_captions(path: Path, captions: Sequence[Caption]) -> None:

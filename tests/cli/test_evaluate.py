@@ -42,20 +42,13 @@ def test_a_model_of_another_width_is_refused(refusal, bundle_folder, data_folder
     assert "263" in line
 
 
-def test_a_clip_of_another_width_is_refused_by_name(refusal, bundle_folder, data_folder, tmp_path):
-    broken = tmp_path / "broken"
-    shutil.copytree(data_folder, broken)
-    name = (broken / "test.txt").read_text().split()[0]
-    np.save(broken / "new_joint_vecs" / f"{name}.npy", np.zeros((50, 260), np.float32))
-    assert name in refusal("evaluate", "reconstruction", "--model", bundle_folder, "--data", broken)
-
-
 def test_data_of_nothing_but_nan_are_refused(refusal, bundle_folder, data_folder, tmp_path):
     broken = tmp_path / "nan"
     shutil.copytree(data_folder, broken)
     for path in (broken / "new_joint_vecs").iterdir():
         np.save(path, np.full_like(np.load(path), np.nan))
-    assert "no clips" in refusal("evaluate", "reconstruction", "--model", bundle_folder, "--data", broken)
+    line = refusal("evaluate", "reconstruction", "--model", bundle_folder, "--data", broken)
+    assert "test.txt" in line and "with NaN or infinite values" in line
 
 
 def test_mistakes_are_told_in_one_line(refusal, bundle_folder, data_folder, tmp_path):

@@ -50,8 +50,8 @@ def test_folder_is_complete_and_repeatable(synthetic_folder, tmp_path):
     report = write_synthetic_dataset(tmp_path / "again", num_clips=20, seed=3)
     assert report.num_clips == 40 == sum(report.split_sizes.values())
     assert min(report.split_sizes.values()) > 0
-    for file in sorted(path for path in synthetic_folder.rglob("*") if path.is_file()):
-        assert (tmp_path / "again" / file.relative_to(synthetic_folder)).read_bytes() == file.read_bytes()
+    for file in sorted(path for path in (tmp_path / "again").rglob("*") if path.is_file()):
+        assert (synthetic_folder / file.relative_to(tmp_path / "again")).read_bytes() == file.read_bytes()
     words = " ".join(c.text for clip in open_dataset(synthetic_folder).clips("train") for c in clip.captions)
     assert "left" in words and "squat" in words
     assert json.dumps(report.split_sizes)
