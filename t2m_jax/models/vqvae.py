@@ -119,6 +119,12 @@ class VqVae(nn.Module):
 
     def decode(self, codes: Int[Array, "B N"], mask: Bool[Array, "B N"] | None = None) -> Float[Array, "B T D"]:
         """Returns the motion of given codes, T = N * downsample; `mask` is over codes."""
+        return self.decode_latents(self.quantizer.lookup(codes), mask)
+
+    def decode_latents(
+        self, latents: Float[Array, "B N C"], mask: Bool[Array, "B N"] | None = None
+    ) -> Float[Array, "B T D"]:
+        """Returns the motion of latents as they are, of blended codes for example; `mask` is over codes."""
         if mask is None:
-            mask = jnp.ones(codes.shape, bool)
-        return self.decoder(self.quantizer.lookup(codes), mask, train=False)
+            mask = jnp.ones(latents.shape[:2], bool)
+        return self.decoder(latents, mask, train=False)

@@ -47,6 +47,16 @@ def test_padding_changes_nothing(model_and_variables, length):
     np.testing.assert_allclose(decoded[0, : 4 * num_codes], alone.reconstruction[0], atol=1e-5, rtol=1e-5)
 
 
+def test_codes_are_decoded_as_their_rows_of_the_codebook_and_latents_as_they_are(model_and_variables):
+    model, variables = model_and_variables
+    codes = jnp.array([[3, 1, 4, 1]])
+    rows = variables["codebook"]["quantizer"]["codebook"][codes]
+    decoded = model.apply(variables, codes, method="decode")
+    np.testing.assert_array_equal(model.apply(variables, rows, method="decode_latents"), decoded)
+    between = model.apply(variables, 0.5 * rows + 0.5 * rows[:, ::-1], method="decode_latents")
+    assert between.shape == decoded.shape and np.abs(between - decoded).max() > 1e-3
+
+
 def test_jit_equals_eager(model_and_variables):
     model, variables = model_and_variables
     motion = jax.random.normal(jax.random.key(3), (2, 16, 7))
