@@ -84,6 +84,17 @@ def check_sizes(config: Any, *names: str) -> None:
             raise ValueError(f"{name}: {value} is not a whole number above 0")
 
 
+def check_limits(config: Any, **limits: int) -> None:
+    """Raises `ValueError` where one of a config's fields is above its limit.
+
+    Whoever builds a model takes room and time by its config before any weight is looked at, and a config may come from
+    anybody: the limits are far above any real model, and far below what would bring a machine to its knees.
+    """
+    for name, limit in limits.items():
+        if getattr(config, name) > limit:
+            raise ValueError(f"{name}: {_shown(getattr(config, name))} is more than the {limit} that any model needs")
+
+
 def config_to_dict(config: Any) -> dict[str, Any]:
     """Returns a config as nested dictionaries, lists, numbers, strings and None: what `config_from_dict` takes."""
     return {field.name: _plain_from_value(getattr(config, field.name)) for field in dataclasses.fields(config)}

@@ -6,7 +6,7 @@ import flax.linen as nn
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from t2m_jax.config import check_sizes
+from t2m_jax.config import check_limits, check_sizes
 from t2m_jax.models.transformer import LAYER_NORM_EPSILON, WEIGHT_INIT, Block
 
 
@@ -33,6 +33,8 @@ class CaptionEncoderConfig:
 
     def __post_init__(self) -> None:
         check_sizes(self)
+        check_limits(self, vocabulary_size=1_000_000, max_length=4096, embed_dim=16_384, num_layers=64, mlp_ratio=64)
+        check_limits(self, text_dim=65_536)
         if self.embed_dim % self.num_heads:
             raise ValueError(f"num_heads: {self.num_heads} does not divide embed_dim {self.embed_dim}")
 

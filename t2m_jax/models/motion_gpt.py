@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from t2m_jax.config import check_sizes
+from t2m_jax.config import check_limits, check_sizes
 from t2m_jax.models.transformer import LAYER_NORM_EPSILON, WEIGHT_INIT, Block, LayerCache, empty_cache
 
 
@@ -34,6 +34,8 @@ class MotionGptConfig:
 
     def __post_init__(self) -> None:
         check_sizes(self)
+        check_limits(self, num_codes=1_000_000, embed_dim=16_384, text_dim=65_536, num_layers=64, mlp_ratio=64)
+        check_limits(self, block_size=4096)
         if self.block_size < 2:
             raise ValueError(f"block_size: {self.block_size} has no room for a code beside the text")
         if self.embed_dim % self.num_heads:

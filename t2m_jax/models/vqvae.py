@@ -7,9 +7,12 @@ import flax.linen as nn
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from t2m_jax.config import check_sizes
+from t2m_jax.config import check_limits, check_sizes
 from t2m_jax.models.convolution import GROUPS, Decoder, Encoder, NormKind, halve_mask
 from t2m_jax.models.quantizer import Quantizer, QuantizerKind
+
+MAX_DILATION = 100_000
+"""Frames between what a unit's convolution looks at; published models have 9."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -43,6 +46,10 @@ class VqVaeConfig:
 
     def __post_init__(self) -> None:
         check_sizes(self)
+        check_limits(self, feature_dim=65_536, num_codes=1_000_000, code_dim=65_536, width=65_536)
+        check_limits(self, num_stages=8, depth=16, dilation_growth=16)
+        if self.dilation_growth ** (self.depth - 1) > MAX_DILATION:
+            raise ValueError(f"dilation_growth: with depth {self.depth}, units would reach over {MAX_DILATION} frames")
         if self.norm == "GN" and self.width % GROUPS:
             raise ValueError(f"width: {self.width} is not a multiple of {GROUPS}, as norm GN needs")
 
