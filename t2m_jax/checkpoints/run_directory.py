@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Literal, Protocol, TypeVar, runtime_checkable
 
 import jax
+import jax.numpy as jnp
 import orbax.checkpoint as ocp
 
 from t2m_jax.config import UserError, load_config, save_config
@@ -139,6 +140,9 @@ def restore_latest(run: Path, state: State) -> State:
     """Returns the newest checkpoint of a run in the structure of `state`, or `state` where there is none yet."""
     checkpoints = Checkpoints(run)
     try:
-        return state if checkpoints.latest_step is None else checkpoints.restore(state)
+        if checkpoints.latest_step is None:
+            return state
+        # Orbax ties arrays to a device, for which steps would be compiled anew.
+        return jax.tree.map(jnp.array, jax.device_get(checkpoints.restore(state)))
     finally:
         checkpoints.close()
