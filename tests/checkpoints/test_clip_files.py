@@ -11,7 +11,7 @@ from huggingface_hub import constants
 from t2m_jax.checkpoints.clip import load_clip
 from t2m_jax.checkpoints.clip_files import WEIGHT_FILES, find_clip, user_folder
 from t2m_jax.config import UserError
-from tests.clip_golden import FULL, MSGPACK, SAFETENSORS, TORCH, TWO_FILES, copy_files
+from tests.clip_golden import FULL, MSGPACK, ONE_FILE, SAFETENSORS, TORCH, TWO_FILES, copy_files
 
 NAME = "someone/tiny-clip"
 
@@ -97,13 +97,15 @@ def test_a_snapshot_that_is_not_complete_is_not_taken(missing, tmp_path):
 
 @pytest.fixture
 def hub(monkeypatch, tmp_path):
-    """Returns the downloads of a hub that has a CLIP in two of the formats."""
+    """Returns what is downloaded from a hub that has a CLIP in two of the formats, and each time it is asked."""
     downloads = []
 
     def download(name, *, allow_patterns, local_files_only):
         folder = tmp_path / "downloaded"
         if local_files_only and not folder.exists():
             raise FileNotFoundError("nothing is kept here")
+        if not local_files_only:
+            downloads.append("asked")
         folder.mkdir(exist_ok=True)
         for file in (FULL / pattern for pattern in allow_patterns if pattern != SAFETENSORS):
             if not local_files_only and file.exists() and not (folder / file.name).exists():
@@ -117,7 +119,8 @@ def hub(monkeypatch, tmp_path):
 
 def test_one_format_is_downloaded_and_only_once(hub):
     assert load_clip(NAME).fingerprint == load_clip(FULL).fingerprint
-    assert sorted(hub) == sorted(["config.json", "tokenizer.json", "vocab.json", "merges.txt", MSGPACK])
+    # Twice: for the format it does not have, and for the next.
+    assert sorted(hub) == sorted(["asked", "asked", "config.json", *ONE_FILE, *TWO_FILES, MSGPACK])
     hub.clear()
     load_clip(NAME)
     assert hub == []

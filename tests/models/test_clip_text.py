@@ -66,12 +66,13 @@ def test_what_stands_behind_the_end_has_no_influence(config, filling, variables)
     np.testing.assert_array_equal(embed(config, variables, filled), embed(config, variables, TOKENS))
 
 
-def test_every_token_before_the_end_has_influence(variables):
-    wanted = embed(CONFIG, variables, TOKENS)[1]
+@pytest.mark.parametrize("config", [CONFIG, LEGACY], ids=["end_token", "largest"])
+def test_every_token_before_the_end_has_influence(config, variables):
+    wanted = embed(config, variables, TOKENS)[1]
     for position in range(TOKENS.shape[1] - 1):
         changed = TOKENS.copy()
         changed[1, position] = 11
-        assert np.abs(embed(CONFIG, variables, changed)[1] - wanted).max() > 1e-3
+        assert np.abs(embed(config, variables, changed)[1] - wanted).max() > 1e-3
 
 
 def test_a_narrower_batch_gives_the_same(variables):

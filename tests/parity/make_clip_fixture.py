@@ -159,11 +159,11 @@ def reference(folder: Path) -> tuple[np.ndarray, np.ndarray]:
     inputs = tokenizer(list(CAPTIONS), padding="max_length", truncation=True, max_length=77, return_tensors="pt")
     with torch.no_grad():
         if folder.name.startswith("full"):
-            model = CLIPModel.from_pretrained(folder, dtype=torch.float32).eval()
+            model = CLIPModel.from_pretrained(folder).float().eval()
             pooled = model.text_model(inputs["input_ids"], inputs["attention_mask"])[1]
             embeddings = model.text_projection(pooled)
         else:
-            model = CLIPTextModelWithProjection.from_pretrained(folder, dtype=torch.float32).eval()
+            model = CLIPTextModelWithProjection.from_pretrained(folder).float().eval()
             embeddings = model(inputs["input_ids"], inputs["attention_mask"]).text_embeds
     return inputs["input_ids"].numpy().astype(np.int32), embeddings.numpy()
 
