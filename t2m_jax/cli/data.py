@@ -22,7 +22,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "synthetic", help="make a data-set folder of procedural motions, no download needed"
     )
     synthetic.add_argument("destination", type=Path, metavar="DEST", help="folder to make")
-    synthetic.add_argument("--num-clips", type=int, default=200, help="clips before mirroring (default %(default)s)")
+    synthetic.add_argument(
+        "--num-clips", type=int, help="clips before mirroring (default 200; 14614 with --like-humanml3d)"
+    )
+    synthetic.add_argument(
+        "--like-humanml3d",
+        action="store_true",
+        help="HumanML3D's names, lengths and, by default, size, cut from some hundred motions: for trying what a data "
+        "set of that size needs (5 GB, some minutes)",
+    )
     synthetic.add_argument("--seed", type=int, default=0)
     check = commands.add_parser("check", help="count what is in a data-set folder and find what is wrong with it")
     check.add_argument("folder", type=Path, metavar="DIR")
@@ -55,13 +63,22 @@ def run(args: argparse.Namespace) -> None:
     if args.data_command == "check":
         _check(args)
     elif args.data_command == "synthetic":
-        from t2m_jax.data.synthetic import write_synthetic_dataset
-
-        _show_import(
-            write_synthetic_dataset(args.destination, num_clips=args.num_clips, seed=args.seed), args.destination
-        )
+        _show_import(_make_synthetic(args), args.destination)
     else:
         _show_import(_import(args), args.destination)
+
+
+def _make_synthetic(args: argparse.Namespace) -> "ImportReport":
+    """Returns the report of the chosen maker of motions."""
+    if args.like_humanml3d:
+        from t2m_jax.data import synthetic_scale as scale
+
+        num_clips = scale.NUM_CLIPS if args.num_clips is None else args.num_clips
+        return scale.write_scaled_dataset(args.destination, num_clips=num_clips, seed=args.seed)
+    from t2m_jax.data import synthetic
+
+    num_clips = synthetic.NUM_CLIPS if args.num_clips is None else args.num_clips
+    return synthetic.write_synthetic_dataset(args.destination, num_clips=num_clips, seed=args.seed)
 
 
 def _import(args: argparse.Namespace) -> "ImportReport":

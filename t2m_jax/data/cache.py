@@ -15,6 +15,7 @@ import mmap
 import os
 import secrets
 import struct
+import sys
 import time
 import zlib
 from collections.abc import Mapping
@@ -51,12 +52,24 @@ class CachedClips(NamedTuple):
     frames: Float[np.ndarray, "F D"]
     spans: Mapping[str, tuple[int, int]]
     """Clip name -> first row, row behind the last."""
-    captions: Mapping[str, tuple[Caption, ...]]
-    """Clip name -> its sound captions."""
+    lines: Mapping[str, list[tuple[str, str, float, float]]]
+    """Clip name -> its sound captions as text, tokens, start and end."""
     left_out: Mapping[str, str]
     """Clip name -> why it cannot be used."""
     broken_captions: Mapping[str, int]
     """Clip name -> caption lines that cannot be read, where there are any."""
+
+    def features(self, name: str) -> Float[np.ndarray, "T D"]:
+        """Returns the rows of a clip, a view of `frames`."""
+        first, last = self.spans[name]
+        return self.frames[first:last]
+
+    def captions(self, name: str) -> tuple[Caption, ...]:
+        """Returns the captions of a clip; a word that stands in thousands of them is kept once."""
+        return tuple(
+            Caption(text, tuple(sys.intern(token) for token in tokens.split()), start, end)
+            for text, tokens, start, end in self.lines[name]
+        )
 
 
 class _UnusableError(Exception):
@@ -198,18 +211,14 @@ def _clips_from_index(index: dict[str, Any], file: BinaryIO, num_bytes: int) -> 
     if num_bytes != sum(lengths) * width * 4 or any(length < 1 for length in lengths):
         raise _UnusableError("its index is damaged")
     spans = {name: (end - length, end) for (name, length, _), end in zip(index["clips"], ends, strict=True)}
-    words: dict[str, str] = {}
-
-    def caption(text: str, tokens: str, start: float, end: float) -> Caption:
-        # Every word stands in thousands of captions; one copy of it is enough.
-        return Caption(text, tuple(words.setdefault(token, token) for token in tokens.split()), start, end)
-
-    captions = {name: tuple(caption(*fields) for fields in lines) for name, _, lines in index["clips"]}
+    lines = {name: clip_lines for name, _, clip_lines in index["clips"]}
+    if any(len(line) != 4 for clip_lines in lines.values() for line in clip_lines):
+        raise _UnusableError("its index is damaged")
     frames = np.zeros((0, width), np.float32)
     if num_bytes:
         mapped = mmap.mmap(file.fileno(), num_bytes, access=mmap.ACCESS_READ)
         frames = np.ndarray((ends[-1], width), np.float32, mapped)
-    return CachedClips(frames, spans, captions, index["left_out"], index["broken_captions"])
+    return CachedClips(frames, spans, lines, index["left_out"], index["broken_captions"])
 
 
 def _build(path: Path, folder: Path, sources: Sources, *, feature_dim: int) -> None:

@@ -147,17 +147,17 @@ class Dataset:
                 split,
                 _first_of(broken),
             )
-        spans = [(name, *cached.spans[name]) for name in names if name in cached.spans]
-        long = [(name, first, last) for name, first, last in spans if last - first >= min_frames]
-        if len(long) < len(spans):
+        usable = [name for name in names if name in cached.spans]
+        clips = [name for name in usable if len(cached.features(name)) >= min_frames]
+        if len(clips) < len(usable):
             logger.warning(
                 "%s: %d clips of %s are shorter than %d frames and are left out",
                 self.folder,
-                len(spans) - len(long),
+                len(usable) - len(clips),
                 split,
                 min_frames,
             )
-        return [Clip(name, cached.frames[first:last], cached.captions[name]) for name, first, last in long]
+        return [Clip(name, cached.features(name), cached.captions(name)) for name in clips]
 
     def _tell_left_out(self, split: str, left_out: Mapping[str, str], *, num_clips: int) -> None:
         """Warns of clips that cannot be used, and refuses a split that mostly cannot."""

@@ -20,6 +20,7 @@ from t2m_jax.data.writer import ImportReport, finish_folder, make_layout, new_fo
 from t2m_jax.motion.skeleton import HUMANML3D
 
 FPS = HUMANML3D.fps
+NUM_CLIPS = 200
 _LEG = HUMANML3D.bone_lengths[4] + HUMANML3D.bone_lengths[7]
 _Directions = dict[str, Float[np.ndarray, "T 3"]]
 
@@ -225,7 +226,7 @@ def make_motion(kind: str, *, seed: int, num_frames: int | None = None) -> Float
     return _positions_from_pose(pose._replace(heading=pose.heading + generator.uniform(-np.pi, np.pi)))
 
 
-def write_synthetic_dataset(destination: str | Path, *, num_clips: int = 200, seed: int = 0) -> ImportReport:
+def write_synthetic_dataset(destination: str | Path, *, num_clips: int = NUM_CLIPS, seed: int = 0) -> ImportReport:
     """Returns what was written after making a complete data-set folder of procedural motions, mirrored twins included.
 
     Args:

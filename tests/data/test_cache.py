@@ -51,7 +51,7 @@ def check_whole(folder):
     assert cached.spans.keys() == LENGTHS.keys()
     for name, (first, last) in cached.spans.items():
         np.testing.assert_array_equal(cached.frames[first:last], np.load(folder / FEATURES / f"{name}.npy"))
-        assert cached.captions[name] == open_dataset(folder).captions(name)
+        assert cached.captions(name) == open_dataset(folder).captions(name)
 
 
 def files(folder):
@@ -158,6 +158,7 @@ def flipped(content, position):
         lambda content: content.replace(b"t2mclip1", b"t2mclip0"),
         lambda content: rewritten_index(content, lambda index: []),
         lambda content: rewritten_index(content, lambda index: index | {"clips": [["a", 181, 5]]}),
+        lambda content: rewritten_index(content, lambda index: index | {"clips": [["a", 181, [["too", "few"]]]]}),
         lambda content: rewritten_index(content, lambda index: index | {"clips": [["a", -1, []], ["b", 182, []]]}),
         lambda content: rewritten_index(content, lambda index: index | {"checksums": []}),
         lambda content: rewritten_index(content, lambda index: index | {"width": "wide"}),
