@@ -33,8 +33,9 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
         return load_file(path)
     except FileNotFoundError:
         raise UserError(f"{path}: missing; the folder is not a complete model") from None
-    except (SafetensorError, OSError, ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{path}: damaged or not a safetensors file ({str(error).splitlines()[0]})") from None
+    except (SafetensorError, OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+        reason = next(iter(str(error).splitlines()), type(error).__name__)
+        raise UserError(f"{path}: damaged or not a safetensors file ({reason})") from None
 
 
 def load_arrays(path: Path, expected: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,6 +14,9 @@ from t2m_jax.motion.namespace import AnyArray, EitherArray, namespace_of
 
 _MEAN_FILE, _STD_FILE = "Mean.npy", "Std.npy"
 
+_DAMAGED = (OSError, ValueError, EOFError, TokenError, SyntaxError, TypeError, OverflowError, MemoryError)
+"""What NumPy raises on damaged files: it believes their headers, and reads those as Python."""
+
 
 class Normalizer(NamedTuple):
     """Statistics of raw features, one number a column."""
@@ -114,7 +117,7 @@ def _load_statistics(path: Path) -> Float[np.ndarray, " D"]:
         values = np.load(path)
     except FileNotFoundError as error:
         raise UserError(f"{path}: missing; a data set keeps its statistics there") from error
-    except (OSError, ValueError, EOFError, TokenError) as error:  # the last from a damaged header
+    except _DAMAGED as error:
         raise UserError(f"{path}: cannot be read as a NumPy array") from error
     if not isinstance(values, np.ndarray) or values.ndim != 1 or values.dtype.kind != "f":
         raise UserError(f"{path}: expected one row of floating-point numbers")

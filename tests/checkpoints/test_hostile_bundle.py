@@ -1,0 +1,205 @@
+"""Bundles from anybody: whatever stands in their files, they load or are refused in one line, and nothing is run."""
+
+import json
+import os
+import random
+import shutil
+import struct
+
+import numpy as np
+import pytest
+import yaml
+
+from t2m_jax.checkpoints.arrays import load_arrays
+from t2m_jax.checkpoints.bundle import (
+    CONFIG_FILE,
+    WEIGHTS_FILE,
+    BundleConfig,
+    expected_variables,
+    load_bundle,
+    save_bundle,
+)
+from t2m_jax.config import UserError, load_config
+from t2m_jax.motion.normalizer import load_normalizer
+from t2m_jax.text.tokenization import load_tokenizer
+from tests.tiny import BUNDLE, random_bundle
+
+MEAN, TOKENIZER = "Mean.npy", "tokenizer.json"
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bundles") / "tiny"
+    save_bundle(folder, random_bundle(), card="# tiny\n")
+    return folder
+
+
+@pytest.fixture
+def copy(saved, tmp_path):
+    shutil.copytree(saved, tmp_path / "copy")
+    return tmp_path / "copy"
+
+
+@pytest.fixture(scope="module")
+def loaders():
+    """Returns what reads each file of a bundle, so that many damaged ones can be read in little time."""
+    expected = expected_variables(BUNDLE)
+    return {
+        CONFIG_FILE: lambda folder: load_config(folder / CONFIG_FILE, BundleConfig),
+        WEIGHTS_FILE: lambda folder: load_arrays(folder / WEIGHTS_FILE, expected),
+        MEAN: load_normalizer,
+        TOKENIZER: load_tokenizer,
+    }
+
+
+def is_refused(load, folder) -> bool:
+    try:
+        load(folder)
+    except UserError as error:
+        assert "\n" not in str(error)
+        return True
+    return False
+
+
+@pytest.mark.parametrize("name", [CONFIG_FILE, WEIGHTS_FILE, MEAN, TOKENIZER])
+def test_changed_bytes(saved, copy, loaders, name):
+    draws = random.Random(1)
+    whole = (saved / name).read_bytes()
+    refused = 0
+    for _ in range(100):
+        damaged = bytearray(whole)
+        for _ in range(draws.randint(1, 3)):
+            # The heads of the files say what the rest means.
+            damaged[draws.randrange(min(len(whole), 3000))] = draws.randrange(256)
+        (copy / name).write_bytes(damaged)
+        refused += is_refused(loaders[name], copy)
+    assert refused > 10
+
+
+@pytest.mark.parametrize("name", [CONFIG_FILE, WEIGHTS_FILE, MEAN, TOKENIZER])
+def test_files_that_end_early(saved, copy, loaders, name):
+    whole = (saved / name).read_bytes()
+    # A config may end anywhere: what it leaves out has a default.
+    for length in range(0, len(whole), max(len(whole) // 30, 1)):
+        (copy / name).write_bytes(whole[:length])
+        assert is_refused(loaders[name], copy) or name == CONFIG_FILE
+
+
+@pytest.mark.parametrize(
+    ("section", "field"),
+    [
+        ("vqvae", "width"),
+        ("vqvae", "num_stages"),
+        ("vqvae", "depth"),
+        ("vqvae", "dilation_growth"),
+        ("gpt", "embed_dim"),
+        ("gpt", "num_layers"),
+        ("gpt", "block_size"),
+        ("caption_encoder", "max_length"),
+        ("caption_encoder", "num_layers"),
+    ],
+)
+@pytest.mark.parametrize("size", [10**6, 2**63, 10**30])
+def test_sizes_that_would_fill_the_machine(copy, section, field, size):
+    data = yaml.safe_load((copy / CONFIG_FILE).read_text())
+    data[section][field] = size
+    (copy / CONFIG_FILE).write_text(yaml.safe_dump(data))
+    with pytest.raises(UserError, match=rf"{section}: {field}: {size} is more than the \d+ that any model needs"):
+        load_bundle(copy)
+
+
+class Touch:
+    """Pickled, it makes a file."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return os.system, (f"touch {self.path}",)
+
+
+def npy(header: str, content: bytes = b"") -> bytes:
+    """Returns a file of numpy with any header."""
+    text = header.encode().ljust(117) + b"\n"
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text + content
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (1000000000000,)}",
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (9223372036854775807,)}",
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (99999999999999999999999,)}",
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (-263,)}",
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (263, 4611686018427387904)}",
+        "{'descr': '<f4', 'fortran_order': False, 'shape': 263}",
+        "{'descr': '|V1000000000', 'fortran_order': False, 'shape': (263,)}",
+        "{'descr': [('a', '<f4')], 'fortran_order': False, 'shape': (263,)}",
+        "{'descr': '<c8', 'fortran_order': False, 'shape': (131,)}",
+        "{'descr': '|O', 'fortran_order': False, 'shape': (263,)}",
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (__import__('os'),)}",
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (" + "(" * 60,
+        "{'descr': ',f4', 'fortran_order': False, 'shape': (263,)}",
+        "{}",
+        "[]",
+        "",
+    ],
+)
+def test_headers_of_statistics(copy, header):
+    (copy / MEAN).write_bytes(npy(header, bytes(1052)))
+    with pytest.raises(UserError, match=MEAN):
+        load_normalizer(copy)
+
+
+def test_pickled_statistics_are_refused_and_not_run(copy, tmp_path):
+    np.save(copy / MEAN, np.array([Touch(tmp_path / "marker")] * 263), allow_pickle=True)
+    with pytest.raises(UserError, match=MEAN):
+        load_normalizer(copy)
+    assert not (tmp_path / "marker").exists()
+
+
+def safetensors(header, content: bytes = b"") -> bytes:
+    text = header if isinstance(header, bytes) else json.dumps(header).encode()
+    return struct.pack("<Q", len(text)) + text + content
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        struct.pack("<Q", 2**63) + b"{}",
+        struct.pack("<Q", 10**8) + b"{}",
+        safetensors(b"[" * 100_000),
+        safetensors(b'{"a":' * 100_000),
+        safetensors({"a": {"dtype": "F32", "shape": [2**40, 2**40], "data_offsets": [0, 4]}}, bytes(4)),
+        safetensors({"a": {"dtype": "F32", "shape": [2**62], "data_offsets": [0, 2**64 - 1]}}, bytes(4)),
+        safetensors({"a": {"dtype": "F32", "shape": [-1], "data_offsets": [0, 4]}}, bytes(4)),
+        safetensors({"a": {"dtype": "F32", "shape": [1], "data_offsets": [4, 0]}}, bytes(4)),
+        safetensors({"a": {"dtype": "OBJECT", "shape": [1], "data_offsets": [0, 4]}}, bytes(4)),
+        safetensors({"a": {"dtype": "BF16", "shape": [2], "data_offsets": [0, 4]}}, bytes(4)),
+        safetensors({"a": {"dtype": "F8_E4M3", "shape": [4], "data_offsets": [0, 4]}}, bytes(4)),
+        safetensors({"a\n\x1b[2J": {"dtype": "F32", "shape": [1], "data_offsets": [0, 4]}}, bytes(4)),
+        safetensors({"__metadata__": {"a": 3}}),
+        safetensors([]),
+    ],
+)
+def test_headers_of_weights(copy, loaders, content):
+    (copy / WEIGHTS_FILE).write_bytes(content)
+    assert is_refused(loaders[WEIGHTS_FILE], copy)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"[" * 100_000,
+        b'{"a":' * 100_000,
+        b"{}",
+        b"null",
+        b"3",
+        b'{"version":"1.0","model":{"type":"BPE"}}',
+        b"\xff\xfe",
+    ],
+)
+def test_tokenizers_that_are_none(copy, content):
+    (copy / TOKENIZER).write_bytes(content)
+    with pytest.raises(UserError, match=TOKENIZER):
+        load_tokenizer(copy)
