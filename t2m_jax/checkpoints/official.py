@@ -213,7 +213,7 @@ def _float32(path: Path, key: str, array: np.ndarray) -> np.ndarray:
     if not jnp.issubdtype(array.dtype, jnp.floating):
         raise UserError(f"{path}: {key!r} holds {array.dtype} where floating-point numbers are expected")
     with np.errstate(over="ignore"):  # doubles that are too large become infinite, and are refused
-        single = array.astype(np.float32)
+        single = array.astype(np.float32, copy=False)
     if not np.all(np.isfinite(single)):
         raise UserError(f"{path}: {key!r} has values that are not finite")
     return single

@@ -4,11 +4,14 @@ import dataclasses
 import json
 import shutil
 
+import jax
 import numpy as np
 import pytest
 
 from t2m_jax.checkpoints.bundle import CONFIG_FILE, WEIGHTS_FILE, load_bundle
 from t2m_jax.checkpoints.gpt_run import load_gpt_runs, load_model
+from t2m_jax.checkpoints.official import load_gpt
+from t2m_jax.checkpoints.official import load_vqvae as load_official_vqvae
 from t2m_jax.checkpoints.run_directory import run_info
 from t2m_jax.checkpoints.vqvae import load_vqvae
 from t2m_jax.cli.main import main
@@ -111,6 +114,19 @@ def test_a_bundle_is_complete_and_small(runs, bundle_folder):
     checkpoint = sum(path.stat().st_size for path in (runs.gpt / "checkpoints").rglob("*") if path.is_file())
     assert (bundle_folder / WEIGHTS_FILE).stat().st_size < checkpoint
     assert load_bundle(bundle_folder).config == BUNDLE
+
+
+def test_users_of_the_original_can_check_a_run(runs, tmp_path):
+    assert main(["bundle", f"{runs.gpt}", f"{tmp_path / 'out'}", "--export-official"]) == 0
+    trained, official = load_model(runs.gpt), tmp_path / "out" / "official"
+    config, variables = load_gpt(official / "gpt.safetensors", num_heads=BUNDLE.gpt.num_heads)
+    assert config == BUNDLE.gpt
+    jax.tree.map(np.testing.assert_array_equal, variables, trained.variables["gpt"])
+    config, variables = load_official_vqvae(official / "vqvae.safetensors")
+    assert config == BUNDLE.vqvae
+    jax.tree.map(np.testing.assert_array_equal, variables["params"], trained.variables["vqvae"]["params"])
+    np.testing.assert_array_equal(np.load(official / "mean.npy"), trained.normalizer.mean)
+    assert load_bundle(tmp_path / "out").config == BUNDLE
 
 
 def test_half_precision_changes_little(model, bundle_folder):
