@@ -91,7 +91,9 @@ def _read_archive(file: BinaryIO) -> Any:
     with _refusing_damage(), zipfile.ZipFile(file) as archive:
         members = {member.filename: member for member in archive.infolist()}
         _check_members(archive, size)
-        roots = [name.removesuffix("/data.pkl") for name in members if name.count("/") == 1 and "/data.pkl" in name]
+        roots = [
+            name.removesuffix("/data.pkl") for name in members if name.count("/") == 1 and name.endswith("/data.pkl")
+        ]
         if len(roots) != 1:
             raise UserError(
                 "a zip archive, but not of torch.save; do not unpack or repack the file that was downloaded"
@@ -105,7 +107,7 @@ def _read_archive(file: BinaryIO) -> Any:
 
         def read_storage(storage: Storage) -> np.ndarray:
             member = members.get(f"{root}/data/{storage.key}")
-            if member is None or member.file_size != storage.count * storage.dtype.itemsize:
+            if member is None or member.file_size != storage.length * storage.dtype.itemsize:
                 raise UserError(f"storage {storage.key[:60]!r} is missing or not of the size it should have")
             return _numbers(archive.read(member), storage.dtype, order=order.decode())
 
@@ -141,7 +143,7 @@ def _read_legacy(file: BinaryIO) -> Any:
 
     def read_storage(storage: Storage) -> np.ndarray:
         file.seek(places[storage.key])
-        return _numbers(file.read(storage.count * storage.dtype.itemsize), storage.dtype, order="little")
+        return _numbers(file.read(storage.length * storage.dtype.itemsize), storage.dtype, order="little")
 
     return _Content(read_storage, _size(file)).plain(content.value)
 
@@ -153,10 +155,10 @@ def _legacy_places(file: BinaryIO, keys: Pickle, storages: dict[str, Storage]) -
     position, places = keys.end, {}
     for key in keys.value:
         file.seek(position)
-        if file.read(8) != storages[key].count.to_bytes(8, "little"):
+        if file.read(8) != storages[key].length.to_bytes(8, "little"):
             raise UserError(f"storage {key[:60]!r} is missing or not of the size it should have")
         places[key] = position + 8
-        position += 8 + storages[key].count * storages[key].dtype.itemsize
+        position += 8 + storages[key].length * storages[key].dtype.itemsize
     if position > _size(file):
         raise UserError("cut off; download it again")
     return places
@@ -212,7 +214,9 @@ class _Content:
         last = offset + sum((size - 1) * stride for size, stride in zip(shape, strides, strict=True))
         # An empty tensor has no last element, but its other sizes must be such as numpy can count.
         fits = (
-            count <= storage.count and last < storage.count if count else math.prod(size or 1 for size in shape) < 2**31
+            count <= storage.length and last < storage.length
+            if count
+            else math.prod(size or 1 for size in shape) < 2**31
         )
         if not fits:
             raise UserError("has a tensor that does not fit into its storage: its shape or strides are absurd")

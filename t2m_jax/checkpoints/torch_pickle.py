@@ -54,7 +54,7 @@ class Storage(NamedTuple):
 
     key: str
     dtype: np.dtype
-    count: int
+    length: int
 
 
 class Tensor(NamedTuple):
@@ -306,8 +306,8 @@ def _made(name: str, arguments: tuple) -> Any:
 
 
 def _instruction_name(code: bytes) -> str:
-    found = pickletools.code2op.get(code.decode("latin-1"))
-    return found.name if found else repr(code)
+    names = {known.code: known.name for known in pickletools.opcodes}
+    return names.get(code.decode("latin-1"), repr(code))
 
 
 def _kind(value: Any) -> str:
