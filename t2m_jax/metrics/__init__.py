@@ -1,6 +1,22 @@
-"""Metrics: functions of arrays."""
+"""Metrics: functions of arrays. Random choices enter as index arrays, so a result depends on its arguments alone."""
 
 from t2m_jax.metrics.codes import code_usage, perplexity
-from t2m_jax.metrics.positions import joint_errors, mpjpe
+from t2m_jax.metrics.frechet import fid
+from t2m_jax.metrics.positions import acceleration_error, foot_skating, joint_errors, mpjpe, pa_mpjpe
+from t2m_jax.metrics.retrieval import matching_score, r_precision
+from t2m_jax.metrics.variety import diversity, multimodality
 
-__all__ = ["code_usage", "joint_errors", "mpjpe", "perplexity"]
+__all__ = [
+    "acceleration_error",
+    "code_usage",
+    "diversity",
+    "fid",
+    "foot_skating",
+    "joint_errors",
+    "matching_score",
+    "mpjpe",
+    "multimodality",
+    "pa_mpjpe",
+    "perplexity",
+    "r_precision",
+]

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from t2m_jax.metrics import mpjpe
+from t2m_jax.metrics import acceleration_error, foot_skating, mpjpe, pa_mpjpe
 
 POSITIONS = jax.random.normal(jax.random.key(0), (2, 5, 4, 3))
 REFERENCE = jax.random.normal(jax.random.key(1), (2, 5, 4, 3))
@@ -38,3 +38,61 @@ def test_jit_equals_eager():
     jitted = jax.jit(mpjpe)(POSITIONS, REFERENCE, MASK)
     with jax.disable_jit():
         np.testing.assert_allclose(jitted, mpjpe(POSITIONS, REFERENCE, MASK), rtol=1e-6)
+
+
+def rotation(key):
+    return jnp.linalg.qr(jax.random.normal(key, (3, 3)))[0]
+
+
+def test_procrustes_sees_no_rotation_scale_or_shift_but_reflection():
+    turn = rotation(jax.random.key(3))
+    turn = turn * jnp.sign(jnp.linalg.det(turn))
+    moved = 1.7 * jnp.einsum("btji,ik->btjk", POSITIONS, turn) + jnp.arange(3.0)[None, None, None]
+    np.testing.assert_allclose(pa_mpjpe(moved, POSITIONS, MASK), 0.0, atol=1e-5)
+    mirrored = POSITIONS * jnp.array([-1.0, 1.0, 1.0])[None, None, None]
+    assert pa_mpjpe(mirrored, POSITIONS, MASK) > 0.1
+
+
+def test_procrustes_is_the_best_of_many_rotations():
+    pose, reference = POSITIONS[:1, :1], REFERENCE[:1, :1]
+    centred, target = pose - pose.mean(2, keepdims=True), reference - reference.mean(2, keepdims=True)
+
+    def squares(turned):
+        # Procrustes minimises squares: with the best scale of each rotation.
+        scale = jnp.sum(turned * target) / jnp.sum(turned**2)
+        return float(jnp.sum((scale * turned - target) ** 2))
+
+    tried = []
+    for seed in range(300):
+        turn = rotation(jax.random.key(seed))
+        tried.append(squares(jnp.einsum("btji,ik->btjk", centred, turn * jnp.sign(jnp.linalg.det(turn)))))
+    left, strengths, right = np.linalg.svd(np.asarray(centred[0, 0]).T @ np.asarray(target[0, 0]))
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
+    best = squares(jnp.asarray(np.asarray(centred) @ ((left * signs) @ right)))
+    assert best <= min(tried) + 1e-5
+    scale = (strengths * signs).sum() / float(jnp.sum(centred**2))
+    errors = np.linalg.norm(
+        scale * np.asarray(centred[0, 0]) @ ((left * signs) @ right) - np.asarray(target[0, 0]), axis=-1
+    )
+    np.testing.assert_allclose(pa_mpjpe(pose, reference, MASK[:1, :1]), errors.mean(), rtol=1e-4)
+
+
+def test_acceleration_does_not_see_constant_speed():
+    time = jnp.arange(5.0)[None, :, None, None]
+    np.testing.assert_allclose(acceleration_error(POSITIONS + 3 * time, POSITIONS, MASK), 0.0, atol=1e-5)
+    np.testing.assert_allclose(acceleration_error(POSITIONS + time**2, POSITIONS, MASK), 2 * np.sqrt(3), rtol=1e-5)
+
+
+def test_feet_that_stand_do_not_skate_and_feet_in_the_air_may_move():
+    time = jnp.arange(6.0)[:, None]
+    still = jnp.zeros((6, 3))
+    sliding = jnp.concatenate([0.01 * time, 0 * time, 0 * time], axis=1)
+    lifted = sliding + jnp.array([[0.0, 0.3, 0.0]])
+    mask = jnp.ones((1, 6), bool)
+
+    def skating(*feet):
+        return float(foot_skating(jnp.stack(feet, axis=1)[None], mask, feet=(0, 1), fps=20.0))
+
+    assert skating(still, still) == 0.0
+    np.testing.assert_allclose(skating(still, sliding), 0.1, rtol=1e-4)
+    assert skating(still, lifted) == 0.0

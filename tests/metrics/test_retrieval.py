@@ -1,0 +1,103 @@
+"""R-precision, matching score, diversity and multimodality: reference numbers and laws."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from t2m_jax.metrics import diversity, matching_score, multimodality, r_precision
+
+
+def load(golden_dir, name):
+    return np.load(golden_dir / "evaluation" / f"{name}.npz")
+
+
+def pairs_of(first, second):
+    return jnp.stack([jnp.asarray(first), jnp.asarray(second)], axis=1)
+
+
+def test_golden_r_precision_both_ways(golden_dir):
+    arrays = load(golden_dir, "r_precision")
+    text, motion = (jnp.asarray(arrays[name].reshape(-1, arrays[name].shape[-1])) for name in ("text", "motion"))
+    np.testing.assert_allclose(r_precision(text, motion), arrays["r_precision"], rtol=1e-6)
+    other_way = r_precision(text, motion, direction="texts_per_motion")
+    np.testing.assert_allclose(other_way, arrays["counts_motion_to_text"].sum(0) / len(text), rtol=1e-6)
+    np.testing.assert_allclose(matching_score(text, motion), arrays["mm_dist"], rtol=5e-6)
+
+
+def test_golden_diversity_and_multimodality(golden_dir):
+    arrays = load(golden_dir, "diversity_multimodality")
+    for count in (300, 100):
+        pairs = pairs_of(arrays[f"first_{count}"], arrays[f"second_{count}"])
+        found = diversity(jnp.asarray(arrays["activations"]), pairs)
+        np.testing.assert_allclose(found, arrays[f"diversity_{count}"], rtol=5e-6)
+    pairs = pairs_of(arrays["mm_first"], arrays["mm_second"])
+    found = multimodality(jnp.asarray(arrays["mm_activations"]), pairs)
+    np.testing.assert_allclose(found, arrays["multimodality"], rtol=5e-6)
+
+
+def embeddings(seed, count=640, width=16):
+    return jax.random.normal(jax.random.key(seed), (count, width))
+
+
+def test_pairs_that_agree_are_found_first():
+    text = embeddings(0)
+    np.testing.assert_array_equal(r_precision(text, text), 1.0)
+    assert matching_score(text, text) == 0.0
+
+
+def test_shuffled_pairs_are_found_by_chance():
+    text, motion = embeddings(0, 6400), embeddings(1, 6400)
+    np.testing.assert_allclose(r_precision(text, motion), np.arange(1, 4) / 32, atol=0.01)
+
+
+def test_swapping_two_captions_costs_those_two():
+    text = embeddings(0)
+    swapped = text.at[jnp.array([3, 7])].set(text[jnp.array([7, 3])])
+    np.testing.assert_allclose(1 - r_precision(swapped, text)[0], 2 / 640, rtol=1e-4)
+
+
+def test_the_order_of_batches_and_the_frame_of_reference_do_not_matter():
+    text = embeddings(0)
+    motion = text + 0.8 * embeddings(1)
+    expected = r_precision(text, motion)
+    assert 0.2 < expected[0] < 0.95
+    order = np.random.default_rng(0).permutation(20)
+    batches = [rows.reshape(20, 32, -1)[order].reshape(640, -1) for rows in (text, motion)]
+    np.testing.assert_allclose(r_precision(*batches), expected)
+    np.testing.assert_allclose(r_precision(text + 3.0, motion + 3.0), expected)
+
+
+def test_candidates_of_the_same_label_are_no_errors():
+    text = jnp.repeat(embeddings(0, 16), 2, axis=0)
+    motion = text + 0.01 * embeddings(1, 32)
+    labels = jnp.repeat(jnp.arange(16), 2)
+    assert r_precision(text, motion)[0] < 0.9
+    np.testing.assert_array_equal(r_precision(text, motion, labels=labels), 1.0)
+
+
+def test_incomplete_batches_are_refused():
+    with pytest.raises(ValueError, match="33 texts and 33 motions"):
+        r_precision(embeddings(0, 33), embeddings(1, 33))
+
+
+def test_a_pair_of_one_sample_with_itself_counts_as_no_distance():
+    points = jnp.array([[0.0, 0.0], [3.0, 4.0]])
+    pairs = jnp.array([[0, 1], [1, 1]])
+    assert diversity(points, pairs) == 2.5
+    assert multimodality(jnp.stack([points, 2 * points]), pairs) == 3.75
+
+
+def test_jit_equals_eager():
+    text, motion = embeddings(0, 64), embeddings(1, 64)
+    pairs = jnp.arange(20).reshape(10, 2)
+    calls = [
+        (r_precision, (text, motion)),
+        (matching_score, (text, motion)),
+        (diversity, (text, pairs)),
+        (multimodality, (text.reshape(2, 32, 16), pairs)),
+    ]
+    for function, arguments in calls:
+        jitted = jax.jit(function)(*arguments)
+        with jax.disable_jit():
+            np.testing.assert_allclose(jitted, function(*arguments), rtol=1e-5)
