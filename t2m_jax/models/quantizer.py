@@ -211,9 +211,15 @@ class Quantizer(nn.Module):
         batch_hits: tuple[Float[Array, "K C"], Float[Array, " K"]],
     ) -> None:
         """Moves the codebook by one step."""
-        candidates = self._candidates(rows, row_mask)
-        options = {"rule": RULES[self.kind], "decay": self.ema_decay, "threshold": self.reset_threshold}
-        self._assign(update_codebook(self._current(), batch_hits, candidates, **options))
+        state = update_codebook(
+            self._current(),
+            batch_hits,
+            self._candidates(rows, row_mask),
+            rule=RULES[self.kind],
+            decay=self.ema_decay,
+            threshold=self.reset_threshold,
+        )
+        self._assign(state)
 
     def _codebook(self) -> Float[Array, "K C"]:
         return self.embedding if RULES[self.kind].by_gradient else self.codebook.value

@@ -42,8 +42,8 @@ def init_vqvae_state(config: TrainVqVaeConfig, key: Key[Array, ""]) -> VqVaeStat
     motion = jnp.zeros((1, config.window, config.model.feature_dim))
     variables = VqVae(config.model).init(key, motion, train=False)
     opt_state = make_optimizer(config.optimizer).init(variables["params"])
-    collections = (variables.get(name, {}) for name in ("params", "codebook", "batch_stats"))
-    return VqVaeState(jnp.array(0, jnp.int32), *collections, opt_state)
+    codebook, batch_stats = variables.get("codebook", {}), variables.get("batch_stats", {})
+    return VqVaeState(jnp.array(0, jnp.int32), variables["params"], codebook, batch_stats, opt_state)
 
 
 def vqvae_losses(output: VqVaeOutput, windows: Windows, config: TrainVqVaeConfig) -> Metrics:
