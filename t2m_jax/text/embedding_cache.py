@@ -90,6 +90,8 @@ class EmbeddingCache:
         """Yields a connection whose changes count only if the block ends without an error."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with contextlib.closing(sqlite3.connect(self.path, timeout=BUSY_SECONDS)) as connection, connection:
+            # Waiting for the disk would cost more than what a power cut could spoil, which the digests show.
+            connection.execute("PRAGMA synchronous = OFF")
             connection.execute(_TABLE)
             yield connection
 

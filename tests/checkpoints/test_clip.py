@@ -15,6 +15,7 @@ from safetensors.numpy import load_file, save_file
 from t2m_jax.checkpoints.clip import TrainedClip, clip_fingerprint, load_clip, param_shapes, save_clip
 from t2m_jax.config import UserError
 from t2m_jax.models.clip_text import ClipText, ClipTextConfig
+from t2m_jax.sampling.clip_text_encoder import encode_clip_tokens
 from t2m_jax.text.clip_tokenization import clip_tokens
 from tests.clip_golden import CAPTIONS, FULL, MSGPACK, SAFETENSORS, TEXT_ONLY, TORCH, TWO_FILES, copy_files, golden
 
@@ -23,7 +24,7 @@ PREFIX = "text_model."
 
 def embed(clip: TrainedClip) -> np.ndarray:
     tokens = clip_tokens(clip.tokenizer, CAPTIONS, max_length=clip.config.max_length)
-    return np.asarray(ClipText(clip.config).apply(clip.variables, jnp.asarray(tokens)))
+    return np.asarray(encode_clip_tokens(clip.variables, jnp.asarray(tokens), config=clip.config))
 
 
 def assert_same_clip(found: TrainedClip, wanted: TrainedClip) -> None:

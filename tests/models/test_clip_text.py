@@ -1,5 +1,6 @@
 """CLIP's text tower: sizes, causality, where a caption is read."""
 
+import functools
 import math
 
 import jax
@@ -29,8 +30,13 @@ def variables():
     return random_variables(shapes(CONFIG))
 
 
+@functools.partial(jax.jit, static_argnames="config")
+def apply(variables, tokens, *, config):
+    return ClipText(config).apply(variables, tokens)
+
+
 def embed(config, variables, tokens):
-    return np.asarray(ClipText(config).apply(variables, jnp.asarray(tokens)))
+    return np.asarray(apply(variables, jnp.asarray(tokens), config=config))
 
 
 def test_the_default_is_the_text_tower_of_vit_b_32():

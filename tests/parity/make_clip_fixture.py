@@ -7,7 +7,7 @@
 Two tiny CLIPs with random weights: `full` has an image tower beside it, QuickGELU, the `eos_token_id` 2 of early
 configs, and all three weight formats; `text_only` is a text tower in 16 bits with exact GELU and a token behind End.
 Their BPE vocabulary is learned from motion captions. Recent versions of `transformers` write neither Flax nor PyTorch
-files, so those two are written here in the layout of the versions that did.
+files, so those two are written here in the layout of the versions that did (`transformers` 4.57 still checks the first).
 """
 
 import argparse
@@ -116,7 +116,7 @@ def flax_tree(state_dict: dict[str, torch.Tensor]) -> dict:
             else:
                 kind = "kernel"
                 array = array.transpose(2, 3, 1, 0) if array.ndim == 4 else array.T
-        flat[(*module, kind)] = np.ascontiguousarray(array)
+        flat[(*module, kind)] = array.copy(order="C")
     return traverse_util.unflatten_dict(flat)
 
 
@@ -218,6 +218,24 @@ def check_saved(name: str, wanted: tuple, scratch: Path) -> bool:
     return report(f"reference on what save_clip wrote of {name}", reference(folder), wanted, 1e-5)
 
 
+def check_flax(wanted: tuple, scratch: Path) -> bool:
+    """Compares the reference's own Flax model on the Flax file, and what it writes with that file."""
+    flax_clip = getattr(transformers, "FlaxCLIPModel", None)
+    if flax_clip is None:
+        print("--   transformers 5 has no FlaxCLIPModel; 4.57 checks flax_model.msgpack")
+        return True
+    folder = scratch / "flax"
+    folder.mkdir()
+    for file in ("config.json", WEIGHTS[1]):
+        shutil.copy(GOLDEN / "full" / file, folder)
+    model = flax_clip.from_pretrained(folder)
+    model.save_pretrained(scratch / "flax_again")
+    same = (scratch / "flax_again" / WEIGHTS[1]).read_bytes() == (folder / WEIGHTS[1]).read_bytes()
+    print(f"{'ok  ' if same else 'FAIL'} FlaxCLIPModel writes the same flax_model.msgpack")
+    found = np.asarray(model.get_text_features(wanted[0]))
+    return report("FlaxCLIPModel, full", (wanted[0], found), wanted, 1e-5) and same
+
+
 def check_full_size(scratch: Path) -> bool:
     """Compares a ViT-B/32 of random weights and captions of random tokens."""
     config = CLIPTextConfig()
@@ -252,6 +270,7 @@ def check() -> bool:
             results.append(report(f"reference, {name}", reference(GOLDEN / name), wanted, 1e-5))
             results += check_ours(name, wanted, scratch)
         results.append(check_saved("text_only", (arrays["text_only/tokens"], arrays["text_only/embeddings"]), scratch))
+        results.append(check_flax((arrays["full/tokens"], arrays["full/embeddings"]), scratch))
         results.append(check_full_size(scratch))
     return all(results)
 
