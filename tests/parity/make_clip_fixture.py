@@ -7,7 +7,7 @@
 Two tiny CLIPs with random weights: `full` has an image tower beside it, QuickGELU, the `eos_token_id` 2 of early
 configs, and all three weight formats; `text_only` is a text tower in 16 bits with exact GELU and a token behind End.
 Their BPE vocabulary is learned from motion captions. Recent versions of `transformers` write neither Flax nor PyTorch
-files, so those two are written here in the layout of the versions that did (`transformers` 4.57 still checks the first).
+files, so those two are written here in the layout of the versions that did (4.57 still checks the first).
 """
 
 import argparse
