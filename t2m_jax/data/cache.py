@@ -158,7 +158,7 @@ def load_cache(path: Path, sources: Sources, *, every_block: bool = False) -> Ca
             return _clips_from_index(index, file, num_bytes)
     except OSError as error:
         raise _UnusableError(f"cannot be read ({error.strerror})") from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise _UnusableError("its index is damaged") from error
 
 
@@ -204,16 +204,28 @@ def _check_blocks(file: BinaryIO, checksums: list[int], num_bytes: int, *, every
             raise _UnusableError(f"damaged at byte {block * BLOCK} or behind it")
 
 
+def _check_types(index: dict[str, Any]) -> None:
+    """Raises `_UnusableError` where an index holds something else than `_write` puts there."""
+    line_types = [str, str, float, float]
+    sound = type(index["width"]) is int and index["width"] > 0
+    for name, length, lines in index["clips"]:
+        sound &= type(name) is str and type(length) is int and length > 0
+        sound &= all([type(field) for field in line] == line_types for line in lines)
+    for table, kind in ((index["left_out"], str), (index["broken_captions"], int)):
+        sound &= isinstance(table, dict) and all(type(value) is kind for value in table.values())
+    if not sound:
+        raise _UnusableError("its index is damaged")
+
+
 def _clips_from_index(index: dict[str, Any], file: BinaryIO, num_bytes: int) -> CachedClips:
     """Returns the clips that a sound index describes."""
+    _check_types(index)
     width, lengths = index["width"], [length for _, length, _ in index["clips"]]
     ends = list(itertools.accumulate(lengths))
-    if num_bytes != sum(lengths) * width * 4 or any(length < 1 for length in lengths):
+    if num_bytes != sum(lengths) * width * 4:
         raise _UnusableError("its index is damaged")
     spans = {name: (end - length, end) for (name, length, _), end in zip(index["clips"], ends, strict=True)}
     lines = {name: clip_lines for name, _, clip_lines in index["clips"]}
-    if any(len(line) != 4 for clip_lines in lines.values() for line in clip_lines):
-        raise _UnusableError("its index is damaged")
     frames = np.zeros((0, width), np.float32)
     if num_bytes:
         mapped = mmap.mmap(file.fileno(), num_bytes, access=mmap.ACCESS_READ)

@@ -1,3 +1,5 @@
+import gc
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -70,6 +72,10 @@ def test_views_of_a_mapped_file_are_not_copied(tmp_path):
     # The mapped memory itself, from the last row before the first clip that is a multiple of 16 rows down the file.
     assert made.frames.unsafe_buffer_pointer() == whole.ctypes.data + 32 * whole.strides[0]
     assert len(made.frames) == 320 - 32
+    expected = np.array(whole[32:320])
+    del whole, clips
+    gc.collect()
+    np.testing.assert_array_equal(made.frames, expected)
 
 
 def test_arrays_that_somebody_may_write_to_are_copied():

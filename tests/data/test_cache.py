@@ -129,12 +129,15 @@ def test_another_width_is_another_cache(folder):
     assert set(open_clips(folder, feature_dim=263).left_out.values()) == {f"with {WIDTH} features in place of 263"}
 
 
-def rewritten_index(content, change):
+def with_index(content, text):
     """The file with another index, its checksum right."""
-    *_, num_bytes, index_bytes, _ = cache._FOOTER.unpack(content[-cache._FOOTER.size :])
-    index = json.loads(content[num_bytes : num_bytes + index_bytes])
-    text = json.dumps(change(index)).encode()
+    num_bytes = cache._FOOTER.unpack(content[-cache._FOOTER.size :])[1]
     return content[:num_bytes] + text + cache._FOOTER.pack(cache._MAGIC, num_bytes, len(text), zlib.crc32(text))
+
+
+def rewritten_index(content, change):
+    *_, num_bytes, index_bytes, _ = cache._FOOTER.unpack(content[-cache._FOOTER.size :])
+    return with_index(content, json.dumps(change(json.loads(content[num_bytes:][:index_bytes]))).encode())
 
 
 def flipped(content, position):
@@ -162,6 +165,10 @@ def flipped(content, position):
         lambda content: rewritten_index(content, lambda index: index | {"clips": [["a", -1, []], ["b", 182, []]]}),
         lambda content: rewritten_index(content, lambda index: index | {"checksums": []}),
         lambda content: rewritten_index(content, lambda index: index | {"width": "wide"}),
+        lambda content: rewritten_index(content, lambda index: index | {"clips": [["a", 181, [["a", 5, 0.0, 0.0]]]]}),
+        lambda content: rewritten_index(content, lambda index: index | {"left_out": []}),
+        lambda content: with_index(content, b"[" * 100_000),
+        lambda content: with_index(content, b"\xff"),
     ],
 )
 def test_a_damaged_cache_is_made_anew(folder, spoil, caplog):
