@@ -110,6 +110,7 @@ def save_clip(folder: Path, clip: TrainedClip, *, half: bool = False) -> None:
         key = key if key.startswith(_NAMES["projection"]) else TEXT_PREFIX + key
         arrays[key] = np.ascontiguousarray(array, np.float16 if half else np.float32)
     save_file(arrays, folder / WEIGHT_FILES[0], metadata={"format": "pt"})
+    (folder / WEIGHT_FILES[0]).chmod(0o644)  # safetensors makes its files private; a model is made to be shared
 
 
 def clip_fingerprint(config: ClipTextConfig, variables: dict[str, Any], tokenizer: Tokenizer) -> str:

@@ -151,6 +151,11 @@ def test_what_is_saved_comes_back(source, tmp_path):
     ]
 
 
+def test_what_is_saved_can_be_read_by_others(full, tmp_path):
+    save_clip(tmp_path / "saved", full)
+    assert all(path.stat().st_mode & 0o444 == 0o444 for path in (tmp_path / "saved").iterdir())
+
+
 def test_what_is_saved_in_half_comes_back_rounded(full, tmp_path):
     save_clip(tmp_path, full, half=True)
     found = load_clip(tmp_path)
