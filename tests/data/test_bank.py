@@ -78,8 +78,8 @@ def test_views_of_a_mapped_file_are_not_copied(tmp_path):
     np.testing.assert_array_equal(made.frames, expected)
 
 
-def test_arrays_that_somebody_may_write_to_are_copied():
-    whole = np.zeros((40, 5), np.float32)
+def test_arrays_that_somebody_may_write_to_are_copied(tmp_path):
+    whole = np.lib.format.open_memmap(tmp_path / "frames.npy", "w+", np.float32, (40, 5))
     made = make_bank([Clip("a", whole[:16], ()), Clip("b", whole[16:], ())], noise_normalizer(5))
     whole[:] = 1
     assert not np.any(made.frames)
