@@ -81,3 +81,60 @@ def token_loss(
         return masked_mean(losses, mask), right
     per_motion = jnp.sum(jnp.where(mask, losses, 0.0), axis=1) / (code_lengths + 1)
     return jnp.mean(per_motion), right
+
+
+def movement_loss(
+    reconstruction: Float[Array, "B T D"],
+    motion: Float[Array, "B T D"],
+    movements: Float[Array, "B N M"],
+    *,
+    sparsity_weight: float,
+    smoothness_weight: float,
+) -> dict[str, Float[Array, ""]]:
+    """Returns the terms of the movement autoencoder's loss (Guo et al. 2022) and their weighted sum, `loss`.
+
+    These are mean absolute values: of what the reconstruction lacks, of the movements, and of their steps in time.
+    """
+    terms = {
+        "reconstruction": jnp.mean(jnp.abs(reconstruction - motion)),
+        "sparsity": jnp.mean(jnp.abs(movements)),
+        "smoothness": jnp.mean(jnp.abs(jnp.diff(movements, axis=1))),
+    }
+    loss = terms["reconstruction"] + sparsity_weight * terms["sparsity"] + smoothness_weight * terms["smoothness"]
+    return {"loss": loss} | terms
+
+
+def pair_distances(text: Float[Array, "B E"], motion: Float[Array, "B E"]) -> Float[Array, " B"]:
+    """Returns the distance of each text to the motion of its row; never quite zero, so that it has a gradient."""
+    return jnp.sqrt(jnp.sum((text - motion + 1e-6) ** 2, axis=-1))
+
+
+def margin_loss(
+    text: Float[Array, "B E"], motion: Float[Array, "B E"], shift: Int[Array, ""] | int, *, margin: float
+) -> dict[str, Float[Array, ""]]:
+    """Returns the evaluator's contrastive loss (Guo et al. 2022): `loss`, `positive` and `negative`.
+
+    Pairs are drawn together by their squared distance. The negative of text i is motion i + `shift`, modulo B: it is
+    pushed away by the square of what it lacks to the margin. With a shift of 0, which the original draws at times, the
+    negatives are the pairs themselves.
+    """
+    positive = jnp.mean(pair_distances(text, motion) ** 2)
+    apart = pair_distances(text, jnp.roll(motion, -shift, axis=0))
+    negative = jnp.mean(jnp.maximum(margin - apart, 0.0) ** 2)
+    return {"loss": positive + negative, "positive": positive, "negative": negative}
+
+
+def infonce_loss(
+    text: Float[Array, "B E"], motion: Float[Array, "B E"], same: Bool[Array, "B B"], *, temperature: float
+) -> Float[Array, ""]:
+    """Returns the cross-entropy of finding each text's motion and each motion's text in the batch, their mean.
+
+    The logits are squared distances over minus `temperature`. Where `same` is True two rows have one caption: neither
+    is a negative of the other.
+    """
+    squares = jnp.sum((text[:, None] - motion[None, :]) ** 2, axis=-1)
+    own = jnp.eye(len(text), dtype=bool)
+    logits = jnp.where(same & ~own, -jnp.inf, -squares / temperature)
+    rows = jnp.arange(len(text))
+    losses = [optax.losses.softmax_cross_entropy_with_integer_labels(side, rows) for side in (logits, logits.T)]
+    return (jnp.mean(losses[0]) + jnp.mean(losses[1])) / 2

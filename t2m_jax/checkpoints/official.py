@@ -10,8 +10,10 @@ from flax import traverse_util
 
 from t2m_jax.checkpoints.arrays import read_arrays
 from t2m_jax.checkpoints.official_names import (
+    EVALUATOR_PARTS,
     Weight,
     constant,
+    evaluator_weights,
     gpt_constant_shapes,
     gpt_weights,
     is_used,
@@ -21,9 +23,11 @@ from t2m_jax.checkpoints.official_names import (
 from t2m_jax.checkpoints.torch_file import load_torch_file
 from t2m_jax.config import UserError
 from t2m_jax.models.convolution import NormKind
+from t2m_jax.models.evaluator import NUM_CONTACTS, EvaluatorConfig
 from t2m_jax.models.motion_gpt import MotionGptConfig
 from t2m_jax.models.quantizer import QuantizerKind
 from t2m_jax.models.vqvae import VqVaeConfig
+from t2m_jax.text.word_vectors import load_vector_table
 
 StateDict = Mapping[str, np.ndarray]
 Config = TypeVar("Config")
@@ -59,6 +63,16 @@ def gpt_variables(state_dict: StateDict, config: MotionGptConfig, *, num_base: i
     return _variables(
         state_dict, gpt_weights(config, num_base=config.num_layers // 2 if num_base is None else num_base)
     )
+
+
+def evaluator_variables(
+    state_dict: StateDict, config: EvaluatorConfig, word_vectors: np.ndarray | None = None
+) -> dict[str, Any]:
+    """Returns the collections of an `Evaluator`; without word vectors it embeds motions alone."""
+    variables = _variables(state_dict, evaluator_weights(config))
+    if word_vectors is not None:
+        variables["params"]["word_embedding"] = {"embedding": jnp.asarray(word_vectors, jnp.float32)}
+    return variables
 
 
 def _variables(state_dict: StateDict, weights: Iterable[Weight]) -> dict[str, Any]:
@@ -144,6 +158,59 @@ def load_gpt(path: str | Path, *, num_heads: int = 16) -> tuple[MotionGptConfig,
     return config, gpt_variables(state, config, num_base=num_base)
 
 
+def load_evaluator(
+    path: str | Path, *, word_vectors: str | Path | None = None
+) -> tuple[EvaluatorConfig, dict[str, Any]]:
+    """Returns the config and the variables of an original evaluator (`finest.tar` or `.safetensors`).
+
+    Args:
+        path: The file.
+        word_vectors: The original's table of word vectors, `our_vab_data.npy`. It is no part of the checkpoint; without
+            it motions can be embedded, and texts cannot.
+
+    Raises:
+        UserError: if it is no such file, or a key is missing, unknown, of another shape, or not finite.
+    """
+    path = Path(path)
+    state = _load_evaluator_parts(path)
+    table = None if word_vectors is None else load_vector_table(Path(word_vectors))
+    hidden, features, _ = _shape(path, state, "movement_encoder.main.0.weight", axes=3)
+    word_dim, num_classes = _shape(path, state, "text_encoder.pos_emb.weight", axes=2)
+    if table is not None and table.shape[1] != word_dim:
+        raise UserError(f"{word_vectors}: vectors of {table.shape[1]} numbers, but {path} reads {word_dim}")
+    config = _config(
+        path,
+        EvaluatorConfig,
+        feature_dim=features + NUM_CONTACTS,
+        movement_hidden=hidden,
+        movement_dim=_shape(path, state, "movement_encoder.main.3.weight", axes=3)[0],
+        motion_hidden=_shape(path, state, "motion_encoder.input_emb.weight", axes=2)[0],
+        text_hidden=_shape(path, state, "text_encoder.input_emb.weight", axes=2)[0],
+        embedding_dim=_shape(path, state, "motion_encoder.output_net.3.weight", axes=2)[0],
+        word_dim=word_dim,
+        num_parts_of_speech=num_classes,
+        **({} if table is None else {"num_words": len(table)}),
+    )
+    return config, evaluator_variables(_checked(path, state, list(evaluator_weights(config)), {}), config, table)
+
+
+def _load_evaluator_parts(path: Path) -> dict[str, np.ndarray]:
+    """Returns the arrays of an evaluator's file by part and key; the states of its optimisers are left out."""
+    if path.suffix == ".safetensors":
+        return read_arrays(path)
+    content = load_torch_file(path)
+    state = {}
+    for part in EVALUATOR_PARTS:
+        arrays = content.get(part)
+        if not isinstance(arrays, Mapping):
+            raise UserError(f"{path}: {part!r} is missing; not a checkpoint of the original evaluator (finest.tar)")
+        for key, value in arrays.items():
+            if not isinstance(key, str) or not isinstance(value, np.ndarray):
+                raise UserError(f"{path}: {str(key)[:80]!r} of {part!r} is not a tensor")
+            state[f"{part}.{key}"] = value
+    return state
+
+
 def _load_state_dict(path: Path, *, wrapper: str) -> dict[str, np.ndarray]:
     """Returns the arrays of a file by key, taken out of what they are wrapped in."""
     content: Mapping[Any, Any] = read_arrays(path) if path.suffix == ".safetensors" else load_torch_file(path)
@@ -163,7 +230,7 @@ def _load_state_dict(path: Path, *, wrapper: str) -> dict[str, np.ndarray]:
 def _shape(path: Path, state: StateDict, key: str, *, axes: int) -> tuple[int, ...]:
     """Returns the shape of an array, from which sizes are to be read."""
     if key not in state:
-        raise UserError(f"{path}: {key!r} is missing; not a checkpoint of the original T2M-GPT code")
+        raise UserError(f"{path}: {key!r} is missing; not a checkpoint of the original code")
     if state[key].ndim != axes:
         raise UserError(f"{path}: {key!r} has shape {state[key].shape}, {axes} axes are wanted")
     return state[key].shape

@@ -13,12 +13,14 @@ from t2m_jax.checkpoints.bundle import Bundle
 from t2m_jax.checkpoints.official_names import (
     Weight,
     constant,
+    evaluator_weights,
     gpt_constant_shapes,
     gpt_weights,
     vqvae_constant_shapes,
     vqvae_weights,
 )
 from t2m_jax.config import UserError
+from t2m_jax.models.evaluator import EvaluatorConfig
 from t2m_jax.models.motion_gpt import MotionGptConfig
 from t2m_jax.models.vqvae import VqVaeConfig
 
@@ -41,6 +43,11 @@ def gpt_state_dict(variables: Mapping[str, Any], config: MotionGptConfig) -> dic
         raise UserError(f"gpt.num_layers: {config.num_layers} is odd; the original has two halves of equal depth")
     weights = gpt_weights(config, num_base=num_base)
     return _state_dict(variables, weights, gpt_constant_shapes(config, num_base=num_base))
+
+
+def evaluator_state_dict(variables: Mapping[str, Any], config: EvaluatorConfig) -> dict[str, np.ndarray]:
+    """Returns the state dicts of the original's evaluator, the part's name before each key; word vectors left out."""
+    return _state_dict(variables, evaluator_weights(config), {})
 
 
 def _state_dict(

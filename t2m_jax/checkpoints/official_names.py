@@ -1,10 +1,11 @@
-"""What every weight is called in the original PyTorch code and where it stands in our modules (T2M-GPT b1446f1)."""
+"""What every weight is called in the original PyTorch code (T2M-GPT b1446f1, text-to-motion) and in our modules."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
+from t2m_jax.models.evaluator import NUM_CONTACTS, EvaluatorConfig
 from t2m_jax.models.motion_gpt import MotionGptConfig, sinusoidal_table
 from t2m_jax.models.vqvae import VqVaeConfig
 
@@ -124,3 +125,40 @@ def constant(key: str, shape: tuple[int, ...]) -> np.ndarray:
 def is_used(key: str) -> bool:
     """Returns whether the original's results depend on a constant."""
     return key != _UNUSED_POSITIONS and not key.endswith(".num_batches_tracked")
+
+
+EVALUATOR_PARTS = ("text_encoder", "motion_encoder", "movement_encoder")
+"""The dictionaries of a checkpoint of the evaluator; here their names stand before the keys, with a dot."""
+
+
+def evaluator_weights(config: EvaluatorConfig) -> Iterator[Weight]:
+    """Yields every array of an `Evaluator` that the original saves: all but the word vectors."""
+    hidden, width, features = config.movement_hidden, config.movement_dim, config.feature_dim - NUM_CONTACTS
+    yield from _plain_conv("movement_encoder.main.0", (hidden, features, 4), "movement_encoder", "conv_0")
+    yield from _plain_conv("movement_encoder.main.3", (width, hidden, 4), "movement_encoder", "conv_1")
+    yield from _dense("movement_encoder.out_net", (width, width), "movement_encoder", "output")
+    yield from _sequence_encoder("motion_encoder", (width, config.motion_hidden, config.embedding_dim))
+    classes = (config.word_dim, config.num_parts_of_speech)
+    yield from _dense("text_encoder.pos_emb", classes, "part_of_speech_projection")
+    yield from _sequence_encoder("text_encoder", (config.word_dim, config.text_hidden, config.embedding_dim))
+
+
+def _plain_conv(key: str, shape: tuple[int, int, int], *path: str) -> Iterator[Weight]:
+    yield Weight(f"{key}.weight", shape, ("params", *path, "kernel"), is_reversed=True)
+    yield Weight(f"{key}.bias", shape[:1], ("params", *path, "bias"))
+
+
+def _sequence_encoder(part: str, sizes: tuple[int, int, int]) -> Iterator[Weight]:
+    """Yields the weights of one `SequenceEncoder`, which is called the same in both worlds."""
+    inputs, hidden, outputs = sizes
+    yield Weight(f"{part}.hidden", (2, 1, hidden), ("params", part, "gru", "initial_state"))
+    yield from _dense(f"{part}.input_emb", (hidden, inputs), part, "input")
+    for name, suffix in (("forward", ""), ("backward", "_reverse")):
+        gru, place = f"{part}.gru.{{}}_l0{suffix}", ("params", part, "gru", name)
+        for kind, shape in (("weight", (3 * hidden, hidden)), ("bias", (3 * hidden,))):
+            is_matrix, ours = kind == "weight", "kernel" if kind == "weight" else "bias"
+            yield Weight(gru.format(f"{kind}_ih"), shape, (*place, "input", ours), is_reversed=is_matrix)
+            yield Weight(gru.format(f"{kind}_hh"), shape, (*place, f"recurrent_{ours}"), is_reversed=is_matrix)
+    yield from _dense(f"{part}.output_net.0", (hidden, 2 * hidden), part, "head")
+    yield from _norm(f"{part}.output_net.1", hidden, part, "head_norm")
+    yield from _dense(f"{part}.output_net.3", (outputs, hidden), part, "output")

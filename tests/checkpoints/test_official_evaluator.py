@@ -1,0 +1,132 @@
+"""The original's evaluator: `finest.tar` read without PyTorch, names and shapes both ways, refusals."""
+
+import json
+
+import jax
+import numpy as np
+import pytest
+from flax import traverse_util
+from safetensors.numpy import save_file
+
+from t2m_jax.checkpoints.official import load_evaluator
+from t2m_jax.checkpoints.official_export import evaluator_state_dict
+from t2m_jax.checkpoints.official_names import EVALUATOR_PARTS, evaluator_weights
+from t2m_jax.config import UserError
+from t2m_jax.models.evaluator import Evaluator, EvaluatorConfig, evaluator_shapes
+from tests import golden_files
+from tests.checkpoints.torch_archives import number, tensor, text, write_archive
+
+
+def dictionary(entries) -> bytes:
+    return b"}(" + b"".join(text(key) + value for key, value in entries.items()) + b"u"
+
+
+def write_finest(path, state, *, parts=EVALUATOR_PARTS):
+    """Writes arrays (part and key, with a dot) as PyTorch writes the original's checkpoint."""
+    rows, dictionaries = {}, {}
+    for part in parts:
+        entries = {}
+        for name, array in state.items():
+            if name.startswith(f"{part}."):
+                key = str(len(rows))
+                rows[key] = np.ascontiguousarray(array, np.float32)
+                strides = np.cumprod([1, *array.shape[:0:-1]])[::-1]
+                entries[name.removeprefix(f"{part}.")] = tensor(
+                    array.shape, tuple(map(int, strides)), count=array.size, key=key
+                )
+        dictionaries[part] = dictionary(entries)
+    others = {"opt_text_encoder": dictionary({"state": b"}", "param_groups": b"]"}), "epoch": number(28)}
+    return write_archive(path, b"\x80\x02" + dictionary(dictionaries | others) + b".", rows=rows)
+
+
+@pytest.fixture(scope="module")
+def golden(golden_dir):
+    with np.load(golden_dir / "evaluation" / "nets_small.npz") as file:
+        return dict(file)
+
+
+@pytest.fixture(scope="module")
+def state(golden):
+    return golden_files.evaluator_state_dict(golden)
+
+
+@pytest.fixture
+def table(golden, tmp_path):
+    np.save(tmp_path / "table.npy", golden["word_embs"].reshape(-1, golden["word_embs"].shape[-1]))
+    return tmp_path / "table.npy"
+
+
+def test_a_checkpoint_of_the_original_embeds_as_the_original(golden, state, table, tmp_path):
+    config, variables = load_evaluator(write_finest(tmp_path / "finest.tar", state), word_vectors=table)
+    words = np.arange(7 * 22, dtype=np.int32).reshape(7, 22)
+    assert config == golden_files.evaluator_config(json.loads(str(golden["config"])), num_words=words.size)
+    assert jax.tree.map(np.shape, variables) == jax.tree.map(lambda leaf: leaf.shape, evaluator_shapes(config))
+    arguments = [golden["motions"], golden["m_lens"], words, golden["pos_ids"], golden["cap_lens"]]
+    found_text, found_motion = Evaluator(config).apply(variables, *map(jax.numpy.asarray, arguments))
+    np.testing.assert_allclose(found_text, golden["text_emb"], rtol=5e-6, atol=5e-6)
+    np.testing.assert_allclose(found_motion, golden["motion_emb"], rtol=5e-6, atol=5e-6)
+
+
+def test_there_and_back_is_bit_identical(state, table, tmp_path):
+    config, variables = load_evaluator(write_finest(tmp_path / "finest.tar", state), word_vectors=table)
+    back = evaluator_state_dict(variables, config)
+    assert back.keys() == state.keys()
+    for key, array in state.items():
+        np.testing.assert_array_equal(back[key], array, err_msg=key)
+    save_file(back, tmp_path / "finest.safetensors")
+    again = load_evaluator(tmp_path / "finest.safetensors", word_vectors=table)
+    assert again[0] == config
+    jax.tree.map(np.testing.assert_array_equal, again[1], variables)
+
+
+def test_without_word_vectors_motions_alone_are_embedded(golden, state, tmp_path):
+    config, variables = load_evaluator(write_finest(tmp_path / "finest.tar", state))
+    motion, lengths = jax.numpy.asarray(golden["motions"]), jax.numpy.asarray(golden["m_lens"])
+    found = Evaluator(config).apply(variables, motion, lengths, method="embed_motion")
+    np.testing.assert_allclose(found, golden["motion_emb"], rtol=5e-6, atol=5e-6)
+    assert "word_embedding" not in variables["params"]
+
+
+@pytest.mark.parametrize(("feature_dim", "movement"), [(263, 1_842_688), (251, 1_818_112)])
+def test_full_size_tables(feature_dim, movement):
+    config = EvaluatorConfig(feature_dim=feature_dim)
+    weights = list(evaluator_weights(config))
+    assert len(weights) == 42
+    assert len({weight.key for weight in weights}) == len(weights)
+    sizes = dict.fromkeys(EVALUATOR_PARTS, 0)
+    for weight in weights:
+        sizes[weight.key.partition(".")[0]] += int(np.prod(weight.shape))
+    assert sizes == {"text_encoder": 4_100_288, "motion_encoder": 15_747_584, "movement_encoder": movement}
+    shapes = {weight.key: weight.shape for weight in weights}
+    assert shapes["movement_encoder.main.0.weight"] == (512, feature_dim - 4, 4)
+    assert shapes["movement_encoder.main.3.weight"] == (512, 512, 4)
+    assert shapes["text_encoder.pos_emb.weight"] == (300, 15)
+    assert shapes["text_encoder.gru.weight_ih_l0_reverse"] == (1536, 512)
+    assert shapes["motion_encoder.hidden"] == (2, 1, 1024)
+    assert shapes["motion_encoder.output_net.0.weight"] == (1024, 2048)
+    ours = traverse_util.flatten_dict(evaluator_shapes(config))
+    ours.pop(("params", "word_embedding", "embedding"))
+    placed = {weight.path: weight.shape[::-1] if weight.is_reversed else weight.shape for weight in weights}
+    assert placed == {path: leaf.shape for path, leaf in ours.items()}
+
+
+def refusal(path, **options) -> str:
+    with pytest.raises(UserError) as caught:
+        load_evaluator(path, **options)
+    assert str(caught.value).isprintable()
+    return str(caught.value)
+
+
+def test_what_does_not_fit_is_named(golden_dir, state, table, tmp_path):
+    path = tmp_path / "finest.tar"
+    key = "text_encoder.gru.weight_hh_l0_reverse"
+    less = {name: array for name, array in state.items() if name != key}
+    assert refusal(write_finest(path, less)).startswith(f"{path}: '{key}' is missing")
+    assert "has shape (66, 21)" in refusal(write_finest(path, state | {key: state[key][:, :-1]}))
+    assert "not finite" in refusal(write_finest(path, state | {key: state[key] * np.nan}))
+    assert "is not part of the model" in refusal(write_finest(path, state | {"text_encoder.x": np.ones(2)}))
+    assert "'motion_encoder' is missing" in refusal(write_finest(path, state, parts=EVALUATOR_PARTS[:1]))
+    assert "'text_encoder' is missing" in refusal(golden_dir / "t2m_gpt" / "ckpt_gpt_small.pth")
+    np.save(table, np.ones((3, 5)))
+    assert "vectors of 5 numbers" in refusal(write_finest(path, state), word_vectors=table)
+    assert "cannot be read" in refusal(path, word_vectors=tmp_path / "none.npy")
