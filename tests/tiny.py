@@ -1,19 +1,23 @@
 """Tiny models: everything of the real ones but their size, so that tests make and train them in seconds."""
 
+import dataclasses
 from pathlib import Path
 
 import jax
 import numpy as np
 
 from t2m_jax.checkpoints.bundle import Bundle, BundleConfig, expected_variables
+from t2m_jax.checkpoints.evaluator import TrainedEvaluator, make_trained_evaluator
 from t2m_jax.data.synthetic import make_motion
 from t2m_jax.models.caption_encoder import CaptionEncoderConfig
+from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
 from t2m_jax.models.motion_gpt import MotionGptConfig
 from t2m_jax.models.vqvae import VqVaeConfig
 from t2m_jax.motion.features import features_from_positions
 from t2m_jax.motion.normalizer import Normalizer, normalizer_from_clips
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.text.tokenization import train_tokenizer
+from t2m_jax.text.word_vectors import tokens_from_text, vocabulary_from_captions
 from t2m_jax.train.config import LoopConfig, TrainGptConfig, TrainVqVaeConfig
 from t2m_jax.train.schedules import OptimizerConfig
 
@@ -23,6 +27,9 @@ CAPTION_ENCODER = CaptionEncoderConfig(
     vocabulary_size=90, max_length=16, embed_dim=16, num_layers=1, num_heads=2, text_dim=12
 )
 BUNDLE = BundleConfig(vqvae=VQVAE, gpt=GPT, caption_encoder=CAPTION_ENCODER)
+EVALUATOR = EvaluatorConfig(
+    movement_hidden=10, movement_dim=12, motion_hidden=8, text_hidden=6, embedding_dim=16, word_dim=5
+)
 LOOP = LoopConfig(num_steps=8, batch_size=4, seed=5, log_every=3, validate_every=4, checkpoint_every=4)
 OPTIMIZER = OptimizerConfig(learning_rate=1e-3, warmup_steps=4)
 CAPTIONS = (
@@ -73,3 +80,11 @@ def random_bundle(*, seed: int = 10) -> Bundle:
     """Returns a complete model that nobody trained."""
     tokenizer = train_tokenizer(CAPTIONS, vocabulary_size=CAPTION_ENCODER.vocabulary_size)
     return Bundle(BUNDLE, random_variables(expected_variables(BUNDLE), seed=seed), walking_normalizer(), tokenizer)
+
+
+def random_evaluator(*, seed: int = 10) -> TrainedEvaluator:
+    """Returns an evaluator that nobody trained; it knows the words of `CAPTIONS`."""
+    vocabulary = vocabulary_from_captions(map(tokens_from_text, CAPTIONS), min_count=1)
+    config = dataclasses.replace(EVALUATOR, num_words=len(vocabulary))
+    variables = random_variables(evaluator_shapes(config), seed=seed)
+    return make_trained_evaluator(config, variables, walking_normalizer(), vocabulary)

@@ -1,0 +1,104 @@
+"""An evaluator's folder: there and back, its fingerprint, and what is refused."""
+
+import dataclasses
+import shutil
+
+import jax
+import numpy as np
+import pytest
+
+from t2m_jax.checkpoints.evaluator import (
+    TrainedEvaluator,
+    load_evaluator_bundle,
+    make_trained_evaluator,
+    save_evaluator,
+)
+from t2m_jax.config import UserError
+from t2m_jax.text.word_vectors import Vocabulary, save_vocabulary
+from tests.tiny import random_evaluator
+
+
+@pytest.fixture(scope="module")
+def trained() -> TrainedEvaluator:
+    return random_evaluator()
+
+
+@pytest.fixture
+def folder(trained, tmp_path):
+    save_evaluator(tmp_path / "evaluator", trained)
+    return tmp_path / "evaluator"
+
+
+def test_there_and_back(trained, folder):
+    found = load_evaluator_bundle(folder)
+    assert found.config == trained.config
+    assert found.vocabulary.words == trained.vocabulary.words
+    assert found.fingerprint == trained.fingerprint
+    jax.tree.map(np.testing.assert_array_equal, found.variables, trained.variables)
+    np.testing.assert_array_equal(found.normalizer.std, trained.normalizer.std)
+    assert {path.name for path in folder.iterdir()} == {
+        "evaluator.yaml",
+        "weights.safetensors",
+        "Mean.npy",
+        "Std.npy",
+        "words.txt",
+    }
+    assert load_evaluator_bundle(str(folder)).fingerprint == found.fingerprint
+
+
+def test_anything_that_changes_numbers_changes_the_fingerprint(trained):
+    config, variables, normalizer, vocabulary, fingerprint = trained
+    bias = variables["params"]["motion_encoder"]["output"]["bias"]
+    changed = jax.tree.map(lambda leaf: leaf + 1e-6 if leaf is bias else leaf, variables)
+    others = [
+        (dataclasses.replace(config, dropout=0.1), variables, normalizer, vocabulary),
+        (config, changed, normalizer, vocabulary),
+        (config, variables, normalizer._replace(std=normalizer.std * np.float32(1.01)), vocabulary),
+        (config, variables, normalizer, Vocabulary(tuple(reversed(vocabulary.words)))),
+    ]
+    found = {make_trained_evaluator(*other).fingerprint for other in others}
+    assert len(found | {fingerprint}) == 5
+    assert make_trained_evaluator(*trained[:4]).fingerprint == fingerprint
+
+
+def test_no_folder_is_written_over(trained, folder):
+    with pytest.raises(UserError, match="exists already"):
+        save_evaluator(folder, trained)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("evaluator.yaml", "no evaluator"),
+        ("weights.safetensors", "has not come to its first validation"),
+        ("words.txt", "cannot be read"),
+        ("Mean.npy", "missing"),
+    ],
+)
+def test_what_is_missing_is_named(folder, name, said):
+    (folder / name).unlink()
+    with pytest.raises(UserError, match=said):
+        load_evaluator_bundle(folder)
+
+
+def test_parts_that_do_not_fit_are_refused(trained, folder, tmp_path):
+    shutil.copytree(folder, tmp_path / "words")
+    save_vocabulary(tmp_path / "words" / "words.txt", Vocabulary((*trained.vocabulary.words, "more")))
+    with pytest.raises(UserError, match=r"words\.txt: \d+ words, but evaluator\.yaml says"):
+        load_evaluator_bundle(tmp_path / "words")
+    shutil.copytree(folder, tmp_path / "statistics")
+    for name in ("Mean.npy", "Std.npy"):
+        np.save(tmp_path / "statistics" / name, np.ones(251, np.float32))
+    with pytest.raises(UserError, match="statistics of 251 features, 263 wanted"):
+        load_evaluator_bundle(tmp_path / "statistics")
+    path = folder / "evaluator.yaml"
+    path.write_text(path.read_text().replace("format_version: 1", "format_version: 9"))
+    with pytest.raises(UserError, match="format_version 9"):
+        load_evaluator_bundle(folder)
+    path.write_text(
+        path.read_text()
+        .replace("format_version: 9", "format_version: 1")
+        .replace("motion_hidden: 8", "motion_hidden: 6")
+    )
+    with pytest.raises(UserError, match="has shape"):
+        load_evaluator_bundle(folder)
