@@ -184,19 +184,12 @@ def test_prompts_are_measured(bundle_folder, tmp_path, capsys):
     assert table.count("\n") == 13
 
 
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        ({"model": {"num_codes": 8}}, "model.num_codes: 8"),
-        ({"model": {"text_dim": 6}}, "caption_encoder.text_dim: 12"),
-    ],
-)
-def test_stages_that_do_not_fit_are_refused_before_anything_is_written(runs, tmp_path, change, says):
+def test_stages_that_do_not_fit_are_refused_before_anything_is_written(runs, tmp_path):
     from t2m_jax.train.run_gpt import train_gpt
 
     config = gpt_training(runs.data, runs.vqvae, tmp_path / "run", loop=LOOP)
-    config = dataclasses.replace(config, model=dataclasses.replace(config.model, **change["model"]))
-    with pytest.raises(UserError, match=says):
+    config = dataclasses.replace(config, model=dataclasses.replace(config.model, num_codes=8))
+    with pytest.raises(UserError, match=r"model\.num_codes: 8"):
         train_gpt(config)
     assert not (tmp_path / "run").exists()
 

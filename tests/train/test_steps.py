@@ -1,5 +1,7 @@
 """The training steps: jitted against eager, and what a step may change."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,8 +14,15 @@ from t2m_jax.train.targets import make_targets
 from t2m_jax.train.vqvae import init_vqvae_state, vqvae_train_step
 from tests.tiny import CAPTION_ENCODER, GPT, OPTIMIZER, VQVAE
 
-VQVAE_TRAINING = TrainVqVaeConfig(model=VQVAE, window=16, optimizer=OPTIMIZER)
-GPT_TRAINING = TrainGptConfig(model=GPT, caption_encoder=CAPTION_ENCODER, optimizer=OPTIMIZER)
+# Without jit every operation is compiled for every shape: few layers, and widths that agree.
+VQVAE_TRAINING = TrainVqVaeConfig(
+    model=dataclasses.replace(VQVAE, num_stages=1, code_dim=16), window=16, optimizer=OPTIMIZER
+)
+GPT_TRAINING = TrainGptConfig(
+    model=dataclasses.replace(GPT, num_layers=1, text_dim=16),
+    caption_encoder=dataclasses.replace(CAPTION_ENCODER, text_dim=16),
+    optimizer=OPTIMIZER,
+)
 
 
 def windows() -> Windows:
