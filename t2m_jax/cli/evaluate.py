@@ -1,7 +1,8 @@
-"""Measure a model: `t2m evaluate {reconstruction,prompts} --model M [--data DIR] [--json F]`.
+"""Measure a model: `t2m evaluate {reconstruction,generation,prompts} --model M [--data DIR] [--json F]`.
 
-`reconstruction` puts every clip of a split through the VQ-VAE; `prompts` generates from held-out sentences of the
-Bandai-Namco contents and tests each motion against a kinematic rule.
+`reconstruction` puts every clip of a split through the VQ-VAE; `generation` compares motion generated from a split's
+captions with real motion, in the space of an evaluator and by a named protocol; `prompts` generates from held-out
+sentences of the Bandai-Namco contents and tests each motion against a kinematic rule.
 """
 
 import argparse
@@ -21,9 +22,14 @@ LABELS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the options of the command."""
-    parser.add_argument("what", choices=("reconstruction", "prompts"), help="what to measure")
+    parser.add_argument("what", choices=("reconstruction", "generation", "prompts"), help="what to measure")
     parser.add_argument("--model", default="demo", help="bundled name, bundle folder or run folder (default: demo)")
-    parser.add_argument("--data", default=None, metavar="DIR", help="data-set folder (reconstruction)")
+    parser.add_argument("--data", default=None, metavar="DIR", help="data-set folder (not for prompts)")
+    parser.add_argument("--evaluator", default=None, metavar="E", help="evaluator: folder or run (generation)")
+    parser.add_argument("--protocol", default="t2m-gpt", help="t2m-gpt, text-to-motion, momask or strict (generation)")
+    parser.add_argument("--num-repeats", type=int, default=20, help="how often (generation; default: 20)")
+    parser.add_argument("--seed", type=int, default=0, help="of all that is drawn (generation; default: 0)")
+    parser.add_argument("--greedy", action="store_true", help="take the likeliest code, draw none (generation)")
     parser.add_argument("--split", default="test", help="split to measure on (default: test)")
     parser.add_argument("--num-seeds", type=int, default=20, help="samples a content (prompts; default: 20)")
     parser.add_argument("--json", default=None, metavar="F", help="also write the figures to this file")
@@ -35,16 +41,21 @@ def run(args: argparse.Namespace) -> None:
     from t2m_jax.evaluation.reports import check_json_path, save_json
     from t2m_jax.sampling.compilation import use_compilation_cache
 
-    if args.what == "reconstruction" and args.data is None:
-        raise UserError("evaluate reconstruction: --data is missing; give the data-set folder")
+    if args.what != "prompts" and args.data is None:
+        raise UserError(f"evaluate {args.what}: --data is missing; give the data-set folder")
+    if args.what == "generation" and args.evaluator is None:
+        raise UserError("evaluate generation: --evaluator is missing; train one with `t2m train evaluator`")
+    if args.num_repeats < 1:
+        raise UserError(f"evaluate generation: --num-repeats {args.num_repeats} is not a whole number above 0")
     if args.num_seeds < 1:
         raise UserError(f"evaluate prompts: --num-seeds {args.num_seeds} is not a whole number above 0")
     if args.json:
         check_json_path(Path(args.json))
     use_compilation_cache()
-    figures = _reconstruction(args) if args.what == "reconstruction" else _prompts(args)
+    figures = {"reconstruction": _reconstruction, "generation": _generation, "prompts": _prompts}[args.what](args)
     if args.json:
         save_json(Path(args.json), figures)
+        Path(f"{args.json}.partial").unlink(missing_ok=True)
 
 
 def _reconstruction(args: argparse.Namespace) -> dict[str, Any]:
@@ -57,6 +68,37 @@ def _reconstruction(args: argparse.Namespace) -> dict[str, Any]:
         value = getattr(report, name)
         sys.stdout.write(f"{label:32} {value:,.3f}\n" if isinstance(value, float) else f"{label:32} {value:,}\n")
     return report._asdict()
+
+
+def _generation(args: argparse.Namespace) -> dict[str, Any]:
+    from t2m_jax.checkpoints.evaluator import load_evaluator_bundle
+    from t2m_jax.data.folder import open_dataset
+    from t2m_jax.evaluation.generation import Subject, check_fit, evaluate_generation, load_samples
+    from t2m_jax.evaluation.protocols import find_protocol
+    from t2m_jax.evaluation.reports import generation_table
+    from t2m_jax.sampling import Greedy, Temperature, TextToMotion
+
+    protocol, dataset = find_protocol(args.protocol), open_dataset(args.data)
+    evaluator, model = load_evaluator_bundle(args.evaluator), TextToMotion.load(args.model)
+    check_fit(model, evaluator, dataset)
+    strategy = Greedy() if args.greedy else Temperature()
+    samples = load_samples(dataset, args.split)
+    subject = Subject(model, evaluator, samples, protocol, strategy, dataset.info.max_frames, args.seed)
+    header = {
+        "protocol": protocol.name,
+        "model": args.model,
+        "data": dataset.info.name,
+        "split": args.split,
+        "num_samples": len(samples),
+        "evaluator": evaluator.fingerprint,
+        "sampling": "greedy" if args.greedy else "sampled",
+        "seed": args.seed,
+    }
+    partial = Path(f"{args.json}.partial") if args.json else None
+    report = evaluate_generation(subject, num_repeats=args.num_repeats, header=header, partial=partial)
+    sys.stdout.write(", ".join(f"{name} {value}" for name, value in header.items()) + "\n\n")
+    sys.stdout.write(generation_table(report) + "\n")
+    return report
 
 
 def _prompts(args: argparse.Namespace) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Literal
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 Direction = Literal["motions_per_text", "texts_per_motion"]
 
@@ -30,6 +30,7 @@ def r_precision(
     batch: int = 32,
     direction: Direction = "motions_per_text",
     labels: Int[Array, " N"] | None = None,
+    counted: Bool[Array, " N"] | None = None,
 ) -> Float[Array, " K"]:
     """Returns the share of items whose partner is among the 1, 2, ... `top_k` nearest of its batch.
 
@@ -42,6 +43,8 @@ def r_precision(
             their papers describe.
         labels: What an item shows. Candidates of the same label are not counted as errors; without, each pair is its
             own label.
+        counted: Pairs whose rank counts, by default all; the others are candidates alone, as where a set is filled up
+            to whole batches.
 
     Raises:
         ValueError: if the number of pairs is no multiple of `batch`.
@@ -52,7 +55,9 @@ def r_precision(
     owners = jnp.arange(len(text)) if labels is None else labels
     batches = tuple(rows.reshape(-1, batch, *rows.shape[1:]) for rows in (queries, candidates, owners))
     ranks = jax.lax.map(lambda arguments: own_ranks(*arguments), batches).reshape(-1)
-    return jnp.mean(ranks[:, None] < jnp.arange(1, top_k + 1)[None, :], axis=0)
+    weights = jnp.ones(len(ranks)) if counted is None else counted.astype(jnp.float32)
+    hits = ranks[:, None] < jnp.arange(1, top_k + 1)[None, :]
+    return jnp.sum(hits * weights[:, None], axis=0) / jnp.sum(weights)
 
 
 def matching_score(text: Float[Array, "N E"], motion: Float[Array, "N E"]) -> Float[Array, ""]:

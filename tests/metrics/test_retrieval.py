@@ -76,6 +76,15 @@ def test_candidates_of_the_same_label_are_no_errors():
     np.testing.assert_array_equal(r_precision(text, motion, labels=labels), 1.0)
 
 
+def test_candidates_that_fill_up_a_batch_do_not_count():
+    text = embeddings(0, 64)
+    motion = text.at[40:].set(-text[40:])
+    counted = jnp.arange(64) < 40
+    found = r_precision(text, motion, counted=counted)
+    assert found[0] == 1.0
+    assert r_precision(text, motion, counted=~counted)[0] < 0.2
+
+
 def test_incomplete_batches_are_refused():
     with pytest.raises(ValueError, match="33 texts and 33 motions"):
         r_precision(embeddings(0, 33), embeddings(1, 33))
