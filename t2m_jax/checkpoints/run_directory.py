@@ -11,7 +11,7 @@ import orbax.checkpoint as ocp
 
 from t2m_jax.config import UserError, load_config, save_config
 
-RunKind = Literal["vqvae", "gpt"]
+RunKind = Literal["vqvae", "gpt", "evaluator"]
 
 
 @runtime_checkable

@@ -1,6 +1,7 @@
-"""Train a model: `t2m train {vqvae,gpt} CONFIG [--field value]...`; fields are those of the config, dotted.
+"""Train a model: `t2m train {vqvae,gpt,evaluator} CONFIG [--field value]...`; fields are those of the config, dotted.
 
-CONFIG is a YAML file, or a recipe of T2M-GPT by name: `official` or `paper`, for KIT-ML `kit_ml/official` and so on.
+CONFIG is a YAML file or, of vqvae and gpt, a recipe of T2M-GPT by name: `official` or `paper`, for KIT-ML
+`kit_ml/official` and so on.
 `t2m train gpt --diff paper official` shows in what two of them differ.
 """
 
@@ -26,13 +27,14 @@ class _Help(argparse.Action):
 
 def _schema(stage: str) -> type:
     from t2m_jax.train.config import TrainGptConfig, TrainVqVaeConfig
+    from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 
-    return {"vqvae": TrainVqVaeConfig, "gpt": TrainGptConfig}[stage]
+    return {"vqvae": TrainVqVaeConfig, "gpt": TrainGptConfig, "evaluator": TrainEvaluatorConfig}[stage]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the options of the command; what it does not know are fields of the config."""
-    parser.add_argument("stage", choices=("vqvae", "gpt"), help="what to train")
+    parser.add_argument("stage", choices=("vqvae", "gpt", "evaluator"), help="what to train")
     parser.add_argument("config", nargs="?", help="YAML file with what differs from the defaults, or name of a recipe")
     parser.add_argument("--resume", action="store_true", help="go on from the run's newest checkpoint")
     parser.add_argument(
@@ -54,14 +56,17 @@ def run(args: argparse.Namespace) -> None:
     config = override_config(config, args.config_options, prog=f"t2m train {args.stage}")
 
     from t2m_jax.sampling.compilation import use_compilation_cache
+    from t2m_jax.train.run_evaluator import train_evaluator
     from t2m_jax.train.run_gpt import train_gpt
     from t2m_jax.train.run_vqvae import train_vqvae
 
     use_compilation_cache()
     if args.stage == "vqvae":
         train_vqvae(config, resume=args.resume)
-    else:
+    elif args.stage == "gpt":
         train_gpt(config, resume=args.resume)
+    else:
+        train_evaluator(config, resume=args.resume)
     logging.getLogger("t2m_jax").info("done: %s", config.run)
 
 

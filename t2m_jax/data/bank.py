@@ -132,7 +132,12 @@ def cut_windows(bank: MotionBank, clips: Int[Array, " B"], key: PRNGKeyArray, *,
     """
     lengths = bank.lengths[clips]
     offsets = jax.random.randint(key, clips.shape, 0, jnp.maximum(lengths - window, 0) + 1)
-    rows = (bank.starts[clips] + offsets)[:, None] + jnp.arange(window)[None, :]
+    return windows_at(bank, bank.starts[clips] + offsets, lengths, window=window)
+
+
+def windows_at(bank: MotionBank, first_rows: Int[Array, " B"], lengths: Int[Array, " B"], *, window: int) -> Windows:
+    """Returns the first `lengths[b]` of `window` frames from each of the given rows of the bank."""
+    rows = first_rows[:, None] + jnp.arange(window)[None, :]
     mask = jnp.arange(window)[None, :] < lengths[:, None]
     raw = bank.frames.at[rows].get(mode="clip")
     # Without the barrier XLA multiplies by 1 / std, which differs from the division in the last bit.

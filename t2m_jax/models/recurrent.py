@@ -67,7 +67,8 @@ class BiGru(nn.Module):
         The backward direction begins at the last of them. What stands behind has no influence; of a sequence of length
         0 the initial states come back.
         """
-        initial = self.param("initial_state", nn.initializers.normal(1.0), (2, 1, self.features))
+        # Weights read from a file are NumPy's.
+        initial = jnp.asarray(self.param("initial_state", nn.initializers.normal(1.0), (2, 1, self.features)))
         mask = mask_from_lengths(lengths, inputs.shape[1])
         forward = GruDirection(self.features, backward=False, name="forward")(inputs, mask, initial[0])
         backward = GruDirection(self.features, backward=True, name="backward")(inputs, mask, initial[1])

@@ -57,8 +57,11 @@ def run_loop(
     *,
     config: LoopConfig,
     validate: Callable[[State], Mapping[str, float]] | None = None,
+    is_over: Callable[[int], bool] = lambda step: False,
 ) -> State:
-    """Returns the state after `config.num_steps` updates, of which `state` has made some.
+    """Returns the state after `config.num_steps` updates, of which `state` has made some, or after fewer.
+
+    Fewer, where `is_over` of the updates made so far says so, which is asked at the start and after validations.
 
     Logs the mean over the steps since the last row, validates, and writes checkpoints on the way; a checkpoint is never
     written before the losses up to it were seen to be finite.
@@ -67,6 +70,8 @@ def run_loop(
         UserError: on a non-finite loss, naming the step.
     """
     first_step = int(state.step)
+    if is_over(first_step):
+        return state
     checkpoints = Checkpoints(run, keep=config.keep_checkpoints)
     log = MetricLog(run, first_step=first_step)
     history: list[Metrics] = []
@@ -90,12 +95,16 @@ def run_loop(
                     progress.set_postfix(loss=f"{means['loss']:.4f}")
                     logger.info("step %d of %d: %s", step, config.num_steps, _in_words(means))
                     history = []
+                ends_here = False
                 if validate is not None and due(config.validate_every, step):
                     scores = validate(state)
                     log.write("val", step, scores)
                     logger.info("step %d, validation: %s", step, _in_words(scores))
-                if due(config.checkpoint_every, step):
+                    ends_here = is_over(step)
+                if due(config.checkpoint_every, step) or ends_here:
                     checkpoints.save(step, state)
+                if ends_here:
+                    break
     finally:
         log.close()
         checkpoints.close()
