@@ -2,7 +2,8 @@
 
 `reconstruction` puts every clip of a split through the VQ-VAE; `generation` compares motion generated from a split's
 captions with real motion, in the space of an evaluator and by a named protocol; `prompts` generates from held-out
-sentences of the Bandai-Namco contents and tests each motion against a kinematic rule.
+sentences of the Bandai-Namco contents and tests each motion against a kinematic rule. `compare A.json B.json` sets two
+reports of `generation` beside each other.
 """
 
 import argparse
@@ -22,7 +23,9 @@ LABELS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the options of the command."""
-    parser.add_argument("what", choices=("reconstruction", "generation", "prompts"), help="what to measure")
+    kinds = ("reconstruction", "generation", "prompts", "compare")
+    parser.add_argument("what", choices=kinds, help="what to measure")
+    parser.add_argument("reports", nargs="*", metavar="REPORT", help="two reports of generation (compare)")
     parser.add_argument("--model", default="demo", help="bundled name, bundle folder or run folder (default: demo)")
     parser.add_argument("--data", default=None, metavar="DIR", help="data-set folder (not for prompts)")
     parser.add_argument("--evaluator", default=None, metavar="E", help="evaluator: folder or run (generation)")
@@ -41,6 +44,11 @@ def run(args: argparse.Namespace) -> None:
     from t2m_jax.evaluation.reports import check_json_path, save_json
     from t2m_jax.sampling.compilation import use_compilation_cache
 
+    if args.what == "compare":
+        _compare(args)
+        return
+    if args.reports:
+        raise UserError(f"evaluate {args.what}: unknown argument '{args.reports[0]}'")
     if args.what != "prompts" and args.data is None:
         raise UserError(f"evaluate {args.what}: --data is missing; give the data-set folder")
     if args.what == "generation" and args.evaluator is None:
@@ -68,6 +76,16 @@ def _reconstruction(args: argparse.Namespace) -> dict[str, Any]:
         value = getattr(report, name)
         sys.stdout.write(f"{label:32} {value:,.3f}\n" if isinstance(value, float) else f"{label:32} {value:,}\n")
     return report._asdict()
+
+
+def _compare(args: argparse.Namespace) -> None:
+    from t2m_jax.config import UserError
+    from t2m_jax.evaluation.comparison import compare_reports, comparison_table, load_report
+
+    if len(args.reports) != 2:
+        raise UserError(f"evaluate compare: give two reports, not {len(args.reports)}")
+    differences = compare_reports(*(load_report(Path(path)) for path in args.reports))
+    sys.stdout.write(comparison_table([Path(path).stem for path in args.reports], differences) + "\n")
 
 
 def _generation(args: argparse.Namespace) -> dict[str, Any]:

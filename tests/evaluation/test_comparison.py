@@ -1,0 +1,66 @@
+"""Comparing two reports: the paired test, and what does not compare."""
+
+import json
+
+import numpy as np
+import pytest
+
+from t2m_jax.cli.main import main
+from t2m_jax.config import UserError
+from t2m_jax.evaluation.comparison import compare_reports, load_report, sign_test
+
+HEADER = {"protocol": "strict", "data": "d", "split": "test", "num_samples": 64, "evaluator": "abc", "seed": 0}
+
+
+def report(**metrics):
+    return {**HEADER, "rows": {"generated": {name: {"repeats": list(values)} for name, values in metrics.items()}}}
+
+
+def test_the_test_is_exact_for_few_repeats():
+    assert sign_test(np.array([1.0, 2.0, 3.0])) == 2 / 8
+    assert sign_test(np.array([1.0, -1.0])) == 1.0
+    assert sign_test(np.full(10, 0.5)) == 2 / 2**10
+    assert sign_test(np.zeros(5)) == 1.0
+
+
+def test_chance_is_rarely_called_a_difference():
+    generator = np.random.default_rng(1)
+    p_values = [sign_test(generator.normal(size=12)) for _ in range(200)]
+    assert np.mean(np.array(p_values) < 0.05) < 0.1
+    drawn = sign_test(np.r_[generator.normal(1.0, 0.5, 25)])
+    assert drawn < 0.001
+
+
+def test_differences_are_those_of_the_repeats():
+    noise = np.random.default_rng(0).normal(size=12)
+    found = {row.metric: row for row in compare_reports(report(fid=5 + noise, other=noise), report(fid=4.9 + noise))}
+    assert set(found) == {"fid"}
+    assert found["fid"].second - found["fid"].first == pytest.approx(-0.1)
+    assert found["fid"].p_value < 0.001, "the repeats are not taken in pairs"
+
+
+@pytest.mark.parametrize("name", HEADER)
+def test_reports_of_different_kinds_do_not_compare(name):
+    other = report(fid=[1.0, 2.0]) | {name: "other"}
+    with pytest.raises(UserError, match=f"^{name}: .* do not compare"):
+        compare_reports(report(fid=[1.0, 2.0]), other)
+
+
+def test_the_command(tmp_path, capsys):
+    for name, shift in (("a", 0.0), ("b", -0.1)):
+        (tmp_path / f"{name}.json").write_text(json.dumps(report(fid=[5 + shift + n / 7 for n in range(8)])))
+    paths = [str(tmp_path / f"{name}.json") for name in "ab"]
+    assert main(["evaluate", "compare", *paths]) == 0
+    assert "| fid | 5.500 | 5.400 | **-0.100 ± 0.000** | 0.0078 |" in capsys.readouterr().out
+    (tmp_path / "b.json").write_text("[]")
+    assert main(["evaluate", "compare", *paths]) == 2
+    assert "no report of" in capsys.readouterr().err
+    assert main(["evaluate", "compare", paths[0]]) == 2
+    assert "two reports" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("content", ["{", "[]", "{}", '{"rows": 3}', "null"])
+def test_other_files_are_refused(content, tmp_path):
+    (tmp_path / "report.json").write_text(content)
+    with pytest.raises(UserError, match="no report of"):
+        load_report(tmp_path / "report.json")
