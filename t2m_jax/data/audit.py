@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from t2m_jax.config import UserError
 from t2m_jax.data.cache import cache_places, damage, scan_sources
+from t2m_jax.data.caption_notes import caption_notes
 from t2m_jax.data.files import FEATURES, MIRROR_PREFIX, POSITIONS, SPLITS, TEXTS, load_array
 from t2m_jax.data.folder import Dataset, open_dataset
 from t2m_jax.data.texts import Caption, read_captions
@@ -102,9 +103,9 @@ def check_captions(captions: Iterable[Caption], *, seconds: float) -> list[str]:
     return problems
 
 
-def _check_clip(dataset: Dataset, name: str) -> tuple[list[str], int, int]:
-    """Returns the problems of one clip, its number of rows (0 if unreadable) and of captions."""
-    problems, frames, count = [], 0, 0
+def _check_clip(dataset: Dataset, name: str) -> tuple[list[str], int, tuple[Caption, ...]]:
+    """Returns the problems of one clip, its number of rows (0 if unreadable) and its captions."""
+    problems, frames, captions = [], 0, tuple[Caption, ...]()
     try:
         features = dataset.features(name)
         frames = len(features)
@@ -114,13 +115,12 @@ def _check_clip(dataset: Dataset, name: str) -> tuple[list[str], int, int]:
     try:
         captions, broken = read_captions(dataset.folder / TEXTS / f"{name}.txt")
         problems += broken
-        count = len(captions)
         seconds = frames / dataset.info.fps
         if captions or not broken:
             problems += [f"{TEXTS}/{name}.txt: {problem}" for problem in check_captions(captions, seconds=seconds)]
     except UserError as error:
         problems.append(str(error))
-    return problems, frames, count
+    return problems, frames, captions
 
 
 def _count_split(dataset: Dataset, lengths: dict[str, int], captions: int) -> SplitCounts:
@@ -242,19 +242,20 @@ def audit_dataset(folder: str | Path) -> AuditReport:
         except UserError as error:
             problems.append(str(error))
     counts: dict[str, SplitCounts] = {}
+    captions: dict[str, tuple[Caption, ...]] = {}
     for split, names in splits.items():
-        lengths, captions = {}, 0
+        lengths = {}
         for name in names:
-            found, lengths[name], count = _check_clip(dataset, name)
+            found, lengths[name], captions[name] = _check_clip(dataset, name)
             problems += found
-            captions += count
-        counts[split] = _count_split(dataset, lengths, captions)
+        counts[split] = _count_split(dataset, lengths, sum(len(captions[name]) for name in names))
     everything = {name for names in splits.values() for name in names}
     problems += check_overlap(splits) + check_statistics(dataset, splits)
     problems += _find_orphans(dataset, everything) + _check_positions(dataset, sorted(everything))
     problems += _check_cache(dataset)
     info, outside = dataset.info, sum(count.out_of_range for count in counts.values())
     notes = [f"{outside} clips outside {info.min_frames} to {info.max_frames} frames"] if outside else []
+    notes += caption_notes(captions, training=splits.get("train", ()))
     return AuditReport(
         folder=str(folder),
         name=info.name,

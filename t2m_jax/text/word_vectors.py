@@ -20,6 +20,8 @@ logger = logging.getLogger(__name__)
 START, END, UNKNOWN = "sos", "eos", "unk"
 MAX_WORDS = 20
 """Words of a caption that are read; what stands behind is cut."""
+MIN_COUNT = 3
+"""How often training captions must use a word, unless said otherwise, for an own vocabulary to have it."""
 TEXT_LENGTH = MAX_WORDS + 2
 """Words in an array: start, caption, end."""
 

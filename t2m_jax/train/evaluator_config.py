@@ -6,6 +6,7 @@ from typing import Literal
 
 from t2m_jax.config import check_sizes
 from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT, EvaluatorConfig
+from t2m_jax.text.word_vectors import MIN_COUNT
 from t2m_jax.train.config import LoopConfig, check_fraction
 from t2m_jax.train.schedules import OptimizerConfig
 
@@ -28,7 +29,7 @@ class TrainEvaluatorConfig:
     """Sizes; `num_words` is set to what the vocabulary has."""
     words: Path | None = None
     """Word list, one a line; by default the words of the training captions."""
-    min_count: int = 3
+    min_count: int = MIN_COUNT
     """How often a word must stand in the training captions to be one of the vocabulary."""
     word_vectors: Path | None = None
     """Word vectors that are left as they are: a GloVe file, or a table (.npy) of the word list. By default they are
