@@ -97,6 +97,11 @@ def _validate_movements(
     return movement_metrics(state.params, windows, None, config=config)
 
 
+def _step_config(config: TrainEvaluatorConfig) -> TrainEvaluatorConfig:
+    """Returns a config with everything at one value that does not change what a step computes (see `computation`)."""
+    return dataclasses.replace(computation(config), words=None, min_count=1, movement_steps=1, patience=0)
+
+
 def _shift(config: TrainEvaluatorConfig, stream: str, step: Int[Array, ""]) -> Int[Array, ""]:
     """Returns how far a step's negatives are; 0 is among what the original draws, B - 1 is not."""
     key = jax.random.fold_in(stream_key(config.loop.seed, stream), step)
@@ -130,7 +135,7 @@ def _means(validate: Callable[[Array], Metrics], num_batches: int) -> dict[str, 
 
 def train_movements(config: TrainEvaluatorConfig, data: EvaluatorData, *, resume: bool) -> Any:
     """Returns the trained weights of the movement encoder."""
-    run, compiled = config.run / MOVEMENT_FOLDER, computation(config)
+    run, compiled = config.run / MOVEMENT_FOLDER, _step_config(config)
     state = init_movement_state(compiled, stream_key(config.loop.seed, "movements"))
     if resume:
         state = restore_latest(run, state)
@@ -152,7 +157,7 @@ def _movement_validation(
     clips = [clip for clip in data.validation if len(clip.features) >= config.window]
     if not clips:
         return None
-    bank, compiled = make_bank(clips, data.normalizer), computation(config)
+    bank, compiled = make_bank(clips, data.normalizer), _step_config(config)
     num_batches = max(len(clips) // config.movement_batch_size, 1)
     return lambda state: _means(lambda batch: _validate_movements(state, bank, batch, config=compiled), num_batches)
 
@@ -167,7 +172,7 @@ def _matching_validation(
     """Returns a function from state to mean metrics that also keeps the best weights; None without samples."""
     if not samples:
         return None
-    bank, compiled = make_caption_bank(samples, data.normalizer, vocabulary), computation(config)
+    bank, compiled = make_caption_bank(samples, data.normalizer, vocabulary), _step_config(config)
     num_batches = max(len(samples) // config.loop.batch_size, 1)
     measure = functools.partial(_validate_matching, config=compiled, max_frames=data.max_frames)
 
@@ -214,7 +219,7 @@ def train_evaluator(config: TrainEvaluatorConfig, *, resume: bool = False) -> Ma
     word_vectors = _word_vectors(config, vocabulary)
     bank = make_caption_bank(samples, data.normalizer, vocabulary)
     sized = dataclasses.replace(config, model=dataclasses.replace(config.model, num_words=len(vocabulary)))
-    compiled = computation(sized)
+    compiled = _step_config(sized)
     if not resume:
         save_evaluator_parts(config.run, sized.model, data.normalizer, vocabulary)
         create_run(config.run, "evaluator", config)

@@ -155,13 +155,10 @@ def test_movements_are_trained_and_then_left_alone(finished):
     assert rows["step"].tolist() == [3, 4]
 
 
-def test_the_same_seed_gives_the_same_bits_and_another_does_not(data, finished, tmp_path):
+def test_the_same_seed_gives_the_same_bits(data, finished, tmp_path):
     train_evaluator(training(data, tmp_path / "again"))
     assert texts(tmp_path / "again") == texts(finished)
     assert_same_checkpoint(tmp_path / "again", finished)
-    other = training(data, tmp_path / "other", loop=dataclasses.replace(LOOP, seed=6))
-    train_evaluator(other)
-    assert texts(tmp_path / "other")["weights.safetensors"] != texts(finished)["weights.safetensors"]
 
 
 @pytest.mark.parametrize(("name", "stop"), [("update_movements", 3), ("update", 3), ("update", 7)])
