@@ -17,11 +17,11 @@ from t2m_jax.models.evaluator import Evaluator, EvaluatorConfig
 from t2m_jax.models.motion_gpt import MotionGpt
 from t2m_jax.models.vqvae import VqVae
 from t2m_jax.motion.normalizer import Normalizer
-from t2m_jax.sampling.decoding import DecodedCodes, decode_codes
+from t2m_jax.sampling.decoding import CHUNK, DecodedCodes, decode_codes
 from t2m_jax.sampling.pipeline import TextToMotion
 from t2m_jax.sampling.strategies import Strategy
 
-CODE_BATCH, MOTION_BATCH = 256, 128
+CODE_BATCH, MOTION_BATCH = 128, 128
 """Motions whose codes are drawn at a time, and that are decoded and embedded at a time."""
 FRAME_BUCKET = 32
 """Batches of motion are as long as their longest, rounded up to this, so that few lengths are compiled."""
@@ -45,7 +45,7 @@ def _batches(count: int, size: int) -> list[np.ndarray]:
             for first in range(0, count, size)]  # fmt: skip
 
 
-@functools.partial(jax.jit, static_argnames=("config", "strategy", "forced"))
+@functools.partial(jax.jit, static_argnames=("config", "strategy", "min_codes", "max_codes"))
 def draw_codes(
     variables: Any,
     text_embedding: Float[Array, "B E"],
@@ -53,10 +53,11 @@ def draw_codes(
     *,
     config: BundleConfig,
     strategy: Strategy,
-    forced: bool,
+    min_codes: int,
+    max_codes: int,
 ) -> DecodedCodes:
-    """Returns codes for text embeddings; `forced` goes on to the longest length, for lengths that are given."""
-    gpt, max_codes = MotionGpt(config.gpt), config.gpt.max_codes
+    """Returns codes for text embeddings, by cached decoding in one program."""
+    gpt = MotionGpt(config.gpt)
     return decode_codes(
         lambda text: gpt.apply(variables, text, method="prefill"),
         lambda tokens, caches, step: gpt.apply(variables, tokens, caches, step, method="decode_step"),
@@ -64,7 +65,7 @@ def draw_codes(
         keys,
         strategy=strategy,
         max_codes=max_codes,
-        min_codes=max_codes if forced else 0,
+        min_codes=min_codes,
     )
 
 
@@ -76,22 +77,36 @@ def generate_codes(
     strategy: Strategy,
     lengths: Int[np.ndarray, " B"] | None,
 ) -> GeneratedCodes:
-    """Returns codes of one motion a row, until the model ends them or, with `lengths` (frames), as long as those."""
-    config = model.config
-    codes = np.zeros((len(text_embedding), config.gpt.max_codes), np.int32)
+    """Returns codes of one motion a row, until the model ends them or, with `lengths` (frames), as long as those.
+
+    Most motions are short, and a batch takes as long as its longest: all are drawn up to half the length first, and
+    those that have not ended once more as a whole. As they depend on text and key alone they begin as they did.
+    """
+    config, longest = model.config, model.config.gpt.max_codes
+    codes = np.zeros((len(text_embedding), longest), np.int32)
     code_lengths = np.zeros(len(text_embedding), np.int32)
-    for rows in _batches(len(text_embedding), CODE_BATCH):
-        drawn = draw_codes(
-            model.variables["gpt"],
-            jnp.asarray(text_embedding[rows]),
-            keys[rows],
-            config=config,
-            strategy=strategy,
-            forced=lengths is not None,
-        )
-        codes[rows], code_lengths[rows] = np.asarray(drawn.codes), np.asarray(drawn.code_lengths)
+
+    def draw(chosen: Int[np.ndarray, " C"], *, min_codes: int, max_codes: int) -> None:
+        for batch in _batches(len(chosen), CODE_BATCH):
+            rows = chosen[batch]
+            drawn = draw_codes(
+                model.variables["gpt"],
+                jnp.asarray(text_embedding[rows]),
+                keys[rows],
+                config=config,
+                strategy=strategy,
+                min_codes=min_codes,
+                max_codes=max_codes,
+            )
+            codes[rows, :max_codes], code_lengths[rows] = np.asarray(drawn.codes), np.asarray(drawn.code_lengths)
+
     if lengths is not None:
-        code_lengths = np.clip(lengths // config.vqvae.downsample, 1, config.gpt.max_codes).astype(np.int32)
+        draw(np.arange(len(codes)), min_codes=longest, max_codes=longest)
+        code_lengths = np.clip(lengths // config.vqvae.downsample, 1, longest).astype(np.int32)
+    else:
+        half = max(longest // 2 // CHUNK * CHUNK, 1)
+        draw(np.arange(len(codes)), min_codes=0, max_codes=half)
+        draw(np.flatnonzero(code_lengths == half), min_codes=0, max_codes=longest)
     codes[code_lengths == 0, 0] = EMPTY_CODE
     return GeneratedCodes(codes, np.maximum(code_lengths, 1))
 

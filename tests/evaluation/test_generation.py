@@ -16,6 +16,7 @@ from t2m_jax.config import UserError
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.synthetic import write_synthetic_dataset
 from t2m_jax.evaluation import generation
+from t2m_jax.evaluation.embedding import draw_codes
 from t2m_jax.evaluation.generation import Subject, check_fit, evaluate_generation, load_samples, summarize
 from t2m_jax.evaluation.protocols import SAMPLES_A_CAPTION, find_protocol, make_plan
 from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
@@ -117,6 +118,22 @@ def test_lengths_can_be_those_of_real_motion(subject):
         lengths=np.array([40, 164, 400]),
     )
     np.testing.assert_array_equal(codes.code_lengths, [10, 40, 40])
+
+
+def test_motions_drawn_in_two_passes_are_those_of_one(subject):
+    generator = np.random.default_rng(0)
+    text = generator.normal(size=(40, 12)).astype(np.float32)
+    keys = generation.sample_keys(jax.random.key(5), jnp.arange(40), jnp.arange(40))
+    found = generation.generate_codes(subject.model, text, keys, strategy=Temperature(), lengths=None)
+    longest = subject.model.config.gpt.max_codes
+    whole = draw_codes(
+        subject.model.variables["gpt"], jnp.asarray(text), keys, config=subject.model.config, strategy=Temperature(),
+        min_codes=0, max_codes=longest,
+    )  # fmt: skip
+    lengths = np.asarray(whole.code_lengths)
+    assert lengths.min() < longest // 2 < lengths.max(), "one pass alone was made"
+    np.testing.assert_array_equal(found.code_lengths, np.maximum(lengths, 1))
+    np.testing.assert_array_equal(found.codes[lengths > 0], np.asarray(whole.codes)[lengths > 0])
 
 
 def test_strict_counts_every_caption(subject, evaluator):
