@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from t2m_jax.checkpoints.evaluator import TrainedEvaluator
 from t2m_jax.config import UserError
+from t2m_jax.data.caption_bank import caption_tokens
 from t2m_jax.data.folder import Clip, Dataset, samples_from_clip
 from t2m_jax.evaluation.embedding import embed_captions, embed_generated, embed_real, generate_codes
 from t2m_jax.evaluation.protocols import BATCH, SAMPLES_A_CAPTION, Plan, Protocol, make_plan
@@ -22,7 +23,6 @@ from t2m_jax.metrics import diversity, fid, matching_score, multimodality, r_pre
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.sampling.pipeline import TextToMotion
 from t2m_jax.sampling.strategies import Strategy
-from t2m_jax.text.word_vectors import tokens_from_text
 
 logger = logging.getLogger(__name__)
 
@@ -107,7 +107,7 @@ def evaluate_repeat(subject: Subject, texts: Float[np.ndarray, "Q E"], index: di
     """
     plan = make_plan(subject.samples, subject.protocol, seed=subject.seed, repeat=repeat)
     captions = [subject.samples[owner].captions[caption] for owner, caption in zip(*plan[:2], strict=True)]
-    text = embed_captions(subject.evaluator, [caption.tokens or tokens_from_text(caption.text) for caption in captions])
+    text = embed_captions(subject.evaluator, [caption_tokens(caption) for caption in captions])
     real = _real(subject, plan)
     items, numbers = _rows_of(plan, subject.protocol)
     generated = _generated(subject, plan, texts[[index[caption.text] for caption in captions]], items, numbers, repeat)

@@ -8,16 +8,19 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
 from t2m_jax.config import UserError
+from t2m_jax.data.caption_bank import SHORTER_CHANCE, used_lengths
 from t2m_jax.data.folder import Clip
+from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT
 
 BATCH = 32
 """Pairs that texts and motions are ranked among."""
-UNIT = 4
-"""Frames a movement token of the evaluator covers; lengths are multiples of it."""
+UNIT = FRAMES_PER_MOVEMENT
+"""Lengths are multiples of it."""
 SAMPLES_A_CAPTION = 30
 """Motions generated for a caption whose variety is measured."""
 MULTIMODALITY_PAIRS = 10
@@ -112,8 +115,8 @@ def make_plan(samples: Sequence[Clip], protocol: Protocol, *, seed: int, repeat:
         raise UserError(f"protocol {protocol.name}: {len(owners)} motions with captions do not fill a batch of {BATCH}")
     owners, captions = owners[:count], captions[:count]
     frames = np.array([len(samples[owner].features) for owner in owners])
-    shorter = generator.random(count) < 1 / 3 if protocol.crops else np.zeros(count, bool)
-    lengths = crop_lengths(frames, shorter)
+    shorter = generator.random(count) < SHORTER_CHANCE if protocol.crops else np.zeros(count, bool)
+    lengths = np.asarray(used_lengths(jnp.asarray(frames), jnp.asarray(shorter), unit=UNIT))
     starts = generator.integers(0, frames - lengths + 1) if protocol.crops else np.zeros(count, np.int64)
     varied = min(protocol.multimodality_captions or count, count)
     pairs = DIVERSITY_PAIRS if count > DIVERSITY_PAIRS else min(FEW_DIVERSITY_PAIRS, count - 1)
@@ -126,12 +129,6 @@ def make_plan(samples: Sequence[Clip], protocol: Protocol, *, seed: int, repeat:
         _pairs(generator, count, pairs),
         _pairs(generator, SAMPLES_A_CAPTION, MULTIMODALITY_PAIRS),
     )
-
-
-def crop_lengths(frames: Int[np.ndarray, " N"], shorter: np.ndarray) -> Int[np.ndarray, " N"]:
-    """Returns lengths in whole units, one unit less where `shorter`; a motion keeps at least one."""
-    units = frames // UNIT - shorter
-    return UNIT * np.maximum(units, 1)
 
 
 def _items(

@@ -6,7 +6,7 @@ import pytest
 from t2m_jax.config import UserError
 from t2m_jax.data.folder import Clip
 from t2m_jax.data.texts import Caption
-from t2m_jax.evaluation.protocols import BATCH, PROTOCOLS, crop_lengths, find_protocol, make_plan
+from t2m_jax.evaluation.protocols import BATCH, PROTOCOLS, find_protocol, make_plan
 
 
 def make_samples(count):
@@ -26,13 +26,6 @@ SAMPLES = make_samples(413)
 
 def plan(name, *, samples=SAMPLES, seed=1, repeat=0):
     return make_plan(samples, find_protocol(name), seed=seed, repeat=repeat)
-
-
-def test_golden_length_rule(golden_dir):
-    arrays = np.load(golden_dir / "evaluation" / "length_rule.npz")
-    frames = arrays["length"]
-    np.testing.assert_array_equal(crop_lengths(frames, np.zeros(len(frames), bool)), arrays["single_unit4"])
-    np.testing.assert_array_equal(crop_lengths(frames, np.ones(len(frames), bool)), arrays["double_unit4"])
 
 
 @pytest.mark.parametrize("name", ["t2m-gpt", "text-to-motion", "momask"])
