@@ -14,11 +14,10 @@ from t2m_jax.checkpoints.evaluator import TrainedEvaluator
 from t2m_jax.data.folder import Clip
 from t2m_jax.masks import mask_from_lengths
 from t2m_jax.models.evaluator import Evaluator, EvaluatorConfig
-from t2m_jax.models.motion_gpt import MotionGpt
 from t2m_jax.models.vqvae import VqVae
 from t2m_jax.motion.normalizer import Normalizer
-from t2m_jax.sampling.decoding import CHUNK, DecodedCodes, decode_codes
-from t2m_jax.sampling.pipeline import TextToMotion
+from t2m_jax.sampling.decoding import CHUNK
+from t2m_jax.sampling.pipeline import TextToMotion, generate_codes
 from t2m_jax.sampling.strategies import Strategy
 
 CODE_BATCH, MOTION_BATCH = 128, 128
@@ -45,31 +44,7 @@ def _batches(count: int, size: int) -> list[np.ndarray]:
             for first in range(0, count, size)]  # fmt: skip
 
 
-@functools.partial(jax.jit, static_argnames=("config", "strategy", "min_codes", "max_codes"))
-def draw_codes(
-    variables: Any,
-    text_embedding: Float[Array, "B E"],
-    keys: Key[Array, " B"],
-    *,
-    config: BundleConfig,
-    strategy: Strategy,
-    min_codes: int,
-    max_codes: int,
-) -> DecodedCodes:
-    """Returns codes for text embeddings, by cached decoding in one program."""
-    gpt = MotionGpt(config.gpt)
-    return decode_codes(
-        lambda text: gpt.apply(variables, text, method="prefill"),
-        lambda tokens, caches, step: gpt.apply(variables, tokens, caches, step, method="decode_step"),
-        text_embedding,
-        keys,
-        strategy=strategy,
-        max_codes=max_codes,
-        min_codes=min_codes,
-    )
-
-
-def generate_codes(
+def generate_many(
     model: TextToMotion,
     text_embedding: Float[np.ndarray, "B E"],
     keys: Key[Array, " B"],
@@ -89,8 +64,8 @@ def generate_codes(
     def draw(chosen: Int[np.ndarray, " C"], *, min_codes: int, max_codes: int) -> None:
         for batch in _batches(len(chosen), CODE_BATCH):
             rows = chosen[batch]
-            drawn = draw_codes(
-                model.variables["gpt"],
+            drawn = generate_codes(
+                model.variables,
                 jnp.asarray(text_embedding[rows]),
                 keys[rows],
                 config=config,

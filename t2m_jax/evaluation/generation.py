@@ -16,7 +16,7 @@ from t2m_jax.checkpoints.evaluator import TrainedEvaluator
 from t2m_jax.config import UserError
 from t2m_jax.data.caption_bank import caption_tokens
 from t2m_jax.data.folder import Clip, Dataset, samples_from_clip
-from t2m_jax.evaluation.embedding import embed_captions, embed_generated, embed_real, generate_codes
+from t2m_jax.evaluation.embedding import embed_captions, embed_generated, embed_real, generate_many
 from t2m_jax.evaluation.protocols import BATCH, SAMPLES_A_CAPTION, Plan, Protocol, make_plan
 from t2m_jax.evaluation.reports import save_json
 from t2m_jax.metrics import diversity, fid, matching_score, multimodality, r_precision
@@ -136,7 +136,7 @@ def _generated(
     """Returns the embeddings of all generated motions; each depends on seed, repeat, caption and number alone."""
     key = jax.random.fold_in(jax.random.key(subject.seed), repeat)
     forced = subject.protocol.generated_length == "real"
-    codes = generate_codes(
+    codes = generate_many(
         subject.model,
         texts[items],
         sample_keys(key, jnp.asarray(items), jnp.asarray(numbers)),

@@ -44,7 +44,7 @@ def sample_key(seed: int, caption: str, sample: int) -> Key[Array, ""]:
     return jax.random.fold_in(key, sample)
 
 
-@functools.partial(jax.jit, static_argnames=("config", "strategy", "max_codes"))
+@functools.partial(jax.jit, static_argnames=("config", "strategy", "min_codes", "max_codes"))
 def generate_codes(
     variables: dict[str, Any],
     text_embedding: Float[Array, "B E"],
@@ -52,6 +52,7 @@ def generate_codes(
     *,
     config: BundleConfig,
     strategy: Strategy,
+    min_codes: int,
     max_codes: int,
 ) -> DecodedCodes:
     """Returns codes for text embeddings, by cached decoding in one program."""
@@ -63,7 +64,7 @@ def generate_codes(
         keys,
         strategy=strategy,
         max_codes=max_codes,
-        min_codes=1,
+        min_codes=min_codes,
     )
 
 
@@ -171,6 +172,7 @@ class TextToMotion:
             jnp.stack([sample_key(seed, text, sample) for text, sample in filled]),
             config=self.config,
             strategy=strategy,
+            min_codes=1,
             max_codes=max_codes,
         )
         batch = decode_motion(

@@ -16,11 +16,11 @@ from t2m_jax.config import UserError
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.synthetic import write_synthetic_dataset
 from t2m_jax.evaluation import generation
-from t2m_jax.evaluation.embedding import draw_codes
 from t2m_jax.evaluation.generation import Subject, check_fit, evaluate_generation, load_samples, summarize
 from t2m_jax.evaluation.protocols import SAMPLES_A_CAPTION, find_protocol, make_plan
 from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
 from t2m_jax.sampling import TextToMotion
+from t2m_jax.sampling.pipeline import generate_codes
 from t2m_jax.sampling.strategies import Temperature
 from t2m_jax.text.word_vectors import vocabulary_from_captions
 from tests.tiny import random_bundle, random_variables, walking_normalizer
@@ -110,7 +110,7 @@ def test_only_samples_that_count_are_made(subject):
 
 
 def test_lengths_can_be_those_of_real_motion(subject):
-    codes = generation.generate_codes(
+    codes = generation.generate_many(
         subject.model,
         np.zeros((3, 12), np.float32),
         generation.sample_keys(jax.random.key(0), jnp.arange(3), jnp.arange(3)),
@@ -124,10 +124,10 @@ def test_motions_drawn_in_two_passes_are_those_of_one(subject):
     generator = np.random.default_rng(0)
     text = generator.normal(size=(40, 12)).astype(np.float32)
     keys = generation.sample_keys(jax.random.key(5), jnp.arange(40), jnp.arange(40))
-    found = generation.generate_codes(subject.model, text, keys, strategy=Temperature(), lengths=None)
+    found = generation.generate_many(subject.model, text, keys, strategy=Temperature(), lengths=None)
     longest = subject.model.config.gpt.max_codes
-    whole = draw_codes(
-        subject.model.variables["gpt"], jnp.asarray(text), keys, config=subject.model.config, strategy=Temperature(),
+    whole = generate_codes(
+        subject.model.variables, jnp.asarray(text), keys, config=subject.model.config, strategy=Temperature(),
         min_codes=0, max_codes=longest,
     )  # fmt: skip
     lengths = np.asarray(whole.code_lengths)

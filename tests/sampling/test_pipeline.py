@@ -130,7 +130,7 @@ def test_jit_equals_eager(bundle, model):
 
     def both():
         text = model.text_encoder(CAPTIONS[:2])
-        decoded = generate_codes(variables, text, keys, config=BUNDLE, strategy=Temperature(), max_codes=6)
+        decoded = generate_codes(variables, text, keys, config=BUNDLE, strategy=Temperature(), min_codes=1, max_codes=6)
         return decoded, decode_motion(variables, statistics, decoded.codes, decoded.code_lengths, config=BUNDLE)
 
     jitted = both()
