@@ -76,14 +76,20 @@ class TrainedClip(NamedTuple):
     """Tells this model's embeddings from those of any other."""
 
 
-def load_clip(name_or_folder: str | Path) -> TrainedClip:
+def load_clip(name_or_folder: str | Path, *, text_dim: int | None = None) -> TrainedClip:
     """Returns the text tower of a CLIP, from a folder or by a hub name such as `openai/clip-vit-base-patch32`.
 
+    Args:
+        name_or_folder: Where it is.
+        text_dim: Width of the embeddings that a GPT reads, where there is one.
+
     Raises:
-        UserError: if it cannot be found, or a file is missing, damaged or does not fit the others.
+        UserError: if it cannot be found, is of another width, or a file is missing, damaged or does not fit the others.
     """
     folder = find_clip(name_or_folder)
     config = _load_config(folder)
+    if text_dim not in (None, config.text_dim):
+        raise UserError(f"{name_or_folder}: embeddings of {config.text_dim} numbers, but the GPT wants {text_dim}")
     tokenizer = load_clip_tokenizer(folder)
     _check_tokenizer(folder, config, tokenizer)
     path, arrays = read_text_arrays(folder)

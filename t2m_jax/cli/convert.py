@@ -81,14 +81,9 @@ def _convert(args: argparse.Namespace) -> None:
 def _with_clip(bundle: "Bundle", name_or_folder: str | None) -> "tuple[Bundle, TrainedClip | None]":
     """Returns the model with its text encoder named, and that itself where it is to be copied."""
     from t2m_jax.checkpoints.clip import load_clip
-    from t2m_jax.config import UserError
 
     if name_or_folder is None:
         return bundle, None
     if not Path(name_or_folder).is_dir():
         return bundle._replace(config=dataclasses.replace(bundle.config, clip=name_or_folder)), None
-    clip = load_clip(name_or_folder)
-    if clip.config.text_dim != bundle.config.gpt.text_dim:
-        wanted = bundle.config.gpt.text_dim
-        raise UserError(f"{name_or_folder}: embeddings of {clip.config.text_dim} numbers, but the GPT wants {wanted}")
-    return bundle, clip
+    return bundle, load_clip(name_or_folder, text_dim=bundle.config.gpt.text_dim)

@@ -38,7 +38,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("config", nargs="?", help="YAML file with what differs from the defaults, or name of a recipe")
     parser.add_argument("--resume", action="store_true", help="go on from the run's newest checkpoint")
     parser.add_argument(
-        "--diff", nargs=2, metavar=("A", "B"), help="show in what two configs or recipes differ, and train nothing"
+        "--diff",
+        nargs=2,
+        metavar=("A", "B"),
+        help="show in what two configs or recipes differ; CONFIG is left out, nothing is trained",
     )
     parser.add_argument("-h", "--help", nargs=0, action=_Help, help="show this (after a stage: all fields) and exit")
 

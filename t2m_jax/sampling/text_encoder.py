@@ -11,7 +11,6 @@ from tokenizers import Tokenizer
 
 from t2m_jax.checkpoints.bundle import Bundle
 from t2m_jax.checkpoints.clip import load_clip
-from t2m_jax.config import UserError
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
 from t2m_jax.sampling.clip_text_encoder import ClipTextEncoder
 from t2m_jax.text.encoder import TextEncoder
@@ -55,9 +54,4 @@ def make_text_encoder(bundle: Bundle) -> TextEncoder:
     if bundle.tokenizer is not None:
         variables = jax.device_put(bundle.variables["caption_encoder"])
         return CaptionTextEncoder(config.caption_encoder, variables, bundle.tokenizer)
-    clip = load_clip(config.clip)
-    if clip.config.text_dim != config.gpt.text_dim:
-        raise UserError(
-            f"{config.clip}: gives {clip.config.text_dim} numbers a caption, the GPT reads {config.gpt.text_dim}"
-        )
-    return ClipTextEncoder(clip, cache=None)
+    return ClipTextEncoder(load_clip(config.clip, text_dim=config.gpt.text_dim))

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
@@ -48,6 +49,12 @@ def mean_metrics(history: list[Metrics], *, first_step: int) -> dict[str, float]
                 "or look at the data with `t2m data check`; checkpoints before this step are kept"
             )
     return {name: float(np.mean([metrics[name] for metrics in values])) for name in values[0]}
+
+
+def mean_over_batches(measure: Callable[[jax.Array], Metrics], num_batches: int) -> dict[str, float]:
+    """Returns the mean of each metric over the batches 0, 1, ... that `measure` looks at."""
+    fetched = jax.device_get([measure(jnp.array(batch)) for batch in range(num_batches)])
+    return {name: float(np.mean([metrics[name] for metrics in fetched])) for name in fetched[0]}
 
 
 def run_loop(

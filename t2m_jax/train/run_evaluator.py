@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Int
 
 from t2m_jax.checkpoints.evaluator import WORDS_FILE, save_evaluator_parts
@@ -34,7 +33,7 @@ from t2m_jax.train.evaluator import (
     movement_train_step,
 )
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
-from t2m_jax.train.loop import Metrics, run_loop
+from t2m_jax.train.loop import Metrics, mean_over_batches, run_loop
 from t2m_jax.train.resume import check_start
 from t2m_jax.train.streams import stream_key
 
@@ -127,12 +126,6 @@ def _validate_matching(
     return matching_metrics(state.params, batch, _shift(config, "validation shift", step), config=config)
 
 
-def _means(validate: Callable[[Array], Metrics], num_batches: int) -> dict[str, float]:
-    """Returns the mean of each metric over some batches."""
-    fetched = jax.device_get([validate(jnp.array(batch)) for batch in range(num_batches)])
-    return {name: float(np.mean([metrics[name] for metrics in fetched])) for name in fetched[0]}
-
-
 def train_movements(config: TrainEvaluatorConfig, data: EvaluatorData, *, resume: bool) -> Any:
     """Returns the trained weights of the movement encoder."""
     run, compiled = config.run / MOVEMENT_FOLDER, _step_config(config)
@@ -159,7 +152,9 @@ def _movement_validation(
         return None
     bank, compiled = make_bank(clips, data.normalizer), _step_config(config)
     num_batches = max(len(clips) // config.movement_batch_size, 1)
-    return lambda state: _means(lambda batch: _validate_movements(state, bank, batch, config=compiled), num_batches)
+    return lambda state: mean_over_batches(
+        lambda batch: _validate_movements(state, bank, batch, config=compiled), num_batches
+    )
 
 
 def _matching_validation(
@@ -177,7 +172,7 @@ def _matching_validation(
     measure = functools.partial(_validate_matching, config=compiled, max_frames=data.max_frames)
 
     def validate(state: MatchingState) -> Mapping[str, float]:
-        scores = _means(lambda batch: measure(state, bank, batch), num_batches)
+        scores = mean_over_batches(lambda batch: measure(state, bank, batch), num_batches)
         best.see(int(state.step), scores["loss"], state.params)
         return scores
 

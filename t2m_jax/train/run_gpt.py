@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int, Key
 from tokenizers import Tokenizer
@@ -23,7 +22,7 @@ from t2m_jax.text.embedding_cache import EmbeddingCache
 from t2m_jax.text.tokenization import load_tokenizer, save_tokenizer, tokenize, train_tokenizer
 from t2m_jax.train.config import TrainGptConfig, computation
 from t2m_jax.train.gpt import GptBatch, GptState, gpt_train_step, gpt_validation_step, init_gpt_state
-from t2m_jax.train.loop import Metrics, run_loop
+from t2m_jax.train.loop import Metrics, mean_over_batches, run_loop
 from t2m_jax.train.resume import check_start
 from t2m_jax.train.run_vqvae import check_feature_dim
 from t2m_jax.train.streams import stream_key
@@ -106,9 +105,7 @@ def make_caption_reader(config: TrainGptConfig, tokenizer: Tokenizer | None) -> 
     if tokenizer is not None:
         max_length = config.caption_encoder.max_length
         return CaptionReader(lambda captions: tokenize(tokenizer, captions, max_length=max_length), tokenizer)
-    clip = load_clip(config.clip)
-    if clip.config.text_dim != config.model.text_dim:
-        raise UserError(f"model.text_dim: {config.model.text_dim}, but {config.clip} gives {clip.config.text_dim}")
+    clip = load_clip(config.clip, text_dim=config.model.text_dim)
     return CaptionReader(ClipTextEncoder(clip, cache=EmbeddingCache()), None)
 
 
@@ -149,12 +146,9 @@ def _make_validation(
     compiled = computation(config)
     num_batches = max(bank.codes.shape[0] // config.loop.batch_size, 1)
 
-    def validate(state: GptState) -> Mapping[str, float]:
-        results = [_validation_batch(state, bank, jnp.array(step), config=compiled) for step in range(num_batches)]
-        fetched = jax.device_get(results)
-        return {name: float(np.mean([metrics[name] for metrics in fetched])) for name in fetched[0]}
-
-    return validate
+    return lambda state: mean_over_batches(
+        lambda batch: _validation_batch(state, bank, batch, config=compiled), num_batches
+    )
 
 
 def train_gpt(config: TrainGptConfig, *, resume: bool = False) -> GptState:

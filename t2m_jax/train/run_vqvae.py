@@ -4,7 +4,6 @@ import functools
 from collections.abc import Callable, Mapping
 
 import jax
-import numpy as np
 
 from t2m_jax.checkpoints.run_directory import create_run, restore_latest
 from t2m_jax.checkpoints.vqvae import VQVAE_CONFIG
@@ -13,7 +12,7 @@ from t2m_jax.data.bank import MotionBank, batch_at, make_bank
 from t2m_jax.data.folder import Dataset, open_dataset
 from t2m_jax.motion.normalizer import Normalizer, save_normalizer, weighted_normalizer
 from t2m_jax.train.config import TrainVqVaeConfig, computation
-from t2m_jax.train.loop import Metrics, run_loop
+from t2m_jax.train.loop import Metrics, mean_over_batches, run_loop
 from t2m_jax.train.resume import check_start
 from t2m_jax.train.streams import stream_key
 from t2m_jax.train.vqvae import VqVaeState, init_vqvae_state, vqvae_train_step, vqvae_validation_step
@@ -55,12 +54,9 @@ def _make_validation(
     compiled = computation(config)
     num_batches = max(len(clips) // config.loop.batch_size, 1)
 
-    def validate(state: VqVaeState) -> Mapping[str, float]:
-        results = [_validation_batch(state, bank, jax.numpy.array(i), config=compiled) for i in range(num_batches)]
-        fetched = jax.device_get(results)
-        return {name: float(np.mean([metrics[name] for metrics in fetched])) for name in fetched[0]}
-
-    return validate
+    return lambda state: mean_over_batches(
+        lambda batch: _validation_batch(state, bank, batch, config=compiled), num_batches
+    )
 
 
 def train_vqvae(config: TrainVqVaeConfig, *, resume: bool = False) -> VqVaeState:
