@@ -14,6 +14,7 @@ from t2m_jax.data.captions import Labels, write_captions
 from t2m_jax.data.contents import CONTENTS
 from t2m_jax.data.files import SPLITS, read_names
 from t2m_jax.data.folder import DatasetInfo
+from t2m_jax.data.index import IndexRow, save_index
 from t2m_jax.data.measure import measure
 from t2m_jax.data.splits import split_by_hash
 from t2m_jax.data.styles import STYLES
@@ -150,6 +151,12 @@ def _split_clips(names: Sequence[str], lists: Path | None) -> dict[str, list[str
     return splits
 
 
+def _index_row(file: Path, source: Path) -> IndexRow:
+    """Returns what the index tells of a clip: every file is a recording of its own."""
+    labels = labels_from_name(file.stem)
+    return IndexRow(file.stem, file.relative_to(source).as_posix(), f"{labels.content}, {labels.style}")
+
+
 def _convert(job: _Job) -> _Done:
     """Returns the length of a clip after writing it and its mirrored twin."""
     name = job.source.stem
@@ -205,6 +212,7 @@ def import_bandai_namco(
             frames += 2 * clip.num_frames
         twins = {split: with_twins(members) for split, members in divided.items()}
         sizes = finish_folder(folder, twins, info=INFO, skeleton=HUMANML3D)
+        save_index(folder, (_index_row(files[name], source) for name in wanted))
     origin = (
         f"split lists: {lists}"
         if lists

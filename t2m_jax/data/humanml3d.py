@@ -7,6 +7,7 @@ import tqdm
 
 from t2m_jax.data.files import FEATURES, POSITIONS, SPLITS, TEXTS, ClipFiles, clip_or_reason
 from t2m_jax.data.folder import Dataset, open_dataset
+from t2m_jax.data.index import INDEX
 from t2m_jax.data.texts import save_captions
 from t2m_jax.data.writer import ImportReport, finish_folder, make_layout, new_folder
 
@@ -61,6 +62,8 @@ def import_humanml3d(source: str | Path, destination: str | Path) -> ImportRepor
         kept = {split: [name for name in names if name in frames] for split, names in splits.items()}
         sizes = finish_folder(folder, kept, info=dataset.info, skeleton=dataset.skeleton)
         notes = [_copy_statistics(dataset, folder)]
+        if (dataset.folder / INDEX).exists():
+            shutil.copyfile(dataset.folder / INDEX, folder / INDEX)
         if broken:
             notes.append(f"{len(broken)} caption lines that cannot be read are left out, such as {broken[0]}")
     return ImportReport(sum(sizes.values()), sum(frames.values()), sizes, left_out, tuple(notes))

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from t2m_jax.config import UserError
 from t2m_jax.data.captions import Labels, write_captions
 from t2m_jax.data.folder import DatasetInfo
+from t2m_jax.data.index import IndexRow, save_index
 from t2m_jax.data.measure import measure
 from t2m_jax.data.splits import split_by_hash
 from t2m_jax.data.writer import ImportReport, finish_folder, make_layout, new_folder, with_twins, write_twins
@@ -253,4 +254,6 @@ def write_synthetic_dataset(destination: str | Path, *, num_clips: int = NUM_CLI
         splits = split_by_hash([names[first :: len(KINDS)] for first in range(len(KINDS))])
         twins = {split: with_twins(members) for split, members in splits.items()}
         sizes = finish_folder(folder, twins, info=info, skeleton=HUMANML3D)
+        kinds = (tuple(KINDS)[number % len(KINDS)] for number in range(num_clips))
+        save_index(folder, (IndexRow(name, name, kind) for name, kind in zip(names, kinds, strict=True)))
     return ImportReport(2 * num_clips, frames, sizes, {}, ())

@@ -1,6 +1,6 @@
 """Evaluation protocols by name: which pieces of which clips a repeat looks at, with which captions, in which batches.
 
-Three are the field's, each as its code does it (which the papers do not say alike); `strict` is ours. What they draw is
+Three are the field's, after its codes (which the papers do not say alike); `strict` is ours. What they draw is
 drawn here from a seed, so a repeat is a function of data, protocol, seed and number.
 """
 
@@ -42,9 +42,12 @@ class Protocol:
     generated_length: Literal["model", "real"] = "model"
     """Who says how long a generated motion is: the model, or the motion it is compared with."""
     clears_past_end: bool = True
-    """Whether generated frames past the end are set to zero, or what the decoder made is left there."""
+    """Whether generated frames past the end are set to zero, or what the decoder made is left there. Ours masks
+    what lies past the end while it decodes, so it is not the same as what another decoder leaves."""
     multimodality_captions: int | None = None
-    """Captions whose variety is measured; None is all of them."""
+    """Captions whose variety is measured; None is all of them, 0 leaves that metric out."""
+    source_disjoint: bool = False
+    """Whether clips are left out whose recording is in training, too, where the data set's index tells."""
     first_counts: bool = True
     """Whether the first of a caption's samples stands for it in the other metrics, or the last."""
 
@@ -61,7 +64,7 @@ PROTOCOLS = {
             multimodality_captions=3 * BATCH,
             first_counts=False,
         ),
-        Protocol(name="strict", captions="all", crops=False, keeps_tail=True),
+        Protocol(name="strict", captions="all", crops=False, keeps_tail=True, source_disjoint=True),
     )
 }
 
@@ -118,7 +121,8 @@ def make_plan(samples: Sequence[Clip], protocol: Protocol, *, seed: int, repeat:
     shorter = generator.random(count) < SHORTER_CHANCE if protocol.crops else np.zeros(count, bool)
     lengths = np.asarray(used_lengths(jnp.asarray(frames), jnp.asarray(shorter), unit=UNIT))
     starts = generator.integers(0, frames - lengths + 1) if protocol.crops else np.zeros(count, np.int64)
-    varied = min(protocol.multimodality_captions or count, count)
+    wanted = protocol.multimodality_captions
+    varied = count if wanted is None else min(wanted, count)
     pairs = DIVERSITY_PAIRS if count > DIVERSITY_PAIRS else min(FEW_DIVERSITY_PAIRS, count - 1)
     return Plan(
         owners,

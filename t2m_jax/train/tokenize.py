@@ -1,31 +1,24 @@
 """The data set as codes: every clip through the trained VQ-VAE, once, before the GPT trains."""
 
-import functools
 import logging
 import zlib
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
-from tqdm import tqdm
+from jaxtyping import Int
 
 from t2m_jax.checkpoints.vqvae import TrainedVqVae
 from t2m_jax.config import UserError
 from t2m_jax.data.code_bank import Captions, CodeBank
 from t2m_jax.data.folder import Clip, DatasetInfo, samples_from_clip
 from t2m_jax.data.texts import Caption
-from t2m_jax.masks import mask_from_lengths
-from t2m_jax.models.vqvae import VqVae
+from t2m_jax.sampling.encoding import encode_motions
 from t2m_jax.train.config import TrainGptConfig
 
 logger = logging.getLogger(__name__)
-
-BATCH = 64
-FRAME_BUCKET = 64
-"""Clips are padded to a multiple of this many frames, so that few lengths are compiled."""
 
 
 class CodedMotion(NamedTuple):
@@ -33,33 +26,6 @@ class CodedMotion(NamedTuple):
 
     variants: tuple[Int[np.ndarray, " _"], ...]
     captions: tuple[Caption, ...]
-
-
-@functools.partial(jax.jit, static_argnames="vqvae")
-def encode_batch(
-    variables: Any, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"], *, vqvae: VqVae
-) -> Int[Array, "B N"]:
-    """Returns the codes of a batch of normalized motions, 0 past their ends."""
-    return vqvae.apply(variables, motion, mask, method="encode")
-
-
-def encode_motions(vqvae: TrainedVqVae, motions: Sequence[Float[np.ndarray, "_ D"]]) -> list[Int[np.ndarray, " _"]]:
-    """Returns the codes of each motion (raw features), batched by length."""
-    codes: list[Int[np.ndarray, " _"]] = [np.zeros(0, np.int32)] * len(motions)
-    order = sorted(range(len(motions)), key=lambda index: len(motions[index]))
-    for first in tqdm(range(0, len(order), BATCH), desc="encoding", unit="batch", disable=None):
-        chosen = order[first : first + BATCH]
-        lengths = np.zeros(BATCH, np.int32)
-        lengths[: len(chosen)] = [len(motions[index]) for index in chosen]
-        size = -(-int(lengths.max()) // FRAME_BUCKET) * FRAME_BUCKET
-        batch = np.zeros((BATCH, size, vqvae.config.feature_dim), np.float32)
-        for row, index in enumerate(chosen):
-            batch[row, : lengths[row]] = vqvae.normalizer.normalize(motions[index])
-        mask = mask_from_lengths(jnp.asarray(lengths), size)
-        found = np.asarray(encode_batch(vqvae.variables, jnp.asarray(batch), mask, vqvae=VqVae(vqvae.config)))
-        for row, index in enumerate(chosen):
-            codes[index] = found[row, : lengths[row] // vqvae.config.downsample]
-    return codes
 
 
 def starting_frames(clip: Clip, *, downsample: int, config: TrainGptConfig) -> tuple[int, ...]:
