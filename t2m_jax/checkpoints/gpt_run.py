@@ -6,16 +6,17 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from t2m_jax.checkpoints.best import restore_trained
 from t2m_jax.checkpoints.bundle import CONFIG_FILE as BUNDLE_FILE
 from t2m_jax.checkpoints.bundle import Bundle, BundleConfig, bundle_path, expected_variables, load_bundle
-from t2m_jax.checkpoints.run_directory import Checkpoints, is_run_directory, run_info
+from t2m_jax.checkpoints.run_directory import is_run_directory, run_info
 from t2m_jax.checkpoints.vqvae import load_vqvae
 from t2m_jax.config import UserError, load_config
 from t2m_jax.text.tokenization import load_tokenizer
 
 
 def load_gpt_run(path: Path) -> Bundle:
-    """Returns the newest checkpoint of a GPT's run as a bundle.
+    """Returns what a GPT's run stands for as a bundle: its best weights, or its newest where none were chosen.
 
     Raises:
         UserError: if it is no such run, or has no checkpoint.
@@ -25,9 +26,7 @@ def load_gpt_run(path: Path) -> Bundle:
     config = load_config(path / BUNDLE_FILE, BundleConfig)
     expected = expected_variables(config)
     shapes = {name: expected[name]["params"] for name in expected if name != "vqvae"}
-    checkpoints = Checkpoints(path)
-    params = checkpoints.restore_fields({"params": shapes})["params"]
-    checkpoints.close()
+    params = restore_trained(path, {"params": shapes})["params"]
     vqvae = load_vqvae(path)
     variables = {name: {"params": params[name]} for name in shapes} | {"vqvae": vqvae.variables}
     tokenizer = load_tokenizer(path) if config.text_encoder == "caption_encoder" else None

@@ -4,9 +4,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from t2m_jax.checkpoints.arrays import load_arrays, save_arrays
+from t2m_jax.checkpoints.best import restore_trained
 from t2m_jax.checkpoints.bundle import CONFIG_FILE as BUNDLE_FILE
 from t2m_jax.checkpoints.bundle import bundle_path, load_bundle, vqvae_shapes
-from t2m_jax.checkpoints.run_directory import Checkpoints, is_run_directory, run_info
+from t2m_jax.checkpoints.run_directory import is_run_directory, run_info
 from t2m_jax.config import UserError, load_config, save_config
 from t2m_jax.models.vqvae import VqVaeConfig
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
@@ -25,6 +26,8 @@ class TrainedVqVae(NamedTuple):
 def load_vqvae(path: Path) -> TrainedVqVae:
     """Returns the VQ-VAE of a run directory (of either stage) or of a bundle.
 
+    Of its own run it is the best, where evaluation chose one, else the newest.
+
     Raises:
         UserError: if there is none, or it is damaged.
     """
@@ -37,10 +40,7 @@ def load_vqvae(path: Path) -> TrainedVqVae:
     if run_info(path).kind == "gpt":
         return _load_copy(path / COPY_FOLDER)
     config = load_config(path / VQVAE_CONFIG, VqVaeConfig)
-    checkpoints = Checkpoints(path)
-    variables = checkpoints.restore_fields(vqvae_shapes(config))
-    checkpoints.close()
-    return TrainedVqVae(config, variables, load_normalizer(path))
+    return TrainedVqVae(config, restore_trained(path, vqvae_shapes(config)), load_normalizer(path))
 
 
 def save_vqvae_copy(run: Path, vqvae: TrainedVqVae) -> None:

@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
+from t2m_jax.checkpoints.best import Sampling
 from t2m_jax.checkpoints.bundle import CLIP_NAME, TextEncoderKind
 from t2m_jax.config import check_sizes
 from t2m_jax.losses import ReconstructionKind, TokenMean, VelocityKind
@@ -13,6 +14,8 @@ from t2m_jax.models.vqvae import VqVaeConfig
 from t2m_jax.train.schedules import OptimizerConfig
 
 Config = TypeVar("Config", bound=Any)
+EvaluationMetric = Literal["fid", "matching_score", "r_precision_1", "r_precision_2", "r_precision_3"]
+"""Metrics of which more, or less, is always better; diversity should be that of real motion."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -36,6 +39,34 @@ class LoopConfig:
 
     def __post_init__(self) -> None:
         check_sizes(self, "num_steps", "batch_size", "keep_checkpoints")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class EvaluationConfig:
+    """Evaluation on the validation split during training, and which weights the run stands for."""
+
+    evaluator: Path | None = None
+    """Folder or run of an evaluator. Without one nothing is evaluated, and a run stands for its newest weights; with
+    one, for the best that an evaluation has found."""
+    every: int = 10_000
+    """Updates between two evaluations; one more comes at the end."""
+    metric: EvaluationMetric = "fid"
+    """What the best weights are chosen by."""
+    seed: int = 0
+    """Start of what an evaluation draws: the same each time, so that figures of two steps compare."""
+
+    def __post_init__(self) -> None:
+        check_sizes(self, "every")
+        if self.seed < 0:
+            raise ValueError(f"seed: {self.seed} is below 0")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class GenerationEvaluationConfig(EvaluationConfig):
+    """Evaluation during training of what generates from captions."""
+
+    sampling: Sampling = "greedy"
+    """How codes are chosen: the likeliest each time (the original, during training), or drawn (its final test)."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -70,6 +101,8 @@ class TrainVqVaeConfig:
     """Optimiser and schedule."""
     loop: LoopConfig = LoopConfig()
     """Length, batch, seed, checkpoints."""
+    evaluation: EvaluationConfig = EvaluationConfig()
+    """Evaluation of reconstructions on the way."""
 
     def __post_init__(self) -> None:
         if self.window < self.model.downsample:
@@ -117,6 +150,8 @@ class TrainGptConfig:
     """Optimiser and schedule."""
     loop: LoopConfig = LoopConfig(batch_size=128)
     """Length, batch, seed, checkpoints."""
+    evaluation: GenerationEvaluationConfig = GenerationEvaluationConfig()
+    """Evaluation of generated motion on the way."""
 
     def __post_init__(self) -> None:
         check_fraction(self.data_fraction)
@@ -140,6 +175,10 @@ def computation(config: Config) -> Config:
 
     Steps are compiled for it: runs that differ in places and lengths alone share their programs.
     """
-    places = {field.name: field.default for field in dataclasses.fields(config) if field.type is Path}
+    elsewhere = {
+        field.name: field.default
+        for field in dataclasses.fields(config)
+        if field.type is Path or isinstance(field.default, EvaluationConfig)
+    }
     loop = LoopConfig(batch_size=config.loop.batch_size, seed=config.loop.seed)
-    return dataclasses.replace(config, loop=loop, **places)
+    return dataclasses.replace(config, loop=loop, **elsewhere)

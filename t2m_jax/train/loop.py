@@ -4,7 +4,7 @@ import logging
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -33,6 +33,18 @@ class TrainingState(Protocol):
 
 State = TypeVar("State", bound=TrainingState)
 Metrics = Mapping[str, jax.Array]
+
+
+class Look(NamedTuple):
+    """What is measured on held-out data every so many updates, and at the end."""
+
+    split: str
+    """Name of its table, `<split>.csv`."""
+    title: str
+    """What the log calls it."""
+    every: int
+    measure: Callable[[Any], Mapping[str, float]]
+    """From state to metrics."""
 
 
 def mean_metrics(history: list[Metrics], *, first_step: int) -> dict[str, float]:
@@ -64,14 +76,16 @@ def run_loop(
     *,
     config: LoopConfig,
     validate: Callable[[State], Mapping[str, float]] | None = None,
+    evaluation: Look | None = None,
     is_over: Callable[[int], bool] = lambda step: False,
 ) -> State:
     """Returns the state after `config.num_steps` updates, of which `state` has made some, or after fewer.
 
-    Fewer, where `is_over` of the updates made so far says so, which is asked at the start and after validations.
+    Fewer, where `is_over` of the updates made so far says so, which is asked at the start and after looks at held-out
+    data.
 
-    Logs the mean over the steps since the last row, validates, and writes checkpoints on the way; a checkpoint is never
-    written before the losses up to it were seen to be finite.
+    Logs the mean over the steps since the last row, validates, evaluates, and writes checkpoints on the way; nothing is
+    written of a state before the losses up to it were seen to be finite.
 
     Raises:
         UserError: on a non-finite loss, naming the step.
@@ -82,6 +96,9 @@ def run_loop(
     checkpoints = Checkpoints(run, keep=config.keep_checkpoints)
     log = MetricLog(run, first_step=first_step)
     history: list[Metrics] = []
+    looks = [] if validate is None else [Look("val", "validation", config.validate_every, validate)]
+    looks += [] if evaluation is None else [evaluation]
+    flushing = (config.log_every, config.validate_every, config.checkpoint_every)
 
     def due(every: int, step: int) -> bool:
         return every > 0 and (step % every == 0 or step == config.num_steps)
@@ -91,23 +108,19 @@ def run_loop(
             for step in range(first_step + 1, config.num_steps + 1):
                 state, metrics = update(state)
                 history.append(metrics)
-                if (
-                    due(config.log_every, step)
-                    or due(config.validate_every, step)
-                    or due(config.checkpoint_every, step)
-                ):
+                looks_now = [look for look in looks if due(look.every, step)]
+                if looks_now or any(due(every, step) for every in flushing):
                     means = mean_metrics(history, first_step=step - len(history) + 1)
                     log.write("train", step, means)
                     progress.update(len(history))
                     progress.set_postfix(loss=f"{means['loss']:.4f}")
                     logger.info("step %d of %d: %s", step, config.num_steps, _in_words(means))
                     history = []
-                ends_here = False
-                if validate is not None and due(config.validate_every, step):
-                    scores = validate(state)
-                    log.write("val", step, scores)
-                    logger.info("step %d, validation: %s", step, _in_words(scores))
-                    ends_here = is_over(step)
+                for look in looks_now:
+                    scores = look.measure(state)
+                    log.write(look.split, step, scores)
+                    logger.info("step %d, %s: %s", step, look.title, _in_words(scores))
+                ends_here = bool(looks_now) and is_over(step)
                 if due(config.checkpoint_every, step) or ends_here:
                     checkpoints.save(step, state)
                 if ends_here:

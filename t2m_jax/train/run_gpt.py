@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -10,19 +10,24 @@ from jaxtyping import Array, Int, Key
 from tokenizers import Tokenizer
 
 from t2m_jax.checkpoints.bundle import CONFIG_FILE as BUNDLE_FILE
-from t2m_jax.checkpoints.bundle import BundleConfig
+from t2m_jax.checkpoints.bundle import Bundle, BundleConfig
 from t2m_jax.checkpoints.clip import load_clip
 from t2m_jax.checkpoints.run_directory import create_run, restore_latest
 from t2m_jax.checkpoints.vqvae import TrainedVqVae, load_vqvae, save_vqvae_copy
 from t2m_jax.config import UserError, save_config
 from t2m_jax.data.code_bank import Captions, CodeBank, CodeBatch, code_batch_at
 from t2m_jax.data.folder import Dataset, open_dataset
+from t2m_jax.evaluation.in_training import ModelInTraining, held_out_figures
+from t2m_jax.evaluation.makers import make_generation
+from t2m_jax.evaluation.subject import Subject
 from t2m_jax.sampling.clip_text_encoder import ClipTextEncoder
+from t2m_jax.sampling.strategies import Greedy, Temperature
 from t2m_jax.text.embedding_cache import EmbeddingCache
 from t2m_jax.text.tokenization import load_tokenizer, save_tokenizer, tokenize, train_tokenizer
 from t2m_jax.train.config import TrainGptConfig, computation
+from t2m_jax.train.evaluation import make_evaluation, open_evaluation
 from t2m_jax.train.gpt import GptBatch, GptState, gpt_train_step, gpt_validation_step, init_gpt_state
-from t2m_jax.train.loop import Metrics, mean_over_batches, run_loop
+from t2m_jax.train.loop import Look, Metrics, mean_over_batches, run_loop
 from t2m_jax.train.resume import check_start
 from t2m_jax.train.run_vqvae import check_feature_dim
 from t2m_jax.train.streams import stream_key
@@ -119,11 +124,8 @@ def _tokenizer(config: TrainGptConfig, motions: Sequence[CodedMotion], *, resume
     return train_tokenizer(captions, vocabulary_size=config.caption_encoder.vocabulary_size)
 
 
-def _write_run(config: TrainGptConfig, vqvae: TrainedVqVae, dataset: Dataset, tokenizer: Tokenizer | None) -> None:
-    save_vqvae_copy(config.run, vqvae)
-    if tokenizer is not None:
-        save_tokenizer(config.run, tokenizer)
-    bundle = BundleConfig(
+def _bundle_config(config: TrainGptConfig, vqvae: TrainedVqVae, dataset: Dataset) -> BundleConfig:
+    return BundleConfig(
         skeleton=dataset.skeleton.name,
         vqvae=vqvae.config,
         gpt=config.model,
@@ -131,7 +133,13 @@ def _write_run(config: TrainGptConfig, vqvae: TrainedVqVae, dataset: Dataset, to
         clip=config.clip,
         caption_encoder=config.caption_encoder,
     )
-    save_config(config.run / BUNDLE_FILE, bundle)
+
+
+def _write_run(config: TrainGptConfig, bundle: Bundle, vqvae: TrainedVqVae) -> None:
+    save_vqvae_copy(config.run, vqvae)
+    if bundle.tokenizer is not None:
+        save_tokenizer(config.run, bundle.tokenizer)
+    save_config(config.run / BUNDLE_FILE, bundle.config)
     create_run(config.run, "gpt", config)
 
 
@@ -151,6 +159,36 @@ def _make_validation(
     )
 
 
+def _variables(state: GptState) -> dict[str, Any]:
+    """Returns what was trained as modules take it."""
+    return {name: {"params": params} for name, params in state.params.items()}
+
+
+def _make_evaluation(config: TrainGptConfig, held_out: Subject | None, bundle: Bundle, *, resume: bool) -> Look | None:
+    """Returns the evaluation of motion generated on the way, None where there is nothing held out."""
+    if held_out is None:
+        return None
+    model = ModelInTraining(bundle)
+    strategy = Greedy() if config.evaluation.sampling == "greedy" else Temperature()
+    make = functools.partial(make_generation, model, strategy, held_out.samples.clips)
+    # CLIP does not move, so what it says of the captions is asked for once.
+    with_clip = make() if bundle.tokenizer is None else None
+
+    def evaluate(state: GptState) -> Mapping[str, float]:
+        model.take(_variables(state))
+        return held_out_figures(held_out, with_clip or make())
+
+    return make_evaluation(
+        config.run,
+        config.evaluation,
+        evaluator=held_out.evaluator.fingerprint,
+        evaluate=evaluate,
+        trained=lambda state: {"params": state.params},
+        sampling=config.evaluation.sampling,
+        resume=resume,
+    )
+
+
 def train_gpt(config: TrainGptConfig, *, resume: bool = False) -> GptState:
     """Returns the trained state; the run directory is a complete model that `TextToMotion.load` reads.
 
@@ -161,6 +199,7 @@ def train_gpt(config: TrainGptConfig, *, resume: bool = False) -> GptState:
     dataset = open_dataset(config.data)
     vqvae = load_vqvae(config.run if resume else config.vqvae)
     check_fit(vqvae, dataset, config)
+    held_out = open_evaluation(config.evaluation, dataset)
     clips = dataset.clips("train", fraction=config.data_fraction)
     motions = coded_motions(clips, dataset.info, vqvae, config=config)
     reader = make_caption_reader(config, _tokenizer(config, motions, resume=resume))
@@ -168,10 +207,18 @@ def train_gpt(config: TrainGptConfig, *, resume: bool = False) -> GptState:
     compiled = computation(config)
     validate = _make_validation(dataset, vqvae, reader, config)
     state = init_gpt_state(compiled, stream_key(config.loop.seed, "init"))
+    variables = _variables(state) | {"vqvae": jax.device_get(vqvae.variables)}
+    bundle = Bundle(_bundle_config(config, vqvae, dataset), variables, vqvae.normalizer, reader.tokenizer)
+    evaluation = _make_evaluation(config, held_out, bundle, resume=resume)
     if resume:
         state = restore_latest(config.run, state)
     else:
-        _write_run(config, vqvae, dataset, reader.tokenizer)
+        _write_run(config, bundle, vqvae)
     return run_loop(
-        config.run, state, lambda state: update(state, bank, config=compiled), config=config.loop, validate=validate
+        config.run,
+        state,
+        lambda state: update(state, bank, config=compiled),
+        config=config.loop,
+        validate=validate,
+        evaluation=evaluation,
     )

@@ -6,13 +6,17 @@ from collections.abc import Callable, Mapping
 import jax
 
 from t2m_jax.checkpoints.run_directory import create_run, restore_latest
-from t2m_jax.checkpoints.vqvae import VQVAE_CONFIG
+from t2m_jax.checkpoints.vqvae import VQVAE_CONFIG, TrainedVqVae
 from t2m_jax.config import UserError, save_config
 from t2m_jax.data.bank import MotionBank, batch_at, make_bank
 from t2m_jax.data.folder import Dataset, open_dataset
+from t2m_jax.evaluation.in_training import held_out_figures
+from t2m_jax.evaluation.makers import Reconstruction
+from t2m_jax.evaluation.subject import Subject
 from t2m_jax.motion.normalizer import Normalizer, save_normalizer, weighted_normalizer
 from t2m_jax.train.config import TrainVqVaeConfig, computation
-from t2m_jax.train.loop import Metrics, mean_over_batches, run_loop
+from t2m_jax.train.evaluation import make_evaluation, open_evaluation
+from t2m_jax.train.loop import Look, Metrics, mean_over_batches, run_loop
 from t2m_jax.train.resume import check_start
 from t2m_jax.train.streams import stream_key
 from t2m_jax.train.vqvae import VqVaeState, init_vqvae_state, vqvae_train_step, vqvae_validation_step
@@ -59,6 +63,28 @@ def _make_validation(
     )
 
 
+def _make_evaluation(
+    config: TrainVqVaeConfig, held_out: Subject | None, normalizer: Normalizer, *, resume: bool
+) -> Look | None:
+    """Returns the evaluation of reconstructions on the way, None where there is nothing held out."""
+    if held_out is None:
+        return None
+
+    def evaluate(state: VqVaeState) -> Mapping[str, float]:
+        maker = Reconstruction(TrainedVqVae(config.model, state.variables, normalizer))
+        return held_out_figures(held_out, maker)
+
+    return make_evaluation(
+        config.run,
+        config.evaluation,
+        evaluator=held_out.evaluator.fingerprint,
+        evaluate=evaluate,
+        trained=lambda state: state.variables,
+        sampling=None,
+        resume=resume,
+    )
+
+
 def train_vqvae(config: TrainVqVaeConfig, *, resume: bool = False) -> VqVaeState:
     """Returns the trained state; the run directory holds config, statistics, metrics and checkpoints.
 
@@ -68,12 +94,14 @@ def train_vqvae(config: TrainVqVaeConfig, *, resume: bool = False) -> VqVaeState
     check_start(config.run, config, resume=resume)
     dataset = open_dataset(config.data)
     check_feature_dim(dataset, config.model.feature_dim)
+    held_out = open_evaluation(config.evaluation, dataset)
     normalizer = weighted_normalizer(dataset.normalizer, dataset.skeleton.layout, factor=config.root_weight)
     # The original takes every clip that a window fits into, also those its other stages find too short.
     shortest = max(config.model.downsample, dataset.info.min_frames) if config.short_clips == "pad" else config.window
     clips = dataset.clips("train", min_frames=shortest, fraction=config.data_fraction)
     bank = make_bank(clips, normalizer)
     validate = _make_validation(dataset, normalizer, config)
+    evaluation = _make_evaluation(config, held_out, normalizer, resume=resume)
     compiled = computation(config)
     state = init_vqvae_state(compiled, stream_key(config.loop.seed, "init"))
     if resume:
@@ -83,5 +111,10 @@ def train_vqvae(config: TrainVqVaeConfig, *, resume: bool = False) -> VqVaeState
         save_config(config.run / VQVAE_CONFIG, config.model)
         create_run(config.run, "vqvae", config)
     return run_loop(
-        config.run, state, lambda state: update(state, bank, config=compiled), config=config.loop, validate=validate
+        config.run,
+        state,
+        lambda state: update(state, bank, config=compiled),
+        config=config.loop,
+        validate=validate,
+        evaluation=evaluation,
     )

@@ -185,7 +185,7 @@ def test_a_resumed_run_equals_one_that_never_stopped(data, finished, tmp_path, m
 
 def test_training_ends_when_validation_gets_no_better(data, tmp_path, monkeypatch):
     losses = iter([3.0, 1.0, 2.0, 2.0, 0.5])
-    monkeypatch.setattr(run_evaluator, "_means", lambda validate, num_batches: {"loss": next(losses)})
+    monkeypatch.setattr(run_evaluator, "mean_over_batches", lambda measure, num_batches: {"loss": next(losses)})
     monkeypatch.setattr(run_evaluator, "_movement_validation", lambda config, data: None)
     loop = dataclasses.replace(LOOP, num_steps=20, validate_every=2, checkpoint_every=100)
     config = training(data, tmp_path / "run", loop=loop, patience=2)

@@ -15,7 +15,6 @@ from t2m_jax.config import UserError
 from t2m_jax.data.code_bank import CodeBatch, code_batch_at
 from t2m_jax.data.folder import Clip, DatasetInfo
 from t2m_jax.data.texts import Caption
-from t2m_jax.models.vqvae import VqVae
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.text.tokenization import tokenize, train_tokenizer
 from t2m_jax.train import tokenize as train_tokenize

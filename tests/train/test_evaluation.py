@@ -1,0 +1,313 @@
+"""Evaluation on the way: its table, the best weights, what a run then stands for, and all the same after a stop."""
+
+import csv
+import dataclasses
+import logging
+import shutil
+
+import jax
+import numpy as np
+import pytest
+
+from t2m_jax.checkpoints import best as best_files
+from t2m_jax.checkpoints.best import BEST_FILE, BEST_FOLDER, Best, find_best, restore_trained, save_best
+from t2m_jax.checkpoints.evaluator import load_evaluator_bundle, save_evaluator
+from t2m_jax.checkpoints.gpt_run import load_gpt_run
+from t2m_jax.checkpoints.run_directory import Checkpoints
+from t2m_jax.checkpoints.vqvae import load_vqvae
+from t2m_jax.cli.main import main
+from t2m_jax.config import UserError, config_from_dict, save_config
+from t2m_jax.data.folder import open_dataset
+from t2m_jax.evaluation.makers import make_generation
+from t2m_jax.evaluation.protocols import find_protocol
+from t2m_jax.evaluation.repeats import evaluate
+from t2m_jax.evaluation.subject import make_subject
+from t2m_jax.motion.normalizer import Normalizer
+from t2m_jax.sampling import Temperature, TextToMotion
+from t2m_jax.sampling.pipeline import generate_codes
+from t2m_jax.sampling.strategies import TopK
+from t2m_jax.train import run_gpt, run_vqvae
+from t2m_jax.train.config import (
+    EvaluationConfig,
+    GenerationEvaluationConfig,
+    TrainGptConfig,
+    TrainVqVaeConfig,
+    computation,
+)
+from t2m_jax.train.evaluation import BestByMetric, is_better
+from tests.tiny import gpt_training, random_evaluator, vqvae_training
+from tests.train.conftest import assert_same_checkpoint
+
+STAGES = ("vqvae", "gpt")
+STEPS = [3, 6, 8]
+"""Where runs of eight updates are evaluated every three."""
+STOP = 7
+"""The update that never ends: the newest checkpoint is then that of step 4, the newest evaluation that of step 6."""
+
+
+@pytest.fixture(scope="module")
+def held_out(data, tmp_path_factory):
+    """The data of the other tests, but with a validation split of one batch."""
+    folder = tmp_path_factory.mktemp("evaluation") / "data"
+    shutil.copytree(data, folder, ignore=shutil.ignore_patterns(".t2m-cache"))
+    shutil.copyfile(folder / "train.txt", folder / "val.txt")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def evaluator(held_out):
+    """An evaluator of the data that nobody trained."""
+    folder = held_out.parent / "evaluator"
+    save_evaluator(folder, random_evaluator()._replace(normalizer=open_dataset(held_out).normalizer))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def training(held_out, evaluator, runs):
+    """Returns a function that gives the config of a stage."""
+
+    def config(stage, run, data=held_out, **fields):
+        fields = {"evaluator": evaluator, "every": 3} | fields
+        if stage == "vqvae":
+            evaluation = EvaluationConfig(**({"metric": "r_precision_1"} | fields))
+            return dataclasses.replace(vqvae_training(data, run), evaluation=evaluation)
+        evaluation = GenerationEvaluationConfig(**({"sampling": "sampled", "seed": 5} | fields))
+        return dataclasses.replace(gpt_training(data, runs.vqvae, run), evaluation=evaluation)
+
+    return config
+
+
+def module_of(config):
+    return run_vqvae if isinstance(config, TrainVqVaeConfig) else run_gpt
+
+
+def train(config, *, resume=False):
+    module = module_of(config)
+    return (module.train_vqvae if module is run_vqvae else module.train_gpt)(config, resume=resume)
+
+
+@pytest.fixture(scope="module")
+def finished(training, held_out):
+    """Runs of both stages that were evaluated on the way, by stage."""
+    found = {}
+    for stage in STAGES:
+        config = training(stage, held_out.parent / stage)
+        train(config)
+        found[stage] = config.run
+    return found
+
+
+def table(run):
+    with (run / "evaluation.csv").open(encoding="utf-8") as file:
+        return [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
+
+
+def files(run):
+    """Returns what a run wrote of its metrics and its best weights."""
+    names = ("train.csv", "val.csv", "evaluation.csv", BEST_FILE)
+    return {path.name: path.read_bytes() for path in [*(run / name for name in names), *(run / BEST_FOLDER).iterdir()]}
+
+
+def trained_at(run, step):
+    """Returns the weights of a checkpoint, by name."""
+    checkpoints = Checkpoints(run)
+    tree = checkpoints._manager.restore(step)
+    checkpoints.close()
+    return {name: tree[name][name] for name in ("params", "codebook") if name in tree}
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_the_table_and_the_best(finished, stage):
+    rows, best = table(finished[stage]), find_best(finished[stage])
+    assert [row["step"] for row in rows] == STEPS
+    assert {"fid", "matching_score", "r_precision_3", "diversity"} <= set(rows[0])
+    assert "multimodality" not in rows[0], "one motion a caption has no variety"
+    assert all(np.isfinite(list(row.values())).all() for row in rows)
+    assert len({row["fid"] for row in rows}) == 3, "the weights do not move"
+    metric, choose = {"vqvae": ("r_precision_1", max), "gpt": ("fid", min)}[stage]
+    expected = choose(rows, key=lambda row: row[metric])
+    assert (best.metric, best.step, best.value) == (metric, expected["step"], expected[metric])
+    assert best.sampling == {"vqvae": None, "gpt": "sampled"}[stage]
+
+
+def loaded(run, stage):
+    """Returns the trained weights that whoever loads a run gets, as fields of its training state."""
+    if stage == "vqvae":
+        return load_vqvae(run).variables
+    variables = load_gpt_run(run).variables
+    return {"params": {name: variables[name]["params"] for name in ("gpt", "caption_encoder")}}
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_run_stands_for_its_best(training, stage, tmp_path):
+    """Asked of runs that keep every checkpoint, so that the weights of the best step are known from elsewhere."""
+    config = training(stage, tmp_path / "run", metric="fid")
+    config = dataclasses.replace(config, loop=dataclasses.replace(config.loop, checkpoint_every=1, keep_checkpoints=9))
+    train(config)
+    best, last = find_best(config.run).step, config.loop.num_steps
+    assert best < last, "the best is the newest: the test sees nothing"
+    jax.tree.map(np.testing.assert_array_equal, loaded(config.run, stage), trained_at(config.run, best))
+    (config.run / BEST_FILE).unlink()
+    jax.tree.map(np.testing.assert_array_equal, loaded(config.run, stage), trained_at(config.run, last))
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_resumed_run_equals_one_that_never_stopped(finished, training, stage, tmp_path, monkeypatch):
+    config = training(stage, tmp_path / "run")
+    module, update = module_of(config), module_of(config).update
+
+    def interrupted(state, *arguments, **options):
+        if int(state.step) + 1 == STOP:
+            raise KeyboardInterrupt
+        return update(state, *arguments, **options)
+
+    compiled = generate_codes._cache_size()
+    monkeypatch.setattr(module, "update", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        train(config)
+    assert [row["step"] for row in table(config.run)] == [3, 6]
+    assert find_best(config.run).step in (3, 6)
+    monkeypatch.setattr(module, "update", update)
+    train(config, resume=True)
+    assert files(config.run) == files(finished[stage])
+    assert_same_checkpoint(config.run, finished[stage])
+    assert generate_codes._cache_size() == compiled, "an evaluation compiled what was compiled before"
+
+
+def test_figures_are_those_of_the_command(finished, held_out, evaluator):
+    """The best weights, loaded and evaluated by protocol, give the row by which they were chosen."""
+    protocol, best = find_protocol("t2m-gpt"), find_best(finished["gpt"])
+    trained = load_evaluator_bundle(evaluator)
+    subject = make_subject(open_dataset(held_out), trained, protocol, split="val", seed=5)
+    maker = make_generation(TextToMotion.load(finished["gpt"]), Temperature(), subject.samples.clips)
+    report = evaluate(subject, maker, num_repeats=1, header={})
+    (row,) = [row for row in table(finished["gpt"]) if row["step"] == best.step]
+    for metric in ("fid", "matching_score", "r_precision_1", "r_precision_3"):
+        assert report["rows"]["generated"][metric]["mean"] == pytest.approx(row[metric], rel=1e-6), metric
+
+
+def test_the_log_says_how_codes_were_chosen(training, tmp_path, caplog, monkeypatch):
+    monkeypatch.setattr(run_gpt, "held_out_figures", lambda subject, maker: {"fid": float(maker.strategy.k)})
+    monkeypatch.setattr(run_gpt, "Greedy", lambda: TopK(k=7))
+    config = training("gpt", tmp_path / "run", sampling="greedy")
+    with caplog.at_level(logging.INFO):
+        train(config)
+    assert "step 3, evaluation (val, greedy): fid 7" in caplog.messages
+    assert sum("these weights are kept" in message for message in caplog.messages) == 1
+    assert find_best(config.run).sampling == "greedy"
+
+
+def test_another_evaluator_is_refused_on_the_way(finished, training, held_out, tmp_path):
+    run, other = tmp_path / "run", tmp_path / "evaluator"
+    shutil.copytree(finished["vqvae"], run)
+    config = training("vqvae", run, evaluator=other)
+    save_config(run / "config.yaml", config)
+    save_evaluator(other, random_evaluator(seed=11)._replace(normalizer=open_dataset(held_out).normalizer))
+    with pytest.raises(UserError, match="figures of two evaluators do not compare"):
+        train(config, resume=True)
+
+
+@pytest.fixture(params=STAGES)
+def refusal(request, training, tmp_path, capsys):
+    """Returns a function that trains a stage, which must be refused, and gives the one line that is said."""
+
+    def start(**fields):
+        save_config(tmp_path / "config.yaml", training(request.param, tmp_path / "run", **fields))
+        assert main(["train", request.param, f"{tmp_path / 'config.yaml'}"]) == 2
+        assert not (tmp_path / "run").exists(), "a run that cannot start was written"
+        (line,) = capsys.readouterr().err.splitlines()
+        return line
+
+    return start
+
+
+def test_an_evaluator_that_is_none_is_refused_before_training(refusal, tmp_path):
+    assert f"{tmp_path / 'nowhere'}: no evaluator" in refusal(evaluator=tmp_path / "nowhere")
+
+
+def test_an_evaluator_of_other_data_is_refused_before_training(refusal, held_out, tmp_path):
+    mean, std = open_dataset(held_out).normalizer
+    save_evaluator(tmp_path / "evaluator", random_evaluator()._replace(normalizer=Normalizer(mean + std, std)))
+    assert "not those of the evaluator's data" in refusal(evaluator=tmp_path / "evaluator")
+
+
+def test_a_validation_split_of_less_than_a_batch_is_refused_before_training(refusal, runs):
+    assert "do not fill a batch of 32" in refusal(data=runs.data)
+
+
+@pytest.mark.parametrize(
+    ("schema", "fields", "says"),
+    [
+        (TrainGptConfig, {"metric": "diversity"}, "evaluation.metric: expected one of 'fid', 'matching_score'"),
+        (TrainVqVaeConfig, {"metric": "mpjpe"}, "evaluation.metric: expected one of"),
+        (TrainGptConfig, {"sampling": "likeliest"}, "evaluation.sampling: expected one of 'greedy', 'sampled'"),
+        (TrainVqVaeConfig, {"sampling": "greedy"}, "unknown key 'evaluation.sampling'"),
+        (TrainGptConfig, {"every": 0}, "evaluation: every: 0 is not a whole number above 0"),
+        (TrainGptConfig, {"seed": -1}, "evaluation: seed: -1 is below 0"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(schema, fields, says):
+    with pytest.raises(UserError) as caught:
+        config_from_dict(schema, {"evaluation": fields}, source="config.yaml")
+    assert says in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("metric", "figures", "steps"),
+    [
+        ("fid", [3.0, 1.0, 2.0, 1.0, 0.5], [1, 2, 2, 2, 5]),
+        ("matching_score", [3.0, float("nan"), 2.0, 4.0], [1, 1, 3, 3]),
+        ("r_precision_1", [0.3, 0.1, 0.4, 0.4, float("nan")], [1, 1, 3, 3, 3]),
+        ("r_precision_3", [float("nan"), 0.0, 0.1], [None, 2, 3]),
+    ],
+)
+def test_the_best_is_kept_by_the_direction_of_its_metric(metric, figures, steps, tmp_path):
+    def look(resume):
+        return BestByMetric(tmp_path, metric=metric, sampling="greedy", evaluator="e", resume=resume)
+
+    best = look(False)
+    for step, (value, expected) in enumerate(zip(figures, steps, strict=True), start=1):
+        best.see(step, {metric: value, "other": -value}, {"params": {"a": np.full(2, step, np.float32)}})
+        assert (best.best and best.best.step) == expected
+        assert find_best(tmp_path) == best.best
+        if expected:
+            found = restore_trained(tmp_path, {"params": {"a": np.zeros(2, np.float32)}})
+            np.testing.assert_array_equal(found["params"]["a"], expected)
+            assert [path.name for path in (tmp_path / BEST_FOLDER).iterdir()] == [f"{expected}.safetensors"]
+    assert look(True).best == best.best
+    assert look(False).best is None and not list(tmp_path.iterdir())
+
+
+def test_directions_are_opposite():
+    assert is_better("fid", 1.0, 2.0) and not is_better("fid", 2.0, 1.0) and not is_better("fid", 1.0, 1.0)
+    assert is_better("r_precision_2", 2.0, 1.0) and not is_better("r_precision_2", 1.0, 2.0)
+
+
+@pytest.mark.parametrize("lost", ["save_arrays", "save_config"])
+def test_a_kill_while_the_best_is_written_leaves_that_of_before(lost, tmp_path, monkeypatch):
+    def weights(step):
+        return {"params": {"a": np.full(2, step, np.float32)}}
+
+    best = Best(step=3, metric="fid", value=1.0, sampling=None, evaluator="e")
+    save_best(tmp_path, best, weights(3))
+
+    def killed(*arguments, **options):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(best_files, lost, killed)
+        with pytest.raises(KeyboardInterrupt):
+            save_best(tmp_path, dataclasses.replace(best, step=6, value=0.5), weights(6))
+    assert find_best(tmp_path) == best
+    np.testing.assert_array_equal(restore_trained(tmp_path, weights(0))["params"]["a"], 3)
+    save_best(tmp_path, dataclasses.replace(best, step=6, value=0.5), weights(6))
+    np.testing.assert_array_equal(restore_trained(tmp_path, weights(0))["params"]["a"], 6)
+    assert [path.name for path in (tmp_path / BEST_FOLDER).iterdir()] == ["6.safetensors"]
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_steps_are_compiled_for_the_same_config_with_and_without(training, stage, tmp_path):
+    config = training(stage, tmp_path / "run")
+    assert config.evaluation.evaluator is not None
+    plain = dataclasses.replace(config, evaluation=type(config.evaluation)())
+    assert computation(config) == computation(plain)
