@@ -95,7 +95,8 @@ def _reconstruction(args: argparse.Namespace) -> dict[str, Any]:
 
 def _compare(args: argparse.Namespace) -> None:
     from t2m_jax.config import UserError
-    from t2m_jax.evaluation.comparison import compare_reports, comparison_table, load_report
+    from t2m_jax.evaluation.comparison import compare_reports, comparison_table
+    from t2m_jax.evaluation.reports import load_report
 
     if len(args.reports) != 2:
         raise UserError(f"evaluate compare: give two reports, not {len(args.reports)}")

@@ -1,5 +1,6 @@
 """The motions that are evaluated, as codes: drawn by a model from captions, or real ones through a VQ-VAE."""
 
+import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -48,7 +49,7 @@ def generate_many(
     codes = np.zeros((len(text_embedding), longest), np.int32)
     code_lengths = np.zeros(len(text_embedding), np.int32)
 
-    def draw(rows: Int[np.ndarray, " C"], limit: int) -> None:
+    def draw(rows: Int[np.ndarray, " C"], *, limit: int) -> None:
         drawn = generate_codes(
             model.variables,
             jnp.asarray(text_embedding[rows]),
@@ -64,9 +65,9 @@ def generate_many(
     limits = np.clip(chunks * CHUNK, 1, longest)
     for limit in np.unique(limits):
         batches = batches_of(np.flatnonzero(limits == limit), BATCH)
-        for_each_batch(lambda rows, limit=int(limit): draw(rows, limit), batches)  # type: ignore[misc]
+        for_each_batch(functools.partial(draw, limit=int(limit)), batches)
     unfinished = np.flatnonzero((code_lengths == limits) & (limits < longest))
-    for_each_batch(lambda rows: draw(rows, longest), batches_of(unfinished, BATCH))
+    for_each_batch(functools.partial(draw, limit=longest), batches_of(unfinished, BATCH))
     codes[code_lengths == 0, 0] = EMPTY_CODE
     return MotionCodes(codes, np.maximum(code_lengths, 1))
 

@@ -1,23 +1,20 @@
 """Two reports of one protocol, metric by metric: are their differences more than chance?"""
 
-import json
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.config import UserError
+from t2m_jax.evaluation.reports import SAME
 
-SAME = ("protocol", "data", "split", "num_samples", "evaluator", "seed")
-"""What two reports must share, so that their repeats look at the same motions with the same captions."""
 MAX_EXACT = 16
 """Repeats up to which all signs are tried; with more, as many are drawn."""
 
 
 class Difference(NamedTuple):
-    """The second report less the first, in one metric of generated motion."""
+    """The second report less the first, in one metric of what was generated or reconstructed."""
 
     metric: str
     first: float
@@ -26,23 +23,6 @@ class Difference(NamedTuple):
     """Half-width of the 95 % interval of the mean difference."""
     p_value: float
     """Chance of a mean difference as large if the reports could be exchanged repeat by repeat."""
-
-
-def load_report(path: Path) -> dict[str, Any]:
-    """Returns a report of `t2m evaluate generation`.
-
-    Raises:
-        UserError: if the file is missing or something else.
-    """
-    try:
-        report = json.loads(path.read_text(encoding="utf-8"))
-        if {*SAME, "rows"} <= report.keys() and "generated" in report["rows"]:
-            return report
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror})") from None
-    except (ValueError, AttributeError, TypeError):
-        pass
-    raise UserError(f"{path}: no report of `t2m evaluate generation --json`")
 
 
 def sign_test(differences: Float[np.ndarray, " R"]) -> float:
@@ -57,6 +37,12 @@ def sign_test(differences: Float[np.ndarray, " R"]) -> float:
     return float(np.mean(sums >= np.abs(differences.sum()) * (1 - 1e-9)))
 
 
+def _made(report: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Returns the figures of what stands beside real motion, generated or reconstructed."""
+    (row,) = report["rows"].keys() - {"real"}
+    return report["rows"][row]
+
+
 def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[Difference]:
     """Returns the differences of two reports in every metric both have.
 
@@ -66,7 +52,7 @@ def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> list
     for name in SAME:
         if first[name] != second[name]:
             raise UserError(f"{name}: {first[name]} in one report, {second[name]} in the other; they do not compare")
-    ours, theirs = first["rows"]["generated"], second["rows"]["generated"]
+    ours, theirs = _made(first), _made(second)
     rows = []
     for metric in ours:
         if metric not in theirs:

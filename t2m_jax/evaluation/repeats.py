@@ -18,7 +18,7 @@ from t2m_jax.evaluation.makers import Made, Maker
 from t2m_jax.evaluation.protocols import BATCH, SAMPLES_A_CAPTION, Plan, make_plan
 from t2m_jax.evaluation.reports import save_json
 from t2m_jax.evaluation.subject import Subject
-from t2m_jax.metrics import diversity, fid, matching_score, multimodality, r_precision
+from t2m_jax.metrics import diversity, fid, label_bound, matching_score, multimodality, r_precision
 
 logger = logging.getLogger(__name__)
 
@@ -48,6 +48,8 @@ def evaluate_repeat(subject: Subject, maker: Maker, *, repeat: int) -> Rows:
     standing, varied = embeddings[: len(plan.samples)], _varied(plan, embeddings, made)
     labels = None if subject.samples.labels is None else subject.samples.labels[plan.samples]
     measured = {REAL: _figures(text, real, plan, labels), maker.row: _figures(text, standing, plan, labels)}
+    if labels is not None:
+        measured[REAL] |= _label_bounds(labels)
     measured[maker.row]["fid"] = float(fid(jnp.asarray(real), jnp.asarray(standing)))
     if varied is not None:
         variety = multimodality(jnp.asarray(varied), jnp.asarray(plan.multimodality_pairs))
@@ -101,6 +103,12 @@ def _figures(
     figures["matching_score"] = float(matching_score(jnp.asarray(text), jnp.asarray(motion)))
     figures["diversity"] = float(diversity(jnp.asarray(motion), jnp.asarray(plan.diversity_pairs)))
     return figures
+
+
+def _label_bounds(labels: Int[np.ndarray, " N"]) -> Figures:
+    """Returns what R-precision near-identical captions leave to an evaluator that tells labels apart and no more."""
+    filled, counted = _whole_batches(len(labels))
+    return _ranked("r_precision_{}_bound_by_label", label_bound(jnp.asarray(labels[filled]), counted=counted))
 
 
 def _ranked(name: str, precision: Float[Array, " K"]) -> Figures:

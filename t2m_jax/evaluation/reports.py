@@ -1,4 +1,4 @@
-"""Figures as files."""
+"""Reports as files: figures as JSON, and whether a file can be written at all."""
 
 import json
 import os
@@ -8,8 +8,11 @@ from typing import Any
 
 from t2m_jax.config import UserError
 
+SAME = ("protocol", "data", "split", "num_samples", "evaluator", "seed")
+"""What reports must share, so that their repeats look at the same motions with the same captions."""
 
-def check_json_path(path: Path) -> None:
+
+def check_output(path: Path) -> None:
     """Raises `UserError` where a report could not be written, before the work is done."""
     folder = path.absolute().parent
     if not folder.is_dir():
@@ -18,33 +21,37 @@ def check_json_path(path: Path) -> None:
         raise UserError(f"{path}: cannot be written")
 
 
-COLUMNS = {
-    "r_precision_1": ("R top-1 ↑", 3),
-    "r_precision_2": ("R top-2 ↑", 3),
-    "r_precision_3": ("R top-3 ↑", 3),
-    "fid": ("FID ↓", 3),
-    "matching_score": ("MM-Dist ↓", 3),
-    "diversity": ("Diversity →", 3),
-    "multimodality": ("MModality ↑", 3),
-}
-"""Metrics of the field's tables: heading with the better direction (→: as real motion), digits."""
+def load_report(path: Path) -> dict[str, Any]:
+    """Returns a report of `t2m evaluate generation`: what it is of, and the figures of each set of motions.
+
+    Raises:
+        UserError: if the file is missing or something else.
+    """
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+        figures = [figure for row in report["rows"].values() for figure in row.values()]
+        rows = report["rows"].keys()
+        if {*SAME} <= report.keys() and "real" in rows and len(rows) == 2 and all(map(_is_figure, figures)):
+            return report
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror})") from None
+    except (ValueError, KeyError, AttributeError, TypeError):
+        pass
+    raise UserError(f"{path}: no report of `t2m evaluate generation --json`")
 
 
-def generation_table(report: Mapping[str, Any]) -> str:
-    """Returns the Markdown table of a report as papers print it: mean and half-width of the 95 % interval."""
-    lines = ["| | " + " | ".join(heading for heading, _ in COLUMNS.values()) + " |"]
-    lines.append("| --- |" + " ---: |" * len(COLUMNS))
-    for row, figures in report["rows"].items():
-        cells = []
-        for metric, (_, digits) in COLUMNS.items():
-            found = figures.get(metric)
-            cells.append(f"{found['mean']:.{digits}f} ± {found['interval']:.{digits}f}" if found else "")
-        lines.append(f"| {row} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+def _is_figure(found: Mapping[str, Any]) -> bool:
+    """Returns whether a metric has a mean, an interval and repeats."""
+    return all(isinstance(found[name], int | float) for name in ("mean", "interval")) and len(found["repeats"]) > 0
+
+
+def save_text(path: Path, text: str) -> None:
+    """Writes a text as UTF-8; the file appears whole or not at all."""
+    partial = path.with_name(f".{path.name}.partial")
+    partial.write_text(text, encoding="utf-8")
+    os.replace(partial, path)
 
 
 def save_json(path: Path, figures: Mapping[str, Any]) -> None:
     """Writes figures as JSON with sorted keys; the file appears whole or not at all."""
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(json.dumps(dict(figures), indent=2, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8")
-    os.replace(partial, path)
+    save_text(path, json.dumps(dict(figures), indent=2, sort_keys=True, allow_nan=False) + "\n")

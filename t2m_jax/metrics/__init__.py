@@ -3,7 +3,7 @@
 from t2m_jax.metrics.codes import code_usage, perplexity
 from t2m_jax.metrics.frechet import fid
 from t2m_jax.metrics.positions import acceleration_error, foot_skating, joint_errors, mpjpe, pa_mpjpe
-from t2m_jax.metrics.retrieval import matching_score, r_precision
+from t2m_jax.metrics.retrieval import label_bound, matching_score, r_precision
 from t2m_jax.metrics.variety import diversity, multimodality
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "fid",
     "foot_skating",
     "joint_errors",
+    "label_bound",
     "matching_score",
     "mpjpe",
     "multimodality",

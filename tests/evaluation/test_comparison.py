@@ -7,13 +7,15 @@ import pytest
 
 from t2m_jax.cli.main import main
 from t2m_jax.config import UserError
-from t2m_jax.evaluation.comparison import compare_reports, load_report, sign_test
+from t2m_jax.evaluation.comparison import compare_reports, sign_test
+from t2m_jax.evaluation.reports import load_report
 
 HEADER = {"protocol": "strict", "data": "d", "split": "test", "num_samples": 64, "evaluator": "abc", "seed": 0}
 
 
-def report(**metrics):
-    return {**HEADER, "rows": {"generated": {name: {"repeats": list(values)} for name, values in metrics.items()}}}
+def report(row="generated", **metrics):
+    figures = {name: {"mean": 0.0, "interval": 0.0, "repeats": list(values)} for name, values in metrics.items()}
+    return {**HEADER, "rows": {"real": {}, row: figures}}
 
 
 def test_the_test_is_exact_for_few_repeats():
@@ -37,6 +39,11 @@ def test_differences_are_those_of_the_repeats():
     assert set(found) == {"fid"}
     assert found["fid"].second - found["fid"].first == pytest.approx(-0.1)
     assert found["fid"].p_value < 0.001, "the repeats are not taken in pairs"
+
+
+def test_generation_compares_with_reconstruction():
+    (found,) = compare_reports(report(row="reconstruction", fid=[1.0, 2.0]), report(fid=[3.0, 4.0]))
+    assert found.second - found.first == 2.0
 
 
 @pytest.mark.parametrize("name", HEADER)

@@ -69,6 +69,7 @@ def report(subject, generation):
 def test_a_report_has_both_rows_with_all_metrics(report):
     real, generated = report["rows"]["real"], report["rows"]["generated"]
     assert set(generated) - set(real) == {"multimodality"}
+    assert set(real) - set(generated) == {f"r_precision_{k}_bound_by_label" for k in (1, 2, 3)}
     names = {"r_precision_1", "r_precision_3_texts_per_motion", "r_precision_2_by_label"}
     assert names | {"fid", "matching_score", "diversity"} <= set(real)
     for row in (real, generated):
@@ -244,7 +245,7 @@ def test_the_command_prints_a_table_and_writes_the_report(folders, synthetic_fol
     assert command(folders, synthetic_folder, "--num-repeats", "1", "--json", str(path)) == 0
     printed = capsys.readouterr().out
     assert printed.startswith("protocol t2m-gpt, model ")
-    assert [line.split("|")[1].strip() for line in printed.splitlines()[-2:]] == ["real", "generated"]
+    assert [line.split("  ")[0] for line in printed.splitlines()[-4:-2]] == ["real motion", "generated"]
     report = json.loads(path.read_text())
     assert report["evaluator"] == load_evaluator_bundle(folders / "evaluator").fingerprint
     assert f"{report['rows']['generated']['fid']['mean']:.3f} ±" in printed

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.metrics import diversity, matching_score, multimodality, r_precision
+from t2m_jax.metrics import diversity, label_bound, matching_score, multimodality, r_precision
 
 
 def load(golden_dir, name):
@@ -47,8 +47,15 @@ def test_pairs_that_agree_are_found_first():
 
 
 def test_shuffled_pairs_are_found_by_chance():
-    text, motion = embeddings(0, 6400), embeddings(1, 6400)
-    np.testing.assert_allclose(r_precision(text, motion), np.arange(1, 4) / 32, atol=0.01)
+    text = embeddings(0, 32 * 1000)
+    motion = text + 0.8 * embeddings(1, 32 * 1000)
+    assert r_precision(text, motion)[0] > 0.2
+    shuffled = motion[np.random.default_rng(0).permutation(len(motion))]
+    chance = np.arange(1, 4) / 32
+    deviation = np.sqrt(chance * (1 - chance) / len(text))
+    for direction in ("motions_per_text", "texts_per_motion"):
+        found = r_precision(text, shuffled, direction=direction)
+        assert np.all(np.abs(found - chance) < 4 * deviation), found
 
 
 def test_swapping_two_captions_costs_those_two():
@@ -97,6 +104,15 @@ def test_a_pair_of_one_sample_with_itself_counts_as_no_distance():
     assert multimodality(jnp.stack([points, 2 * points]), pairs) == 3.75
 
 
+def test_equal_samples_have_no_variety():
+    pairs = jnp.stack([jnp.arange(10), jnp.arange(20, 30)], axis=1)
+    equal = jnp.repeat(embeddings(0, 8)[:, None], 30, axis=1)
+    assert multimodality(equal, pairs) == 0.0
+    assert diversity(equal[0], pairs) == 0.0
+    one_differs = equal.at[3, 25].add(1.0)
+    np.testing.assert_allclose(multimodality(one_differs, pairs), np.sqrt(16) / (8 * 10), rtol=1e-6)
+
+
 def test_jit_equals_eager():
     text, motion = embeddings(0, 64), embeddings(1, 64)
     pairs = jnp.arange(20).reshape(10, 2)
@@ -110,3 +126,39 @@ def test_jit_equals_eager():
         jitted = jax.jit(function)(*arguments)
         with jax.disable_jit():
             np.testing.assert_allclose(jitted, function(*arguments), rtol=1e-5)
+
+
+def test_labels_alone_reach_their_bound():
+    labels = np.random.default_rng(0).integers(0, 12, 32 * 400)
+    motion = 50.0 * jax.nn.one_hot(labels, 16) + embeddings(1, len(labels))
+    text = 50.0 * jax.nn.one_hot(labels, 16) + embeddings(2, len(labels))
+    bound = label_bound(jnp.asarray(labels))
+    np.testing.assert_allclose(r_precision(text, motion), bound, atol=0.02)
+    assert np.all(np.diff(bound) > 0.1) and bound[0] < 0.5
+    np.testing.assert_array_equal(r_precision(text, motion, labels=jnp.asarray(labels)), 1.0)
+
+
+def test_the_bound_of_labels_by_hand():
+    labels = jnp.array([7] * 4 + list(range(100, 128)))
+    expected = (28 + 4 * np.array([1 / 4, 2 / 4, 3 / 4])) / 32
+    np.testing.assert_allclose(label_bound(labels), expected, rtol=1e-6)
+    counted = jnp.arange(32) < 4
+    np.testing.assert_allclose(label_bound(labels, counted=counted), [1 / 4, 2 / 4, 3 / 4], rtol=1e-6)
+    np.testing.assert_array_equal(label_bound(jnp.arange(64)), 1.0)
+    with pytest.raises(ValueError, match="31 labels"):
+        label_bound(labels[:31])
+
+
+def test_one_motion_for_all_texts_is_at_chance():
+    text = embeddings(0)
+    same = jnp.ones_like(text)
+    for direction in ("motions_per_text", "texts_per_motion"):
+        np.testing.assert_allclose(r_precision(text, same, direction=direction), np.arange(1, 4) / 32, atol=0.02)
+    np.testing.assert_allclose(r_precision(text, same), np.arange(1, 4) / 32, rtol=1e-5)
+
+
+def test_equal_captions_share_their_place():
+    text = jnp.concatenate([jnp.zeros((4, 16)), 100.0 + 50.0 * embeddings(0, 28)])
+    motion = text.at[:4].add(embeddings(1, 4))
+    found = r_precision(text, motion, direction="texts_per_motion")
+    np.testing.assert_allclose(found, (28 + 4 * np.array([1 / 4, 2 / 4, 3 / 4])) / 32, rtol=1e-6)

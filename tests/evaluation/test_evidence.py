@@ -1,0 +1,146 @@
+"""Evidence of a repeat: the very motions of the table's first repeat, ranked and counted as there."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+from t2m_jax.data.folder import open_dataset
+from t2m_jax.data.synthetic import write_synthetic_dataset
+from t2m_jax.evaluation.codes import MotionCodes
+from t2m_jax.evaluation.evidence import gather_evidence
+from t2m_jax.evaluation.gallery import NUM_EXAMPLES, NUM_FAILURES, NUM_NEAREST, Ranked, find_failures
+from t2m_jax.evaluation.makers import Reconstruction, make_generation
+from t2m_jax.evaluation.protocols import find_protocol
+from t2m_jax.evaluation.repeats import evaluate
+from t2m_jax.evaluation.subject import Subject, load_samples
+from t2m_jax.models.vqvae import VqVae
+from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.sampling import TextToMotion
+from t2m_jax.sampling.strategies import Temperature
+from tests.tiny import random_bundle, random_evaluator
+
+
+@pytest.fixture(scope="module")
+def subject(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("evidence") / "data"
+    write_synthetic_dataset(folder, num_clips=44, seed=3)
+    samples = load_samples(open_dataset(folder), "train")
+    protocol = dataclasses.replace(find_protocol("t2m-gpt"), multimodality_captions=2)
+    return Subject(random_evaluator(), samples, protocol, 120, 3)
+
+
+@pytest.fixture(scope="module")
+def maker(subject):
+    return make_generation(TextToMotion(random_bundle()), Temperature(), subject.samples.clips)
+
+
+@pytest.fixture(scope="module")
+def evidence(subject, maker):
+    return gather_evidence(subject, maker)
+
+
+def few(subject, count):
+    return subject.samples._replace(clips=subject.samples.clips[:count], labels=None)
+
+
+def check_against_table(subject, maker, found):
+    figures = evaluate(subject, maker, num_repeats=1, header={})["rows"][found.row]
+    for k in (1, 2, 3):
+        # An untrained model makes some motions twice; the table gives such equals half of the hit.
+        assert np.mean(found.ranks <= k) <= figures[f"r_precision_{k}"]["mean"] + 1e-6 < np.mean(found.ranks <= k) + 0.1
+    assert found.distances.mean() == pytest.approx(figures["matching_score"]["mean"], rel=1e-5)
+
+
+def test_the_motions_are_those_of_the_first_repeat(subject, maker, evidence):
+    check_against_table(subject, maker, evidence)
+
+
+def test_so_they_are_where_the_last_sample_stands_and_a_batch_is_not_full(subject, maker):
+    protocol = dataclasses.replace(
+        find_protocol("strict"), generated_length="real", first_counts=False, multimodality_captions=2
+    )
+    judged = subject._replace(protocol=protocol, samples=few(subject, 15))
+    found = gather_evidence(judged, maker)
+    assert len(found.ranks) % 32, "every batch is full"
+    check_against_table(judged, maker, found)
+    np.testing.assert_array_equal(found.made_lengths, found.real_lengths)
+
+
+def test_it_has_one_value_a_motion_and_a_count_a_code(evidence):
+    count = len(evidence.ranks)
+    assert count and count % 32 == 0
+    assert all(len(column) == count for column in (evidence.real_lengths, evidence.made_lengths))
+    assert evidence.ranks.min() >= 1 and evidence.ranks.max() <= 32
+    assert evidence.real_lengths.max() <= 120 and evidence.made_lengths.max() <= 120
+    assert len(evidence.real_code_counts) == len(evidence.made_code_counts) == 16
+    assert evidence.made_code_counts.sum() >= evidence.made_lengths.sum() // 4
+    assert evidence.real_code_counts.sum() == evidence.real_lengths.sum() // 4, "no real motion is cut here"
+    assert (evidence.real_code_counts != evidence.made_code_counts).any()
+
+
+def test_real_codes_are_those_of_each_piece_alone(subject, maker, evidence):
+    vqvae = maker.vqvae
+    encode = jax.jit(lambda motion: VqVae(vqvae.config).apply(vqvae.variables, motion, method="encode"))
+    clips = [clip for clip in subject.samples.clips if len(clip.features) >= 40][:3]
+    # One piece stands in for all: the protocol takes them whole, and all are cut to one length, which compiles once.
+    cut = [clip._replace(features=clip.features[:40], captions=clip.captions[:1]) for clip in clips]
+    judged = subject._replace(
+        samples=subject.samples._replace(clips=cut * 11, labels=None), protocol=find_protocol("strict")
+    )
+    expected = sum(
+        np.bincount(np.asarray(encode(np.asarray(vqvae.normalizer.normalize(clip.features))[None])[0]), minlength=16)
+        for clip in cut
+    )
+    found = gather_evidence(judged, Reconstruction(vqvae))
+    np.testing.assert_array_equal(found.real_code_counts, 11 * expected)
+    np.testing.assert_array_equal(found.made_code_counts, 11 * expected)
+    assert (expected > 0).sum() > 1, "one code says nothing"
+    assert found.row == "reconstruction" and evidence.row == "generated"
+
+
+def test_examples_show_the_nearest_first(evidence):
+    assert len({example.caption for example in evidence.examples}) == NUM_EXAMPLES
+    for example in evidence.examples:
+        distances = [candidate.distance for candidate in example.nearest]
+        assert len(distances) == NUM_NEAREST and distances == sorted(distances)
+        own = [candidate for candidate in example.nearest if candidate.own]
+        assert len(own) == (example.rank <= NUM_NEAREST)
+        for candidate in own:
+            assert candidate.distance == pytest.approx(example.distance)
+            assert candidate.motion.caption == example.caption
+            assert example.nearest.index(candidate) == example.rank - 1
+
+
+def test_failures_are_the_worst_of_all_with_captions_of_their_own(evidence):
+    failures = evidence.failures
+    assert len({failure.caption for failure in failures}) == len(failures) == NUM_FAILURES
+    assert failures[0].rank == evidence.ranks.max()
+    order = [(-failure.rank, -failure.distance) for failure in failures]
+    assert order == sorted(order)
+    for failure in failures:
+        assert failure.made.caption == failure.real.caption == failure.caption
+        assert {failure.made.num_frames, failure.real.num_frames} <= set(range(4, 121, 4))
+
+
+def test_among_equals_the_farthest_fails_most(subject, maker):
+    count = 8
+    generator = np.random.default_rng(0)
+    text, motion = (generator.normal(size=(count, 3)).astype(np.float32) for _ in range(2))
+    codes = MotionCodes(np.zeros((count, 4), np.int32), np.full(count, 4, np.int32))
+    pieces = [subject.samples.clips[0].features[:16]] * count
+    captions = [f"caption {number // 2}" for number in range(count)]
+    ranked = Ranked(captions, pieces, text, text, motion, codes, codes, np.zeros((1, 32), int), np.full(count, 2))
+    failures = find_failures(maker.vqvae, ranked, HUMANML3D, max_frames=12)
+    farthest = [captions[row] for row in np.argsort(-ranked.distances)]
+    assert [failure.caption for failure in failures] == list(dict.fromkeys(farthest))
+    assert all(failure.real_distance == 0 and failure.made.num_frames == 12 for failure in failures)
+
+
+def test_the_seed_chooses_the_examples(subject, maker, evidence):
+    def captions(found):
+        return [example.caption for example in found.examples]
+
+    assert captions(gather_evidence(subject, maker)) == captions(evidence)
+    assert captions(gather_evidence(subject._replace(seed=4), maker)) != captions(evidence)

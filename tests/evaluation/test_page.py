@@ -1,0 +1,188 @@
+"""The page of a report: self-contained, the same each time, and nothing a caption says does anything."""
+
+import dataclasses
+import html
+import os
+import re
+import shutil
+import sys
+
+import numpy as np
+import pytest
+
+from t2m_jax.config import UserError
+from t2m_jax.data.synthetic import make_motion
+from t2m_jax.evaluation.evidence import Evidence
+from t2m_jax.evaluation.gallery import Candidate, Example, Failure
+from t2m_jax.evaluation.page import check_page, report_page, save_page
+from t2m_jax.evaluation.plots import codes_plot, lengths_plot, repeats_plot
+from t2m_jax.evaluation.tables import COLUMNS
+from t2m_jax.export import viewer_html
+from t2m_jax.motion.record import Motion
+
+NASTY = 'walks </script><img src=x onerror="alert(1)"> {{table}} & "waves" \\1 <!-- é'
+
+
+def figures(shift, *metrics):
+    repeats = {metric: [number + shift + wave / 8 for wave in (0, 1, 3)] for number, metric in enumerate(metrics)}
+    return {
+        metric: {"mean": float(np.mean(values)), "interval": 0.25, "repeats": values}
+        for metric, values in repeats.items()
+    }
+
+
+REPORT = {
+    "protocol": "strict",
+    "model": "runs/<b>mine</b>",
+    "data": "walks & turns",
+    "split": "test",
+    "num_samples": 64,
+    "evaluator": "abc",
+    "sampling": "greedy",
+    "left_out": None,
+    "seed": 0,
+    "rows": {
+        "real": figures(0.5, "r_precision_1", "diversity"),
+        "generated": figures(0.25, "r_precision_1", "fid", "diversity"),
+    },
+}
+
+
+@pytest.fixture(scope="module")
+def motion():
+    return Motion(make_motion("walk", seed=0, num_frames=24), 20.0, caption="a person walks")
+
+
+@pytest.fixture
+def evidence(motion):
+    turn = dataclasses.replace(motion, caption=NASTY)
+    nearest = (Candidate(turn, 1.25, False), Candidate(motion, 2.5, True))
+    return Evidence(
+        row="generated",
+        fps=20.0,
+        real_lengths=np.array([40, 44, 80, 196]),
+        made_lengths=np.array([40, 40, 60, 100]),
+        real_code_counts=np.array([4, 0, 3, 1]),
+        made_code_counts=np.array([0, 0, 8, 8]),
+        ranks=np.array([1, 2, 1, 7]),
+        distances=np.array([1.0, 2.0, 3.0, 4.0]),
+        examples=(Example("a person walks", 2, 2.5, nearest),),
+        failures=(Failure(NASTY, 7, 4.0, 1.5, turn, motion),),
+    )
+
+
+def captions_alone(motions):
+    return "|".join(motion.caption for motion in motions)
+
+
+@pytest.fixture
+def page(evidence):
+    return report_page(REPORT, evidence, viewer=captions_alone)
+
+
+def test_the_same_report_makes_the_same_page(evidence, page, monkeypatch):
+    matplotlib = pytest.importorskip("matplotlib")
+    monkeypatch.setitem(matplotlib.rcParams, "axes.linewidth", 5.0)
+    assert report_page(REPORT, evidence, viewer=captions_alone) == page
+
+
+def test_it_fetches_nothing(page):
+    assert "http:" not in page and "https:" not in page and "@import" not in page
+    assert set(re.findall(r'(?:src|href)="([^"]*)"', page)) <= {"data:,"} | set(re.findall(r'href="(#[^"]*)"', page))
+    assert "default-src 'none'" in page
+
+
+def test_it_says_what_was_measured(page):
+    text = html.unescape(re.sub(r"<[^>]+>", " ", page))
+    for words in ("walks & turns", "greedy", "Mean and 95 % interval over 3 repeats.", "Diversity →"):
+        assert words in text, words
+    assert "None" not in text and "left out" not in text
+    assert "R top-2" not in text, "a metric that nobody measured"
+    assert "uses 75.0 % of the codes, perplexity 2.6" in text
+    assert "generated uses 50.0 % of the codes, perplexity 2.0" in text
+    assert "real motion 4.50 s in the mean, generated 3.00 s" in text
+    assert "Of 4 captions 50.0 % find their own motion nearest; its median rank is 1.5" in text
+    assert "own motion: rank 2, distance 2.50" in text
+    assert "rank 7, distance 4.00; the real motion's distance is 1.50" in text
+
+
+def test_viewers_show_whose_motion_is_whose(page):
+    shown = [html.unescape(found) for found in re.findall(r'data-page="([^"]*)"', page)]
+    assert shown == ["1|2, its own", "generated|real"]
+
+
+def test_texts_of_the_user_stay_text(page):
+    assert "<img" not in page and "<b>mine" not in page
+    assert page.count(html.escape(NASTY)) == 3, "the failure, its viewer's label, and where it was found"
+    assert page.count("</script>") == 1
+    assert page.count("<table>") == 1, "a caption was taken for a place in the page"
+
+
+def test_plots_take_their_colours_from_the_page():
+    drawn = [
+        repeats_plot(REPORT["rows"], COLUMNS),
+        lengths_plot(np.array([40, 196]), np.array([40, 4]), fps=20.0, row="generated"),
+        codes_plot(np.array([5, 0]), np.array([1, 1]), row="generated"),
+    ]
+    for svg in drawn:
+        assert svg.startswith("<svg") and svg.rstrip().endswith("</svg>")
+        assert "var(--real)" in svg and "var(--generated)" in svg and "<text" in svg
+        assert not set(re.findall(r"#[0-9a-f]{6}\b", svg)) - {"#000000", "#ffffff"}
+
+
+def test_plots_stand_one_value_and_unused_codebooks():
+    rows = {"real": {"fid": {"mean": 1.0, "interval": 0.0, "repeats": [1.0]}}}
+    assert "FID" in repeats_plot(rows, COLUMNS[3:4])
+    assert "<svg" in codes_plot(np.zeros(3, int), np.zeros(3, int), row="reconstruction")
+    assert "<svg" in lengths_plot(np.array([4]), np.array([4]), fps=20.0, row="reconstruction")
+
+
+def test_what_is_missing_is_said_before_the_work(tmp_path, monkeypatch):
+    check_page(tmp_path / "page.html")
+    with pytest.raises(UserError, match="does not exist"):
+        check_page(tmp_path / "no" / "page.html")
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(UserError, match=r"matplotlib is missing.*pip install 't2m-jax\[report\]'"):
+        check_page(tmp_path / "page.html")
+
+
+@pytest.fixture
+def open_in_browser(tmp_path):
+    """Returns a function that opens a file, and afterwards nothing may have gone wrong."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    from tests.export.test_viewer import ARGUMENTS
+
+    path = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
+    if path is None:
+        pytest.skip("no Chromium found (CHROMIUM names one)")
+    troubles = []
+    with playwright.sync_playwright() as running:
+        chromium = running.chromium.launch(executable_path=path, headless=True, args=ARGUMENTS)
+
+        def open_page(file):
+            opened = chromium.new_page(viewport={"width": 420, "height": 600}, reduced_motion="reduce")
+            opened.on("console", lambda message: troubles.append(message.text) if message.type == "error" else None)
+            opened.on("pageerror", lambda error: troubles.append(str(error)))
+            opened.on("dialog", lambda dialog: troubles.append(dialog.message))
+            opened.on("request", lambda request: troubles.append(request.url) if request.url != file.as_uri() else None)
+            opened.goto(file.as_uri())
+            return opened
+
+        yield open_page
+        chromium.close()
+    assert not troubles
+
+
+def test_viewers_live_while_they_are_near_the_screen(open_in_browser, evidence, tmp_path):
+    path = tmp_path / "page.html"
+    save_page(path, REPORT, evidence, viewer=lambda motions: viewer_html(motions, embed=False))
+    page = open_in_browser(path)
+    stages, frames = page.locator(".stage"), page.locator("iframe")
+    assert stages.count() == 2 and frames.count() == 0
+    assert page.evaluate("document.documentElement.scrollWidth") <= 420, "the page is wider than the screen"
+    stages.first.scroll_into_view_if_needed()
+    inside = stages.first.frame_locator("iframe")
+    inside.locator("canvas").wait_for()
+    assert inside.locator(".caption").all_text_contents() == ["1", "2, its own"]
+    page.evaluate("window.scrollTo(0, 0)")
+    page.wait_for_function("document.querySelectorAll('iframe').length === 0")

@@ -1,0 +1,211 @@
+"""Tables of reports: figures as papers print them, the best of a column, and what does not stand in one table."""
+
+import json
+
+import pytest
+
+from t2m_jax.cli.main import main
+from t2m_jax.config import UserError
+from t2m_jax.evaluation.reports import load_report
+from t2m_jax.evaluation.table_formats import format_table
+from t2m_jax.evaluation.tables import make_table
+
+HEADER = {"protocol": "strict", "data": "d_1", "split": "test", "num_samples": 64, "evaluator": "ab%c", "seed": 0}
+REAL = {"fid": (0.002, 0.0001), "diversity": (9.5, 0.065)}
+
+
+def figures(repeats, **metrics):
+    return {
+        name: {"mean": mean, "interval": interval, "repeats": [mean] * repeats}
+        for name, (mean, interval) in metrics.items()
+    }
+
+
+def report(*, row="generated", repeats=20, real=REAL, **metrics):
+    return {**HEADER, "rows": {"real": figures(repeats, **real), row: figures(repeats, **metrics)}}
+
+
+def best(table):
+    return {(row.name, metric) for row in table.rows for metric, cell in row.cells.items() if cell.best}
+
+
+@pytest.fixture
+def two():
+    """Returns two models: the first is better by FID, the second nearer to real motion's diversity."""
+    first = report(fid=(0.116, 0.0041), diversity=(9.844, 1.0951), multimodality=(1.856, 0.011))
+    second = report(fid=(0.1409, 0.0049), diversity=(9.3, 0.08), multimodality=(1.8559, 0.048))
+    return make_table([first, second], ["tau_0|a", "b & c"])
+
+
+def test_the_terminal_shows_columns_in_line(two):
+    assert format_table(two, style="terminal") == "\n".join(
+        [
+            "                    FID ↓    Diversity →   MModality ↑",
+            "real motion  0.002 ± .000   9.500 ± .065             -",
+            "tau_0|a      0.116 ± .004  9.844 ± 1.095  1.856 ± .011",
+            "b & c        0.141 ± .005   9.300 ± .080  1.856 ± .048",
+            "",
+            "Mean and 95 % interval over 20 repeats; protocol strict, data d_1, split test, num samples 64, "
+            "evaluator ab%c, seed 0.",
+        ]
+    )
+
+
+def test_bold_of_the_terminal_takes_no_room(two):
+    plain, colored = (format_table(two, style="terminal", color=color) for color in (False, True))
+    assert colored.replace("\033[1m", "").replace("\033[0m", "") == plain
+    assert colored.count("\033[1m") == 4
+    assert "\033[1m0.116 ± .004\033[0m  9.844 ± 1.095  \033[1m1.856 ± .011\033[0m\n" in colored
+
+
+def test_markdown(two):
+    assert format_table(two, style="markdown").splitlines()[:5] == [
+        "| | FID ↓ | Diversity → | MModality ↑ |",
+        "| --- | ---: | ---: | ---: |",
+        "| real motion | 0.002 ± .000 | 9.500 ± .065 | - |",
+        r"| tau\_0\|a | **0.116** ± .004 | 9.844 ± 1.095 | **1.856** ± .011 |",
+        "| b & c | 0.141 ± .005 | **9.300** ± .080 | **1.856** ± .048 |",
+    ]
+
+
+def test_latex(two):
+    assert format_table(two, style="latex").splitlines() == [
+        r"% needs \usepackage{booktabs}",
+        r"\begin{table}",
+        r"  \centering",
+        r"  \caption{Mean and 95 \% interval over 20 repeats; protocol strict, data d\_1, split test, num samples 64, "
+        r"evaluator ab\%c, seed 0.}",
+        r"  \begin{tabular}{lccc}",
+        r"    \toprule",
+        r"    & FID $\downarrow$ & Diversity $\rightarrow$ & MModality $\uparrow$ \\",
+        r"    \midrule",
+        r"    real motion & $0.002^{\pm.000}$ & $9.500^{\pm.065}$ & -- \\",
+        r"    \midrule",
+        r"    tau\_0|a & $\mathbf{0.116}^{\pm.004}$ & $9.844^{\pm1.095}$ & $\mathbf{1.856}^{\pm.011}$ \\",
+        r"    b \& c & $0.141^{\pm.005}$ & $\mathbf{9.300}^{\pm.080}$ & $\mathbf{1.856}^{\pm.048}$ \\",
+        r"    \bottomrule",
+        r"  \end{tabular}",
+        r"\end{table}",
+    ]
+
+
+def test_json_keeps_all_digits(two):
+    found = json.loads(format_table(two, style="json"))
+    assert {name: found[name] for name in HEADER} == HEADER
+    assert [column["metric"] for column in found["columns"]] == ["fid", "diversity", "multimodality"]
+    assert [row["kind"] for row in found["rows"]] == ["real", "generated", "generated"]
+    assert found["rows"][2]["figures"]["multimodality"] == {"mean": 1.8559, "interval": 0.048, "best": True}
+
+
+def test_figures_that_read_the_same_are_equally_good(two):
+    assert best(two) == {
+        ("tau_0|a", "fid"),
+        ("b & c", "diversity"),
+        ("tau_0|a", "multimodality"),
+        ("b & c", "multimodality"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("metric", "winner"),
+    [("r_precision_1", "c"), ("fid", "a"), ("matching_score", "a"), ("diversity", "b"), ("multimodality", "c")],
+)
+def test_the_arrow_says_which_is_best(metric, winner):
+    reports = [report(real={"diversity": (9.5, 0.0)}, **{metric: (mean, 0.0)}) for mean in (9.0, 9.4, 9.7)]
+    assert best(make_table(reports, list("abc"))) == {(winner, metric)}
+
+
+def test_real_motion_and_reconstruction_do_not_compete():
+    generated = report(fid=(0.2, 0.01))
+    reconstruction = report(row="reconstruction", fid=(0.07, 0.001))
+    assert not best(make_table([generated, reconstruction], ["a", "b"])), "one generated row has no rival"
+    rows = make_table([generated, reconstruction, report(fid=(0.3, 0.01))], ["a", "b", "c"])
+    assert best(rows) == {("a", "fid")}
+    assert [row.kind for row in rows.rows] == ["real", "generated", "reconstruction", "generated"]
+
+
+def test_real_motion_is_that_of_the_longest_report():
+    short, long = report(repeats=2, fid=(0.2, 0.0)), report(repeats=20, real={"fid": (0.5, 0.0)}, fid=(0.3, 0.0))
+    table = make_table([short, long], ["a", "b"])
+    assert table.rows[0].cells["fid"].mean == 0.5
+    assert "over 2 to 20 repeats" in format_table(table, style="terminal")
+
+
+@pytest.mark.parametrize("name", HEADER)
+def test_reports_of_different_kinds_do_not_stand_in_one_table(name):
+    with pytest.raises(UserError, match=f"^{name}: .* in a, other in b; they do not stand in one table"):
+        make_table([report(fid=(0.2, 0.0)), report(fid=(0.2, 0.0)) | {name: "other"}], ["a", "b"])
+
+
+@pytest.mark.parametrize("style", ["terminal", "markdown", "latex"])
+def test_a_name_stays_in_its_cell(style):
+    name = "a\n\x1b[2J\\begin{x}"
+    lines = format_table(make_table([report(fid=(0.2, 0.0))], [name]), style=style).splitlines()
+    assert sum("0.200" in line for line in lines) == 1
+    expected = {"terminal": "a \\x1b[2J\\begin{x}", "markdown": "begin{x}", "latex": r"\textbackslash{}begin\{x\}"}
+    assert any(expected[style] in line for line in lines)
+
+
+def command(*words):
+    return main(["evaluate", "table", *(str(word) for word in words)])
+
+
+@pytest.fixture
+def files(tmp_path):
+    paths = [tmp_path / folder / "report.json" for folder in ("one", "two")]
+    for number, path in enumerate(paths):
+        path.parent.mkdir()
+        path.write_text(json.dumps(report(fid=(0.1 + number / 10, 0.0))))
+    return paths
+
+
+def test_rows_bear_the_names_of_files_or_those_given(files, capsys):
+    assert command(files[0]) == 0
+    assert capsys.readouterr().out.splitlines()[2].startswith("report ")
+    for given, expected in (([], [str(path) for path in files]), (["--names", "x", "y"], ["x", "y"])):
+        command(*files, "--format", "json", *given)
+        assert [row["name"] for row in json.loads(capsys.readouterr().out)["rows"]] == ["real motion", *expected]
+
+
+def test_mistakes_of_the_command_are_one_line(files, tmp_path, capsys):
+    for words, says in (
+        ([], "give the reports"),
+        ([*files, "--names", "x"], "1 given for 2"),
+        ([*files, "--names", "x", "x"], "not all different"),
+        ([tmp_path / "none.json"], "cannot be read"),
+    ):
+        assert command(*words) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert says in line
+
+
+def test_a_page_needs_an_evaluator(tmp_path, capsys):
+    assert main(["evaluate", "reconstruction", "--data", str(tmp_path), "--html", str(tmp_path / "page.html")]) == 2
+    assert "use it with --evaluator" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "{",
+        "[]",
+        '{"rows": {}}',
+        '{"rows": 3}',
+        json.dumps(HEADER | {"rows": {"generated": {}}}),
+        json.dumps(HEADER | {"rows": {"real": {"fid": {"mean": "1", "interval": 0.0, "repeats": [1]}}}}),
+        json.dumps(HEADER | {"rows": {"real": {"fid": {"mean": 1.0, "interval": 0.0, "repeats": []}}}}),
+    ],
+)
+def test_other_files_are_refused(content, tmp_path):
+    (tmp_path / "report.json").write_text(content)
+    with pytest.raises(UserError, match=r"report\.json: no report of"):
+        load_report(tmp_path / "report.json")
+
+
+def test_labels_take_the_place_of_pairs():
+    given = {"r_precision_1": (0.4, 0.01), "r_precision_1_by_label": (0.6, 0.01), "fid": (1.0, 0.1)}
+    table = make_table([report(real=given, **given)], ["a"], by_label=True)
+    assert [column.heading for column in table.columns] == ["R top-1 by label", "FID"]
+    assert "0.600 ± .010" in format_table(table, style="terminal")
+    with pytest.raises(UserError, match="d_1 says nothing of labels"):
+        make_table([report(fid=(1.0, 0.1))], ["a"], by_label=True)
