@@ -8,7 +8,7 @@ from nbclient import NotebookClient
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 # They train something.
-SLOW = {"02_tokenizer"}
+SLOW = {"02_tokenizer", "03_evaluate"}
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,8 @@ FLOOR_RANGE = (-0.1, 0.5)
 """metres: where the lowest joint of a whole clip may be"""
 STATISTICS_TOLERANCE = 0.05
 """of a standard deviation: HumanML3D's published statistics were summed in single precision, which costs up to 0.4 %"""
+QUOTED = 60
+"""characters of a caption that a message repeats"""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -92,14 +94,15 @@ def check_captions(captions: Iterable[Caption], *, seconds: float) -> list[str]:
     captions = tuple(captions)
     problems = [] if captions else ["has no caption"]
     for caption in captions:
+        said = f"caption '{caption.text[:QUOTED]}{'...' * (len(caption.text) > QUOTED)}'"
         if not caption.tokens:
-            problems.append(f"caption '{caption.text}' has no word/POS tokens")
+            problems.append(f"{said} has no word/POS tokens")
         elif any(token.count("/") != 1 or not all(token.split("/")) for token in caption.tokens):
-            problems.append(f"caption '{caption.text}' has a token that is no word/POS")
+            problems.append(f"{said} has a token that is no word/POS")
         if not 0.0 <= caption.start <= caption.end:
-            problems.append(f"caption '{caption.text}' has times {caption.start} to {caption.end}")
+            problems.append(f"{said} has times {caption.start} to {caption.end}")
         elif caption.end > seconds + 0.5:
-            problems.append(f"caption '{caption.text}' ends at {caption.end} s, the clip at {seconds:.2f} s")
+            problems.append(f"{said} ends at {caption.end} s, the clip at {seconds:.2f} s")
     return problems
 
 

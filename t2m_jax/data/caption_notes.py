@@ -10,7 +10,7 @@ Tokens = tuple[str, ...]
 
 
 def caption_notes(captions: Mapping[str, Sequence[Caption]], *, training: Iterable[str]) -> list[str]:
-    """Returns one line for captions that are read in part and one for captions without a word that is known.
+    """Returns one line each for clips without captions, captions read in part, and captions without a known word.
 
     Args:
         captions: All captions of each clip.
@@ -23,11 +23,15 @@ def caption_notes(captions: Mapping[str, Sequence[Caption]], *, training: Iterab
         f"have more than {MAX_WORDS} words, of which an evaluator reads the first {MAX_WORDS}": (
             lambda row: len(row) > MAX_WORDS
         ),
-        f"have no word that stands in {MIN_COUNT} training captions; an evaluator of this data knows none of them": (
+        f"have no word that training captions use {MIN_COUNT} times; an evaluator of this data knows none of them": (
             lambda row: not _knows_any(vocabulary, row)
         ),
     }
+    silent = [name for name, rows in tokens.items() if not rows]
     notes = []
+    if silent:
+        said = "clips have no caption that can be read, and nothing that reads captions uses them"
+        notes.append(f"{len(silent)} {said} (such as {silent[0]})")
     for said, applies in checks.items():
         found = [name for name, rows in tokens.items() for row in rows if applies(row)]
         if found:

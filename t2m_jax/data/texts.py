@@ -45,7 +45,9 @@ def parse_caption(line: str, *, source: str) -> Caption:
     """
     fields = line.rstrip("\r\n").split("#")
     if len(fields) != 4:
-        raise UserError(f"{source}: {len(fields)} fields separated by '#', expected 4 (caption#tokens#from#to)")
+        raise UserError(
+            f"{source}: {len(fields)} fields separated by '#', expected 4 (caption#tokens#from#to; tokens may be empty)"
+        )
     text, tokens, start, end = (field.strip() for field in fields)
     if not text:
         raise UserError(f"{source}: the caption is empty; write one or remove the line")

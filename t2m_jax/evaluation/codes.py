@@ -1,6 +1,5 @@
 """The motions that are evaluated, as codes: drawn by a model from captions, or real ones through a VQ-VAE."""
 
-import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -49,7 +48,10 @@ def generate_many(
     codes = np.zeros((len(text_embedding), longest), np.int32)
     code_lengths = np.zeros(len(text_embedding), np.int32)
 
-    def draw(rows: Int[np.ndarray, " C"], *, limit: int) -> None:
+    limits = np.minimum(-(-(expected // model.config.vqvae.downsample + MARGIN) // CHUNK) * CHUNK, longest)
+
+    def draw(rows: Int[np.ndarray, " C"]) -> None:
+        limits[rows] = limit = int(limits[rows].max())
         drawn = generate_codes(
             model.variables,
             jnp.asarray(text_embedding[rows]),
@@ -61,13 +63,10 @@ def generate_many(
         )
         codes[rows, :limit], code_lengths[rows] = np.asarray(drawn.codes), np.asarray(drawn.code_lengths)
 
-    chunks = -(-(expected // model.config.vqvae.downsample + MARGIN) // CHUNK)
-    limits = np.clip(chunks * CHUNK, 1, longest)
-    for limit in np.unique(limits):
-        batches = batches_of(np.flatnonzero(limits == limit), BATCH)
-        for_each_batch(functools.partial(draw, limit=int(limit)), batches)
+    for_each_batch(draw, batches_of(np.argsort(limits, kind="stable"), BATCH))
     unfinished = np.flatnonzero((code_lengths == limits) & (limits < longest))
-    for_each_batch(functools.partial(draw, limit=longest), batches_of(unfinished, BATCH))
+    limits[unfinished] = longest
+    for_each_batch(draw, batches_of(unfinished, BATCH))
     codes[code_lengths == 0, 0] = EMPTY_CODE
     return MotionCodes(codes, np.maximum(code_lengths, 1))
 

@@ -81,6 +81,13 @@ def test_broken_captions_are_found(folder, text, words):
     assert len(problems) == 1 and name in problems[0] and words in problems[0]
 
 
+def test_a_long_caption_is_not_repeated_whole(folder):
+    name = open_dataset(folder).names("train")[0]
+    (folder / "texts" / f"{name}.txt").write_text(f"{'he waves ' * 100}##0.0#0.0\n")
+    (problem,) = audit_dataset(folder).problems
+    assert "caption 'he waves he waves" in problem and "...'" in problem and len(problem) < 200
+
+
 def test_overlap_counts_twins(folder):
     name = open_dataset(folder).names("train")[0]
     with (folder / "test.txt").open("a") as file:

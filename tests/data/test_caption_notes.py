@@ -20,8 +20,13 @@ def test_long_captions_and_unknown_words_are_counted():
     }
     long, unknown = caption_notes(captions, training=["a", "missing"])
     assert long.startswith("1 captions have more than 20 words") and long.endswith("one of long)")
-    assert unknown.startswith("2 captions have no word that stands in 3 training captions")
+    assert unknown.startswith("2 captions have no word that training captions use 3 times")
     assert unknown.endswith("one of strange)")
+
+
+def test_clips_without_a_caption_are_counted():
+    (silent,) = caption_notes({"a": KNOWN, "mute": [], "still": ()}, training=["a", "mute"])
+    assert silent.startswith("2 clips have no caption that can be read") and silent.endswith("(such as mute)")
 
 
 def test_rare_words_are_not_known():

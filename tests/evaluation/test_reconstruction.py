@@ -10,7 +10,7 @@ from t2m_jax.config import UserError
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.synthetic import write_synthetic_dataset
 from t2m_jax.evaluation import reconstruction
-from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
+from t2m_jax.evaluation.reconstruction import evaluate_reconstruction, reconstruct_batch
 from t2m_jax.models.vqvae import VqVae
 from t2m_jax.motion.features import positions_from_features
 from tests.tiny import VQVAE, random_bundle
@@ -58,6 +58,18 @@ def test_the_batch_does_not_matter(vqvae, dataset, report, monkeypatch):
     other = evaluate_reconstruction(vqvae, dataset, split="test")
     np.testing.assert_allclose(other.mpjpe_mm, report.mpjpe_mm, rtol=1e-4)
     assert other.codebook_usage == report.codebook_usage
+
+
+def test_jit_equals_eager(vqvae, dataset):
+    features = jnp.asarray(dataset.clips("test")[0].features[None, :16])
+    statistics = tuple(map(jnp.asarray, vqvae.normalizer))
+    arguments = (jax.device_put(vqvae.variables), statistics, features, jnp.arange(16)[None] < 12)
+    jitted = reconstruct_batch(*arguments, config=VQVAE, skeleton=dataset.skeleton)
+    with jax.disable_jit():
+        eager = reconstruct_batch(*arguments, config=VQVAE, skeleton=dataset.skeleton)
+    np.testing.assert_allclose(jitted.error_sums, eager.error_sums, rtol=1e-4)
+    np.testing.assert_array_equal(jitted.code_counts, eager.code_counts)
+    assert jitted.code_counts.sum() == 3
 
 
 def test_a_split_without_clips_is_refused(vqvae, dataset, tmp_path):

@@ -1,5 +1,6 @@
 """Codebook figures against closed forms."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -22,3 +23,11 @@ def test_no_code_at_all():
     counts = jnp.zeros(4, jnp.int32)
     assert code_usage(counts) == 0.0
     assert np.isfinite(perplexity(counts))
+
+
+def test_jit_equals_eager():
+    counts = jnp.array([3, 0, 1, 9])
+    for function in (code_usage, perplexity):
+        jitted = jax.jit(function)(counts)
+        with jax.disable_jit():
+            np.testing.assert_allclose(jitted, function(counts), rtol=1e-6)

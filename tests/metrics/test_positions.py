@@ -1,10 +1,12 @@
 """Joint errors against a loop in NumPy, and their laws."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from t2m_jax.metrics import acceleration_error, foot_skating, mpjpe, pa_mpjpe
+from t2m_jax.metrics import acceleration_error, foot_skating, joint_errors, mpjpe, pa_mpjpe
 
 POSITIONS = jax.random.normal(jax.random.key(0), (2, 5, 4, 3))
 REFERENCE = jax.random.normal(jax.random.key(1), (2, 5, 4, 3))
@@ -35,9 +37,14 @@ def test_nothing_past_the_end_counts():
 
 
 def test_jit_equals_eager():
-    jitted = jax.jit(mpjpe)(POSITIONS, REFERENCE, MASK)
-    with jax.disable_jit():
-        np.testing.assert_allclose(jitted, mpjpe(POSITIONS, REFERENCE, MASK), rtol=1e-6)
+    calls = [(function, (POSITIONS, REFERENCE, MASK)) for function in (mpjpe, pa_mpjpe, acceleration_error)]
+    calls += [(joint_errors, (POSITIONS, REFERENCE))]
+    calls += [(partial(foot_skating, feet=(1, 2), fps=20.0), (0.02 * POSITIONS, MASK))]
+    for function, arguments in calls:
+        jitted = jax.jit(function)(*arguments)
+        assert np.all(np.asarray(jitted) > 0), function
+        with jax.disable_jit():
+            np.testing.assert_allclose(jitted, function(*arguments), rtol=1e-5)
 
 
 def rotation(key):

@@ -1,0 +1,225 @@
+"""What a change of data, statistics or computing must change in the figures, and what it must leave to the bit."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from t2m_jax.checkpoints.evaluator import make_trained_evaluator
+from t2m_jax.config import UserError
+from t2m_jax.data.caption_bank import all_tokens
+from t2m_jax.data.folder import open_dataset
+from t2m_jax.data.synthetic import write_synthetic_dataset
+from t2m_jax.evaluation import codes, embedding
+from t2m_jax.evaluation.embedding import embed_codes
+from t2m_jax.evaluation.makers import make_generation, sample_keys
+from t2m_jax.evaluation.protocols import find_protocol, make_plan
+from t2m_jax.evaluation.repeats import embed_plan_captions, embed_plan_motions, evaluate
+from t2m_jax.evaluation.subject import Subject, check_fit, load_samples
+from t2m_jax.metrics import matching_score, r_precision
+from t2m_jax.models.evaluator import evaluator_shapes
+from t2m_jax.motion.normalizer import Normalizer
+from t2m_jax.sampling import Greedy, Temperature, TextToMotion
+from t2m_jax.text.word_vectors import vocabulary_from_captions
+from tests.tiny import EVALUATOR, random_bundle, random_evaluator, random_variables
+
+TEXT_METRICS = {"matching_score"} | {
+    f"r_precision_{k}{kind}" for k in (1, 2, 3) for kind in ("", "_texts_per_motion", "_by_label")
+}
+"""What needs captions; the other metrics look at motion alone."""
+MAX_FRAMES = 196
+PROTOCOL = find_protocol("t2m-gpt")
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("laws") / "data"
+    write_synthetic_dataset(folder, num_clips=24, seed=7)
+    return open_dataset(folder)
+
+
+@pytest.fixture(scope="module")
+def subject(dataset):
+    """One batch of motions with a caption each, so that every pair counts in every repeat."""
+    found = load_samples(dataset, "train")
+    clips = [clip._replace(captions=clip.captions[:1]) for clip in found.clips[:32]]
+    vocabulary = vocabulary_from_captions(all_tokens(clips), min_count=1)
+    config = dataclasses.replace(EVALUATOR, num_words=len(vocabulary))
+    variables = random_variables(evaluator_shapes(config))
+    evaluator = make_trained_evaluator(config, variables, dataset.normalizer, vocabulary)
+    return Subject(evaluator, found._replace(clips=clips, labels=found.labels[:32]), PROTOCOL, MAX_FRAMES, 3)
+
+
+@pytest.fixture(scope="module")
+def model(dataset):
+    return TextToMotion(random_bundle()._replace(normalizer=dataset.normalizer))
+
+
+def figures(subject, model, strategy=None):
+    """Returns the metrics of the first repeat, by row."""
+    maker = make_generation(model, strategy or Temperature(), subject.samples.clips)
+    rows = evaluate(subject, maker, num_repeats=1, header={})["rows"]
+    return {row: {metric: found["repeats"][0] for metric, found in metrics.items()} for row, metrics in rows.items()}
+
+
+@pytest.fixture(scope="module")
+def before(subject, model):
+    return figures(subject, model)
+
+
+def changed(before, after):
+    """Returns the metrics that are not the same to the last bit."""
+    assert before.keys() == after.keys()
+    return {metric for metric in before if before[metric] != after[metric]}
+
+
+def pairs(subject):
+    """Returns the embeddings of the captions and motions of the first repeat, and whose they are."""
+    plan = make_plan(subject.samples.clips, subject.protocol, seed=subject.seed, repeat=0)
+    return embed_plan_captions(subject, plan), embed_plan_motions(subject, plan), plan.samples
+
+
+def with_clip(subject, number, **fields):
+    clips = list(subject.samples.clips)
+    clips[number] = clips[number]._replace(**fields)
+    return with_clips(subject, clips)
+
+
+def with_clips(subject, clips):
+    return subject._replace(samples=subject.samples._replace(clips=clips))
+
+
+def test_swapping_two_captions_changes_what_needs_captions(subject, model, before):
+    text, motion, owners = pairs(subject)
+    distances = np.linalg.norm(text[:, None] - motion[None], axis=-1)
+    # One that finds its motion first, and one whose text does not: so the shares of hits cannot stay as they are.
+    hit = int(np.argmin(np.sum(distances < np.diagonal(distances)[:, None], axis=1)))
+    other = int(np.argmax(distances[:, hit]))
+    one, two = int(owners[hit]), int(owners[other])
+    captions = [subject.samples.clips[number].captions for number in (one, two)]
+    swapped = with_clip(with_clip(subject, one, captions=captions[1]), two, captions=captions[0])
+    after = figures(swapped, model)["real"]
+    found = changed(before["real"], after)
+    assert {"matching_score", "r_precision_1"} <= found <= TEXT_METRICS
+    text[[hit, other]] = text[[other, hit]]
+    expected = r_precision(jnp.asarray(text), jnp.asarray(motion))
+    np.testing.assert_allclose([after[f"r_precision_{k}"] for k in (1, 2, 3)], expected)
+    np.testing.assert_allclose(after["matching_score"], matching_score(jnp.asarray(text), jnp.asarray(motion)))
+
+
+def test_shifting_a_clip_by_a_frame_changes_what_looks_at_it(subject, model, before):
+    features = subject.samples.clips[5].features
+    shifted = with_clip(subject, 5, features=np.concatenate([features[1:], features[-1:]]))
+    after = figures(shifted, model)
+    assert changed(before["real"], after["real"]) >= {"fid", "matching_score", "diversity"}
+    assert changed(before["generated"], after["generated"]) == {"fid"}, (
+        "generated motion does not depend on real motion"
+    )
+    (text, motion, owners), (text_after, motion_after, _) = pairs(subject), pairs(shifted)
+    np.testing.assert_array_equal(text, text_after)
+    np.testing.assert_array_equal(np.any(motion != motion_after, axis=1), owners == 5)
+
+
+def rescaled(normalizer, factor, shift=0.0):
+    return Normalizer(normalizer.mean + shift * normalizer.std, normalizer.std * factor)
+
+
+def with_statistics(subject, normalizer):
+    evaluator = subject.evaluator
+    return subject._replace(
+        evaluator=make_trained_evaluator(evaluator.config, evaluator.variables, normalizer, evaluator.vocabulary)
+    )
+
+
+@pytest.mark.parametrize(("factor", "shift"), [(1.7, 0.0), (0.6, 0.0), (1.0, 0.6), (1.0, -0.6)])
+def test_statistics_that_are_far_off_are_refused(subject, dataset, factor, shift):
+    other = with_statistics(subject, rescaled(dataset.normalizer, factor, shift))
+    with pytest.raises(UserError, match="not those of the evaluator's data"):
+        check_fit(other.evaluator, dataset)
+
+
+def test_statistics_that_are_a_little_off_change_motion_and_not_text(subject, model, dataset, before):
+    other = with_statistics(subject, rescaled(dataset.normalizer, 1.2, 0.1))
+    check_fit(other.evaluator, dataset)
+    assert other.evaluator.fingerprint != subject.evaluator.fingerprint
+    after = figures(other, model)
+    for row, found in after.items():
+        assert changed(before[row], found) >= {"fid", "diversity", "matching_score"}, row
+    (text, motion, _), (text_after, motion_after, _) = pairs(subject), pairs(other)
+    np.testing.assert_array_equal(text, text_after)
+    assert np.all(np.any(motion != motion_after, axis=1))
+
+
+def test_another_unit_of_the_features_changes_nothing(subject, before):
+    """Features, statistics of model and evaluator, all twice as large: a power of two, so nothing is rounded."""
+    clips = [clip._replace(features=2 * clip.features) for clip in subject.samples.clips]
+    statistics = Normalizer(*(2 * column for column in subject.evaluator.normalizer))
+    model = TextToMotion(random_bundle()._replace(normalizer=statistics))
+    assert figures(with_clips(with_statistics(subject, statistics), clips), model) == before
+
+
+def test_the_size_of_batches_does_not_matter(subject, model, before, monkeypatch):
+    monkeypatch.setattr(codes, "BATCH", 50)
+    monkeypatch.setattr(embedding, "BATCH", 20)
+    after = figures(subject, model)
+    for row, metrics in before.items():
+        for metric, value in metrics.items():
+            # Of two motions that are made alike either may be nearer by the last bit.
+            ties = 1 / 32 if metric.startswith("r_precision") else 0
+            np.testing.assert_allclose(after[row][metric], value, rtol=1e-4, atol=ties, err_msg=f"{row} {metric}")
+
+
+def test_what_the_model_draws_changes_the_generated_row_alone(subject, model, before):
+    after = figures(subject, model, Greedy())
+    assert after["real"] == before["real"]
+    assert after["generated"]["multimodality"] < 1e-4 * before["generated"]["multimodality"], "greedy is one motion"
+    assert changed(before["generated"], after["generated"]) >= {"fid", "diversity", "matching_score"}
+
+
+def test_a_protocol_is_told_from_another_by_what_it_changes(subject, model, before):
+    """text-to-motion is t2m-gpt but for whose variety is measured; with fewer captions than it asks for, the same."""
+    assert figures(subject._replace(protocol=find_protocol("text-to-motion")), model) == before
+    real_lengths = dataclasses.replace(subject.protocol, generated_length="real")
+    after = figures(subject._replace(protocol=real_lengths), model)
+    assert after["real"] == before["real"]
+    assert changed(before["generated"], after["generated"]) >= {"fid", "diversity", "matching_score"}
+
+
+def test_labels_change_what_reads_labels(subject, model, before):
+    alike = subject._replace(samples=subject.samples._replace(labels=np.zeros(32, np.int32)))
+    after = figures(alike, model)
+    for row, found in after.items():
+        by_label = {f"r_precision_{k}_by_label" for k in (1, 2, 3)}
+        assert {found[metric] for metric in by_label} == {1.0}, row
+        others = changed(before[row], found) - by_label
+        assert all("label" in metric for metric in others), others
+
+
+def test_jit_equals_eager():
+    evaluator, bundle = random_evaluator(), random_bundle()
+    generator = np.random.default_rng(0)
+    tokens = jnp.asarray(generator.integers(0, 16, (3, 4)), jnp.int32)
+    lengths = jnp.array([4, 2, 1], jnp.int32)
+    words = tuple(map(jnp.asarray, evaluator.vocabulary.vectorize_all([("a", "person"), ("walks",)])))
+    motion = jnp.asarray(generator.normal(size=(2, 12, 263)), jnp.float32)
+    statistics = tuple(Normalizer(*map(jnp.asarray, part.normalizer)) for part in (bundle, evaluator))
+    calls = [
+        (
+            embed_codes,
+            (jax.device_put((bundle.variables["vqvae"], evaluator.variables)), statistics, tokens, lengths),
+            {"config": bundle.config.vqvae, "evaluator": evaluator.config, "max_frames": 12, "clear": True},
+        ),
+        (embedding._embed_motion, (evaluator.variables, motion, jnp.array([12, 7])), {"config": evaluator.config}),
+        (embedding._embed_text, (evaluator.variables, *words), {"config": evaluator.config}),
+    ]
+    for function, arguments, options in calls:
+        jitted = function(*arguments, **options)
+        with jax.disable_jit():
+            np.testing.assert_allclose(jitted, function(*arguments, **options), rtol=1e-4, atol=1e-5)
+    keys = (jax.random.key(1), jnp.arange(3), jnp.array([0, 5, 0]))
+    jitted = jax.random.key_data(sample_keys(*keys))
+    with jax.disable_jit():
+        np.testing.assert_array_equal(jitted, jax.random.key_data(sample_keys(*keys)))
+    assert len(np.unique(jitted, axis=0)) == 3
