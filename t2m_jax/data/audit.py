@@ -13,6 +13,7 @@ from t2m_jax.data.cache import cache_places, damage, scan_sources
 from t2m_jax.data.caption_notes import caption_notes
 from t2m_jax.data.files import FEATURES, MIRROR_PREFIX, POSITIONS, SPLITS, TEXTS, load_array
 from t2m_jax.data.folder import Dataset, open_dataset
+from t2m_jax.data.index import load_index
 from t2m_jax.data.texts import Caption, read_captions
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.normalizer import Normalizer, normalizer_from_clips
@@ -230,6 +231,21 @@ def _check_cache(dataset: Dataset) -> list[str]:
     return problems
 
 
+def _check_index(dataset: Dataset, splits: dict[str, tuple[str, ...]]) -> tuple[list[str], list[str]]:
+    """Returns problems of `index.csv`, and notes on clips that share a recording with training."""
+    try:
+        index = load_index(dataset.folder)
+    except UserError as error:
+        return [str(error)], []
+    notes = []
+    for split in SPLITS[1:] if index else ():
+        shared = len(index.recorded_with(splits.get(split, ()), splits.get("train", ())))
+        if shared:
+            said = f"of {len(splits[split])} {split} clips are cut from recordings that are in train, too"
+            notes.append(f"{shared} {said}; protocol strict leaves them out")
+    return [], notes
+
+
 def audit_dataset(folder: str | Path) -> AuditReport:
     """Returns counts of a data-set folder and everything wrong with it.
 
@@ -256,9 +272,11 @@ def audit_dataset(folder: str | Path) -> AuditReport:
     problems += check_overlap(splits) + check_statistics(dataset, splits)
     problems += _find_orphans(dataset, everything) + _check_positions(dataset, sorted(everything))
     problems += _check_cache(dataset)
+    wrong, shared = _check_index(dataset, splits)
+    problems += wrong
     info, outside = dataset.info, sum(count.out_of_range for count in counts.values())
     notes = [f"{outside} clips outside {info.min_frames} to {info.max_frames} frames"] if outside else []
-    notes += caption_notes(captions, training=splits.get("train", ()))
+    notes += caption_notes(captions, training=splits.get("train", ())) + shared
     return AuditReport(
         folder=str(folder),
         name=info.name,

@@ -34,6 +34,11 @@ class ClipIndex(NamedTuple):
         label = self.labels.get(name.removeprefix(MIRROR_PREFIX))
         return None if label is None else mirror_caption(label)
 
+    def recorded_with(self, names: Iterable[str], others: Iterable[str]) -> frozenset[str]:
+        """Returns the clips of `names` that are cut from a recording of one of `others`, as far as is known."""
+        recordings = {self.source(name) for name in others} - {None}
+        return frozenset(name for name in names if self.source(name) in recordings)
+
 
 class IndexRow(NamedTuple):
     """One clip of the table."""

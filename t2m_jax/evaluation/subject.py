@@ -61,9 +61,8 @@ def load_samples(dataset: Dataset, split: str, *, source_disjoint: bool = False)
     """
     clips, index, shared = dataset.clips(split), load_index(dataset.folder), None
     if source_disjoint and index is not None and index.sources and split != "train":
-        trained = {index.source(name) for name in dataset.names("train")} - {None}
-        disjoint = [clip for clip in clips if index.source(clip.name) not in trained]
-        clips, shared = disjoint, len(clips) - len(disjoint)
+        trained = index.recorded_with((clip.name for clip in clips), dataset.names("train"))
+        clips, shared = [clip for clip in clips if clip.name not in trained], len(trained)
     pairs = [(clip.name, sample) for clip in clips for sample in samples_from_clip(clip, dataset.info)]
     if not pairs:
         raise UserError(f"{dataset.folder}: split {split} has no motion with a caption to evaluate")

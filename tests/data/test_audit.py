@@ -10,6 +10,7 @@ from t2m_jax.config import UserError
 from t2m_jax.data.audit import audit_dataset
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.humanml3d import import_humanml3d
+from t2m_jax.data.index import IndexRow, save_index
 
 
 @pytest.fixture
@@ -93,6 +94,20 @@ def test_overlap_counts_twins(folder):
     with (folder / "test.txt").open("a") as file:
         file.write(f"M{name}\n")
     assert audit_dataset(folder).problems == [f"test.txt: {name} or its mirrored twin is in train.txt, too"]
+
+
+def test_recordings_shared_with_training_are_noted(folder):
+    dataset = open_dataset(folder)
+    trained, held_out = (next(n for n in dataset.names(split) if n[0] != "M") for split in ("train", "test"))
+    save_index(folder, [IndexRow(trained, "one.bvh", ""), IndexRow(held_out, "one.bvh", "")])
+    clips = len(dataset.names("test"))
+    said = f"2 of {clips} test clips are cut from recordings that are in train, too; protocol strict leaves them out"
+    report = audit_dataset(folder)
+    assert said in report.notes and not report.problems
+    (folder / "index.csv").write_text("clip,source\na,b\n")
+    assert audit_dataset(folder).problems == [
+        f"{folder / 'index.csv'}: has no column new_name; its columns are clip, source"
+    ]
 
 
 def test_names_twice_orphans_and_missing_files(folder):
