@@ -237,8 +237,10 @@ def _check_index(dataset: Dataset, splits: dict[str, tuple[str, ...]]) -> tuple[
         index = load_index(dataset.folder)
     except UserError as error:
         return [str(error)], []
+    if index is None:
+        return [], []
     notes = []
-    for split in SPLITS[1:] if index else ():
+    for split in SPLITS[1:]:
         shared = len(index.recorded_with(splits.get(split, ()), splits.get("train", ())))
         if shared:
             said = f"of {len(splits[split])} {split} clips are cut from recordings that are in train, too"
