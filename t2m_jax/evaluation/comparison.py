@@ -72,5 +72,6 @@ def comparison_table(names: Sequence[str], differences: Sequence[Difference]) ->
     for row in differences:
         change = f"{row.second - row.first:+.3f} ± {row.interval:.3f}"
         change = f"**{change}**" if row.p_value < 0.05 else change
-        lines.append(f"| {row.metric} | {row.first:.3f} | {row.second:.3f} | {change} | {row.p_value:.4f} |")
+        p_value = f"{row.p_value:.4f}" if row.p_value >= 1e-4 else "< 0.0001"
+        lines.append(f"| {row.metric} | {row.first:.3f} | {row.second:.3f} | {change} | {p_value} |")
     return "\n".join(lines)

@@ -7,7 +7,7 @@ import pytest
 
 from t2m_jax.cli.main import main
 from t2m_jax.config import UserError
-from t2m_jax.evaluation.comparison import compare_reports, sign_test
+from t2m_jax.evaluation.comparison import compare_reports, comparison_table, sign_test
 from t2m_jax.evaluation.reports import load_report
 
 HEADER = {"protocol": "strict", "data": "d", "split": "test", "num_samples": 64, "evaluator": "abc", "seed": 0}
@@ -44,6 +44,12 @@ def test_differences_are_those_of_the_repeats():
 def test_generation_compares_with_reconstruction():
     (found,) = compare_reports(report(row="reconstruction", fid=[1.0, 2.0]), report(fid=[3.0, 4.0]))
     assert found.second - found.first == 2.0
+
+
+def test_no_chance_is_printed_as_none():
+    steady = [compare_reports(report(fid=[1.0] * 20), report(fid=[2.0] * 20))[0]]
+    assert steady[0].p_value > 0
+    assert comparison_table(["a", "b"], steady).endswith("| < 0.0001 |")
 
 
 @pytest.mark.parametrize("name", HEADER)
