@@ -1,4 +1,4 @@
-"""The four files of a published T2M-GPT put together as one bundle."""
+"""Published files put together: the four of a T2M-GPT as a bundle, the five of an evaluator as an evaluator."""
 
 import dataclasses
 import hashlib
@@ -6,12 +6,14 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from t2m_jax.checkpoints.bundle import Bundle, BundleConfig
-from t2m_jax.checkpoints.official import load_gpt, load_vqvae
+from t2m_jax.checkpoints.evaluator import TrainedEvaluator, make_trained_evaluator
+from t2m_jax.checkpoints.official import load_evaluator, load_gpt, load_vqvae
 from t2m_jax.config import UserError
 from t2m_jax.models.convolution import NormKind
 from t2m_jax.models.quantizer import QuantizerKind
 from t2m_jax.motion.normalizer import normalizer_from_files
 from t2m_jax.motion.skeleton import skeleton_from_feature_dim
+from t2m_jax.text.word_vectors import load_vocabulary
 
 
 class OfficialFiles(NamedTuple):
@@ -64,6 +66,37 @@ def load_official(files: OfficialFiles, *, options: OfficialOptions = OfficialOp
         raise UserError(f"{files.vqvae}: {error}") from None
     config = BundleConfig(skeleton=skeleton, vqvae=vqvae_config, gpt=gpt_config, text_encoder="clip")
     return Bundle(config, {"vqvae": vqvae, "gpt": gpt}, normalizer, None)
+
+
+class OfficialEvaluatorFiles(NamedTuple):
+    """What an evaluator of Guo et al. is made of."""
+
+    evaluator: Path
+    """`finest.tar`."""
+    mean: Path
+    """Statistics of its own, `Comp_v6_*/meta`; not the data set's."""
+    std: Path
+    words: Path
+    """One word a line, in the order of the vectors."""
+    word_vectors: Path
+    """`our_vab_data.npy`."""
+
+
+def load_official_evaluator(files: OfficialEvaluatorFiles) -> TrainedEvaluator:
+    """Returns a published evaluator.
+
+    Raises:
+        UserError: if a file is missing, damaged or of something else, or they do not fit each other.
+    """
+    config, variables = load_evaluator(files.evaluator, word_vectors=files.word_vectors)
+    normalizer, vocabulary = normalizer_from_files(files.mean, files.std), load_vocabulary(files.words)
+    if len(normalizer.mean) != config.feature_dim:
+        raise UserError(
+            f"{files.mean}: statistics of {len(normalizer.mean)} features, {files.evaluator} reads {config.feature_dim}"
+        )
+    if len(vocabulary) != config.num_words:
+        raise UserError(f"{files.words}: {len(vocabulary)} words, but {files.word_vectors} has {config.num_words}")
+    return make_trained_evaluator(config, variables, normalizer, vocabulary)
 
 
 def official_card(files: OfficialFiles, bundle: Bundle) -> str:

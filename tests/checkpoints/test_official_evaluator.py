@@ -8,11 +8,16 @@ import pytest
 from flax import traverse_util
 from safetensors.numpy import save_file
 
+from t2m_jax.checkpoints.evaluator import load_evaluator_bundle
 from t2m_jax.checkpoints.official import load_evaluator
 from t2m_jax.checkpoints.official_export import evaluator_state_dict
 from t2m_jax.checkpoints.official_names import EVALUATOR_PARTS, evaluator_weights
+from t2m_jax.cli.main import main
 from t2m_jax.config import UserError
+from t2m_jax.data.folder import Clip
+from t2m_jax.evaluation.embedding import embed_real
 from t2m_jax.models.evaluator import Evaluator, EvaluatorConfig, evaluator_shapes
+from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from tests import golden_files
 from tests.checkpoints.torch_archives import number, tensor, text, write_archive
 
@@ -130,3 +135,64 @@ def test_what_does_not_fit_is_named(golden_dir, state, table, tmp_path):
     np.save(table, np.ones((3, 5)))
     assert "vectors of 5 numbers" in refusal(write_finest(path, state), word_vectors=table)
     assert "cannot be read" in refusal(path, word_vectors=tmp_path / "none.npy")
+
+
+@pytest.fixture
+def published(golden_dir, tmp_path):
+    """The five files of an evaluator of 263 features, statistics being the published ones."""
+    with np.load(golden_dir / "evaluation" / "nets_pose263.npz") as file:
+        golden = dict(file)
+    with np.load(golden_dir / "evaluation" / "evaluator_meta.npz") as meta:
+        for name in ("mean", "std"):
+            np.save(tmp_path / f"{name}.npy", meta[f"t2m_{name}"])
+    write_finest(tmp_path / "finest.tar", golden_files.evaluator_state_dict(golden))
+    vectors = golden["word_embs"].reshape(-1, golden["word_embs"].shape[-1])
+    np.save(tmp_path / "vectors.npy", vectors)
+    words = ["sos", "eos", "unk", *(f"word{number}" for number in range(3, len(vectors)))]
+    (tmp_path / "words.txt").write_text("".join(f"{word}\n" for word in words))
+    return golden, tmp_path
+
+
+def convert(folder, *options):
+    files = {"evaluator": "finest.tar", "mean": "mean.npy", "std": "std.npy", "words": "words.txt"}
+    files["word-vectors"] = "vectors.npy"
+    given = [word for name, file in files.items() for word in (f"--{name}", str(folder / file))]
+    return main(["convert", "official", *given, *options, str(folder / "evaluator")])
+
+
+def test_published_files_make_an_evaluator(published):
+    golden, folder = published
+    assert convert(folder) == 0
+    evaluator = load_evaluator_bundle(folder / "evaluator")
+    raw = evaluator.normalizer.denormalize(golden["motions"].astype(np.float64))
+    motion = np.where(np.arange(raw.shape[1])[None, :, None] < golden["m_lens"][:, None, None], raw, 0.0)
+    clips = [Clip(str(row), motion[row, :length], ()) for row, length in enumerate(golden["m_lens"])]
+    found = embed_real(evaluator, clips, np.zeros(len(clips), int), golden["m_lens"], max_frames=196)
+    # Root columns are divided by half a thousandth, which costs three digits of float32.
+    np.testing.assert_allclose(found, golden["motion_emb"], atol=2e-3)
+    words = [evaluator.vocabulary.words[number] for number in range(3, 6)]
+    assert evaluator.vocabulary.vectorize([f"{word}/NOUN" for word in words]).words[1:4].tolist() == [3, 4, 5]
+
+
+def test_published_statistics_weigh_root_and_contacts_by_25(golden_dir):
+    with np.load(golden_dir / "evaluation" / "evaluator_meta.npz") as meta:
+        for name in ("t2m", "kit"):
+            chance = meta[f"{name}_mean"][-4:]
+            deviation = np.sqrt(chance * (1 - chance)).mean()
+            np.testing.assert_allclose(TrainEvaluatorConfig().root_weight * meta[f"{name}_std"][-4:], deviation)
+
+
+def test_files_that_make_no_evaluator_are_refused(published, capsys):
+    _, folder = published
+    assert convert(folder, "--gpt", "gpt.pth") == 2
+    assert "--gpt is no part of an evaluator" in capsys.readouterr().err
+    assert main(["convert", "official", "--evaluator", "finest.tar", str(folder / "evaluator")]) == 2
+    assert "--words, --word-vectors missing; an evaluator is made of all five files" in capsys.readouterr().err
+    (folder / "words.txt").write_text("sos\neos\nunk\n")
+    assert convert(folder) == 2
+    assert "words.txt: 3 words, but" in capsys.readouterr().err
+    np.save(folder / "mean.npy", np.zeros(251))
+    np.save(folder / "std.npy", np.ones(251))
+    assert convert(folder) == 2
+    assert "statistics of 251 features" in capsys.readouterr().err
+    assert not (folder / "evaluator").exists()
