@@ -185,4 +185,4 @@ def test_viewers_live_while_they_are_near_the_screen(open_in_browser, evidence, 
     inside.locator("canvas").wait_for()
     assert inside.locator(".caption").all_text_contents() == ["1", "2, its own"]
     page.evaluate("window.scrollTo(0, 0)")
-    page.wait_for_function("document.querySelectorAll('iframe').length === 0")
+    frames.first.wait_for(state="detached")
