@@ -30,6 +30,28 @@ class MotionCodes(NamedTuple):
     code_lengths: Int[np.ndarray, " B"]
 
 
+def _draw(
+    model: TextToMotion,
+    text_embedding: Float[np.ndarray, "B E"],
+    keys: Key[Array, " B"],
+    *,
+    strategy: Strategy,
+    min_codes: int,
+    max_codes: int,
+) -> MotionCodes:
+    """Returns the codes of one batch, on the host."""
+    drawn = generate_codes(
+        model.variables,
+        jnp.asarray(text_embedding),
+        keys,
+        config=model.config,
+        strategy=strategy,
+        min_codes=min_codes,
+        max_codes=max_codes,
+    )
+    return MotionCodes(np.asarray(drawn.codes), np.asarray(drawn.code_lengths))
+
+
 def generate_many(
     model: TextToMotion,
     text_embedding: Float[np.ndarray, "B E"],
@@ -47,21 +69,13 @@ def generate_many(
     longest = model.config.gpt.max_codes
     codes = np.zeros((len(text_embedding), longest), np.int32)
     code_lengths = np.zeros(len(text_embedding), np.int32)
-
     limits = np.minimum(-(-(expected // model.config.vqvae.downsample + MARGIN) // CHUNK) * CHUNK, longest)
 
     def draw(rows: Int[np.ndarray, " C"]) -> None:
         limits[rows] = limit = int(limits[rows].max())
-        drawn = generate_codes(
-            model.variables,
-            jnp.asarray(text_embedding[rows]),
-            keys[rows],
-            config=model.config,
-            strategy=strategy,
-            min_codes=0,
-            max_codes=limit,
+        codes[rows, :limit], code_lengths[rows] = _draw(
+            model, text_embedding[rows], keys[rows], strategy=strategy, min_codes=0, max_codes=limit
         )
-        codes[rows, :limit], code_lengths[rows] = np.asarray(drawn.codes), np.asarray(drawn.code_lengths)
 
     for_each_batch(draw, batches_of(np.argsort(limits, kind="stable"), BATCH))
     unfinished = np.flatnonzero((code_lengths == limits) & (limits < longest))
@@ -84,16 +98,9 @@ def generate_at_length(
     codes = np.zeros((len(text_embedding), longest), np.int32)
 
     def draw(rows: Int[np.ndarray, " C"]) -> None:
-        drawn = generate_codes(
-            model.variables,
-            jnp.asarray(text_embedding[rows]),
-            keys[rows],
-            config=model.config,
-            strategy=strategy,
-            min_codes=longest,
-            max_codes=longest,
+        codes[rows], _ = _draw(
+            model, text_embedding[rows], keys[rows], strategy=strategy, min_codes=longest, max_codes=longest
         )
-        codes[rows] = np.asarray(drawn.codes)
 
     for_each_batch(draw, batches_of(np.arange(len(codes)), BATCH))
     code_lengths = np.clip(lengths // model.config.vqvae.downsample, 1, longest).astype(np.int32)

@@ -1,7 +1,8 @@
 """Who makes the motions that are measured: a model from captions, or its VQ-VAE from the real ones."""
 
+import typing
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,8 +12,7 @@ from jaxtyping import Array, Float, Int, Key
 from t2m_jax.checkpoints.vqvae import TrainedVqVae
 from t2m_jax.data.folder import Clip
 from t2m_jax.evaluation.codes import MotionCodes, encode_pieces, generate_at_length, generate_many
-from t2m_jax.evaluation.protocols import SAMPLES_A_CAPTION, Plan
-from t2m_jax.evaluation.protocols import Protocol as Rules
+from t2m_jax.evaluation.protocols import SAMPLES_A_CAPTION, Plan, Protocol
 from t2m_jax.sampling.pipeline import TextToMotion
 from t2m_jax.sampling.strategies import Strategy
 
@@ -29,8 +29,8 @@ class Made(NamedTuple):
     """Its number among the samples of that item."""
 
 
-@runtime_checkable
-class Maker(Protocol):
+@typing.runtime_checkable
+class Maker(typing.Protocol):
     """Makes motions for a plan, as codes of a VQ-VAE."""
 
     @property
@@ -43,7 +43,7 @@ class Maker(Protocol):
         """Decodes what it makes."""
         ...
 
-    def make(self, samples: Sequence[Clip], rules: Rules, plan: Plan, key: Key[Array, ""]) -> Made:
+    def make(self, samples: Sequence[Clip], protocol: Protocol, plan: Plan, key: Key[Array, ""]) -> Made:
         """Returns the motions of one repeat; each depends on key, item and number alone."""
         ...
 
@@ -58,9 +58,9 @@ class Reconstruction(NamedTuple):
         """What its row is called in reports."""
         return "reconstruction"
 
-    def make(self, samples: Sequence[Clip], rules: Rules, plan: Plan, key: Key[Array, ""]) -> Made:
+    def make(self, samples: Sequence[Clip], protocol: Protocol, plan: Plan, key: Key[Array, ""]) -> Made:
         """Returns the plan's real motions as codes; nothing is drawn."""
-        del rules, key
+        del protocol, key
         codes = encode_pieces(self.vqvae, [samples[owner] for owner in plan.samples], plan.starts, plan.lengths)
         items = np.arange(len(plan.samples))
         return Made(codes, items, np.zeros_like(items))
@@ -84,14 +84,14 @@ class Generation(NamedTuple):
         """Decodes what it makes."""
         return TrainedVqVae(self.model.config.vqvae, self.model.variables["vqvae"], self.model.normalizer)
 
-    def make(self, samples: Sequence[Clip], rules: Rules, plan: Plan, key: Key[Array, ""]) -> Made:
+    def make(self, samples: Sequence[Clip], protocol: Protocol, plan: Plan, key: Key[Array, ""]) -> Made:
         """Returns motions generated from the plan's captions."""
         captions = [samples[owner].captions[caption].text for owner, caption in zip(*plan[:2], strict=True)]
-        items, numbers = samples_that_count(plan, rules)
+        items, numbers = samples_that_count(plan, protocol)
         text = np.stack([self.texts[caption] for caption in captions])[items]
         keys = sample_keys(key, jnp.asarray(items), jnp.asarray(numbers))
         lengths = plan.lengths[items]
-        if rules.generated_length == "real":
+        if protocol.generated_length == "real":
             codes = generate_at_length(self.model, text, keys, strategy=self.strategy, lengths=lengths)
         else:
             codes = generate_many(self.model, text, keys, strategy=self.strategy, expected=lengths)
@@ -108,12 +108,12 @@ def make_generation(model: TextToMotion, strategy: Strategy, samples: Sequence[C
     return Generation(model, strategy, texts)
 
 
-def samples_that_count(plan: Plan, rules: Rules) -> tuple[Int[np.ndarray, " G"], Int[np.ndarray, " G"]]:
+def samples_that_count(plan: Plan, protocol: Protocol) -> tuple[Int[np.ndarray, " G"], Int[np.ndarray, " G"]]:
     """Returns which items to generate for, and the number of each sample among those of its item.
 
     Of the 30 samples of a caption only those are made that a metric looks at: one does not depend on another.
     """
-    standing = 0 if rules.first_counts else SAMPLES_A_CAPTION - 1
+    standing = 0 if protocol.first_counts else SAMPLES_A_CAPTION - 1
     looked_at = np.union1d(plan.multimodality_pairs.ravel(), [standing])
     items = [np.arange(len(plan.samples)), *(plan.varied for number in looked_at if number != standing)]
     numbers = [standing, *(number for number in looked_at if number != standing)]

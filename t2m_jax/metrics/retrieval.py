@@ -29,13 +29,6 @@ def own_standing(queries: Float[Array, "B E"], candidates: Float[Array, "B E"], 
     return Standing(jnp.sum((distances < own) & others, axis=1), jnp.sum((distances == own) & others, axis=1))
 
 
-def own_ranks(
-    queries: Float[Array, "B E"], candidates: Float[Array, "B E"], labels: Int[Array, " B"]
-) -> Int[Array, " B"]:
-    """Returns how many candidates of another label are nearer to each query than its own."""
-    return own_standing(queries, candidates, labels).nearer
-
-
 def _hit_chances(standing: Standing, top_k: int) -> Float[Array, "B K"]:
     """Returns the chance that each own candidate is among the 1, 2, ... nearest if chance orders what is as near."""
     places = jnp.arange(1, top_k + 1)[None, :] - standing.nearer[:, None]

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int, Key
 from t2m_jax.data.bank import Windows
 from t2m_jax.data.caption_bank import CaptionBatch
 from t2m_jax.losses import infonce_loss, margin_loss, movement_loss, pair_distances
-from t2m_jax.metrics.retrieval import own_ranks
+from t2m_jax.metrics import r_precision
 from t2m_jax.models.evaluator import Evaluator, MovementDecoder
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from t2m_jax.train.schedules import make_optimizer
@@ -133,8 +133,9 @@ def matching_metrics(
 ) -> Metrics:
     """Returns the loss, the mean distances of pairs and of negatives, and `top3`.
 
-    `top3` is the share of texts whose motion is among the three nearest of the batch. Pairs stand in the order of their
-    motions' lengths, longest first, when negatives are shifted, as in the original.
+    `top3` is the share of texts whose motion is among the three nearest of the batch; what is as near shares its
+    place. Pairs stand in the order of their motions' lengths, longest first, when negatives are shifted, as in the
+    original.
     """
     order = jnp.argsort(-batch.lengths, stable=True)
     text, motion = Evaluator(config.model).apply({"params": params}, batch.motion, batch.lengths, *batch.captions)
@@ -145,12 +146,11 @@ def matching_metrics(
         words = batch.captions.words[order]
         same = jnp.all(words[:, None] == words[None, :], axis=-1)
         loss = infonce_loss(text, motion, same, temperature=config.temperature)
-    ranks = own_ranks(text, motion, jnp.arange(len(text)))
     return {
         "loss": loss,
         "positive_distance": jnp.mean(pair_distances(text, motion)),
         "negative_distance": jnp.mean(pair_distances(text, jnp.roll(motion, -shift, axis=0))),
-        "top3": jnp.mean(ranks < 3),
+        "top3": r_precision(text, motion, batch=len(text))[2],
     }
 
 
