@@ -20,6 +20,8 @@ from typing import Any, Literal, TypeVar, Union
 
 import yaml
 
+from t2m_jax.errors import UserError
+
 T = TypeVar("T")
 
 MAX_FILE_BYTES = 100_000
@@ -27,10 +29,6 @@ MAX_FILE_BYTES = 100_000
 
 MAX_DEPTH = 32
 """Deepest nesting that is read; it bounds the recursions below."""
-
-
-class UserError(ValueError):
-    """A mistake the user can mend: one line that names file, field or value and says what to do."""
 
 
 class _FieldError(Exception):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from t2m_jax.checkpoints.official_names import EVALUATOR_PARTS
+from t2m_jax.checkpoints.official.names import EVALUATOR_PARTS
 from t2m_jax.models.evaluator import EvaluatorConfig
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.cli.main import COMMANDS, main
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 
 
 @pytest.fixture

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from t2m_jax.config import (
     MAX_DEPTH,
     MAX_FILE_BYTES,
-    UserError,
     config_from_dict,
     config_to_dict,
     load_config,
     override_config,
     save_config,
 )
+from t2m_jax.errors import UserError
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

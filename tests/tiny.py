@@ -8,7 +8,7 @@ import numpy as np
 
 from t2m_jax.checkpoints.bundle import Bundle, BundleConfig, expected_variables
 from t2m_jax.checkpoints.evaluator import TrainedEvaluator, make_trained_evaluator
-from t2m_jax.data.synthetic import make_motion
+from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.models.caption_encoder import CaptionEncoderConfig
 from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
 from t2m_jax.models.motion_gpt import MotionGptConfig
@@ -16,10 +16,10 @@ from t2m_jax.models.vqvae import VqVaeConfig
 from t2m_jax.motion.features import features_from_positions
 from t2m_jax.motion.normalizer import Normalizer, normalizer_from_clips
 from t2m_jax.motion.skeleton import HUMANML3D
-from t2m_jax.text.tokenization import train_tokenizer
+from t2m_jax.text.bpe import train_tokenizer
 from t2m_jax.text.word_vectors import tokens_from_text, vocabulary_from_captions
 from t2m_jax.train.config import LoopConfig, TrainGptConfig, TrainVqVaeConfig
-from t2m_jax.train.schedules import OptimizerConfig
+from t2m_jax.train.optimizer import OptimizerConfig
 
 VQVAE = VqVaeConfig(num_codes=16, code_dim=8, width=16, depth=1)
 GPT = MotionGptConfig(num_codes=16, embed_dim=16, text_dim=12, num_layers=2, num_heads=2, block_size=41)

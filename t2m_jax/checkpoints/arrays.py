@@ -10,7 +10,7 @@ from flax import traverse_util
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 
 
 def save_arrays(path: Path, tree: Mapping[str, Any], *, half: bool = False) -> None:

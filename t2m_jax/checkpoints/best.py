@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from t2m_jax.checkpoints.arrays import load_arrays, save_arrays
-from t2m_jax.checkpoints.run_directory import Checkpoints
+from t2m_jax.checkpoints.run import Checkpoints
 from t2m_jax.config import load_config, save_config
 
 BEST_FILE, BEST_FOLDER = "best.yaml", "best"

@@ -13,13 +13,14 @@ from tokenizers import Tokenizer
 
 from t2m_jax.checkpoints.arrays import load_arrays, save_arrays
 from t2m_jax.checkpoints.clip import TrainedClip, save_clip
-from t2m_jax.config import UserError, load_config, save_config
+from t2m_jax.config import load_config, save_config
+from t2m_jax.errors import UserError
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
 from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
 from t2m_jax.models.vqvae import VqVae, VqVaeConfig
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
 from t2m_jax.motion.skeleton import skeleton_from_name
-from t2m_jax.text.tokenization import load_tokenizer, save_tokenizer
+from t2m_jax.text.bpe import load_tokenizer, save_tokenizer
 
 CONFIG_FILE = "bundle.yaml"
 WEIGHTS_FILE = "weights.safetensors"

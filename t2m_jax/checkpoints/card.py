@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from t2m_jax.checkpoints.run_directory import CONFIG_FILE
+from t2m_jax.checkpoints.run import CONFIG_FILE
 
 
 def plain_card(run: Path) -> str:

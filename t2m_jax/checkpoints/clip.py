@@ -23,10 +23,11 @@ from t2m_jax.checkpoints.clip_files import (
     read_clip_config,
     read_text_arrays,
 )
-from t2m_jax.config import UserError, config_from_dict
+from t2m_jax.config import config_from_dict
+from t2m_jax.errors import UserError
 from t2m_jax.models.clip_text import ClipTextConfig
-from t2m_jax.text.clip_tokenization import END, START, load_clip_tokenizer
-from t2m_jax.text.tokenization import save_tokenizer
+from t2m_jax.text.bpe import save_tokenizer
+from t2m_jax.text.clip_bpe import END, START, load_clip_tokenizer
 
 _FIELDS = {
     "vocab_size": "vocabulary_size",

@@ -13,7 +13,7 @@ from flax import serialization, traverse_util
 from safetensors import SafetensorError, safe_open
 
 from t2m_jax.checkpoints.torch_file import load_torch_file
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 
 CONFIG_FILE = "config.json"
 TOKENIZER_FILES = ("tokenizer.json", "vocab.json", "merges.txt")

@@ -9,10 +9,11 @@ import numpy as np
 from t2m_jax.checkpoints.best import restore_trained
 from t2m_jax.checkpoints.bundle import CONFIG_FILE as BUNDLE_FILE
 from t2m_jax.checkpoints.bundle import Bundle, BundleConfig, bundle_path, expected_variables, load_bundle
-from t2m_jax.checkpoints.run_directory import is_run_directory, run_info
+from t2m_jax.checkpoints.run import is_run_directory, run_info
 from t2m_jax.checkpoints.vqvae import load_vqvae
-from t2m_jax.config import UserError, load_config
-from t2m_jax.text.tokenization import load_tokenizer
+from t2m_jax.config import load_config
+from t2m_jax.errors import UserError
+from t2m_jax.text.bpe import load_tokenizer
 
 
 def load_gpt_run(path: Path) -> Bundle:

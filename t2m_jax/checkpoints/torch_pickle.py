@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import ml_dtypes
 import numpy as np
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 
 MAX_PICKLE_BYTES = 1_000_000
 """Longest pickle that is read: a published model takes 60 kB, and work and memory grow with the length."""

@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Prints one line a batch size."""
-    from t2m_jax.config import UserError
+    from t2m_jax.errors import UserError
     from t2m_jax.models.motion_gpt import MotionGptConfig
     from t2m_jax.sampling.benchmark import benchmark_decoding, random_gpt_variables
     from t2m_jax.sampling.pipeline import TextToMotion

@@ -21,7 +21,7 @@ def run(args: argparse.Namespace) -> None:
     from t2m_jax.checkpoints.card import plain_card
     from t2m_jax.checkpoints.clip import load_clip
     from t2m_jax.checkpoints.gpt_run import load_gpt_runs
-    from t2m_jax.checkpoints.official_export import export_official
+    from t2m_jax.checkpoints.official.export import export_official
 
     run_folder, bundle = load_gpt_runs([Path(path) for path in args.runs])
     card = Path(args.card).read_text(encoding="utf-8") if args.card else plain_card(run_folder)

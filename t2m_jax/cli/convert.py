@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Writes the folder and prints its name."""
-    from t2m_jax.config import UserError
+    from t2m_jax.errors import UserError
 
     given = [name for name in dict.fromkeys((*_FILES, *_EVALUATOR_FILES)) if getattr(args, name) is not None]
     if args.export_official is not None:
@@ -75,14 +75,14 @@ def _option(name: str) -> str:
 
 def _export(args: argparse.Namespace) -> None:
     from t2m_jax.checkpoints.gpt_run import load_model
-    from t2m_jax.checkpoints.official_export import export_official
+    from t2m_jax.checkpoints.official.export import export_official
 
     export_official(args.destination, load_model(args.export_official))
 
 
 def _convert(args: argparse.Namespace) -> None:
     from t2m_jax.checkpoints.bundle import save_bundle
-    from t2m_jax.checkpoints.official_bundle import OfficialFiles, OfficialOptions, load_official, official_card
+    from t2m_jax.checkpoints.official.bundle import OfficialFiles, OfficialOptions, load_official, official_card
 
     files = OfficialFiles(*(getattr(args, name) for name in _FILES))
     names = [field.name for field in dataclasses.fields(OfficialOptions)]
@@ -94,7 +94,7 @@ def _convert(args: argparse.Namespace) -> None:
 
 def _convert_evaluator(args: argparse.Namespace) -> None:
     from t2m_jax.checkpoints.evaluator import save_evaluator
-    from t2m_jax.checkpoints.official_bundle import OfficialEvaluatorFiles, load_official_evaluator
+    from t2m_jax.checkpoints.official.bundle import OfficialEvaluatorFiles, load_official_evaluator
 
     files = OfficialEvaluatorFiles(*(getattr(args, name) for name in _EVALUATOR_FILES))
     save_evaluator(args.destination, load_official_evaluator(files))

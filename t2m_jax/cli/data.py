@@ -71,11 +71,11 @@ def run(args: argparse.Namespace) -> None:
 def _make_synthetic(args: argparse.Namespace) -> "ImportReport":
     """Returns the report of the chosen maker of motions."""
     if args.like_humanml3d:
-        from t2m_jax.data import synthetic_scale as scale
+        from t2m_jax.data.importers import synthetic_scale as scale
 
         num_clips = scale.NUM_CLIPS if args.num_clips is None else args.num_clips
         return scale.write_scaled_dataset(args.destination, num_clips=num_clips, seed=args.seed)
-    from t2m_jax.data import synthetic
+    from t2m_jax.data.importers import synthetic
 
     num_clips = synthetic.NUM_CLIPS if args.num_clips is None else args.num_clips
     return synthetic.write_synthetic_dataset(args.destination, num_clips=num_clips, seed=args.seed)
@@ -84,11 +84,11 @@ def _make_synthetic(args: argparse.Namespace) -> "ImportReport":
 def _import(args: argparse.Namespace) -> "ImportReport":
     """Returns the report of the chosen importer."""
     if args.source_kind == "bandai-namco":
-        from t2m_jax.data.bandai_namco import import_bandai_namco
+        from t2m_jax.data.importers.bandai_namco.importer import import_bandai_namco
 
         return import_bandai_namco(args.source, args.destination, splits=args.splits, workers=args.workers)
     if args.source_kind == "bvh":
-        from t2m_jax.data.bvh_folder import import_bvh_folder
+        from t2m_jax.data.importers.bvh import import_bvh_folder
 
         return import_bvh_folder(
             args.source,
@@ -98,7 +98,7 @@ def _import(args: argparse.Namespace) -> "ImportReport":
             caption_from_name=args.caption_from_name,
             seed=args.seed,
         )
-    from t2m_jax.data.humanml3d import import_humanml3d
+    from t2m_jax.data.importers.humanml3d import import_humanml3d
 
     return import_humanml3d(args.source, args.destination)
 

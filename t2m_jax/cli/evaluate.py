@@ -16,7 +16,7 @@ from t2m_jax.cli import evaluate_report
 
 if TYPE_CHECKING:
     from t2m_jax.data.folder import Clip, Dataset
-    from t2m_jax.evaluation.makers import Maker
+    from t2m_jax.evaluation.sources import Maker
 
 LABELS = {
     "mpjpe_mm": "MPJPE, mm (root-aligned)",
@@ -48,8 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Prints a table and writes the JSON file."""
-    from t2m_jax.config import UserError
-    from t2m_jax.evaluation.reports import check_output, save_json
+    from t2m_jax.errors import UserError
+    from t2m_jax.evaluation.report.record import check_output, save_json
     from t2m_jax.sampling.compilation import use_compilation_cache
 
     if args.what in ("compare", "table"):
@@ -79,8 +79,8 @@ def run(args: argparse.Namespace) -> None:
 def _reconstruction(args: argparse.Namespace) -> dict[str, Any]:
     from t2m_jax.checkpoints.vqvae import load_vqvae
     from t2m_jax.data.folder import open_dataset
-    from t2m_jax.evaluation.makers import Reconstruction
     from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
+    from t2m_jax.evaluation.sources import Reconstruction
 
     vqvae, dataset = load_vqvae(Path(args.model)), open_dataset(args.data)
     report = evaluate_reconstruction(vqvae, dataset, split=args.split)
@@ -94,9 +94,9 @@ def _reconstruction(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _compare(args: argparse.Namespace) -> None:
-    from t2m_jax.config import UserError
-    from t2m_jax.evaluation.comparison import compare_reports, comparison_table
-    from t2m_jax.evaluation.reports import load_report
+    from t2m_jax.errors import UserError
+    from t2m_jax.evaluation.report.comparison import compare_reports, comparison_table
+    from t2m_jax.evaluation.report.record import load_report
 
     if len(args.reports) != 2:
         raise UserError(f"evaluate compare: give two reports, not {len(args.reports)}")
@@ -106,8 +106,8 @@ def _compare(args: argparse.Namespace) -> None:
 
 def _generation(args: argparse.Namespace) -> dict[str, Any]:
     from t2m_jax.data.folder import open_dataset
-    from t2m_jax.evaluation.makers import make_generation
-    from t2m_jax.evaluation.subject import check_width
+    from t2m_jax.evaluation.sources import make_generation
+    from t2m_jax.evaluation.task import check_width
     from t2m_jax.sampling import Greedy, Temperature, TextToMotion
 
     model, dataset = TextToMotion.load(args.model), open_dataset(args.data)
@@ -122,8 +122,8 @@ def _by_protocol(
     """Returns the report of what a maker makes, after printing its table."""
     from t2m_jax.checkpoints.evaluator import load_evaluator_bundle
     from t2m_jax.evaluation.protocols import find_protocol
-    from t2m_jax.evaluation.repeats import evaluate
-    from t2m_jax.evaluation.subject import make_subject
+    from t2m_jax.evaluation.run import evaluate
+    from t2m_jax.evaluation.task import make_subject
 
     protocol, evaluator = find_protocol(args.protocol), load_evaluator_bundle(args.evaluator)
     subject = make_subject(dataset, evaluator, protocol, split=args.split, seed=args.seed)

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from t2m_jax.evaluation.makers import Maker
-    from t2m_jax.evaluation.subject import Subject
+    from t2m_jax.evaluation.sources import Maker
+    from t2m_jax.evaluation.task import Subject
 
 FORMATS = ("terminal", "markdown", "latex", "json")
 
@@ -26,8 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def check_options(args: argparse.Namespace) -> None:
     """Raises `UserError` where the page could not be made, before the work is done."""
-    from t2m_jax.config import UserError
-    from t2m_jax.evaluation.page import check_page
+    from t2m_jax.errors import UserError
+    from t2m_jax.evaluation.report.page import check_page
 
     if args.what == "prompts" or args.evaluator is None:
         raise UserError(f"evaluate {args.what}: --html shows motion as an evaluator sees it; use it with --evaluator")
@@ -36,8 +36,8 @@ def check_options(args: argparse.Namespace) -> None:
 
 def print_report(report: Mapping[str, Any]) -> None:
     """Prints the table of one report, below what the report is of."""
-    from t2m_jax.evaluation.table_formats import format_table
-    from t2m_jax.evaluation.tables import make_table
+    from t2m_jax.evaluation.report.formats import format_table
+    from t2m_jax.evaluation.report.tables import make_table
 
     (name,) = report["rows"].keys() - {"real"}
     table = make_table([report], [name])._replace(facts={})
@@ -50,10 +50,10 @@ def run_table(args: argparse.Namespace) -> None:
     Raises:
         UserError: if they are no reports, do not compare, or their names are not one each.
     """
-    from t2m_jax.config import UserError
-    from t2m_jax.evaluation.reports import load_report
-    from t2m_jax.evaluation.table_formats import format_table
-    from t2m_jax.evaluation.tables import make_table
+    from t2m_jax.errors import UserError
+    from t2m_jax.evaluation.report.formats import format_table
+    from t2m_jax.evaluation.report.record import load_report
+    from t2m_jax.evaluation.report.tables import make_table
 
     if not args.reports:
         raise UserError("evaluate table: give the reports, as `t2m evaluate generation --json` writes them")
@@ -69,8 +69,8 @@ def write_page(path: Path, report: Mapping[str, Any], subject: "Subject", maker:
     """Writes the page of a report; subject and maker are those it was made with."""
     import functools
 
-    from t2m_jax.evaluation.evidence import gather_evidence
-    from t2m_jax.evaluation.page import save_page
+    from t2m_jax.evaluation.report.details import gather_evidence
+    from t2m_jax.evaluation.report.page import save_page
     from t2m_jax.export import viewer_html
 
     evidence = gather_evidence(subject, maker)

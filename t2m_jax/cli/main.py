@@ -19,7 +19,7 @@ import warnings
 from collections.abc import Sequence
 from types import ModuleType
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 
 COMMANDS = {
     "generate": "turn sentences into motion files",

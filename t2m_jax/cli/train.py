@@ -51,7 +51,8 @@ def run(args: argparse.Namespace) -> None:
     if args.diff:
         _show_differences(args)
         return
-    from t2m_jax.config import UserError, override_config
+    from t2m_jax.config import override_config
+    from t2m_jax.errors import UserError
 
     if args.config is None:
         raise UserError(f"train {args.stage}: give a CONFIG, a YAML file or the name of a recipe such as 'official'")
@@ -87,7 +88,7 @@ def _config(stage: str, name: str) -> Any:
 
 def _show_differences(args: argparse.Namespace) -> None:
     """Prints a table of the fields in which two configs differ."""
-    from t2m_jax.config import UserError
+    from t2m_jax.errors import UserError
     from t2m_jax.train.presets import differences
 
     if args.config_options:

@@ -1,12 +1,12 @@
 """Data sets: the folder they live in, importers that make one, checks, and device-resident batches."""
 
 from t2m_jax.data.audit import AuditReport, audit_dataset
-from t2m_jax.data.bandai_namco import import_bandai_namco
-from t2m_jax.data.bank import MotionBank, Windows, batch_at, batch_clips, cut_windows, epoch_order, make_bank
-from t2m_jax.data.bvh_folder import import_bvh_folder
+from t2m_jax.data.banks.motions import MotionBank, Windows, batch_at, batch_clips, cut_windows, epoch_order, make_bank
 from t2m_jax.data.folder import Clip, Dataset, DatasetInfo, open_dataset, samples_from_clip
-from t2m_jax.data.humanml3d import import_humanml3d
-from t2m_jax.data.synthetic import make_motion, write_synthetic_dataset
+from t2m_jax.data.importers.bandai_namco.importer import import_bandai_namco
+from t2m_jax.data.importers.bvh import import_bvh_folder
+from t2m_jax.data.importers.humanml3d import import_humanml3d
+from t2m_jax.data.importers.synthetic import make_motion, write_synthetic_dataset
 from t2m_jax.data.texts import Caption, load_captions, parse_caption, save_captions
 from t2m_jax.data.writer import ImportReport
 

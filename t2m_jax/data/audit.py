@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.config import UserError
 from t2m_jax.data.cache import cache_places, damage, scan_sources
 from t2m_jax.data.caption_notes import caption_notes
 from t2m_jax.data.files import FEATURES, MIRROR_PREFIX, POSITIONS, SPLITS, TEXTS, load_array
 from t2m_jax.data.folder import Dataset, open_dataset
 from t2m_jax.data.index import load_index
 from t2m_jax.data.texts import Caption, read_captions
+from t2m_jax.errors import UserError
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.normalizer import Normalizer, normalizer_from_clips
 

@@ -27,9 +27,9 @@ import platformdirs
 from jaxtyping import Float
 from tqdm import tqdm
 
-from t2m_jax.config import UserError
 from t2m_jax.data.files import FEATURES, SPLITS, TEXTS, clip_or_reason, read_names
 from t2m_jax.data.texts import Caption
+from t2m_jax.errors import UserError
 
 logger = logging.getLogger(__name__)
 

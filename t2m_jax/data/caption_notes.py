@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from t2m_jax.data.caption_bank import caption_tokens
+from t2m_jax.data.banks.captions import caption_tokens
 from t2m_jax.data.texts import Caption
 from t2m_jax.text.word_vectors import MAX_WORDS, MIN_COUNT, UNKNOWN, Vocabulary, vocabulary_from_captions
 

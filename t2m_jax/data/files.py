@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.config import UserError
 from t2m_jax.data.texts import CaptionFile, read_captions
+from t2m_jax.errors import UserError
 
 FEATURES, POSITIONS, TEXTS, INFO = "new_joint_vecs", "new_joints", "texts", "dataset.yaml"
 SPLITS = ("train", "val", "test")

@@ -10,11 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.config import UserError, load_config
+from t2m_jax.config import load_config
 from t2m_jax.data.cache import open_clips
 from t2m_jax.data.files import FEATURES, INFO, MIRROR_PREFIX, TEXTS, load_array, load_features, read_names
 from t2m_jax.data.splits import nested_choice
 from t2m_jax.data.texts import Caption, load_captions
+from t2m_jax.errors import UserError
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer
 from t2m_jax.motion.skeleton import Skeleton, skeleton_from_feature_dim, skeleton_from_name
 

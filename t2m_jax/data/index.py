@@ -9,8 +9,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from t2m_jax.config import UserError
 from t2m_jax.data.files import MIRROR_PREFIX
+from t2m_jax.errors import UserError
 from t2m_jax.motion.mirroring import mirror_caption
 
 INDEX = "index.csv"

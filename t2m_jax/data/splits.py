@@ -3,8 +3,8 @@
 import hashlib
 from collections.abc import Iterable, Sequence
 
-from t2m_jax.config import UserError
 from t2m_jax.data.files import MIRROR_PREFIX, SPLITS
+from t2m_jax.errors import UserError
 
 SHARES = {"train": 0.80, "val": 0.05, "test": 0.15}
 """share of each split, as published with HumanML3D"""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 
 
 class Caption(NamedTuple):

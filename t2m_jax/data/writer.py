@@ -9,10 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.config import UserError, save_config
+from t2m_jax.config import save_config
 from t2m_jax.data.files import FEATURES, INFO, MIRROR_PREFIX, POSITIONS, SPLITS, TEXTS
 from t2m_jax.data.folder import DatasetInfo
 from t2m_jax.data.texts import Caption, save_captions
+from t2m_jax.errors import UserError
 from t2m_jax.motion.features import features_from_positions, positions_from_features
 from t2m_jax.motion.mirroring import mirror_caption, mirror_positions
 from t2m_jax.motion.normalizer import normalizer_from_clips, save_normalizer

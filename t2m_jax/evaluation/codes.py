@@ -10,8 +10,8 @@ from jaxtyping import Array, Float, Int, Key
 from t2m_jax.checkpoints.vqvae import TrainedVqVae
 from t2m_jax.data.folder import Clip
 from t2m_jax.evaluation.batches import batches_of, for_each_batch
+from t2m_jax.sampling.codec import encode_motions
 from t2m_jax.sampling.decoding import CHUNK
-from t2m_jax.sampling.encoding import encode_motions
 from t2m_jax.sampling.pipeline import TextToMotion, generate_codes
 from t2m_jax.sampling.strategies import Strategy
 

@@ -7,8 +7,8 @@ to them; the sentences are held out from training.
 from collections.abc import Callable
 from typing import NamedTuple
 
-from t2m_jax.data.measure import Facts, measure
-from t2m_jax.data.prompts import HELD_OUT
+from t2m_jax.data.importers.bandai_namco.measure import Facts, measure
+from t2m_jax.data.importers.bandai_namco.prompts import HELD_OUT
 from t2m_jax.motion.record import Motion
 
 LEFT, RIGHT = 0, 1

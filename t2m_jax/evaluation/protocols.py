@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
-from t2m_jax.config import UserError
-from t2m_jax.data.caption_bank import SHORTER_CHANCE, used_lengths
+from t2m_jax.data.banks.captions import SHORTER_CHANCE, used_lengths
 from t2m_jax.data.folder import Clip
+from t2m_jax.errors import UserError
 from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT
 
 BATCH = 32

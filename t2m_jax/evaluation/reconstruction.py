@@ -11,8 +11,8 @@ from jaxtyping import Array, Bool, Float, Int
 from tqdm import tqdm
 
 from t2m_jax.checkpoints.vqvae import TrainedVqVae
-from t2m_jax.config import UserError
 from t2m_jax.data.folder import Dataset
+from t2m_jax.errors import UserError
 from t2m_jax.masks import mask_from_lengths
 from t2m_jax.metrics.codes import code_usage, perplexity
 from t2m_jax.metrics.positions import joint_errors

@@ -6,12 +6,12 @@ from tokenize import TokenError
 
 import numpy as np
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from t2m_jax.export.npz import load_npz
 from t2m_jax.motion.bvh import load_bvh
+from t2m_jax.motion.bvh.retarget import retarget
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.record import Motion
-from t2m_jax.motion.retarget import retarget
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML, Skeleton
 
 SKELETONS = (HUMANML3D, KIT_ML)

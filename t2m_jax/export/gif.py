@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from PIL import Image
 
-from t2m_jax.export.rendering import Film, render_film
+from t2m_jax.export.render.rendering import Film, render_film
 from t2m_jax.export.writing import whole_file
 from t2m_jax.motion.record import Motion
 

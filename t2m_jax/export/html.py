@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from t2m_jax.export.figure import TINTS
-from t2m_jax.export.scene import Figure, Scene, scene_from_motions
+from t2m_jax.export.render.figure import TINTS
+from t2m_jax.export.render.scene import Figure, Scene, scene_from_motions
 from t2m_jax.export.writing import whole_file
 from t2m_jax.motion.record import Motion
 
@@ -51,7 +51,7 @@ def _page(scene: Scene) -> str:
 @functools.lru_cache
 def _shell() -> tuple[str, str]:
     """Returns the page before and after the place of the data."""
-    assets = importlib.resources.files("t2m_jax.export") / "assets"
+    assets = importlib.resources.files("t2m_jax.export") / "viewer"
 
     def read(name: str) -> str:
         """Returns the text of an asset."""

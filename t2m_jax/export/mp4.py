@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from t2m_jax.config import UserError
-from t2m_jax.export.rendering import render_film
+from t2m_jax.errors import UserError
+from t2m_jax.export.render.rendering import render_film
 from t2m_jax.export.writing import whole_file
 from t2m_jax.motion.record import Motion
 

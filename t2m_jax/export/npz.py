@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from t2m_jax.export.writing import only_motion, whole_file
 from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, skeleton_from_name

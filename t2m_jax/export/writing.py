@@ -6,7 +6,7 @@ import pathlib
 import uuid
 from collections.abc import Iterator, Sequence
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from t2m_jax.motion.record import Motion
 
 

@@ -14,7 +14,7 @@ import itertools
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from t2m_jax.motion.namespace import AnyArray, namespace_of
 from t2m_jax.motion.rotations import (
     matrix_from_quaternion,

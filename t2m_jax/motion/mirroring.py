@@ -5,7 +5,7 @@ import re
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from t2m_jax.motion.namespace import AnyArray, namespace_of
 from t2m_jax.motion.skeleton import Skeleton
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from t2m_jax.motion.layout import FeatureLayout
 from t2m_jax.motion.namespace import AnyArray, EitherArray, namespace_of
 

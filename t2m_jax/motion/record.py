@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from t2m_jax.motion.skeleton import HUMANML3D, Skeleton
 
 # Writers and viewers register themselves under these names, so that this module need not know them.

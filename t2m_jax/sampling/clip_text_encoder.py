@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from t2m_jax.checkpoints.clip import TrainedClip
 from t2m_jax.models.clip_text import ClipText, ClipTextConfig
-from t2m_jax.text.clip_tokenization import clip_tokens
+from t2m_jax.text.clip_bpe import clip_tokens
 from t2m_jax.text.embedding_cache import EmbeddingCache
 
 MAX_BATCH = 64

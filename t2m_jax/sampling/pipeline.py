@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from t2m_jax.checkpoints.bundle import Bundle, BundleConfig
 from t2m_jax.checkpoints.gpt_run import load_model
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from t2m_jax.masks import mask_from_lengths
 from t2m_jax.models.motion_gpt import MotionGpt
 from t2m_jax.models.vqvae import VqVae
@@ -23,7 +23,7 @@ from t2m_jax.motion.skeleton import skeleton_from_name
 from t2m_jax.sampling.compilation import use_compilation_cache
 from t2m_jax.sampling.decoding import DecodedCodes, decode_codes
 from t2m_jax.sampling.strategies import Strategy, Temperature
-from t2m_jax.sampling.text_encoder import make_text_encoder
+from t2m_jax.sampling.text_encoders import make_text_encoder
 from t2m_jax.text.encoder import TextEncoder
 from t2m_jax.text.prompts import check_prompt
 

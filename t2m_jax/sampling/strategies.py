@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 
 
 @runtime_checkable

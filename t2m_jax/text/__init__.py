@@ -1,10 +1,10 @@
 """Captions as models read them."""
 
-from t2m_jax.text.clip_tokenization import clip_tokens, load_clip_tokenizer
+from t2m_jax.text.bpe import CaptionTokens, load_tokenizer, save_tokenizer, tokenize, train_tokenizer
+from t2m_jax.text.clip_bpe import clip_tokens, load_clip_tokenizer
 from t2m_jax.text.embedding_cache import EmbeddingCache
 from t2m_jax.text.encoder import TextEncoder
 from t2m_jax.text.prompts import check_prompt
-from t2m_jax.text.tokenization import CaptionTokens, load_tokenizer, save_tokenizer, tokenize, train_tokenizer
 
 __all__ = [
     "CaptionTokens",

@@ -2,7 +2,7 @@
 
 import unicodedata
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 
 MAX_PROMPT_LENGTH = 1000
 """Characters; far beyond any caption of the field's data sets."""

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from t2m_jax.text.parts_of_speech import OTHER, part_of_speech
 
 logger = logging.getLogger(__name__)

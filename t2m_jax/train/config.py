@@ -11,7 +11,7 @@ from t2m_jax.losses import ReconstructionKind, TokenMean, VelocityKind
 from t2m_jax.models.caption_encoder import CaptionEncoderConfig
 from t2m_jax.models.motion_gpt import MotionGptConfig
 from t2m_jax.models.vqvae import VqVaeConfig
-from t2m_jax.train.schedules import OptimizerConfig
+from t2m_jax.train.optimizer import OptimizerConfig
 
 Config = TypeVar("Config", bound=Any)
 EvaluationMetric = Literal["fid", "matching_score", "r_precision_1", "r_precision_2", "r_precision_3"]

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from t2m_jax.checkpoints.best import Best, Sampling, find_best, forget_best, save_best
-from t2m_jax.config import UserError
 from t2m_jax.data.folder import Dataset
-from t2m_jax.evaluation.in_training import SPLIT, open_held_out
-from t2m_jax.evaluation.subject import Subject
+from t2m_jax.errors import UserError
+from t2m_jax.evaluation.monitor import SPLIT, open_held_out
+from t2m_jax.evaluation.task import Subject
 from t2m_jax.train.config import EvaluationConfig
 from t2m_jax.train.loop import Look
 

@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int, Key
 
-from t2m_jax.data.bank import Windows
-from t2m_jax.data.caption_bank import CaptionBatch
+from t2m_jax.data.banks.captions import CaptionBatch
+from t2m_jax.data.banks.motions import Windows
 from t2m_jax.losses import infonce_loss, margin_loss, movement_loss, pair_distances
 from t2m_jax.metrics import r_precision
 from t2m_jax.models.evaluator import Evaluator, MovementDecoder
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
-from t2m_jax.train.schedules import make_optimizer
+from t2m_jax.train.optimizer import make_optimizer
 
 Metrics = dict[str, Float[Array, ""]]
 

@@ -8,7 +8,7 @@ from t2m_jax.config import check_sizes
 from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT, EvaluatorConfig
 from t2m_jax.text.word_vectors import MIN_COUNT
 from t2m_jax.train.config import LoopConfig, check_fraction
-from t2m_jax.train.schedules import OptimizerConfig
+from t2m_jax.train.optimizer import OptimizerConfig
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int, Key
 
-from t2m_jax.data.code_bank import Captions
+from t2m_jax.data.banks.codes import Captions
 from t2m_jax.losses import token_loss
 from t2m_jax.models.caption_encoder import CaptionEncoder
 from t2m_jax.models.motion_gpt import MotionGpt
 from t2m_jax.train.config import TrainGptConfig
-from t2m_jax.train.schedules import make_optimizer
+from t2m_jax.train.optimizer import make_optimizer
 from t2m_jax.train.targets import Targets, random_corruption
 
 Metrics = dict[str, Float[Array, ""]]

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
-from t2m_jax.checkpoints.run_directory import Checkpoints
-from t2m_jax.config import UserError
+from t2m_jax.checkpoints.run import Checkpoints
+from t2m_jax.errors import UserError
 from t2m_jax.train.config import LoopConfig
 from t2m_jax.train.metric_log import MetricLog
 

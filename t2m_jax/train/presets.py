@@ -8,12 +8,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from t2m_jax.config import UserError, flat_fields
+from t2m_jax.config import flat_fields
+from t2m_jax.errors import UserError
 from t2m_jax.models.motion_gpt import MotionGptConfig
 from t2m_jax.models.vqvae import VqVaeConfig
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML, Skeleton
 from t2m_jax.train.config import LoopConfig, TrainGptConfig, TrainVqVaeConfig
-from t2m_jax.train.schedules import OptimizerConfig
+from t2m_jax.train.optimizer import OptimizerConfig
 
 SKELETONS = {skeleton.name: skeleton for skeleton in (HUMANML3D, KIT_ML)}
 """Data sets that have presets."""

@@ -3,8 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from t2m_jax.checkpoints.run_directory import CONFIG_FILE, refuse_existing_run, run_info
-from t2m_jax.config import UserError, flat_fields, load_config
+from t2m_jax.checkpoints.run import CONFIG_FILE, refuse_existing_run, run_info
+from t2m_jax.config import flat_fields, load_config
+from t2m_jax.errors import UserError
 
 MAY_CHANGE = ("run", "loop.num_steps", "loop.log_every", "loop.checkpoint_every", "loop.keep_checkpoints")
 """Fields that do not touch what the run computes."""

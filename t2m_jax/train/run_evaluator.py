@@ -11,11 +11,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from t2m_jax.checkpoints.evaluator import WORDS_FILE, save_evaluator_parts
-from t2m_jax.checkpoints.run_directory import create_run, restore_latest
-from t2m_jax.config import UserError
-from t2m_jax.data.bank import MotionBank, batch_at, make_bank
-from t2m_jax.data.caption_bank import CaptionBank, all_tokens, caption_batch_at, make_caption_bank
+from t2m_jax.checkpoints.run import create_run, restore_latest
+from t2m_jax.data.banks.captions import CaptionBank, all_tokens, caption_batch_at, make_caption_bank
+from t2m_jax.data.banks.motions import MotionBank, batch_at, make_bank
 from t2m_jax.data.folder import Clip, Dataset, open_dataset, samples_from_clip
+from t2m_jax.errors import UserError
 from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT
 from t2m_jax.motion.normalizer import Normalizer, weighted_normalizer
 from t2m_jax.text.word_vectors import Vocabulary, load_vocabulary, load_word_vectors, vocabulary_from_captions

@@ -12,18 +12,19 @@ from tokenizers import Tokenizer
 from t2m_jax.checkpoints.bundle import CONFIG_FILE as BUNDLE_FILE
 from t2m_jax.checkpoints.bundle import Bundle, BundleConfig
 from t2m_jax.checkpoints.clip import load_clip
-from t2m_jax.checkpoints.run_directory import create_run, restore_latest
+from t2m_jax.checkpoints.run import create_run, restore_latest
 from t2m_jax.checkpoints.vqvae import TrainedVqVae, load_vqvae, save_vqvae_copy
-from t2m_jax.config import UserError, save_config
-from t2m_jax.data.code_bank import Captions, CodeBank, CodeBatch, code_batch_at
+from t2m_jax.config import save_config
+from t2m_jax.data.banks.codes import Captions, CodeBank, CodeBatch, code_batch_at
 from t2m_jax.data.folder import Dataset, open_dataset
-from t2m_jax.evaluation.in_training import ModelInTraining, held_out_figures
-from t2m_jax.evaluation.makers import make_generation
-from t2m_jax.evaluation.subject import Subject
+from t2m_jax.errors import UserError
+from t2m_jax.evaluation.monitor import ModelInTraining, held_out_figures
+from t2m_jax.evaluation.sources import make_generation
+from t2m_jax.evaluation.task import Subject
 from t2m_jax.sampling.clip_text_encoder import ClipTextEncoder
 from t2m_jax.sampling.strategies import Greedy, Temperature
+from t2m_jax.text.bpe import load_tokenizer, save_tokenizer, tokenize, train_tokenizer
 from t2m_jax.text.embedding_cache import EmbeddingCache
-from t2m_jax.text.tokenization import load_tokenizer, save_tokenizer, tokenize, train_tokenizer
 from t2m_jax.train.config import TrainGptConfig, computation
 from t2m_jax.train.evaluation import make_evaluation, open_evaluation
 from t2m_jax.train.gpt import GptBatch, GptState, gpt_train_step, gpt_validation_step, init_gpt_state

@@ -5,14 +5,15 @@ from collections.abc import Callable, Mapping
 
 import jax
 
-from t2m_jax.checkpoints.run_directory import create_run, restore_latest
+from t2m_jax.checkpoints.run import create_run, restore_latest
 from t2m_jax.checkpoints.vqvae import VQVAE_CONFIG, TrainedVqVae
-from t2m_jax.config import UserError, save_config
-from t2m_jax.data.bank import MotionBank, batch_at, make_bank
+from t2m_jax.config import save_config
+from t2m_jax.data.banks.motions import MotionBank, batch_at, make_bank
 from t2m_jax.data.folder import Dataset, open_dataset
-from t2m_jax.evaluation.in_training import held_out_figures
-from t2m_jax.evaluation.makers import Reconstruction
-from t2m_jax.evaluation.subject import Subject
+from t2m_jax.errors import UserError
+from t2m_jax.evaluation.monitor import held_out_figures
+from t2m_jax.evaluation.sources import Reconstruction
+from t2m_jax.evaluation.task import Subject
 from t2m_jax.motion.normalizer import Normalizer, save_normalizer, weighted_normalizer
 from t2m_jax.train.config import TrainVqVaeConfig, computation
 from t2m_jax.train.evaluation import make_evaluation, open_evaluation

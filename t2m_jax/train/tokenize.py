@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Int
 
 from t2m_jax.checkpoints.vqvae import TrainedVqVae
-from t2m_jax.config import UserError
-from t2m_jax.data.code_bank import Captions, CodeBank
+from t2m_jax.data.banks.codes import Captions, CodeBank
 from t2m_jax.data.folder import Clip, DatasetInfo, samples_from_clip
 from t2m_jax.data.texts import Caption
-from t2m_jax.sampling.encoding import encode_motions
+from t2m_jax.errors import UserError
+from t2m_jax.sampling.codec import encode_motions
 from t2m_jax.train.config import TrainGptConfig
 
 logger = logging.getLogger(__name__)

@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int, Key
 
-from t2m_jax.data.bank import Windows
+from t2m_jax.data.banks.motions import Windows
 from t2m_jax.losses import reconstruction_loss, velocity_loss
 from t2m_jax.models.quantizer import perplexity_from_counts
 from t2m_jax.models.vqvae import VqVae, VqVaeOutput
 from t2m_jax.motion.skeleton import skeleton_from_feature_dim
 from t2m_jax.train.config import TrainVqVaeConfig
-from t2m_jax.train.schedules import make_optimizer
+from t2m_jax.train.optimizer import make_optimizer
 
 Metrics = dict[str, Float[Array, ""]]
 

@@ -10,7 +10,7 @@ from huggingface_hub import constants
 
 from t2m_jax.checkpoints.clip import load_clip
 from t2m_jax.checkpoints.clip_files import WEIGHT_FILES, find_clip, user_folder
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from tests.clip_golden import FULL, MSGPACK, ONE_FILE, SAFETENSORS, TORCH, TWO_FILES, copy_files
 
 NAME = "someone/tiny-clip"

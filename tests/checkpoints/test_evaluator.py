@@ -13,7 +13,7 @@ from t2m_jax.checkpoints.evaluator import (
     make_trained_evaluator,
     save_evaluator,
 )
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from t2m_jax.text.word_vectors import Vocabulary, save_vocabulary
 from tests.tiny import random_evaluator
 

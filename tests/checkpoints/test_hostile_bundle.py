@@ -19,9 +19,10 @@ from t2m_jax.checkpoints.bundle import (
     load_bundle,
     save_bundle,
 )
-from t2m_jax.config import UserError, load_config
+from t2m_jax.config import load_config
+from t2m_jax.errors import UserError
 from t2m_jax.motion.normalizer import load_normalizer
-from t2m_jax.text.tokenization import load_tokenizer
+from t2m_jax.text.bpe import load_tokenizer
 from tests.tiny import BUNDLE, random_bundle
 
 MEAN, TOKENIZER = "Mean.npy", "tokenizer.json"

@@ -13,7 +13,7 @@ import pytest
 
 from t2m_jax.checkpoints.torch_file import MAX_DEPTH, MAX_VALUES, load_torch_file
 from t2m_jax.checkpoints.torch_pickle import MAX_PICKLE_BYTES
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from tests.checkpoints.torch_archives import (
     TENSOR,
     entry,

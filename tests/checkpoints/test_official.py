@@ -9,10 +9,10 @@ from flax import traverse_util
 from safetensors.numpy import save_file
 
 from t2m_jax.checkpoints.bundle import vqvae_shapes
-from t2m_jax.checkpoints.official import load_gpt, load_vqvae
-from t2m_jax.checkpoints.official_export import gpt_state_dict, vqvae_state_dict
-from t2m_jax.checkpoints.official_names import gpt_constant_shapes, gpt_weights, vqvae_constant_shapes, vqvae_weights
-from t2m_jax.config import UserError
+from t2m_jax.checkpoints.official.export import gpt_state_dict, vqvae_state_dict
+from t2m_jax.checkpoints.official.load import load_gpt, load_vqvae
+from t2m_jax.checkpoints.official.names import gpt_constant_shapes, gpt_weights, vqvae_constant_shapes, vqvae_weights
+from t2m_jax.errors import UserError
 from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
 from t2m_jax.models.vqvae import VqVaeConfig
 from tests.checkpoints.torch_archives import entry, number, text, write_archive

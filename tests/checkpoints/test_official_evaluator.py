@@ -9,12 +9,12 @@ from flax import traverse_util
 from safetensors.numpy import save_file
 
 from t2m_jax.checkpoints.evaluator import load_evaluator_bundle
-from t2m_jax.checkpoints.official import load_evaluator
-from t2m_jax.checkpoints.official_export import evaluator_state_dict
-from t2m_jax.checkpoints.official_names import EVALUATOR_PARTS, evaluator_weights
+from t2m_jax.checkpoints.official.export import evaluator_state_dict
+from t2m_jax.checkpoints.official.load import load_evaluator
+from t2m_jax.checkpoints.official.names import EVALUATOR_PARTS, evaluator_weights
 from t2m_jax.cli.main import main
-from t2m_jax.config import UserError
 from t2m_jax.data.folder import Clip
+from t2m_jax.errors import UserError
 from t2m_jax.evaluation.embedding import embed_real
 from t2m_jax.models.evaluator import Evaluator, EvaluatorConfig, evaluator_shapes
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints.run_directory import (
+from t2m_jax.checkpoints.run import (
     CHECKPOINTS,
     CONFIG_FILE,
     INFO_FILE,
@@ -22,7 +22,8 @@ from t2m_jax.checkpoints.run_directory import (
     restore_latest,
     run_info,
 )
-from t2m_jax.config import UserError, load_config
+from t2m_jax.config import load_config
+from t2m_jax.errors import UserError
 
 
 class State(NamedTuple):

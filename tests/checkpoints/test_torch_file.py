@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from t2m_jax.checkpoints.torch_file import load_torch_file
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from tests.checkpoints.torch_archives import TENSOR, entry, tensor, text, write_archive
 
 BASE = np.arange(24, dtype=np.float32).reshape(4, 6)

@@ -4,7 +4,7 @@ import pytest
 
 from t2m_jax.checkpoints.bundle import save_bundle
 from t2m_jax.cli.main import main
-from t2m_jax.data.synthetic import write_synthetic_dataset
+from t2m_jax.data.importers.synthetic import write_synthetic_dataset
 from tests.tiny import random_bundle
 
 

@@ -9,13 +9,13 @@ import pytest
 from t2m_jax.checkpoints.evaluator import load_evaluator_bundle
 from t2m_jax.cli.main import main
 from t2m_jax.config import save_config
-from t2m_jax.data.caption_bank import caption_tokens
+from t2m_jax.data.banks.captions import caption_tokens
 from t2m_jax.data.folder import open_dataset
-from t2m_jax.data.synthetic import write_synthetic_dataset
+from t2m_jax.data.importers.synthetic import write_synthetic_dataset
 from t2m_jax.data.texts import load_captions
 from t2m_jax.evaluation.embedding import embed_captions
 from t2m_jax.evaluation.protocols import find_protocol, make_plan
-from t2m_jax.evaluation.subject import load_samples
+from t2m_jax.evaluation.task import load_samples
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from tests.tiny import EVALUATOR, LOOP
 

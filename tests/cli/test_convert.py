@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from t2m_jax.checkpoints.bundle import expected_variables, load_bundle
-from t2m_jax.checkpoints.official import load_gpt, load_vqvae
-from t2m_jax.checkpoints.official_export import export_official
+from t2m_jax.checkpoints.official.export import export_official
+from t2m_jax.checkpoints.official.load import load_gpt, load_vqvae
 from t2m_jax.cli.main import main
 from t2m_jax.models.motion_gpt import MotionGpt
 from t2m_jax.models.vqvae import VqVae

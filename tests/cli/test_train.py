@@ -2,7 +2,7 @@
 
 import pytest
 
-from t2m_jax.checkpoints.run_directory import create_run
+from t2m_jax.checkpoints.run import create_run
 from t2m_jax.cli.main import main
 from t2m_jax.config import load_config
 from t2m_jax.train import run_vqvae

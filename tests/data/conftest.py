@@ -1,6 +1,6 @@
 import pytest
 
-from t2m_jax.data.synthetic import write_synthetic_dataset
+from t2m_jax.data.importers.synthetic import write_synthetic_dataset
 
 
 @pytest.fixture(scope="session")

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from t2m_jax.cli import data as cli
-from t2m_jax.config import UserError
 from t2m_jax.data.audit import audit_dataset
 from t2m_jax.data.folder import open_dataset
-from t2m_jax.data.humanml3d import import_humanml3d
+from t2m_jax.data.importers.humanml3d import import_humanml3d
 from t2m_jax.data.index import IndexRow, save_index
+from t2m_jax.errors import UserError
 
 
 @pytest.fixture

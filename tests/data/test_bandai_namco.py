@@ -3,10 +3,10 @@ import csv
 import numpy as np
 import pytest
 
-from t2m_jax.config import UserError
 from t2m_jax.data.audit import audit_dataset
-from t2m_jax.data.bandai_namco import FLAGGED, flagged_clips, import_bandai_namco, labels_from_name
 from t2m_jax.data.folder import open_dataset
+from t2m_jax.data.importers.bandai_namco.importer import FLAGGED, flagged_clips, import_bandai_namco, labels_from_name
+from t2m_jax.errors import UserError
 from tests.data.bvh_files import write_bvh
 
 NAMES = (

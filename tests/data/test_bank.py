@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.config import UserError
-from t2m_jax.data.bank import batch_at, batch_clips, cut_windows, epoch_order, make_bank
+from t2m_jax.data.banks.motions import batch_at, batch_clips, cut_windows, epoch_order, make_bank
 from t2m_jax.data.folder import Clip
+from t2m_jax.errors import UserError
 from t2m_jax.motion.normalizer import Normalizer
 
 WINDOW = 16

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from t2m_jax.config import UserError
 from t2m_jax.data.audit import audit_dataset
-from t2m_jax.data.bvh_folder import import_bvh_folder
 from t2m_jax.data.folder import open_dataset
+from t2m_jax.data.importers.bvh import import_bvh_folder
+from t2m_jax.errors import UserError
 from tests.data.bvh_files import write_bvh
 
 

@@ -10,12 +10,12 @@ import numpy as np
 import platformdirs
 import pytest
 
-from t2m_jax.config import UserError
 from t2m_jax.data import cache
 from t2m_jax.data.audit import audit_dataset
 from t2m_jax.data.cache import CACHE_FILE, CACHE_FOLDER, open_clips
 from t2m_jax.data.files import FEATURES, TEXTS
 from t2m_jax.data.folder import open_dataset
+from t2m_jax.errors import UserError
 from t2m_jax.motion.skeleton import KIT_ML
 
 WIDTH = KIT_ML.feature_dim

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.data.caption_bank import caption_batch_at, caption_tokens, make_caption_bank, used_lengths
+from t2m_jax.data.banks.captions import caption_batch_at, caption_tokens, make_caption_bank, used_lengths
 from t2m_jax.data.folder import Clip
 from t2m_jax.data.texts import Caption
 from t2m_jax.motion.normalizer import Normalizer

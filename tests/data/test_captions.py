@@ -2,13 +2,13 @@ import random
 
 import pytest
 
-from t2m_jax.data.captions import Labels, clip_pace, true_facts, write_captions
-from t2m_jax.data.contents import CONTENTS, EXCEPTIONS
-from t2m_jax.data.grammar import Manner, Subject, sentence
-from t2m_jax.data.lexicon import gerund, knows, tag_words, third_person, words_in
-from t2m_jax.data.measure import Facts
-from t2m_jax.data.prompts import HELD_OUT
-from t2m_jax.data.styles import STYLES, SUBJECTS
+from t2m_jax.data.importers.bandai_namco.captions import Labels, clip_pace, true_facts, write_captions
+from t2m_jax.data.importers.bandai_namco.contents import CONTENTS, EXCEPTIONS
+from t2m_jax.data.importers.bandai_namco.grammar import Manner, Subject, sentence
+from t2m_jax.data.importers.bandai_namco.measure import Facts
+from t2m_jax.data.importers.bandai_namco.prompts import HELD_OUT
+from t2m_jax.data.importers.bandai_namco.styles import STYLES, SUBJECTS
+from t2m_jax.data.importers.lexicon import gerund, knows, tag_words, third_person, words_in
 
 USUAL = Facts(
     speed=1.2,

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.data.code_bank import CodeBank, code_batch_at, crop_codes
-from t2m_jax.text.tokenization import CaptionTokens
+from t2m_jax.data.banks.codes import CodeBank, code_batch_at, crop_codes
+from t2m_jax.text.bpe import CaptionTokens
 
 NUM_MOTIONS, OFFSETS, LONGEST = 7, 4, 9
 NUM_CAPTIONS = np.array([1, 3, 2, 1, 1, 4, 2])

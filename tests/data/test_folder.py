@@ -4,10 +4,10 @@ import shutil
 import numpy as np
 import pytest
 
-from t2m_jax.config import UserError
 from t2m_jax.data.files import FEATURES
 from t2m_jax.data.folder import Clip, DatasetInfo, open_dataset, samples_from_clip
 from t2m_jax.data.texts import Caption, parse_caption
+from t2m_jax.errors import UserError
 
 
 def text_of(path):

@@ -2,8 +2,8 @@
 
 import pytest
 
-from t2m_jax.config import UserError
 from t2m_jax.data.index import IndexRow, load_index, save_index
+from t2m_jax.errors import UserError
 
 
 def test_what_is_written_is_read(tmp_path):

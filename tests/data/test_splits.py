@@ -2,8 +2,8 @@ import itertools
 
 import pytest
 
-from t2m_jax.config import UserError
 from t2m_jax.data.splits import nested_choice, split_by_hash
+from t2m_jax.errors import UserError
 
 
 def test_every_name_is_in_one_split_with_the_right_shares():

@@ -4,10 +4,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from t2m_jax.config import UserError
 from t2m_jax.data.folder import open_dataset
-from t2m_jax.data.measure import measure
-from t2m_jax.data.synthetic import KINDS, make_motion, write_synthetic_dataset
+from t2m_jax.data.importers.bandai_namco.measure import measure
+from t2m_jax.data.importers.synthetic import KINDS, make_motion, write_synthetic_dataset
+from t2m_jax.errors import UserError
 from t2m_jax.motion.skeleton import HUMANML3D
 
 

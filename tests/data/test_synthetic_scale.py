@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from t2m_jax.cli.main import main
-from t2m_jax.config import UserError
-from t2m_jax.data import synthetic_scale
 from t2m_jax.data.audit import audit_dataset
-from t2m_jax.data.bank import make_bank
+from t2m_jax.data.banks.motions import make_bank
 from t2m_jax.data.cache import CACHE_FILE, CACHE_FOLDER
 from t2m_jax.data.folder import open_dataset, samples_from_clip
+from t2m_jax.data.importers import synthetic_scale
+from t2m_jax.data.importers.synthetic import make_motion
+from t2m_jax.data.importers.synthetic_scale import LONGEST, SHORTEST, stretched, write_scaled_dataset
 from t2m_jax.data.splits import nested_choice
-from t2m_jax.data.synthetic import make_motion
-from t2m_jax.data.synthetic_scale import LONGEST, SHORTEST, stretched, write_scaled_dataset
 from t2m_jax.data.writer import ImportReport
+from t2m_jax.errors import UserError
 from t2m_jax.models.vqvae import VqVaeConfig
 from t2m_jax.motion.features import features_from_positions, positions_from_features
 from t2m_jax.motion.skeleton import HUMANML3D

@@ -2,8 +2,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from t2m_jax.config import UserError
 from t2m_jax.data.texts import Caption, format_caption, load_captions, parse_caption, save_captions
+from t2m_jax.errors import UserError
 
 LINE = "a man waves.#a/DET man/NOUN wave/VERB#0.0#0.0"
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from t2m_jax.cli.main import main
-from t2m_jax.config import UserError
-from t2m_jax.evaluation.comparison import compare_reports, comparison_table, sign_test
-from t2m_jax.evaluation.reports import load_report
+from t2m_jax.errors import UserError
+from t2m_jax.evaluation.report.comparison import compare_reports, comparison_table, sign_test
+from t2m_jax.evaluation.report.record import load_report
 
 HEADER = {"protocol": "strict", "data": "d", "split": "test", "num_samples": 64, "evaluator": "abc", "seed": 0}
 

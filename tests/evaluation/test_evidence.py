@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from t2m_jax.data.folder import open_dataset
-from t2m_jax.data.synthetic import write_synthetic_dataset
-from t2m_jax.evaluation import evidence as evidence_module
+from t2m_jax.data.importers.synthetic import write_synthetic_dataset
 from t2m_jax.evaluation.codes import MotionCodes
-from t2m_jax.evaluation.evidence import gather_evidence
-from t2m_jax.evaluation.gallery import NUM_EXAMPLES, NUM_FAILURES, NUM_NEAREST, Ranked, find_failures
-from t2m_jax.evaluation.makers import Reconstruction, make_generation
 from t2m_jax.evaluation.protocols import find_protocol
-from t2m_jax.evaluation.repeats import evaluate
-from t2m_jax.evaluation.subject import Subject, load_samples
+from t2m_jax.evaluation.report import details as evidence_module
+from t2m_jax.evaluation.report.details import gather_evidence
+from t2m_jax.evaluation.report.gallery import NUM_EXAMPLES, NUM_FAILURES, NUM_NEAREST, Ranked, find_failures
+from t2m_jax.evaluation.run import evaluate
+from t2m_jax.evaluation.sources import Reconstruction, make_generation
+from t2m_jax.evaluation.task import Subject, load_samples
 from t2m_jax.metrics import r_precision
 from t2m_jax.models.vqvae import VqVae
 from t2m_jax.motion.skeleton import HUMANML3D

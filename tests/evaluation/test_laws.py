@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from t2m_jax.checkpoints.evaluator import make_trained_evaluator
-from t2m_jax.config import UserError
-from t2m_jax.data.caption_bank import all_tokens
+from t2m_jax.data.banks.captions import all_tokens
 from t2m_jax.data.folder import open_dataset
-from t2m_jax.data.synthetic import write_synthetic_dataset
+from t2m_jax.data.importers.synthetic import write_synthetic_dataset
+from t2m_jax.errors import UserError
 from t2m_jax.evaluation import codes, embedding
 from t2m_jax.evaluation.embedding import embed_codes
-from t2m_jax.evaluation.makers import make_generation, sample_keys
 from t2m_jax.evaluation.protocols import find_protocol, make_plan
-from t2m_jax.evaluation.repeats import embed_plan_captions, embed_plan_motions, evaluate
-from t2m_jax.evaluation.subject import Subject, check_fit, load_samples
+from t2m_jax.evaluation.run import embed_plan_captions, embed_plan_motions, evaluate
+from t2m_jax.evaluation.sources import make_generation, sample_keys
+from t2m_jax.evaluation.task import Subject, check_fit, load_samples
 from t2m_jax.metrics import matching_score, r_precision
 from t2m_jax.models.evaluator import evaluator_shapes
 from t2m_jax.motion.normalizer import Normalizer

@@ -10,13 +10,13 @@ import sys
 import numpy as np
 import pytest
 
-from t2m_jax.config import UserError
-from t2m_jax.data.synthetic import make_motion
-from t2m_jax.evaluation.evidence import Evidence
-from t2m_jax.evaluation.gallery import Candidate, Example, Failure
-from t2m_jax.evaluation.page import check_page, report_page, save_page
-from t2m_jax.evaluation.plots import codes_plot, lengths_plot, repeats_plot
-from t2m_jax.evaluation.tables import COLUMNS
+from t2m_jax.data.importers.synthetic import make_motion
+from t2m_jax.errors import UserError
+from t2m_jax.evaluation.report.details import Evidence
+from t2m_jax.evaluation.report.gallery import Candidate, Example, Failure
+from t2m_jax.evaluation.report.page import check_page, report_page, save_page
+from t2m_jax.evaluation.report.plots import codes_plot, lengths_plot, repeats_plot
+from t2m_jax.evaluation.report.tables import COLUMNS
 from t2m_jax.export import viewer_html
 from t2m_jax.motion.record import Motion
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from t2m_jax.data.prompts import HELD_OUT
-from t2m_jax.data.synthetic import KINDS, make_motion
+from t2m_jax.data.importers.bandai_namco.prompts import HELD_OUT
+from t2m_jax.data.importers.synthetic import KINDS, make_motion
 from t2m_jax.evaluation.prompt_following import (
     RULES,
     evaluate_prompt_following,

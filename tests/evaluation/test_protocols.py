@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from t2m_jax.config import UserError
 from t2m_jax.data.folder import Clip
 from t2m_jax.data.texts import Caption
+from t2m_jax.errors import UserError
 from t2m_jax.evaluation.protocols import BATCH, PROTOCOLS, find_protocol, make_plan
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from t2m_jax.checkpoints.vqvae import TrainedVqVae
-from t2m_jax.config import UserError
 from t2m_jax.data.folder import open_dataset
-from t2m_jax.data.synthetic import write_synthetic_dataset
+from t2m_jax.data.importers.synthetic import write_synthetic_dataset
+from t2m_jax.errors import UserError
 from t2m_jax.evaluation import reconstruction
 from t2m_jax.evaluation.reconstruction import evaluate_reconstruction, reconstruct_batch
 from t2m_jax.models.vqvae import VqVae

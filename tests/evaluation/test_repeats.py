@@ -12,16 +12,17 @@ import pytest
 from t2m_jax.checkpoints.bundle import save_bundle
 from t2m_jax.checkpoints.evaluator import load_evaluator_bundle, make_trained_evaluator, save_evaluator
 from t2m_jax.cli.main import main
-from t2m_jax.config import UserError
 from t2m_jax.data.folder import open_dataset
-from t2m_jax.data.synthetic import write_synthetic_dataset
-from t2m_jax.evaluation import makers, repeats
+from t2m_jax.data.importers.synthetic import write_synthetic_dataset
+from t2m_jax.errors import UserError
+from t2m_jax.evaluation import run as repeats
+from t2m_jax.evaluation import sources as makers
 from t2m_jax.evaluation.codes import generate_at_length, generate_many
 from t2m_jax.evaluation.embedding import embed_decoded
-from t2m_jax.evaluation.makers import Reconstruction, make_generation, sample_keys, samples_that_count
 from t2m_jax.evaluation.protocols import SAMPLES_A_CAPTION, find_protocol, make_plan
-from t2m_jax.evaluation.repeats import evaluate, load_partial, summarize
-from t2m_jax.evaluation.subject import Samples, Subject, check_fit, load_samples
+from t2m_jax.evaluation.run import evaluate, load_partial, summarize
+from t2m_jax.evaluation.sources import Reconstruction, make_generation, sample_keys, samples_that_count
+from t2m_jax.evaluation.task import Samples, Subject, check_fit, load_samples
 from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.pipeline import generate_codes

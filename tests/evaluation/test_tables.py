@@ -5,10 +5,10 @@ import json
 import pytest
 
 from t2m_jax.cli.main import main
-from t2m_jax.config import UserError
-from t2m_jax.evaluation.reports import load_report
-from t2m_jax.evaluation.table_formats import format_table
-from t2m_jax.evaluation.tables import make_table
+from t2m_jax.errors import UserError
+from t2m_jax.evaluation.report.formats import format_table
+from t2m_jax.evaluation.report.record import load_report
+from t2m_jax.evaluation.report.tables import make_table
 
 HEADER = {"protocol": "strict", "data": "d_1", "split": "test", "num_samples": 64, "evaluator": "ab%c", "seed": 0}
 REAL = {"fid": (0.002, 0.0001), "diversity": (9.5, 0.065)}

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from t2m_jax.export import load_motion
 from t2m_jax.motion.features import features_from_positions
 from t2m_jax.motion.record import Motion, motion_formats

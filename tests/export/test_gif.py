@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from t2m_jax.export import save_gif, save_mp4
 from t2m_jax.export.gif import frame_durations
 from t2m_jax.motion.record import Motion
@@ -21,7 +21,7 @@ def test_gif_has_every_frame_at_its_time(tmp_path, walk):
 
 
 def test_gif_looks_like_what_was_drawn(tmp_path, walk):
-    from t2m_jax.export.rendering import render_film
+    from t2m_jax.export.render.rendering import render_film
 
     short = Motion(walk.positions[:12], 20.0, caption="a person walks")
     save_gif(tmp_path / "a.gif", [short], height=160)

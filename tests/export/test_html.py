@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.export import save_html, viewer_html
-from t2m_jax.export.scene import scene_from_motions
+from t2m_jax.export.render.scene import scene_from_motions
 from t2m_jax.motion.record import Motion
 from tests.export.conftest import NASTY_CAPTION
 

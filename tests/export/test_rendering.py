@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from t2m_jax.export.ground import draw_ground, make_ground
-from t2m_jax.export.labels import make_label, wrap
-from t2m_jax.export.rasterizer import (
+from t2m_jax.export.render.ground import draw_ground, make_ground
+from t2m_jax.export.render.labels import make_label, wrap
+from t2m_jax.export.render.rasterizer import (
     TABLE_SIZE,
     Ball,
     Lighting,
@@ -13,8 +13,8 @@ from t2m_jax.export.rasterizer import (
     empty_canvas,
     make_shade_tables,
 )
-from t2m_jax.export.rendering import picture_size, render_film
-from t2m_jax.export.view import View, project, sample_figure, smooth_path
+from t2m_jax.export.render.rendering import picture_size, render_film
+from t2m_jax.export.render.view import View, project, sample_figure, smooth_path
 
 FOCAL = 1000.0
 
@@ -125,7 +125,7 @@ def test_fast_motions_are_thinned_out_evenly(walk):
     film = render_film([Motion(walk.positions, 120.0)], height=60, max_fps=33.4)
     assert (film.num_frames, film.fps) == (20, 30.0)
     figure = Motion(walk.positions, 20.0)
-    from t2m_jax.export.scene import figure_from_motion
+    from t2m_jax.export.render.scene import figure_from_motion
 
     points = sample_figure(figure_from_motion(figure), 159, 40.0)
     np.testing.assert_allclose(points[::2], figure_from_motion(figure).points)

@@ -1,6 +1,6 @@
 import pytest
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from t2m_jax.export.writing import whole_file
 
 

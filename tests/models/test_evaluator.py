@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from flax import traverse_util
 
-from t2m_jax.checkpoints.official import evaluator_variables
+from t2m_jax.checkpoints.official.load import evaluator_variables
 from t2m_jax.losses import movement_loss
 from t2m_jax.models.evaluator import Evaluator, EvaluatorConfig, MovementDecoder, MovementEncoder, evaluator_shapes
 from tests.golden_files import evaluator_config, evaluator_state_dict, plain_variables

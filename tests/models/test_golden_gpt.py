@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints.official import gpt_variables
+from t2m_jax.checkpoints.official.load import gpt_variables
 from t2m_jax.losses import token_loss
 from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
 from tests.golden_files import state_dict

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints.official import vqvae_variables
+from t2m_jax.checkpoints.official.load import vqvae_variables
 from t2m_jax.losses import reconstruction_loss
 from t2m_jax.models.quantizer import perplexity_from_counts
 from t2m_jax.models.vqvae import VqVae, VqVaeConfig

@@ -2,7 +2,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from t2m_jax.motion.features import features_from_positions
 from t2m_jax.motion.mirroring import mirror_caption, mirror_positions
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML

@@ -5,7 +5,7 @@ import jaxtyping
 import numpy as np
 import pytest
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from t2m_jax.motion import record
 from t2m_jax.motion.record import Motion, motion_formats, save_motions
 from t2m_jax.motion.skeleton import KIT_ML

@@ -3,9 +3,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from t2m_jax.motion.bvh import BvhClip
-from t2m_jax.motion.resample import resample
+from t2m_jax.motion.bvh.resample import resample
 from t2m_jax.motion.rotations import euler_from_matrix, matrix_from_euler
 
 from .figures import turn_angles

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from t2m_jax.motion.bvh import load_bvh, save_bvh
+from t2m_jax.motion.bvh.retarget import retarget
+from t2m_jax.motion.bvh.rigs import RIGS, detect_rig, load_rig, make_rig
 from t2m_jax.motion.record import Motion
-from t2m_jax.motion.retarget import retarget
-from t2m_jax.motion.rigs import RIGS, detect_rig, load_rig, make_rig
 from t2m_jax.motion.skeleton import HUMANML3D
 
 from .figures import INDEX, bvh_text, walking_positions

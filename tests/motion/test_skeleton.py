@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from t2m_jax.motion.layout import FeatureLayout
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML, skeleton_from_feature_dim, skeleton_from_name
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints.official import gpt_variables
+from t2m_jax.checkpoints.official.load import gpt_variables
 from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
 from t2m_jax.sampling.decoding import CHUNK, decode_codes
 from t2m_jax.sampling.strategies import Greedy, Temperature, TopK

@@ -9,7 +9,7 @@ from t2m_jax.checkpoints.bundle import vqvae_shapes
 from t2m_jax.checkpoints.vqvae import TrainedVqVae
 from t2m_jax.models.vqvae import VqVae
 from t2m_jax.motion.normalizer import Normalizer
-from t2m_jax.sampling.encoding import BATCH, encode_batch, encode_motions
+from t2m_jax.sampling.codec import BATCH, encode_batch, encode_motions
 from tests.tiny import VQVAE, random_variables
 
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from t2m_jax.sampling import Greedy, TextToMotion
 from t2m_jax.sampling.pipeline import MAX_BATCH, decode_motion, generate_codes, sample_key
 from t2m_jax.sampling.strategies import Temperature

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from t2m_jax.sampling.strategies import Greedy, Temperature, TopK, TopP, make_strategy
 
 LOGITS = jax.random.normal(jax.random.key(0), (4, 9))

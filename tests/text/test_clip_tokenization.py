@@ -6,8 +6,8 @@ import shutil
 import numpy as np
 import pytest
 
-from t2m_jax.config import UserError
-from t2m_jax.text.clip_tokenization import END, START, clip_tokens, load_clip_tokenizer
+from t2m_jax.errors import UserError
+from t2m_jax.text.clip_bpe import END, START, clip_tokens, load_clip_tokenizer
 from tests.clip_golden import CAPTIONS, FULL, ONE_FILE, TEXT_ONLY, TWO_FILES, golden
 
 MAX_LENGTH = 77

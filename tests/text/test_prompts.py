@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from t2m_jax.text.prompts import MAX_PROMPT_LENGTH, check_prompt
 
 

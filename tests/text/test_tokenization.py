@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from t2m_jax.config import UserError
-from t2m_jax.text.tokenization import (
+from t2m_jax.errors import UserError
+from t2m_jax.text.bpe import (
     PAD,
     TOKENIZER_FILE,
     UNKNOWN,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from t2m_jax.config import UserError
+from t2m_jax.errors import UserError
 from t2m_jax.text.parts_of_speech import OTHER, PARTS_OF_SPEECH, SPECIAL_WORDS, part_of_speech
 from t2m_jax.text.word_vectors import (
     MAX_WORDS,

@@ -7,8 +7,8 @@ import jax
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints.run_directory import Checkpoints
-from t2m_jax.data.synthetic import write_synthetic_dataset
+from t2m_jax.checkpoints.run import Checkpoints
+from t2m_jax.data.importers.synthetic import write_synthetic_dataset
 from t2m_jax.train import run_gpt, run_vqvae
 from tests.tiny import gpt_training, vqvae_training
 

@@ -13,15 +13,16 @@ from t2m_jax.checkpoints import best as best_files
 from t2m_jax.checkpoints.best import BEST_FILE, BEST_FOLDER, Best, find_best, restore_trained, save_best
 from t2m_jax.checkpoints.evaluator import load_evaluator_bundle, save_evaluator
 from t2m_jax.checkpoints.gpt_run import load_gpt_run
-from t2m_jax.checkpoints.run_directory import Checkpoints
+from t2m_jax.checkpoints.run import Checkpoints
 from t2m_jax.checkpoints.vqvae import load_vqvae
 from t2m_jax.cli.main import main
-from t2m_jax.config import UserError, config_from_dict, save_config
+from t2m_jax.config import config_from_dict, save_config
 from t2m_jax.data.folder import open_dataset
-from t2m_jax.evaluation.makers import make_generation
+from t2m_jax.errors import UserError
 from t2m_jax.evaluation.protocols import find_protocol
-from t2m_jax.evaluation.repeats import evaluate
-from t2m_jax.evaluation.subject import make_subject
+from t2m_jax.evaluation.run import evaluate
+from t2m_jax.evaluation.sources import make_generation
+from t2m_jax.evaluation.task import make_subject
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.sampling import Temperature, TextToMotion
 from t2m_jax.sampling.pipeline import generate_codes

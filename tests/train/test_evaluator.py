@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from t2m_jax.checkpoints.evaluator import load_evaluator_bundle
-from t2m_jax.checkpoints.official import evaluator_variables
-from t2m_jax.checkpoints.official_names import evaluator_weights
-from t2m_jax.checkpoints.run_directory import run_info
+from t2m_jax.checkpoints.official.load import evaluator_variables
+from t2m_jax.checkpoints.official.names import evaluator_weights
+from t2m_jax.checkpoints.run import run_info
 from t2m_jax.cli.main import main
-from t2m_jax.config import UserError, save_config
-from t2m_jax.data.caption_bank import CaptionBatch
+from t2m_jax.config import save_config
+from t2m_jax.data.banks.captions import CaptionBatch
 from t2m_jax.data.folder import open_dataset
+from t2m_jax.errors import UserError
 from t2m_jax.losses import infonce_loss, margin_loss, pair_distances
 from t2m_jax.models.evaluator import Evaluator
 from t2m_jax.text.word_vectors import WordIds
@@ -25,8 +26,8 @@ from t2m_jax.train import run_evaluator
 from t2m_jax.train.best_weights import BestWeights
 from t2m_jax.train.evaluator import MatchingState, matching_train_step, trained_parts
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
+from t2m_jax.train.optimizer import make_optimizer
 from t2m_jax.train.run_evaluator import train_evaluator
-from t2m_jax.train.schedules import make_optimizer
 from tests.golden_files import evaluator_config, evaluator_state_dict
 from tests.tiny import EVALUATOR, LOOP
 from tests.train.conftest import assert_same_checkpoint, newest_checkpoint

@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from t2m_jax.checkpoints.official import gpt_variables, vqvae_variables
-from t2m_jax.data.bank import Windows
+from t2m_jax.checkpoints.official.load import gpt_variables, vqvae_variables
+from t2m_jax.data.banks.motions import Windows
 from t2m_jax.losses import token_loss
 from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
 from t2m_jax.models.vqvae import VqVaeConfig
 from t2m_jax.train.config import TrainVqVaeConfig
-from t2m_jax.train.schedules import OptimizerConfig, make_optimizer
+from t2m_jax.train.optimizer import OptimizerConfig, make_optimizer
 from t2m_jax.train.targets import corrupt
 from t2m_jax.train.vqvae import VqVaeState, vqvae_train_step
 from tests.golden_files import state_dict

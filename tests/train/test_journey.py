@@ -10,13 +10,14 @@ import pytest
 
 from t2m_jax.checkpoints.bundle import CONFIG_FILE, WEIGHTS_FILE, load_bundle
 from t2m_jax.checkpoints.gpt_run import load_gpt_runs, load_model
-from t2m_jax.checkpoints.official import load_gpt
-from t2m_jax.checkpoints.official import load_vqvae as load_official_vqvae
-from t2m_jax.checkpoints.run_directory import run_info
+from t2m_jax.checkpoints.official.load import load_gpt
+from t2m_jax.checkpoints.official.load import load_vqvae as load_official_vqvae
+from t2m_jax.checkpoints.run import run_info
 from t2m_jax.checkpoints.vqvae import load_vqvae
 from t2m_jax.cli.main import main
-from t2m_jax.config import UserError, load_config
+from t2m_jax.config import load_config
 from t2m_jax.data.folder import open_dataset
+from t2m_jax.errors import UserError
 from t2m_jax.evaluation.prompt_following import RULES
 from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
 from t2m_jax.export.formats import load_motion

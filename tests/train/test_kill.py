@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from t2m_jax.checkpoints.run_directory import Checkpoints, is_run_directory
+from t2m_jax.checkpoints.run import Checkpoints, is_run_directory
 from t2m_jax.checkpoints.vqvae import load_vqvae
 from t2m_jax.config import save_config
 from t2m_jax.train.run_vqvae import train_vqvae

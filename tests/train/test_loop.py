@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints.run_directory import Checkpoints
-from t2m_jax.config import UserError
+from t2m_jax.checkpoints.run import Checkpoints
+from t2m_jax.errors import UserError
 from t2m_jax.train.config import LoopConfig
 from t2m_jax.train.loop import mean_metrics, run_loop
 from t2m_jax.train.metric_log import MetricLog

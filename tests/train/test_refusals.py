@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from t2m_jax.cli.main import main
-from t2m_jax.config import UserError, config_from_dict, save_config
+from t2m_jax.config import config_from_dict, save_config
 from t2m_jax.data.files import FEATURES
+from t2m_jax.errors import UserError
 from t2m_jax.train.config import TrainGptConfig, TrainVqVaeConfig
 from tests.tiny import gpt_training, vqvae_training
 

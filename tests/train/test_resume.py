@@ -8,8 +8,8 @@ import jax
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints.run_directory import Checkpoints
-from t2m_jax.config import UserError
+from t2m_jax.checkpoints.run import Checkpoints
+from t2m_jax.errors import UserError
 from t2m_jax.train import run_gpt, run_vqvae
 from tests.tiny import LOOP, gpt_training, vqvae_training
 from tests.train.conftest import assert_same_checkpoint, newest_checkpoint

@@ -7,7 +7,7 @@ import numpy as np
 import optax
 import pytest
 
-from t2m_jax.train.schedules import OptimizerConfig, learning_rate_at, make_optimizer
+from t2m_jax.train.optimizer import OptimizerConfig, learning_rate_at, make_optimizer
 
 
 @pytest.mark.parametrize("stage", ["vq", "gpt"])

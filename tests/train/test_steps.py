@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from t2m_jax.data.bank import Windows
-from t2m_jax.text.tokenization import CaptionTokens
+from t2m_jax.data.banks.motions import Windows
+from t2m_jax.text.bpe import CaptionTokens
 from t2m_jax.train.config import TrainGptConfig, TrainVqVaeConfig
 from t2m_jax.train.gpt import GptBatch, gpt_train_step, init_gpt_state
 from t2m_jax.train.targets import make_targets

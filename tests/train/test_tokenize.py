@@ -11,12 +11,12 @@ import pytest
 
 from t2m_jax.checkpoints.bundle import vqvae_shapes
 from t2m_jax.checkpoints.vqvae import TrainedVqVae
-from t2m_jax.config import UserError
-from t2m_jax.data.code_bank import CodeBatch, code_batch_at
+from t2m_jax.data.banks.codes import CodeBatch, code_batch_at
 from t2m_jax.data.folder import Clip, DatasetInfo
 from t2m_jax.data.texts import Caption
+from t2m_jax.errors import UserError
 from t2m_jax.motion.normalizer import Normalizer
-from t2m_jax.text.tokenization import tokenize, train_tokenizer
+from t2m_jax.text.bpe import tokenize, train_tokenizer
 from t2m_jax.train import tokenize as train_tokenize
 from t2m_jax.train.run_gpt import make_batch
 from t2m_jax.train.tokenize import coded_motions, make_code_bank

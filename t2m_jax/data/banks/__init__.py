@@ -1,0 +1,1 @@
+"""Training data on the device, and the batches that are cut from it."""

@@ -1,0 +1,1 @@
+"""Importers: programs that make a data-set folder from other files."""

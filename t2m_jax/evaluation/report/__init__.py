@@ -1,0 +1,1 @@
+"""Evaluation reports: records, tables, comparisons and pages."""

@@ -1,0 +1,1 @@
+"""Drawing motions as pictures."""

@@ -1,0 +1,168 @@
+"""The ground of rendered pictures: sky, grid in perspective, soft shadows and the trails of the roots."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from PIL import Image, ImageChops, ImageDraw, ImageFilter
+
+from t2m_jax.export.render.scene import Figure
+from t2m_jax.export.render.view import View, project
+
+SKY_TOP = (226, 232, 240)
+SKY_LOW = (247, 249, 251)
+GROUND = (242, 245, 248)
+LINES = (178, 189, 203)
+ACCENTS = ((31, 127, 156), (192, 98, 47), (91, 127, 43), (122, 79, 163))
+SHADOW = 0.36
+"""Share of light that the middle of a shadow lacks."""
+
+KEY_LIGHT = np.array([0.42, 1.0, 0.38]) / np.linalg.norm([0.42, 1.0, 0.38])
+"""Direction towards the lamp."""
+
+FINE_LINES = 110
+"""Strength, of 255, of the lines at half metres; those at whole metres have 255."""
+
+
+class Ground(NamedTuple):
+    """What stays the same while the camera moves without turning."""
+
+    empty: Image.Image
+    """Sky and ground without anything on it."""
+
+    fade: Image.Image
+    """How clearly lines are seen: 255 near the figures, 0 towards the horizon."""
+
+    reach: float
+    """Metres around the figures in which lines are drawn."""
+
+
+def make_ground(view: View) -> Ground:
+    """Returns the ground as seen from the height and in the direction of `view`."""
+    right, down, back = view.axes
+    columns = (np.arange(view.width) + 0.5 - view.width / 2) / view.focal
+    rows = (np.arange(view.height) + 0.5 - view.middle) / view.focal
+    rays = columns[None, :, None] * right + rows[:, None, None] * down - back
+    falling = np.maximum(-rays[..., 1], 1e-3)
+    spots = rays * (view.eye[1] / falling)[..., None]
+    centre = -back * (view.eye[1] / max(float(back[1]), 0.05))
+    reach = 1.8 * float(np.linalg.norm(centre))
+    share = np.clip(1.15 - np.linalg.norm((spots - centre)[..., [0, 2]], axis=-1) / reach, 0, 1)
+    fade = share * share * (3 - 2 * share) * (rays[..., 1] < -1e-3)
+    horizon = float(np.clip(np.sum(rays[:, 0, 1] >= 0), 1, view.height))
+    mix = np.clip(np.arange(view.height) / horizon, 0, 1)[:, None, None]
+    sky = np.asarray(SKY_TOP) * (1 - mix) + np.asarray(SKY_LOW) * mix
+    empty = sky + fade[..., None] * (np.asarray(GROUND) - sky)
+    return Ground(
+        Image.fromarray(np.rint(empty).astype(np.uint8)), Image.fromarray(np.rint(255 * fade).astype(np.uint8)), reach
+    )
+
+
+def draw_ground(ground: Ground, view: View) -> Image.Image:
+    """Returns the empty scene: sky, and the ground with lines every half metre, every other one stronger."""
+    back = view.axes[2]
+    centre = view.eye - back * (view.eye[1] / max(float(back[1]), 0.05))
+    middle = np.round(centre)
+    offsets = np.arange(-math.ceil(ground.reach), math.ceil(ground.reach) + 0.25, 0.5)
+    offsets = np.concatenate([offsets[1::2], offsets[::2]])
+    # A chord of the circle in which lines can be seen at all.
+    span = np.sqrt(np.maximum(ground.reach**2 - offsets**2, 0)) + 1
+    starts, ends = [], []
+    for along, across in ((0, 2), (2, 0)):
+        line = np.zeros((2, len(offsets), 3))
+        line[:, :, across] = middle[across] + offsets
+        line[0, :, along], line[1, :, along] = middle[along] - span, middle[along] + span
+        start, end = _in_front(line[0], line[1], view)
+        starts.append(start)
+        ends.append(end)
+    mask = Image.new("L", (2 * view.width, 2 * view.height))
+    draw = ImageDraw.Draw(mask)
+    spots = 2 * np.concatenate(
+        [project(view, np.stack(starts))[..., :2], project(view, np.stack(ends))[..., :2]], axis=-1
+    )
+    thickness = max(round(view.height / 300), 1)
+    num_fine = len(offsets) // 2
+    for fine in (True, False):
+        for family in spots:
+            for line in family[:num_fine] if fine else family[num_fine:]:
+                draw.line(line.tolist(), fill=FINE_LINES if fine else 255, width=thickness + (not fine))
+    seen = ImageChops.multiply(mask.reduce(2), ground.fade)
+    return Image.composite(Image.new("RGB", seen.size, LINES), ground.empty, seen)
+
+
+def _in_front(
+    starts: Float[np.ndarray, "N 3"], ends: Float[np.ndarray, "N 3"], view: View
+) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
+    """Returns the parts of lines that lie at least half a metre in front of the camera; others become points."""
+    depths = [-(points - view.eye) @ view.axes[2] for points in (starts, ends)]
+    change = depths[1] - depths[0]
+    crossing = np.clip((0.5 - depths[0]) / np.where(np.abs(change) < 1e-9, 1e-9, change), 0, 1)[:, None]
+    cuts = starts + crossing * (ends - starts)
+    behind = [(depth < 0.5)[:, None] for depth in depths]
+    return np.where(behind[0], cuts, starts), np.where(behind[1], cuts, ends)
+
+
+def add_shadows(picture: Image.Image, view: View, figures: Sequence[tuple[Figure, Float[np.ndarray, "_ 3"]]]) -> None:
+    """Darkens the picture where the figures keep the lamp off the ground."""
+    mask = Image.new("L", (view.width // 2, view.height // 2))
+    draw = ImageDraw.Draw(mask)
+    for figure, points in figures:
+        height = np.maximum(points[:, 1:2], 0)
+        spots = points - height / KEY_LIGHT[1] * KEY_LIGHT
+        spots = project(view, np.concatenate([spots[:, :1], np.zeros_like(height), spots[:, 2:]], axis=1)) / [2, 2, 1]
+        places = spots.tolist()
+        for part in figure.parts:
+            _draw_shadow(draw, places[part.start], places[part.end], (part.start_radius, part.end_radius), view)
+    box = mask.getbbox()
+    if box is None:
+        return
+    blur = view.height / 260
+    edge = math.ceil(3 * blur)
+    box = (
+        max(box[0] - edge, 0),
+        max(box[1] - edge, 0),
+        min(box[2] + edge, mask.width),
+        min(box[3] + edge, mask.height),
+    )
+    shadow = mask.crop(box).filter(ImageFilter.GaussianBlur(blur))
+    shadow = shadow.resize((2 * shadow.width, 2 * shadow.height), Image.Resampling.BILINEAR)
+    corner = (2 * box[0], 2 * box[1])
+    picture.paste((18, 24, 34), corner, shadow.point([round(SHADOW * level) for level in range(256)]))
+
+
+def _draw_shadow(
+    draw: ImageDraw.ImageDraw, start: list[float], end: list[float], radii: tuple[float, float], view: View
+) -> None:
+    """Draws the hull of two flat discs, at half the picture's size."""
+    flat = max(float(view.axes[2, 1]), 0.1)
+    ends = []
+    for (x, y, depth), radius in zip((start, end), radii, strict=True):
+        size = 0.45 * radius * view.focal / depth
+        draw.ellipse((x - size, y - size * flat, x + size, y + size * flat), fill=255)
+        ends.append((x, y / flat, size))
+    (x0, y0, r0), (x1, y1, r1) = ends
+    length = math.hypot(x1 - x0, y1 - y0)
+    if length < 1e-3:
+        return
+    nx, ny = (y1 - y0) / length, (x0 - x1) / length
+    corners = [(x0, y0, r0), (x1, y1, r1), (x1, y1, -r1), (x0, y0, -r0)]
+    draw.polygon([(x + r * nx, (y + r * ny) * flat) for x, y, r in corners], fill=255)
+
+
+def add_trail(picture: Image.Image, view: View, path: Float[np.ndarray, "T 3"], accent: tuple[int, int, int]) -> None:
+    """Draws the way along `path` on the ground, older parts fainter."""
+    spots = project(view, path * [1, 0, 1])[:, :2]
+    thickness = max(round(view.height / 75), 2)
+    low = np.floor(np.clip(spots.min(axis=0) - thickness, 0, [view.width - 1, view.height - 1])).astype(int)
+    high = np.ceil(np.clip(spots.max(axis=0) + thickness, 1, [view.width, view.height])).astype(int)
+    size = np.maximum(high - low, 1)
+    mask = Image.new("L", tuple((2 * size).tolist()))
+    draw = ImageDraw.Draw(mask)
+    places = (2 * (spots - low)).tolist()
+    count = len(places)
+    for i in range(count - 1):
+        level = round(70 + 120 * math.exp((i - count) / 30))
+        draw.line([*places[i], *places[i + 1]], fill=level, width=thickness)
+    picture.paste(accent, tuple(low.tolist()), mask.reduce(2))

@@ -1,0 +1,86 @@
+"""The camera of rendered pictures: it keeps its direction and glides after the figures."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from t2m_jax.export.render.scene import Figure, Scene
+
+FIELD_OF_VIEW = 0.6
+"""Vertical opening of the camera, radians."""
+
+PITCH = 0.22
+"""How far the camera looks down, radians."""
+
+STANDSTILL = 1.2
+"""Metres of travel below which the camera does not move at all."""
+
+SMOOTHING_SECONDS = 0.6
+"""Half width of both moving averages over the path that the camera follows."""
+
+
+class View(NamedTuple):
+    """A camera: where it is, its axes (rows: right, down, back) and pixels a metre at one metre."""
+
+    eye: Float[np.ndarray, " 3"]
+    axes: Float[np.ndarray, "3 3"]
+    focal: float
+    width: int
+    height: int
+    middle: float
+    """Row, in pixels from the top, of what the camera points at."""
+
+
+def project(view: View, points: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
+    """Returns x and y in pixels and the depth in metres of world points."""
+    seen = (points - view.eye) @ view.axes.T
+    depth = np.maximum(-seen[..., 2], 0.05)
+    scale = view.focal / depth
+    return np.stack([view.width / 2 + scale * seen[..., 0], view.middle + scale * seen[..., 1], depth], axis=-1)
+
+
+def smooth_path(path: Float[np.ndarray, "T K"], reach: int) -> Float[np.ndarray, "T K"]:
+    """Returns the path after two moving averages over `reach` frames to either side, its ends held."""
+    window = np.full(2 * reach + 1, 1 / (2 * reach + 1))
+    for _ in range(2):
+        padded = np.pad(path, ((reach, reach), (0, 0)), mode="edge")
+        path = np.stack([np.convolve(column, window, mode="valid") for column in padded.T], axis=-1)
+    return path
+
+
+def sample_figure(figure: Figure, num_frames: int, fps: float) -> Float[np.ndarray, "T P 3"]:
+    """Returns the figure's points at `num_frames` moments `1 / fps` apart; after its end it stands still."""
+    moments = np.minimum(np.arange(num_frames) / fps * figure.fps, len(figure.points) - 1)
+    before = np.floor(moments + 1e-6).astype(int)
+    after = np.minimum(before + 1, len(figure.points) - 1)
+    weight = np.maximum(moments - before, 0).astype(np.float32)[:, None, None]
+    return figure.points[before] * (1 - weight) + figure.points[after] * weight
+
+
+def views_of_scene(scene: Scene, roots: Float[np.ndarray, "T N 3"], fps: float, size: tuple[int, int]) -> list[View]:
+    """Returns one view a frame: all figures in the picture, its middle following the middle of their roots.
+
+    The lower 6 % of the picture are left free for a caption.
+    """
+    width, height = size
+    middle = roots.mean(axis=1)
+    low, high = middle.min(axis=0), middle.max(axis=0)
+    if np.hypot(*(high - low)[[0, 2]]) < STANDSTILL:
+        targets = np.broadcast_to((low + high) / 2, middle.shape)
+    else:
+        targets = smooth_path(middle, max(round(SMOOTHING_SECONDS * fps), 1))
+    top = max(float(figure.points[..., 1].max()) for figure in scene.figures)
+    strays = np.abs(roots - targets[:, None])[..., [0, 2]].max(axis=(0, 1))
+    half = math.tan(FIELD_OF_VIEW / 2)
+    yaw = 0.5 if len(scene.figures) == 1 else 0.22
+    across = float(strays @ [math.cos(yaw), math.sin(yaw)]) + 0.65
+    up = max(0.56 * top, 0.95) + 0.12 + 0.1 * float(strays[1])
+    distance = max(up / half, across / (half * width / height)) + 0.3
+    back = np.array([math.sin(yaw) * math.cos(PITCH), math.sin(PITCH), math.cos(yaw) * math.cos(PITCH)])
+    right = np.array([math.cos(yaw), 0.0, -math.sin(yaw)])
+    axes = np.stack([right, np.cross(right, back), back])
+    focal = height / (2 * half)
+    centres = np.stack([targets[:, 0], np.full(len(targets), 0.46 * max(top, 1.5)), targets[:, 2]], axis=-1)
+    return [View(centre + distance * back, axes, focal, width, height, 0.47 * height) for centre in centres]

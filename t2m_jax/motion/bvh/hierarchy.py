@@ -1,0 +1,187 @@
+"""The HIERARCHY section of a BVH file: names, parents, offsets and channels of all joints."""
+
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from t2m_jax.errors import UserError
+
+AXES = "XYZ"
+POSITION_CHANNELS = tuple(f"{axis}position" for axis in AXES)
+ROTATION_CHANNELS = tuple(f"{axis}rotation" for axis in AXES)
+_CHANNEL_SPELLINGS = {name.lower(): name for name in POSITION_CHANNELS + ROTATION_CHANNELS}
+
+
+class Hierarchy(NamedTuple):
+    """The joints of a BVH file in the order of the file, lengths in the file's unit."""
+
+    joint_names: tuple[str, ...]
+    parents: tuple[int, ...]
+    offsets: Float[np.ndarray, "J 3"]
+    channels: tuple[tuple[str, ...], ...]
+
+    @property
+    def num_channels(self) -> int:
+        """Returns the number of columns of the MOTION section."""
+        return sum(len(names) for names in self.channels)
+
+
+class _Token(NamedTuple):
+    text: str
+    line: int
+
+
+class _Tokens:
+    """The words of the section, read one after the other; errors name file and line."""
+
+    def __init__(self, lines: Sequence[str], path: Path):
+        self._path = path
+        self._tokens = [
+            _Token(word, number)
+            for number, line in enumerate(lines, start=1)
+            for word in re.findall(r"[{}]|[^\s{}]+", line)
+        ]
+        self._last_line = max(len(lines), 1)
+        self._next = 0
+
+    def error(self, message: str, *, line: int | None = None) -> UserError:
+        """Returns the error to raise for `line`, by default that of the word read last."""
+        if line is None:
+            line = self._tokens[self._next - 1].line if self._next else 1
+        return UserError(f"{self._path}:{line}: {message}")
+
+    def peek(self) -> str:
+        """Returns the next word, an empty text at the end of the section."""
+        return self._tokens[self._next].text if self._next < len(self._tokens) else ""
+
+    def take(self, expected: str) -> _Token:
+        """Returns the next word; `expected` says in the error what was looked for."""
+        if self._next == len(self._tokens):
+            message = f"the HIERARCHY section ends where {expected} should follow; is the file truncated?"
+            raise self.error(message, line=self._last_line)
+        self._next += 1
+        return self._tokens[self._next - 1]
+
+    def take_word(self, word: str) -> None:
+        """Reads `word` (in any case) or refuses."""
+        token = self.take(f'"{word}"')
+        if token.text.upper() != word.upper():
+            raise self.error(f'expected "{word}", found "{token.text}"')
+
+    def take_number(self, field: str) -> float:
+        """Returns the next word as a finite number."""
+        token = self.take(f"a number of {field}")
+        try:
+            value = float(token.text)
+        except ValueError:
+            raise self.error(f'{field}: "{token.text}" is not a number') from None
+        if not math.isfinite(value):
+            raise self.error(f"{field}: {token.text} is not finite")
+        return value
+
+    def take_name(self, keyword: _Token) -> str:
+        """Returns the joint name that follows `keyword` on its line; it may hold spaces."""
+        words = []
+        while self._next < len(self._tokens):
+            token = self._tokens[self._next]
+            if token.line != keyword.line or token.text in "{}":
+                break
+            words.append(token.text)
+            self._next += 1
+        if not words:
+            raise self.error(f"{keyword.text} without a joint name", line=keyword.line)
+        return " ".join(words)
+
+
+class _Draft(NamedTuple):
+    names: list[str]
+    parents: list[int]
+    offsets: list[tuple[float, ...]]
+    channels: list[tuple[str, ...]]
+
+
+def parse_hierarchy(lines: Sequence[str], path: Path) -> Hierarchy:
+    """Returns the joints described by `lines`, the file from its first line up to MOTION.
+
+    Args:
+        lines: Text lines, the first one being line 1 of the file.
+        path: File to name in errors.
+    """
+    tokens = _Tokens(lines, path)
+    tokens.take_word("HIERARCHY")
+    draft = _Draft([], [], [], [])
+    root = tokens.take('"ROOT"')
+    if root.text.upper() != "ROOT":
+        raise tokens.error(f'expected "ROOT", found "{root.text}"')
+    _read_joints(tokens, draft, root)
+    if tokens.peek():
+        found = tokens.take("the end")
+        kind = "a second ROOT; one figure per file" if found.text.upper() == "ROOT" else f'"{found.text}"'
+        raise tokens.error(f"after the closing brace of the root follows {kind}")
+    return Hierarchy(
+        joint_names=tuple(draft.names),
+        parents=tuple(draft.parents),
+        offsets=np.array(draft.offsets, dtype=np.float64),
+        channels=tuple(draft.channels),
+    )
+
+
+def _read_joints(tokens: _Tokens, draft: _Draft, root: _Token) -> None:
+    """Fills `draft` from the root's keyword on; a stack instead of recursion, as chains may be long."""
+    stack = [_open_joint(tokens, draft, keyword=root, parent=-1)]
+    while stack:
+        token = tokens.take('"JOINT", "End Site" or "}"')
+        match token.text.upper():
+            case "JOINT":
+                stack.append(_open_joint(tokens, draft, keyword=token, parent=stack[-1]))
+            case "END":
+                tokens.take_name(token)
+                tokens.take_word("{")
+                _read_offset(tokens, "OFFSET of End Site")
+                tokens.take_word("}")
+            case "}":
+                stack.pop()
+            case _:
+                joint = draft.names[stack[-1]]
+                raise tokens.error(f'joint "{joint}": expected "JOINT", "End Site" or "}}", found "{token.text}"')
+
+
+def _open_joint(tokens: _Tokens, draft: _Draft, *, keyword: _Token, parent: int) -> int:
+    """Returns the index of the joint whose keyword was just read, after reading up to its channels."""
+    name = tokens.take_name(keyword)
+    if name in draft.names:
+        raise tokens.error(f'joint name "{name}" appears twice; names must be unique')
+    tokens.take_word("{")
+    draft.names.append(name)
+    draft.parents.append(parent)
+    draft.offsets.append(_read_offset(tokens, f'OFFSET of "{name}"'))
+    draft.channels.append(_read_channels(tokens, name) if tokens.peek().upper() == "CHANNELS" else ())
+    return len(draft.names) - 1
+
+
+def _read_offset(tokens: _Tokens, field: str) -> tuple[float, ...]:
+    tokens.take_word("OFFSET")
+    return tuple(tokens.take_number(field) for _ in AXES)
+
+
+def _read_channels(tokens: _Tokens, joint: str) -> tuple[str, ...]:
+    tokens.take_word("CHANNELS")
+    count = tokens.take_number(f'CHANNELS of "{joint}"')
+    if count not in range(7):
+        raise tokens.error(f'CHANNELS of "{joint}": the count is {count:g}, it must be 0 to 6')
+    names: list[str] = []
+    for _ in range(int(count)):
+        spelling = tokens.take(f'a channel of "{joint}"').text
+        name = _CHANNEL_SPELLINGS.get(spelling.lower())
+        if name is None:
+            known = ", ".join(_CHANNEL_SPELLINGS.values())
+            raise tokens.error(f'joint "{joint}": unknown channel "{spelling}"; known are {known}')
+        if name in names:
+            raise tokens.error(f'joint "{joint}": channel {name} appears twice')
+        names.append(name)
+    return tuple(names)

@@ -1,0 +1,137 @@
+"""Reading BVH files: any hierarchy, any channel order, both conventions for positions."""
+
+import re
+from pathlib import Path
+from typing import Literal, cast
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from t2m_jax.errors import UserError
+from t2m_jax.motion.bvh.channels import parse_motion
+from t2m_jax.motion.bvh.clip import BvhClip
+from t2m_jax.motion.bvh.hierarchy import AXES, POSITION_CHANNELS, ROTATION_CHANNELS, Hierarchy, parse_hierarchy
+from t2m_jax.motion.rotations import EulerOrder, matrix_from_euler
+
+PositionRule = Literal["auto", "absolute", "add"]
+
+# From the first branching joint to the farthest leaf a person measures about 1.2 m, half a metre to three at most.
+_UNITS = ((10.0, 1.0), (300.0, 0.01), (np.inf, 0.001))
+
+
+def load_bvh(
+    path: Path | str, *, metres_per_unit: float | None = None, root_positions: PositionRule = "auto"
+) -> BvhClip:
+    """Returns the clip in `path`; whatever is wrong with the file is one `UserError` with its line.
+
+    Args:
+        path: A BVH file with one figure.
+        metres_per_unit: Length of the file's unit; by default metres, centimetres or millimetres,
+            whichever makes the figure the size of a person.
+        root_positions: "absolute" if position channels replace OFFSET, "add" if they add to it. By default
+            a file whose inner joints repeat their OFFSET in their channels is "absolute", any other "add".
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes().removeprefix(b"\xef\xbb\xbf")
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror}") from error
+    hierarchy, rest, line = _split_file(data, path)
+    table = parse_motion(rest, path, first_line=line, num_channels=hierarchy.num_channels)
+    translations = _translations(hierarchy, table.values, rule=root_positions)
+    if metres_per_unit is None:
+        metres_per_unit = _guess_unit(hierarchy, translations)
+    return BvhClip(
+        joint_names=hierarchy.joint_names,
+        parents=hierarchy.parents,
+        offsets=(hierarchy.offsets * metres_per_unit).astype(np.float32),
+        rotations=_rotations(hierarchy, table.values),
+        translations=(translations * metres_per_unit).astype(np.float32),
+        fps=table.fps,
+        metres_per_unit=metres_per_unit,
+    )
+
+
+def _split_file(data: bytes, path: Path) -> tuple[Hierarchy, bytes, int]:
+    """Returns the hierarchy, the text after the line MOTION and the number of the line after it."""
+    if not data.strip():
+        raise UserError(f"{path}:1: the file is empty")
+    if b"\0" in data[:4096] or not re.match(rb"\s*HIERARCHY\b", data, flags=re.IGNORECASE):
+        start = data.lstrip()[:12].decode("utf-8", errors="replace")
+        raise UserError(f"{path}:1: this is no BVH file: it starts with {start!r} instead of HIERARCHY")
+    word = re.search(rb"^[ \t]*MOTION[ \t\r]*$\n?", data, flags=re.IGNORECASE | re.MULTILINE)
+    head = data[: word.start()] if word else data
+    lines = head.decode("utf-8", errors="replace").split("\n")
+    hierarchy = parse_hierarchy(lines, path)
+    if not word:
+        raise UserError(f"{path}:{len(lines)}: the file has no MOTION section")
+    return hierarchy, data[word.end() :], head.count(b"\n") + 2
+
+
+def _columns(hierarchy: Hierarchy) -> list[dict[str, int]]:
+    """Returns for each joint which column of the table holds which channel."""
+    result, column = [], 0
+    for names in hierarchy.channels:
+        result.append({name: column + i for i, name in enumerate(names)})
+        column += len(names)
+    return result
+
+
+def _rotations(hierarchy: Hierarchy, values: Float[np.ndarray, "T C"]) -> Float[np.ndarray, "T J 3 3"]:
+    """Returns the local rotation matrices; an axis without a channel does not turn."""
+    result = np.empty((len(values), len(hierarchy.joint_names), 3, 3), dtype=np.float32)
+    radians = np.concatenate((np.deg2rad(values), np.zeros((len(values), 1))), axis=1)
+    groups: dict[EulerOrder, list[tuple[int, list[int]]]] = {}
+    for joint, columns in enumerate(_columns(hierarchy)):
+        named = "".join(name[0] for name in columns if name in ROTATION_CHANNELS)
+        order = cast(EulerOrder, named + "".join(axis for axis in AXES if axis not in named))
+        picked = [columns[f"{axis}rotation"] if axis in named else values.shape[1] for axis in order]
+        groups.setdefault(order, []).append((joint, picked))
+    for order, members in groups.items():
+        joints = [joint for joint, _ in members]
+        result[:, joints] = matrix_from_euler(radians[:, np.array([picked for _, picked in members])], order)
+    return result
+
+
+def _translations(
+    hierarchy: Hierarchy, values: Float[np.ndarray, "T C"], *, rule: PositionRule
+) -> Float[np.ndarray, "T J 3"]:
+    """Returns the local position of each joint in the file's unit, OFFSET and channels put together."""
+    result = np.repeat(hierarchy.offsets[None], len(values), axis=0)
+    moving = np.zeros(hierarchy.offsets.shape, dtype=bool)
+    channels = np.zeros_like(result)
+    for joint, columns in enumerate(_columns(hierarchy)):
+        for axis, name in enumerate(POSITION_CHANNELS):
+            if name in columns:
+                moving[joint, axis] = True
+                channels[:, joint, axis] = values[:, columns[name]]
+    absolute = rule == "absolute" or (rule == "auto" and _channels_repeat_offsets(hierarchy, channels, moving))
+    return np.where(moving, channels, result) if absolute else result + channels
+
+
+def _channels_repeat_offsets(
+    hierarchy: Hierarchy, channels: Float[np.ndarray, "T J 3"], moving: Bool[np.ndarray, "J 3"]
+) -> bool:
+    """Returns whether the position channels of most inner joints are nearer to their OFFSET than to zero."""
+    inner = moving.all(axis=1) & (np.array(hierarchy.parents) >= 0) & np.any(hierarchy.offsets != 0, axis=1)
+    if not inner.any():
+        return False
+    from_zero = np.linalg.norm(channels[:, inner], axis=-1).mean(axis=0)
+    from_offset = np.linalg.norm(channels[:, inner] - hierarchy.offsets[inner], axis=-1).mean(axis=0)
+    return bool(np.median(from_offset - from_zero) < 0)
+
+
+def _guess_unit(hierarchy: Hierarchy, translations: Float[np.ndarray, "T J 3"]) -> float:
+    """Returns metres per unit from the reach of the figure.
+
+    The reach is counted from the first joint with two children: what lies above it may be a position in a
+    studio instead of a bone.
+    """
+    lengths = np.median(np.linalg.norm(translations, axis=-1), axis=0)
+    children = np.bincount([parent for parent in hierarchy.parents if parent >= 0], minlength=len(lengths))
+    start = int(np.argmax(children > 1))
+    reach = np.full(len(lengths), -np.inf)
+    reach[start] = 0.0
+    for joint in range(start + 1, len(lengths)):
+        reach[joint] = reach[hierarchy.parents[joint]] + lengths[joint]
+    return next(metres for limit, metres in _UNITS if reach.max() < limit)

@@ -1,0 +1,123 @@
+"""Named rigs: which joint of a BVH file plays which of the 22 joints."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import yaml
+
+from t2m_jax.errors import UserError
+from t2m_jax.motion.skeleton import HUMANML3D
+
+# A rig may lack these; they are placed between their neighbours.
+OPTIONAL_JOINTS = ("spine1", "spine2", "spine3", "left_collar", "right_collar", "head")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Rig:
+    """A table from the joints of HumanML3D to those of another hierarchy."""
+
+    name: str
+    """What the command line calls it."""
+    sources: tuple[tuple[str, tuple[str, ...]], ...]
+    """For each of the 22 joints that the rig has: its names there, the first one found counts."""
+
+
+def _sided(**patterns: str) -> dict[str, str]:
+    """Returns both sides of a table whose patterns hold {side} or {S} for Left/Right or L/R."""
+    return {
+        f"{side.lower()}_{joint}": pattern.format(side=side, S=side[0])
+        for joint, pattern in patterns.items()
+        for side in ("Left", "Right")
+    }
+
+
+def make_rig(table: Mapping[str, str | Sequence[str]], *, name: str) -> Rig:
+    """Returns the rig described by a table such as `{"pelvis": "Hips", "left_foot": ["LeftToe", "LeftToeBase"]}`.
+
+    Args:
+        table: HumanML3D joint to joint of the file, or to several spellings. All joints are needed but
+            the spine between pelvis and neck, the collars and the head.
+        name: Shown in errors; for a table from a file, its path.
+    """
+    unknown = [joint for joint in table if joint not in HUMANML3D.joint_names]
+    if unknown:
+        raise UserError(f'{name}: unknown joint "{unknown[0]}"; known are {", ".join(HUMANML3D.joint_names)}')
+    missing = [joint for joint in HUMANML3D.joint_names if joint not in table and joint not in OPTIONAL_JOINTS]
+    if missing:
+        raise UserError(f"{name}: no joint is given for {', '.join(missing)}")
+    sources = []
+    for joint, names in table.items():
+        sources.append((joint, (names,) if isinstance(names, str) else tuple(names)))
+    return Rig(name=name, sources=tuple(sources))
+
+
+def load_rig(path: Path | str) -> Rig:
+    """Returns the rig in a YAML file with one line a joint, such as `pelvis: Hips`."""
+    try:
+        table = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise UserError(f"{path}: is no YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(table, dict):
+        raise UserError(f"{path}: must hold one line a joint, such as `pelvis: Hips`")
+    for joint, names in table.items():
+        spellings = names if isinstance(names, list) else [names]
+        if not isinstance(joint, str) or not spellings or not all(isinstance(one, str) for one in spellings):
+            raise UserError(f"{path}: {joint} must be given a joint name or a list of joint names")
+    return make_rig(table, name=str(path))
+
+
+BANDAI_NAMCO = make_rig(
+    {"pelvis": "Hips", "spine3": "Chest", "neck": "Neck", "head": "Head"}
+    | _sided(hip="UpperLeg_{S}", knee="LowerLeg_{S}", ankle="Foot_{S}", foot="Toes_{S}")
+    | _sided(collar="Shoulder_{S}", shoulder="UpperArm_{S}", elbow="LowerArm_{S}", wrist="Hand_{S}"),
+    name="bandai-namco",
+)
+CMU_ICLONE = make_rig(
+    {"pelvis": "CC_Base_Hip", "spine1": "CC_Base_Spine01", "spine2": "CC_Base_Spine02"}
+    | {"neck": "CC_Base_NeckTwist01", "head": "CC_Base_Head"}
+    | _sided(hip="CC_Base_{S}_Thigh", knee="CC_Base_{S}_Calf", ankle="CC_Base_{S}_Foot", foot="CC_Base_{S}_ToeBase")
+    | _sided(collar="CC_Base_{S}_Clavicle", shoulder="CC_Base_{S}_Upperarm")
+    | _sided(elbow="CC_Base_{S}_Forearm", wrist="CC_Base_{S}_Hand"),
+    name="cmu-iclone",
+)
+MIXAMO = make_rig(
+    {"pelvis": "Hips", "spine1": "Spine", "spine2": "Spine1", "spine3": "Spine2", "neck": "Neck", "head": "Head"}
+    | _sided(hip="{side}UpLeg", knee="{side}Leg", ankle="{side}Foot")
+    | _sided(collar="{side}Shoulder", shoulder="{side}Arm", elbow="{side}ForeArm", wrist="{side}Hand")
+    | {"left_foot": ("LeftToe", "LeftToeBase"), "right_foot": ("RightToe", "RightToeBase")},
+    name="mixamo",
+)
+RIGS = {rig.name: rig for rig in (BANDAI_NAMCO, CMU_ICLONE, MIXAMO)}
+
+
+def match_rig(rig: Rig, joint_names: Sequence[str]) -> dict[str, int]:
+    """Returns the index of the joint in `joint_names` that plays each HumanML3D joint.
+
+    Names match with or without a namespace in front (`mixamorig:Hips`). Joints of the rig that the
+    hierarchy lacks are left out of the result.
+    """
+    index: dict[str, int] = {}
+    for i, name in enumerate(joint_names):
+        index.setdefault(name, i)
+        index.setdefault(name.rpartition(":")[2], i)
+    found = {}
+    for joint, spellings in rig.sources:
+        hits = [index[spelling] for spelling in spellings if spelling in index]
+        if hits:
+            found[joint] = hits[0]
+    return found
+
+
+def detect_rig(joint_names: Sequence[str]) -> Rig:
+    """Returns the named rig that `joint_names` belong to."""
+    complete = [rig for rig in RIGS.values() if len(match_rig(rig, joint_names)) == len(rig.sources)]
+    if not complete:
+        shown = ", ".join(joint_names[:6])
+        raise UserError(
+            f"no known rig ({', '.join(RIGS)}) has the joints {shown}, …; give a table such as `pelvis: Hips`, "
+            "one line for each of the 22 joints"
+        )
+    return complete[0]

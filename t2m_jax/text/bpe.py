@@ -1,0 +1,65 @@
+"""Subword tokens of captions, by the `tokenizers` library."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Bool, Int
+from tokenizers import Tokenizer, models, normalizers, pre_tokenizers, trainers
+
+from t2m_jax.errors import UserError
+
+PAD, UNKNOWN = "[pad]", "[unk]"
+TOKENIZER_FILE = "tokenizer.json"
+
+
+class CaptionTokens(NamedTuple):
+    """A batch of captions as the caption encoder reads it."""
+
+    tokens: Int[Array | np.ndarray, "B S"]
+    mask: Bool[Array | np.ndarray, "B S"]
+
+
+def train_tokenizer(captions: Iterable[str], *, vocabulary_size: int) -> Tokenizer:
+    """Returns a lower-casing BPE tokenizer learned from `captions`; token 0 is padding."""
+    tokenizer = Tokenizer(models.BPE(unk_token=UNKNOWN))
+    tokenizer.normalizer = normalizers.Sequence([normalizers.NFKC(), normalizers.Lowercase()])
+    tokenizer.pre_tokenizer = pre_tokenizers.Whitespace()
+    alphabet = [chr(code) for code in range(ord("a"), ord("z") + 1)]
+    trainer = trainers.BpeTrainer(
+        vocab_size=vocabulary_size, special_tokens=[PAD, UNKNOWN], initial_alphabet=alphabet, show_progress=False
+    )
+    tokenizer.train_from_iterator(captions, trainer)
+    return tokenizer
+
+
+def tokenize(tokenizer: Tokenizer, captions: Sequence[str], *, max_length: int) -> CaptionTokens:
+    """Returns tokens padded to `max_length`; what a longer caption has beyond it is cut."""
+    tokens = np.zeros((len(captions), max_length), np.int32)
+    mask = np.zeros((len(captions), max_length), bool)
+    for row, encoding in enumerate(tokenizer.encode_batch(list(captions))):
+        ids = encoding.ids[:max_length]
+        tokens[row, : len(ids)] = ids
+        mask[row, : len(ids)] = True
+    return CaptionTokens(tokens, mask)
+
+
+def save_tokenizer(folder: Path, tokenizer: Tokenizer) -> None:
+    """Writes `tokenizer.json` into `folder`."""
+    (folder / TOKENIZER_FILE).write_text(tokenizer.to_str(pretty=True), encoding="utf-8")
+
+
+def load_tokenizer(folder: Path) -> Tokenizer:
+    """Returns the tokenizer of `folder`.
+
+    Raises:
+        UserError: if the file is missing or is no tokenizer.
+    """
+    path = folder / TOKENIZER_FILE
+    try:
+        return Tokenizer.from_str(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise UserError(f"{path}: missing; the folder is not a complete model") from None
+    except Exception as error:  # noqa: BLE001 - the library raises nothing narrower for content it cannot read
+        raise UserError(f"{path}: not a tokenizer file ({str(error).splitlines()[0]})") from None
