@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from t2m_jax.checkpoints.arrays import load_arrays, save_arrays
 from t2m_jax.checkpoints.run import Checkpoints
 from t2m_jax.config import load_config, save_config
+from t2m_jax.files import load_arrays, save_arrays
 
 BEST_FILE, BEST_FOLDER = "best.yaml", "best"
 

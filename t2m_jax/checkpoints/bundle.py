@@ -11,10 +11,10 @@ import jax
 import jax.numpy as jnp
 from tokenizers import Tokenizer
 
-from t2m_jax.checkpoints.arrays import load_arrays, save_arrays
 from t2m_jax.checkpoints.clip import TrainedClip, save_clip
 from t2m_jax.config import load_config, save_config
 from t2m_jax.errors import UserError
+from t2m_jax.files import load_arrays, save_arrays
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
 from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
 from t2m_jax.models.vqvae import VqVae, VqVaeConfig

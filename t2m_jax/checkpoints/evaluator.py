@@ -10,9 +10,9 @@ import jax
 import numpy as np
 from flax import traverse_util
 
-from t2m_jax.checkpoints.arrays import load_arrays, save_arrays
 from t2m_jax.config import load_config, save_config
 from t2m_jax.errors import UserError
+from t2m_jax.files import load_arrays, save_arrays
 from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
 from t2m_jax.text.word_vectors import Vocabulary, load_vocabulary, save_vocabulary

@@ -3,13 +3,13 @@
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from t2m_jax.checkpoints.arrays import load_arrays, save_arrays
 from t2m_jax.checkpoints.best import restore_trained
 from t2m_jax.checkpoints.bundle import CONFIG_FILE as BUNDLE_FILE
 from t2m_jax.checkpoints.bundle import bundle_path, load_bundle, vqvae_shapes
 from t2m_jax.checkpoints.run import is_run_directory, run_info
 from t2m_jax.config import load_config, save_config
 from t2m_jax.errors import UserError
+from t2m_jax.files import load_arrays, save_arrays
 from t2m_jax.models.vqvae import VqVaeConfig
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
 

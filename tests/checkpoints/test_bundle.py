@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import yaml
 
-from t2m_jax.checkpoints.arrays import load_arrays, save_arrays
 from t2m_jax.checkpoints.bundle import CONFIG_FILE, WEIGHTS_FILE, bundle_path, load_bundle, save_bundle
 from t2m_jax.checkpoints.gpt_run import load_model
 from t2m_jax.checkpoints.vqvae import load_vqvae
 from t2m_jax.errors import UserError
+from t2m_jax.files import load_arrays, save_arrays
 from tests.tiny import BUNDLE, random_bundle
 
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import yaml
 
-from t2m_jax.checkpoints.arrays import load_arrays
 from t2m_jax.checkpoints.bundle import (
     CONFIG_FILE,
     WEIGHTS_FILE,
@@ -21,6 +20,7 @@ from t2m_jax.checkpoints.bundle import (
 )
 from t2m_jax.config import load_config
 from t2m_jax.errors import UserError
+from t2m_jax.files import load_arrays
 from t2m_jax.motion.normalizer import load_normalizer
 from t2m_jax.text.bpe import load_tokenizer
 from tests.tiny import BUNDLE, random_bundle

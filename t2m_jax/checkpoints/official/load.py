@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from flax import traverse_util
 
-from t2m_jax.checkpoints.arrays import read_arrays
 from t2m_jax.checkpoints.official.names import (
     EVALUATOR_PARTS,
     Weight,
@@ -22,6 +21,7 @@ from t2m_jax.checkpoints.official.names import (
 )
 from t2m_jax.checkpoints.torch_file import load_torch_file
 from t2m_jax.errors import UserError
+from t2m_jax.files import read_arrays
 from t2m_jax.models.convolution import NormKind
 from t2m_jax.models.evaluator import NUM_CONTACTS, EvaluatorConfig
 from t2m_jax.models.motion_gpt import MotionGptConfig
