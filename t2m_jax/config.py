@@ -14,7 +14,7 @@ import math
 import os
 import types
 import typing
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union
 
@@ -29,6 +29,13 @@ MAX_FILE_BYTES = 100_000
 
 MAX_DEPTH = 32
 """Deepest nesting that is read; it bounds the recursions below."""
+
+
+class Tagged(typing.NamedTuple):
+    """Marks a field of which the section's `kind` chooses the class: `tokenizer: Annotated[Any, Tagged(find)]`."""
+
+    find: Callable[[str], type]
+    """From a kind to its config class; raises `UserError` if there is no such kind."""
 
 
 class _FieldError(Exception):
@@ -95,7 +102,15 @@ def check_limits(config: Any, **limits: int) -> None:
 
 def config_to_dict(config: Any) -> dict[str, Any]:
     """Returns a config as nested dictionaries, lists, numbers, strings and None: what `config_from_dict` takes."""
-    return {field.name: _plain_from_value(getattr(config, field.name)) for field in dataclasses.fields(config)}
+    kind = tag_of(type(config))
+    tag = {} if kind is None else {"kind": kind}
+    return tag | {field.name: _plain_from_value(getattr(config, field.name)) for field in dataclasses.fields(config)}
+
+
+def tag_of(schema: type) -> str | None:
+    """Returns the kind that a config class declares as `kind: ClassVar[str]`, None if it has none."""
+    is_field = any(field.name == "kind" for field in dataclasses.fields(schema))
+    return None if is_field else getattr(schema, "kind", None)
 
 
 def flat_fields(config: Any) -> dict[str, Any]:
@@ -213,7 +228,10 @@ def _dataclass_from_mapping(schema: type[T], data: Any, keys: tuple[str, ...]) -
     """Returns an instance of a dataclass from a mapping of its fields."""
     if not isinstance(data, Mapping):
         raise _FieldError(keys, f"{_dotted(keys)}: expected a section of fields, got {_shown(data)}")
-    annotations = typing.get_type_hints(schema)
+    data, kind = dict(data), tag_of(schema)
+    if kind is not None and data.pop("kind", kind) != kind:
+        raise _FieldError((*keys, "kind"), f"{_dotted((*keys, 'kind'))}: expected {kind!r}, the kind of this section")
+    annotations = typing.get_type_hints(schema, include_extras=True)
     fields = {field.name: field for field in dataclasses.fields(schema) if field.init}  # type: ignore[arg-type]
     for key in data:
         if key not in fields:
@@ -233,6 +251,8 @@ def _dataclass_from_mapping(schema: type[T], data: Any, keys: tuple[str, ...]) -
 def _value_from(annotation: Any, value: Any, keys: tuple[str, ...]) -> Any:
     """Returns a value of an annotated type; nothing is coerced but whole numbers to float and lists to tuples."""
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
+    if origin is typing.Annotated and isinstance(arguments[1], Tagged):
+        return _value_from_tagged(arguments[1], value, keys)
     if dataclasses.is_dataclass(annotation):
         return _dataclass_from_mapping(typing.cast(type, annotation), value, keys)
     if origin in (Union, types.UnionType):
@@ -245,6 +265,18 @@ def _value_from(annotation: Any, value: Any, keys: tuple[str, ...]) -> Any:
     elif _is_scalar(annotation, value):
         return annotation(value) if annotation in (float, Path) else value
     raise _FieldError(keys, f"{_dotted(keys)}: expected {_described(annotation)}, got {_shown(value)}")
+
+
+def _value_from_tagged(tagged: Tagged, value: Any, keys: tuple[str, ...]) -> Any:
+    """Returns the config of a section whose `kind` names its class."""
+    kind = value.get("kind") if isinstance(value, Mapping) else None
+    if not isinstance(kind, str):
+        raise _FieldError(keys, f"{_dotted(keys)}: expected a section with a field 'kind', got {_shown(value)}")
+    try:
+        schema = tagged.find(kind)
+    except UserError as error:
+        raise _FieldError((*keys, "kind"), f"{_dotted((*keys, 'kind'))}: {error}") from error
+    return _dataclass_from_mapping(schema, value, keys)
 
 
 def _value_from_union(annotation: Any, value: Any, keys: tuple[str, ...]) -> Any:

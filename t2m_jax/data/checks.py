@@ -1,0 +1,55 @@
+"""Whether a data set and a trained model fit each other."""
+
+import numpy as np
+
+from t2m_jax.data.folder import Dataset
+from t2m_jax.errors import UserError
+from t2m_jax.motion.normalizer import Normalizer
+
+STATISTICS_TOLERANCE = 0.5
+"""Largest allowed difference of two means in standard deviations, and of the logarithms of two standard deviations.
+
+The statistics that are published with T2M-GPT's weights differ from those of HumanML3D by up to 0.23 deviations, because
+they were measured on another build of the data.
+"""
+
+
+def check_feature_dim(dataset: Dataset, feature_dim: int, *, reader: str) -> None:
+    """Raises `UserError` if a data set does not have the feature width that a model reads.
+
+    Args:
+        dataset: The data.
+        feature_dim: What the model reads.
+        reader: The model in the error message, such as "the evaluator".
+    """
+    found = dataset.skeleton.feature_dim
+    if found != feature_dim:
+        raise UserError(
+            f"{dataset.folder}: has {found} features per frame, but {reader} reads {feature_dim}; "
+            f"use data on the same skeleton, or a model with feature_dim {found}"
+        )
+
+
+def check_statistics(dataset: Dataset, normalizer: Normalizer, *, reader: str, advice: str) -> None:
+    """Raises `UserError` if a model was trained with statistics of a different kind of motion.
+
+    Small differences are allowed (`STATISTICS_TOLERANCE`). The root's columns and the contacts are not compared,
+    because training weights them.
+
+    Args:
+        dataset: The data.
+        normalizer: The statistics of the model.
+        reader: The model in the error message, such as "the evaluator".
+        advice: What the user can do about it.
+    """
+    check_feature_dim(dataset, len(normalizer.mean), reader=reader)
+    layout = dataset.skeleton.layout
+    compared = np.r_[layout.positions, layout.rotations, layout.velocities]
+    (mean, std), (model_mean, model_std) = ([part[compared] for part in n] for n in (dataset.normalizer, normalizer))
+    shift = np.max(np.abs(mean - model_mean) / model_std)
+    ratio = np.max(np.abs(np.log(std / model_std)))
+    if max(shift, ratio) > STATISTICS_TOLERANCE:
+        raise UserError(
+            f"{dataset.folder}: its statistics (Mean.npy, Std.npy) differ too much from those of {reader} "
+            f"(means by up to {shift:.2g} deviations, deviations by a factor of up to {np.exp(ratio):.2g}); {advice}"
+        )
