@@ -12,6 +12,7 @@ import difflib
 import io
 import math
 import os
+import re
 import types
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -68,6 +69,23 @@ def load_config(path: str | Path, schema: type[T]) -> T:
     except _FieldError as error:
         line = lines.get(error.keys)
         raise UserError(f"{path}:{line}: {error}" if line else f"{path}: {error}") from error
+
+
+def load_versioned(path: str | Path, schemas: Mapping[int, type]) -> Any:
+    """Returns the config of a file whose field `format_version` chooses the schema (1 if there is no such field).
+
+    Raises:
+        UserError: The version is unknown, or the file does not fit its schema.
+    """
+    path = Path(path)
+    found = re.search(r"^format_version:\s*(\S+)", _read_text(path), re.MULTILINE)
+    version = found[1] if found else "1"
+    if not version.isdecimal() or int(version) not in schemas:
+        known = ", ".join(map(str, schemas))
+        raise UserError(
+            f"{path}: format_version {version} is unknown to this version of t2m_jax (known: {known}); update t2m_jax"
+        )
+    return load_config(path, schemas[int(version)])
 
 
 def config_from_dict(schema: type[T], data: Mapping[str, Any], *, source: str = "config") -> T:

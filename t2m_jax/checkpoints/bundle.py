@@ -1,59 +1,112 @@
-"""A bundle: one folder that holds a complete text-to-motion model and can be passed on."""
+"""A bundle: one folder that contains a complete text-to-motion model and can be shared."""
 
 import dataclasses
 import importlib.resources
-import shutil
-import tempfile
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from tokenizers import Tokenizer
 
 from t2m_jax.checkpoints.clip import TrainedClip, save_clip
-from t2m_jax.config import load_config, save_config
+from t2m_jax.checkpoints.run import CONFIG_FILE as RUN_CONFIG_FILE
+from t2m_jax.checkpoints.run import DATA_FILE
+from t2m_jax.config import Tagged, load_versioned, save_config
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_arrays, save_arrays
+from t2m_jax.files import atomic_folder, check_new, load_arrays, load_json, save_arrays, save_json
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
-from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
-from t2m_jax.models.vqvae import VqVae, VqVaeConfig
+from t2m_jax.models.motion_gpt import MotionGptConfig
+from t2m_jax.models.system import find_generator_config, find_tokenizer_config, variable_shapes
+from t2m_jax.models.vqvae import VqVaeConfig
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
 from t2m_jax.motion.skeleton import skeleton_from_name
-from t2m_jax.text.bpe import load_tokenizer, save_tokenizer
+from t2m_jax.text.bpe import load_bpe, save_bpe
 
 CONFIG_FILE = "bundle.yaml"
 WEIGHTS_FILE = "weights.safetensors"
 CARD_FILE = "README.md"
 CLIP_FOLDER = "clip"
-"""Folder of a bundle that may hold its CLIP."""
+"""Folder of a bundle that may contain its CLIP."""
 CLIP_NAME = "openai/clip-vit-base-patch32"
 """The CLIP of T2M-GPT on the Hugging Face hub."""
 BUNDLED = ("demo",)
-"""Names of the bundles that come with the package."""
+"""Names of the bundles that are part of the package."""
 
 
-TextEncoderKind = Literal["caption_encoder", "clip"]
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ClipReference:
+    """A CLIP that reads the captions of a model and is not trained with it."""
+
+    kind: ClassVar[str] = "clip"
+
+    name: str = CLIP_NAME
+    """Folder, or name on the Hugging Face hub. A folder `clip` in the bundle is used first."""
+
+
+def find_text_encoder_config(kind: str) -> type:
+    """Returns the config class of a kind of text encoder.
+
+    Raises:
+        UserError: The kind is unknown.
+    """
+    schemas = {schema.kind: schema for schema in (CaptionEncoderConfig, ClipReference)}
+    if kind not in schemas:
+        raise UserError(f"{kind!r} is not a text encoder; known: {', '.join(schemas)}")
+    return schemas[kind]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class BundleConfig:
-    """What a bundle says of itself."""
+    """The parts of a model; the `kind` of each section names its type."""
 
-    format_version: int = 1
+    format_version: int = 2
     """Layout of the folder."""
     skeleton: str = "humanml3d"
-    """Name of the skeleton the motion is on."""
+    """Name of the skeleton of the motion."""
+    tokenizer: Annotated[Any, Tagged(find_tokenizer_config)]
+    """Sizes of the tokenizer."""
+    generator: Annotated[Any, Tagged(find_generator_config)]
+    """Sizes of the generator."""
+    text_encoder: Annotated[Any, Tagged(find_text_encoder_config)] = CaptionEncoderConfig()
+    """Sizes of the caption encoder, or the name of a CLIP."""
+
+    def __post_init__(self) -> None:
+        fits = [
+            ("tokenizer.feature_dim", self.tokenizer.feature_dim, skeleton_from_name(self.skeleton).feature_dim),
+            ("generator.num_codes", self.generator.num_codes, self.tokenizer.num_codes),
+            ("generator.num_quantizers", self.generator.num_quantizers, self.tokenizer.num_quantizers),
+        ]
+        if isinstance(self.text_encoder, CaptionEncoderConfig):
+            fits.append(("generator.text_dim", self.generator.text_dim, self.text_encoder.text_dim))
+        for name, found, wanted in fits:
+            if found != wanted:
+                raise ValueError(f"{name} is {found}, but the other parts need {wanted}")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _BundleConfig1:
+    """The file of format version 1, which knew T2M-GPT only."""
+
+    format_version: int = 1
+    skeleton: str = "humanml3d"
     vqvae: VqVaeConfig = VqVaeConfig()
-    """Sizes of the VQ-VAE."""
     gpt: MotionGptConfig = MotionGptConfig()
-    """Sizes of the GPT."""
-    text_encoder: TextEncoderKind = "caption_encoder"
-    """What reads the captions."""
+    text_encoder: str = CaptionEncoderConfig.kind
     clip: str = CLIP_NAME
-    """With text encoder `clip`: folder or name on the Hugging Face hub. A folder `clip` in the bundle comes first."""
     caption_encoder: CaptionEncoderConfig = CaptionEncoderConfig()
-    """Sizes of the caption encoder, where it is the text encoder."""
+
+    def __post_init__(self) -> None:
+        find_text_encoder_config(self.text_encoder)
+        self.current()
+
+    def current(self) -> BundleConfig:
+        """Returns the same parts in the format of today."""
+        uses_clip = self.text_encoder == ClipReference.kind
+        text_encoder = ClipReference(name=self.clip) if uses_clip else self.caption_encoder
+        return BundleConfig(
+            skeleton=self.skeleton, tokenizer=self.vqvae, generator=self.gpt, text_encoder=text_encoder
+        )
 
 
 class Bundle(NamedTuple):
@@ -61,115 +114,127 @@ class Bundle(NamedTuple):
 
     config: BundleConfig
     variables: dict[str, Any]
-    """The collections of `vqvae`, `gpt` and, where it is the text encoder, `caption_encoder`."""
+    """The collections of `tokenizer`, `generator` and, if it was trained with the model, `text_encoder`."""
     normalizer: Normalizer
-    tokenizer: Tokenizer | None
-    """Of the caption encoder; None with another text encoder."""
+    bpe: Tokenizer | None
+    """Subwords of the caption encoder; None with CLIP."""
+    training_data: dict[str, Any] | None = None
+    """What the model was trained on: words, actions and their numbers of clips; None if it is not recorded."""
 
 
 def bundle_path(name_or_path: str | Path) -> Path:
-    """Returns the folder of a bundled model's name, or the path itself."""
+    """Returns the folder of a bundled name, or the path itself."""
     if str(name_or_path) in BUNDLED:
         return Path(str(importlib.resources.files("t2m_jax") / "bundles" / str(name_or_path)))
     return Path(name_or_path)
 
 
-def vqvae_shapes(config: VqVaeConfig) -> dict[str, Any]:
-    """Returns the shapes of the VQ-VAE's variables."""
-    motion = jnp.zeros((1, config.downsample, config.feature_dim))
-    return jax.eval_shape(lambda: VqVae(config).init(jax.random.key(0), motion, train=False))
+def load_bundle_config(folder: Path) -> BundleConfig:
+    """Returns the config of a bundle or of a generator's run.
+
+    Raises:
+        UserError: The file is missing, damaged or of an unknown version, or the parts do not fit each other.
+    """
+    config = load_versioned(folder / CONFIG_FILE, {1: _BundleConfig1, 2: BundleConfig})
+    return config.current() if isinstance(config, _BundleConfig1) else config
+
+
+def part_kinds(config: BundleConfig) -> dict[str, str]:
+    """Returns the kind of each part that has weights, by role; files name the weights of a part by its kind."""
+    kinds = {"tokenizer": config.tokenizer.kind, "generator": config.generator.kind}
+    if isinstance(config.text_encoder, CaptionEncoderConfig):
+        kinds["text_encoder"] = config.text_encoder.kind
+    return kinds
 
 
 def expected_variables(config: BundleConfig) -> dict[str, Any]:
-    """Returns the shapes of all variables of a bundle."""
-    text = jnp.zeros((1, config.gpt.text_dim))
-    tokens = jnp.zeros((1, config.caption_encoder.max_length), jnp.int32)
-
-    def gpt() -> Any:
-        return MotionGpt(config.gpt).init(jax.random.key(0), jnp.zeros((1, 0), jnp.int32), text, train=False)
-
-    def caption_encoder() -> Any:
-        module = CaptionEncoder(config.caption_encoder)
-        return module.init(jax.random.key(0), tokens, jnp.ones(tokens.shape, bool), train=False)
-
-    shapes = {"vqvae": vqvae_shapes(config.vqvae), "gpt": jax.eval_shape(gpt)}
-    if config.text_encoder == "caption_encoder":
-        shapes["caption_encoder"] = jax.eval_shape(caption_encoder)
+    """Returns the shapes of all variables of a model by role."""
+    shapes = {"tokenizer": variable_shapes(config.tokenizer), "generator": variable_shapes(config.generator)}
+    if isinstance(config.text_encoder, CaptionEncoderConfig):
+        module = CaptionEncoder(config.text_encoder)
+        tokens = jnp.zeros((1, config.text_encoder.max_length), jnp.int32)
+        shapes["text_encoder"] = jax.eval_shape(
+            lambda: module.init(jax.random.key(0), tokens, jnp.ones(tokens.shape, bool), train=False)
+        )
     return shapes
-
-
-def _check_config(config: BundleConfig, path: Path) -> None:
-    """Raises `UserError` where the parts do not fit each other."""
-    if config.format_version != BundleConfig().format_version:
-        raise UserError(f"{path}: format_version {config.format_version} is not known to this version of t2m_jax")
-    feature_dim = skeleton_from_name(config.skeleton).feature_dim
-    fits = [
-        ("vqvae.feature_dim", config.vqvae.feature_dim, feature_dim),
-        ("gpt.num_codes", config.gpt.num_codes, config.vqvae.num_codes),
-    ]
-    if config.text_encoder == "caption_encoder":
-        fits.append(("gpt.text_dim", config.gpt.text_dim, config.caption_encoder.text_dim))
-    for name, found, wanted in fits:
-        if found != wanted:
-            raise UserError(f"{path}: {name} is {found}, but the other parts want {wanted}")
 
 
 def load_bundle(path: Path) -> Bundle:
     """Returns the model of a bundle folder.
 
     Raises:
-        UserError: if a file is missing or damaged, or the parts do not fit each other.
+        UserError: A file is missing or damaged, or the parts do not fit each other.
     """
     if not path.is_dir():
         known = ", ".join(BUNDLED)
         raise UserError(f"{path}: no such model; give a bundle folder, a run folder, or a bundled name ({known})")
-    config = load_config(path / CONFIG_FILE, BundleConfig)
-    _check_config(config, path / CONFIG_FILE)
-    variables = load_arrays(path / WEIGHTS_FILE, expected_variables(config))
+    config = load_bundle_config(path)
+    kinds = part_kinds(config)
+    shapes = {kinds[role]: shapes for role, shapes in expected_variables(config).items()}
+    arrays = load_arrays(path / WEIGHTS_FILE, shapes)
     normalizer = load_normalizer(path)
-    if normalizer.mean.shape != (config.vqvae.feature_dim,):
-        raise UserError(f"{path}: statistics of {normalizer.mean.shape[0]} features, {config.vqvae.feature_dim} wanted")
-    tokenizer = None
-    if config.text_encoder == "caption_encoder":
-        tokenizer = load_tokenizer(path)
-        if tokenizer.get_vocab_size() > config.caption_encoder.vocabulary_size:
-            raise UserError(f"{path}: the tokenizer has more tokens than caption_encoder.vocabulary_size")
-    elif (path / CLIP_FOLDER).is_dir():
-        config = dataclasses.replace(config, clip=str(path / CLIP_FOLDER))
-    return Bundle(config, variables, normalizer, tokenizer)
+    check_statistics_width(path, normalizer, config.tokenizer.feature_dim)
+    if (path / CLIP_FOLDER).is_dir() and isinstance(config.text_encoder, ClipReference):
+        config = dataclasses.replace(config, text_encoder=ClipReference(name=str(path / CLIP_FOLDER)))
+    data = load_json(path / DATA_FILE) if (path / DATA_FILE).is_file() else None
+    variables = {role: arrays[kind] for role, kind in kinds.items()}
+    return Bundle(config, variables, normalizer, load_text_tokenizer(path, config), data)
+
+
+def check_statistics_width(path: Path, normalizer: Normalizer, feature_dim: int) -> None:
+    """Raises `UserError` if the statistics in a model's folder are not for the features that the model reads."""
+    if normalizer.mean.shape != (feature_dim,):
+        raise UserError(f"{path}: its statistics are for {len(normalizer.mean)} features; the model has {feature_dim}")
+
+
+def load_text_tokenizer(path: Path, config: BundleConfig) -> Tokenizer | None:
+    """Returns the subwords of a model's caption encoder, None with CLIP.
+
+    Raises:
+        UserError: The file is missing or damaged, or has more tokens than the caption encoder.
+    """
+    if not isinstance(config.text_encoder, CaptionEncoderConfig):
+        return None
+    bpe = load_bpe(path)
+    if bpe.get_vocab_size() > config.text_encoder.vocabulary_size:
+        raise UserError(f"{path}: the tokenizer has more tokens than text_encoder.vocabulary_size")
+    return bpe
 
 
 def save_bundle(path: Path, bundle: Bundle, *, card: str, half: bool = True, clip: TrainedClip | None = None) -> None:
     """Writes a bundle folder; it appears complete or not at all.
 
     Args:
-        path: Folder to make.
+        path: Folder to create.
         bundle: The model.
-        card: Markdown on what it is.
+        card: Markdown that describes the model.
         half: Whether weights are stored in 16 bits.
-        clip: The text encoder to put in, where it is CLIP; without, a user of the bundle needs it by its name.
+        clip: The CLIP to include, if it is the text encoder. Without it, users of the bundle need it by its name.
 
     Raises:
-        UserError: if `path` exists already.
+        UserError: `path` exists already.
     """
-    if path.exists():
-        raise UserError(f"{path}: exists already; choose another folder or remove it")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    folder = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
-    try:
+    check_new(path)
+    kinds = part_kinds(bundle.config)
+    with atomic_folder(path) as folder:
         save_config(folder / CONFIG_FILE, bundle.config)
-        save_arrays(folder / WEIGHTS_FILE, bundle.variables, half=half)
+        save_arrays(folder / WEIGHTS_FILE, {kinds[role]: tree for role, tree in bundle.variables.items()}, half=half)
         save_normalizer(folder, bundle.normalizer)
-        if bundle.tokenizer is not None:
-            save_tokenizer(folder, bundle.tokenizer)
+        if bundle.bpe is not None:
+            save_bpe(folder, bundle.bpe)
+        if bundle.training_data is not None:
+            save_json(folder / DATA_FILE, bundle.training_data)
         if clip is not None:
             save_clip(folder / CLIP_FOLDER, clip)
         (folder / CARD_FILE).write_text(card, encoding="utf-8")
-        # A temporary folder and safetensors' files are private; a bundle is made to be shared.
-        folder.chmod(0o755)
-        for file in folder.rglob("*"):
-            file.chmod(0o755 if file.is_dir() else 0o644)
-        folder.rename(path)
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
+
+
+def default_card(run: Path) -> str:
+    """Returns the Markdown card of a model whose maker wrote none: the training config, and what is unknown."""
+    config = (run / RUN_CONFIG_FILE).read_text(encoding="utf-8").strip()
+    return (
+        f"# {run.name}\n\n"
+        "A text-to-motion model trained with t2m_jax. Its makers did not say which data it was trained on, under which\n"
+        "license it is, or how good it is. Ask them before you use it or share it.\n\n"
+        f"## Training config\n\n```yaml\n{config}\n```\n"
+    )

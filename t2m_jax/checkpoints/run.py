@@ -1,113 +1,105 @@
-"""A run directory: the resolved config, statistics and checkpoints of one training run."""
+"""A run directory: the resolved config, the statistics and the checkpoints of one training run."""
 
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, Protocol, TypeVar, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import jax
 import jax.numpy as jnp
-import orbax.checkpoint as ocp
 
-from t2m_jax.config import load_config, save_config
+from t2m_jax.config import load_versioned, save_config
 from t2m_jax.errors import UserError
+from t2m_jax.files import first_line
 
-RunKind = Literal["vqvae", "gpt", "evaluator"]
+CONFIG_FILE, INFO_FILE, DATA_FILE = "config.yaml", "run.yaml", "training_data.json"
+CHECKPOINTS = "checkpoints"
+
+_DAMAGED = (OSError, LookupError, ValueError, TypeError, AttributeError, RuntimeError)
+"""What Orbax raises for damaged files. It uses their metadata without checking it."""
 
 
 @runtime_checkable
 class NamedFields(Protocol):
-    """What any `NamedTuple` is."""
+    """Any `NamedTuple`."""
 
     def _asdict(self) -> dict[str, Any]: ...
 
 
 State = TypeVar("State", bound=NamedFields)
 
-CONFIG_FILE = "config.yaml"
-INFO_FILE = "run.yaml"
-CHECKPOINTS = "checkpoints"
-
-_DAMAGED = (OSError, LookupError, ValueError, TypeError, AttributeError, RuntimeError)
-"""What Orbax raises on damaged files: it uses their metadata without looking whether they are what it expects."""
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RunInfo:
-    """What a run directory says of itself."""
+    """The file that makes a folder a run directory."""
 
-    kind: RunKind
-    """What was trained."""
+    kind: str
+    """What was trained, such as `vqvae`, `gpt` or `evaluator`."""
     format_version: int = 1
     """Layout of the directory."""
 
 
 def run_info(path: Path) -> RunInfo:
-    """Returns what a run directory holds.
+    """Returns what a run directory contains.
 
     Raises:
-        UserError: if it is no run directory.
+        UserError: The folder is not a run directory, or of an unknown version.
     """
-    if not (path / INFO_FILE).is_file():
+    if not is_run(path):
         raise UserError(f"{path}: not a run directory (it has no {INFO_FILE})")
-    return load_config(path / INFO_FILE, RunInfo)
+    return load_versioned(path / INFO_FILE, {1: RunInfo})
 
 
-def is_run_directory(path: Path) -> bool:
-    """Returns whether training wrote this folder."""
+def is_run(path: Path) -> bool:
+    """Returns whether a folder was written by training."""
     return (path / INFO_FILE).is_file()
 
 
-def refuse_existing_run(path: Path) -> None:
-    """Raises `UserError` where a new run would write over another."""
-    if is_run_directory(path):
-        raise UserError(f"{path}: holds a run already; add --resume to go on with it, or choose another run")
-
-
-def create_run(path: Path, kind: RunKind, config: Any) -> None:
-    """Makes a folder a run directory, with its config; to be called when everything else that a run needs is in it.
-
-    Raises:
-        UserError: if there is one already.
-    """
-    refuse_existing_run(path)
-    path.mkdir(parents=True, exist_ok=True)
+def create_run(path: Path, kind: str, config: Any) -> None:
+    """Makes a folder a run directory; call this when everything else that a run needs is in the folder."""
     save_config(path / CONFIG_FILE, config)
-    # Last: a folder without it is not a run, so a start that was interrupted can simply be repeated.
+    # Last, because a folder without this file is not a run: an interrupted start can simply be repeated.
     save_config(path / INFO_FILE, RunInfo(kind=kind))
 
 
 class Checkpoints:
-    """The checkpoints of a run; each is written beside the others and renamed, so none is ever half there."""
+    """The checkpoints of a run. Each is written under a temporary name and renamed, so none is ever incomplete."""
 
     def __init__(self, run: Path, *, keep: int | None = None):
-        """Opens (and makes, if needed) the folder; `keep` is how many of the newest stay."""
+        """Opens the folder, which is created if it is missing; the newest `keep` checkpoints are kept."""
+        import orbax.checkpoint as ocp  # here, because generation from a bundle does not need it
+
         folder = (run / CHECKPOINTS).resolve()
         folder.mkdir(parents=True, exist_ok=True)
         options = ocp.CheckpointManagerOptions(max_to_keep=keep, enable_async_checkpointing=False)
+        self._ocp = ocp
         self._manager = ocp.CheckpointManager(folder, options=options)
         self._run = run
 
+    def __enter__(self) -> "Checkpoints":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._manager.close()
+
     @property
     def latest_step(self) -> int | None:
-        """The step of the newest checkpoint, None where there is none."""
+        """The step of the newest checkpoint, None if there is none."""
         return self._manager.latest_step()
 
     def save(self, step: int, state: NamedFields) -> None:
-        """Writes a checkpoint, once a step: every field of the state that holds arrays is an item of its own."""
+        """Writes a checkpoint unless this step has one; every field of the state that contains arrays is one item."""
         if step != self.latest_step:
-            items = {
-                name: ocp.args.StandardSave({name: value})
-                for name, value in state._asdict().items()
-                if jax.tree.leaves(value)
-            }
-            self._manager.save(step, args=ocp.args.Composite(**items))
+            args = self._ocp.args
+            fields = {name: value for name, value in state._asdict().items() if jax.tree.leaves(value)}
+            items = {name: args.StandardSave({name: value}) for name, value in fields.items()}
+            self._manager.save(step, args=args.Composite(**items))
 
     def restore(self, like: State) -> State:
-        """Returns the newest checkpoint in the structure of `like`, a state of arrays or shape structs.
+        """Returns the newest checkpoint in the structure of `like`, a state of arrays or of shapes.
 
         Raises:
-            UserError: if there is none, or it does not fit.
+            UserError: There is no checkpoint, or it does not fit.
         """
         return type(like)(**self.restore_fields(like._asdict()))
 
@@ -115,35 +107,27 @@ class Checkpoints:
         """Returns some fields of the newest checkpoint, each in the structure of `like`.
 
         Raises:
-            UserError: if there is none, or it does not fit.
+            UserError: There is no checkpoint, or it does not fit.
         """
-        step = self.latest_step
+        step, args = self.latest_step, self._ocp.args
         if step is None:
-            raise UserError(f"{self._run}: no checkpoint yet; train it first")
-        held = {name: value for name, value in like.items() if jax.tree.leaves(value)}
-        shapes = jax.tree.map(ocp.utils.to_shape_dtype_struct, held)
-        items = {name: ocp.args.StandardRestore({name: value}) for name, value in shapes.items()}
+            raise UserError(f"{self._run}: has no checkpoint yet; train it first")
+        saved = {name: value for name, value in like.items() if jax.tree.leaves(value)}
+        shapes = jax.tree.map(self._ocp.utils.to_shape_dtype_struct, saved)
+        items = {name: args.StandardRestore({name: value}) for name, value in shapes.items()}
         try:
-            restored = self._manager.restore(step, args=ocp.args.Composite(**items))
+            restored = self._manager.restore(step, args=args.Composite(**items))
         except _DAMAGED as error:
-            reason = next(iter(str(error).splitlines()), type(error).__name__)
             raise UserError(
-                f"{self._run}: checkpoint {step} does not fit its config or is damaged ({reason})"
+                f"{self._run}: checkpoint {step} is damaged or does not fit its config ({first_line(error)})"
             ) from error
-        return dict(like) | {name: restored[name][name] for name in held}
-
-    def close(self) -> None:
-        """Ends background work."""
-        self._manager.close()
+        return dict(like) | {name: restored[name][name] for name in saved}
 
 
 def restore_latest(run: Path, state: State) -> State:
-    """Returns the newest checkpoint of a run in the structure of `state`, or `state` where there is none yet."""
-    checkpoints = Checkpoints(run)
-    try:
+    """Returns the newest checkpoint of a run in the structure of `state`, or `state` if there is none yet."""
+    with Checkpoints(run) as checkpoints:
         if checkpoints.latest_step is None:
             return state
-        # Orbax ties arrays to a device, for which steps would be compiled anew.
+        # Orbax commits arrays to a device. Steps would be compiled again for committed arrays.
         return jax.tree.map(jnp.array, jax.device_get(checkpoints.restore(state)))
-    finally:
-        checkpoints.close()

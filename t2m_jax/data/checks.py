@@ -9,8 +9,8 @@ from t2m_jax.motion.normalizer import Normalizer
 STATISTICS_TOLERANCE = 0.5
 """Largest allowed difference of two means in standard deviations, and of the logarithms of two standard deviations.
 
-The statistics that are published with T2M-GPT's weights differ from those of HumanML3D by up to 0.23 deviations, because
-they were measured on another build of the data.
+The statistics that are published with T2M-GPT's weights differ from those of HumanML3D by up to 0.23 deviations,
+because they were measured on another build of the data.
 """
 
 

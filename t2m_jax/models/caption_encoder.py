@@ -1,6 +1,7 @@
 """A small transformer that turns a caption's subword tokens into one text embedding."""
 
 import dataclasses
+from typing import ClassVar
 
 import flax.linen as nn
 import jax.numpy as jnp
@@ -13,6 +14,8 @@ from t2m_jax.models.transformer import LAYER_NORM_EPSILON, WEIGHT_INIT, Block
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CaptionEncoderConfig:
     """Sizes of the caption encoder."""
+
+    kind: ClassVar[str] = "caption_encoder"
 
     vocabulary_size: int = 1024
     """Subword tokens, padding included."""

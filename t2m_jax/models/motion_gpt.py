@@ -1,13 +1,19 @@
-"""The causal transformer of T2M-GPT (arXiv 2301.06052, section 3.2): text embedding and codes so far to next code."""
+"""The generator of T2M-GPT (arXiv 2301.06052, section 3.2): a causal transformer over one code per row.
+
+Tokens are codes, then End, then Pad. A motion ends when End is drawn.
+"""
 
 import dataclasses
+from typing import Any, ClassVar, NamedTuple
 
 import flax.linen as nn
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from t2m_jax.config import check_limits, check_sizes
+from t2m_jax.errors import UserError
+from t2m_jax.models.system import Draw, Part, draw_each
 from t2m_jax.models.transformer import LAYER_NORM_EPSILON, WEIGHT_INIT, Block, LayerCache, empty_cache
 
 
@@ -15,8 +21,12 @@ from t2m_jax.models.transformer import LAYER_NORM_EPSILON, WEIGHT_INIT, Block, L
 class MotionGptConfig:
     """Sizes of the GPT; the defaults are the published HumanML3D model."""
 
+    kind: ClassVar[str] = "gpt"
+    num_quantizers: ClassVar[int] = 1
+    stop_rule: ClassVar[str] = "end"
+
     num_codes: int = 512
-    """Codes of the VQ-VAE (K); tokens K and K+1 are End and Pad."""
+    """Codes of the tokenizer (K); tokens K and K+1 are End and Pad. Training takes it from the tokenizer."""
     embed_dim: int = 1024
     """Width of the transformer."""
     text_dim: int = 512
@@ -37,7 +47,7 @@ class MotionGptConfig:
         check_limits(self, num_codes=1_000_000, embed_dim=16_384, text_dim=65_536, num_layers=64, mlp_ratio=64)
         check_limits(self, block_size=4096)
         if self.block_size < 2:
-            raise ValueError(f"block_size: {self.block_size} has no room for a code beside the text")
+            raise ValueError(f"block_size: {self.block_size} leaves no position for a code after the text")
         if self.embed_dim % self.num_heads:
             raise ValueError(f"num_heads: {self.num_heads} does not divide embed_dim {self.embed_dim}")
 
@@ -102,30 +112,60 @@ class MotionGpt(nn.Module):
             hidden, _ = block(hidden, causal, train=train)
         return self.head(self.final_norm(hidden))
 
-    def empty_caches(self, batch: int) -> tuple[LayerCache, ...]:
-        """Returns one empty cache a layer, for `batch` sequences."""
+    def begin(self, text_embedding: Float[Array, "B E"], guidance_scale: Any = None) -> tuple[Any, "GptCache"]:
+        """Returns the logits of the first token, and a cache that contains the text.
+
+        Raises:
+            UserError: A guidance scale is given. T2M-GPT is not trained without text, which guidance needs.
+        """
+        if guidance_scale is not None:
+            raise UserError("guidance-scale: this model was not trained for guidance; leave it out")
         config = self.config
-        cache = empty_cache(batch, config.block_size, embed_dim=config.embed_dim, num_heads=config.num_heads)
-        return (cache,) * config.num_layers
+        empty = empty_cache(
+            text_embedding.shape[0], config.block_size, embed_dim=config.embed_dim, num_heads=config.num_heads
+        )
+        cache = GptCache((empty,) * config.num_layers, jnp.array(0, jnp.int32))
+        return self._read(self.text_projection(text_embedding), cache)
 
-    def prefill(self, text_embedding: Float[Array, "B E"]) -> tuple[Float[Array, "B V"], tuple[LayerCache, ...]]:
-        """Returns the logits of the first token and the caches that hold the text."""
-        hidden = self.text_projection(text_embedding)
-        return self._step(hidden, self.empty_caches(text_embedding.shape[0]), jnp.array(0))
+    def draw(
+        self, context: Float[Array, "B V"], keys: Key[Array, " B"], strategy: Draw, *, may_stop: Bool[Array, ""]
+    ) -> Int[Array, "B 1"]:
+        """Returns the next token, which is a code or (if `may_stop`) End."""
+        is_end = jnp.arange(context.shape[1]) == self.config.end_token
+        allowed = jnp.where((is_end & ~may_stop)[None], -jnp.inf, context)
+        return draw_each(strategy, allowed, keys)[:, None]
 
-    def decode_step(
-        self, tokens: Int[Array, " B"], caches: tuple[LayerCache, ...], position: Int[Array, ""]
-    ) -> tuple[Float[Array, "B V"], tuple[LayerCache, ...]]:
-        """Returns the logits that follow `tokens`, which stand at `position` (1 for the first code)."""
-        return self._step(self.token_embedding(tokens), caches, position)
+    def step(
+        self, cache: "GptCache", rows: Int[Array, "B 1"]
+    ) -> tuple[Float[Array, "B V"], Float[Array, " B"], "GptCache"]:
+        """Returns the logits after `rows`, 1 for each End in them and 0 for codes, and the cache."""
+        logits, cache = self._read(self.token_embedding(rows[:, 0]), cache)
+        return logits, (rows[:, 0] == self.config.end_token).astype(jnp.float32), cache
 
-    def _step(
-        self, hidden: Float[Array, "B W"], caches: tuple[LayerCache, ...], position: Int[Array, ""]
-    ) -> tuple[Float[Array, "B V"], tuple[LayerCache, ...]]:
-        hidden = (hidden + self._positions()[position][None])[:, None]
+    def _read(self, inputs: Float[Array, "B W"], cache: "GptCache") -> tuple[Float[Array, "B V"], "GptCache"]:
+        """Returns the logits after one more input, and the cache with it."""
+        # The sampling loop works in chunks and may go past the last position. Those rows are thrown away.
+        position = jnp.minimum(cache.position, self.config.block_size - 1)
+        hidden = (inputs + self._positions()[position][None])[:, None]
         seen = (jnp.arange(self.config.block_size) <= position)[None, None, None, :]
-        updated = []
-        for block, cache in zip(self.blocks, caches, strict=True):
-            hidden, cache = block(hidden, seen, train=False, cache=cache, position=position)
-            updated.append(cache)
-        return self.head(self.final_norm(hidden))[:, 0], tuple(updated)
+        layers = []
+        for block, layer in zip(self.blocks, cache.layers, strict=True):
+            hidden, layer = block(hidden, seen, train=False, cache=layer, position=position)
+            layers.append(layer)
+        return self.head(self.final_norm(hidden))[:, 0], GptCache(tuple(layers), cache.position + 1)
+
+
+class GptCache(NamedTuple):
+    """What the GPT has read so far."""
+
+    layers: tuple[LayerCache, ...]
+    position: Int[Array, ""]
+    """Of the next input: 0 for the text, 1 for the first code."""
+
+
+def _example(config: MotionGptConfig) -> tuple[Any, ...]:
+    return jnp.zeros((1, config.max_codes), jnp.int32), jnp.zeros((1, config.text_dim))
+
+
+PART = Part(role="generator", config=MotionGptConfig, module=MotionGpt, example=_example)
+"""The entry point `gpt`."""

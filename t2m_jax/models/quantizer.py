@@ -1,9 +1,9 @@
-"""Vector quantization: nearest-code lookup, and four ways in which a codebook learns.
+"""Vector quantization: nearest-code lookup, and four rules by which a codebook learns.
 
-They are those of T2M-GPT (arXiv 2301.06052, section 3.1 and table 3) as its code has them. `orig` trains the codebook
-by gradient; the others move it themselves: `ema` and `ema_reset` to the running average of the latents that chose a
-code, with sums and counts averaged separately; `reset` and `ema_reset` replace a code that is hardly chosen by a row of
-the current batch, and leave its statistics alone. With `reset` alone a code never moves but by being replaced.
+The rules are those of T2M-GPT (arXiv 2301.06052, section 3.1 and table 3), as implemented in its code. `orig` trains
+the codebook by gradient. The others move it directly. `ema` and `ema_reset` move each code to the running average of
+the latents that chose it; sums and counts are averaged separately. `reset` and `ema_reset` replace a code that is
+rarely chosen by a row of the current batch and keep its statistics. With `reset` alone, replacement is the only change.
 """
 
 import dataclasses
@@ -14,26 +14,29 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from t2m_jax.masks import masked_mean
+
 CANDIDATE_NOISE = 0.01
-"""Standard deviation of the noise on repeated rows, times 1/sqrt(code_dim)."""
+"""Standard deviation of the noise on repeated rows, before division by sqrt(code_dim)."""
 LEAST_COUNT = 1e-30
-"""Averaged counts below this are leftovers of codes unused for thousands of steps: their average means nothing."""
+"""Smallest averaged count of a code that is averaged. Smaller counts remain of codes that were not used for thousands
+of steps, and dividing by them gives no useful code."""
 
 QuantizerKind = Literal["orig", "ema", "reset", "ema_reset"]
 
 
 @dataclasses.dataclass(frozen=True)
 class CodebookRule:
-    """How a codebook moves in training; one that does neither is a parameter and learns by gradient."""
+    """How a codebook moves in training. If it neither averages nor resets, it is a parameter and learns by gradient."""
 
     averages: bool
     """Codes follow the running average of the latents that chose them."""
     resets: bool
-    """Codes that are hardly chosen are replaced by latents of the batch."""
+    """Codes that are rarely chosen are replaced by latents of the batch."""
 
     @property
     def by_gradient(self) -> bool:
-        """Whether the optimiser moves the codebook."""
+        """Whether the optimizer moves the codebook."""
         return not (self.averages or self.resets)
 
 
@@ -46,9 +49,9 @@ RULES: dict[str, CodebookRule] = {
 
 
 class CodebookState(NamedTuple):
-    """What a codebook that moves itself remembers between steps; the collection `codebook`, leaf for leaf.
+    """The collection `codebook`: what a codebook that is not trained by gradient keeps between steps.
 
-    Without averaging, `ema_sum` and `ema_count` are those of the last batch alone.
+    Without averaging, `ema_sum` and `ema_count` are the values of the last batch.
     """
 
     codebook: Float[Array, "K C"]
@@ -64,8 +67,8 @@ class QuantizerOutput(NamedTuple):
     """Straight-through: the value of the code, the gradient of the latent."""
     codes: Int[Array, "B N"]
     commitment_loss: Float[Array, ""]
-    """Mean squared distance of latents and codes; for a codebook that learns by gradient its own loss is added, which
-    is equal in value and pulls the codes."""
+    """Mean squared distance of latents and codes. If the codebook learns by gradient, its own loss is added: the same
+    value, with the gradient to the codes."""
     code_counts: Float[Array, " K"]
     """How often each code was chosen in this batch, masked positions not counted."""
 
@@ -76,29 +79,24 @@ def nearest_codes(latents: Float[Array, "M C"], codebook: Float[Array, "K C"]) -
     return jnp.argmin(distances, axis=1)
 
 
-def perplexity_from_counts(code_counts: Float[Array, " K"]) -> Float[Array, ""]:
-    """Returns exp of the entropy of code use, between 1 and K."""
-    share = code_counts / jnp.maximum(jnp.sum(code_counts), 1.0)
-    return jnp.exp(-jnp.sum(share * jnp.log(share + 1e-7)))
-
-
 def candidate_codes(
-    latents: Float[Array, "M C"], mask: Bool[Array, " M"], key: PRNGKeyArray, *, num_codes: int
+    latents: Float[Array, "M C"], mask: Bool[Array, " M"], noise: Float[Array, "K C"]
 ) -> Float[Array, "K C"]:
-    """Returns `num_codes` rows to start codes from: the first True rows of the batch, in order.
+    """Returns K rows that codes can start from: the first True rows of the batch, in order.
 
-    With fewer rows than codes the rows are repeated and all of them get a little noise, so that no two codes agree.
-    `key` is consumed.
+    If there are fewer rows than codes, rows are repeated, and `noise` (standard normal) is scaled and added to all of
+    them, so that no two codes are equal.
     """
+    num_codes = noise.shape[0]
     order = jnp.argsort(~mask, stable=True)
     num_rows = jnp.sum(mask)
     rows = latents[order[jnp.arange(num_codes) % jnp.maximum(num_rows, 1)]]
-    noise = CANDIDATE_NOISE * latents.shape[1] ** -0.5 * jax.random.normal(key, rows.shape)
-    return rows + jnp.where(num_rows < num_codes, noise, 0.0)
+    scale = CANDIDATE_NOISE * latents.shape[1] ** -0.5
+    return rows + jnp.where(num_rows < num_codes, scale * noise, 0.0)
 
 
 def initial_codebook(state: CodebookState, candidates: Float[Array, "K C"]) -> CodebookState:
-    """Returns `state`, or, where it was never initialised, one that starts from `candidates`."""
+    """Returns `state` if it was initialized, else a state that starts from `candidates`."""
     fresh = CodebookState(candidates, candidates, jnp.ones_like(state.ema_count), jnp.array(True))
     return jax.tree.map(lambda old, new: jnp.where(state.initialised, old, new), state, fresh)
 
@@ -127,9 +125,9 @@ def update_codebook(
         state: The codebook that was used for the lookup.
         batch_hits: Sums and counts of `hits`.
         candidates: Row k replaces code k if that code is dead.
-        rule: What to do.
+        rule: Whether to average and whether to reset.
         decay: Share of the old averages that is kept.
-        threshold: A code lives while its count, averaged if the rule averages, is at least this.
+        threshold: A code is dead if its count (averaged, if the rule averages) is below this.
     """
     kept = decay if rule.averages else 0.0
     ema_sum, ema_count = (
@@ -138,7 +136,7 @@ def update_codebook(
     alive = ema_count >= (threshold if rule.resets else LEAST_COUNT)
     codebook = state.codebook
     if rule.averages:
-        # The denominator of a dead code may be 0 or denormal; it must not reach the division even where it is unused.
+        # The count of a dead code may be 0 or denormal. Dividing by it would give NaN, also in the unused branch.
         codebook = jnp.where(alive[:, None], ema_sum / jnp.where(alive, ema_count, 1.0)[:, None], codebook)
     if rule.resets:
         codebook = jnp.where(alive[:, None], codebook, candidates)
@@ -146,11 +144,11 @@ def update_codebook(
 
 
 class Quantizer(nn.Module):
-    """Replaces latents by their nearest codes and, in training, moves the codebook towards them.
+    """Replaces latents by their nearest codes and, in training, moves the codebook towards the latents.
 
-    Of kind `orig` the codebook is the parameter `codebook` [K, C]. Otherwise it is the collection `codebook`:
-    `codebook` [K, C], `ema_sum` [K, C], `ema_count` [K], `initialised` []; it changes only when `train` is True and the
-    collection is mutable. RNG stream `codebook` (training): noise on repeated candidates.
+    With `orig` the codebook is the parameter `codebook` [K, C]. Otherwise it is the collection `codebook`:
+    `codebook` [K, C], `ema_sum` [K, C], `ema_count` [K], `initialised` []. The collection changes only if `train` is
+    True and it is mutable. RNG stream `codebook` (training): noise on repeated candidates.
     """
 
     num_codes: int
@@ -170,56 +168,51 @@ class Quantizer(nn.Module):
         self.ema_count = self.variable("codebook", "ema_count", jnp.zeros, counts)
         self.initialised = self.variable("codebook", "initialised", lambda: jnp.array(False))
 
-    def _current(self) -> CodebookState:
+    def _read(self) -> CodebookState:
         return CodebookState(self.codebook.value, self.ema_sum.value, self.ema_count.value, self.initialised.value)
 
-    def _assign(self, state: CodebookState) -> None:
+    def _write(self, state: CodebookState) -> None:
         self.codebook.value, self.ema_sum.value, self.ema_count.value, self.initialised.value = state
 
-    def __call__(self, latents: Float[Array, "B N C"], mask: Bool[Array, "B N"], *, train: bool) -> QuantizerOutput:
-        """Returns quantized latents, codes and the commitment loss, which is taken before the codebook moves."""
+    def __call__(
+        self,
+        latents: Float[Array, "B N C"],
+        mask: Bool[Array, "B N"],
+        *,
+        train: bool,
+        noise: Float[Array, "2 K C"] | None = None,
+    ) -> QuantizerOutput:
+        """Returns quantized latents, codes and the commitment loss, computed with the codebook from before the step.
+
+        Args:
+            latents: What to quantize.
+            mask: Positions that count.
+            train: Whether the codebook moves.
+            noise: Standard normal numbers for the first codebook and for replaced codes. Drawn if None.
+        """
         rows, row_mask = latents.reshape(-1, self.code_dim), mask.reshape(-1)
-        rule = RULES[self.kind]
+        rule, detached = RULES[self.kind], jax.lax.stop_gradient(rows)
         moves = train and not rule.by_gradient and self.is_mutable_collection("codebook") and not self.is_initializing()
+
+        def candidates(use: int) -> Float[Array, "K C"]:
+            shape = (self.num_codes, self.code_dim)
+            drawn = jax.random.normal(self.make_rng("codebook"), shape) if noise is None else noise[use]
+            return candidate_codes(detached, row_mask, drawn)
+
         if moves:
-            self._start(rows, row_mask)
+            self._write(initial_codebook(self._read(), candidates(0)))
         codebook = self._codebook()
         codes = nearest_codes(rows, codebook)
-        batch_hits = hits(jax.lax.stop_gradient(rows), codes, row_mask, num_codes=self.num_codes)
+        batch_hits = hits(detached, codes, row_mask, num_codes=self.num_codes)
         quantized = codebook[codes]
-        loss = _mean_square(rows - jax.lax.stop_gradient(quantized), row_mask)
+        loss = masked_mean((rows - jax.lax.stop_gradient(quantized)) ** 2, row_mask[:, None])
         if rule.by_gradient:
-            loss += _mean_square(quantized - jax.lax.stop_gradient(rows), row_mask)
+            loss += masked_mean((quantized - detached) ** 2, row_mask[:, None])
         if moves:
-            self._move(rows, row_mask, batch_hits)
+            limits = {"decay": self.ema_decay, "threshold": self.reset_threshold}
+            self._write(update_codebook(self._read(), batch_hits, candidates(1), rule=rule, **limits))
         straight_through = rows + jax.lax.stop_gradient(quantized - rows)
         return QuantizerOutput(straight_through.reshape(latents.shape), codes.reshape(mask.shape), loss, batch_hits[1])
-
-    def _candidates(self, rows: Float[Array, "M C"], row_mask: Bool[Array, " M"]) -> Float[Array, "K C"]:
-        return candidate_codes(
-            jax.lax.stop_gradient(rows), row_mask, self.make_rng("codebook"), num_codes=self.num_codes
-        )
-
-    def _start(self, rows: Float[Array, "M C"], row_mask: Bool[Array, " M"]) -> None:
-        """Makes a codebook that was never used start from the first batch."""
-        self._assign(initial_codebook(self._current(), self._candidates(rows, row_mask)))
-
-    def _move(
-        self,
-        rows: Float[Array, "M C"],
-        row_mask: Bool[Array, " M"],
-        batch_hits: tuple[Float[Array, "K C"], Float[Array, " K"]],
-    ) -> None:
-        """Moves the codebook by one step."""
-        state = update_codebook(
-            self._current(),
-            batch_hits,
-            self._candidates(rows, row_mask),
-            rule=RULES[self.kind],
-            decay=self.ema_decay,
-            threshold=self.reset_threshold,
-        )
-        self._assign(state)
 
     def _codebook(self) -> Float[Array, "K C"]:
         return self.embedding if RULES[self.kind].by_gradient else self.codebook.value
@@ -231,9 +224,3 @@ class Quantizer(nn.Module):
 
 def _uniform_codes(key: PRNGKeyArray, shape: tuple[int, int]) -> Float[Array, "K C"]:
     return jax.random.uniform(key, shape, minval=-1.0 / shape[0], maxval=1.0 / shape[0])
-
-
-def _mean_square(difference: Float[Array, "M C"], mask: Bool[Array, " M"]) -> Float[Array, ""]:
-    """Returns the mean of squares over the True rows."""
-    squares = jnp.where(mask[:, None], difference**2, 0.0)
-    return jnp.sum(squares) / jnp.maximum(jnp.sum(mask) * difference.shape[1], 1)

@@ -1,0 +1,85 @@
+"""A complete model from a bundled name, a bundle folder, or the run of a generator."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from t2m_jax.checkpoints.best import restore_trained
+from t2m_jax.checkpoints.bundle import (
+    CONFIG_FILE,
+    Bundle,
+    bundle_path,
+    expected_variables,
+    load_bundle,
+    load_bundle_config,
+    load_text_tokenizer,
+    part_kinds,
+)
+from t2m_jax.checkpoints.run import DATA_FILE, is_run, run_info
+from t2m_jax.checkpoints.tokenizer import load_tokenizer
+from t2m_jax.errors import UserError
+from t2m_jax.files import load_json
+
+
+def load_model(name_or_path: str | Path) -> Bundle:
+    """Returns a model by a bundled name, a bundle folder, or a generator's run.
+
+    Raises:
+        UserError: There is none, or it is damaged.
+    """
+    path = bundle_path(name_or_path)
+    return load_generator_run(path) if is_run(path) else load_bundle(path)
+
+
+def load_generator_run(path: Path) -> Bundle:
+    """Returns the model that a generator's run stands for: its best weights if any were chosen, else its newest.
+
+    Raises:
+        UserError: The folder is not such a run, or has no checkpoint.
+    """
+    kind = run_info(path).kind
+    if not (path / CONFIG_FILE).is_file():
+        raise UserError(f"{path}: is the run of a {kind} only; generation needs the run of a generator, such as a GPT")
+    config = load_bundle_config(path)
+    kinds = {role: kind for role, kind in part_kinds(config).items() if role != "tokenizer"}
+    expected = expected_variables(config)
+    # A training state has one field per collection, and in it one entry per kind of part.
+    collections = {name for role in kinds for name in expected[role]}
+    fields = {
+        name: {kind: expected[role][name] for role, kind in kinds.items() if name in expected[role]}
+        for name in collections
+    }
+    found = jax.device_get(restore_trained(path, fields))
+    tokenizer = load_tokenizer(path)
+    variables = {"tokenizer": tokenizer.variables} | {
+        role: {name: found[name][kind] for name in expected[role]} for role, kind in kinds.items()
+    }
+    data = load_json(path / DATA_FILE) if (path / DATA_FILE).is_file() else None
+    return Bundle(config, variables, tokenizer.normalizer, load_text_tokenizer(path, config), data)
+
+
+def load_runs(paths: Sequence[Path]) -> tuple[Path, Bundle]:
+    """Returns the one generator's run among some run directories, and its model.
+
+    Runs of tokenizers may be given too. The generator's run contains a copy of its tokenizer, so the others are only
+    compared with that copy.
+
+    Raises:
+        UserError: There is not exactly one generator's run, or a tokenizer is not the one that it was trained with.
+    """
+    generators = [path for path in paths if run_info(path) and (path / CONFIG_FILE).is_file()]
+    if len(generators) != 1:
+        raise UserError(f"{len(generators)} of {len(paths)} folders are runs of a generator; a bundle needs exactly one")
+    bundle = load_generator_run(generators[0])
+    for path in paths:
+        if path == generators[0]:
+            continue
+        tokenizer = load_tokenizer(path)
+        same = tokenizer.config == bundle.config.tokenizer and jax.tree.all(
+            jax.tree.map(np.array_equal, jax.device_get(tokenizer.variables), bundle.variables["tokenizer"])
+        )
+        if not same:
+            raise UserError(f"{path}: is not the tokenizer that {generators[0]} was trained with")
+    return generators[0], bundle

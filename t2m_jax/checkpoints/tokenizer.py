@@ -1,0 +1,87 @@
+"""A trained tokenizer: from its run, from a bundle, or from the copy in a generator's run."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from t2m_jax.checkpoints.best import restore_trained
+from t2m_jax.checkpoints.bundle import (
+    CONFIG_FILE,
+    bundle_path,
+    check_statistics_width,
+    load_bundle,
+    load_bundle_config,
+)
+from t2m_jax.checkpoints.run import is_run, run_info
+from t2m_jax.config import load_config, save_config
+from t2m_jax.errors import UserError
+from t2m_jax.files import load_arrays, save_arrays
+from t2m_jax.models.system import TokenizerConfig, find_part, find_tokenizer_config, make_module, variable_shapes
+from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
+
+
+class TrainedTokenizer(NamedTuple):
+    """A tokenizer and the statistics of the motion that it reads."""
+
+    config: TokenizerConfig
+    variables: dict[str, Any]
+    normalizer: Normalizer
+
+    @property
+    def module(self) -> Any:
+        """The Linen module; hashable, so that it can be a static argument of jitted functions."""
+        return make_module(self.config)
+
+
+def load_tokenizer(path: str | Path) -> TrainedTokenizer:
+    """Returns the tokenizer of a bundle, of its own run, or of a generator's run.
+
+    The tokenizer of its own run has the best weights if any were chosen, else the newest.
+
+    Raises:
+        UserError: There is none, or it is damaged.
+    """
+    path = bundle_path(path)
+    if not is_run(path):
+        if not (path / CONFIG_FILE).is_file():
+            raise UserError(f"{path}: neither a run nor a bundle; train a tokenizer with `t2m train vqvae` first")
+        bundle = load_bundle(path)
+        return TrainedTokenizer(bundle.config.tokenizer, bundle.variables["tokenizer"], bundle.normalizer)
+    kind = run_info(path).kind
+    if (path / CONFIG_FILE).is_file():
+        return _load_copy(path)
+    config: TokenizerConfig = load_config(tokenizer_config_file(path, kind), find_part(kind, "tokenizer").config)
+    variables = restore_trained(path, variable_shapes(config))
+    return _with_statistics(path, config, variables)
+
+
+def tokenizer_config_file(folder: Path, kind: str) -> Path:
+    """Returns the file with the sizes of a tokenizer in its run, or in its copy in a generator's run."""
+    return folder / f"{kind}.yaml"
+
+
+def save_tokenizer_parts(run: Path, config: TokenizerConfig, normalizer: Normalizer) -> None:
+    """Writes what a tokenizer's run contains beside its weights: sizes and statistics."""
+    run.mkdir(parents=True, exist_ok=True)
+    save_config(tokenizer_config_file(run, config.kind), config)
+    save_normalizer(run, normalizer)
+
+
+def save_tokenizer_copy(run: Path, tokenizer: TrainedTokenizer) -> None:
+    """Writes a tokenizer into a generator's run, so that the run needs no other folder."""
+    kind = tokenizer.config.kind
+    save_tokenizer_parts(run / kind, tokenizer.config, tokenizer.normalizer)
+    save_arrays(run / kind / f"{kind}.safetensors", tokenizer.variables)
+
+
+def _load_copy(run: Path) -> TrainedTokenizer:
+    kind = load_bundle_config(run).tokenizer.kind
+    folder = run / kind
+    config: TokenizerConfig = load_config(tokenizer_config_file(folder, kind), find_tokenizer_config(kind))
+    variables = load_arrays(folder / f"{kind}.safetensors", variable_shapes(config))
+    return _with_statistics(folder, config, variables)
+
+
+def _with_statistics(folder: Path, config: TokenizerConfig, variables: dict[str, Any]) -> TrainedTokenizer:
+    normalizer = load_normalizer(folder)
+    check_statistics_width(folder, normalizer, config.feature_dim)
+    return TrainedTokenizer(config, variables, normalizer)

@@ -1,0 +1,179 @@
+"""What a text-to-motion system consists of, and how its parts are found.
+
+A system is a tokenizer and a generator. The tokenizer turns motion into codes and back. The generator turns a text
+embedding into codes. Both are Linen modules with one field, `config`. Code outside `models` and outside the training of
+a part uses only the interfaces on this page, so a new system needs no change there.
+
+Codes are `[B, N, R]`: N rows in time, each with R codes (R is 1 for a plain VQ-VAE). A row covers `downsample` frames.
+
+A package adds a part with an entry point of the group `t2m_jax.systems`. The name of the entry point is the part's
+kind, and its value is a `Part`.
+"""
+
+import dataclasses
+import functools
+import importlib.metadata
+from collections.abc import Callable
+from typing import Any, ClassVar, Literal, Protocol
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from t2m_jax.errors import UserError
+
+GROUP = "t2m_jax.systems"
+"""The entry-point group of parts."""
+
+Role = Literal["tokenizer", "generator"]
+Draw = Callable[[Float[Array, "B V"], Key[Array, ""]], Int[Array, " B"]]
+"""A sampling strategy: chooses one of the V classes for each row of logits; the key is consumed."""
+
+
+class TokenizerConfig(Protocol):
+    """What every tokenizer's config has beside its own fields."""
+
+    kind: ClassVar[str]
+    """The name of its entry point."""
+
+    @property
+    def feature_dim(self) -> int:
+        """Features per frame (D)."""
+        ...
+
+    @property
+    def num_codes(self) -> int:
+        """Codes in the codebook (K)."""
+        ...
+
+    @property
+    def num_quantizers(self) -> int:
+        """Codes per row (R)."""
+        ...
+
+    @property
+    def downsample(self) -> int:
+        """Frames per row."""
+        ...
+
+
+class Tokenizer(Protocol):
+    """The methods of a tokenizer's module; motion is normalized, and masks are True where there is data."""
+
+    def encode(self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"] | None = None) -> Int[Array, "B N R"]:
+        """Returns the codes of a motion, 0 after its end."""
+        ...
+
+    def decode(self, codes: Int[Array, "B N R"], mask: Bool[Array, "B N"] | None = None) -> Float[Array, "B T D"]:
+        """Returns the motion of codes, `T = N * downsample`; frames after the end have no meaning."""
+        ...
+
+
+class GeneratorConfig(Protocol):
+    """What every generator's config has beside its own fields."""
+
+    kind: ClassVar[str]
+    """The name of its entry point."""
+
+    @property
+    def num_codes(self) -> int:
+        """Codes in the tokenizer's codebook (K)."""
+        ...
+
+    @property
+    def num_quantizers(self) -> int:
+        """Codes per row (R)."""
+        ...
+
+    @property
+    def text_dim(self) -> int:
+        """Width of the text embedding (E)."""
+        ...
+
+    @property
+    def max_codes(self) -> int:
+        """Rows of the longest motion that can be generated."""
+        ...
+
+    @property
+    def stop_rule(self) -> str:
+        """Name of the rule that ends a motion, see `t2m_jax.sampling.stopping`."""
+        ...
+
+
+class Generator(Protocol):
+    """The methods of a generator's module that sampling uses.
+
+    `context` is what the next row is drawn from, and `cache` is what the module remembers. Both are trees of arrays
+    whose first axis is the batch, of a shape that does not change from step to step.
+    """
+
+    def begin(self, text_embedding: Float[Array, "B E"], guidance_scale: Any = None) -> tuple[Any, Any]:
+        """Returns the context of the first row, and the cache; without a scale there is no guidance."""
+        ...
+
+    def draw(
+        self, context: Any, keys: Key[Array, " B"], strategy: Draw, *, may_stop: Bool[Array, ""]
+    ) -> Int[Array, "B R"]:
+        """Returns the next row; a generator that ends motions by a code must not draw it unless `may_stop`."""
+        ...
+
+    def step(self, cache: Any, rows: Int[Array, "B R"]) -> tuple[Any, Float[Array, " B"], Any]:
+        """Returns the context of the following row, the stop score of the row that was read, and the cache."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Part:
+    """A tokenizer or a generator as the package finds it."""
+
+    role: Role
+    config: type
+    """Its config class: a frozen dataclass with `kind: ClassVar[str]`."""
+    module: Callable[[Any], nn.Module]
+    """From a config to the module."""
+    example: Callable[[Any], tuple[Any, ...]]
+    """From a config to arguments of the module's `__call__` for `init`; the keyword `train` is added."""
+
+
+@functools.cache
+def find_part(kind: str, role: Role | None = None) -> Part:
+    """Returns the part of a kind; only its own package is imported.
+
+    Raises:
+        UserError: No installed package has such a part, or it has another role.
+    """
+    points = importlib.metadata.entry_points(group=GROUP)
+    if kind not in points.names:
+        raise UserError(f"{kind!r} is not a part of any installed system; known: {', '.join(sorted(points.names))}")
+    part: Part = points[kind].load()
+    if role not in (None, part.role):
+        raise UserError(f"{kind!r} is a {part.role}, but a {role} is needed")
+    return part
+
+
+def find_tokenizer_config(kind: str) -> type:
+    """Returns the config class of a kind of tokenizer."""
+    return find_part(kind, "tokenizer").config
+
+
+def find_generator_config(kind: str) -> type:
+    """Returns the config class of a kind of generator."""
+    return find_part(kind, "generator").config
+
+
+def make_module(config: TokenizerConfig | GeneratorConfig) -> Any:
+    """Returns the Linen module of a part's config."""
+    return find_part(config.kind).module(config)
+
+
+def variable_shapes(config: TokenizerConfig | GeneratorConfig) -> dict[str, Any]:
+    """Returns the shapes of a part's variables by collection."""
+    module, example = make_module(config), find_part(config.kind).example
+    return jax.eval_shape(lambda: module.init(jax.random.key(0), *example(config), train=False))
+
+
+def draw_each(strategy: Draw, logits: Float[Array, "B V"], keys: Key[Array, " B"]) -> Int[Array, " B"]:
+    """Returns one choice for each row of logits, each with its own key, so that no row depends on the others."""
+    return jax.vmap(lambda row, key: strategy(row[None], key)[0])(logits, keys).astype(jnp.int32)
