@@ -20,7 +20,7 @@ from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
 from t2m_jax.models.vqvae import VqVae, VqVaeConfig
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
 from t2m_jax.motion.skeleton import skeleton_from_name
-from t2m_jax.text.bpe import load_tokenizer, save_tokenizer
+from t2m_jax.text.bpe import load_bpe, save_bpe
 
 CONFIG_FILE = "bundle.yaml"
 WEIGHTS_FILE = "weights.safetensors"
@@ -131,7 +131,7 @@ def load_bundle(path: Path) -> Bundle:
         raise UserError(f"{path}: statistics of {normalizer.mean.shape[0]} features, {config.vqvae.feature_dim} wanted")
     tokenizer = None
     if config.text_encoder == "caption_encoder":
-        tokenizer = load_tokenizer(path)
+        tokenizer = load_bpe(path)
         if tokenizer.get_vocab_size() > config.caption_encoder.vocabulary_size:
             raise UserError(f"{path}: the tokenizer has more tokens than caption_encoder.vocabulary_size")
     elif (path / CLIP_FOLDER).is_dir():
@@ -161,7 +161,7 @@ def save_bundle(path: Path, bundle: Bundle, *, card: str, half: bool = True, cli
         save_arrays(folder / WEIGHTS_FILE, bundle.variables, half=half)
         save_normalizer(folder, bundle.normalizer)
         if bundle.tokenizer is not None:
-            save_tokenizer(folder, bundle.tokenizer)
+            save_bpe(folder, bundle.tokenizer)
         if clip is not None:
             save_clip(folder / CLIP_FOLDER, clip)
         (folder / CARD_FILE).write_text(card, encoding="utf-8")

@@ -13,7 +13,7 @@ from t2m_jax.checkpoints.run import is_run_directory, run_info
 from t2m_jax.checkpoints.vqvae import load_vqvae
 from t2m_jax.config import load_config
 from t2m_jax.errors import UserError
-from t2m_jax.text.bpe import load_tokenizer
+from t2m_jax.text.bpe import load_bpe
 
 
 def load_gpt_run(path: Path) -> Bundle:
@@ -30,7 +30,7 @@ def load_gpt_run(path: Path) -> Bundle:
     params = restore_trained(path, {"params": shapes})["params"]
     vqvae = load_vqvae(path)
     variables = {name: {"params": params[name]} for name in shapes} | {"vqvae": vqvae.variables}
-    tokenizer = load_tokenizer(path) if config.text_encoder == "caption_encoder" else None
+    tokenizer = load_bpe(path) if config.text_encoder == "caption_encoder" else None
     return Bundle(config, jax.device_get(variables), vqvae.normalizer, tokenizer)
 
 

@@ -21,7 +21,7 @@ class CaptionTokens(NamedTuple):
     mask: Bool[Array | np.ndarray, "B S"]
 
 
-def train_tokenizer(captions: Iterable[str], *, vocabulary_size: int) -> Tokenizer:
+def train_bpe(captions: Iterable[str], *, vocabulary_size: int) -> Tokenizer:
     """Returns a lower-casing BPE tokenizer learned from `captions`; token 0 is padding."""
     tokenizer = Tokenizer(models.BPE(unk_token=UNKNOWN))
     tokenizer.normalizer = normalizers.Sequence([normalizers.NFKC(), normalizers.Lowercase()])
@@ -34,7 +34,7 @@ def train_tokenizer(captions: Iterable[str], *, vocabulary_size: int) -> Tokeniz
     return tokenizer
 
 
-def tokenize(tokenizer: Tokenizer, captions: Sequence[str], *, max_length: int) -> CaptionTokens:
+def tokenize_captions(tokenizer: Tokenizer, captions: Sequence[str], *, max_length: int) -> CaptionTokens:
     """Returns tokens padded to `max_length`; what a longer caption has beyond it is cut."""
     tokens = np.zeros((len(captions), max_length), np.int32)
     mask = np.zeros((len(captions), max_length), bool)
@@ -45,12 +45,12 @@ def tokenize(tokenizer: Tokenizer, captions: Sequence[str], *, max_length: int) 
     return CaptionTokens(tokens, mask)
 
 
-def save_tokenizer(folder: Path, tokenizer: Tokenizer) -> None:
+def save_bpe(folder: Path, tokenizer: Tokenizer) -> None:
     """Writes `tokenizer.json` into `folder`."""
     (folder / TOKENIZER_FILE).write_text(tokenizer.to_str(pretty=True), encoding="utf-8")
 
 
-def load_tokenizer(folder: Path) -> Tokenizer:
+def load_bpe(folder: Path) -> Tokenizer:
     """Returns the tokenizer of `folder`.
 
     Raises:

@@ -9,7 +9,7 @@ from jaxtyping import Int
 from tokenizers import AddedToken, Regex, Tokenizer, decoders, models, normalizers, pre_tokenizers
 
 from t2m_jax.errors import UserError
-from t2m_jax.text.bpe import TOKENIZER_FILE, load_tokenizer
+from t2m_jax.text.bpe import TOKENIZER_FILE, load_bpe
 
 START, END = "<|startoftext|>", "<|endoftext|>"
 END_OF_WORD = "</w>"
@@ -19,7 +19,7 @@ VOCABULARY_FILE, MERGES_FILE = "vocab.json", "merges.txt"
 _WORDS = Regex(r"'s|'t|'re|'ve|'m|'ll|'d|\p{L}+|\p{N}|[^\s\p{L}\p{N}]+")
 
 
-def load_clip_tokenizer(folder: Path) -> Tokenizer:
+def load_clip_bpe(folder: Path) -> Tokenizer:
     """Returns the tokenizer of a CLIP's folder: `tokenizer.json`, or else `vocab.json` with `merges.txt`.
 
     Raises:
@@ -27,7 +27,7 @@ def load_clip_tokenizer(folder: Path) -> Tokenizer:
     """
     path = folder / TOKENIZER_FILE
     if path.exists():
-        tokenizer = load_tokenizer(folder)
+        tokenizer = load_bpe(folder)
     elif (folder / VOCABULARY_FILE).exists() and (folder / MERGES_FILE).exists():
         path = folder / VOCABULARY_FILE
         tokenizer = _tokenizer_from_vocabulary(path, folder / MERGES_FILE)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.text.clip_bpe import END, START, clip_tokens, load_clip_tokenizer
+from t2m_jax.text.clip_bpe import END, START, clip_tokens, load_clip_bpe
 from tests.clip_golden import CAPTIONS, FULL, ONE_FILE, TEXT_ONLY, TWO_FILES, golden
 
 MAX_LENGTH = 77
@@ -21,19 +21,19 @@ def copy_tokenizer(names, folder):
 
 def refused(folder) -> str:
     with pytest.raises(UserError) as caught:
-        load_clip_tokenizer(folder)
+        load_clip_bpe(folder)
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
 
 @pytest.fixture(scope="module")
 def tokenizer():
-    return load_clip_tokenizer(FULL)
+    return load_clip_bpe(FULL)
 
 
 @pytest.mark.parametrize("names", [ONE_FILE, TWO_FILES])
 def test_the_tokens_are_those_of_the_reference(names, tmp_path):
-    tokenizer = load_clip_tokenizer(copy_tokenizer(names, tmp_path))
+    tokenizer = load_clip_bpe(copy_tokenizer(names, tmp_path))
     tokens = clip_tokens(tokenizer, CAPTIONS, max_length=MAX_LENGTH)
     assert tokens.dtype == np.int32
     assert len(CAPTIONS) == 64
@@ -41,7 +41,7 @@ def test_the_tokens_are_those_of_the_reference(names, tmp_path):
 
 
 def test_added_tokens_are_those_of_the_reference():
-    tokens = clip_tokens(load_clip_tokenizer(TEXT_ONLY), CAPTIONS, max_length=MAX_LENGTH)
+    tokens = clip_tokens(load_clip_bpe(TEXT_ONLY), CAPTIONS, max_length=MAX_LENGTH)
     np.testing.assert_array_equal(tokens, golden(TEXT_ONLY, "tokens"))
     assert tokens.max() > golden(FULL, "tokens").max()
 
@@ -90,7 +90,7 @@ def test_cutting_and_filling_that_a_file_asks_for_are_left_out(tokenizer, tmp_pa
         "pad_token": "!",
     }
     (tmp_path / "tokenizer.json").write_text(json.dumps(data))
-    tokens = clip_tokens(load_clip_tokenizer(tmp_path), CAPTIONS, max_length=MAX_LENGTH)
+    tokens = clip_tokens(load_clip_bpe(tmp_path), CAPTIONS, max_length=MAX_LENGTH)
     np.testing.assert_array_equal(tokens, golden(FULL, "tokens"))
 
 
