@@ -106,16 +106,16 @@ def test_a_folder_without_a_tokenizer_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "reason"),
     [
-        ("vocab.json", "{", "not a JSON file"),
-        ("vocab.json", "[" * 100_000, "not a JSON file"),
+        ("vocab.json", "{", "cannot be read as JSON"),
+        ("vocab.json", "[" * 100_000, "cannot be read as JSON"),
         ("vocab.json", "[1, 2]", "not a vocabulary"),
         ("vocab.json", '{"a": 0, "b": 0}', "not a vocabulary"),
         ("vocab.json", '{"a": 0, "b": 7}', "not a vocabulary"),
         ("vocab.json", '{"a": "0"}', "not a vocabulary"),
         ("vocab.json", "{}", "does not fit vocab.json"),
-        ("merges.txt", "#version: 0.2\na b\na b c\n", ":3: expected two pieces"),
+        ("merges.txt", "#version: 0.2\na b\na b c\n", ":3: expected two tokens"),
         ("merges.txt", "#version: 0.2\n人 人\n", "does not fit vocab.json"),
-        ("merges.txt", b"\xff\xfe\x00", "not a text file"),
+        ("merges.txt", b"\xff\xfe\x00", "is not UTF-8 text"),
     ],
 )
 def test_older_files_that_are_damaged_are_named(name, content, reason, tmp_path):
