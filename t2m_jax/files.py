@@ -126,17 +126,32 @@ def save_json(path: str | os.PathLike[str], data: Any) -> None:
     save_text(path, json.dumps(data, indent=2, sort_keys=True, allow_nan=False, ensure_ascii=False) + "\n")
 
 
+def load_text(path: Path) -> str:
+    """Returns the text of a UTF-8 file.
+
+    Raises:
+        UserError: The file is missing, cannot be read or is not UTF-8.
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise UserError(f"{path}: there is no such file") from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from None
+
+
 def load_json(path: Path) -> Any:
     """Returns the data of a JSON file.
 
     Raises:
         UserError: The file is missing or is not JSON.
     """
+    text = load_text(path)
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise UserError(f"{path}: there is no such file") from None
-    except (OSError, ValueError, RecursionError) as error:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
         raise UserError(f"{path}: cannot be read as JSON ({first_line(error)})") from None
 
 

@@ -16,7 +16,7 @@ from t2m_jax.models.vqvae import VqVaeConfig
 from t2m_jax.motion.features import features_from_positions
 from t2m_jax.motion.normalizer import Normalizer, normalizer_from_clips
 from t2m_jax.motion.skeleton import HUMANML3D
-from t2m_jax.text.bpe import train_tokenizer
+from t2m_jax.text.bpe import train_bpe
 from t2m_jax.text.word_vectors import tokens_from_text, vocabulary_from_captions
 from t2m_jax.train.config import LoopConfig, TrainGptConfig, TrainVqVaeConfig
 from t2m_jax.train.optimizer import OptimizerConfig
@@ -78,7 +78,7 @@ def walking_normalizer() -> Normalizer:
 
 def random_bundle(*, seed: int = 10) -> Bundle:
     """Returns a complete model that nobody trained."""
-    tokenizer = train_tokenizer(CAPTIONS, vocabulary_size=CAPTION_ENCODER.vocabulary_size)
+    tokenizer = train_bpe(CAPTIONS, vocabulary_size=CAPTION_ENCODER.vocabulary_size)
     return Bundle(BUNDLE, random_variables(expected_variables(BUNDLE), seed=seed), walking_normalizer(), tokenizer)
 
 

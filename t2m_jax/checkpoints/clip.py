@@ -26,8 +26,8 @@ from t2m_jax.checkpoints.clip_files import (
 from t2m_jax.config import config_from_dict
 from t2m_jax.errors import UserError
 from t2m_jax.models.clip_text import ClipTextConfig
-from t2m_jax.text.bpe import save_tokenizer
-from t2m_jax.text.clip_bpe import END, START, load_clip_tokenizer
+from t2m_jax.text.bpe import save_bpe
+from t2m_jax.text.clip_bpe import END, START, load_clip_bpe
 
 _FIELDS = {
     "vocab_size": "vocabulary_size",
@@ -91,7 +91,7 @@ def load_clip(name_or_folder: str | Path, *, text_dim: int | None = None) -> Tra
     config = _load_config(folder)
     if text_dim not in (None, config.text_dim):
         raise UserError(f"{name_or_folder}: embeddings of {config.text_dim} numbers, but the GPT wants {text_dim}")
-    tokenizer = load_clip_tokenizer(folder)
+    tokenizer = load_clip_bpe(folder)
     _check_tokenizer(folder, config, tokenizer)
     path, arrays = read_text_arrays(folder)
     variables = {"params": _params_from_arrays(path, arrays, config)}
@@ -108,7 +108,7 @@ def save_clip(folder: Path, clip: TrainedClip, *, half: bool = False) -> None:
     data[_END_FIELD] = _LEGACY_END if end_token is None else end_token
     data["bos_token_id"] = clip.tokenizer.token_to_id(START)
     (folder / CONFIG_FILE).write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
-    save_tokenizer(folder, clip.tokenizer)
+    save_bpe(folder, clip.tokenizer)
     flat = traverse_util.flatten_dict(jax.device_get(clip.variables["params"]))
     arrays = {}
     for names, leaf in flat.items():

@@ -13,7 +13,7 @@ from t2m_jax.checkpoints.bundle import Bundle
 from t2m_jax.checkpoints.clip import load_clip
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
 from t2m_jax.sampling.clip_text_encoder import ClipTextEncoder
-from t2m_jax.text.bpe import tokenize
+from t2m_jax.text.bpe import tokenize_captions
 from t2m_jax.text.encoder import TextEncoder
 
 
@@ -40,7 +40,7 @@ class CaptionTextEncoder:
 
     def __call__(self, captions: Sequence[str]) -> Float[Array, "B E"]:
         """Returns one embedding a caption; what is longer than the encoder reads is cut."""
-        tokens, mask = tokenize(self._tokenizer, captions, max_length=self._config.max_length)
+        tokens, mask = tokenize_captions(self._tokenizer, captions, max_length=self._config.max_length)
         return encode_captions(self._variables, jnp.asarray(tokens), jnp.asarray(mask), config=self._config)
 
 

@@ -1,4 +1,4 @@
-"""Subword tokens of captions, by the `tokenizers` library."""
+"""Subword tokens of captions (byte-pair encoding), by the `tokenizers` library."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -9,23 +9,25 @@ from jaxtyping import Array, Bool, Int
 from tokenizers import Tokenizer, models, normalizers, pre_tokenizers, trainers
 
 from t2m_jax.errors import UserError
+from t2m_jax.files import first_line, load_text, save_text
 
 PAD, UNKNOWN = "[pad]", "[unk]"
 TOKENIZER_FILE = "tokenizer.json"
 
 
 class CaptionTokens(NamedTuple):
-    """A batch of captions as the caption encoder reads it."""
+    """A batch of captions, as the caption encoder reads it."""
 
     tokens: Int[Array | np.ndarray, "B S"]
     mask: Bool[Array | np.ndarray, "B S"]
 
 
-def train_tokenizer(captions: Iterable[str], *, vocabulary_size: int) -> Tokenizer:
-    """Returns a lower-casing BPE tokenizer learned from `captions`; token 0 is padding."""
+def train_bpe(captions: Iterable[str], *, vocabulary_size: int) -> Tokenizer:
+    """Returns a lower-casing BPE tokenizer learned from `captions`. Token 0 is padding."""
     tokenizer = Tokenizer(models.BPE(unk_token=UNKNOWN))
     tokenizer.normalizer = normalizers.Sequence([normalizers.NFKC(), normalizers.Lowercase()])
     tokenizer.pre_tokenizer = pre_tokenizers.Whitespace()
+    # All letters are in the alphabet, so that a prompt can have words that no training caption has.
     alphabet = [chr(code) for code in range(ord("a"), ord("z") + 1)]
     trainer = trainers.BpeTrainer(
         vocab_size=vocabulary_size, special_tokens=[PAD, UNKNOWN], initial_alphabet=alphabet, show_progress=False
@@ -34,8 +36,8 @@ def train_tokenizer(captions: Iterable[str], *, vocabulary_size: int) -> Tokeniz
     return tokenizer
 
 
-def tokenize(tokenizer: Tokenizer, captions: Sequence[str], *, max_length: int) -> CaptionTokens:
-    """Returns tokens padded to `max_length`; what a longer caption has beyond it is cut."""
+def tokenize_captions(tokenizer: Tokenizer, captions: Sequence[str], *, max_length: int) -> CaptionTokens:
+    """Returns tokens, padded to `max_length`. Longer captions are cut."""
     tokens = np.zeros((len(captions), max_length), np.int32)
     mask = np.zeros((len(captions), max_length), bool)
     for row, encoding in enumerate(tokenizer.encode_batch(list(captions))):
@@ -45,21 +47,20 @@ def tokenize(tokenizer: Tokenizer, captions: Sequence[str], *, max_length: int) 
     return CaptionTokens(tokens, mask)
 
 
-def save_tokenizer(folder: Path, tokenizer: Tokenizer) -> None:
+def save_bpe(folder: Path, tokenizer: Tokenizer) -> None:
     """Writes `tokenizer.json` into `folder`."""
-    (folder / TOKENIZER_FILE).write_text(tokenizer.to_str(pretty=True), encoding="utf-8")
+    save_text(folder / TOKENIZER_FILE, tokenizer.to_str(pretty=True))
 
 
-def load_tokenizer(folder: Path) -> Tokenizer:
+def load_bpe(folder: Path) -> Tokenizer:
     """Returns the tokenizer of `folder`.
 
     Raises:
-        UserError: if the file is missing or is no tokenizer.
+        UserError: The file is missing or is not a tokenizer.
     """
     path = folder / TOKENIZER_FILE
+    text = load_text(path)
     try:
-        return Tokenizer.from_str(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise UserError(f"{path}: missing; the folder is not a complete model") from None
+        return Tokenizer.from_str(text)
     except Exception as error:  # noqa: BLE001 - the library raises nothing narrower for content it cannot read
-        raise UserError(f"{path}: not a tokenizer file ({str(error).splitlines()[0]})") from None
+        raise UserError(f"{path}: not a tokenizer file ({first_line(error)}); copy it again") from None

@@ -1,4 +1,4 @@
-"""Text embeddings kept on disk, so that a model embeds each caption once."""
+"""A cache of text embeddings on disk, so that a model embeds each caption only once."""
 
 import contextlib
 import hashlib
@@ -16,9 +16,9 @@ logger = logging.getLogger(__name__)
 
 CACHE_FILE = "text_embeddings.sqlite3"
 BUSY_SECONDS = 60.0
-"""How long to wait for another process that is writing."""
+"""How long to wait while another process writes."""
 CAPTIONS_A_QUERY = 500
-"""SQLite takes at least 999 values at a time."""
+"""Below 999, the limit of values per query in old versions of SQLite."""
 
 _TABLE = """CREATE TABLE IF NOT EXISTS embeddings (
     fingerprint TEXT NOT NULL, caption TEXT NOT NULL, embedding BLOB NOT NULL, digest BLOB NOT NULL,
@@ -27,9 +27,9 @@ _TABLE = """CREATE TABLE IF NOT EXISTS embeddings (
 _SELECT = "SELECT caption, embedding, digest FROM embeddings WHERE fingerprint = ? AND caption IN"
 
 _FAILURES = (sqlite3.Error, OSError, UnicodeDecodeError)
-"""What use of a file can raise; the last where SQLite's message quotes the damage."""
+"""Errors of damaged or unusable files. The last one occurs if SQLite's message quotes damaged text."""
 
-_OUT_OF_REACH = {
+_UNUSABLE = {
     sqlite3.SQLITE_PERM,
     sqlite3.SQLITE_BUSY,
     sqlite3.SQLITE_LOCKED,
@@ -38,22 +38,22 @@ _OUT_OF_REACH = {
     sqlite3.SQLITE_FULL,
     sqlite3.SQLITE_CANTOPEN,
 }
-"""SQLite's codes for a file that may be sound but cannot be used now; all others mean that it is damaged."""
+"""SQLite's codes for a file that cannot be used now. All other codes mean that the file is damaged."""
 
 
 class EmbeddingCache:
-    """Embeddings by caption and model, in one SQLite file that several processes may share.
+    """Embeddings by caption and model, in one SQLite file that several processes can share.
 
-    It never stands in the way: a file that cannot be used is done without, a damaged one is set aside and begun anew
-    (both with a warning), and every row carries a digest, so a damaged embedding is never handed out.
+    Problems with the file are warnings, never errors. A file that cannot be used is ignored. A damaged file is renamed
+    and a new one is started. Each row has a digest, so that a damaged embedding is never returned.
     """
 
     def __init__(self, path: Path | None = None):
-        """Names the file, by default one in the user's cache folder; nothing is opened yet."""
+        """Sets the path, by default a file in the user's cache folder. The file is opened when it is used."""
         self.path = path or Path(platformdirs.user_cache_dir("t2m_jax")) / CACHE_FILE
 
     def load(self, fingerprint: str, captions: Sequence[str]) -> dict[str, Float[np.ndarray, " E"]]:
-        """Returns those embeddings of `captions` that the model `fingerprint` has left here."""
+        """Returns the embeddings of `captions` that were saved for the model `fingerprint`."""
         rows: list[tuple] = []
         try:
             with self._open() as connection:
@@ -62,19 +62,19 @@ class EmbeddingCache:
                     marks = ", ".join("?" * len(chunk))
                     rows += connection.execute(f"{_SELECT} ({marks})", [fingerprint, *chunk]).fetchall()
         except _FAILURES as error:
-            self._do_without(error)
+            self._handle_failure(error)
             return {}
-        sound = {
+        intact = {
             caption: np.frombuffer(blob, "<f4").astype(np.float32)
             for caption, blob, digest in rows
             if isinstance(blob, bytes) and digest == _digest(fingerprint, caption, blob)
         }
-        if len(sound) < len({caption for caption, _, _ in rows}):
-            logger.warning("%s: some embeddings are damaged; they are made anew", self.path)
-        return sound
+        if len(intact) < len({caption for caption, _, _ in rows}):
+            logger.warning("%s: some embeddings are damaged; they are computed again", self.path)
+        return intact
 
     def save(self, fingerprint: str, embeddings: Mapping[str, Float[np.ndarray, " E"]]) -> None:
-        """Keeps embeddings of the model `fingerprint` by their caption, all of them or none."""
+        """Saves embeddings of the model `fingerprint` by their caption: all of them or, after an error, none."""
         rows = []
         for caption, embedding in embeddings.items():
             blob = np.asarray(embedding, "<f4").tobytes()
@@ -83,31 +83,33 @@ class EmbeddingCache:
             with self._open() as connection:
                 connection.executemany("INSERT OR REPLACE INTO embeddings VALUES (?, ?, ?, ?)", rows)
         except _FAILURES as error:
-            self._do_without(error)
+            self._handle_failure(error)
 
     @contextlib.contextmanager
     def _open(self) -> Iterator[sqlite3.Connection]:
-        """Yields a connection whose changes count only if the block ends without an error."""
+        """Yields a connection. The changes are committed only if the block ends without an error."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with contextlib.closing(sqlite3.connect(self.path, timeout=BUSY_SECONDS)) as connection, connection:
-            # Waiting for the disk would cost more than what a power cut could spoil, which the digests show.
+            # Do not wait for the disk: the digests detect what a power failure damages, and a cache can be lost.
             connection.execute("PRAGMA synchronous = OFF")
             connection.execute(_TABLE)
             yield connection
 
-    def _do_without(self, error: Exception) -> None:
-        """Warns, and sets the file aside if it is damaged, so that the next use begins a new one."""
+    def _handle_failure(self, error: Exception) -> None:
+        """Logs a warning and, if the file is damaged, renames it, so that the next use starts a new one."""
         code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT)
-        if isinstance(error, OSError) or code & 0xFF in _OUT_OF_REACH:
-            logger.warning("%s: cannot be used (%s); captions are embedded anew", self.path, error)
+        if isinstance(error, OSError) or code & 0xFF in _UNUSABLE:
+            logger.warning("%s: cannot be used (%s); captions are embedded again", self.path, error)
             return
-        logger.warning("%s: damaged (%s); set aside as %s.damaged and begun anew", self.path, error, self.path.name)
-        # A journal left beside it belongs to the damaged file and would be played back into the new one.
+        logger.warning(
+            "%s: damaged (%s); renamed to %s.damaged, and a new file is started", self.path, error, self.path.name
+        )
+        # SQLite would replay a journal of the damaged file into the new one, so it is renamed first.
         for suffix in ("-journal", ""):
             with contextlib.suppress(OSError):
                 os.replace(f"{self.path}{suffix}", f"{self.path}.damaged{suffix}")
 
 
 def _digest(fingerprint: str, caption: str, blob: bytes) -> bytes:
-    """Returns what tells a sound row from a damaged one."""
+    """Returns a checksum of one row."""
     return hashlib.blake2b(f"{fingerprint}\n{caption}\n".encode() + blob, digest_size=16).digest()

@@ -1,4 +1,4 @@
-"""What a text encoder is to the rest of the package."""
+"""The interface of text encoders."""
 
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
@@ -8,8 +8,8 @@ from jaxtyping import Array, Float
 
 @runtime_checkable
 class TextEncoder(Protocol):
-    """Turns captions into embeddings; the trained caption encoder and CLIP both are one."""
+    """A function from captions to embeddings, such as the trained caption encoder or CLIP."""
 
     def __call__(self, captions: Sequence[str]) -> Float[Array, "B E"]:
-        """Returns one embedding a caption."""
+        """Returns one embedding per caption."""
         ...

@@ -1,7 +1,7 @@
-"""The fifteen classes of words that the evaluator tells apart (Guo et al. 2022)."""
+"""The fifteen word classes of the evaluator (Guo et al. 2022)."""
 
 TAGS = ("VERB", "NOUN", "DET", "ADP", "NUM", "AUX", "PRON", "ADJ", "ADV")
-"""The tags of a caption file that are a class of their own."""
+"""Tags of caption files that have a class of their own."""
 
 _SPECIAL_WORDS = {
     "Loc_VIP": """
@@ -22,7 +22,7 @@ _SPECIAL_WORDS = {
     """,
 }
 SPECIAL_WORDS = {name: tuple(words.split()) for name, words in _SPECIAL_WORDS.items()}
-"""Words that matter for motion (place, body, thing, action, manner): their class goes before their tag."""
+"""Words that matter for motion (location, body, object, action, manner). Their class counts more than their tag."""
 
 PARTS_OF_SPEECH = (*TAGS, *SPECIAL_WORDS, "OTHER")
 """All classes, in the order of their numbers."""
@@ -34,8 +34,5 @@ _CLASS_OF_TAG = {tag: number for number, tag in enumerate(TAGS)}
 
 
 def part_of_speech(word: str, tag: str) -> int:
-    """Returns the class of a word that the vocabulary knows: by the word where it is special, else by its tag.
-
-    A tag that is none of the nine, or none at all, is class OTHER.
-    """
+    """Returns the class number of a word: the class of the word if it is special, else that of its tag, else OTHER."""
     return _CLASS_OF_WORD.get(word, _CLASS_OF_TAG.get(tag, OTHER))

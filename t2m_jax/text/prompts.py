@@ -1,11 +1,11 @@
-"""Checks of what a user typed."""
+"""Checks of the captions that users type."""
 
 import unicodedata
 
 from t2m_jax.errors import UserError
 
 MAX_PROMPT_LENGTH = 1000
-"""Characters; far beyond any caption of the field's data sets."""
+"""Characters. The captions of the published data sets are far shorter."""
 
 _REFUSED_CATEGORIES = {
     "Cc": "a control character",
@@ -19,11 +19,11 @@ _REFUSED_CATEGORIES = {
 
 
 def check_prompt(prompt: str) -> str:
-    """Returns the prompt with its white space folded.
+    """Returns the prompt, with each run of white space replaced by one space.
 
     Raises:
-        UserError: if it is empty, longer than `MAX_PROMPT_LENGTH`, or holds characters no caption has (control
-            characters, emoji and other symbols).
+        UserError: The prompt has no words, is longer than `MAX_PROMPT_LENGTH`, or contains characters that captions
+            never have (control characters, emoji and other symbols).
     """
     if len(prompt) > MAX_PROMPT_LENGTH:
         raise UserError(f"prompt: {len(prompt):,} characters; describe the motion in at most {MAX_PROMPT_LENGTH:,}")

@@ -1,4 +1,4 @@
-"""Captions as the evaluator reads them: numbers of words, classes of words, and vectors for the words."""
+"""Captions as the evaluator reads them: word numbers, parts of speech and word vectors."""
 
 import logging
 import re
@@ -6,55 +6,52 @@ import zlib
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from tokenize import TokenError
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from t2m_jax.errors import UserError
+from t2m_jax.files import load_array, load_text, save_text
 from t2m_jax.text.parts_of_speech import OTHER, part_of_speech
 
 logger = logging.getLogger(__name__)
 
 START, END, UNKNOWN = "sos", "eos", "unk"
 MAX_WORDS = 20
-"""Words of a caption that are read; what stands behind is cut."""
+"""Words of a caption that are read; the rest is cut."""
 MIN_COUNT = 3
-"""How often training captions must use a word, unless said otherwise, for an own vocabulary to have it."""
+"""Default number of uses in training captions that a word needs to be in the vocabulary."""
 TEXT_LENGTH = MAX_WORDS + 2
-"""Words in an array: start, caption, end."""
-
-_DAMAGED = (OSError, ValueError, EOFError, TokenError, SyntaxError, TypeError, OverflowError, MemoryError)
-"""What NumPy raises on damaged files: it believes their headers, and reads those as Python."""
+"""Width of an array of words: start, caption, end."""
 
 
 class WordIds(NamedTuple):
-    """One caption, or with an axis in front many."""
+    """One caption, or several with a leading axis."""
 
     words: Int[Array | np.ndarray, "*batch S"]
     parts_of_speech: Int[Array | np.ndarray, "*batch S"]
     length: Int[Array | np.ndarray, "*batch"]
-    """Words, start and end counted, padding not."""
+    """Number of words, with start and end but without padding."""
 
 
 class Vocabulary:
-    """The words an evaluator knows, each with its number; `sos`, `eos` and `unk` are among them."""
+    """The words that an evaluator knows, in the order of their numbers. Must contain `sos`, `eos` and `unk`."""
 
     def __init__(self, words: Sequence[str]):
-        """Takes the words in the order of their numbers.
+        """Numbers the words in the given order.
 
         Raises:
-            UserError: a word stands twice, or one of the three marks is missing.
+            UserError: A word appears twice, or one of the three marks is missing.
         """
         self.words = tuple(words)
         self._number = {word: number for number, word in enumerate(self.words)}
         if len(self._number) < len(self.words):
             twice = Counter(self.words).most_common(1)[0][0]
-            raise UserError(f"vocabulary: '{twice}' stands in it twice; keep one")
+            raise UserError(f"vocabulary: '{twice}' appears twice; remove one")
         for mark in (START, END, UNKNOWN):
             if mark not in self._number:
-                raise UserError(f"vocabulary: '{mark}' is missing; every vocabulary has {START}, {END} and {UNKNOWN}")
+                raise UserError(f"vocabulary: '{mark}' is missing; add {START}, {END} and {UNKNOWN}")
 
     def __len__(self) -> int:
         return len(self.words)
@@ -63,13 +60,13 @@ class Vocabulary:
         return word in self._number
 
     def vectorize(self, tokens: Sequence[str]) -> WordIds:
-        """Returns a caption of `word/TAG` tokens as numbers, padded to the length of all captions.
+        """Returns the word numbers of a caption of `word/TAG` tokens, padded to `TEXT_LENGTH`.
 
-        Words are matched as they are spelled. One that is not known becomes `unk` of class OTHER, whatever its tag; a
-        known one without a proper tag is of class OTHER unless it is special. Behind the 20th word all are cut, and a
-        caption may have none.
+        Words are compared as they are spelled. An unknown word becomes `unk` of class OTHER, whatever its tag is. A
+        known word without a known tag gets class OTHER, unless the word has a class of its own. Only the first
+        `MAX_WORDS` tokens are read. A caption may be empty.
         """
-        kept = [_word_and_tag(token) for token in tokens[:MAX_WORDS]]
+        kept = [token.partition("/")[::2] for token in tokens[:MAX_WORDS]]
         sentence = [(START, ""), *kept, (END, "")]
         padded = sentence + [(UNKNOWN, "")] * (TEXT_LENGTH - len(sentence))
         words, classes = np.full(TEXT_LENGTH, self._number[UNKNOWN], np.int32), np.full(TEXT_LENGTH, OTHER, np.int32)
@@ -79,52 +76,41 @@ class Vocabulary:
         return WordIds(words, classes, np.array(len(sentence), np.int32))
 
     def vectorize_all(self, captions: Iterable[Sequence[str]]) -> WordIds:
-        """Returns captions of tokens as rows of numbers.
+        """Returns the word numbers of several captions, one row each.
 
         Raises:
-            ValueError: there are none.
+            ValueError: There are no captions.
         """
         rows = [self.vectorize(tokens) for tokens in captions]
         return WordIds(*(np.stack(column) for column in zip(*rows, strict=True)))
 
 
-def _word_and_tag(token: str) -> tuple[str, str]:
-    """Returns both halves of `word/TAG`; a token of another form has no tag that is one."""
-    word, _, tag = token.partition("/")
-    return word, tag
-
-
 def tokens_from_text(text: str) -> tuple[str, ...]:
-    """Returns the words of a caption in lower case, without tags: what stands in for tokens where a file has none."""
+    """Returns the words of a caption in lower case, without tags. They replace the tokens of a caption without any."""
     return tuple(re.findall(r"[^\W\d_]+", text.lower()))
 
 
 def vocabulary_from_captions(captions: Iterable[Sequence[str]], *, min_count: int) -> Vocabulary:
-    """Returns the words that captions (of tokens) use at least `min_count` times, behind `sos`, `eos` and `unk`.
+    """Returns `sos`, `eos`, `unk` and then the words that captions (of tokens) use at least `min_count` times.
 
-    Frequent words come first, equally frequent ones in the order of the alphabet.
+    Words are sorted by decreasing frequency. Equally frequent words are in alphabetical order.
     """
-    counts = Counter(_word_and_tag(token)[0] for tokens in captions for token in tokens)
+    counts = Counter(token.partition("/")[0] for tokens in captions for token in tokens)
     known = [word for word, count in counts.items() if count >= min_count and word.isalpha()]
     ordered = sorted(known, key=lambda word: (-counts[word], word))
     return Vocabulary((START, END, UNKNOWN, *(word for word in ordered if word not in (START, END, UNKNOWN))))
 
 
 def load_vocabulary(path: Path) -> Vocabulary:
-    """Returns the vocabulary of a text file with one word a line; the line is the word's number.
+    """Returns the vocabulary of a text file with one word per line. The number of a word is the line's, from 0.
 
     Raises:
-        UserError: the file is missing, is no UTF-8, has an empty line, or lacks one of the three marks.
+        UserError: The file cannot be read, has an empty line, or lacks one of the three marks.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except UnicodeDecodeError as error:
-        raise UserError(f"{path}: is not UTF-8 text; a vocabulary has one word a line") from error
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror}); a vocabulary has one word a line") from error
+    lines = load_text(path).splitlines()
     for number, line in enumerate(lines, start=1):
         if not line or line != line.strip():
-            raise UserError(f"{path}:{number}: no word, or blanks around it; a vocabulary has one word a line")
+            raise UserError(f"{path}:{number}: empty, or with spaces around the word; write one word per line")
     try:
         return Vocabulary(lines)
     except UserError as error:
@@ -132,18 +118,18 @@ def load_vocabulary(path: Path) -> Vocabulary:
 
 
 def save_vocabulary(path: Path, vocabulary: Vocabulary) -> None:
-    """Writes one word a line."""
-    path.write_text("".join(f"{word}\n" for word in vocabulary.words), encoding="utf-8", newline="\n")
+    """Writes one word per line."""
+    save_text(path, "".join(f"{word}\n" for word in vocabulary.words))
 
 
 def load_word_vectors(path: Path, words: Sequence[str]) -> Float[np.ndarray, "W X"]:
-    """Returns one vector a word, from a table (`.npy`, a row a word) or a GloVe file (`word v1 v2 ...` a line).
+    """Returns one vector per word, from a table (`.npy`, one row per word) or a GloVe text file.
 
-    A word that the GloVe file has not gets numbers drawn by its spelling, as wide as those of the words it has; how
-    many there are is logged.
+    A GloVe file has lines `word v1 v2 ...`. Words that are not in it get random vectors, seeded by their spelling and
+    with the standard deviation of the others. Their number is logged.
 
     Raises:
-        UserError: the file cannot be read, is damaged, has another number of rows, or knows none of the words.
+        UserError: The file cannot be read, is damaged, has another number of rows, or contains none of the words.
     """
     if path.suffix == ".npy":
         table = load_vector_table(path)
@@ -165,26 +151,24 @@ def load_word_vectors(path: Path, words: Sequence[str]) -> Float[np.ndarray, "W 
 
 
 def load_vector_table(path: Path) -> Float[np.ndarray, "W X"]:
-    """Returns a table of word vectors from a `.npy` file, one row a word.
+    """Returns a table of word vectors from a `.npy` file, one row per word.
 
     Raises:
-        UserError: the file cannot be read, or is no table of finite numbers.
+        UserError: The file cannot be read, or does not contain a table of finite numbers.
     """
-    try:
-        table = np.load(path)
-    except _DAMAGED as error:
-        raise UserError(f"{path}: cannot be read as a NumPy array of word vectors") from error
-    if not isinstance(table, np.ndarray) or table.ndim != 2 or table.dtype.kind != "f" or not table.size:
-        raise UserError(f"{path}: expected a table of floating-point numbers, one row a word")
+    table = load_array(path)
+    if table.ndim != 2 or not table.size:
+        raise UserError(f"{path}: has shape {list(table.shape)}; give a table with one row per word")
     if not np.isfinite(table).all():
         raise UserError(f"{path}: has values that are not finite")
     return table.astype(np.float32)
 
 
 def _glove_vectors(path: Path, words: frozenset[str]) -> dict[str, Float[np.ndarray, " X"]]:
-    """Returns the vectors of those of some words that a GloVe file has."""
+    """Returns the vectors of the given words, without those that the GloVe file does not have."""
     found: dict[str, np.ndarray] = {}
-    width = 0
+    width = number = 0
+    # The published files have gigabytes, so they are read line by line and only the given words are kept.
     try:
         with path.open(encoding="utf-8") as file:
             for number, line in enumerate(file, start=1):
@@ -194,14 +178,14 @@ def _glove_vectors(path: Path, words: frozenset[str]) -> dict[str, Float[np.ndar
                 vector = np.array(rest.split(), np.float32)
                 width = width or len(vector)
                 if len(vector) != width or not width or not np.isfinite(vector).all():
-                    raise UserError(f"{path}:{number}: not a word and {width or 'some'} finite numbers")
+                    raise UserError(f"{path}:{number}: expected a word and {width or 'some'} finite numbers")
                 found[word] = vector
+    except UserError:  # a ValueError, too
+        raise
     except OSError as error:
         raise UserError(f"{path}: cannot be read ({error.strerror})") from error
     except UnicodeDecodeError as error:
         raise UserError(f"{path}: is not UTF-8 text; give a GloVe text file") from error
     except ValueError as error:
-        if isinstance(error, UserError):
-            raise
-        raise UserError(f"{path}:{number}: not a word and numbers behind it; give a GloVe text file") from error
+        raise UserError(f"{path}:{number}: expected a word and numbers; give a GloVe text file") from error
     return found

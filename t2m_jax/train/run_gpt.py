@@ -23,7 +23,7 @@ from t2m_jax.evaluation.sources import make_generation
 from t2m_jax.evaluation.task import Subject
 from t2m_jax.sampling.clip_text_encoder import ClipTextEncoder
 from t2m_jax.sampling.strategies import Greedy, Temperature
-from t2m_jax.text.bpe import load_tokenizer, save_tokenizer, tokenize, train_tokenizer
+from t2m_jax.text.bpe import load_bpe, save_bpe, tokenize_captions, train_bpe
 from t2m_jax.text.embedding_cache import EmbeddingCache
 from t2m_jax.train.config import TrainGptConfig, computation
 from t2m_jax.train.evaluation import make_evaluation, open_evaluation
@@ -110,7 +110,7 @@ def make_caption_reader(config: TrainGptConfig, tokenizer: Tokenizer | None) -> 
     """
     if tokenizer is not None:
         max_length = config.caption_encoder.max_length
-        return CaptionReader(lambda captions: tokenize(tokenizer, captions, max_length=max_length), tokenizer)
+        return CaptionReader(lambda captions: tokenize_captions(tokenizer, captions, max_length=max_length), tokenizer)
     clip = load_clip(config.clip, text_dim=config.model.text_dim)
     return CaptionReader(ClipTextEncoder(clip, cache=EmbeddingCache()), None)
 
@@ -120,9 +120,9 @@ def _tokenizer(config: TrainGptConfig, motions: Sequence[CodedMotion], *, resume
     if config.text_encoder == "clip":
         return None
     if resume:
-        return load_tokenizer(config.run)
+        return load_bpe(config.run)
     captions = [caption.text for motion in motions for caption in motion.captions]
-    return train_tokenizer(captions, vocabulary_size=config.caption_encoder.vocabulary_size)
+    return train_bpe(captions, vocabulary_size=config.caption_encoder.vocabulary_size)
 
 
 def _bundle_config(config: TrainGptConfig, vqvae: TrainedVqVae, dataset: Dataset) -> BundleConfig:
@@ -139,7 +139,7 @@ def _bundle_config(config: TrainGptConfig, vqvae: TrainedVqVae, dataset: Dataset
 def _write_run(config: TrainGptConfig, bundle: Bundle, vqvae: TrainedVqVae) -> None:
     save_vqvae_copy(config.run, vqvae)
     if bundle.tokenizer is not None:
-        save_tokenizer(config.run, bundle.tokenizer)
+        save_bpe(config.run, bundle.tokenizer)
     save_config(config.run / BUNDLE_FILE, bundle.config)
     create_run(config.run, "gpt", config)
 

@@ -22,7 +22,7 @@ from t2m_jax.config import load_config
 from t2m_jax.errors import UserError
 from t2m_jax.files import load_arrays
 from t2m_jax.motion.normalizer import load_normalizer
-from t2m_jax.text.bpe import load_tokenizer
+from t2m_jax.text.bpe import load_bpe
 from tests.tiny import BUNDLE, random_bundle
 
 MEAN, TOKENIZER = "Mean.npy", "tokenizer.json"
@@ -49,7 +49,7 @@ def loaders():
         CONFIG_FILE: lambda folder: load_config(folder / CONFIG_FILE, BundleConfig),
         WEIGHTS_FILE: lambda folder: load_arrays(folder / WEIGHTS_FILE, expected),
         MEAN: load_normalizer,
-        TOKENIZER: load_tokenizer,
+        TOKENIZER: load_bpe,
     }
 
 
@@ -203,4 +203,4 @@ def test_headers_of_weights(copy, loaders, content):
 def test_tokenizers_that_are_none(copy, content):
     (copy / TOKENIZER).write_bytes(content)
     with pytest.raises(UserError, match=TOKENIZER):
-        load_tokenizer(copy)
+        load_bpe(copy)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.text.clip_bpe import END, START, clip_tokens, load_clip_tokenizer
+from t2m_jax.text.clip_bpe import END, START, clip_tokens, load_clip_bpe
 from tests.clip_golden import CAPTIONS, FULL, ONE_FILE, TEXT_ONLY, TWO_FILES, golden
 
 MAX_LENGTH = 77
@@ -21,19 +21,19 @@ def copy_tokenizer(names, folder):
 
 def refused(folder) -> str:
     with pytest.raises(UserError) as caught:
-        load_clip_tokenizer(folder)
+        load_clip_bpe(folder)
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
 
 @pytest.fixture(scope="module")
 def tokenizer():
-    return load_clip_tokenizer(FULL)
+    return load_clip_bpe(FULL)
 
 
 @pytest.mark.parametrize("names", [ONE_FILE, TWO_FILES])
 def test_the_tokens_are_those_of_the_reference(names, tmp_path):
-    tokenizer = load_clip_tokenizer(copy_tokenizer(names, tmp_path))
+    tokenizer = load_clip_bpe(copy_tokenizer(names, tmp_path))
     tokens = clip_tokens(tokenizer, CAPTIONS, max_length=MAX_LENGTH)
     assert tokens.dtype == np.int32
     assert len(CAPTIONS) == 64
@@ -41,7 +41,7 @@ def test_the_tokens_are_those_of_the_reference(names, tmp_path):
 
 
 def test_added_tokens_are_those_of_the_reference():
-    tokens = clip_tokens(load_clip_tokenizer(TEXT_ONLY), CAPTIONS, max_length=MAX_LENGTH)
+    tokens = clip_tokens(load_clip_bpe(TEXT_ONLY), CAPTIONS, max_length=MAX_LENGTH)
     np.testing.assert_array_equal(tokens, golden(TEXT_ONLY, "tokens"))
     assert tokens.max() > golden(FULL, "tokens").max()
 
@@ -90,7 +90,7 @@ def test_cutting_and_filling_that_a_file_asks_for_are_left_out(tokenizer, tmp_pa
         "pad_token": "!",
     }
     (tmp_path / "tokenizer.json").write_text(json.dumps(data))
-    tokens = clip_tokens(load_clip_tokenizer(tmp_path), CAPTIONS, max_length=MAX_LENGTH)
+    tokens = clip_tokens(load_clip_bpe(tmp_path), CAPTIONS, max_length=MAX_LENGTH)
     np.testing.assert_array_equal(tokens, golden(FULL, "tokens"))
 
 
@@ -106,16 +106,16 @@ def test_a_folder_without_a_tokenizer_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "reason"),
     [
-        ("vocab.json", "{", "not a JSON file"),
-        ("vocab.json", "[" * 100_000, "not a JSON file"),
+        ("vocab.json", "{", "cannot be read as JSON"),
+        ("vocab.json", "[" * 100_000, "cannot be read as JSON"),
         ("vocab.json", "[1, 2]", "not a vocabulary"),
         ("vocab.json", '{"a": 0, "b": 0}', "not a vocabulary"),
         ("vocab.json", '{"a": 0, "b": 7}', "not a vocabulary"),
         ("vocab.json", '{"a": "0"}', "not a vocabulary"),
         ("vocab.json", "{}", "does not fit vocab.json"),
-        ("merges.txt", "#version: 0.2\na b\na b c\n", ":3: expected two pieces"),
+        ("merges.txt", "#version: 0.2\na b\na b c\n", ":3: expected two tokens"),
         ("merges.txt", "#version: 0.2\n人 人\n", "does not fit vocab.json"),
-        ("merges.txt", b"\xff\xfe\x00", "not a text file"),
+        ("merges.txt", b"\xff\xfe\x00", "is not UTF-8 text"),
     ],
 )
 def test_older_files_that_are_damaged_are_named(name, content, reason, tmp_path):

@@ -112,7 +112,7 @@ def test_a_damaged_row_is_not_handed_out(change, cache, caplog):
     wanted = embeddings()
     del wanted[CAPTIONS[1]]
     assert_same(found, wanted)
-    assert "made anew" in caplog.text
+    assert "computed again" in caplog.text
 
 
 def test_any_damage_gives_right_embeddings_or_none(cache):

@@ -8,26 +8,26 @@ from t2m_jax.text.bpe import (
     PAD,
     TOKENIZER_FILE,
     UNKNOWN,
-    load_tokenizer,
-    save_tokenizer,
-    tokenize,
-    train_tokenizer,
+    load_bpe,
+    save_bpe,
+    tokenize_captions,
+    train_bpe,
 )
 from tests.tiny import CAPTIONS
 
 
 @pytest.fixture(scope="module")
 def tokenizer():
-    return train_tokenizer(CAPTIONS, vocabulary_size=60)
+    return train_bpe(CAPTIONS, vocabulary_size=60)
 
 
 def words(tokenizer, caption: str) -> list[str]:
-    found = tokenize(tokenizer, [caption], max_length=40)
+    found = tokenize_captions(tokenizer, [caption], max_length=40)
     return [tokenizer.id_to_token(token) for token in found.tokens[0][found.mask[0]]]
 
 
 def test_the_same_captions_make_the_same_tokenizer(tokenizer):
-    again = train_tokenizer(iter(CAPTIONS), vocabulary_size=60)
+    again = train_bpe(iter(CAPTIONS), vocabulary_size=60)
     assert again.to_str() == tokenizer.to_str()
     assert tokenizer.get_vocab_size() == 60
     assert tokenizer.token_to_id(PAD) == 0
@@ -48,7 +48,7 @@ def test_letters_never_seen_are_unknown_and_shift_nothing(tokenizer):
 
 
 def test_padding_is_token_0_and_masked(tokenizer):
-    tokens, mask = tokenize(tokenizer, ["a person", "a person walks forward"], max_length=12)
+    tokens, mask = tokenize_captions(tokenizer, ["a person", "a person walks forward"], max_length=12)
     assert tokens.shape == mask.shape == (2, 12)
     assert tokens.dtype == np.int32
     for row, row_mask in zip(tokens, mask, strict=True):
@@ -61,27 +61,28 @@ def test_padding_is_token_0_and_masked(tokenizer):
 
 def test_long_captions_keep_their_beginning(tokenizer):
     long = "a person walks forward and turns left"
-    whole = tokenize(tokenizer, [long], max_length=40)
+    whole = tokenize_captions(tokenizer, [long], max_length=40)
     assert whole.mask.sum() > 4
-    cut = tokenize(tokenizer, [long], max_length=4)
+    cut = tokenize_captions(tokenizer, [long], max_length=4)
     np.testing.assert_array_equal(cut.tokens[0], whole.tokens[0, :4])
     assert cut.mask.all()
 
 
 def test_a_caption_does_not_depend_on_its_neighbours(tokenizer):
-    together = tokenize(tokenizer, CAPTIONS, max_length=16)
+    together = tokenize_captions(tokenizer, CAPTIONS, max_length=16)
     for row, caption in enumerate(CAPTIONS):
-        alone = tokenize(tokenizer, [caption], max_length=16)
+        alone = tokenize_captions(tokenizer, [caption], max_length=16)
         np.testing.assert_array_equal(together.tokens[row], alone.tokens[0])
         np.testing.assert_array_equal(together.mask[row], alone.mask[0])
 
 
 def test_files_give_back_the_same_tokens(tokenizer, tmp_path):
-    save_tokenizer(tmp_path, tokenizer)
-    loaded = load_tokenizer(tmp_path)
+    save_bpe(tmp_path, tokenizer)
+    loaded = load_bpe(tmp_path)
     captions = [*CAPTIONS, "a 人 QUIZ"]
     np.testing.assert_array_equal(
-        tokenize(loaded, captions, max_length=16).tokens, tokenize(tokenizer, captions, max_length=16).tokens
+        tokenize_captions(loaded, captions, max_length=16).tokens,
+        tokenize_captions(tokenizer, captions, max_length=16).tokens,
     )
 
 
@@ -93,7 +94,7 @@ def test_files_that_are_no_tokenizer_are_named(content, tmp_path):
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(UserError) as caught:
-        load_tokenizer(tmp_path)
+        load_bpe(tmp_path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -101,4 +102,4 @@ def test_files_that_are_no_tokenizer_are_named(content, tmp_path):
 def test_a_tokenizer_file_that_is_a_folder_is_named(tmp_path):
     (tmp_path / TOKENIZER_FILE).mkdir()
     with pytest.raises(UserError, match=TOKENIZER_FILE):
-        load_tokenizer(tmp_path)
+        load_bpe(tmp_path)

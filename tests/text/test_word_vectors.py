@@ -121,13 +121,13 @@ def test_a_vocabulary_is_kept_in_a_file(tmp_path):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"sos\neos\nunk\na\na\n", "'a' stands in it twice"),
+        (b"sos\neos\nunk\na\na\n", "'a' appears twice"),
         (b"sos\neos\n", "'unk' is missing"),
         (b"", "'sos' is missing"),
-        (b"sos\neos\n\nunk\n", ":3: no word"),
-        (b"sos\neos\n unk\n", ":3: no word, or blanks"),
+        (b"sos\neos\n\nunk\n", ":3: empty"),
+        (b"sos\neos\n unk\n", ":3: empty, or with spaces"),
         (b"\xff\xfe", "not UTF-8"),
-        (None, "cannot be read"),
+        (None, "no such file"),
     ],
 )
 def test_a_broken_vocabulary_is_refused(tmp_path, content, said):
@@ -160,10 +160,10 @@ def test_vectors_of_a_table(tmp_path):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ("a 1 2\nb 1\n", ":2: not a word and 2 finite numbers"),
-        ("a\n", ":1: not a word and some finite numbers"),
-        ("a 1 nan\n", ":1: not a word and 2 finite"),
-        ("a 1 x\n", ":1: not a word and numbers"),
+        ("a 1 2\nb 1\n", ":2: expected a word and 2 finite numbers"),
+        ("a\n", ":1: expected a word and some finite numbers"),
+        ("a 1 nan\n", ":1: expected a word and 2 finite"),
+        ("a 1 x\n", ":1: expected a word and numbers"),
         ("c 1 2\n", "has none of the 2 words"),
         (None, "cannot be read"),
     ],
@@ -182,5 +182,5 @@ def test_a_table_that_is_none_is_refused(tmp_path, table):
     np.save(tmp_path / "table.npy", table)
     with pytest.raises(UserError, match=r"table\.npy: "):
         load_vector_table(tmp_path / "table.npy")
-    with pytest.raises(UserError, match=r"missing\.npy: cannot be read"):
+    with pytest.raises(UserError, match=r"missing\.npy: there is no such file"):
         load_vector_table(tmp_path / "missing.npy")

@@ -16,7 +16,7 @@ from t2m_jax.data.folder import Clip, DatasetInfo
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
 from t2m_jax.motion.normalizer import Normalizer
-from t2m_jax.text.bpe import tokenize, train_tokenizer
+from t2m_jax.text.bpe import tokenize_captions, train_bpe
 from t2m_jax.train import tokenize as train_tokenize
 from t2m_jax.train.run_gpt import make_batch
 from t2m_jax.train.tokenize import coded_motions, make_code_bank
@@ -116,8 +116,8 @@ def test_no_motion_is_one_line(first_frames, vqvae):
 def test_the_bank_holds_codes_at_every_offset_and_all_captions(first_frames, vqvae):
     clips = [clip("a", 12, *map(Caption, CAPTIONS[:2])), clip("b", 23, *map(Caption, CAPTIONS[2:]))]
     motions = coded(vqvae, clips, info=DatasetInfo(name="fake"))
-    tokenizer = train_tokenizer(CAPTIONS, vocabulary_size=90)
-    bank = make_code_bank(motions, lambda captions: tokenize(tokenizer, captions, max_length=16))
+    tokenizer = train_bpe(CAPTIONS, vocabulary_size=90)
+    bank = make_code_bank(motions, lambda captions: tokenize_captions(tokenizer, captions, max_length=16))
     assert bank.codes.shape == (2, 4, 5)
     for number, one in enumerate(clips):
         for offset in range(4):
@@ -126,7 +126,7 @@ def test_the_bank_holds_codes_at_every_offset_and_all_captions(first_frames, vqv
             np.testing.assert_array_equal(bank.codes[number, offset, :length], offset + 4 * np.arange(length))
             np.testing.assert_array_equal(bank.codes[number, offset, length:], 0)
         own = slice(int(bank.first_caption[number]), int(bank.first_caption[number] + bank.num_captions[number]))
-        expected = tokenize(tokenizer, [caption.text for caption in one.captions], max_length=16).tokens
+        expected = tokenize_captions(tokenizer, [caption.text for caption in one.captions], max_length=16).tokens
         np.testing.assert_array_equal(bank.captions.tokens[own], expected)
     assert len(bank.captions.tokens) == len(CAPTIONS)
 
