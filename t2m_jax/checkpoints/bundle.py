@@ -104,9 +104,7 @@ class _BundleConfig1:
         """Returns the same parts in the format of today."""
         uses_clip = self.text_encoder == ClipReference.kind
         text_encoder = ClipReference(name=self.clip) if uses_clip else self.caption_encoder
-        return BundleConfig(
-            skeleton=self.skeleton, tokenizer=self.vqvae, generator=self.gpt, text_encoder=text_encoder
-        )
+        return BundleConfig(skeleton=self.skeleton, tokenizer=self.vqvae, generator=self.gpt, text_encoder=text_encoder)
 
 
 class Bundle(NamedTuple):

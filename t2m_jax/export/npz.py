@@ -26,7 +26,7 @@ def save_npz(path: pathlib.Path, motions: Sequence[Motion]) -> None:
     entries: dict[str, Any] = {
         "positions": motion.positions,
         "features": motion.features,
-        "codes": motion.codes,
+        "codes": _flat_codes(motion.codes),
         "fps": motion.fps,
         "caption": motion.caption,
         "seed": motion.seed,
@@ -60,7 +60,7 @@ def load_npz(path: str | pathlib.Path) -> Motion:
             fps=float(_numbers(path, "fps", entries["fps"], "fiu", 0)),
             skeleton=skeleton_from_name(skeleton),
             features=None if features is None else _numbers(path, "features", features, "f", 2),
-            codes=None if codes is None else _numbers(path, "codes", codes, "iu", codes.ndim),
+            codes=None if codes is None else _numbers(path, "codes", codes, "iu", codes.ndim).reshape(len(codes), -1),
             caption=_text(path, "caption", entries["caption"]) if "caption" in entries else "",
             seed=int(_numbers(path, "seed", entries["seed"], "iu", 0)) if "seed" in entries else None,
         )
@@ -68,6 +68,11 @@ def load_npz(path: str | pathlib.Path) -> Motion:
         if str(error).startswith(str(path)):
             raise
         raise UserError(f"{path}: {error}") from error
+
+
+def _flat_codes(codes: np.ndarray | None) -> np.ndarray | None:
+    """Returns codes [N, R] without the axis of the one code per row, as other programs expect them."""
+    return codes[:, 0] if codes is not None and codes.ndim == 2 and codes.shape[1] == 1 else codes
 
 
 def _read_entries(path: pathlib.Path) -> dict[str, np.ndarray]:

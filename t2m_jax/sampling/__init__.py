@@ -1,6 +1,33 @@
 """From text to motion."""
 
-from t2m_jax.sampling.pipeline import TextToMotion
+from t2m_jax.sampling.codec import encode_motions
+from t2m_jax.sampling.compilation import use_compilation_cache
+from t2m_jax.sampling.decoding import SampledCodes, Sampling, sample_codes
+from t2m_jax.sampling.pipeline import TextToMotion, sample_key
+from t2m_jax.sampling.stopping import StopAtEnd, StopAtHighest, StopAtThreshold, StopRule, make_stop_rule
 from t2m_jax.sampling.strategies import Greedy, Strategy, Temperature, TopK, TopP, make_strategy
+from t2m_jax.sampling.text_encoders import CaptionTextEncoder, ClipTextEncoder, make_text_encoder
 
-__all__ = ["Greedy", "Strategy", "Temperature", "TextToMotion", "TopK", "TopP", "make_strategy"]
+__all__ = [
+    "CaptionTextEncoder",
+    "ClipTextEncoder",
+    "Greedy",
+    "SampledCodes",
+    "Sampling",
+    "StopAtEnd",
+    "StopAtHighest",
+    "StopAtThreshold",
+    "StopRule",
+    "Strategy",
+    "Temperature",
+    "TextToMotion",
+    "TopK",
+    "TopP",
+    "encode_motions",
+    "make_stop_rule",
+    "make_strategy",
+    "make_text_encoder",
+    "sample_codes",
+    "sample_key",
+    "use_compilation_cache",
+]

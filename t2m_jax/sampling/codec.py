@@ -1,4 +1,4 @@
-"""Motions as codes: whole lists through a VQ-VAE's encoder, batched by length."""
+"""The jitted programs of a system: motion to codes, codes to motion, and text to codes."""
 
 import functools
 from collections.abc import Sequence
@@ -7,44 +7,93 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Key
 from tqdm import tqdm
 
-from t2m_jax.checkpoints.vqvae import TrainedVqVae
+from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.masks import mask_from_lengths
-from t2m_jax.models.vqvae import VqVae
+from t2m_jax.motion.features import positions_from_features
+from t2m_jax.motion.normalizer import Normalizer
+from t2m_jax.motion.skeleton import Skeleton
+from t2m_jax.sampling.batches import pad_motions, round_up
+from t2m_jax.sampling.decoding import GeneratorFunctions, SampledCodes, Sampling, sample_codes
 
 BATCH = 64
+"""Motions that are encoded together."""
 FRAME_BUCKET = 64
-"""Motions are padded to a multiple of this many frames, so that few lengths are compiled."""
+"""Batches of motion are padded to a multiple of this many frames."""
 
 
-@functools.partial(jax.jit, static_argnames="vqvae")
+@functools.partial(jax.jit, static_argnames="tokenizer")
 def encode_batch(
-    variables: Any, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"], *, vqvae: VqVae
-) -> Int[Array, "B N"]:
-    """Returns the codes of a batch of normalized motions, 0 past their ends."""
-    return vqvae.apply(variables, motion, mask, method="encode")
+    variables: Any, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"], *, tokenizer: Any
+) -> Int[Array, "B N R"]:
+    """Returns the codes of normalized motions, 0 after their ends; `tokenizer` is the module."""
+    return tokenizer.apply(variables, motion, mask, method="encode")
+
+
+@functools.partial(jax.jit, static_argnames="tokenizer")
+def decode_batch(
+    variables: Any,
+    normalizer: Normalizer,
+    codes: Int[Array, "B N R"],
+    code_lengths: Int[Array, " B"],
+    *,
+    tokenizer: Any,
+) -> Float[Array, "B T D"]:
+    """Returns the raw features of codes; frames after the end of a motion have no meaning."""
+    mask = mask_from_lengths(code_lengths, codes.shape[1])
+    return normalizer.denormalize(tokenizer.apply(variables, codes, mask, method="decode"))
+
+
+@functools.partial(jax.jit, static_argnames=("tokenizer", "skeleton"))
+def decode_positions(
+    variables: Any,
+    normalizer: Normalizer,
+    codes: Int[Array, "B N R"],
+    code_lengths: Int[Array, " B"],
+    *,
+    tokenizer: Any,
+    skeleton: Skeleton,
+) -> tuple[Float[Array, "B T D"], Float[Array, "B T J 3"]]:
+    """Returns the raw features of codes and the joint positions in the skeleton's unit."""
+    features = decode_batch(variables, normalizer, codes, code_lengths, tokenizer=tokenizer)
+    return features, positions_from_features(features, skeleton)
+
+
+@functools.partial(jax.jit, static_argnames=("generator", "sampling"))
+def generate_codes(
+    variables: Any,
+    text_embedding: Float[Array, "B E"],
+    keys: Key[Array, " B"],
+    guidance_scale: Float[Array, ""] | None = None,
+    *,
+    generator: Any,
+    sampling: Sampling,
+) -> SampledCodes:
+    """Returns codes for text embeddings; `generator` is the module."""
+
+    def method(name: str) -> Any:
+        return functools.partial(generator.apply, variables, method=name)
+
+    functions = GeneratorFunctions(method("begin"), method("draw"), method("step"))
+    return sample_codes(functions, text_embedding, keys, sampling=sampling, guidance_scale=guidance_scale)
 
 
 def encode_motions(
-    vqvae: TrainedVqVae, motions: Sequence[Float[np.ndarray, "_ D"]], *, progress: bool = True
-) -> list[Int[np.ndarray, " _"]]:
-    """Returns the codes of each motion (raw features), with a bar on a terminal where `progress` is wanted."""
-    codes: list[Int[np.ndarray, " _"]] = [np.zeros(0, np.int32)] * len(motions)
+    tokenizer: TrainedTokenizer, motions: Sequence[Float[np.ndarray, "_ D"]], *, progress: bool = True
+) -> list[Int[np.ndarray, "_ R"]]:
+    """Returns the codes of each motion (raw features); `progress` shows a bar on a terminal."""
+    codes: list[Int[np.ndarray, "_ R"]] = [np.zeros((0, tokenizer.config.num_quantizers), np.int32)] * len(motions)
     order = sorted(range(len(motions)), key=lambda index: len(motions[index]))
-    variables = jax.device_put(vqvae.variables)
-    hidden = None if progress else True
-    for first in tqdm(range(0, len(order), BATCH), desc="encoding", unit="batch", disable=hidden):
+    variables, downsample = jax.device_put(tokenizer.variables), tokenizer.config.downsample
+    for first in tqdm(range(0, len(order), BATCH), desc="encoding", unit="batch", disable=None if progress else True):
         chosen = order[first : first + BATCH]
-        lengths = np.zeros(BATCH, np.int32)
-        lengths[: len(chosen)] = [len(motions[index]) for index in chosen]
-        size = -(-int(lengths.max()) // FRAME_BUCKET) * FRAME_BUCKET
-        batch = np.zeros((BATCH, size, vqvae.config.feature_dim), np.float32)
+        size = round_up(len(motions[chosen[-1]]), FRAME_BUCKET)
+        normalized = [tokenizer.normalizer.normalize(motions[index]) for index in chosen]
+        batch = pad_motions(normalized, batch=BATCH, size=size)
+        mask = mask_from_lengths(jnp.asarray(batch.lengths), size)
+        found = np.asarray(encode_batch(variables, jnp.asarray(batch.motion), mask, tokenizer=tokenizer.module))
         for row, index in enumerate(chosen):
-            batch[row, : lengths[row]] = vqvae.normalizer.normalize(motions[index])
-        mask = mask_from_lengths(jnp.asarray(lengths), size)
-        found = np.asarray(encode_batch(variables, jnp.asarray(batch), mask, vqvae=VqVae(vqvae.config)))
-        for row, index in enumerate(chosen):
-            codes[index] = found[row, : lengths[row] // vqvae.config.downsample]
+            codes[index] = found[row, : batch.lengths[row] // downsample]
     return codes

@@ -1,4 +1,4 @@
-"""The cached decoding loop: one jitted program from text embedding to codes, for any model given as two functions."""
+"""The sampling loop: one jitted program from text embeddings to codes, for any generator given as three functions."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -7,98 +7,100 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from t2m_jax.sampling.stopping import StopRule
 from t2m_jax.sampling.strategies import Strategy
 
 CHUNK = 8
-"""Steps between two looks at whether every sequence has ended."""
-
-Prefill = Callable[[Float[Array, "B E"]], tuple[Float[Array, "B V"], Any]]
-DecodeStep = Callable[[Int[Array, " B"], Any, Int[Array, ""]], tuple[Float[Array, "B V"], Any]]
+"""Rows that are sampled before the loop checks whether every motion has ended."""
 
 
-class DecodedCodes(NamedTuple):
-    """What the loop returns."""
+class GeneratorFunctions(NamedTuple):
+    """The methods of a `t2m_jax.models.system.Generator` with its weights."""
 
-    codes: Int[Array, "B N"]
-    """0 past the end."""
+    begin: Callable[[Float[Array, "B E"], Any], tuple[Any, Any]]
+    draw: Callable[..., Int[Array, "B R"]]
+    step: Callable[[Any, Int[Array, "B R"]], tuple[Any, Float[Array, " B"], Any]]
+
+
+class Sampling(NamedTuple):
+    """How codes are sampled; hashable."""
+
+    strategy: Strategy
+    stop_rule: StopRule
+    max_codes: int
+    """Rows of the longest motion."""
+    min_codes: int = 0
+    """Rows of the shortest motion."""
+
+
+class SampledCodes(NamedTuple):
+    """Codes of a batch of motions."""
+
+    codes: Int[Array, "B N R"]
+    """0 after the end of a motion."""
     code_lengths: Int[Array, " B"]
+    """Rows of each motion."""
     steps: Int[Array, ""]
-    """Steps made, a multiple of `CHUNK` (or the maximum): what the batch cost."""
+    """Rows that were sampled for the batch: a multiple of `CHUNK`, or the maximum."""
 
 
-class DecodeState(NamedTuple):
-    """What one step hands to the next."""
+class LoopState(NamedTuple):
+    """What one step of the loop gives to the next."""
 
-    logits: Float[Array, "B V"]
-    caches: Any
-    code_lengths: Int[Array, " B"]
+    context: Any
+    cache: Any
     done: Bool[Array, " B"]
     step: Int[Array, ""]
 
 
-def sample_tokens(
-    strategy: Strategy, logits: Float[Array, "B V"], keys: Key[Array, " B"], step: Int[Array, ""]
-) -> Int[Array, " B"]:
-    """Returns one token a sequence, each from its own key folded with the step."""
-
-    def sample(logits: Float[Array, " V"], key: Key[Array, ""]) -> Int[Array, ""]:
-        return strategy(logits[None], jax.random.fold_in(key, step))[0]
-
-    return jax.vmap(sample)(logits, keys)
-
-
-def decode_codes(
-    prefill: Prefill,
-    decode_step: DecodeStep,
+def sample_codes(
+    generator: GeneratorFunctions,
     text_embedding: Float[Array, "B E"],
     keys: Key[Array, " B"],
     *,
-    strategy: Strategy,
-    max_codes: int,
-    min_codes: int = 0,
-) -> DecodedCodes:
-    """Returns codes until End (the last class of the logits) or until there are `max_codes`.
+    sampling: Sampling,
+    guidance_scale: Float[Array, ""] | None = None,
+) -> SampledCodes:
+    """Returns codes until the stop rule ends each motion, or until there are `sampling.max_codes` rows.
 
-    A `lax.scan` over `CHUNK` steps inside a `lax.while_loop`, so that a batch stops soon after its longest motion. A
-    sequence depends on its text and its key alone.
+    The loop is a `lax.scan` over `CHUNK` rows inside a `lax.while_loop`, so a batch ends soon after its longest motion.
+    A motion depends on its text and its key only, not on the batch.
 
     Args:
-        prefill: Text embedding to the first logits and the caches.
-        decode_step: Tokens, caches and position to the next logits and caches.
-        text_embedding: One text a sequence.
-        keys: One key a sequence [B]; consumed.
-        strategy: Chooses tokens.
-        max_codes: Longest motion, in codes.
-        min_codes: End is not allowed before this many codes.
+        generator: The model.
+        text_embedding: One text per motion.
+        keys: One key per motion [B]; consumed.
+        sampling: How to choose codes, and when to stop.
+        guidance_scale: Strength of the guidance, None for none.
     """
-    logits, caches = prefill(text_embedding)
-    batch, end_token = logits.shape[0], logits.shape[1] - 1
-    num_chunks = -(-max_codes // CHUNK)
-    codes = jnp.zeros((num_chunks, CHUNK, batch), jnp.int32)
-    state = DecodeState(logits, caches, jnp.zeros(batch, jnp.int32), jnp.zeros(batch, bool), jnp.array(0))
+    max_codes, rule = sampling.max_codes, sampling.stop_rule
+    first_end = sampling.min_codes - rule.keeps_last
 
-    def one_step(state: DecodeState, _: None) -> tuple[DecodeState, Int[Array, " B"]]:
-        too_early = (jnp.arange(end_token + 1) == end_token) & (state.step < min_codes)
-        allowed = jnp.where(too_early[None], -jnp.inf, state.logits)
-        tokens = sample_tokens(strategy, allowed, keys, state.step).astype(jnp.int32)
-        done = state.done | (tokens == end_token) | (state.step >= max_codes)
-        tokens = jnp.where(done, 0, tokens)
-        # Past the maximum the position is clamped; nothing reads what is computed there.
-        position = jnp.minimum(state.step + 1, max_codes)
-        logits, caches = decode_step(tokens, state.caches, position)
-        code_lengths = state.code_lengths + ~done
-        return DecodeState(logits, caches, code_lengths, done, state.step + 1), tokens
+    def one_row(state: LoopState, _: None) -> tuple[LoopState, tuple[Int[Array, "B R"], Float[Array, " B"]]]:
+        may_stop = state.step >= first_end
+        step_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, state.step)
+        rows = generator.draw(state.context, step_keys, sampling.strategy, may_stop=may_stop)
+        context, scores, cache = generator.step(state.cache, rows)
+        scores = jnp.where(may_stop, scores, -jnp.inf)
+        return LoopState(context, cache, state.done | rule.ends(scores), state.step + 1), (rows, scores)
 
-    def go_on(carry: tuple[DecodeState, Int[Array, "M S B"]]) -> Bool[Array, ""]:
-        state, _ = carry
-        return (state.step < max_codes) & ~jnp.all(state.done)
+    def go_on(carry: tuple[LoopState, Any]) -> Bool[Array, ""]:
+        return (carry[0].step < max_codes) & ~jnp.all(carry[0].done)
 
-    def one_chunk(carry: tuple[DecodeState, Int[Array, "M S B"]]) -> tuple[DecodeState, Int[Array, "M S B"]]:
-        state, codes = carry
+    def one_chunk(carry: tuple[LoopState, Any]) -> tuple[LoopState, Any]:
+        state, buffers = carry
         chunk = state.step // CHUNK
-        state, tokens = jax.lax.scan(one_step, state, None, length=CHUNK)
-        return state, codes.at[chunk].set(tokens)
+        state, sampled = jax.lax.scan(one_row, state, None, length=CHUNK)
+        return state, jax.tree.map(lambda buffer, values: buffer.at[chunk].set(values), buffers, sampled)
 
-    state, codes = jax.lax.while_loop(go_on, one_chunk, (state, codes))
-    codes = codes.reshape(-1, batch)[:max_codes].T
-    return DecodedCodes(codes, state.code_lengths, jnp.minimum(state.step, max_codes))
+    batch = text_embedding.shape[0]
+    context, cache = generator.begin(text_embedding, guidance_scale)
+    state = LoopState(context, cache, jnp.zeros(batch, bool), jnp.array(0, jnp.int32))
+    _, (row, _) = jax.eval_shape(one_row, state, None)
+    chunks = (-(-max_codes // CHUNK), CHUNK)
+    buffers = (jnp.zeros((*chunks, *row.shape), jnp.int32), jnp.full((*chunks, batch), -jnp.inf))
+    state, (codes, scores) = jax.lax.while_loop(go_on, one_chunk, (state, buffers))
+    codes = jnp.swapaxes(codes.reshape(-1, *row.shape)[:max_codes], 0, 1)
+    code_lengths = rule.count(scores.reshape(-1, batch)[:max_codes].T)
+    kept = jnp.arange(max_codes)[None] < code_lengths[:, None]
+    return SampledCodes(jnp.where(kept[:, :, None], codes, 0), code_lengths, jnp.minimum(state.step, max_codes))

@@ -1,0 +1,95 @@
+"""When a generated motion ends: frozen rules over the stop scores of its rows.
+
+A generator gives a stop score for every row that it reads (`Generator.step`). What the score means depends on the rule.
+"""
+
+import dataclasses
+from typing import ClassVar, Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from t2m_jax.errors import UserError
+
+
+@runtime_checkable
+class StopRule(Protocol):
+    """Finds the end of a motion. Hashable, so that it can be a static argument of a jitted function."""
+
+    keeps_last: ClassVar[bool]
+    """Whether the row that ends a motion is part of it."""
+
+    def ends(self, scores: Float[Array, "*shape"]) -> Bool[Array, "*shape"]:
+        """Returns whether sampling of a motion can end after a row with this score."""
+        ...
+
+    def count(self, scores: Float[Array, "B N"]) -> Int[Array, " B"]:
+        """Returns how many rows a motion keeps; rows that were not sampled have the score -inf."""
+        ...
+
+
+def count_before_end(ends: Bool[Array, "B N"], *, keeps_last: bool) -> Int[Array, " B"]:
+    """Returns the number of rows up to the first end, or N if there is none."""
+    return jnp.where(jnp.any(ends, axis=1), jnp.argmax(ends, axis=1) + keeps_last, ends.shape[1]).astype(jnp.int32)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class StopAtEnd:
+    """Stops at the row that is End, which is not kept; the score of End is 1, that of other rows 0 (T2M-GPT)."""
+
+    keeps_last: ClassVar[bool] = False
+
+    def ends(self, scores: Float[Array, "*shape"]) -> Bool[Array, "*shape"]:
+        """Returns whether a row is End."""
+        return scores > 0.5
+
+    def count(self, scores: Float[Array, "B N"]) -> Int[Array, " B"]:
+        """Returns the number of rows before End."""
+        return count_before_end(self.ends(scores), keeps_last=self.keeps_last)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class StopAtThreshold:
+    """Stops at the first row whose stop probability reaches a threshold; the score is a logit."""
+
+    keeps_last: ClassVar[bool] = True
+    threshold: float = 0.5
+
+    def ends(self, scores: Float[Array, "*shape"]) -> Bool[Array, "*shape"]:
+        """Returns whether the probability of a row reaches the threshold."""
+        return jax.nn.sigmoid(scores) >= self.threshold
+
+    def count(self, scores: Float[Array, "B N"]) -> Int[Array, " B"]:
+        """Returns the number of rows up to and including the first that reaches the threshold."""
+        return count_before_end(self.ends(scores), keeps_last=self.keeps_last)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class StopAtHighest:
+    """Samples the longest motion, then cuts it after the row with the highest score, the earliest if several have it."""
+
+    keeps_last: ClassVar[bool] = True
+
+    def ends(self, scores: Float[Array, "*shape"]) -> Bool[Array, "*shape"]:
+        """Returns False: later rows may have a higher score."""
+        return jnp.zeros(scores.shape, bool)
+
+    def count(self, scores: Float[Array, "B N"]) -> Int[Array, " B"]:
+        """Returns the number of rows up to and including the one with the highest score."""
+        return (jnp.argmax(scores, axis=1) + 1).astype(jnp.int32)
+
+
+STOP_RULES: dict[str, type[StopRule]] = {"end": StopAtEnd, "threshold": StopAtThreshold, "argmax": StopAtHighest}
+"""Rules by the name that a generator's config gives."""
+
+
+def make_stop_rule(name: str) -> StopRule:
+    """Returns the rule of a name.
+
+    Raises:
+        UserError: There is no such rule.
+    """
+    if name not in STOP_RULES:
+        raise UserError(f"stop_rule: {name!r} is unknown; known: {', '.join(STOP_RULES)}")
+    return STOP_RULES[name]()
