@@ -1,1 +1,33 @@
-"""Trained weights on disk: run directories, bundles, official files."""
+"""Trained weights on disk: run directories, bundles, tokenizers, evaluators."""
+
+from t2m_jax.checkpoints.best import Best, find_best
+from t2m_jax.checkpoints.bundle import Bundle, BundleConfig, ClipReference, load_bundle, save_bundle
+from t2m_jax.checkpoints.clip import TrainedClip, load_clip, save_clip
+from t2m_jax.checkpoints.evaluator import TrainedEvaluator, load_trained_evaluator, save_evaluator
+from t2m_jax.checkpoints.model import load_generator_run, load_model, load_runs
+from t2m_jax.checkpoints.run import Checkpoints, RunInfo, run_info
+from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer
+
+__all__ = [
+    "Best",
+    "Bundle",
+    "BundleConfig",
+    "Checkpoints",
+    "ClipReference",
+    "RunInfo",
+    "TrainedClip",
+    "TrainedEvaluator",
+    "TrainedTokenizer",
+    "find_best",
+    "load_bundle",
+    "load_clip",
+    "load_generator_run",
+    "load_model",
+    "load_runs",
+    "load_tokenizer",
+    "load_trained_evaluator",
+    "run_info",
+    "save_bundle",
+    "save_clip",
+    "save_evaluator",
+]
