@@ -232,7 +232,7 @@ def default_card(run: Path) -> str:
     config = (run / RUN_CONFIG_FILE).read_text(encoding="utf-8").strip()
     return (
         f"# {run.name}\n\n"
-        "A text-to-motion model trained with t2m_jax. Its makers did not say which data it was trained on, under which\n"
-        "license it is, or how good it is. Ask them before you use it or share it.\n\n"
+        "A text-to-motion model trained with t2m_jax. Its makers did not say which data it was trained on, which\n"
+        "license it has, or how good it is. Ask them before you use it or share it.\n\n"
         f"## Training config\n\n```yaml\n{config}\n```\n"
     )

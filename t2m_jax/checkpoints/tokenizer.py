@@ -15,7 +15,7 @@ from t2m_jax.checkpoints.run import is_run, run_info
 from t2m_jax.config import load_config, save_config
 from t2m_jax.errors import UserError
 from t2m_jax.files import load_arrays, save_arrays
-from t2m_jax.models.system import TokenizerConfig, find_part, find_tokenizer_config, make_module, variable_shapes
+from t2m_jax.models.system import TokenizerConfig, find_part, make_module, variable_shapes
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
 
 
@@ -32,6 +32,21 @@ class TrainedTokenizer(NamedTuple):
         return make_module(self.config)
 
 
+def load_tokenizer_config(path: str | Path) -> TokenizerConfig:
+    """Returns the sizes of a tokenizer; the arguments are those of `load_tokenizer`.
+
+    Raises:
+        UserError: There is no tokenizer, or its config is damaged.
+    """
+    path = bundle_path(path)
+    if (path / CONFIG_FILE).is_file():
+        return load_bundle_config(path).tokenizer
+    if not is_run(path):
+        raise UserError(f"{path}: neither a run nor a bundle; train a tokenizer with `t2m train vqvae` first")
+    kind = run_info(path).kind
+    return load_config(tokenizer_config_file(path, kind), find_part(kind, "tokenizer").config)
+
+
 def load_tokenizer(path: str | Path) -> TrainedTokenizer:
     """Returns the tokenizer of a bundle, of its own run, or of a generator's run.
 
@@ -40,18 +55,19 @@ def load_tokenizer(path: str | Path) -> TrainedTokenizer:
     Raises:
         UserError: There is none, or it is damaged.
     """
-    path = bundle_path(path)
+    path, config = bundle_path(path), load_tokenizer_config(path)
     if not is_run(path):
-        if not (path / CONFIG_FILE).is_file():
-            raise UserError(f"{path}: neither a run nor a bundle; train a tokenizer with `t2m train vqvae` first")
         bundle = load_bundle(path)
-        return TrainedTokenizer(bundle.config.tokenizer, bundle.variables["tokenizer"], bundle.normalizer)
-    kind = run_info(path).kind
+        return TrainedTokenizer(config, bundle.variables["tokenizer"], bundle.normalizer)
+    shapes = variable_shapes(config)
     if (path / CONFIG_FILE).is_file():
-        return _load_copy(path)
-    config: TokenizerConfig = load_config(tokenizer_config_file(path, kind), find_part(kind, "tokenizer").config)
-    variables = restore_trained(path, variable_shapes(config))
-    return _with_statistics(path, config, variables)
+        path /= config.kind
+        variables = load_arrays(path / f"{config.kind}.safetensors", shapes)
+    else:
+        variables = restore_trained(path, shapes)
+    normalizer = load_normalizer(path)
+    check_statistics_width(path, normalizer, config.feature_dim)
+    return TrainedTokenizer(config, variables, normalizer)
 
 
 def tokenizer_config_file(folder: Path, kind: str) -> Path:
@@ -71,17 +87,3 @@ def save_tokenizer_copy(run: Path, tokenizer: TrainedTokenizer) -> None:
     kind = tokenizer.config.kind
     save_tokenizer_parts(run / kind, tokenizer.config, tokenizer.normalizer)
     save_arrays(run / kind / f"{kind}.safetensors", tokenizer.variables)
-
-
-def _load_copy(run: Path) -> TrainedTokenizer:
-    kind = load_bundle_config(run).tokenizer.kind
-    folder = run / kind
-    config: TokenizerConfig = load_config(tokenizer_config_file(folder, kind), find_tokenizer_config(kind))
-    variables = load_arrays(folder / f"{kind}.safetensors", variable_shapes(config))
-    return _with_statistics(folder, config, variables)
-
-
-def _with_statistics(folder: Path, config: TokenizerConfig, variables: dict[str, Any]) -> TrainedTokenizer:
-    normalizer = load_normalizer(folder)
-    check_statistics_width(folder, normalizer, config.feature_dim)
-    return TrainedTokenizer(config, variables, normalizer)

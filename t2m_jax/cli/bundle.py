@@ -7,26 +7,26 @@ from pathlib import Path
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the options of the command."""
-    parser.add_argument("runs", nargs="+", help="run folder of a GPT; it holds its VQ-VAE already")
+    parser.add_argument("runs", nargs="+", help="run folder of a generator, which contains its tokenizer")
     parser.add_argument("destination", help="folder to write")
-    parser.add_argument("--card", default=None, metavar="FILE", help="model card (Markdown) to put in")
+    parser.add_argument("--card", default=None, metavar="FILE", help="model card (Markdown) to include")
     parser.add_argument(
-        "--export-official", action="store_true", help="also write the weights as the original PyTorch code names them"
+        "--export-official", action="store_true", help="also write the weights with the names of the original code"
     )
 
 
 def run(args: argparse.Namespace) -> None:
-    """Writes the bundle."""
-    from t2m_jax.checkpoints.bundle import save_bundle
-    from t2m_jax.checkpoints.card import plain_card
+    """Writes the bundle, and prints its name and the next command."""
+    from t2m_jax.checkpoints.bundle import ClipReference, default_card, save_bundle
     from t2m_jax.checkpoints.clip import load_clip
-    from t2m_jax.checkpoints.gpt_run import load_gpt_runs
-    from t2m_jax.checkpoints.official.export import export_official
+    from t2m_jax.checkpoints.model import load_runs
+    from t2m_jax.checkpoints.official import export_official
 
-    run_folder, bundle = load_gpt_runs([Path(path) for path in args.runs])
-    card = Path(args.card).read_text(encoding="utf-8") if args.card else plain_card(run_folder)
-    clip = load_clip(bundle.config.clip) if bundle.config.text_encoder == "clip" else None
+    run_folder, bundle = load_runs([Path(path) for path in args.runs])
+    card = Path(args.card).read_text(encoding="utf-8") if args.card else default_card(run_folder)
+    text_encoder = bundle.config.text_encoder
+    clip = load_clip(text_encoder.name) if isinstance(text_encoder, ClipReference) else None
     save_bundle(Path(args.destination), bundle, card=card, clip=clip)
     if args.export_official:
         export_official(Path(args.destination) / "official", bundle)
-    sys.stdout.write(f"{args.destination}\n")
+    sys.stdout.write(f"{args.destination}\nnext: t2m generate \"a person walks forward\" --model {args.destination}\n")

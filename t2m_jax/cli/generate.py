@@ -7,13 +7,16 @@ from pathlib import Path
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the options of the command."""
-    parser.add_argument("text", nargs="+", help="sentences in quotes, one motion (or --num-samples) each")
+    parser.add_argument("text", nargs="+", help="sentences in quotes; each gives one motion (or --num-samples)")
     parser.add_argument("--model", default="demo", help="bundled name, bundle or run folder (default: demo)")
     parser.add_argument("--seed", type=int, default=0, help="same seed, same motion (default: 0)")
-    parser.add_argument("--num-samples", type=int, default=1, help="motions for each sentence (default: 1)")
-    parser.add_argument("--temperature", type=float, default=1.0, help="below 1: safer; 0: always the likeliest code")
-    parser.add_argument("--top-k", type=int, default=None, help="choose among this many likeliest codes")
-    parser.add_argument("--top-p", type=float, default=None, help="choose among the likeliest, up to this probability")
+    parser.add_argument("--num-samples", type=int, default=1, help="motions per sentence (default: 1)")
+    parser.add_argument("--temperature", type=float, default=1.0, help="below 1 is safer; 0 takes the likeliest code (default: 1)")
+    parser.add_argument("--top-k", type=int, default=None, help="choose among this many of the likeliest codes")
+    parser.add_argument("--top-p", type=float, default=None, help="choose among the likeliest codes up to this probability")
+    parser.add_argument(
+        "--guidance-scale", type=float, default=None, help="strength of the text, for models trained with guidance"
+    )
     parser.add_argument(
         "-o",
         "--output",
@@ -25,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Generates, writes the files and prints their names."""
+    """Generates, writes the files, and prints their names and the next command."""
     from t2m_jax.motion.record import check_output
     from t2m_jax.text.prompts import check_prompt
 
@@ -40,7 +43,8 @@ def run(args: argparse.Namespace) -> None:
 
     strategy = make_strategy(args.temperature, args.top_k, top_p=args.top_p)
     model = TextToMotion.load(args.model)
-    motions = model.generate(args.text, seed=args.seed, num_samples=args.num_samples, strategy=strategy)
+    options = {"seed": args.seed, "num_samples": args.num_samples, "guidance_scale": args.guidance_scale}
+    motions = model.generate(args.text, strategy=strategy, **options)
     for output in outputs:
         for number, motion in enumerate(motions):
             path = output if len(motions) == 1 else output.with_stem(f"{output.stem}-{number}")

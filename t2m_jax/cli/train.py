@@ -1,89 +1,95 @@
-"""Train a model: `t2m train {vqvae,gpt,evaluator} CONFIG [--field value]...`; fields are those of the config, dotted.
+"""Train a model: `t2m train KIND CONFIG [--field value]...`; fields are those of the config, with dots.
 
-CONFIG is a YAML file or, of vqvae and gpt, a recipe of T2M-GPT by name: `official` or `paper`, for KIT-ML
-`kit_ml/official` and so on.
-`t2m train gpt --diff paper official` shows in what two of them differ.
+CONFIG is a YAML file or, for vqvae and gpt, a recipe of T2M-GPT by name: `official` or `paper`, and for KIT-ML
+`kit_ml/official` and `kit_ml/paper`. `t2m train KIND --run RUN --resume` continues a run.
+`t2m train gpt --diff paper official` shows how two configs differ.
 """
 
 import argparse
-import logging
+import importlib.metadata
 import sys
+from pathlib import Path
 from typing import Any
 
 TAKES_CONFIG_OPTIONS = True
 
 
 class _Help(argparse.Action):
-    """Shows the command's help and, once the stage is known, every field of its config."""
+    """Shows the command's help and, if the kind is known, every field of its config."""
 
     def __call__(self, parser: argparse.ArgumentParser, namespace: Any, values: Any, option_string: Any = None) -> None:
         parser.print_help()
-        if namespace.stage:
+        if namespace.kind:
             from t2m_jax.config import override_config
+            from t2m_jax.train.experiment import find_trainer
 
-            override_config(_schema(namespace.stage)(), ["--help"], prog=f"t2m train {namespace.stage} CONFIG")
+            default = find_trainer(namespace.kind).config()
+            override_config(default, ["--help"], prog=f"t2m train {namespace.kind} CONFIG")
         parser.exit()
 
 
-def _schema(stage: str) -> type:
-    from t2m_jax.train.config import TrainGptConfig, TrainVqVaeConfig
-    from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
-
-    return {"vqvae": TrainVqVaeConfig, "gpt": TrainGptConfig, "evaluator": TrainEvaluatorConfig}[stage]
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the options of the command; what it does not know are fields of the config."""
-    parser.add_argument("stage", choices=("vqvae", "gpt", "evaluator"), help="what to train")
+    """Declares the options of the command; unknown options are fields of the config."""
+    kinds = sorted(importlib.metadata.entry_points(group="t2m_jax.trainers").names)
+    parser.add_argument("kind", choices=kinds, help="what to train")
     parser.add_argument("config", nargs="?", help="YAML file with what differs from the defaults, or name of a recipe")
-    parser.add_argument("--resume", action="store_true", help="go on from the run's newest checkpoint")
+    parser.add_argument("--resume", action="store_true", help="continue from the newest checkpoint of the run")
     parser.add_argument(
         "--diff",
         nargs=2,
         metavar=("A", "B"),
-        help="show in what two configs or recipes differ; CONFIG is left out, nothing is trained",
+        help="show the fields in which two configs or recipes differ; nothing is trained",
     )
-    parser.add_argument("-h", "--help", nargs=0, action=_Help, help="show this (after a stage: all fields) and exit")
+    parser.add_argument("-h", "--help", nargs=0, action=_Help, help="show this (after a kind: all fields) and exit")
 
 
 def run(args: argparse.Namespace) -> None:
-    """Trains; the run directory is the result."""
+    """Trains and prints the next command; the run directory is the result."""
     if args.diff:
         _show_differences(args)
         return
     from t2m_jax.config import override_config
-    from t2m_jax.errors import UserError
-
-    if args.config is None:
-        raise UserError(f"train {args.stage}: give a CONFIG, a YAML file or the name of a recipe such as 'official'")
-    config: Any = _config(args.stage, args.config)
-    config = override_config(config, args.config_options, prog=f"t2m train {args.stage}")
-
     from t2m_jax.sampling.compilation import use_compilation_cache
-    from t2m_jax.train.run_evaluator import train_evaluator
-    from t2m_jax.train.run_gpt import train_gpt
-    from t2m_jax.train.run_vqvae import train_vqvae
+    from t2m_jax.train.experiment import find_trainer, train
 
+    config: Any = override_config(_start_config(args), args.config_options, prog=f"t2m train {args.kind}")
     use_compilation_cache()
-    if args.stage == "vqvae":
-        train_vqvae(config, resume=args.resume)
-    elif args.stage == "gpt":
-        train_gpt(config, resume=args.resume)
-    else:
-        train_evaluator(config, resume=args.resume)
-    logging.getLogger("t2m_jax").info("done: %s", config.run)
+    train(config, resume=args.resume)
+    sys.stdout.write(f"{config.run}\n")
+    command = find_trainer(args.kind).next_command.format(run=config.run, data=config.data)
+    sys.stdout.write(f"next: {command}\n" if command else "")
 
 
-def _config(stage: str, name: str) -> Any:
-    """Returns the config of a file or, where there is no such file, of a recipe."""
-    from pathlib import Path
+def _start_config(args: argparse.Namespace) -> Any:
+    """Returns the config that the options change: of CONFIG or, to resume without one, of the run."""
+    from t2m_jax.errors import UserError
+    from t2m_jax.train.experiment import load_run_config
 
+    if args.config is not None:
+        return _config(args.kind, args.config)
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--run", type=Path)
+    found = parser.parse_known_args(args.config_options)[0].run
+    if not args.resume or found is None:
+        raise UserError(
+            f"train {args.kind}: CONFIG is missing; give a YAML file or the name of a recipe such as 'official', or "
+            "continue a run with `--run RUN --resume`"
+        )
+    config = load_run_config(found)
+    if config.kind != args.kind:
+        raise UserError(f"{found}: is the run of a {config.kind}; resume it with `t2m train {config.kind}`")
+    return config
+
+
+def _config(kind: str, name: str) -> Any:
+    """Returns the config of a file or, if there is no such file, of a recipe."""
     from t2m_jax.config import load_config
+    from t2m_jax.train.experiment import find_trainer
     from t2m_jax.train.presets import load_preset, preset_names
 
     if name in preset_names() and not Path(name).exists():
-        return load_preset(stage, name)
-    return load_config(name, _schema(stage))
+        return load_preset(kind, name)
+    return load_config(name, find_trainer(kind).config)
 
 
 def _show_differences(args: argparse.Namespace) -> None:
@@ -92,9 +98,9 @@ def _show_differences(args: argparse.Namespace) -> None:
     from t2m_jax.train.presets import differences
 
     if args.config_options:
-        raise UserError(f"train {args.stage}: --diff compares configs as they are; leave {args.config_options[0]} out")
+        raise UserError(f"train {args.kind}: --diff compares configs as they are; remove {args.config_options[0]}")
     rows = [("field", *args.diff)]
-    for field, values in differences(*(_config(args.stage, name) for name in args.diff)).items():
+    for field, values in differences(*(_config(args.kind, name) for name in args.diff)).items():
         rows.append((field, *map(str, values)))
     widths = [max(len(row[column]) for row in rows) for column in range(3)]
     for row in rows:

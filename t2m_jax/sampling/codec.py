@@ -14,6 +14,7 @@ from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.masks import mask_from_lengths
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.normalizer import Normalizer
+from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.sampling.batches import pad_motions, round_up
 from t2m_jax.sampling.decoding import GeneratorFunctions, SampledCodes, Sampling, sample_codes
@@ -97,3 +98,55 @@ def encode_motions(
         for row, index in enumerate(chosen):
             codes[index] = found[row, : batch.lengths[row] // downsample]
     return codes
+
+
+def motions_from_codes(
+    tokenizer: TrainedTokenizer,
+    codes: Int[np.ndarray, "B N R"],
+    code_lengths: Int[np.ndarray, " B"],
+    *,
+    skeleton: Skeleton,
+    captions: Sequence[str],
+    seed: int | None = None,
+) -> list[Motion]:
+    """Returns the motions of the first rows of a batch, one for each caption, with features and codes."""
+    decoded = decode_positions(
+        tokenizer.variables,
+        tokenizer.normalizer,
+        jnp.asarray(codes),
+        jnp.asarray(code_lengths),
+        tokenizer=tokenizer.module,
+        skeleton=skeleton,
+    )
+    features, positions = map(np.asarray, decoded)
+    frames = code_lengths * tokenizer.config.downsample
+    return [
+        Motion(
+            positions=positions[row, : frames[row]] * np.float32(skeleton.metres_per_unit),
+            fps=skeleton.fps,
+            skeleton=skeleton,
+            features=features[row, : frames[row]],
+            codes=codes[row, : code_lengths[row]],
+            caption=caption,
+            seed=seed,
+        )
+        for row, caption in enumerate(captions)
+    ]
+
+
+def pad_codes(codes: Sequence[Int[np.ndarray, "_ R"]]) -> tuple[Int[np.ndarray, "B N R"], Int[np.ndarray, " B"]]:
+    """Returns codes of different lengths in one array, 0 after their ends, and the lengths."""
+    code_lengths = np.array([len(rows) for rows in codes], np.int32)
+    padded = np.zeros((len(codes), int(code_lengths.max()), codes[0].shape[1]), np.int32)
+    for row, rows in enumerate(codes):
+        padded[row, : len(rows)] = rows
+    return padded, code_lengths
+
+
+def reconstruct_motions(
+    tokenizer: TrainedTokenizer, features: Sequence[Float[np.ndarray, "_ D"]], skeleton: Skeleton
+) -> list[Motion]:
+    """Returns motions (raw features) after encoding and decoding."""
+    codes, code_lengths = pad_codes(encode_motions(tokenizer, features, progress=False))
+    captions = ["reconstruction"] * len(features)
+    return motions_from_codes(tokenizer, codes, code_lengths, skeleton=skeleton, captions=captions)

@@ -19,7 +19,7 @@ from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import skeleton_from_name
 from t2m_jax.sampling.batches import padded_batch_size
-from t2m_jax.sampling.codec import decode_positions, generate_codes
+from t2m_jax.sampling.codec import generate_codes, motions_from_codes
 from t2m_jax.sampling.compilation import use_compilation_cache
 from t2m_jax.sampling.decoding import SampledCodes, Sampling
 from t2m_jax.sampling.stopping import make_stop_rule
@@ -57,7 +57,7 @@ class TextToMotion:
         self.text_encoder = text_encoder or make_text_encoder(bundle)
         self._variables = jax.device_put(bundle.variables)
         self._normalizer = Normalizer(*map(jnp.asarray, bundle.normalizer))
-        self._tokenizer, self._generator = make_module(self.config.tokenizer), make_module(self.config.generator)
+        self._generator = make_module(self.config.generator)
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> "TextToMotion":
@@ -149,42 +149,16 @@ class TextToMotion:
             sampling,
             guidance_scale=guidance_scale,
         )
-        captions = [text for text, _ in requests]
-        return self._motions(np.asarray(sampled.codes), np.asarray(sampled.code_lengths), captions, seed=seed)
-
-    def _motions(
-        self,
-        codes: Int[np.ndarray, "B N R"],
-        code_lengths: Int[np.ndarray, " B"],
-        captions: Sequence[str],
-        *,
-        seed: int | None,
-    ) -> list[Motion]:
-        """Returns the motions of the first rows of a batch, one for each caption."""
-        decoded = decode_positions(
-            self._variables["tokenizer"],
-            self._normalizer,
-            jnp.asarray(codes),
-            jnp.asarray(code_lengths),
-            tokenizer=self._tokenizer,
+        return motions_from_codes(
+            self.tokenizer,
+            np.asarray(sampled.codes),
+            np.asarray(sampled.code_lengths),
             skeleton=self.skeleton,
+            captions=[text for text, _ in requests],
+            seed=seed,
         )
-        features, positions = map(np.asarray, decoded)
-        frames = code_lengths * self.config.tokenizer.downsample
-        return [
-            Motion(
-                positions=positions[row, : frames[row]] * np.float32(self.skeleton.metres_per_unit),
-                fps=self.skeleton.fps,
-                skeleton=self.skeleton,
-                features=features[row, : frames[row]],
-                codes=codes[row, : code_lengths[row]],
-                caption=caption,
-                seed=seed,
-            )
-            for row, caption in enumerate(captions)
-        ]
 
-    def decode(self, codes: Int[np.ndarray, "N *R"], *, caption: str = "") -> Motion:
+    def decode(self, codes: Int[np.ndarray, "N ..."], *, caption: str = "") -> Motion:
         """Returns the motion of codes [N, R]; the last axis may be left out if there is one code per row.
 
         Raises:
@@ -197,4 +171,7 @@ class TextToMotion:
             raise UserError(f"codes: expected rows of {config.num_quantizers} codes, at least one row")
         if codes.min() < 0 or codes.max() >= config.num_codes:
             raise UserError(f"codes: must be between 0 and {config.num_codes - 1}")
-        return self._motions(codes[None], np.array([len(codes)], np.int32), [caption], seed=0)[0]
+        lengths = np.array([len(codes)], np.int32)
+        return motions_from_codes(
+            self.tokenizer, codes[None], lengths, skeleton=self.skeleton, captions=[caption], seed=0
+        )[0]

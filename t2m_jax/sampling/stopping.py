@@ -67,7 +67,7 @@ class StopAtThreshold:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class StopAtHighest:
-    """Samples the longest motion, then cuts it after the row with the highest score, the earliest if several have it."""
+    """Samples the longest motion, then cuts it after the (first) row with the highest score."""
 
     keeps_last: ClassVar[bool] = True
 

@@ -1,1 +1,39 @@
-"""Training: pure steps, one loop, run directories."""
+"""Training: one experiment for every model, from a config to a run directory."""
+
+from t2m_jax.train.config import EvaluationConfig, ExperimentConfig, GenerationEvaluationConfig, LoopConfig
+from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
+from t2m_jax.train.experiment import (
+    Evaluation,
+    Setup,
+    Trainer,
+    Validation,
+    find_trainer,
+    load_run_config,
+    train,
+    trainer_kinds,
+)
+from t2m_jax.train.gpt import TrainGptConfig
+from t2m_jax.train.optimizer import OptimizerConfig
+from t2m_jax.train.presets import load_preset, preset_names
+from t2m_jax.train.vqvae import TrainVqVaeConfig
+
+__all__ = [
+    "Evaluation",
+    "EvaluationConfig",
+    "ExperimentConfig",
+    "GenerationEvaluationConfig",
+    "LoopConfig",
+    "OptimizerConfig",
+    "Setup",
+    "TrainEvaluatorConfig",
+    "TrainGptConfig",
+    "TrainVqVaeConfig",
+    "Trainer",
+    "Validation",
+    "find_trainer",
+    "load_preset",
+    "load_run_config",
+    "preset_names",
+    "train",
+    "trainer_kinds",
+]

@@ -1,6 +1,9 @@
-"""Training of the evaluator: two states, two pure steps, validation (Guo et al. 2022)."""
+"""Training of the evaluator: the encoders of motion and text are matched (Guo et al. 2022)."""
 
+import dataclasses
 import functools
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -8,32 +11,33 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int, Key
 
-from t2m_jax.data.banks.captions import CaptionBatch
-from t2m_jax.data.banks.motions import Windows
-from t2m_jax.losses import infonce_loss, margin_loss, movement_loss, pair_distances
+from t2m_jax.checkpoints.evaluator import WORDS_FILE, load_trained_evaluator, save_evaluator_parts
+from t2m_jax.data.banks.captions import CaptionBank, CaptionBatch, all_tokens, caption_batch_at, make_caption_bank
+from t2m_jax.data.checks import check_feature_dim
+from t2m_jax.data.folder import Clip, open_dataset, samples_from_clip
+from t2m_jax.errors import UserError
+from t2m_jax.losses import infonce_loss, margin_loss, pair_distances
 from t2m_jax.metrics import r_precision
-from t2m_jax.models.evaluator import Evaluator, MovementDecoder
+from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT, Evaluator
+from t2m_jax.motion.normalizer import load_normalizer
+from t2m_jax.text.word_vectors import Vocabulary, load_vocabulary, load_word_vectors, vocabulary_from_captions
+from t2m_jax.train.config import compiled_config
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
+from t2m_jax.train.experiment import Setup, Trainer, Validation
+from t2m_jax.train.movement import MOVEMENTS, train_movements
 from t2m_jax.train.optimizer import make_optimizer
+from t2m_jax.train.statistics import load_statistics
+from t2m_jax.train.streams import stream_key
 
 Metrics = dict[str, Float[Array, ""]]
 
 MOTION_PARTS = ("motion_encoder",)
 TEXT_PARTS = ("text_encoder", "part_of_speech_projection")
 WORDS = "word_embedding"
-MOVEMENTS = "movement_encoder"
-
-
-class MovementState(NamedTuple):
-    """Everything an update of the movement encoder changes; `params` holds `movement_encoder` and `decoder`."""
-
-    step: Int[Array, ""]
-    params: Any
-    opt_state: optax.OptState
 
 
 class MatchingState(NamedTuple):
-    """Everything an update of the matching changes; `params` is the whole evaluator's."""
+    """Everything that an update of the matching changes; `params` are those of the whole evaluator."""
 
     step: Int[Array, ""]
     params: Any
@@ -41,60 +45,8 @@ class MatchingState(NamedTuple):
     """Of `motion` and of `text`."""
 
 
-def _decoder(config: TrainEvaluatorConfig) -> MovementDecoder:
-    return MovementDecoder(config.decoder_hidden, config.model.feature_dim)
-
-
-@functools.partial(jax.jit, static_argnames="config")
-def init_movement_state(config: TrainEvaluatorConfig, key: Key[Array, ""]) -> MovementState:
-    """Returns the state before the first update; `key` is consumed."""
-    encoder_key, decoder_key = jax.random.split(key)
-    motion = jnp.zeros((1, config.window, config.model.feature_dim))
-    movements = jnp.zeros((1, 1, config.model.movement_dim))
-    encoder = Evaluator(config.model).init(encoder_key, motion, train=False, method="movements")
-    params = encoder["params"] | {"decoder": _decoder(config).init(decoder_key, movements)["params"]}
-    opt_state = make_optimizer(config.movement_optimizer).init(params)
-    return MovementState(jnp.array(0, jnp.int32), params, opt_state)
-
-
-def movement_metrics(
-    params: Any, windows: Windows, key: Key[Array, ""] | None, *, config: TrainEvaluatorConfig
-) -> Metrics:
-    """Returns the terms of the autoencoder's loss; with `key` (consumed) the encoder drops out.
-
-    The original drops out in validation, too.
-    """
-    rngs = {} if key is None else {"dropout": key}
-    variables = {"params": {MOVEMENTS: params[MOVEMENTS]}}
-    movements = Evaluator(config.model).apply(
-        variables, windows.motion, train=key is not None, method="movements", rngs=rngs
-    )
-    reconstruction = _decoder(config).apply({"params": params["decoder"]}, movements)
-    return movement_loss(
-        reconstruction,
-        windows.motion,
-        movements,
-        sparsity_weight=config.sparsity_weight,
-        smoothness_weight=config.smoothness_weight,
-    )
-
-
-def movement_train_step(
-    state: MovementState, windows: Windows, key: Key[Array, ""], *, config: TrainEvaluatorConfig
-) -> tuple[MovementState, Metrics]:
-    """Returns the state after one update and the metrics before it; `key` is consumed."""
-
-    def objective(params: Any) -> tuple[Float[Array, ""], Metrics]:
-        metrics = movement_metrics(params, windows, key, config=config)
-        return metrics["loss"], metrics
-
-    (_, metrics), gradient = jax.value_and_grad(objective, has_aux=True)(state.params)
-    updates, opt_state = make_optimizer(config.movement_optimizer).update(gradient, state.opt_state, state.params)
-    return MovementState(state.step + 1, optax.apply_updates(state.params, updates), opt_state), metrics
-
-
 def trained_parts(params: Any, config: TrainEvaluatorConfig) -> dict[str, Any]:
-    """Returns what the matching trains, by encoder: not the movements, and word vectors only where none are given."""
+    """Returns what the matching trains, by encoder: not the movements, and word vectors only if none are given."""
     text = (*TEXT_PARTS, WORDS) if config.word_vectors is None else TEXT_PARTS
     return {
         "motion": {name: params[name] for name in MOTION_PARTS},
@@ -115,7 +67,7 @@ def init_matching_state(
         config: Sizes.
         key: For all weights that are not given.
         movement_encoder: Its trained weights.
-        word_vectors: A table that is left as it is; None learns one.
+        word_vectors: A table that is not trained; None trains one.
     """
     motion = jnp.zeros((1, config.window, config.model.feature_dim))
     words, length = jnp.zeros((1, 1), jnp.int32), jnp.ones(1, jnp.int32)
@@ -133,9 +85,9 @@ def matching_metrics(
 ) -> Metrics:
     """Returns the loss, the mean distances of pairs and of negatives, and `top3`.
 
-    `top3` is the share of texts whose motion is among the three nearest of the batch; what is as near shares its
-    place. Pairs stand in the order of their motions' lengths, longest first, when negatives are shifted, as in the
-    original.
+    `top3` is the share of texts whose motion is among the three nearest of the batch; motions at equal distances share
+    their places. Before negatives are shifted, pairs are sorted by the length of their motions, longest first, as in
+    the original.
     """
     order = jnp.argsort(-batch.lengths, stable=True)
     text, motion = Evaluator(config.model).apply({"params": params}, batch.motion, batch.lengths, *batch.captions)
@@ -157,9 +109,9 @@ def matching_metrics(
 def matching_train_step(
     state: MatchingState, batch: CaptionBatch, shift: Int[Array, ""], *, config: TrainEvaluatorConfig
 ) -> tuple[MatchingState, Metrics]:
-    """Returns the state after one update and the metrics before it, norms of gradients before they are cut among them.
+    """Returns the state after one update and the metrics before it, with the gradient norms before they are limited.
 
-    `shift` is how far the negatives are, 0 to B - 2.
+    `shift` is the distance of the negatives in the batch, 0 to B - 2.
     """
     trained = trained_parts(state.params, config)
 
@@ -175,3 +127,119 @@ def matching_train_step(
         squares = [jnp.sum(leaf**2) for leaf in jax.tree.leaves(gradient[name])]
         metrics[f"{name}_gradient_norm"] = jnp.sqrt(sum(squares, jnp.zeros(())))
     return MatchingState(state.step + 1, params, opt_state), metrics
+
+
+def draw_shift(config: TrainEvaluatorConfig, stream: str, step: Int[Array, ""]) -> Int[Array, ""]:
+    """Returns the distance of a step's negatives; the original draws 0 too, but not B - 1."""
+    key = jax.random.fold_in(stream_key(config.loop.seed, stream), step)
+    return jax.random.randint(key, (), 0, config.loop.batch_size - 1)
+
+
+@functools.partial(jax.jit, static_argnames=("config", "max_frames"), donate_argnums=0)
+def update(
+    state: MatchingState, bank: CaptionBank, *, config: TrainEvaluatorConfig, max_frames: int
+) -> tuple[MatchingState, Metrics]:
+    """Returns the state after one step on the batch of that step; `state` is donated."""
+    key, size = stream_key(config.loop.seed, "data"), config.loop.batch_size
+    batch = caption_batch_at(bank, key, state.step, batch_size=size, max_frames=max_frames)
+    return matching_train_step(state, batch, draw_shift(config, "shift", state.step), config=config)
+
+
+@functools.partial(jax.jit, static_argnames=("config", "max_frames"))
+def validate(
+    state: MatchingState, bank: CaptionBank, step: Int[Array, ""], *, config: TrainEvaluatorConfig, max_frames: int
+) -> Metrics:
+    """Returns the metrics of a batch of held-out motions and captions."""
+    key, size = stream_key(config.loop.seed, "validation"), config.loop.batch_size
+    batch = caption_batch_at(bank, key, step, batch_size=size, max_frames=max_frames)
+    return matching_metrics(state.params, batch, draw_shift(config, "validation shift", step), config=config)
+
+
+def make_vocabulary(config: TrainEvaluatorConfig, samples: Sequence[Clip], *, resume: bool) -> Vocabulary:
+    """Returns the words of the run that is resumed, of a given list, of `init`, or of the training captions."""
+    if resume:
+        return load_vocabulary(config.run / WORDS_FILE)
+    if config.words is not None:
+        return load_vocabulary(config.words)
+    if config.init is not None:
+        return load_trained_evaluator(config.init).vocabulary
+    return vocabulary_from_captions(all_tokens(samples), min_count=config.min_count)
+
+
+def load_table(config: TrainEvaluatorConfig, vocabulary: Vocabulary) -> Array | None:
+    """Returns the given word vectors, None if they are trained.
+
+    Raises:
+        UserError: The file is missing or damaged, or has vectors of another width.
+    """
+    if config.word_vectors is None:
+        return None
+    table = load_word_vectors(config.word_vectors, vocabulary.words)
+    if table.shape[1] != config.model.word_dim:
+        raise UserError(
+            f"{config.word_vectors}: vectors of {table.shape[1]} numbers, but model.word_dim is "
+            f"{config.model.word_dim}; set it to match"
+        )
+    return jnp.asarray(table)
+
+
+def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
+    """Returns the setup of a training; its first state contains the trained movement encoder.
+
+    Raises:
+        UserError: Data, words and model do not fit.
+    """
+    dataset = open_dataset(config.data)
+    check_feature_dim(dataset, config.model.feature_dim, reader="the evaluator")
+    statistics = functools.partial(load_statistics, config.statistics, dataset, root_weight=config.root_weight)
+    normalizer = load_normalizer(config.run) if resume else statistics()
+    train = dataset.clips("train", fraction=config.data_fraction)
+    held_out = dataset.clips("val") if config.loop.validate_every else []
+
+    def samples(clips: Sequence[Clip]) -> list[Clip]:
+        found = [sample for clip in clips for sample in samples_from_clip(clip, dataset.info)]
+        return [sample for sample in found if len(sample.features) >= FRAMES_PER_MOVEMENT]
+
+    vocabulary = make_vocabulary(config, samples(train), resume=resume)
+    table = load_table(config, vocabulary)
+    config = dataclasses.replace(config, model=dataclasses.replace(config.model, num_words=len(vocabulary)))
+    compiled, max_frames = compiled_config(config), dataset.info.max_frames
+    validation = None
+    if validated := samples(held_out):
+        num_batches = max(len(validated) // config.loop.batch_size, 1)
+        measure = functools.partial(validate, config=compiled, max_frames=max_frames)
+        validation = Validation(make_caption_bank(validated, normalizer, vocabulary), num_batches, measure)
+
+    def init() -> MatchingState:
+        if config.init is None:
+            clips = {"train": train, "validation": held_out}
+            movements = train_movements(config, dataset, normalizer, resume=resume, **clips)
+        else:
+            movements = start_from(config.init)["params"][MOVEMENTS]
+        return init_matching_state(compiled, stream_key(config.loop.seed, "init"), movements, table)
+
+    def start_from(path: Path) -> Mapping[str, Any]:
+        return load_trained_evaluator(path).variables
+
+    return Setup(
+        dataset=dataset,
+        clips=train,
+        data=make_caption_bank(samples(train), normalizer, vocabulary),
+        init=init,
+        update=functools.partial(update, config=compiled, max_frames=max_frames),
+        optimizer=config.optimizer,
+        frames_per_step=config.loop.batch_size * max_frames,
+        weights=lambda state: {"params": state.params},
+        write_parts=lambda run: save_evaluator_parts(run, config.model, normalizer, vocabulary),
+        start_from=start_from,
+        validation=validation,
+        patience=config.patience * config.loop.validate_every if validation is not None else 0,
+    )
+
+
+TRAINER = Trainer(
+    config=TrainEvaluatorConfig,
+    prepare=prepare,
+    next_command="t2m evaluate generation --data {data} --evaluator {run}",
+)
+"""The entry point `evaluator`."""

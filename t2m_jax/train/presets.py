@@ -1,6 +1,6 @@
-"""T2M-GPT's recipes: `official`, as its published commands run, and `paper`, as its text says.
+"""T2M-GPT's recipes: `official` follows its published commands, `paper` follows its text.
 
-`docs/paper_and_code.md` lists every difference and why a preset takes the side it takes.
+`docs/paper_and_code.md` lists every difference and the reason for each choice.
 """
 
 import dataclasses
@@ -13,11 +13,15 @@ from t2m_jax.errors import UserError
 from t2m_jax.models.motion_gpt import MotionGptConfig
 from t2m_jax.models.vqvae import VqVaeConfig
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML, Skeleton
-from t2m_jax.train.config import LoopConfig, TrainGptConfig, TrainVqVaeConfig
+from t2m_jax.train.config import LoopConfig
+from t2m_jax.train.gpt import TrainGptConfig
 from t2m_jax.train.optimizer import OptimizerConfig
+from t2m_jax.train.vqvae import TrainVqVaeConfig
 
 SKELETONS = {skeleton.name: skeleton for skeleton in (HUMANML3D, KIT_ML)}
 """Data sets that have presets."""
+OFFICIAL_FOLDERS = {HUMANML3D.name: "t2m", KIT_ML.name: "kit"}
+"""Folders of the original code by data set; it reads the statistics from files that were published with the weights."""
 
 
 def official_vqvae(skeleton: Skeleton) -> TrainVqVaeConfig:
@@ -27,6 +31,7 @@ def official_vqvae(skeleton: Skeleton) -> TrainVqVaeConfig:
         run=Path(f"runs/{skeleton.name}-official-vqvae"),
         model=VqVaeConfig(feature_dim=skeleton.feature_dim),
         short_clips="drop",
+        statistics=f"checkpoints/{OFFICIAL_FOLDERS[skeleton.name]}/VQVAEV3_CB1024_CMT_H1024_NRES3/meta",
         # 999 updates of warm-up come on top of the 300,000.
         optimizer=OptimizerConfig(warmup_steps=1000, milestones=(200_000,)),
         loop=LoopConfig(num_steps=300_999, seed=123),

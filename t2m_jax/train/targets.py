@@ -1,10 +1,10 @@
-"""From codes to what the GPT reads and what it must predict (T2M-GPT, section 3.2, and its code)."""
+"""From codes to the inputs and targets of the GPT (T2M-GPT, section 3.2, and its code)."""
 
 from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Int, Key
 
 
 class Targets(NamedTuple):
@@ -40,34 +40,39 @@ def drop_one_code(
     return shifted, code_lengths - drop
 
 
-def corrupt(tokens: Int[Array, "B L"], keep: Bool[Array, "B L"], replacements: Int[Array, "B L"]) -> Int[Array, "B L"]:
-    """Returns the tokens, replaced where `keep` is False (End and Pad too, as in the original code)."""
-    return jnp.where(keep, tokens, replacements)
+class Corruption(NamedTuple):
+    """Which inputs are replaced, and by what."""
+
+    keep: Bool[Array, "B L"]
+    replacements: Int[Array, "B L"]
+
+    def apply(self, tokens: Int[Array, "B L"]) -> Int[Array, "B L"]:
+        """Returns the tokens, replaced where `keep` is False."""
+        return jnp.where(self.keep, tokens, self.replacements)
 
 
-def random_corruption(
+def draw_corruption(
     tokens: Int[Array, "B L"],
     key: Key[Array, ""],
     *,
     tau: float | Literal["per_batch", "per_motion"],
     num_codes: int,
     past_end: bool,
-) -> Int[Array, "B L"]:
-    """Returns the tokens with each position replaced by a uniform code at chance tau.
+) -> Corruption:
+    """Returns a corruption that replaces each position by a uniform code with probability tau.
 
     Args:
         tokens: Codes, End (= `num_codes`) and Pad.
         key: Consumed.
-        tau: The chance, or where one is drawn from 0 to 1: once for the batch, or once for each motion.
-        num_codes: Codes to draw from; one may draw the right one.
-        past_end: Whether End and Pad may be replaced, too.
+        tau: The probability, or how often one is drawn from 0 to 1: once for the batch, or once for each motion.
+        num_codes: Codes to draw from; the right one may be drawn.
+        past_end: Whether End and Pad may be replaced (as in the original code).
     """
     share_key, replace_key, code_key = jax.random.split(key, 3)
-    share = jnp.asarray(tau) if isinstance(tau, float) else _drawn_share(share_key, tau, len(tokens))
-    replaced = jax.random.uniform(replace_key, tokens.shape) < share
-    keep = ~replaced if past_end else ~replaced | (tokens >= num_codes)
-    return corrupt(tokens, keep, jax.random.randint(code_key, tokens.shape, 0, num_codes))
-
-
-def _drawn_share(key: Key[Array, ""], tau: Literal["per_batch", "per_motion"], batch: int) -> Float[Array, "#B 1"]:
-    return jax.random.uniform(key, (1 if tau == "per_batch" else batch, 1))
+    if isinstance(tau, float):
+        share = jnp.asarray(tau)
+    else:
+        share = jax.random.uniform(share_key, (1 if tau == "per_batch" else len(tokens), 1))
+    keep = ~(jax.random.uniform(replace_key, tokens.shape) < share)
+    keep = keep if past_end else keep | (tokens >= num_codes)
+    return Corruption(keep, jax.random.randint(code_key, tokens.shape, 0, num_codes))

@@ -1,85 +1,96 @@
-"""The data set as codes: every clip through the trained VQ-VAE, once, before the GPT trains."""
+"""The data set as codes: every clip is encoded once, before a generator is trained."""
 
 import logging
 import zlib
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
-from t2m_jax.checkpoints.vqvae import TrainedVqVae
+from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.data.banks.codes import Captions, CodeBank
 from t2m_jax.data.folder import Clip, DatasetInfo, samples_from_clip
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
 from t2m_jax.sampling.codec import encode_motions
-from t2m_jax.train.config import TrainGptConfig
 
 logger = logging.getLogger(__name__)
 
+OffsetKind = Literal["all", "one"]
+TimedCaptionKind = Literal["encode", "slice"]
+
 
 class CodedMotion(NamedTuple):
-    """A motion as codes, from one or several starting frames on, and captions that describe all of it."""
+    """A motion as codes, from one or several starting frames, and the captions that describe all of it."""
 
-    variants: tuple[Int[np.ndarray, " _"], ...]
+    variants: tuple[Int[np.ndarray, "_ R"], ...]
     captions: tuple[Caption, ...]
 
 
-def starting_frames(clip: Clip, *, downsample: int, config: TrainGptConfig) -> tuple[int, ...]:
+def starting_frames(clip: Clip, *, downsample: int, offsets: OffsetKind, seed: int) -> tuple[int, ...]:
     """Returns the frames at which the first code of a clip may start."""
-    if config.offsets == "all":
+    if offsets == "all":
         return tuple(range(downsample))
-    generator = np.random.default_rng([config.loop.seed, zlib.crc32(clip.name.encode())])
+    generator = np.random.default_rng([seed, zlib.crc32(clip.name.encode())])
     return (int(generator.integers(len(clip.features) % downsample + 1)),)
 
 
-def coded_motions(
-    clips: Sequence[Clip], info: DatasetInfo, vqvae: TrainedVqVae, *, config: TrainGptConfig
+def encode_clips(
+    clips: Sequence[Clip],
+    info: DatasetInfo,
+    tokenizer: TrainedTokenizer,
+    *,
+    offsets: OffsetKind,
+    timed_captions: TimedCaptionKind,
+    seed: int,
 ) -> list[CodedMotion]:
-    """Returns what the GPT learns from: whole clips and time-tagged pieces of them, as codes.
+    """Returns what a generator learns from: whole clips, and parts of them that have captions with times, as codes.
+
+    Args:
+        clips: The motions.
+        info: Limits of lengths.
+        tokenizer: Encodes the motions.
+        offsets: Frames at which the first code may start: all that leave the same number of codes, or one per clip.
+        timed_captions: Codes for a caption with times: of those frames alone, or cut out of the codes of the clip.
+        seed: Seed of the random choices.
 
     Raises:
-        UserError: if nothing is left that is long enough and has a caption.
+        UserError: No clip that is long enough and has a caption is left.
     """
-    downsample = vqvae.config.downsample
-    # One more code than the shortest: every starting frame must leave at least one.
+    downsample = tokenizer.config.downsample
+    # One code more than the shortest motion, so that every starting frame leaves at least one.
     shortest = max(2 * downsample, info.min_frames)
-    if config.timed_captions == "encode":
+    if timed_captions == "encode":
         pieces = [piece for clip in clips for piece in samples_from_clip(clip, info)]
     else:
         pieces = [clip for clip in clips if info.fits(len(clip.features))]
     pieces = [piece for piece in pieces if len(piece.features) >= shortest]
-    _tell_left_out(clips, pieces, info)
-    starts = [starting_frames(piece, downsample=downsample, config=config) for piece in pieces]
-    codes = iter(
-        encode_motions(
-            vqvae, [piece.features[start:] for piece, frames in zip(pieces, starts, strict=True) for start in frames]
-        )
-    )
-    motions = []
-    for piece, frames in zip(pieces, starts, strict=True):
-        variants = tuple(next(codes) for _ in frames)
-        motions += sliced(variants, piece.captions, codes_per_second=info.fps / downsample)
-    if not motions:
-        raise UserError("no motion with a caption to train on: the split is empty or every clip was left out")
-    return motions
-
-
-def _tell_left_out(clips: Sequence[Clip], pieces: Sequence[Clip], info: DatasetInfo) -> None:
-    """Logs how many clips are not used whole: too short, too long, or without a caption for all of it."""
     left_out = len({clip.name for clip in clips} - {piece.name for piece in pieces})
     if left_out:
         limits = f"shorter than {info.min_frames} or longer than {info.max_frames + 3} frames, or no caption for it all"
         logger.warning("%s: %d of %d clips are not used whole (%s)", info.name, left_out, len(clips), limits)
+    starts = [starting_frames(piece, downsample=downsample, offsets=offsets, seed=seed) for piece in pieces]
+    shifted = [piece.features[start:] for piece, frames in zip(pieces, starts, strict=True) for start in frames]
+    codes = iter(encode_motions(tokenizer, shifted))
+    motions = []
+    for piece, frames in zip(pieces, starts, strict=True):
+        variants = tuple(next(codes) for _ in frames)
+        motions += split_by_captions(variants, piece.captions, codes_per_second=info.fps / downsample)
+    if not motions:
+        raise UserError(
+            f"{info.name}: no motion with a caption to train on; the split is empty or every clip was left out (see "
+            "`t2m data check`)"
+        )
+    return motions
 
 
-def sliced(
-    variants: tuple[Int[np.ndarray, " _"], ...], captions: Sequence[Caption], *, codes_per_second: float
+def split_by_captions(
+    variants: tuple[Int[np.ndarray, "_ R"], ...], captions: Sequence[Caption], *, codes_per_second: float
 ) -> list[CodedMotion]:
-    """Returns a clip's codes as motions: whole, and once for each caption with times that some codes fall into."""
+    """Returns a clip's codes as motions: the whole, and one part for each caption with times that contain codes."""
     whole = tuple(caption for caption in captions if caption.whole_clip)
     motions = [CodedMotion(variants, whole)] if whole else []
     for caption in captions:
@@ -91,12 +102,12 @@ def sliced(
 
 
 def make_code_bank(motions: Sequence[CodedMotion], read: Callable[[Sequence[str]], Captions]) -> CodeBank:
-    """Returns coded motions as arrays on the device; `read` makes of all captions what the text encoder takes."""
+    """Returns coded motions on the device; `read` turns all captions into the input of the text encoder."""
     lengths = np.array([[len(codes) for codes in motion.variants] for motion in motions], np.int32)
-    codes = np.zeros((*lengths.shape, int(lengths.max())), np.int32)
+    codes = np.zeros((*lengths.shape, int(lengths.max()), motions[0].variants[0].shape[1]), np.int32)
     for index, motion in enumerate(motions):
-        for offset, row in enumerate(motion.variants):
-            codes[index, offset, : len(row)] = row
+        for offset, rows in enumerate(motion.variants):
+            codes[index, offset, : len(rows)] = rows
     counts = np.array([len(motion.captions) for motion in motions], np.int32)
     captions = read([caption.text for motion in motions for caption in motion.captions])
     first = np.cumsum(counts, dtype=np.int32) - counts

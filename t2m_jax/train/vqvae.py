@@ -1,38 +1,91 @@
-"""Training of the VQ-VAE: state, one pure step, validation."""
+"""Training of the VQ-VAE: config, state, one pure step, and the data it is trained on."""
 
+import dataclasses
 import functools
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int, Key
 
-from t2m_jax.data.banks.motions import Windows
-from t2m_jax.losses import reconstruction_loss, velocity_loss
-from t2m_jax.models.quantizer import perplexity_from_counts
-from t2m_jax.models.vqvae import VqVae, VqVaeOutput
+from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer, save_tokenizer_parts
+from t2m_jax.data.banks.motions import MotionBank, Windows, batch_at, make_bank
+from t2m_jax.data.checks import check_feature_dim
+from t2m_jax.data.folder import Clip, Dataset, open_dataset
+from t2m_jax.evaluation.sources import CodeSource, Reconstruction
+from t2m_jax.losses import ReconstructionKind, VelocityKind, reconstruction_loss, velocity_loss
+from t2m_jax.metrics.codes import perplexity
+from t2m_jax.models.vqvae import VqVae, VqVaeConfig, VqVaeOutput
+from t2m_jax.motion.normalizer import Normalizer, load_normalizer
+from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import skeleton_from_feature_dim
-from t2m_jax.train.config import TrainVqVaeConfig
-from t2m_jax.train.optimizer import make_optimizer
+from t2m_jax.sampling.codec import reconstruct_motions
+from t2m_jax.train.config import FROM_DATA, EvaluationConfig, ExperimentConfig, compiled_config
+from t2m_jax.train.experiment import Evaluation, Setup, Trainer, Validation
+from t2m_jax.train.optimizer import OptimizerConfig, make_optimizer
+from t2m_jax.train.statistics import load_statistics
+from t2m_jax.train.streams import stream_key
 
 Metrics = dict[str, Float[Array, ""]]
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrainVqVaeConfig(ExperimentConfig):
+    """Training of the VQ-VAE; the defaults are T2M-GPT's published command."""
+
+    kind: ClassVar[str] = "vqvae"
+
+    run: Path = Path("runs/vqvae")
+    """Run directory to write."""
+    model: VqVaeConfig = VqVaeConfig()
+    """Sizes."""
+    window: int = 64
+    """Frames of a training window."""
+    short_clips: Literal["pad", "drop"] = "pad"
+    """Clips shorter than a window: padded and masked, or left out as in the original."""
+    statistics: str = FROM_DATA
+    """Mean and standard deviation that normalize the motion: `data` for the data set's own, weighted by `root_weight`;
+    or a folder or a file `mean.npy` (with `std.npy` beside it), or a model, used as they are."""
+    root_weight: float = 25.0
+    """By how much the root's columns and the contacts are scaled up for the VQ-VAE. The original divides their standard
+    deviations by 5 twice; without it, heading and path drift."""
+    reconstruction: ReconstructionKind = "l1_smooth"
+    """Loss of the difference between motion and reconstruction."""
+    velocity: VelocityKind = "joint_positions"
+    """What the velocity loss compares: the joint positions a second time (the original's code), or the differences of
+    consecutive frames (its paper)."""
+    velocity_weight: float = 0.5
+    """Weight of the velocity loss."""
+    commitment_weight: float = 0.02
+    """Weight of the commitment loss."""
+    optimizer: OptimizerConfig = OptimizerConfig(warmup_steps=1000, milestones=(200_000,))
+    """Optimizer and schedule."""
+    evaluation: EvaluationConfig = EvaluationConfig()
+    """Evaluation of reconstructions during training."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.window < self.model.downsample:
+            raise ValueError(f"window: {self.window} is shorter than one code, {self.model.downsample} frames")
+
+
 class VqVaeState(NamedTuple):
-    """Everything an update changes."""
+    """Everything that an update changes."""
 
     step: Int[Array, ""]
     params: Any
     codebook: Any
-    """Empty where the codebook is a parameter."""
+    """Empty if the codebook is a parameter."""
     batch_stats: Any
-    """Running statistics of norm `BN`, empty with others."""
+    """Running statistics of norm `BN`; empty for other norms."""
     opt_state: optax.OptState
 
     @property
     def variables(self) -> dict[str, Any]:
-        """The collections as the model takes them."""
+        """The collections for the model's `apply`."""
         return {"params": self.params, "codebook": self.codebook, "batch_stats": self.batch_stats}
 
 
@@ -51,29 +104,36 @@ def vqvae_losses(output: VqVaeOutput, windows: Windows, config: TrainVqVaeConfig
     positions = skeleton_from_feature_dim(config.model.feature_dim).layout.positions
     motion = windows.motion[:, : output.reconstruction.shape[1]]
     mask = windows.mask[:, : output.reconstruction.shape[1]]
-    everything = reconstruction_loss(output.reconstruction, motion, mask, kind=config.reconstruction)
-    velocity = velocity_loss(
-        output.reconstruction,
-        motion,
-        mask,
-        kind=config.reconstruction,
-        velocity=config.velocity,
-        positions=positions,
-    )
-    loss = everything + config.velocity_weight * velocity + config.commitment_weight * output.commitment_loss
+    pair, kind = (output.reconstruction, motion, mask), config.reconstruction
+    reconstruction = reconstruction_loss(*pair, kind=kind)
+    velocity = velocity_loss(*pair, kind=kind, velocity=config.velocity, positions=positions)
+    loss = reconstruction + config.velocity_weight * velocity + config.commitment_weight * output.commitment_loss
     return {
         "loss": loss,
-        "reconstruction": everything,
+        "reconstruction": reconstruction,
         "velocity": velocity,
         "commitment": output.commitment_loss,
-        "perplexity": perplexity_from_counts(output.code_counts),
+        "perplexity": perplexity(output.code_counts),
     }
 
 
 def vqvae_train_step(
-    state: VqVaeState, windows: Windows, key: Key[Array, ""], *, config: TrainVqVaeConfig
+    state: VqVaeState,
+    windows: Windows,
+    key: Key[Array, ""],
+    *,
+    config: TrainVqVaeConfig,
+    noise: Float[Array, "2 K C"] | None = None,
 ) -> tuple[VqVaeState, Metrics]:
-    """Returns the state after one update and the metrics before it; `key` is consumed."""
+    """Returns the state after one update and the metrics before it.
+
+    Args:
+        state: The state before.
+        windows: The batch.
+        key: Consumed.
+        config: Losses and optimizer.
+        noise: Standard normal numbers for new codes, see `Quantizer`; drawn from `key` if None.
+    """
     model = VqVae(config.model)
 
     def objective(params: Any) -> tuple[Float[Array, ""], tuple[Any, Metrics]]:
@@ -82,6 +142,7 @@ def vqvae_train_step(
             windows.motion,
             windows.mask,
             train=True,
+            noise=noise,
             rngs={"codebook": key},
             mutable=["codebook", "batch_stats"],
         )
@@ -95,7 +156,80 @@ def vqvae_train_step(
     return VqVaeState(state.step + 1, params, codebook, batch_stats, opt_state), metrics
 
 
-def vqvae_validation_step(state: VqVaeState, windows: Windows, *, config: TrainVqVaeConfig) -> Metrics:
-    """Returns the losses on held-out windows; nothing is learned."""
+@functools.partial(jax.jit, static_argnames="config", donate_argnums=0)
+def update(state: VqVaeState, bank: MotionBank, *, config: TrainVqVaeConfig) -> tuple[VqVaeState, Metrics]:
+    """Returns the state after one step on the batch of that step; `state` is donated."""
+    data_key, model_key = stream_key(config.loop.seed, "data"), stream_key(config.loop.seed, "codebook")
+    windows = batch_at(bank, data_key, state.step, batch_size=config.loop.batch_size, window=config.window)
+    return vqvae_train_step(state, windows, jax.random.fold_in(model_key, state.step), config=config)
+
+
+@functools.partial(jax.jit, static_argnames="config")
+def validate(state: VqVaeState, bank: MotionBank, batch: Int[Array, ""], *, config: TrainVqVaeConfig) -> Metrics:
+    """Returns the losses on a batch of held-out windows."""
+    key = stream_key(config.loop.seed, "validation")
+    windows = batch_at(bank, key, batch, batch_size=config.loop.batch_size, window=config.window)
     output = VqVae(config.model).apply(state.variables, windows.motion, windows.mask, train=False)
     return vqvae_losses(output, windows, config)
+
+
+def prepare(config: TrainVqVaeConfig, resume: bool) -> Setup:
+    """Returns the setup of a training.
+
+    Raises:
+        UserError: The data do not fit the model.
+    """
+    dataset = open_dataset(config.data)
+    check_feature_dim(dataset, config.model.feature_dim, reader="the VQ-VAE")
+    if resume:
+        normalizer = load_normalizer(config.run)
+    else:
+        normalizer = load_statistics(config.statistics, dataset, root_weight=config.root_weight)
+    compiled, is_padded = compiled_config(config), config.short_clips == "pad"
+    # The original takes every clip that is as long as a window, also those that its other stages find too short.
+    shortest = max(config.model.downsample, dataset.info.min_frames) if is_padded else config.window
+    clips = dataset.clips("train", min_frames=shortest, fraction=config.data_fraction)
+
+    def trained(state: VqVaeState) -> TrainedTokenizer:
+        return TrainedTokenizer(config.model, state.variables, normalizer)
+
+    def source(state: VqVaeState, clips: Sequence[Clip]) -> CodeSource:
+        return Reconstruction(trained(state))
+
+    def motions(state: VqVaeState, clips: Sequence[Clip]) -> list[Motion]:
+        return reconstruct_motions(trained(state), [clip.features for clip in clips], dataset.skeleton)
+
+    return Setup(
+        dataset=dataset,
+        clips=clips,
+        data=make_bank(clips, normalizer),
+        init=lambda: init_vqvae_state(compiled, stream_key(config.loop.seed, "init")),
+        update=functools.partial(update, config=compiled),
+        optimizer=config.optimizer,
+        frames_per_step=config.loop.batch_size * config.window,
+        weights=lambda state: state.variables,
+        write_parts=lambda run: save_tokenizer_parts(run, config.model, normalizer),
+        start_from=lambda path: {"codebook": {}, "batch_stats": {}} | load_tokenizer(path).variables,
+        validation=make_validation(config, dataset, normalizer),
+        evaluation=Evaluation(config.evaluation, config.model.downsample, source, motions),
+    )
+
+
+def make_validation(config: TrainVqVaeConfig, dataset: Dataset, normalizer: Normalizer) -> Validation | None:
+    """Returns the validation on one pass over the validation split, None if it is empty or turned off."""
+    shortest = config.model.downsample if config.short_clips == "pad" else config.window
+    clips = dataset.clips("val", min_frames=shortest) if config.loop.validate_every else []
+    if not clips:
+        return None
+    num_batches = max(len(clips) // config.loop.batch_size, 1)
+    return Validation(
+        make_bank(clips, normalizer), num_batches, functools.partial(validate, config=compiled_config(config))
+    )
+
+
+TRAINER = Trainer(
+    config=TrainVqVaeConfig,
+    prepare=prepare,
+    next_command="t2m train gpt CONFIG --vqvae {run}",
+)
+"""The entry point `vqvae`."""

@@ -1,4 +1,4 @@
-"""Codes and captions of a data set on the device: what the GPT trains on."""
+"""Codes and captions of a data set on the device: what a generator is trained on."""
 
 from typing import NamedTuple, TypeAlias
 
@@ -10,16 +10,16 @@ from t2m_jax.data.banks.motions import batch_clips
 from t2m_jax.text.bpe import CaptionTokens
 
 Captions: TypeAlias = CaptionTokens | Float[Array, "B E"]
-"""Captions as a text encoder that is trained reads them, or as the embeddings of one that is not."""
+"""Captions as tokens for a text encoder that is trained, or as embeddings of one that is not."""
 
 
 class CodeBank(NamedTuple):
-    """Every motion's codes at S starting offsets, and all captions one behind the other."""
+    """The codes of every motion from S starting offsets, and all captions in one table."""
 
-    codes: Int[Array, "M S N"]
+    codes: Int[Array, "M S N R"]
     code_lengths: Int[Array, "M S"]
     captions: Captions
-    """One row a caption."""
+    """One row per caption."""
     first_caption: Int[Array, " M"]
     num_captions: Int[Array, " M"]
 
@@ -27,18 +27,18 @@ class CodeBank(NamedTuple):
 class CodeBatch(NamedTuple):
     """Motions as codes, each with one of its captions."""
 
-    codes: Int[Array, "B N"]
+    codes: Int[Array, "B N R"]
     code_lengths: Int[Array, " B"]
     captions: Captions
 
 
 def crop_codes(
-    codes: Int[Array, "B N"], code_lengths: Int[Array, " B"], key: Key[Array, ""], *, max_codes: int
-) -> tuple[Int[Array, "B M"], Int[Array, " B"]]:
-    """Returns at most `max_codes` codes of each motion, from a uniformly drawn start; `key` is consumed."""
+    codes: Int[Array, "B N R"], code_lengths: Int[Array, " B"], key: Key[Array, ""], *, max_codes: int
+) -> tuple[Int[Array, "B M R"], Int[Array, " B"]]:
+    """Returns at most `max_codes` rows of each motion, from a uniformly drawn start; `key` is consumed."""
     start = jax.random.randint(key, code_lengths.shape, 0, jnp.maximum(code_lengths - max_codes, 0) + 1)
-    padded = jnp.pad(codes, ((0, 0), (0, max_codes)))
-    cropped = jax.vmap(lambda row, first: jax.lax.dynamic_slice_in_dim(row, first, max_codes))(padded, start)
+    padded = jnp.pad(codes, ((0, 0), (0, max_codes), (0, 0)))
+    cropped = jax.vmap(lambda rows, first: jax.lax.dynamic_slice_in_dim(rows, first, max_codes))(padded, start)
     return cropped, jnp.minimum(code_lengths, max_codes)
 
 
@@ -47,7 +47,7 @@ def code_batch_at(
 ) -> CodeBatch:
     """Returns the batch of a training step: a pure function of the run's data key and the step.
 
-    Every motion comes once an epoch, with a uniformly drawn offset and caption.
+    Every motion comes once per epoch, with a uniformly drawn offset and caption.
     """
     order_key, draw_key = jax.random.split(key)
     motions = batch_clips(order_key, step, num_clips=bank.codes.shape[0], batch_size=batch_size)

@@ -1,0 +1,287 @@
+"""One experiment: the path that every training takes, from a config to a finished run.
+
+A trainer is found by the kind of its config through the entry-point group `t2m_jax.trainers`. It prepares a `Setup`:
+the initial state, the update, the data and what is measured. Everything else happens here, once for all: starting or
+resuming, warm start, validation, evaluation, the best weights, the loop.
+"""
+
+import dataclasses
+import functools
+import importlib.metadata
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import UInt8
+
+from t2m_jax.checkpoints.best import forget_best
+from t2m_jax.checkpoints.run import CONFIG_FILE, DATA_FILE, create_run, is_run, restore_latest, run_info
+from t2m_jax.config import flat_fields, load_config, save_config
+from t2m_jax.data.folder import Clip, Dataset
+from t2m_jax.data.summary import save_training_data, summarize_training_data
+from t2m_jax.errors import UserError
+from t2m_jax.evaluation.monitor import SPLIT, held_out_metrics, open_held_out
+from t2m_jax.evaluation.sources import CodeSource
+from t2m_jax.evaluation.task import EvaluationTask
+from t2m_jax.export.render import render_poster
+from t2m_jax.files import flatten_tree
+from t2m_jax.motion.record import Motion
+from t2m_jax.train.best import BestWeights
+from t2m_jax.train.config import EvaluationConfig, ExperimentConfig, LoopConfig
+from t2m_jax.train.loop import Measurement, Metrics, Speed, mean_over_batches, run_loop
+from t2m_jax.train.optimizer import OptimizerConfig, learning_rate_at
+
+logger = logging.getLogger(__name__)
+
+GROUP = "t2m_jax.trainers"
+"""The entry-point group of trainers."""
+MAY_CHANGE = ("run", "loop.num_steps", "loop.log_every", "loop.checkpoint_every", "loop.keep_checkpoints")
+"""Fields that a resumed run may change, because they do not affect what its updates compute."""
+NUM_PICTURED = 2
+"""Motions in the picture of an evaluation."""
+
+
+class Validation(NamedTuple):
+    """The loss on held-out data."""
+
+    data: Any
+    """The validation split, in the form of `Setup.data`."""
+    num_batches: int
+    measure: Callable[[Any, Any, jax.Array], Metrics]
+    """From a state, the data and the number of a batch to metrics with a `loss`."""
+
+
+class Evaluation(NamedTuple):
+    """Metrics of the motion that the model gives, by an evaluator."""
+
+    config: EvaluationConfig
+    unit: int
+    """Frames per row of codes."""
+    source: Callable[[Any, Sequence[Clip]], CodeSource]
+    """From a state and the clips of the evaluation to a source of codes."""
+    motions: Callable[[Any, Sequence[Clip]], Sequence[Motion]]
+    """From a state and some clips to motions for a picture."""
+    sampling: str | None = None
+    """How codes are chosen, None if they are not."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Setup:
+    """What a trainer adds to the experiment."""
+
+    dataset: Dataset
+    clips: Sequence[Clip]
+    """The training clips."""
+    data: Any
+    """The training split, from which updates cut their batches."""
+    init: Callable[[], Any]
+    """Returns the state before the first update, a `NamedTuple` with `step`."""
+    update: Callable[[Any, Any], tuple[Any, Metrics]]
+    """From a state and `data` to the next state and metrics with a `loss`; jitted, donates the state."""
+    optimizer: OptimizerConfig
+    frames_per_step: float
+    """For the log."""
+    weights: Callable[[Any], Mapping[str, Any]]
+    """The fields of a state that are the model: training state field -> tree of arrays."""
+    write_parts: Callable[[Path], None] = lambda run: None
+    """Writes what the run contains beside its config and its checkpoints."""
+    start_from: Callable[[Path], Mapping[str, Any]] = lambda path: {}
+    """Returns the weights of a trained model in the form of `weights`."""
+    validation: Validation | None = None
+    evaluation: Evaluation | None = None
+    patience: int = 0
+    """Updates without a lower validation loss after which training ends; 0 never ends it."""
+
+
+class Trainer(NamedTuple):
+    """How one kind of model is trained."""
+
+    config: type[ExperimentConfig]
+    prepare: Callable[[Any, bool], Setup]
+    """From a resolved config, and whether the run is resumed, to the setup. Raises `UserError` if parts do not fit."""
+    resolve: Callable[[Any, bool], Any] = lambda config, resume: config
+    """From a config to one that contains values of other runs, such as the number of codes of a tokenizer."""
+    next_command: str = ""
+    """What users run next; `{run}` and `{data}` are replaced."""
+
+
+@functools.cache
+def find_trainer(kind: str) -> Trainer:
+    """Returns the trainer of a kind.
+
+    Raises:
+        UserError: No installed package has such a trainer.
+    """
+    points = importlib.metadata.entry_points(group=GROUP)
+    if kind not in points.names:
+        raise UserError(f"{kind!r} cannot be trained; known: {', '.join(sorted(points.names))}")
+    return points[kind].load()
+
+
+def trainer_kinds() -> tuple[str, ...]:
+    """Returns the kinds that can be trained."""
+    return tuple(sorted(importlib.metadata.entry_points(group=GROUP).names))
+
+
+def load_run_config(run: Path) -> Any:
+    """Returns the config of a run.
+
+    Raises:
+        UserError: The folder is not a run, or its config is damaged.
+    """
+    return load_config(run / CONFIG_FILE, find_trainer(run_info(run).kind).config)
+
+
+def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
+    """Trains a model and returns the last state; the run directory is the result.
+
+    Args:
+        config: The config of any trainer.
+        resume: Continue from the run's newest checkpoint. The result is the same as without the interruption.
+
+    Raises:
+        UserError: Data and model do not fit, the run exists (or, to resume, does not), or a loss is not finite.
+    """
+    trainer = find_trainer(config.kind)
+    if resume:
+        run_info(config.run)
+    elif is_run(config.run):
+        raise UserError(f"{config.run}: contains a run already; add --resume to continue it, or choose another --run")
+    config = trainer.resolve(config, resume)
+    if resume:
+        check_same_config(config)
+    setup = trainer.prepare(config, resume)
+    held_out = open_evaluation(setup)
+    if not resume:
+        forget_best(config.run)
+    best = make_best(config.run, setup, held_out)
+    if resume:
+        save_config(config.run / CONFIG_FILE, config)  # so that a run that is extended says so
+    else:
+        setup.write_parts(config.run)
+        save_training_data(config.run / DATA_FILE, summarize_training_data(setup.dataset, setup.clips))
+        create_run(config.run, config.kind, config)
+    state = setup.init()
+    restored = restore_latest(config.run, state)
+    if restored is state and config.init is not None:
+        state = state._replace(**checked_weights(config.init, setup.start_from(config.init), setup.weights(state)))
+    else:
+        state = restored
+    return run_setup(config.run, state, setup, config.loop, best=best, held_out=held_out)
+
+
+def check_same_config(config: ExperimentConfig) -> None:
+    """Raises `UserError` if a run was started with other values of fields that must not change."""
+    saved = flat_fields(load_config(config.run / CONFIG_FILE, type(config)))
+    for name, value in flat_fields(config).items():
+        if name not in MAY_CHANGE and saved[name] != value:
+            raise UserError(
+                f"{config.run}: was started with {name} {saved[name]}, not {value}; resume it with the same config "
+                "(`--run RUN --resume` alone takes the config of the run)"
+            )
+
+
+def checked_weights(source: Path, weights: Mapping[str, Any], like: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns weights to start from.
+
+    Raises:
+        UserError: Their names or shapes are not those of `like`.
+    """
+    found, wanted = flatten_tree(weights), flatten_tree(like)
+    for name in sorted(found.keys() | wanted.keys()):
+        shapes = [tree[name].shape if name in tree else "missing" for tree in (found, wanted)]
+        if shapes[0] != shapes[1]:
+            raise UserError(
+                f"init: array {name!r} of {source} is {shapes[0]}, but the config needs {shapes[1]}; use its sizes"
+            )
+    return jax.tree.map(lambda leaf, other: jax.numpy.asarray(leaf, other.dtype), dict(weights), dict(like))
+
+
+def open_evaluation(setup: Setup) -> EvaluationTask | None:
+    """Returns what a run is evaluated on, None if it has no evaluator.
+
+    Raises:
+        UserError: The evaluator is missing or does not fit the data, or the validation split is too small.
+    """
+    evaluation = setup.evaluation
+    if evaluation is None or evaluation.config.evaluator is None:
+        return None
+    config = evaluation.config
+    return open_held_out(setup.dataset, config.evaluator, seed=config.seed, unit=evaluation.unit)
+
+
+def make_best(run: Path, setup: Setup, held_out: EvaluationTask | None) -> BestWeights | None:
+    """Returns what keeps the best weights: by a metric of the evaluation if there is one, else by validation loss."""
+    if held_out is not None and setup.evaluation is not None:
+        metric, sampling = setup.evaluation.config.metric, setup.evaluation.sampling
+        return BestWeights(run, metric=metric, sampling=sampling, evaluator=held_out.evaluator.fingerprint)
+    return BestWeights(run) if setup.validation is not None else None
+
+
+def run_setup(
+    run: Path,
+    state: Any,
+    setup: Setup,
+    loop: LoopConfig,
+    *,
+    best: BestWeights | None = None,
+    held_out: EvaluationTask | None = None,
+) -> Any:
+    """Returns the state after the loop.
+
+    Args:
+        run: Folder of the log, the checkpoints and the best weights.
+        state: The state to start from.
+        setup: What to train.
+        loop: For how long.
+        best: Keeps the best weights.
+        held_out: What the model is evaluated on.
+    """
+    measurements = [measure_validation(setup, loop, best if held_out is None else None)]
+    measurements += [] if held_out is None else [measure_evaluation(setup, held_out, best)]
+    return run_loop(
+        run,
+        state,
+        lambda state: setup.update(state, setup.data),
+        config=loop,
+        measurements=measurements,
+        speed=Speed(lambda step: float(learning_rate_at(step - 1, setup.optimizer)), setup.frames_per_step),
+        is_over=lambda step: best is not None and best.is_over(step, patience=setup.patience),
+    )
+
+
+def measure_validation(setup: Setup, loop: LoopConfig, best: BestWeights | None) -> Measurement:
+    """Returns the measurement of the validation loss, which keeps the best weights if `best` is given."""
+
+    def measure(state: Any) -> Mapping[str, float]:
+        validation = setup.validation
+        assert validation is not None
+        scores = mean_over_batches(
+            lambda batch: validation.measure(state, validation.data, batch), validation.num_batches
+        )
+        if best is not None:
+            best.consider(int(state.step), scores, setup.weights(state))
+        return scores
+
+    return Measurement("val", "validation", loop.validate_every if setup.validation is not None else 0, measure)
+
+
+def measure_evaluation(setup: Setup, held_out: EvaluationTask, best: BestWeights | None) -> Measurement:
+    """Returns the measurement of the evaluator's metrics, with a picture, which keeps the best weights."""
+    evaluation, clips = setup.evaluation, held_out.samples.clips
+    assert evaluation is not None
+
+    def measure(state: Any) -> Mapping[str, float]:
+        metrics = held_out_metrics(held_out, evaluation.source(state, clips))
+        if best is not None:
+            best.consider(int(state.step), metrics, setup.weights(state))
+        return metrics
+
+    def picture(state: Any) -> UInt8[np.ndarray, "H W 3"]:
+        return render_poster(evaluation.motions(state, clips[:NUM_PICTURED]))
+
+    how = f"{SPLIT}, {evaluation.sampling}" if evaluation.sampling else SPLIT
+    return Measurement("evaluation", f"evaluation ({how})", evaluation.config.every, measure, picture)

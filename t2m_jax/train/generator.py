@@ -1,0 +1,266 @@
+"""What the trainings of all generators share: the tokenizer, the codes, the captions, and the run as a model."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, ClassVar, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Key
+from tokenizers import Tokenizer
+
+from t2m_jax.checkpoints.bundle import CLIP_NAME, CONFIG_FILE, Bundle, BundleConfig, ClipReference
+from t2m_jax.checkpoints.clip import load_clip
+from t2m_jax.checkpoints.model import load_model
+from t2m_jax.checkpoints.tokenizer import (
+    TrainedTokenizer,
+    load_tokenizer,
+    load_tokenizer_config,
+    save_tokenizer_copy,
+)
+from t2m_jax.config import save_config
+from t2m_jax.data.banks.codes import Captions
+from t2m_jax.data.checks import check_statistics
+from t2m_jax.data.folder import Clip, Dataset, open_dataset
+from t2m_jax.errors import UserError
+from t2m_jax.evaluation.sources import CodeSource, make_generation
+from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
+from t2m_jax.motion.record import Motion
+from t2m_jax.sampling.pipeline import TextToMotion
+from t2m_jax.sampling.strategies import Greedy, Temperature
+from t2m_jax.sampling.text_encoders import ClipTextEncoder
+from t2m_jax.text.bpe import load_bpe, save_bpe, tokenize_captions, train_bpe
+from t2m_jax.text.embedding_cache import EmbeddingCache
+from t2m_jax.text.encoder import TextEncoder
+from t2m_jax.train.config import ExperimentConfig, GenerationEvaluationConfig, compiled_config
+from t2m_jax.train.experiment import Evaluation, Setup, Validation
+from t2m_jax.train.optimizer import OptimizerConfig
+from t2m_jax.train.streams import stream_key
+from t2m_jax.train.tokenize import CodedMotion, OffsetKind, TimedCaptionKind, encode_clips, make_code_bank
+
+SAME_WEIGHTS = 2e-3
+"""Relative and absolute tolerance for the weights of one tokenizer: bundles store them in 16 bits."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrainGeneratorConfig(ExperimentConfig):
+    """Fields of the training of every generator."""
+
+    not_compiled: ClassVar[tuple[str, ...]] = (*ExperimentConfig.not_compiled, "vqvae", "clip")
+
+    model: Any
+    """Sizes of the generator."""
+    optimizer: OptimizerConfig
+    """Optimizer and schedule."""
+    vqvae: Path = Path("runs/vqvae")
+    """Run or bundle of the tokenizer that makes the codes; `model.num_codes` is taken from it."""
+    text_encoder: Literal["caption_encoder", "clip"] = "caption_encoder"
+    """What reads the captions: a small transformer that is trained with the generator, or CLIP, which is not."""
+    clip: str = CLIP_NAME
+    """CLIP model with `text_encoder: clip`: a folder or a name on the Hugging Face hub."""
+    caption_encoder: CaptionEncoderConfig = CaptionEncoderConfig(text_dim=512)
+    """Sizes of the caption encoder."""
+    offsets: OffsetKind = "all"
+    """Frames at which the first code of a clip may start: all that leave the same number of codes or one fewer, drawn
+    each time, or one drawn for each clip before training (the original)."""
+    timed_captions: TimedCaptionKind = "encode"
+    """Codes for a caption with times: of those frames alone, or cut out of the codes of the whole clip (the
+    original)."""
+    evaluation: GenerationEvaluationConfig = GenerationEvaluationConfig()
+    """Evaluation of generated motion during training."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.text_encoder == "caption_encoder" and self.model.text_dim != self.caption_encoder.text_dim:
+            raise ValueError(
+                f"caption_encoder.text_dim: {self.caption_encoder.text_dim}, but the generator reads model.text_dim "
+                f"{self.model.text_dim}; set both to the same number"
+            )
+
+
+class GeneratorSteps(NamedTuple):
+    """The jitted functions of a generator's training; each takes `config` as a keyword."""
+
+    init: Callable[..., Any]
+    """From a config and a key to the state, whose `params` have one entry per kind of part."""
+    update: Callable[..., Any]
+    """From a state and a `CodeBank` to the next state and its metrics."""
+    validate: Callable[..., Any]
+    """From a state, a `CodeBank` and the number of a batch to metrics."""
+
+
+def init_caption_encoder(config: TrainGeneratorConfig, key: Key[Array, ""]) -> dict[str, Any]:
+    """Returns the parameters of the caption encoder by its kind, nothing with CLIP; `key` is consumed."""
+    if config.text_encoder == "clip":
+        return {}
+    tokens = jnp.zeros((1, config.caption_encoder.max_length), jnp.int32)
+    module = CaptionEncoder(config.caption_encoder)
+    return {"caption_encoder": module.init(key, tokens, jnp.ones(tokens.shape, bool), train=False)["params"]}
+
+
+def embed_captions(
+    params: Any, captions: Captions, key: Key[Array, ""] | None, *, config: TrainGeneratorConfig
+) -> Float[Array, "B E"]:
+    """Returns the text embeddings: of the encoder that is trained (`key`, consumed, is for dropout), or as given."""
+    if isinstance(captions, jax.Array):
+        return captions
+    rngs = {} if key is None else {"dropout": key}
+    return CaptionEncoder(config.caption_encoder).apply(
+        {"params": params["caption_encoder"]}, captions.tokens, captions.mask, train=key is not None, rngs=rngs
+    )
+
+
+def resolve_generator(config: Any, resume: bool) -> Any:
+    """Returns the config with the sizes of its tokenizer.
+
+    Raises:
+        UserError: There is no tokenizer, or it has several codes per row and the generator does not.
+    """
+    path = config.run if resume else config.vqvae
+    tokenizer = load_tokenizer_config(path)
+    if tokenizer.num_quantizers != config.model.num_quantizers:
+        raise UserError(
+            f"{path}: has {tokenizer.num_quantizers} codes per row, but a {config.kind} predicts "
+            f"{config.model.num_quantizers}; choose another tokenizer"
+        )
+    return dataclasses.replace(config, model=dataclasses.replace(config.model, num_codes=tokenizer.num_codes))
+
+
+class CaptionReader(NamedTuple):
+    """How captions are read for training."""
+
+    read: Callable[[Sequence[str]], Captions]
+    """From captions to tokens of the caption encoder, or to embeddings of CLIP."""
+    bpe: Tokenizer | None
+    """Subwords of the caption encoder; None with CLIP."""
+    encoder: TextEncoder | None
+    """CLIP; None with a caption encoder, whose weights change."""
+
+
+def make_caption_reader(config: TrainGeneratorConfig, motions: Sequence[CodedMotion], *, resume: bool) -> CaptionReader:
+    """Returns what reads the captions: with the subwords of the run or of `init`, or with new ones.
+
+    Raises:
+        UserError: CLIP cannot be found, or has another width than the generator reads.
+    """
+    if config.text_encoder == "clip":
+        encoder = ClipTextEncoder(load_clip(config.clip, text_dim=config.model.text_dim), cache=EmbeddingCache())
+        return CaptionReader(encoder, None, encoder)
+    sizes = config.caption_encoder
+    bpe = load_bpe(config.run) if resume else None if config.init is None else load_model(config.init).bpe
+    if bpe is None:
+        captions = [caption.text for motion in motions for caption in motion.captions]
+        bpe = train_bpe(captions, vocabulary_size=sizes.vocabulary_size)
+    return CaptionReader(lambda captions: tokenize_captions(bpe, captions, max_length=sizes.max_length), bpe, None)
+
+
+def start_from_model(path: Path, tokenizer: TrainedTokenizer) -> Mapping[str, Any]:
+    """Returns the parameters of a trained model by kind.
+
+    Raises:
+        UserError: There is none, or its codes mean something else because it has another tokenizer.
+    """
+    model = load_model(path)
+    same = model.config.tokenizer == tokenizer.config and jax.tree.all(
+        jax.tree.map(
+            lambda one, other: np.allclose(one, other, rtol=SAME_WEIGHTS, atol=SAME_WEIGHTS),
+            jax.device_get(model.variables["tokenizer"]["params"]),
+            jax.device_get(tokenizer.variables["params"]),
+        )
+    )
+    if not same:
+        raise UserError(f"init: {path} was trained with another tokenizer; use its own with `--vqvae {path}`")
+    kinds = {"generator": model.config.generator.kind, "text_encoder": model.config.text_encoder.kind}
+    return {
+        "params": {kind: model.variables[role]["params"] for role, kind in kinds.items() if role in model.variables}
+    }
+
+
+def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Setup:
+    """Returns the setup of a generator's training; the run is a complete model that `TextToMotion.load` reads.
+
+    Raises:
+        UserError: Data, tokenizer and generator do not fit.
+    """
+    dataset = open_dataset(config.data)
+    tokenizer = load_tokenizer(config.run if resume else config.vqvae)
+    advice = "train the tokenizer on this data set, or choose another"
+    check_statistics(dataset, tokenizer.normalizer, reader="the tokenizer", advice=advice)
+    clips = dataset.clips("train", fraction=config.data_fraction)
+    motions = code_motions(config, clips, dataset, tokenizer)
+    reader = make_caption_reader(config, motions, resume=resume)
+    bank, compiled = make_code_bank(motions, reader.read), compiled_config(config)
+    parts = BundleConfig(
+        skeleton=dataset.skeleton.name,
+        tokenizer=tokenizer.config,
+        generator=config.model,
+        text_encoder=ClipReference(name=config.clip) if reader.bpe is None else config.caption_encoder,
+    )
+
+    def write_parts(run: Path) -> None:
+        save_tokenizer_copy(run, tokenizer)
+        if reader.bpe is not None:
+            save_bpe(run, reader.bpe)
+        save_config(run / CONFIG_FILE, parts)
+
+    return Setup(
+        dataset=dataset,
+        clips=clips,
+        data=bank,
+        init=lambda: steps.init(compiled, stream_key(config.loop.seed, "init")),
+        update=lambda state, bank: steps.update(state, bank, config=compiled),
+        optimizer=config.optimizer,
+        frames_per_step=config.loop.batch_size * float(bank.code_lengths.mean()) * tokenizer.config.downsample,
+        weights=lambda state: {"params": state.params},
+        write_parts=write_parts,
+        start_from=lambda path: start_from_model(path, tokenizer),
+        validation=make_validation(config, steps, dataset, tokenizer, reader),
+        evaluation=make_evaluation(config, parts, tokenizer, reader),
+    )
+
+
+def code_motions(
+    config: Any, clips: Sequence[Clip], dataset: Dataset, tokenizer: TrainedTokenizer
+) -> list[CodedMotion]:
+    """Returns clips as codes, as the config asks for."""
+    options = {"offsets": config.offsets, "timed_captions": config.timed_captions, "seed": config.loop.seed}
+    return encode_clips(clips, dataset.info, tokenizer, **options)
+
+
+def make_validation(
+    config: Any, steps: GeneratorSteps, dataset: Dataset, tokenizer: TrainedTokenizer, reader: CaptionReader
+) -> Validation | None:
+    """Returns the validation on one pass over the validation split, None if it is empty or turned off."""
+    clips = dataset.clips("val") if config.loop.validate_every else []
+    if not clips:
+        return None
+    bank, compiled = (
+        make_code_bank(code_motions(config, clips, dataset, tokenizer), reader.read),
+        compiled_config(config),
+    )
+    num_batches = max(bank.codes.shape[0] // config.loop.batch_size, 1)
+    return Validation(bank, num_batches, lambda state, bank, batch: steps.validate(state, bank, batch, config=compiled))
+
+
+def make_evaluation(config: Any, parts: BundleConfig, tokenizer: TrainedTokenizer, reader: CaptionReader) -> Evaluation:
+    """Returns the evaluation of generated motion."""
+    kinds = {"generator": parts.generator.kind, "text_encoder": parts.text_encoder.kind}
+    strategy = Greedy() if config.evaluation.sampling == "greedy" else Temperature()
+    on_device = tokenizer._replace(variables=jax.device_put(tokenizer.variables))
+
+    def model(state: Any) -> TextToMotion:
+        params = {role: {"params": state.params[kind]} for role, kind in kinds.items() if kind in state.params}
+        variables = {"tokenizer": on_device.variables} | params
+        return TextToMotion(Bundle(parts, variables, tokenizer.normalizer, reader.bpe), text_encoder=reader.encoder)
+
+    def source(state: Any, clips: Sequence[Clip]) -> CodeSource:
+        return make_generation(model(state), strategy, clips)
+
+    def motions(state: Any, clips: Sequence[Clip]) -> list[Motion]:
+        captions = [clip.captions[0].text for clip in clips]
+        return model(state).generate(captions, seed=config.evaluation.seed, strategy=strategy)
+
+    unit = tokenizer.config.downsample
+    return Evaluation(config.evaluation, unit, source, motions, sampling=config.evaluation.sampling)

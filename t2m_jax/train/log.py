@@ -1,0 +1,89 @@
+"""Metrics of a run, in CSV files, TensorBoard and the program's log."""
+
+import csv
+import logging
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image
+from tensorboardX import SummaryWriter
+
+from t2m_jax.files import save_text
+
+logger = logging.getLogger(__name__)
+
+PICTURES = "pictures"
+"""Folder of a run with pictures of its motions."""
+
+
+class MetricLog:
+    """Writes rows of metrics. After a resume the files continue as if the run had never stopped."""
+
+    def __init__(self, run: Path, *, first_step: int):
+        """Opens the log of a run; rows after `first_step` are removed when a file is first written to."""
+        run.mkdir(parents=True, exist_ok=True)
+        self._run = run
+        self._first_step = first_step
+        self._columns: dict[str, list[str]] = {}
+        self._board = SummaryWriter(str(run / "tensorboard"), purge_step=first_step + 1 if first_step else None)
+        self._last_row = time.perf_counter()
+
+    def __enter__(self) -> "MetricLog":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._board.close()
+
+    def write(self, split: str, step: int, metrics: Mapping[str, float], *, title: str) -> None:
+        """Adds one row to `<split>.csv`, to TensorBoard and to the log."""
+        path = self._run / f"{split}.csv"
+        if split not in self._columns:
+            self._columns[split] = _keep_rows(path, self._first_step) or ["step", *metrics]
+        is_new = not path.exists()
+        with path.open("a", newline="", encoding="utf-8") as file:
+            # A run of an earlier version may lack columns of today. Its files keep their own columns.
+            writer = csv.DictWriter(file, self._columns[split], extrasaction="ignore", lineterminator="\n")
+            if is_new:
+                writer.writeheader()
+            # repr keeps every bit of a float.
+            writer.writerow({"step": step} | {name: repr(value) for name, value in metrics.items()})
+        self._show(split, step, metrics, title=title)
+
+    def write_speed(self, step: int, *, steps: int, frames_per_step: float) -> None:
+        """Adds the speed of the last `steps` updates to TensorBoard and the log, which need not be reproducible."""
+        rate = steps / (time.perf_counter() - self._last_row)
+        speed = {"steps_per_second": rate, "frames_per_second": rate * frames_per_step}
+        self._show("speed", step, speed, title="speed")
+
+    def restart_clock(self) -> None:
+        """Starts to measure the speed: updates count from now on."""
+        self._last_row = time.perf_counter()
+
+    def write_picture(self, step: int, picture: UInt8[np.ndarray, "H W 3"]) -> None:
+        """Adds a picture of motions to TensorBoard, and a PNG file to the run."""
+        folder = self._run / PICTURES
+        folder.mkdir(exist_ok=True)
+        Image.fromarray(picture).save(folder / f"{step}.png")
+        self._board.add_image("motion", picture, step, dataformats="HWC")
+
+    def _show(self, split: str, step: int, metrics: Mapping[str, float], *, title: str) -> None:
+        for name, value in metrics.items():
+            self._board.add_scalar(f"{split}/{name}", value, step)
+        words = ", ".join(f"{name} {value:.4g}" for name, value in metrics.items())
+        logger.info("step %d, %s: %s", step, title, words)
+
+
+def _keep_rows(path: Path, last_step: int) -> list[str]:
+    """Removes rows after `last_step`, and a last row that a crash cut off; returns the columns, none for a new file."""
+    if not path.exists():
+        return []
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    kept = [line for line in lines[1:] if line.endswith("\n") and int(line.split(",")[0]) <= last_step]
+    if not kept:
+        path.unlink()
+        return []
+    save_text(path, "".join([lines[0], *kept]))
+    return lines[0].strip().split(",")

@@ -1,0 +1,36 @@
+"""The statistics that a training normalizes motion with."""
+
+from t2m_jax.checkpoints.bundle import CONFIG_FILE, bundle_path
+from t2m_jax.checkpoints.run import is_run
+from t2m_jax.checkpoints.tokenizer import load_tokenizer
+from t2m_jax.data.checks import check_statistics
+from t2m_jax.data.folder import Dataset
+from t2m_jax.errors import UserError
+from t2m_jax.motion.normalizer import Normalizer, load_normalizer, normalizer_from_files, weighted_normalizer
+from t2m_jax.train.config import FROM_DATA
+
+
+def load_statistics(statistics: str, dataset: Dataset, *, root_weight: float) -> Normalizer:
+    """Returns the statistics that a config names (see `TrainVqVaeConfig.statistics`).
+
+    Raises:
+        UserError: There are none, or they are of a different kind of motion than the data.
+    """
+    if statistics == FROM_DATA:
+        return weighted_normalizer(dataset.normalizer, dataset.skeleton.layout, factor=root_weight)
+    path = bundle_path(statistics)
+    if is_run(path) or (path / CONFIG_FILE).is_file():
+        normalizer = load_tokenizer(path).normalizer
+    elif path.suffix == ".npy":
+        std_name = path.name.replace("mean", "std").replace("Mean", "Std")
+        normalizer = normalizer_from_files(path, path.with_name(std_name))
+    elif (path / "mean.npy").is_file() and not (path / "Mean.npy").is_file():
+        normalizer = normalizer_from_files(path / "mean.npy", path / "std.npy")
+    elif path.is_dir():
+        normalizer = load_normalizer(path)
+    else:
+        raise UserError(
+            f"statistics: {statistics} does not exist; give a folder with mean.npy and std.npy, a model, or `data`"
+        )
+    check_statistics(dataset, normalizer, reader=statistics, advice=f"choose others, or `--statistics {FROM_DATA}`")
+    return normalizer
