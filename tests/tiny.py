@@ -6,7 +6,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from t2m_jax.checkpoints.bundle import Bundle, BundleConfig, expected_variables
+from t2m_jax.checkpoints.bundle import Bundle, BundleConfig, expected_variables, part_kinds
 from t2m_jax.checkpoints.evaluator import TrainedEvaluator, make_trained_evaluator
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.models.caption_encoder import CaptionEncoderConfig
@@ -26,7 +26,7 @@ GPT = MotionGptConfig(num_codes=16, embed_dim=16, text_dim=12, num_layers=2, num
 CAPTION_ENCODER = CaptionEncoderConfig(
     vocabulary_size=90, max_length=16, embed_dim=16, num_layers=1, num_heads=2, text_dim=12
 )
-BUNDLE = BundleConfig(vqvae=VQVAE, gpt=GPT, caption_encoder=CAPTION_ENCODER)
+BUNDLE = BundleConfig(tokenizer=VQVAE, generator=GPT, text_encoder=CAPTION_ENCODER)
 EVALUATOR = EvaluatorConfig(
     movement_hidden=10, movement_dim=12, motion_hidden=8, text_hidden=6, embedding_dim=16, word_dim=5
 )
@@ -78,8 +78,12 @@ def walking_normalizer() -> Normalizer:
 
 def random_bundle(*, seed: int = 10) -> Bundle:
     """Returns a complete model that nobody trained."""
-    tokenizer = train_bpe(CAPTIONS, vocabulary_size=CAPTION_ENCODER.vocabulary_size)
-    return Bundle(BUNDLE, random_variables(expected_variables(BUNDLE), seed=seed), walking_normalizer(), tokenizer)
+    bpe = train_bpe(CAPTIONS, vocabulary_size=CAPTION_ENCODER.vocabulary_size)
+    kinds, shapes = part_kinds(BUNDLE), expected_variables(BUNDLE)
+    # Drawn in the order of the kinds' names: tests know what these weights generate.
+    drawn = random_variables({kind: shapes[role] for role, kind in kinds.items()}, seed=seed)
+    variables = {role: drawn[kind] for role, kind in kinds.items()}
+    return Bundle(BUNDLE, variables, walking_normalizer(), bpe)
 
 
 def random_evaluator(*, seed: int = 10) -> TrainedEvaluator:
