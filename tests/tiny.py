@@ -18,8 +18,7 @@ from t2m_jax.motion.normalizer import Normalizer, normalizer_from_clips
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.text.bpe import train_bpe
 from t2m_jax.text.word_vectors import tokens_from_text, vocabulary_from_captions
-from t2m_jax.train.config import LoopConfig, TrainGptConfig, TrainVqVaeConfig
-from t2m_jax.train.optimizer import OptimizerConfig
+from t2m_jax.train import LoopConfig, OptimizerConfig, TrainGptConfig, TrainVqVaeConfig
 
 VQVAE = VqVaeConfig(num_codes=16, code_dim=8, width=16, depth=1)
 GPT = MotionGptConfig(num_codes=16, embed_dim=16, text_dim=12, num_layers=2, num_heads=2, block_size=41)

@@ -1,0 +1,172 @@
+"""Training of both parts: what differs from the other systems, and nothing else."""
+
+import dataclasses
+import functools
+from pathlib import Path
+from typing import ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from lookup_bigram.models import Bigram, BigramConfig, Lookup, LookupConfig
+from t2m_jax.checkpoints import TrainedTokenizer, load_tokenizer
+from t2m_jax.checkpoints.tokenizer import save_tokenizer_parts
+from t2m_jax.data import open_dataset
+from t2m_jax.data.banks.codes import code_batch_at
+from t2m_jax.data.banks.motions import batch_at, make_bank
+from t2m_jax.evaluation.sources import Reconstruction
+from t2m_jax.sampling.codec import reconstruct_motions
+from t2m_jax.train import Evaluation, EvaluationConfig, ExperimentConfig, LoopConfig, OptimizerConfig, Setup, Trainer
+from t2m_jax.train.config import compiled_config
+from t2m_jax.train.generator import (
+    GeneratorSteps,
+    TrainGeneratorConfig,
+    embed_captions,
+    init_caption_encoder,
+    prepare_generator,
+    resolve_generator,
+)
+from t2m_jax.train.optimizer import make_optimizer
+from t2m_jax.train.streams import stream_key
+
+
+class State(NamedTuple):
+    """Everything that an update changes."""
+
+    step: jax.Array
+    params: dict
+    opt_state: optax.OptState
+
+
+def start(params, config):
+    return State(jnp.array(0, jnp.int32), params, make_optimizer(config.optimizer).init(params))
+
+
+def descend(state, objective, config):
+    (_, metrics), gradient = jax.value_and_grad(objective, has_aux=True)(state.params)
+    updates, opt_state = make_optimizer(config.optimizer).update(gradient, state.opt_state, state.params)
+    return State(state.step + 1, optax.apply_updates(state.params, updates), opt_state), metrics
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrainLookupConfig(ExperimentConfig):
+    """Training of the tokenizer."""
+
+    kind: ClassVar[str] = "lookup"
+
+    run: Path = Path("runs/lookup")
+    """Run directory to write."""
+    model: LookupConfig = LookupConfig()
+    """Sizes."""
+    optimizer: OptimizerConfig = OptimizerConfig(learning_rate=1e-2)
+    """Optimizer."""
+    evaluation: EvaluationConfig = EvaluationConfig()
+    """Evaluation of reconstructions."""
+
+
+@functools.partial(jax.jit, static_argnames="config", donate_argnums=0)
+def update_lookup(state, bank, *, config):
+    key = stream_key(config.loop.seed, "data")
+    windows = batch_at(bank, key, state.step, batch_size=config.loop.batch_size, window=32)
+
+    def objective(params):
+        reconstruction, _ = Lookup(config.model).apply({"params": params}, windows.motion, windows.mask, train=True)
+        loss = jnp.mean(jnp.where(windows.mask[:, :, None], reconstruction - windows.motion, 0.0) ** 2)
+        return loss, {"loss": loss}
+
+    return descend(state, objective, config)
+
+
+def init_lookup(config):
+    module = Lookup(config.model)
+    motion = jnp.zeros((1, config.model.downsample, config.model.feature_dim))
+    return start(module.init(stream_key(config.loop.seed, "init"), motion, train=False)["params"], config)
+
+
+def prepare_lookup(config, resume):
+    dataset = open_dataset(config.data)
+    clips = dataset.clips("train", min_frames=config.model.downsample, fraction=config.data_fraction)
+
+    def trained(state):
+        return TrainedTokenizer(config.model, {"params": state.params}, dataset.normalizer)
+
+    def motions(state, clips):
+        return reconstruct_motions(trained(state), [clip.features for clip in clips], dataset.skeleton)
+
+    return Setup(
+        dataset=dataset,
+        clips=clips,
+        data=make_bank(clips, dataset.normalizer),
+        init=lambda: init_lookup(config),
+        update=functools.partial(update_lookup, config=compiled_config(config)),
+        optimizer=config.optimizer,
+        frames_per_step=config.loop.batch_size * 32,
+        weights=lambda state: {"params": state.params},
+        write_parts=lambda run: save_tokenizer_parts(run, config.model, dataset.normalizer),
+        start_from=lambda path: load_tokenizer(path).variables,
+        evaluation=Evaluation(
+            config.evaluation, config.model.downsample, lambda state, clips: Reconstruction(trained(state)), motions
+        ),
+    )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrainBigramConfig(TrainGeneratorConfig):
+    """Training of the prior."""
+
+    kind: ClassVar[str] = "bigram"
+
+    run: Path = Path("runs/bigram")
+    """Run directory to write."""
+    model: BigramConfig = BigramConfig()
+    """Sizes."""
+    optimizer: OptimizerConfig = OptimizerConfig(learning_rate=1e-2)
+    """Optimizer."""
+    loop: LoopConfig = LoopConfig(num_steps=10, batch_size=4)
+    """Length."""
+
+
+def init_bigram(config, key):
+    bigram_key, caption_key = jax.random.split(key)
+    rows, text = jnp.zeros((1, 1, 2), jnp.int32), jnp.zeros((1, config.model.text_dim))
+    params = {"bigram": Bigram(config.model).init(bigram_key, rows, text, train=False)["params"]}
+    return start(params | init_caption_encoder(config, caption_key), config)
+
+
+def bigram_metrics(params, batch, key, config):
+    text = embed_captions(params, batch.captions, key, config=config)
+    logits, stops = Bigram(config.model).apply({"params": params["bigram"]}, batch.codes, text, train=True)
+    position = jnp.arange(batch.codes.shape[1])[None]
+    mask, is_last = position < batch.code_lengths[:, None], position == batch.code_lengths[:, None] - 1
+    errors = optax.losses.softmax_cross_entropy_with_integer_labels(logits, batch.codes).mean(-1)
+    errors = errors + optax.losses.sigmoid_binary_cross_entropy(stops, is_last.astype(jnp.float32))
+    loss = jnp.sum(jnp.where(mask, errors, 0.0)) / jnp.sum(mask)
+    return loss, {"loss": loss}
+
+
+def bigram_batch(bank, stream, step, config):
+    key, size = stream_key(config.loop.seed, stream), config.loop.batch_size
+    return code_batch_at(bank, key, step, batch_size=size, max_codes=config.model.max_codes)
+
+
+@functools.partial(jax.jit, static_argnames="config", donate_argnums=0)
+def update_bigram(state, bank, *, config):
+    batch = bigram_batch(bank, "data", state.step, config)
+    key = jax.random.fold_in(stream_key(config.loop.seed, "model"), state.step)
+    return descend(state, lambda params: bigram_metrics(params, batch, key, config), config)
+
+
+@functools.partial(jax.jit, static_argnames="config")
+def validate_bigram(state, bank, step, *, config):
+    return bigram_metrics(state.params, bigram_batch(bank, "validation", step, config), None, config)[1]
+
+
+LOOKUP = Trainer(config=TrainLookupConfig, prepare=prepare_lookup)
+BIGRAM = Trainer(
+    config=TrainBigramConfig,
+    prepare=lambda config, resume: prepare_generator(
+        config, GeneratorSteps(init_bigram, update_bigram, validate_bigram), resume=resume
+    ),
+    resolve=resolve_generator,
+)

@@ -1,0 +1,82 @@
+"""A system from another package goes from training to evaluation; nothing in t2m_jax knows it."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from t2m_jax.checkpoints import save_evaluator
+from t2m_jax.data import open_dataset, write_synthetic_dataset
+from tests.tiny import CAPTION_ENCODER, random_evaluator
+
+DISTRIBUTION = Path(__file__).parent / "distribution"
+TEXT_FIELDS = {
+    f"caption_encoder.{name}": getattr(CAPTION_ENCODER, name)
+    for name in ("vocabulary_size", "max_length", "embed_dim", "num_layers", "num_heads", "text_dim")
+}
+LOOP = {"loop.num_steps": 6, "loop.batch_size": 4, "loop.log_every": 2, "loop.validate_every": 3}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A data set and an evaluator of it."""
+    folder = tmp_path_factory.mktemp("third")
+    write_synthetic_dataset(folder / "data", num_clips=40, seed=3)
+    (folder / "data" / "val.txt").write_text((folder / "data" / "train.txt").read_text())
+    trained = random_evaluator()._replace(normalizer=open_dataset(folder / "data").normalizer)
+    save_evaluator(folder / "evaluator", trained)
+    return folder
+
+
+def t2m(folder, *arguments, **fields):
+    """Runs the program with the distribution on the path; `fields` are options of a config."""
+    options = [text for name, value in fields.items() for text in (f"--{name}", f"{value}")]
+    path = os.pathsep.join([f"{DISTRIBUTION}", f"{DISTRIBUTION.parents[2]}", os.environ.get("PYTHONPATH", "")])
+    environment = os.environ | {"PYTHONPATH": path, "T2M_JAX_NO_COMPILATION_CACHE": "1"}
+    command = [sys.executable, "-m", "t2m_jax.cli", *map(str, arguments), *options]
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.slow
+def test_train_bundle_load_generate_evaluate(folder):
+    (folder / "empty.yaml").write_text("{}\n")
+    evaluation = {"evaluation.evaluator": "evaluator", "evaluation.every": 3, "evaluation.metric": "r_precision_1"}
+    t2m(folder, "train", "lookup", "empty.yaml", data="data", run="lookup", **LOOP, **evaluation)
+    t2m(
+        folder,
+        "train",
+        "bigram",
+        "empty.yaml",
+        data="data",
+        vqvae="lookup",
+        run="bigram",
+        **LOOP,
+        **TEXT_FIELDS,
+        **{"model.max_codes": 12},
+        **evaluation,
+    )
+    assert (folder / "bigram" / "pictures" / "6.png").is_file()
+    t2m(folder, "bundle", "bigram", "lookup", "model")
+    assert "kind: bigram" in (folder / "model" / "bundle.yaml").read_text()
+    for model in ("bigram", "model"):
+        t2m(folder, "generate", "a person walks", "--model", model, "--seed", 2, "-o", f"{model}.npz")
+    with np.load(folder / "model.npz") as motion:
+        rows = len(motion["codes"])
+        assert motion["codes"].shape == (rows, 2) and 1 <= rows <= 12
+        assert motion["positions"].shape == (8 * rows, 22, 3)
+    for kind in ("reconstruction", "generation"):
+        options = ["--data", "data", "--split", "val", "--evaluator", "evaluator", "--num-repeats", 2]
+        t2m(folder, "evaluate", kind, "--model", "model", *options, "--json", f"{kind}.json")
+        report = json.loads((folder / f"{kind}.json").read_text())
+        assert "fid" in json.dumps(report)
+    stronger = ["--guidance-scale", 9.0, "-o", "guided.npz"]
+    t2m(folder, "generate", "a person walks", "--model", "model", "--seed", 2, *stronger)
+    assert (folder / "guided.npz").is_file()
+    again = t2m(folder, "train", "bigram", "--run", "bigram", "--resume", **{"loop.num_steps": 8})
+    assert "bigram" in again and "num_steps: 8" in (folder / "bigram" / "config.yaml").read_text()
