@@ -4,6 +4,8 @@ import argparse
 import sys
 from pathlib import Path
 
+from t2m_jax.cli.next_step import show_next
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the options of the command."""
@@ -29,4 +31,5 @@ def run(args: argparse.Namespace) -> None:
     save_bundle(Path(args.destination), bundle, card=card, clip=clip)
     if args.export_official:
         export_official(Path(args.destination) / "official", bundle)
-    sys.stdout.write(f"{args.destination}\nnext: t2m generate \"a person walks forward\" --model {args.destination}\n")
+    sys.stdout.write(f"{args.destination}\n")
+    show_next(f't2m generate "a person walks forward" --model {args.destination}')

@@ -4,6 +4,8 @@ import argparse
 import sys
 from pathlib import Path
 
+from t2m_jax.cli.next_step import show_next
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the options of the command."""
@@ -50,3 +52,7 @@ def run(args: argparse.Namespace) -> None:
             path = output if len(motions) == 1 else output.with_stem(f"{output.stem}-{number}")
             motion.save(path)
             sys.stdout.write(f"{path}\n")
+    if all(output.suffix != ".html" for output in outputs):
+        show_next(f"t2m view {path} -o motion.html")
+    else:
+        show_next(f"open {next(output for output in outputs if output.suffix == '.html')} in a browser")

@@ -11,6 +11,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from t2m_jax.cli.next_step import show_next
+
 TAKES_CONFIG_OPTIONS = True
 
 
@@ -56,8 +58,7 @@ def run(args: argparse.Namespace) -> None:
     use_compilation_cache()
     train(config, resume=args.resume)
     sys.stdout.write(f"{config.run}\n")
-    command = find_trainer(args.kind).next_command.format(run=config.run, data=config.data)
-    sys.stdout.write(f"next: {command}\n" if command else "")
+    show_next(find_trainer(args.kind).next_command.format(run=config.run, data=config.data))
 
 
 def _start_config(args: argparse.Namespace) -> Any:

@@ -14,7 +14,7 @@ import dataclasses
 import functools
 import importlib.metadata
 from collections.abc import Callable
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import flax.linen as nn
 import jax
@@ -31,6 +31,7 @@ Draw = Callable[[Float[Array, "B V"], Key[Array, ""]], Int[Array, " B"]]
 """A sampling strategy: chooses one of the V classes for each row of logits; the key is consumed."""
 
 
+@runtime_checkable
 class TokenizerConfig(Protocol):
     """What every tokenizer's config has beside its own fields."""
 
@@ -58,6 +59,7 @@ class TokenizerConfig(Protocol):
         ...
 
 
+@runtime_checkable
 class Tokenizer(Protocol):
     """The methods of a tokenizer's module; motion is normalized, and masks are True where there is data."""
 
@@ -70,6 +72,7 @@ class Tokenizer(Protocol):
         ...
 
 
+@runtime_checkable
 class GeneratorConfig(Protocol):
     """What every generator's config has beside its own fields."""
 
@@ -102,6 +105,7 @@ class GeneratorConfig(Protocol):
         ...
 
 
+@runtime_checkable
 class Generator(Protocol):
     """The methods of a generator's module that sampling uses.
 

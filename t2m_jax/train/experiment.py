@@ -104,7 +104,7 @@ class Trainer(NamedTuple):
     """From a resolved config, and whether the run is resumed, to the setup. Raises `UserError` if parts do not fit."""
     resolve: Callable[[Any, bool], Any] = lambda config, resume: config
     """From a config to one that contains values of other runs, such as the number of codes of a tokenizer."""
-    next_command: str = ""
+    next_command: str = "t2m bundle {run} DIR"
     """What users run next; `{run}` and `{data}` are replaced."""
 
 

@@ -8,10 +8,10 @@ import pytest
 import yaml
 
 from t2m_jax.checkpoints.bundle import CONFIG_FILE, WEIGHTS_FILE, bundle_path, load_bundle, save_bundle
-from t2m_jax.checkpoints.gpt_run import load_model
-from t2m_jax.checkpoints.vqvae import load_vqvae
+from t2m_jax.checkpoints.model import load_model
+from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_arrays, save_arrays
+from t2m_jax.files import load_arrays, read_arrays, save_arrays, unflatten_tree
 from tests.tiny import BUNDLE, random_bundle
 
 
@@ -55,8 +55,8 @@ def test_round_trip(saved):
         loaded.variables,
     )
     jax.tree.map(np.testing.assert_array_equal, original.normalizer, loaded.normalizer)
-    assert loaded.tokenizer.to_str() == original.tokenizer.to_str()
-    assert {leaf.dtype for leaf in jax.tree.leaves(loaded.variables["gpt"])} == {np.dtype(np.float32)}
+    assert loaded.bpe.to_str() == original.bpe.to_str()
+    assert {leaf.dtype for leaf in jax.tree.leaves(loaded.variables["generator"])} == {np.dtype(np.float32)}
 
 
 def test_weights_take_two_bytes_a_number(saved):
@@ -68,8 +68,8 @@ def test_everybody_may_read_it(saved):
     assert all(path.stat().st_mode & 0o044 == 0o044 for path in (saved, *saved.iterdir()))
 
 
-def test_the_vqvae_can_be_had_alone(saved):
-    assert load_vqvae(saved).config == BUNDLE.vqvae
+def test_the_tokenizer_can_be_loaded_alone(saved):
+    assert load_tokenizer(saved).config == BUNDLE.tokenizer
 
 
 def test_an_existing_folder_is_not_written_over(saved):
@@ -104,22 +104,26 @@ def test_missing_folders_name_what_there_is(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"format_version": 2}, "format_version"),
-        ({"skeleton": "kit_ml"}, "vqvae.feature_dim"),
+        ({"format_version": 99}, "format_version 99"),
+        ({"format_version": 1}, "unknown key"),
+        ({"skeleton": "kit_ml"}, "tokenizer.feature_dim"),
+        ({"tokenizer__kind": "horse"}, "tokenizer.kind: 'horse'"),
+        ({"tokenizer__kind": "gpt"}, "'gpt' is a generator"),
+        ({"text_encoder__kind": "horse"}, "text_encoder.kind: 'horse'"),
         ({"skeleton": "horse"}, "horse"),
-        ({"gpt__num_codes": 17}, "gpt.num_codes"),
-        ({"gpt__text_dim": 13}, "gpt.text_dim"),
-        ({"gpt__embed_dim": 15}, "num_heads"),
-        ({"gpt__embed_dim": 32}, "shape"),
-        ({"vqvae__depth": 2}, "is missing"),
-        ({"gpt__num_layers": 1}, "not part of the model"),
-        ({"caption_encoder__vocabulary_size": 5}, "shape"),
-        ({"gpt__num_layerz": 1}, "num_layers"),
-        ({"gpt__num_heads": 0}, "num_heads: 0"),
-        ({"gpt__block_size": 1}, "block_size: 1"),
-        ({"caption_encoder__num_heads": 3}, "num_heads: 3 does not divide"),
-        ({"vqvae__width": 0}, "width: 0"),
-        ({"vqvae__num_stages": -1}, "num_stages: -1"),
+        ({"generator__num_codes": 17}, "generator.num_codes"),
+        ({"generator__text_dim": 13}, "generator.text_dim"),
+        ({"generator__embed_dim": 15}, "num_heads"),
+        ({"generator__embed_dim": 32}, "shape"),
+        ({"tokenizer__depth": 2}, "is missing"),
+        ({"generator__num_layers": 1}, "not part of the model"),
+        ({"text_encoder__vocabulary_size": 5}, "shape"),
+        ({"generator__num_layerz": 1}, "num_layers"),
+        ({"generator__num_heads": 0}, "num_heads: 0"),
+        ({"generator__block_size": 1}, "block_size: 1"),
+        ({"text_encoder__num_heads": 3}, "num_heads: 3 does not divide"),
+        ({"tokenizer__width": 0}, "width: 0"),
+        ({"tokenizer__num_stages": -1}, "num_stages: -1"),
     ],
 )
 def test_configs_that_do_not_fit_are_refused(copy, changes, said):
@@ -128,9 +132,9 @@ def test_configs_that_do_not_fit_are_refused(copy, changes, said):
 
 
 def test_weights_that_are_not_finite_are_refused(copy):
-    variables = load_bundle(copy).variables
-    variables["gpt"]["params"]["head"]["kernel"][0, 0] = np.nan
-    save_arrays(copy / WEIGHTS_FILE, variables)
+    arrays = unflatten_tree(read_arrays(copy / WEIGHTS_FILE))
+    arrays["gpt"]["params"]["head"]["kernel"][0, 0] = np.nan
+    save_arrays(copy / WEIGHTS_FILE, arrays)
     assert "gpt/params/head/kernel" in refused(copy)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from t2m_jax.checkpoints.evaluator import (
     TrainedEvaluator,
-    load_evaluator_bundle,
+    load_trained_evaluator,
     make_trained_evaluator,
     save_evaluator,
 )
@@ -30,7 +30,7 @@ def folder(trained, tmp_path):
 
 
 def test_there_and_back(trained, folder):
-    found = load_evaluator_bundle(folder)
+    found = load_trained_evaluator(folder)
     assert found.config == trained.config
     assert found.vocabulary.words == trained.vocabulary.words
     assert found.fingerprint == trained.fingerprint
@@ -43,7 +43,7 @@ def test_there_and_back(trained, folder):
         "Std.npy",
         "words.txt",
     }
-    assert load_evaluator_bundle(str(folder)).fingerprint == found.fingerprint
+    assert load_trained_evaluator(str(folder)).fingerprint == found.fingerprint
 
 
 def test_anything_that_changes_numbers_changes_the_fingerprint(trained):
@@ -69,8 +69,8 @@ def test_no_folder_is_written_over(trained, folder):
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("evaluator.yaml", "no evaluator"),
-        ("weights.safetensors", "has not come to its first validation"),
+        ("evaluator.yaml", "not an evaluator"),
+        ("weights.safetensors", "missing"),
         ("words.txt", "cannot be read"),
         ("Mean.npy", "missing"),
     ],
@@ -78,27 +78,27 @@ def test_no_folder_is_written_over(trained, folder):
 def test_what_is_missing_is_named(folder, name, said):
     (folder / name).unlink()
     with pytest.raises(UserError, match=said):
-        load_evaluator_bundle(folder)
+        load_trained_evaluator(folder)
 
 
 def test_parts_that_do_not_fit_are_refused(trained, folder, tmp_path):
     shutil.copytree(folder, tmp_path / "words")
     save_vocabulary(tmp_path / "words" / "words.txt", Vocabulary((*trained.vocabulary.words, "more")))
-    with pytest.raises(UserError, match=r"words\.txt: \d+ words, but evaluator\.yaml says"):
-        load_evaluator_bundle(tmp_path / "words")
+    with pytest.raises(UserError, match=r"words\.txt: has \d+ words, but evaluator\.yaml says"):
+        load_trained_evaluator(tmp_path / "words")
     shutil.copytree(folder, tmp_path / "statistics")
     for name in ("Mean.npy", "Std.npy"):
         np.save(tmp_path / "statistics" / name, np.ones(251, np.float32))
-    with pytest.raises(UserError, match="statistics of 251 features, 263 wanted"):
-        load_evaluator_bundle(tmp_path / "statistics")
+    with pytest.raises(UserError, match="statistics are for 251 features; the model has 263"):
+        load_trained_evaluator(tmp_path / "statistics")
     path = folder / "evaluator.yaml"
     path.write_text(path.read_text().replace("format_version: 1", "format_version: 9"))
     with pytest.raises(UserError, match="format_version 9"):
-        load_evaluator_bundle(folder)
+        load_trained_evaluator(folder)
     path.write_text(
         path.read_text()
         .replace("format_version: 9", "format_version: 1")
         .replace("motion_hidden: 8", "motion_hidden: 6")
     )
     with pytest.raises(UserError, match="has shape"):
-        load_evaluator_bundle(folder)
+        load_trained_evaluator(folder)

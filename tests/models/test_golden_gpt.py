@@ -63,10 +63,9 @@ def test_cached_steps_equal_the_whole_sequence(case):
     arrays, model, variables = case
     text, tokens = jnp.asarray(arrays["clip_feat"]), jnp.asarray(arrays["input_tokens"])
     whole = model.apply(variables, tokens, text, train=False)
-    logits, caches = model.apply(variables, text, method="prefill")
+    logits, cache = model.apply(variables, text, method="begin")
     np.testing.assert_allclose(logits, whole[:, 0], atol=1e-5)
     for position in range(1, tokens.shape[1] + 1):
-        logits, caches = model.apply(
-            variables, tokens[:, position - 1], caches, jnp.array(position), method="decode_step"
-        )
+        logits, stops, cache = model.apply(variables, cache, tokens[:, position - 1, None], method="step")
+        np.testing.assert_array_equal(stops, tokens[:, position - 1] == model.config.end_token)
         np.testing.assert_allclose(logits, whole[:, position], atol=1e-5)

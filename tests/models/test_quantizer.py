@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from t2m_jax.metrics import perplexity
 from t2m_jax.models.quantizer import (
     RULES,
     CodebookState,
@@ -15,7 +16,6 @@ from t2m_jax.models.quantizer import (
     hits,
     initial_codebook,
     nearest_codes,
-    perplexity_from_counts,
     update_codebook,
 )
 
@@ -83,7 +83,7 @@ def test_module_learns_as_the_golden_sequence(golden_dir, kind):
         np.testing.assert_allclose(output.commitment_loss, arrays["loss"][step], rtol=1e-5)
         np.testing.assert_allclose(output.quantized.transpose(0, 2, 1), arrays["out_nct"][step], atol=1e-5)
         np.testing.assert_allclose(gradient.transpose(0, 2, 1), arrays["grad_x_nct"][step], atol=1e-5)
-        found = perplexity_from_counts(output.code_counts)
+        found = perplexity(output.code_counts)
         np.testing.assert_allclose(found, arrays["perplexity"][step], rtol=1e-5)
         np.testing.assert_allclose(updates["codebook"]["codebook"], arrays["codebook_after"][step], atol=1e-5)
         variables = updates
@@ -164,13 +164,13 @@ def test_zero_counts_stay_finite_in_value_and_gradient():
 def test_candidates_skip_masked_rows():
     latents = jnp.arange(12.0).reshape(6, 2)
     mask = jnp.array([False, True, False, True, True, True])
-    candidates = candidate_codes(latents, mask, jax.random.key(0), num_codes=3)
+    candidates = candidate_codes(latents, mask, jax.random.normal(jax.random.key(0), (3, 2)))
     np.testing.assert_array_equal(candidates, latents[jnp.array([1, 3, 4])])
 
 
 def test_candidates_repeat_with_noise_when_rows_are_few():
     latents = jnp.ones((2, 4))
-    candidates = candidate_codes(latents, jnp.array([True, False]), jax.random.key(0), num_codes=5)
+    candidates = candidate_codes(latents, jnp.array([True, False]), jax.random.normal(jax.random.key(0), (5, 4)))
     assert len(np.unique(np.asarray(candidates), axis=0)) == 5
     np.testing.assert_allclose(candidates, 1.0, atol=0.05)
 

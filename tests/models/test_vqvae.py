@@ -24,7 +24,7 @@ def test_shapes(model_and_variables):
     motion = jnp.zeros((3, 19, 7))
     output = model.apply(variables, motion, train=False)
     assert output.reconstruction.shape == (3, 16, 7)
-    assert output.codes.shape == (3, 4)
+    assert output.codes.shape == (3, 4, 1)
     assert model.apply(variables, output.codes, method="decode").shape == (3, 16, 7)
 
 
@@ -42,7 +42,7 @@ def test_padding_changes_nothing(model_and_variables, length):
     np.testing.assert_array_equal(padded.codes[0, :num_codes], alone.codes[0])
     np.testing.assert_allclose(padded.reconstruction[0, : 4 * num_codes], alone.reconstruction[0], atol=1e-5, rtol=1e-5)
     code_mask = jnp.arange(6)[None] < num_codes
-    codes = jnp.where(code_mask, padded.codes[:1], 7)
+    codes = jnp.where(code_mask[:, :, None], padded.codes[:1], 7)
     decoded = model.apply(variables, codes, code_mask, method="decode")
     np.testing.assert_allclose(decoded[0, : 4 * num_codes], alone.reconstruction[0], atol=1e-5, rtol=1e-5)
 

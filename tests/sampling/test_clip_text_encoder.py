@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from t2m_jax.checkpoints.clip import load_clip
-from t2m_jax.sampling import clip_text_encoder
-from t2m_jax.sampling.clip_text_encoder import MAX_BATCH, ClipTextEncoder, encode_clip_tokens
+from t2m_jax.sampling import text_encoders
+from t2m_jax.sampling.text_encoders import MAX_BATCH, ClipTextEncoder, encode_clip_tokens
 from t2m_jax.text import EmbeddingCache, TextEncoder
 from tests.clip_golden import CAPTIONS, FULL, TEXT_ONLY, golden
 
@@ -25,7 +25,7 @@ def batches(monkeypatch):
         sizes.append(len(tokens))
         return encode_clip_tokens(variables, tokens, config=config)
 
-    monkeypatch.setattr(clip_text_encoder, "encode_clip_tokens", watched)
+    monkeypatch.setattr(text_encoders, "encode_clip_tokens", watched)
     return sizes
 
 

@@ -1,4 +1,4 @@
-"""The decoding loop: golden greedy sequences, cached against uncached, independence of the batch."""
+"""The sampling loop: golden greedy sequences, cached against uncached, independence of the batch."""
 
 import functools
 import json
@@ -10,8 +10,9 @@ import pytest
 
 from t2m_jax.checkpoints.official.load import gpt_variables
 from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
-from t2m_jax.sampling.decoding import CHUNK, decode_codes
-from t2m_jax.sampling.strategies import Greedy, Temperature, TopK
+from t2m_jax.sampling import Greedy, Sampling, StopAtEnd, Temperature, TopK
+from t2m_jax.sampling.codec import generate_codes
+from t2m_jax.sampling.decoding import CHUNK
 from tests.golden_files import state_dict
 from tests.tiny import random_variables
 
@@ -27,17 +28,10 @@ def model_and_variables():
     return model, random_variables(jax.eval_shape(lambda: model.init(jax.random.key(0), tokens, text, train=False)))
 
 
-@functools.partial(jax.jit, static_argnames=("model", "strategy", "max_codes", "min_codes"))
 def decode(model, variables, text_embedding, keys, *, strategy, max_codes=None, min_codes=0):
-    return decode_codes(
-        lambda text: model.apply(variables, text, method="prefill"),
-        lambda tokens, caches, position: model.apply(variables, tokens, caches, position, method="decode_step"),
-        text_embedding,
-        keys,
-        strategy=strategy,
-        max_codes=max_codes or model.config.max_codes,
-        min_codes=min_codes,
-    )
+    sampling = Sampling(strategy, StopAtEnd(), max_codes or model.config.max_codes, min_codes)
+    sampled = generate_codes(variables, text_embedding, keys, generator=model, sampling=sampling)
+    return sampled._replace(codes=sampled.codes[:, :, 0])
 
 
 @functools.partial(jax.jit, static_argnames=("model", "strategy"))

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.sampling import Greedy, TextToMotion
-from t2m_jax.sampling.pipeline import MAX_BATCH, decode_motion, generate_codes, sample_key
-from t2m_jax.sampling.strategies import Temperature
+from t2m_jax.sampling import Greedy, TextToMotion, sample_key
+from t2m_jax.sampling.codec import decode_positions
+from t2m_jax.sampling.pipeline import MAX_BATCH
 from t2m_jax.text.encoder import TextEncoder
 from tests.tiny import BUNDLE, CAPTIONS, random_bundle
 
@@ -41,8 +41,8 @@ def test_a_motion_is_complete(model, eight):
         assert motion.fps == 20.0
         assert motion.positions.shape == (4 * len(motion.codes), 22, 3)
         assert motion.features.shape == (4 * len(motion.codes), 263)
-        assert 0 < len(motion.codes) <= model.config.gpt.max_codes
-        assert motion.codes.max() < BUNDLE.vqvae.num_codes
+        assert 0 < len(motion.codes) <= model.config.generator.max_codes
+        assert motion.codes.max() < BUNDLE.tokenizer.num_codes
     assert len({len(motion.codes) for motion in eight}) > 1, "the test wants motions of several lengths"
 
 
@@ -104,7 +104,7 @@ def test_numbers_out_of_range_are_refused(model, options, name):
         model.generate(CAPTIONS[0], **options)
 
 
-@pytest.mark.parametrize("codes", [[], [-1], [BUNDLE.vqvae.num_codes]])
+@pytest.mark.parametrize("codes", [[], [-1], [BUNDLE.tokenizer.num_codes], [[1, 2]]])
 def test_codes_out_of_range_are_refused(model, codes):
     with pytest.raises(UserError, match="codes"):
         model.decode(np.array(codes, np.int32))
@@ -113,7 +113,7 @@ def test_codes_out_of_range_are_refused(model, codes):
 def test_the_text_encoder_reads_each_caption_for_itself(model):
     assert isinstance(model.text_encoder, TextEncoder)
     together = model.text_encoder(CAPTIONS)
-    assert together.shape == (len(CAPTIONS), BUNDLE.gpt.text_dim)
+    assert together.shape == (len(CAPTIONS), BUNDLE.generator.text_dim)
     for caption, embedding in zip(CAPTIONS, together, strict=True):
         np.testing.assert_allclose(model.text_encoder([caption])[0], embedding, atol=1e-5)
     assert len(np.unique(np.round(together, 3), axis=0)) == len(CAPTIONS)
@@ -124,17 +124,19 @@ def test_sample_keys_are_distinct():
     assert len({tuple(jax.random.key_data(key).tolist()) for key in keys}) == len(keys)
 
 
-def test_jit_equals_eager(bundle, model):
+def test_jit_equals_eager(model):
     keys = jnp.stack([sample_key(0, caption, 0) for caption in CAPTIONS[:2]])
-    variables, statistics = model.variables, tuple(map(jnp.asarray, bundle.normalizer))
+    trained = model.tokenizer
 
     def both():
         text = model.text_encoder(CAPTIONS[:2])
-        decoded = generate_codes(variables, text, keys, config=BUNDLE, strategy=Temperature(), min_codes=1, max_codes=6)
-        return decoded, decode_motion(variables, statistics, decoded.codes, decoded.code_lengths, config=BUNDLE)
+        sampled = model.sample_codes(text, keys, model.sampling(max_codes=6))
+        parts = {"tokenizer": trained.module, "skeleton": model.skeleton}
+        decoded = decode_positions(trained.variables, trained.normalizer, *sampled[:2], **parts)
+        return sampled, decoded[1]
 
     jitted = both()
     with jax.disable_jit():
         eager = both()
     np.testing.assert_array_equal(jitted[0].codes, eager[0].codes)
-    np.testing.assert_allclose(jitted[1].positions, eager[1].positions, atol=1e-3)
+    np.testing.assert_allclose(jitted[1], eager[1], atol=1e-3)

@@ -9,7 +9,7 @@ import pytest
 
 from t2m_jax.checkpoints.run import Checkpoints
 from t2m_jax.data.importers.synthetic import write_synthetic_dataset
-from t2m_jax.train import run_gpt, run_vqvae
+from t2m_jax.train import train
 from tests.tiny import gpt_training, vqvae_training
 
 
@@ -40,18 +40,17 @@ def data(tmp_path_factory) -> Path:
 def runs(data) -> Runs:
     """Both stages, trained without a stop; the VQ-VAE's folder was moved after the GPT had been trained on it."""
     first, vqvae, gpt = data.parent / "first", data.parent / "moved", data.parent / "gpt"
-    run_vqvae.train_vqvae(vqvae_training(data, first))
-    run_gpt.train_gpt(gpt_training(data, first, gpt))
+    train(vqvae_training(data, first))
+    train(gpt_training(data, first, gpt))
     first.rename(vqvae)
     return Runs(data, vqvae, gpt)
 
 
 def newest_checkpoint(run: Path):
     """Returns the step of a run's newest checkpoint and what is in it."""
-    checkpoints = Checkpoints(run)
-    step = checkpoints.latest_step
-    tree = checkpoints._manager.restore(step)
-    checkpoints.close()
+    with Checkpoints(run) as checkpoints:
+        step = checkpoints.latest_step
+        tree = checkpoints._manager.restore(step)
     return step, dict(tree)
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints.evaluator import load_evaluator_bundle
+from t2m_jax.checkpoints.evaluator import load_trained_evaluator
 from t2m_jax.checkpoints.official.load import evaluator_variables
 from t2m_jax.checkpoints.official.names import evaluator_weights
 from t2m_jax.checkpoints.run import run_info
@@ -22,12 +22,10 @@ from t2m_jax.errors import UserError
 from t2m_jax.losses import infonce_loss, margin_loss, pair_distances
 from t2m_jax.models.evaluator import Evaluator
 from t2m_jax.text.word_vectors import WordIds
-from t2m_jax.train import run_evaluator
-from t2m_jax.train.best_weights import BestWeights
+from t2m_jax.train import evaluator, experiment, movement, train
 from t2m_jax.train.evaluator import MatchingState, matching_train_step, trained_parts
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from t2m_jax.train.optimizer import make_optimizer
-from t2m_jax.train.run_evaluator import train_evaluator
 from tests.golden_files import evaluator_config, evaluator_state_dict
 from tests.tiny import EVALUATOR, LOOP
 from tests.train.conftest import assert_same_checkpoint, newest_checkpoint
@@ -121,18 +119,19 @@ def test_infonce_is_the_cross_entropy_both_ways():
 def finished(data, tmp_path_factory):
     """A training without a stop."""
     run = tmp_path_factory.mktemp("evaluator") / "run"
-    train_evaluator(training(data, run))
+    train(training(data, run))
     return run
 
 
 def texts(run):
-    names = ("train.csv", "val.csv", "movement/train.csv", "movement/val.csv", "best.yaml", "weights.safetensors")
-    return {name: (run / name).read_bytes() for name in names}
+    names = ("train.csv", "val.csv", "movement/train.csv", "movement/val.csv", "best.yaml")
+    best = {path.name: path.read_bytes() for path in (run / "best").iterdir()}
+    return best | {name: (run / name).read_bytes() for name in names}
 
 
 def test_a_run_is_an_evaluator(data, finished):
     assert run_info(finished).kind == "evaluator"
-    trained = load_evaluator_bundle(finished)
+    trained = load_trained_evaluator(finished)
     assert trained.config == dataclasses.replace(EVALUATOR, num_words=len(trained.vocabulary))
     assert trained.vocabulary.words[:3] == ("sos", "eos", "unk")
     plain = open_dataset(data).normalizer
@@ -157,46 +156,47 @@ def test_movements_are_trained_and_then_left_alone(finished):
 
 
 def test_the_same_seed_gives_the_same_bits(data, finished, tmp_path):
-    train_evaluator(training(data, tmp_path / "again"))
+    train(training(data, tmp_path / "again"))
     assert texts(tmp_path / "again") == texts(finished)
     assert_same_checkpoint(tmp_path / "again", finished)
 
 
 @pytest.mark.parametrize(("name", "stop"), [("update_movements", 3), ("update", 3), ("update", 7)])
 def test_a_resumed_run_equals_one_that_never_stopped(data, finished, tmp_path, monkeypatch, name, stop):
-    step = getattr(run_evaluator, name)
+    module = movement if name == "update_movements" else evaluator
+    step = getattr(module, name)
 
     def interrupted(state, *arguments, **options):
         if int(state.step) + 1 == stop:
             raise KeyboardInterrupt
         return step(state, *arguments, **options)
 
-    monkeypatch.setattr(run_evaluator, name, interrupted)
+    monkeypatch.setattr(module, name, interrupted)
     config = training(data, tmp_path / "run")
     with pytest.raises(KeyboardInterrupt):
-        train_evaluator(config)
+        train(config)
     if name == "update_movements":
-        with pytest.raises(UserError, match="has not come to its first validation"):
-            load_evaluator_bundle(config.run)
-    monkeypatch.setattr(run_evaluator, name, step)
-    train_evaluator(config, resume=True)
+        with pytest.raises(UserError, match="no checkpoint yet"):
+            load_trained_evaluator(config.run)
+    monkeypatch.setattr(module, name, step)
+    train(config, resume=True)
     assert texts(config.run) == texts(finished)
     assert_same_checkpoint(config.run, finished)
 
 
 def test_training_ends_when_validation_gets_no_better(data, tmp_path, monkeypatch):
     losses = iter([3.0, 1.0, 2.0, 2.0, 0.5])
-    monkeypatch.setattr(run_evaluator, "mean_over_batches", lambda measure, num_batches: {"loss": next(losses)})
-    monkeypatch.setattr(run_evaluator, "_movement_validation", lambda config, data: None)
+    monkeypatch.setattr(experiment, "mean_over_batches", lambda measure, num_batches: {"loss": next(losses)})
+    monkeypatch.setattr(movement, "make_bank", lambda clips, normalizer: make_bank(clips, normalizer))
     loop = dataclasses.replace(LOOP, num_steps=20, validate_every=2, checkpoint_every=100)
     config = training(data, tmp_path / "run", loop=loop, patience=2)
-    state = train_evaluator(config)
+    state = train(config)
     assert int(state.step) == 8
     assert newest_checkpoint(config.run)[0] == 8
     assert "step: 4" in (config.run / "best.yaml").read_text()
     written = texts(config.run) if (config.run / "movement" / "val.csv").exists() else None
     assert written is None
-    again = train_evaluator(config, resume=True)
+    again = train(config, resume=True)
     assert int(again.step) == 8
     assert next(losses) == 0.5
 
@@ -221,8 +221,8 @@ def test_given_words_and_vectors_are_used_and_left_as_they_are(data, tmp_path):
     given = {"words": tmp_path / "words.txt", "word_vectors": tmp_path / "table.npy"}
     loop = dataclasses.replace(LOOP, num_steps=2, validate_every=0)
     config = training(data, tmp_path / "run", objective="infonce", loop=loop, **given)
-    train_evaluator(config)
-    trained = load_evaluator_bundle(config.run)
+    train(config)
+    trained = load_trained_evaluator(config.run)
     assert trained.vocabulary.words == words
     np.testing.assert_array_equal(trained.variables["params"]["word_embedding"]["embedding"], table)
     assert not (config.run / "val.csv").exists()
@@ -240,7 +240,7 @@ def test_given_words_and_vectors_are_used_and_left_as_they_are(data, tmp_path):
 def test_what_does_not_fit_is_refused(data, tmp_path, fields, says):
     fields = {name: Path(value) if isinstance(value, str) else value for name, value in fields.items()}
     with pytest.raises(UserError, match=says):
-        train_evaluator(training(data, tmp_path / "run", **fields))
+        train(training(data, tmp_path / "run", **fields))
 
 
 @pytest.mark.parametrize(
@@ -265,4 +265,4 @@ def test_broken_captions_are_no_obstacle(data, tmp_path):
     save_config(tmp_path / "config.yaml", config)
     assert main(["train", "evaluator", f"{tmp_path / 'config.yaml'}"]) == 0
     assert np.isfinite(np.genfromtxt(config.run / "train.csv", delimiter=",", names=True)["loss"]).all()
-    assert "walk" in load_evaluator_bundle(config.run).vocabulary
+    assert "walk" in load_trained_evaluator(config.run).vocabulary

@@ -5,16 +5,15 @@ import json
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 
 from t2m_jax.checkpoints.official.load import gpt_variables, vqvae_variables
 from t2m_jax.data.banks.motions import Windows
-from t2m_jax.losses import token_loss
-from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
+from t2m_jax.models.motion_gpt import MotionGptConfig
 from t2m_jax.models.vqvae import VqVaeConfig
-from t2m_jax.train.config import TrainVqVaeConfig
-from t2m_jax.train.optimizer import OptimizerConfig, make_optimizer
-from t2m_jax.train.targets import corrupt
+from t2m_jax.train import OptimizerConfig, TrainGptConfig, TrainVqVaeConfig
+from t2m_jax.train.gpt import GptBatch, GptState, gpt_train_step
+from t2m_jax.train.optimizer import make_optimizer
+from t2m_jax.train.targets import Corruption, Targets
 from t2m_jax.train.vqvae import VqVaeState, vqvae_train_step
 from tests.golden_files import state_dict
 
@@ -80,11 +79,12 @@ def test_vqvae_steps(golden_dir):
 
 
 def test_gpt_steps(golden_dir):
-    """The text comes as features here, so the step is put together from the same parts as ours."""
+    """The text comes as features and the corruption as arrays; everything else is our own step."""
     arrays = np.load(golden_dir / "t2m_gpt" / "gpttrain_l2.npz")
     sizes = json.loads(str(arrays["config_json"]))
-    model = MotionGpt(
-        MotionGptConfig(
+    config = TrainGptConfig(
+        text_encoder="clip",
+        model=MotionGptConfig(
             num_codes=sizes["nb_code"],
             embed_dim=sizes["embed_dim"],
             text_dim=sizes["clip_dim"],
@@ -92,44 +92,26 @@ def test_gpt_steps(golden_dir):
             num_heads=sizes["n_head"],
             block_size=sizes["block_size"],
             dropout=0.0,
-        )
-    )
-    optimizer = make_optimizer(
-        OptimizerConfig(
+        ),
+        optimizer=OptimizerConfig(
             learning_rate=sizes["lr"],
             milestones=tuple(sizes["milestones"]),
             gamma=sizes["gamma"],
             betas=tuple(sizes["betas"]),
             weight_decay=sizes["weight_decay"],
-        )
+        ),
     )
     weights = state_dict(arrays)
-    params = gpt_variables(weights, model.config)["params"]
-    opt_state = optimizer.init(params)
-
-    @jax.jit
-    def update(params, opt_state, inputs, target, lengths, text):
-        def objective(params):
-            logits = model.apply({"params": params}, inputs, text, train=True)
-            return token_loss(logits, target, lengths)[0]
-
-        loss, gradient = jax.value_and_grad(objective)(params)
-        updates, opt_state = optimizer.update(gradient, opt_state, params)
-        return optax.apply_updates(params, updates), opt_state, loss
-
+    params = {"gpt": gpt_variables(weights, config.model)["params"]}
+    state = GptState(jnp.array(0), params, make_optimizer(config.optimizer).init(params))
+    step_function = jax.jit(gpt_train_step, static_argnames="config")
     for step in range(len(arrays["loss"])):
-        target = jnp.asarray(arrays["target"][step])
+        targets = Targets(jnp.asarray(arrays["target"][step]), jnp.asarray(arrays["n_tokens"][step]))
         keep = jnp.asarray(arrays["mask_keep"][step]).astype(bool)
-        inputs = corrupt(target[:, :-1], keep, jnp.asarray(arrays["random_indices"][step]))
-        params, opt_state, loss = update(
-            params,
-            opt_state,
-            inputs,
-            target,
-            jnp.asarray(arrays["n_tokens"][step]),
-            jnp.asarray(arrays["clip_feat"][step]),
-        )
-        np.testing.assert_allclose(loss, arrays["loss"][step], rtol=1e-5)
+        corruption = Corruption(keep, jnp.asarray(arrays["random_indices"][step]))
+        batch = GptBatch(targets, jnp.asarray(arrays["clip_feat"][step]))
+        state, metrics = step_function(state, batch, jax.random.key(step), config=config, corruption=corruption)
+        np.testing.assert_allclose(metrics["loss"], arrays["loss"][step], rtol=1e-5)
     final = weights | state_dict(arrays, "final/")
-    expected = gpt_variables(final, model.config)["params"]
-    assert_close_parameters(params, expected, skip="['key']['bias']")
+    expected = gpt_variables(final, config.model)["params"]
+    assert_close_parameters(state.params["gpt"], expected, skip="['key']['bias']")

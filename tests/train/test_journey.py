@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from t2m_jax.checkpoints.bundle import CONFIG_FILE, WEIGHTS_FILE, load_bundle
-from t2m_jax.checkpoints.gpt_run import load_gpt_runs, load_model
+from t2m_jax.checkpoints.model import load_model, load_runs
 from t2m_jax.checkpoints.official.load import load_gpt
 from t2m_jax.checkpoints.official.load import load_vqvae as load_official_vqvae
 from t2m_jax.checkpoints.run import run_info
-from t2m_jax.checkpoints.vqvae import load_vqvae
+from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.cli.main import main
 from t2m_jax.config import load_config
 from t2m_jax.data.folder import open_dataset
@@ -22,7 +22,7 @@ from t2m_jax.evaluation.prompt_following import RULES
 from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
 from t2m_jax.export.formats import load_motion
 from t2m_jax.sampling import TextToMotion
-from t2m_jax.train.config import TrainGptConfig, TrainVqVaeConfig
+from t2m_jax.train import TrainGptConfig, TrainVqVaeConfig, train
 from tests.tiny import BUNDLE, LOOP, gpt_training, vqvae_training
 
 PROMPTS = ["a person walks forward", "a person waves with the left hand"]
@@ -66,7 +66,7 @@ def test_the_gpt_run_needs_no_other_folder(runs, model, tmp_path):
 
 
 def test_the_gpt_run_keeps_the_vqvae_it_was_trained_on(runs):
-    ours, theirs = load_vqvae(runs.gpt), load_vqvae(runs.vqvae)
+    ours, theirs = load_tokenizer(runs.gpt), load_tokenizer(runs.vqvae)
     assert ours.config == theirs.config
     np.testing.assert_array_equal(ours.normalizer.std, theirs.normalizer.std)
     codebook = ours.variables["codebook"]["quantizer"]["codebook"]
@@ -75,7 +75,7 @@ def test_the_gpt_run_keeps_the_vqvae_it_was_trained_on(runs):
 
 
 def test_root_columns_weigh_more_in_the_statistics(runs):
-    plain, weighted = open_dataset(runs.data).normalizer, load_vqvae(runs.vqvae).normalizer
+    plain, weighted = open_dataset(runs.data).normalizer, load_tokenizer(runs.vqvae).normalizer
     np.testing.assert_allclose(plain.std[:4] / weighted.std[:4], 25.0, rtol=1e-5)
     np.testing.assert_array_equal(plain.std[4:259], weighted.std[4:259])
 
@@ -84,12 +84,12 @@ def test_generated_motion_is_whole(model):
     for prompt, motion in zip(PROMPTS, model.generate(PROMPTS, seed=3), strict=True):
         assert motion.caption == prompt
         assert motion.positions.shape == (4 * len(motion.codes), 22, 3)
-        assert 1 <= len(motion.codes) <= BUNDLE.gpt.max_codes
+        assert 1 <= len(motion.codes) <= BUNDLE.generator.max_codes
 
 
 def test_reconstruction_is_measured(runs, tmp_path, capsys):
     dataset = open_dataset(runs.data)
-    report = evaluate_reconstruction(load_vqvae(runs.vqvae), dataset, split="test")
+    report = evaluate_reconstruction(load_tokenizer(runs.vqvae), dataset, split="test")
     arguments = ["--model", f"{runs.vqvae}", "--data", f"{runs.data}", "--json", f"{tmp_path}/figures.json"]
     assert main(["evaluate", "reconstruction", *arguments]) == 0
     figures = json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))
@@ -103,13 +103,15 @@ def test_reconstruction_is_measured(runs, tmp_path, capsys):
 
 def test_either_stage_can_be_measured_with_the_same_result(runs):
     dataset = open_dataset(runs.data)
-    first = evaluate_reconstruction(load_vqvae(runs.vqvae), dataset, split="val")
-    assert evaluate_reconstruction(load_vqvae(runs.gpt), dataset, split="val") == first
+    first = evaluate_reconstruction(load_tokenizer(runs.vqvae), dataset, split="val")
+    assert evaluate_reconstruction(load_tokenizer(runs.gpt), dataset, split="val") == first
 
 
 def test_a_bundle_is_complete_and_small(runs, bundle_folder):
     names = {path.name for path in bundle_folder.iterdir()}
-    assert names == {CONFIG_FILE, WEIGHTS_FILE, "Mean.npy", "Std.npy", "tokenizer.json", "README.md"}
+    assert names == {
+        CONFIG_FILE, WEIGHTS_FILE, "Mean.npy", "Std.npy", "tokenizer.json", "README.md", "training_data.json"
+    }
     card = (bundle_folder / "README.md").read_text(encoding="utf-8")
     assert "num_steps: 8" in card
     checkpoint = sum(path.stat().st_size for path in (runs.gpt / "checkpoints").rglob("*") if path.is_file())
@@ -120,12 +122,12 @@ def test_a_bundle_is_complete_and_small(runs, bundle_folder):
 def test_users_of_the_original_can_check_a_run(runs, tmp_path):
     assert main(["bundle", f"{runs.gpt}", f"{tmp_path / 'out'}", "--export-official"]) == 0
     trained, official = load_model(runs.gpt), tmp_path / "out" / "official"
-    config, variables = load_gpt(official / "gpt.safetensors", num_heads=BUNDLE.gpt.num_heads)
-    assert config == BUNDLE.gpt
-    jax.tree.map(np.testing.assert_array_equal, variables, trained.variables["gpt"])
+    config, variables = load_gpt(official / "gpt.safetensors", num_heads=BUNDLE.generator.num_heads)
+    assert config == BUNDLE.generator
+    jax.tree.map(np.testing.assert_array_equal, variables, trained.variables["generator"])
     config, variables = load_official_vqvae(official / "vqvae.safetensors")
-    assert config == BUNDLE.vqvae
-    jax.tree.map(np.testing.assert_array_equal, variables["params"], trained.variables["vqvae"]["params"])
+    assert config == BUNDLE.tokenizer
+    jax.tree.map(np.testing.assert_array_equal, variables["params"], trained.variables["tokenizer"]["params"])
     np.testing.assert_array_equal(np.load(official / "mean.npy"), trained.normalizer.mean)
     assert load_bundle(tmp_path / "out").config == BUNDLE
 
@@ -143,14 +145,14 @@ def test_half_precision_changes_little(model, bundle_folder):
 
 
 def test_bundles_are_made_from_the_runs_that_belong_together(runs, tmp_path):
-    folder, bundle = load_gpt_runs([runs.vqvae, runs.gpt])
+    folder, bundle = load_runs([runs.vqvae, runs.gpt])
     assert folder == runs.gpt
     assert bundle.config == BUNDLE
     with pytest.raises(UserError, match="0 of 1"):
-        load_gpt_runs([runs.vqvae])
-    with pytest.raises(UserError, match="VQ-VAE alone"):
+        load_runs([runs.vqvae])
+    with pytest.raises(UserError, match="is the run of a vqvae only"):
         load_model(runs.vqvae)
-    with pytest.raises(UserError, match="VQ-VAE alone"):
+    with pytest.raises(UserError, match="is the run of a vqvae only"):
         TextToMotion.load(runs.vqvae)
 
 
@@ -185,20 +187,16 @@ def test_prompts_are_measured(bundle_folder, tmp_path, capsys):
     assert table.count("\n") == 13
 
 
-def test_stages_that_do_not_fit_are_refused_before_anything_is_written(runs, tmp_path):
-    from t2m_jax.train.run_gpt import train_gpt
-
-    config = gpt_training(runs.data, runs.vqvae, tmp_path / "run", loop=LOOP)
-    config = dataclasses.replace(config, model=dataclasses.replace(config.model, num_codes=8))
-    with pytest.raises(UserError, match=r"model\.num_codes: 8"):
-        train_gpt(config)
-    assert not (tmp_path / "run").exists()
+def test_the_number_of_codes_is_that_of_the_tokenizer(runs, tmp_path):
+    loop = dataclasses.replace(LOOP, num_steps=1, validate_every=0)
+    config = gpt_training(runs.data, runs.vqvae, tmp_path / "run", loop=loop)
+    train(dataclasses.replace(config, model=dataclasses.replace(config.model, num_codes=8)))
+    assert load_config(tmp_path / "run" / "config.yaml", TrainGptConfig).model == config.model
 
 
 def test_a_vqvae_of_other_data_is_refused(runs, tmp_path):
-    from t2m_jax.train.run_gpt import train_gpt
-
     shutil.copytree(runs.data, tmp_path / "data")
-    np.save(tmp_path / "data" / "Mean.npy", np.load(runs.data / "Mean.npy") + 0.1)
-    with pytest.raises(UserError, match="not those the VQ-VAE was trained with"):
-        train_gpt(gpt_training(tmp_path / "data", runs.vqvae, tmp_path / "run"))
+    mean, std = (np.load(runs.data / f"{name}.npy") for name in ("Mean", "Std"))
+    np.save(tmp_path / "data" / "Mean.npy", mean + std)
+    with pytest.raises(UserError, match="differ too much from those of the tokenizer"):
+        train(gpt_training(tmp_path / "data", runs.vqvae, tmp_path / "run"))

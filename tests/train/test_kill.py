@@ -11,10 +11,10 @@ import time
 
 import pytest
 
-from t2m_jax.checkpoints.run import Checkpoints, is_run_directory
-from t2m_jax.checkpoints.vqvae import load_vqvae
+from t2m_jax.checkpoints import Checkpoints, load_tokenizer
+from t2m_jax.checkpoints.run import is_run
 from t2m_jax.config import save_config
-from t2m_jax.train.run_vqvae import train_vqvae
+from t2m_jax.train import train
 from tests.tiny import LOOP, vqvae_training
 from tests.train.conftest import assert_same_checkpoint
 
@@ -67,11 +67,10 @@ def newest(run, tmp_path):
     copy = tmp_path / "copy"
     shutil.rmtree(copy, ignore_errors=True)
     shutil.copytree(run, copy)
-    checkpoints = Checkpoints(copy)
-    step = checkpoints.latest_step
-    checkpoints.close()
+    with Checkpoints(copy) as checkpoints:
+        step = checkpoints.latest_step
     if step is not None:
-        load_vqvae(copy)
+        load_tokenizer(copy)
     return step or 0
 
 
@@ -88,11 +87,11 @@ def test_a_killed_training_goes_on_as_if_nothing_had_happened(training, runs, tm
 
     for moment in (partial, finished, partial):
         before = names(run)
-        process = start(config, tmp_path, *(["--resume"] if is_run_directory(run) else []))
+        process = start(config, tmp_path, *(["--resume"] if is_run(run) else []))
         wait_for(process, moment)
         time.sleep(draws.uniform(0.0, 0.02))
         kill(process)
-        if is_run_directory(run):
+        if is_run(run):
             step = newest(run, tmp_path)
             assert step >= reached, "a kill lost a checkpoint that was complete"
             reached = step
@@ -103,7 +102,7 @@ def test_a_killed_training_goes_on_as_if_nothing_had_happened(training, runs, tm
     errors = process.communicate(timeout=PATIENCE)[1]
     assert process.returncode == 0, errors
     loop = dataclasses.replace(LOOP, num_steps=reached + 5, validate_every=0)
-    train_vqvae(vqvae_training(runs.data, tmp_path / "unkilled", loop=loop))
+    train(vqvae_training(runs.data, tmp_path / "unkilled", loop=loop))
     assert_same_checkpoint(run, tmp_path / "unkilled")
     rows = (run / "train.csv").read_text(encoding="utf-8").splitlines()
     assert [int(row.split(",")[0]) for row in rows[1:]] == list(range(1, reached + 6))

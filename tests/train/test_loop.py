@@ -1,18 +1,20 @@
 """The loop with updates that do nothing: what is logged, validated, kept, and what stops it."""
 
 import csv
+import logging
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from PIL import Image
 
 from t2m_jax.checkpoints.run import Checkpoints
 from t2m_jax.errors import UserError
 from t2m_jax.train.config import LoopConfig
-from t2m_jax.train.loop import mean_metrics, run_loop
-from t2m_jax.train.metric_log import MetricLog
+from t2m_jax.train.loop import Measurement, Speed, mean_metrics, run_loop
+from t2m_jax.train.log import MetricLog
 
 
 class Counter(NamedTuple):
@@ -45,11 +47,14 @@ def kept_steps(run):
     return sorted(int(folder.name) for folder in (run / "checkpoints").iterdir())
 
 
-def loop(num_steps=10, log_every=4, validate_every=0, checkpoint_every=5, keep=2):
+def every(interval, measure):
+    return Measurement("val", "validation", interval, measure)
+
+
+def loop(num_steps=10, log_every=4, checkpoint_every=5, keep=2):
     return LoopConfig(
         num_steps=num_steps,
         log_every=log_every,
-        validate_every=validate_every,
         checkpoint_every=checkpoint_every,
         keep_checkpoints=keep,
     )
@@ -67,23 +72,41 @@ def test_validation_sees_the_state_of_its_step(tmp_path):
     def validate(state):
         return {"loss": 100.0 + int(state.step), "weight": float(state.weight[0])}
 
-    run_loop(tmp_path, START, counting(), config=loop(num_steps=7, validate_every=3), validate=validate)
+    run_loop(tmp_path, START, counting(), config=loop(num_steps=7), measurements=[every(3, validate)])
     assert [(row["step"], row["loss"]) for row in rows(tmp_path, "val")] == [(3, 103), (6, 106), (7, 107)]
     assert [row["weight"] for row in rows(tmp_path, "val")] == [3, 6, 7]
 
 
-def test_validation_can_be_left_out(tmp_path):
-    run_loop(tmp_path, START, counting(), config=loop(validate_every=3))
+def test_validation_can_be_turned_off(tmp_path):
+    run_loop(tmp_path, START, counting(), config=loop(), measurements=[every(0, lambda state: {"loss": 1.0})])
     assert not (tmp_path / "val.csv").exists()
+
+
+def test_the_log_shows_learning_rate_and_speed(tmp_path, caplog):
+    speed = Speed(lambda step: 0.5 * step, frames_per_step=64)
+    with caplog.at_level(logging.INFO):
+        run_loop(tmp_path, START, counting(), config=loop(), speed=speed)
+    assert [row["learning_rate"] for row in rows(tmp_path)] == [2.0, 2.5, 4.0, 5.0]
+    assert not any("second" in name for name in rows(tmp_path)[0]), "speeds differ from run to run"
+    assert sum("steps_per_second" in message and "frames_per_second" in message for message in caplog.messages) == 4
+
+
+def test_a_picture_is_kept_with_each_measurement(tmp_path):
+    def picture(state):
+        return np.full((8, 6, 3), int(state.step), np.uint8)
+
+    measurement = every(5, lambda state: {"fid": 1.0})._replace(picture=picture)
+    run_loop(tmp_path, START, counting(), config=loop(), measurements=[measurement])
+    assert sorted(path.name for path in (tmp_path / "pictures").iterdir()) == ["10.png", "5.png"]
+    assert np.asarray(Image.open(tmp_path / "pictures" / "5.png")).tolist() == np.full((8, 6, 3), 5).tolist()
 
 
 @pytest.mark.parametrize(("keep", "expected"), [(1, [10]), (2, [9, 10]), (9, [3, 6, 9, 10])])
 def test_the_newest_checkpoints_are_kept(tmp_path, keep, expected):
     run_loop(tmp_path, START, counting(), config=loop(checkpoint_every=3, keep=keep))
     assert kept_steps(tmp_path) == expected
-    checkpoints = Checkpoints(tmp_path)
-    state = checkpoints.restore(START)
-    checkpoints.close()
+    with Checkpoints(tmp_path) as checkpoints:
+        state = checkpoints.restore(START)
     assert int(state.step) == 10
     np.testing.assert_array_equal(state.weight, [10.0, 10.0])
 
@@ -105,9 +128,8 @@ def test_a_loss_that_is_not_finite_stops_with_its_step_and_is_never_kept(tmp_pat
 def test_a_run_goes_on_from_a_state(tmp_path):
     run_loop(tmp_path / "whole", START, counting(), config=loop())
     run_loop(tmp_path / "parts", START, counting(), config=loop(num_steps=5))
-    checkpoints = Checkpoints(tmp_path / "parts")
-    middle = checkpoints.restore(START)
-    checkpoints.close()
+    with Checkpoints(tmp_path / "parts") as checkpoints:
+        middle = checkpoints.restore(START)
     run_loop(tmp_path / "parts", middle, counting(), config=loop())
     assert (tmp_path / "parts/train.csv").read_bytes() == (tmp_path / "whole/train.csv").read_bytes()
     assert kept_steps(tmp_path / "parts") == kept_steps(tmp_path / "whole")
@@ -152,10 +174,16 @@ TABLE = "step,loss\n2,0.5\n4,0.25\n6,0.125\n"
 def test_a_table_that_a_crash_left_is_mended(tmp_path, left, first_step, kept):
     if left is not None:
         (tmp_path / "train.csv").write_bytes(left.encode())
-    log = MetricLog(tmp_path, first_step=first_step)
-    log.write("train", 10, {"loss": 0.1})
-    log.write("train", 12, {"loss": 1 / 3})
-    log.close()
+    with MetricLog(tmp_path, first_step=first_step) as log:
+        log.write("train", 10, {"loss": 0.1}, title="training")
+        log.write("train", 12, {"loss": 1 / 3}, title="training")
     expected = kept + f"10,0.1\n12,{1 / 3!r}\n"
     assert (tmp_path / "train.csv").read_bytes().decode() == expected
     assert {path.name for path in tmp_path.iterdir()} == {"train.csv", "tensorboard"}
+
+
+def test_a_table_of_an_earlier_version_keeps_its_columns(tmp_path):
+    (tmp_path / "train.csv").write_text(TABLE)
+    with MetricLog(tmp_path, first_step=6) as log:
+        log.write("train", 8, {"loss": 0.1, "learning_rate": 0.5}, title="training")
+    assert (tmp_path / "train.csv").read_text() == TABLE + "8,0.1\n"

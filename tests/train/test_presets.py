@@ -8,12 +8,11 @@ import pytest
 
 from t2m_jax.checkpoints.bundle import load_bundle
 from t2m_jax.checkpoints.clip import load_clip
-from t2m_jax.checkpoints.vqvae import load_vqvae
+from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.cli.main import main
 from t2m_jax.sampling import TextToMotion
+from t2m_jax.train import train
 from t2m_jax.train.presets import differences, load_preset, preset_names
-from t2m_jax.train.run_gpt import train_gpt
-from t2m_jax.train.run_vqvae import train_vqvae
 from tests.conftest import REPOSITORY
 from tests.tiny import GPT, LOOP, VQVAE
 
@@ -77,7 +76,7 @@ def test_an_unknown_recipe_is_one_line(capsys):
     assert main(["train", "gpt", "--diff", "paper", "oficial"]) == 2
     assert "oficial" in capsys.readouterr().err
     assert main(["train", "gpt"]) == 2
-    assert "give a CONFIG" in capsys.readouterr().err
+    assert "CONFIG is missing" in capsys.readouterr().err
 
 
 LONG = dataclasses.replace(LOOP, num_steps=50, log_every=10, validate_every=0, checkpoint_every=50)
@@ -90,8 +89,9 @@ def losses(run):
 @pytest.mark.parametrize("recipe", RECIPES)
 def test_each_recipe_trains_both_stages_at_reduced_size(recipe, data, tmp_path):
     places = {"data": data, "loop": LONG}
-    first = dataclasses.replace(load_preset("vqvae", recipe), run=tmp_path / "vqvae", model=VQVAE, window=32, **places)
-    train_vqvae(first)
+    sizes = {"model": VQVAE, "window": 32, "statistics": "data"}
+    first = dataclasses.replace(load_preset("vqvae", recipe), run=tmp_path / "vqvae", **sizes, **places)
+    train(first)
     found = losses(first.run)
     assert len(found) == 5 and found[-1] < found[0]
     second = dataclasses.replace(
@@ -102,13 +102,13 @@ def test_each_recipe_trains_both_stages_at_reduced_size(recipe, data, tmp_path):
         model=dataclasses.replace(GPT, text_dim=load_clip(SMALL_CLIP).config.text_dim),
         **places,
     )
-    train_gpt(second)
+    train(second)
     found = losses(second.run)
     assert len(found) == 5 and found[-1] < found[0]
     motion = TextToMotion.load(second.run).generate("a person walks", seed=1)[0]
     assert np.isfinite(motion.positions).all()
     assert main(["bundle", f"{second.run}", f"{tmp_path / 'bundle'}"]) == 0
-    passed_on = load_bundle(tmp_path / "bundle").config.clip
+    passed_on = load_bundle(tmp_path / "bundle").config.text_encoder.name
     assert passed_on == str(tmp_path / "bundle" / "clip")
     assert load_clip(passed_on).fingerprint == load_clip(SMALL_CLIP).fingerprint, "a bundle holds its text encoder"
 
@@ -118,15 +118,14 @@ def test_every_kind_of_codebook_and_norm_is_saved_and_resumed(quantizer, norm, d
     """Kinds differ in which collections they have."""
     model = dataclasses.replace(VQVAE, quantizer=quantizer, norm=norm, width=32, num_stages=1)
     loop = dataclasses.replace(LOOP, validate_every=0)
-    config = dataclasses.replace(
-        load_preset("vqvae", "official"), data=data, run=tmp_path / "run", model=model, window=32, loop=loop
-    )
-    whole = train_vqvae(config)
+    fields = {"data": data, "run": tmp_path / "run", "model": model, "window": 32, "loop": loop, "statistics": "data"}
+    config = dataclasses.replace(load_preset("vqvae", "official"), **fields)
+    whole = train(config)
     halves = dataclasses.replace(config, run=tmp_path / "halves", loop=dataclasses.replace(loop, num_steps=4))
-    train_vqvae(halves)
-    again = train_vqvae(dataclasses.replace(halves, loop=loop), resume=True)
+    train(halves)
+    again = train(dataclasses.replace(halves, loop=loop), resume=True)
     jax.tree.map(np.testing.assert_array_equal, again, whole)
-    loaded = load_vqvae(config.run).variables
+    loaded = load_tokenizer(config.run).variables
     assert ("codebook" in loaded) == (quantizer != "orig")
     assert ("batch_stats" in loaded) == (norm == "BN")
     jax.tree.map(np.testing.assert_array_equal, loaded, {name: whole.variables[name] for name in loaded})

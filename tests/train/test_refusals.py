@@ -9,7 +9,7 @@ from t2m_jax.cli.main import main
 from t2m_jax.config import config_from_dict, save_config
 from t2m_jax.data.files import FEATURES
 from t2m_jax.errors import UserError
-from t2m_jax.train.config import TrainGptConfig, TrainVqVaeConfig
+from t2m_jax.train import TrainGptConfig, TrainVqVaeConfig
 from tests.tiny import gpt_training, vqvae_training
 
 
@@ -23,18 +23,18 @@ from tests.tiny import gpt_training, vqvae_training
         (TrainVqVaeConfig, {"loop": {"batch_size": 0}}, "loop: batch_size: 0"),
         (TrainGptConfig, {"loop": {"keep_checkpoints": 0}}, "loop: keep_checkpoints: 0"),
         (TrainGptConfig, {"loop": {"num_steps": -5}}, "loop: num_steps: -5"),
-        (TrainGptConfig, {"model": {"block_size": 1}}, "model: block_size: 1 has no room"),
+        (TrainGptConfig, {"model": {"block_size": 1}}, "model: block_size: 1 leaves no position"),
         (TrainGptConfig, {"model": {"num_heads": 0}}, "model: num_heads: 0"),
         (TrainGptConfig, {"model": {"num_heads": 7}}, "model: num_heads: 7 does not divide"),
         (
             TrainGptConfig,
             {"model": {"text_dim": 6}},
-            "caption_encoder.text_dim: 512, but the GPT reads model.text_dim 6",
+            "caption_encoder.text_dim: 512, but the generator reads model.text_dim 6",
         ),
-        (TrainGptConfig, {"tau": 1.5}, "tau: 1.5 is no share"),
+        (TrainGptConfig, {"tau": 1.5}, "tau: 1.5 is not a share"),
         (TrainGptConfig, {"tau": "per_day"}, "tau: expected a number or one of"),
-        (TrainGptConfig, {"data_fraction": 0.0}, "data_fraction: 0.0 is no share above 0"),
-        (TrainVqVaeConfig, {"data_fraction": 1.01}, "data_fraction: 1.01 is no share above 0"),
+        (TrainGptConfig, {"data_fraction": 0.0}, "data_fraction: 0.0 is not a share above 0"),
+        (TrainVqVaeConfig, {"data_fraction": 1.01}, "data_fraction: 1.01 is not a share above 0"),
         (TrainGptConfig, {"caption_encoder": {"num_heads": 3}}, "caption_encoder: num_heads: 3 does not divide"),
         (TrainGptConfig, {"caption_encoder": {"max_length": 0}}, "caption_encoder: max_length: 0"),
     ],
@@ -85,7 +85,7 @@ def test_data_of_another_width(refusal, copy):
         np.save(path, np.load(path)[..., :251])
     line = refusal(copy)
     assert f"{copy}" in line
-    assert "251 features a frame, the model reads 263" in line
+    assert "251 features per frame, but the" in line and "reads 263" in line
 
 
 def test_data_that_are_not_there(refusal, tmp_path):

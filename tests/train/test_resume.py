@@ -10,7 +10,7 @@ import pytest
 
 from t2m_jax.checkpoints.run import Checkpoints
 from t2m_jax.errors import UserError
-from t2m_jax.train import run_gpt, run_vqvae
+from t2m_jax.train import gpt, train, vqvae
 from tests.tiny import LOOP, gpt_training, vqvae_training
 from tests.train.conftest import assert_same_checkpoint, newest_checkpoint
 
@@ -23,14 +23,13 @@ class Stage:
     """One of the two trainings, into a folder of its own."""
 
     def __init__(self, name, runs, run):
-        self.module, self.finished = {"vqvae": (run_vqvae, runs.vqvae), "gpt": (run_gpt, runs.gpt)}[name]
-        self._train = {"vqvae": run_vqvae.train_vqvae, "gpt": run_gpt.train_gpt}[name]
+        self.module, self.finished = {"vqvae": (vqvae, runs.vqvae), "gpt": (gpt, runs.gpt)}[name]
         # The config of a run to resume has to name the VQ-VAE by which it was started.
         self.config = vqvae_training(runs.data, run) if name == "vqvae" else gpt_training(runs.data, runs.vqvae, run)
 
     def train(self, *, resume=False, **loop):
         config = dataclasses.replace(self.config, loop=dataclasses.replace(self.config.loop, **loop))
-        return self._train(config, resume=resume)
+        return train(config, resume=resume)
 
 
 @pytest.fixture
@@ -101,9 +100,8 @@ def test_a_run_may_be_prolonged_and_a_finished_one_is_left_alone(stage):
 def test_the_step_counts(runs, tmp_path):
     """What the equalities above could not see: that steps differ and that training moves every part."""
     shutil.copytree(runs.vqvae, tmp_path / "run")
-    checkpoints = Checkpoints(tmp_path / "run")
-    early, late = checkpoints._manager.restore(4), checkpoints._manager.restore(8)
-    checkpoints.close()
+    with Checkpoints(tmp_path / "run") as checkpoints:
+        early, late = checkpoints._manager.restore(4), checkpoints._manager.restore(8)
     assert (early["step"]["step"], late["step"]["step"]) == (4, 8)
     for part in ("params", "codebook", "opt_state"):
         same = jax.tree.map(np.array_equal, early[part], late[part])
@@ -133,7 +131,7 @@ def test_another_config_is_refused_with_the_field_named(runs, tmp_path, name, ch
         part = dataclasses.replace(getattr(config, section) if section else config, **{field: value})
         config = dataclasses.replace(config, **{section: part}) if section else part
     with pytest.raises(UserError) as caught:
-        stage._train(config, resume=True)
+        train(config, resume=True)
     assert says in str(caught.value)
     assert str(config.run) in str(caught.value)
 

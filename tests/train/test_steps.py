@@ -8,7 +8,7 @@ import numpy as np
 
 from t2m_jax.data.banks.motions import Windows
 from t2m_jax.text.bpe import CaptionTokens
-from t2m_jax.train.config import TrainGptConfig, TrainVqVaeConfig
+from t2m_jax.train import TrainGptConfig, TrainVqVaeConfig
 from t2m_jax.train.gpt import GptBatch, gpt_train_step, init_gpt_state
 from t2m_jax.train.targets import make_targets
 from t2m_jax.train.vqvae import init_vqvae_state, vqvae_train_step

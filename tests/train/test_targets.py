@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from t2m_jax.train.targets import corrupt, drop_one_code, make_targets, random_corruption
+from t2m_jax.train.targets import Corruption, draw_corruption, drop_one_code, make_targets
 
 
 def test_golden_targets(golden_dir):
@@ -30,22 +30,24 @@ def test_golden_corruption(golden_dir):
     cases = sorted({key.split("/")[0] for key in arrays if key.endswith("/corrupted")})
     assert cases
     for case in cases:
-        found = corrupt(
-            jnp.asarray(arrays[f"{case}/input_index"]),
-            jnp.asarray(arrays[f"{case}/mask_keep"]).astype(bool),
-            jnp.asarray(arrays[f"{case}/random_indices"]),
-        )
+        keep = jnp.asarray(arrays[f"{case}/mask_keep"]).astype(bool)
+        corruption = Corruption(keep, jnp.asarray(arrays[f"{case}/random_indices"]))
+        found = corruption.apply(jnp.asarray(arrays[f"{case}/input_index"]))
         np.testing.assert_array_equal(found, arrays[f"{case}/corrupted"])
+
+
+def corrupted(tokens, key, **options):
+    return draw_corruption(tokens, key, num_codes=8, **options).apply(tokens)
 
 
 def test_random_corruption_replaces_the_right_share():
     tokens = jnp.full((200, 50), 99)
-    found = random_corruption(tokens, jax.random.key(0), tau=0.3, num_codes=8, past_end=True)
+    found = corrupted(tokens, jax.random.key(0), tau=0.3, past_end=True)
     np.testing.assert_allclose(np.mean(found == 99), 0.7, atol=0.02)
     assert set(np.unique(found)) == {*range(8), 99}
-    untouched = random_corruption(tokens, jax.random.key(0), tau=0.0, num_codes=8, past_end=True)
+    untouched = corrupted(tokens, jax.random.key(0), tau=0.0, past_end=True)
     np.testing.assert_array_equal(untouched, tokens)
-    everything = random_corruption(tokens, jax.random.key(0), tau=1.0, num_codes=8, past_end=True)
+    everything = corrupted(tokens, jax.random.key(0), tau=1.0, past_end=True)
     assert np.max(everything) < 8
 
 
@@ -53,7 +55,7 @@ def test_a_drawn_share_is_one_a_batch_or_one_a_motion():
     tokens = jnp.full((40, 2000), 99)
 
     def shares(tau, seed):
-        found = random_corruption(tokens, jax.random.key(seed), tau=tau, num_codes=8, past_end=True)
+        found = corrupted(tokens, jax.random.key(seed), tau=tau, past_end=True)
         return np.mean(found != 99, axis=1)
 
     batches = np.stack([shares("per_batch", seed) for seed in range(40)])
@@ -68,7 +70,7 @@ def test_a_drawn_share_is_one_a_batch_or_one_a_motion():
 
 def test_end_and_pad_can_be_left_alone():
     tokens = jnp.tile(jnp.array([1, 2, 3, 8, 9, 9]), (100, 1))
-    found = random_corruption(tokens, jax.random.key(0), tau=1.0, num_codes=8, past_end=False)
+    found = corrupted(tokens, jax.random.key(0), tau=1.0, past_end=False)
     np.testing.assert_array_equal(found[:, 3:], tokens[:, 3:])
     assert len(np.unique(found[:, :3])) == 8
 

@@ -1,25 +1,23 @@
 """Motions as codes, and the bank that the GPT trains on."""
 
-import dataclasses
 import logging
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints.bundle import vqvae_shapes
-from t2m_jax.checkpoints.vqvae import TrainedVqVae
+from t2m_jax.checkpoints import TrainedTokenizer
 from t2m_jax.data.banks.codes import CodeBatch, code_batch_at
 from t2m_jax.data.folder import Clip, DatasetInfo
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
+from t2m_jax.models.system import variable_shapes
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.text.bpe import tokenize_captions, train_bpe
 from t2m_jax.train import tokenize as train_tokenize
-from t2m_jax.train.run_gpt import make_batch
-from t2m_jax.train.tokenize import coded_motions, make_code_bank
+from t2m_jax.train.gpt import make_batch
+from t2m_jax.train.tokenize import encode_clips, make_code_bank
 from tests.tiny import CAPTIONS, VQVAE, gpt_training, random_variables
 
 INFO = DatasetInfo(name="fake", min_frames=40, max_frames=196)
@@ -28,7 +26,7 @@ INFO = DatasetInfo(name="fake", min_frames=40, max_frames=196)
 @pytest.fixture(scope="module")
 def vqvae():
     normalizer = Normalizer(np.zeros(263, np.float32), np.ones(263, np.float32))
-    return TrainedVqVae(VQVAE, jax.tree.map(jnp.asarray, random_variables(vqvae_shapes(VQVAE))), normalizer)
+    return TrainedTokenizer(VQVAE, jax.tree.map(jnp.asarray, random_variables(variable_shapes(VQVAE))), normalizer)
 
 
 def tagged(text, start, end):
@@ -56,14 +54,13 @@ def first_frames(monkeypatch):
     """Replaces the VQ-VAE: the code of four frames is the number of the first."""
 
     def encode(_, motions):
-        return [motion[: len(motion) // 4 * 4 : 4, 0].astype(np.int32) for motion in motions]
+        return [motion[: len(motion) // 4 * 4 : 4, :1].astype(np.int32) for motion in motions]
 
     monkeypatch.setattr(train_tokenize, "encode_motions", encode)
 
 
 def coded(vqvae, clips, *, info=INFO, **options):
-    config = gpt_training(Path("data"), Path("vqvae"), Path("run"))
-    return coded_motions(clips, info, vqvae, config=dataclasses.replace(config, **options))
+    return encode_clips(clips, info, vqvae, **({"offsets": "all", "timed_captions": "encode", "seed": 5} | options))
 
 
 def texts(motions):
@@ -76,8 +73,8 @@ def test_motions_are_whole_clips_and_time_tagged_parts(first_frames, vqvae, capl
     assert texts(motions) == [["walks", "goes"], ["walks, then waves"], ["walks"], ["waves"], ["sits"], ["turns"]]
     assert [len(motion.variants) for motion in motions] == [4] * 6
     assert [len(motion.variants[0]) for motion in motions] == [15, 25, 10, 12, 10, 12]
-    assert motions[3].variants[0][0] == 50, "the part does not start at its time"
-    assert [int(codes[0]) for codes in motions[0].variants] == [0, 1, 2, 3]
+    assert motions[3].variants[0][0, 0] == 50, "the part does not start at its time"
+    assert [int(codes[0, 0]) for codes in motions[0].variants] == [0, 1, 2, 3]
     assert "4 of 7 clips are not used whole" in caplog.text
 
 
@@ -95,12 +92,12 @@ def test_parts_can_be_cut_out_of_the_whole_clips_codes(first_frames, vqvae):
 
 def test_one_offset_is_drawn_for_each_clip_and_leaves_the_number_of_codes(first_frames, vqvae):
     clips = [clip(f"clip {number}", 63, Caption("walks")) for number in range(200)]
-    starts = [int(motion.variants[0][0]) for motion in coded(vqvae, clips, offsets="one")]
+    starts = [int(motion.variants[0][0, 0]) for motion in coded(vqvae, clips, offsets="one")]
     np.testing.assert_allclose(np.bincount(starts) / 200, 1 / 4, atol=0.1)
-    assert starts == [int(motion.variants[0][0]) for motion in coded(vqvae, clips, offsets="one")]
+    assert starts == [int(motion.variants[0][0, 0]) for motion in coded(vqvae, clips, offsets="one")]
     assert {len(motion.variants[0]) for motion in coded(vqvae, clips, offsets="one")} == {15}
     even = [clip(f"clip {number}", 64, Caption("walks")) for number in range(20)]
-    assert {int(motion.variants[0][0]) for motion in coded(vqvae, even, offsets="one")} == {0}
+    assert {int(motion.variants[0][0, 0]) for motion in coded(vqvae, even, offsets="one")} == {0}
 
 
 def test_a_motion_too_short_for_every_offset_is_left_out(first_frames, vqvae):
@@ -118,12 +115,12 @@ def test_the_bank_holds_codes_at_every_offset_and_all_captions(first_frames, vqv
     motions = coded(vqvae, clips, info=DatasetInfo(name="fake"))
     tokenizer = train_bpe(CAPTIONS, vocabulary_size=90)
     bank = make_code_bank(motions, lambda captions: tokenize_captions(tokenizer, captions, max_length=16))
-    assert bank.codes.shape == (2, 4, 5)
+    assert bank.codes.shape == (2, 4, 5, 1)
     for number, one in enumerate(clips):
         for offset in range(4):
             length = (len(one.features) - offset) // 4
             assert bank.code_lengths[number, offset] == length
-            np.testing.assert_array_equal(bank.codes[number, offset, :length], offset + 4 * np.arange(length))
+            np.testing.assert_array_equal(bank.codes[number, offset, :length, 0], offset + 4 * np.arange(length))
             np.testing.assert_array_equal(bank.codes[number, offset, length:], 0)
         own = slice(int(bank.first_caption[number]), int(bank.first_caption[number] + bank.num_captions[number]))
         expected = tokenize_captions(tokenizer, [caption.text for caption in one.captions], max_length=16).tokens
@@ -143,7 +140,7 @@ def test_targets_of_a_batch(tmp_path):
     """Without a key the codes stay; with keys some motions lose one code, at either end, and none gains."""
     config = gpt_training(tmp_path, tmp_path, tmp_path)
     end, pad = config.model.end_token, config.model.pad_token
-    codes = jnp.tile(jnp.arange(1, 7), (200, 1))
+    codes = jnp.tile(jnp.arange(1, 7), (200, 1))[:, :, None]
     batch = CodeBatch(codes, jnp.full(200, 6), jnp.ones((200, 4)))
     plain = make_batch(batch, None, config=config)
     expected = [1, 2, 3, 4, 5, 6, end, *[pad] * (config.model.block_size - 7)]
