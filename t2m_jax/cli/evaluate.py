@@ -1,22 +1,27 @@
-"""Measure a model: `t2m evaluate {reconstruction,generation,prompts} --model M [--data DIR] [--json F]`.
+"""Measure models and compare the results.
 
-`reconstruction` puts every clip of a split through the VQ-VAE; `generation` compares motion generated from a split's
-captions with real motion, in the space of an evaluator and by a named protocol; `prompts` generates from held-out
-sentences of the Bandai-Namco contents and tests each motion against a kinematic rule. `compare A.json B.json` sets two
-reports of `generation` beside each other, `table A.json B.json ...` puts any number into one table.
+`reconstruction` encodes and decodes every clip of a split with a model's tokenizer. `generation` compares motion that a
+model generates from the captions of a split with real motion, in the space of an evaluator and by a named protocol.
+`prompts` generates from sentences that were held out from training and tests each motion against a kinematic rule.
+`compare` tests whether two reports differ by more than chance, and `table` puts reports into one table.
+`t2m evaluate COMMAND --help` describes the options of each.
 """
 
 import argparse
+import dataclasses
+import functools
+import shlex
 import sys
-from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from t2m_jax.cli import evaluate_report
+from t2m_jax.errors import UserError
 
 if TYPE_CHECKING:
-    from t2m_jax.data.folder import Clip, Dataset
-    from t2m_jax.evaluation.sources import Maker
+    from t2m_jax.data import Dataset
+    from t2m_jax.evaluation import CodeSource, EvaluationTask
+    from t2m_jax.evaluation.report import ReconstructionFigures
 
 LABELS = {
     "mpjpe_mm": "MPJPE, mm (root-aligned)",
@@ -29,128 +34,155 @@ LABELS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the options of the command."""
-    kinds = ("reconstruction", "generation", "prompts", "compare", "table")
-    parser.add_argument("what", choices=kinds, help="what to measure")
-    parser.add_argument("reports", nargs="*", metavar="REPORT", help="reports of generation (compare: two; table)")
-    parser.add_argument("--model", default="demo", help="bundled name, bundle folder or run folder (default: demo)")
-    parser.add_argument("--data", default=None, metavar="DIR", help="data-set folder (not for prompts)")
-    parser.add_argument("--evaluator", default=None, metavar="E", help="evaluator: folder or run (generation)")
-    parser.add_argument("--protocol", default="t2m-gpt", help="t2m-gpt, text-to-motion, momask or strict (generation)")
-    parser.add_argument("--num-repeats", type=int, default=20, help="how often (generation; default: 20)")
-    parser.add_argument("--seed", type=int, default=0, help="of all that is drawn (generation; default: 0)")
-    parser.add_argument("--greedy", action="store_true", help="take the likeliest code, draw none (generation)")
+    """Declares the sub-commands and their options."""
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=type(parser))
+
+    def add(name: str, function: object, help_: str) -> argparse.ArgumentParser:
+        command = commands.add_parser(
+            name, help=help_, description=f"{help_[0].upper()}{help_[1:]}.", allow_abbrev=False
+        )
+        command.set_defaults(evaluate=function)
+        return command
+
+    reconstruction = add("reconstruction", _reconstruction, "measure how well a tokenizer gives back real motion")
+    generation = add("generation", _generation, "measure how well generated motion fits captions and real motion")
+    prompts = add("prompts", _prompts, "count how often generated motion does what held-out sentences ask for")
+    for command in (reconstruction, generation, prompts):
+        command.add_argument(
+            "--model", default="demo", help="bundled name, bundle folder or run folder (default: demo)"
+        )
+        command.add_argument("--json", type=Path, metavar="F", help="also write the figures to this file")
+    for command in (reconstruction, generation):
+        _add_protocol_arguments(command, needs_evaluator=command is generation)
+    generation.add_argument(
+        "--temperature", type=float, default=1.0, help="below 1: safer; 0: always the likeliest code"
+    )
+    generation.add_argument("--greedy", action="store_const", dest="temperature", const=0.0, help="--temperature 0")
+    generation.add_argument("--top-k", type=int, help="sample among this many likeliest codes")
+    generation.add_argument("--top-p", type=float, help="sample among the likeliest codes, up to this probability")
+    generation.add_argument("--guidance-scale", type=float, help="strength of guidance, for models trained for it")
+    prompts.add_argument("--num-seeds", type=int, default=20, help="samples per content (default: 20)")
+    evaluate_report.add_compare_arguments(
+        add("compare", evaluate_report.run_compare, "test two reports for differences")
+    )
+    evaluate_report.add_table_arguments(add("table", evaluate_report.run_table, "print a table of reports"))
+
+
+def _add_protocol_arguments(parser: argparse.ArgumentParser, *, needs_evaluator: bool) -> None:
+    trained = "folder or run of `t2m train evaluator`"
+    parser.add_argument("--data", required=True, metavar="DIR", help="data-set folder")
     parser.add_argument("--split", default="test", help="split to measure on (default: test)")
-    parser.add_argument("--num-seeds", type=int, default=20, help="samples a content (prompts; default: 20)")
-    parser.add_argument("--json", default=None, metavar="F", help="also write the figures to this file")
-    evaluate_report.add_arguments(parser)
+    parser.add_argument(
+        "--evaluator",
+        required=needs_evaluator,
+        metavar="E",
+        help=trained if needs_evaluator else f"{trained} (optional)",
+    )
+    parser.add_argument("--protocol", default="t2m-gpt", help="t2m-gpt (default), text-to-motion, momask or strict")
+    parser.add_argument("--num-repeats", type=int, default=20, help="repeats (default: 20)")
+    parser.add_argument("--seed", type=int, default=0, help="start of every random choice (default: 0)")
+    parser.add_argument("--batch", type=int, default=32, help="pairs ranked together, for small splits (default: 32)")
+    parser.add_argument("--html", type=Path, metavar="F", help="also write a page with plots and motions")
 
 
 def run(args: argparse.Namespace) -> None:
-    """Prints a table and writes the JSON file."""
-    from t2m_jax.errors import UserError
-    from t2m_jax.evaluation.report.record import check_output, save_json
-    from t2m_jax.sampling.compilation import use_compilation_cache
+    """Checks the options that commands share and runs the command."""
+    from t2m_jax.evaluation.report import check_page
+    from t2m_jax.files import check_output
+    from t2m_jax.sampling import use_compilation_cache
 
-    if args.what in ("compare", "table"):
-        {"compare": _compare, "table": evaluate_report.run_table}[args.what](args)
-        return
-    if args.reports:
-        raise UserError(f"evaluate {args.what}: unknown argument '{args.reports[0]}'")
-    if args.what != "prompts" and args.data is None:
-        raise UserError(f"evaluate {args.what}: --data is missing; give the data-set folder")
-    if args.what == "generation" and args.evaluator is None:
-        raise UserError("evaluate generation: --evaluator is missing; train one with `t2m train evaluator`")
-    if args.num_repeats < 1:
-        raise UserError(f"evaluate generation: --num-repeats {args.num_repeats} is not a whole number above 0")
-    if args.num_seeds < 1:
-        raise UserError(f"evaluate prompts: --num-seeds {args.num_seeds} is not a whole number above 0")
-    if args.json:
-        check_output(Path(args.json))
-    if args.html:
-        evaluate_report.check_options(args)
+    for name in ("num_repeats", "num_seeds"):
+        if getattr(args, name, 1) < 1:
+            raise UserError(f"--{name.replace('_', '-')}: {getattr(args, name)} is not a whole number above 0")
+    if getattr(args, "json", None):
+        check_output(args.json)
+    if getattr(args, "html", None):
+        if args.evaluator is None:
+            raise UserError("--html: the page shows motions as an evaluator ranks them; use it with --evaluator")
+        check_page(args.html)
     use_compilation_cache()
-    figures = {"reconstruction": _reconstruction, "generation": _generation, "prompts": _prompts}[args.what](args)
-    if args.json:
-        save_json(Path(args.json), figures)
-        Path(f"{args.json}.partial").unlink(missing_ok=True)
+    args.evaluate(args)
 
 
-def _reconstruction(args: argparse.Namespace) -> dict[str, Any]:
-    from t2m_jax.checkpoints.vqvae import load_vqvae
-    from t2m_jax.data.folder import open_dataset
-    from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
-    from t2m_jax.evaluation.sources import Reconstruction
+def _reconstruction(args: argparse.Namespace) -> None:
+    from t2m_jax.checkpoints import load_tokenizer
+    from t2m_jax.data import open_dataset
+    from t2m_jax.evaluation import Reconstruction, evaluate_reconstruction
+    from t2m_jax.files import save_json
 
-    vqvae, dataset = load_vqvae(Path(args.model)), open_dataset(args.data)
-    report = evaluate_reconstruction(vqvae, dataset, split=args.split)
+    tokenizer, dataset = load_tokenizer(args.model), open_dataset(args.data)
+    task = _make_task(args, dataset, unit=tokenizer.config.downsample) if args.evaluator else None
+    figures = evaluate_reconstruction(tokenizer, dataset, split=args.split)
     for name, label in LABELS.items():
-        value = getattr(report, name)
+        value = getattr(figures, name)
         sys.stdout.write(f"{label:32} {value:,.3f}\n" if isinstance(value, float) else f"{label:32} {value:,}\n")
-    if args.evaluator is None:
-        return report._asdict()
-    sys.stdout.write("\n")
-    return report._asdict() | _by_protocol(args, dataset, lambda _: Reconstruction(vqvae))
+    if task is not None:
+        sys.stdout.write("\n")
+        _measure(args, task, Reconstruction(tokenizer), figures)
+        return
+    if args.json:
+        save_json(args.json, dataclasses.asdict(figures))
+    options = shlex.join(["--model", args.model, "--data", args.data])
+    evaluate_report.suggest(f"t2m evaluate reconstruction {options} --evaluator RUN --json reconstruction.json")
 
 
-def _compare(args: argparse.Namespace) -> None:
-    from t2m_jax.errors import UserError
-    from t2m_jax.evaluation.report.comparison import compare_reports, comparison_table
-    from t2m_jax.evaluation.report.record import load_report
+def _generation(args: argparse.Namespace) -> None:
+    from t2m_jax.data import open_dataset
+    from t2m_jax.data.checks import check_feature_dim
+    from t2m_jax.evaluation import make_generation
+    from t2m_jax.sampling import TextToMotion, make_strategy
 
-    if len(args.reports) != 2:
-        raise UserError(f"evaluate compare: give two reports, not {len(args.reports)}")
-    differences = compare_reports(*(load_report(Path(path)) for path in args.reports))
-    sys.stdout.write(comparison_table([Path(path).stem for path in args.reports], differences) + "\n")
-
-
-def _generation(args: argparse.Namespace) -> dict[str, Any]:
-    from t2m_jax.data.folder import open_dataset
-    from t2m_jax.evaluation.sources import make_generation
-    from t2m_jax.evaluation.task import check_width
-    from t2m_jax.sampling import Greedy, Temperature, TextToMotion
-
+    strategy = make_strategy(args.temperature, args.top_k, top_p=args.top_p)
     model, dataset = TextToMotion.load(args.model), open_dataset(args.data)
-    check_width("the model", model.skeleton.feature_dim, dataset)
-    strategy = Greedy() if args.greedy else Temperature()
-    return _by_protocol(args, dataset, lambda clips: make_generation(model, strategy, clips))
+    check_feature_dim(dataset, model.config.tokenizer.feature_dim, reader="the model")
+    task = _make_task(args, dataset, unit=model.config.tokenizer.downsample)
+    clips = task.samples.clips
+    _measure(args, task, make_generation(model, strategy, clips, guidance_scale=args.guidance_scale))
 
 
-def _by_protocol(
-    args: argparse.Namespace, dataset: "Dataset", make_maker: "Callable[[Sequence[Clip]], Maker]"
-) -> dict[str, Any]:
-    """Returns the report of what a maker makes, after printing its table."""
-    from t2m_jax.checkpoints.evaluator import load_evaluator_bundle
-    from t2m_jax.evaluation.protocols import find_protocol
-    from t2m_jax.evaluation.run import evaluate
-    from t2m_jax.evaluation.task import make_subject
+def _make_task(args: argparse.Namespace, dataset: "Dataset", *, unit: int) -> "EvaluationTask":
+    from t2m_jax.checkpoints import load_trained_evaluator
+    from t2m_jax.evaluation import find_protocol, make_task
 
-    protocol, evaluator = find_protocol(args.protocol), load_evaluator_bundle(args.evaluator)
-    subject = make_subject(dataset, evaluator, protocol, split=args.split, seed=args.seed)
-    header = {
-        "protocol": protocol.name,
-        "model": args.model,
-        "data": dataset.info.name,
-        "split": args.split,
-        "num_samples": len(subject.samples.clips),
-        "left_out_for_shared_source": subject.samples.shared,
-        "evaluator": evaluator.fingerprint,
-        "sampling": {"generation": "greedy" if args.greedy else "sampled"}.get(args.what, "none"),
-        "seed": args.seed,
-    }
+    protocol = dataclasses.replace(find_protocol(args.protocol), batch=args.batch)
+    evaluator = load_trained_evaluator(args.evaluator)
+    return make_task(dataset, evaluator, protocol, split=args.split, seed=args.seed, unit=unit)
+
+
+def _measure(
+    args: argparse.Namespace,
+    task: "EvaluationTask",
+    source: "CodeSource",
+    figures: "ReconstructionFigures | None" = None,
+) -> None:
+    """Evaluates a source, prints its table and writes the files that were asked for."""
+    from t2m_jax.evaluation import evaluate
+    from t2m_jax.evaluation.report import format_table, gather_details, make_table, save_page, save_report
+    from t2m_jax.export import viewer_html
+
     partial = Path(f"{args.json}.partial") if args.json else None
-    maker = make_maker(subject.samples.clips)
-    report = evaluate(subject, maker, num_repeats=args.num_repeats, header=header, partial=partial)
-    told = (f"{name} {value}" for name, value in header.items() if value is not None)
-    sys.stdout.write(", ".join(told) + "\n\n")
-    evaluate_report.print_report(report)
+    report = evaluate(task, source, num_repeats=args.num_repeats, model=args.model, partial=partial)
+    report = dataclasses.replace(report, reconstruction=figures)
+    header = dataclasses.asdict(report.header)
+    sys.stdout.write(", ".join(f"{name} {value}" for name, value in header.items() if value is not None) + "\n\n")
+    table = make_table([report], [source.kind])._replace(facts={})
+    sys.stdout.write(format_table(table, style="terminal") + "\n")
+    if args.json:
+        save_report(args.json, report)
+        Path(f"{args.json}.partial").unlink(missing_ok=True)
     if args.html:
-        evaluate_report.write_page(Path(args.html), report, subject, maker)
-    return report
+        viewer = functools.partial(viewer_html, embed=False)
+        save_page(args.html, report, gather_details(task, source), viewer=viewer)
+    if args.json:
+        evaluate_report.suggest(shlex.join(["t2m", "evaluate", "table", str(args.json)]))
+    else:
+        evaluate_report.suggest("the same with --json F.json, then `t2m evaluate table F.json`")
 
 
-def _prompts(args: argparse.Namespace) -> dict[str, Any]:
-    from t2m_jax.evaluation.prompt_following import evaluate_prompt_following, markdown_table
+def _prompts(args: argparse.Namespace) -> None:
+    from t2m_jax.evaluation import evaluate_prompt_following
+    from t2m_jax.evaluation.prompt_following import markdown_table
+    from t2m_jax.files import save_json
     from t2m_jax.sampling import TextToMotion
 
     model = TextToMotion.load(args.model)
@@ -159,11 +191,10 @@ def _prompts(args: argparse.Namespace) -> dict[str, Any]:
     )
     sys.stdout.write(markdown_table(results) + "\n")
     right, total = sum(row.num_right for row in results), sum(row.num_samples for row in results)
-    return {
-        "prompt_following": right / total,
-        "num_samples": total,
-        "contents": {
-            row.content: {"right": row.num_right, "samples": row.num_samples, "failures": list(row.failures)}
-            for row in results
-        },
+    contents = {
+        row.content: {"right": row.num_right, "samples": row.num_samples, "failures": list(row.failures)}
+        for row in results
     }
+    if args.json:
+        save_json(args.json, {"prompt_following": right / total, "num_samples": total, "contents": contents})
+    evaluate_report.suggest(shlex.join(["t2m", "generate", "a person walks forward", "--model", args.model]))

@@ -1,1 +1,31 @@
-"""Protocols that turn models and data into figures."""
+"""Protocols that measure the motion of a model: tasks, sources of motion, metrics over repeats."""
+
+from t2m_jax.evaluation.embedding import embed_plan_captions, embed_plan_motions
+from t2m_jax.evaluation.monitor import held_out_metrics, open_held_out
+from t2m_jax.evaluation.prompt_following import evaluate_prompt_following
+from t2m_jax.evaluation.protocols import PROTOCOLS, Plan, Protocol, find_protocol, make_plan
+from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
+from t2m_jax.evaluation.run import evaluate
+from t2m_jax.evaluation.sources import CodeSource, Generation, Reconstruction, make_generation
+from t2m_jax.evaluation.task import EvaluationTask, make_task
+
+__all__ = [
+    "PROTOCOLS",
+    "CodeSource",
+    "EvaluationTask",
+    "Generation",
+    "Plan",
+    "Protocol",
+    "Reconstruction",
+    "embed_plan_captions",
+    "embed_plan_motions",
+    "evaluate",
+    "evaluate_prompt_following",
+    "evaluate_reconstruction",
+    "find_protocol",
+    "held_out_metrics",
+    "make_generation",
+    "make_plan",
+    "make_task",
+    "open_held_out",
+]

@@ -1,4 +1,4 @@
-"""The motions that are evaluated, as codes: drawn by a model from captions, or real ones through a VQ-VAE."""
+"""The codes of the motions that are evaluated: generated from captions, or encoded from real motion."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -7,49 +7,32 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from t2m_jax.checkpoints.vqvae import TrainedVqVae
+from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.data.folder import Clip
-from t2m_jax.evaluation.batches import batches_of, for_each_batch
+from t2m_jax.sampling.batches import batches_of, for_each_batch
 from t2m_jax.sampling.codec import encode_motions
-from t2m_jax.sampling.decoding import CHUNK
-from t2m_jax.sampling.pipeline import TextToMotion, generate_codes
-from t2m_jax.sampling.strategies import Strategy
+from t2m_jax.sampling.decoding import CHUNK, Sampling
+from t2m_jax.sampling.pipeline import TextToMotion
 
 BATCH = 128
-"""Motions whose codes are drawn at a time."""
+"""Motions that are generated together."""
 EMPTY_CODE = 1
-"""What a generation that ends at once counts as, as in T2M-GPT's code."""
+"""The only code of a motion that ends at once, as in T2M-GPT's code."""
 MARGIN = 4
-"""Codes a generated motion may have more than was expected before it is drawn once more."""
+"""Rows that a motion may have beyond its expected length before it is generated again."""
 
 
 class MotionCodes(NamedTuple):
-    """Codes of many motions, 0 past their ends."""
+    """Codes of many motions, 0 after their ends."""
 
-    codes: Int[np.ndarray, "B N"]
+    codes: Int[np.ndarray, "B N R"]
     code_lengths: Int[np.ndarray, " B"]
+    """Rows of each motion."""
 
-
-def _draw(
-    model: TextToMotion,
-    text_embedding: Float[np.ndarray, "B E"],
-    keys: Key[Array, " B"],
-    *,
-    strategy: Strategy,
-    min_codes: int,
-    max_codes: int,
-) -> MotionCodes:
-    """Returns the codes of one batch, on the host."""
-    drawn = generate_codes(
-        model.variables,
-        jnp.asarray(text_embedding),
-        keys,
-        config=model.config,
-        strategy=strategy,
-        min_codes=min_codes,
-        max_codes=max_codes,
-    )
-    return MotionCodes(np.asarray(drawn.codes), np.asarray(drawn.code_lengths))
+    def count_codes(self, num_codes: int) -> Int[np.ndarray, " K"]:
+        """Returns how often each code was used, in all rows and depths."""
+        used = np.arange(self.codes.shape[1])[None] < self.code_lengths[:, None]
+        return np.bincount(self.codes[used].ravel(), minlength=num_codes)
 
 
 def generate_many(
@@ -57,71 +40,62 @@ def generate_many(
     text_embedding: Float[np.ndarray, "B E"],
     keys: Key[Array, " B"],
     *,
-    strategy: Strategy,
-    expected: Int[np.ndarray, " B"],
+    sampling: Sampling,
+    lengths: Int[np.ndarray, " B"],
+    exact: bool = False,
+    guidance_scale: float | None = None,
 ) -> MotionCodes:
-    """Returns codes of one motion a row, until the model ends them.
+    """Returns the codes of one motion per text, at least one row each.
 
-    A batch takes as long as its longest. Motions expected to be alike in length are drawn together and a little
-    further than that; those that have not ended by then, once more as a whole. As a motion depends on its text and key
-    alone it begins as it did: `expected` (frames, such as those of the real motion) changes the time and nothing else.
+    A batch takes as long as its longest motion. So motions of similar expected length are generated together, up to a
+    little more than that length. Those that have not ended by then are generated again, up to the longest length. A
+    motion depends on its text and key only, so the second attempt begins like the first.
+
+    Args:
+        model: The model.
+        text_embedding: One text per motion.
+        keys: One key per motion [B]; consumed.
+        sampling: How to choose codes; its `max_codes` is the longest motion.
+        lengths: Expected frames, such as those of the real motion. They change the time that it takes, not the result.
+        exact: Whether each motion gets as many rows as fit into `lengths`; the model does not end it.
+        guidance_scale: Strength of the guidance, None for none.
     """
-    longest = model.config.gpt.max_codes
-    codes = np.zeros((len(text_embedding), longest), np.int32)
-    code_lengths = np.zeros(len(text_embedding), np.int32)
-    limits = np.minimum(-(-(expected // model.config.vqvae.downsample + MARGIN) // CHUNK) * CHUNK, longest)
+    longest, expected = sampling.max_codes, lengths // model.config.tokenizer.downsample
+    codes = np.zeros((len(expected), longest, model.config.tokenizer.num_quantizers), np.int32)
+    code_lengths = np.zeros(len(expected), np.int32)
+    limits = np.minimum(-(-(expected + MARGIN) // CHUNK) * CHUNK, longest)
+    if exact:
+        sampling, limits = sampling._replace(min_codes=longest), np.full_like(limits, longest)
 
-    def draw(rows: Int[np.ndarray, " C"]) -> None:
+    def generate(rows: Int[np.ndarray, " C"]) -> None:
         limits[rows] = limit = int(limits[rows].max())
-        codes[rows, :limit], code_lengths[rows] = _draw(
-            model, text_embedding[rows], keys[rows], strategy=strategy, min_codes=0, max_codes=limit
-        )
+        text, limited = jnp.asarray(text_embedding[rows]), sampling._replace(max_codes=limit)
+        sampled = model.sample_codes(text, keys[rows], limited, guidance_scale=guidance_scale)
+        codes[rows, :limit], code_lengths[rows] = sampled.codes, sampled.code_lengths
 
-    for_each_batch(draw, batches_of(np.argsort(limits, kind="stable"), BATCH))
+    for_each_batch(generate, batches_of(np.argsort(limits, kind="stable"), BATCH))
     unfinished = np.flatnonzero((code_lengths == limits) & (limits < longest))
     limits[unfinished] = longest
-    for_each_batch(draw, batches_of(unfinished, BATCH))
+    for_each_batch(generate, batches_of(unfinished, BATCH))
     codes[code_lengths == 0, 0] = EMPTY_CODE
-    return MotionCodes(codes, np.maximum(code_lengths, 1))
-
-
-def generate_at_length(
-    model: TextToMotion,
-    text_embedding: Float[np.ndarray, "B E"],
-    keys: Key[Array, " B"],
-    *,
-    strategy: Strategy,
-    lengths: Int[np.ndarray, " B"],
-) -> MotionCodes:
-    """Returns codes of one motion a row, as many as `lengths` (frames) have room for, without End."""
-    longest = model.config.gpt.max_codes
-    codes = np.zeros((len(text_embedding), longest), np.int32)
-
-    def draw(rows: Int[np.ndarray, " C"]) -> None:
-        codes[rows], _ = _draw(
-            model, text_embedding[rows], keys[rows], strategy=strategy, min_codes=longest, max_codes=longest
-        )
-
-    for_each_batch(draw, batches_of(np.arange(len(codes)), BATCH))
-    code_lengths = np.clip(lengths // model.config.vqvae.downsample, 1, longest).astype(np.int32)
+    code_lengths = np.clip(expected if exact else code_lengths, 1, longest).astype(np.int32)
     codes[np.arange(longest)[None] >= code_lengths[:, None]] = 0
     return MotionCodes(codes, code_lengths)
 
 
 def encode_pieces(
-    vqvae: TrainedVqVae,
+    tokenizer: TrainedTokenizer,
     samples: Sequence[Clip],
     starts: Int[np.ndarray, " N"],
     lengths: Int[np.ndarray, " N"],
 ) -> MotionCodes:
-    """Returns the codes of pieces of real motion: `lengths` frames of each sample from `starts` on."""
+    """Returns the codes of pieces of real motion: `lengths` frames of each sample, from `starts` on."""
     pieces = [
-        sample.features[start : start + max(length, vqvae.config.downsample)]
-        for sample, start, length in zip(samples, starts, lengths, strict=True)
+        sample.features[start : start + length] for sample, start, length in zip(samples, starts, lengths, strict=True)
     ]
-    found = encode_motions(vqvae, pieces, progress=False)
+    found = encode_motions(tokenizer, pieces, progress=False)
     code_lengths = np.array([len(codes) for codes in found], np.int32)
-    codes = np.zeros((len(found), int(code_lengths.max())), np.int32)
+    codes = np.zeros((len(found), int(code_lengths.max()), tokenizer.config.num_quantizers), np.int32)
     for row, motion_codes in enumerate(found):
         codes[row, : len(motion_codes)] = motion_codes
     return MotionCodes(codes, code_lengths)

@@ -1,4 +1,4 @@
-"""Motions, real or as codes, and captions in the evaluator's space, in large batches on the device."""
+"""Motions and captions in the evaluator's space, computed in large batches on the device."""
 
 import functools
 from collections.abc import Sequence
@@ -10,88 +10,94 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from t2m_jax.checkpoints.evaluator import TrainedEvaluator
-from t2m_jax.checkpoints.vqvae import TrainedVqVae
+from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
+from t2m_jax.data.banks.captions import caption_tokens
 from t2m_jax.data.folder import Clip
-from t2m_jax.evaluation.batches import batches_of, for_each_batch
 from t2m_jax.evaluation.codes import MotionCodes
+from t2m_jax.evaluation.protocols import Plan
+from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.masks import mask_from_lengths
-from t2m_jax.models.evaluator import Evaluator, EvaluatorConfig
-from t2m_jax.models.vqvae import VqVae, VqVaeConfig
+from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT, Evaluator, EvaluatorConfig
 from t2m_jax.motion.normalizer import Normalizer
+from t2m_jax.sampling.batches import batches_of, for_each_batch, pad_motions, round_up
+from t2m_jax.sampling.codec import decode_batch
 
 BATCH = 128
-"""Motions that are decoded and embedded at a time."""
+"""Motions that are decoded and embedded together."""
 FRAME_BUCKET = 32
-"""Batches of motion are as long as their longest, rounded up to this, so that few lengths are compiled."""
+"""Batches of motion are padded to a multiple of this many frames, so that few programs are compiled."""
 ROOM = 4
-"""Frames of nothing behind the longest motion: what the evaluator's last movement looks at."""
+"""Empty frames after the longest motion, which the convolution over the last movement reads."""
 
 
-@functools.partial(jax.jit, static_argnames=("config", "evaluator", "max_frames", "clear"))
+@functools.partial(jax.jit, static_argnames=("tokenizer", "evaluator", "max_frames", "clear"))
 def embed_codes(
     variables: tuple[Any, Any],
     statistics: tuple[Normalizer, Normalizer],
-    codes: Int[Array, "B N"],
+    codes: Int[Array, "B N R"],
     code_lengths: Int[Array, " B"],
     *,
-    config: VqVaeConfig,
+    tokenizer: Any,
     evaluator: EvaluatorConfig,
     max_frames: int,
     clear: bool,
 ) -> Float[Array, "B E"]:
-    """Returns the embeddings of decoded codes; variables and statistics are those of VQ-VAE and evaluator.
+    """Returns the evaluator's embeddings of decoded codes.
 
-    Motions longer than `max_frames` are cut there. With `clear` what the decoder made past a motion's end is zero.
+    Args:
+        variables: The weights of the tokenizer and of the evaluator.
+        statistics: The statistics of the tokenizer and of the evaluator.
+        codes: Motions as codes.
+        code_lengths: Rows of each motion.
+        tokenizer: The tokenizer's module.
+        evaluator: The evaluator's config.
+        max_frames: Longer motions are cut.
+        clear: Whether decoded frames after the end of a motion are set to zero.
     """
-    vqvae_variables, evaluator_variables = variables
-    ours, theirs = statistics
-    mask = mask_from_lengths(code_lengths, codes.shape[1])
-    decoded = VqVae(config).apply(vqvae_variables, codes, mask, method="decode")
-    motion = theirs.normalize(ours.denormalize(decoded))[:, :max_frames]
-    lengths = jnp.minimum(code_lengths * config.downsample, max_frames)
+    decoded = decode_batch(variables[0], statistics[0], codes, code_lengths, tokenizer=tokenizer)
+    motion = statistics[1].normalize(decoded)[:, :max_frames]
+    frames_per_row = decoded.shape[1] // codes.shape[1]
+    # The evaluator reads whole movements; a motion of one short row still has one.
+    lengths = jnp.clip(code_lengths * frames_per_row, FRAMES_PER_MOVEMENT, max_frames)
     motion = jnp.pad(motion, ((0, 0), (0, min(ROOM, max_frames - motion.shape[1])), (0, 0)))
     if clear:
         motion = jnp.where(mask_from_lengths(lengths, motion.shape[1])[:, :, None], motion, 0.0)
-    return Evaluator(evaluator).apply(evaluator_variables, motion, lengths, method="embed_motion")
+    return Evaluator(evaluator).apply(variables[1], motion, lengths, method="embed_motion")
 
 
-def embed_decoded(
-    vqvae: TrainedVqVae, evaluator: TrainedEvaluator, motions: MotionCodes, *, max_frames: int, clear: bool
-) -> Float[np.ndarray, "B E"]:
-    """Returns the embeddings of motions given as codes, decoded in batches of like length."""
-    order = np.argsort(motions.code_lengths, kind="stable")
-    embeddings = np.zeros((len(order), evaluator.config.embedding_dim), np.float32)
-    bucket = max(FRAME_BUCKET // vqvae.config.downsample, 1)
-    statistics = (_on_device(vqvae.normalizer), _on_device(evaluator.normalizer))
+def embed_decoded(task: EvaluationTask, tokenizer: TrainedTokenizer, motions: MotionCodes) -> Float[np.ndarray, "B E"]:
+    """Returns the embeddings of motions given as codes, decoded in batches of similar length."""
+    evaluator = task.evaluator
+    embeddings = np.zeros((len(motions.codes), evaluator.config.embedding_dim), np.float32)
+    bucket = max(FRAME_BUCKET // tokenizer.config.downsample, 1)
+    # On the device once, not once per batch.
+    statistics = jax.tree.map(jnp.asarray, (tokenizer.normalizer, evaluator.normalizer))
+    variables = jax.device_put((tokenizer.variables, evaluator.variables))
 
     def embed(chosen: Int[np.ndarray, " B"]) -> None:
-        longest = -(-int(motions.code_lengths[chosen].max()) // bucket) * bucket
-        codes = np.zeros((BATCH, longest), np.int32)
-        size = min(longest, motions.codes.shape[1])
-        codes[:, :size] = motions.codes[chosen, :size]
+        longest = round_up(int(motions.code_lengths[chosen].max()), bucket)
+        codes = motions.codes[chosen, :longest]
+        codes = np.pad(codes, ((0, 0), (0, longest - codes.shape[1]), (0, 0)))
         embeddings[chosen] = embed_codes(
-            (vqvae.variables, evaluator.variables),
+            variables,
             statistics,
             jnp.asarray(codes),
             jnp.asarray(motions.code_lengths[chosen]),
-            config=vqvae.config,
+            tokenizer=tokenizer.module,
             evaluator=evaluator.config,
-            max_frames=max_frames,
-            clear=clear,
+            max_frames=task.max_frames,
+            clear=task.protocol.clears_past_end,
         )
 
-    for_each_batch(embed, batches_of(order, BATCH))
+    for_each_batch(embed, batches_of(np.argsort(motions.code_lengths, kind="stable"), BATCH))
     return embeddings
 
 
-def _on_device(normalizer: Normalizer) -> Normalizer:
-    return Normalizer(jnp.asarray(normalizer.mean), jnp.asarray(normalizer.std))
-
-
 @functools.partial(jax.jit, static_argnames="config")
-def _embed_motion(
+def embed_motion(
     variables: Any, motion: Float[Array, "B T D"], lengths: Int[Array, " B"], *, config: EvaluatorConfig
 ) -> Float[Array, "B E"]:
+    """Returns the embeddings of motions that are normalized for the evaluator."""
     return Evaluator(config).apply(variables, motion, lengths, method="embed_motion")
 
 
@@ -103,25 +109,21 @@ def embed_real(
     *,
     max_frames: int,
 ) -> Float[np.ndarray, "N E"]:
-    """Returns the embeddings of pieces of real motion: `lengths` frames of each sample from `starts` on."""
+    """Returns the embeddings of pieces of real motion: `lengths` frames of each sample, from `starts` on."""
     lengths = np.minimum(lengths, max_frames)
-    order = np.argsort(lengths, kind="stable")
     embeddings = np.zeros((len(samples), evaluator.config.embedding_dim), np.float32)
-    for chosen in batches_of(order, BATCH):
-        longest = -(-int(lengths[chosen].max()) // FRAME_BUCKET) * FRAME_BUCKET
-        size = min(longest + ROOM, max_frames)
-        motion = np.zeros((BATCH, size, evaluator.config.feature_dim), np.float32)
-        for row, index in enumerate(chosen):
-            piece = samples[index].features[starts[index] : starts[index] + lengths[index]]
-            motion[row, : lengths[index]] = evaluator.normalizer.normalize(piece)
-        embeddings[chosen] = _embed_motion(
-            evaluator.variables, jnp.asarray(motion), jnp.asarray(lengths[chosen], jnp.int32), config=evaluator.config
+    for chosen in batches_of(np.argsort(lengths, kind="stable"), BATCH):
+        pieces = [samples[row].features[starts[row] : starts[row] + lengths[row]] for row in chosen]
+        size = min(round_up(int(lengths[chosen].max()), FRAME_BUCKET) + ROOM, max_frames)
+        batch = pad_motions([evaluator.normalizer.normalize(piece) for piece in pieces], batch=BATCH, size=size)
+        embeddings[chosen] = embed_motion(
+            evaluator.variables, jnp.asarray(batch.motion), jnp.asarray(batch.lengths), config=evaluator.config
         )
     return embeddings
 
 
 @functools.partial(jax.jit, static_argnames="config")
-def _embed_text(
+def embed_text(
     variables: Any,
     words: Int[Array, "B S"],
     parts_of_speech: Int[Array, "B S"],
@@ -129,6 +131,7 @@ def _embed_text(
     *,
     config: EvaluatorConfig,
 ) -> Float[Array, "B E"]:
+    """Returns the embeddings of captions, given as numbers of words and of parts of speech."""
     return Evaluator(config).apply(variables, words, parts_of_speech, lengths, method="embed_text")
 
 
@@ -138,5 +141,18 @@ def embed_captions(evaluator: TrainedEvaluator, captions: Sequence[Sequence[str]
     embeddings = np.zeros((len(captions), evaluator.config.embedding_dim), np.float32)
     for rows in batches_of(np.arange(len(captions)), BATCH):
         columns = (jnp.asarray(column[rows]) for column in ids)
-        embeddings[rows] = _embed_text(evaluator.variables, *columns, config=evaluator.config)
+        embeddings[rows] = embed_text(evaluator.variables, *columns, config=evaluator.config)
     return embeddings
+
+
+def embed_plan_captions(task: EvaluationTask, plan: Plan) -> Float[np.ndarray, "N E"]:
+    """Returns the embeddings of a plan's captions."""
+    pairs = zip(plan.samples, plan.captions, strict=True)
+    captions = [task.samples.clips[owner].captions[caption] for owner, caption in pairs]
+    return embed_captions(task.evaluator, [caption_tokens(caption) for caption in captions])
+
+
+def embed_plan_motions(task: EvaluationTask, plan: Plan) -> Float[np.ndarray, "N E"]:
+    """Returns the embeddings of a plan's real motions."""
+    samples = [task.samples.clips[owner] for owner in plan.samples]
+    return embed_real(task.evaluator, samples, plan.starts, plan.lengths, max_frames=task.max_frames)

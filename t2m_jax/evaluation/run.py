@@ -1,169 +1,163 @@
-"""Evaluating motion by a protocol: repeats, each a row of metrics for real motion and one for what a model makes."""
+"""Evaluating motion by a protocol: repeats, each with the metrics of real motion and of the motion of a source."""
 
-import json
+import dataclasses
 import logging
 import time
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from t2m_jax.data.banks.captions import caption_tokens
-from t2m_jax.evaluation.embedding import embed_captions, embed_decoded, embed_real
-from t2m_jax.evaluation.protocols import BATCH, SAMPLES_A_CAPTION, Plan, make_plan
-from t2m_jax.evaluation.report.record import save_json
-from t2m_jax.evaluation.sources import Made, Maker
-from t2m_jax.evaluation.task import Subject
+from t2m_jax.errors import UserError
+from t2m_jax.evaluation.embedding import embed_decoded, embed_plan_captions, embed_plan_motions
+from t2m_jax.evaluation.protocols import SAMPLES_PER_CAPTION, Plan
+from t2m_jax.evaluation.report.record import Header, Metric, Report
+from t2m_jax.evaluation.sources import CodeSource, SourceCodes
+from t2m_jax.evaluation.task import EvaluationTask
+from t2m_jax.files import load_json, save_json
 from t2m_jax.metrics import diversity, fid, label_bound, matching_score, multimodality, r_precision
+from t2m_jax.sampling.batches import round_up
 
 logger = logging.getLogger(__name__)
 
-Figures = dict[str, float]
-Rows = dict[str, Figures]
-"""Row name -> metric -> value."""
-
-REAL = "real"
 SECOND_PASS = 1_000_000
-"""Added to a repeat's number for the second look at real motion, against which the first is measured."""
+"""Added to a repeat's number for the second set of real motions, against which FID of the first is measured."""
 
 
-def evaluate_repeat(subject: Subject, maker: Maker, *, repeat: int) -> Rows:
-    """Returns the metrics of one repeat for real motion and for what `maker` makes."""
-    clips, protocol = subject.samples.clips, subject.protocol
-    plan = make_plan(clips, protocol, seed=subject.seed, repeat=repeat)
-    text = embed_plan_captions(subject, plan)
-    real = embed_plan_motions(subject, plan)
-    made = maker.make(clips, protocol, plan, jax.random.fold_in(jax.random.key(subject.seed), repeat))
-    embeddings = embed_decoded(
-        maker.vqvae,
-        subject.evaluator,
-        made.codes,
-        max_frames=subject.max_frames,
-        clear=protocol.clears_past_end,
+class RepeatMetrics(NamedTuple):
+    """The metrics of one repeat by name."""
+
+    real: dict[str, float]
+    measured: dict[str, float]
+
+
+def make_header(task: EvaluationTask, source: CodeSource, *, model: str) -> Header:
+    """Returns what the figures of a report depend on; `model` is what the user called the model."""
+    return Header(
+        protocol=task.protocol.name,
+        model=model,
+        data=task.data,
+        split=task.split,
+        num_samples=len(task.samples.clips),
+        left_out_for_shared_source=task.samples.shared,
+        evaluator=task.evaluator.fingerprint,
+        seed=task.seed,
+        unit=task.unit,
+        batch=task.protocol.batch,
+        **source.sampling,
     )
-    standing, varied = embeddings[: len(plan.samples)], _varied(plan, embeddings, made)
-    labels = None if subject.samples.labels is None else subject.samples.labels[plan.samples]
-    measured = {REAL: _figures(text, real, plan, labels), maker.row: _figures(text, standing, plan, labels)}
-    if labels is not None:
-        measured[REAL] |= _label_bounds(labels)
-    measured[maker.row]["fid"] = float(fid(jnp.asarray(real), jnp.asarray(standing)))
-    if varied is not None:
-        variety = multimodality(jnp.asarray(varied), jnp.asarray(plan.multimodality_pairs))
-        measured[maker.row]["multimodality"] = float(variety)
-    if protocol.crops:
-        again = make_plan(clips, protocol, seed=subject.seed, repeat=repeat + SECOND_PASS)
-        measured[REAL]["fid"] = float(fid(jnp.asarray(real), jnp.asarray(embed_plan_motions(subject, again))))
-    return measured
-
-
-def embed_plan_captions(subject: Subject, plan: Plan) -> Float[np.ndarray, "N E"]:
-    """Returns the embeddings of a plan's captions."""
-    pairs = zip(plan.samples, plan.captions, strict=True)
-    captions = [subject.samples.clips[owner].captions[caption] for owner, caption in pairs]
-    return embed_captions(subject.evaluator, [caption_tokens(caption) for caption in captions])
-
-
-def embed_plan_motions(subject: Subject, plan: Plan) -> Float[np.ndarray, "N E"]:
-    """Returns the embeddings of a plan's real motions."""
-    samples = [subject.samples.clips[owner] for owner in plan.samples]
-    return embed_real(subject.evaluator, samples, plan.starts, plan.lengths, max_frames=subject.max_frames)
-
-
-def _varied(plan: Plan, embeddings: Float[np.ndarray, "G E"], made: Made) -> Float[np.ndarray, "M S E"] | None:
-    """Returns the samples of each caption whose variety is measured, at their numbers; zeros where none was made."""
-    if len(made.items) == len(plan.samples) or not len(plan.varied):
-        return None
-    place = np.full(len(plan.samples), -1)
-    place[plan.varied] = np.arange(len(plan.varied))
-    chosen = place[made.items] >= 0
-    varied = np.zeros((len(plan.varied), SAMPLES_A_CAPTION, embeddings.shape[1]), np.float32)
-    varied[place[made.items[chosen]], made.numbers[chosen]] = embeddings[chosen]
-    return varied
-
-
-def _figures(
-    text: Float[np.ndarray, "N E"],
-    motion: Float[np.ndarray, "N E"],
-    plan: Plan,
-    labels: Int[np.ndarray, " N"] | None,
-) -> Figures:
-    """Returns the metrics of one set of motions but its distance to another and the variety within captions."""
-    filled, counted = _whole_batches(len(text))
-    texts, motions = jnp.asarray(text[filled]), jnp.asarray(motion[filled])
-    figures = _ranked("r_precision_{}", r_precision(texts, motions, counted=counted))
-    mirrored = r_precision(texts, motions, direction="texts_per_motion", counted=counted)
-    figures |= _ranked("r_precision_{}_texts_per_motion", mirrored)
-    if labels is not None:
-        by_label = r_precision(texts, motions, labels=jnp.asarray(labels[filled]), counted=counted)
-        figures |= _ranked("r_precision_{}_by_label", by_label)
-    figures["matching_score"] = float(matching_score(jnp.asarray(text), jnp.asarray(motion)))
-    figures["diversity"] = float(diversity(jnp.asarray(motion), jnp.asarray(plan.diversity_pairs)))
-    return figures
-
-
-def _label_bounds(labels: Int[np.ndarray, " N"]) -> Figures:
-    """Returns what R-precision near-identical captions leave to an evaluator that tells labels apart and no more."""
-    filled, counted = _whole_batches(len(labels))
-    return _ranked("r_precision_{}_bound_by_label", label_bound(jnp.asarray(labels[filled]), counted=counted))
-
-
-def _ranked(name: str, precision: Float[Array, " K"]) -> Figures:
-    return {name.format(k): float(value) for k, value in enumerate(precision, start=1)}
-
-
-def _whole_batches(count: int) -> tuple[Int[np.ndarray, " M"], Bool[Array, " M"]]:
-    """Returns rows in whole batches, filled up from the front, and which of them count."""
-    size = -(-count // BATCH) * BATCH
-    return np.resize(np.arange(count), size), jnp.arange(size) < count
 
 
 def evaluate(
-    subject: Subject, maker: Maker, *, num_repeats: int, header: Mapping[str, Any], partial: Path | None = None
-) -> dict[str, Any]:
-    """Returns the report: header, and for each row and metric mean, interval and the value of every repeat.
+    task: EvaluationTask, source: CodeSource, *, num_repeats: int, model: str = "", partial: Path | None = None
+) -> Report:
+    """Returns the metrics over some repeats.
 
     Args:
-        subject: What is looked at, how.
-        maker: Makes the motions that stand beside the real ones.
-        num_repeats: How often; the interval is over them.
-        header: What the figures depend on. It stands in the report, and a partial result with another one is not used.
-        partial: File that keeps the repeats done so far, so that an interrupted evaluation goes on where it was.
+        task: What is evaluated.
+        source: Gives the motions that are measured beside the real ones.
+        num_repeats: How often; the intervals are over the repeats.
+        model: What the user calls the model, for the report's header.
+        partial: File that keeps the finished repeats, so that an interrupted evaluation continues. It is only used by
+            an evaluation with the same header.
     """
+    header = make_header(task, source, model=model)
     repeats = load_partial(partial, header)[:num_repeats]
     start, done_before = time.monotonic(), len(repeats)
     for repeat in range(done_before, num_repeats):
-        repeats.append(evaluate_repeat(subject, maker, repeat=repeat))
+        repeats.append(evaluate_repeat(task, source, repeat=repeat))
         if partial is not None:
-            save_json(partial, {"header": header, "repeats": repeats})
+            save_json(partial, {"header": dataclasses.asdict(header), "repeats": repeats})
         seconds = (time.monotonic() - start) / (repeat + 1 - done_before)
         left = seconds * (num_repeats - repeat - 1)
         logger.info("repeat %d of %d, %.0f s each, %.0f s left", repeat + 1, num_repeats, seconds, left)
-    return {**header, "rows": summarize(repeats)}
+    real, measured = (
+        {name: Metric.from_repeats([metrics[name] for metrics in column]) for name in column[0]}
+        for column in zip(*repeats, strict=True)
+    )
+    return Report(header=header, kind=source.kind, real=real, measured=measured)
 
 
-def load_partial(path: Path | None, header: Mapping[str, Any]) -> list[Rows]:
-    """Returns the repeats that an interrupted evaluation of the same kind has left, none where there was none."""
+def load_partial(path: Path | None, header: Header) -> list[RepeatMetrics]:
+    """Returns the finished repeats of an interrupted evaluation with the same header; none if there was none."""
     if path is None or not path.exists():
         return []
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        return list(found["repeats"]) if found["header"] == header else []
-    except (ValueError, KeyError, TypeError):
-        logger.warning("%s: damaged; the evaluation starts over", path)
+        found = load_json(path)
+        same = found["header"] == dataclasses.asdict(header)
+        return [RepeatMetrics(real, measured) for real, measured in found["repeats"]] if same else []
+    except (UserError, LookupError, TypeError, ValueError):
+        logger.warning("%s: is damaged; the evaluation starts over", path)
         return []
 
 
-def summarize(repeats: Sequence[Rows]) -> dict[str, dict[str, dict[str, Any]]]:
-    """Returns mean, half-width of the 95 % interval (1.96 times the deviation over the root of n) and all values."""
-    rows: dict[str, dict[str, dict[str, Any]]] = {}
-    for row, figures in repeats[0].items():
-        rows[row] = {}
-        for metric in figures:
-            values = np.array([repeat[row][metric] for repeat in repeats])
-            interval = 1.96 * values.std() / np.sqrt(len(values))
-            rows[row][metric] = {"mean": float(values.mean()), "interval": float(interval), "repeats": values.tolist()}
-    return rows
+def evaluate_repeat(task: EvaluationTask, source: CodeSource, *, repeat: int) -> RepeatMetrics:
+    """Returns the metrics of one repeat for real motion and for the motion of a source."""
+    plan = task.plan(repeat)
+    text, real = embed_plan_captions(task, plan), embed_plan_motions(task, plan)
+    key = jax.random.fold_in(jax.random.key(task.seed), repeat)
+    found = source.make(task.samples.clips, task.protocol, plan, key)
+    embeddings = embed_decoded(task, source.tokenizer, found.codes)
+    # One motion per item counts everywhere; the rest are only for variety.
+    motion, varied = embeddings[: len(plan.samples)], _varied_samples(plan, embeddings, found)
+    metrics = RepeatMetrics(*(_paired_metrics(task, plan, text, motions) for motions in (real, motion)))
+    metrics.measured["fid"] = float(fid(jnp.asarray(real), jnp.asarray(motion)))
+    if varied is not None:
+        variety = multimodality(jnp.asarray(varied), jnp.asarray(plan.multimodality_pairs))
+        metrics.measured["multimodality"] = float(variety)
+    if task.samples.labels is not None:
+        rows, counted = _whole_batches(len(text), task.protocol.batch)
+        labels = jnp.asarray(task.samples.labels[plan.samples][rows])
+        bound = label_bound(labels, batch=task.protocol.batch, counted=counted)
+        metrics.real.update(_by_rank("r_precision_{}_bound_by_label", bound))
+    if task.protocol.crops:
+        again = embed_plan_motions(task, task.plan(repeat + SECOND_PASS))
+        metrics.real["fid"] = float(fid(jnp.asarray(real), jnp.asarray(again)))
+    return metrics
+
+
+def _varied_samples(
+    plan: Plan, embeddings: Float[np.ndarray, "G E"], found: SourceCodes
+) -> Float[np.ndarray, "M S E"] | None:
+    """Returns the samples of each caption whose variety is measured, by number; samples that were not made are zero."""
+    if len(found.items) == len(plan.samples) or not len(plan.varied):
+        return None
+    place = np.full(len(plan.samples), -1)
+    place[plan.varied] = np.arange(len(plan.varied))
+    chosen = place[found.items] >= 0
+    varied = np.zeros((len(plan.varied), SAMPLES_PER_CAPTION, embeddings.shape[1]), np.float32)
+    varied[place[found.items[chosen]], found.numbers[chosen]] = embeddings[chosen]
+    return varied
+
+
+def _paired_metrics(
+    task: EvaluationTask, plan: Plan, text: Float[np.ndarray, "N E"], motion: Float[np.ndarray, "N E"]
+) -> dict[str, float]:
+    """Returns the metrics of one set of motions and their captions."""
+    batch = task.protocol.batch
+    rows, counted = _whole_batches(len(text), batch)
+    texts, motions = jnp.asarray(text[rows]), jnp.asarray(motion[rows])
+    metrics = _by_rank("r_precision_{}", r_precision(texts, motions, batch=batch, counted=counted))
+    mirrored = r_precision(texts, motions, batch=batch, direction="texts_per_motion", counted=counted)
+    metrics |= _by_rank("r_precision_{}_texts_per_motion", mirrored)
+    if task.samples.labels is not None:
+        labels = jnp.asarray(task.samples.labels[plan.samples][rows])
+        by_label = r_precision(texts, motions, batch=batch, labels=labels, counted=counted)
+        metrics |= _by_rank("r_precision_{}_by_label", by_label)
+    metrics["matching_score"] = float(matching_score(jnp.asarray(text), jnp.asarray(motion)))
+    metrics["diversity"] = float(diversity(jnp.asarray(motion), jnp.asarray(plan.diversity_pairs)))
+    return metrics
+
+
+def _by_rank(name: str, precision: Float[Array, " K"]) -> dict[str, float]:
+    """Returns R-precision by metric; `{}` in the name is replaced by the rank."""
+    return {name.format(k): float(value) for k, value in enumerate(precision, start=1)}
+
+
+def _whole_batches(count: int, batch: int) -> tuple[Int[np.ndarray, " M"], Bool[Array, " M"]]:
+    """Returns rows in whole batches, and which of them count; the last batch is filled with the first rows."""
+    size = round_up(count, batch)
+    return np.resize(np.arange(count), size), jnp.arange(size) < count

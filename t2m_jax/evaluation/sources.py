@@ -1,124 +1,150 @@
-"""Who makes the motions that are measured: a model from captions, or its VQ-VAE from the real ones."""
+"""Where the measured motions come from: a model that reads captions, or a tokenizer that reads real motion."""
 
+import dataclasses
 import typing
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from t2m_jax.checkpoints.vqvae import TrainedVqVae
+from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.data.folder import Clip
-from t2m_jax.evaluation.codes import MotionCodes, encode_pieces, generate_at_length, generate_many
-from t2m_jax.evaluation.protocols import SAMPLES_A_CAPTION, Plan, Protocol
+from t2m_jax.evaluation.codes import MotionCodes, encode_pieces, generate_many
+from t2m_jax.evaluation.protocols import SAMPLES_PER_CAPTION, Plan, Protocol
 from t2m_jax.sampling.pipeline import TextToMotion
-from t2m_jax.sampling.strategies import Strategy
+from t2m_jax.sampling.strategies import Greedy, Strategy
 
 TEXT_BATCH = 256
+"""Captions that the model's text encoder reads together."""
 
 
-class Made(NamedTuple):
-    """Motions made for a plan; the first N stand for its N items, more follow where variety is measured."""
+class SourceCodes(NamedTuple):
+    """Motions of a source for a plan of N items. The first N are one per item; more follow if variety is measured."""
 
     codes: MotionCodes
     items: Int[np.ndarray, " G"]
-    """Which of the plan's items each is for."""
+    """The item that each motion is for."""
     numbers: Int[np.ndarray, " G"]
     """Its number among the samples of that item."""
 
 
 @typing.runtime_checkable
-class Maker(typing.Protocol):
-    """Makes motions for a plan, as codes of a VQ-VAE."""
+class CodeSource(typing.Protocol):
+    """Gives the motions that are measured, as codes of a tokenizer."""
+
+    kind: ClassVar[str]
+    """Name of its row in reports."""
 
     @property
-    def row(self) -> str:
-        """What its row is called in reports."""
+    def tokenizer(self) -> TrainedTokenizer:
+        """The tokenizer that decodes the codes."""
         ...
 
     @property
-    def vqvae(self) -> TrainedVqVae:
-        """Decodes what it makes."""
+    def sampling(self) -> dict[str, Any]:
+        """How codes are chosen: `sampling` and further fields of a report's header."""
         ...
 
-    def make(self, samples: Sequence[Clip], protocol: Protocol, plan: Plan, key: Key[Array, ""]) -> Made:
-        """Returns the motions of one repeat; each depends on key, item and number alone."""
+    def make(self, samples: Sequence[Clip], protocol: Protocol, plan: Plan, key: Key[Array, ""]) -> SourceCodes:
+        """Returns the motions of one repeat; each depends on the key, its item and its number only."""
         ...
 
 
-class Reconstruction(NamedTuple):
-    """Real motion through a VQ-VAE: what no model on top of it can surpass."""
+@dataclasses.dataclass(frozen=True)
+class Reconstruction:
+    """Real motion, encoded and decoded: no generator with this tokenizer can do better."""
 
-    vqvae: TrainedVqVae
+    kind: ClassVar[str] = "reconstruction"
+
+    tokenizer: TrainedTokenizer
+    """Encodes and decodes."""
 
     @property
-    def row(self) -> str:
-        """What its row is called in reports."""
-        return "reconstruction"
+    def sampling(self) -> dict[str, Any]:
+        """The field of the header: nothing is drawn."""
+        return {"sampling": "none"}
 
-    def make(self, samples: Sequence[Clip], protocol: Protocol, plan: Plan, key: Key[Array, ""]) -> Made:
-        """Returns the plan's real motions as codes; nothing is drawn."""
+    def make(self, samples: Sequence[Clip], protocol: Protocol, plan: Plan, key: Key[Array, ""]) -> SourceCodes:
+        """Returns the real motions of the plan; neither protocol nor key is used."""
         del protocol, key
-        codes = encode_pieces(self.vqvae, [samples[owner] for owner in plan.samples], plan.starts, plan.lengths)
+        codes = encode_pieces(self.tokenizer, [samples[owner] for owner in plan.samples], plan.starts, plan.lengths)
         items = np.arange(len(plan.samples))
-        return Made(codes, items, np.zeros_like(items))
+        return SourceCodes(codes, items, np.zeros_like(items))
 
 
-class Generation(NamedTuple):
-    """Motion generated from captions."""
+@dataclasses.dataclass(frozen=True)
+class Generation:
+    """Motion that a model generates from captions."""
+
+    kind: ClassVar[str] = "generated"
 
     model: TextToMotion
     strategy: Strategy
     texts: dict[str, Float[np.ndarray, " E"]]
-    """Caption -> the model's embedding."""
+    """The model's embedding of each caption."""
+    guidance_scale: float | None = None
+    """Strength of the guidance by the text, None for none."""
 
     @property
-    def row(self) -> str:
-        """What its row is called in reports."""
-        return "generated"
+    def tokenizer(self) -> TrainedTokenizer:
+        """The model's tokenizer."""
+        return self.model.tokenizer
 
     @property
-    def vqvae(self) -> TrainedVqVae:
-        """Decodes what it makes."""
-        return TrainedVqVae(self.model.config.vqvae, self.model.variables["vqvae"], self.model.normalizer)
+    def sampling(self) -> dict[str, Any]:
+        """The strategy and its numbers as fields of the header."""
+        return {
+            "sampling": "greedy" if isinstance(self.strategy, Greedy) else "sampled",
+            "temperature": getattr(self.strategy, "temperature", None),
+            "top_k": getattr(self.strategy, "k", None),
+            "top_p": getattr(self.strategy, "p", None),
+            "guidance_scale": self.guidance_scale,
+        }
 
-    def make(self, samples: Sequence[Clip], protocol: Protocol, plan: Plan, key: Key[Array, ""]) -> Made:
-        """Returns motions generated from the plan's captions."""
+    def make(self, samples: Sequence[Clip], protocol: Protocol, plan: Plan, key: Key[Array, ""]) -> SourceCodes:
+        """Returns motions generated from the captions of the plan."""
         captions = [samples[owner].captions[caption].text for owner, caption in zip(*plan[:2], strict=True)]
-        items, numbers = samples_that_count(plan, protocol)
+        items, numbers = measured_samples(plan, protocol)
         text = np.stack([self.texts[caption] for caption in captions])[items]
         keys = sample_keys(key, jnp.asarray(items), jnp.asarray(numbers))
-        lengths = plan.lengths[items]
-        if protocol.generated_length == "real":
-            codes = generate_at_length(self.model, text, keys, strategy=self.strategy, lengths=lengths)
-        else:
-            codes = generate_many(self.model, text, keys, strategy=self.strategy, expected=lengths)
-        return Made(codes, items, numbers)
+        # Motions may end at once, unlike those that users generate.
+        sampling = self.model.sampling(self.strategy, max_codes=self.model.config.generator.max_codes, min_codes=0)
+        codes = generate_many(
+            self.model,
+            text,
+            keys,
+            sampling=sampling,
+            lengths=plan.lengths[items],
+            exact=protocol.generated_length == "real",
+            guidance_scale=self.guidance_scale,
+        )
+        return SourceCodes(codes, items, numbers)
 
 
-def make_generation(model: TextToMotion, strategy: Strategy, samples: Sequence[Clip]) -> Generation:
-    """Returns the maker that draws motions of a model; the captions of all samples are read at once."""
+def make_generation(
+    model: TextToMotion, strategy: Strategy, samples: Sequence[Clip], *, guidance_scale: float | None = None
+) -> Generation:
+    """Returns the source that generates with a model; the text encoder reads the captions of all samples now."""
     captions = sorted({caption.text for sample in samples for caption in sample.captions})
     texts: dict[str, Float[np.ndarray, " E"]] = {}
     for first in range(0, len(captions), TEXT_BATCH):
         chosen = captions[first : first + TEXT_BATCH]
         texts |= dict(zip(chosen, np.asarray(model.text_encoder(chosen)), strict=True))
-    return Generation(model, strategy, texts)
+    return Generation(model, strategy, texts, guidance_scale)
 
 
-def samples_that_count(plan: Plan, protocol: Protocol) -> tuple[Int[np.ndarray, " G"], Int[np.ndarray, " G"]]:
-    """Returns which items to generate for, and the number of each sample among those of its item.
+def measured_samples(plan: Plan, protocol: Protocol) -> tuple[Int[np.ndarray, " G"], Int[np.ndarray, " G"]]:
+    """Returns which items to generate motions for, and the number of each motion among the samples of its item.
 
-    Of the 30 samples of a caption only those are made that a metric looks at: one does not depend on another.
+    Only those of the 30 samples of a caption are generated that a metric uses. One does not depend on another.
     """
-    standing = 0 if protocol.first_counts else SAMPLES_A_CAPTION - 1
-    looked_at = np.union1d(plan.multimodality_pairs.ravel(), [standing])
-    items = [np.arange(len(plan.samples)), *(plan.varied for number in looked_at if number != standing)]
-    numbers = [standing, *(number for number in looked_at if number != standing)]
-    sizes = [len(rows) for rows in items]
-    return np.concatenate(items), np.repeat(numbers, sizes)
+    first = 0 if protocol.first_counts else SAMPLES_PER_CAPTION - 1
+    others = np.setdiff1d(plan.multimodality_pairs, [first])
+    items = np.concatenate([np.arange(len(plan.samples)), np.tile(plan.varied, len(others))])
+    return items, np.concatenate([np.full(len(plan.samples), first), np.repeat(others, len(plan.varied))])
 
 
 @jax.jit

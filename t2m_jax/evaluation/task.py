@@ -1,5 +1,6 @@
-"""What motion is evaluated on: the samples of a split, an evaluator that fits them, a protocol and a seed."""
+"""What is evaluated: the samples of a split, an evaluator that fits them, a protocol and a seed."""
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -8,14 +9,12 @@ import numpy as np
 from jaxtyping import Int
 
 from t2m_jax.checkpoints.evaluator import TrainedEvaluator
+from t2m_jax.data.checks import check_feature_dim, check_statistics
 from t2m_jax.data.folder import Clip, Dataset, samples_from_clip
-from t2m_jax.data.index import ClipIndex, load_index
+from t2m_jax.data.index import load_index
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation.protocols import Protocol
-from t2m_jax.motion.normalizer import Normalizer
-
-STATISTICS_TOLERANCE = 0.5
-"""Deviations by which the means of data and evaluator may differ, and natural logarithm of the deviations' ratio."""
+from t2m_jax.evaluation.protocols import Plan, Protocol, make_plan
+from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT
 
 
 class Samples(NamedTuple):
@@ -23,82 +22,92 @@ class Samples(NamedTuple):
 
     clips: Sequence[Clip]
     labels: Int[np.ndarray, " S"] | None
-    """What each shows, as a number; None where the data set does not say."""
+    """What each motion shows, as a number; None if the data set has no labels."""
     shared: int | None
-    """Clips left out because their recording is in training, too; None where that is not known or not asked."""
+    """Clips left out because their recording is also in training; None if this is not known or was not asked."""
 
 
-class Subject(NamedTuple):
-    """What is looked at, how."""
+class EvaluationTask(NamedTuple):
+    """Everything that the metrics of a set of motions depend on, except the motions."""
 
     evaluator: TrainedEvaluator
     samples: Samples
     protocol: Protocol
     max_frames: int
+    """Longer motions are cut."""
     seed: int
+    """Start of every random choice."""
+    unit: int = FRAMES_PER_MOVEMENT
+    """Lengths of real motion are multiples of this many frames."""
+    data: str = ""
+    """Name of the data set."""
+    split: str = ""
+    """Name of the split."""
+
+    def plan(self, repeat: int) -> Plan:
+        """Returns what a repeat uses."""
+        return make_plan(self.samples.clips, self.protocol, seed=self.seed, repeat=repeat, unit=self.unit)
 
 
-def make_subject(
-    dataset: Dataset, evaluator: TrainedEvaluator, protocol: Protocol, *, split: str, seed: int
-) -> Subject:
-    """Returns what an evaluation looks at.
+def make_task(
+    dataset: Dataset, evaluator: TrainedEvaluator, protocol: Protocol, *, split: str, seed: int, unit: int
+) -> EvaluationTask:
+    """Returns the task of evaluating motion on a split.
+
+    Args:
+        dataset: The data.
+        evaluator: The network that embeds motions and captions.
+        protocol: The rules.
+        split: Name of the split.
+        seed: Start of every random choice.
+        unit: The tokenizer's frames per code. Lengths are multiples of it and of the evaluator's frames per movement.
 
     Raises:
-        UserError: if the evaluator is not one of such data, or the split has nothing to look at.
+        UserError: The evaluator was trained on other data, or the split does not fill a batch.
     """
-    check_fit(evaluator, dataset)
-    # Weights from a file are the host's: they would go to the device with every batch.
+    check_feature_dim(dataset, evaluator.config.feature_dim, reader="the evaluator")
+    advice = "use the evaluator of this data set, or train one with `t2m train evaluator`"
+    check_statistics(dataset, evaluator.normalizer, reader="the evaluator", advice=advice)
+    unit = math.lcm(unit, FRAMES_PER_MOVEMENT)
+    samples = load_samples(dataset, split, min_frames=unit, source_disjoint=protocol.source_disjoint)
+    # Weights from a file are on the host; without this they would be copied to the device with every batch.
     evaluator = evaluator._replace(variables=jax.device_put(evaluator.variables))
-    samples = load_samples(dataset, split, source_disjoint=protocol.source_disjoint)
-    return Subject(evaluator, samples, protocol, dataset.info.max_frames, seed)
+    max_frames = dataset.info.max_frames
+    task = EvaluationTask(evaluator, samples, protocol, max_frames, seed, unit, dataset.info.name, split)
+    try:
+        task.plan(repeat=0)
+    except UserError as error:
+        raise UserError(f"{dataset.folder}: split {split}, {error}") from None
+    return task
 
 
-def load_samples(dataset: Dataset, split: str, *, source_disjoint: bool = False) -> Samples:
-    """Returns the motions of a split; with `source_disjoint` without clips cut from a recording that is in training.
+def load_samples(dataset: Dataset, split: str, *, min_frames: int = 1, source_disjoint: bool = False) -> Samples:
+    """Returns the motions of a split that have captions.
+
+    Args:
+        dataset: The data.
+        split: Name of the split.
+        min_frames: Shorter motions are left out.
+        source_disjoint: Leave out clips that are cut from a recording that is also in training.
 
     Raises:
-        UserError: if there are none.
+        UserError: There are none.
     """
     clips, index, shared = dataset.clips(split), load_index(dataset.folder), None
     if source_disjoint and index is not None and index.sources and split != "train":
         trained = index.recorded_with((clip.name for clip in clips), dataset.names("train"))
         clips, shared = [clip for clip in clips if clip.name not in trained], len(trained)
-    pairs = [(clip.name, sample) for clip in clips for sample in samples_from_clip(clip, dataset.info)]
+    pairs = [
+        (clip.name, sample)
+        for clip in clips
+        for sample in samples_from_clip(clip, dataset.info)
+        if len(sample.features) >= min_frames
+    ]
     if not pairs:
-        raise UserError(f"{dataset.folder}: split {split} has no motion with a caption to evaluate")
+        raise UserError(f"{dataset.folder}: split {split} has no motion with a caption; choose another split")
     names, samples = zip(*pairs, strict=True)
-    return Samples(samples, _labels(names, index), shared)
-
-
-def _labels(names: Sequence[str], index: ClipIndex | None) -> Int[np.ndarray, " S"] | None:
-    """Returns a number for each label; clips without one are alike to none."""
     if index is None or not index.labels:
-        return None
+        return Samples(samples, None, shared)
+    # A clip without a label is its own label: it is like no other.
     labels = [index.label(name) or name for name in names]
-    return np.unique(labels, return_inverse=True)[1].astype(np.int32)
-
-
-def check_width(what: str, feature_dim: int, dataset: Dataset) -> None:
-    """Raises `UserError` where `what` reads other features than the data have."""
-    width = dataset.skeleton.feature_dim
-    if feature_dim != width:
-        raise UserError(f"{dataset.folder}: has {width} features a frame, {what} reads {feature_dim}")
-
-
-def check_fit(evaluator: TrainedEvaluator, dataset: Dataset) -> None:
-    """Raises `UserError` where an evaluator and data are not of one kind of motion.
-
-    An evaluator may have statistics of its own, such as those of an earlier build of the data, but motion must lie
-    where it learned to look. Root and contact columns are left out: evaluators weigh them.
-    """
-    check_width("the evaluator", evaluator.config.feature_dim, dataset)
-    layout = dataset.skeleton.layout
-    kept = np.r_[layout.positions, layout.rotations, layout.velocities]
-    ours, theirs = (Normalizer(*(column[kept] for column in n)) for n in (dataset.normalizer, evaluator.normalizer))
-    shift = np.max(np.abs(ours.mean - theirs.mean) / theirs.std)
-    ratio = np.max(np.abs(np.log(ours.std / theirs.std)))
-    if max(shift, ratio) > STATISTICS_TOLERANCE:
-        raise UserError(
-            f"{dataset.folder}: its statistics (Mean.npy, Std.npy) are not those of the evaluator's data; train one on "
-            "this data set with `t2m train evaluator`"
-        )
+    return Samples(samples, np.unique(labels, return_inverse=True)[1].astype(np.int32), shared)

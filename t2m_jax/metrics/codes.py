@@ -3,13 +3,18 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+Counts = Int[Array, " K"] | Float[Array, " K"]
+"""How often each code was chosen; running averages of counts are not whole numbers."""
 
-def code_usage(code_counts: Int[Array, " K"]) -> Float[Array, ""]:
+
+def code_usage(code_counts: Counts) -> Float[Array, ""]:
     """Returns the share of codes that were chosen at least once."""
     return jnp.mean((code_counts > 0).astype(jnp.float32))
 
 
-def perplexity(code_counts: Int[Array, " K"]) -> Float[Array, ""]:
-    """Returns exp of the entropy of code use: K where all are used alike, 1 where one is used alone."""
-    share = code_counts / jnp.maximum(jnp.sum(code_counts), 1)
-    return jnp.exp(-jnp.sum(jnp.where(share > 0, share * jnp.log(jnp.where(share > 0, share, 1.0)), 0.0)))
+def perplexity(code_counts: Counts) -> Float[Array, ""]:
+    """Returns exp of the entropy of code use: K if all codes are used equally, 1 if only one is used or none."""
+    total = jnp.sum(code_counts)
+    share = code_counts / jnp.where(total > 0, total, 1)
+    # The inner `where` keeps log(0) out, because 0 * log(0) is NaN.
+    return jnp.exp(-jnp.sum(share * jnp.log(jnp.where(share > 0, share, 1.0))))

@@ -8,7 +8,7 @@ import pytest
 from flax import traverse_util
 from safetensors.numpy import save_file
 
-from t2m_jax.checkpoints.evaluator import load_evaluator_bundle
+from t2m_jax.checkpoints.evaluator import load_trained_evaluator
 from t2m_jax.checkpoints.official.export import evaluator_state_dict
 from t2m_jax.checkpoints.official.load import load_evaluator
 from t2m_jax.checkpoints.official.names import EVALUATOR_PARTS, evaluator_weights
@@ -163,7 +163,7 @@ def convert(folder, *options):
 def test_published_files_make_an_evaluator(published):
     golden, folder = published
     assert convert(folder) == 0
-    evaluator = load_evaluator_bundle(folder / "evaluator")
+    evaluator = load_trained_evaluator(folder / "evaluator")
     raw = evaluator.normalizer.denormalize(golden["motions"].astype(np.float64))
     motion = np.where(np.arange(raw.shape[1])[None, :, None] < golden["m_lens"][:, None, None], raw, 0.0)
     clips = [Clip(str(row), motion[row, :length], ()) for row, length in enumerate(golden["m_lens"])]

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints.evaluator import load_evaluator_bundle
+from t2m_jax.checkpoints.evaluator import load_trained_evaluator
 from t2m_jax.cli.main import main
 from t2m_jax.config import save_config
 from t2m_jax.data.banks.captions import caption_tokens
@@ -88,7 +88,7 @@ def test_the_audit_reports_each(faulty, tmp_path, capsys):
 
 
 def test_an_evaluator_reads_what_can_be_read(faulty, evaluator_folder):
-    evaluator = load_evaluator_bundle(evaluator_folder)
+    evaluator = load_trained_evaluator(evaluator_folder)
     assert "walk" in evaluator.vocabulary and "qux" not in evaluator.vocabulary
     rows = np.genfromtxt(evaluator_folder / "train.csv", delimiter=",", names=True)
     assert np.isfinite(rows["loss"]).all()

@@ -13,13 +13,14 @@ from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.synthetic import write_synthetic_dataset
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation import codes, embedding
-from t2m_jax.evaluation.embedding import embed_codes
-from t2m_jax.evaluation.protocols import find_protocol, make_plan
-from t2m_jax.evaluation.run import embed_plan_captions, embed_plan_motions, evaluate
+from t2m_jax.evaluation.embedding import embed_codes, embed_motion, embed_plan_captions, embed_plan_motions, embed_text
+from t2m_jax.evaluation.protocols import find_protocol
+from t2m_jax.evaluation.run import evaluate
 from t2m_jax.evaluation.sources import make_generation, sample_keys
-from t2m_jax.evaluation.task import Subject, check_fit, load_samples
+from t2m_jax.evaluation.task import EvaluationTask, load_samples, make_task
 from t2m_jax.metrics import matching_score, r_precision
 from t2m_jax.models.evaluator import evaluator_shapes
+from t2m_jax.models.system import make_module
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.sampling import Greedy, Temperature, TextToMotion
 from t2m_jax.text.word_vectors import vocabulary_from_captions
@@ -41,7 +42,7 @@ def dataset(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def subject(dataset):
+def task(dataset):
     """One batch of motions with a caption each, so that every pair counts in every repeat."""
     found = load_samples(dataset, "train")
     clips = [clip._replace(captions=clip.captions[:1]) for clip in found.clips[:32]]
@@ -49,7 +50,7 @@ def subject(dataset):
     config = dataclasses.replace(EVALUATOR, num_words=len(vocabulary))
     variables = random_variables(evaluator_shapes(config))
     evaluator = make_trained_evaluator(config, variables, dataset.normalizer, vocabulary)
-    return Subject(evaluator, found._replace(clips=clips, labels=found.labels[:32]), PROTOCOL, MAX_FRAMES, 3)
+    return EvaluationTask(evaluator, found._replace(clips=clips, labels=found.labels[:32]), PROTOCOL, MAX_FRAMES, 3)
 
 
 @pytest.fixture(scope="module")
@@ -57,16 +58,16 @@ def model(dataset):
     return TextToMotion(random_bundle()._replace(normalizer=dataset.normalizer))
 
 
-def figures(subject, model, strategy=None):
+def figures(task, model, strategy=None):
     """Returns the metrics of the first repeat, by row."""
-    maker = make_generation(model, strategy or Temperature(), subject.samples.clips)
-    rows = evaluate(subject, maker, num_repeats=1, header={})["rows"]
-    return {row: {metric: found["repeats"][0] for metric, found in metrics.items()} for row, metrics in rows.items()}
+    source = make_generation(model, strategy or Temperature(), task.samples.clips)
+    rows = evaluate(task, source, num_repeats=1).rows
+    return {row: {metric: found.repeats[0] for metric, found in metrics.items()} for row, metrics in rows.items()}
 
 
 @pytest.fixture(scope="module")
-def before(subject, model):
-    return figures(subject, model)
+def before(task, model):
+    return figures(task, model)
 
 
 def changed(before, after):
@@ -75,31 +76,31 @@ def changed(before, after):
     return {metric for metric in before if before[metric] != after[metric]}
 
 
-def pairs(subject):
+def pairs(task):
     """Returns the embeddings of the captions and motions of the first repeat, and whose they are."""
-    plan = make_plan(subject.samples.clips, subject.protocol, seed=subject.seed, repeat=0)
-    return embed_plan_captions(subject, plan), embed_plan_motions(subject, plan), plan.samples
+    plan = task.plan(repeat=0)
+    return embed_plan_captions(task, plan), embed_plan_motions(task, plan), plan.samples
 
 
-def with_clip(subject, number, **fields):
-    clips = list(subject.samples.clips)
+def with_clip(task, number, **fields):
+    clips = list(task.samples.clips)
     clips[number] = clips[number]._replace(**fields)
-    return with_clips(subject, clips)
+    return with_clips(task, clips)
 
 
-def with_clips(subject, clips):
-    return subject._replace(samples=subject.samples._replace(clips=clips))
+def with_clips(task, clips):
+    return task._replace(samples=task.samples._replace(clips=clips))
 
 
-def test_swapping_two_captions_changes_what_needs_captions(subject, model, before):
-    text, motion, owners = pairs(subject)
+def test_swapping_two_captions_changes_what_needs_captions(task, model, before):
+    text, motion, owners = pairs(task)
     distances = np.linalg.norm(text[:, None] - motion[None], axis=-1)
     # One that finds its motion first, and one whose text does not: so the shares of hits cannot stay as they are.
     hit = int(np.argmin(np.sum(distances < np.diagonal(distances)[:, None], axis=1)))
     other = int(np.argmax(distances[:, hit]))
     one, two = int(owners[hit]), int(owners[other])
-    captions = [subject.samples.clips[number].captions for number in (one, two)]
-    swapped = with_clip(with_clip(subject, one, captions=captions[1]), two, captions=captions[0])
+    captions = [task.samples.clips[number].captions for number in (one, two)]
+    swapped = with_clip(with_clip(task, one, captions=captions[1]), two, captions=captions[0])
     after = figures(swapped, model)["real"]
     found = changed(before["real"], after)
     assert {"matching_score", "r_precision_1"} <= found <= TEXT_METRICS
@@ -109,15 +110,15 @@ def test_swapping_two_captions_changes_what_needs_captions(subject, model, befor
     np.testing.assert_allclose(after["matching_score"], matching_score(jnp.asarray(text), jnp.asarray(motion)))
 
 
-def test_shifting_a_clip_by_a_frame_changes_what_looks_at_it(subject, model, before):
-    features = subject.samples.clips[5].features
-    shifted = with_clip(subject, 5, features=np.concatenate([features[1:], features[-1:]]))
+def test_shifting_a_clip_by_a_frame_changes_what_looks_at_it(task, model, before):
+    features = task.samples.clips[5].features
+    shifted = with_clip(task, 5, features=np.concatenate([features[1:], features[-1:]]))
     after = figures(shifted, model)
     assert changed(before["real"], after["real"]) >= {"fid", "matching_score", "diversity"}
     assert changed(before["generated"], after["generated"]) == {"fid"}, (
         "generated motion does not depend on real motion"
     )
-    (text, motion, owners), (text_after, motion_after, _) = pairs(subject), pairs(shifted)
+    (text, motion, owners), (text_after, motion_after, _) = pairs(task), pairs(shifted)
     np.testing.assert_array_equal(text, text_after)
     np.testing.assert_array_equal(np.any(motion != motion_after, axis=1), owners == 5)
 
@@ -126,44 +127,44 @@ def rescaled(normalizer, factor, shift=0.0):
     return Normalizer(normalizer.mean + shift * normalizer.std, normalizer.std * factor)
 
 
-def with_statistics(subject, normalizer):
-    evaluator = subject.evaluator
-    return subject._replace(
+def with_statistics(task, normalizer):
+    evaluator = task.evaluator
+    return task._replace(
         evaluator=make_trained_evaluator(evaluator.config, evaluator.variables, normalizer, evaluator.vocabulary)
     )
 
 
 @pytest.mark.parametrize(("factor", "shift"), [(1.7, 0.0), (0.6, 0.0), (1.0, 0.6), (1.0, -0.6)])
-def test_statistics_that_are_far_off_are_refused(subject, dataset, factor, shift):
-    other = with_statistics(subject, rescaled(dataset.normalizer, factor, shift))
-    with pytest.raises(UserError, match="not those of the evaluator's data"):
-        check_fit(other.evaluator, dataset)
+def test_statistics_that_are_far_off_are_refused(task, dataset, factor, shift):
+    other = with_statistics(task, rescaled(dataset.normalizer, factor, shift))
+    with pytest.raises(UserError, match="differ too much from those of the evaluator"):
+        make_task(dataset, other.evaluator, PROTOCOL, split="train", seed=0, unit=4)
 
 
-def test_statistics_that_are_a_little_off_change_motion_and_not_text(subject, model, dataset, before):
-    other = with_statistics(subject, rescaled(dataset.normalizer, 1.2, 0.1))
-    check_fit(other.evaluator, dataset)
-    assert other.evaluator.fingerprint != subject.evaluator.fingerprint
+def test_statistics_that_are_a_little_off_change_motion_and_not_text(task, model, dataset, before):
+    other = with_statistics(task, rescaled(dataset.normalizer, 1.2, 0.1))
+    make_task(dataset, other.evaluator, PROTOCOL, split="train", seed=0, unit=4)
+    assert other.evaluator.fingerprint != task.evaluator.fingerprint
     after = figures(other, model)
     for row, found in after.items():
         assert changed(before[row], found) >= {"fid", "diversity", "matching_score"}, row
-    (text, motion, _), (text_after, motion_after, _) = pairs(subject), pairs(other)
+    (text, motion, _), (text_after, motion_after, _) = pairs(task), pairs(other)
     np.testing.assert_array_equal(text, text_after)
     assert np.all(np.any(motion != motion_after, axis=1))
 
 
-def test_another_unit_of_the_features_changes_nothing(subject, before):
+def test_another_unit_of_the_features_changes_nothing(task, before):
     """Features, statistics of model and evaluator, all twice as large: a power of two, so nothing is rounded."""
-    clips = [clip._replace(features=2 * clip.features) for clip in subject.samples.clips]
-    statistics = Normalizer(*(2 * column for column in subject.evaluator.normalizer))
+    clips = [clip._replace(features=2 * clip.features) for clip in task.samples.clips]
+    statistics = Normalizer(*(2 * column for column in task.evaluator.normalizer))
     model = TextToMotion(random_bundle()._replace(normalizer=statistics))
-    assert figures(with_clips(with_statistics(subject, statistics), clips), model) == before
+    assert figures(with_clips(with_statistics(task, statistics), clips), model) == before
 
 
-def test_the_size_of_batches_does_not_matter(subject, model, before, monkeypatch):
+def test_the_size_of_batches_does_not_matter(task, model, before, monkeypatch):
     monkeypatch.setattr(codes, "BATCH", 50)
     monkeypatch.setattr(embedding, "BATCH", 20)
-    after = figures(subject, model)
+    after = figures(task, model)
     for row, metrics in before.items():
         for metric, value in metrics.items():
             # Of two motions that are made alike either may be nearer by the last bit.
@@ -171,24 +172,24 @@ def test_the_size_of_batches_does_not_matter(subject, model, before, monkeypatch
             np.testing.assert_allclose(after[row][metric], value, rtol=1e-4, atol=ties, err_msg=f"{row} {metric}")
 
 
-def test_what_the_model_draws_changes_the_generated_row_alone(subject, model, before):
-    after = figures(subject, model, Greedy())
+def test_what_the_model_draws_changes_the_generated_row_alone(task, model, before):
+    after = figures(task, model, Greedy())
     assert after["real"] == before["real"]
     assert after["generated"]["multimodality"] < 1e-4 * before["generated"]["multimodality"], "greedy is one motion"
     assert changed(before["generated"], after["generated"]) >= {"fid", "diversity", "matching_score"}
 
 
-def test_a_protocol_is_told_from_another_by_what_it_changes(subject, model, before):
+def test_a_protocol_is_told_from_another_by_what_it_changes(task, model, before):
     """text-to-motion is t2m-gpt but for whose variety is measured; with fewer captions than it asks for, the same."""
-    assert figures(subject._replace(protocol=find_protocol("text-to-motion")), model) == before
-    real_lengths = dataclasses.replace(subject.protocol, generated_length="real")
-    after = figures(subject._replace(protocol=real_lengths), model)
+    assert figures(task._replace(protocol=find_protocol("text-to-motion")), model) == before
+    real_lengths = dataclasses.replace(task.protocol, generated_length="real")
+    after = figures(task._replace(protocol=real_lengths), model)
     assert after["real"] == before["real"]
     assert changed(before["generated"], after["generated"]) >= {"fid", "diversity", "matching_score"}
 
 
-def test_labels_change_what_reads_labels(subject, model, before):
-    alike = subject._replace(samples=subject.samples._replace(labels=np.zeros(32, np.int32)))
+def test_labels_change_what_reads_labels(task, model, before):
+    alike = task._replace(samples=task.samples._replace(labels=np.zeros(32, np.int32)))
     after = figures(alike, model)
     for row, found in after.items():
         by_label = {f"r_precision_{k}_by_label" for k in (1, 2, 3)}
@@ -200,7 +201,7 @@ def test_labels_change_what_reads_labels(subject, model, before):
 def test_jit_equals_eager():
     evaluator, bundle = random_evaluator(), random_bundle()
     generator = np.random.default_rng(0)
-    tokens = jnp.asarray(generator.integers(0, 16, (3, 4)), jnp.int32)
+    tokens = jnp.asarray(generator.integers(0, 16, (3, 4, 1)), jnp.int32)
     lengths = jnp.array([4, 2, 1], jnp.int32)
     words = tuple(map(jnp.asarray, evaluator.vocabulary.vectorize_all([("a", "person"), ("walks",)])))
     motion = jnp.asarray(generator.normal(size=(2, 12, 263)), jnp.float32)
@@ -208,11 +209,16 @@ def test_jit_equals_eager():
     calls = [
         (
             embed_codes,
-            (jax.device_put((bundle.variables["vqvae"], evaluator.variables)), statistics, tokens, lengths),
-            {"config": bundle.config.vqvae, "evaluator": evaluator.config, "max_frames": 12, "clear": True},
+            (jax.device_put((bundle.variables["tokenizer"], evaluator.variables)), statistics, tokens, lengths),
+            {
+                "tokenizer": make_module(bundle.config.tokenizer),
+                "evaluator": evaluator.config,
+                "max_frames": 12,
+                "clear": True,
+            },
         ),
-        (embedding._embed_motion, (evaluator.variables, motion, jnp.array([12, 7])), {"config": evaluator.config}),
-        (embedding._embed_text, (evaluator.variables, *words), {"config": evaluator.config}),
+        (embed_motion, (evaluator.variables, motion, jnp.array([12, 7])), {"config": evaluator.config}),
+        (embed_text, (evaluator.variables, *words), {"config": evaluator.config}),
     ]
     for function, arguments, options in calls:
         jitted = function(*arguments, **options)

@@ -25,7 +25,7 @@ SAMPLES = make_samples(413)
 
 
 def plan(name, *, samples=SAMPLES, seed=1, repeat=0):
-    return make_plan(samples, find_protocol(name), seed=seed, repeat=repeat)
+    return make_plan(samples, find_protocol(name), seed=seed, repeat=repeat, unit=4)
 
 
 @pytest.mark.parametrize("name", ["t2m-gpt", "text-to-motion", "momask"])

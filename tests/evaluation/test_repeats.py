@@ -10,22 +10,21 @@ import numpy as np
 import pytest
 
 from t2m_jax.checkpoints.bundle import save_bundle
-from t2m_jax.checkpoints.evaluator import load_evaluator_bundle, make_trained_evaluator, save_evaluator
+from t2m_jax.checkpoints.evaluator import load_trained_evaluator, make_trained_evaluator, save_evaluator
 from t2m_jax.cli.main import main
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.synthetic import write_synthetic_dataset
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation import run as repeats
-from t2m_jax.evaluation import sources as makers
-from t2m_jax.evaluation.codes import generate_at_length, generate_many
+from t2m_jax.evaluation.codes import encode_pieces, generate_many
 from t2m_jax.evaluation.embedding import embed_decoded
-from t2m_jax.evaluation.protocols import SAMPLES_A_CAPTION, find_protocol, make_plan
-from t2m_jax.evaluation.run import evaluate, load_partial, summarize
-from t2m_jax.evaluation.sources import Reconstruction, make_generation, sample_keys, samples_that_count
-from t2m_jax.evaluation.task import Samples, Subject, check_fit, load_samples
+from t2m_jax.evaluation.protocols import SAMPLES_PER_CAPTION, find_protocol
+from t2m_jax.evaluation.report.record import Metric, load_report
+from t2m_jax.evaluation.run import evaluate, load_partial, make_header
+from t2m_jax.evaluation.sources import Reconstruction, make_generation, measured_samples, sample_keys
+from t2m_jax.evaluation.task import EvaluationTask, Samples, load_samples, make_task
 from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
 from t2m_jax.sampling import TextToMotion
-from t2m_jax.sampling.pipeline import generate_codes
 from t2m_jax.sampling.strategies import Temperature
 from t2m_jax.text.word_vectors import vocabulary_from_captions
 from tests.tiny import random_bundle, random_variables, walking_normalizer
@@ -33,7 +32,6 @@ from tests.tiny import random_bundle, random_variables, walking_normalizer
 SMALL = EvaluatorConfig(
     movement_hidden=8, movement_dim=8, motion_hidden=8, text_hidden=8, embedding_dim=6, word_dim=5, num_words=40
 )
-HEADER = {"seed": 3}
 
 
 @pytest.fixture(scope="module")
@@ -52,43 +50,44 @@ def evaluator():
 
 
 @pytest.fixture(scope="module")
-def subject(synthetic_folder, evaluator):
+def task(synthetic_folder, evaluator):
     clips, labels, _ = load_samples(open_dataset(synthetic_folder), "train")
-    return Subject(evaluator, Samples(clips[:36], labels[:36], None), find_protocol("t2m-gpt"), 196, 3)
+    return EvaluationTask(evaluator, Samples(clips[:36], labels[:36], None), find_protocol("t2m-gpt"), 196, 3)
 
 
 @pytest.fixture(scope="module")
-def generation(subject):
-    return make_generation(TextToMotion(random_bundle()), Temperature(), subject.samples.clips)
+def generation(task):
+    return make_generation(TextToMotion(random_bundle()), Temperature(), task.samples.clips)
 
 
 @pytest.fixture(scope="module")
-def report(subject, generation):
-    return evaluate(subject, generation, num_repeats=2, header=HEADER)
+def report(task, generation):
+    return evaluate(task, generation, num_repeats=2)
 
 
 def test_a_report_has_both_rows_with_all_metrics(report):
-    real, generated = report["rows"]["real"], report["rows"]["generated"]
+    real, generated = report.real, report.measured
+    assert set(report.rows) == {"real", "generated"}
     assert set(generated) - set(real) == {"multimodality"}
     assert set(real) - set(generated) == {f"r_precision_{k}_bound_by_label" for k in (1, 2, 3)}
     names = {"r_precision_1", "r_precision_3_texts_per_motion", "r_precision_2_by_label"}
     assert names | {"fid", "matching_score", "diversity"} <= set(real)
     for row in (real, generated):
         for metric, figures in row.items():
-            assert np.isfinite(figures["repeats"]).all(), metric
-            assert len(figures["repeats"]) == 2
-        assert row["r_precision_1_by_label"]["mean"] >= row["r_precision_1"]["mean"]
-    assert real["fid"]["mean"] < generated["fid"]["mean"], "nobody trained the model"
-    assert generated["multimodality"]["mean"] > 0
+            assert np.isfinite(figures.repeats).all(), metric
+            assert len(figures.repeats) == 2
+        assert row["r_precision_1_by_label"].mean >= row["r_precision_1"].mean
+    assert real["fid"].mean < generated["fid"].mean, "nobody trained the model"
+    assert generated["multimodality"].mean > 0
 
 
-def test_the_same_seed_gives_the_same_figures_and_another_others(subject, generation, report):
-    assert evaluate(subject, generation, num_repeats=2, header=HEADER) == report
-    other = evaluate(subject._replace(seed=4), generation, num_repeats=1, header=HEADER)
-    assert other["rows"]["generated"]["fid"]["repeats"][0] != report["rows"]["generated"]["fid"]["repeats"][0]
+def test_the_same_seed_gives_the_same_figures_and_another_others(task, generation, report):
+    assert evaluate(task, generation, num_repeats=2) == report
+    other = evaluate(task._replace(seed=4), generation, num_repeats=1)
+    assert other.measured["fid"].repeats[0] != report.measured["fid"].repeats[0]
 
 
-def test_an_interrupted_evaluation_goes_on(subject, generation, report, tmp_path, monkeypatch):
+def test_an_interrupted_evaluation_goes_on(task, generation, report, tmp_path, monkeypatch):
     partial = tmp_path / "report.json.partial"
     evaluate_repeat = repeats.evaluate_repeat
     seen = []
@@ -101,57 +100,59 @@ def test_an_interrupted_evaluation_goes_on(subject, generation, report, tmp_path
 
     monkeypatch.setattr(repeats, "evaluate_repeat", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        evaluate(subject, generation, num_repeats=2, header=HEADER, partial=partial)
-    assert evaluate(subject, generation, num_repeats=2, header=HEADER, partial=partial) == report
+        evaluate(task, generation, num_repeats=2, partial=partial)
+    assert evaluate(task, generation, num_repeats=2, partial=partial) == report
     assert seen == [0, 1, 1], "a repeat that was done is done again"
 
 
 @pytest.mark.parametrize("content", ['{"header": {"seed": 4}, "repeats": [{}]}', "{", '{"repeats": 3}', "[]"])
-def test_a_partial_result_of_something_else_is_not_used(content, tmp_path):
+def test_a_partial_result_of_something_else_is_not_used(task, generation, content, tmp_path):
     (tmp_path / "partial").write_text(content)
-    assert load_partial(tmp_path / "partial", HEADER) == []
+    assert load_partial(tmp_path / "partial", make_header(task, generation, model="")) == []
 
 
-def plan_of(subject):
-    return make_plan(subject.samples.clips, subject.protocol, seed=1, repeat=0)
+def plan_of(task):
+    return make_plan(task.samples.clips, task.protocol, seed=1, repeat=0)
 
 
-def test_only_samples_that_count_are_made(subject):
-    plan = plan_of(subject)
-    items, numbers = samples_that_count(plan, subject.protocol)
+def test_only_measured_samples_are_made(task):
+    plan = plan_of(task)
+    items, numbers = measured_samples(plan, task.protocol)
     assert len(items) == len(set(zip(items.tolist(), numbers.tolist(), strict=True)))
     np.testing.assert_array_equal(numbers[: len(plan.samples)], 0)
     made = {*plan.multimodality_pairs.ravel().tolist(), 0}
-    assert set(numbers.tolist()) == made and len(items) == 32 * len(made) < 32 * SAMPLES_A_CAPTION
+    assert set(numbers.tolist()) == made and len(items) == 32 * len(made) < 32 * SAMPLES_PER_CAPTION
 
 
-def test_variety_can_be_left_out(subject, generation, report):
-    brief = subject._replace(protocol=dataclasses.replace(subject.protocol, multimodality_captions=0))
-    rows = repeats.evaluate_repeat(brief, generation, repeat=0)
-    assert "multimodality" not in rows["generated"]
-    assert rows["generated"]["fid"] == pytest.approx(report["rows"]["generated"]["fid"]["repeats"][0], rel=1e-4)
+def test_variety_can_be_left_out(task, generation, report):
+    brief = task._replace(protocol=dataclasses.replace(task.protocol, multimodality_captions=0))
+    metrics = repeats.evaluate_repeat(brief, generation, repeat=0).measured
+    assert "multimodality" not in metrics
+    assert metrics["fid"] == pytest.approx(report.measured["fid"].repeats[0], rel=1e-4)
 
 
-def test_a_reconstruction_is_real_motion_through_the_vqvae(subject, generation):
-    rows = repeats.evaluate_repeat(subject, Reconstruction(generation.vqvae), repeat=0)
-    plan = plan_of(subject)._replace(starts=np.zeros(32, int))
-    made = Reconstruction(generation.vqvae).make(subject.samples.clips, subject.protocol, plan, jax.random.key(0))
+def test_a_reconstruction_is_real_motion_through_the_tokenizer(task, generation):
+    source = Reconstruction(generation.tokenizer)
+    metrics = repeats.evaluate_repeat(task, source, repeat=0).measured
+    plan = plan_of(task)._replace(starts=np.zeros(32, int))
+    made = source.make(task.samples.clips, task.protocol, plan, jax.random.key(0))
     np.testing.assert_array_equal(made.codes.code_lengths, plan.lengths // 4)
-    sample = subject.samples.clips[plan.samples[5]].features[: plan.lengths[5]]
-    alone = makers.encode_pieces(
-        generation.vqvae, [subject.samples.clips[plan.samples[5]]], np.zeros(1, int), plan.lengths[5:6]
+    sample = task.samples.clips[plan.samples[5]].features[: plan.lengths[5]]
+    alone = encode_pieces(
+        generation.tokenizer, [task.samples.clips[plan.samples[5]]], np.zeros(1, int), plan.lengths[5:6]
     )
     np.testing.assert_array_equal(made.codes.codes[5, : len(sample) // 4], alone.codes[0])
-    assert set(rows) == {"real", "reconstruction"} and "multimodality" not in rows["reconstruction"]
+    assert "fid" in metrics and "multimodality" not in metrics
 
 
 def test_lengths_can_be_those_of_real_motion(generation):
-    codes = generate_at_length(
+    codes = generate_many(
         generation.model,
         np.zeros((3, 12), np.float32),
         sample_keys(jax.random.key(0), jnp.arange(3), jnp.arange(3)),
-        strategy=Temperature(),
+        sampling=generation.model.sampling(Temperature(), max_codes=40, min_codes=0),
         lengths=np.array([40, 164, 400]),
+        exact=True,
     )
     np.testing.assert_array_equal(codes.code_lengths, [10, 40, 40])
     assert not codes.codes[0, 10:].any() and codes.codes[1].any()
@@ -161,26 +162,24 @@ def test_what_is_expected_of_the_lengths_changes_no_motion(generation):
     generator = np.random.default_rng(0)
     text = generator.normal(size=(40, 12)).astype(np.float32)
     keys = sample_keys(jax.random.key(5), jnp.arange(40), jnp.arange(40))
-    model, longest = generation.model, generation.model.config.gpt.max_codes
-    found = generate_many(model, text, keys, strategy=Temperature(), expected=generator.integers(4, 160, 40))
-    whole = generate_codes(
-        model.variables, jnp.asarray(text), keys, config=model.config, strategy=Temperature(),
-        min_codes=0, max_codes=longest,
-    )  # fmt: skip
+    model, longest = generation.model, generation.model.config.generator.max_codes
+    sampling = model.sampling(Temperature(), max_codes=longest, min_codes=0)
+    found = generate_many(model, text, keys, sampling=sampling, lengths=generator.integers(4, 160, 40))
+    whole = model.sample_codes(jnp.asarray(text), keys, sampling)
     lengths = np.asarray(whole.code_lengths)
     assert lengths.min() < longest // 2 < lengths.max(), "one pass alone was made"
     np.testing.assert_array_equal(found.code_lengths, np.maximum(lengths, 1))
     np.testing.assert_array_equal(found.codes[lengths > 0], np.asarray(whole.codes)[lengths > 0])
 
 
-def test_strict_counts_every_caption(subject, generation):
-    clips = subject.samples.clips[:20]
-    strict = subject._replace(protocol=find_protocol("strict"), samples=Samples(clips, None, None))
-    rows = evaluate(strict, generation, num_repeats=1, header=HEADER)["rows"]
-    assert "fid" not in rows["real"], "real motion taken whole is at no distance from itself"
-    assert "r_precision_1_by_label" not in rows["real"], "nothing is known of labels"
+def test_strict_counts_every_caption(task, generation):
+    clips = task.samples.clips[:20]
+    strict = task._replace(protocol=find_protocol("strict"), samples=Samples(clips, None, None))
+    report = evaluate(strict, generation, num_repeats=1)
+    assert "fid" not in report.real, "real motion taken whole is at no distance from itself"
+    assert "r_precision_1_by_label" not in report.real, "nothing is known of labels"
     captions = sum(len(sample.captions) for sample in clips)
-    assert (rows["generated"]["r_precision_1"]["mean"] * captions) % 1 == pytest.approx(0, abs=1e-4)
+    assert (report.measured["r_precision_1"].mean * captions) % 1 == pytest.approx(0, abs=1e-4)
 
 
 def test_strict_leaves_out_what_shares_a_recording_with_training(synthetic_folder, tmp_path):
@@ -200,30 +199,26 @@ def test_strict_leaves_out_what_shares_a_recording_with_training(synthetic_folde
     assert load_samples(dataset, "test", source_disjoint=True)[1:] == (None, None)
 
 
-def test_decoding_in_a_longer_batch_changes_nothing(subject, generation):
-    made = generation.make(subject.samples.clips, subject.protocol, plan_of(subject), jax.random.key(0))
+def test_decoding_in_a_longer_batch_changes_nothing(task, generation):
+    made = generation.make(task.samples.clips, task.protocol, plan_of(task), jax.random.key(0))
     first = made.codes._replace(codes=made.codes.codes[:4], code_lengths=np.array([3, 3, 4, 3], np.int32))
-    options = {"max_frames": 196, "clear": True}
-    together = embed_decoded(
-        generation.vqvae, subject.evaluator, first._replace(code_lengths=np.array([3, 3, 4, 40])), **options
-    )
-    alone = embed_decoded(generation.vqvae, subject.evaluator, first, **options)
+    together = embed_decoded(task, generation.tokenizer, first._replace(code_lengths=np.array([3, 3, 4, 40])))
+    alone = embed_decoded(task, generation.tokenizer, first)
     np.testing.assert_allclose(together[:3], alone[:3], atol=2e-5)
     assert np.abs(together[3] - alone[3]).max() > 1e-3
 
 
 def test_the_interval_is_that_of_the_field(golden_dir):
     arrays = np.load(golden_dir / "evaluation" / "diversity_multimodality.npz")
-    found = summarize([{"row": {"metric": float(value)}} for value in arrays["ci_values"]])["row"]["metric"]
-    assert found["mean"] == pytest.approx(float(arrays["ci_mean"]))
-    assert found["interval"] == pytest.approx(float(arrays["ci_half_width"]))
-    assert json.loads(json.dumps(found)) == found
+    found = Metric.from_repeats([float(value) for value in arrays["ci_values"]])
+    assert found.mean == pytest.approx(float(arrays["ci_mean"]))
+    assert found.interval == pytest.approx(float(arrays["ci_half_width"]))
 
 
 def test_another_skeleton_is_refused(evaluator, synthetic_folder):
     other = evaluator._replace(config=dataclasses.replace(evaluator.config, feature_dim=251))
     with pytest.raises(UserError, match="the evaluator reads 251"):
-        check_fit(other, open_dataset(synthetic_folder))
+        make_task(open_dataset(synthetic_folder), other, find_protocol("t2m-gpt"), split="train", seed=0, unit=4)
 
 
 @pytest.fixture
@@ -248,9 +243,10 @@ def test_the_command_prints_a_table_and_writes_the_report(folders, synthetic_fol
     assert printed.startswith("protocol t2m-gpt, model ")
     assert [line.split("  ")[0] for line in printed.splitlines()[-4:-2]] == ["real motion", "generated"]
     report = json.loads(path.read_text())
-    assert report["evaluator"] == load_evaluator_bundle(folders / "evaluator").fingerprint
+    assert report["evaluator"] == load_trained_evaluator(folders / "evaluator").fingerprint
     assert f"{report['rows']['generated']['fid']['mean']:.3f} ±" in printed
     assert not list(folders.glob("*.partial"))
+    assert load_report(path).header.model == str(folders / "model")
 
 
 def test_reconstruction_by_a_protocol_is_a_row_like_those_of_generation(folders, synthetic_folder, capsys):
@@ -265,14 +261,14 @@ def test_an_evaluator_of_other_data_is_refused(folders, evaluator, synthetic_fol
     shutil.rmtree(folders / "evaluator")
     save_evaluator(folders / "evaluator", evaluator)
     assert command(folders, synthetic_folder, "--num-repeats", "1") == 2
-    assert "not those of the evaluator's data" in capsys.readouterr().err
+    assert "differ too much from those of the evaluator" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("options", "says"),
     [
         (["--protocol", "strikt"], "'strikt' is unknown"),
-        (["--num-repeats", "0"], "--num-repeats 0"),
+        (["--num-repeats", "0"], "--num-repeats: 0"),
         (["--split", "nowhere"], "nowhere.txt"),
     ],
 )

@@ -1,20 +1,22 @@
-"""Two reports of one protocol, metric by metric: are their differences more than chance?"""
+"""A paired test of two reports: are their differences more than chance?"""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation.report.record import SAME
+from t2m_jax.evaluation.report.record import COMPARABLE, Report
 
+PAIRED = (*COMPARABLE, "unit")
+"""Fields of the header that two reports must share, so that their repeats use the same pieces of the same motions."""
 MAX_EXACT = 16
-"""Repeats up to which all signs are tried; with more, as many are drawn."""
+"""Repeats up to which all signs are tried. With more repeats, 2**16 sets of signs are drawn."""
 
 
 class Difference(NamedTuple):
-    """The second report less the first, in one metric of what was generated or reconstructed."""
+    """The second report minus the first, in one metric of the measured motion."""
 
     metric: str
     first: float
@@ -22,44 +24,38 @@ class Difference(NamedTuple):
     interval: float
     """Half-width of the 95 % interval of the mean difference."""
     p_value: float
-    """Chance of a mean difference as large if the reports could be exchanged repeat by repeat."""
+    """Probability of a mean difference as large as this, if the reports could be exchanged in each repeat."""
 
 
 def sign_test(differences: Float[np.ndarray, " R"]) -> float:
-    """Returns the two-sided p-value of the paired permutation test: each difference may as well have the other sign."""
+    """Returns the two-sided p-value of the paired permutation test, in which each difference may change its sign."""
     count = len(differences)
     if count <= MAX_EXACT:
         signs = 1 - 2 * ((np.arange(2**count)[:, None] >> np.arange(count)) & 1)
     else:
         signs = np.random.default_rng(0).choice([-1, 1], size=(2**MAX_EXACT, count))
-        signs[0] = 1
+        signs[0] = 1  # so that the observed sum counts, and the p-value is not 0
     sums = np.abs(signs @ differences)
     return float(np.mean(sums >= np.abs(differences.sum()) * (1 - 1e-9)))
 
 
-def _made(report: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Returns the figures of what stands beside real motion, generated or reconstructed."""
-    (row,) = report["rows"].keys() - {"real"}
-    return report["rows"][row]
-
-
-def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[Difference]:
-    """Returns the differences of two reports in every metric both have.
+def compare_reports(first: Report, second: Report) -> list[Difference]:
+    """Returns the differences of two reports in every metric that both have.
 
     Raises:
-        UserError: if their repeats do not belong together.
+        UserError: Their repeats do not belong together.
     """
-    for name in SAME:
-        if first[name] != second[name]:
-            raise UserError(f"{name}: {first[name]} in one report, {second[name]} in the other; they do not compare")
-    ours, theirs = _made(first), _made(second)
+    for name in PAIRED:
+        one, other = (getattr(report.header, name) for report in (first, second))
+        if one != other:
+            raise UserError(f"{name}: {one} in one report, {other} in the other; evaluate both in the same way")
     rows = []
-    for metric in ours:
-        if metric not in theirs:
-            continue
-        one, other = (np.asarray(row[metric]["repeats"], np.float64) for row in (ours, theirs))
-        if one.shape != other.shape or len(one) < 2:
-            raise UserError(f"repeats: {len(one)} in one report, {len(other)} in the other; two or more of each needed")
+    for metric in (name for name in first.measured if name in second.measured):
+        one, other = (np.asarray(report.measured[metric].repeats) for report in (first, second))
+        if len(one) != len(other) or len(one) < 2:
+            raise UserError(
+                f"repeats: {len(one)} in one report, {len(other)} in the other; give both the same number, at least 2"
+            )
         differences = other - one
         interval = 1.96 * differences.std(ddof=1) / np.sqrt(len(differences))
         rows.append(Difference(metric, one.mean(), other.mean(), interval, sign_test(differences)))
@@ -67,7 +63,7 @@ def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> list
 
 
 def comparison_table(names: Sequence[str], differences: Sequence[Difference]) -> str:
-    """Returns the Markdown table of a comparison; differences that chance would rarely make are bold."""
+    """Returns the Markdown table of a comparison; differences with p < 0.05 are bold."""
     lines = [f"| metric | {names[0]} | {names[1]} | difference | p |", "| --- | ---: | ---: | ---: | ---: |"]
     for row in differences:
         change = f"{row.second - row.first:+.3f} ± {row.interval:.3f}"

@@ -1,4 +1,4 @@
-"""What stands behind the figures of a repeat, to be looked at: lengths, codes, what was found and what was not."""
+"""The motions behind the figures of one repeat: lengths, codes, and how well each caption finds its motion."""
 
 from typing import NamedTuple
 
@@ -7,101 +7,94 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from t2m_jax.evaluation.codes import MotionCodes, encode_pieces
-from t2m_jax.evaluation.embedding import embed_decoded
-from t2m_jax.evaluation.protocols import BATCH, make_plan
-from t2m_jax.evaluation.report.gallery import Example, Failure, Ranked, draw_examples, find_failures
-from t2m_jax.evaluation.run import embed_plan_captions, embed_plan_motions
-from t2m_jax.evaluation.sources import Maker
-from t2m_jax.evaluation.task import Subject
+from t2m_jax.evaluation.codes import encode_pieces
+from t2m_jax.evaluation.embedding import embed_decoded, embed_plan_captions, embed_plan_motions
+from t2m_jax.evaluation.report.gallery import Example, Failure, RankedRepeat, draw_examples, find_failures
+from t2m_jax.evaluation.sources import CodeSource
+from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.metrics.retrieval import own_standing
-from t2m_jax.motion.skeleton import skeleton_from_feature_dim
+from t2m_jax.sampling.batches import round_up
 
 REPEAT = 0
-"""The repeat that is looked at."""
+"""The repeat that is shown."""
 
 
-class Evidence(NamedTuple):
-    """One repeat of an evaluation, motion by motion; N motions, K codes. Made motion is what a maker made."""
+class RepeatDetails(NamedTuple):
+    """One repeat of an evaluation, motion by motion: N motions, K codes."""
 
-    row: str
-    """What the report calls the made motion: `generated` or `reconstruction`."""
+    kind: str
+    """Where the measured motion comes from: `generated` or `reconstruction`."""
     fps: float
     real_lengths: Int[np.ndarray, " N"]
     """Frames."""
-    made_lengths: Int[np.ndarray, " N"]
+    measured_lengths: Int[np.ndarray, " N"]
+    """Frames."""
     real_code_counts: Int[np.ndarray, " K"]
-    """How often each code stands for a part of real motion."""
-    made_code_counts: Int[np.ndarray, " K"]
+    """How often each code is used by real motion."""
+    measured_code_counts: Int[np.ndarray, " K"]
+    """How often each code is used by the measured motion."""
     ranks: Int[np.ndarray, " N"]
-    """Of each caption's own motion among those made for its batch, from 1; behind those as near."""
+    """Rank of each caption's own motion in its batch, from 1; motions at the same distance come first."""
     distances: Float[np.ndarray, " N"]
-    """From each caption to its own made motion."""
+    """Distance of each caption to its own motion."""
     examples: tuple[Example, ...]
     failures: tuple[Failure, ...]
 
 
-def gather_evidence(subject: Subject, maker: Maker) -> Evidence:
-    """Returns what stands behind the first repeat's figures.
+def gather_details(task: EvaluationTask, source: CodeSource) -> RepeatDetails:
+    """Returns the details of the first repeat.
 
-    The motions are made again: they depend on the same keys, and so they are the same.
+    The motions are made again. They are the same ones, because they depend on the same keys.
     """
-    ranked = _ranked_repeat(subject, maker)
-    num_codes, skeleton = maker.vqvae.config.num_codes, skeleton_from_feature_dim(maker.vqvae.config.feature_dim)
-    return Evidence(
-        maker.row,
-        skeleton.fps,
-        np.minimum([len(piece) for piece in ranked.pieces], subject.max_frames),
-        np.minimum(ranked.codes.code_lengths * maker.vqvae.config.downsample, subject.max_frames),
-        _count_codes(ranked.real_codes, num_codes),
-        _count_codes(ranked.codes, num_codes),
-        ranked.ranks,
-        ranked.distances,
-        draw_examples(maker.vqvae, ranked, skeleton, max_frames=subject.max_frames, seed=subject.seed),
-        find_failures(maker.vqvae, ranked, skeleton, max_frames=subject.max_frames),
+    ranked = rank_repeat(task, source)
+    config = source.tokenizer.config
+    return RepeatDetails(
+        kind=source.kind,
+        fps=ranked.skeleton.fps,
+        real_lengths=np.minimum([len(piece) for piece in ranked.pieces], task.max_frames),
+        measured_lengths=np.minimum(ranked.codes.code_lengths * config.downsample, task.max_frames),
+        real_code_counts=ranked.real_codes.count_codes(config.num_codes),
+        measured_code_counts=ranked.codes.count_codes(config.num_codes),
+        ranks=ranked.ranks,
+        distances=ranked.distances,
+        examples=draw_examples(ranked, seed=task.seed),
+        failures=find_failures(ranked),
     )
 
 
-def _ranked_repeat(subject: Subject, maker: Maker) -> Ranked:
-    """Returns the repeat with the standing sample of each caption."""
-    clips, protocol = subject.samples.clips, subject.protocol
-    plan = make_plan(clips, protocol, seed=subject.seed, repeat=REPEAT)
-    # Samples whose variety is measured are not looked at.
-    alone = plan._replace(varied=plan.varied[:0])
-    made = maker.make(clips, protocol, alone, jax.random.fold_in(jax.random.key(subject.seed), REPEAT))
-    text = embed_plan_captions(subject, plan)
-    motion = embed_decoded(
-        maker.vqvae, subject.evaluator, made.codes, max_frames=subject.max_frames, clear=protocol.clears_past_end
-    )
-    samples = [clips[owner] for owner in plan.samples]
-    # The last batch is filled up from the front, as where the metrics are computed.
-    batches = np.resize(np.arange(len(text)), -(-len(text) // BATCH) * BATCH).reshape(-1, BATCH)
-    ranks = np.asarray(_ranks(jnp.asarray(text[batches]), jnp.asarray(motion[batches])))
-    return Ranked(
-        [sample.captions[caption].text for sample, caption in zip(samples, plan.captions, strict=True)],
-        [
+def rank_repeat(task: EvaluationTask, source: CodeSource) -> RankedRepeat:
+    """Returns the first repeat with one motion per caption, the one that counts."""
+    plan = task.plan(REPEAT)
+    # Without the further samples of each caption, which are only for variety.
+    brief = plan._replace(varied=plan.varied[:0])
+    key = jax.random.fold_in(jax.random.key(task.seed), REPEAT)
+    found = source.make(task.samples.clips, task.protocol, brief, key)
+    text, measured = embed_plan_captions(task, plan), embed_decoded(task, source.tokenizer, found.codes)
+    samples = [task.samples.clips[owner] for owner in plan.samples]
+    # The last batch is filled with the first rows, as for the metrics.
+    batch = task.protocol.batch
+    batches = np.resize(np.arange(len(text)), round_up(len(text), batch)).reshape(-1, batch)
+    return RankedRepeat(
+        tokenizer=source.tokenizer,
+        max_frames=task.max_frames,
+        captions=[sample.captions[caption].text for sample, caption in zip(samples, plan.captions, strict=True)],
+        pieces=[
             sample.features[start : start + length]
             for sample, start, length in zip(samples, plan.starts, plan.lengths, strict=True)
         ],
-        text,
-        embed_plan_motions(subject, plan),
-        motion,
-        encode_pieces(maker.vqvae, samples, plan.starts, plan.lengths),
-        made.codes,
-        batches,
-        ranks.reshape(-1)[: len(text)],
+        text=text,
+        real=embed_plan_motions(task, plan),
+        measured=measured,
+        real_codes=encode_pieces(source.tokenizer, samples, plan.starts, plan.lengths),
+        codes=found.codes,
+        batches=batches,
+        ranks=np.asarray(rank_own(jnp.asarray(text[batches]), jnp.asarray(measured[batches]))).ravel()[: len(text)],
     )
 
 
 @jax.jit
-def _ranks(text: Float[Array, "M B E"], motion: Float[Array, "M B E"]) -> Int[Array, "M B"]:
-    """Returns the rank of each text's own motion, from 1; behind those that are as near."""
+def rank_own(text: Float[Array, "M B E"], motion: Float[Array, "M B E"]) -> Int[Array, "M B"]:
+    """Returns the rank of each text's own motion in its batch, from 1; motions at the same distance come first."""
     labels = jnp.arange(text.shape[1])
     standing = jax.lax.map(lambda batch: own_standing(batch[0], batch[1], labels), (text, motion))
     return standing.nearer + standing.tied + 1
-
-
-def _count_codes(motions: MotionCodes, num_codes: int) -> Int[np.ndarray, " K"]:
-    """Returns how often each code was used."""
-    used = np.arange(motions.codes.shape[1])[None] < motions.code_lengths[:, None]
-    return np.bincount(motions.codes[used], minlength=num_codes)

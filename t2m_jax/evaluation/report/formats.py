@@ -1,4 +1,4 @@
-"""Tables as text: for the terminal, Markdown, LaTeX and JSON; mean and 95 % interval, arrows, the best in bold."""
+"""Tables as text for the terminal, Markdown, LaTeX and JSON: mean and 95 % interval, arrows, the best in bold."""
 
 import json
 import re
@@ -7,13 +7,13 @@ from typing import Literal
 from t2m_jax.evaluation.report.tables import DIGITS, Cell, Column, Table
 
 MISSING = "-"
-"""Stands where a row has no such figure."""
-ARROWS = {"higher": "↑", "lower": "↓", "real": "→"}
+"""Printed if a row has no such figure."""
+ARROWS = {"higher": " ↑", "lower": " ↓", "real": " →", "none": ""}
 
 
 def heading(column: Column) -> str:
     """Returns a column's heading with its arrow."""
-    return f"{column.heading} {ARROWS[column.better]}"
+    return f"{column.heading}{ARROWS[column.better]}"
 
 
 def mean_text(cell: Cell) -> str:
@@ -22,25 +22,25 @@ def mean_text(cell: Cell) -> str:
 
 
 def interval_text(cell: Cell) -> str:
-    """Returns the half-width as papers print it, `.003`, without the zero before the point."""
+    """Returns the half-width as papers print it: `.003`, without the zero before the point."""
     return f"{cell.interval:.{DIGITS}f}".removeprefix("0")
 
 
 def repeats_text(table: Table) -> str:
-    """Returns what the figures of a table are, without a full stop."""
+    """Returns what the figures of a table are: mean and interval over how many repeats."""
     counts = sorted({row.num_repeats for row in table.rows})
     repeats = "1 repeat" if counts == [1] else " to ".join(map(str, [*counts[:1], *counts[1:][-1:]])) + " repeats"
     return f"Mean and 95 % interval over {repeats}"
 
 
 def facts_text(table: Table) -> str:
-    """Returns one sentence that says what the figures are and what the rows share."""
+    """Returns a sentence that says what the figures are and what all rows share."""
     shared = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in table.facts.items())
     return f"{repeats_text(table)}; {shared}." if shared else f"{repeats_text(table)}."
 
 
 def format_table(table: Table, *, style: Literal["terminal", "markdown", "latex", "json"], color: bool = False) -> str:
-    """Returns the table as text, without a line end; with `color` the terminal's bold is switched on and off."""
+    """Returns the table as text without a final line end; with `color`, the terminal shows the best in bold."""
     if style == "terminal":
         return _terminal(table, color=color)
     return {"markdown": _markdown, "latex": _latex, "json": _json}[style](table)
@@ -51,7 +51,7 @@ def _plain(cell: Cell | None) -> str:
 
 
 def _terminal(table: Table, *, color: bool) -> str:
-    # A name may hold what moves a terminal's cursor.
+    # A name may contain control characters, which would move the terminal's cursor.
     names = ["".join(c if c.isprintable() else repr(c)[1:-1] for c in row.name) for row in table.rows]
     texts = [[_plain(row.cells.get(column.metric)) for column in table.columns] for row in table.rows]
     widths = [
@@ -88,7 +88,7 @@ LATEX = {
     "~": r"\textasciitilde{}",
     "^": r"\textasciicircum{}",
 }
-LATEX_ARROWS = {"higher": r"$\uparrow$", "lower": r"$\downarrow$", "real": r"$\rightarrow$"}
+LATEX_ARROWS = {"higher": r" $\uparrow$", "lower": r" $\downarrow$", "real": r" $\rightarrow$", "none": ""}
 
 
 def _latex(table: Table) -> str:
@@ -101,7 +101,7 @@ def _latex(table: Table) -> str:
         mean = f"\\mathbf{{{mean_text(cell)}}}" if cell.best else mean_text(cell)
         return f"${mean}^{{\\pm{interval_text(cell)}}}$"
 
-    headings = [f"{escaped(column.heading)} {LATEX_ARROWS[column.better]}" for column in table.columns]
+    headings = [f"{escaped(column.heading)}{LATEX_ARROWS[column.better]}" for column in table.columns]
     lines = [
         " & ".join([escaped(row.name), *(figure(row.cells.get(column.metric)) for column in table.columns)]) + r" \\"
         for row in table.rows

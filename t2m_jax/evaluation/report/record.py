@@ -1,57 +1,159 @@
-"""Reports as files: figures as JSON, and whether a file can be written at all."""
+"""Reports: the typed results of an evaluation, and their JSON files."""
 
-import json
-import os
-from collections.abc import Mapping
+import dataclasses
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
+
+import numpy as np
 
 from t2m_jax.errors import UserError
+from t2m_jax.files import load_json, save_json
 
-SAME = ("protocol", "data", "split", "num_samples", "evaluator", "seed")
-"""What reports must share, so that their repeats look at the same motions with the same captions."""
-
-
-def check_output(path: Path) -> None:
-    """Raises `UserError` where a report could not be written, before the work is done."""
-    folder = path.absolute().parent
-    if not folder.is_dir():
-        raise UserError(f"{path}: the folder {folder} does not exist; make it first")
-    if path.is_dir() or not os.access(path if path.exists() else folder, os.W_OK):
-        raise UserError(f"{path}: cannot be written")
+REAL = "real"
+"""The row of real motion."""
+COMPARABLE = ("protocol", "data", "split", "num_samples", "evaluator", "seed", "batch")
+"""Fields of the header that reports must share to be in one table."""
 
 
-def load_report(path: Path) -> dict[str, Any]:
-    """Returns a report of `t2m evaluate generation`: what it is of, and the figures of each set of motions.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Header:
+    """What the figures of a report depend on. The defaults are what version 0.1 used and did not write down."""
+
+    protocol: str
+    """Name of the protocol."""
+    model: str = ""
+    """What the user called the model: a name or a folder."""
+    data: str
+    """Name of the data set."""
+    split: str
+    """Split of the data set."""
+    num_samples: int
+    """Motions with captions in the split."""
+    left_out_for_shared_source: int | None = None
+    """Clips left out because their recording is also in training; None if this is not known or does not matter."""
+    evaluator: str
+    """Fingerprint of the evaluator."""
+    seed: int
+    """Start of every random choice."""
+    unit: int = 4
+    """Lengths of real motion are multiples of this many frames."""
+    batch: int = 32
+    """Pairs among which texts and motions are ranked."""
+    sampling: str = "none"
+    """`sampled`, `greedy` (always the likeliest code) or `none` (reconstruction)."""
+    temperature: float | None = None
+    """Temperature of the sampling; None if codes were not sampled, or in reports of version 0.1, which used 1."""
+    top_k: int | None = None
+    """Number of likeliest codes that were sampled from; None for all."""
+    top_p: float | None = None
+    """Probability of the likeliest codes that were sampled from; None for all."""
+    guidance_scale: float | None = None
+    """Strength of the guidance by the text; None for none."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Metric:
+    """One metric of one set of motions."""
+
+    mean: float
+    """Mean over the repeats."""
+    interval: float
+    """Half-width of the 95 % interval: 1.96 standard deviations over the root of the number of repeats."""
+    repeats: tuple[float, ...]
+    """The value of each repeat."""
+
+    @classmethod
+    def from_repeats(cls, repeats: Sequence[float]) -> Self:
+        """Returns mean and interval of some values."""
+        values = np.asarray(repeats, np.float64)
+        return cls(float(values.mean()), float(1.96 * values.std() / np.sqrt(len(values))), tuple(values.tolist()))
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Self:
+        """Returns a metric of a JSON report.
+
+        Raises:
+            ValueError: There are no repeats, or something is not a number.
+        """
+        mean, interval, *repeats = numbers = [data["mean"], data["interval"], *data["repeats"]]
+        if not repeats or not all(isinstance(number, int | float) for number in numbers):
+            raise ValueError("a metric needs a mean, an interval and repeats")
+        return cls(mean, interval, tuple(repeats))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ReconstructionFigures:
+    """How well a tokenizer gives back the motion of a split, without an evaluator."""
+
+    mpjpe_mm: float
+    """Root-aligned mean per-joint position error over all frames, in millimeters."""
+    mpjpe_median_clip_mm: float
+    """Median over the clips of the same error."""
+    codebook_usage: float
+    """Share of the codes that the split uses."""
+    perplexity: float
+    """exp of the entropy of code use."""
+    num_clips: int
+    """Clips of the split."""
+    num_frames: int
+    """Frames of all clips, whole codes only."""
+    split: str
+    """Name of the split."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Report:
+    """Metrics of real motion, and of motion that was generated or reconstructed."""
+
+    header: Header
+    """What the figures depend on."""
+    kind: str
+    """Where the measured motion comes from: `generated` or `reconstruction`."""
+    real: dict[str, Metric]
+    """Metrics of real motion, by name."""
+    measured: dict[str, Metric]
+    """Metrics of the measured motion, by name."""
+    reconstruction: ReconstructionFigures | None = None
+    """Figures of the tokenizer alone, if they were measured too."""
+
+    @property
+    def rows(self) -> dict[str, dict[str, Metric]]:
+        """Both sets of metrics: `real`, and the report's kind."""
+        return {REAL: self.real, self.kind: self.measured}
+
+
+def report_as_json(report: Report) -> dict[str, Any]:
+    """Returns a report as plain data: the fields of the header, `rows`, and the figures of a reconstruction."""
+    figures = {} if report.reconstruction is None else dataclasses.asdict(report.reconstruction)
+    rows = {
+        row: {name: dataclasses.asdict(metric) for name, metric in metrics.items()}
+        for row, metrics in report.rows.items()
+    }
+    return {**figures, **dataclasses.asdict(report.header), "rows": rows}
+
+
+def save_report(path: Path, report: Report) -> None:
+    """Writes a report as JSON."""
+    save_json(path, report_as_json(report))
+
+
+def load_report(path: Path) -> Report:
+    """Returns a report of `t2m evaluate generation`, or of `reconstruction` with an evaluator.
 
     Raises:
-        UserError: if the file is missing or something else.
+        UserError: The file is missing, or is something else.
     """
+    data, fields = load_json(path), [field.name for field in dataclasses.fields(ReconstructionFigures)]
     try:
-        report = json.loads(path.read_text(encoding="utf-8"))
-        figures = [figure for row in report["rows"].values() for figure in row.values()]
-        rows = report["rows"].keys()
-        if {*SAME} <= report.keys() and "real" in rows and len(rows) == 2 and all(map(_is_figure, figures)):
-            return report
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror})") from None
-    except (ValueError, KeyError, AttributeError, TypeError):
-        pass
-    raise UserError(f"{path}: no report of `t2m evaluate generation --json`")
-
-
-def _is_figure(found: Mapping[str, Any]) -> bool:
-    """Returns whether a metric has a mean, an interval and repeats."""
-    return all(isinstance(found[name], int | float) for name in ("mean", "interval")) and len(found["repeats"]) > 0
-
-
-def save_text(path: Path, text: str) -> None:
-    """Writes a text as UTF-8; the file appears whole or not at all."""
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(text, encoding="utf-8")
-    os.replace(partial, path)
-
-
-def save_json(path: Path, figures: Mapping[str, Any]) -> None:
-    """Writes figures as JSON with sorted keys; the file appears whole or not at all."""
-    save_text(path, json.dumps(dict(figures), indent=2, sort_keys=True, allow_nan=False) + "\n")
+        rows = {
+            row: {name: Metric.from_json(found) for name, found in metrics.items()}
+            for row, metrics in data["rows"].items()
+        }
+        (kind,) = rows.keys() - {REAL}
+        figures = ReconstructionFigures(**{name: data[name] for name in fields}) if fields[0] in data else None
+        header = Header(**{f.name: data[f.name] for f in dataclasses.fields(Header) if f.name in data})
+        return Report(header=header, kind=kind, real=rows[REAL], measured=rows[kind], reconstruction=figures)
+    except (LookupError, TypeError, ValueError, AttributeError):
+        hint = "write one with `t2m evaluate generation --json`"
+        raise UserError(f"{path}: is not a report with the metrics of an evaluator; {hint}") from None

@@ -1,22 +1,29 @@
-"""A table of evaluations as papers have it: real motion first, each model a row, the best of a column known."""
+"""A table of reports as in papers: real motion first, then one row per report, and the best of each column."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation.report.record import SAME
+from t2m_jax.evaluation.report.record import COMPARABLE, REAL, Metric, Report
 
 DIGITS = 3
 """Digits after the point, of means and intervals."""
+CLOSE_TO_REAL = 0.9
+"""Motion fits its captions if its R-precision (top 3) is at least this share of real motion's."""
 
 
 class Column(NamedTuple):
-    """One metric of the field's tables."""
+    """One metric of the field's tables.
+
+    MultiModality has a rule of its own. A model that ignores its captions has the highest variety, so higher is only
+    better for motion that fits its captions: its R-precision (top 3) must be at least `CLOSE_TO_REAL` of real motion's.
+    Other rows are never the best, and the column has no arrow if no generated motion in the table fits.
+    """
 
     metric: str
     heading: str
-    better: Literal["higher", "lower", "real"]
-    """Which values are better; `real`: those nearest to real motion's."""
+    better: Literal["higher", "lower", "real", "none"]
+    """Which values are better; `real`: those nearest to the value of real motion."""
 
 
 COLUMNS = (
@@ -40,18 +47,18 @@ class Cell(NamedTuple):
 
 
 class Row(NamedTuple):
-    """What was measured of one set of motions."""
+    """The metrics of one set of motions."""
 
     name: str
     kind: str
     """`real`, `reconstruction` or `generated`, as in the report."""
     num_repeats: int
     cells: dict[str, Cell]
-    """By metric; not every row has every one."""
+    """Figures by metric; a row may lack some."""
 
 
 class Table(NamedTuple):
-    """Evaluations that compare, one a row, real motion first."""
+    """Evaluations that can be compared, one per row, real motion first."""
 
     facts: dict[str, Any]
     """What all rows share: protocol, data, evaluator and so on."""
@@ -59,77 +66,81 @@ class Table(NamedTuple):
     rows: tuple[Row, ...]
 
 
+def make_table(reports: Sequence[Report], names: Sequence[str], *, by_label: bool = False) -> Table:
+    """Returns the table of reports: one row for real motion, then a row per report.
+
+    The best figure of a column is marked if there are two or more rows of generated motion. Figures that are printed
+    alike are equally good.
+
+    Args:
+        reports: One or more reports.
+        names: Their rows' names.
+        by_label: Show the R-precision that does not count motions of the same label as errors.
+
+    Raises:
+        UserError: The reports cannot be compared, a name is missing or given twice, or the data have no labels.
+    """
+    if not reports or len(names) != len(reports):
+        raise UserError(f"names: {len(names)} given for {len(reports)} reports; give one for each")
+    if len(set(names)) < len(names):
+        raise UserError(f"names: {', '.join(names)} are not all different; give others with --names")
+    facts = {name: getattr(reports[0].header, name) for name in COMPARABLE}
+    for report, title in zip(reports, names, strict=True):
+        for name, value in facts.items():
+            found = getattr(report.header, name)
+            if found != value:
+                raise UserError(f"{name}: {value} in {names[0]}, {found} in {title}; make a table for each")
+    # Real motion of the report with the most repeats; the others' repeats are its first ones.
+    real = max((_row("real motion", REAL, report.real) for report in reports), key=lambda row: row.num_repeats)
+    rows = [
+        _row(" ".join(title.split()), report.kind, report.measured)
+        for report, title in zip(reports, names, strict=True)
+    ]
+    known = {metric for row in (real, *rows) for metric in row.cells}
+    wanted = [_by_label(column) if by_label else column for column in COLUMNS]
+    if by_label and wanted[0].metric not in known:
+        raise UserError(f"by label: {facts['data']} has no labels (column `label` of its index.csv)")
+    if not any(fits_captions(row, real) for row in rows if row.kind == "generated"):
+        wanted = [c._replace(better="none") if c.metric == "multimodality" else c for c in wanted]
+    columns = tuple(column for column in wanted if column.metric in known)
+    for column in columns:
+        for row in _best_rows(column, real, rows):
+            row.cells[column.metric] = row.cells[column.metric]._replace(best=True)
+    return Table(facts, columns, (real, *rows))
+
+
+def _row(name: str, kind: str, metrics: dict[str, Metric]) -> Row:
+    cells = {metric: Cell(found.mean, found.interval) for metric, found in metrics.items()}
+    return Row(name, kind, max((len(found.repeats) for found in metrics.values()), default=0), cells)
+
+
 def _by_label(column: Column) -> Column:
-    """Returns the label-aware column where there is one of the kind."""
+    """Returns the column with labels if the metric has one."""
     if not column.metric.startswith("r_precision"):
         return column
     return column._replace(metric=f"{column.metric}_by_label", heading=f"{column.heading} by label")
 
 
-def make_table(reports: Sequence[Mapping[str, Any]], names: Sequence[str], *, by_label: bool = False) -> Table:
-    """Returns the table of reports: real motion once, then what each report measured, under the report's name.
-
-    The best figure of a column is marked among the rows of generated motion, where there are two or more. Figures
-    that read the same are equally good. With `by_label` R-precision is the one that does not count motions of the same
-    label as errors.
-
-    Raises:
-        UserError: if the reports do not compare, names are missing or given twice, or nothing is known of labels.
-    """
-    if not reports or len(names) != len(reports):
-        raise UserError(f"names: {len(names)} given for {len(reports)} reports; each needs one")
-    if len(set(names)) < len(names):
-        raise UserError(f"names: {', '.join(names)} are not all different; give others with --names")
-    facts = {name: reports[0][name] for name in SAME}
-    for report, title in zip(reports, names, strict=True):
-        for name in SAME:
-            if report[name] != facts[name]:
-                raise UserError(
-                    f"{name}: {facts[name]} in {names[0]}, {report[name]} in {title}; they do not stand in one table"
-                )
-    rows = [_real_row(reports)]
-    for report, title in zip(reports, names, strict=True):
-        (kind,) = report["rows"].keys() - {"real"}
-        rows.append(_row(" ".join(title.split()), kind, report["rows"][kind]))
-    known = {metric for row in rows for metric in row.cells}
-    wanted = [_by_label(column) if by_label else column for column in COLUMNS]
-    if by_label and wanted[0].metric not in known:
-        raise UserError(f"by label: {facts['data']} says nothing of labels (column `label` of its index.csv)")
-    columns = tuple(column for column in wanted if column.metric in known)
-    return Table(facts, columns, _with_best(rows, columns))
+def _best_rows(column: Column, real: Row, rows: Sequence[Row]) -> list[Row]:
+    """Returns the rows of generated motion that are best in a column; none if fewer than two can be compared."""
+    rivals = [row for row in rows if row.kind == "generated" and column.metric in row.cells]
+    if column.metric == "multimodality":
+        rivals = [row for row in rivals if fits_captions(row, real)]
+    if len(rivals) < 2 or (column.better == "real" and column.metric not in real.cells):
+        return []
+    # Rounded as printed, so that figures that are printed alike are equally good; larger is better from here on.
+    values = [round(row.cells[column.metric].mean, DIGITS) for row in rivals]
+    if column.better == "lower":
+        values = [-value for value in values]
+    elif column.better == "real":
+        target = round(real.cells[column.metric].mean, DIGITS)
+        values = [-round(abs(value - target), DIGITS) for value in values]
+    return [row for row, value in zip(rivals, values, strict=True) if value == max(values)]
 
 
-def _real_row(reports: Sequence[Mapping[str, Any]]) -> Row:
-    """Returns the row of real motion, from the report that repeated most: the others' repeats are its first."""
-    rows = [_row("real motion", "real", report["rows"]["real"]) for report in reports]
-    return max(rows, key=lambda row: row.num_repeats)
-
-
-def _row(name: str, kind: str, figures: Mapping[str, Any]) -> Row:
-    cells = {metric: Cell(found["mean"], found["interval"]) for metric, found in figures.items()}
-    return Row(name, kind, max((len(found["repeats"]) for found in figures.values()), default=0), cells)
-
-
-def _with_best(rows: Sequence[Row], columns: Sequence[Column]) -> tuple[Row, ...]:
-    """Returns the rows with the best generated motion marked in each column."""
-    marked = list(rows)
-    for column in columns:
-        real = rows[0].cells.get(column.metric)
-        rivals = [number for number, row in enumerate(rows) if row.kind == "generated" and column.metric in row.cells]
-        if len(rivals) < 2 or (column.better == "real" and real is None):
-            continue
-        distances = {number: _distance_from_best(rows[number].cells[column.metric], column, real) for number in rivals}
-        for number, distance in distances.items():
-            if distance == min(distances.values()):
-                row = marked[number]
-                cell = row.cells[column.metric]._replace(best=True)
-                marked[number] = row._replace(cells=row.cells | {column.metric: cell})
-    return tuple(marked)
-
-
-def _distance_from_best(cell: Cell, column: Column, real: Cell | None) -> float:
-    """Returns a number that is smaller for better figures, and equal for those that are printed alike."""
-    mean = round(cell.mean, DIGITS)
-    if column.better == "real" and real is not None:
-        return round(abs(mean - round(real.mean, DIGITS)), DIGITS)
-    return -mean if column.better == "higher" else mean
+def fits_captions(row: Row, real: Row) -> bool:
+    """Returns whether the R-precision (top 3) of a row is close to real motion's, see `Column`."""
+    precisions = [found.cells.get("r_precision_3") for found in (row, real)]
+    if precisions[0] is None or precisions[1] is None:
+        return False
+    return precisions[0].mean >= CLOSE_TO_REAL * precisions[1].mean
