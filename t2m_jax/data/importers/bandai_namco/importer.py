@@ -12,9 +12,8 @@ import tqdm
 from t2m_jax.data.files import SPLITS, read_names
 from t2m_jax.data.folder import DatasetInfo
 from t2m_jax.data.importers.bandai_namco.captions import Labels, write_captions
-from t2m_jax.data.importers.bandai_namco.contents import CONTENTS
 from t2m_jax.data.importers.bandai_namco.measure import measure
-from t2m_jax.data.importers.bandai_namco.styles import STYLES
+from t2m_jax.data.importers.bandai_namco.wordings import load_wordings
 from t2m_jax.data.index import IndexRow, save_index
 from t2m_jax.data.splits import split_by_hash
 from t2m_jax.data.writer import ImportReport, finish_folder, make_layout, new_folder, with_twins, write_twins
@@ -80,10 +79,10 @@ def labels_from_name(name: str) -> Labels:
     if len(fields) != 4:
         raise UserError(f"{name}: expected a name like dataset-2_walk_active_001")
     labels = Labels(fields[1], fields[2])
-    if labels.content not in CONTENTS:
-        raise UserError(f"{name}: unknown content '{labels.content}'; known are {', '.join(CONTENTS)}")
-    if labels.style not in STYLES:
-        raise UserError(f"{name}: unknown style '{labels.style}'; known are {', '.join(STYLES)}")
+    words = load_wordings()
+    for kind, label, known in (("content", labels.content, words.contents), ("style", labels.style, words.styles)):
+        if label not in known:
+            raise UserError(f"{name}: unknown {kind} '{label}'; known are {', '.join(known)}")
     return labels
 
 
