@@ -227,7 +227,7 @@ def _check_cache(dataset: Dataset) -> list[str]:
     for place in cache_places(dataset.folder):
         problem = damage(place, sources) if place.exists() else ""
         if problem:
-            problems.append(f"{place}: {problem}; delete the file, it is made anew from the data set")
+            problems.append(f"{place}: {problem}; delete it, it is made anew from the data set")
     return problems
 
 

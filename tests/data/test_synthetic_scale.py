@@ -8,7 +8,7 @@ import pytest
 from t2m_jax.cli.main import main
 from t2m_jax.data.audit import audit_dataset
 from t2m_jax.data.banks.motions import make_bank
-from t2m_jax.data.cache import CACHE_FILE, CACHE_FOLDER
+from t2m_jax.data.cache import CACHE_FOLDER, CACHE_NAME
 from t2m_jax.data.folder import open_dataset, samples_from_clip
 from t2m_jax.data.importers import synthetic_scale
 from t2m_jax.data.importers.synthetic import make_motion
@@ -125,7 +125,7 @@ def test_from_the_folder_to_a_trained_vqvae_without_a_copy_of_the_frames(folder,
     dataset = open_dataset(folder)
     left_out = set(BROKEN) & set(nested_choice(dataset.names("train"), fraction=0.5, seed=0))
     assert left_out and all(name in caplog.text for name in left_out)
-    assert (folder / CACHE_FOLDER / CACHE_FILE).exists()
+    assert (folder / CACHE_FOLDER / CACHE_NAME).exists()
     clips = dataset.clips("train", min_frames=16, fraction=0.5)
     frames, whole = make_bank(clips, dataset.normalizer).frames, clips[0].features.base
     assert 0 <= frames.unsafe_buffer_pointer() - whole.ctypes.data < whole.nbytes

@@ -1,7 +1,7 @@
 """Sentences from predicates.
 
-A predicate is text with the verbs in brackets: "[raise] {limb} and [lower] {it} again". Its slots are `{poss}` (his, her,
-their, the, your), `{limb}` ("his left hand", "both arms"), `{it}` (it, them) and `{side}` (left, right).
+A predicate is text with the verbs in brackets: "[raise] {limb} and [lower] {it} again". Its slots are `{poss}` (his,
+her, their, the, your), `{limb}` ("his left hand", "both arms"), `{it}` (it, them) and `{side}` (left, right).
 """
 
 import re

@@ -1,4 +1,4 @@
-"""The wordings of the Bandai-Namco captions, read from the YAML files in `wordings/`."""
+"""The wordings of the Bandai-Namco captions, read from the YAML files beside this module."""
 
 import functools
 import importlib.resources
@@ -44,8 +44,8 @@ class Wordings(NamedTuple):
 
 
 def _read(name: str) -> Any:
-    """Returns the data of a YAML file in `wordings/`."""
-    file = importlib.resources.files(__package__) / "wordings" / f"{name}.yaml"
+    """Returns the data of a YAML file beside this module."""
+    file = importlib.resources.files(__package__) / f"{name}.yaml"
     return yaml.safe_load(file.read_text(encoding="utf-8"))
 
 
