@@ -126,6 +126,8 @@ def test_from_the_folder_to_a_trained_vqvae_without_a_copy_of_the_frames(folder,
     left_out = set(BROKEN) & set(nested_choice(dataset.names("train"), fraction=0.5, seed=0))
     assert left_out and all(name in caplog.text for name in left_out)
     assert (folder / CACHE_FOLDER / CACHE_NAME).exists()
-    clips = dataset.clips("train", min_frames=16, fraction=0.5)
-    frames, whole = make_bank(clips, dataset.normalizer).frames, clips[0].features.base
-    assert 0 <= frames.unsafe_buffer_pointer() - whole.ctypes.data < whole.nbytes
+    for fraction, is_shared in ((1.0, True), (0.5, False)):
+        clips = dataset.clips("train", min_frames=16, fraction=fraction)
+        frames, whole = make_bank(clips, dataset.normalizer).frames, clips[0].features.base
+        assert (0 <= frames.unsafe_buffer_pointer() - whole.ctypes.data < whole.nbytes) == is_shared
+        assert is_shared or len(frames) == sum(len(clip.features) for clip in clips), "more than the share is uploaded"
