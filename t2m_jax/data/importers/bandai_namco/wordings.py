@@ -79,16 +79,14 @@ def load_wordings() -> Wordings:
         limits = entry.get("slow_below", -1.0), entry.get("fast_above", float("inf"))
         contents[name] = Content(side, wordings, *limits, paces["travel" if travels else "stand"])
     exceptions = {(entry["content"], entry["style"]): groups[entry["wordings"]] for entry in table["exceptions"]}
-    styles = {name: _style_from_entry(entry) for name, entry in words["styles"].items()}
+    styles = {}
+    for name, entry in words["styles"].items():
+        # Phrases count twice, because people use them most.
+        manners = [Manner(text, "end") for text in entry.get("phrases", ()) * 2]
+        manners += [Manner(text, place) for text in entry.get("adverbs", ()) for place in ("end", "before_verb")]
+        manners += [Manner(text, "adjective") for text in entry.get("adjectives", ())]
+        styles[name] = Style(tuple(manners), _subjects(entry.get("subjects", ())))
     return Wordings(contents, exceptions, styles, _subjects(words["subjects"]))
-
-
-def _style_from_entry(entry: Mapping[str, Any]) -> Style:
-    """Returns a style from its YAML entry. Phrases count twice, because people use them most."""
-    manners = [Manner(text, "end") for text in entry.get("phrases", ()) * 2]
-    manners += [Manner(text, place) for text in entry.get("adverbs", ()) for place in ("end", "before_verb")]
-    manners += [Manner(text, "adjective") for text in entry.get("adjectives", ())]
-    return Style(tuple(manners), _subjects(entry.get("subjects", ())))
 
 
 @functools.cache
