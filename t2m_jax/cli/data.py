@@ -5,10 +5,6 @@ import dataclasses
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from t2m_jax.data.writer import ImportReport
 
 DESCRIPTION = "make a data-set folder from motion files, or check one"
 MAX_LINES = 20
@@ -58,7 +54,22 @@ def run(args: argparse.Namespace) -> None:
     if args.data_command == "check":
         _check(args.folder, args.json)
         return
-    report = _write_dataset(args)
+    from t2m_jax.data import importers
+    from t2m_jax.data.importers import synthetic, synthetic_scale
+
+    if args.data_command == "synthetic":
+        default, write = synthetic.NUM_CLIPS, synthetic.write_synthetic_dataset
+        if args.like_humanml3d:
+            default, write = synthetic_scale.NUM_CLIPS, synthetic_scale.write_scaled_dataset
+        num_clips = default if args.num_clips is None else args.num_clips
+        report = write(args.destination, num_clips=num_clips, seed=args.seed)
+    elif args.source_kind == "bandai-namco":
+        report = importers.import_bandai_namco(args.source, args.destination, splits=args.splits, workers=args.workers)
+    elif args.source_kind == "humanml3d":
+        report = importers.import_humanml3d(args.source, args.destination)
+    else:
+        options = {name: getattr(args, name) for name in ("captions", "rig", "caption_from_name", "seed")}
+        report = importers.import_bvh_folder(args.source, args.destination, **options)
     sizes = ", ".join(f"{split} {size}" for split, size in report.split_sizes.items())
     print(f"{args.destination}: {report.num_clips} clips ({report.num_frames} frames; with mirrored twins): {sizes}")
     for note in report.notes:
@@ -67,32 +78,6 @@ def run(args: argparse.Namespace) -> None:
         print(f"  {len(report.left_out)} clips left out:")
         _print_lines([f"{name}: {reason}" for name, reason in report.left_out.items()])
     print(f"next: t2m data check {shlex.quote(str(args.destination))}")
-
-
-def _write_dataset(args: argparse.Namespace) -> "ImportReport":
-    """Makes the data set that the arguments describe."""
-    from t2m_jax.data.importers import synthetic, synthetic_scale
-
-    if args.data_command == "synthetic":
-        scaled = args.like_humanml3d
-        default = synthetic_scale.NUM_CLIPS if scaled else synthetic.NUM_CLIPS
-        write = synthetic_scale.write_scaled_dataset if scaled else synthetic.write_synthetic_dataset
-        num_clips = default if args.num_clips is None else args.num_clips
-        return write(args.destination, num_clips=num_clips, seed=args.seed)
-    from t2m_jax.data.importers import import_bandai_namco, import_bvh_folder, import_humanml3d
-
-    if args.source_kind == "bandai-namco":
-        return import_bandai_namco(args.source, args.destination, splits=args.splits, workers=args.workers)
-    if args.source_kind == "humanml3d":
-        return import_humanml3d(args.source, args.destination)
-    return import_bvh_folder(
-        args.source,
-        args.destination,
-        captions=args.captions,
-        rig=args.rig,
-        caption_from_name=args.caption_from_name,
-        seed=args.seed,
-    )
 
 
 def _check(folder: Path, report_file: Path | None) -> None:

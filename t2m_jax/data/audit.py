@@ -197,6 +197,22 @@ def _check_folder(dataset: Dataset, names: set[str]) -> list[str]:
     return problems
 
 
+def recording_notes(dataset: Dataset, splits: dict[str, tuple[str, ...]]) -> list[str]:
+    """Returns notes about clips that share a recording with training clips, by the table `index.csv`.
+
+    Raises:
+        UserError: The table cannot be read.
+    """
+    index = load_index(dataset.folder)
+    shared = {
+        split: len(index.recorded_with(names, splits.get("train", ())))
+        for split, names in splits.items()
+        if index and split != "train"
+    }
+    told = "clips are cut from recordings that are in train, too; protocol strict leaves them out"
+    return [f"{count} of {len(splits[split])} {split} {told}" for split, count in shared.items() if count]
+
+
 def _count_clips(lengths: dict[str, int], info: DatasetInfo, *, num_captions: int) -> SplitCounts:
     """Returns the counts of a split from the numbers of rows of its clips."""
     rows = lengths.values()
@@ -224,7 +240,7 @@ def audit_dataset(folder: str | Path) -> AuditReport:
     counts: dict[str, SplitCounts] = {}
     captions: dict[str, tuple[Caption, ...]] = {}
     problems: list[str] = []
-    index = None
+    notes: list[str] = []
     for split in SPLITS:
         try:
             splits[split] = names = dataset.names(split)
@@ -238,18 +254,14 @@ def audit_dataset(folder: str | Path) -> AuditReport:
         counts[split] = _count_clips(lengths, info, num_captions=sum(len(captions[name]) for name in names))
     problems += check_overlap(splits) + check_stored_statistics(dataset, splits)
     problems += _check_folder(dataset, set(itertools.chain(*splits.values())))
+    outside = sum(count.out_of_range for count in counts.values())
+    if outside:
+        notes.append(f"{outside} clips outside {info.min_frames} to {info.max_frames} frames")
+    notes += caption_notes(captions, training=splits.get("train", ()))
     try:
-        index = load_index(dataset.folder)
+        notes += recording_notes(dataset, splits)
     except UserError as error:
         problems.append(str(error))
-    outside = sum(count.out_of_range for count in counts.values())
-    notes = [f"{outside} clips outside {info.min_frames} to {info.max_frames} frames"] if outside else []
-    notes += caption_notes(captions, training=splits.get("train", ()))
-    for split in SPLITS[1:]:
-        shared = len(index.recorded_with(splits.get(split, ()), splits.get("train", ()))) if index else 0
-        if shared:
-            told = f"of {len(splits[split])} {split} clips are cut from recordings that are in train, too"
-            notes.append(f"{shared} {told}; protocol strict leaves them out")
     return AuditReport(
         folder=str(folder),
         name=info.name,

@@ -70,17 +70,6 @@ def knows(word: str) -> bool:
     return word in _readings() or word in SIDES
 
 
-def _guess(word: str) -> dict[str, str]:
-    """Returns {tag: lemma} for a word of a user's caption that is not in the vocabulary, by its ending."""
-    if word.endswith("ly"):
-        return {"ADV": word}
-    if word.endswith("ing") and len(word) > 5:
-        return {"VERB": word[:-3]}
-    if word.endswith("s") and not word.endswith("ss") and len(word) > 3:
-        return {"NOUN": word[:-1]}
-    return {"NOUN": word}
-
-
 def _choose(readings: dict[str, str], previous: str, following: str) -> str:
     """Returns the tag of a word.
 
@@ -134,7 +123,14 @@ def tag_words(text: str, *, strict: bool = False) -> tuple[str, ...]:
             continue
         if strict and word not in table:
             raise KeyError(word)
-        readings = table.get(word) or _guess(word)
+        guess = {"NOUN": word}
+        if word.endswith("ly"):
+            guess = {"ADV": word}
+        elif word.endswith("ing") and len(word) > 5:
+            guess = {"VERB": word[:-3]}
+        elif word.endswith("s") and not word.endswith("ss") and len(word) > 3:
+            guess = {"NOUN": word[:-1]}
+        readings = table.get(word, guess)
         previous = _choose(readings, previous, following)
         tokens.append(f"{readings[previous]}/{previous}")
     return tuple(tokens)

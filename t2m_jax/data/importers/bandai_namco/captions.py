@@ -63,42 +63,32 @@ def true_facts(labels: Labels, facts: Facts) -> frozenset[str]:
     return frozenset(name for name, holds in found.items() if holds)
 
 
-def _draw_manner(
-    labels: Labels, pace: str, predicate: str, *, style_share: float, generator: random.Random
-) -> Manner | None:
-    """Returns the words for the style or the speed of a clip in one of its captions, or None for neither."""
-    manners: tuple[Manner, ...] = ()
-    if generator.random() < style_share:
-        manners = load_wordings().styles[labels.style].manners
-    elif pace and generator.random() < SPEED_SHARE:
-        manners = load_wordings().contents[labels.content].paces[pace]
-    ends_with_clause = any(mark in predicate for mark in CLAUSE_MARKS)
-    fitting = [
-        manner
-        for manner in manners
-        if not (manner.place == "end" and ends_with_clause) and not ("pace" in manner.text and "pace" in predicate)
-    ]
-    return generator.choice(fitting) if fitting else None
-
-
 def compose(labels: Labels, wording: Wording, *, facts: Facts, style_share: float, generator: random.Random) -> str:
     """Returns one sentence for a clip; subject, tense, manner and final stop are drawn at random.
 
     The order of the draws is part of the data set: another order gives other captions.
     """
     words = load_wordings()
+    content, style, predicate = words.contents[labels.content], words.styles[labels.style], wording.predicate
     (form,) = generator.choices(FORMS, FORM_WEIGHTS)
     pace = clip_pace(labels, facts)
-    manner = _draw_manner(labels, pace, wording.predicate, style_share=style_share, generator=generator)
-    own_subjects = words.styles[labels.style].subjects
-    fits_style = own_subjects and generator.random() < STYLE_SUBJECT_SHARE
-    subject = generator.choice(own_subjects if fits_style else words.subjects)
+    manners: tuple[Manner, ...] = ()
+    if generator.random() < style_share:
+        manners = style.manners
+    elif pace and generator.random() < SPEED_SHARE:
+        manners = content.paces[pace]
+    if any(mark in predicate for mark in CLAUSE_MARKS):
+        manners = tuple(manner for manner in manners if manner.place != "end")
+    if "pace" in predicate:
+        manners = tuple(manner for manner in manners if "pace" not in manner.text)
+    manner = generator.choice(manners) if manners else None
+    fits_style = style.subjects and generator.random() < STYLE_SUBJECT_SHARE
+    subject = generator.choice(style.subjects if fits_style else words.subjects)
     if manner is not None and manner.place == "adjective":
         form = form if form in ("present", "progressive", "begins") else "present"
         subject = subject if len(subject.text.split()) == 2 else Subject("a person", "their")
     limb = generator.choice(("hand", "hand", "arm"))
-    side = words.contents[labels.content].side
-    text = sentence(wording.predicate, subject, form=form, side=side, limb=limb, manner=manner)
+    text = sentence(predicate, subject, form=form, side=content.side, limb=limb, manner=manner)
     return text + generator.choice(("", "."))
 
 

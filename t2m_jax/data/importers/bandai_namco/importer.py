@@ -88,21 +88,6 @@ def find_clips(source: Path) -> dict[str, Path]:
     return dict(sorted(files.items()))
 
 
-def _find_split_lists(source: Path, splits: Path | None) -> Path | None:
-    """Returns the folder with train.txt, val.txt and test.txt: `splits`, or a folder near the data, or None.
-
-    Raises:
-        UserError: `splits` is given and does not have the three lists.
-    """
-    near = (source, source / "splits", source.parent / "splits", source.parent / "splits/bandai-namco")
-    for folder in [splits] if splits else near:
-        if all((folder / f"{split}.txt").is_file() for split in SPLITS):
-            return folder
-    if splits:
-        raise UserError(f"{splits}: expected train.txt, val.txt and test.txt in it")
-    return None
-
-
 def flagged_clips(source: Path, splits: Path | None) -> tuple[frozenset[str], str]:
     """Returns the clips to leave out, and where this is known from: a clip table near the data, or this module.
 
@@ -171,7 +156,14 @@ def import_bandai_namco(
     """
     source = Path(source)
     files = find_clips(source)
-    lists = _find_split_lists(source, Path(splits) if splits else None)
+    near = (source, source / "splits", source.parent / "splits", source.parent / "splits/bandai-namco")
+    for lists in [Path(splits)] if splits else near:
+        if all((lists / f"{split}.txt").is_file() for split in SPLITS):
+            break
+    else:
+        lists = None
+    if splits and lists is None:
+        raise UserError(f"{splits}: expected train.txt, val.txt and test.txt in it")
     flagged, flags_from = flagged_clips(source, lists)
     divided = _divide_clips([name for name in files if name not in flagged], lists)
     wanted = {name: files[name] for name in sorted(name for members in divided.values() for name in members)}
