@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from t2m_jax.data.texts import CaptionFile, read_captions
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_array
+from t2m_jax.files import load_array, load_text
 
 FEATURES, POSITIONS, TEXTS, INFO = "new_joint_vecs", "new_joints", "texts", "dataset.yaml"
 SPLITS = ("train", "val", "test")
@@ -82,14 +82,7 @@ def read_names(path: Path) -> tuple[str, ...]:
     Raises:
         UserError: The list is missing or is not UTF-8, or a name in it points to another folder.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").split("\n")
-    except OSError as error:
-        raise UserError(
-            f"{path}: cannot be read ({error.strerror}); it needs the clips of the split, one per line"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise UserError(f"{path}: is not UTF-8 text; it needs the clips of the split, one per line") from error
+    lines = load_text(path).split("\n")
     for number, line in enumerate(lines, start=1):
         if "/" in line or "\\" in line:
             raise UserError(f"{path}:{number}: '{line}' is not a clip name; remove the folder from it")

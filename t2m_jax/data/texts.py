@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from t2m_jax.errors import UserError
-from t2m_jax.files import save_text
+from t2m_jax.files import load_text, save_text
 
 
 class Caption(NamedTuple):
@@ -80,14 +80,8 @@ def read_captions(path: Path) -> CaptionFile:
     Raises:
         UserError: The file is missing or is not UTF-8.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror}); every clip needs a caption file") from error
-    except UnicodeDecodeError as error:
-        raise UserError(f"{path}: is not UTF-8 text; save it as UTF-8") from error
     captions, problems = [], []
-    for number, line in enumerate(text.split("\n"), start=1):
+    for number, line in enumerate(load_text(path).split("\n"), start=1):
         if not line.strip():
             continue
         try:

@@ -19,8 +19,9 @@ from t2m_jax.errors import UserError
 from t2m_jax.models.vqvae import VqVaeConfig
 from t2m_jax.motion.features import features_from_positions, positions_from_features
 from t2m_jax.motion.skeleton import HUMANML3D
-from t2m_jax.train.config import LoopConfig, TrainVqVaeConfig
-from t2m_jax.train.run_vqvae import train_vqvae
+from t2m_jax.train.config import LoopConfig
+from t2m_jax.train.experiment import train
+from t2m_jax.train.vqvae import TrainVqVaeConfig
 
 BROKEN = ["000015", "M000015", "000010", "M000010"]
 
@@ -120,7 +121,7 @@ def test_from_the_folder_to_a_trained_vqvae_without_a_copy_of_the_frames(folder,
         data_fraction=0.5,
     )
     with caplog.at_level(logging.WARNING):
-        state = train_vqvae(config)
+        state = train(config)
     assert int(state.step) == 3
     dataset = open_dataset(folder)
     left_out = set(BROKEN) & set(nested_choice(dataset.names("train"), fraction=0.5, seed=0))

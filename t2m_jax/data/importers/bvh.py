@@ -17,12 +17,15 @@ from t2m_jax.data.splits import split_by_hash
 from t2m_jax.data.texts import Caption, parse_caption
 from t2m_jax.data.writer import ImportReport, finish_folder, new_folder, with_twins, write_twins
 from t2m_jax.errors import UserError
+from t2m_jax.files import load_text
 from t2m_jax.motion.bvh import load_bvh
 from t2m_jax.motion.bvh.resample import resample
 from t2m_jax.motion.bvh.retarget import retarget
 from t2m_jax.motion.skeleton import HUMANML3D
 
 CAPTION_FILES = ("captions.csv", "captions.txt")
+BYTE_ORDER_MARK = "\ufeff"
+"""Some editors and spreadsheets write it at the beginning of a UTF-8 file."""
 POP = 0.5
 """Meters: if the joints move by more (on average) from frame 0 to 1, frame 0 is a rest pose before the motion."""
 
@@ -50,14 +53,6 @@ def find_bvh_files(source: Path) -> dict[str, Path]:
     return files
 
 
-def _read_text(path: Path) -> str:
-    """Returns the text of a caption file."""
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise UserError(f"{path}: is not UTF-8 text ({error}); save it as UTF-8") from error
-
-
 def _tagged_caption(text: str, *, source: str, start: str = "", end: str = "") -> Caption:
     """Returns a caption with tokens from plain text."""
     if "#" in text:
@@ -81,7 +76,7 @@ def load_caption_table(source: Path, captions: Path | None) -> dict[str, list[Ca
         return {}
     if not path.is_file():
         raise UserError(f"{path}: no such file; give a .csv with file,caption or a .txt with 'file: caption' lines")
-    text = _read_text(path)
+    text = load_text(path).removeprefix(BYTE_ORDER_MARK)
     rows: list[tuple[int, str | None, str | None, str, str]] = []
     if path.suffix == ".csv":
         reader = csv.DictReader(io.StringIO(text))
@@ -117,7 +112,8 @@ def _find_captions(
     relative = path.relative_to(source).with_suffix("").as_posix()
     captions = [*table.get(relative, ()), *(table.get(path.stem, ()) if relative != path.stem else ())]
     beside = path.with_suffix(".txt")
-    for number, line in enumerate(_read_text(beside).split("\n") if beside.is_file() else (), start=1):
+    text = load_text(beside).removeprefix(BYTE_ORDER_MARK) if beside.is_file() else ""
+    for number, line in enumerate(text.split("\n"), start=1):
         place = f"{beside}:{number}"
         if line.count("#") == 3:
             caption = parse_caption(line, source=place)
