@@ -62,8 +62,8 @@ def check_output(path: str | os.PathLike[str]) -> Path:
 
 
 def check_new(path: Path) -> None:
-    """Raises `UserError` if a folder to write exists already."""
-    if path.exists():
+    """Raises `UserError` if a folder to write exists already. An empty folder may be replaced."""
+    if path.exists() and not (path.is_dir() and next(path.iterdir(), None) is None):
         raise UserError(f"{path}: exists already; choose another folder or remove it")
 
 

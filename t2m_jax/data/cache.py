@@ -1,9 +1,9 @@
-"""All clips of a data-set folder in one file that is mapped into memory, made when the folder is first read.
+"""All clips of a data-set folder in one array that is mapped into memory.
 
-The file holds the frames of all usable clips end to end (float32, those of the training split first), then an index
-(JSON: names, lengths, captions, what was left out and why, a CRC-32 for each block of frames), then a footer that finds
-and checks the index. Nothing in it is executed. It lies in `.t2m-cache` beside the data or, where that folder cannot be
-written to, in the user's cache folder, and is made anew when the files it was made of have changed.
+The cache is a folder. `frames.npy` has the frames of all usable clips end to end (float32, training clips first).
+`index.json` has the clips' names, lengths and captions, the reasons for clips that are left out, and checksums. The
+cache is made when the data set is first read, and again when its files have changed. It is in `.t2m-cache` beside the
+data or, if that folder is not writable, in the user's cache folder.
 """
 
 import contextlib
@@ -11,14 +11,12 @@ import hashlib
 import itertools
 import json
 import logging
-import mmap
 import os
-import secrets
-import struct
+import shutil
 import sys
 import time
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -30,42 +28,40 @@ from tqdm import tqdm
 from t2m_jax.data.files import FEATURES, SPLITS, TEXTS, clip_or_reason, read_names
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
+from t2m_jax.files import atomic_folder, load_array, load_json, save_text
 
 logger = logging.getLogger(__name__)
 
-CACHE_FOLDER, CACHE_FILE = ".t2m-cache", "clips.cache"
+CACHE_FOLDER, CACHE_NAME = ".t2m-cache", "clips"
+FRAMES, INDEX = "frames.npy", "index.json"
 BLOCK = 4 * 2**20
-"""Bytes a checksum stands for."""
+"""Bytes per checksum of the frames."""
 BLOCKS_AT_OPENING = 50
-"""Blocks that are compared with their checksum whenever the file is opened: 200 MB, a fraction of a second."""
+"""Number of blocks that are compared with their checksums when a cache is opened: 200 MB, a fraction of a second."""
 ABANDONED_SECONDS = 3600.0
-"""A half-made file that nobody has written to for so long is deleted."""
-
-_MAGIC = b"t2mclip1"
-_FOOTER = struct.Struct("<8sQQI")
-"""Version, bytes of frames, bytes of index, CRC-32 of the index."""
+"""Age after which an unfinished cache is deleted: the process that wrote it was killed."""
 
 
 class CachedClips(NamedTuple):
-    """The clips of a folder; `frames` is the mapped file, read only."""
+    """The clips of a folder. `frames` is mapped and read-only."""
 
     frames: Float[np.ndarray, "F D"]
     spans: Mapping[str, tuple[int, int]]
-    """Clip name -> first row, row behind the last."""
+    """Clip name -> first row, end row (exclusive)."""
     lines: Mapping[str, list[tuple[str, str, float, float]]]
-    """Clip name -> its sound captions as text, tokens, start and end."""
+    """Clip name -> its valid captions as text, tokens, start and end."""
     left_out: Mapping[str, str]
     """Clip name -> why it cannot be used."""
     broken_captions: Mapping[str, int]
-    """Clip name -> caption lines that cannot be read, where there are any."""
+    """Clip name -> number of caption lines that cannot be read, for clips that have such lines."""
 
     def features(self, name: str) -> Float[np.ndarray, "T D"]:
         """Returns the rows of a clip, a view of `frames`."""
-        first, last = self.spans[name]
-        return self.frames[first:last]
+        first, end = self.spans[name]
+        return self.frames[first:end]
 
     def captions(self, name: str) -> tuple[Caption, ...]:
-        """Returns the captions of a clip; a word that stands in thousands of them is kept once."""
+        """Returns the captions of a clip. Words are interned: most of them are in thousands of captions."""
         return tuple(
             Caption(text, tuple(sys.intern(token) for token in tokens.split()), start, end)
             for text, tokens, start, end in self.lines[name]
@@ -73,25 +69,25 @@ class CachedClips(NamedTuple):
 
 
 class _UnusableError(Exception):
-    """Why a cache file is not to be used."""
+    """The reason why a cache cannot be used."""
 
 
 class _StaleError(_UnusableError):
-    """The file is whole but was made of other sources."""
+    """The cache is complete, but the data set has changed since it was made."""
 
 
 class Sources(NamedTuple):
-    """The clip files of a folder as they are now."""
+    """The clip files of a folder at this moment."""
 
     names: frozenset[str]
-    """Of clips that have at least one file."""
+    """Names of the clips that have at least one file."""
     fingerprint: str
-    """Of names, sizes and times of all files, and of the width that is expected of features."""
+    """Hash of the names, sizes and times of all files, and of the expected feature width."""
 
 
 def scan_sources(folder: Path, *, feature_dim: int) -> Sources:
-    """Returns what clip files a folder has; none of them is opened."""
-    names, lines = set(), [f"width {feature_dim}"]
+    """Returns the clip files of a folder without opening them."""
+    names, lines = set(), []
     for part, suffix in ((FEATURES, ".npy"), (TEXTS, ".txt")):
         if not (folder / part).is_dir():
             continue
@@ -101,22 +97,25 @@ def scan_sources(folder: Path, *, feature_dim: int) -> Sources:
                     status = entry.stat()
                     names.add(entry.name.removesuffix(suffix))
                     lines.append(f"{part}/{entry.name} {status.st_size} {status.st_mtime_ns}")
-    text = "\n".join([lines[0], *sorted(lines[1:])])
-    return Sources(frozenset(names), hashlib.blake2b(text.encode(errors="surrogateescape"), digest_size=16).hexdigest())
+    return Sources(frozenset(names), _hash("\n".join([f"width {feature_dim}", *sorted(lines)])))
+
+
+def _hash(text: str) -> str:
+    """Returns a short hash of a text; file names may have bytes that are not Unicode."""
+    return hashlib.blake2b(text.encode(errors="surrogateescape"), digest_size=16).hexdigest()
 
 
 def cache_places(folder: Path) -> tuple[Path, Path]:
-    """Returns where the cache of a folder may be: beside the data, and in the user's cache folder."""
-    name = hashlib.blake2b(str(folder.resolve()).encode(errors="surrogateescape"), digest_size=16).hexdigest()
-    own = Path(platformdirs.user_cache_dir("t2m_jax")) / "clips" / f"{name}.cache"
-    return folder / CACHE_FOLDER / CACHE_FILE, own
+    """Returns the two possible places of a folder's cache: beside the data, and in the user's cache folder."""
+    user_folder = Path(platformdirs.user_cache_dir("t2m_jax"))
+    return folder / CACHE_FOLDER / CACHE_NAME, user_folder / CACHE_NAME / _hash(str(folder.resolve()))
 
 
 def open_clips(folder: Path, *, feature_dim: int) -> CachedClips:
-    """Returns the clips of a folder from its cache, which is made first if there is none that fits and is sound.
+    """Returns the clips of a folder from its cache. A cache that is missing, stale or damaged is made first.
 
     Raises:
-        UserError: there is no room for the cache anywhere.
+        UserError: The cache cannot be written anywhere.
     """
     sources = scan_sources(folder, feature_dim=feature_dim)
     places = cache_places(folder)
@@ -126,46 +125,54 @@ def open_clips(folder: Path, *, feature_dim: int) -> CachedClips:
                 return load_cache(place, sources)
             except _UnusableError as error:
                 logger.warning("%s: %s; the cache is made anew", place, error)
-    failure: OSError | None = None
+    problems = []
     for place in places:
         try:
             _build(place, folder, sources, feature_dim=feature_dim)
-        except OSError as error:
-            failure = error
-            continue
+        except UserError as error:
+            problems.append(str(error))
+        # Also after a failure: another process may have finished its cache in the meantime.
         try:
             return load_cache(place, sources)
         except _UnusableError as error:
-            raise UserError(f"{place}: {error} although it was just written; check the disk") from error
-    reason = failure.strerror if failure else ""
+            problems.append(f"{place}: {error}")
     raise UserError(
-        f"{folder}: no room for the cache of its clips, neither at {places[0]} nor at {places[1]} ({reason})"
+        f"{folder}: no room for the cache of its clips, neither at {places[0]} nor at {places[1]} ({problems[0]})"
     )
 
 
 def load_cache(path: Path, sources: Sources, *, every_block: bool = False) -> CachedClips:
-    """Returns the clips in a cache file; with `every_block` all of it is compared with its checksums, else a sample.
+    """Returns the clips in a cache.
+
+    Args:
+        path: The cache.
+        sources: The files that it must have been made from.
+        every_block: Compare all frames with their checksums. By default only a sample is compared.
 
     Raises:
-        _UnusableError: the file is not whole, was made of other sources, or cannot be read.
+        _UnusableError: The cache is damaged, was made from other files, or cannot be read.
     """
     try:
-        with path.open("rb") as file:
-            index, num_bytes = _read_index(file)
-            if index["fingerprint"] != sources.fingerprint:
-                raise _StaleError("the data set has changed since")
-            _check_blocks(file, index["checksums"], num_bytes, every_block=every_block)
-            return _clips_from_index(index, file, num_bytes)
+        index = load_json(path / INDEX)
+        if index.pop("checksum") != _checksum(index):
+            raise _UnusableError("its index is damaged")
+        if index["fingerprint"] != sources.fingerprint:
+            raise _StaleError("the data set has changed since")
+        with (path / FRAMES).open("rb") as file:
+            for block, checksum in _block_checksums(file, limit=None if every_block else BLOCKS_AT_OPENING):
+                if checksum != index["blocks"][block]:
+                    raise _UnusableError(f"its frames are damaged at byte {block * BLOCK} or later")
+        return _clips_from_index(index, np.asarray(load_array(path / FRAMES, mmap=True)))
     except OSError as error:
         raise _UnusableError(f"cannot be read ({error.strerror})") from error
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise _UnusableError("its index is damaged") from error
+    except (ValueError, AttributeError, LookupError, TypeError, RecursionError) as error:
+        raise _UnusableError("damaged") from error
 
 
 def damage(path: Path, sources: Sources) -> str:
-    """Returns what is wrong with the data in a cache file made of these sources, "" if nothing is.
+    """Returns a description of the damage in a cache, or "" if it is intact.
 
-    A cache that was made of other sources is not used any more, so nothing in it can do harm.
+    A stale cache is never used, so damage in it does no harm and is not reported.
     """
     try:
         load_cache(path, sources, every_block=True)
@@ -176,145 +183,86 @@ def damage(path: Path, sources: Sources) -> str:
     return ""
 
 
-def _read_index(file: BinaryIO) -> tuple[dict[str, Any], int]:
-    """Returns the index of a cache file and the number of bytes of its frames."""
-    size = file.seek(0, os.SEEK_END)
-    if size < _FOOTER.size:
-        raise _UnusableError("damaged, it is too short")
-    file.seek(size - _FOOTER.size)
-    magic, num_bytes, index_bytes, checksum = _FOOTER.unpack(file.read(_FOOTER.size))
-    if magic != _MAGIC or num_bytes + index_bytes + _FOOTER.size != size:
-        raise _UnusableError("damaged or of another version")
-    file.seek(num_bytes)
-    text = file.read(index_bytes)
-    if zlib.crc32(text) != checksum:
-        raise _UnusableError("its index is damaged")
-    return json.loads(text), num_bytes
+def _checksum(index: Mapping[str, Any]) -> int:
+    """Returns the checksum of an index."""
+    return zlib.crc32(json.dumps(index).encode())
 
 
-def _check_blocks(file: BinaryIO, checksums: list[int], num_bytes: int, *, every_block: bool) -> None:
-    """Raises `_UnusableError` where frames differ from their checksum; some blocks are a sample from first to last."""
-    count = -(-num_bytes // BLOCK)
-    if len(checksums) != count:
-        raise _UnusableError("its index is damaged")
-    num_chosen = count if every_block else min(count, BLOCKS_AT_OPENING)
-    for block in np.linspace(0, count - 1, num_chosen).astype(int).tolist():
+def _block_checksums(file: BinaryIO, *, limit: int | None = None) -> Iterator[tuple[int, int]]:
+    """Yields block number and checksum of a file: of all blocks, or of `limit` blocks from the first to the last.
+
+    The header of the `.npy` file is part of the first block.
+    """
+    count = -(-file.seek(0, os.SEEK_END) // BLOCK)
+    for block in np.linspace(0, count - 1, min(count, limit or count)).astype(int).tolist():
         file.seek(block * BLOCK)
-        if zlib.crc32(file.read(min(BLOCK, num_bytes - block * BLOCK))) != checksums[block]:
-            raise _UnusableError(f"damaged at byte {block * BLOCK} or behind it")
+        yield block, zlib.crc32(file.read(BLOCK))
 
 
-def _check_types(index: dict[str, Any]) -> None:
-    """Raises `_UnusableError` where an index holds something else than `_write` puts there."""
-    line_types = [str, str, float, float]
-    sound = type(index["width"]) is int and index["width"] > 0
+def _clips_from_index(index: dict[str, Any], frames: Float[np.ndarray, "F D"]) -> CachedClips:
+    """Returns the clips in a cache after checking that the index has the types that `_build` writes."""
+    sound = frames.ndim == 2 and frames.dtype == np.float32 and frames.flags.c_contiguous
     for name, length, lines in index["clips"]:
         sound &= type(name) is str and type(length) is int and length > 0
-        sound &= all([type(field) for field in line] == line_types for line in lines)
+        sound &= all([type(field) for field in line] == [str, str, float, float] for line in lines)
     for table, kind in ((index["left_out"], str), (index["broken_captions"], int)):
         sound &= isinstance(table, dict) and all(type(value) is kind for value in table.values())
-    if not sound:
-        raise _UnusableError("its index is damaged")
-
-
-def _clips_from_index(index: dict[str, Any], file: BinaryIO, num_bytes: int) -> CachedClips:
-    """Returns the clips that a sound index describes."""
-    _check_types(index)
-    width, lengths = index["width"], [length for _, length, _ in index["clips"]]
-    ends = list(itertools.accumulate(lengths))
-    if num_bytes != sum(lengths) * width * 4:
-        raise _UnusableError("its index is damaged")
-    spans = {name: (end - length, end) for (name, length, _), end in zip(index["clips"], ends, strict=True)}
+    ends = list(itertools.accumulate((length for _, length, _ in index["clips"]), initial=0))
+    if not sound or len(frames) != ends[-1]:
+        raise _UnusableError("damaged")
+    names = [name for name, _, _ in index["clips"]]
     lines = {name: clip_lines for name, _, clip_lines in index["clips"]}
-    frames = np.zeros((0, width), np.float32)
-    if num_bytes:
-        mapped = mmap.mmap(file.fileno(), num_bytes, access=mmap.ACCESS_READ)
-        frames = np.ndarray((ends[-1], width), np.float32, mapped)
+    spans = dict(zip(names, itertools.pairwise(ends), strict=True))
     return CachedClips(frames, spans, lines, index["left_out"], index["broken_captions"])
 
 
 def _build(path: Path, folder: Path, sources: Sources, *, feature_dim: int) -> None:
-    """Writes the cache of a folder, so that it appears whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    _sweep(path)
-    partial = path.with_name(f"{path.name}.{secrets.token_hex(8)}.partial")
-    try:
-        with partial.open("xb") as file:
-            _write(file, folder, sources, feature_dim=feature_dim)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    """Writes the cache of a folder.
+
+    Raises:
+        UserError: The cache cannot be written here, or another process has just written it.
+    """
+    for partial in path.parent.glob(f".{path.name}.*.partial"):
+        with contextlib.suppress(OSError):  # another process may delete it, too
+            if time.time() - max(file.stat().st_mtime for file in (partial, *partial.iterdir())) > ABANDONED_SECONDS:
+                shutil.rmtree(partial)
+    # Open files survive this: processes that have mapped the old cache keep it.
+    shutil.rmtree(path, ignore_errors=True)
+    with atomic_folder(path) as partial, (partial / FRAMES).open("w+b") as file:
+        index = _write_clips(file, folder, sources.names, feature_dim=feature_dim)
+        index |= {"fingerprint": sources.fingerprint}
+        index |= {"blocks": [checksum for _, checksum in _block_checksums(file)]}
+        save_text(partial / INDEX, json.dumps(index | {"checksum": _checksum(index)}))
 
 
-def _sweep(path: Path) -> None:
-    """Deletes what a process that was killed has left half-made."""
-    for partial in path.parent.glob(f"{path.name}.*.partial"):
-        with contextlib.suppress(FileNotFoundError):  # another process sweeps, too
-            if time.time() - partial.stat().st_mtime > ABANDONED_SECONDS:
-                partial.unlink()
-
-
-def _write(file: BinaryIO, folder: Path, sources: Sources, *, feature_dim: int) -> None:
-    """Writes frames, index and footer."""
-    frames = _CheckedWriter(file)
+def _write_clips(file: BinaryIO, folder: Path, names: frozenset[str], *, feature_dim: int) -> dict[str, Any]:
+    """Writes the frames of all usable clips as a `.npy` file and returns the part of the index that describes them."""
+    listed = [read_names(path) for split in SPLITS if (path := folder / f"{split}.txt").exists()]
+    order = [name for name in dict.fromkeys(itertools.chain(*listed, sorted(names))) if name in names]
     clips: list[tuple[str, int, list[tuple[str, str, float, float]]]] = []
     left_out: dict[str, str] = {}
     broken_captions: dict[str, int] = {}
-    for name in tqdm(_in_order(folder, sources.names), desc="caching clips", unit="clip", disable=None):
+
+    def write_header() -> None:
+        shape = (sum(length for _, length, _ in clips), feature_dim)
+        header = {"descr": np.lib.format.dtype_to_descr(np.dtype(np.float32)), "fortran_order": False, "shape": shape}
+        file.seek(0)
+        np.lib.format.write_array_header_1_0(file, header)
+
+    write_header()
+    for name in tqdm(order, desc="caching clips", unit="clip", disable=None):
         clip = clip_or_reason(folder, name, feature_dim=feature_dim)
         if isinstance(clip, str):
             left_out[name] = clip
             continue
         features, (captions, problems) = clip
-        frames.write(np.ascontiguousarray(features).data.cast("B"))
+        file.write(features.tobytes())
         lines = [(caption.text, " ".join(caption.tokens), caption.start, caption.end) for caption in captions]
         clips.append((name, len(features), lines))
         if problems:
             broken_captions[name] = len(problems)
-    index = {
-        "fingerprint": sources.fingerprint,
-        "width": feature_dim,
-        "clips": clips,
-        "left_out": left_out,
-        "broken_captions": broken_captions,
-        "checksums": frames.checksums(),
-    }
-    text = json.dumps(index).encode()
-    file.write(text)
-    file.write(_FOOTER.pack(_MAGIC, frames.num_bytes, len(text), zlib.crc32(text)))
-
-
-def _in_order(folder: Path, names: frozenset[str]) -> list[str]:
-    """Returns clip names in the order of the split lists, training first, then those in none of them."""
-    listed: list[str] = []
-    for split in SPLITS:
-        if (folder / f"{split}.txt").exists():
-            listed += read_names(folder / f"{split}.txt")
-    return [name for name in dict.fromkeys([*listed, *sorted(names)]) if name in names]
-
-
-class _CheckedWriter:
-    """Appends to a file and takes a checksum of every block."""
-
-    def __init__(self, file: BinaryIO):
-        self.num_bytes = 0
-        self._file = file
-        self._checksums: list[int] = []
-
-    def write(self, data: memoryview) -> None:
-        """Appends bytes."""
-        self._file.write(data)
-        while data:
-            used = self.num_bytes % BLOCK
-            if used == 0:
-                self._checksums.append(0)
-            piece = data[: BLOCK - used]
-            self._checksums[-1] = zlib.crc32(piece, self._checksums[-1])
-            self.num_bytes += len(piece)
-            data = data[len(piece) :]
-
-    def checksums(self) -> list[int]:
-        """Returns one checksum a block."""
-        return self._checksums
+    # The number of rows is known now. NumPy pads headers, so that this one is as long as the first.
+    write_header()
+    file.flush()
+    os.fsync(file.fileno())
+    return {"clips": clips, "left_out": left_out, "broken_captions": broken_captions}

@@ -1,5 +1,7 @@
 """Whether a data set and a trained model fit each other."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from t2m_jax.data.folder import Dataset
@@ -7,11 +9,29 @@ from t2m_jax.errors import UserError
 from t2m_jax.motion.normalizer import Normalizer
 
 STATISTICS_TOLERANCE = 0.5
-"""Largest allowed difference of two means in standard deviations, and of the logarithms of two standard deviations.
+"""Largest allowed `StatisticsDifference` between a model and the data that it is used with.
 
-The statistics that are published with T2M-GPT's weights differ from those of HumanML3D by up to 0.23 deviations,
-because they were measured on another build of the data.
+The statistics that are published with T2M-GPT's weights differ from those of HumanML3D by up to 0.23, because they were
+measured on another build of the data.
 """
+
+
+class StatisticsDifference(NamedTuple):
+    """The largest differences between two statistics over the compared columns."""
+
+    shift: float
+    """Difference of two means, in standard deviations."""
+    ratio: float
+    """Difference of the logarithms of two standard deviations."""
+
+
+def compare_statistics(
+    normalizer: Normalizer, reference: Normalizer, columns: slice | np.ndarray = slice(None)
+) -> StatisticsDifference:
+    """Returns the difference between two statistics, in standard deviations of `reference`."""
+    mean, std, other_mean, other_std = (np.asarray(part)[columns] for part in (*normalizer, *reference))
+    shift = np.max(np.abs(mean - other_mean) / other_std)
+    return StatisticsDifference(float(shift), float(np.max(np.abs(np.log(std / other_std)))))
 
 
 def check_feature_dim(dataset: Dataset, feature_dim: int, *, reader: str) -> None:
@@ -19,7 +39,7 @@ def check_feature_dim(dataset: Dataset, feature_dim: int, *, reader: str) -> Non
 
     Args:
         dataset: The data.
-        feature_dim: What the model reads.
+        feature_dim: Feature width that the model reads.
         reader: The model in the error message, such as "the evaluator".
     """
     found = dataset.skeleton.feature_dim
@@ -45,11 +65,10 @@ def check_statistics(dataset: Dataset, normalizer: Normalizer, *, reader: str, a
     check_feature_dim(dataset, len(normalizer.mean), reader=reader)
     layout = dataset.skeleton.layout
     compared = np.r_[layout.positions, layout.rotations, layout.velocities]
-    (mean, std), (model_mean, model_std) = ([part[compared] for part in n] for n in (dataset.normalizer, normalizer))
-    shift = np.max(np.abs(mean - model_mean) / model_std)
-    ratio = np.max(np.abs(np.log(std / model_std)))
-    if max(shift, ratio) > STATISTICS_TOLERANCE:
+    difference = compare_statistics(dataset.normalizer, normalizer, compared)
+    if max(difference) > STATISTICS_TOLERANCE:
         raise UserError(
-            f"{dataset.folder}: its statistics (Mean.npy, Std.npy) differ too much from those of {reader} "
-            f"(means by up to {shift:.2g} deviations, deviations by a factor of up to {np.exp(ratio):.2g}); {advice}"
+            f"{dataset.folder}: its statistics (Mean.npy, Std.npy) differ too much from those of {reader} (means by up "
+            f"to {difference.shift:.2g} deviations, deviations by a factor of up to {np.exp(difference.ratio):.2g}); "
+            f"{advice}"
         )

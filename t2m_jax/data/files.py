@@ -1,11 +1,12 @@
-"""The files of a data-set folder, each by itself: HumanML3D's layout, so that the real one just works.
+"""The single files of a data-set folder.
+
+The layout is that of HumanML3D, so that the original data set is read without an import:
 
 new_joint_vecs/<id>.npy [T, D] float32, raw    new_joints/<id>.npy [T, J, 3] (optional)    texts/<id>.txt
-train.txt val.txt test.txt    Mean.npy Std.npy    dataset.yaml (optional)
+train.txt val.txt test.txt    Mean.npy Std.npy    dataset.yaml (optional)    index.csv (optional)
 """
 
 from pathlib import Path
-from tokenize import TokenError
 from typing import NamedTuple
 
 import numpy as np
@@ -13,56 +14,43 @@ from jaxtyping import Float
 
 from t2m_jax.data.texts import CaptionFile, read_captions
 from t2m_jax.errors import UserError
+from t2m_jax.files import load_array, load_text
 
 FEATURES, POSITIONS, TEXTS, INFO = "new_joint_vecs", "new_joints", "texts", "dataset.yaml"
 SPLITS = ("train", "val", "test")
 MIRROR_PREFIX = "M"
 
-LEAST_FRAMES = 2
-"""A clip of one row has no step from one frame to the next."""
-
-
-def load_array(path: Path, *, mmap: bool = False) -> np.ndarray:  # any shape: the caller checks it
-    """Returns the array in a .npy file of floating-point numbers.
-
-    Raises:
-        UserError: the file is missing or damaged, or holds something else.
-    """
-    try:
-        array = np.load(path, mmap_mode="r" if mmap else None, allow_pickle=False)
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror or error}); is the copy complete?") from error
-    except (ValueError, EOFError, TokenError) as error:  # the last from a damaged header
-        raise UserError(f"{path}: is not a complete .npy file ({error}); copy or import it again") from error
-    if not isinstance(array, np.ndarray) or array.dtype.kind != "f":
-        raise UserError(f"{path}: holds no floating-point numbers; expected a float32 array")
-    return array
+MIN_ROWS = 2
+"""Fewest rows of a usable clip: with one row there is no step from one frame to the next."""
 
 
 def load_features(path: Path, *, feature_dim: int) -> Float[np.ndarray, "T D"]:
-    """Returns the raw features of one clip; they may hold NaN.
+    """Returns the raw features of one clip. They may contain NaN.
 
     Raises:
-        UserError: the file is missing, is no .npy array of numbers, or has another width.
+        UserError: The file is missing or damaged, or has another width.
     """
     array = load_array(path)
     if array.ndim != 2 or array.shape[1] != feature_dim:
         shape = "x".join(str(size) for size in array.shape)
-        raise UserError(f"{path}: has shape {shape}, expected T x {feature_dim}; is it features of another skeleton?")
+        raise UserError(
+            f"{path}: has shape {shape}, expected T x {feature_dim}; are these features of another skeleton?"
+        )
     return array.astype(np.float32, copy=False)
 
 
 class ClipFiles(NamedTuple):
-    """A usable clip as its files have it."""
+    """The contents of the files of a usable clip."""
 
     features: Float[np.ndarray, "T D"]
     captions: CaptionFile
 
 
 def clip_or_reason(folder: Path, name: str, *, feature_dim: int) -> ClipFiles | str:
-    """Returns a clip, or in a few words, the same for the same fault, why nothing can use it.
+    """Returns a clip, or the reason why it cannot be used.
 
-    A caption line that cannot be read costs that caption only: the motion is as good as before.
+    The reasons are short and the same for the same fault, so that clips can be counted by reason. A caption line that
+    cannot be read is not a reason: only that caption is lost.
     """
     motion_file, text_file = folder / FEATURES / f"{name}.npy", folder / TEXTS / f"{name}.txt"
     missing = [kind for kind, file in (("motion", motion_file), ("caption", text_file)) if not file.exists()]
@@ -76,9 +64,9 @@ def clip_or_reason(folder: Path, name: str, *, feature_dim: int) -> ClipFiles | 
         return f"with an array of {array.ndim} axes in place of 2"
     if array.shape[1] != feature_dim:
         return f"with {array.shape[1]} features in place of {feature_dim}"
-    if len(array) < LEAST_FRAMES:
+    if len(array) < MIN_ROWS:
         return f"of {len(array)} frame" + "s" * (len(array) != 1)
-    with np.errstate(over="ignore"):  # what is too large for 32 bits becomes infinite and is found below
+    with np.errstate(over="ignore"):  # a value that is too large for 32 bits becomes infinite and is found below
         features = array.astype(np.float32, copy=False)
     if not np.all(np.isfinite(features)):
         return "with NaN or infinite values"
@@ -89,20 +77,13 @@ def clip_or_reason(folder: Path, name: str, *, feature_dim: int) -> ClipFiles | 
 
 
 def read_names(path: Path) -> tuple[str, ...]:
-    """Returns the clip names of a split list, one a line, blank lines skipped.
+    """Returns the clip names in a split list: one per line, without blank lines.
 
     Raises:
-        UserError: the list is missing, is not UTF-8, or a name in it would leave the folder.
+        UserError: The list is missing or is not UTF-8, or a name in it points to another folder.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").split("\n")
-    except OSError as error:
-        raise UserError(
-            f"{path}: cannot be read ({error.strerror}); it lists the clips of the split, one a line"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise UserError(f"{path}: is not UTF-8 text; it lists the clips of the split, one a line") from error
+    lines = load_text(path).split("\n")
     for number, line in enumerate(lines, start=1):
         if "/" in line or "\\" in line:
-            raise UserError(f"{path}:{number}: '{line}' is no clip name; names have no folder part")
+            raise UserError(f"{path}:{number}: '{line}' is not a clip name; remove the folder from it")
     return tuple(line.strip() for line in lines if line.strip())

@@ -1,16 +1,18 @@
-"""What `index.csv` of a data-set folder tells of its clips: the recordings they were cut from, and what they show.
+"""The table `index.csv` of a data-set folder: the recordings that clips were cut from, and labels of their motion.
 
-It is HumanML3D's own table (`new_name`, `source_path` and more) with one column of ours, `label`. It is optional, and
-so is each of the two columns after `new_name`.
+It is HumanML3D's own table (`new_name`, `source_path` and others) with one column of ours, `label`. The file is
+optional, and so is every column except `new_name`.
 """
 
 import csv
+import io
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 from t2m_jax.data.files import MIRROR_PREFIX
 from t2m_jax.errors import UserError
+from t2m_jax.files import save_text
 from t2m_jax.motion.mirroring import mirror_caption
 
 INDEX = "index.csv"
@@ -18,24 +20,24 @@ NAME, SOURCE, LABEL = "new_name", "source_path", "label"
 
 
 class ClipIndex(NamedTuple):
-    """Clip name -> recording, clip name -> label; mirrored twins follow from their originals."""
+    """Recordings and labels by clip name. Mirrored twins need no entry: theirs follow from the original."""
 
     sources: Mapping[str, str]
     labels: Mapping[str, str]
 
     def source(self, name: str) -> str | None:
-        """Returns the recording that a clip was cut from, None where it is not known; a twin's is its original's."""
+        """Returns the recording that a clip was cut from, or None if it is not known."""
         return self.sources.get(name, self.sources.get(name.removeprefix(MIRROR_PREFIX)))
 
     def label(self, name: str) -> str | None:
-        """Returns what a clip shows, None where it is not known; a twin's has left and right exchanged."""
+        """Returns the label of a clip, or None if it is not known. A twin has left and right exchanged."""
         if name in self.labels or not name.startswith(MIRROR_PREFIX):
             return self.labels.get(name)
         label = self.labels.get(name.removeprefix(MIRROR_PREFIX))
         return None if label is None else mirror_caption(label)
 
     def recorded_with(self, names: Iterable[str], others: Iterable[str]) -> frozenset[str]:
-        """Returns the clips of `names` that are cut from a recording of one of `others`, as far as is known."""
+        """Returns the clips of `names` that share a known recording with one of `others`."""
         recordings = {self.source(name) for name in others} - {None}
         return frozenset(name for name in names if self.source(name) in recordings)
 
@@ -49,10 +51,10 @@ class IndexRow(NamedTuple):
 
 
 def load_index(folder: Path) -> ClipIndex | None:
-    """Returns what the folder's `index.csv` tells, None where there is none.
+    """Returns the table of a data-set folder, or None if there is none.
 
     Raises:
-        UserError: the file cannot be read, or has no column `new_name`.
+        UserError: The file cannot be read, or has no column `new_name`.
     """
     path = folder / INDEX
     if not path.exists():
@@ -64,17 +66,15 @@ def load_index(folder: Path) -> ClipIndex | None:
         raise UserError(f"{path}: cannot be read ({error}); expected a table with the column {NAME}") from error
     if rows and NAME not in rows[0]:
         raise UserError(f"{path}: has no column {NAME}; its columns are {', '.join(map(str, rows[0]))}")
-    return ClipIndex(*({_stem(row): row[column] for row in rows if row.get(column)} for column in (SOURCE, LABEL)))
-
-
-def _stem(row: Mapping[str, str | None]) -> str:
-    """Returns the clip's name; HumanML3D's table has file names."""
-    return (row[NAME] or "").removesuffix(".npy")
+    # HumanML3D's table has file names in place of clip names.
+    named = [((row[NAME] or "").removesuffix(".npy"), row) for row in rows]
+    return ClipIndex(*({name: row[column] for name, row in named if row.get(column)} for column in (SOURCE, LABEL)))
 
 
 def save_index(folder: Path, rows: Iterable[IndexRow]) -> None:
-    """Writes `index.csv`; twins need no row of their own."""
-    with (folder / INDEX).open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow((NAME, SOURCE, LABEL))
-        writer.writerows(rows)
+    """Writes `index.csv`. Mirrored twins need no row."""
+    table = io.StringIO()
+    writer = csv.writer(table, lineterminator="\n")
+    writer.writerow((NAME, SOURCE, LABEL))
+    writer.writerows(rows)
+    save_text(folder / INDEX, table.getvalue())

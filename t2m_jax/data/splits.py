@@ -1,4 +1,4 @@
-"""Dividing clips among train, val and test, the same way every time."""
+"""Reproducible division of clips into train, val and test, and reproducible subsets."""
 
 import hashlib
 from collections.abc import Iterable, Sequence
@@ -7,22 +7,23 @@ from t2m_jax.data.files import MIRROR_PREFIX, SPLITS
 from t2m_jax.errors import UserError
 
 SHARES = {"train": 0.80, "val": 0.05, "test": 0.15}
-"""share of each split, as published with HumanML3D"""
+"""Share of each split, as published with HumanML3D."""
 
 
 def _rank(name: str, seed: str) -> bytes:
-    """Returns a number that shuffles names: a keyed hash, which no Python version or platform changes."""
+    """Returns a keyed hash that shuffles names. It does not depend on the Python version or the platform."""
     return hashlib.blake2b(name.encode(), key=seed.encode()).digest()
 
 
 def split_by_hash(groups: Iterable[Sequence[str]], *, seed: str = "t2m_jax") -> dict[str, list[str]]:
-    """Returns split -> names, sorted, with 80 % train, 5 % val and 15 % test as near as can be, also over few groups.
+    """Returns split -> sorted names: 80 % train, 5 % val and 15 % test, as closely as possible even for small groups.
+
+    A group is shuffled by hash. Each of its clips goes to the split that is farthest below its share. The counts
+    continue from group to group, so that groups of one clip do not all go to train.
 
     Args:
-        groups: names which should be spread alike over the splits, such as clips of one content and style. A group is
-            shuffled by hash and dealt out, each clip to the split that lags farthest behind its share so far; the
-            counts run on from group to group, so that groups of one clip do not all go to train.
-        seed: another one gives another division.
+        groups: Names that should be distributed evenly over the splits, such as clips of one content and style.
+        seed: Another seed gives another division.
     """
     counts = dict.fromkeys(SHARES, 0)
     result: dict[str, list[str]] = {split: [] for split in SPLITS}
@@ -36,20 +37,20 @@ def split_by_hash(groups: Iterable[Sequence[str]], *, seed: str = "t2m_jax") -> 
 
 
 def nested_choice(names: Sequence[str], *, fraction: float, seed: int) -> list[str]:
-    """Returns a share of the names, in their order: a smaller share is part of a larger one of the same seed.
+    """Returns a share of the names in their order. A smaller share is part of a larger one with the same seed.
 
     A clip and its mirrored twin count as one and stay together.
 
     Args:
-        names: of clips.
-        fraction: above 0 and up to 1; of the originals, rounded to whole ones, at least one.
-        seed: another one gives another share.
+        names: Names of clips.
+        fraction: Share of the originals, above 0 and up to 1. It is rounded to whole clips, and at least one.
+        seed: Another seed gives another share.
 
     Raises:
-        UserError: the fraction is none.
+        UserError: The fraction is not above 0 and up to 1.
     """
     if not 0 < fraction <= 1:
-        raise UserError(f"fraction {fraction}: a share of the clips is above 0 and up to 1")
+        raise UserError(f"fraction {fraction}: the share of the clips must be above 0 and at most 1")
     originals = {name.removeprefix(MIRROR_PREFIX) for name in names}
     ranked = sorted(originals, key=lambda name: (_rank(name, f"share {seed}"), name))
     chosen = set(ranked[: max(int(fraction * len(ranked) + 0.5), 1)])

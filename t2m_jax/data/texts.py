@@ -1,4 +1,4 @@
-"""Caption files of a data-set folder: `caption#word/POS word/POS#from#to`, one caption a line."""
+"""Caption files of a data-set folder: one caption per line, as `caption#word/POS word/POS#from#to`."""
 
 import math
 from collections.abc import Sequence
@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from t2m_jax.errors import UserError
+from t2m_jax.files import load_text, save_text
 
 
 class Caption(NamedTuple):
-    """One sentence about a clip or, where `end` is after `start`, about a part of it."""
+    """One sentence about a clip, or about the part from `start` to `end` (seconds) if `end` is after `start`."""
 
     text: str
     tokens: tuple[str, ...] = ()
@@ -18,12 +19,12 @@ class Caption(NamedTuple):
 
     @property
     def whole_clip(self) -> bool:
-        """Whether the caption speaks of the whole clip (both times zero)."""
+        """Whether the caption describes the whole clip (both times are zero)."""
         return self.start == 0.0 and self.end == 0.0
 
 
 def _seconds(field: str, *, source: str) -> float:
-    """Returns a time tag in seconds; `nan`, which HumanML3D has in places, reads as 0 there and here."""
+    """Returns a time in seconds. `nan`, which HumanML3D has in some lines, counts as 0, as in the published loaders."""
     try:
         value = float(field)
     except ValueError:
@@ -37,11 +38,11 @@ def parse_caption(line: str, *, source: str) -> Caption:
     """Returns the caption on one line of a text file.
 
     Args:
-        line: four fields separated by `#`.
-        source: `file:line` for messages.
+        line: Four fields separated by `#`.
+        source: `file:line` for error messages.
 
     Raises:
-        UserError: the line has not four fields, no caption, or times that are no numbers.
+        UserError: The line does not have four fields, its caption is empty, or a time is not a number.
     """
     fields = line.rstrip("\r\n").split("#")
     if len(fields) != 4:
@@ -55,40 +56,32 @@ def parse_caption(line: str, *, source: str) -> Caption:
 
 
 def format_caption(caption: Caption) -> str:
-    """Returns the line for one caption, without line end.
+    """Returns the line for one caption, without the line end.
 
     Raises:
-        UserError: the caption or a token holds `#` or a line break, which the format cannot carry.
+        UserError: The caption or a token contains `#` or a line break.
     """
     tokens = " ".join(caption.tokens)
     if any(mark in caption.text + tokens for mark in "#\n\r"):
-        raise UserError(
-            f"caption {caption.text!r} holds '#' or a line break, which the text format cannot carry; remove it"
-        )
+        raise UserError(f"caption {caption.text!r}: the text format cannot store '#' or a line break; remove it")
     return f"{caption.text}#{tokens}#{caption.start}#{caption.end}"
 
 
 class CaptionFile(NamedTuple):
-    """What a text file says, and its lines that say nothing: one message each, beginning with `file:line`."""
+    """The captions of a text file, and one message per broken line, which begins with `file:line`."""
 
     captions: tuple[Caption, ...]
     problems: tuple[str, ...]
 
 
 def read_captions(path: Path) -> CaptionFile:
-    """Returns the captions of a text file in order, blank lines skipped and broken lines told apart.
+    """Returns the captions and the broken lines of a text file, both in order. Blank lines are skipped.
 
     Raises:
-        UserError: the file is missing or is not UTF-8.
+        UserError: The file is missing or is not UTF-8.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror}); every clip needs a caption file") from error
-    except UnicodeDecodeError as error:
-        raise UserError(f"{path}: is not UTF-8 text; save it as UTF-8") from error
     captions, problems = [], []
-    for number, line in enumerate(text.split("\n"), start=1):
+    for number, line in enumerate(load_text(path).split("\n"), start=1):
         if not line.strip():
             continue
         try:
@@ -99,10 +92,10 @@ def read_captions(path: Path) -> CaptionFile:
 
 
 def load_captions(path: Path) -> tuple[Caption, ...]:
-    """Returns all captions of a text file in order; blank lines are skipped.
+    """Returns all captions of a text file in order. Blank lines are skipped.
 
     Raises:
-        UserError: the file is missing, is not UTF-8 or has a broken line, named as `file:line`.
+        UserError: The file is missing, is not UTF-8, or has a broken line, which the message names as `file:line`.
     """
     captions, problems = read_captions(path)
     if problems:
@@ -112,4 +105,4 @@ def load_captions(path: Path) -> tuple[Caption, ...]:
 
 def save_captions(path: Path, captions: Sequence[Caption]) -> None:
     """Writes a caption file."""
-    path.write_text("".join(format_caption(caption) + "\n" for caption in captions), encoding="utf-8")
+    save_text(path, "".join(format_caption(caption) + "\n" for caption in captions))

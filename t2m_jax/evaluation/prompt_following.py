@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from t2m_jax.data.importers.bandai_namco.measure import Facts, measure
-from t2m_jax.data.importers.bandai_namco.prompts import HELD_OUT
+from t2m_jax.data.importers.bandai_namco.wordings import held_out_sentences
 from t2m_jax.motion.record import Motion
 
 HAND_UP = -0.05
@@ -104,8 +104,8 @@ def follows(content: str, motion: Motion) -> bool:
 
 
 def requests(content: str, *, num_seeds: int) -> list[tuple[int, str]]:
-    """Returns seeds 0 to `num_seeds` - 1, each with a held-out sentence of the content, in turn."""
-    sentences = HELD_OUT[content]
+    """Returns seeds 0 to `num_seeds` - 1, each with one of the content's held-out sentences in turn."""
+    sentences = held_out_sentences()[content]
     return [(seed, sentences[seed % len(sentences)]) for seed in range(num_seeds)]
 
 

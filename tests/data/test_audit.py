@@ -54,7 +54,7 @@ def test_a_good_folder_has_no_problems(synthetic_folder):
         (lambda features: features[:, :251], "expected T x 263"),
         (set_value(3.0, (4, 2)), "m/s"),
         (set_value(9.0, (slice(None), slice(3, 67))), "not on the floor"),
-        (lambda features: features.astype(np.int64), "no floating-point"),
+        (lambda features: features.astype(np.int64), "floating-point numbers"),
     ],
 )
 def test_broken_features_are_found(folder, change, words):
@@ -68,7 +68,7 @@ def test_broken_features_are_found(folder, change, words):
     [
         ("", "has no caption"),
         ("he waves##0.0#0.0\n", "no word/POS"),
-        ("he waves#he wave#0.0#0.0\n", "a token that is no word/POS"),
+        ("he waves#he wave#0.0#0.0\n", "a token that is not word/POS"),
         ("he # waves#he/PRON#0.0#0.0\n", "5 fields"),
         ("#he/PRON#0.0#0.0\n", "caption is empty"),
         ("he waves#he/PRON#1.0#99.0\n", "ends at 99.0 s"),
@@ -117,7 +117,7 @@ def test_names_twice_orphans_and_missing_files(folder):
     problems = "\n".join(audit_dataset(folder).problems)
     assert f"names {train[1]} 2 times" in problems
     assert f"1 files of clips in no split list, such as {train[0]}.npy" in problems
-    assert f"{train[2]}.npy: cannot be read" in problems
+    assert f"{train[2]}.npy: there is no such file" in problems
 
 
 def test_foreign_statistics_are_found(folder):

@@ -32,12 +32,12 @@ def bank():
 
 
 def noise_clips(num_clips=6, *, width=263, seed=0):
-    """Clips of noise, read-only views of one array with other frames before, between and behind them."""
+    """Clips of noise, read-only views of one array with other frames before, between and after them."""
     generator = np.random.default_rng(seed)
     whole = generator.normal(size=(400, width)).astype(np.float32)
     whole.flags.writeable = False
     starts = 37 + 50 * np.arange(num_clips)
-    lengths = generator.integers(5, 45, num_clips)
+    lengths = generator.integers(40, 50, num_clips)
     return [
         Clip(f"clip{start}", whole[start : start + length], ()) for start, length in zip(starts, lengths, strict=True)
     ]
@@ -67,15 +67,26 @@ def test_views_of_a_mapped_file_are_not_copied(tmp_path):
     clips = noise_clips()
     np.save(tmp_path / "frames.npy", clips[0].features.base)
     whole = np.load(tmp_path / "frames.npy", mmap_mode="r")
-    clips = [clip._replace(features=whole[start:][:20]) for clip, start in zip(clips, (300, 37, 90), strict=False)]
+    clips = [clip._replace(features=whole[start:][:20]) for clip, start in zip(clips, (77, 37, 57), strict=False)]
     made = make_bank(clips, noise_normalizer())
     # The mapped memory itself, from the last row before the first clip that is a multiple of 16 rows down the file.
     assert made.frames.unsafe_buffer_pointer() == whole.ctypes.data + 32 * whole.strides[0]
-    assert len(made.frames) == 320 - 32
-    expected = np.array(whole[32:320])
+    assert len(made.frames) == 97 - 32
+    expected = np.array(whole[32:97])
     del whole, clips
     gc.collect()
     np.testing.assert_array_equal(made.frames, expected)
+
+
+@pytest.mark.parametrize(("num_used", "is_copied"), [(6, False), (5, False), (4, True), (2, True)])
+def test_a_small_share_of_an_array_is_copied(num_used, is_copied):
+    whole = np.random.default_rng(0).normal(size=(6 * 16, 4)).astype(np.float32)
+    whole.flags.writeable = False
+    clips = [Clip(f"{number}", whole[16 * number :][:16], ()) for number in (0, 5, 1, 4, 2, 3)][:num_used]
+    made = make_bank(clips, noise_normalizer(4))
+    assert len(made.frames) == 16 * (num_used if is_copied else 6)
+    for clip, start in zip(clips, made.starts, strict=True):
+        np.testing.assert_array_equal(made.frames[start : start + 16], clip.features)
 
 
 def test_arrays_that_somebody_may_write_to_are_copied(tmp_path):

@@ -111,3 +111,19 @@ def test_refusals(tmp_path):
     write_clips(source, ["b c", "b_c"])
     with pytest.raises(UserError, match="would be named b_c"):
         import_bvh_folder(source, tmp_path / "data")
+
+
+def test_a_byte_order_mark_is_not_part_of_a_caption(tmp_path):
+    source = write_clips(tmp_path / "source", ["a", "b"])
+    (source / "captions.csv").write_text("file,caption\na,he waves\n", encoding="utf-8-sig")
+    (source / "b.txt").write_text("she walks\n", encoding="utf-8-sig")
+    import_bvh_folder(source, tmp_path / "data")
+    assert all_captions(tmp_path / "data")["a"] == ["he waves"]
+    assert all_captions(tmp_path / "data")["b"] == ["she walks"]
+
+
+def test_a_caption_file_in_another_encoding_is_named(tmp_path):
+    source = write_clips(tmp_path / "source", ["a"])
+    (source / "a.txt").write_bytes("sie läuft".encode("latin-1"))
+    with pytest.raises(UserError, match=r"a\.txt: is not UTF-8"):
+        import_bvh_folder(source, tmp_path / "data")

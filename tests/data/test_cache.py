@@ -1,10 +1,10 @@
 import concurrent.futures
+import io
 import json
 import logging
 import os
 import shutil
 import time
-import zlib
 
 import numpy as np
 import platformdirs
@@ -12,7 +12,7 @@ import pytest
 
 from t2m_jax.data import cache
 from t2m_jax.data.audit import audit_dataset
-from t2m_jax.data.cache import CACHE_FILE, CACHE_FOLDER, open_clips
+from t2m_jax.data.cache import CACHE_FOLDER, CACHE_NAME, FRAMES, INDEX, open_clips
 from t2m_jax.data.files import FEATURES, TEXTS
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.errors import UserError
@@ -59,13 +59,24 @@ def files(folder):
 
 
 def place(folder):
-    return folder / CACHE_FOLDER / CACHE_FILE
+    return folder / CACHE_FOLDER / CACHE_NAME
+
+
+def contents(folder):
+    return {file: (place(folder) / file).read_bytes() for file in (FRAMES, INDEX)}
 
 
 def test_the_cache_holds_what_the_files_hold(folder):
     check_whole(folder)
     check_whole(folder)
-    assert files(folder) == [CACHE_FILE]
+    assert files(folder) == [CACHE_NAME]
+    assert sorted(path.name for path in place(folder).iterdir()) == [FRAMES, INDEX]
+
+
+def test_the_frames_are_an_ordinary_npy_file(folder):
+    frames = read(folder).frames
+    np.testing.assert_array_equal(np.load(place(folder) / FRAMES), frames)
+    assert frames.shape == (sum(LENGTHS.values()), WIDTH) and frames.dtype == np.float32
 
 
 def test_training_clips_come_first_and_are_aligned_read_only_views_of_one_array(folder):
@@ -129,89 +140,140 @@ def test_another_width_is_another_cache(folder):
     assert set(open_clips(folder, feature_dim=263).left_out.values()) == {f"with {WIDTH} features in place of 263"}
 
 
-def with_index(content, text):
-    """The file with another index, its checksum right."""
-    num_bytes = cache._FOOTER.unpack(content[-cache._FOOTER.size :])[1]
-    return content[:num_bytes] + text + cache._FOOTER.pack(cache._MAGIC, num_bytes, len(text), zlib.crc32(text))
-
-
-def rewritten_index(content, change):
-    *_, num_bytes, index_bytes, _ = cache._FOOTER.unpack(content[-cache._FOOTER.size :])
-    return with_index(content, json.dumps(change(json.loads(content[num_bytes:][:index_bytes]))).encode())
-
-
 def flipped(content, position):
     position %= len(content)
     return content[:position] + bytes([content[position] ^ 16]) + content[position + 1 :]
 
 
+def rewritten(**changes):
+    """Changes the index and makes its checksum right."""
+
+    def change(content):
+        index = json.loads(content) | changes
+        del index["checksum"]
+        return json.dumps(index | {"checksum": cache._checksum(index)}).encode()
+
+    return change
+
+
+def with_header(**changes):
+    """Changes the header of the frames."""
+
+    def change(content):
+        file = io.BytesIO(content)
+        header = {"descr": "<f4", "fortran_order": False, "shape": (181, WIDTH)} | changes
+        np.lib.format.write_array_header_1_0(file, header)
+        return file.getvalue()
+
+    return change
+
+
 @pytest.mark.parametrize(
-    "spoil",
+    ("file", "spoil"),
     [
-        lambda content: b"",
-        lambda content: content[:-1],
-        lambda content: content[: len(content) // 2],
-        lambda content: content + b"x",
-        lambda content: bytes(len(content)),
-        lambda content: flipped(content, 0),
-        lambda content: flipped(content, 181 * WIDTH * 4 - 1),  # the last byte of the frames
-        lambda content: flipped(content, 181 * WIDTH * 4 + 300),
-        lambda content: flipped(content, -cache._FOOTER.size),
-        lambda content: flipped(content, -1),
-        lambda content: content.replace(b"t2mclip1", b"t2mclip0"),
-        lambda content: rewritten_index(content, lambda index: []),
-        lambda content: rewritten_index(content, lambda index: index | {"clips": [["a", 181, 5]]}),
-        lambda content: rewritten_index(content, lambda index: index | {"clips": [["a", 181, [["too", "few"]]]]}),
-        lambda content: rewritten_index(content, lambda index: index | {"clips": [["a", -1, []], ["b", 182, []]]}),
-        lambda content: rewritten_index(content, lambda index: index | {"checksums": []}),
-        lambda content: rewritten_index(content, lambda index: index | {"width": "wide"}),
-        lambda content: rewritten_index(content, lambda index: index | {"clips": [["a", 181, [["a", 5, 0.0, 0.0]]]]}),
-        lambda content: rewritten_index(content, lambda index: index | {"left_out": []}),
-        lambda content: with_index(content, b"[" * 100_000),
-        lambda content: with_index(content, b"\xff"),
+        *(
+            (file, spoil)
+            for file in (FRAMES, INDEX)
+            for spoil in (
+                lambda content: b"",
+                lambda content: content[:-1],
+                lambda content: content[: len(content) // 2],
+                lambda content: content + b"x",
+                lambda content: bytes(len(content)),
+                lambda content: flipped(content, 0),
+                lambda content: flipped(content, 300),
+                lambda content: flipped(content, -1),
+                lambda content: None,
+            )
+        ),
+        (INDEX, lambda content: b"[]"),
+        (INDEX, lambda content: b"7"),
+        (INDEX, lambda content: b"[" * 100_000),
+        (INDEX, lambda content: b"\xff"),
+        (INDEX, lambda content: content.replace(b'"fingerprint"', b'"fingerprunt"')),
+        (INDEX, rewritten(clips=5)),
+        (INDEX, rewritten(clips=[["a", 181, 5]])),
+        (INDEX, rewritten(clips=[["a", 181, [["too", "few"]]]])),
+        (INDEX, rewritten(clips=[["a", -1, []], ["b", 182, []]])),
+        (INDEX, rewritten(clips=[["a", 180, []]])),
+        (INDEX, rewritten(clips=[["a", "181", []]])),
+        (INDEX, rewritten(clips=[["a", 181, [["a", 5, 0.0, 0.0]]]])),
+        (INDEX, rewritten(clips=[[["a"], 181, []]])),
+        (INDEX, rewritten(blocks=[])),
+        (INDEX, rewritten(blocks="wide")),
+        (INDEX, rewritten(left_out=[])),
+        (INDEX, rewritten(broken_captions={"a": "one"})),
     ],
 )
-def test_a_damaged_cache_is_made_anew(folder, spoil, caplog):
+def test_a_damaged_cache_is_made_anew(folder, file, spoil, caplog):
     read(folder)
-    content = place(folder).read_bytes()
-    place(folder).write_bytes(spoil(content))
+    before = contents(folder)
+    spoiled = spoil(before[file])
+    if spoiled is None:
+        (place(folder) / file).unlink()
+    else:
+        (place(folder) / file).write_bytes(spoiled)
     with caplog.at_level(logging.WARNING):
         check_whole(folder)
     assert len(caplog.records) == 1 and "the cache is made anew" in caplog.text
-    assert place(folder).read_bytes() == content
+    assert contents(folder) == before
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        with_header(shape=(182, WIDTH)),
+        with_header(shape=(WIDTH, 181)),
+        with_header(shape=(10**7, 10**9)),
+        with_header(fortran_order=True),
+        with_header(descr="<f2"),
+        with_header(descr="|O"),
+        lambda content: content[:-4],
+        lambda content: content[:128],
+        lambda content: content[:100],
+    ],
+)
+def test_another_array_is_refused_whatever_its_checksums_say(folder, change, monkeypatch):
+    read(folder)
+    (place(folder) / FRAMES).write_bytes(change(contents(folder)[FRAMES]))
+    monkeypatch.setattr(cache, "_block_checksums", lambda *_, **__: [])
+    with pytest.raises(cache._UnusableError):
+        cache.load_cache(place(folder), cache.scan_sources(folder, feature_dim=WIDTH))
 
 
 def test_every_bit_counts(folder):
     read(folder)
-    content, sources = place(folder).read_bytes(), cache.scan_sources(folder, feature_dim=WIDTH)
-    for position in np.random.default_rng(0).integers(len(content), size=60):
-        place(folder).write_bytes(flipped(content, int(position)))
-        assert cache.damage(place(folder), sources)
-    place(folder).write_bytes(content)
-    assert cache.damage(place(folder), sources) == ""
+    sources = cache.scan_sources(folder, feature_dim=WIDTH)
+    generator = np.random.default_rng(0)
+    for file, content in contents(folder).items():
+        for position in (*generator.integers(len(content), size=40), *generator.integers(128, size=10)):
+            (place(folder) / file).write_bytes(flipped(content, int(position)))
+            assert cache.damage(place(folder), sources)
+        (place(folder) / file).write_bytes(content)
+        assert cache.damage(place(folder), sources) == ""
 
 
 def test_opening_looks_at_a_sample_and_the_audit_at_everything(folder, monkeypatch):
     monkeypatch.setattr(cache, "BLOCK", 4096)
     monkeypatch.setattr(cache, "BLOCKS_AT_OPENING", 3)
     read(folder)
-    content = place(folder).read_bytes()
-    place(folder).write_bytes(flipped(content, 3 * 4096))
+    content = contents(folder)[FRAMES]
+    (place(folder) / FRAMES).write_bytes(flipped(content, 3 * 4096))
     read(folder)
-    (problem,) = [problem for problem in audit_dataset(folder).problems if CACHE_FILE in problem]
-    assert problem == f"{place(folder)}: damaged at byte 12288 or behind it; delete the file, it is made anew from " + (
-        "the data set"
+    (problem,) = [problem for problem in audit_dataset(folder).problems if CACHE_FOLDER in problem]
+    assert problem == (
+        f"{place(folder)}: its frames are damaged at byte 12288 or later; delete it, it is made anew from the data set"
     )
-    for position in (0, 181 * WIDTH * 4 - 1):
-        place(folder).write_bytes(flipped(content, position))
+    for position in (0, len(content) - 1):
+        (place(folder) / FRAMES).write_bytes(flipped(content, position))
         read(folder)
-        assert place(folder).read_bytes() == content
+        assert contents(folder)[FRAMES] == content
 
 
 def test_a_stale_cache_is_no_problem(folder):
     read(folder)
     touch(folder)
-    assert not any(CACHE_FILE in problem for problem in audit_dataset(folder).problems)
+    assert not any(CACHE_FOLDER in problem for problem in audit_dataset(folder).problems)
 
 
 def test_an_interrupted_build_leaves_nothing(folder, monkeypatch):
@@ -227,19 +289,21 @@ def test_an_interrupted_build_leaves_nothing(folder, monkeypatch):
 
 def test_what_a_killed_build_left_is_deleted_and_a_running_one_is_not(folder):
     (folder / CACHE_FOLDER).mkdir()
-    left, running = (folder / CACHE_FOLDER / f"{CACHE_FILE}.{name}.partial" for name in ("1", "2"))
-    left.write_bytes(b"half")
-    running.write_bytes(b"half")
-    os.utime(left, (0, 0))
+    left, running = (folder / CACHE_FOLDER / f".{CACHE_NAME}.{name}.partial" for name in ("1", "2"))
+    for partial in (left, running):
+        partial.mkdir()
+        (partial / FRAMES).write_bytes(b"half")
+        os.utime(partial, (0, 0))
+    os.utime(left / FRAMES, (0, 0))
     read(folder)
-    assert files(folder) == [CACHE_FILE, running.name]
+    assert files(folder) == [running.name, CACHE_NAME]
 
 
 def test_many_readers_at_once_all_get_the_clips(folder):
     with concurrent.futures.ThreadPoolExecutor(4) as pool:
         for future in [pool.submit(check_whole, folder) for _ in range(8)]:
             future.result()
-    assert files(folder) == [CACHE_FILE]
+    assert files(folder) == [CACHE_NAME]
 
 
 def test_an_open_cache_outlives_its_file(folder):
@@ -258,10 +322,9 @@ def test_without_room_beside_the_data_the_users_cache_folder_serves(folder, tmp_
     (own,) = (tmp_path / "user" / "t2m_jax" / "clips").iterdir()
     monkeypatch.setattr(cache, "clip_or_reason", lambda *_, **__: pytest.fail("a clip was read again"))
     check_whole(folder)
-    own.unlink()
-    own.parent.rmdir()
+    shutil.rmtree(own.parent)
     own.parent.write_text("and here as well")
-    with pytest.raises(UserError, match=r"no room for the cache .*clips\.cache nor at"):
+    with pytest.raises(UserError, match=r"no room for the cache .*clips nor at"):
         read(folder)
 
 

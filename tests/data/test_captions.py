@@ -3,13 +3,14 @@ import random
 import pytest
 
 from t2m_jax.data.importers.bandai_namco.captions import Labels, clip_pace, true_facts, write_captions
-from t2m_jax.data.importers.bandai_namco.contents import CONTENTS, EXCEPTIONS
 from t2m_jax.data.importers.bandai_namco.grammar import Manner, Subject, sentence
 from t2m_jax.data.importers.bandai_namco.measure import Facts
-from t2m_jax.data.importers.bandai_namco.prompts import HELD_OUT
-from t2m_jax.data.importers.bandai_namco.styles import STYLES, SUBJECTS
+from t2m_jax.data.importers.bandai_namco.wordings import held_out_sentences, load_wordings
 from t2m_jax.data.importers.lexicon import gerund, knows, tag_words, third_person, words_in
 
+CONTENTS, EXCEPTIONS, STYLES, SUBJECTS = load_wordings()
+HELD_OUT = held_out_sentences()
+FACTS = ("", "not_fast", "not_slow", "overhead", "low", "not_low", "quarter", "many")
 USUAL = Facts(
     speed=1.2,
     turn=90.0,
@@ -58,6 +59,7 @@ def bare(text):
 def test_every_content_has_at_least_eight_wordings():
     for content in CONTENTS.values():
         assert len({wording.predicate for wording in content.wordings}) >= 8
+        assert {wording.needs for wording in content.wordings} <= set(FACTS), "a fact that nobody measures"
     for wordings in EXCEPTIONS.values():
         assert len(set(wordings)) >= 8
 
@@ -70,7 +72,7 @@ def test_every_word_of_every_wording_has_a_tag():
                 assert [word for word in words_in(text) if not knows(word)] == []
                 assert "{" not in text and "[" not in text
     for style in STYLES.values():
-        for text in (*style.adverbs, *style.phrases, *style.adjectives, *(subject.text for subject in style.subjects)):
+        for text, _ in (*style.manners, *style.subjects):
             tag_words(text, strict=True)
 
 

@@ -10,19 +10,19 @@ import pytest
 from t2m_jax.data.banks.codes import CodeBank, code_batch_at, crop_codes
 from t2m_jax.text.bpe import CaptionTokens
 
-NUM_MOTIONS, OFFSETS, LONGEST = 7, 4, 9
+NUM_MOTIONS, OFFSETS, LONGEST, DEPTH = 7, 4, 9, 2
 NUM_CAPTIONS = np.array([1, 3, 2, 1, 1, 4, 2])
 batch_at = jax.jit(code_batch_at, static_argnames=("batch_size", "max_codes"))
 
 
 @pytest.fixture(scope="module")
 def bank():
-    """Code n of motion m at offset o is 100 m + 10 o + n; caption q of motion m is m, then q."""
-    motion, offset, number = np.ogrid[:NUM_MOTIONS, :OFFSETS, :LONGEST]
+    """Code n of motion m at offset o and depth r is 1000 r + 100 m + 10 o + n; caption q of motion m is m, then q."""
+    motion, offset, number, depth = np.ogrid[:NUM_MOTIONS, :OFFSETS, :LONGEST, :DEPTH]
     lengths = np.maximum(2 + np.arange(NUM_MOTIONS)[:, None] - (np.arange(OFFSETS) > 1), 1)
     captions = [(owner, own) for owner, count in enumerate(NUM_CAPTIONS) for own in range(count)]
     return CodeBank(
-        codes=jnp.asarray(100 * motion + 10 * offset + number),
+        codes=jnp.asarray(1000 * depth + 100 * motion + 10 * offset + number),
         code_lengths=jnp.asarray(lengths),
         captions=CaptionTokens(jnp.asarray(captions), jnp.ones((len(captions), 2), bool)),
         first_caption=jnp.asarray(np.cumsum(NUM_CAPTIONS) - NUM_CAPTIONS),
@@ -35,9 +35,9 @@ def batches(bank, steps, *, batch_size=3, max_codes=20, seed=0):
 
 
 def test_short_motions_are_kept_whole():
-    codes = jnp.arange(20).reshape(2, 10)
+    codes = jnp.arange(40).reshape(2, 10, 2)
     cropped, lengths = crop_codes(codes, jnp.array([10, 4]), jax.random.key(0), max_codes=12)
-    assert cropped.shape == (2, 12)
+    assert cropped.shape == (2, 12, 2)
     np.testing.assert_array_equal(lengths, [10, 4])
     np.testing.assert_array_equal(cropped[0, :10], codes[0])
     np.testing.assert_array_equal(cropped[1, :4], codes[1, :4])
@@ -45,11 +45,11 @@ def test_short_motions_are_kept_whole():
 
 def test_long_motions_are_cut_at_every_start_alike():
     length, window, trials = 10, 6, 5000
-    codes = jnp.tile(jnp.arange(15), (trials, 1))
+    codes = jnp.tile(jnp.arange(15)[None, :, None], (trials, 1, 1))
     cropped, lengths = crop_codes(codes, jnp.full(trials, length), jax.random.key(1), max_codes=window)
     np.testing.assert_array_equal(lengths, window)
-    np.testing.assert_array_equal(cropped - cropped[:, :1], np.tile(np.arange(window), (trials, 1)))
-    starts = np.bincount(np.asarray(cropped[:, 0]), minlength=15)
+    np.testing.assert_array_equal((cropped - cropped[:, :1])[..., 0], np.tile(np.arange(window), (trials, 1)))
+    starts = np.bincount(np.asarray(cropped[:, 0, 0]), minlength=15)
     assert (starts[length - window + 1 :] == 0).all(), "a piece holds what lies past the motion's end"
     np.testing.assert_allclose(starts[: length - window + 1] / trials, 1 / 5, atol=0.03)
 
@@ -71,7 +71,8 @@ def test_an_epoch_shows_each_motion_once_and_with_its_own_captions(bank):
     for epoch in range(4):
         seen = []
         for batch in batches(bank, range(epoch * steps_an_epoch, (epoch + 1) * steps_an_epoch)):
-            owners = np.asarray(batch.codes[:, 0]) // 100
+            owners = np.asarray(batch.codes[:, 0, 0]) // 100
+            np.testing.assert_array_equal(batch.codes[:, 0, 1], batch.codes[:, 0, 0] + 1000)
             np.testing.assert_array_equal(batch.captions.tokens[:, 0], owners)
             assert (np.asarray(batch.captions.tokens[:, 1]) < NUM_CAPTIONS[owners]).all()
             seen += owners.tolist()
@@ -82,7 +83,7 @@ def test_an_epoch_shows_each_motion_once_and_with_its_own_captions(bank):
 
 def test_lengths_belong_to_motion_and_offset(bank):
     for batch in batches(bank, range(20)):
-        first = np.asarray(batch.codes[:, 0])
+        first = np.asarray(batch.codes[:, 0, 0])
         np.testing.assert_array_equal(batch.code_lengths, bank.code_lengths[first // 100, first // 10 % 10])
         np.testing.assert_array_equal(first % 10, 0)
 
@@ -90,7 +91,7 @@ def test_lengths_belong_to_motion_and_offset(bank):
 def test_offsets_and_captions_are_drawn_alike(bank):
     offsets, captions = collections.Counter(), collections.Counter()
     for batch in batches(bank, range(60), batch_size=7 * 8):
-        offsets.update((np.asarray(batch.codes[:, 0]) // 10 % 10).tolist())
+        offsets.update((np.asarray(batch.codes[:, 0, 0]) // 10 % 10).tolist())
         captions.update(own for owner, own in batch.captions.tokens.tolist() if owner == 5)
     for counts, kinds in ((offsets, OFFSETS), (captions, NUM_CAPTIONS[5])):
         shares = np.array([counts[kind] for kind in range(kinds)]) / counts.total()
@@ -99,7 +100,7 @@ def test_offsets_and_captions_are_drawn_alike(bank):
 
 def test_a_bank_smaller_than_a_batch_is_repeated(bank):
     batch = batches(bank, [0], batch_size=2 * NUM_MOTIONS)[0]
-    owners = (np.asarray(batch.codes[:, 0]) // 100).tolist()
+    owners = (np.asarray(batch.codes[:, 0, 0]) // 100).tolist()
     assert collections.Counter(owners) == dict.fromkeys(range(NUM_MOTIONS), 2)
 
 

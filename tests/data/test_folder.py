@@ -218,3 +218,14 @@ def test_more_parts_than_letters_have_two():
     captions = tuple(Caption(f"{number}", (), 0.05 * number, 8.0) for number in range(1, 31))
     names = [sample.name for sample in samples_from_clip(Clip("a", numbered(170), captions), HUMANML3D)]
     assert (names[0], names[25], names[26], names[29]) == ("A_a", "Z_a", "AA_a", "AD_a")
+
+
+def test_statistics_of_another_skeleton_are_refused(folder):
+    for name in ("Mean", "Std"):
+        np.save(folder / f"{name}.npy", np.ones(251, np.float32))
+    with pytest.raises(UserError, match=r"Mean\.npy: has 251 columns, but skeleton humanml3d has 263"):
+        _ = open_dataset(folder).normalizer
+    (folder / "dataset.yaml").unlink()
+    np.save(folder / "Mean.npy", np.float32(1))
+    with pytest.raises(UserError):
+        open_dataset(folder)

@@ -8,7 +8,7 @@ import pytest
 from t2m_jax.cli.main import main
 from t2m_jax.data.audit import audit_dataset
 from t2m_jax.data.banks.motions import make_bank
-from t2m_jax.data.cache import CACHE_FILE, CACHE_FOLDER
+from t2m_jax.data.cache import CACHE_FOLDER, CACHE_NAME
 from t2m_jax.data.folder import open_dataset, samples_from_clip
 from t2m_jax.data.importers import synthetic_scale
 from t2m_jax.data.importers.synthetic import make_motion
@@ -19,8 +19,9 @@ from t2m_jax.errors import UserError
 from t2m_jax.models.vqvae import VqVaeConfig
 from t2m_jax.motion.features import features_from_positions, positions_from_features
 from t2m_jax.motion.skeleton import HUMANML3D
-from t2m_jax.train.config import LoopConfig, TrainVqVaeConfig
-from t2m_jax.train.run_vqvae import train_vqvae
+from t2m_jax.train.config import LoopConfig
+from t2m_jax.train.experiment import train
+from t2m_jax.train.vqvae import TrainVqVaeConfig
 
 BROKEN = ["000015", "M000015", "000010", "M000010"]
 
@@ -120,12 +121,14 @@ def test_from_the_folder_to_a_trained_vqvae_without_a_copy_of_the_frames(folder,
         data_fraction=0.5,
     )
     with caplog.at_level(logging.WARNING):
-        state = train_vqvae(config)
+        state = train(config)
     assert int(state.step) == 3
     dataset = open_dataset(folder)
     left_out = set(BROKEN) & set(nested_choice(dataset.names("train"), fraction=0.5, seed=0))
     assert left_out and all(name in caplog.text for name in left_out)
-    assert (folder / CACHE_FOLDER / CACHE_FILE).exists()
-    clips = dataset.clips("train", min_frames=16, fraction=0.5)
-    frames, whole = make_bank(clips, dataset.normalizer).frames, clips[0].features.base
-    assert 0 <= frames.unsafe_buffer_pointer() - whole.ctypes.data < whole.nbytes
+    assert (folder / CACHE_FOLDER / CACHE_NAME).exists()
+    for fraction, is_shared in ((1.0, True), (0.5, False)):
+        clips = dataset.clips("train", min_frames=16, fraction=fraction)
+        frames, whole = make_bank(clips, dataset.normalizer).frames, clips[0].features.base
+        assert (0 <= frames.unsafe_buffer_pointer() - whole.ctypes.data < whole.nbytes) == is_shared
+        assert is_shared or len(frames) == sum(len(clip.features) for clip in clips), "more than the share is uploaded"

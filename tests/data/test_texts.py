@@ -45,8 +45,8 @@ def test_missing_and_binary_files_are_user_errors(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["a # b", "two\nlines"])
-def test_what_the_format_cannot_carry_is_refused(text):
-    with pytest.raises(UserError, match="cannot carry"):
+def test_text_that_the_format_cannot_store_is_refused(text):
+    with pytest.raises(UserError, match="cannot store"):
         format_caption(Caption(text))
 
 

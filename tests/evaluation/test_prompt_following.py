@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from t2m_jax.data.importers.bandai_namco.prompts import HELD_OUT
+from t2m_jax.data.importers.bandai_namco.wordings import held_out_sentences
 from t2m_jax.data.importers.synthetic import KINDS, make_motion
 from t2m_jax.evaluation.prompt_following import (
     RULES,
@@ -51,7 +51,7 @@ def test_requests_cover_the_held_out_sentences():
         asked = requests(content, num_seeds=20)
         assert [seed for seed, _ in asked] == list(range(20))
         assert len({sentence for _, sentence in asked}) == 20
-        assert {sentence for _, sentence in asked} <= set(HELD_OUT[content])
+        assert {sentence for _, sentence in asked} <= set(held_out_sentences()[content])
 
 
 def test_results_count_what_was_done():

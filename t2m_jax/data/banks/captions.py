@@ -1,6 +1,6 @@
-"""Motions with their captions on the device, drawn as the evaluator is trained on them.
+"""Motions with their captions on the device: the training data of evaluators.
 
-Which motions, captions and crops make a batch is a pure function of the key and of the step.
+The motions, captions and crops of a batch are a pure function of the key and the step.
 """
 
 from collections.abc import Iterable, Sequence
@@ -18,21 +18,21 @@ from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.text.word_vectors import Vocabulary, WordIds, tokens_from_text
 
 SHORTER_CHANCE = 1 / 3
-"""How often a crop is one unit shorter than it could be."""
+"""Probability that a crop is one unit shorter than it could be, as in the published loader."""
 
 
 class CaptionBank(NamedTuple):
-    """All motions, and all captions one behind the other."""
+    """All motions, and all captions in one array."""
 
     motions: MotionBank
     captions: WordIds
-    """One row a caption."""
+    """One row per caption."""
     first_caption: Int[Array, " M"]
     num_captions: Int[Array, " M"]
 
 
 class CaptionBatch(NamedTuple):
-    """Crops of motions (normalized, zero behind the end), each with one of its captions."""
+    """Crops of motions (normalized, zero after the end), each with one of its captions."""
 
     motion: Float[Array, "B T D"]
     lengths: Int[Array, " B"]
@@ -40,7 +40,7 @@ class CaptionBatch(NamedTuple):
 
 
 def caption_tokens(caption: Caption) -> tuple[str, ...]:
-    """Returns a caption's `word/TAG` tokens or, where its file has none, the words of its text without tags."""
+    """Returns a caption's `word/TAG` tokens or, if its file has none, the words of its text without tags."""
     return caption.tokens or tokens_from_text(caption.text)
 
 
@@ -53,12 +53,12 @@ def make_caption_bank(samples: Sequence[Clip], normalizer: Normalizer, vocabular
     """Returns motions and captions on the default device.
 
     Args:
-        samples: What text-to-motion counts (`samples_from_clip`); each has a caption.
+        samples: Samples of text-to-motion (`samples_from_clip`); each has a caption.
         normalizer: Statistics of the evaluator.
         vocabulary: Words of the evaluator.
 
     Raises:
-        UserError: there are no samples, or the statistics are of other features.
+        UserError: There are no samples, or the statistics have another number of features.
     """
     motions = make_bank(samples, normalizer)
     captions = vocabulary.vectorize_all(all_tokens(samples))
@@ -68,20 +68,20 @@ def make_caption_bank(samples: Sequence[Clip], normalizer: Normalizer, vocabular
 
 
 def used_lengths(lengths: Int[Array, " B"], is_shorter: Bool[Array, " B"], *, unit: int = 4) -> Int[Array, " B"]:
-    """Returns how many frames of each motion are used: whole units, one fewer where `is_shorter`, and one at least."""
+    """Returns the frames of each motion that are used: whole units, one less where `is_shorter`, and at least one."""
     return jnp.maximum(lengths // unit - is_shorter, 1) * unit
 
 
 def caption_batch_at(
     bank: CaptionBank, key: PRNGKeyArray, step: Int[Array, ""] | int, *, batch_size: int, max_frames: int
 ) -> CaptionBatch:
-    """Returns the batch of a step: every motion once an epoch, with a caption, a length and a start that are drawn.
+    """Returns the batch of a step. Every motion is used once per epoch; caption, length and start are drawn.
 
     Args:
         bank: Motions of four frames or more.
-        key: Key of the run's data order; not consumed, give the same key at every step.
+        key: Key of the run's data order. It is not consumed: give the same key at every step.
         step: Number of the step.
-        batch_size: Motions a step.
+        batch_size: Motions per step.
         max_frames: Frames of the arrays; longer crops are cut.
     """
     order_key, draw_key = jax.random.split(key)

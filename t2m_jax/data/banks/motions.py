@@ -1,7 +1,7 @@
-"""Training data that lives on the device: all clips end to end, windows cut there under PRNG keys.
+"""Motions on the device: all clips end to end, from which windows are cut with PRNG keys.
 
-Which clips make batch b of epoch e, and where their windows start, is a pure function of the key and of the step, so a
-resumed run sees exactly the batches it would have seen.
+The clips of batch b of epoch e and the starts of their windows are a pure function of the key and the step, so a
+resumed run gets exactly the batches that it would have got without the interruption.
 """
 
 from collections.abc import Sequence
@@ -16,11 +16,14 @@ from t2m_jax.data.folder import Clip
 from t2m_jax.errors import UserError
 from t2m_jax.motion.normalizer import Normalizer
 
+UNUSED_SHARE = 0.25
+"""Largest share of unused rows for which clips are shared with the cache and not copied."""
+
 
 class MotionBank(NamedTuple):
-    """Raw frames that hold all clips of a split: clip m is `frames[starts[m] : starts[m] + lengths[m]]`.
+    """Raw frames of all clips: clip m is `frames[starts[m] : starts[m] + lengths[m]]`.
 
-    Windows are normalized when they are cut: normalized frames would be a second copy of the data set.
+    Windows are normalized when they are cut, because normalized frames would be a second copy of the data set.
     """
 
     frames: Float[Array, "F D"]
@@ -31,7 +34,7 @@ class MotionBank(NamedTuple):
 
 
 class Windows(NamedTuple):
-    """Equally long pieces of clips; `mask` is True where there is data, `motion` (normalized) is zero elsewhere."""
+    """Pieces of clips, all of one length. `mask` is True where there is data; `motion` (normalized) is 0 elsewhere."""
 
     motion: Float[Array, "B T D"]
     mask: Bool[Array, "B T"]
@@ -40,15 +43,15 @@ class Windows(NamedTuple):
 def make_bank(clips: Sequence[Clip], normalizer: Normalizer) -> MotionBank:
     """Returns the clips on the default device.
 
-    Clips that are views of one array, as those of a data set's cache are, are not copied: on a CPU the bank is that
-    very memory, on an accelerator it is uploaded in one piece.
+    Clips that are views of one read-only array, such as the cache of a data set, are not copied if they use most of
+    it: a CPU shares their memory, and an accelerator gets them in one transfer.
 
     Args:
-        clips: what to train on; every clip counts once an epoch.
-        normalizer: statistics of the training split.
+        clips: Training clips; each counts once per epoch.
+        normalizer: Statistics of the training split.
 
     Raises:
-        UserError: there are no clips, or the statistics are of other features.
+        UserError: There are no clips, or the statistics have another number of features.
     """
     if not clips:
         raise UserError("no clips to train on: the split is empty or every clip was left out")
@@ -56,61 +59,50 @@ def make_bank(clips: Sequence[Clip], normalizer: Normalizer) -> MotionBank:
     if normalizer.mean.shape != (width,):
         raise UserError(f"the clips have {width} features, the statistics {normalizer.mean.shape[0]}; use their own")
     lengths = np.array([len(clip.features) for clip in clips], dtype=np.int32)
-    frames, starts = _frames_in_place(clips) or _frames_joined(clips)
+    frames, starts = _gather_frames([clip.features for clip in clips], lengths)
     mean, std = (jnp.asarray(statistic, jnp.float32) for statistic in normalizer)
-    # `jnp.asarray` would copy; this shares the memory where the device can, which nobody writes to.
+    # `jnp.asarray` would copy. This shares the memory if the device can; nobody writes to it.
     return MotionBank(jax.device_put(frames, may_alias=True), jnp.asarray(starts), jnp.asarray(lengths), mean, std)
 
 
-class _Frames(NamedTuple):
-    """Rows that hold clips, and where each begins."""
-
-    frames: Float[np.ndarray, "F D"]
-    starts: Int[np.ndarray, " M"]
-
-
-def _frames_in_place(clips: Sequence[Clip]) -> _Frames | None:
-    """Returns the stretch of the array that all clips are views of, from the first clip to the last, or None."""
-    whole = clips[0].features.base
-    if not isinstance(whole, np.ndarray) or whole.ndim != 2 or not whole.flags.c_contiguous:
-        return None
-    for clip in clips:
-        part = clip.features
-        if part.base is not whole or part.shape[1] != whole.shape[1] or part.strides != whole.strides:
-            return None
-    if whole.dtype != np.float32 or whole.flags.writeable:
-        return None
-    offsets = np.array([clip.features.ctypes.data - whole.ctypes.data for clip in clips])
-    starts = offsets // whole.strides[0]
-    # Devices share only memory that begins at a multiple of 64 bytes, as every 16th row of an aligned array does.
-    first = int(starts.min()) // 16 * 16
-    last = max(int(start) + len(clip.features) for start, clip in zip(starts, clips, strict=True))
-    return _Frames(whole[first:last], (starts - first).astype(np.int32))
-
-
-def _frames_joined(clips: Sequence[Clip]) -> _Frames:
-    """Returns a copy of the clips, end to end."""
-    frames = np.concatenate([clip.features for clip in clips], dtype=np.float32)
-    lengths = np.array([len(clip.features) for clip in clips], dtype=np.int32)
-    return _Frames(frames, np.cumsum(lengths, dtype=np.int32) - lengths)
+def _gather_frames(
+    clips: Sequence[Float[np.ndarray, "_ D"]], lengths: Int[np.ndarray, " M"]
+) -> tuple[Float[np.ndarray, "F D"], Int[np.ndarray, " M"]]:
+    """Returns rows that contain all clips, and the first row of each clip."""
+    whole = clips[0].base
+    if (
+        isinstance(whole, np.ndarray)
+        and (whole.ndim, whole.dtype) == (2, np.float32)
+        and whole.flags.c_contiguous
+        and not whole.flags.writeable
+        and all(
+            clip.base is whole and (clip.shape[1:], clip.strides) == (whole.shape[1:], whole.strides) for clip in clips
+        )
+    ):
+        starts = np.array([clip.ctypes.data - whole.ctypes.data for clip in clips]) // whole.strides[0]
+        # Devices share only memory that begins at a multiple of 64 bytes: every 16th row of an aligned float32 array.
+        first, end = int(starts.min()) // 16 * 16, int((starts + lengths).max())
+        if lengths.sum() >= (1 - UNUSED_SHARE) * (end - first):
+            return whole[first:end], (starts - first).astype(np.int32)
+    return np.concatenate(clips, dtype=np.float32), np.cumsum(lengths, dtype=np.int32) - lengths
 
 
 def epoch_order(key: PRNGKeyArray, epoch: Int[Array, ""] | int, *, num_clips: int) -> Int[Array, " M"]:
-    """Returns the order in which an epoch visits the clips, each exactly once: a pure function of key and epoch."""
+    """Returns the order of the clips in an epoch, each exactly once: a pure function of key and epoch."""
     return jax.random.permutation(jax.random.fold_in(key, epoch), num_clips)
 
 
 def batch_clips(key: PRNGKeyArray, step: Int[Array, ""] | int, *, num_clips: int, batch_size: int) -> Int[Array, " B"]:
     """Returns the clips of training step `step` (counted from 0 over the whole run).
 
-    Epochs have `num_clips // batch_size` steps; the clips left over at the end of an order are dropped for that
-    epoch. A data set smaller than one batch is repeated inside the batch.
+    An epoch has `num_clips // batch_size` steps; the clips at the end of the order that do not fill a batch are not
+    used in this epoch. A data set smaller than one batch is repeated in the batch.
 
     Args:
-        key: key of the run's data order; not consumed, give the same key at every step.
-        step: number of the step.
-        num_clips: clips in the bank.
-        batch_size: clips a step.
+        key: Key of the run's data order. It is not consumed: give the same key at every step.
+        step: Number of the step.
+        num_clips: Clips in the bank.
+        batch_size: Clips per step.
     """
     steps_per_epoch = max(num_clips // batch_size, 1)
     order = epoch_order(key, step // steps_per_epoch, num_clips=num_clips)
@@ -122,13 +114,13 @@ def cut_windows(bank: MotionBank, clips: Int[Array, " B"], key: PRNGKeyArray, *,
     """Returns one window of `window` frames from each of the given clips.
 
     The start is uniform over all positions where the window fits. A shorter clip is returned from its first frame, with
-    zeros and a False mask behind its end.
+    zeros and a False mask after its end.
 
     Args:
-        bank: the clips.
-        clips: positions in the bank.
-        key: consumed.
-        window: frames to cut.
+        bank: The clips.
+        clips: Positions in the bank.
+        key: Consumed.
+        window: Frames to cut.
     """
     lengths = bank.lengths[clips]
     offsets = jax.random.randint(key, clips.shape, 0, jnp.maximum(lengths - window, 0) + 1)
@@ -136,7 +128,7 @@ def cut_windows(bank: MotionBank, clips: Int[Array, " B"], key: PRNGKeyArray, *,
 
 
 def windows_at(bank: MotionBank, first_rows: Int[Array, " B"], lengths: Int[Array, " B"], *, window: int) -> Windows:
-    """Returns the first `lengths[b]` of `window` frames from each of the given rows of the bank."""
+    """Returns windows that begin at the given rows of the bank; the mask is True for the first `lengths[b]` frames."""
     rows = first_rows[:, None] + jnp.arange(window)[None, :]
     mask = jnp.arange(window)[None, :] < lengths[:, None]
     raw = bank.frames.at[rows].get(mode="clip")

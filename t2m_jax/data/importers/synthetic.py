@@ -1,9 +1,10 @@
-"""A procedural data set: simple labelled motions, for tests and for a first training run without downloads.
+"""A procedural data set: simple labeled motions, for tests and for a first training run without downloads.
 
-Each motion is a set of bone directions in the body's frame over time, with speed, amplitude, phase and heading drawn
-from a seed; bones of the template hang together along them, the root walks, and the lowest joint stands on the floor.
+A motion consists of bone directions in the body's frame over time. Speed, amplitude, phase and heading are drawn from a
+seed. The bones of the template are joined along these directions, the root walks, and the lowest joint is on the floor.
 """
 
+import functools
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -16,50 +17,44 @@ from t2m_jax.data.importers.bandai_namco.captions import Labels, write_captions
 from t2m_jax.data.importers.bandai_namco.measure import measure
 from t2m_jax.data.index import IndexRow, save_index
 from t2m_jax.data.splits import split_by_hash
-from t2m_jax.data.writer import ImportReport, finish_folder, make_layout, new_folder, with_twins, write_twins
+from t2m_jax.data.writer import ImportReport, finish_folder, new_folder, with_twins, write_twins
 from t2m_jax.errors import UserError
 from t2m_jax.motion.skeleton import HUMANML3D
 
 FPS = HUMANML3D.fps
 NUM_CLIPS = 200
 _LEG = HUMANML3D.bone_lengths[4] + HUMANML3D.bone_lengths[7]
-_Directions = dict[str, Float[np.ndarray, "T 3"]]
 
 
 class Swing(NamedTuple):
     """Angles of one limb over time, radians."""
 
     upper: Float[np.ndarray, " T"]
-    """thigh or upper arm, from hanging (0) forward and up"""
+    """Thigh or upper arm: 0 hangs down, positive is forward and up."""
     bend: Float[np.ndarray, " T"]
-    """knee or elbow, 0 when straight"""
+    """Knee or elbow: 0 is straight."""
     spread: Float[np.ndarray, " T"]
-    """away from the body's middle, 0 in the forward plane"""
+    """Away from the body's middle: 0 is in the forward plane."""
 
 
 class Pose(NamedTuple):
-    """One procedural motion: limbs, root path and trunk."""
+    """One procedural motion: limbs, path of the root, and trunk."""
 
     left_leg: Swing
     right_leg: Swing
     left_arm: Swing
     right_arm: Swing
     heading: Float[np.ndarray, " T"]
-    """radians about +Y, positive to the left"""
+    """Radians about +Y, positive to the left."""
     speed: Float[np.ndarray, " T"]
-    """metres a second along the heading"""
+    """Meters per second along the heading."""
     lean: Float[np.ndarray, " T"]
-    """of the trunk forward, radians"""
+    """Forward lean of the trunk, radians."""
 
 
 def _swing(num_frames: int, *, upper: object = 0.0, bend: object = 0.0, spread: object = 0.0) -> Swing:
     """Returns a limb from constants or curves."""
     return Swing(*(np.broadcast_to(np.asarray(value, np.float64), (num_frames,)) for value in (upper, bend, spread)))
-
-
-def _hanging_arm(num_frames: int) -> Swing:
-    """Returns an arm at rest."""
-    return _swing(num_frames, bend=0.15, spread=0.12)
 
 
 def _ramp(time: Float[np.ndarray, " T"], start: float, stop: float) -> Float[np.ndarray, " T"]:
@@ -68,15 +63,9 @@ def _ramp(time: Float[np.ndarray, " T"], start: float, stop: float) -> Float[np.
     return share * share * (3.0 - 2.0 * share)
 
 
-def _standing(time: Float[np.ndarray, " T"], *, sway: float, left_arm: Swing, right_arm: Swing) -> Pose:
-    """Returns someone who stands, breathes a little and moves only the arms."""
-    frames = len(time)
-    zero, leg = np.zeros(frames), _swing(frames, bend=0.05, upper=0.03, spread=0.05)
-    return Pose(leg, leg, left_arm, right_arm, zero, zero, 0.02 * np.sin(sway * time))
-
-
-def _walking(time: Float[np.ndarray, " T"], generator: np.random.Generator, *, turn: float) -> Pose:
-    """Returns someone who walks ahead and, if `turn` (radians) is not zero, turns on the way."""
+def _walking(time: Float[np.ndarray, " T"], generator: np.random.Generator, *, direction: float = 0.0) -> Pose:
+    """Returns someone who walks ahead and, if `direction` is +1 (left) or -1, turns by about ninety degrees."""
+    turn = direction * np.deg2rad(generator.uniform(75, 105)) if direction else 0.0
     frames, seconds = len(time), time[-1]
     stride = generator.uniform(0.75, 1.15)
     amplitude = generator.uniform(0.28, 0.48)
@@ -114,15 +103,15 @@ def _raising_arm(time: Float[np.ndarray, " T"], generator: np.random.Generator) 
     return _swing(len(time), upper=up * generator.uniform(2.8, 3.05), bend=0.15, spread=0.12 * (1 - up))
 
 
-def _gesture(sides: str, arm: Callable[[np.ndarray, np.random.Generator], Swing]) -> Callable[..., Pose]:
-    """Returns a maker of standing motions in which the arms named in `sides` ("L", "R") move."""
-
-    def make(time: Float[np.ndarray, " T"], generator: np.random.Generator) -> Pose:
-        moving, hanging = arm(time, generator), _hanging_arm(len(time))
-        left, right = (moving if side in sides else hanging for side in "LR")
-        return _standing(time, sway=generator.uniform(0.5, 1.5), left_arm=left, right_arm=right)
-
-    return make
+def _gesture(
+    time: Float[np.ndarray, " T"], generator: np.random.Generator, *, sides: str, arm: Callable[..., Swing]
+) -> Pose:
+    """Returns someone who stands, breathes a little and moves only the arms named in `sides` ("L", "R")."""
+    frames = len(time)
+    moving, hanging = arm(time, generator), _swing(frames, bend=0.15, spread=0.12)
+    left, right = (moving if side in sides else hanging for side in "LR")
+    zero, leg = np.zeros(frames), _swing(frames, bend=0.05, upper=0.03, spread=0.05)
+    return Pose(leg, leg, left, right, zero, zero, 0.02 * np.sin(generator.uniform(0.5, 1.5) * time))
 
 
 def _squat(time: Float[np.ndarray, " T"], generator: np.random.Generator) -> Pose:
@@ -136,25 +125,16 @@ def _squat(time: Float[np.ndarray, " T"], generator: np.random.Generator) -> Pos
     return Pose(leg, leg, arm, arm, zero, zero, 0.6 * down)
 
 
-def _turning(direction: float) -> Callable[..., Pose]:
-    """Returns a maker of walks with a turn of about ninety degrees, to the left for +1."""
-
-    def make(time: Float[np.ndarray, " T"], generator: np.random.Generator) -> Pose:
-        return _walking(time, generator, turn=direction * np.deg2rad(generator.uniform(75, 105)))
-
-    return make
-
-
 KINDS: dict[str, Callable[[Float[np.ndarray, " T"], np.random.Generator], Pose]] = {
-    "walk": lambda time, generator: _walking(time, generator, turn=0.0),
-    "walk-turn-left": _turning(1.0),
-    "walk-turn-right": _turning(-1.0),
-    "wave-left-hand": _gesture("L", _waving_arm),
-    "wave-right-hand": _gesture("R", _waving_arm),
-    "wave-both-hands": _gesture("LR", _waving_arm),
-    "raise-up-left-hand": _gesture("L", _raising_arm),
-    "raise-up-right-hand": _gesture("R", _raising_arm),
-    "raise-up-both-hands": _gesture("LR", _raising_arm),
+    "walk": _walking,
+    "walk-turn-left": functools.partial(_walking, direction=1.0),
+    "walk-turn-right": functools.partial(_walking, direction=-1.0),
+    "wave-left-hand": functools.partial(_gesture, sides="L", arm=_waving_arm),
+    "wave-right-hand": functools.partial(_gesture, sides="R", arm=_waving_arm),
+    "wave-both-hands": functools.partial(_gesture, sides="LR", arm=_waving_arm),
+    "raise-up-left-hand": functools.partial(_gesture, sides="L", arm=_raising_arm),
+    "raise-up-right-hand": functools.partial(_gesture, sides="R", arm=_raising_arm),
+    "raise-up-both-hands": functools.partial(_gesture, sides="LR", arm=_raising_arm),
     "squat": _squat,
 }
 """Content label -> maker of its poses."""
@@ -171,7 +151,7 @@ def _limb(swing: Swing, *, side: float, bend_sign: float) -> tuple[Float[np.ndar
     return direction(swing.upper, swing.spread), direction(lower, swing.spread)
 
 
-def _directions(pose: Pose) -> _Directions:
+def _directions(pose: Pose) -> dict[str, Float[np.ndarray, "T 3"]]:
     """Returns the direction of the bone that ends at each joint, in the body's frame."""
     frames = len(pose.heading)
 
@@ -192,14 +172,28 @@ def _directions(pose: Pose) -> _Directions:
     return result
 
 
-def _positions_from_pose(pose: Pose) -> Float[np.ndarray, "T J 3"]:
-    """Returns joint positions of the template, the lowest joint of each frame on the floor."""
-    directions, frames = _directions(pose), len(pose.heading)
-    local = np.zeros((frames, HUMANML3D.num_joints, 3))
+def make_motion(kind: str, *, seed: int, num_frames: int | None = None) -> Float[np.ndarray, "T J 3"]:
+    """Returns positions of one motion in meters at 20 frames per second, Y up, the lowest joint on the floor.
+
+    Args:
+        kind: A key of `KINDS`.
+        seed: Draws speed, amplitude, phase, heading and, if it is not given, the length (2 to 6 seconds).
+        num_frames: Number of frames, at least 40.
+
+    Raises:
+        UserError: The kind is unknown.
+    """
+    if kind not in KINDS:
+        raise UserError(f"unknown motion '{kind}'; known are {', '.join(KINDS)}")
+    generator = np.random.default_rng([seed, *kind.encode()])
+    frames = num_frames or int(generator.integers(40, 121))
+    pose = KINDS[kind](np.arange(frames) / FPS, generator)
+    heading = pose.heading + generator.uniform(-np.pi, np.pi)
+    directions, local = _directions(pose), np.zeros((frames, HUMANML3D.num_joints, 3))
     for joint in range(1, HUMANML3D.num_joints):
         bone = HUMANML3D.bone_lengths[joint] * directions[HUMANML3D.joint_names[joint]]
         local[:, joint] = local[:, HUMANML3D.parents[joint]] + bone
-    sine, cosine = np.sin(pose.heading)[:, None], np.cos(pose.heading)[:, None]
+    sine, cosine = np.sin(heading)[:, None], np.cos(heading)[:, None]
     x, z = local[:, :, 0], local[:, :, 2]
     world = np.stack([cosine * x + sine * z, local[:, :, 1], -sine * x + cosine * z], axis=-1)
     steps = pose.speed[:, None] / FPS * np.concatenate([sine, cosine], axis=1)
@@ -208,38 +202,24 @@ def _positions_from_pose(pose: Pose) -> Float[np.ndarray, "T J 3"]:
     return world.astype(np.float32)
 
 
-def make_motion(kind: str, *, seed: int, num_frames: int | None = None) -> Float[np.ndarray, "T J 3"]:
-    """Returns positions of one motion in metres at 20 frames a second, Y up.
-
-    Args:
-        kind: a key of `KINDS`.
-        seed: draws speed, amplitude, phase, heading and, if not given, the length (2 to 6 seconds).
-        num_frames: frames, at least 40.
-
-    Raises:
-        UserError: the kind is unknown.
-    """
-    if kind not in KINDS:
-        raise UserError(f"unknown motion '{kind}'; known are {', '.join(KINDS)}")
-    generator = np.random.default_rng([seed, *kind.encode()])
-    frames = num_frames or int(generator.integers(40, 121))
-    pose = KINDS[kind](np.arange(frames) / FPS, generator)
-    return _positions_from_pose(pose._replace(heading=pose.heading + generator.uniform(-np.pi, np.pi)))
+def check_num_clips(num_clips: int) -> None:
+    """Raises `UserError` if there are too few clips to fill all splits."""
+    if num_clips < 20:
+        raise UserError(f"--num-clips {num_clips}: at least 20 are needed to fill train, val and test")
 
 
 def write_synthetic_dataset(destination: str | Path, *, num_clips: int = NUM_CLIPS, seed: int = 0) -> ImportReport:
-    """Returns what was written after making a complete data-set folder of procedural motions, mirrored twins included.
+    """Makes a complete data-set folder of procedural motions, including mirrored twins, and returns a report.
 
     Args:
-        destination: folder to make.
-        num_clips: clips before mirroring, dealt out evenly over the kinds.
-        seed: another one gives other motions.
+        destination: Folder to make.
+        num_clips: Number of clips before mirroring, evenly distributed over the kinds.
+        seed: Another seed gives other motions.
 
     Raises:
-        UserError: fewer clips than splits need (20), or a destination that exists.
+        UserError: There are fewer clips than the splits need (20), or the destination exists.
     """
-    if num_clips < 20:
-        raise UserError(f"--num-clips {num_clips}: at least 20 are needed to fill train, val and test")
+    check_num_clips(num_clips)
     info = DatasetInfo(
         name="synthetic",
         min_frames=HUMANML3D.min_frames - 1,
@@ -247,16 +227,15 @@ def write_synthetic_dataset(destination: str | Path, *, num_clips: int = NUM_CLI
         source="t2m_jax",
     )
     names, frames = [f"synthetic_{number:05d}" for number in range(num_clips)], 0
-    with new_folder(Path(destination)) as folder:
-        make_layout(folder)
-        for number, name in enumerate(names):
-            kind = tuple(KINDS)[number % len(KINDS)]
+    kinds = [tuple(KINDS)[number % len(KINDS)] for number in range(num_clips)]
+    with new_folder(destination) as folder:
+        for number, (name, kind) in enumerate(zip(names, kinds, strict=True)):
+            # The factor keeps the motions of different data-set seeds apart.
             positions = make_motion(kind, seed=seed * 1_000_003 + number)
             captions = write_captions(f"{seed} {name}", Labels(kind, "normal"), measure(positions, fps=FPS))
             frames += 2 * write_twins(folder, name, positions, captions=captions, skeleton=HUMANML3D)
         splits = split_by_hash([names[first :: len(KINDS)] for first in range(len(KINDS))])
         twins = {split: with_twins(members) for split, members in splits.items()}
         sizes = finish_folder(folder, twins, info=info, skeleton=HUMANML3D)
-        kinds = (tuple(KINDS)[number % len(KINDS)] for number in range(num_clips))
         save_index(folder, (IndexRow(name, name, kind) for name, kind in zip(names, kinds, strict=True)))
     return ImportReport(2 * num_clips, frames, sizes, {}, ())

@@ -1,36 +1,41 @@
-"""Sentences from predicates: who does it, in which tense, how.
+"""Sentences from predicates.
 
-A predicate is text with the verbs in brackets, "[raise] {limb} and [lower] {it} again". Slots: `{poss}` his, her,
-their, the or your; `{limb}` "his left hand", "both arms"; `{it}` it or them; `{side}` left or right.
+A predicate is text with the verbs in brackets: "[raise] {limb} and [lower] {it} again". Its slots are `{poss}` (his,
+her, their, the, your), `{limb}` ("his left hand", "both arms"), `{it}` (it, them) and `{side}` (left, right).
 """
 
 import re
 from typing import Literal, NamedTuple
 
-from t2m_jax.data.importers.lexicon import verb_forms
+from t2m_jax.data.importers.lexicon import gerund, third_person
 
 Form = Literal["present", "progressive", "imperative", "gerund", "begins"]
 Side = Literal["left", "right", "both", ""]
 
-_VERB = re.compile(r"\[(\w+)\]")
-
 
 class Subject(NamedTuple):
-    """Who moves, and the possessive that goes with it."""
+    """The person who moves, and the possessive that belongs to it."""
 
     text: str
     possessive: str
 
 
 class Manner(NamedTuple):
-    """How something is done: words at the end, or (adverbs) before the verb, or an adjective of the subject."""
+    """How something is done, and the place of these words in the sentence."""
 
     text: str
     place: Literal["end", "before_verb", "adjective"]
 
 
+class Wording(NamedTuple):
+    """A predicate and the name of the fact that must hold for a clip before it may be used ("" for always)."""
+
+    predicate: str
+    needs: str = ""
+
+
 def subject_with_adjective(subject: Subject, adjective: str) -> Subject:
-    """Returns "an old man" for "a man" and "old"; subjects without a noun ("someone") stay as they are."""
+    """Returns "an old man" for "a man" and "old". Subjects without a noun ("someone") are returned unchanged."""
     article, _, noun = subject.text.partition(" ")
     if not noun or article not in ("a", "an", "the"):
         return subject
@@ -39,54 +44,31 @@ def subject_with_adjective(subject: Subject, adjective: str) -> Subject:
     return Subject(f"{article} {adjective} {noun}", subject.possessive)
 
 
-def _fill(predicate: str, form: Form, *, possessive: str, side: Side, limb: str) -> str:
-    """Returns the predicate with its slots filled and its verbs in the form that the sentence needs."""
-    hands = f"both {limb}s" if side == "both" else f"{possessive} {side} {limb}"
-    text = predicate.replace("{limb}", hands).replace("{poss}", possessive).replace("{side}", side)
-    text = text.replace("{it}", "them" if side == "both" else "it")
-
-    def verb(match: re.Match[str]) -> str:
-        forms = verb_forms(match.group(1))
-        if form == "present":
-            return forms.third
-        return forms.gerund if form in ("progressive", "gerund") else forms.base
-
-    return _VERB.sub(verb, text)
-
-
 def sentence(
     predicate: str, subject: Subject, *, form: Form, side: Side = "", limb: str = "hand", manner: Manner | None = None
 ) -> str:
     """Returns one sentence in lower case, without the final stop.
 
     Args:
-        predicate: text with bracketed verbs and slots.
-        subject: who; unused in the imperative and the bare gerund ("wave your left hand", "walking forward").
-        form: tense or mood of all its verbs.
-        side: fills `{side}` and `{limb}`.
+        predicate: Text with verbs in brackets and slots in braces.
+        subject: The person who moves. The imperative and the bare gerund ("walking forward") do not use it.
+        form: Tense or mood of all verbs.
+        side: Fills `{side}` and `{limb}`.
         limb: "hand" or "arm".
-        manner: how, or None.
+        manner: How it is done, or None.
     """
-    if manner is not None and manner.place == "adjective":
-        subject = subject_with_adjective(subject, manner.text)
+    text, place = manner or ("", "end")
+    if place == "adjective":
+        subject = subject_with_adjective(subject, text)
     possessive = {"imperative": "your", "gerund": "the"}.get(form, subject.possessive)
-    body = _fill(predicate, form, possessive=possessive, side=side, limb=limb)
-    if manner is not None and manner.place == "before_verb":
-        body = f"{manner.text} {body}"
-    if manner is not None and manner.place == "end":
-        body = f"{body} {manner.text}"
+    hands = f"both {limb}s" if side == "both" else f"{possessive} {side} {limb}"
+    body = predicate.replace("{limb}", hands).replace("{poss}", possessive).replace("{side}", side)
+    body = body.replace("{it}", "them" if side == "both" else "it")
+    inflect = {"present": third_person, "progressive": gerund, "gerund": gerund}.get(form, str)
+    body = re.sub(r"\[(\w+)\]", lambda verb: inflect(verb[1]), body)
+    if place == "before_verb":
+        body = f"{text} {body}"
+    elif place == "end" and text:
+        body = f"{body} {text}"
     opening = {"present": subject.text, "progressive": f"{subject.text} is", "begins": f"{subject.text} begins to"}
     return f"{opening[form]} {body}" if form in opening else body
-
-
-class Wording(NamedTuple):
-    """A predicate and the name of the fact that must hold for a clip before it may be said of it ("" for always)."""
-
-    predicate: str
-    needs: str = ""
-
-
-def make_wordings(*predicates: str, **conditional: tuple[str, ...]) -> tuple[Wording, ...]:
-    """Returns plain wordings, followed by those that need the fact they are filed under."""
-    plain = tuple(Wording(text) for text in predicates)
-    return plain + tuple(Wording(text, fact) for fact, texts in conditional.items() for text in texts)

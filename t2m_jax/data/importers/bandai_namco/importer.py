@@ -1,23 +1,23 @@
 """Importing the Bandai-Namco-Research-Motiondataset (1 and 2): BVH files into a data-set folder with captions."""
 
+import contextlib
 import csv
+import functools
 import multiprocessing
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import tqdm
 
 from t2m_jax.data.files import SPLITS, read_names
 from t2m_jax.data.folder import DatasetInfo
 from t2m_jax.data.importers.bandai_namco.captions import Labels, write_captions
-from t2m_jax.data.importers.bandai_namco.contents import CONTENTS
 from t2m_jax.data.importers.bandai_namco.measure import measure
-from t2m_jax.data.importers.bandai_namco.styles import STYLES
+from t2m_jax.data.importers.bandai_namco.wordings import load_wordings
 from t2m_jax.data.index import IndexRow, save_index
 from t2m_jax.data.splits import split_by_hash
-from t2m_jax.data.writer import ImportReport, finish_folder, make_layout, new_folder, with_twins, write_twins
+from t2m_jax.data.writer import ImportReport, finish_folder, new_folder, with_twins, write_twins
 from t2m_jax.errors import UserError
 from t2m_jax.motion.bvh import load_bvh
 from t2m_jax.motion.bvh.resample import resample
@@ -26,17 +26,17 @@ from t2m_jax.motion.skeleton import HUMANML3D
 
 CLIP_TABLE = "bandai-namco-clips.csv"
 HARMLESS_FLAG = "moving joint_Root"
-MISLABELLED = (
+MISLABELED = (
     *(f"walk-turn-left_masculine_{number:03d}" for number in (6, 7)),
     *(f"walk-turn-right_masculine_{number:03d}" for number in (6, 7)),
 )
-"""clips of dataset-2 that turn to the other side than their name says"""
+"""Clips of dataset-2 that turn to the other side than their name says."""
 OVERLAPPING = (
     *(f"walk-turn-left_normal_{number:03d}" for number in (5, *range(27, 35))),
     *(f"walk-turn-right_normal_{number:03d}" for number in (4, *range(28, 36))),
 )
-"""clips of dataset-2 that share frames with another or run on into an extra turn"""
-FLAGGED = frozenset(f"dataset-2_{name}" for name in (*MISLABELLED, *OVERLAPPING))
+"""Clips of dataset-2 that share frames with another clip or continue into another turn."""
+FLAGGED = frozenset(f"dataset-2_{name}" for name in (*MISLABELED, *OVERLAPPING))
 
 INFO = DatasetInfo(
     name="Bandai-Namco-Research-Motiondataset-1 and -2",
@@ -56,56 +56,45 @@ INFO = DatasetInfo(
 )
 
 
-class _Job(NamedTuple):
-    """One clip to convert."""
-
-    source: Path
-    folder: Path
-
-
-class _Done(NamedTuple):
-    """One clip that was converted."""
-
-    name: str
-    num_frames: int
-
-
 def labels_from_name(name: str) -> Labels:
     """Returns content and style of a clip named `dataset-N_<content>_<style>_<number>`.
 
     Raises:
-        UserError: the name has another form or an unknown label.
+        UserError: The name has another form or an unknown label.
     """
     fields = name.split("_")
     if len(fields) != 4:
         raise UserError(f"{name}: expected a name like dataset-2_walk_active_001")
     labels = Labels(fields[1], fields[2])
-    if labels.content not in CONTENTS:
-        raise UserError(f"{name}: unknown content '{labels.content}'; known are {', '.join(CONTENTS)}")
-    if labels.style not in STYLES:
-        raise UserError(f"{name}: unknown style '{labels.style}'; known are {', '.join(STYLES)}")
+    words = load_wordings()
+    for kind, label, known in (("content", labels.content, words.contents), ("style", labels.style, words.styles)):
+        if label not in known:
+            raise UserError(f"{name}: unknown {kind} '{label}'; known are {', '.join(known)}")
     return labels
 
 
 def find_clips(source: Path) -> dict[str, Path]:
-    """Returns clip name -> BVH file, sorted by name, wherever below `source` the files lie.
+    """Returns clip name -> BVH file for all files below `source`, sorted by name.
 
     Raises:
-        UserError: there are none.
+        UserError: There are none.
     """
     files = {path.stem: path for path in sorted(source.rglob("dataset-*_*.bvh"))}
     if not files:
         raise UserError(
             f"{source}: no dataset-N_*.bvh below it; give the folder of the unpacked archive, "
-            "which holds dataset/Bandai-Namco-Research-Motiondataset-*"
+            "which has dataset/Bandai-Namco-Research-Motiondataset-*"
         )
     return dict(sorted(files.items()))
 
 
 def flagged_clips(source: Path, splits: Path | None) -> tuple[frozenset[str], str]:
-    """Returns the clips to leave out and where that is known from: a clip table near the data, or this module.
+    """Returns the clips to leave out, and where this is known from: a clip table near the data, or this module.
 
-    Flagged are clips that contradict their label, run on into another motion or repeat frames of another clip.
+    Flagged clips contradict their label, continue into another motion, or repeat frames of another clip.
+
+    Raises:
+        UserError: The table does not have the columns `name` and `flags`.
     """
     near = [source, source.parent, *([splits, splits.parent, splits.parent.parent] if splits else [])]
     table = next((folder / CLIP_TABLE for folder in near if (folder / CLIP_TABLE).is_file()), None)
@@ -118,32 +107,21 @@ def flagged_clips(source: Path, splits: Path | None) -> tuple[frozenset[str], st
     return frozenset(row["name"] for row in rows if row["flags"] not in ("", HARMLESS_FLAG)), str(table)
 
 
-def _find_split_lists(source: Path, splits: Path | None) -> Path | None:
-    """Returns the folder with train.txt, val.txt and test.txt: the given one, or one near the data, or None."""
-    candidates = (
-        [splits]
-        if splits
-        else [source, source / "splits", source.parent / "splits", source.parent / "splits/bandai-namco"]
-    )
-    found = next(
-        (folder for folder in candidates if all((folder / f"{split}.txt").is_file() for split in SPLITS)), None
-    )
-    if splits and not found:
-        raise UserError(f"{splits}: expected train.txt, val.txt and test.txt in it")
-    return found
+def _divide_clips(names: Sequence[str], lists: Path | None) -> dict[str, list[str]]:
+    """Returns split -> clips: from the lists in a folder or, without them, by hash within every content and style.
 
-
-def _split_clips(names: Sequence[str], lists: Path | None) -> dict[str, list[str]]:
-    """Returns split -> clips: by the published lists, or spread over contents and styles by hash."""
+    Raises:
+        UserError: A clip is in several lists, or none is in the training list.
+    """
     if lists is None:
         cells: dict[Labels, list[str]] = {}
         for name in names:
             cells.setdefault(labels_from_name(name), []).append(name)
         return split_by_hash(cells.values())
-    here = set(names)
-    splits = {split: [name for name in read_names(lists / f"{split}.txt") if name in here] for split in SPLITS}
+    known = set(names)
+    splits = {split: [name for name in read_names(lists / f"{split}.txt") if name in known] for split in SPLITS}
     if sum(map(len, splits.values())) != len(set().union(*splits.values())):
-        raise UserError(f"{lists}: a clip stands in more than one of train.txt, val.txt and test.txt")
+        raise UserError(f"{lists}: a clip is in more than one of train.txt, val.txt and test.txt")
     if not splits["train"]:
         raise UserError(
             f"{lists / 'train.txt'}: names none of the clips that were found; is it the list of another data set?"
@@ -151,72 +129,61 @@ def _split_clips(names: Sequence[str], lists: Path | None) -> dict[str, list[str
     return splits
 
 
-def _index_row(file: Path, source: Path) -> IndexRow:
-    """Returns what the index tells of a clip: every file is a recording of its own."""
-    labels = labels_from_name(file.stem)
-    return IndexRow(file.stem, file.relative_to(source).as_posix(), f"{labels.content}, {labels.style}")
-
-
-def _convert(job: _Job) -> _Done:
-    """Returns the length of a clip after writing it and its mirrored twin."""
-    name = job.source.stem
-    labels = labels_from_name(name)
-    motion = retarget(resample(load_bvh(job.source), HUMANML3D.fps), rig="bandai-namco")
-    captions = write_captions(name, labels, measure(motion.positions, fps=motion.fps))
-    return _Done(name, write_twins(job.folder, name, motion.positions, captions=captions, skeleton=HUMANML3D))
-
-
-def _convert_all(jobs: Sequence[_Job], *, workers: int) -> Iterator[_Done]:
-    """Yields converted clips in the order of the jobs."""
-    if workers == 1:
-        yield from map(_convert, jobs)
-        return
-    # Fresh interpreters: forking a process in which JAX runs its threads may hang.
-    with multiprocessing.get_context("spawn").Pool(workers) as pool:
-        yield from pool.imap(_convert, jobs, chunksize=8)
+def _convert(file: Path, *, folder: Path) -> int:
+    """Writes a clip and its mirrored twin and returns the number of feature rows of each."""
+    motion = retarget(resample(load_bvh(file), HUMANML3D.fps), rig="bandai-namco")
+    captions = write_captions(file.stem, labels_from_name(file.stem), measure(motion.positions, fps=motion.fps))
+    return write_twins(folder, file.stem, motion.positions, captions=captions, skeleton=HUMANML3D)
 
 
 def import_bandai_namco(
     source: str | Path, destination: str | Path, *, splits: str | Path | None = None, workers: int | None = None
 ) -> ImportReport:
-    """Returns what was written after converting the whole archive into a new data-set folder.
+    """Converts the whole archive into a new data-set folder and returns a report of what was written.
 
-    Every clip is resampled to 20 frames a second, retargeted to the 22 joints, encoded, mirrored and captioned. Flagged
-    clips are left out. Scripts that call this with several workers need the usual `if __name__ == "__main__":`.
+    Every clip is resampled to 20 frames per second, retargeted to the 22 joints, encoded, mirrored and captioned.
+    Flagged clips are left out. Scripts that call this with several workers need `if __name__ == "__main__":`.
 
     Args:
-        source: folder of the unpacked archive.
-        destination: folder to make.
-        splits: folder with train.txt, val.txt, test.txt (clip names); looked for near the data when not given. Without
-            lists the split is 80/5/15 % by a hash of the names, within every content and style.
-        workers: processes; as many as there are processors when not given.
+        source: Folder of the unpacked archive.
+        destination: Folder to make.
+        splits: Folder with train.txt, val.txt and test.txt (clip names). By default, it is searched near the data.
+            Without lists, clips are split 80/5/15 % by a hash of the names, within every content and style.
+        workers: Number of processes; by default one per processor.
 
     Raises:
-        UserError: no clips, a broken BVH file, wrong lists, or a destination that exists.
+        UserError: There are no clips, a BVH file or a list is broken, or the destination exists.
     """
-    source, destination = Path(source), Path(destination)
+    source = Path(source)
     files = find_clips(source)
-    lists = _find_split_lists(source, Path(splits) if splits else None)
+    near = (source, source / "splits", source.parent / "splits", source.parent / "splits/bandai-namco")
+    for lists in [Path(splits)] if splits else near:
+        if all((lists / f"{split}.txt").is_file() for split in SPLITS):
+            break
+    else:
+        lists = None
+    if splits and lists is None:
+        raise UserError(f"{splits}: expected train.txt, val.txt and test.txt in it")
     flagged, flags_from = flagged_clips(source, lists)
-    names = [name for name in files if name not in flagged]
-    divided = _split_clips(names, lists)
-    wanted = sorted(name for members in divided.values() for name in members)
+    divided = _divide_clips([name for name in files if name not in flagged], lists)
+    wanted = {name: files[name] for name in sorted(name for members in divided.values() for name in members)}
     left_out = {name: f"flagged in {flags_from}" for name in files if name in flagged}
-    left_out |= dict.fromkeys(sorted(set(names) - set(wanted)), f"in no list of {lists}")
+    left_out |= dict.fromkeys(sorted(files.keys() - flagged - wanted.keys()), f"in no list of {lists}")
     workers = min(workers or os.cpu_count() or 1, max(1, len(wanted) // 16))
-    frames = 0
-    with new_folder(destination) as folder:
-        make_layout(folder)
-        done = _convert_all([_Job(files[name], folder) for name in wanted], workers=workers)
-        for clip in tqdm.tqdm(done, total=len(wanted), unit="clip", desc="converting"):
-            frames += 2 * clip.num_frames
+    with new_folder(destination) as folder, contextlib.ExitStack() as stack:
+        convert = functools.partial(_convert, folder=folder)
+        done: Iterable[int] = map(convert, wanted.values())
+        if workers > 1:
+            # Fresh interpreters, because forking a process in which JAX has threads may hang.
+            pool = stack.enter_context(multiprocessing.get_context("spawn").Pool(workers))
+            done = pool.imap(convert, wanted.values(), chunksize=8)
+        frames = sum(tqdm.tqdm(done, total=len(wanted), unit="clip", desc="converting"))
         twins = {split: with_twins(members) for split, members in divided.items()}
         sizes = finish_folder(folder, twins, info=INFO, skeleton=HUMANML3D)
-        save_index(folder, (_index_row(files[name], source) for name in wanted))
-    origin = (
-        f"split lists: {lists}"
-        if lists
-        else "no split lists found: split by a hash of the names, 80/5/15 % of every content and style"
-    )
+        labels = {name: ", ".join(labels_from_name(name)) for name in wanted}
+        rows = [IndexRow(name, wanted[name].relative_to(source).as_posix(), labels[name]) for name in wanted]
+        save_index(folder, rows)
+    hashed = "no split lists found: split by a hash of the names, 80/5/15 % of every content and style"
+    origin = f"split lists: {lists}" if lists else hashed
     notes = (origin, f"{sum(name in flagged for name in files)} flagged clips left out (by {flags_from})")
-    return ImportReport(2 * len(wanted), frames, sizes, left_out, notes)
+    return ImportReport(2 * len(wanted), 2 * frames, sizes, left_out, notes)

@@ -1,0 +1,99 @@
+"""The wordings of the Bandai-Namco captions, read from the YAML files beside this module."""
+
+import functools
+import importlib.resources
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import yaml
+
+from t2m_jax.data.importers.bandai_namco.grammar import Manner, Side, Subject, Wording
+
+
+class Content(NamedTuple):
+    """What people say of one content label."""
+
+    side: Side
+    """Side of the body that moves."""
+    wordings: tuple[Wording, ...]
+    slow_below: float
+    """Speed (`Facts.speed`, meters per second) below which a clip is slow."""
+    fast_above: float
+    """Speed above which a clip is fast."""
+    paces: Mapping[str, tuple[Manner, ...]]
+    """Ways of saying "slow" and "fast"."""
+
+
+class Style(NamedTuple):
+    """How people put a style into words."""
+
+    manners: tuple[Manner, ...]
+    subjects: tuple[Subject, ...]
+    """People who typically move in this style."""
+
+
+class Wordings(NamedTuple):
+    """Everything that captions are made of."""
+
+    contents: Mapping[str, Content]
+    exceptions: Mapping[tuple[str, str], tuple[Wording, ...]]
+    """(content, style) whose motion differs from what the content label says of all other styles."""
+    styles: Mapping[str, Style]
+    subjects: tuple[Subject, ...]
+    """Subjects that say nothing about the style."""
+
+
+def _read(name: str) -> Any:
+    """Returns the data of a YAML file beside this module."""
+    file = importlib.resources.files(__package__) / f"{name}.yaml"
+    return yaml.safe_load(file.read_text(encoding="utf-8"))
+
+
+def _subjects(pairs: Iterable[Sequence[str]]) -> tuple[Subject, ...]:
+    """Returns subjects from pairs of a text and a possessive."""
+    return tuple(Subject(text, possessive) for text, possessive in pairs)
+
+
+@functools.cache
+def load_wordings() -> Wordings:
+    """Returns all wordings. The files are read once, when the first caption is written."""
+    table, words = _read("contents"), _read("styles")
+    groups = {
+        name: tuple(Wording(text, "" if fact == "always" else fact) for fact, texts in group.items() for text in texts)
+        for file in ("actions", "hands", "locomotion")
+        for name, group in _read(file).items()
+    }
+    paces = {
+        kind: {
+            pace: tuple(Manner(text, "end") for text in texts)
+            + tuple(Manner(text, "before_verb") for text in texts if text.endswith("ly"))
+            for pace, texts in by_pace.items()
+        }
+        for kind, by_pace in words["paces"].items()
+    }
+    contents = {}
+    for name, entry in table["contents"].items():
+        wordings = tuple(wording for group in entry["wordings"] for wording in groups[group])
+        side = entry.get("side", "")
+        travels = side == "" or any("walk" in wording.predicate for wording in wordings)
+        limits = entry.get("slow_below", -1.0), entry.get("fast_above", float("inf"))
+        contents[name] = Content(side, wordings, *limits, paces["travel" if travels else "stand"])
+    exceptions = {(entry["content"], entry["style"]): groups[entry["wordings"]] for entry in table["exceptions"]}
+    styles = {}
+    for name, entry in words["styles"].items():
+        # Phrases count twice, because people use them most.
+        manners = [Manner(text, "end") for text in entry.get("phrases", ()) * 2]
+        manners += [Manner(text, place) for text in entry.get("adverbs", ()) for place in ("end", "before_verb")]
+        manners += [Manner(text, "adjective") for text in entry.get("adjectives", ())]
+        styles[name] = Style(tuple(manners), _subjects(entry.get("subjects", ())))
+    return Wordings(contents, exceptions, styles, _subjects(words["subjects"]))
+
+
+@functools.cache
+def held_out_sentences() -> Mapping[str, tuple[str, ...]]:
+    """Returns content of dataset-2 -> sentences that no training caption equals."""
+    return {
+        content: tuple(sentence.format(side=side) for sentence in group["sentences"])
+        for group in _read("held_out")
+        for content, side in group["contents"].items()
+    }

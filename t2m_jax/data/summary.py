@@ -1,0 +1,62 @@
+"""A record of the data that a model was trained on: the number of clips per action, and the words of the captions."""
+
+import dataclasses
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from t2m_jax.data.banks.captions import all_tokens
+from t2m_jax.data.folder import Clip, Dataset
+from t2m_jax.data.index import load_index
+from t2m_jax.errors import UserError
+from t2m_jax.files import load_json, save_json
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrainingData:
+    """The data that a model was trained on."""
+
+    data: str
+    """Name of the data set."""
+    num_clips: int
+    """Number of clips, including mirrored twins."""
+    clips_per_action: dict[str, int]
+    """Number of clips per label of `index.csv`; empty if the data set has no labels."""
+    words: dict[str, int]
+    """Number of uses per lower-case word of the captions, in the basic form if the caption files have tokens."""
+
+
+def summarize_training_data(dataset: Dataset, clips: Sequence[Clip]) -> TrainingData:
+    """Returns the record of some clips of a data set. The most frequent actions and words come first."""
+    index = load_index(dataset.folder)
+    labels = Counter(label for clip in clips if index and (label := index.label(clip.name)))
+    words = Counter(token.partition("/")[0].lower() for tokens in all_tokens(clips) for token in tokens)
+    return TrainingData(
+        data=dataset.info.name,
+        num_clips=len(clips),
+        clips_per_action=dict(labels.most_common()),
+        words=dict(words.most_common()),
+    )
+
+
+def save_training_data(path: Path, data: TrainingData) -> None:
+    """Writes a record as JSON."""
+    save_json(path, dataclasses.asdict(data))
+
+
+def load_training_data(path: Path) -> TrainingData:
+    """Returns the record in a JSON file.
+
+    Raises:
+        UserError: The file is missing or damaged, or is not such a record.
+    """
+    fields = load_json(path)
+    try:
+        found = TrainingData(**fields)
+        counts = [found.num_clips, *found.clips_per_action.values(), *found.words.values()]
+        is_sound = type(found.data) is str and all(type(count) is int and count >= 0 for count in counts)
+    except (TypeError, AttributeError):
+        is_sound = False
+    if not is_sound:
+        raise UserError(f"{path}: is not a record of training data; copy the model again")
+    return found

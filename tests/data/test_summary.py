@@ -1,0 +1,92 @@
+"""The record of the data that a model was trained on."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from t2m_jax.data.folder import Clip, Dataset, DatasetInfo, open_dataset
+from t2m_jax.data.importers.synthetic import KINDS
+from t2m_jax.data.index import IndexRow, save_index
+from t2m_jax.data.summary import load_training_data, save_training_data, summarize_training_data
+from t2m_jax.data.texts import Caption
+from t2m_jax.errors import UserError
+from t2m_jax.motion.skeleton import HUMANML3D
+
+FEATURES = np.zeros((3, 263), np.float32)
+
+
+def clip(name, *captions):
+    return Clip(name, FEATURES, captions)
+
+
+def dataset_in(folder):
+    return Dataset(folder=folder, info=DatasetInfo(name="mine"), skeleton=HUMANML3D)
+
+
+def test_clips_are_counted_by_label_and_words_by_use(tmp_path):
+    save_index(tmp_path, [IndexRow("a", "a.bvh", "turn left"), IndexRow("b", "b.bvh", "walk"), IndexRow("c", "", "")])
+    clips = [
+        clip("a", Caption("He TURNS left.", ("he/PRON", "turn/VERB", "left/ADV")), Caption("He turns LEFT")),
+        clip("Ma", Caption("x", ("He/PRON", "turn/VERB", "right/ADV"))),
+        clip("b"),
+        clip("c"),
+        clip("unknown"),
+    ]
+    found = summarize_training_data(dataset_in(tmp_path), clips)
+    assert (found.data, found.num_clips) == ("mine", 5)
+    assert found.clips_per_action == {"turn left": 1, "turn right": 1, "walk": 1}
+    assert found.words == {"he": 3, "turn": 2, "left": 2, "turns": 1, "right": 1}
+
+
+def test_without_labels_no_action_is_counted(tmp_path):
+    found = summarize_training_data(dataset_in(tmp_path), [clip("a", Caption("walk"))])
+    assert found.clips_per_action == {} and found.words == {"walk": 1}
+
+
+def test_a_data_set_on_disk(synthetic_folder, tmp_path):
+    dataset = open_dataset(synthetic_folder)
+    clips = dataset.clips("train")
+    found = summarize_training_data(dataset, clips)
+    assert found.data == "synthetic" and found.num_clips == len(clips) == sum(found.clips_per_action.values())
+    assert found.clips_per_action.keys() <= KINDS.keys()
+    assert found.words["walk"] > 0
+    save_training_data(tmp_path / "training_data.json", found)
+    assert load_training_data(tmp_path / "training_data.json") == found
+
+
+WHOLE = {"data": "x", "num_clips": 1, "clips_per_action": {"walk": 1}, "words": {}}
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "",
+        "[" * 100_000,
+        "[]",
+        "7",
+        "{}",
+        *(
+            json.dumps(WHOLE | change)
+            for change in (
+                {"more": 1},
+                {"data": 5},
+                {"num_clips": "one"},
+                {"num_clips": True},
+                {"words": []},
+                {"words": {"a": 1.5}},
+                {"clips_per_action": {"walk": -1}},
+                {"clips_per_action": None},
+            )
+        ),
+        json.dumps({"data": "x"}),
+    ],
+)
+def test_another_file_is_refused(tmp_path: Path, content):
+    path = tmp_path / "training_data.json"
+    path.write_text(content)
+    with pytest.raises(UserError, match=r"training_data\.json"):
+        load_training_data(path)
+    with pytest.raises(UserError, match="no such file"):
+        load_training_data(tmp_path / "none.json")
