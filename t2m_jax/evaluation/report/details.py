@@ -14,7 +14,7 @@ from t2m_jax.evaluation.report.gallery import Example, Failure, Ranked, draw_exa
 from t2m_jax.evaluation.run import embed_plan_captions, embed_plan_motions
 from t2m_jax.evaluation.sources import Maker
 from t2m_jax.evaluation.task import Subject
-from t2m_jax.metrics.retrieval import own_standing
+from t2m_jax.metrics.retrieval import partner_ranks
 from t2m_jax.motion.skeleton import skeleton_from_feature_dim
 
 REPEAT = 0
@@ -97,7 +97,7 @@ def _ranked_repeat(subject: Subject, maker: Maker) -> Ranked:
 def _ranks(text: Float[Array, "M B E"], motion: Float[Array, "M B E"]) -> Int[Array, "M B"]:
     """Returns the rank of each text's own motion, from 1; behind those that are as near."""
     labels = jnp.arange(text.shape[1])
-    standing = jax.lax.map(lambda batch: own_standing(batch[0], batch[1], labels), (text, motion))
+    standing = jax.lax.map(lambda batch: partner_ranks(batch[0], batch[1], labels), (text, motion))
     return standing.nearer + standing.tied + 1
 
 
