@@ -22,10 +22,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Reads the motion once and writes every output."""
     from t2m_jax.export.formats import load_motion
-    from t2m_jax.motion.record import check_output
+    from t2m_jax.motion.record import check_motion_output
 
     for output in args.outputs:
-        check_output(output)
+        check_motion_output(output)
     motion = load_motion(args.file)
     for output in args.outputs:
         motion.save(output)

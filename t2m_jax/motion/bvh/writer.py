@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
+from t2m_jax.files import save_text
 from t2m_jax.motion.bvh.inverse_kinematics import fit_rig
 from t2m_jax.motion.bvh.kinematics import forward_kinematics
 from t2m_jax.motion.record import Motion
@@ -53,10 +54,7 @@ def save_bvh(path: Path | str, motion: Motion, *, tpose_frame: bool = False) -> 
     order = _depth_first(0)
     table = np.concatenate((roots, degrees[:, order].reshape(len(degrees), -1)), axis=1)
     lines = ["HIERARCHY", *_hierarchy_lines(rig.offsets), *_motion_lines(table, motion.fps)]
-    try:
-        Path(path).write_text("\n".join(lines) + "\n", encoding="ascii")
-    except OSError as error:
-        raise UserError(f"{path}: cannot be written: {error.strerror}") from error
+    save_text(path, "\n".join(lines) + "\n")
 
 
 def continuous_euler(matrices: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T J 3"]:
