@@ -1,7 +1,6 @@
 """A viewer in one HTML file, which contains the motions and the program that draws them and loads nothing else."""
 
 import base64
-import functools
 import html
 import importlib.resources
 import json
@@ -17,6 +16,7 @@ from t2m_jax.files import save_text
 from t2m_jax.motion.record import Motion
 
 SCRIPTS = ("algebra.js", "figures.js", "camera.js", "shaders.js", "webgl.js", "canvas2d.js", "viewer.js")
+ASSETS = (*SCRIPTS, "viewer.html", "viewer.css")
 FINEST_STEP = 1e-4
 """Meters. Points are stored in steps of this size, or in larger steps if a figure travels beyond 3 m."""
 
@@ -32,29 +32,17 @@ def viewer_html(motions: Sequence[Motion], *, embed: bool = True) -> str:
     document = {"seconds": scene.seconds, "figures": [_figure_record(figure) for figure in scene.figures]}
     # In a script element only `<` can do harm. ASCII avoids problems with U+2028 and lone surrogates.
     data = json.dumps(document, ensure_ascii=True, separators=(",", ":")).replace("<", "\\u003c")
-    before, after = _page_around_data()
-    page = f"{before}{data}{after}"
+    assets = importlib.resources.files("t2m_jax.export") / "viewer"
+    files = {name: (assets / name).read_text(encoding="utf-8").rstrip("\n") for name in ASSETS}
+    script = "(() => {\n" + "\n".join(['"use strict";', *(files[name] for name in SCRIPTS)]) + "\n})();"
+    page = files["viewer.html"].replace("/*{{style}}*/", files["viewer.css"]).replace("/*{{script}}*/", script)
+    page = page.replace("/*{{data}}*/", data) + "\n"  # last, because captions could contain the other marks
     if not embed:
         return page
     return (
         f'<iframe srcdoc="{html.escape(page)}" title="Motion viewer" sandbox="allow-scripts" allowfullscreen '
         'style="width: 100%; height: 520px; border: 0; border-radius: 12px"></iframe>'
     )
-
-
-@functools.lru_cache
-def _page_around_data() -> tuple[str, str]:
-    """Returns the parts of the page before and after the data."""
-    assets = importlib.resources.files("t2m_jax.export") / "viewer"
-
-    def read(name: str) -> str:
-        """Returns the text of an asset."""
-        return (assets / name).read_text(encoding="utf-8").rstrip("\n")
-
-    script = "(() => {\n" + "\n".join(['"use strict";', *map(read, SCRIPTS)]) + "\n})();"
-    page = read("viewer.html").replace("/*{{style}}*/", read("viewer.css")).replace("/*{{script}}*/", script)
-    before, after = page.split("/*{{data}}*/")
-    return before, after + "\n"
 
 
 def _figure_record(figure: Figure) -> dict[str, Any]:

@@ -183,24 +183,23 @@ def continuous_quaternions(quaternions: Float[AnyArray, "T *batch 4"]) -> Float[
     return quaternions * signs
 
 
-def _axis_matrix(axis: int, angles: Float[AnyArray, "*batch"]) -> Float[AnyArray, "*batch 3 3"]:
-    """Returns the rotations by `angles` (radians) about one coordinate axis."""
-    xp = namespace_of(angles)
-    cos, sin, zero, one = xp.cos(angles), xp.sin(angles), xp.zeros_like(angles), xp.ones_like(angles)
-    j, k = (axis + 1) % 3, (axis + 2) % 3
-    entries = {(axis, axis): one, (j, j): cos, (j, k): -sin, (k, j): sin, (k, k): cos}
-    rows = [xp.stack([entries.get((row, column), zero) for column in range(3)], axis=-1) for row in range(3)]
-    return xp.stack(rows, axis=-2)
-
-
 def matrix_from_euler(angles: Float[AnyArray, "*batch 3"], order: EulerOrder) -> Float[AnyArray, "*batch 3 3"]:
     """Returns rotation matrices of Euler angles in radians, given in the order of the letters.
 
     "ZXY" means Rz(angles[0]) @ Rx(angles[1]) @ Ry(angles[2]), so the rotation of the last letter is applied first.
     """
     (angles,) = _float32(angles)
-    first, second, third = (_axis_matrix("XYZ".index(letter), angles[..., i]) for i, letter in enumerate(order))
-    return matrix_multiply(matrix_multiply(first, second), third)
+    xp = namespace_of(angles)
+    cosines, sines = xp.cos(angles), xp.sin(angles)
+    zero, one = xp.zeros_like(angles[..., 0]), xp.ones_like(angles[..., 0])
+    turns = []
+    for i, letter in enumerate(order):
+        axis = "XYZ".index(letter)
+        cos, sin, j, k = cosines[..., i], sines[..., i], (axis + 1) % 3, (axis + 2) % 3
+        entries = {(axis, axis): one, (j, j): cos, (j, k): -sin, (k, j): sin, (k, k): cos}
+        rows = [xp.stack([entries.get((row, column), zero) for column in range(3)], axis=-1) for row in range(3)]
+        turns.append(xp.stack(rows, axis=-2))
+    return matrix_multiply(matrix_multiply(turns[0], turns[1]), turns[2])
 
 
 def euler_from_matrix(matrices: Float[AnyArray, "*batch 3 3"], order: EulerOrder) -> Float[AnyArray, "*batch 3"]:

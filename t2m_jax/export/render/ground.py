@@ -69,39 +69,26 @@ def draw_ground(ground: Ground, view: View) -> Image.Image:
     offsets = np.concatenate([offsets[1::2], offsets[::2]])
     # Each line ends at the circle in which lines are visible.
     span = np.sqrt(np.maximum(ground.reach**2 - offsets**2, 0)) + 1
-    starts, ends = [], []
-    for along, across in ((0, 2), (2, 0)):
-        line = np.zeros((2, len(offsets), 3))
-        line[:, :, across] = middle[across] + offsets
-        line[0, :, along], line[1, :, along] = middle[along] - span, middle[along] + span
-        start, end = _in_front(line[0], line[1], view)
-        starts.append(start)
-        ends.append(end)
+    lines = np.zeros((2, 2, len(offsets), 3))  # along x or z, start or end, line, coordinate
+    for family, (along, across) in zip(lines, ((0, 2), (2, 0)), strict=True):
+        family[:, :, across] = middle[across] + offsets
+        family[0, :, along], family[1, :, along] = middle[along] - span, middle[along] + span
+    # Lines are cut half a meter in front of the camera. Those that are completely behind it become points.
+    depths = -(lines - view.eye) @ back
+    change = depths[:, 1] - depths[:, 0]
+    crossing = np.clip((0.5 - depths[:, 0]) / np.where(np.abs(change) < 1e-9, 1e-9, change), 0, 1)[..., None]
+    cuts = lines[:, 0] + crossing * (lines[:, 1] - lines[:, 0])
+    spots = 2 * project(view, np.where((depths < 0.5)[..., None], cuts[:, None], lines))[..., :2]
     mask = Image.new("L", (2 * view.width, 2 * view.height))
     draw = ImageDraw.Draw(mask)
-    spots = 2 * np.concatenate(
-        [project(view, np.stack(starts))[..., :2], project(view, np.stack(ends))[..., :2]], axis=-1
-    )
     thickness = max(round(view.height / 300), 1)
     num_fine = len(offsets) // 2
     for fine in (True, False):
-        for family in spots:
-            for line in family[:num_fine] if fine else family[num_fine:]:
+        for family in spots[:, :, :num_fine] if fine else spots[:, :, num_fine:]:
+            for line in np.concatenate(family, axis=-1):
                 draw.line(line.tolist(), fill=FINE_LINES if fine else 255, width=thickness + (not fine))
     seen = ImageChops.multiply(mask.reduce(2), ground.fade)
     return Image.composite(Image.new("RGB", seen.size, LINES), ground.empty, seen)
-
-
-def _in_front(
-    starts: Float[np.ndarray, "N 3"], ends: Float[np.ndarray, "N 3"], view: View
-) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
-    """Returns the parts of lines that are at least half a meter in front of the camera. Other lines become points."""
-    depths = [-(points - view.eye) @ view.axes[2] for points in (starts, ends)]
-    change = depths[1] - depths[0]
-    crossing = np.clip((0.5 - depths[0]) / np.where(np.abs(change) < 1e-9, 1e-9, change), 0, 1)[:, None]
-    cuts = starts + crossing * (ends - starts)
-    behind = [(depth < 0.5)[:, None] for depth in depths]
-    return np.where(behind[0], cuts, starts), np.where(behind[1], cuts, ends)
 
 
 def add_shadows(picture: Image.Image, view: View, figures: Sequence[tuple[Figure, Float[np.ndarray, "_ 3"]]]) -> None:

@@ -30,7 +30,16 @@ def retarget(clip: BvhClip, *, rig: RigLike | None = None) -> Motion:
         rig: A rig, the name of one, the path of a YAML file (`*.yaml`) or a table `{"pelvis": "Hips", …}`.
             By default the named rig whose joints the clip has.
     """
-    rig = _resolve_rig(rig, clip.joint_names)
+    if rig is None:
+        rig = detect_rig(clip.joint_names)
+    elif isinstance(rig, Mapping):
+        rig = make_rig(rig, name="the given rig")
+    elif isinstance(rig, str) and rig in RIGS:
+        rig = RIGS[rig]
+    elif isinstance(rig, str):
+        if not rig.endswith((".yaml", ".yml")):
+            raise UserError(f'unknown rig "{rig}"; known are {", ".join(RIGS)}, or give a .yaml file')
+        rig = load_rig(rig)
     index = match_rig(rig, clip.joint_names)
     for joint, spellings in rig.sources:
         if joint not in index:
@@ -48,20 +57,6 @@ def retarget(clip: BvhClip, *, rig: RigLike | None = None) -> Motion:
         joints["head"] = neck + 0.5 * (neck - chest)
     positions = np.stack([joints[name] for name in HUMANML3D.joint_names], axis=1)
     return Motion(positions=positions.astype(np.float32), fps=clip.fps)
-
-
-def _resolve_rig(rig: RigLike | None, joint_names: Sequence[str]) -> Rig:
-    if rig is None:
-        return detect_rig(joint_names)
-    if isinstance(rig, Rig):
-        return rig
-    if isinstance(rig, Mapping):
-        return make_rig(rig, name="the given rig")
-    if rig in RIGS:
-        return RIGS[rig]
-    if rig.endswith((".yaml", ".yml")):
-        return load_rig(rig)
-    raise UserError(f'unknown rig "{rig}"; known are {", ".join(RIGS)}, or give a .yaml file')
 
 
 def _place_spine(

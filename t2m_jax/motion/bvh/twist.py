@@ -43,7 +43,15 @@ def limb_rotations(
         hinge_axes: Unit axes, perpendicular to them, about which the lower bone rotates when the limb bends.
         fps: Frames per second, for the speed limit.
     """
-    transported = _transported_frames(upper, rest_directions)
+    # Rotations of the rest directions to `upper` that turn as little as possible from frame to frame. They are running
+    # products, computed by doubling: after k rounds, each entry is the product of the last 2^k factors.
+    first = quaternion_between(rest_directions, upper[0])
+    transported = np.concatenate((first[None], quaternion_between(upper[:-1], upper[1:])))
+    shift = 1
+    while shift < len(transported):
+        product = quaternion_multiply(transported[shift:], transported[:-shift])
+        transported[shift:] = quaternion_normalize(product)
+        shift *= 2
     sideways = cross_product(rest_directions, hinge_axes)
 
     def as_twist(axes: Float[np.ndarray, "T L 3"]) -> Complex[np.ndarray, "T L"]:
@@ -66,21 +74,6 @@ def limb_rotations(
     half = twist[..., None] / 2
     turns = np.concatenate((np.cos(half), np.sin(half) * rest_directions), axis=-1)
     return quaternion_multiply(transported, turns)
-
-
-def _transported_frames(
-    directions: Float[np.ndarray, "T L 3"], rest_directions: Float[np.ndarray, "L 3"]
-) -> Float[np.ndarray, "T L 4"]:
-    """Returns rotations of the rest directions to `directions` that turn as little as possible between frames."""
-    first = quaternion_between(rest_directions, directions[0])
-    steps = quaternion_between(directions[:-1], directions[1:])
-    frames = np.concatenate((first[None], steps))
-    # Running products by doubling: after k rounds, each entry is the product of the last 2^k factors.
-    shift = 1
-    while shift < len(frames):
-        frames[shift:] = quaternion_normalize(quaternion_multiply(frames[shift:], frames[:-shift]))
-        shift *= 2
-    return frames
 
 
 def _best_path(evidence: Complex[np.ndarray, "T L"], stiffness: float, fps: float) -> Float[np.ndarray, "T L"]:
