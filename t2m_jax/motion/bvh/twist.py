@@ -34,7 +34,7 @@ def limb_rotations(
     hinge_axes: Float[np.ndarray, "L 3"],
     fps: float,
 ) -> Float[np.ndarray, "T L 4"]:
-    """Returns quaternions that turn the rest direction of each upper bone to `upper` and its hinge to the bend.
+    """Returns quaternions that rotate the rest direction of each upper bone to `upper`, and its hinge to the bend.
 
     Args:
         upper: Unit directions of thighs and upper arms in the parent joint's frame.

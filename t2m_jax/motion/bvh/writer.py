@@ -31,7 +31,7 @@ _END_SITES = {"Head": 1.7, "LeftHand": 0.65, "RightHand": 0.65, "LeftToe": 0.35,
 
 
 def save_bvh(path: Path | str, motion: Motion, *, tpose_frame: bool = False) -> None:
-    """Writes `motion` as a BVH file in metres, Y up.
+    """Writes `motion` as a BVH file in meters, Y up.
 
     The OFFSETs are the rest pose, a T-pose. The OFFSET of the root is zero, so that its position channels mean the same
     in programs that add them to OFFSET and in programs that do not.
