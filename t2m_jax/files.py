@@ -52,12 +52,15 @@ def check_output(path: str | os.PathLike[str]) -> Path:
     """
     path = Path(path)
     folder = path.absolute().parent
-    if path.is_dir():
-        raise UserError(f"{path}: this is a folder; give the name of a file")
-    if not folder.is_dir():
-        raise UserError(f"{path}: the folder {folder} does not exist; create it or choose another")
-    if not os.access(path if path.exists() else folder, os.W_OK):
-        raise UserError(f"{path}: cannot be written (no permission); choose another place")
+    try:
+        if path.is_dir():
+            raise UserError(f"{path}: this is a folder; give the name of a file")
+        if not folder.is_dir():
+            raise UserError(f"{path}: the folder {folder} does not exist; create it or choose another")
+        if not os.access(path if path.exists() else folder, os.W_OK):
+            raise UserError(f"{path}: cannot be written (no permission); choose another place")
+    except OSError as error:  # such as a name that is too long
+        raise UserError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
     return path
 
 
@@ -76,9 +79,7 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     Raises:
         UserError: `path` cannot be written, or the disk is full.
     """
-    path = Path(path)
-    if path.is_dir() or not path.parent.is_dir():
-        check_output(path)
+    path = check_output(path)
     # The suffix is kept because encoders choose the container by it. The name is short because file systems limit it.
     partial = path.with_name(f".{secrets.token_hex(16)}{path.suffix}")
     try:

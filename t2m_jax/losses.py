@@ -1,4 +1,4 @@
-"""Loss functions of both stages, on plain arrays."""
+"""Loss functions of all models, as functions of arrays."""
 
 from typing import Literal
 
@@ -14,7 +14,7 @@ TokenMean = Literal["motions", "tokens"]
 
 
 def elementwise_loss(difference: Float[Array, "..."], kind: ReconstructionKind) -> Float[Array, "..."]:
-    """Returns the loss of each difference; `l1_smooth` is quadratic below 1 and linear above."""
+    """Returns the loss of each difference. `l1_smooth` is quadratic below 1 and linear above."""
     if kind == "l2":
         return difference**2
     if kind == "l1":
@@ -30,7 +30,7 @@ def reconstruction_loss(
     kind: ReconstructionKind,
     features: slice = slice(None),
 ) -> Float[Array, ""]:
-    """Returns the mean loss over the True frames and the chosen features."""
+    """Returns the mean loss over the True frames and the given features."""
     difference = (reconstruction - motion)[..., features]
     return masked_mean(elementwise_loss(difference, kind), mask[:, :, None])
 
@@ -44,16 +44,16 @@ def velocity_loss(
     velocity: VelocityKind,
     positions: slice,
 ) -> Float[Array, ""]:
-    """Returns the second term of T2M-GPT's reconstruction loss, which its paper and its code understand differently.
+    """Returns the second term of T2M-GPT's reconstruction loss. Its paper and its code define it differently.
 
     Args:
-        reconstruction: What the decoder made.
-        motion: What it should have made.
+        reconstruction: The decoder's output.
+        motion: The target.
         mask: True where there is data.
         kind: Loss of a difference.
-        velocity: `frame_difference` compares differences of neighbouring frames (arXiv 2301.06052, equation 3);
-            `joint_positions` is the plain loss once more over the joint positions (its code).
-        positions: Features that are joint positions.
+        velocity: `frame_difference` compares differences of consecutive frames (arXiv 2301.06052, equation 3).
+            `joint_positions` is the reconstruction loss of the joint positions alone (the published code).
+        positions: Columns of the joint positions.
     """
     if velocity == "joint_positions":
         return reconstruction_loss(reconstruction, motion, mask, kind=kind, features=positions)
@@ -68,10 +68,10 @@ def token_loss(
     *,
     mean_over: TokenMean = "motions",
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Returns the cross-entropy and the share of right arg-max guesses over each motion's codes and its End.
+    """Returns the cross-entropy and the arg-max accuracy over each motion's codes and its End token.
 
-    With `mean_over` "motions" the mean is taken within a motion first (T2M-GPT's code): every motion weighs the same,
-    whatever its length. With "tokens" every code and End weighs the same (the likelihood of its paper).
+    With `mean_over` "motions", all motions have the same weight (T2M-GPT's code). With "tokens", all codes and End
+    tokens have the same weight, so that long motions count more (the likelihood in T2M-GPT's paper).
     """
     mask = jnp.arange(logits.shape[1])[None] <= code_lengths[:, None]
     safe_targets = jnp.where(mask, targets, 0)
@@ -93,7 +93,7 @@ def movement_loss(
 ) -> dict[str, Float[Array, ""]]:
     """Returns the terms of the movement autoencoder's loss (Guo et al. 2022) and their weighted sum, `loss`.
 
-    These are mean absolute values: of what the reconstruction lacks, of the movements, and of their steps in time.
+    The terms are the mean absolute values of the error, of the movements, and of their differences in time.
     """
     terms = {
         "reconstruction": jnp.mean(jnp.abs(reconstruction - motion)),
@@ -105,7 +105,7 @@ def movement_loss(
 
 
 def pair_distances(text: Float[Array, "B E"], motion: Float[Array, "B E"]) -> Float[Array, " B"]:
-    """Returns the distance of each text to the motion of its row; never quite zero, so that it has a gradient."""
+    """Returns the distance of each text from the motion in its row. It is never zero, so that it has a gradient."""
     return jnp.sqrt(jnp.sum((text - motion + 1e-6) ** 2, axis=-1))
 
 
@@ -114,9 +114,9 @@ def margin_loss(
 ) -> dict[str, Float[Array, ""]]:
     """Returns the evaluator's contrastive loss (Guo et al. 2022): `loss`, `positive` and `negative`.
 
-    Pairs are drawn together by their squared distance. The negative of text i is motion i + `shift`, modulo B: it is
-    pushed away by the square of what it lacks to the margin. With a shift of 0, which the original draws at times, the
-    negatives are the pairs themselves.
+    A positive pair costs its squared distance. The negative of text i is motion i + `shift`, modulo B. It costs the
+    square of the amount by which its distance is below the margin. The original sometimes draws a shift of 0. The
+    negatives are then the pairs themselves.
     """
     positive = jnp.mean(pair_distances(text, motion) ** 2)
     apart = pair_distances(text, jnp.roll(motion, -shift, axis=0))
@@ -127,10 +127,10 @@ def margin_loss(
 def infonce_loss(
     text: Float[Array, "B E"], motion: Float[Array, "B E"], same: Bool[Array, "B B"], *, temperature: float
 ) -> Float[Array, ""]:
-    """Returns the cross-entropy of finding each text's motion and each motion's text in the batch, their mean.
+    """Returns the mean of two cross-entropies: finding each text's motion and each motion's text in the batch.
 
-    The logits are squared distances over minus `temperature`. Where `same` is True two rows have one caption: neither
-    is a negative of the other.
+    The logits are the negative squared distances divided by `temperature`. Rows with the same caption (`same` is True)
+    are not negatives of each other.
     """
     squares = jnp.sum((text[:, None] - motion[None, :]) ** 2, axis=-1)
     own = jnp.eye(len(text), dtype=bool)

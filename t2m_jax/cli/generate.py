@@ -31,14 +31,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Generates, writes the files, and prints their names and the next command."""
-    from t2m_jax.motion.record import check_output
+    from t2m_jax.motion.record import check_motion_output
     from t2m_jax.text.prompts import check_prompt
 
     outputs = [Path(output) for output in args.output or ["motion.html"]]
     for text in args.text:
         check_prompt(text)
     for output in outputs:
-        check_output(output)
+        check_motion_output(output)
 
     from t2m_jax.sampling import TextToMotion
     from t2m_jax.sampling.strategies import make_strategy

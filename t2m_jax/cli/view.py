@@ -1,4 +1,4 @@
-"""Turns a motion file into files of other formats; the suffix of each output chooses the format."""
+"""Converts a motion file to other formats. The suffix of each output selects the format."""
 
 import argparse
 from pathlib import Path
@@ -15,17 +15,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         required=True,
         metavar="FILE",
-        help="file to write: .html, .gif, .mp4, .bvh or .npz; may be given several times",
+        help="file to write: .html, .gif, .mp4, .bvh or .npz; can be repeated",
     )
 
 
 def run(args: argparse.Namespace) -> None:
-    """Reads the motion once and writes every output."""
-    from t2m_jax.export.formats import load_motion
-    from t2m_jax.motion.record import check_output
+    """Reads the motion and writes all outputs."""
+    from t2m_jax.export import load_motion
+    from t2m_jax.motion.record import check_motion_output
 
     for output in args.outputs:
-        check_output(output)
+        check_motion_output(output)
     motion = load_motion(args.file)
     for output in args.outputs:
         motion.save(output)

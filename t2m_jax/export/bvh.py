@@ -1,15 +1,13 @@
-"""BVH through the writer of the motion package."""
+"""BVH files, by the writer of the motion package."""
 
-import pathlib
 from collections.abc import Sequence
+from pathlib import Path
 
-from t2m_jax.export.writing import only_motion, whole_file
+from t2m_jax.export.writing import only_motion
 from t2m_jax.motion.bvh import save_bvh
 from t2m_jax.motion.record import Motion
 
 
-def save_bvh_file(path: pathlib.Path, motions: Sequence[Motion]) -> None:
+def save_bvh_file(path: Path, motions: Sequence[Motion]) -> None:
     """Writes one motion as a BVH file."""
-    motion = only_motion(path, motions)
-    with whole_file(path) as part:
-        save_bvh(part, motion)
+    save_bvh(path, only_motion(path, motions))

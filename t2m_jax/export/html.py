@@ -1,36 +1,42 @@
-"""A viewer in one HTML file: the motions and the program that draws them, nothing fetched from anywhere."""
+"""A viewer in one HTML file, which contains the motions and the program that draws them and loads nothing else."""
 
 import base64
-import functools
 import html
 import importlib.resources
 import json
-import pathlib
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from t2m_jax.export.render.figure import TINTS
-from t2m_jax.export.render.scene import Figure, Scene, scene_from_motions
-from t2m_jax.export.writing import whole_file
+from t2m_jax.export.render.scene import Figure, scene_from_motions
+from t2m_jax.files import save_text
 from t2m_jax.motion.record import Motion
 
 SCRIPTS = ("algebra.js", "figures.js", "camera.js", "shaders.js", "webgl.js", "canvas2d.js", "viewer.js")
+ASSETS = (*SCRIPTS, "viewer.html", "viewer.css")
 FINEST_STEP = 1e-4
-"""Metres: points are stored no more finely than this, and more coarsely only when a figure travels beyond 3 m."""
+"""Meters. Points are stored in steps of this size, or in larger steps if a figure travels beyond 3 m."""
 
 
-def save_html(path: pathlib.Path, motions: Sequence[Motion]) -> None:
+def save_html(path: Path, motions: Sequence[Motion]) -> None:
     """Writes one HTML file that shows the motions side by side."""
-    page = viewer_html(motions, embed=False)
-    with whole_file(path) as part:
-        part.write_text(page, encoding="utf-8")
+    save_text(path, viewer_html(motions, embed=False))
 
 
 def viewer_html(motions: Sequence[Motion], *, embed: bool = True) -> str:
-    """Returns the viewer as an HTML page or, with `embed`, as an iframe that holds the page, for notebooks."""
-    page = _page(scene_from_motions(motions))
+    """Returns the viewer as an HTML page or, with `embed`, as an iframe that contains the page, for notebooks."""
+    scene = scene_from_motions(motions)
+    document = {"seconds": scene.seconds, "figures": [_figure_record(figure) for figure in scene.figures]}
+    # In a script element only `<` can do harm. ASCII avoids problems with U+2028 and lone surrogates.
+    data = json.dumps(document, ensure_ascii=True, separators=(",", ":")).replace("<", "\\u003c")
+    assets = importlib.resources.files("t2m_jax.export") / "viewer"
+    files = {name: (assets / name).read_text(encoding="utf-8").rstrip("\n") for name in ASSETS}
+    script = "(() => {\n" + "\n".join(['"use strict";', *(files[name] for name in SCRIPTS)]) + "\n})();"
+    page = files["viewer.html"].replace("/*{{style}}*/", files["viewer.css"]).replace("/*{{script}}*/", script)
+    page = page.replace("/*{{data}}*/", data) + "\n"  # last, because captions could contain the other marks
     if not embed:
         return page
     return (
@@ -39,32 +45,8 @@ def viewer_html(motions: Sequence[Motion], *, embed: bool = True) -> str:
     )
 
 
-def _page(scene: Scene) -> str:
-    """Returns the page: the template with style, script and data in their places."""
-    document = {"seconds": scene.seconds, "figures": [_figure_record(figure) for figure in scene.figures]}
-    # Inside a script element only `<` can do harm; ASCII keeps the rest (U+2028, lone surrogates) out of trouble.
-    data = json.dumps(document, ensure_ascii=True, separators=(",", ":")).replace("<", "\\u003c")
-    before, after = _shell()
-    return f"{before}{data}{after}"
-
-
-@functools.lru_cache
-def _shell() -> tuple[str, str]:
-    """Returns the page before and after the place of the data."""
-    assets = importlib.resources.files("t2m_jax.export") / "viewer"
-
-    def read(name: str) -> str:
-        """Returns the text of an asset."""
-        return (assets / name).read_text(encoding="utf-8").rstrip("\n")
-
-    script = "(() => {\n" + "\n".join(['"use strict";', *map(read, SCRIPTS)]) + "\n})();"
-    page = read("viewer.html").replace("/*{{style}}*/", read("viewer.css")).replace("/*{{script}}*/", script)
-    before, after = page.split("/*{{data}}*/")
-    return before, after + "\n"
-
-
 def _figure_record(figure: Figure) -> dict[str, Any]:
-    """Returns one figure as JSON takes it, its points as base64 of little-endian 16-bit steps from their middle."""
+    """Returns one figure as plain data. Its points are base64 of little-endian 16-bit steps from their center."""
     num_frames, num_points, _ = figure.points.shape
     low, high = figure.points.min(axis=(0, 1)), figure.points.max(axis=(0, 1))
     origin = (low + high).astype(np.float64) / 2

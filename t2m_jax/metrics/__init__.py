@@ -1,4 +1,4 @@
-"""Metrics: functions of arrays. Random choices enter as index arrays, so a result depends on its arguments alone."""
+"""Metrics: functions of arrays. Random choices are index arrays, so that a result depends only on its arguments."""
 
 from t2m_jax.metrics.codes import code_usage, perplexity
 from t2m_jax.metrics.frechet import fid

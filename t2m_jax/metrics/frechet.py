@@ -1,8 +1,8 @@
-"""The Fréchet distance of two sets of embeddings (FID; Heusel et al. 2017, equation 6), right in float32.
+"""The Fréchet distance of two sets of embeddings (FID; Heusel et al. 2017, equation 6), accurate in float32.
 
-The usual form, tr(S1) + tr(S2) - 2 tr sqrt(S1 S2), takes a small difference of large numbers, and an eigendecomposition
-in float32 is off by a tenth at 512 dimensions. With S1 = A'A and S2 = B'B the same number is the least |A - QB|^2 over
-all rotations and reflections Q (orthogonal Procrustes): a sum of squares, in which nothing cancels.
+The usual formula, tr(S1) + tr(S2) - 2 tr sqrt(S1 S2), is a small difference of large numbers. With a float32
+eigendecomposition its error is about 10 % at 512 dimensions. With S1 = A'A and S2 = B'B, the same number is the least
+value of |A - QB|^2 over all rotations and reflections Q (orthogonal Procrustes). Nothing cancels in a sum of squares.
 """
 
 import jax
@@ -10,13 +10,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 HIGHEST = jax.lax.Precision.HIGHEST
-"""Accelerators would round the factors of a product to 10 bits otherwise."""
+"""The default precision of accelerators rounds the factors of a product to 10 bits or fewer."""
 
 
 def covariance_factor(embeddings: Float[Array, "N D"]) -> Float[Array, "D D"]:
-    """Returns a triangular factor R of the unbiased covariance, R'R, with rows of zeros where samples are few."""
-    centred = (embeddings - jnp.mean(embeddings, axis=0, keepdims=True)) / jnp.sqrt(len(embeddings) - 1.0)
-    factor = jnp.linalg.qr(centred, mode="r")
+    """Returns a triangular factor R of the unbiased covariance R'R. With few samples, the last rows are zero."""
+    centered = (embeddings - jnp.mean(embeddings, axis=0, keepdims=True)) / jnp.sqrt(len(embeddings) - 1.0)
+    factor = jnp.linalg.qr(centered, mode="r")
     return jnp.pad(factor, ((0, embeddings.shape[1] - factor.shape[0]), (0, 0)))
 
 
@@ -24,10 +24,10 @@ def fid(real: Float[Array, "N D"], generated: Float[Array, "M D"]) -> Float[Arra
     """Returns the squared Fréchet distance of the normal distributions with the sets' means and covariances.
 
     Raises:
-        ValueError: if a set has fewer than two samples.
+        ValueError: A set has fewer than two samples.
     """
     if min(len(real), len(generated)) < 2:
-        raise ValueError("a covariance needs two samples or more")
+        raise ValueError("each set needs at least two samples")
     ours, theirs = covariance_factor(real), covariance_factor(generated)
     left, _, right = jnp.linalg.svd(jnp.matmul(ours, theirs.T, precision=HIGHEST))
     turned = jnp.matmul(jnp.matmul(left, right, precision=HIGHEST), theirs, precision=HIGHEST)

@@ -3,14 +3,16 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from t2m_jax.masks import masked_mean
+
 CONTACT_HEIGHT = 0.05
-"""metres: a foot lower than this, over the lowest point of its clip, should not move"""
+"""Meters. A foot should not move if it is less than this above the lowest point of its clip."""
 
 
 def joint_errors(positions: Float[Array, "B T J 3"], reference: Float[Array, "B T J 3"]) -> Float[Array, "B T"]:
-    """Returns the mean distance of the joints in each frame after both roots were moved to the origin.
+    """Returns the mean distance of the joints in each frame after both roots are moved to the origin.
 
-    Orientation is not aligned. Unit: that of the positions.
+    The orientation is not aligned. The unit is that of the positions.
     """
     aligned = positions - positions[:, :, :1]
     aligned_reference = reference - reference[:, :, :1]
@@ -18,64 +20,60 @@ def joint_errors(positions: Float[Array, "B T J 3"], reference: Float[Array, "B 
 
 
 def aligned_joint_errors(positions: Float[Array, "B T J 3"], reference: Float[Array, "B T J 3"]) -> Float[Array, "B T"]:
-    """Returns the mean distance of the joints in each frame after the best rotation, scale and shift of its pose.
+    """Returns the mean distance of the joints in each frame after the best rotation, scale and shift of the pose.
 
-    The alignment is Procrustes', without reflection.
+    This is the Procrustes alignment without reflection.
     """
-    centred = positions - jnp.mean(positions, axis=2, keepdims=True)
+    centered = positions - jnp.mean(positions, axis=2, keepdims=True)
     target = reference - jnp.mean(reference, axis=2, keepdims=True)
-    left, strengths, right = jnp.linalg.svd(jnp.einsum("btji,btjk->btik", centred, target))
+    left, strengths, right = jnp.linalg.svd(jnp.einsum("btji,btjk->btik", centered, target))
     signs = jnp.sign(jnp.linalg.det(left) * jnp.linalg.det(right))
     strengths = strengths.at[..., -1].multiply(signs)
     left = left.at[..., -1].multiply(signs[..., None])
-    scale = jnp.sum(strengths, axis=-1) / jnp.maximum(jnp.sum(centred**2, axis=(2, 3)), 1e-12)
-    turned = jnp.einsum("btji,btik->btjk", centred, left @ right) * scale[..., None, None]
+    scale = jnp.sum(strengths, axis=-1) / jnp.maximum(jnp.sum(centered**2, axis=(2, 3)), 1e-12)
+    turned = jnp.einsum("btji,btik->btjk", centered, left @ right) * scale[..., None, None]
     return jnp.mean(jnp.linalg.norm(turned - target, axis=-1), axis=-1)
-
-
-def _mean_over(errors: Float[Array, "B T"], mask: Bool[Array, "B T"]) -> Float[Array, ""]:
-    return jnp.sum(jnp.where(mask, errors, 0.0)) / jnp.maximum(jnp.sum(mask), 1)
 
 
 def mpjpe(
     positions: Float[Array, "B T J 3"], reference: Float[Array, "B T J 3"], mask: Bool[Array, "B T"]
 ) -> Float[Array, ""]:
     """Returns the root-aligned mean per-joint position error over the True frames (as MoMask's evaluation does)."""
-    return _mean_over(joint_errors(positions, reference), mask)
+    return masked_mean(joint_errors(positions, reference), mask)
 
 
 def pa_mpjpe(
     positions: Float[Array, "B T J 3"], reference: Float[Array, "B T J 3"], mask: Bool[Array, "B T"]
 ) -> Float[Array, ""]:
     """Returns the mean per-joint position error over the True frames with every pose aligned by Procrustes."""
-    return _mean_over(aligned_joint_errors(positions, reference), mask)
+    return masked_mean(aligned_joint_errors(positions, reference), mask)
 
 
 def acceleration_error(
     positions: Float[Array, "B T J 3"], reference: Float[Array, "B T J 3"], mask: Bool[Array, "B T"]
 ) -> Float[Array, ""]:
-    """Returns the mean distance of the joints' second differences, over frames whose neighbours are data, too.
+    """Returns the mean distance of the joints' second differences, over True frames with two True neighbors.
 
-    Unit: that of the positions, a frame squared.
+    The unit is that of the positions per squared frame.
     """
     errors = jnp.linalg.norm(jnp.diff(positions - reference, n=2, axis=1), axis=-1)
-    return _mean_over(jnp.mean(errors, axis=-1), mask[:, 2:] & mask[:, 1:-1] & mask[:, :-2])
+    return masked_mean(jnp.mean(errors, axis=-1), mask[:, 2:] & mask[:, 1:-1] & mask[:, :-2])
 
 
 def foot_skating(
     positions: Float[Array, "B T J 3"], mask: Bool[Array, "B T"], *, feet: tuple[int, ...], fps: float
 ) -> Float[Array, ""]:
-    """Returns how fast feet on the ground slide, metres a second: the mean over frames and feet that touch it.
+    """Returns the mean speed of feet on the ground in meters per second, over all frames and feet that touch it.
 
     Args:
-        positions: Joints in metres, Y up.
+        positions: Joints in meters, Y up.
         mask: True where there is data.
-        feet: Joints that are feet.
-        fps: Frames a second.
+        feet: Indices of the foot joints.
+        fps: Frames per second.
     """
     foot = positions[:, :, jnp.asarray(feet)]
     floor = jnp.min(jnp.where(mask[:, :, None], foot[..., 1], jnp.inf), axis=(1, 2), keepdims=True)
     low = (foot[..., 1] - floor < CONTACT_HEIGHT) & mask[:, :, None]
     touching = low[:, 1:] & low[:, :-1]
     speed = jnp.linalg.norm(jnp.diff(foot[..., jnp.array([0, 2])], axis=1), axis=-1) * fps
-    return jnp.sum(jnp.where(touching, speed, 0.0)) / jnp.maximum(jnp.sum(touching), 1)
+    return masked_mean(speed, touching)

@@ -1,6 +1,6 @@
-"""How well texts and motions find each other, by Euclidean distance of their embeddings (Guo et al. 2022).
+"""Retrieval of motions by text and of texts by motion, by Euclidean distance of embeddings (Guo et al. 2022).
 
-Pairs come in batches of 32: each item is ranked among the 32 candidates of its batch, and batches are pooled.
+Each item is ranked among the 32 candidates of its batch. The results of all batches are averaged.
 """
 
 from typing import Literal, NamedTuple
@@ -12,33 +12,31 @@ from jaxtyping import Array, Bool, Float, Int
 Direction = Literal["motions_per_text", "texts_per_motion"]
 
 
-class Standing(NamedTuple):
-    """How each query's own candidate stands among those of other labels."""
+class PartnerRanks(NamedTuple):
+    """The rank of each query's partner among the candidates with other labels."""
 
     nearer: Int[Array, " B"]
-    """Candidates nearer than its own."""
+    """Number of candidates that are nearer than the partner."""
     tied: Int[Array, " B"]
-    """Others exactly as near."""
+    """Number of other candidates at exactly the same distance."""
 
 
-def own_standing(queries: Float[Array, "B E"], candidates: Float[Array, "B E"], labels: Int[Array, " B"]) -> Standing:
-    """Returns how many candidates of another label are nearer to each query than its own, and how many as near."""
+def partner_ranks(
+    queries: Float[Array, "B E"], candidates: Float[Array, "B E"], labels: Int[Array, " B"]
+) -> PartnerRanks:
+    """Returns the ranks of the candidates that belong to the queries (same row). Equal labels are not compared."""
     differences = queries[:, None, :] - candidates[None, :, :]
     distances = jnp.sqrt(jnp.sum(differences**2, axis=-1))
     own, others = jnp.diagonal(distances)[:, None], labels[:, None] != labels[None, :]
-    return Standing(jnp.sum((distances < own) & others, axis=1), jnp.sum((distances == own) & others, axis=1))
+    return PartnerRanks(jnp.sum((distances < own) & others, axis=1), jnp.sum((distances == own) & others, axis=1))
 
 
-def _hit_chances(standing: Standing, top_k: int) -> Float[Array, "B K"]:
-    """Returns the chance that each own candidate is among the 1, 2, ... nearest if chance orders what is as near."""
-    places = jnp.arange(1, top_k + 1)[None, :] - standing.nearer[:, None]
-    return jnp.clip(places / (standing.tied[:, None] + 1), 0.0, 1.0)
-
-
-def _mean_hits(standing: Standing, top_k: int, counted: Bool[Array, " N"] | None) -> Float[Array, " K"]:
-    """Returns the mean of the hits over what counts."""
-    weights = jnp.ones(len(standing.nearer)) if counted is None else counted.astype(jnp.float32)
-    return jnp.sum(_hit_chances(standing, top_k) * weights[:, None], axis=0) / jnp.sum(weights)
+def _mean_hits(ranks: PartnerRanks, top_k: int, counted: Bool[Array, " N"] | None) -> Float[Array, " K"]:
+    """Returns the mean chance that a partner is among the 1, 2, ... nearest if ties are ordered at random."""
+    places = jnp.arange(1, top_k + 1)[None, :] - ranks.nearer[:, None]
+    chances = jnp.clip(places / (ranks.tied[:, None] + 1), 0.0, 1.0)
+    weights = jnp.ones(len(ranks.nearer)) if counted is None else counted.astype(jnp.float32)
+    return jnp.sum(chances * weights[:, None], axis=0) / jnp.sum(weights)
 
 
 def r_precision(
@@ -51,53 +49,52 @@ def r_precision(
     labels: Int[Array, " N"] | None = None,
     counted: Bool[Array, " N"] | None = None,
 ) -> Float[Array, " K"]:
-    """Returns the share of items whose partner is among the 1, 2, ... `top_k` nearest of its batch.
+    """Returns the share of items whose partner is among the 1, 2, ... `top_k` nearest candidates of its batch.
 
-    Candidates exactly as near as the partner, such as equal captions, share its place: a model that makes one motion
-    for all texts is at chance. (The published codes leave their order to the sort.)
+    Candidates at exactly the same distance, such as equal captions, share their ranks, so that a model that generates
+    one motion for all texts is at chance. (In the published code, their order depends on the sort.)
 
     Args:
         text: Embeddings of captions.
-        motion: Embeddings of motions, row by row their partners.
+        motion: Embeddings of motions. Rows with the same index are partners.
         top_k: Largest k.
-        batch: Candidates each item is ranked among; consecutive rows. Chance is k / batch.
-        direction: `motions_per_text` ranks motions for each text, as the published codes do; `texts_per_motion` is what
-            their papers describe.
-        labels: What an item shows. Candidates of the same label are not counted as errors; without, each pair is its
-            own label.
-        counted: Pairs whose rank counts, by default all; the others are candidates alone, as where a set is filled up
-            to whole batches.
+        batch: Number of candidates, which are consecutive rows. Chance is k / batch.
+        direction: `motions_per_text` ranks motions for each text, as the published code does. `texts_per_motion` is
+            what the papers describe.
+        labels: The class of each item. Candidates of the same class are not errors. By default each pair is a class.
+        counted: True for pairs whose rank counts, by default all. The others are only candidates, such as pairs that
+            fill the last batch.
 
     Raises:
-        ValueError: if the number of pairs is no multiple of `batch`.
+        ValueError: The number of pairs is not a multiple of `batch`.
     """
     if len(text) % batch or len(text) != len(motion) or not len(text):
         raise ValueError(f"{len(text)} texts and {len(motion)} motions do not make batches of {batch} pairs")
     queries, candidates = (text, motion) if direction == "motions_per_text" else (motion, text)
     owners = jnp.arange(len(text)) if labels is None else labels
     batches = tuple(rows.reshape(-1, batch, *rows.shape[1:]) for rows in (queries, candidates, owners))
-    standing = jax.lax.map(lambda arguments: own_standing(*arguments), batches)
-    return _mean_hits(Standing(*(column.reshape(-1) for column in standing)), top_k, counted)
+    ranks = jax.lax.map(lambda arguments: partner_ranks(*arguments), batches)
+    return _mean_hits(PartnerRanks(*(column.reshape(-1) for column in ranks)), top_k, counted)
 
 
 def label_bound(
     labels: Int[Array, " N"], *, top_k: int = 3, batch: int = 32, counted: Bool[Array, " N"] | None = None
 ) -> Float[Array, " K"]:
-    """Returns the R-precision to expect where labels are found without fail and items of one label look all alike.
+    """Returns the expected R-precision of a perfect classifier that cannot distinguish items of one label.
 
-    With m others of its label in its batch, an item is among the k nearest with a chance of k / (m + 1). What
-    `r_precision` finds above it was told apart within labels.
+    If m other items of the batch have its label, an item is among the k nearest with a probability of k / (m + 1). An
+    `r_precision` above this bound shows that items of one label are distinguished.
 
     Raises:
-        ValueError: if the number of items is no multiple of `batch`.
+        ValueError: The number of items is not a multiple of `batch`.
     """
     if len(labels) % batch or not len(labels):
         raise ValueError(f"{len(labels)} labels do not make batches of {batch}")
     batches = labels.reshape(-1, batch)
     alike = jnp.sum(batches[:, :, None] == batches[:, None, :], axis=-1).reshape(-1)
-    return _mean_hits(Standing(jnp.zeros_like(alike), alike - 1), top_k, counted)
+    return _mean_hits(PartnerRanks(jnp.zeros_like(alike), alike - 1), top_k, counted)
 
 
 def matching_score(text: Float[Array, "N E"], motion: Float[Array, "N E"]) -> Float[Array, ""]:
-    """Returns the mean distance of the pairs (MM-Dist)."""
+    """Returns the mean distance of each text from its motion (MM-Dist)."""
     return jnp.mean(jnp.sqrt(jnp.sum((text - motion) ** 2, axis=-1)))

@@ -1,4 +1,4 @@
-"""How much motions differ: over a set, and among those of one caption. Pairs are given, so nothing is random here."""
+"""The variety of motions: in a set, and among the motions of one caption. The pairs to compare are arguments."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -11,6 +11,6 @@ def diversity(embeddings: Float[Array, "N E"], pairs: Int[Array, "P 2"]) -> Floa
 
 
 def multimodality(embeddings: Float[Array, "Q S E"], pairs: Int[Array, "P 2"]) -> Float[Array, ""]:
-    """Returns the mean distance of the given pairs among the S samples of each caption, the same pairs for all."""
+    """Returns the mean distance of the given pairs of samples of a caption. All captions use the same pairs."""
     differences = embeddings[:, pairs[:, 0]] - embeddings[:, pairs[:, 1]]
     return jnp.mean(jnp.sqrt(jnp.sum(differences**2, axis=-1)))

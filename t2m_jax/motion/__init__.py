@@ -1,4 +1,4 @@
-"""Motion as arrays: skeletons, rotations, features, statistics, mirroring and the `Motion` record."""
+"""Motions as arrays: skeletons, rotations, features, statistics, mirroring and `Motion`."""
 
 from t2m_jax.motion.features import features_from_positions, positions_from_features, positions_from_rotations
 from t2m_jax.motion.layout import FeatureLayout

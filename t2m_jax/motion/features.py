@@ -1,12 +1,13 @@
-"""Motion features from joint positions and back.
+"""Motion features from joint positions, and joint positions from motion features.
 
-The HumanML3D encoding (Guo et al., CVPR 2022) with its quirks, because published statistics, models and metrics rest on
-them: the first heading is forced to +Z, headings are smoothed over a second, hips and shoulders pull the smoothed
-heading to opposite sides, and rotations are swings from a rest axis without twist. Positions are in the skeleton's unit
-(metres for HumanML3D, millimetres for KIT-ML), Y up; velocities are a frame, angles in radians.
+This is the encoding of HumanML3D (Guo et al., CVPR 2022). It includes the quirks of the original code, because the
+published statistics, models and metrics depend on them: the first heading is +Z, headings are smoothed over about a
+second, hips and shoulders contribute to the heading with opposite signs, and rotations are swings from a rest axis
+without twist. Positions are in the skeleton's unit (meters for HumanML3D, millimeters for KIT-ML) with Y up. Velocities
+are per frame, and angles are in radians.
 
-Everything takes NumPy or JAX arrays with batch axes in front and returns float32 arrays of the same library. Under
-`jit` the skeleton is a static argument.
+All functions accept NumPy or JAX arrays with leading batch axes. They return float32 arrays of the same library. Under
+`jit`, the skeleton is a static argument.
 """
 
 import itertools
@@ -30,75 +31,58 @@ from t2m_jax.motion.rotations import (
 from t2m_jax.motion.skeleton import Skeleton
 
 HEADING_SIGMA = 20.0
-"""Standard deviation, in frames, of the Gaussian that smooths headings."""
+"""Standard deviation of the Gaussian that smooths headings, in frames."""
 
-_TRUNCATE = 4  # the Gaussian ends after this many standard deviations
+_TRUNCATE = 4  # standard deviations after which the Gaussian is cut off, as in SciPy
 _AHEAD = (0.0, 0.0, 1.0)
 
 
 def _checked_positions(positions: AnyArray, skeleton: Skeleton) -> AnyArray:
-    """Returns `positions` as float32, or refuses them."""
-    if positions.ndim < 3 or positions.shape[-1] != 3:
-        raise UserError(f"positions have shape {tuple(positions.shape)}; give [..., frames, joints, 3]")
-    if positions.shape[-2] != skeleton.num_joints:
-        raise UserError(
-            f"positions have {positions.shape[-2]} joints, but skeleton {skeleton.name} has {skeleton.num_joints}; "
-            "choose the joints of the skeleton, in its order"
-        )
-    if positions.shape[-3] < 2:
-        raise UserError(f"positions have {positions.shape[-3]} frames; features need at least 2")
+    """Returns `positions` as float32. Raises `UserError` if they cannot be positions of the skeleton."""
+    skeleton.check_joints(positions)
+    if positions.ndim < 3 or positions.shape[-3] < 2:
+        raise UserError(f"positions have shape {tuple(positions.shape)}; features need at least 2 frames")
     xp = namespace_of(positions)
     return xp.asarray(positions, dtype=xp.float32)
 
 
 def _checked_features(features: AnyArray, skeleton: Skeleton) -> AnyArray:
-    """Returns `features` as float32, or refuses them."""
+    """Returns `features` as float32. Raises `UserError` if they cannot be features of the skeleton."""
     if features.ndim < 2 or features.shape[-1] != skeleton.feature_dim:
         raise UserError(
-            f"features have shape {tuple(features.shape)}, but those of skeleton {skeleton.name} are "
-            f"[..., frames, {skeleton.feature_dim}]; choose the skeleton they were made for"
+            f"features have shape {tuple(features.shape)}, but skeleton {skeleton.name} needs "
+            f"[..., frames, {skeleton.feature_dim}]; choose the skeleton of the features"
         )
     xp = namespace_of(features)
     return xp.asarray(features, dtype=xp.float32)
 
 
 def _constant(values: object, like: AnyArray, ndim: int) -> AnyArray:
-    """Returns float32 `values` in the library of `like`, with leading axes of size one up to `ndim` axes."""
+    """Returns `values` as float32 in the library of `like`, with leading axes of size 1 up to `ndim` axes."""
     array = np.asarray(values, np.float32)
     return namespace_of(like).asarray(array.reshape((1,) * (ndim - array.ndim) + array.shape))
 
 
 def _bones(positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton) -> Float[AnyArray, "*batch T J-1 3"]:
-    """Returns the vectors from parent to joint of joints 1 … J−1."""
+    """Returns the vectors from the parent to the joint, for joints 1 … J−1."""
     return positions[..., 1:, :] - positions[..., np.array(skeleton.parents[1:]), :]
 
 
 def _chain_predecessors(skeleton: Skeleton) -> np.ndarray:
-    """Returns for each joint the one before it in its chain; chains that begin at the chest start from the root too."""
+    """Returns the joint before each joint in its chain. Chains that begin at the chest continue from the root, too."""
     predecessors = np.array(skeleton.parents)
     for chain in skeleton.chains:
         predecessors[chain[1]] = 0
     return predecessors
 
 
-def _paths(skeleton: Skeleton) -> np.ndarray:
-    """Returns for each joint itself and its ancestors, filled up with the root."""
-    paths = []
-    for joint in range(skeleton.num_joints):
-        path = [joint]
-        while path[-1] > 0:
-            path.append(skeleton.parents[path[-1]])
-        paths.append(path)
-    return np.array(list(itertools.zip_longest(*paths, fillvalue=0))).T
-
-
 def retarget_positions(
     positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton
 ) -> Float[AnyArray, "*batch T J 3"]:
-    """Returns the motion on the template's bone lengths, which all data of a skeleton share.
+    """Returns the motion with the bone lengths of the template, which all data of a skeleton share.
 
-    Bones keep their directions. The root's path is scaled by the leg length of the template over that of the first
-    frame (one leg decides). Bones of no length stay so, and a figure without a leg keeps its path.
+    Bones keep their directions. The root's path is scaled by the template's leg length divided by that of the first
+    frame. Only one leg is measured. Bones of length zero stay zero, and a figure without a leg keeps its path.
     """
     positions = _checked_positions(positions, skeleton)
     xp = namespace_of(positions)
@@ -110,11 +94,20 @@ def retarget_positions(
     bones = unit_vectors(bones) * _constant(skeleton.bone_lengths[1:], bones, bones.ndim - 1)[..., None]
     root = positions[..., :1, :] * scale[..., None, None, None]
     bones = xp.concatenate([xp.zeros_like(root), bones], axis=-2)
-    return root + bones[..., _paths(skeleton), :].sum(-2)
+    # A joint's position is the sum of the bones on its path to the root. All paths have one length after padding with
+    # the root, whose bone is zero, so that one sum serves all joints.
+    paths = []
+    for joint in range(skeleton.num_joints):
+        path = [joint]
+        while path[-1] > 0:
+            path.append(skeleton.parents[path[-1]])
+        paths.append(path)
+    padded = np.array(list(itertools.zip_longest(*paths, fillvalue=0))).T
+    return root + bones[..., padded, :].sum(-2)
 
 
 def ground_positions(positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton) -> Float[AnyArray, "*batch T J 3"]:
-    """Returns the motion with its lowest joint at height 0, beginning over the origin and facing +Z."""
+    """Returns the motion with its lowest joint at height 0. It starts above the origin and faces +Z."""
     positions = _checked_positions(positions, skeleton)
     xp = namespace_of(positions)
     floor = positions[..., 1].min(axis=(-2, -1))
@@ -128,15 +121,15 @@ def ground_positions(positions: Float[AnyArray, "*batch T J 3"], skeleton: Skele
 
 
 def _forward(across: Float[AnyArray, "*batch 3"]) -> Float[AnyArray, "*batch 3"]:
-    """Returns Y × across: ahead for someone whose right side points along `across`, with y = 0."""
+    """Returns Y × across with y = 0: the forward direction if `across` points to the right side of the body."""
     xp = namespace_of(across)
     return xp.stack([across[..., 2], xp.zeros_like(across[..., 0]), -across[..., 0]], axis=-1)
 
 
 def smooth_over_time(values: Float[AnyArray, "*batch T C"], *, sigma: float) -> Float[AnyArray, "*batch T C"]:
-    """Returns `values` under a Gaussian along time, with the end frames repeated outwards.
+    """Returns `values` smoothed over time by a Gaussian. The first and last frames are repeated as padding.
 
-    `sigma` counts frames. NumPy arrays are summed in float64 and come back so; JAX arrays stay float32.
+    The unit of `sigma` is frames. NumPy arrays are computed and returned in float64, JAX arrays in float32.
     """
     xp = namespace_of(values)
     dtype = np.float64 if xp is np else np.float32
@@ -146,17 +139,17 @@ def smooth_over_time(values: Float[AnyArray, "*batch T C"], *, sigma: float) -> 
     kernel = (kernel / kernel.sum()).astype(dtype)
     num_frames = values.shape[-2]
     windows = np.clip(np.arange(num_frames)[:, None] + steps, 0, num_frames - 1)
-    neighbours = xp.asarray(values, dtype=dtype)[..., windows, :]
-    return (neighbours * kernel.reshape((1,) * (neighbours.ndim - 2) + (-1, 1))).sum(-2)
+    neighbors = xp.asarray(values, dtype=dtype)[..., windows, :]
+    return (neighbors * kernel.reshape((1,) * (neighbors.ndim - 2) + (-1, 1))).sum(-2)
 
 
 def heading_quaternions(
     positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton
 ) -> Float[AnyArray, "*batch T 4"]:
-    """Returns the turn about Y that brings each frame's smoothed heading to +Z; the identity for frame 0.
+    """Returns the rotation about Y of each frame's smoothed heading to +Z, which is the identity for frame 0.
 
-    The hip axis enters with the opposite sign to the shoulders': a slip of the original code that all published data
-    contain, and harmless only because the smoothing hides it.
+    The hips contribute with the opposite sign of the shoulders. This is an error of the original code, which all
+    published data contain. The smoothing makes it harmless.
     """
     positions = _checked_positions(positions, skeleton)
     xp = namespace_of(positions)
@@ -171,11 +164,11 @@ def heading_quaternions(
 def swing_rotations(
     positions: Float[AnyArray, "*batch T J 3"], headings: Float[AnyArray, "*batch T 4"], skeleton: Skeleton
 ) -> Float[AnyArray, "*batch T J 4"]:
-    """Returns local rotations as quaternions; the root's are `headings`.
+    """Returns local rotations as quaternions. The root's rotations are `headings`.
 
-    Each bone's rotation is the shortest swing from its rest axis, seen from the bone before it in its chain; chains
-    start from the heading. A bone that points opposite to its rest axis swings about an arbitrary axis, and a bone of
-    no length does not swing.
+    The rotation of a bone is the shortest swing from its rest axis, relative to the bone before it in its chain. Chains
+    start at the heading. A bone opposite to its rest axis swings about an arbitrary axis. A bone of length zero does
+    not swing.
     """
     positions = _checked_positions(positions, skeleton)
     bones = _bones(positions, skeleton)
@@ -189,7 +182,7 @@ def swing_rotations(
 
 
 def foot_contacts(positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton) -> Float[AnyArray, "*batch T-1 4"]:
-    """Returns 1 where a foot joint (left ankle, left toe, right ankle, right toe) hardly moves to the next frame."""
+    """Returns 1 for each foot joint (left ankle and toe, right ankle and toe) that hardly moves to the next frame."""
     feet = positions[..., np.array(skeleton.left_foot + skeleton.right_foot), :]
     steps = ((feet[..., 1:, :, :] - feet[..., :-1, :, :]) ** 2).sum(-1)
     return (steps < skeleton.contact_threshold).astype(np.float32)
@@ -198,20 +191,20 @@ def foot_contacts(positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton
 def features_from_positions(
     positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton, *, repair_sign_flip: bool = False
 ) -> Float[AnyArray, "*batch T-1 D"]:
-    """Returns raw motion features of joint positions; one frame is lost.
+    """Returns raw motion features of joint positions. The features have one frame less.
 
-    The clip is first brought to the template's bones, the floor, the origin and the heading +Z. Heading smoothing
-    reaches 80 frames, so the features of a crop differ from the crop of the features. Finite positions give finite
-    features.
+    First, the clip gets the template's bone lengths and is moved to the floor, the origin and the heading +Z. The
+    smoothing of headings uses 80 frames on each side, so the features of a crop differ from the crop of the features.
+    Finite positions give finite features.
 
     Args:
         positions: Joints in the skeleton's unit, Y up, at the skeleton's frame rate.
-        skeleton: Where the joints are and what they are retargeted to.
-        repair_sign_flip: Whether to mend the one frame, in motions that turn past 180 degrees from their start, in
-            which the yaw step has the wrong sign. Published data are not mended.
+        skeleton: The joints, and the template for their bone lengths.
+        repair_sign_flip: Whether to correct an error of the original encoding: if a motion turns past 180 degrees from
+            its start, the yaw step of that frame has the wrong sign. Published data contain the error.
 
     Raises:
-        UserError: The joints are not the skeleton's, or there are fewer than two frames.
+        UserError: The number of joints is not the skeleton's, or there are fewer than two frames.
     """
     ground = ground_positions(retarget_positions(positions, skeleton), skeleton)
     xp = namespace_of(ground)
@@ -249,9 +242,9 @@ def features_from_positions(
 def root_from_features(
     features: Float[AnyArray, "*batch T D"], skeleton: Skeleton
 ) -> tuple[Float[AnyArray, "*batch T 4"], Float[AnyArray, "*batch T 3"]]:
-    """Returns the turns that bring each frame's heading to +Z, and the positions of the root.
+    """Returns the rotations of each frame's heading to +Z, and the positions of the root.
 
-    The clip begins over the origin, heading +Z.
+    The clip starts above the origin and faces +Z.
     """
     features = _checked_features(features, skeleton)
     xp, layout = namespace_of(features), skeleton.layout
@@ -273,11 +266,11 @@ def positions_from_features(
 ) -> Float[AnyArray, "*batch T J 3"]:
     """Returns the joint positions of raw features, in the skeleton's unit.
 
-    The clip begins over the origin, heading +Z. Only the root's columns and the local positions are read, as in all
+    The clip starts above the origin and faces +Z. Only the root's columns and the local positions are used, as in all
     published evaluations.
 
     Raises:
-        UserError: The features are not as wide as the skeleton's.
+        UserError: The number of features is not the skeleton's.
     """
     features = _checked_features(features, skeleton)
     xp = namespace_of(features)
@@ -291,13 +284,13 @@ def positions_from_features(
 def positions_from_rotations(
     features: Float[AnyArray, "*batch T D"], skeleton: Skeleton
 ) -> Float[AnyArray, "*batch T J 3"]:
-    """Returns the joint positions that follow from the rotations of raw features on the template's bones.
+    """Returns the joint positions of raw features, computed from their rotations and the template's bones.
 
-    Right only while the recovered heading is the encoder's: it is off after a frame of wrong yaw sign (see
-    `features_from_positions`). `positions_from_features` has no such weakness.
+    They are wrong after a frame whose yaw step has the wrong sign (see `features_from_positions`).
+    `positions_from_features` does not have this problem.
 
     Raises:
-        UserError: The features are not as wide as the skeleton's.
+        UserError: The number of features is not the skeleton's.
     """
     features = _checked_features(features, skeleton)
     headings, root = root_from_features(features, skeleton)

@@ -1,11 +1,10 @@
-"""Left and right exchanged, in positions and in the captions that describe them."""
+"""Exchanging left and right, in positions and in captions."""
 
 import re
 
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.errors import UserError
 from t2m_jax.motion.namespace import AnyArray, namespace_of
 from t2m_jax.motion.skeleton import Skeleton
 
@@ -20,16 +19,12 @@ _WORD = re.compile(
 
 
 def mirror_positions(positions: Float[AnyArray, "*batch J 3"], skeleton: Skeleton) -> Float[AnyArray, "*batch J 3"]:
-    """Returns the motion seen in a mirror: x negated, left and right joints exchanged; float32.
+    """Returns the mirrored motion, float32: x is negated, and left and right joints are exchanged.
 
     Raises:
-        UserError: The joints are not the skeleton's.
+        UserError: The number of joints is not the skeleton's.
     """
-    if positions.shape[-2] != skeleton.num_joints:
-        raise UserError(
-            f"positions have {positions.shape[-2]} joints, but skeleton {skeleton.name} has {skeleton.num_joints}; "
-            "choose the joints of the skeleton, in its order"
-        )
+    skeleton.check_joints(positions)
     order = np.arange(skeleton.num_joints)
     for left, right in skeleton.mirror_pairs:
         order[left], order[right] = right, left
@@ -39,21 +34,20 @@ def mirror_positions(positions: Float[AnyArray, "*batch J 3"], skeleton: Skeleto
 
 
 def mirror_caption(text: str) -> str:
-    """Returns a caption with left and right, clockwise and counterclockwise exchanged.
+    """Returns a caption with left and right, and clockwise and counterclockwise, exchanged.
 
-    Whole words only ("bright" stays), also inside hyphens and in tagged tokens ("left/ADV"); capitals are kept.
-    "Anticlockwise" becomes "clockwise", which becomes "counterclockwise".
+    Only whole words change ("bright" does not), also in hyphenated words and in tagged tokens ("left/ADV"). The case is
+    kept. "Anticlockwise" becomes "clockwise", which becomes "counterclockwise".
     """
-    return _WORD.sub(_mirrored_word, text)
 
+    def mirrored(match: re.Match[str]) -> str:
+        word = match.group()
+        if match["turn"]:
+            return _like(word, _TURNS[re.sub(r"[-\s]", "", word.lower())])
+        side = match["side"]
+        return _like(side, _SIDES[side.lower()]) + (match["ending"] or "")
 
-def _mirrored_word(match: re.Match[str]) -> str:
-    """Returns what stands in the mirrored caption for one word."""
-    word = match.group()
-    if match["turn"]:
-        return _like(word, _TURNS[re.sub(r"[-\s]", "", word.lower())])
-    side = match["side"]
-    return _like(side, _SIDES[side.lower()]) + (match["ending"] or "")
+    return _WORD.sub(mirrored, text)
 
 
 def _like(model: str, word: str) -> str:

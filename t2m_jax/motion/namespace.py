@@ -1,6 +1,7 @@
-"""One code for NumPy and JAX arrays: arithmetic runs in the library that the arrays come from.
+"""Functions that accept NumPy and JAX arrays: they compute in the library of their arguments.
 
-Work on single clips stays in NumPy, where a new length costs nothing; the same functions trace under `jit` and `vmap`.
+Single clips are processed in NumPy, which does not compile for each new length. The same functions work in `jit` and
+`vmap`.
 """
 
 import types
@@ -11,12 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 
 AnyArray = TypeVar("AnyArray", jax.Array, np.ndarray)
-"""An array of either library, the same one throughout a signature; it goes inside jaxtyping's brackets."""
+"""An array of either library, but of the same one throughout a signature. Use it inside jaxtyping's brackets."""
 
 EitherArray = jax.Array | np.ndarray
-"""An array of either library where nothing ties it to others, as in the fields of a record."""
+"""An array of either library, independent of other arrays, as in the fields of a record."""
 
 
 def namespace_of(*arrays: EitherArray) -> types.ModuleType:
-    """Returns `jax.numpy` when any of `arrays` is a JAX array, else `numpy`."""
+    """Returns `jax.numpy` if any of `arrays` is a JAX array, else `numpy`."""
     return jnp if any(isinstance(array, jax.Array) for array in arrays) else np

@@ -1,7 +1,8 @@
 """Rotations as quaternions `(w, x, y, z)`, matrices, 6D vectors and Euler angles.
 
-Rotations turn column vectors actively; `quaternion_multiply(a, b)` turns by `b` first. All functions take NumPy or JAX
-arrays with any batch axes in front and return float32 arrays of the same library. Finite inputs give finite results.
+Rotations are active and apply to column vectors. `quaternion_multiply(a, b)` rotates by `b` first. All functions accept
+NumPy or JAX arrays with leading batch axes, and return float32 arrays of the same library. Finite inputs give finite
+results.
 """
 
 from typing import Literal
@@ -12,11 +13,11 @@ from t2m_jax.motion.namespace import AnyArray, namespace_of
 
 EulerOrder = Literal["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"]
 
-_TINY = 1e-30  # below any length that matters, above the underflow of a float32
+_TINY = 1e-30  # smaller than any meaningful length, but larger than the smallest float32
 
 
 def _dot(a: Float[AnyArray, "*#batch C"], b: Float[AnyArray, "*#batch C"]) -> Float[AnyArray, "*batch 1"]:
-    """Returns the inner products along the last axis, which is kept."""
+    """Returns the inner products along the last axis, which keeps size 1."""
     return namespace_of(a, b).sum(a * b, axis=-1, keepdims=True)
 
 
@@ -27,9 +28,9 @@ def _float32(*arrays: AnyArray) -> tuple[AnyArray, ...]:
 
 
 def unit_vectors(vectors: Float[AnyArray, "*batch C"]) -> Float[AnyArray, "*batch C"]:
-    """Returns `vectors` at unit length, in the precision of the input; zero vectors stay zero."""
+    """Returns `vectors` with unit length, in the precision of the input. Zero vectors stay zero."""
     xp = namespace_of(vectors)
-    # Scaling by the largest entry first keeps the square of a short vector from vanishing.
+    # Dividing by the largest entry first prevents underflow in the square of a short vector.
     scaled = vectors / xp.maximum(xp.max(xp.abs(vectors), axis=-1, keepdims=True), _TINY)
     return scaled / xp.sqrt(xp.maximum(_dot(scaled, scaled), _TINY))
 
@@ -45,7 +46,7 @@ def cross_product(a: Float[AnyArray, "*#batch 3"], b: Float[AnyArray, "*#batch 3
 def matrix_multiply(
     a: Float[AnyArray, "*#batch 3 3"], b: Float[AnyArray, "*#batch 3 3"]
 ) -> Float[AnyArray, "*batch 3 3"]:
-    """Returns the matrix products `a @ b` at full float32 precision, which `@` does not have on accelerators."""
+    """Returns the matrix products `a @ b` in full float32 precision, which `@` does not have on accelerators."""
     a, b = _float32(a, b)
     return (a[..., :, :, None] * b[..., None, :, :]).sum(-2)
 
@@ -53,7 +54,7 @@ def matrix_multiply(
 def quaternion_multiply(
     a: Float[AnyArray, "*#batch 4"], b: Float[AnyArray, "*#batch 4"]
 ) -> Float[AnyArray, "*batch 4"]:
-    """Returns the Hamilton products `a * b`: the turn by `b`, then by `a`."""
+    """Returns the Hamilton products `a * b`: the rotation by `b`, then by `a`."""
     a, b = _float32(a, b)
     xp = namespace_of(a, b)
     aw, ax, ay, az = (a[..., i] for i in range(4))
@@ -70,21 +71,21 @@ def quaternion_multiply(
 
 
 def quaternion_inverse(quaternions: Float[AnyArray, "*batch 4"]) -> Float[AnyArray, "*batch 4"]:
-    """Returns the conjugates, which undo unit quaternions."""
+    """Returns the conjugates, which are the inverses of unit quaternions."""
     (quaternions,) = _float32(quaternions)
     xp = namespace_of(quaternions)
     return xp.concatenate([quaternions[..., :1], -quaternions[..., 1:]], axis=-1)
 
 
 def quaternion_normalize(quaternions: Float[AnyArray, "*batch 4"]) -> Float[AnyArray, "*batch 4"]:
-    """Returns `quaternions` at unit length; zero stays zero."""
+    """Returns `quaternions` with unit length. Zero stays zero."""
     return unit_vectors(*_float32(quaternions))
 
 
 def rotate_vectors(
     quaternions: Float[AnyArray, "*#batch 4"], vectors: Float[AnyArray, "*#batch 3"]
 ) -> Float[AnyArray, "*batch 3"]:
-    """Returns `vectors` turned by unit `quaternions`."""
+    """Returns `vectors` rotated by unit `quaternions`."""
     quaternions, vectors = _float32(quaternions, vectors)
     w, u = quaternions[..., :1], quaternions[..., 1:]
     uv = cross_product(u, vectors)
@@ -92,30 +93,31 @@ def rotate_vectors(
 
 
 def quaternion_between(a: Float[AnyArray, "*#batch 3"], b: Float[AnyArray, "*#batch 3"]) -> Float[AnyArray, "*batch 4"]:
-    """Returns the shortest turns from the directions `a` to the directions `b`, with w >= 0.
+    """Returns the smallest rotations from the directions `a` to the directions `b`, with w >= 0.
 
-    Lengths do not matter. Exactly opposite directions turn by half a turn about some axis square to them; a zero vector
-    gives the identity.
+    Lengths do not matter. Exactly opposite directions give half a turn about an arbitrary axis perpendicular to them. A
+    zero vector gives the identity.
     """
     a, b = _float32(a, b)
     xp = namespace_of(a, b)
     a, b = unit_vectors(a), unit_vectors(b)
     cosine = _dot(a, b)
-    # a × b and 1 + cos lose their digits near opposite directions; a × (a + b) and sin² / (1 − cos) are the same and
-    # keep them.
+    # Near opposite directions, a × b and 1 + cos cancel. a × (a + b) and sin² / (1 − cos) are equal and do not.
     axis = cross_product(a, xp.where(cosine < 0, a + b, b))
     sine_squared = _dot(axis, axis)
     real = xp.where(cosine < 0, sine_squared / (1 + xp.abs(cosine)), 1 + cosine)
     opposite = (cosine < 0) & (sine_squared < 1e-13)
     x, y, z = a[..., :1], a[..., 1:2], a[..., 2:]
     zero = xp.zeros_like(x)
-    square = xp.where(xp.abs(x) < 0.8, xp.concatenate([zero, z, -y], axis=-1), xp.concatenate([-z, zero, x], axis=-1))
-    real, axis = xp.where(opposite, xp.zeros_like(real), real), xp.where(opposite, square, axis)
+    perpendicular = xp.where(
+        xp.abs(x) < 0.8, xp.concatenate([zero, z, -y], axis=-1), xp.concatenate([-z, zero, x], axis=-1)
+    )
+    real, axis = xp.where(opposite, xp.zeros_like(real), real), xp.where(opposite, perpendicular, axis)
     return unit_vectors(xp.concatenate([real, axis], axis=-1))
 
 
 def matrix_from_quaternion(quaternions: Float[AnyArray, "*batch 4"]) -> Float[AnyArray, "*batch 3 3"]:
-    """Returns rotation matrices; quaternions of any length are taken as if they had unit length."""
+    """Returns rotation matrices. The length of the quaternions does not matter."""
     (quaternions,) = _float32(quaternions)
     xp = namespace_of(quaternions)
     scale = 2 / xp.maximum(_dot(quaternions, quaternions)[..., 0], _TINY)
@@ -140,7 +142,7 @@ def quaternion_from_matrix(matrices: Float[AnyArray, "*batch 3 3"]) -> Float[Any
     xx = 1 + m[0][0] - m[1][1] - m[2][2]
     yy = 1 - m[0][0] + m[1][1] - m[2][2]
     zz = 1 - m[0][0] - m[1][1] + m[2][2]
-    # 4 q qᵀ: every row is a multiple of the quaternion, and the one with the largest diagonal entry is the safest.
+    # Each row of 4 q qᵀ is a multiple of the quaternion. The row with the largest diagonal entry is the most accurate.
     rows = ((ww, wx, wy, wz), (wx, xx, xy, xz), (wy, xy, yy, yz), (wz, xz, yz, zz))
     products = xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
     largest = xp.argmax(xp.stack([ww, xx, yy, zz], axis=-1), axis=-1)
@@ -149,18 +151,18 @@ def quaternion_from_matrix(matrices: Float[AnyArray, "*batch 3 3"]) -> Float[Any
 
 
 def rotation_6d_from_matrix(matrices: Float[AnyArray, "*batch 3 3"]) -> Float[AnyArray, "*batch 6"]:
-    """Returns the first and then the second column of each matrix."""
+    """Returns the first and the second column of each matrix."""
     (matrices,) = _float32(matrices)
     return namespace_of(matrices).concatenate([matrices[..., 0], matrices[..., 1]], axis=-1)
 
 
 def rotation_6d_from_quaternion(quaternions: Float[AnyArray, "*batch 4"]) -> Float[AnyArray, "*batch 6"]:
-    """Returns the first and then the second column of each quaternion's matrix."""
+    """Returns the first and the second column of each quaternion's matrix."""
     return rotation_6d_from_matrix(matrix_from_quaternion(quaternions))
 
 
 def matrix_from_rotation_6d(rotations_6d: Float[AnyArray, "*batch 6"]) -> Float[AnyArray, "*batch 3 3"]:
-    """Returns rotation matrices; the first vector keeps its direction, the second is made square to it."""
+    """Returns rotation matrices. The first vector keeps its direction, the second is made perpendicular to it."""
     (rotations_6d,) = _float32(rotations_6d)
     x = unit_vectors(rotations_6d[..., :3])
     z = unit_vectors(cross_product(x, rotations_6d[..., 3:]))
@@ -173,7 +175,7 @@ def quaternion_from_rotation_6d(rotations_6d: Float[AnyArray, "*batch 6"]) -> Fl
 
 
 def continuous_quaternions(quaternions: Float[AnyArray, "T *batch 4"]) -> Float[AnyArray, "T *batch 4"]:
-    """Returns the same rotations with signs such that no quaternion points away from the one a frame earlier."""
+    """Returns the same rotations, with signs for which consecutive quaternions have inner products >= 0."""
     (quaternions,) = _float32(quaternions)
     xp = namespace_of(quaternions)
     flips = xp.where(_dot(quaternions[1:], quaternions[:-1]) < 0, xp.float32(-1), xp.float32(1))
@@ -181,30 +183,29 @@ def continuous_quaternions(quaternions: Float[AnyArray, "T *batch 4"]) -> Float[
     return quaternions * signs
 
 
-def _axis_matrix(axis: int, angles: Float[AnyArray, "*batch"]) -> Float[AnyArray, "*batch 3 3"]:
-    """Returns the turns by `angles` (radians) about one coordinate axis."""
-    xp = namespace_of(angles)
-    cos, sin, zero, one = xp.cos(angles), xp.sin(angles), xp.zeros_like(angles), xp.ones_like(angles)
-    j, k = (axis + 1) % 3, (axis + 2) % 3
-    entries = {(axis, axis): one, (j, j): cos, (j, k): -sin, (k, j): sin, (k, k): cos}
-    rows = [xp.stack([entries.get((row, column), zero) for column in range(3)], axis=-1) for row in range(3)]
-    return xp.stack(rows, axis=-2)
-
-
 def matrix_from_euler(angles: Float[AnyArray, "*batch 3"], order: EulerOrder) -> Float[AnyArray, "*batch 3 3"]:
     """Returns rotation matrices of Euler angles in radians, given in the order of the letters.
 
-    "ZXY" stands for Rz(angles[0]) @ Rx(angles[1]) @ Ry(angles[2]): the last letter turns first.
+    "ZXY" means Rz(angles[0]) @ Rx(angles[1]) @ Ry(angles[2]), so the rotation of the last letter is applied first.
     """
     (angles,) = _float32(angles)
-    first, second, third = (_axis_matrix("XYZ".index(letter), angles[..., i]) for i, letter in enumerate(order))
-    return matrix_multiply(matrix_multiply(first, second), third)
+    xp = namespace_of(angles)
+    cosines, sines = xp.cos(angles), xp.sin(angles)
+    zero, one = xp.zeros_like(angles[..., 0]), xp.ones_like(angles[..., 0])
+    turns = []
+    for i, letter in enumerate(order):
+        axis = "XYZ".index(letter)
+        cos, sin, j, k = cosines[..., i], sines[..., i], (axis + 1) % 3, (axis + 2) % 3
+        entries = {(axis, axis): one, (j, j): cos, (j, k): -sin, (k, j): sin, (k, k): cos}
+        rows = [xp.stack([entries.get((row, column), zero) for column in range(3)], axis=-1) for row in range(3)]
+        turns.append(xp.stack(rows, axis=-2))
+    return matrix_multiply(matrix_multiply(turns[0], turns[1]), turns[2])
 
 
 def euler_from_matrix(matrices: Float[AnyArray, "*batch 3 3"], order: EulerOrder) -> Float[AnyArray, "*batch 3"]:
-    """Returns Euler angles in radians in the order of the letters, the middle one within ±π/2.
+    """Returns Euler angles in radians in the order of the letters. The middle one is between -π/2 and π/2.
 
-    The angles always give the matrix back, also where the middle one is ±π/2 and the others are not unique.
+    The angles always give the same matrix, even if the middle one is ±π/2 and the others are not unique.
     """
     (matrices,) = _float32(matrices)
     xp = namespace_of(matrices)
@@ -212,7 +213,7 @@ def euler_from_matrix(matrices: Float[AnyArray, "*batch 3 3"], order: EulerOrder
     sign = 1.0 if (j - i) % 3 == 1 else -1.0
     first = xp.arctan2(-sign * matrices[..., j, k], matrices[..., k, k])
     middle = xp.arctan2(sign * matrices[..., i, k], xp.hypot(matrices[..., i, i], matrices[..., i, j]))
-    # Undoing the first turn before reading the third keeps their sum right where neither is well determined alone.
+    # The third angle is read after undoing the first rotation. Their sum is then right even if neither is determined.
     cos, sin = xp.cos(first), sign * xp.sin(first)
     third = xp.arctan2(
         sign * (cos * matrices[..., j, i] + sin * matrices[..., k, i]),
@@ -224,7 +225,7 @@ def euler_from_matrix(matrices: Float[AnyArray, "*batch 3 3"], order: EulerOrder
 def slerp(
     a: Float[AnyArray, "*#batch 4"], b: Float[AnyArray, "*#batch 4"], weight: float | Float[AnyArray, "*#batch"]
 ) -> Float[AnyArray, "*batch 4"]:
-    """Returns the unit quaternions at `weight` (0 … 1) of the shorter way from `a` to `b`, at a constant speed."""
+    """Returns unit quaternions on the shorter arc from `a` to `b`, at the fraction `weight` (0 … 1) of the angle."""
     a, b = _float32(a, b)
     xp = namespace_of(a, b)
     share = xp.asarray(weight, dtype=xp.float32)
@@ -232,7 +233,7 @@ def slerp(
     cosine = _dot(a, b)
     b, cosine = xp.where(cosine < 0, -b, b), xp.abs(cosine)
     difference = b - a
-    # Twice the angle of half the chord: exact for small angles, where arccos is not.
+    # Computed from the chord, because arccos is not accurate for small angles.
     angle = 2 * xp.arctan2(xp.sqrt(_dot(difference, difference)), xp.sqrt(_dot(a + b, a + b)))
     sine = xp.sin(angle)
     near = sine < 1e-4

@@ -1,4 +1,4 @@
-"""The two skeletons that motion features are defined for: HumanML3D (22 joints) and KIT-ML (21 joints)."""
+"""The two skeletons with motion features: HumanML3D (22 joints) and KIT-ML (21 joints)."""
 
 import dataclasses
 
@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from t2m_jax.errors import UserError
 from t2m_jax.motion.layout import FeatureLayout
+from t2m_jax.motion.namespace import EitherArray
 
 _X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 _MINUS_X, _MINUS_Y, _ROOT = (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 0.0)
@@ -14,60 +15,74 @@ _MINUS_X, _MINUS_Y, _ROOT = (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 0.0)
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Skeleton:
-    """A tree of joints with the constants that features depend on; hashable, so that `jit` takes it as static."""
+    """A tree of joints with the constants that features depend on. It is hashable, for static arguments of `jit`."""
 
     name: str
-    """The name in `dataset.yaml` and in error messages."""
+    """Name in `dataset.yaml` and in error messages."""
     joint_names: tuple[str, ...]
-    """One name a joint; the first is the root."""
+    """One name per joint. The first one is the root."""
     parents: tuple[int, ...]
-    """Index of each joint's parent, always smaller than its own; -1 for the root."""
+    """Index of each joint's parent, always smaller than the joint's own; -1 for the root."""
     rest_axes: tuple[tuple[float, float, float], ...]
-    """Unit vector from the parent to each joint at rest; zero for the root."""
+    """Unit vector from the parent to each joint in the rest pose; zero for the root."""
     bone_lengths: tuple[float, ...]
     """Length of the bone that ends at each joint, in the skeleton's unit; zero for the root."""
     chains: tuple[tuple[int, ...], ...]
-    """Limbs from their first joint outwards; together they hold every bone once."""
+    """Limbs from their first joint outwards. Each bone is in exactly one."""
     face_joints: tuple[int, int, int, int]
-    """Right hip, left hip, right shoulder, left shoulder, as the feature code calls them: they tell the heading."""
+    """Right hip, left hip, right shoulder, left shoulder, as the published code names them. They define the heading."""
     leg_joints: tuple[int, int]
-    """Ends of the thigh and the shin whose lengths decide the scale of a figure."""
+    """Ends of the thigh and the shin whose lengths define the scale of a figure."""
     left_foot: tuple[int, int]
-    """Ankle and toe behind the first two contact columns."""
+    """Ankle and toe of the first two contact columns."""
     right_foot: tuple[int, int]
-    """Ankle and toe behind the last two contact columns."""
+    """Ankle and toe of the last two contact columns."""
     mirror_pairs: tuple[tuple[int, int], ...]
-    """Left and right joints that change places in a mirror."""
+    """Left and right joints that mirroring exchanges."""
     fps: float
-    """Frames a second of its data sets."""
+    """Frames per second of its data sets."""
     metres_per_unit: float
-    """Length of one unit of its positions."""
+    """Length of one unit of its positions in meters."""
     contact_threshold: float
-    """A foot joint touches the ground when its squared step in one frame is below this, in squared units."""
+    """A foot joint touches the ground if its squared step in one frame is below this, in squared units."""
     min_frames: int
-    """Shortest clip, in feature rows, that is trained and evaluated on."""
+    """Shortest clip for training and evaluation, in feature rows."""
     max_frames: int
-    """Longest motion, in feature rows, that models see."""
+    """Longest motion for training and evaluation, in feature rows."""
 
     @property
     def num_joints(self) -> int:
-        """Returns the number of joints, the root included."""
+        """Number of joints, including the root."""
         return len(self.parents)
 
     @property
     def layout(self) -> FeatureLayout:
-        """Returns the columns of its features."""
+        """Columns of the features."""
         return FeatureLayout(self.num_joints)
 
     @property
     def feature_dim(self) -> int:
-        """Returns the width of its features."""
+        """Number of features per frame."""
         return self.layout.feature_dim
 
     @property
     def offsets(self) -> Float[np.ndarray, "J 3"]:
-        """Returns the template's vectors from parent to joint: rest axis times bone length, float32."""
+        """Vectors from parent to joint in the rest pose: rest axis times bone length, float32."""
         return np.asarray(self.rest_axes, np.float32) * np.asarray(self.bone_lengths, np.float32)[:, None]
+
+    def children(self, joint: int) -> tuple[int, ...]:
+        """Returns the joints whose parent is `joint`."""
+        return tuple(child for child, parent in enumerate(self.parents) if parent == joint)
+
+    def check_joints(self, positions: EitherArray) -> None:
+        """Raises `UserError` unless `positions` [..., J, 3] have this skeleton's number of joints."""
+        if positions.ndim < 2 or positions.shape[-1] != 3:
+            raise UserError(f"positions have shape {tuple(positions.shape)}; give [..., frames, joints, 3]")
+        if positions.shape[-2] != self.num_joints:
+            raise UserError(
+                f"positions have {positions.shape[-2]} joints, but skeleton {self.name} has {self.num_joints}; "
+                "choose the joints of the skeleton, in its order"
+            )
 
 
 # fmt: off
@@ -83,7 +98,7 @@ HUMANML3D = Skeleton(
         _ROOT, _X, _MINUS_X, _Y, _MINUS_Y, _MINUS_Y, _Y, _MINUS_Y, _MINUS_Y, _Y, _Z, _Z, _Y, _X, _MINUS_X, _Z,
         _MINUS_Y, _MINUS_Y, _MINUS_Y, _MINUS_Y, _MINUS_Y, _MINUS_Y,
     ),
-    # One real subject, hence the unequal sides.
+    # These were measured on a person, so the left and right sides differ.
     bone_lengths=(
         0.0, 0.10307397, 0.10988337, 0.13156824, 0.3936232, 0.39018822, 0.14319022, 0.43243307,
         0.42564335, 0.057364736, 0.14338182, 0.14941907, 0.21936005, 0.13748677, 0.14338283, 0.10303922,
@@ -102,8 +117,8 @@ HUMANML3D = Skeleton(
     max_frames=196,
 )
 
-# KIT-ML's body is one metre tall (its root travels at life size), so pictures look right at about 1.7 times this scale.
-# Its joints are mirror images in a right-handed frame, which is why feet and face name the other side than the joints.
+# KIT-ML's body is one meter tall, but its root moves as far as a person's. Drawings need about 1.7 times this scale.
+# Its joints are mirrored in a right-handed frame, so left and right are exchanged between joint names and feet or face.
 KIT_ML = Skeleton(
     name="kit_ml",
     joint_names=(
@@ -137,7 +152,7 @@ _SKELETONS = (HUMANML3D, KIT_ML)
 
 
 def skeleton_from_name(name: str) -> Skeleton:
-    """Returns the skeleton called `name`.
+    """Returns the skeleton with this name.
 
     Raises:
         UserError: No skeleton has this name.
@@ -150,7 +165,7 @@ def skeleton_from_name(name: str) -> Skeleton:
 
 
 def skeleton_from_feature_dim(feature_dim: int) -> Skeleton:
-    """Returns the skeleton whose features are `feature_dim` wide.
+    """Returns the skeleton that has `feature_dim` features.
 
     Raises:
         UserError: No skeleton has features of this width.

@@ -42,10 +42,10 @@ def test_arrays_of_data_sets_are_read_by_their_width(tmp_path, walk, kit_walk):
     [
         (np.zeros((10, 262), np.float32), r"\[10, 262\]"),
         (np.zeros((10, 23, 3), np.float32), r"\[10, 23, 3\]"),
-        (np.zeros((10, 263), np.int32), "real numbers"),
+        (np.zeros((10, 263), np.int32), "floating-point numbers"),
         (np.full((10, 263), np.nan, np.float32), "not finite"),
         (np.zeros((0, 263), np.float32), "frame"),
-        (np.array([{}], dtype=object), "no array"),
+        (np.array([{}], dtype=object), "not a complete .npy file"),
     ],
 )
 def test_other_arrays_are_refused(tmp_path, array, message):

@@ -8,13 +8,14 @@ from t2m_jax.export.render.rasterizer import (
     TABLE_SIZE,
     Ball,
     Lighting,
-    colour_picture,
+    color_picture,
     draw_capsule,
     empty_canvas,
     make_shade_tables,
 )
-from t2m_jax.export.render.rendering import picture_size, render_film
+from t2m_jax.export.render.rendering import picture_size, render_film, render_poster
 from t2m_jax.export.render.view import View, project, sample_figure, smooth_path
+from t2m_jax.motion.record import Motion
 
 FOCAL = 1000.0
 
@@ -72,7 +73,7 @@ def test_the_nearer_limb_hides_the_farther_in_either_order():
         edges = [draw_capsule(canvas, ball, ball, table) for ball, table in order]
         edges.sort(key=lambda edge: -edge.depths.mean())
         picture = np.full((64, 64, 3), 255, np.uint8)
-        colour_picture(picture, canvas, edges, tables)
+        color_picture(picture, canvas, edges, tables)
         pictures.append(picture)
     np.testing.assert_array_equal(*pictures)
     assert pictures[0][32, 32, 0] > 100 and pictures[0][32, 32, 1] == 0
@@ -120,8 +121,6 @@ def test_film_shows_the_figure_moving(walk):
 
 
 def test_fast_motions_are_thinned_out_evenly(walk):
-    from t2m_jax.motion.record import Motion
-
     film = render_film([Motion(walk.positions, 120.0)], height=60, max_fps=33.4)
     assert (film.num_frames, film.fps) == (20, 30.0)
     figure = Motion(walk.positions, 20.0)
@@ -156,3 +155,29 @@ def test_captions_wrap_and_end():
     assert len(lines) == 3 and lines[-1].endswith("…")
     assert make_label(" \n ", size=12, width=100, max_lines=2) is None
     assert make_label("x" * 10_000, size=12, width=100, max_lines=2).width <= 100
+
+
+def test_a_poster_has_a_row_of_poses_and_a_caption_per_motion(walk, kit_walk):
+    walk = Motion(walk.positions[:41], 20.0, caption="a person walks")
+    poster = render_poster([walk, kit_walk], num_poses=3, height=96)
+    assert poster.dtype == np.uint8 and poster.shape[1:] == (3 * 96, 3)
+    band = (len(poster) - 2 * 96) // 2
+    assert 12 <= band <= 40
+    film = render_film([Motion(walk.positions, 20.0)], height=96, max_fps=20.0)
+    for number, frame in enumerate((0, 20, 40)):
+        pose = poster[band : band + 96, 96 * number : 96 * (number + 1)]
+        np.testing.assert_array_equal(pose, np.asarray(film.draw_frame(frame)))
+    # Captions are dark text on a light panel. The second one is longer.
+    dark = [(poster[top + 2 : top + band - 2].max(axis=-1) < 100).any(axis=0) for top in (0, band + 96)]
+    assert 60 < np.flatnonzero(dark[0]).max() < np.flatnonzero(dark[1]).max() - 20
+
+
+def test_figures_on_a_poster_are_not_cut(walk):
+    lying = Motion(walk.positions[:41, :, [1, 0, 2]], 20.0)
+    for motion in (walk, lying):
+        poster = render_poster([motion], num_poses=4, height=96)
+        cells = poster[-96:].reshape(96, 4, 96, 3).swapaxes(0, 1)
+        # Limbs are the only saturated colors besides the trail and the bar, which are darker.
+        limbs = (np.ptp(cells.astype(int), axis=-1) > 40) & (cells.max(axis=-1) > 180)
+        assert limbs.any(axis=(1, 2)).all()
+        assert not limbs[:, 0].any() and not limbs[:, :, [0, -1]].any()

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from t2m_jax.metrics import acceleration_error, foot_skating, joint_errors, mpjpe, pa_mpjpe
+from tests.jit import assert_jit_matches_eager
 
 POSITIONS = jax.random.normal(jax.random.key(0), (2, 5, 4, 3))
 REFERENCE = jax.random.normal(jax.random.key(1), (2, 5, 4, 3))
@@ -41,10 +42,8 @@ def test_jit_equals_eager():
     calls += [(joint_errors, (POSITIONS, REFERENCE))]
     calls += [(partial(foot_skating, feet=(1, 2), fps=20.0), (0.02 * POSITIONS, MASK))]
     for function, arguments in calls:
-        jitted = jax.jit(function)(*arguments)
-        assert np.all(np.asarray(jitted) > 0), function
-        with jax.disable_jit():
-            np.testing.assert_allclose(jitted, function(*arguments), rtol=1e-5)
+        compiled = assert_jit_matches_eager(function, *arguments)
+        assert np.all(np.asarray(compiled) > 0), function
 
 
 def rotation(key):

@@ -1,3 +1,5 @@
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +18,7 @@ from t2m_jax.motion.features import (
     swing_rotations,
 )
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
+from tests.jit import assert_jit_matches_eager
 
 CLIPS = {"synth22_walk": HUMANML3D, "synth22_spin": HUMANML3D, "synth21_walk": KIT_ML}
 # What float32 allows: metres and millimetres differ by a thousand.
@@ -191,14 +194,12 @@ def test_batch_axes_are_clips_of_their_own(golden):
         np.testing.assert_allclose(positions[1, 0], back(features[1, 0], HUMANML3D), atol=1e-5)
 
 
-@pytest.mark.parametrize("function", [decode, decode_rotations])
+@pytest.mark.parametrize("function", [positions_from_features, positions_from_rotations])
 def test_jit_and_vmap_change_nothing(golden, function):
     clips = jnp.asarray(golden["synth22_walk"]["features"][:16].reshape(2, 8, -1))
-    with jax.disable_jit():
-        eager = function(clips, HUMANML3D)
-    np.testing.assert_allclose(function(clips, HUMANML3D), eager, atol=1e-5)
-    vmapped = jax.vmap(lambda clip: function(clip, HUMANML3D))
-    np.testing.assert_allclose(vmapped(clips), eager, atol=1e-5)
+    compiled = assert_jit_matches_eager(partial(function, skeleton=HUMANML3D), clips, atol=1e-5)
+    vmapped = jax.jit(jax.vmap(partial(function, skeleton=HUMANML3D)))
+    np.testing.assert_allclose(vmapped(clips), compiled, atol=1e-5)
 
 
 def test_encoding_under_jit_and_vmap_is_eager_encoding(golden):
@@ -246,7 +247,7 @@ def test_double_precision_is_taken(golden):
 def test_positions_that_are_no_motion_are_refused(golden):
     with pytest.raises(UserError, match="positions have 22 joints, but skeleton kit_ml has 21"):
         features_from_positions(walk(golden), KIT_ML)
-    with pytest.raises(UserError, match="positions have 1 frames; features need at least 2"):
+    with pytest.raises(UserError, match="features need at least 2 frames"):
         features_from_positions(walk(golden, 1), HUMANML3D)
     with pytest.raises(UserError, match=r"\(5, 263\), but those of skeleton kit_ml are \[..., frames, 251\]"):
         positions_from_features(np.zeros((5, 263), np.float32), KIT_ML)

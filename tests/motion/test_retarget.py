@@ -133,7 +133,7 @@ def test_unknown_rigs_and_joints_are_named(tmp_path):
     clip = load_still(tmp_path, BANDAI)
     with pytest.raises(UserError, match='unknown rig "kinect"; known are bandai-namco'):
         retarget(clip, rig="kinect")
-    with pytest.raises(UserError, match='rig cmu-iclone: the file has no joint "CC_Base_Hip", which stands for pelvis'):
+    with pytest.raises(UserError, match='rig cmu-iclone: the file has no joint "CC_Base_Hip" for pelvis'):
         retarget(clip, rig="cmu-iclone")
     with pytest.raises(UserError, match=r"no known rig .* has the joints Root, Tip"):
         detect_rig(["Root", "Tip"])
@@ -146,10 +146,10 @@ def test_unknown_rigs_and_joints_are_named(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("- a\n", "one line a joint"),
-        ("a: [\n", "is no YAML"),
-        ("pelvis: 3\n", "pelvis must be given"),
-        (None, "cannot be read"),
+        ("- a\n", "one line per joint"),
+        ("a: [\n", "is not YAML"),
+        ("pelvis: 3\n", "pelvis needs a joint name"),
+        (None, "no such file"),
     ],
 )
 def test_bad_rig_files_are_named(tmp_path, text, message):

@@ -1,6 +1,5 @@
 import itertools
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -25,6 +24,7 @@ from t2m_jax.motion.rotations import (
     slerp,
     unit_vectors,
 )
+from tests.jit import assert_jit_matches_eager
 
 ORDERS = tuple("".join(letters) for letters in itertools.permutations("XYZ"))
 in_both_libraries = pytest.mark.parametrize("asarray", [np.asarray, jnp.asarray], ids=["numpy", "jax"])
@@ -248,11 +248,9 @@ def test_slerp_takes_a_weight_a_rotation(asarray):
 )
 def test_jit_changes_nothing(function):
     quaternions, vectors = jnp.asarray(random_quaternions(4, 2)), jnp.asarray(random_vectors(4, 2))
-    with jax.disable_jit():
-        eager = function(quaternions, vectors)
-    np.testing.assert_allclose(jax.jit(function)(quaternions, vectors), eager, atol=1e-5)
+    compiled = assert_jit_matches_eager(function, quaternions, vectors, atol=1e-5)
     plain = function(np.asarray(quaternions), np.asarray(vectors))
-    np.testing.assert_allclose(plain, eager, atol=1e-5)
+    np.testing.assert_allclose(plain, compiled, atol=1e-5)
 
 
 def test_a_wrong_last_axis_is_refused():

@@ -12,7 +12,7 @@ from t2m_jax.evaluation.embedding import embed_decoded, embed_plan_captions, emb
 from t2m_jax.evaluation.report.gallery import Example, Failure, RankedRepeat, draw_examples, find_failures
 from t2m_jax.evaluation.sources import CodeSource
 from t2m_jax.evaluation.task import EvaluationTask
-from t2m_jax.metrics.retrieval import own_standing
+from t2m_jax.metrics.retrieval import partner_ranks
 from t2m_jax.sampling.batches import round_up
 
 REPEAT = 0
@@ -96,5 +96,5 @@ def rank_repeat(task: EvaluationTask, source: CodeSource) -> RankedRepeat:
 def rank_own(text: Float[Array, "M B E"], motion: Float[Array, "M B E"]) -> Int[Array, "M B"]:
     """Returns the rank of each text's own motion in its batch, from 1; motions at the same distance come first."""
     labels = jnp.arange(text.shape[1])
-    standing = jax.lax.map(lambda batch: own_standing(batch[0], batch[1], labels), (text, motion))
+    standing = jax.lax.map(lambda batch: partner_ranks(batch[0], batch[1], labels), (text, motion))
     return standing.nearer + standing.tied + 1

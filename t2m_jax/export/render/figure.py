@@ -1,4 +1,4 @@
-"""A body around a skeleton: tapered limbs, a head that looks somewhere, hands and feet, for every renderer alike."""
+"""A body around a skeleton: tapered limbs, a head with a direction of view, hands and feet. All renderers use it."""
 
 import functools
 from typing import Literal, NamedTuple
@@ -12,15 +12,15 @@ Tint = Literal["body", "left", "right", "face"]
 TINTS: tuple[Tint, ...] = ("body", "left", "right", "face")
 
 REFERENCE_LEG = 0.815832
-"""Thigh plus shin, metres, of the figure the radii below are written for."""
+"""Thigh plus shin, in meters, of the figure to which the radii below belong."""
 
-# Along the spine: fractions of the way from the hips to the base of the neck, radii in metres there.
+# Fractions of the way from the hips to the base of the neck, and the radii there in meters.
 SPINE_FRACTIONS = (0.0, 0.3, 0.6, 0.85, 1.0)
 SPINE_RADII = (0.120, 0.110, 0.118, 0.112, 0.066)
 
 
 class BodyPart(NamedTuple):
-    """A tapered capsule between two points of a figure; radii in metres for a leg of `REFERENCE_LEG`."""
+    """A tapered capsule between two points of a figure. Radii are in meters for a leg of `REFERENCE_LEG`."""
 
     start: int
     end: int
@@ -30,19 +30,19 @@ class BodyPart(NamedTuple):
 
 
 class Body(NamedTuple):
-    """Points as blends of joints (the joints themselves first) and the parts drawn between them."""
+    """Points as weighted sums of joints (the joints themselves first), and the parts between them."""
 
     weights: Float[np.ndarray, "P J"]
     parts: tuple[BodyPart, ...]
     head: int
-    """Point around which the head is drawn."""
+    """Center of the head."""
 
     face: int | None
-    """First of two more points, in front of the head, that depend on where it looks; None for a plain skeleton."""
+    """First of two additional points, on the face, that depend on the direction of view. None for a plain skeleton."""
 
 
 class Roles(NamedTuple):
-    """Joints of a person: each limb from the trunk outwards, the spine from the root to the head."""
+    """Joints of a person: limbs from the trunk outwards, and the spine from the root to the head."""
 
     spine: tuple[int, ...]
     left_arm: tuple[int, ...]
@@ -52,20 +52,20 @@ class Roles(NamedTuple):
 
 
 class _BodyBuilder:
-    """Collects points and parts; a point is the number of its row of weights."""
+    """Collects points and parts. A point is the index of its row of weights."""
 
     def __init__(self, num_joints: int):
         self.rows = list(np.eye(num_joints, dtype=np.float32))
         self.parts: list[BodyPart] = []
 
     def blend(self, **weights: float) -> int:
-        """Returns a new point: the sum of points `p7=0.5` times their weights, which have to add up to one."""
+        """Adds and returns a point: the weighted sum of points, given as `p7=0.5`. The weights must add up to one."""
         row = sum(weight * self.rows[int(name[1:])] for name, weight in weights.items())
         self.rows.append(np.asarray(row, np.float32))
         return len(self.rows) - 1
 
     def between(self, start: int, end: int, fraction: float) -> int:
-        """Returns the point at `fraction` of the way from `start` to `end`; above one it lies beyond `end`."""
+        """Adds and returns the point at `fraction` of the way from `start` to `end`, beyond `end` if it is above 1."""
         self.rows.append(np.asarray((1 - fraction) * self.rows[start] + fraction * self.rows[end], np.float32))
         return len(self.rows) - 1
 
@@ -75,18 +75,18 @@ class _BodyBuilder:
 
 
 def is_mirrored(skeleton: Skeleton) -> bool:
-    """Returns whether joints of this skeleton are mirror images: KIT-ML's y and z axes were exchanged, a reflection."""
+    """Returns whether the joints of this skeleton are mirrored. KIT-ML's y and z axes were exchanged."""
     return skeleton.name == "kit_ml"
 
 
 def roles_from_skeleton(skeleton: Skeleton) -> Roles | None:
-    """Returns who is arm, leg and spine, sides as seen once mirroring is undone; None if this is no such skeleton."""
+    """Returns the arms, legs and spine, with the sides after mirroring is undone. None if a limb is missing."""
     right_hip, left_hip, right_shoulder, left_shoulder = skeleton.face_joints
     if is_mirrored(skeleton):
         left_hip, right_hip, left_shoulder, right_shoulder = right_hip, left_hip, right_shoulder, left_shoulder
 
     def outwards(joint: int) -> tuple[int, ...]:
-        """Returns the chain through `joint`, from there on."""
+        """Returns the part of the chain that starts at `joint`."""
         chain = next(chain for chain in skeleton.chains if joint in chain)
         return tuple(chain[chain.index(joint) :])
 
@@ -99,16 +99,17 @@ def roles_from_skeleton(skeleton: Skeleton) -> Roles | None:
 
 @functools.lru_cache
 def body_from_skeleton(skeleton: Skeleton) -> Body:
-    """Returns the body to draw around a skeleton: a person where it has the limbs of one, else its bare bones."""
+    """Returns the body of a skeleton: a person if it has the limbs of one, and otherwise tubes around its bones."""
     builder = _BodyBuilder(skeleton.num_joints)
     roles = roles_from_skeleton(skeleton)
     if roles is None:
-        return _stick_body(builder, skeleton)
-    left: Tint = "left"
-    right: Tint = "right"
-    for arm, leg, tint in ((roles.left_arm, roles.left_leg, left), (roles.right_arm, roles.right_leg, right)):
-        _add_arm(builder, arm, tint)
-        _add_leg(builder, leg, tint)
+        for joint, parent in enumerate(skeleton.parents):
+            if parent >= 0:
+                builder.add(parent, joint, 0.035, 0.028, "body")
+        builder.add(0, 0, 0.06, 0.06, "body")
+        return Body(np.stack(builder.rows), tuple(builder.parts), 0, None)
+    _add_limbs(builder, roles.left_arm, roles.left_leg, "left")
+    _add_limbs(builder, roles.right_arm, roles.right_leg, "right")
     _add_trunk(builder, roles)
     head = _add_head(builder, roles, skeleton)
     weights = np.stack(builder.rows)
@@ -117,17 +118,8 @@ def body_from_skeleton(skeleton: Skeleton) -> Body:
     return Body(weights, tuple(builder.parts), head, face)
 
 
-def _stick_body(builder: _BodyBuilder, skeleton: Skeleton) -> Body:
-    """Returns an even tube around every bone and a ball around the root."""
-    for joint, parent in enumerate(skeleton.parents):
-        if parent >= 0:
-            builder.add(parent, joint, 0.035, 0.028, "body")
-    builder.add(0, 0, 0.06, 0.06, "body")
-    return Body(np.stack(builder.rows), tuple(builder.parts), 0, None)
-
-
-def _add_arm(builder: _BodyBuilder, arm: tuple[int, ...], tint: Tint) -> None:
-    """Adds upper arm, forearm with its swell below the elbow, and a mitten of a hand."""
+def _add_limbs(builder: _BodyBuilder, arm: tuple[int, ...], leg: tuple[int, ...], tint: Tint) -> None:
+    """Adds an arm with a mitten as hand, and a leg with calf, heel and toes."""
     shoulder, elbow, wrist = arm[0], arm[1], arm[2]
     swell = builder.between(elbow, wrist, 0.25)
     palm = builder.between(elbow, wrist, 1.22)
@@ -137,10 +129,6 @@ def _add_arm(builder: _BodyBuilder, arm: tuple[int, ...], tint: Tint) -> None:
     builder.add(swell, wrist, 0.040, 0.026, tint)
     builder.add(wrist, palm, 0.026, 0.037, tint)
     builder.add(palm, fingers, 0.037, 0.019, tint)
-
-
-def _add_leg(builder: _BodyBuilder, leg: tuple[int, ...], tint: Tint) -> None:
-    """Adds thigh, shin with its calf, and a foot with heel and toes."""
     hip, knee, ankle, toe = leg[0], leg[1], leg[2], leg[-1]
     calf = builder.between(knee, ankle, 0.27)
     heel = builder.blend(**{f"p{ankle}": 1.38, f"p{knee}": -0.12, f"p{toe}": -0.26})
@@ -155,7 +143,7 @@ def _add_leg(builder: _BodyBuilder, leg: tuple[int, ...], tint: Tint) -> None:
 
 
 def _add_trunk(builder: _BodyBuilder, roles: Roles) -> None:
-    """Adds pelvis, spine, ribs that widen towards the shoulders, and the shoulder line."""
+    """Adds pelvis, spine, ribs that widen towards the shoulders, and shoulders."""
     sides: tuple[tuple[int, int, Tint], ...] = (
         (roles.left_leg[0], roles.left_arm[0], "left"),
         (roles.right_leg[0], roles.right_arm[0], "right"),
@@ -181,14 +169,15 @@ def _add_trunk(builder: _BodyBuilder, roles: Roles) -> None:
 
 
 def _add_head(builder: _BodyBuilder, roles: Roles, skeleton: Skeleton) -> int:
-    """Returns the middle of the head after adding neck, jaw and skull."""
+    """Adds neck, jaw and skull, and returns the center of the head."""
     chest, neck, tip = roles.spine[-3:]
-    metre = REFERENCE_LEG / _template_leg(skeleton, roles)
-    trunk_length = skeleton.bone_lengths[neck] * metre
-    neck_length = skeleton.bone_lengths[tip] * metre
+    leg = skeleton.bone_lengths[roles.left_leg[1]] + skeleton.bone_lengths[roles.left_leg[2]]
+    meter = REFERENCE_LEG / float(leg)
+    trunk_length = skeleton.bone_lengths[neck] * meter
+    neck_length = skeleton.bone_lengths[tip] * meter
 
     def above(distance: float) -> int:
-        """Returns the point `distance` metres beyond the last joint, partly along the neck, partly along the trunk."""
+        """Returns the point `distance` meters beyond the last joint, in a direction between those of neck and trunk."""
         along_trunk, along_neck = 0.6 * distance / trunk_length, 0.4 * distance / neck_length
         joints = {f"p{tip}": 1 + along_neck, f"p{neck}": along_trunk - along_neck, f"p{chest}": -along_trunk}
         return builder.blend(**joints)
@@ -199,13 +188,8 @@ def _add_head(builder: _BodyBuilder, roles: Roles, skeleton: Skeleton) -> int:
     return above(0.062)
 
 
-def _template_leg(skeleton: Skeleton, roles: Roles) -> float:
-    """Returns thigh plus shin of the template, in the skeleton's unit."""
-    return float(skeleton.bone_lengths[roles.left_leg[1]] + skeleton.bone_lengths[roles.left_leg[2]])
-
-
 def figure_scale(positions: Float[np.ndarray, "T J 3"], skeleton: Skeleton) -> float:
-    """Returns leg length over that of the reference figure: what radii have to be multiplied by."""
+    """Returns the leg length relative to the reference figure. Radii have to be multiplied by it."""
     roles = roles_from_skeleton(skeleton)
     if roles is None:
         height = float(np.ptp(positions[0], axis=0).max())
@@ -216,25 +200,18 @@ def figure_scale(positions: Float[np.ndarray, "T J 3"], skeleton: Skeleton) -> f
 
 
 def figure_points(positions: Float[np.ndarray, "T J 3"], skeleton: Skeleton) -> Float[np.ndarray, "T P 3"]:
-    """Returns the points the parts of `body_from_skeleton` hang on, for every frame; the joints come first."""
+    """Returns the points of `body_from_skeleton` for each frame. The joints come first."""
     body = body_from_skeleton(skeleton)
     points = np.einsum("pj,tjc->tpc", body.weights, positions, optimize=True)
     if body.face is None:
         return points.astype(np.float32)
-    eyes = _eye_points(points, body.head, skeleton) * figure_scale(positions, skeleton)
-    return np.concatenate([points, points[:, body.head, None] + eyes], axis=1).astype(np.float32)
-
-
-def _eye_points(points: Float[np.ndarray, "T P 3"], head: int, skeleton: Skeleton) -> Float[np.ndarray, "T 2 3"]:
-    """Returns both ends of the face plate relative to the head's middle, in metres of the reference figure.
-
-    The head looks where the shoulders face, turned by as much as the head joint lies in front of the neck.
-    """
+    # Both ends of the face plate. The head looks in the direction of the shoulders, turned by the displacement of the
+    # head joint from the neck.
     roles = roles_from_skeleton(skeleton)
     assert roles is not None
     _, neck, tip = roles.spine[-3:]
     across = _unit(points[:, roles.left_arm[0]] - points[:, roles.right_arm[0]])
-    up = _unit(points[:, head] - points[:, neck])
+    up = _unit(points[:, body.head] - points[:, neck])
     forward = _unit(np.cross(across, up))
     lean = points[:, tip] - points[:, neck]
     lean = lean - np.sum(lean * up, axis=-1, keepdims=True) * up
@@ -242,9 +219,11 @@ def _eye_points(points: Float[np.ndarray, "T P 3"], head: int, skeleton: Skeleto
         forward + lean / np.maximum(np.linalg.norm(points[:, tip] - points[:, neck], axis=-1), 1e-6)[:, None]
     )
     side = np.cross(up, forward)
-    return np.stack([0.066 * forward + 0.034 * side, 0.066 * forward - 0.034 * side], axis=1) + 0.012 * up[:, None]
+    eyes = np.stack([0.066 * forward + 0.034 * side, 0.066 * forward - 0.034 * side], axis=1) + 0.012 * up[:, None]
+    eyes *= figure_scale(positions, skeleton)
+    return np.concatenate([points, points[:, body.head, None] + eyes], axis=1).astype(np.float32)
 
 
 def _unit(vectors: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
-    """Returns the vectors at length one; those without a direction stay zero."""
+    """Returns the vectors with unit length. Zero vectors stay zero."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)

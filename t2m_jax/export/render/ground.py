@@ -1,4 +1,4 @@
-"""The ground of rendered pictures: sky, grid in perspective, soft shadows and the trails of the roots."""
+"""The ground of rendered pictures: sky, a grid in perspective, soft shadows and the trails of the roots."""
 
 import math
 from collections.abc import Sequence
@@ -17,39 +17,39 @@ GROUND = (242, 245, 248)
 LINES = (178, 189, 203)
 ACCENTS = ((31, 127, 156), (192, 98, 47), (91, 127, 43), (122, 79, 163))
 SHADOW = 0.36
-"""Share of light that the middle of a shadow lacks."""
+"""Opacity of the middle of a shadow."""
 
 KEY_LIGHT = np.array([0.42, 1.0, 0.38]) / np.linalg.norm([0.42, 1.0, 0.38])
-"""Direction towards the lamp."""
+"""Direction towards the main light."""
 
 FINE_LINES = 110
-"""Strength, of 255, of the lines at half metres; those at whole metres have 255."""
+"""Opacity, of 255, of the lines at half meters. The lines at whole meters have 255."""
 
 
 class Ground(NamedTuple):
-    """What stays the same while the camera moves without turning."""
+    """The parts of the ground that do not change while the camera moves without turning."""
 
     empty: Image.Image
-    """Sky and ground without anything on it."""
+    """Sky and ground without lines."""
 
     fade: Image.Image
-    """How clearly lines are seen: 255 near the figures, 0 towards the horizon."""
+    """Visibility of lines: 255 near the figures, 0 towards the horizon."""
 
     reach: float
-    """Metres around the figures in which lines are drawn."""
+    """Radius around the figures in which lines are drawn, in meters."""
 
 
 def make_ground(view: View) -> Ground:
-    """Returns the ground as seen from the height and in the direction of `view`."""
+    """Returns the ground for the height and the direction of `view`."""
     right, down, back = view.axes
     columns = (np.arange(view.width) + 0.5 - view.width / 2) / view.focal
     rows = (np.arange(view.height) + 0.5 - view.middle) / view.focal
     rays = columns[None, :, None] * right + rows[:, None, None] * down - back
     falling = np.maximum(-rays[..., 1], 1e-3)
     spots = rays * (view.eye[1] / falling)[..., None]
-    centre = -back * (view.eye[1] / max(float(back[1]), 0.05))
-    reach = 1.8 * float(np.linalg.norm(centre))
-    share = np.clip(1.15 - np.linalg.norm((spots - centre)[..., [0, 2]], axis=-1) / reach, 0, 1)
+    center = -back * (view.eye[1] / max(float(back[1]), 0.05))
+    reach = 1.8 * float(np.linalg.norm(center))
+    share = np.clip(1.15 - np.linalg.norm((spots - center)[..., [0, 2]], axis=-1) / reach, 0, 1)
     fade = share * share * (3 - 2 * share) * (rays[..., 1] < -1e-3)
     horizon = float(np.clip(np.sum(rays[:, 0, 1] >= 0), 1, view.height))
     mix = np.clip(np.arange(view.height) / horizon, 0, 1)[:, None, None]
@@ -61,51 +61,38 @@ def make_ground(view: View) -> Ground:
 
 
 def draw_ground(ground: Ground, view: View) -> Image.Image:
-    """Returns the empty scene: sky, and the ground with lines every half metre, every other one stronger."""
+    """Returns the empty scene: the sky, and the ground with lines every half meter, stronger at whole meters."""
     back = view.axes[2]
-    centre = view.eye - back * (view.eye[1] / max(float(back[1]), 0.05))
-    middle = np.round(centre)
+    center = view.eye - back * (view.eye[1] / max(float(back[1]), 0.05))
+    middle = np.round(center)
     offsets = np.arange(-math.ceil(ground.reach), math.ceil(ground.reach) + 0.25, 0.5)
     offsets = np.concatenate([offsets[1::2], offsets[::2]])
-    # A chord of the circle in which lines can be seen at all.
+    # Each line ends at the circle in which lines are visible.
     span = np.sqrt(np.maximum(ground.reach**2 - offsets**2, 0)) + 1
-    starts, ends = [], []
-    for along, across in ((0, 2), (2, 0)):
-        line = np.zeros((2, len(offsets), 3))
-        line[:, :, across] = middle[across] + offsets
-        line[0, :, along], line[1, :, along] = middle[along] - span, middle[along] + span
-        start, end = _in_front(line[0], line[1], view)
-        starts.append(start)
-        ends.append(end)
+    lines = np.zeros((2, 2, len(offsets), 3))  # along x or z, start or end, line, coordinate
+    for family, (along, across) in zip(lines, ((0, 2), (2, 0)), strict=True):
+        family[:, :, across] = middle[across] + offsets
+        family[0, :, along], family[1, :, along] = middle[along] - span, middle[along] + span
+    # Lines are cut half a meter in front of the camera. Those that are completely behind it become points.
+    depths = -(lines - view.eye) @ back
+    change = depths[:, 1] - depths[:, 0]
+    crossing = np.clip((0.5 - depths[:, 0]) / np.where(np.abs(change) < 1e-9, 1e-9, change), 0, 1)[..., None]
+    cuts = lines[:, 0] + crossing * (lines[:, 1] - lines[:, 0])
+    spots = 2 * project(view, np.where((depths < 0.5)[..., None], cuts[:, None], lines))[..., :2]
     mask = Image.new("L", (2 * view.width, 2 * view.height))
     draw = ImageDraw.Draw(mask)
-    spots = 2 * np.concatenate(
-        [project(view, np.stack(starts))[..., :2], project(view, np.stack(ends))[..., :2]], axis=-1
-    )
     thickness = max(round(view.height / 300), 1)
     num_fine = len(offsets) // 2
     for fine in (True, False):
-        for family in spots:
-            for line in family[:num_fine] if fine else family[num_fine:]:
+        for family in spots[:, :, :num_fine] if fine else spots[:, :, num_fine:]:
+            for line in np.concatenate(family, axis=-1):
                 draw.line(line.tolist(), fill=FINE_LINES if fine else 255, width=thickness + (not fine))
     seen = ImageChops.multiply(mask.reduce(2), ground.fade)
     return Image.composite(Image.new("RGB", seen.size, LINES), ground.empty, seen)
 
 
-def _in_front(
-    starts: Float[np.ndarray, "N 3"], ends: Float[np.ndarray, "N 3"], view: View
-) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
-    """Returns the parts of lines that lie at least half a metre in front of the camera; others become points."""
-    depths = [-(points - view.eye) @ view.axes[2] for points in (starts, ends)]
-    change = depths[1] - depths[0]
-    crossing = np.clip((0.5 - depths[0]) / np.where(np.abs(change) < 1e-9, 1e-9, change), 0, 1)[:, None]
-    cuts = starts + crossing * (ends - starts)
-    behind = [(depth < 0.5)[:, None] for depth in depths]
-    return np.where(behind[0], cuts, starts), np.where(behind[1], cuts, ends)
-
-
 def add_shadows(picture: Image.Image, view: View, figures: Sequence[tuple[Figure, Float[np.ndarray, "_ 3"]]]) -> None:
-    """Darkens the picture where the figures keep the lamp off the ground."""
+    """Darkens the picture in the shadows of the figures."""
     mask = Image.new("L", (view.width // 2, view.height // 2))
     draw = ImageDraw.Draw(mask)
     for figure, points in figures:
@@ -135,7 +122,7 @@ def add_shadows(picture: Image.Image, view: View, figures: Sequence[tuple[Figure
 def _draw_shadow(
     draw: ImageDraw.ImageDraw, start: list[float], end: list[float], radii: tuple[float, float], view: View
 ) -> None:
-    """Draws the hull of two flat discs, at half the picture's size."""
+    """Draws the hull of two flat discs, at half of the picture's size."""
     flat = max(float(view.axes[2, 1]), 0.1)
     ends = []
     for (x, y, depth), radius in zip((start, end), radii, strict=True):
@@ -152,7 +139,7 @@ def _draw_shadow(
 
 
 def add_trail(picture: Image.Image, view: View, path: Float[np.ndarray, "T 3"], accent: tuple[int, int, int]) -> None:
-    """Draws the way along `path` on the ground, older parts fainter."""
+    """Draws `path` on the ground. Older parts are fainter."""
     spots = project(view, path * [1, 0, 1])[:, :2]
     thickness = max(round(view.height / 75), 2)
     low = np.floor(np.clip(spots.min(axis=0) - thickness, 0, [view.width - 1, view.height - 1])).astype(int)

@@ -1,5 +1,6 @@
-"""Captions on rendered pictures, in the font that comes with Pillow."""
+"""Captions in rendered pictures, in Pillow's own font."""
 
+import bisect
 import unicodedata
 from collections.abc import Callable
 
@@ -11,13 +12,13 @@ ELLIPSIS = "…"
 
 
 def make_label(caption: str, *, size: int, width: int, max_lines: int) -> Image.Image | None:
-    """Returns the caption on a rounded panel at most `width` pixels wide, or None if there is nothing to say.
+    """Returns the caption on a rounded panel, or None if the caption is empty.
 
     Args:
-        caption: Any text; white space is evened out, what does not fit ends in an ellipsis.
-        size: Height of the letters, pixels.
-        width: Most that the panel may take, pixels.
-        max_lines: Most lines.
+        caption: Any text. Runs of white space become one space, and text that does not fit ends in an ellipsis.
+        size: Height of the letters in pixels.
+        width: Largest width of the panel in pixels.
+        max_lines: Largest number of lines.
     """
     font = ImageFont.load_default(size)
     margin = round(0.7 * size)
@@ -36,9 +37,9 @@ def make_label(caption: str, *, size: int, width: int, max_lines: int) -> Image.
 
 
 def wrap(text: str, measure: Callable[[str], float], *, width: float, max_lines: int) -> list[str]:
-    """Returns the text in lines no wider than `width`, what does not fit into `max_lines` as an ellipsis.
+    """Returns the text in lines that are not wider than `width`. An ellipsis replaces what does not fit.
 
-    Words longer than a line are cut. Letters lose their accents, which the font does not have.
+    Words longer than a line are split. Accents are removed, because the font does not have them.
     """
     letters = (letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
     printable = "".join(letter if letter.isprintable() else " " for letter in letters)
@@ -52,7 +53,8 @@ def wrap(text: str, measure: Callable[[str], float], *, width: float, max_lines:
         if line:
             lines.append(line)
         while measure(word) > width and len(lines) <= max_lines:
-            length = _fitting(word, measure, width)
+            # The longest prefix that fits, by binary search; at least one letter.
+            length = max(1, bisect.bisect_right(range(1, len(word) + 1), width, key=lambda n: measure(word[:n])))
             lines.append(word[:length])
             word = word[length:]
         line = word
@@ -66,12 +68,3 @@ def wrap(text: str, measure: Callable[[str], float], *, width: float, max_lines:
     while last and measure(last + ELLIPSIS) > width:
         last = last[:-1]
     return [*lines[: max_lines - 1], last.rstrip() + ELLIPSIS]
-
-
-def _fitting(word: str, measure: Callable[[str], float], width: float) -> int:
-    """Returns how many letters of a word fit, at least one."""
-    low, high = 1, len(word)
-    while low < high:
-        middle = (low + high + 1) // 2
-        low, high = (middle, high) if measure(word[:middle]) <= width else (low, middle - 1)
-    return low

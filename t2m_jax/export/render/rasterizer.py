@@ -1,4 +1,4 @@
-"""Solid limbs in NumPy: tapered capsules by exact intersection, one at a time, with depth buffer and soft edges."""
+"""A renderer in NumPy for tapered capsules, with exact surfaces, a depth buffer and soft edges."""
 
 import math
 from collections.abc import Sequence
@@ -8,17 +8,17 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 SEAM_TOLERANCE = 0.0005
-"""Metres by which a soft edge may lie behind what is drawn already and still be seen."""
+"""Meters. A soft edge is visible if it is at most this far behind the surface that is drawn already."""
 
 TABLE_SIZE = 128
-"""Normals are told apart this finely, left to right and top to bottom, when their shade is looked up."""
+"""Number of steps, horizontally and vertically, into which surface normals are divided for shading."""
 
 ShadeTables = Float[np.ndarray, "N 3"]
-"""Colours, sRGB 0 to 255, of several tints one after the other, `TABLE_SIZE` squared rows each."""
+"""Colors in sRGB, 0 to 255. Each tint has `TABLE_SIZE` squared rows."""
 
 
 class Ball(NamedTuple):
-    """One end of a limb on the picture."""
+    """One end of a limb in the picture."""
 
     x: float
     """Pixels from the left edge."""
@@ -27,14 +27,14 @@ class Ball(NamedTuple):
     """Pixels from the top edge."""
 
     depth: float
-    """Metres in front of the camera."""
+    """Meters in front of the camera."""
 
     radius: float
     """Pixels."""
 
 
 class Lighting(NamedTuple):
-    """Light in view space (x right, y down, z towards the camera); strengths in linear light."""
+    """Light in view space (x right, y down, z towards the camera), with strengths in linear light."""
 
     key_direction: Float[np.ndarray, " 3"]
     fill_direction: Float[np.ndarray, " 3"]
@@ -46,36 +46,36 @@ class Lighting(NamedTuple):
 
 
 class Canvas(NamedTuple):
-    """What each pixel shows; changed in place."""
+    """What each pixel shows. It is changed in place."""
 
     shades: Int[np.ndarray, "H W"]
-    """Row of the shade tables, one table after the other; -1 where nothing has been drawn."""
+    """Row in the shade tables; -1 where nothing was drawn."""
 
     depths: Float[np.ndarray, "H W"]
-    """Metres from the camera to what is seen there."""
+    """Meters from the camera to the surface."""
 
     focal: float
-    """Pixels that one metre takes at a distance of one metre."""
+    """Size of one meter at a distance of one meter, in pixels."""
 
 
 class Edge(NamedTuple):
-    """Pixels that a limb covers in part."""
+    """Pixels that a limb covers partly."""
 
     places: Int[np.ndarray, " N"]
-    """Row times width plus column."""
+    """Row times picture width plus column."""
 
     cover: Float[np.ndarray, " N"]
-    """Covered share."""
+    """Covered fraction."""
 
     depths: Float[np.ndarray, " N"]
-    """Metres from the camera."""
+    """Meters from the camera."""
 
     shades: Int[np.ndarray, " N"]
-    """Rows of the shade tables."""
+    """Rows in the shade tables."""
 
 
 class _Hull(NamedTuple):
-    """A limb in pixels: the second ball seen from the first, x right, y down, z towards the camera."""
+    """A limb in pixels, with the second ball relative to the first (x right, y down, z towards the camera)."""
 
     dx: float
     dy: float
@@ -85,19 +85,13 @@ class _Hull(NamedTuple):
 
 
 def empty_canvas(size: tuple[int, int], focal: float) -> Canvas:
-    """Returns a canvas of this width and height on which nothing has been drawn."""
+    """Returns an empty canvas with this width and height."""
     shape = (size[1], size[0])
     return Canvas(np.full(shape, -1, np.int32), np.full(shape, np.inf, np.float32), focal)
 
 
 def make_shade_tables(tints: Float[np.ndarray, "K 3"], lighting: Lighting) -> ShadeTables:
-    """Returns the colours of matt surfaces, linear colours `tints`, for every direction they can face."""
-    light = _light_by_direction(lighting)
-    return np.concatenate([255 * np.clip(light * tint, 0, 1) ** (1 / 2.2) for tint in tints]).astype(np.float32)
-
-
-def _light_by_direction(lighting: Lighting) -> Float[np.ndarray, "N 3"]:
-    """Returns what a white surface sends to the camera, by rows of a shade table."""
+    """Returns the colors of matte surfaces for all directions. `tints` are linear colors."""
     steps = (np.arange(TABLE_SIZE) + 0.5) * (2 / TABLE_SIZE) - 1
     y, x = (grid.ravel() for grid in np.meshgrid(steps, steps, indexing="ij"))
     normals = np.stack([x, y, np.sqrt(np.maximum(1 - x * x - y * y, 0))], axis=-1)
@@ -105,21 +99,22 @@ def _light_by_direction(lighting: Lighting) -> Float[np.ndarray, "N 3"]:
     key = lighting.key * np.maximum(normals @ lighting.key_direction, 0)
     fill = lighting.fill * np.maximum(normals @ lighting.fill_direction, 0)
     upward = (0.5 + 0.5 * normals @ lighting.sky_direction)[:, None]
-    # The darker rim sets limbs off from each other, as a draughtsman's outline would.
+    # A darker rim separates limbs from each other, like an outline in a drawing.
     rim = 0.62 + 0.38 * np.clip(2.6 * normals[:, 2:], 0, 1)
-    return rim * ((key + fill)[:, None] + lighting.ground + (lighting.sky - lighting.ground) * upward)
+    light = rim * ((key + fill)[:, None] + lighting.ground + (lighting.sky - lighting.ground) * upward)
+    return np.concatenate([255 * np.clip(light * tint, 0, 1) ** (1 / 2.2) for tint in tints]).astype(np.float32)
 
 
 def draw_capsule(canvas: Canvas, start: Ball, end: Ball, table: int) -> Edge | None:
-    """Returns the soft edge of the hull of two balls after drawing its inside onto the canvas; None outside of it."""
+    """Draws the inside of the hull of two balls and returns its soft edge, or None if it is outside the picture."""
     height, width = canvas.depths.shape
     left, right = _span(start.x, end.x, start.radius, end.radius, width)
     top, bottom = _span(start.y, end.y, start.radius, end.radius, height)
     if left >= right or top >= bottom:
         return None
-    # Depth is measured in pixels at the limb's own distance, so that the limb keeps its proportions.
-    pixels_a_metre = 2 * canvas.focal / (start.depth + end.depth)
-    dz = (start.depth - end.depth) * pixels_a_metre
+    # Depth is measured in pixels at the limb's distance, so that the limb keeps its proportions.
+    pixels_per_meter = 2 * canvas.focal / (start.depth + end.depth)
+    dz = (start.depth - end.depth) * pixels_per_meter
     hull = _Hull(end.x - start.x, end.y - start.y, dz, start.radius, end.radius)
     columns = np.arange(left, right, dtype=np.float32) + np.float32(0.5 - start.x)
     rows = np.arange(top, bottom, dtype=np.float32) + np.float32(0.5 - start.y)
@@ -128,7 +123,7 @@ def draw_capsule(canvas: Canvas, start: Ball, end: Ball, table: int) -> Edge | N
     cover = inside[row, column]
     relief, shades = _surface(columns[column], rows[row], hull)
     shades += table * TABLE_SIZE * TABLE_SIZE
-    depths = start.depth - relief * np.float32(1 / pixels_a_metre)
+    depths = start.depth - relief * np.float32(1 / pixels_per_meter)
     places = (row + top) * width + (column + left)
     flat_depths = canvas.depths.reshape(-1)
     solid = (cover >= 1) & (depths < flat_depths[places])
@@ -138,31 +133,34 @@ def draw_capsule(canvas: Canvas, start: Ball, end: Ball, table: int) -> Edge | N
     return Edge(places[soft], cover[soft], depths[soft], shades[soft])
 
 
-def colour_picture(
+def color_picture(
     picture: UInt8[np.ndarray, "H W 3"], canvas: Canvas, edges: Sequence[Edge], tables: ShadeTables
 ) -> None:
-    """Colours what has been drawn in the picture, then blends the edges in, in the order given (far ones first)."""
-    colours = picture.reshape(-1, 3)
+    """Colors the picture where the canvas was drawn on. Then blends the edges in the given order (far ones first)."""
+    colors = picture.reshape(-1, 3)
     shades = canvas.shades.reshape(-1)
     drawn = np.flatnonzero(shades >= 0)
-    colours[drawn] = tables[shades[drawn]]
+    colors[drawn] = tables[shades[drawn]]
     depths = canvas.depths.reshape(-1)
     for edge in edges:
         seen = edge.depths <= depths[edge.places] + SEAM_TOLERANCE
         places = edge.places[seen]
-        before = colours[places].astype(np.float32)
-        colours[places] = before + edge.cover[seen, None] * (tables[edge.shades[seen]] - before)
+        before = colors[places].astype(np.float32)
+        colors[places] = before + edge.cover[seen, None] * (tables[edge.shades[seen]] - before)
 
 
 def _span(start: float, end: float, start_radius: float, end_radius: float, size: int) -> tuple[int, int]:
-    """Returns the pixels, first and one past the last, that the hull touches along one axis of the picture."""
+    """Returns the first pixel, and one past the last, that the hull touches along one axis of the picture."""
     low = math.floor(min(start - start_radius, end - end_radius) - 1)
     high = math.ceil(max(start + start_radius, end + end_radius) + 1)
     return max(low, 0), min(high, size)
 
 
 def _inside(x: Float[np.ndarray, "1 W"], y: Float[np.ndarray, "H 1"], hull: _Hull) -> Float[np.ndarray, "H W"]:
-    """Returns pixels to the outline (both circles and the tangents between them) plus half, so 0 to 1 is the edge."""
+    """Returns the distance to the outline in pixels plus 0.5, so that 0 to 1 is the edge and more is inside.
+
+    The outline consists of both circles and the tangents between them.
+    """
     dx, dy, _, start_radius, end_radius = hull
     length = max(math.hypot(dx, dy), 1e-3)
     slope = min(max((start_radius - end_radius) / length, -0.999), 0.999)
@@ -183,10 +181,10 @@ def _inside(x: Float[np.ndarray, "1 W"], y: Float[np.ndarray, "H 1"], hull: _Hul
 def _surface(
     x: Float[np.ndarray, " N"], y: Float[np.ndarray, " N"], hull: _Hull
 ) -> tuple[Float[np.ndarray, " N"], Int[np.ndarray, " N"]]:
-    """Returns height towards the camera and row of the shade table, for pixels relative to the first ball.
+    """Returns the height towards the camera and the row of the shade table, for pixels relative to the first ball.
 
-    Seen in parallel along z: the cone between the balls where the sight hits it between the circles on which the balls
-    touch it, else a ball.
+    The projection is parallel to z. A pixel shows the cone between the two circles at which it touches the balls, and
+    otherwise a ball.
     """
     dx, dy, dz, start_radius, end_radius = hull
     span = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-3)
@@ -194,7 +192,7 @@ def _surface(
     slope = min(max((start_radius - end_radius) / span, -0.98), 0.98)
     cosine2 = 1 - slope * slope
     quadratic = 1 - uz * uz / cosine2
-    if quadratic < 1e-4:  # Seen down the axis, one ball hides the cone.
+    if quadratic < 1e-4:  # along its axis, the cone is hidden by a ball
         return _ball_surface(x, y, hull)
     projected = x * ux + y * uy
     reach = start_radius - slope * projected
@@ -213,7 +211,7 @@ def _surface(
 def _ball_surface(
     x: Float[np.ndarray, " N"], y: Float[np.ndarray, " N"], hull: _Hull
 ) -> tuple[Float[np.ndarray, " N"], Int[np.ndarray, " N"]]:
-    """Returns height and row of the shade table of the ball in front; beside both, the rim of the nearer one."""
+    """Returns height and row of the shade table of the ball in front. Pixels beside both balls get the nearer rim."""
     dx, dy, dz, start_radius, end_radius = hull
     start_square = start_radius**2 - np.square(x) - np.square(y)
     end_square = end_radius**2 - np.square(x - dx) - np.square(y - dy)
@@ -228,7 +226,7 @@ def _ball_surface(
 
 
 def _shade_rows(normal_x: Float[np.ndarray, " N"], normal_y: Float[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
-    """Returns the rows of a shade table for unit normals, of which x and y are given."""
+    """Returns the rows of a shade table for unit normals, given by x and y."""
     row, column = (
         np.clip(normal * (TABLE_SIZE / 2) + TABLE_SIZE / 2, 0, TABLE_SIZE - 1).astype(np.int32)
         for normal in (normal_y, normal_x)

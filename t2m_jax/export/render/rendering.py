@@ -1,34 +1,44 @@
-"""Pictures of figures without a browser or a graphics card: what GIF and MP4 files are made of."""
+"""Pictures of figures without a browser or a graphics card, for GIF and MP4 files and posters."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw
 
 from t2m_jax.export.render.figure import TINTS, Tint
-from t2m_jax.export.render.ground import ACCENTS, KEY_LIGHT, Ground, add_shadows, add_trail, draw_ground, make_ground
+from t2m_jax.export.render.ground import (
+    ACCENTS,
+    KEY_LIGHT,
+    SKY_TOP,
+    Ground,
+    add_shadows,
+    add_trail,
+    draw_ground,
+    make_ground,
+)
 from t2m_jax.export.render.labels import make_label
 from t2m_jax.export.render.rasterizer import (
     Ball,
     Lighting,
     ShadeTables,
-    colour_picture,
+    color_picture,
     draw_capsule,
     empty_canvas,
     make_shade_tables,
 )
-from t2m_jax.export.render.scene import Figure, Scene, scene_from_motions
+from t2m_jax.export.render.scene import Figure, scene_from_motions
 from t2m_jax.export.render.view import View, project, sample_figure, smooth_path, views_of_scene
 from t2m_jax.motion.record import Motion
 
-TINT_COLOURS: dict[Tint, str] = {"body": "#e4ddd2", "left": "#8dbfd2", "right": "#eeb08d", "face": "#27303c"}
+TINT_COLORS: dict[Tint, str] = {"body": "#e4ddd2", "left": "#8dbfd2", "right": "#eeb08d", "face": "#27303c"}
 FILL_LIGHT = np.array([-0.6, 0.35, -0.7]) / np.linalg.norm([-0.6, 0.35, -0.7])
 
 
 class Film(NamedTuple):
-    """Pictures that are drawn when they are asked for."""
+    """Pictures that are drawn on demand."""
 
     draw_frame: Callable[[int], Image.Image]
     num_frames: int
@@ -36,7 +46,7 @@ class Film(NamedTuple):
 
 
 class _Track(NamedTuple):
-    """One figure at the moments of the film, with what is drawn for it besides its body."""
+    """One figure at the times of the film, with its trail and its label."""
 
     figure: Figure
     points: Float[np.ndarray, "T P 3"]
@@ -45,66 +55,79 @@ class _Track(NamedTuple):
 
 
 def picture_size(num_motions: int, height: int) -> tuple[int, int]:
-    """Returns width and height, both even: square for one figure, wider for several."""
+    """Returns width and height, both even as video encoders require. One figure makes a square, several are wider."""
     width = height * min(1 + 0.5 * (num_motions - 1), 2.5)
     return round(width / 2) * 2, round(height / 2) * 2
 
 
 def render_film(motions: Sequence[Motion], *, height: int, max_fps: float) -> Film:
-    """Returns the pictures of the motions side by side, at the rate of the longest or the nearest even share of it.
+    """Returns pictures of the motions side by side, at the frame rate of the longest or an integer fraction of it.
 
     Args:
         motions: At least one.
-        height: Of the pictures, in pixels.
-        max_fps: Faster motions are shown at half, a third, … of their rate.
+        height: Height of the pictures in pixels.
+        max_fps: Faster motions are shown at 1/2, 1/3, … of their rate.
     """
     scene = scene_from_motions(motions)
     longest = max(scene.figures, key=lambda figure: len(figure.points) / figure.fps)
     stride = int(np.ceil(longest.fps / max_fps - 1e-6)) if longest.fps > max_fps else 1
     fps = longest.fps / stride
     num_frames = -(-len(longest.points) // stride)
-    size = picture_size(len(scene.figures), height)
-    tracks = _tracks(scene, num_frames, fps, size)
+    count = len(scene.figures)
+    width, height = size = picture_size(count, height)
+    # A single caption gets the foot of the picture; several captions share its width.
+    letters, lines = (round(height / 27), 3) if count == 1 else (max(round(height / 34), 10), 2)
+    room = round((0.94 if count == 1 else 0.86) * width / min(count, 6))
+    tracks = []
+    for figure in scene.figures:
+        points = sample_figure(figure, num_frames, fps)
+        path = smooth_path(points[:, 0].astype(np.float64), max(round(0.12 * fps), 1))
+        label = make_label(figure.caption, size=letters, width=room, max_lines=lines)
+        tracks.append(_Track(figure, points, path, label))
     views = views_of_scene(scene, np.stack([track.points[:, 0] for track in tracks], axis=1), fps, size)
     ground = make_ground(views[0])
-    tables = make_shade_tables(_linear_tints(), _lighting(views[0]))
+    tables = _shade_tables(views[0])
 
     def draw_frame(frame: int) -> Image.Image:
-        """Returns the picture of one moment."""
         picture = _draw_figures(ground, views[frame], tracks, frame, tables)
         _draw_labels(picture, views[frame], tracks, frame)
-        _draw_progress(picture, (frame + 1) / num_frames)
+        # The bar along the lower edge shows how much of the film has passed.
+        thickness = max(height // 120, 2)
+        bar = (0, height - thickness, round((frame + 1) / num_frames * width) - 1, height - 1)
+        ImageDraw.Draw(picture).rectangle(bar, fill=ACCENTS[0])
         return picture
 
     return Film(draw_frame, num_frames, fps)
 
 
-def _tracks(scene: Scene, num_frames: int, fps: float, size: tuple[int, int]) -> list[_Track]:
-    """Returns every figure at the moments of the film."""
-    width, height = size
-    count = len(scene.figures)
-    tracks = []
-    for figure in scene.figures:
-        points = sample_figure(figure, num_frames, fps)
-        path = smooth_path(points[:, 0].astype(np.float64), max(round(0.12 * fps), 1))
-        alone = count == 1
-        room = round((0.94 if alone else 0.86) * width / min(count, 6))
-        letters = round(height / 27) if alone else max(round(height / 34), 10)
-        label = make_label(figure.caption, size=letters, width=room, max_lines=3 if alone else 2)
-        tracks.append(_Track(figure, points, path, label))
-    return tracks
+def render_poster(motions: Sequence[Motion], *, num_poses: int = 6, height: int = 192) -> UInt8[np.ndarray, "H W 3"]:
+    """Returns one still picture with a row of poses per motion, at equal time steps from the first to the last frame.
+
+    Args:
+        motions: At least one.
+        num_poses: Number of poses per motion.
+        height: Height, and width, of the picture of one pose in pixels.
+    """
+    rows = []
+    for motion in motions:
+        film = render_film([dataclasses.replace(motion, caption="")], height=height, max_fps=motion.fps)
+        frames = np.linspace(0, film.num_frames - 1, num_poses).round().astype(int).tolist()
+        poses = np.concatenate([np.asarray(film.draw_frame(frame)) for frame in frames], axis=1)
+        size = max(round(height / 12), 12)
+        text = f"{motion.caption} ({motion.seconds:.1f} s)".strip()
+        label = make_label(text, size=size, width=poses.shape[1] - 4, max_lines=2)
+        assert label is not None, "the text has at least a duration"
+        band = Image.new("RGB", (poses.shape[1], label.height + 4), SKY_TOP)
+        band.paste(label, (2, 2), label)
+        rows += [np.asarray(band), poses]
+    return np.concatenate(rows)
 
 
-def _linear_tints() -> Float[np.ndarray, "K 3"]:
-    """Returns the colours of `TINTS` in linear light, 0 to 1."""
-    return np.array([[(int(TINT_COLOURS[tint][i : i + 2], 16) / 255) ** 2.2 for i in (1, 3, 5)] for tint in TINTS])
-
-
-def _lighting(view: View) -> Lighting:
-    """Returns the light as the camera sees it."""
+def _shade_tables(view: View) -> ShadeTables:
+    """Returns the colors of all tints, with the light as the camera sees it."""
     up = np.array([0.0, 1.0, 0.0])
     key, fill, sky = (view.axes @ direction for direction in (KEY_LIGHT, FILL_LIGHT, up))
-    return Lighting(
+    lighting = Lighting(
         key_direction=key,
         fill_direction=fill,
         sky_direction=sky,
@@ -113,6 +136,9 @@ def _lighting(view: View) -> Lighting:
         sky=np.array([0.42, 0.46, 0.53]),
         ground=np.array([0.24, 0.225, 0.21]),
     )
+    # The tables are computed in linear light, so the sRGB colors are decoded with a gamma of 2.2.
+    tints = [[(int(TINT_COLORS[tint][i : i + 2], 16) / 255) ** 2.2 for i in (1, 3, 5)] for tint in TINTS]
+    return make_shade_tables(np.array(tints), lighting)
 
 
 def _draw_figures(ground: Ground, view: View, tracks: Sequence[_Track], frame: int, tables: ShadeTables) -> Image.Image:
@@ -121,17 +147,6 @@ def _draw_figures(ground: Ground, view: View, tracks: Sequence[_Track], frame: i
     for number, track in enumerate(tracks):
         add_trail(picture, view, track.path[: frame + 1], ACCENTS[number % len(ACCENTS)])
     add_shadows(picture, view, [(track.figure, track.points[frame]) for track in tracks])
-    canvas = empty_canvas(picture.size, view.focal)
-    # Far limbs first, so that soft edges blend with what is behind them.
-    capsules = sorted(_capsules(view, tracks, frame), key=lambda capsule: -capsule[0].depth - capsule[1].depth)
-    edges = [draw_capsule(canvas, start, end, TINTS.index(tint)) for start, end, tint in capsules]
-    pixels = np.array(picture)
-    colour_picture(pixels, canvas, [edge for edge in edges if edge is not None], tables)
-    return Image.fromarray(pixels)
-
-
-def _capsules(view: View, tracks: Sequence[_Track], frame: int) -> list[tuple[Ball, Ball, Tint]]:
-    """Returns all limbs as the camera sees them."""
     capsules = []
     for track in tracks:
         spots = project(view, track.points[frame]).tolist()
@@ -140,12 +155,18 @@ def _capsules(view: View, tracks: Sequence[_Track], frame: int) -> list[tuple[Ba
             for point, radius in ((part.start, part.start_radius), (part.end, part.end_radius)):
                 x, y, depth = spots[point]
                 ends.append(Ball(x, y, depth, max(radius * view.focal / depth, 0.5)))
-            capsules.append((ends[0], ends[1], part.tint))
-    return capsules
+            capsules.append((ends[0], ends[1], TINTS.index(part.tint)))
+    # Far limbs are drawn first, so that soft edges blend with the limbs behind them.
+    capsules.sort(key=lambda capsule: -capsule[0].depth - capsule[1].depth)
+    canvas = empty_canvas(picture.size, view.focal)
+    edges = [draw_capsule(canvas, start, end, tint) for start, end, tint in capsules]
+    pixels = np.array(picture)
+    color_picture(pixels, canvas, [edge for edge in edges if edge is not None], tables)
+    return Image.fromarray(pixels)
 
 
 def _draw_labels(picture: Image.Image, view: View, tracks: Sequence[_Track], frame: int) -> None:
-    """Draws a single caption at the foot of the picture, several above their figures and beside each other."""
+    """Draws a single caption at the foot of the picture, and several captions above their figures without overlap."""
     placed = []
     for track in tracks:
         label = track.label
@@ -164,10 +185,3 @@ def _draw_labels(picture: Image.Image, view: View, tracks: Sequence[_Track], fra
         top = min(max(top, 2.0), picture.height - label.height - 2.0)
         edges.append((top, left + label.width + 3))
         picture.paste(label, (round(left), round(top)), label)
-
-
-def _draw_progress(picture: Image.Image, share: float) -> None:
-    """Draws a thin bar along the lower edge, as long as the share of the film that has passed."""
-    thickness = max(picture.height // 120, 2)
-    bar = (0, picture.height - thickness, round(share * picture.width) - 1, picture.height - 1)
-    ImageDraw.Draw(picture).rectangle(bar, fill=ACCENTS[0])

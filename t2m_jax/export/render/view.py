@@ -1,4 +1,4 @@
-"""The camera of rendered pictures: it keeps its direction and glides after the figures."""
+"""The camera of rendered pictures, which follows the figures smoothly without turning."""
 
 import math
 from typing import NamedTuple
@@ -9,20 +9,20 @@ from jaxtyping import Float
 from t2m_jax.export.render.scene import Figure, Scene
 
 FIELD_OF_VIEW = 0.6
-"""Vertical opening of the camera, radians."""
+"""Vertical angle of view in radians."""
 
 PITCH = 0.22
-"""How far the camera looks down, radians."""
+"""Downward angle of the camera in radians."""
 
 STANDSTILL = 1.2
-"""Metres of travel below which the camera does not move at all."""
+"""Meters. If the figures move less than this, the camera does not move."""
 
 SMOOTHING_SECONDS = 0.6
-"""Half width of both moving averages over the path that the camera follows."""
+"""Half width of the two moving averages that smooth the camera's path."""
 
 
 class View(NamedTuple):
-    """A camera: where it is, its axes (rows: right, down, back) and pixels a metre at one metre."""
+    """A camera: its position, its axes (rows: right, down, back), and the pixels of one meter at one meter."""
 
     eye: Float[np.ndarray, " 3"]
     axes: Float[np.ndarray, "3 3"]
@@ -30,11 +30,11 @@ class View(NamedTuple):
     width: int
     height: int
     middle: float
-    """Row, in pixels from the top, of what the camera points at."""
+    """Row of the point that the camera looks at, in pixels from the top."""
 
 
 def project(view: View, points: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
-    """Returns x and y in pixels and the depth in metres of world points."""
+    """Returns x and y in pixels, and the depth in meters, of world points."""
     seen = (points - view.eye) @ view.axes.T
     depth = np.maximum(-seen[..., 2], 0.05)
     scale = view.focal / depth
@@ -42,7 +42,7 @@ def project(view: View, points: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, 
 
 
 def smooth_path(path: Float[np.ndarray, "T K"], reach: int) -> Float[np.ndarray, "T K"]:
-    """Returns the path after two moving averages over `reach` frames to either side, its ends held."""
+    """Returns the path after two moving averages over `reach` frames on each side. The ends are repeated as padding."""
     window = np.full(2 * reach + 1, 1 / (2 * reach + 1))
     for _ in range(2):
         padded = np.pad(path, ((reach, reach), (0, 0)), mode="edge")
@@ -51,7 +51,7 @@ def smooth_path(path: Float[np.ndarray, "T K"], reach: int) -> Float[np.ndarray,
 
 
 def sample_figure(figure: Figure, num_frames: int, fps: float) -> Float[np.ndarray, "T P 3"]:
-    """Returns the figure's points at `num_frames` moments `1 / fps` apart; after its end it stands still."""
+    """Returns the figure's points at `num_frames` times, `1 / fps` apart. After its end, the figure does not move."""
     moments = np.minimum(np.arange(num_frames) / fps * figure.fps, len(figure.points) - 1)
     before = np.floor(moments + 1e-6).astype(int)
     after = np.minimum(before + 1, len(figure.points) - 1)
@@ -60,9 +60,9 @@ def sample_figure(figure: Figure, num_frames: int, fps: float) -> Float[np.ndarr
 
 
 def views_of_scene(scene: Scene, roots: Float[np.ndarray, "T N 3"], fps: float, size: tuple[int, int]) -> list[View]:
-    """Returns one view a frame: all figures in the picture, its middle following the middle of their roots.
+    """Returns one view per frame, which shows all figures and follows the mean of their roots.
 
-    The lower 6 % of the picture are left free for a caption.
+    The lower 6 % of the picture are left for a caption.
     """
     width, height = size
     middle = roots.mean(axis=1)
@@ -82,5 +82,5 @@ def views_of_scene(scene: Scene, roots: Float[np.ndarray, "T N 3"], fps: float, 
     right = np.array([math.cos(yaw), 0.0, -math.sin(yaw)])
     axes = np.stack([right, np.cross(right, back), back])
     focal = height / (2 * half)
-    centres = np.stack([targets[:, 0], np.full(len(targets), 0.46 * max(top, 1.5)), targets[:, 2]], axis=-1)
-    return [View(centre + distance * back, axes, focal, width, height, 0.47 * height) for centre in centres]
+    centers = np.stack([targets[:, 0], np.full(len(targets), 0.46 * max(top, 1.5)), targets[:, 2]], axis=-1)
+    return [View(center + distance * back, axes, focal, width, height, 0.47 * height) for center in centers]

@@ -9,7 +9,7 @@ class Camera {
     this.figures = figures;
     this.box = bounds(figures);
     this.follow = true;
-    // How far roots get from the followed path along x, y and z, and half the height to be seen.
+    // Largest distance of the roots from the followed path along x, y and z, and half of the visible height.
     this.strays = [0, 0, 0];
     this.path.forEach((spot, i) => {
       for (const figure of figures) {
@@ -28,7 +28,7 @@ class Camera {
     this.offset = [0, 0, 0];
   }
 
-  // The point on the path at a moment, between its samples.
+  // The point on the path at a time, interpolated between samples.
   onPath(seconds) {
     const moment = clamp(seconds * this.rate, 0, this.path.length - 1);
     const before = Math.floor(moment);
@@ -36,7 +36,7 @@ class Camera {
     return add(scale(this.path[before], 1 - (moment - before)), scale(this.path[after], moment - before));
   }
 
-  // Radius, across and up, of what has to be seen.
+  // Horizontal and vertical radius of what must be visible.
   extent() {
     if (!this.follow) {
       const size = subtract(this.box.high, this.box.low);
@@ -117,7 +117,7 @@ function listenForGestures(canvas, camera, changed) {
     changed();
   });
   const wheel = (event) => {
-    // Inside another page the wheel scrolls that page until the figure has been clicked.
+    // In an iframe, the wheel scrolls the outer page until the figure is clicked.
     if (window.self !== window.top && document.activeElement !== canvas) return;
     event.preventDefault();
     const pixels = event.deltaMode === 1 ? 16 * event.deltaY : event.deltaY;

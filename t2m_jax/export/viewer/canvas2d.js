@@ -64,7 +64,7 @@ class CanvasRenderer {
     this.context.drawImage(this.layer, box.x, box.y);
   }
 
-  // Directions and strengths of light in view space: x right, y down as pixels go, z towards the camera.
+  // Directions and strengths of light in view space: x right, y down like pixels, z towards the camera.
   lightInView(theme) {
     const { right, up } = this.camera;
     const back = cross(right, up);
@@ -73,9 +73,9 @@ class CanvasRenderer {
     return { ...directions, ...theme.uniforms };
   }
 
-  // A cone between two balls, seen in parallel along z: for each pixel the frontmost of cone and balls.
+  // A cone between two balls in parallel projection along z. Each pixel shows the surface in front.
   fillCapsule({ from, to, tint }, box, pixels, depths, light) {
-    // Depth in pixels at this limb's own distance, so that the limb keeps its proportions.
+    // Depth is measured in pixels at the limb's distance, so that the limb keeps its proportions.
     const unitDepth = (2 * this.pixels) / (from.w + to.w);
     const [dx, dy, dz] = [to.x - from.x, to.y - from.y, (from.w - to.w) * unitDepth];
     const span = Math.max(Math.hypot(dx, dy, dz), 1e-3);

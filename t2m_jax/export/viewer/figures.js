@@ -1,4 +1,4 @@
-// The recorded figures: unpacking, and where their points are at any moment.
+// The recorded figures: unpacking, and the positions of their points at any time.
 
 function unpackFigure(record) {
   const bytes = Uint8Array.from(atob(record.data), (character) => character.charCodeAt(0));
@@ -10,7 +10,7 @@ function unpackFigure(record) {
   return { ...record, values, current: new Float32Array(3 * record.points) };
 }
 
-// Cubic interpolation through the neighbouring frames; exact on whole frames. Writes into figure.current.
+// Cubic interpolation between the neighboring frames, exact on whole frames. Writes to figure.current.
 function poseAt(figure, seconds) {
   const last = figure.frames - 1;
   const moment = clamp(seconds * figure.fps, 0, last);
@@ -34,14 +34,14 @@ const rootAt = (figure, frame) => {
   return [figure.values[i], figure.values[i + 1], figure.values[i + 2]];
 };
 
-// The trail on the ground leaves out the sway of single steps.
+// The trail on the ground is smoothed, without the sway of single steps.
 function trailAt(figure, frame) {
   let sum = [0, 0, 0];
   for (let k = -4; k <= 4; k++) sum = add(sum, rootAt(figure, clamp(frame, 0, figure.frames - 1) + k));
   return scale(sum, 1 / 9);
 }
 
-// Where a following camera looks: the middle of all roots, smoothed over about a second, sampled `rate` times a second.
+// The target of a following camera: the mean of all roots, smoothed over about a second, `rate` samples per second.
 function followPath(figures, seconds, rate) {
   const count = Math.max(Math.ceil(seconds * rate) + 1, 1);
   const reach = Math.round(0.6 * rate);

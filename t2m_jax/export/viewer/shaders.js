@@ -2,7 +2,7 @@
 
 const CAPSULE_VERTEX = `#version 300 es
 precision highp float;
-layout(location = 0) in vec3 surface;  // turn around the axis, place between seam and pole 0..1, which end
+layout(location = 0) in vec3 surface;  // angle around the axis, place between seam and pole 0..1, which end
 layout(location = 1) in vec4 startBall;
 layout(location = 2) in vec4 endBall;
 layout(location = 3) in vec3 tint;
@@ -35,7 +35,7 @@ const LIGHT = `
 uniform mat4 lightMatrix;
 uniform vec3 lightDirection;
 uniform highp sampler2DShadow shadowMap;
-// The share of key light that arrives: a disc of taps in the shadow map, its radius in texels.
+// The fraction of key light that arrives, from samples on a disc in the shadow map. Its radius is in texels.
 float lit(vec3 place, float texels, float bias) {
   vec3 spot = (lightMatrix * vec4(place, 1.0)).xyz * 0.5 + 0.5;
   if (any(lessThan(spot.xy, vec2(0.0))) || any(greaterThan(spot.xy, vec2(1.0)))) return 1.0;
@@ -69,7 +69,7 @@ void main() {
   float facing = dot(n, lightDirection);
   float key = max(facing, 0.0) * lit(world + 0.014 * n, 7.0, 0.0008);
   float soft = 0.5 + 0.5 * n.y;
-  // Less sky reaches what is near the ground and looks down.
+  // Surfaces that are near the ground and face down get less light from the sky.
   float open = mix(1.0, smoothstep(0.0, 0.45, world.y + 0.25 * n.y), 0.45);
   vec3 ambient = mix(groundLight, skyLight, soft) * open;
   ambient += fillLight * max(dot(n, FILL_DIRECTION), 0.0);

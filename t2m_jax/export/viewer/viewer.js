@@ -1,7 +1,7 @@
 // The page: clock, controls, captions, keys, and `window.t2mViewer` for scripts.
 
 const linear = (hex) => [1, 3, 5].map((i) => Math.pow(parseInt(hex.slice(i, i + 2), 16) / 255, 2.2));
-// The ground is written to the page as it is, so its colours stay sRGB in WebGL.
+// The ground is written to the page as it is, so its colors stay sRGB in WebGL.
 const plain = (hex) => [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16) / 255);
 
 const THEMES = {
@@ -46,7 +46,7 @@ function makeCaptions(figures) {
     caption.textContent = figure.caption;
     caption.title = figure.caption;
     caption.hidden = !figure.caption.trim();
-    // Which caption belongs to which figure: both have the colour of the trail.
+    // A caption has the color of its figure's trail, which shows that they belong together.
     const accent = THEMES.light.accents[number % THEMES.light.accents.length];
     if (figures.length > 1) caption.style.boxShadow = `inset 0 -3px 0 ${css(accent, 1)}`;
     list.append(caption);
@@ -54,7 +54,7 @@ function makeCaptions(figures) {
   });
 }
 
-// A canvas that has given out one kind of context never gives another, so trying the next kind takes a new element.
+// A canvas supports only one kind of context in its life, so each attempt needs a new element.
 function makeRenderer(figures) {
   let canvas = find(".picture");
   for (const Renderer of [WebGLRenderer, CanvasRenderer]) {
@@ -146,7 +146,7 @@ class Viewer {
   tick(now) {
     requestAnimationFrame(this.tick);
     if (this.running) {
-      // A tab that slept resumes where it was.
+      // A tab that was suspended continues at the same frame.
       const passed = this.last === null ? 0 : Math.min((now - this.last) / 1000, 0.25);
       this.last = now;
       this.time = (this.time + passed * this.rate) % this.seconds;
@@ -169,7 +169,7 @@ class Viewer {
     scrub.setAttribute("aria-valuetext", `frame ${scrub.value} of ${this.numFrames - 1}, ${this.time.toFixed(1)} seconds`);
   }
 
-  // Several captions hang over their figures; where two would cover each other, the right one moves on.
+  // Several captions are above their figures. If two overlap, the right one moves further right.
   placeCaptions() {
     const { clientWidth, clientHeight } = this.canvas;
     const room = clamp((0.9 * clientWidth) / Math.min(this.figures.length, 6), 90, 240);

@@ -55,7 +55,7 @@ function capsuleMesh(turns, rings) {
   return { vertices: new Float32Array(vertices), indices: new Uint16Array(indices) };
 }
 
-// A ribbon along a root path: x, z, seconds for two vertices a frame.
+// A ribbon along a root path: x, z, seconds for two vertices per frame.
 function trailRibbon(figure) {
   const vertices = [];
   let normal = [1, 0];
@@ -73,7 +73,7 @@ function trailRibbon(figure) {
 
 class WebGLRenderer {
   constructor(canvas, figures) {
-    // Software WebGL is slower than our own drawing on a 2D canvas, so it is turned down.
+    // Software WebGL is slower than drawing on a 2D canvas, so it is rejected.
     const wishes = { antialias: true, alpha: true, powerPreference: "low-power", failIfMajorPerformanceCaveat: true };
     const gl = canvas.getContext("webgl2", wishes);
     if (!gl) throw new Error("WebGL 2 is not available");
@@ -158,7 +158,7 @@ class WebGLRenderer {
     gl.bufferSubData(gl.ARRAY_BUFFER, 0, this.instances);
   }
 
-  // The light looks at the middle of the figures, its field just wide enough for all of them.
+  // The light points at the middle of the figures. Its field is just wide enough for all of them.
   lightMatrix() {
     const roots = this.figures.map(({ current }) => [current[0], current[1], current[2]]);
     const middle = scale(roots.reduce(add), 1 / roots.length);

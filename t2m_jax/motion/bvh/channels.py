@@ -1,4 +1,4 @@
-"""The MOTION section of a BVH file: frame count, frame time and the table of channel values."""
+"""The MOTION section of a BVH file: the number of frames, the frame time and the channel values."""
 
 import re
 from pathlib import Path
@@ -13,11 +13,11 @@ _NUMBER_BYTES = np.zeros(256, dtype=bool)
 _NUMBER_BYTES[list(b"0123456789+-.eE \t\r\n\f\v")] = True
 _LINE_END = ord("\n")
 _BLANK = ord(" ")
-_RATE_TOLERANCE = 0.015  # 0.033 seconds are 30 frames per second, 0.08 are not 12
+_RATE_TOLERANCE = 0.015  # 0.033 seconds are 30 frames per second, but 0.08 seconds are not 12
 
 
 class MotionTable(NamedTuple):
-    """The numbers of the section, one row a frame."""
+    """The numbers of the section, one row per frame."""
 
     values: Float[np.ndarray, "T C"]
     fps: float
@@ -28,19 +28,26 @@ def parse_motion(text: bytes, path: Path, *, first_line: int, num_channels: int)
 
     Args:
         text: The file after the line MOTION.
-        path: File to name in errors.
-        first_line: Number of the first line of `text` in the file.
-        num_channels: Columns that the hierarchy asks for.
+        path: The file, for error messages.
+        first_line: Line number of the start of `text`.
+        num_channels: Number of columns according to the hierarchy.
     """
-    frames_line, text, frames_number = _next_line(text, first_line, path, field="Frames")
-    num_frames = _frame_count(frames_line, path, line=frames_number)
-    time_line, text, time_number = _next_line(text, frames_number + 1, path, field="Frame Time")
-    fps = _frame_rate(time_line, path, line=time_number)
+    count, text, line = _read_field(text, path, line=first_line, field="Frames", content="count")
+    if not re.fullmatch(r"[0-9]{1,9}", count) or int(count) == 0:
+        raise UserError(f'{path}:{line}: bad frame count "{count}"; it must be a whole number of at least 1')
+    num_frames = int(count)
+    seconds, text, line = _read_field(text, path, line=line + 1, field="Frame Time", content="seconds")
+    fps = _frame_rate(seconds, path, line=line)
     if num_channels == 0:
-        raise UserError(f"{path}:{time_number}: the hierarchy has no channels, so there is no motion to read")
-    first_row = time_number + 1
+        raise UserError(f"{path}:{line}: the hierarchy has no channels, so there is no motion to read")
+    first_row = line + 1
     row_lines = _check_layout(text, path, first_row=first_row, num_frames=num_frames, num_channels=num_channels)
-    values = _parse_numbers(text, path, first_row=first_row, count=num_frames * num_channels)
+    try:
+        values = np.fromstring(text, dtype=np.float64, sep=" ")
+    except ValueError:
+        raise _bad_word(text, path, first_row) from None
+    if values.size != num_frames * num_channels:  # NumPy reads "1-2" as two numbers, but it is one word
+        raise _bad_word(text, path, first_row)
     values = values.reshape(num_frames, num_channels)
     bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if bad.size:
@@ -48,48 +55,40 @@ def parse_motion(text: bytes, path: Path, *, first_line: int, num_channels: int)
     return MotionTable(values=values, fps=fps)
 
 
-def _next_line(text: bytes, line: int, path: Path, *, field: str) -> tuple[str, bytes, int]:
-    """Returns the next line that is not empty, the text after it and its number."""
+def _read_field(text: bytes, path: Path, *, line: int, field: str, content: str) -> tuple[str, bytes, int]:
+    """Returns the value of a line such as `Frames: 10`, the text after this line, and its number."""
     while text:
         head, _, text = text.partition(b"\n")
         if head.strip():
-            return head.decode("utf-8", errors="replace").strip(), text, line
+            words = head.decode("utf-8", errors="replace").strip()
+            found = re.fullmatch(field.replace(" ", r"\s*") + r"\s*:\s*(\S+)", words, flags=re.IGNORECASE)
+            if not found:
+                raise UserError(f'{path}:{line}: expected "{field}: <{content}>", found "{words[:40]}"')
+            return found[1], text, line
         line += 1
     raise UserError(f'{path}:{line}: the MOTION section ends where "{field}:" should follow; is the file truncated?')
 
 
-def _frame_count(line_text: str, path: Path, *, line: int) -> int:
-    found = re.fullmatch(r"Frames\s*:\s*(\S+)", line_text, flags=re.IGNORECASE)
-    if not found:
-        raise UserError(f'{path}:{line}: expected "Frames: <count>", found "{line_text[:40]}"')
-    if not re.fullmatch(r"[0-9]{1,9}", found[1]) or int(found[1]) == 0:
-        raise UserError(f'{path}:{line}: bad frame count "{found[1]}"; it must be a whole number of at least 1')
-    return int(found[1])
-
-
-def _frame_rate(line_text: str, path: Path, *, line: int) -> float:
-    """Returns frames per second; a whole number where the rounded time means one (0.0333333 is 30)."""
-    found = re.fullmatch(r"Frame\s*Time\s*:\s*(\S+)", line_text, flags=re.IGNORECASE)
-    if not found:
-        raise UserError(f'{path}:{line}: expected "Frame Time: <seconds>", found "{line_text[:40]}"')
+def _frame_rate(text: str, path: Path, *, line: int) -> float:
+    """Returns frames per second: a whole number if the rounded frame time means one (0.0333333 is 30)."""
     try:
-        seconds = float(found[1])
+        seconds = float(text)
     except ValueError:
         seconds = np.nan
     if not 1e-4 <= seconds <= 10:
-        raise UserError(f'{path}:{line}: bad frame time "{found[1]}"; it must be seconds per frame, 0.0001 to 10')
+        raise UserError(f'{path}:{line}: bad frame time "{text}"; it must be seconds per frame, 0.0001 to 10')
     nearest = max(round(1 / seconds), 1)
-    decimals = len(found[1].partition(".")[2]) if "e" not in found[1].lower() else 9
+    decimals = len(text.partition(".")[2]) if "e" not in text.lower() else 9
     same_digits = round(1 / nearest, decimals) == round(seconds, decimals)
     close = abs(nearest * seconds - 1) < _RATE_TOLERANCE
     return float(nearest) if same_digits and close else 1 / seconds
 
 
 def _check_layout(text: bytes, path: Path, *, first_row: int, num_frames: int, num_channels: int) -> np.ndarray:
-    """Returns the line index of each row after refusing what is no table of numbers of the promised size.
+    """Returns the line index of each row. Raises an error unless the text is a table of the expected size.
 
-    Words are counted per line on the raw bytes: the numbers are then parsed in one go, and a row that
-    lacks a value cannot borrow it from the next.
+    Words are counted per line on the raw bytes. Then all numbers are parsed at once, and a row that lacks a value
+    cannot take one from the next row.
     """
     raw = np.frombuffer(text, dtype=np.uint8)
     if not _NUMBER_BYTES[raw].all():
@@ -104,30 +103,20 @@ def _check_layout(text: bytes, path: Path, *, first_row: int, num_frames: int, n
         hint = "; is the file truncated?" if row == len(columns) - 1 else ""
         raise UserError(
             f"{path}:{first_row + row_lines[row]}: frame {row} has {columns[row]} columns, "
-            f"the hierarchy asks for {num_channels}{hint}"
+            f"but the hierarchy has {num_channels} channels{hint}"
         )
     if len(columns) < num_frames:
         line = first_row + (int(row_lines[-1]) if len(columns) else 0)
         message = f"the file ends after {len(columns)} of {num_frames} frames; is it truncated?"
         raise UserError(f"{path}:{line}: {message}")
     if len(columns) > num_frames:
-        message = f"data after the last frame; the header promises {num_frames} frames, here are {len(columns)}"
+        message = f"data after the last frame; the header says {num_frames} frames, but there are {len(columns)}"
         raise UserError(f"{path}:{first_row + row_lines[num_frames]}: {message}")
     return row_lines
 
 
-def _parse_numbers(text: bytes, path: Path, *, first_row: int, count: int) -> Float[np.ndarray, " N"]:
-    try:
-        values = np.fromstring(text, dtype=np.float64, sep=" ")
-    except ValueError:
-        raise _bad_word(text, path, first_row) from None
-    if values.size != count:  # "1-2" is two numbers to NumPy and one word to us
-        raise _bad_word(text, path, first_row)
-    return values
-
-
 def _bad_word(text: bytes, path: Path, first_row: int) -> UserError:
-    """Returns the error for the first word that is no finite number."""
+    """Returns the error for the first word that is not a finite number."""
     for line, row in enumerate(text.split(b"\n"), start=first_row):
         for word in row.split():
             shown = word[:24].decode("utf-8", errors="replace")
@@ -137,6 +126,6 @@ def _bad_word(text: bytes, path: Path, first_row: int) -> UserError:
                 return UserError(f'{path}:{line}: "{shown}" is not a number')
             if not finite:
                 return UserError(f"{path}:{line}: {shown} is not a finite number")
-            if b"_" in word:  # Python reads 1_000, the format does not
+            if b"_" in word:  # Python accepts 1_000, but the format does not
                 return UserError(f'{path}:{line}: "{shown}" is not a number')
-    return UserError(f"{path}:{first_row}: the frames hold something that is no number")
+    return UserError(f"{path}:{first_row}: the frames contain something that is not a number")

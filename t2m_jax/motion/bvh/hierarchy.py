@@ -1,4 +1,4 @@
-"""The HIERARCHY section of a BVH file: names, parents, offsets and channels of all joints."""
+"""The HIERARCHY section of a BVH file: names, parents, offsets and channels of the joints."""
 
 import math
 import re
@@ -18,7 +18,7 @@ _CHANNEL_SPELLINGS = {name.lower(): name for name in POSITION_CHANNELS + ROTATIO
 
 
 class Hierarchy(NamedTuple):
-    """The joints of a BVH file in the order of the file, lengths in the file's unit."""
+    """The joints of a BVH file in their order in the file. Lengths are in the file's unit."""
 
     joint_names: tuple[str, ...]
     parents: tuple[int, ...]
@@ -27,7 +27,7 @@ class Hierarchy(NamedTuple):
 
     @property
     def num_channels(self) -> int:
-        """Returns the number of columns of the MOTION section."""
+        """Number of columns of the MOTION section."""
         return sum(len(names) for names in self.channels)
 
 
@@ -37,7 +37,7 @@ class _Token(NamedTuple):
 
 
 class _Tokens:
-    """The words of the section, read one after the other; errors name file and line."""
+    """The words of the section, read one after another. Errors name the file and the line."""
 
     def __init__(self, lines: Sequence[str], path: Path):
         self._path = path
@@ -50,17 +50,17 @@ class _Tokens:
         self._next = 0
 
     def error(self, message: str, *, line: int | None = None) -> UserError:
-        """Returns the error to raise for `line`, by default that of the word read last."""
+        """Returns the error to raise for `line`, by default the line of the last word that was read."""
         if line is None:
             line = self._tokens[self._next - 1].line if self._next else 1
         return UserError(f"{self._path}:{line}: {message}")
 
     def peek(self) -> str:
-        """Returns the next word, an empty text at the end of the section."""
+        """Returns the next word, or an empty string at the end of the section."""
         return self._tokens[self._next].text if self._next < len(self._tokens) else ""
 
     def take(self, expected: str) -> _Token:
-        """Returns the next word; `expected` says in the error what was looked for."""
+        """Reads and returns the next word. `expected` describes it in the error."""
         if self._next == len(self._tokens):
             message = f"the HIERARCHY section ends where {expected} should follow; is the file truncated?"
             raise self.error(message, line=self._last_line)
@@ -68,13 +68,13 @@ class _Tokens:
         return self._tokens[self._next - 1]
 
     def take_word(self, word: str) -> None:
-        """Reads `word` (in any case) or refuses."""
+        """Reads the next word, which must be `word` in upper or lower case."""
         token = self.take(f'"{word}"')
         if token.text.upper() != word.upper():
             raise self.error(f'expected "{word}", found "{token.text}"')
 
     def take_number(self, field: str) -> float:
-        """Returns the next word as a finite number."""
+        """Reads and returns a finite number."""
         token = self.take(f"a number of {field}")
         try:
             value = float(token.text)
@@ -85,7 +85,7 @@ class _Tokens:
         return value
 
     def take_name(self, keyword: _Token) -> str:
-        """Returns the joint name that follows `keyword` on its line; it may hold spaces."""
+        """Reads and returns the joint name that follows `keyword` on its line. It may contain spaces."""
         words = []
         while self._next < len(self._tokens):
             token = self._tokens[self._next]
@@ -94,11 +94,13 @@ class _Tokens:
             words.append(token.text)
             self._next += 1
         if not words:
-            raise self.error(f"{keyword.text} without a joint name", line=keyword.line)
+            raise self.error(f"{keyword.text} is not followed by a joint name", line=keyword.line)
         return " ".join(words)
 
 
 class _Draft(NamedTuple):
+    """The joints that were read so far."""
+
     names: list[str]
     parents: list[int]
     offsets: list[tuple[float, ...]]
@@ -106,11 +108,11 @@ class _Draft(NamedTuple):
 
 
 def parse_hierarchy(lines: Sequence[str], path: Path) -> Hierarchy:
-    """Returns the joints described by `lines`, the file from its first line up to MOTION.
+    """Returns the joints described by `lines`, the file from its first line to MOTION.
 
     Args:
-        lines: Text lines, the first one being line 1 of the file.
-        path: File to name in errors.
+        lines: Lines of text. The first one is line 1 of the file.
+        path: The file, for error messages.
     """
     tokens = _Tokens(lines, path)
     tokens.take_word("HIERARCHY")
@@ -118,23 +120,8 @@ def parse_hierarchy(lines: Sequence[str], path: Path) -> Hierarchy:
     root = tokens.take('"ROOT"')
     if root.text.upper() != "ROOT":
         raise tokens.error(f'expected "ROOT", found "{root.text}"')
-    _read_joints(tokens, draft, root)
-    if tokens.peek():
-        found = tokens.take("the end")
-        kind = "a second ROOT; one figure per file" if found.text.upper() == "ROOT" else f'"{found.text}"'
-        raise tokens.error(f"after the closing brace of the root follows {kind}")
-    return Hierarchy(
-        joint_names=tuple(draft.names),
-        parents=tuple(draft.parents),
-        offsets=np.array(draft.offsets, dtype=np.float64),
-        channels=tuple(draft.channels),
-    )
-
-
-def _read_joints(tokens: _Tokens, draft: _Draft, root: _Token) -> None:
-    """Fills `draft` from the root's keyword on; a stack instead of recursion, as chains may be long."""
     stack = [_open_joint(tokens, draft, keyword=root, parent=-1)]
-    while stack:
+    while stack:  # no recursion, because a chain can be longer than Python's stack
         token = tokens.take('"JOINT", "End Site" or "}"')
         match token.text.upper():
             case "JOINT":
@@ -149,39 +136,42 @@ def _read_joints(tokens: _Tokens, draft: _Draft, root: _Token) -> None:
             case _:
                 joint = draft.names[stack[-1]]
                 raise tokens.error(f'joint "{joint}": expected "JOINT", "End Site" or "}}", found "{token.text}"')
+    if tokens.peek():
+        found = tokens.take("the end")
+        kind = "a second ROOT; one figure per file" if found.text.upper() == "ROOT" else f'"{found.text}"'
+        raise tokens.error(f"after the closing brace of the root follows {kind}")
+    offsets = np.array(draft.offsets, dtype=np.float64)
+    return Hierarchy(tuple(draft.names), tuple(draft.parents), offsets, tuple(draft.channels))
 
 
 def _open_joint(tokens: _Tokens, draft: _Draft, *, keyword: _Token, parent: int) -> int:
-    """Returns the index of the joint whose keyword was just read, after reading up to its channels."""
-    name = tokens.take_name(keyword)
-    if name in draft.names:
-        raise tokens.error(f'joint name "{name}" appears twice; names must be unique')
+    """Reads a joint from its name to its channels and returns its index. The keyword was read before."""
+    joint = tokens.take_name(keyword)
+    if joint in draft.names:
+        raise tokens.error(f'joint name "{joint}" appears twice; names must be unique')
     tokens.take_word("{")
-    draft.names.append(name)
+    draft.names.append(joint)
     draft.parents.append(parent)
-    draft.offsets.append(_read_offset(tokens, f'OFFSET of "{name}"'))
-    draft.channels.append(_read_channels(tokens, name) if tokens.peek().upper() == "CHANNELS" else ())
+    draft.offsets.append(_read_offset(tokens, f'OFFSET of "{joint}"'))
+    channels: list[str] = []
+    if tokens.peek().upper() == "CHANNELS":
+        tokens.take_word("CHANNELS")
+        count = tokens.take_number(f'CHANNELS of "{joint}"')
+        if count not in range(7):
+            raise tokens.error(f'CHANNELS of "{joint}": the count is {count:g}, it must be 0 to 6')
+        for _ in range(int(count)):
+            spelling = tokens.take(f'a channel of "{joint}"').text
+            name = _CHANNEL_SPELLINGS.get(spelling.lower())
+            if name is None:
+                known = ", ".join(_CHANNEL_SPELLINGS.values())
+                raise tokens.error(f'joint "{joint}": unknown channel "{spelling}"; known are {known}')
+            if name in channels:
+                raise tokens.error(f'joint "{joint}": channel {name} appears twice')
+            channels.append(name)
+    draft.channels.append(tuple(channels))
     return len(draft.names) - 1
 
 
 def _read_offset(tokens: _Tokens, field: str) -> tuple[float, ...]:
     tokens.take_word("OFFSET")
     return tuple(tokens.take_number(field) for _ in AXES)
-
-
-def _read_channels(tokens: _Tokens, joint: str) -> tuple[str, ...]:
-    tokens.take_word("CHANNELS")
-    count = tokens.take_number(f'CHANNELS of "{joint}"')
-    if count not in range(7):
-        raise tokens.error(f'CHANNELS of "{joint}": the count is {count:g}, it must be 0 to 6')
-    names: list[str] = []
-    for _ in range(int(count)):
-        spelling = tokens.take(f'a channel of "{joint}"').text
-        name = _CHANNEL_SPELLINGS.get(spelling.lower())
-        if name is None:
-            known = ", ".join(_CHANNEL_SPELLINGS.values())
-            raise tokens.error(f'joint "{joint}": unknown channel "{spelling}"; known are {known}')
-        if name in names:
-            raise tokens.error(f'joint "{joint}": channel {name} appears twice')
-        names.append(name)
-    return tuple(names)

@@ -1,4 +1,4 @@
-"""A rigid figure fitted to joint positions: bones of constant length, a T-pose at rest, a rotation for each joint."""
+"""Fitting a rigid figure to joint positions: constant bone lengths, a T-pose as rest pose, a rotation per joint."""
 
 import itertools
 from typing import NamedTuple
@@ -24,8 +24,8 @@ _PARENTS = HUMANML3D.parents
 _X, _Y, _Z = np.eye(3)
 _RIGID_SWEEPS = 20
 
-# Where the bone that ends at a joint points in the T-pose. The joints that are missing here are children of pelvis and
-# chest, whose shape is taken from the motion.
+# Direction in the T-pose of the bone that ends at a joint. The other joints are children of pelvis and chest, and their
+# directions are measured in the motion.
 _REST_DIRECTIONS = {"spine2": _Y, "spine3": _Y, "head": _Y}
 for _side, _out in (("left", _X), ("right", -_X)):
     _REST_DIRECTIONS |= {f"{_side}_knee": -_Y, f"{_side}_ankle": -_Y, f"{_side}_foot": _Z}
@@ -33,7 +33,7 @@ for _side, _out in (("left", _X), ("right", -_X)):
 
 
 class _Hub(NamedTuple):
-    """A joint with three children: two to the sides, which lie along X at rest, and one above, along Y."""
+    """A joint with three children: two to the sides, along X in the rest pose, and one above, along Y."""
 
     joint: int
     left: int
@@ -42,7 +42,7 @@ class _Hub(NamedTuple):
 
 
 class _Limb(NamedTuple):
-    """Three joints of a limb and the axis about which its hinge bends, at rest."""
+    """Three joints of a limb, and the axis about which its hinge bends in the rest pose."""
 
     start: int
     hinge: int
@@ -52,7 +52,7 @@ class _Limb(NamedTuple):
 
 _PELVIS = _Hub(*(_INDEX[name] for name in ("pelvis", "left_hip", "right_hip", "spine1")))
 _CHEST = _Hub(*(_INDEX[name] for name in ("spine3", "left_collar", "right_collar", "neck")))
-# Knees fold backwards; the elbows of a T-pose with palms down fold forwards.
+# Knees bend backwards. The elbows of a T-pose with palms down bend forwards.
 _LEGS = tuple(_Limb(_INDEX[f"{s}_hip"], _INDEX[f"{s}_knee"], _INDEX[f"{s}_ankle"], _X) for s in ("left", "right"))
 _ARMS = tuple(
     _Limb(_INDEX[f"{s}_shoulder"], _INDEX[f"{s}_elbow"], _INDEX[f"{s}_wrist"], axis)
@@ -61,7 +61,7 @@ _ARMS = tuple(
 
 
 class FittedRig(NamedTuple):
-    """A figure of 22 joints in motion; `forward_kinematics` of it comes close to the positions it was made from."""
+    """A moving figure of 22 joints. Its `forward_kinematics` is close to the positions that it was fitted to."""
 
     offsets: Float[np.ndarray, "J 3"]
     rotations: Float[np.ndarray, "T J 3 3"]
@@ -69,7 +69,7 @@ class FittedRig(NamedTuple):
 
     @property
     def translations(self) -> Float[np.ndarray, "T J 3"]:
-        """Returns each joint's position in its parent's frame, that of the root in the world."""
+        """Position of each joint in its parent's frame, and of the root in the world."""
         result = np.repeat(self.offsets[None], len(self.rotations), axis=0)
         result[:, 0] = self.root_positions
         return result
@@ -78,17 +78,25 @@ class FittedRig(NamedTuple):
 def fit_rig(positions: Float[np.ndarray, "T J 3"], *, fps: float) -> FittedRig:
     """Returns the rig of the 22 HumanML3D joints whose motion is closest to `positions`.
 
-    Bone lengths are the means over the clip. Head, wrists and toes keep the identity.
+    Bone lengths are means over the clip. The rotations of head, wrists and toes are the identity.
 
     Args:
-        positions: World positions in metres, Y up.
+        positions: World positions in meters, Y up.
         fps: Frames per second.
     """
     targets = np.asarray(positions, dtype=np.float64)
     offsets = _rest_offsets(targets)
     fit = _Fit(_rigid_positions(targets, offsets), offsets)
     fit.turn_hub(_PELVIS)
-    _fit_spine(fit)
+    spine = (_INDEX["spine1"], _INDEX["spine2"])
+    for joint in spine:
+        fit.swing(joint)
+    fit.turn_hub(_CHEST)
+    # Each joint of the spine gets a third of the twist between pelvis and chest.
+    pelvis, chest = fit.rotations[:, _PELVIS.joint].copy(), fit.rotations[:, _CHEST.joint].copy()
+    for share, joint in zip((1 / 3, 2 / 3), spine, strict=True):
+        fit.swing(joint, start=slerp(pelvis, chest, share))
+    fit.set_rotation(_CHEST.joint, chest)
     for collar in (_CHEST.left, _CHEST.right, _CHEST.above):
         fit.swing(collar)
     for limbs in (_LEGS, _ARMS):
@@ -103,7 +111,7 @@ def fit_rig(positions: Float[np.ndarray, "T J 3"], *, fps: float) -> FittedRig:
 
 
 class _Fit:
-    """The rig while it is built from the root outwards: joints placed and world rotations known so far."""
+    """The joints and world rotations that were fitted so far, from the root outwards."""
 
     def __init__(self, targets: Float[np.ndarray, "T J 3"], offsets: Float[np.ndarray, "J 3"]):
         self.targets = targets
@@ -113,60 +121,44 @@ class _Fit:
         self.rotations[..., 0] = 1
 
     def aim(self, joint: int) -> Float[np.ndarray, "T 3"]:
-        """Returns the way from the rig's `joint` to the target of its only child."""
+        """Returns the vector from the rig's `joint` to the target of its only child."""
         return self.targets[:, _only_child(joint)] - self.joints[:, joint]
 
     def set_rotation(self, joint: int, rotations: Float[np.ndarray, "T 4"]) -> None:
-        """Turns `joint` and puts its children where that takes them."""
+        """Sets the rotation of `joint` and moves its children accordingly."""
         self.rotations[:, joint] = rotations
-        for child in _children(joint):
+        for child in HUMANML3D.children(joint):
             self.joints[:, child] = self.joints[:, joint] + rotate_vectors(rotations, self.offsets[child])
-            self.rotations[:, child] = rotations  # that of a leaf, which keeps the identity in its parent's frame
+            self.rotations[:, child] = rotations  # final for leaves: the identity in the parent's frame
 
     def turn_hub(self, hub: _Hub) -> None:
-        """Turns a joint with several children to the best rigid fit."""
-        children = list(_children(hub.joint))
+        """Rotates a joint with several children to the best rigid fit."""
+        children = list(HUMANML3D.children(hub.joint))
         targets = self.targets[:, children] - self.joints[:, hub.joint, None]
         self.set_rotation(hub.joint, quaternion_from_matrix(rigid_rotations(self.offsets[children], targets)))
 
     def swing(self, joint: int, *, start: Float[np.ndarray, "T 4"] | None = None) -> None:
-        """Turns a joint with one child from `start`, by default its parent's rotation, straight to its aim."""
+        """Rotates a joint with one child from `start`, by default its parent's rotation, directly to its target."""
         start = self.rotations[:, _PARENTS[joint]] if start is None else start
         bone = rotate_vectors(start, self.offsets[_only_child(joint)])
         self.set_rotation(joint, quaternion_multiply(quaternion_between(bone, self.aim(joint)), start))
 
     def local_rotations(self) -> Float[np.ndarray, "T J 4"]:
-        """Returns all rotations in the frames of the parents."""
+        """Returns all rotations in the parents' frames."""
         inverse_parents = quaternion_inverse(self.rotations[:, _PARENTS[1:]])
         inner = quaternion_multiply(inverse_parents, self.rotations[:, 1:])
         return np.concatenate((self.rotations[:, :1], inner), axis=1)
 
 
-def _children(joint: int) -> tuple[int, ...]:
-    return tuple(child for child, parent in enumerate(_PARENTS) if parent == joint)
-
-
 def _only_child(joint: int) -> int:
-    (child,) = _children(joint)
+    (child,) = HUMANML3D.children(joint)
     return child
 
 
-def _fit_spine(fit: _Fit) -> None:
-    """Turns spine1, spine2 and chest; the twist between pelvis and chest is shared out evenly."""
-    inner = (_INDEX["spine1"], _INDEX["spine2"])
-    for joint in inner:
-        fit.swing(joint)
-    fit.turn_hub(_CHEST)
-    pelvis, chest = fit.rotations[:, _PELVIS.joint].copy(), fit.rotations[:, _CHEST.joint].copy()
-    for share, joint in zip((1 / 3, 2 / 3), inner, strict=True):
-        fit.swing(joint, start=slerp(pelvis, chest, share))
-    fit.set_rotation(_CHEST.joint, chest)
-
-
 def _fit_limbs(fit: _Fit, limbs: tuple[_Limb, ...], fps: float) -> None:
-    """Turns the first two joints of limbs, their twist told by the plane of the bent hinge."""
+    """Rotates the first two joints of limbs. Their twist follows from the plane of the bent hinge."""
     starts, hinges = ([getattr(limb, name) for limb in limbs] for name in ("start", "hinge"))
-    for joint in (*starts, *hinges):  # places the hinges, so that the lower bones can be aimed
+    for joint in (*starts, *hinges):  # moves the hinges, which the directions of the lower bones depend on
         fit.swing(joint)
     above = fit.rotations[:, [_PARENTS[joint] for joint in starts]]
     aims = [np.stack([fit.aim(joint) for joint in joints], axis=1) for joints in (starts, hinges)]
@@ -185,36 +177,32 @@ def _fit_limbs(fit: _Fit, limbs: tuple[_Limb, ...], fps: float) -> None:
 
 
 def _rest_offsets(positions: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, "J 3"]:
-    """Returns the T-pose: mean bone lengths, straight limbs, pelvis and chest in their mean shape."""
+    """Returns the T-pose: mean bone lengths, straight limbs, and the mean shapes of pelvis and chest."""
     bones = positions - positions[:, np.maximum(_PARENTS, 0)]
     offsets = np.zeros(bones.shape[1:])
     for name, direction in _REST_DIRECTIONS.items():
         offsets[_INDEX[name]] = direction
     for hub in (_PELVIS, _CHEST):
-        children = list(_children(hub.joint))
-        offsets[children] = _hub_shape(bones, hub)[children]
+        # The mean of the bones in the hub's own frame: X from right to left, Y towards the joint above.
+        across = _unit(bones[:, hub.left] - bones[:, hub.right])
+        up = bones[:, hub.above]
+        up = _unit(up - np.sum(up * across, axis=-1, keepdims=True) * across)
+        frames = np.stack((across, up, np.cross(across, up)), axis=-2)
+        children = list(HUMANML3D.children(hub.joint))
+        offsets[children] = np.einsum("tab,tjb->ja", frames, bones[:, children]) / len(bones)
     return _unit(offsets) * np.linalg.norm(bones, axis=-1).mean(axis=0)[:, None]
-
-
-def _hub_shape(bones: Float[np.ndarray, "T J 3"], hub: _Hub) -> Float[np.ndarray, "J 3"]:
-    """Returns the mean of `bones` seen in the hub's own frame: X from right to left, Y towards the joint above."""
-    across = _unit(bones[:, hub.left] - bones[:, hub.right])
-    up = bones[:, hub.above]
-    up = _unit(up - np.sum(up * across, axis=-1, keepdims=True) * across)
-    frames = np.stack((across, up, np.cross(across, up)), axis=-2)
-    return np.einsum("tab,tjb->ja", frames, bones) / len(bones)
 
 
 def _rigid_positions(
     positions: Float[np.ndarray, "T J 3"], offsets: Float[np.ndarray, "J 3"]
 ) -> Float[np.ndarray, "T J 3"]:
-    """Returns positions near `positions` at which every bone has its length and the hubs keep their shape.
+    """Returns positions close to `positions` with the bone lengths and hub shapes of `offsets`.
 
-    Every distance that is wrong moves both its ends by half of the error, over and over: unlike a fit from the root
-    outwards this shares the errors of a motion that bends no rigid figure among all joints, the root included.
+    Each wrong distance repeatedly moves both of its joints by half of the error. Unlike a fit from the root outwards,
+    this distributes the errors of a motion that no rigid figure can perform over all joints, including the root.
     """
     pairs = [(child, parent) for child, parent in enumerate(_PARENTS) if parent >= 0]
-    pairs += [pair for hub in (_PELVIS, _CHEST) for pair in itertools.combinations(_children(hub.joint), 2)]
+    pairs += [pair for hub in (_PELVIS, _CHEST) for pair in itertools.combinations(HUMANML3D.children(hub.joint), 2)]
     joints = np.moveaxis(positions, 1, 0).copy()
     for _ in range(_RIGID_SWEEPS):
         for a, b in pairs:
@@ -228,5 +216,5 @@ def _rigid_positions(
 
 
 def _unit(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
-    """Returns `vectors` at unit length; those of no length stay zero."""
+    """Returns `vectors` with unit length. Vectors of length zero stay zero."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 
 class JointPoses(NamedTuple):
-    """Where every joint is and how it is turned, in the world."""
+    """World position and rotation of each joint."""
 
     positions: Float[np.ndarray, "*batch J 3"]
     rotations: Float[np.ndarray, "*batch J 3 3"]
@@ -26,7 +26,7 @@ def forward_kinematics(
         translations: Position of each joint in its parent's frame; the root's is its world position.
         parents: Parent of each joint, which must come before it; -1 for the root.
     """
-    # Joint first: a joint's matrices lie together, several times faster than striding over all joints.
+    # With the joint axis first, the matrices of a joint are contiguous, which is several times faster.
     local = np.moveaxis(np.asarray(rotations, np.float64), -3, 0)
     steps = np.moveaxis(np.asarray(translations, np.float64), -2, 0)
     world = np.empty(local.shape)
@@ -46,9 +46,9 @@ def forward_kinematics(
 def rigid_rotations(
     rest: Float[np.ndarray, "N 3"], vectors: Float[np.ndarray, "*batch N 3"]
 ) -> Float[np.ndarray, "*batch 3 3"]:
-    """Returns the rotations that take the vectors `rest` closest to `vectors` in least squares (Kabsch 1976)."""
+    """Returns the rotations that bring the vectors `rest` closest to `vectors` by least squares (Kabsch 1976)."""
     left, _, right = np.linalg.svd(np.einsum("...na,nb->...ab", np.asarray(vectors, np.float64), rest))
-    # A mirror image may fit better than any rotation: then the least important axis is turned back.
+    # A reflection may fit better than any rotation. It is made a rotation by flipping the axis that matters least.
     signs = np.ones(left.shape[:-1])
     signs[..., 2] = np.sign(np.linalg.det(left) * np.linalg.det(right))
     return ((left * signs[..., None, :]) @ right).astype(np.float32)

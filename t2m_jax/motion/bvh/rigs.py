@@ -1,4 +1,4 @@
-"""Named rigs: which joint of a BVH file plays which of the 22 joints."""
+"""Rigs: the joints of a BVH file that correspond to the 22 joints of HumanML3D."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -7,24 +7,25 @@ from pathlib import Path
 import yaml
 
 from t2m_jax.errors import UserError
+from t2m_jax.files import load_text
 from t2m_jax.motion.skeleton import HUMANML3D
 
-# A rig may lack these; they are placed between their neighbours.
+# A rig may lack these joints. They are placed between their neighbors.
 OPTIONAL_JOINTS = ("spine1", "spine2", "spine3", "left_collar", "right_collar", "head")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Rig:
-    """A table from the joints of HumanML3D to those of another hierarchy."""
+    """A table from the joints of HumanML3D to the joints of another hierarchy."""
 
     name: str
-    """What the command line calls it."""
+    """Name on the command line."""
     sources: tuple[tuple[str, tuple[str, ...]], ...]
-    """For each of the 22 joints that the rig has: its names there, the first one found counts."""
+    """Joints of HumanML3D with their names in the rig. The first name that a file has is used."""
 
 
 def _sided(**patterns: str) -> dict[str, str]:
-    """Returns both sides of a table whose patterns hold {side} or {S} for Left/Right or L/R."""
+    """Returns a table for both sides. In the patterns, {side} becomes Left or Right, and {S} becomes L or R."""
     return {
         f"{side.lower()}_{joint}": pattern.format(side=side, S=side[0])
         for joint, pattern in patterns.items()
@@ -36,9 +37,9 @@ def make_rig(table: Mapping[str, str | Sequence[str]], *, name: str) -> Rig:
     """Returns the rig described by a table such as `{"pelvis": "Hips", "left_foot": ["LeftToe", "LeftToeBase"]}`.
 
     Args:
-        table: HumanML3D joint to joint of the file, or to several spellings. All joints are needed but
-            the spine between pelvis and neck, the collars and the head.
-        name: Shown in errors; for a table from a file, its path.
+        table: From joints of HumanML3D to a joint of the file, or to several spellings of it. The joints of
+            `OPTIONAL_JOINTS` may be missing.
+        name: Name for error messages. For a table from a file, its path.
     """
     unknown = [joint for joint in table if joint not in HUMANML3D.joint_names]
     if unknown:
@@ -53,19 +54,17 @@ def make_rig(table: Mapping[str, str | Sequence[str]], *, name: str) -> Rig:
 
 
 def load_rig(path: Path | str) -> Rig:
-    """Returns the rig in a YAML file with one line a joint, such as `pelvis: Hips`."""
+    """Returns the rig of a YAML file with one line per joint, such as `pelvis: Hips`."""
     try:
-        table = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise UserError(f"{path}: is no YAML: {' '.join(str(error).split())}") from error
+        table = yaml.safe_load(load_text(Path(path)))
+    except yaml.YAMLError as error:
+        raise UserError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(table, dict):
-        raise UserError(f"{path}: must hold one line a joint, such as `pelvis: Hips`")
+        raise UserError(f"{path}: needs one line per joint, such as `pelvis: Hips`")
     for joint, names in table.items():
         spellings = names if isinstance(names, list) else [names]
         if not isinstance(joint, str) or not spellings or not all(isinstance(one, str) for one in spellings):
-            raise UserError(f"{path}: {joint} must be given a joint name or a list of joint names")
+            raise UserError(f"{path}: {joint} needs a joint name or a list of joint names")
     return make_rig(table, name=str(path))
 
 
@@ -94,10 +93,9 @@ RIGS = {rig.name: rig for rig in (BANDAI_NAMCO, CMU_ICLONE, MIXAMO)}
 
 
 def match_rig(rig: Rig, joint_names: Sequence[str]) -> dict[str, int]:
-    """Returns the index of the joint in `joint_names` that plays each HumanML3D joint.
+    """Returns the index in `joint_names` of each HumanML3D joint.
 
-    Names match with or without a namespace in front (`mixamorig:Hips`). Joints of the rig that the
-    hierarchy lacks are left out of the result.
+    Names match with or without a namespace (`mixamorig:Hips`). Joints that the hierarchy does not have are left out.
     """
     index: dict[str, int] = {}
     for i, name in enumerate(joint_names):
@@ -112,7 +110,7 @@ def match_rig(rig: Rig, joint_names: Sequence[str]) -> dict[str, int]:
 
 
 def detect_rig(joint_names: Sequence[str]) -> Rig:
-    """Returns the named rig that `joint_names` belong to."""
+    """Returns the named rig whose joints are all in `joint_names`."""
     complete = [rig for rig in RIGS.values() if len(match_rig(rig, joint_names)) == len(rig.sources)]
     if not complete:
         shown = ", ".join(joint_names[:6])

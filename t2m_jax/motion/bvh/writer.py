@@ -1,4 +1,4 @@
-"""Writing motions of the 22 joints as BVH files that animation programs open with a T-pose at rest."""
+"""Writing motions of the 22 joints as BVH files with a T-pose as rest pose, as animation programs expect."""
 
 from pathlib import Path
 
@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
+from t2m_jax.files import save_text
 from t2m_jax.motion.bvh.inverse_kinematics import fit_rig
 from t2m_jax.motion.bvh.kinematics import forward_kinematics
 from t2m_jax.motion.record import Motion
@@ -19,26 +20,26 @@ BVH_JOINT_NAMES = (
     "RightForeArm", "LeftHand", "RightHand",
 )
 # fmt: on
-"""The names in the file, in the order of HumanML3D's joints."""
+"""Names in the file, in the order of HumanML3D's joints."""
 
-# One order for all joints, as many readers assume. Turning about Y comes first of all, so that a figure may face
-# anywhere and elbows may bend to any angle without gimbal lock.
+# Many readers expect one order for all joints. Y turns first, so that figures can face any direction, and elbows can
+# bend to any angle, without gimbal lock.
 _ORDER: EulerOrder = "ZXY"
 _LOCKED_COSINE = 1e-4
-# End Sites lengthen the last bone of a limb: to the crown, the finger tips and the tip of the shoe.
+# Length of each End Site relative to the last bone, up to the crown, the finger tips and the tip of the shoe.
 _END_SITES = {"Head": 1.7, "LeftHand": 0.65, "RightHand": 0.65, "LeftToe": 0.35, "RightToe": 0.35}
 
 
 def save_bvh(path: Path | str, motion: Motion, *, tpose_frame: bool = False) -> None:
-    """Writes `motion` as a BVH file in metres, Y up.
+    """Writes `motion` as a BVH file in meters, Y up.
 
-    The OFFSETs are the rest pose, a T-pose. The root has OFFSET zero, so its position channels mean the same to
-    readers that add them to OFFSET and to those that do not.
+    The OFFSETs are the rest pose, a T-pose. The OFFSET of the root is zero, so that its position channels mean the same
+    in programs that add them to OFFSET and in programs that do not.
 
     Args:
-        path: The file to write.
+        path: The file.
         motion: A motion of the 22 HumanML3D joints.
-        tpose_frame: Whether to put one frame in T-pose, standing on the floor, before the motion.
+        tpose_frame: Whether to write a frame in T-pose, with the feet on the floor, before the motion.
     """
     if motion.skeleton.joint_names != HUMANML3D.joint_names:
         raise UserError(f"{path}: BVH files are written for the skeleton {HUMANML3D.name}, not {motion.skeleton.name}")
@@ -52,18 +53,17 @@ def save_bvh(path: Path | str, motion: Motion, *, tpose_frame: bool = False) -> 
         degrees = np.concatenate((np.zeros_like(degrees[:1]), degrees))
     order = _depth_first(0)
     table = np.concatenate((roots, degrees[:, order].reshape(len(degrees), -1)), axis=1)
-    lines = ["HIERARCHY", *_hierarchy_lines(rig.offsets), *_motion_lines(table, motion.fps)]
-    try:
-        Path(path).write_text("\n".join(lines) + "\n", encoding="ascii")
-    except OSError as error:
-        raise UserError(f"{path}: cannot be written: {error.strerror}") from error
+    lines = ["HIERARCHY", *_hierarchy_lines(rig.offsets)]
+    lines += ["MOTION", f"Frames: {len(table)}", f"Frame Time: {1 / motion.fps:.9f}", *map(_numbers, table)]
+    save_text(path, "\n".join(lines) + "\n")
 
 
 def continuous_euler(matrices: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T J 3"]:
     """Returns Euler angles in radians, in the writer's order, that do not jump between frames.
 
-    Of the two triples that make a rotation, and their full turns, each frame takes the one nearest to the frame
-    before. Where the middle angle is at ±90° only a sum of the others is determined; they share its change.
+    Two triples of angles, and those with full turns added, give the same rotation. Each frame gets the triple that is
+    nearest to the frame before. If the middle angle is ±90°, only a sum of the others is determined (gimbal lock), and
+    both get half of its change.
     """
     principal = euler_from_matrix(matrices, _ORDER).astype(np.float64)
     result = np.empty_like(principal)
@@ -74,40 +74,33 @@ def continuous_euler(matrices: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray
         nearer = np.abs(candidates - previous).sum(axis=-1).argmin(axis=0)
         chosen = candidates[nearer, np.arange(len(nearer))]
         locked = np.abs(np.cos(chosen[:, 1])) < _LOCKED_COSINE
-        chosen[locked] = _shared_change(chosen[locked], previous[locked])
+        steps = chosen[locked] - previous[locked]
+        sign = np.sign(np.sin(chosen[locked, 1]))
+        change = _wrapped(steps[:, 0] + sign * steps[:, 2])
+        chosen[locked, 0] = previous[locked, 0] + change / 2
+        chosen[locked, 2] = previous[locked, 2] + sign * change / 2
         result[frame] = previous = chosen
     return result
 
 
 def _wrapped(angles: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
-    """Returns the same angles within ±pi."""
+    """Returns the same angles between -pi and pi."""
     return (angles + np.pi) % (2 * np.pi) - np.pi
 
 
-def _shared_change(angles: Float[np.ndarray, "N 3"], previous: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-    """Returns angles in gimbal lock with the change of their determined sum shared by first and last."""
-    sign = np.sign(np.sin(angles[:, 1]))
-    change = _wrapped((angles - previous)[:, 0] + sign * (angles - previous)[:, 2])
-    return np.stack((previous[:, 0] + change / 2, angles[:, 1], previous[:, 2] + sign * change / 2), axis=-1)
-
-
-def _children(joint: int) -> list[int]:
-    return [child for child, parent in enumerate(HUMANML3D.parents) if parent == joint]
-
-
 def _depth_first(joint: int) -> list[int]:
-    """Returns `joint` and all below it in the order in which the file lists them."""
-    return [joint] + [below for child in _children(joint) for below in _depth_first(child)]
+    """Returns `joint` and its descendants in the order of the file."""
+    return [joint] + [below for child in HUMANML3D.children(joint) for below in _depth_first(child)]
 
 
 def _hierarchy_lines(offsets: Float[np.ndarray, "J 3"], joint: int = 0, depth: int = 0) -> list[str]:
-    """Returns the lines of `joint` and all below it."""
+    """Returns the lines of `joint` and its descendants."""
     name, pad, inner = BVH_JOINT_NAMES[joint], "  " * depth, "  " * (depth + 1)
     rotations = " ".join(f"{axis}rotation" for axis in _ORDER)
     channels = f"3 {rotations}" if depth else f"6 Xposition Yposition Zposition {rotations}"
     lines = [f"{pad}{'JOINT' if depth else 'ROOT'} {name}", pad + "{"]
     lines += [f"{inner}OFFSET {_numbers(offsets[joint])}", f"{inner}CHANNELS {channels}"]
-    for child in _children(joint):
+    for child in HUMANML3D.children(joint):
         lines += _hierarchy_lines(offsets, child, depth + 1)
     if name in _END_SITES:
         end = _numbers(offsets[joint] * _END_SITES[name])
@@ -115,10 +108,6 @@ def _hierarchy_lines(offsets: Float[np.ndarray, "J 3"], joint: int = 0, depth: i
     return [*lines, pad + "}"]
 
 
-def _motion_lines(table: Float[np.ndarray, "T C"], fps: float) -> list[str]:
-    return ["MOTION", f"Frames: {len(table)}", f"Frame Time: {1 / fps:.9f}", *(_numbers(row) for row in table)]
-
-
 def _numbers(values: Float[np.ndarray, " N"]) -> str:
-    """Returns `values` with six digits behind the point; adding zero turns -0 into 0."""
+    """Returns `values` with six decimals. Adding zero turns -0 into 0."""
     return " ".join(f"{value:.6f}" for value in np.round(np.asarray(values, np.float64), 6) + 0.0)

@@ -1,17 +1,17 @@
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.export.writing import whole_file
+from t2m_jax.files import atomic_file
 
 
 def test_an_interrupted_write_keeps_the_old_file(tmp_path):
     path = tmp_path / "a.txt"
     path.write_text("old")
-    with pytest.raises(KeyboardInterrupt), whole_file(path) as part:
+    with pytest.raises(KeyboardInterrupt), atomic_file(path) as part:
         part.write_text("half of the n")
         raise KeyboardInterrupt
     assert [file.name for file in tmp_path.iterdir()] == ["a.txt"] and path.read_text() == "old"
-    with whole_file(path) as part:
+    with atomic_file(path) as part:
         part.write_text("new")
         assert path.read_text() == "old"
     assert [file.name for file in tmp_path.iterdir()] == ["a.txt"] and path.read_text() == "new"
@@ -20,6 +20,6 @@ def test_an_interrupted_write_keeps_the_old_file(tmp_path):
 def test_a_full_disk_is_one_line(tmp_path):
     with (
         pytest.raises(UserError, match=r"a\.txt: cannot be written \(No space left on device\)"),
-        whole_file(tmp_path / "a.txt"),
+        atomic_file(tmp_path / "a.txt"),
     ):
         raise OSError(28, "No space left on device")
