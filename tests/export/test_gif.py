@@ -1,4 +1,3 @@
-import subprocess
 import sys
 
 import numpy as np
@@ -45,26 +44,6 @@ def test_a_single_frame_and_several_motions(tmp_path, walk, kit_walk):
     with Image.open(tmp_path / "one.gif") as one, Image.open(tmp_path / "two.gif") as two:
         assert one.size == (64, 64) and two.size == (96, 64)
         assert sum(frame.info["duration"] for frame in ImageSequence.Iterator(two)) == 8 * 50
-
-
-TIMING = """
-import sys, time
-import numpy as np
-from t2m_jax.export import save_gif
-from t2m_jax.motion.record import Motion
-positions = np.concatenate([np.load(sys.argv[1])["ground_positions"]] * 3)[:200]
-start = time.process_time()
-save_gif(sys.argv[2], [Motion(positions, 20.0, caption="a person walks on and on")])
-print(time.process_time() - start)
-"""
-
-
-def test_two_hundred_frames_take_less_than_eight_seconds(tmp_path, golden_dir):
-    # In a process of its own, because here every call is checked for types.
-    walk = golden_dir / "motion" / "synth22_walk.npz"
-    command = [sys.executable, "-c", TIMING, str(walk), str(tmp_path / "a.gif")]
-    result = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert float(result.stdout) < 8
 
 
 # The reader of imageio-ffmpeg leaves its pipes to the garbage collector.
