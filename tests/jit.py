@@ -1,0 +1,55 @@
+"""Compares a function compiled by `jax.jit` with the same function run operation by operation."""
+
+from collections.abc import Callable
+from typing import Any
+
+import chex
+import jax
+import jax.numpy as jnp
+
+
+def without_keys(tree: Any) -> Any:
+    """Returns a tree whose random keys are replaced by their bits, which can be compared."""
+
+    def bits(leaf: Any) -> Any:
+        return jax.random.key_data(leaf) if jnp.issubdtype(jnp.result_type(leaf), jax.dtypes.prng_key) else leaf
+
+    return jax.tree.map(bits, tree)
+
+
+def compiled_and_eager(function: Callable, *arguments: Any, **options: Any) -> tuple[Any, Any]:
+    """Returns the results of a jitted function with and without compilation, random keys as bits.
+
+    The function is compiled ahead of time, so the first result cannot come from Python code, not even inside
+    `jax.disable_jit()`.
+
+    Raises:
+        AssertionError: `function` is not under `jax.jit`.
+    """
+    assert isinstance(function, type(jax.jit(lambda: None))), f"{function} is not under jax.jit"
+    with jax.disable_jit():
+        eager = function(*arguments, **options)
+    with jax.disable_jit(False):
+        lowered = function.lower(*arguments, **options)
+        # Static options are part of the program. It may reuse the memory of donated arguments, so it runs last.
+        dynamic = {name: value for name, value in options.items() if name in lowered.args_info[1]}
+        compiled = lowered.compile()(*arguments, **dynamic)
+    return without_keys(compiled), without_keys(eager)
+
+
+def assert_jit_equals_eager(
+    function: Callable, *arguments: Any, rtol: float = 1e-5, atol: float = 1e-6, **options: Any
+) -> Any:
+    """Fails if the results of a jitted function differ with and without compilation, and returns the former.
+
+    Args:
+        function: A function under `jax.jit`. Its static arguments must be among the options.
+        *arguments: Of the function.
+        rtol: Relative tolerance; 0 with `atol=0` for results that are equal.
+        atol: Absolute tolerance.
+        **options: Of the function.
+    """
+    compiled, eager = compiled_and_eager(function, *arguments, **options)
+    chex.assert_trees_all_equal_shapes_and_dtypes(compiled, eager)
+    chex.assert_trees_all_close(compiled, eager, rtol=rtol, atol=atol)
+    return compiled
