@@ -1,7 +1,7 @@
-# Every target sets itself up in .venv; nothing else on the machine is touched but pip's cache.
-#   make demo                      a generated motion as a page, a GIF and a BVH file
+# Every target installs what it needs into .venv. Apart from pip's cache, nothing else on the machine changes.
+#   make demo                      generates a motion as a page, a GIF and a BVH file
 #   make test PYTEST_ARGS="-x tests/motion"
-#   make lint PYTHON=python3.12    chooses the interpreter of a .venv that is yet to be made
+#   make lint PYTHON=python3.12    creates .venv with that Python; an existing .venv is kept
 
 PYTHON ?= python3
 PYTEST_ARGS ?= -n 2
@@ -10,14 +10,15 @@ BIN := $(VENV)/bin
 PROMPT ?= a person waves with the left hand
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format notebooks clean
+.PHONY: help demo test test-slow lint format notebooks clean
 
 help:
-	@echo "make demo       generate a motion and say where it is"
-	@echo "make test       run the tests (PYTEST_ARGS=\"...\" changes which and how)"
+	@echo "make demo       generate a motion and print where it was saved"
+	@echo "make test       run the tests that take a short time (PYTEST_ARGS=\"...\" for other options of pytest)"
+	@echo "make test-slow  run the other tests"
 	@echo "make lint       check style, imports and types"
-	@echo "make format     write the code as the formatter wants it"
-	@echo "make notebooks  run the notebooks and keep their outputs"
+	@echo "make format     format the code"
+	@echo "make notebooks  run the notebooks and save their outputs"
 	@echo "make clean      remove .venv, caches and generated files"
 
 $(BIN)/python:
@@ -25,7 +26,7 @@ $(BIN)/python:
 		{ echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3.11 $(MAKECMDGOALS)" >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
-# The stamps say which extras lie in .venv and are outdated by a change of pyproject.toml.
+# These files record which extras are installed in .venv. A change of pyproject.toml makes them out of date.
 $(VENV)/.base: pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	@touch $@
@@ -43,7 +44,10 @@ demo: $(VENV)/.base
 	$(BIN)/t2m generate "$(PROMPT)" -o demo/wave.html -o demo/wave.gif -o demo/wave.bvh
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m "not slow" $(PYTEST_ARGS)
+
+test-slow: $(VENV)/.dev
+	$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

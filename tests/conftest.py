@@ -1,11 +1,15 @@
-"""What every test shares: the CPU, quick compilation, strict broadcasting and the places of reference data."""
+"""Settings and fixtures of all tests: CPU, quick compilation, strict broadcasting, reference data, bounded memory."""
 
+import ctypes
+import gc
 import os
+import sys
 from pathlib import Path
 
-# Before the first import of jax, and for the programs that tests start.
+# Set before the first import of jax, and inherited by the programs that tests start.
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
-# Tiny models run for milliseconds and compile for seconds: a quarter of the time with the compiler's least effort.
+# Tiny models run for milliseconds and compile for seconds, so the suite takes a quarter of the time without XLA's
+# optimizations. The tests in user_settings/ turn them on again.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
 
 import jax
@@ -14,11 +18,34 @@ from hypothesis import settings
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
-# Compilation makes single examples slow, and a suite should say the same each time.
+# Compilation makes single examples slow, and each run of the suite should try the same examples.
 settings.register_profile("suite", deadline=None, derandomize=True)
 settings.load_profile("suite")
 
 REPOSITORY = Path(__file__).parents[1]
+MEMORY_LIMIT = 1_200_000_000
+"""Bytes of a test process after which compiled programs are dropped; single tests need up to 0.5 GB more."""
+
+
+def resident_memory() -> int:
+    """Returns the memory of this process in bytes, 0 where the system has no /proc."""
+    statm = Path("/proc/self/statm")
+    return int(statm.read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE") if statm.exists() else 0
+
+
+@pytest.fixture(autouse=True)
+def bounded_memory():
+    """Drops compiled programs when the process has grown large.
+
+    JAX keeps every program that it compiled. Over the whole suite these are more than 4 GB per process.
+    """
+    yield
+    if resident_memory() > MEMORY_LIMIT:
+        jax.clear_caches()
+        gc.collect()
+        if sys.platform == "linux":
+            # glibc would keep the freed memory for later use.
+            ctypes.CDLL(None).malloc_trim(0)
 
 
 @pytest.fixture(scope="session")
@@ -29,14 +56,14 @@ def repository() -> Path:
 
 @pytest.fixture(scope="session")
 def golden_dir() -> Path:
-    """Returns the folder of reference arrays that travel with the tests."""
+    """Returns the folder of reference arrays that are part of the repository."""
     return REPOSITORY / "tests" / "golden"
 
 
 @pytest.fixture(scope="session")
 def shared_dir() -> Path:
-    """Returns the folder of reference data that may not be passed on; tests that need it skip without it."""
+    """Returns the folder of reference data that may not be redistributed; tests that need it are skipped without it."""
     path = REPOSITORY.parent / "shared"
     if not path.is_dir():
-        pytest.skip(f"reference data that the repository may not hold are not at {path}")
+        pytest.skip(f"{path} with reference data that may not be in the repository does not exist")
     return path

@@ -1,24 +1,60 @@
-"""The comparison of compiled functions with eager ones, which several tests share."""
+"""Compares a function compiled by `jax.jit` with the same function run operation by operation."""
 
 from collections.abc import Callable
 from typing import Any
 
 import chex
 import jax
+import jax.numpy as jnp
 
 
-def assert_jit_matches_eager(function: Callable[..., Any], *arguments: Any, rtol: float = 1e-5, atol: float = 0) -> Any:
-    """Returns the results of the compiled function, after comparing them with a run of one operation at a time."""
-    traced = []
+def without_keys(tree: Any) -> Any:
+    """Returns a tree whose random keys are replaced by their bits, which can be compared."""
 
-    def traced_function(*arguments: Any) -> Any:
-        # `jax.disable_jit` turns `jax.jit` off silently. Without this record, two eager runs could be compared.
-        traced.append(any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(arguments)))
-        return function(*arguments)
+    def bits(leaf: Any) -> Any:
+        return jax.random.key_data(leaf) if jnp.issubdtype(jnp.result_type(leaf), jax.dtypes.prng_key) else leaf
 
-    compiled = jax.jit(traced_function)(*arguments)
-    assert traced == [True], "the function was not compiled"
+    return jax.tree.map(bits, tree)
+
+
+def compiled_and_eager(function: Callable, *arguments: Any, **options: Any) -> tuple[Any, Any]:
+    """Returns the results of a jitted function with and without compilation, random keys as bits.
+
+    The function is compiled ahead of time, so the first result cannot come from Python code, not even inside
+    `jax.disable_jit()`.
+
+    Raises:
+        AssertionError: `function` is not under `jax.jit`.
+    """
+    assert isinstance(function, type(jax.jit(lambda: None))), f"{function} is not under jax.jit"
     with jax.disable_jit():
-        eager = function(*arguments)
+        eager = function(*arguments, **options)
+    with jax.disable_jit(False):
+        lowered = function.lower(*arguments, **options)
+        # Static options are part of the program. It may reuse the memory of donated arguments, so it runs last.
+        dynamic = {name: value for name, value in options.items() if name in lowered.args_info[1]}
+        compiled = lowered.compile()(*arguments, **dynamic)
+    return without_keys(compiled), without_keys(eager)
+
+
+def assert_jit_equals_eager(
+    function: Callable, *arguments: Any, rtol: float = 1e-5, atol: float = 1e-6, **options: Any
+) -> Any:
+    """Fails if the results of a jitted function differ with and without compilation, and returns the former.
+
+    Args:
+        function: A function under `jax.jit`. Its static arguments must be among the options.
+        *arguments: Of the function.
+        rtol: Relative tolerance; 0 with `atol=0` for results that are equal.
+        atol: Absolute tolerance.
+        **options: Of the function.
+    """
+    compiled, eager = compiled_and_eager(function, *arguments, **options)
+    chex.assert_trees_all_equal_shapes_and_dtypes(compiled, eager)
     chex.assert_trees_all_close(compiled, eager, rtol=rtol, atol=atol)
     return compiled
+
+
+def assert_jit_matches_eager(function: Callable, *arguments: Any, rtol: float = 1e-5, atol: float = 0.0) -> Any:
+    """Compiles a function, and fails if its results differ from those without compilation; returns the former."""
+    return assert_jit_equals_eager(jax.jit(function), *arguments, rtol=rtol, atol=atol)

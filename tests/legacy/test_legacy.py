@@ -1,0 +1,140 @@
+"""Files that version 0.1 wrote: today's code reads them and computes the same from them. See README.md."""
+
+import csv
+import hashlib
+import json
+import shutil
+import tarfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import t2m_jax
+from t2m_jax.checkpoints.best import find_best
+from t2m_jax.cli.main import main
+from t2m_jax.data import write_synthetic_dataset
+
+SAMPLES = Path(__file__).parent
+RUNS = ("vqvae", "gpt", "evaluator")
+EXPECTED = json.loads((SAMPLES / "expected.json").read_text(encoding="utf-8"))
+DEMO = json.loads((SAMPLES / "expected_codes.json").read_text(encoding="utf-8"))
+
+
+@pytest.fixture
+def samples(tmp_path, monkeypatch):
+    """Returns a folder with a copy of each sample, which is also the working directory."""
+    for name in RUNS:
+        with tarfile.open(SAMPLES / f"{name}.tar.gz") as archive:
+            archive.extractall(tmp_path, filter="data")
+    shutil.copytree(SAMPLES / "bundle", tmp_path / "bundle")
+    shutil.copytree(SAMPLES / "reports", tmp_path / "reports")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("T2M_JAX_NO_COMPILATION_CACHE", "1")
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    """The data the samples were trained on."""
+    folder = tmp_path_factory.mktemp("legacy") / "data"
+    write_synthetic_dataset(folder, num_clips=20, seed=3)
+    for split in ("val", "test"):
+        shutil.copyfile(folder / "train.txt", folder / f"{split}.txt")
+    return folder
+
+
+@pytest.fixture
+def samples_with_data(samples, dataset):
+    """Returns the folder of the samples, with the data where the configs expect it."""
+    shutil.copytree(dataset, samples / "data")
+    return samples
+
+
+def run_command(*arguments) -> None:
+    assert main([f"{argument}" for argument in arguments]) == 0
+
+
+def generated(folder: Path, model: str, prompts: list[str], seed: int) -> list[np.lib.npyio.NpzFile]:
+    """Returns the files that `t2m generate` writes, one for each prompt."""
+    output = folder / f"{model}-generated"
+    output.mkdir()
+    run_command("generate", *prompts, "--model", model, "--seed", seed, "-o", output / "motion.npz")
+    return [np.load(path) for path in sorted(output.iterdir())]
+
+
+def assert_codes(folder: Path, model: str, expected: list[list[int]]) -> None:
+    motions = generated(folder, model, EXPECTED["prompts"], EXPECTED["seed"])
+    assert [motion["codes"].tolist() for motion in motions] == expected
+
+
+@pytest.mark.parametrize("model", ["gpt", "bundle"])
+def test_a_run_and_a_bundle_generate_the_same_codes(samples, model):
+    assert_codes(samples, model, EXPECTED["codes_of_the_best_weights"])
+
+
+def test_the_newest_checkpoint_is_loaded_if_no_weights_are_the_best(samples):
+    (samples / "gpt" / "best.yaml").unlink()
+    assert_codes(samples, "gpt", EXPECTED["codes_of_the_newest_weights"])
+
+
+@pytest.mark.parametrize(
+    ("run", "expected"),
+    [
+        ("vqvae", {"step": 3, "metric": "r_precision_1", "value": 0.03125, "sampling": None}),
+        ("gpt", {"step": 3, "metric": "fid", "value": 2.0983762741088867, "sampling": "sampled"}),
+        ("evaluator", {"step": 6, "metric": "loss", "value": 50.112091064453125, "evaluator": None}),
+    ],
+)
+def test_best_weights_are_read_in_both_formats(samples, run, expected):
+    best = find_best(samples / run)
+    assert {name: getattr(best, name) for name in expected} == expected
+
+
+@pytest.mark.parametrize("stage", ["vqvae", "gpt"])
+def test_a_run_is_resumed_and_goes_on_as_before(samples_with_data, stage):
+    config = samples_with_data / f"{stage}.yaml"
+    shutil.copyfile(samples_with_data / stage / "config.yaml", config)
+    run_command("train", stage, config, "--resume", "--loop.num_steps", 12)
+    with (samples_with_data / stage / "train.csv").open(encoding="utf-8") as file:
+        losses = [(int(row["step"]), float(row["loss"])) for row in csv.DictReader(file)]
+    np.testing.assert_allclose(losses, EXPECTED["losses_when_resumed_to_step_12"][stage], rtol=1e-4)
+
+
+def test_a_run_reconstructs_as_its_report_says(samples_with_data):
+    run_command("evaluate", "reconstruction", "--model", "vqvae", "--data", "data", "--json", "new.json")
+    old, new = (json.loads(Path(path).read_text()) for path in ("reports/reconstruction.json", "new.json"))
+    assert old.pop("split") == new["split"] == "test"
+    assert {name: new[name] for name in old} == pytest.approx(old, rel=1e-3)
+
+
+def values(report: Path) -> dict[tuple[str, str], list[float]]:
+    """Returns the values of each repeat of a report of `t2m evaluate generation`, by row and metric."""
+    rows = json.loads(report.read_text(encoding="utf-8"))["rows"]
+    return {(row, name): value["repeats"] for row, metrics in rows.items() for name, value in metrics.items()}
+
+
+def test_an_evaluation_with_the_evaluator_gives_the_report(samples_with_data):
+    arguments = ("--model", "gpt", "--data", "data", "--evaluator", "evaluator", "--num-repeats", 2)
+    run_command("evaluate", "generation", *arguments, "--json", "new.json")
+    old, new = values(Path("reports/generation.json")), values(Path("new.json"))
+    assert len(old) == 28
+    for name in old:
+        np.testing.assert_allclose(new[name], old[name], rtol=1e-3, atol=1e-4, err_msg=f"{name}")
+
+
+def test_a_report_is_read(samples, capsys):
+    run_command("evaluate", "table", "reports/generation.json")
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("generation")]
+    assert "0.094 ± .000  2.072 ± .055  4.993 ± .001  0.319 ± .045  0.313 ± .001" in line
+
+
+def test_the_demo_generates_the_same_codes(samples):
+    (motion,) = generated(samples, "demo", [DEMO["prompt"]], DEMO["seed"])
+    assert motion["codes"].tolist() == DEMO["codes"]
+    np.testing.assert_allclose(motion["positions"][-1, 0], DEMO["last_root_position"], atol=1e-3)
+
+
+def test_the_files_of_the_demo_did_not_change():
+    folder = Path(t2m_jax.__file__).parent / "bundles" / "demo"
+    assert {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()} == DEMO["sha256"]

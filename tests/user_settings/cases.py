@@ -1,0 +1,272 @@
+"""Arguments for every jitted function of the package; `test_compiled.py` compares its results with and without jit."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from t2m_jax.data.banks.captions import CaptionBank, make_caption_bank
+from t2m_jax.data.banks.codes import CodeBank
+from t2m_jax.data.banks.motions import MotionBank, make_bank
+from t2m_jax.data.folder import Clip
+from t2m_jax.data.texts import Caption
+from t2m_jax.models.clip_text import ClipText, ClipTextConfig
+from t2m_jax.models.system import make_module, variable_shapes
+from t2m_jax.motion.normalizer import Normalizer
+from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.sampling.decoding import Sampling
+from t2m_jax.sampling.stopping import StopAtEnd
+from t2m_jax.sampling.strategies import Temperature
+from t2m_jax.text.bpe import CaptionTokens
+from t2m_jax.text.word_vectors import Vocabulary
+from t2m_jax.train import LoopConfig, OptimizerConfig, TrainGptConfig, TrainVqVaeConfig
+from t2m_jax.train.evaluator import init_matching_state
+from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
+from t2m_jax.train.gpt import init_gpt_state
+from t2m_jax.train.movement import init_movement_state
+from t2m_jax.train.vqvae import init_vqvae_state
+from tests.tiny import CAPTION_ENCODER, EVALUATOR, GPT, VQVAE, random_variables, walking_normalizer
+
+CASES: dict[str, Callable[[], "Case"]] = {}
+"""By `module.function`, without `t2m_jax.`."""
+
+
+class Case(NamedTuple):
+    """Arguments of a function, and how far two results may be apart."""
+
+    arguments: tuple
+    options: dict[str, Any]
+    rtol: float = 1e-5
+    atol: float = 1e-6
+
+
+def case(name: str) -> Callable:
+    """Registers a function that makes a case."""
+
+    def register(make: Callable[[], Case]) -> Callable[[], Case]:
+        CASES[name] = make
+        return make
+
+    return register
+
+
+# Without jit every operation is compiled for every shape: few layers, and widths that agree.
+TOKENIZER = dataclasses.replace(VQVAE, num_stages=1, code_dim=16)
+GENERATOR = dataclasses.replace(GPT, num_layers=1, text_dim=16, block_size=9)
+TEXT_ENCODER = dataclasses.replace(CAPTION_ENCODER, text_dim=16, max_length=8)
+CLIP = ClipTextConfig(
+    vocabulary_size=20, max_length=6, embed_dim=16, num_layers=1, num_heads=2, mlp_dim=32, text_dim=16
+)
+# Adam's first update is the learning rate times the sign of the gradient. If that is rounding, two results differ by
+# twice the rate, so the rate is below the tolerance; the gradients themselves are compared as Adam's moments.
+OPTIMIZER = OptimizerConfig(learning_rate=1e-7)
+LOOP = LoopConfig(num_steps=8, batch_size=2, seed=5)
+VQVAE_TRAINING = TrainVqVaeConfig(model=TOKENIZER, window=16, optimizer=OPTIMIZER, loop=LOOP)
+GPT_TRAINING = TrainGptConfig(model=GENERATOR, caption_encoder=TEXT_ENCODER, optimizer=OPTIMIZER, loop=LOOP)
+WORDS = Vocabulary(("sos", "eos", "unk", "walk", "wave"))
+EVALUATOR_TRAINING = TrainEvaluatorConfig(
+    model=dataclasses.replace(EVALUATOR, num_words=len(WORDS)),
+    decoder_hidden=8,
+    window=16,
+    movement_batch_size=2,
+    movement_optimizer=OPTIMIZER,
+    optimizer=OPTIMIZER,
+    loop=LOOP,
+)
+TRAINING_TOLERANCE = {"rtol": 1e-4, "atol": 2e-6}
+
+
+def normal(seed: int, *shape: int) -> jax.Array:
+    """Returns standard normal numbers."""
+    return jax.random.normal(jax.random.key(seed), shape)
+
+
+def on_device(normalizer: Normalizer) -> Normalizer:
+    """Returns statistics as device arrays."""
+    return Normalizer(*map(jnp.asarray, normalizer))
+
+
+def first_steps() -> jax.Array:
+    """Returns the number of a step."""
+    return jnp.array(3, jnp.int32)
+
+
+@functools.cache
+def tokenizer_variables() -> Any:
+    """Returns random weights of the tokenizer."""
+    return random_variables(variable_shapes(TOKENIZER))
+
+
+def codes_and_lengths() -> tuple[jax.Array, jax.Array]:
+    """Returns codes of two motions."""
+    return jnp.array([[[3], [1], [7]], [[2], [0], [0]]], jnp.int32), jnp.array([3, 1], jnp.int32)
+
+
+def clips() -> list[Clip]:
+    """Returns three motions with captions."""
+    generator = np.random.default_rng(0)
+    captions = (Caption("walk", ("walk/VERB",)), Caption("wave", ("wave/VERB",)))
+    lengths = (20, 33, 17)
+    return [
+        Clip(f"{length}", generator.normal(size=(length, 263)).astype(np.float32), captions[: 1 + length % 2])
+        for length in lengths
+    ]
+
+
+def motion_bank() -> MotionBank:
+    """Returns the motions on the device."""
+    return make_bank(clips(), walking_normalizer())
+
+
+def caption_bank() -> CaptionBank:
+    """Returns motions and captions on the device."""
+    return make_caption_bank(clips(), walking_normalizer(), WORDS)
+
+
+def code_bank() -> CodeBank:
+    """Returns three motions as codes, from two offsets, with a caption each."""
+    codes = jax.random.randint(jax.random.key(2), (3, 2, 6, 1), 0, GENERATOR.num_codes)
+    tokens = jax.random.randint(jax.random.key(3), (3, TEXT_ENCODER.max_length), 2, 90)
+    captions = CaptionTokens(tokens, jnp.arange(TEXT_ENCODER.max_length) < jnp.array([[4], [8], [6]]))
+    return CodeBank(codes, jnp.array([[6, 5], [3, 3], [5, 4]]), captions, jnp.arange(3), jnp.ones(3, jnp.int32))
+
+
+@case("sampling.codec.encode_batch")
+def _() -> Case:
+    mask = jnp.arange(16) < jnp.array([[16], [9]])
+    return Case((tokenizer_variables(), normal(1, 2, 16, 263), mask), {"tokenizer": make_module(TOKENIZER)}, atol=0)
+
+
+def decoding() -> tuple:
+    """Returns weights, statistics and codes."""
+    return (tokenizer_variables(), on_device(walking_normalizer()), *codes_and_lengths())
+
+
+@case("sampling.codec.decode_batch")
+def _() -> Case:
+    return Case(decoding(), {"tokenizer": make_module(TOKENIZER)}, rtol=1e-4, atol=1e-5)
+
+
+@case("sampling.codec.decode_positions")
+def _() -> Case:
+    # Positions add up over the frames.
+    return Case(decoding(), {"tokenizer": make_module(TOKENIZER), "skeleton": HUMANML3D}, rtol=1e-4, atol=1e-4)
+
+
+@case("sampling.codec.generate_codes")
+def _() -> Case:
+    variables, keys = random_variables(variable_shapes(GENERATOR)), jax.random.split(jax.random.key(4), 2)
+    sampling = Sampling(Temperature(), StopAtEnd(), max_codes=6)
+    return Case((variables, normal(5, 2, 16), keys), {"generator": make_module(GENERATOR), "sampling": sampling})
+
+
+@case("sampling.text_encoders.encode_captions")
+def _() -> Case:
+    bank, config = code_bank(), TEXT_ENCODER
+    params = init_gpt_state(GPT_TRAINING, jax.random.key(0)).params["caption_encoder"]
+    return Case(({"params": params}, *bank.captions), {"config": config})
+
+
+@case("sampling.text_encoders.encode_clip_tokens")
+def _() -> Case:
+    tokens = jnp.array([[1, 5, 19, 0, 0, 0], [1, 7, 3, 2, 4, 19]])
+    shapes = jax.eval_shape(ClipText(CLIP).init, jax.random.key(0), tokens)
+    return Case((random_variables(shapes, gain=1.0), tokens), {"config": CLIP})
+
+
+@case("train.vqvae.init_vqvae_state")
+def _() -> Case:
+    return Case((), {"config": VQVAE_TRAINING, "key": jax.random.key(0)})
+
+
+def vqvae_state() -> Any:
+    """Returns the state before the first update."""
+    return init_vqvae_state(VQVAE_TRAINING, jax.random.key(0))
+
+
+@case("train.vqvae.update")
+def _() -> Case:
+    return Case((vqvae_state(), motion_bank()), {"config": VQVAE_TRAINING}, **TRAINING_TOLERANCE)
+
+
+@case("train.vqvae.validate")
+def _() -> Case:
+    return Case((vqvae_state(), motion_bank(), first_steps()), {"config": VQVAE_TRAINING}, **TRAINING_TOLERANCE)
+
+
+@case("train.gpt.init_gpt_state")
+def _() -> Case:
+    return Case((), {"config": GPT_TRAINING, "key": jax.random.key(0)})
+
+
+def gpt_state() -> Any:
+    """Returns the state before the first update."""
+    return init_gpt_state(GPT_TRAINING, jax.random.key(0))
+
+
+@case("train.gpt.update")
+def _() -> Case:
+    return Case((gpt_state(), code_bank()), {"config": GPT_TRAINING}, **TRAINING_TOLERANCE)
+
+
+@case("train.gpt.validate")
+def _() -> Case:
+    return Case((gpt_state(), code_bank(), first_steps()), {"config": GPT_TRAINING}, **TRAINING_TOLERANCE)
+
+
+@case("train.movement.init_movement_state")
+def _() -> Case:
+    return Case((), {"config": EVALUATOR_TRAINING, "key": jax.random.key(0)})
+
+
+def movement_state() -> Any:
+    """Returns the state before the first update."""
+    return init_movement_state(EVALUATOR_TRAINING, jax.random.key(0))
+
+
+@case("train.movement.update_movements")
+def _() -> Case:
+    return Case((movement_state(), motion_bank()), {"config": EVALUATOR_TRAINING}, **TRAINING_TOLERANCE)
+
+
+@case("train.movement.validate_movements")
+def _() -> Case:
+    arguments = (movement_state(), motion_bank(), first_steps())
+    return Case(arguments, {"config": EVALUATOR_TRAINING}, **TRAINING_TOLERANCE)
+
+
+def matching_arguments() -> dict[str, Any]:
+    """Returns the arguments of the first state of the matching."""
+    movements = movement_state().params["movement_encoder"]
+    return {
+        "config": EVALUATOR_TRAINING,
+        "key": jax.random.key(1),
+        "movement_encoder": movements,
+        "word_vectors": None,
+    }
+
+
+def matching_state() -> Any:
+    """Returns the state before the first update."""
+    return init_matching_state(**matching_arguments())
+
+
+@case("train.evaluator.init_matching_state")
+def _() -> Case:
+    return Case((), matching_arguments())
+
+
+@case("train.evaluator.update")
+def _() -> Case:
+    options = {"config": EVALUATOR_TRAINING, "max_frames": 24}
+    return Case((matching_state(), caption_bank()), options, **TRAINING_TOLERANCE)
+
+
+@case("train.evaluator.validate")
+def _() -> Case:
+    options = {"config": EVALUATOR_TRAINING, "max_frames": 24}
+    return Case((matching_state(), caption_bank(), first_steps()), options, **TRAINING_TOLERANCE)

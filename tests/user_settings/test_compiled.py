@@ -1,0 +1,37 @@
+"""Every jitted function of the package gives the same result with and without compilation, optimized as for users."""
+
+import importlib
+import pkgutil
+
+import jax
+import pytest
+
+import t2m_jax
+from tests.jit import assert_jit_equals_eager
+from tests.user_settings.cases import CASES
+
+PREFIX = "t2m_jax."
+
+
+def jitted_functions() -> dict:
+    """Returns the functions under `jax.jit` that the modules of the package define, by name."""
+    found = {}
+    for info in pkgutil.walk_packages(t2m_jax.__path__, PREFIX):
+        if not info.name.endswith("__main__"):
+            for name, value in vars(importlib.import_module(info.name)).items():
+                if isinstance(value, type(jax.jit(len))) and value.__module__ == info.name:
+                    found[f"{info.name}.{name}".removeprefix(PREFIX)] = value
+    return found
+
+
+FUNCTIONS = jitted_functions()
+
+
+def test_every_jitted_function_has_a_case():
+    assert sorted(FUNCTIONS) == sorted(CASES), "add the function to tests/user_settings/cases.py, or remove its case"
+
+
+@pytest.mark.parametrize("name", sorted(CASES))
+def test_jit_equals_eager(name):
+    case = CASES[name]()
+    assert_jit_equals_eager(FUNCTIONS[name], *case.arguments, rtol=case.rtol, atol=case.atol, **case.options)
