@@ -208,12 +208,12 @@ MASK, KEY = "trans_head.blocks.1.attn.mask", "trans_base.blocks.1.attn.key.weigh
         (load_vqvae, VQVAE_NAMES[0], CONV, None, "is missing"),
         (load_vqvae, VQVAE_NAMES[0], CODEBOOK, None, "is missing"),
         (load_vqvae, VQVAE_NAMES[0], "vqvae.extra.weight", lambda _: np.ones(3), "is not part of the model"),
-        (load_vqvae, VQVAE_NAMES[0], CONV, lambda old: old[:-1], "has shape (31, 32, 1), the other keys want"),
+        (load_vqvae, VQVAE_NAMES[0], CONV, lambda old: old[:-1], "has shape (31, 32, 1); its config needs"),
         (load_vqvae, VQVAE_NAMES[0], CONV, lambda old: old * np.nan, "not finite"),
         (load_vqvae, VQVAE_NAMES[0], CONV, lambda old: old.astype(np.float64) + 1e300, "not finite"),
         (load_vqvae, VQVAE_NAMES[0], CONV, lambda old: old.astype(np.int32), "holds int32"),
         (load_vqvae, VQVAE_NAMES[0], CODEBOOK, lambda old: old[:, :5], "has shape"),
-        (load_vqvae, VQVAE_NAMES[0], CODEBOOK, lambda old: old[:, 0], "2 axes are wanted"),
+        (load_vqvae, VQVAE_NAMES[0], CODEBOOK, lambda old: old[:, 0], "2 axes are needed"),
         (load_vqvae, VQVAE_NAMES[0], CODEBOOK, lambda old: old[:0], "num_codes: 0"),
         (load_gpt, "gpt_l2", MASK, None, "is missing"),
         (load_gpt, "gpt_l2", MASK, np.ones_like, "is not the table"),
@@ -240,13 +240,13 @@ def test_what_does_not_fit_is_named(golden_dir, tmp_path, load, name, key, chang
 
 def test_files_of_something_else_are_named(golden_dir, tmp_path):
     folder = golden_dir / "t2m_gpt"
-    assert "holds a GPT ('trans'), but a VQ-VAE is wanted" in refusal(load_vqvae, folder / "ckpt_gpt_small.pth")
-    assert "holds a VQ-VAE ('net'), but a GPT is wanted" in refusal(load_gpt, folder / "ckpt_vqvae_small.pth")
+    assert "contains a GPT ('trans'), but a VQ-VAE is needed" in refusal(load_vqvae, folder / "ckpt_gpt_small.pth")
+    assert "contains a VQ-VAE ('net'), but a GPT is needed" in refusal(load_gpt, folder / "ckpt_vqvae_small.pth")
     assert "'vqvae.encoder.model.0.weight' is missing" in refusal(load_vqvae, golden_dir / "torch" / "zip.pth")
     path = write_archive(tmp_path / "x.pth", entry(text("trans"), number(3)))
     assert "'trans' is not a dictionary of tensors" in refusal(load_gpt, path)
     path = write_archive(tmp_path / "x.pth", entry(text("epoch"), number(3)))
-    assert "'epoch' is not a tensor of a GPT" in refusal(load_gpt, path)
+    assert "'epoch' in 'trans' is not a tensor" in refusal(load_gpt, path)
     assert "is missing" in refusal(load_gpt, written(tmp_path, {"a": np.ones(2)}))
     (tmp_path / "damaged.safetensors").write_bytes(b"no")
     assert "damaged" in refusal(load_gpt, tmp_path / "damaged.safetensors")

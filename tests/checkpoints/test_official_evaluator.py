@@ -126,7 +126,7 @@ def test_what_does_not_fit_is_named(golden_dir, state, table, tmp_path):
     path = tmp_path / "finest.tar"
     key = "text_encoder.gru.weight_hh_l0_reverse"
     less = {name: array for name, array in state.items() if name != key}
-    assert refusal(write_finest(path, less)).startswith(f"{path}: '{key}' is missing")
+    assert refusal(write_finest(path, less)).startswith(f"{path}: array '{key}' is missing")
     assert "has shape (66, 21)" in refusal(write_finest(path, state | {key: state[key][:, :-1]}))
     assert "not finite" in refusal(write_finest(path, state | {key: state[key] * np.nan}))
     assert "is not part of the model" in refusal(write_finest(path, state | {"text_encoder.x": np.ones(2)}))
@@ -134,7 +134,7 @@ def test_what_does_not_fit_is_named(golden_dir, state, table, tmp_path):
     assert "'text_encoder' is missing" in refusal(golden_dir / "t2m_gpt" / "ckpt_gpt_small.pth")
     np.save(table, np.ones((3, 5)))
     assert "vectors of 5 numbers" in refusal(write_finest(path, state), word_vectors=table)
-    assert "cannot be read" in refusal(path, word_vectors=tmp_path / "none.npy")
+    assert "there is no such file" in refusal(path, word_vectors=tmp_path / "none.npy")
 
 
 @pytest.fixture
