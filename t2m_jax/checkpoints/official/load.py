@@ -265,8 +265,8 @@ def _fit(
     """Returns the weights in single precision, after checking every key of the file."""
     for key, shape in constants.items():
         if key not in state or state[key].shape != shape:
-            found = f"has shape {state[key].shape}; its config needs {shape}" if key in state else "is missing"
-            raise UserError(f"{path}: {key!r} {found}")
+            problem = f"has shape {state[key].shape}; its config needs {shape}" if key in state else "is missing"
+            raise UserError(f"{path}: {key!r} {problem}")
         if is_used(key) and not np.allclose(state[key], constant(key, shape), rtol=0, atol=POSITION_TOLERANCE):
             raise UserError(f"{path}: {key!r} is not the table that the original computes; only T2M-GPT can be read")
     found = {key: array for key, array in state.items() if key not in constants}
