@@ -103,9 +103,9 @@ def official_card(files: OfficialFiles, bundle: Bundle) -> str:
             rows += f"| {name} | `{path.name}` | `{hashlib.file_digest(file, 'sha256').hexdigest()}` |\n"
     return (
         "# T2M-GPT, converted\n\n"
-        "Published weights of T2M-GPT (arXiv 2301.06052), converted for t2m_jax without changing a number. License and\n"
-        "conditions are those of the source of the files, and of the data that they were trained on. Read them before\n"
-        "you use or share this model.\n\n"
+        "Published weights of T2M-GPT (arXiv 2301.06052), converted for t2m_jax without changing a number. License\n"
+        "and conditions are those of the source of the files, and of the data that they were trained on. Read them\n"
+        "before you use or share this model.\n\n"
         f"| part | file | SHA-256 |\n|---|---|---|\n{rows}\n"
         f"- motion: {bundle.config.skeleton}, {vqvae.feature_dim} features per frame\n"
         f"- VQ-VAE: {vqvae.num_codes} codes of {vqvae.code_dim} numbers, {vqvae.width} channels, "
