@@ -8,12 +8,12 @@ import pytest
 from flax import traverse_util
 from safetensors.numpy import save_file
 
-from t2m_jax.checkpoints.bundle import vqvae_shapes
 from t2m_jax.checkpoints.official.export import gpt_state_dict, vqvae_state_dict
 from t2m_jax.checkpoints.official.load import load_gpt, load_vqvae
 from t2m_jax.checkpoints.official.names import gpt_constant_shapes, gpt_weights, vqvae_constant_shapes, vqvae_weights
 from t2m_jax.errors import UserError
-from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
+from t2m_jax.models.motion_gpt import MotionGptConfig
+from t2m_jax.models.system import variable_shapes
 from t2m_jax.models.vqvae import VqVaeConfig
 from tests.checkpoints.torch_archives import entry, number, text, write_archive
 from tests.golden_files import state_dict
@@ -32,11 +32,6 @@ def golden(golden_dir, name):
     """Returns the state dict of a golden file and what it was made with."""
     with np.load(golden_dir / "t2m_gpt" / f"{name}.npz") as arrays:
         return state_dict(arrays), json.loads(str(arrays["config_json"]))
-
-
-def gpt_shapes(config):
-    tokens, text = jax.numpy.zeros((1, 0), "int32"), jax.numpy.zeros((1, config.text_dim))
-    return jax.eval_shape(lambda: MotionGpt(config).init(jax.random.key(0), tokens, text, train=False))
 
 
 def written(tmp_path, arrays, name="x.safetensors"):
@@ -72,7 +67,7 @@ def test_full_size_tables(golden_dir, table, config):
 def test_every_array_of_ours_has_one_name_in_the_original(norm, quantizer):
     config = VqVaeConfig(num_codes=7, code_dim=5, width=32, num_stages=3, depth=2, norm=norm, quantizer=quantizer)
     weights = list(vqvae_weights(config))
-    ours = shapes(vqvae_shapes(config))
+    ours = shapes(variable_shapes(config))
     for name in ("ema_sum", "ema_count", "initialised"):  # not in the original's files
         ours.pop(("codebook", "quantizer", name), None)
     assert {weight.path: weight.shape[::-1] if weight.is_reversed else weight.shape for weight in weights} == ours
@@ -82,7 +77,7 @@ def test_every_array_of_ours_has_one_name_in_the_original(norm, quantizer):
 def test_every_array_of_our_gpt_has_one_name_in_the_original():
     config = MotionGptConfig(num_codes=9, embed_dim=6, text_dim=5, num_layers=5, num_heads=2, mlp_ratio=3, block_size=7)
     weights = list(gpt_weights(config, num_base=2))
-    ours = shapes(gpt_shapes(config))
+    ours = shapes(variable_shapes(config))
     assert {weight.path: weight.shape[::-1] if weight.is_reversed else weight.shape for weight in weights} == ours
     assert len({weight.key for weight in weights}) == len(weights)
 
@@ -103,7 +98,7 @@ def test_vqvae_there_and_back_is_bit_identical(golden_dir, tmp_path, name):
         norm=sizes["norm"] or "none",
         quantizer=kind,
     )
-    assert shapes(variables) == shapes(vqvae_shapes(config))
+    assert shapes(variables) == shapes(variable_shapes(config))
     back = vqvae_state_dict(variables, config)
     assert back.keys() == state.keys()
     for key, array in state.items():
@@ -136,7 +131,7 @@ def test_gpt_there_and_back_is_bit_identical(golden_dir, tmp_path, name):
 @pytest.mark.parametrize("quantizer", ["orig", "ema"])
 def test_our_vqvae_there_and_back(tmp_path, norm, quantizer):
     config = VqVaeConfig(num_codes=7, code_dim=5, width=32, depth=2, norm=norm, quantizer=quantizer)
-    variables = random_variables(vqvae_shapes(config))
+    variables = random_variables(variable_shapes(config))
     state = vqvae_state_dict(variables, config)
     if norm == "BN":
         assert state["vqvae.encoder.model.2.1.model.0.norm1.num_batches_tracked"].dtype == np.int64
@@ -154,7 +149,7 @@ def test_our_vqvae_there_and_back(tmp_path, norm, quantizer):
 
 
 def test_our_gpt_there_and_back(tmp_path):
-    variables = random_variables(gpt_shapes(GPT))
+    variables = random_variables(variable_shapes(GPT))
     config, found = load_gpt(written(tmp_path, gpt_state_dict(variables, GPT)), num_heads=GPT.num_heads)
     assert config == GPT
     jax.tree.map(np.testing.assert_array_equal, found, variables)
@@ -253,6 +248,6 @@ def test_files_of_something_else_are_named(golden_dir, tmp_path):
     assert "num_heads: 5 does not divide" in refusal(load_gpt, folder / "ckpt_gpt_small.pth", num_heads=5)
     assert "num_heads: 0" in refusal(load_gpt, folder / "ckpt_gpt_small.pth", num_heads=0)
     config = VqVaeConfig(**{**vars(VQVAE), "norm": "LN"})
-    state = vqvae_state_dict(random_variables(vqvae_shapes(config)), config)
+    state = vqvae_state_dict(random_variables(variable_shapes(config)), config)
     assert "width: 16 is not a multiple" in refusal(load_vqvae, written(tmp_path, state), norm="GN")
     assert "is not part of the model" in refusal(load_vqvae, written(tmp_path, state), norm="none")

@@ -8,7 +8,7 @@ import pytest
 from flax import traverse_util
 from safetensors.numpy import save_file
 
-from t2m_jax.checkpoints.evaluator import load_evaluator_bundle
+from t2m_jax.checkpoints.evaluator import load_trained_evaluator
 from t2m_jax.checkpoints.official.export import evaluator_state_dict
 from t2m_jax.checkpoints.official.load import load_evaluator
 from t2m_jax.checkpoints.official.names import EVALUATOR_PARTS, evaluator_weights
@@ -163,7 +163,7 @@ def convert(folder, *options):
 def test_published_files_make_an_evaluator(published):
     golden, folder = published
     assert convert(folder) == 0
-    evaluator = load_evaluator_bundle(folder / "evaluator")
+    evaluator = load_trained_evaluator(folder / "evaluator")
     raw = evaluator.normalizer.denormalize(golden["motions"].astype(np.float64))
     motion = np.where(np.arange(raw.shape[1])[None, :, None] < golden["m_lens"][:, None, None], raw, 0.0)
     clips = [Clip(str(row), motion[row, :length], ()) for row, length in enumerate(golden["m_lens"])]
@@ -185,14 +185,17 @@ def test_published_statistics_weigh_root_and_contacts_by_25(golden_dir):
 def test_files_that_make_no_evaluator_are_refused(published, capsys):
     _, folder = published
     assert convert(folder, "--gpt", "gpt.pth") == 2
-    assert "--gpt is no part of an evaluator" in capsys.readouterr().err
+    assert "--gpt cannot be used with an evaluator" in capsys.readouterr().err
     assert main(["convert", "official", "--evaluator", "finest.tar", str(folder / "evaluator")]) == 2
-    assert "--words, --word-vectors missing; an evaluator is made of all five files" in capsys.readouterr().err
+    assert (
+        "--words, --word-vectors missing; an evaluator needs --evaluator, --mean, --std, --words, --word-vectors"
+        in capsys.readouterr().err
+    )
     (folder / "words.txt").write_text("sos\neos\nunk\n")
     assert convert(folder) == 2
-    assert "words.txt: 3 words, but" in capsys.readouterr().err
+    assert "words.txt: has 3 words, but" in capsys.readouterr().err
     np.save(folder / "mean.npy", np.zeros(251))
     np.save(folder / "std.npy", np.ones(251))
     assert convert(folder) == 2
-    assert "statistics of 251 features" in capsys.readouterr().err
+    assert "statistics are for 251 features" in capsys.readouterr().err
     assert not (folder / "evaluator").exists()
