@@ -4,13 +4,12 @@ There are two formats. PyTorch 1.6 and later write a zip archive with a pickle a
 Earlier versions write several pickles, then the storages.
 """
 
-import contextlib
 import math
 import os
 import struct
 import sys
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -50,42 +49,29 @@ def load_torch_file(path: str | Path) -> dict[str | int, Any]:
     path = Path(path)
     try:
         with path.open("rb") as file:
-            value = _read_file(file)
+            start = file.read(len(_LEGACY_START))
+            if start.startswith(_ZIP_START):
+                value = _read_archive(file)
+            elif start == _LEGACY_START:
+                value = _read_legacy(file)
+            else:
+                raise UserError("not a file of torch.save (.pth or .tar); download it again without unpacking it")
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
     except OSError as error:
         raise UserError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except _DAMAGED_ZIP as error:
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise UserError(f"{path}: cut off or damaged; download it again ({reason})") from None
     if not isinstance(value, dict):
         raise UserError(f"{path}: contains a {type(value).__name__}, but a dictionary of tensors is needed")
     return value
 
 
-def _read_file(file: BinaryIO) -> Any:
-    """Returns the content of an open file of either format."""
-    start = file.read(len(_LEGACY_START))
-    if start.startswith(_ZIP_START):
-        return _read_archive(file)
-    if start == _LEGACY_START:
-        return _read_legacy(file)
-    raise UserError("not a file of torch.save (a .pth or .tar); download it again, and do not unpack or convert it")
-
-
-@contextlib.contextmanager
-def _refusing_damage() -> Iterator[None]:
-    """Turns the errors of damaged archives into `UserError`."""
-    try:
-        yield
-    except UserError:
-        raise
-    except _DAMAGED_ZIP as error:
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
-        raise UserError(f"cut off or damaged; download it again ({reason})") from None
-
-
 def _read_archive(file: BinaryIO) -> Any:
     """Returns the content of a file in the format of PyTorch 1.6 and later."""
     size = os.fstat(file.fileno()).st_size
-    with _refusing_damage(), zipfile.ZipFile(file) as archive:
+    with zipfile.ZipFile(file) as archive:
         members = {member.filename: member for member in archive.infolist()}
         _check_members(archive, size)
         roots = [

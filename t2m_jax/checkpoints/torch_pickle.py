@@ -136,7 +136,13 @@ class _Machine:
         """Returns the value on the stack when the pickle stops."""
         while (code := self._bytes(1)) != pickle.STOP:
             if code in _FIXED:
-                self._fixed(code, self._number(_FIXED[code]))
+                number = self._number(_FIXED[code])
+                if code in (pickle.BINGET, pickle.LONG_BINGET):
+                    self._stack.append(self._memo[number])
+                elif code in (pickle.BINPUT, pickle.LONG_BINPUT):
+                    self._memo[number] = self._stack[-1]
+                elif code not in (pickle.PROTO, pickle.FRAME):
+                    self._stack.append(number)
             elif code in _COUNTED:
                 content = self._bytes(self._number(_COUNTED[code]))
                 is_number = code == pickle.LONG1
@@ -147,11 +153,50 @@ class _Machine:
                 items = self._stack[-_TUPLES[code] :]
                 self._pop(_TUPLES[code])
                 self._stack.append(tuple(items))
-            elif code in _INSTRUCTIONS:
-                _INSTRUCTIONS[code](self)
             else:
-                raise UserError(f"its pickle has the instruction {_instruction_name(code)}, which no tensor needs")
+                self._execute(code)
         return self._stack.pop()
+
+    def _execute(self, code: bytes) -> None:
+        """Runs an instruction that takes its arguments from the stack, or is unknown."""
+        match code:
+            case pickle.MARK:
+                self._outer.append(self._stack)
+                self._stack = []
+            case pickle.MEMOIZE:
+                self._memo[len(self._memo)] = self._stack[-1]
+            case pickle.TUPLE | pickle.LIST:
+                items = self._marked()
+                self._stack.append(tuple(items) if code == pickle.TUPLE else items)
+            case pickle.DICT:
+                items = self._marked()
+                self._stack.append({})
+                self._set(items)
+            case pickle.SETITEM:
+                value, key = self._pop(), self._pop()
+                self._set([key, value])
+            case pickle.SETITEMS:
+                self._set(self._marked())
+            case pickle.APPEND:
+                self._append([self._pop()])
+            case pickle.APPENDS:
+                self._append(self._marked())
+            case pickle.GLOBAL:
+                self._push_name(self._line(), self._line())
+            case pickle.STACK_GLOBAL:
+                name, module = self._pop(), self._pop()
+                self._push_name(module, name)
+            case pickle.BINPERSID:
+                self._push_storage(self._pop())
+            case pickle.REDUCE:
+                arguments, name = self._pop(), self._pop()
+                self._stack.append(_made(name, arguments))
+            case pickle.BUILD:
+                self._drop_attributes(self._pop())
+            case _:
+                names = {known.code: known.name for known in pickletools.opcodes}
+                name = names.get(code.decode("latin-1"), repr(code))
+                raise UserError(f"its pickle has the instruction {name}, which no tensor needs")
 
     def _bytes(self, count: int) -> bytes:
         found = self._data[self.position : self.position + count]
@@ -170,15 +215,6 @@ class _Machine:
     def _number(self, layout: str) -> Any:
         return struct.unpack(layout, self._bytes(struct.calcsize(layout)))[0]
 
-    def _fixed(self, code: bytes, number: Any) -> None:
-        """Runs an instruction whose argument is a number."""
-        if code in (pickle.BINGET, pickle.LONG_BINGET):
-            self._stack.append(self._memo[number])
-        elif code in (pickle.BINPUT, pickle.LONG_BINPUT):
-            self._memo[number] = self._stack[-1]
-        elif code not in (pickle.PROTO, pickle.FRAME):
-            self._stack.append(number)
-
     def _pop(self, count: int = 1) -> Any:
         """Removes `count` values, which must exist, and returns the last one removed."""
         if len(self._stack) < count:
@@ -187,30 +223,10 @@ class _Machine:
             value = self._stack.pop()
         return value
 
-    def _mark(self) -> None:
-        self._outer.append(self._stack)
-        self._stack = []
-
     def _marked(self) -> list[Any]:
         """Removes and returns the values since the last mark."""
         items, self._stack = self._stack, self._outer.pop()
         return items
-
-    def _memoize(self) -> None:
-        self._memo[len(self._memo)] = self._stack[-1]
-
-    def _make_tuple(self) -> None:
-        items = self._marked()
-        self._stack.append(tuple(items))
-
-    def _make_list(self) -> None:
-        items = self._marked()
-        self._stack.append(items)
-
-    def _make_dict(self) -> None:
-        items = self._marked()
-        self._stack.append({})
-        self._set(items)
 
     def _set(self, items: list[Any]) -> None:
         """Puts alternating keys and values into the dictionary on the stack."""
@@ -228,26 +244,6 @@ class _Machine:
             raise _DamageError
         self._stack[-1].extend(items)
 
-    def _set_item(self) -> None:
-        value, key = self._pop(), self._pop()
-        self._set([key, value])
-
-    def _set_items(self) -> None:
-        self._set(self._marked())
-
-    def _append_item(self) -> None:
-        self._append([self._pop()])
-
-    def _append_items(self) -> None:
-        self._append(self._marked())
-
-    def _name(self) -> None:
-        self._push_name(self._line(), self._line())
-
-    def _name_from_stack(self) -> None:
-        name, module = self._pop(), self._pop()
-        self._push_name(module, name)
-
     def _push_name(self, module: Any, name: Any) -> None:
         text = f"{module}.{name}" if isinstance(module, str) and isinstance(name, str) else "something without a name"
         # The name must not contain dots: `a.b` would give access to the attributes of `a`.
@@ -258,9 +254,8 @@ class _Machine:
             )
         self._stack.append(Name(text))
 
-    def _storage(self) -> None:
-        """Replaces a persistent id by its storage. The id has kind, type, key, device (ignored) and count."""
-        found = self._pop()
+    def _push_storage(self, found: Any) -> None:
+        """Pushes the storage of a persistent id, which has kind, type, key, device (ignored) and count."""
         if not isinstance(found, tuple) or len(found) not in (5, 6) or found[0] != "storage":
             raise UserError("refers to something outside the pickle that is not a storage of numbers")
         _, kind, key, _, count, *view = found
@@ -273,40 +268,28 @@ class _Machine:
             raise UserError(f"describes storage {_shown(key)} in two ways")
         self._stack.append(storage)
 
-    def _reduce(self) -> None:
-        """Replaces a name and its arguments by the value that they make."""
-        arguments, name = self._pop(), self._pop()
-        made = _made(name.text, arguments) if isinstance(name, Name) and isinstance(arguments, tuple) else None
-        if made is None:
-            raise UserError(f"calls {_kind(name)} in a way that no version of PyTorch does; refused, nothing was run")
-        self._stack.append(made)
-
-    def _build(self) -> None:
-        """Drops the attributes of a dictionary, such as the `_metadata` of a state dict."""
-        self._pop()
+    def _drop_attributes(self, _: Any) -> None:
+        """Ignores the attributes of a dictionary, such as the `_metadata` of a state dict."""
         if type(self._stack[-1]) is not dict:
             raise UserError(
                 f"sets attributes of {_kind(self._stack[-1])}, which is not a dictionary; refused, nothing was run"
             )
 
 
-def _made(name: str, arguments: tuple) -> Any:
-    """Returns the plain value or record that a name makes of its arguments, None if they do not fit."""
-    if name == _ORDERED_DICT and not arguments:
-        return {}
-    if name == _SIZE and len(arguments) == 1 and isinstance(arguments[0], tuple):
-        return arguments[0]
-    if name == _PARAMETER and len(arguments) == 3 and isinstance(arguments[0], Tensor):
-        return arguments[0]
-    # Arguments after the view: requires_grad, backward hooks, and marks of lazily conjugated or negated tensors.
-    if name == _TENSOR and len(arguments) in (6, 7) and isinstance(arguments[0], Storage) and not any(arguments[6:]):
-        return Tensor(*arguments[:4])
-    return None
-
-
-def _instruction_name(code: bytes) -> str:
-    names = {known.code: known.name for known in pickletools.opcodes}
-    return names.get(code.decode("latin-1"), repr(code))
+def _made(name: Any, arguments: Any) -> Any:
+    """Returns the plain value or record that a name makes of its arguments."""
+    if isinstance(name, Name) and isinstance(arguments, tuple):
+        if name.text == _ORDERED_DICT and not arguments:
+            return {}
+        if name.text == _SIZE and len(arguments) == 1 and isinstance(arguments[0], tuple):
+            return arguments[0]
+        if name.text == _PARAMETER and len(arguments) == 3 and isinstance(arguments[0], Tensor):
+            return arguments[0]
+        is_tensor = name.text == _TENSOR and len(arguments) in (6, 7) and isinstance(arguments[0], Storage)
+        # Arguments after the view: requires_grad, backward hooks, and marks of lazily conjugated or negated tensors.
+        if is_tensor and not any(arguments[6:]):
+            return Tensor(*arguments[:4])
+    raise UserError(f"calls {_kind(name)} in a way that no version of PyTorch does; refused, nothing was run")
 
 
 def _kind(value: Any) -> str:
@@ -316,22 +299,3 @@ def _kind(value: Any) -> str:
 
 def _shown(text: str) -> str:
     return repr(text if len(text) <= 60 else f"{text[:57]}…")
-
-
-_INSTRUCTIONS: dict[bytes, Callable[[_Machine], None]] = {
-    pickle.MARK: _Machine._mark,
-    pickle.MEMOIZE: _Machine._memoize,
-    pickle.TUPLE: _Machine._make_tuple,
-    pickle.LIST: _Machine._make_list,
-    pickle.DICT: _Machine._make_dict,
-    pickle.SETITEM: _Machine._set_item,
-    pickle.SETITEMS: _Machine._set_items,
-    pickle.APPEND: _Machine._append_item,
-    pickle.APPENDS: _Machine._append_items,
-    pickle.GLOBAL: _Machine._name,
-    pickle.STACK_GLOBAL: _Machine._name_from_stack,
-    pickle.BINPERSID: _Machine._storage,
-    pickle.REDUCE: _Machine._reduce,
-    pickle.BUILD: _Machine._build,
-}
-"""What each instruction without an argument does."""
