@@ -53,7 +53,8 @@ def load_yaml(path: str | Path) -> YamlFile:
 
 def yaml_text(data: dict[str, Any]) -> str:
     """Returns plain values as YAML that `load_yaml` reads back to equal values."""
-    return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=False)
+    # PyYAML escapes characters outside ASCII. It can write them as they are, but then loses some line breaks (U+0085).
+    return yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=False)
 
 
 class _Loader(yaml.SafeLoader):

@@ -1,4 +1,4 @@
-"""Files of `torch.save`: what PyTorch wrote comes back. What is refused stands in test_hostile_torch_file.py."""
+"""Files of `torch.save`: what PyTorch wrote comes back. For what is refused, see test_hostile_torch_file.py."""
 
 import pickle
 
