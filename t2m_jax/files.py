@@ -247,6 +247,36 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
         raise UserError(f"{path}: damaged or not a safetensors file ({first_line(error)})") from None
 
 
+def fit_arrays(
+    path: Path, found: Mapping[str, np.ndarray], expected: Mapping[str, tuple[tuple[int, ...], Any]]
+) -> dict[str, np.ndarray]:
+    """Returns the arrays of a file in the dtypes of a model.
+
+    Args:
+        path: The file, for error messages.
+        found: Its arrays by name.
+        expected: Shape and dtype of each array by name.
+
+    Raises:
+        UserError: Names, shapes or values are not as expected.
+    """
+    for name in sorted(expected.keys() ^ found.keys()):
+        problem = "is missing" if name in expected else "is not part of the model that its config describes"
+        raise UserError(f"{path}: array {name[:80]!r} {problem}")
+    arrays = {}
+    for name, (shape, dtype) in expected.items():
+        array = found[name]
+        if array.shape != shape:
+            raise UserError(f"{path}: array {name!r} has shape {array.shape}; its config needs {shape}")
+        if np.dtype(dtype).kind == "f" and array.dtype.kind != "f" and array.dtype.name != "bfloat16":
+            raise UserError(f"{path}: array {name!r} holds {array.dtype}, not floating-point numbers")
+        with np.errstate(all="ignore"):  # numbers that are too large become infinite, and are refused
+            arrays[name] = array.astype(dtype, copy=False)
+        if not np.all(np.isfinite(arrays[name])):
+            raise UserError(f"{path}: array {name!r} has values that are not finite")
+    return arrays
+
+
 def load_arrays(path: Path, expected: Mapping[str, Any]) -> dict[str, Any]:
     """Returns the nested dictionaries of a safetensors file.
 
@@ -257,13 +287,5 @@ def load_arrays(path: Path, expected: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         UserError: The file is missing or damaged, or its names, shapes or values are not as expected.
     """
-    found, wanted = read_arrays(path), flatten_tree(expected)
-    for name in sorted(wanted.keys() ^ found.keys()):
-        problem = "is missing" if name in wanted else "is not part of the model that its config describes"
-        raise UserError(f"{path}: array {name!r} {problem}")
-    for name, leaf in wanted.items():
-        if found[name].shape != leaf.shape:
-            raise UserError(f"{path}: array {name!r} has shape {found[name].shape}; its config needs {leaf.shape}")
-        if not np.all(np.isfinite(found[name])):
-            raise UserError(f"{path}: array {name!r} has values that are not finite")
-    return unflatten_tree({name: found[name].astype(leaf.dtype) for name, leaf in wanted.items()})
+    leaves = {name: (leaf.shape, leaf.dtype) for name, leaf in flatten_tree(expected).items()}
+    return unflatten_tree(fit_arrays(path, read_arrays(path), leaves))

@@ -1,22 +1,24 @@
 import dataclasses
 import typing
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from t2m_jax.config import (
-    MAX_DEPTH,
-    MAX_FILE_BYTES,
+    Tagged,
     config_from_dict,
     config_to_dict,
+    flat_fields,
     load_config,
     override_config,
     save_config,
+    tag_of,
 )
 from t2m_jax.errors import UserError
+from t2m_jax.yaml_file import MAX_DEPTH, MAX_FILE_BYTES
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -130,7 +132,7 @@ def test_an_empty_file_is_all_defaults(tmp_path):
             "schedule.milestones: expected a whole number, got 'a'",
         ),
         ("steps: 1\nschedule:\n  peak: -1", "run.yaml:2: schedule: peak must not be negative, got -1"),
-        ("steps: 1\nsteps: 2", "run.yaml:2: cannot read this YAML: found duplicate key steps"),
+        ("steps: 1\nsteps: 2", "run.yaml:2: cannot read this YAML: found duplicate key 'steps'"),
         ("steps: [1, 2", "run.yaml:1: cannot read this YAML"),
         ("steps: 1\n\tname: a", "run.yaml:2: cannot read this YAML"),
         ("- 1", "run.yaml:1: cannot read this YAML: expected 'field: value' lines"),
@@ -141,6 +143,13 @@ def test_an_empty_file_is_all_defaults(tmp_path):
         ("steps: !!python/object/apply:os.getcwd []", "run.yaml:1: cannot read this YAML: tags"),
         ("schedule: &a {peak: 1}\nsecond: *a", "run.yaml:1: cannot read this YAML: anchors"),
         ("steps: 1\n---\nsteps: 2", "cannot read this YAML"),
+        ("steps: 0b_", "run.yaml: cannot read this YAML"),
+        ("steps: " + "9" * 5000, "run.yaml: cannot read this YAML"),
+        ("steps: 1\nschedule:\n  peak: " + "9" * 400, "run.yaml:3: schedule.peak: expected a number, got 9999"),
+        ("null: 1", "run.yaml: unknown key 'None'"),
+        ("<<: {steps: 1}", "run.yaml:1: unknown key '<<'"),
+        ("? [1]\n: 1", "run.yaml:1: cannot read this YAML"),
+        ('"a\\nb": 1', "run.yaml:1: unknown key 'a b'"),
         ("steps: " + "[" * 5000, f"run.yaml:1: cannot read this YAML: nested deeper than {MAX_DEPTH}"),
     ],
 )
@@ -152,6 +161,24 @@ def test_an_alias_bomb_is_refused_before_it_grows(tmp_path):
     rows = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
     rows += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 30)]
     assert "anchors and aliases" in refusal(tmp_path, "\n".join(rows))
+
+
+@pytest.mark.parametrize("text", ["2020-01-01", "2020-99-99", "1e", "<<", "=", "'12'", "a b  # comment"])
+def test_text_needs_quotes_only_if_it_looks_like_another_type(tmp_path, text):
+    assert load(tmp_path, f"steps: 1\nname: {text}").name == text.strip("'").partition("  #")[0]
+
+
+def test_a_file_of_the_previous_writer_is_read(tmp_path):
+    """OmegaConf wrote the config files of older runs and bundles."""
+    text = "steps: 3\nname: '1e-4'\nkind: 3\nfolder: a/b\nwindow:\n- 1\n- 5.0e-05\nlimit: 'on'\n"
+    text += "schedule:\n  peak: .inf\n  milestones: []\n  nesterov: false\nsecond: null\n"
+    config = load(tmp_path, text)
+    schedule = Schedule(peak=float("inf"), milestones=())
+    assert config == Run(
+        steps=3, name="1e-4", kind=3, folder=Path("a/b"), window=(1, 5e-5), limit="on", schedule=schedule
+    )
+    save_config(tmp_path / "again.yaml", config)
+    assert (tmp_path / "again.yaml").read_text() == text
 
 
 def test_files_that_are_none(tmp_path):
@@ -174,7 +201,26 @@ schedules = st.builds(
     milestones=st.lists(st.integers(), max_size=4).map(tuple),
     nesterov=st.booleans(),
 )
-words = st.text().filter(lambda text: "${" not in text) | st.sampled_from(["1e-4", "on", "null", "~", "???", "12", ""])
+words = st.text().filter(lambda text: "${" not in text) | st.sampled_from(
+    [
+        "1e-4",
+        "1e5",
+        "1_0.e3",
+        ".5",
+        "on",
+        "null",
+        "~",
+        "???",
+        "12",
+        "",
+        "2020-01-01",
+        "2020-99-99",
+        "<<",
+        "=",
+        "0x1",
+        "1:30",
+    ]
+)
 runs = st.builds(
     Run,
     steps=st.integers(),
@@ -257,3 +303,89 @@ def test_help_lists_every_field_with_its_docstring(capsys):
         assert f"--{name}" in shown
     for text in ("How many steps to take.", "--schedule.peak", "Highest learning rate.", "(default: 3)"):
         assert text in shown
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Circle:
+    """A section whose class its kind names."""
+
+    kind: ClassVar[str] = "circle"
+    radius: float = 1.0
+    """Meters."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Square:
+    """Another one."""
+
+    kind: ClassVar[str] = "square"
+    side: int
+    """Meters."""
+
+
+def find_shape(kind: str) -> type:
+    """Returns the class of a kind."""
+    for shape in (Circle, Square):
+        if shape.kind == kind:
+            return shape
+    raise UserError(f"unknown kind {kind!r}; known: circle, square")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Drawing:
+    """A config with a field of any shape and one of a fixed shape."""
+
+    shape: Annotated[Any, Tagged(find_shape)]
+    """Any shape."""
+    hole: Circle = Circle()
+    """Always a circle."""
+    second: Circle | None = None
+    """A circle or nothing."""
+
+
+DRAWING = Drawing(shape=Square(side=2), hole=Circle(radius=0.5))
+
+
+def test_a_section_of_several_kinds_is_written_with_its_kind_and_read_back(tmp_path):
+    save_config(tmp_path / "drawing.yaml", DRAWING)
+    text = (tmp_path / "drawing.yaml").read_text()
+    assert text == "shape:\n  kind: square\n  side: 2\nhole:\n  kind: circle\n  radius: 0.5\nsecond: null\n"
+    assert load_config(tmp_path / "drawing.yaml", Drawing) == DRAWING
+    assert config_from_dict(Drawing, config_to_dict(DRAWING)) == DRAWING
+    assert flat_fields(DRAWING) == {"shape.side": 2, "hole.radius": 0.5, "second": None}
+
+
+def test_kind_is_optional_if_the_class_is_fixed():
+    assert config_from_dict(Circle, {}) == config_from_dict(Circle, {"kind": "circle"}) == Circle()
+    data = {"shape": {"kind": "circle"}, "hole": {"radius": 2}, "second": {"kind": "circle"}}
+    expected = Drawing(shape=Circle(), hole=Circle(radius=2.0), second=Circle())
+    assert config_from_dict(Drawing, data) == expected
+    assert (tag_of(Circle), tag_of(Schedule), tag_of(Run)) == ("circle", None, None)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("hole: {}", "drawing.yaml: missing field 'shape'; it has no default"),
+        ("shape: 3", "drawing.yaml:1: shape: expected a section of fields, got 3"),
+        (
+            "shape:\n  side: 2",
+            "drawing.yaml:1: shape.kind: expected text that names the kind of this section, got None",
+        ),
+        (
+            "shape:\n  kind: [1]",
+            "drawing.yaml:2: shape.kind: expected text that names the kind of this section, got [1]",
+        ),
+        ("shape:\n  kind: star", "drawing.yaml:2: shape.kind: unknown kind 'star'; known: circle, square"),
+        ("shape:\n  kind: circle\n  side: 2", "drawing.yaml:3: unknown key 'shape.side'; known: shape.radius"),
+        ("shape:\n  kind: square\n  sides: 2", "drawing.yaml:3: unknown key 'shape.sides'; did you mean 'shape.side'?"),
+        ("shape:\n  kind: square", "drawing.yaml:1: missing field 'shape.side'; it has no default"),
+        ("shape: {kind: circle}\nhole:\n  kind: square", "drawing.yaml:3: hole.kind: expected 'circle', the kind of"),
+    ],
+)
+def test_a_wrong_kind_gets_one_line_with_file_line_and_field(tmp_path, text, message):
+    path = tmp_path / "drawing.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(UserError) as caught:
+        load_config(path, Drawing)
+    assert str(caught.value).replace(f"{tmp_path}/", "").startswith(message)

@@ -12,7 +12,7 @@ PACKAGE = Path(t2m_jax.__file__).parent
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if path.name != "__main__.py")
 MODULES = [".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__") for path in FILES]
 
-HEAVY = ("jax", "jaxlib", "flax", "numpy", "orbax", "optax", "omegaconf", "tyro", "tokenizers", "PIL")
+HEAVY = ("jax", "jaxlib", "flax", "numpy", "orbax", "optax", "tyro", "tokenizers", "PIL")
 
 
 def run_python(program: str) -> str:

@@ -1,48 +1,35 @@
-"""The files of a CLIP in the Hugging Face layout: where they are, and the arrays of the text tower in them."""
+"""Files of a CLIP in the Hugging Face layout: where they are, and the arrays of the text tower in them."""
 
-import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 import platformdirs
 from flax import serialization, traverse_util
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 
 from t2m_jax.checkpoints.torch_file import load_torch_file
 from t2m_jax.errors import UserError
+from t2m_jax.files import DAMAGED_WEIGHTS, first_line, load_json
 
 CONFIG_FILE = "config.json"
 TOKENIZER_FILES = ("tokenizer.json", "vocab.json", "merges.txt")
+"""The first file, or the other two, contain the tokenizer."""
 TEXT_PREFIX = "text_model."
 _TEXT_PARTS = ("embeddings.", "encoder.", "final_layer_norm.", "text_projection.")
 _HUB_NAME = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+")
 
-StateDict = dict[str, np.ndarray]
-
-_UNREADABLE = (
-    OSError,
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    ArithmeticError,
-    RecursionError,
-    MemoryError,
-)
-"""What Flax raises on hostile files: it uses their contents without looking whether they are what it expects."""
-
 
 def find_clip(name_or_folder: str | Path) -> Path:
-    """Returns the folder of a CLIP: the path itself, else what the user or the hub's client has put on this machine.
+    """Returns the folder of a CLIP.
 
-    Only a hub name that is nowhere on this machine is downloaded.
+    The first of these is used: the folder with this path; the user's copy in `user_folder`; the hub's cache on this
+    machine; a download from the hub.
 
     Raises:
-        UserError: if there is no such folder, or the hub name is neither here nor can be downloaded.
+        UserError: There is no such folder, and the hub name cannot be downloaded.
     """
     if Path(name_or_folder).is_dir():
         return Path(name_or_folder)
@@ -54,28 +41,29 @@ def find_clip(name_or_folder: str | Path) -> Path:
 
 
 def user_folder(name: str) -> Path:
-    """Returns where a user may put the files of a hub name by hand."""
+    """Returns the folder into which a user may put the files of a hub name by hand."""
     return Path(platformdirs.user_data_dir("t2m_jax")) / "clip" / name.replace("/", "--")
 
 
 def _hub_snapshot(name: str) -> Path:
-    """Returns the folder the hub's client keeps a CLIP in, downloaded (in one weight format) if need be."""
-    import huggingface_hub  # here, because only a hub name needs it
+    """Returns the folder in which the hub's client keeps a CLIP; downloads one weight format if necessary."""
+    import huggingface_hub  # slow to import, and only a hub name needs it
 
     reason = ""
     for offline in (True, False):
         for weights in WEIGHT_FILES:
+            files = [CONFIG_FILE, *TOKENIZER_FILES, weights]
             try:
-                snapshot = huggingface_hub.snapshot_download(
-                    name, allow_patterns=[CONFIG_FILE, *TOKENIZER_FILES, weights], local_files_only=offline
-                )
+                folder = huggingface_hub.snapshot_download(name, allow_patterns=files, local_files_only=offline)
             except Exception as error:  # noqa: BLE001 - the client passes on whatever its HTTP library raises
-                reason = next(iter(str(error).splitlines()), type(error).__name__)
+                reason = first_line(error)
                 if offline:
                     continue
                 break
-            if _is_complete(Path(snapshot), weights):
-                return Path(snapshot)
+            # The snapshot may be partial.
+            config, tokenizer, vocabulary, merges, weight_file = (Path(folder, file).is_file() for file in files)
+            if config and weight_file and (tokenizer or (vocabulary and merges)):
+                return Path(folder)
             reason = f"it has no {weights} or no tokenizer"
     raise UserError(
         f"{name}: no such folder, and not found on the Hugging Face hub ({reason}); download {CONFIG_FILE}, "
@@ -84,26 +72,14 @@ def _hub_snapshot(name: str) -> Path:
     )
 
 
-def _is_complete(folder: Path, weights: str) -> bool:
-    """Returns whether a snapshot, which may be partial, has what a CLIP needs."""
-    tokenizer, *older = TOKENIZER_FILES
-    has_tokenizer = (folder / tokenizer).is_file() or all((folder / name).is_file() for name in older)
-    return has_tokenizer and (folder / CONFIG_FILE).is_file() and (folder / weights).is_file()
-
-
 def read_clip_config(folder: Path) -> dict[str, Any]:
-    """Returns the text part of `config.json`, with `projection_dim` as the whole model has it.
+    """Returns the text part of `config.json`, with the `projection_dim` of the whole model.
 
     Raises:
-        UserError: if the file is missing or describes no CLIP.
+        UserError: The file is missing or does not describe a CLIP.
     """
     path = folder / CONFIG_FILE
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise UserError(f"{path}: missing; the folder is not a complete CLIP") from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise UserError(f"{path}: not a JSON file ({error})") from None
+    data = load_json(path)
     kind = data.get("model_type") if isinstance(data, dict) else None
     if kind == "clip_text_model":
         return data
@@ -120,96 +96,59 @@ def read_clip_config(folder: Path) -> dict[str, Any]:
     return text
 
 
-def read_text_arrays(folder: Path) -> tuple[Path, StateDict]:
-    """Returns the weight file of a CLIP's folder, and the arrays of its text tower by PyTorch's names, unprefixed.
+def read_text_arrays(folder: Path) -> tuple[Path, dict[str, np.ndarray]]:
+    """Returns the weight file in a CLIP's folder, and the arrays of its text tower by PyTorch's names without prefix.
 
     Raises:
-        UserError: if there is no weight file, or it is damaged.
+        UserError: There is no weight file, or it is damaged.
     """
     for name, read in _READERS.items():
         path = folder / name
-        if path.is_file():
-            return path, {_unprefixed(key): array for key, array in read(path).items()}
+        if not path.is_file():
+            continue
+        arrays = {str(key).removeprefix(TEXT_PREFIX): value for key, value in read(path).items() if _is_text(key)}
+        for key, value in arrays.items():
+            if not isinstance(value, np.ndarray):
+                raise UserError(f"{path}: {key!r} is not an array")
+        return path, arrays
     raise UserError(f"{folder}: no weights; put {' or '.join(WEIGHT_FILES)} there")
 
 
-def _unprefixed(key: str) -> str:
-    return key.removeprefix(TEXT_PREFIX)
+def _is_text(key: str | int) -> bool:
+    """Returns whether a name belongs to the text tower; `position_ids` in some files are not weights."""
+    name = str(key)
+    return name.removeprefix(TEXT_PREFIX).startswith(_TEXT_PARTS) and not name.endswith(".position_ids")
 
 
-def _is_text(key: str) -> bool:
-    """Returns whether a name belongs to the text tower; the position numbers some files hold are no weights."""
-    return _unprefixed(key).startswith(_TEXT_PARTS) and not key.endswith(".position_ids")
-
-
-def _read_safetensors(path: Path) -> StateDict:
-    """Returns the arrays of the text tower; those of the image tower are never read."""
+def _read_safetensors(path: Path) -> dict[str, np.ndarray]:
+    """Returns the arrays of the text tower; the image tower, which is larger, is not read."""
     try:
         with safe_open(path, framework="numpy") as file:
             return {key: file.get_tensor(key) for key in file.keys() if _is_text(key)}  # noqa: SIM118 - no mapping
-    except (SafetensorError, OSError, ValueError, KeyError, TypeError) as error:
-        raise _damaged(path, "safetensors", error) from None
+    except DAMAGED_WEIGHTS as error:
+        raise UserError(f"{path}: damaged or not a safetensors file ({first_line(error)})") from None
 
 
-def _read_msgpack(path: Path) -> StateDict:
-    """Returns the arrays of a Flax file under PyTorch's names and in PyTorch's axes."""
+def _read_msgpack(path: Path) -> dict[str, Any]:
+    """Returns the arrays of a Flax file by PyTorch's names and with PyTorch's order of axes."""
     try:
-        tree = serialization.msgpack_restore(path.read_bytes())
-        if not isinstance(tree, dict):
-            raise ValueError("it holds no parameters")
-        flat = {".".join(names): leaf for names, leaf in traverse_util.flatten_dict(tree).items()}
-    except _UNREADABLE as error:
-        raise _damaged(path, "msgpack", error) from None
-    arrays: StateDict = {}
-    for name, leaf in flat.items():
-        if not _is_text(name):
-            continue
-        if not isinstance(leaf, np.ndarray):
-            raise UserError(f"{path}: {name!r} is not an array")
-        module, _, kind = name.rpartition(".")
-        if kind in ("kernel", "embedding", "scale"):
-            name = f"{module}.weight"
-        arrays[name] = leaf.T if kind == "kernel" else leaf
-    return arrays
-
-
-def _read_torch(path: Path) -> StateDict:
+        flat = traverse_util.flatten_dict(serialization.msgpack_restore(path.read_bytes()))
+        leaves = {".".join(names): leaf for names, leaf in flat.items()}
+    # Flax uses the contents without checking them, so a hostile file can raise almost anything.
+    except (*DAMAGED_WEIGHTS, AssertionError, ArithmeticError, RecursionError, MemoryError) as error:
+        raise UserError(f"{path}: damaged or not a msgpack file ({first_line(error)})") from None
     arrays = {}
-    for key, value in load_torch_file(path).items():
-        if not _is_text(str(key)):
-            continue
-        if not isinstance(value, np.ndarray):
-            raise UserError(f"{path}: {key!r} is not an array")
-        arrays[str(key)] = value
+    for name, leaf in leaves.items():
+        module, _, kind = name.rpartition(".")
+        is_kernel = kind == "kernel" and isinstance(leaf, np.ndarray)
+        arrays[f"{module}.weight" if kind in ("kernel", "embedding", "scale") else name] = leaf.T if is_kernel else leaf
     return arrays
 
 
-def _damaged(path: Path, kind: str, error: BaseException) -> UserError:
-    reason = next(iter(str(error).splitlines()), type(error).__name__)
-    return UserError(f"{path}: damaged or not a {kind} file ({reason})")
-
-
-_READERS: dict[str, Callable[[Path], StateDict]] = {
+_READERS: dict[str, Callable[[Path], Mapping[Any, Any]]] = {
     "model.safetensors": _read_safetensors,
     "flax_model.msgpack": _read_msgpack,
-    "pytorch_model.bin": _read_torch,
+    "pytorch_model.bin": load_torch_file,
 }
 WEIGHT_FILES = tuple(_READERS)
-"""In the order they are looked for."""
-
-
-def float32_array(path: Path, key: str, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Returns a weight in 32 bits.
-
-    Raises:
-        UserError: if it has not the shape its config wants, or is not made of finite numbers.
-    """
-    if array.shape != shape:
-        raise UserError(f"{path}: array {key!r} has shape {array.shape}, its config wants {shape}")
-    if not jnp.issubdtype(array.dtype, jnp.floating):
-        raise UserError(f"{path}: array {key!r} holds {array.dtype}, not floating-point numbers")
-    with np.errstate(all="ignore"):  # what does not fit is found in the next line
-        converted = array.astype(np.float32)
-    if not np.all(np.isfinite(converted)):
-        raise UserError(f"{path}: array {key!r} has values that are not finite")
-    return converted
+"""In the order in which they are tried."""

@@ -1,16 +1,15 @@
-"""Files of `torch.save`, read without PyTorch: nothing in them is run, and only what tensors need is understood.
+"""Reads files of `torch.save` without PyTorch: nothing in them is run, and only what tensors need is understood.
 
-Two formats are known: the zip archive of PyTorch 1.6 and later (a pickle, and one member for each storage of numbers)
-and the one before it (pickles one after the other, then the storages).
+There are two formats. PyTorch 1.6 and later write a zip archive with a pickle and one member per storage of numbers.
+Earlier versions write several pickles, then the storages.
 """
 
-import contextlib
 import math
 import os
 import struct
 import sys
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -22,73 +21,57 @@ from t2m_jax.errors import UserError
 MAX_DEPTH = 32
 """Deepest nesting of dictionaries and lists that is read; it bounds the recursion below."""
 MAX_VALUES = 50_000
-"""Most values that are read, those that stand in several places counted each time; a published model has 314."""
+"""Largest number of values; a value in several places counts each time. A published model has 314."""
 MAX_SHARING = 8
-"""Most numbers in tensors for each byte of the file: tensors may share a storage, but not without end."""
+"""Largest number of tensor elements per byte of the file: tensors may share a storage, but only a few times."""
 MAX_AXES = 16
+"""Largest number of axes of a tensor; numpy allows 64."""
 
 _ZIP_START = b"PK\x03\x04"
 _LEGACY_START = b"\x80\x02\x8a\x0al\xfc\x9cF\xf9 j\xa8P\x19."
-"""The pickle of the number that the older format begins with."""
+"""The pickled number at the start of a file in the older format."""
 _LEGACY_VERSION = 1001
 _DAMAGED_ZIP = (zipfile.BadZipFile, RuntimeError, struct.error, ValueError, LookupError, EOFError, OverflowError)
-"""What `zipfile` raises on damaged archives, and on what it cannot read (encryption)."""
+"""What `zipfile` raises for damaged archives, and for encrypted ones."""
 
 StorageReader = Callable[[Storage], np.ndarray]
-"""Returns the numbers of a storage, having checked that there are as many as it says."""
+"""Returns the numbers of a storage, after checking their count."""
 
 
 def load_torch_file(path: str | Path) -> dict[str | int, Any]:
-    """Returns what a file of `torch.save` holds: nested dictionaries, lists and tuples of arrays, numbers and strings.
+    """Returns the contents of a file of `torch.save`: nested dictionaries and lists of arrays, numbers and strings.
 
-    Parameters come as plain arrays, and devices are no matter. The arrays are read-only: some may share their memory.
+    Parameters become plain arrays, and devices are ignored. The arrays are read-only, because some may share memory.
 
     Raises:
-        UserError: if it is no such file, is damaged, or holds anything else; the line names it.
+        UserError: The file is not of `torch.save`, is damaged, or contains anything else; the message names it.
     """
     path = Path(path)
     try:
         with path.open("rb") as file:
-            value = _read_file(file)
+            start = file.read(len(_LEGACY_START))
+            if start.startswith(_ZIP_START):
+                value = _read_archive(file)
+            elif start == _LEGACY_START:
+                value = _read_legacy(file)
+            else:
+                raise UserError("not a file of torch.save (.pth or .tar); download it again without unpacking it")
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
     except OSError as error:
         raise UserError(f"{path}: cannot be read ({error.strerror or error})") from None
-    if not isinstance(value, dict):
-        raise UserError(f"{path}: holds a {type(value).__name__} where a dictionary of tensors is expected")
-    return value
-
-
-def _read_file(file: BinaryIO) -> Any:
-    """Returns the content of an open file of either format."""
-    start = file.read(len(_LEGACY_START))
-    if start.startswith(_ZIP_START):
-        return _read_archive(file)
-    if start == _LEGACY_START:
-        return _read_legacy(file)
-    raise UserError("not a file of torch.save (a .pth or .tar); download it again, and do not unpack or convert it")
-
-
-def _size(file: BinaryIO) -> int:
-    return os.fstat(file.fileno()).st_size
-
-
-@contextlib.contextmanager
-def _refusing_damage() -> Iterator[None]:
-    """Turns what reading a damaged archive raises into a refusal."""
-    try:
-        yield
-    except UserError:
-        raise
     except _DAMAGED_ZIP as error:
         reason = " ".join(str(error).split())[:120] or type(error).__name__
-        raise UserError(f"cut off or damaged; download it again ({reason})") from None
+        raise UserError(f"{path}: cut off or damaged; download it again ({reason})") from None
+    if not isinstance(value, dict):
+        raise UserError(f"{path}: contains a {type(value).__name__}, but a dictionary of tensors is needed")
+    return value
 
 
 def _read_archive(file: BinaryIO) -> Any:
     """Returns the content of a file in the format of PyTorch 1.6 and later."""
-    size = _size(file)
-    with _refusing_damage(), zipfile.ZipFile(file) as archive:
+    size = os.fstat(file.fileno()).st_size
+    with zipfile.ZipFile(file) as archive:
         members = {member.filename: member for member in archive.infolist()}
         _check_members(archive, size)
         roots = [
@@ -96,11 +79,13 @@ def _read_archive(file: BinaryIO) -> Any:
         ]
         if len(roots) != 1:
             raise UserError(
-                "a zip archive, but not of torch.save; do not unpack or repack the file that was downloaded"
+                "a zip archive, but not of torch.save; use the downloaded file without unpacking or repacking it"
             )
         (root,) = roots
         if members[f"{root}/data.pkl"].file_size > MAX_PICKLE_BYTES:
-            raise UserError(f"its table of contents is larger than {MAX_PICKLE_BYTES // 1_000_000} MB; no model's is")
+            raise UserError(
+                f"its table of contents is larger than {MAX_PICKLE_BYTES // 1_000_000} MB; this is not a model"
+            )
         order = archive.read(f"{root}/byteorder") if f"{root}/byteorder" in members else b"little"
         if order not in (b"little", b"big"):
             raise UserError(f"its byte order is {order[:20]!r}, which is neither little nor big")
@@ -108,7 +93,7 @@ def _read_archive(file: BinaryIO) -> Any:
         def read_storage(storage: Storage) -> np.ndarray:
             member = members.get(f"{root}/data/{storage.key}")
             if member is None or member.file_size != storage.length * storage.dtype.itemsize:
-                raise UserError(f"storage {storage.key[:60]!r} is missing or not of the size it should have")
+                raise UserError(f"storage {storage.key[:60]!r} is missing or has the wrong size")
             return _numbers(archive.read(member), storage.dtype, order=order.decode())
 
         content = read_pickle(archive.read(f"{root}/data.pkl"))
@@ -116,12 +101,14 @@ def _read_archive(file: BinaryIO) -> Any:
 
 
 def _check_members(archive: zipfile.ZipFile, size: int) -> None:
-    """Raises `UserError` where an archive holds what could unpack to more than the file itself."""
+    """Raises `UserError` if an archive could unpack to more than the size of the file."""
     members = archive.infolist()
     if len({member.filename for member in members}) < len(members):
-        raise UserError("its archive holds two members of the same name")
+        raise UserError("its archive has two members of the same name")
     if any(member.compress_type != zipfile.ZIP_STORED for member in members):
-        raise UserError("its archive is compressed, as torch.save never does; do not repack the file")
+        raise UserError(
+            "its archive is compressed, but torch.save does not compress; use the file without repacking it"
+        )
     if any(member.file_size != member.compress_size for member in members):
         raise UserError("its archive is damaged: a member has two sizes")
     if sum(member.file_size for member in members) > size:
@@ -136,7 +123,7 @@ def _read_legacy(file: BinaryIO) -> Any:
     system = read_pickle(head, start=version.end)
     fits = isinstance(system.value, dict) and system.value.get("little_endian") is True
     if version.value != _LEGACY_VERSION or not fits:
-        raise UserError("written by a PyTorch that cannot be read; load and save it again with a current PyTorch")
+        raise UserError("written by a version of PyTorch that cannot be read; load and save it with a current PyTorch")
     content = read_pickle(head, start=system.end)
     keys = read_pickle(head, start=content.end)
     places = _legacy_places(file, keys, content.storages)
@@ -145,29 +132,29 @@ def _read_legacy(file: BinaryIO) -> Any:
         file.seek(places[storage.key])
         return _numbers(file.read(storage.length * storage.dtype.itemsize), storage.dtype, order="little")
 
-    return _Content(read_storage, _size(file)).plain(content.value)
+    return _Content(read_storage, os.fstat(file.fileno()).st_size).plain(content.value)
 
 
 def _legacy_places(file: BinaryIO, keys: Pickle, storages: dict[str, Storage]) -> dict[str, int]:
-    """Returns where the numbers of each storage begin: they follow the list of keys, each row after its count."""
+    """Returns the position of each storage. They follow the list of keys, each after its number of elements."""
     if not isinstance(keys.value, list) or {*map(repr, keys.value)} != {*map(repr, storages)}:
         raise UserError("its list of storages does not fit its tensors")
     position, places = keys.end, {}
     for key in keys.value:
         file.seek(position)
         if file.read(8) != storages[key].length.to_bytes(8, "little"):
-            raise UserError(f"storage {key[:60]!r} is missing or not of the size it should have")
+            raise UserError(f"storage {key[:60]!r} is missing or has the wrong size")
         places[key] = position + 8
         position += 8 + storages[key].length * storages[key].dtype.itemsize
-    if position > _size(file):
+    if position > os.fstat(file.fileno()).st_size:
         raise UserError("cut off; download it again")
     return places
 
 
 def _numbers(content: bytes, dtype: np.dtype, *, order: str) -> np.ndarray:
-    """Returns one row of numbers of a storage."""
+    """Returns the numbers of a storage."""
     if dtype == np.bool_ and content.strip(b"\0\1"):
-        raise UserError("has truth values that are neither true nor false")
+        raise UserError("has booleans that are neither true nor false")
     row = np.frombuffer(content, dtype)
     if order != sys.byteorder:
         row = row.view(f"u{dtype.itemsize}").byteswap().view(dtype)
@@ -175,7 +162,7 @@ def _numbers(content: bytes, dtype: np.dtype, *, order: str) -> np.ndarray:
 
 
 class _Content:
-    """Turns the records of a pickle into arrays, and counts what it hands out: neither may grow beyond the file."""
+    """Turns the records of a pickle into arrays, and limits their number and size by the size of the file."""
 
     def __init__(self, read_storage: StorageReader, size: int):
         self._read_storage = read_storage
@@ -184,20 +171,20 @@ class _Content:
         self._numbers_left = MAX_SHARING * size
 
     def plain(self, value: Any, depth: int = 0) -> Any:
-        """Returns a value with arrays for its tensors.
+        """Returns a value with arrays in place of its tensors.
 
         Raises:
-            UserError: if something in it is no plain value, or it is nested too deep or too often in itself.
+            UserError: Something in it is not a plain value, it is nested too deep, or it has too many values.
         """
         self._values_left -= 1
         if depth > MAX_DEPTH:
             raise UserError(f"nested deeper than {MAX_DEPTH} dictionaries and lists")
         if self._values_left < 0:
-            raise UserError(f"holds more than {MAX_VALUES} values")
+            raise UserError(f"has more than {MAX_VALUES} values")
         if isinstance(value, Tensor):
             return self._array(value)
         if isinstance(value, Name | Storage):
-            raise UserError(f"holds a bare {type(value).__name__.lower()} where a tensor, number or string is expected")
+            raise UserError(f"contains a bare {type(value).__name__.lower()} in place of a tensor, number or string")
         if isinstance(value, dict):
             return {key: self.plain(item, depth + 1) for key, item in value.items()}
         if isinstance(value, list | tuple):
@@ -205,24 +192,24 @@ class _Content:
         return value
 
     def _array(self, tensor: Tensor) -> np.ndarray:
-        """Returns the array that a tensor describes, once it is certain that it lies inside its storage."""
+        """Returns the array that a tensor describes, after checking that it is inside its storage."""
         shape, strides, offset, storage = tensor.shape, tensor.strides, tensor.offset, tensor.storage
         axes_fit = isinstance(shape, tuple) and isinstance(strides, tuple) and len(shape) == len(strides) <= MAX_AXES
         if not axes_fit or any(type(number) is not int or number < 0 for number in (offset, *shape, *strides)):
-            raise UserError("has a tensor whose shape, strides or offset mean nothing")
+            raise UserError("has a tensor whose shape, strides or offset are not valid")
         count = math.prod(shape)
         last = offset + sum((size - 1) * stride for size, stride in zip(shape, strides, strict=True))
-        # An empty tensor has no last element, but its other sizes must be such as numpy can count.
+        # An empty tensor has no last element, but numpy must be able to count its other axes.
         fits = (
             count <= storage.length and last < storage.length
             if count
             else math.prod(size or 1 for size in shape) < 2**31
         )
         if not fits:
-            raise UserError("has a tensor that does not fit into its storage: its shape or strides are absurd")
+            raise UserError("has a tensor whose shape and strides do not fit into its storage")
         self._numbers_left -= count
         if self._numbers_left < 0:
-            raise UserError("has tensors that share their numbers more often than any model does")
+            raise UserError("has tensors that share their numbers more often than those of any model")
         if not count:
             return np.zeros(shape, storage.dtype)
         if storage.key not in self._rows:

@@ -1,8 +1,8 @@
-"""The pickles inside files of `torch.save`, read as data.
+"""Reads the pickles inside files of `torch.save` as data.
 
-A pickle is a program for a small stack machine, and Python's own machine imports what the program names and calls it.
-The machine here knows the instructions that put together dictionaries, lists, tuples, numbers and strings, and five
-names that it treats as mere words. It imports nothing and calls nothing, so there is nothing for a hostile file to run.
+A pickle is a program for a small stack machine. Python's own machine imports and calls what the program names. The
+machine here knows only the instructions that build dictionaries, lists, tuples, numbers and strings, and a few names
+that it treats as plain text. It imports nothing and calls nothing, so a hostile file cannot run anything.
 """
 
 import pickle
@@ -17,7 +17,7 @@ import numpy as np
 from t2m_jax.errors import UserError
 
 MAX_PICKLE_BYTES = 1_000_000
-"""Longest pickle that is read: a published model takes 60 kB, and work and memory grow with the length."""
+"""Longest pickle that is read. A published model has 60 kB; time and memory grow with the length."""
 
 DTYPES: dict[str, np.dtype] = {
     "DoubleStorage": np.dtype(np.float64),
@@ -40,17 +40,17 @@ _NAMES = frozenset((_ORDERED_DICT, _SIZE, _TENSOR, _PARAMETER, *_STORAGES))
 
 
 class _DamageError(LookupError):
-    """The pickle does not follow the rules of its own language."""
+    """The pickle breaks the rules of the pickle language."""
 
 
 class Name(NamedTuple):
-    """A class or function that a pickle names; here no more than the word."""
+    """The name of a class or function in a pickle; here only text."""
 
     text: str
 
 
 class Storage(NamedTuple):
-    """A row of numbers that lies outside the pickle."""
+    """A row of numbers outside the pickle."""
 
     key: str
     dtype: np.dtype
@@ -58,7 +58,7 @@ class Storage(NamedTuple):
 
 
 class Tensor(NamedTuple):
-    """A view of a storage, in elements, as the file claims it: nothing about it is checked yet."""
+    """A view of a storage, in elements, as the file describes it. The values are not checked yet."""
 
     storage: Storage
     offset: Any
@@ -67,21 +67,21 @@ class Tensor(NamedTuple):
 
 
 class Pickle(NamedTuple):
-    """One pickle, read."""
+    """The contents of one pickle."""
 
     value: Any
-    """Dictionaries, lists, tuples, numbers, strings and `Tensor`s; a `Storage` or `Name` where none belongs."""
+    """Dictionaries, lists, tuples, numbers, strings and `Tensor`s; also a `Storage` or `Name` in the wrong place."""
     storages: dict[str, Storage]
-    """What lies outside the pickle, by key."""
+    """The storages that the pickle refers to, by key."""
     end: int
-    """The place of the first byte after it."""
+    """Position of the first byte after the pickle."""
 
 
 def read_pickle(data: bytes, *, start: int = 0) -> Pickle:
-    """Returns the pickle that begins at a place of `data`.
+    """Returns the pickle at a position of `data`.
 
     Raises:
-        UserError: if it names or does anything else than tensors need, or is damaged.
+        UserError: It names or does something that tensors do not need, or it is damaged.
     """
     machine = _Machine(data, start)
     try:
@@ -90,7 +90,7 @@ def read_pickle(data: bytes, *, start: int = 0) -> Pickle:
         raise UserError(f"its pickle is cut off or damaged at byte {machine.position}") from None
 
 
-# How the argument of an instruction is stored: a number, or a count of bytes and then the bytes.
+# How the argument of an instruction is stored: as a number, or as a number of bytes and then the bytes.
 _FIXED = {
     pickle.BININT: "<i",
     pickle.BININT1: "<B",
@@ -122,7 +122,7 @@ _TUPLES = {pickle.TUPLE1: 1, pickle.TUPLE2: 2, pickle.TUPLE3: 3}
 
 
 class _Machine:
-    """The stack, the stacks put aside by open marks, and the memo."""
+    """The stack, the stacks below open marks, and the memo."""
 
     def __init__(self, data: bytes, position: int):
         self.position = position
@@ -133,10 +133,16 @@ class _Machine:
         self._memo: dict[int, Any] = {}
 
     def run(self) -> Any:
-        """Returns the value that is left when the pickle stops."""
+        """Returns the value on the stack when the pickle stops."""
         while (code := self._bytes(1)) != pickle.STOP:
             if code in _FIXED:
-                self._fixed(code, self._number(_FIXED[code]))
+                number = self._number(_FIXED[code])
+                if code in (pickle.BINGET, pickle.LONG_BINGET):
+                    self._stack.append(self._memo[number])
+                elif code in (pickle.BINPUT, pickle.LONG_BINPUT):
+                    self._memo[number] = self._stack[-1]
+                elif code not in (pickle.PROTO, pickle.FRAME):
+                    self._stack.append(number)
             elif code in _COUNTED:
                 content = self._bytes(self._number(_COUNTED[code]))
                 is_number = code == pickle.LONG1
@@ -147,11 +153,50 @@ class _Machine:
                 items = self._stack[-_TUPLES[code] :]
                 self._pop(_TUPLES[code])
                 self._stack.append(tuple(items))
-            elif code in _INSTRUCTIONS:
-                _INSTRUCTIONS[code](self)
             else:
-                raise UserError(f"its pickle has the instruction {_instruction_name(code)}, which no tensor needs")
+                self._execute(code)
         return self._stack.pop()
+
+    def _execute(self, code: bytes) -> None:
+        """Runs an instruction that takes its arguments from the stack, or is unknown."""
+        match code:
+            case pickle.MARK:
+                self._outer.append(self._stack)
+                self._stack = []
+            case pickle.MEMOIZE:
+                self._memo[len(self._memo)] = self._stack[-1]
+            case pickle.TUPLE | pickle.LIST:
+                items = self._marked()
+                self._stack.append(tuple(items) if code == pickle.TUPLE else items)
+            case pickle.DICT:
+                items = self._marked()
+                self._stack.append({})
+                self._set(items)
+            case pickle.SETITEM:
+                value, key = self._pop(), self._pop()
+                self._set([key, value])
+            case pickle.SETITEMS:
+                self._set(self._marked())
+            case pickle.APPEND:
+                self._append([self._pop()])
+            case pickle.APPENDS:
+                self._append(self._marked())
+            case pickle.GLOBAL:
+                self._push_name(self._line(), self._line())
+            case pickle.STACK_GLOBAL:
+                name, module = self._pop(), self._pop()
+                self._push_name(module, name)
+            case pickle.BINPERSID:
+                self._push_storage(self._pop())
+            case pickle.REDUCE:
+                arguments, name = self._pop(), self._pop()
+                self._stack.append(_made(name, arguments))
+            case pickle.BUILD:
+                self._drop_attributes(self._pop())
+            case _:
+                names = {known.code: known.name for known in pickletools.opcodes}
+                name = names.get(code.decode("latin-1"), repr(code))
+                raise UserError(f"its pickle has the instruction {name}, which no tensor needs")
 
     def _bytes(self, count: int) -> bytes:
         found = self._data[self.position : self.position + count]
@@ -170,57 +215,28 @@ class _Machine:
     def _number(self, layout: str) -> Any:
         return struct.unpack(layout, self._bytes(struct.calcsize(layout)))[0]
 
-    def _fixed(self, code: bytes, number: Any) -> None:
-        """Carries out an instruction whose argument is a number."""
-        if code in (pickle.BINGET, pickle.LONG_BINGET):
-            self._stack.append(self._memo[number])
-        elif code in (pickle.BINPUT, pickle.LONG_BINPUT):
-            self._memo[number] = self._stack[-1]
-        elif code not in (pickle.PROTO, pickle.FRAME):
-            self._stack.append(number)
-
     def _pop(self, count: int = 1) -> Any:
-        """Returns the last value taken off, having taken off `count` of them, which must be there."""
+        """Removes `count` values, which must exist, and returns the last one removed."""
         if len(self._stack) < count:
             raise _DamageError
         for _ in range(count):
             value = self._stack.pop()
         return value
 
-    def _mark(self) -> None:
-        self._outer.append(self._stack)
-        self._stack = []
-
     def _marked(self) -> list[Any]:
-        """Returns the values since the last mark, and forgets it."""
+        """Removes and returns the values since the last mark."""
         items, self._stack = self._stack, self._outer.pop()
         return items
 
-    def _memoize(self) -> None:
-        self._memo[len(self._memo)] = self._stack[-1]
-
-    def _make_tuple(self) -> None:
-        items = self._marked()
-        self._stack.append(tuple(items))
-
-    def _make_list(self) -> None:
-        items = self._marked()
-        self._stack.append(items)
-
-    def _make_dict(self) -> None:
-        items = self._marked()
-        self._stack.append({})
-        self._set(items)
-
     def _set(self, items: list[Any]) -> None:
-        """Puts keys and values by turns into the dictionary on the stack."""
+        """Puts alternating keys and values into the dictionary on the stack."""
         target = self._stack[-1]
         if type(target) is not dict or len(items) % 2:
             raise _DamageError
         for key, value in zip(items[::2], items[1::2], strict=True):
-            # Other keys could make hashing or comparing them take for ever.
+            # Hashing or comparing keys of other types could take forever.
             if not isinstance(key, str) and not (isinstance(key, int) and abs(key) < 2**63):
-                raise UserError(f"holds a dictionary whose keys are neither strings nor numbers ({_kind(key)})")
+                raise UserError(f"has a dictionary whose keys are neither strings nor numbers ({_kind(key)})")
             target[key] = value
 
     def _append(self, items: list[Any]) -> None:
@@ -228,111 +244,58 @@ class _Machine:
             raise _DamageError
         self._stack[-1].extend(items)
 
-    def _set_item(self) -> None:
-        value, key = self._pop(), self._pop()
-        self._set([key, value])
-
-    def _set_items(self) -> None:
-        self._set(self._marked())
-
-    def _append_item(self) -> None:
-        self._append([self._pop()])
-
-    def _append_items(self) -> None:
-        self._append(self._marked())
-
-    def _name(self) -> None:
-        self._push_name(self._line(), self._line())
-
-    def _name_from_stack(self) -> None:
-        name, module = self._pop(), self._pop()
-        self._push_name(module, name)
-
     def _push_name(self, module: Any, name: Any) -> None:
         text = f"{module}.{name}" if isinstance(module, str) and isinstance(name, str) else "something without a name"
-        # The name must be one word: `a.b` would be a way into what `a` holds.
+        # The name must not contain dots: `a.b` would give access to the attributes of `a`.
         if text not in _NAMES or "." in name:
             raise UserError(
-                f"holds {_shown(text)}, which is not a tensor, dictionary, number or string; refused, nothing was run"
+                f"contains {_shown(text)}, which is not a tensor, dictionary, number or string; "
+                "refused, nothing was run"
             )
         self._stack.append(Name(text))
 
-    def _storage(self) -> None:
-        """Puts what a persistent id means on the stack: kind, type, key, device (no matter) and count of a storage."""
-        found = self._pop()
+    def _push_storage(self, found: Any) -> None:
+        """Pushes the storage of a persistent id, which has kind, type, key, device (ignored) and count."""
         if not isinstance(found, tuple) or len(found) not in (5, 6) or found[0] != "storage":
             raise UserError("refers to something outside the pickle that is not a storage of numbers")
         _, kind, key, _, count, *view = found
         if not isinstance(kind, Name) or kind.text not in _STORAGES:
             raise UserError(f"has a storage of an unknown type ({_kind(kind)})")
         if not isinstance(key, str) or type(count) is not int or count < 0 or view not in ([], [None]):
-            raise UserError("has a storage that is described in a way no version of PyTorch does")
+            raise UserError("has a storage that is not described as PyTorch does")
         storage = Storage(key, _STORAGES[kind.text], count)
         if self.storages.setdefault(key, storage) != storage:
             raise UserError(f"describes storage {_shown(key)} in two ways")
         self._stack.append(storage)
 
-    def _reduce(self) -> None:
-        """Puts what a name stands for, given its arguments, on the stack."""
-        arguments, name = self._pop(), self._pop()
-        made = _made(name.text, arguments) if isinstance(name, Name) and isinstance(arguments, tuple) else None
-        if made is None:
-            raise UserError(
-                f"makes something of {_kind(name)} in a way no version of PyTorch does; refused, nothing was run"
-            )
-        self._stack.append(made)
-
-    def _build(self) -> None:
-        """Drops what a dictionary is to remember beside its content, such as the `_metadata` of a state dict."""
-        self._pop()
+    def _drop_attributes(self, _: Any) -> None:
+        """Ignores the attributes of a dictionary, such as the `_metadata` of a state dict."""
         if type(self._stack[-1]) is not dict:
             raise UserError(
-                f"changes the inside of {_kind(self._stack[-1])}, which is not a dictionary; refused, nothing was run"
+                f"sets attributes of {_kind(self._stack[-1])}, which is not a dictionary; refused, nothing was run"
             )
 
 
-def _made(name: str, arguments: tuple) -> Any:
-    """Returns the plain value or the record that a name makes of its arguments, None where they do not fit."""
-    if name == _ORDERED_DICT and not arguments:
-        return {}
-    if name == _SIZE and len(arguments) == 1 and isinstance(arguments[0], tuple):
-        return arguments[0]
-    if name == _PARAMETER and len(arguments) == 3 and isinstance(arguments[0], Tensor):
-        return arguments[0]
-    # After the view: requires_grad, backward hooks, and marks of lazily conjugated or negated tensors.
-    if name == _TENSOR and len(arguments) in (6, 7) and isinstance(arguments[0], Storage) and not any(arguments[6:]):
-        return Tensor(*arguments[:4])
-    return None
-
-
-def _instruction_name(code: bytes) -> str:
-    names = {known.code: known.name for known in pickletools.opcodes}
-    return names.get(code.decode("latin-1"), repr(code))
+def _made(name: Any, arguments: Any) -> Any:
+    """Returns the plain value or record that a name makes of its arguments."""
+    if isinstance(name, Name) and isinstance(arguments, tuple):
+        if name.text == _ORDERED_DICT and not arguments:
+            return {}
+        if name.text == _SIZE and len(arguments) == 1 and isinstance(arguments[0], tuple):
+            return arguments[0]
+        if name.text == _PARAMETER and len(arguments) == 3 and isinstance(arguments[0], Tensor):
+            return arguments[0]
+        is_tensor = name.text == _TENSOR and len(arguments) in (6, 7) and isinstance(arguments[0], Storage)
+        # Arguments after the view: requires_grad, backward hooks, and marks of lazily conjugated or negated tensors.
+        if is_tensor and not any(arguments[6:]):
+            return Tensor(*arguments[:4])
+    raise UserError(f"calls {_kind(name)} in a way that no version of PyTorch does; refused, nothing was run")
 
 
 def _kind(value: Any) -> str:
-    """Returns what to call a value in a refusal."""
+    """Returns the description of a value for an error message."""
     return _shown(value.text) if isinstance(value, Name) else f"a value of type {type(value).__name__}"
 
 
 def _shown(text: str) -> str:
     return repr(text if len(text) <= 60 else f"{text[:57]}…")
-
-
-_INSTRUCTIONS: dict[bytes, Callable[[_Machine], None]] = {
-    pickle.MARK: _Machine._mark,
-    pickle.MEMOIZE: _Machine._memoize,
-    pickle.TUPLE: _Machine._make_tuple,
-    pickle.LIST: _Machine._make_list,
-    pickle.DICT: _Machine._make_dict,
-    pickle.SETITEM: _Machine._set_item,
-    pickle.SETITEMS: _Machine._set_items,
-    pickle.APPEND: _Machine._append_item,
-    pickle.APPENDS: _Machine._append_items,
-    pickle.GLOBAL: _Machine._name,
-    pickle.STACK_GLOBAL: _Machine._name_from_stack,
-    pickle.BINPERSID: _Machine._storage,
-    pickle.REDUCE: _Machine._reduce,
-    pickle.BUILD: _Machine._build,
-}
-"""What each instruction without an argument does."""

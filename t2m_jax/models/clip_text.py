@@ -7,7 +7,7 @@ import flax.linen as nn
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from t2m_jax.config import check_sizes
+from t2m_jax.config import check_limits, check_sizes
 from t2m_jax.models.transformer import WEIGHT_INIT, Attention
 
 Activation = Literal["quick_gelu", "gelu"]
@@ -43,6 +43,8 @@ class ClipTextConfig:
 
     def __post_init__(self) -> None:
         check_sizes(self, *(f.name for f in dataclasses.fields(self) if f.name not in ("end_token", "max_length")))
+        check_limits(self, vocabulary_size=1_000_000, max_length=4096, embed_dim=16_384, num_layers=64, mlp_dim=65_536)
+        check_limits(self, text_dim=65_536)
         if self.max_length < 2:
             raise ValueError(f"max_length: {self.max_length} has no room for a start and an end")
         if self.embed_dim % self.num_heads:

@@ -8,12 +8,12 @@ import pytest
 from flax import traverse_util
 from safetensors.numpy import save_file
 
-from t2m_jax.checkpoints.bundle import vqvae_shapes
 from t2m_jax.checkpoints.official.export import gpt_state_dict, vqvae_state_dict
 from t2m_jax.checkpoints.official.load import load_gpt, load_vqvae
 from t2m_jax.checkpoints.official.names import gpt_constant_shapes, gpt_weights, vqvae_constant_shapes, vqvae_weights
 from t2m_jax.errors import UserError
-from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
+from t2m_jax.models.motion_gpt import MotionGptConfig
+from t2m_jax.models.system import variable_shapes
 from t2m_jax.models.vqvae import VqVaeConfig
 from tests.checkpoints.torch_archives import entry, number, text, write_archive
 from tests.golden_files import state_dict
@@ -32,11 +32,6 @@ def golden(golden_dir, name):
     """Returns the state dict of a golden file and what it was made with."""
     with np.load(golden_dir / "t2m_gpt" / f"{name}.npz") as arrays:
         return state_dict(arrays), json.loads(str(arrays["config_json"]))
-
-
-def gpt_shapes(config):
-    tokens, text = jax.numpy.zeros((1, 0), "int32"), jax.numpy.zeros((1, config.text_dim))
-    return jax.eval_shape(lambda: MotionGpt(config).init(jax.random.key(0), tokens, text, train=False))
 
 
 def written(tmp_path, arrays, name="x.safetensors"):
@@ -72,7 +67,7 @@ def test_full_size_tables(golden_dir, table, config):
 def test_every_array_of_ours_has_one_name_in_the_original(norm, quantizer):
     config = VqVaeConfig(num_codes=7, code_dim=5, width=32, num_stages=3, depth=2, norm=norm, quantizer=quantizer)
     weights = list(vqvae_weights(config))
-    ours = shapes(vqvae_shapes(config))
+    ours = shapes(variable_shapes(config))
     for name in ("ema_sum", "ema_count", "initialised"):  # not in the original's files
         ours.pop(("codebook", "quantizer", name), None)
     assert {weight.path: weight.shape[::-1] if weight.is_reversed else weight.shape for weight in weights} == ours
@@ -82,7 +77,7 @@ def test_every_array_of_ours_has_one_name_in_the_original(norm, quantizer):
 def test_every_array_of_our_gpt_has_one_name_in_the_original():
     config = MotionGptConfig(num_codes=9, embed_dim=6, text_dim=5, num_layers=5, num_heads=2, mlp_ratio=3, block_size=7)
     weights = list(gpt_weights(config, num_base=2))
-    ours = shapes(gpt_shapes(config))
+    ours = shapes(variable_shapes(config))
     assert {weight.path: weight.shape[::-1] if weight.is_reversed else weight.shape for weight in weights} == ours
     assert len({weight.key for weight in weights}) == len(weights)
 
@@ -103,7 +98,7 @@ def test_vqvae_there_and_back_is_bit_identical(golden_dir, tmp_path, name):
         norm=sizes["norm"] or "none",
         quantizer=kind,
     )
-    assert shapes(variables) == shapes(vqvae_shapes(config))
+    assert shapes(variables) == shapes(variable_shapes(config))
     back = vqvae_state_dict(variables, config)
     assert back.keys() == state.keys()
     for key, array in state.items():
@@ -136,7 +131,7 @@ def test_gpt_there_and_back_is_bit_identical(golden_dir, tmp_path, name):
 @pytest.mark.parametrize("quantizer", ["orig", "ema"])
 def test_our_vqvae_there_and_back(tmp_path, norm, quantizer):
     config = VqVaeConfig(num_codes=7, code_dim=5, width=32, depth=2, norm=norm, quantizer=quantizer)
-    variables = random_variables(vqvae_shapes(config))
+    variables = random_variables(variable_shapes(config))
     state = vqvae_state_dict(variables, config)
     if norm == "BN":
         assert state["vqvae.encoder.model.2.1.model.0.norm1.num_batches_tracked"].dtype == np.int64
@@ -154,7 +149,7 @@ def test_our_vqvae_there_and_back(tmp_path, norm, quantizer):
 
 
 def test_our_gpt_there_and_back(tmp_path):
-    variables = random_variables(gpt_shapes(GPT))
+    variables = random_variables(variable_shapes(GPT))
     config, found = load_gpt(written(tmp_path, gpt_state_dict(variables, GPT)), num_heads=GPT.num_heads)
     assert config == GPT
     jax.tree.map(np.testing.assert_array_equal, found, variables)
@@ -208,12 +203,12 @@ MASK, KEY = "trans_head.blocks.1.attn.mask", "trans_base.blocks.1.attn.key.weigh
         (load_vqvae, VQVAE_NAMES[0], CONV, None, "is missing"),
         (load_vqvae, VQVAE_NAMES[0], CODEBOOK, None, "is missing"),
         (load_vqvae, VQVAE_NAMES[0], "vqvae.extra.weight", lambda _: np.ones(3), "is not part of the model"),
-        (load_vqvae, VQVAE_NAMES[0], CONV, lambda old: old[:-1], "has shape (31, 32, 1), the other keys want"),
+        (load_vqvae, VQVAE_NAMES[0], CONV, lambda old: old[:-1], "has shape (31, 32, 1); its config needs"),
         (load_vqvae, VQVAE_NAMES[0], CONV, lambda old: old * np.nan, "not finite"),
         (load_vqvae, VQVAE_NAMES[0], CONV, lambda old: old.astype(np.float64) + 1e300, "not finite"),
         (load_vqvae, VQVAE_NAMES[0], CONV, lambda old: old.astype(np.int32), "holds int32"),
         (load_vqvae, VQVAE_NAMES[0], CODEBOOK, lambda old: old[:, :5], "has shape"),
-        (load_vqvae, VQVAE_NAMES[0], CODEBOOK, lambda old: old[:, 0], "2 axes are wanted"),
+        (load_vqvae, VQVAE_NAMES[0], CODEBOOK, lambda old: old[:, 0], "2 axes are needed"),
         (load_vqvae, VQVAE_NAMES[0], CODEBOOK, lambda old: old[:0], "num_codes: 0"),
         (load_gpt, "gpt_l2", MASK, None, "is missing"),
         (load_gpt, "gpt_l2", MASK, np.ones_like, "is not the table"),
@@ -240,19 +235,19 @@ def test_what_does_not_fit_is_named(golden_dir, tmp_path, load, name, key, chang
 
 def test_files_of_something_else_are_named(golden_dir, tmp_path):
     folder = golden_dir / "t2m_gpt"
-    assert "holds a GPT ('trans'), but a VQ-VAE is wanted" in refusal(load_vqvae, folder / "ckpt_gpt_small.pth")
-    assert "holds a VQ-VAE ('net'), but a GPT is wanted" in refusal(load_gpt, folder / "ckpt_vqvae_small.pth")
+    assert "contains a GPT ('trans'), but a VQ-VAE is needed" in refusal(load_vqvae, folder / "ckpt_gpt_small.pth")
+    assert "contains a VQ-VAE ('net'), but a GPT is needed" in refusal(load_gpt, folder / "ckpt_vqvae_small.pth")
     assert "'vqvae.encoder.model.0.weight' is missing" in refusal(load_vqvae, golden_dir / "torch" / "zip.pth")
     path = write_archive(tmp_path / "x.pth", entry(text("trans"), number(3)))
     assert "'trans' is not a dictionary of tensors" in refusal(load_gpt, path)
     path = write_archive(tmp_path / "x.pth", entry(text("epoch"), number(3)))
-    assert "'epoch' is not a tensor of a GPT" in refusal(load_gpt, path)
+    assert "'epoch' in 'trans' is not a tensor" in refusal(load_gpt, path)
     assert "is missing" in refusal(load_gpt, written(tmp_path, {"a": np.ones(2)}))
     (tmp_path / "damaged.safetensors").write_bytes(b"no")
     assert "damaged" in refusal(load_gpt, tmp_path / "damaged.safetensors")
     assert "num_heads: 5 does not divide" in refusal(load_gpt, folder / "ckpt_gpt_small.pth", num_heads=5)
     assert "num_heads: 0" in refusal(load_gpt, folder / "ckpt_gpt_small.pth", num_heads=0)
     config = VqVaeConfig(**{**vars(VQVAE), "norm": "LN"})
-    state = vqvae_state_dict(random_variables(vqvae_shapes(config)), config)
+    state = vqvae_state_dict(random_variables(variable_shapes(config)), config)
     assert "width: 16 is not a multiple" in refusal(load_vqvae, written(tmp_path, state), norm="GN")
     assert "is not part of the model" in refusal(load_vqvae, written(tmp_path, state), norm="none")

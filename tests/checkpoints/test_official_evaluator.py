@@ -126,7 +126,7 @@ def test_what_does_not_fit_is_named(golden_dir, state, table, tmp_path):
     path = tmp_path / "finest.tar"
     key = "text_encoder.gru.weight_hh_l0_reverse"
     less = {name: array for name, array in state.items() if name != key}
-    assert refusal(write_finest(path, less)).startswith(f"{path}: '{key}' is missing")
+    assert refusal(write_finest(path, less)).startswith(f"{path}: array '{key}' is missing")
     assert "has shape (66, 21)" in refusal(write_finest(path, state | {key: state[key][:, :-1]}))
     assert "not finite" in refusal(write_finest(path, state | {key: state[key] * np.nan}))
     assert "is not part of the model" in refusal(write_finest(path, state | {"text_encoder.x": np.ones(2)}))
@@ -134,7 +134,7 @@ def test_what_does_not_fit_is_named(golden_dir, state, table, tmp_path):
     assert "'text_encoder' is missing" in refusal(golden_dir / "t2m_gpt" / "ckpt_gpt_small.pth")
     np.save(table, np.ones((3, 5)))
     assert "vectors of 5 numbers" in refusal(write_finest(path, state), word_vectors=table)
-    assert "cannot be read" in refusal(path, word_vectors=tmp_path / "none.npy")
+    assert "there is no such file" in refusal(path, word_vectors=tmp_path / "none.npy")
 
 
 @pytest.fixture
@@ -185,14 +185,17 @@ def test_published_statistics_weigh_root_and_contacts_by_25(golden_dir):
 def test_files_that_make_no_evaluator_are_refused(published, capsys):
     _, folder = published
     assert convert(folder, "--gpt", "gpt.pth") == 2
-    assert "--gpt is no part of an evaluator" in capsys.readouterr().err
+    assert "--gpt cannot be used with an evaluator" in capsys.readouterr().err
     assert main(["convert", "official", "--evaluator", "finest.tar", str(folder / "evaluator")]) == 2
-    assert "--words, --word-vectors missing; an evaluator is made of all five files" in capsys.readouterr().err
+    assert (
+        "--words, --word-vectors missing; an evaluator needs --evaluator, --mean, --std, --words, --word-vectors"
+        in capsys.readouterr().err
+    )
     (folder / "words.txt").write_text("sos\neos\nunk\n")
     assert convert(folder) == 2
-    assert "words.txt: 3 words, but" in capsys.readouterr().err
+    assert "words.txt: has 3 words, but" in capsys.readouterr().err
     np.save(folder / "mean.npy", np.zeros(251))
     np.save(folder / "std.npy", np.ones(251))
     assert convert(folder) == 2
-    assert "statistics of 251 features" in capsys.readouterr().err
+    assert "statistics are for 251 features" in capsys.readouterr().err
     assert not (folder / "evaluator").exists()

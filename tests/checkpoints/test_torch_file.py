@@ -1,4 +1,4 @@
-"""Files of `torch.save`: what PyTorch wrote comes back. What is refused stands in test_hostile_torch_file.py."""
+"""Files of `torch.save`: what PyTorch wrote comes back. For what is refused, see test_hostile_torch_file.py."""
 
 import pickle
 
@@ -70,7 +70,7 @@ def test_published_form(golden_dir, name, arrays):
 
 @pytest.mark.parametrize(("name", "word"), [("module.pth", "torch.nn.modules.linear.Linear"), ("dtype.pth", "float32")])
 def test_what_is_no_tensor_is_refused_by_name(golden_dir, name, word):
-    with pytest.raises(UserError, match=f"{name}: holds '.*{word}', which is not a tensor"):
+    with pytest.raises(UserError, match=f"{name}: contains '.*{word}', which is not a tensor"):
         load_torch_file(golden_dir / "torch" / name)
 
 
@@ -118,5 +118,5 @@ def test_what_is_no_file_of_torch_save(tmp_path):
         path.write_bytes(content)
         with pytest.raises(UserError, match=r"x\.pth: not a file of torch\.save"):
             load_torch_file(path)
-    with pytest.raises(UserError, match="holds a list where a dictionary"):
+    with pytest.raises(UserError, match="contains a list, but a dictionary"):
         load_torch_file(write_archive(path, b"\x80\x02]."))

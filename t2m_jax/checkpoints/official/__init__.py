@@ -1,5 +1,13 @@
-"""Checkpoints of the original PyTorch code: reading them without PyTorch, and writing them."""
+"""Checkpoints of the original PyTorch code: read without PyTorch, and written."""
 
+from t2m_jax.checkpoints.official.bundle import (
+    OfficialEvaluatorFiles,
+    OfficialFiles,
+    OfficialOptions,
+    load_official,
+    load_official_evaluator,
+    official_card,
+)
 from t2m_jax.checkpoints.official.export import export_official
 from t2m_jax.checkpoints.official.load import (
     evaluator_variables,
@@ -11,11 +19,17 @@ from t2m_jax.checkpoints.official.load import (
 )
 
 __all__ = [
+    "OfficialEvaluatorFiles",
+    "OfficialFiles",
+    "OfficialOptions",
     "evaluator_variables",
     "export_official",
     "gpt_variables",
     "load_evaluator",
     "load_gpt",
+    "load_official",
+    "load_official_evaluator",
     "load_vqvae",
+    "official_card",
     "vqvae_variables",
 ]

@@ -1,4 +1,4 @@
-"""What every weight is called in the original PyTorch code (T2M-GPT b1446f1, text-to-motion) and in our modules."""
+"""Names of every weight in the original PyTorch code (T2M-GPT b1446f1, text-to-motion) and in our modules."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -11,32 +11,32 @@ from t2m_jax.models.vqvae import VqVaeConfig
 
 
 class Weight(NamedTuple):
-    """One array, in both worlds."""
+    """One array in the original and in our variables."""
 
     key: str
-    """Its name in the original's state dict."""
+    """Name in the original's state dict."""
     shape: tuple[int, ...]
-    """Its shape there."""
+    """Shape in the original."""
     path: tuple[str, ...]
     """Collection, modules and name in our variables."""
     is_reversed: bool = False
-    """Whether the axes stand the other way round: (out, in, kernel) and (out, in) there, the input first here."""
+    """Whether the order of the axes differs: (out, in, kernel) or (out, in) in the original, reversed in ours."""
 
 
 def vqvae_weights(config: VqVaeConfig) -> Iterator[Weight]:
     """Yields every array of a `VqVae` that the original saves."""
     encoder, decoder, last = "vqvae.encoder.model", "vqvae.decoder.model", 2 + config.num_stages
     features, width, codes = config.feature_dim, config.width, config.code_dim
-    yield from _conv(f"{encoder}.0", (width, features, 3), "encoder", "input")
-    yield from _conv(f"{decoder}.0", (width, codes, 3), "decoder", "input")
+    yield from _layer(f"{encoder}.0", (width, features, 3), "encoder", "input", "conv")
+    yield from _layer(f"{decoder}.0", (width, codes, 3), "decoder", "input", "conv")
     for stage in range(config.num_stages):
-        yield from _conv(f"{encoder}.{2 + stage}.0", (width, width, 4), "encoder", f"down_{stage}")
+        yield from _layer(f"{encoder}.{2 + stage}.0", (width, width, 4), "encoder", f"down_{stage}", "conv")
         yield from _stack(f"{encoder}.{2 + stage}.1", config, "encoder", f"stack_{stage}")
         yield from _stack(f"{decoder}.{2 + stage}.0", config, "decoder", f"stack_{stage}")
-        yield from _conv(f"{decoder}.{2 + stage}.2", (width, width, 3), "decoder", f"up_{stage}")
-    yield from _conv(f"{encoder}.{last}", (codes, width, 3), "encoder", "output")
-    yield from _conv(f"{decoder}.{last}", (width, width, 3), "decoder", "penultimate")
-    yield from _conv(f"{decoder}.{last + 2}", (features, width, 3), "decoder", "output")
+        yield from _layer(f"{decoder}.{2 + stage}.2", (width, width, 3), "decoder", f"up_{stage}", "conv")
+    yield from _layer(f"{encoder}.{last}", (codes, width, 3), "encoder", "output", "conv")
+    yield from _layer(f"{decoder}.{last}", (width, width, 3), "decoder", "penultimate", "conv")
+    yield from _layer(f"{decoder}.{last + 2}", (features, width, 3), "decoder", "output", "conv")
     codebook = (config.num_codes, codes)
     if config.quantizer == "orig":
         yield Weight("vqvae.quantizer.embedding.weight", codebook, ("params", "quantizer", "codebook"))
@@ -44,9 +44,10 @@ def vqvae_weights(config: VqVaeConfig) -> Iterator[Weight]:
         yield Weight("vqvae.quantizer.codebook", codebook, ("codebook", "quantizer", "codebook"))
 
 
-def _conv(key: str, shape: tuple[int, int, int], *path: str) -> Iterator[Weight]:
-    yield Weight(f"{key}.weight", shape, ("params", *path, "conv", "kernel"), is_reversed=True)
-    yield Weight(f"{key}.bias", shape[:1], ("params", *path, "conv", "bias"))
+def _layer(key: str, shape: tuple[int, ...], *path: str) -> Iterator[Weight]:
+    """Yields kernel and bias of a dense layer or a convolution."""
+    yield Weight(f"{key}.weight", shape, ("params", *path, "kernel"), is_reversed=True)
+    yield Weight(f"{key}.bias", shape[:1], ("params", *path, "bias"))
 
 
 def _norm(key: str, width: int, *path: str) -> Iterator[Weight]:
@@ -59,8 +60,8 @@ def _stack(key: str, config: VqVaeConfig, *path: str) -> Iterator[Weight]:
     width = config.width
     for unit in range(config.depth):
         name, place = f"{key}.model.{unit}", (*path, f"unit_{unit}")
-        yield from _conv(f"{name}.conv1", (width, width, 3), *place, "dilated")
-        yield from _conv(f"{name}.conv2", (width, width, 1), *place, "pointwise")
+        yield from _layer(f"{name}.conv1", (width, width, 3), *place, "dilated", "conv")
+        yield from _layer(f"{name}.conv2", (width, width, 1), *place, "pointwise", "conv")
         for norm in ("norm1", "norm2") if config.norm != "none" else ():
             yield from _norm(f"{name}.{norm}", width, *place, norm)
             if config.norm == "BN":
@@ -69,7 +70,7 @@ def _stack(key: str, config: VqVaeConfig, *path: str) -> Iterator[Weight]:
 
 
 def vqvae_constant_shapes(config: VqVaeConfig) -> dict[str, tuple[int, ...]]:
-    """Returns what the original saves beside the weights: how many batches a norm has seen. Nothing depends on it."""
+    """Returns the shapes of what the original saves besides the weights: how many batches each norm has seen."""
     keys = [weight.key.rpartition(".") for weight in vqvae_weights(config)]
     return {f"{norm}.num_batches_tracked": () for norm, _, name in keys if name == "running_mean"}
 
@@ -79,23 +80,18 @@ def gpt_weights(config: MotionGptConfig, *, num_base: int) -> Iterator[Weight]:
     width, inner = config.embed_dim, config.mlp_ratio * config.embed_dim
     tokens = (config.num_codes + 2, width)
     yield Weight("trans_base.tok_emb.weight", tokens, ("params", "token_embedding", "embedding"))
-    yield from _dense("trans_base.cond_emb", (width, config.text_dim), "text_projection")
+    yield from _layer("trans_base.cond_emb", (width, config.text_dim), "text_projection")
     for layer, key in enumerate(_blocks(config, num_base=num_base)):
         block = f"block_{layer}"
         yield from _norm(f"{key}.ln1", width, block, "ln1")
         yield from _norm(f"{key}.ln2", width, block, "ln2")
         for name in ("query", "key", "value", "proj"):
-            yield from _dense(f"{key}.attn.{name}", (width, width), block, "attn", name)
-        yield from _dense(f"{key}.mlp.0", (inner, width), block, "mlp", "up")
-        yield from _dense(f"{key}.mlp.2", (width, inner), block, "mlp", "down")
+            yield from _layer(f"{key}.attn.{name}", (width, width), block, "attn", name)
+        yield from _layer(f"{key}.mlp.0", (inner, width), block, "mlp", "up")
+        yield from _layer(f"{key}.mlp.2", (width, inner), block, "mlp", "down")
     yield from _norm("trans_head.ln_f", width, "final_norm")
     head = (config.num_codes + 1, width)
     yield Weight("trans_head.head.weight", head, ("params", "head", "kernel"), is_reversed=True)
-
-
-def _dense(key: str, shape: tuple[int, int], *path: str) -> Iterator[Weight]:
-    yield Weight(f"{key}.weight", shape, ("params", *path, "kernel"), is_reversed=True)
-    yield Weight(f"{key}.bias", shape[:1], ("params", *path, "bias"))
 
 
 def _blocks(config: MotionGptConfig, *, num_base: int) -> list[str]:
@@ -107,14 +103,17 @@ _FIXED_POSITIONS, _UNUSED_POSITIONS = "trans_base.pos_embed.embed", "trans_base.
 
 
 def gpt_constant_shapes(config: MotionGptConfig, *, num_base: int) -> dict[str, tuple[int, ...]]:
-    """Returns what the original saves beside the weights: causal masks, a fixed position table, and one never read."""
+    """Returns the shapes of what the original saves besides the weights: causal masks and two position tables.
+
+    One table is the fixed sinusoid. The other is learned, but the original never reads it.
+    """
     length, width = config.block_size, config.embed_dim
     masks = {f"{block}.attn.mask": (1, 1, length, length) for block in _blocks(config, num_base=num_base)}
     return masks | {_FIXED_POSITIONS: (length, 1, width), _UNUSED_POSITIONS: (length, width)}
 
 
 def constant(key: str, shape: tuple[int, ...]) -> np.ndarray:
-    """Returns an array of the original that follows from its name and shape alone; zeros where any value would do."""
+    """Returns an array that the original saves and that is not learned; zeros if its values are not used."""
     if key == _FIXED_POSITIONS:
         return sinusoidal_table(shape[0], shape[2])[:, None]
     if key.endswith(".attn.mask"):
@@ -128,37 +127,32 @@ def is_used(key: str) -> bool:
 
 
 EVALUATOR_PARTS = ("text_encoder", "motion_encoder", "movement_encoder")
-"""The dictionaries of a checkpoint of the evaluator; here their names stand before the keys, with a dot."""
+"""The dictionaries in a checkpoint of the evaluator. Our keys begin with their names and a dot."""
 
 
 def evaluator_weights(config: EvaluatorConfig) -> Iterator[Weight]:
-    """Yields every array of an `Evaluator` that the original saves: all but the word vectors."""
+    """Yields every array of an `Evaluator` that the original saves: everything except the word vectors."""
     hidden, width, features = config.movement_hidden, config.movement_dim, config.feature_dim - NUM_CONTACTS
-    yield from _plain_conv("movement_encoder.main.0", (hidden, features, 4), "movement_encoder", "conv_0")
-    yield from _plain_conv("movement_encoder.main.3", (width, hidden, 4), "movement_encoder", "conv_1")
-    yield from _dense("movement_encoder.out_net", (width, width), "movement_encoder", "output")
+    yield from _layer("movement_encoder.main.0", (hidden, features, 4), "movement_encoder", "conv_0")
+    yield from _layer("movement_encoder.main.3", (width, hidden, 4), "movement_encoder", "conv_1")
+    yield from _layer("movement_encoder.out_net", (width, width), "movement_encoder", "output")
     yield from _sequence_encoder("motion_encoder", (width, config.motion_hidden, config.embedding_dim))
     classes = (config.word_dim, config.num_parts_of_speech)
-    yield from _dense("text_encoder.pos_emb", classes, "part_of_speech_projection")
+    yield from _layer("text_encoder.pos_emb", classes, "part_of_speech_projection")
     yield from _sequence_encoder("text_encoder", (config.word_dim, config.text_hidden, config.embedding_dim))
 
 
-def _plain_conv(key: str, shape: tuple[int, int, int], *path: str) -> Iterator[Weight]:
-    yield Weight(f"{key}.weight", shape, ("params", *path, "kernel"), is_reversed=True)
-    yield Weight(f"{key}.bias", shape[:1], ("params", *path, "bias"))
-
-
 def _sequence_encoder(part: str, sizes: tuple[int, int, int]) -> Iterator[Weight]:
-    """Yields the weights of one `SequenceEncoder`, which is called the same in both worlds."""
+    """Yields the weights of one `SequenceEncoder`, which has the same name in the original."""
     inputs, hidden, outputs = sizes
     yield Weight(f"{part}.hidden", (2, 1, hidden), ("params", part, "gru", "initial_state"))
-    yield from _dense(f"{part}.input_emb", (hidden, inputs), part, "input")
+    yield from _layer(f"{part}.input_emb", (hidden, inputs), part, "input")
     for name, suffix in (("forward", ""), ("backward", "_reverse")):
         gru, place = f"{part}.gru.{{}}_l0{suffix}", ("params", part, "gru", name)
         for kind, shape in (("weight", (3 * hidden, hidden)), ("bias", (3 * hidden,))):
             is_matrix, ours = kind == "weight", "kernel" if kind == "weight" else "bias"
             yield Weight(gru.format(f"{kind}_ih"), shape, (*place, "input", ours), is_reversed=is_matrix)
             yield Weight(gru.format(f"{kind}_hh"), shape, (*place, f"recurrent_{ours}"), is_reversed=is_matrix)
-    yield from _dense(f"{part}.output_net.0", (hidden, 2 * hidden), part, "head")
+    yield from _layer(f"{part}.output_net.0", (hidden, 2 * hidden), part, "head")
     yield from _norm(f"{part}.output_net.1", hidden, part, "head_norm")
-    yield from _dense(f"{part}.output_net.3", (outputs, hidden), part, "output")
+    yield from _layer(f"{part}.output_net.3", (outputs, hidden), part, "output")
