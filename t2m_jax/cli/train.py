@@ -90,7 +90,8 @@ def _config(kind: str, name: str) -> Any:
 
     if name in preset_names() and not Path(name).exists():
         return load_preset(kind, name)
-    return load_config(name, find_trainer(kind).config)
+    schema: Any = find_trainer(kind).config
+    return load_config(name, schema)
 
 
 def _show_differences(args: argparse.Namespace) -> None:

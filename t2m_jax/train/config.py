@@ -2,7 +2,7 @@
 
 import dataclasses
 from pathlib import Path
-from typing import ClassVar, Literal, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 from t2m_jax.config import check_sizes
 
@@ -98,7 +98,7 @@ def compiled_config(config: Config) -> Config:
 
     Steps are compiled for this config, so runs that differ in folders and intervals share their programs.
     """
-    defaults = {
+    defaults: dict[str, Any] = {
         field.name: Path() if field.name == "run" else field.default
         for field in dataclasses.fields(config)
         if field.name in config.not_compiled

@@ -82,7 +82,7 @@ class Setup:
     update: Callable[[Any, Any], tuple[Any, Metrics]]
     """From a state and `data` to the next state and metrics with a `loss`; jitted, donates the state."""
     optimizer: OptimizerConfig
-    frames_per_step: float
+    frames_per_step: int | float
     """For the log."""
     weights: Callable[[Any], Mapping[str, Any]]
     """The fields of a state that are the model: training state field -> tree of arrays."""
@@ -99,7 +99,8 @@ class Setup:
 class Trainer(NamedTuple):
     """How one kind of model is trained."""
 
-    config: type[ExperimentConfig]
+    config: Callable[..., Any]
+    """The config class."""
     prepare: Callable[[Any, bool], Setup]
     """From a resolved config, and whether the run is resumed, to the setup. Raises `UserError` if parts do not fit."""
     resolve: Callable[[Any, bool], Any] = lambda config, resume: config
@@ -132,7 +133,8 @@ def load_run_config(run: Path) -> Any:
     Raises:
         UserError: The folder is not a run, or its config is damaged.
     """
-    return load_config(run / CONFIG_FILE, find_trainer(run_info(run).kind).config)
+    schema: Any = find_trainer(run_info(run).kind).config
+    return load_config(run / CONFIG_FILE, schema)
 
 
 def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
@@ -207,10 +209,10 @@ def open_evaluation(setup: Setup) -> EvaluationTask | None:
         UserError: The evaluator is missing or does not fit the data, or the validation split is too small.
     """
     evaluation = setup.evaluation
-    if evaluation is None or evaluation.config.evaluator is None:
+    evaluator = None if evaluation is None else evaluation.config.evaluator
+    if evaluation is None or evaluator is None:
         return None
-    config = evaluation.config
-    return open_held_out(setup.dataset, config.evaluator, seed=config.seed, unit=evaluation.unit)
+    return open_held_out(setup.dataset, evaluator, seed=evaluation.config.seed, unit=evaluation.unit)
 
 
 def make_best(run: Path, setup: Setup, held_out: EvaluationTask | None) -> BestWeights | None:

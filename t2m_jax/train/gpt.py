@@ -108,8 +108,9 @@ def gpt_metrics(
     inputs, rngs, caption_key = batch.targets.tokens[:, :-1], {}, None
     if keys is not None:
         caption_key, rngs = keys[1], {"dropout": keys[2]}
-        drawn = {"tau": config.tau, "num_codes": config.model.num_codes, "past_end": config.corrupt_past_end}
-        inputs = (corruption or draw_corruption(inputs, keys[0], **drawn)).apply(inputs)
+        num_codes, past_end = config.model.num_codes, config.corrupt_past_end
+        drawn = draw_corruption(inputs, keys[0], tau=config.tau, num_codes=num_codes, past_end=past_end)
+        inputs = (corruption or drawn).apply(inputs)
     text = embed_captions(params, batch.captions, caption_key, config=config)
     logits = MotionGpt(config.model).apply({"params": params["gpt"]}, inputs, text, train=keys is not None, rngs=rngs)
     loss, accuracy = token_loss(logits, batch.targets.tokens, batch.targets.code_lengths, mean_over=config.mean_over)

@@ -52,7 +52,7 @@ class MetricLog:
             writer.writerow({"step": step} | {name: repr(value) for name, value in metrics.items()})
         self._show(split, step, metrics, title=title)
 
-    def write_speed(self, step: int, *, steps: int, frames_per_step: float) -> None:
+    def write_speed(self, step: int, *, steps: int, frames_per_step: int | float) -> None:
         """Adds the speed of the last `steps` updates to TensorBoard and the log, which need not be reproducible."""
         rate = steps / (time.perf_counter() - self._last_row)
         speed = {"steps_per_second": rate, "frames_per_second": rate * frames_per_step}

@@ -53,7 +53,7 @@ class Speed(NamedTuple):
 
     learning_rate: Callable[[int], float]
     """Of the update that makes the given number of updates complete."""
-    frames_per_step: float
+    frames_per_step: int | float
 
 
 def mean_metrics(history: Sequence[Metrics], *, first_step: int) -> dict[str, float]:

@@ -187,30 +187,17 @@ def test_a_resumed_run_equals_one_that_never_stopped(data, finished, tmp_path, m
 def test_training_ends_when_validation_gets_no_better(data, tmp_path, monkeypatch):
     losses = iter([3.0, 1.0, 2.0, 2.0, 0.5])
     monkeypatch.setattr(experiment, "mean_over_batches", lambda measure, num_batches: {"loss": next(losses)})
-    monkeypatch.setattr(movement, "make_bank", lambda clips, normalizer: make_bank(clips, normalizer))
+    monkeypatch.setattr(movement, "Validation", lambda *fields: None)
     loop = dataclasses.replace(LOOP, num_steps=20, validate_every=2, checkpoint_every=100)
     config = training(data, tmp_path / "run", loop=loop, patience=2)
     state = train(config)
     assert int(state.step) == 8
     assert newest_checkpoint(config.run)[0] == 8
     assert "step: 4" in (config.run / "best.yaml").read_text()
-    written = texts(config.run) if (config.run / "movement" / "val.csv").exists() else None
-    assert written is None
+    assert not (config.run / "movement" / "val.csv").exists()
     again = train(config, resume=True)
     assert int(again.step) == 8
     assert next(losses) == 0.5
-
-
-def test_the_best_weights_are_kept(tmp_path):
-    best = BestWeights(tmp_path, patience=4, resume=False)
-    for step, loss in ((2, 3.0), (4, 1.0), (6, 2.0), (8, float("nan"))):
-        best.see(step, loss, {"a": np.full(2, step, np.float32)})
-        assert best.is_over(step) == (step == 8)
-    best.keep_last({"a": np.zeros(2, np.float32)})
-    found = BestWeights(tmp_path, patience=0, resume=True)
-    assert (found.best.step, found.best.loss, found.is_over(10**6)) == (4, 1.0, False)
-    fresh = BestWeights(tmp_path, patience=4, resume=False)
-    assert not list(tmp_path.iterdir()) and fresh.best.step == 0
 
 
 def test_given_words_and_vectors_are_used_and_left_as_they_are(data, tmp_path):

@@ -110,7 +110,13 @@ def test_either_stage_can_be_measured_with_the_same_result(runs):
 def test_a_bundle_is_complete_and_small(runs, bundle_folder):
     names = {path.name for path in bundle_folder.iterdir()}
     assert names == {
-        CONFIG_FILE, WEIGHTS_FILE, "Mean.npy", "Std.npy", "tokenizer.json", "README.md", "training_data.json"
+        CONFIG_FILE,
+        WEIGHTS_FILE,
+        "Mean.npy",
+        "Std.npy",
+        "tokenizer.json",
+        "README.md",
+        "training_data.json",
     }
     card = (bundle_folder / "README.md").read_text(encoding="utf-8")
     assert "num_steps: 8" in card

@@ -13,8 +13,8 @@ from PIL import Image
 from t2m_jax.checkpoints.run import Checkpoints
 from t2m_jax.errors import UserError
 from t2m_jax.train.config import LoopConfig
-from t2m_jax.train.loop import Measurement, Speed, mean_metrics, run_loop
 from t2m_jax.train.log import MetricLog
+from t2m_jax.train.loop import Measurement, Speed, mean_metrics, run_loop
 
 
 class Counter(NamedTuple):

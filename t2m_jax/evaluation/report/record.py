@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -64,13 +64,13 @@ class Metric:
     """The value of each repeat."""
 
     @classmethod
-    def from_repeats(cls, repeats: Sequence[float]) -> Self:
+    def from_repeats(cls, repeats: Sequence[float]) -> "Metric":
         """Returns mean and interval of some values."""
         values = np.asarray(repeats, np.float64)
         return cls(float(values.mean()), float(1.96 * values.std() / np.sqrt(len(values))), tuple(values.tolist()))
 
     @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Self:
+    def from_json(cls, data: Mapping[str, Any]) -> "Metric":
         """Returns a metric of a JSON report.
 
         Raises:
