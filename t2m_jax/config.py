@@ -290,7 +290,7 @@ def _field_names(schema: type) -> list[str]:
 
 
 def _nearest(name: str, known: Sequence[str]) -> str:
-    """Returns the end of an error message: the known name _nearest to an unknown one, or all known names.
+    """Returns the end of an error message: the known name nearest to an unknown one, or all known names.
 
     Only the part after the last dot is compared, because a field in the wrong section is a common mistake.
     """
