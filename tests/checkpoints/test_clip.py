@@ -14,7 +14,7 @@ from safetensors.numpy import load_file, save_file
 
 from t2m_jax.checkpoints.clip import TrainedClip, clip_fingerprint, load_clip, param_shapes, save_clip
 from t2m_jax.errors import UserError
-from t2m_jax.models.clip_text import ClipText, ClipTextConfig
+from t2m_jax.models.clip_text import ClipTextConfig
 from t2m_jax.sampling.text_encoders import encode_clip_tokens
 from t2m_jax.text.clip_bpe import clip_tokens
 from tests.clip_golden import CAPTIONS, FULL, MSGPACK, SAFETENSORS, TEXT_ONLY, TORCH, TWO_FILES, copy_files, golden
