@@ -3,7 +3,7 @@
 A config file contains what differs from the defaults of its dataclass. Reading is strict: an unknown key, a missing
 field or a value of another type is an error of one line that names the file, the line and the field.
 
-Every command imports this module. Therefore tyro, and `t2m_jax.files` with numpy, are imported where they are used.
+Many modules import this one. Therefore tyro, and `t2m_jax.files` with numpy, are imported where they are used.
 """
 
 import contextlib
@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union
 
 from t2m_jax.errors import UserError
-from t2m_jax.yaml_file import YamlFile, load_yaml, yaml_text
+from t2m_jax.yaml_file import load_yaml, yaml_text
 
 T = TypeVar("T")
 
@@ -48,7 +48,8 @@ def load_config(path: str | Path, schema: type[T]) -> T:
     Raises:
         UserError: The file is missing, is not YAML, or does not fit the schema.
     """
-    return _config_from_file(path, load_yaml(path), schema)
+    file = load_yaml(path)
+    return _config(schema, file.data, source=f"{path}", lines=file.lines)
 
 
 def load_versioned(path: str | Path, schemas: Mapping[int, type]) -> Any:
@@ -63,24 +64,21 @@ def load_versioned(path: str | Path, schemas: Mapping[int, type]) -> Any:
         known = ", ".join(map(str, schemas))
         shown = reprlib.repr(version)
         raise UserError(f"{path}: format_version {shown} is unknown to this t2m_jax (known: {known}); update t2m_jax")
-    return _config_from_file(path, file, schemas[version])
-
-
-def _config_from_file(path: str | Path, file: YamlFile, schema: type[T]) -> T:
-    try:
-        return _section(schema, file.data, ())
-    except _FieldError as error:
-        # A missing field has no line; its section does.
-        line = file.lines.get(error.keys, file.lines.get(error.keys[:-1]))
-        raise UserError(f"{path}:{line}: {error}" if line else f"{path}: {error}") from error
+    return _config(schemas[version], file.data, source=f"{path}", lines=file.lines)
 
 
 def config_from_dict(schema: type[T], data: Mapping[str, Any], *, source: str = "config") -> T:
     """Returns the config in nested dictionaries and lists; error messages begin with `source`."""
+    return _config(schema, data, source=source, lines={})
+
+
+def _config(schema: type[T], data: Any, *, source: str, lines: Mapping[tuple[str, ...], int]) -> T:
     try:
         return _section(schema, data, ())
     except _FieldError as error:
-        raise UserError(f"{source}: {error}") from error
+        # A missing field has no line; its section does.
+        line = lines.get(error.keys, lines.get(error.keys[:-1]))
+        raise UserError(f"{source}:{line}: {error}" if line else f"{source}: {error}") from error
 
 
 def config_to_dict(config: Any) -> dict[str, Any]:
@@ -292,7 +290,7 @@ def _field_names(schema: type) -> list[str]:
 
 
 def _nearest(name: str, known: Sequence[str]) -> str:
-    """Returns the end of an error message: the known name _nearest to an unknown one, or all known names.
+    """Returns the end of an error message: the known name nearest to an unknown one, or all known names.
 
     Only the part after the last dot is compared, because a field in the wrong section is a common mistake.
     """

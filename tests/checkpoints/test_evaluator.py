@@ -71,7 +71,7 @@ def test_no_folder_is_written_over(trained, folder):
     [
         ("evaluator.yaml", "not an evaluator"),
         ("weights.safetensors", "missing"),
-        ("words.txt", "cannot be read"),
+        ("words.txt", "there is no such file"),
         ("Mean.npy", "missing"),
     ],
 )

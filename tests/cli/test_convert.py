@@ -128,7 +128,7 @@ def test_what_does_not_fit_together_is_refused(refusal, published, tmp_path, bun
     assert "num_heads: 5 does not divide" in refusal(*arguments(published, "--num-heads", "5", out))
     np.save(tmp_path / "short.npy", np.ones(251))
     short = tmp_path / "short.npy"
-    assert "263 columns and short.npy has 251" in refusal(*arguments(published | {"std": short}, "--num-heads=4", out))
+    assert "263 columns, but short.npy has 251" in refusal(*arguments(published | {"std": short}, "--num-heads=4", out))
     both = published | {"mean": short, "std": short}
     assert f"{short}: its statistics are for 251 features; the model has 263" in refusal(
         *arguments(both, "--num-heads=4", out)
