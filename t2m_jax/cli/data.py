@@ -6,6 +6,8 @@ import shlex
 import sys
 from pathlib import Path
 
+from t2m_jax.cli.next_step import show_next
+
 DESCRIPTION = "make a data-set folder from motion files, or check one"
 MAX_LINES = 20
 """Number of clips or problems that are printed; `check --json` has all problems."""
@@ -77,7 +79,7 @@ def run(args: argparse.Namespace) -> None:
     if report.left_out:
         print(f"  {len(report.left_out)} clips left out:")
         _print_lines([f"{name}: {reason}" for name, reason in report.left_out.items()])
-    print(f"next: t2m data check {shlex.quote(str(args.destination))}")
+    show_next(f"t2m data check {shlex.quote(str(args.destination))}")
 
 
 def _check(folder: Path, report_file: Path | None) -> None:
@@ -105,7 +107,7 @@ def _check(folder: Path, report_file: Path | None) -> None:
     recipe = "kit_ml/official" if report.skeleton == "kit_ml" else "official"
     run_folder = shlex.quote(f"runs/{folder.resolve().name}-vqvae")
     print("  no problems found")
-    print(f"next: t2m train vqvae {recipe} --data {shlex.quote(str(folder))} --run {run_folder}")
+    show_next(f"t2m train vqvae {recipe} --data {shlex.quote(str(folder))} --run {run_folder}")
 
 
 def _print_lines(lines: list[str]) -> None:

@@ -193,7 +193,7 @@ def _check_folder(dataset: Dataset, names: set[str]) -> list[str]:
     for place in cache_places(dataset.folder):
         problem = damage(place, sources) if place.exists() else ""
         if problem:
-            problems.append(f"{place}: {problem}; delete it, it is made anew from the data set")
+            problems.append(f"{place}: {problem}; delete it, and it will be rebuilt")
     return problems
 
 

@@ -124,7 +124,7 @@ def open_clips(folder: Path, *, feature_dim: int) -> CachedClips:
             try:
                 return load_cache(place, sources)
             except _UnusableError as error:
-                logger.warning("%s: %s; the cache is made anew", place, error)
+                logger.warning("%s: %s; the cache is rebuilt", place, error)
     problems = []
     for place in places:
         try:

@@ -137,18 +137,14 @@ class Dataset:
             words = f"{len(reasons)} of {len(names)} clips cannot be used: {left_out_in_words(reasons)}"
             if 2 * len(reasons) > len(names):
                 raise UserError(
-                    f"{self.folder / split}.txt: {words}; is the copy complete? `t2m data check` tells more of each"
+                    f"{self.folder / split}.txt: {words}; is the copy complete? Run `t2m data check` for details"
                 )
             logger.warning("%s: %s; left out of %s", self.folder, words, split)
         broken = [name for name in names if name in cached.broken_captions]
         if broken:
-            logger.warning(
-                "%s: %d caption lines of %s cannot be read and are left out, in clips %s; `t2m data check` tells more",
-                self.folder,
-                sum(cached.broken_captions[name] for name in broken),
-                split,
-                _first_of(broken),
-            )
+            count = sum(cached.broken_captions[name] for name in broken)
+            words = f"{count} caption lines of {split} cannot be read and are left out, in clips {_first_of(broken)}"
+            logger.warning("%s: %s; run `t2m data check` for details", self.folder, words)
         clips = [name for name in usable if len(cached.features(name)) >= min_frames]
         if len(clips) < len(usable):
             words = f"{len(usable) - len(clips)} clips of {split} are shorter than {min_frames} frames"

@@ -1,4 +1,4 @@
-"""A data set with every fault a caption can have: checked, an evaluator trained on it, a model evaluated with that."""
+"""A data set with every fault that a caption can have: audit, training of an evaluator, and evaluation of a model."""
 
 import dataclasses
 import json
@@ -15,6 +15,7 @@ from t2m_jax.data.importers.synthetic import write_synthetic_dataset
 from t2m_jax.data.texts import load_captions
 from t2m_jax.evaluation.embedding import embed_captions
 from t2m_jax.evaluation.protocols import find_protocol, make_plan
+from t2m_jax.evaluation.report.record import load_report
 from t2m_jax.evaluation.task import load_samples
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from tests.tiny import EVALUATOR, LOOP
@@ -112,16 +113,15 @@ def test_an_evaluation_uses_all_captions_but_those_that_cannot_be_read(
     options = ["--protocol", "strict", "--num-repeats", "1", "--json", f"{tmp_path / 'report.json'}"]
     assert main(["evaluate", "generation", *(f"{word}" for pair in given.items() for word in pair), *options]) == 0
     assert "2 caption lines of train cannot be read and are left out" in caplog.text
-    report = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
+    report = load_report(tmp_path / "report.json")
     dataset = open_dataset(faulty.folder)
     samples = load_samples(dataset, "train").clips
     counts = {sample.name: len(sample.captions) for sample in samples}
     names = faulty.names
     assert set(dataset.names("train")) - set(counts) == {names["empty"]}
     assert [counts[names[fault]] for fault in ("broken", "long", "untagged", "unknown")] == [1] * 4
-    assert report["num_samples"] == len(counts)
-    for row in report["rows"].values():
-        for metric, figures in row.items():
-            assert np.isfinite(figures["mean"]), metric
-    plan = make_plan(samples, find_protocol("strict"), seed=0, repeat=0)
+    assert report.header.num_samples == len(counts)
+    for name, metric in (*report.real.items(), *report.measured.items()):
+        assert np.isfinite(metric.mean), name
+    plan = make_plan(samples, find_protocol("strict"), seed=0, repeat=0, unit=report.header.unit)
     assert len(plan.samples) == sum(counts.values()), "not every caption counts once"

@@ -157,7 +157,10 @@ def run_cli(*arguments):
 
 def test_check_prints_counts_and_writes_json(synthetic_folder, tmp_path, capsys):
     run_cli("check", str(synthetic_folder), "--json", str(tmp_path / "report.json"))
-    assert "no problems found" in capsys.readouterr().out
+    printed = capsys.readouterr()
+    assert "no problems found" in printed.out
+    command = f"t2m train vqvae official --data {synthetic_folder} --run runs/{synthetic_folder.name}-vqvae"
+    assert printed.err.splitlines()[-1] == f"next: {command}"
     assert json.loads((tmp_path / "report.json").read_text())["problems"] == []
 
 
@@ -166,10 +169,13 @@ def test_check_ends_with_1_on_problems(folder, capsys):
     with pytest.raises(SystemExit) as error:
         run_cli("check", str(folder))
     assert error.value.code == 1
-    assert name in capsys.readouterr().out
+    printed = capsys.readouterr()
+    assert name in printed.out and "next:" not in printed.out + printed.err
 
 
 def test_synthetic_from_the_command_line(tmp_path, capsys):
-    run_cli("synthetic", str(tmp_path / "data"), "--num-clips", "20")
-    assert "40 clips" in capsys.readouterr().out
-    assert audit_dataset(tmp_path / "data").problems == []
+    run_cli("synthetic", str(tmp_path / "my data"), "--num-clips", "20")
+    printed = capsys.readouterr()
+    assert "40 clips" in printed.out
+    assert printed.err.splitlines()[-1] == f"next: t2m data check '{tmp_path / 'my data'}'"
+    assert audit_dataset(tmp_path / "my data").problems == []

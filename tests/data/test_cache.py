@@ -123,13 +123,13 @@ def touch(folder):
     ],
     ids=["motion", "time", "caption", "one less", "one more"],
 )
-def test_a_cache_of_changed_files_is_made_anew(folder, change, caplog):
+def test_a_cache_of_changed_files_is_rebuilt(folder, change, caplog):
     read(folder)
     change(folder)
     with caplog.at_level(logging.WARNING):
         clips = {clip.name: clip for clip in open_dataset(folder).clips("train")}
     assert [record.message for record in caplog.records] == [
-        f"{place(folder)}: the data set has changed since; the cache is made anew"
+        f"{place(folder)}: the data set has changed since; the cache is rebuilt"
     ]
     np.testing.assert_array_equal(clips["a"].features, np.load(folder / FEATURES / "a.npy"))
     assert clips["a"].captions == open_dataset(folder).captions("a")
@@ -205,7 +205,7 @@ def with_header(**changes):
         (INDEX, rewritten(broken_captions={"a": "one"})),
     ],
 )
-def test_a_damaged_cache_is_made_anew(folder, file, spoil, caplog):
+def test_a_damaged_cache_is_rebuilt(folder, file, spoil, caplog):
     read(folder)
     before = contents(folder)
     spoiled = spoil(before[file])
@@ -215,7 +215,7 @@ def test_a_damaged_cache_is_made_anew(folder, file, spoil, caplog):
         (place(folder) / file).write_bytes(spoiled)
     with caplog.at_level(logging.WARNING):
         check_whole(folder)
-    assert len(caplog.records) == 1 and "the cache is made anew" in caplog.text
+    assert len(caplog.records) == 1 and "the cache is rebuilt" in caplog.text
     assert contents(folder) == before
 
 
@@ -262,7 +262,7 @@ def test_opening_looks_at_a_sample_and_the_audit_at_everything(folder, monkeypat
     read(folder)
     (problem,) = [problem for problem in audit_dataset(folder).problems if CACHE_FOLDER in problem]
     assert problem == (
-        f"{place(folder)}: its frames are damaged at byte 12288 or later; delete it, it is made anew from the data set"
+        f"{place(folder)}: its frames are damaged at byte 12288 or later; delete it, and it will be rebuilt"
     )
     for position in (0, len(content) - 1):
         (place(folder) / FRAMES).write_bytes(flipped(content, position))

@@ -1,4 +1,5 @@
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -65,4 +66,15 @@ def test_refusals(tmp_path, synthetic_folder):
     with pytest.raises(UserError, match="at least 20"):
         write_synthetic_dataset(tmp_path / "few", num_clips=3)
     assert not (tmp_path / "few").exists()
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "file").touch()
+    with pytest.raises(UserError, match="exists already"):
+        write_synthetic_dataset(tmp_path / "taken")
+    shutil.rmtree(tmp_path / "taken")
     assert list(Path(tmp_path).iterdir()) == []
+
+
+def test_an_empty_folder_may_be_the_destination(tmp_path):
+    write_synthetic_dataset(tmp_path, num_clips=20)
+    assert open_dataset(tmp_path).names("train")
+    assert not list(tmp_path.parent.glob(f".{tmp_path.name}*")), "a partial folder is left"
