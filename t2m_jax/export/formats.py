@@ -48,9 +48,10 @@ def load_npy(path: Path) -> Motion:
         has_features = array.ndim == 2 and array.shape[1] == skeleton.feature_dim
         if not has_features and array.shape[1:] != (skeleton.num_joints, 3):
             continue
-        features = array.astype(np.float32) if has_features else None
-        positions = array if features is None else positions_from_features(features, skeleton)
-        meters = np.asarray(positions, np.float32) * np.float32(skeleton.metres_per_unit)
+        with np.errstate(over="ignore", invalid="ignore"):  # `Motion` reports values that are not finite
+            features = array.astype(np.float32) if has_features else None
+            positions = array if features is None else positions_from_features(features, skeleton)
+            meters = np.asarray(positions, np.float32) * np.float32(skeleton.metres_per_unit)
         try:
             return Motion(positions=meters, fps=skeleton.fps, skeleton=skeleton, features=features)
         except UserError as error:

@@ -103,12 +103,15 @@ def normalizer_from_files(mean_file: Path, std_file: Path) -> Normalizer:
     """
     rows = []
     for path in (mean_file, std_file):
-        row = load_array(path)
+        with np.errstate(
+            over="ignore"
+        ):  # a number that is too large for float32 becomes infinite and is reported below
+            row = load_array(path).astype(np.float32)
         if row.ndim != 1:
             raise UserError(f"{path}: has shape {list(row.shape)}; expected one row of floating-point numbers")
         if not np.isfinite(row).all():
             raise UserError(f"{path}: column {int(np.argmin(np.isfinite(row)))} is not a finite number")
-        rows.append(row.astype(np.float32))
+        rows.append(row)
     mean, std = rows
     if mean.shape != std.shape:
         raise UserError(f"{mean_file} has {len(mean)} columns, but {std_file.name} has {len(std)}; use one data set's")

@@ -156,12 +156,13 @@ def load_vector_table(path: Path) -> Float[np.ndarray, "W X"]:
     Raises:
         UserError: The file cannot be read, or does not contain a table of finite numbers.
     """
-    table = load_array(path)
+    with np.errstate(over="ignore"):  # numbers that are too large become infinite, which is reported below
+        table = load_array(path).astype(np.float32)
     if table.ndim != 2 or not table.size:
         raise UserError(f"{path}: has shape {list(table.shape)}; give a table with one row per word")
     if not np.isfinite(table).all():
         raise UserError(f"{path}: has values that are not finite")
-    return table.astype(np.float32)
+    return table
 
 
 def _glove_vectors(path: Path, words: frozenset[str]) -> dict[str, Float[np.ndarray, " X"]]:

@@ -249,5 +249,5 @@ def test_positions_that_are_no_motion_are_refused(golden):
         features_from_positions(walk(golden), KIT_ML)
     with pytest.raises(UserError, match="features need at least 2 frames"):
         features_from_positions(walk(golden, 1), HUMANML3D)
-    with pytest.raises(UserError, match=r"\(5, 263\), but those of skeleton kit_ml are \[..., frames, 251\]"):
+    with pytest.raises(UserError, match=r"\(5, 263\), but skeleton kit_ml needs \[..., frames, 251\]"):
         positions_from_features(np.zeros((5, 263), np.float32), KIT_ML)

@@ -104,6 +104,7 @@ def test_broken_files_are_refused(tmp_path):
         (normalizer.std[:-1], "Mean.npy has 35 columns, but Std.npy has 34"),
         (np.where(np.arange(35) == 2, 0, normalizer.std), "Std.npy: column 2 is not above zero"),
         (np.where(np.arange(35) == 3, np.nan, normalizer.std), "Std.npy: column 3 is not a finite"),
+        (np.where(np.arange(35) == 3, 1e300, 1.0), "Std.npy: column 3 is not a finite"),
         (np.arange(35), "Std.npy: does not hold one array of floating-point numbers"),
         (normalizer.std[None], "Std.npy: has shape .*; expected one row of floating-point numbers"),
     ):
