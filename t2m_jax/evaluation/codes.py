@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int, Key
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.data.folder import Clip
 from t2m_jax.sampling.batches import batches_of, for_each_batch
-from t2m_jax.sampling.codec import encode_motions
+from t2m_jax.sampling.codec import encode_motions, pad_codes
 from t2m_jax.sampling.decoding import CHUNK, Sampling
 from t2m_jax.sampling.pipeline import TextToMotion
 
@@ -93,9 +93,4 @@ def encode_pieces(
     pieces = [
         sample.features[start : start + length] for sample, start, length in zip(samples, starts, lengths, strict=True)
     ]
-    found = encode_motions(tokenizer, pieces, progress=False)
-    code_lengths = np.array([len(codes) for codes in found], np.int32)
-    codes = np.zeros((len(found), int(code_lengths.max()), tokenizer.config.num_quantizers), np.int32)
-    for row, motion_codes in enumerate(found):
-        codes[row, : len(motion_codes)] = motion_codes
-    return MotionCodes(codes, code_lengths)
+    return MotionCodes(*pad_codes(encode_motions(tokenizer, pieces, progress=False)))

@@ -12,9 +12,11 @@ import pytest
 
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
+from t2m_jax.evaluation.report.details import RepeatDetails
 from t2m_jax.evaluation.report.gallery import Candidate, Example, Failure
 from t2m_jax.evaluation.report.page import check_page, report_page, save_page
 from t2m_jax.evaluation.report.plots import codes_plot, lengths_plot, repeats_plot
+from t2m_jax.evaluation.report.record import Header, Metric, Report
 from t2m_jax.evaluation.report.tables import COLUMNS
 from t2m_jax.export import viewer_html
 from t2m_jax.motion.record import Motion
@@ -22,29 +24,27 @@ from t2m_jax.motion.record import Motion
 NASTY = 'walks </script><img src=x onerror="alert(1)"> {{table}} & "waves" \\1 <!-- é'
 
 
-def figures(shift, *metrics):
-    repeats = {metric: [number + shift + wave / 8 for wave in (0, 1, 3)] for number, metric in enumerate(metrics)}
-    return {
-        metric: {"mean": float(np.mean(values)), "interval": 0.25, "repeats": values}
-        for metric, values in repeats.items()
-    }
+def metrics(shift, *names):
+    repeats = {name: tuple(number + shift + wave / 8 for wave in (0, 1, 3)) for number, name in enumerate(names)}
+    return {name: Metric(float(np.mean(values)), 0.25, values) for name, values in repeats.items()}
 
 
-REPORT = {
-    "protocol": "strict",
-    "model": "runs/<b>mine</b>",
-    "data": "walks & turns",
-    "split": "test",
-    "num_samples": 64,
-    "evaluator": "abc",
-    "sampling": "greedy",
-    "left_out": None,
-    "seed": 0,
-    "rows": {
-        "real": figures(0.5, "r_precision_1", "diversity"),
-        "generated": figures(0.25, "r_precision_1", "fid", "diversity"),
-    },
-}
+HEADER = Header(
+    protocol="strict",
+    model="runs/<b>mine</b>",
+    data="walks & turns",
+    split="test",
+    num_samples=64,
+    evaluator="abc",
+    sampling="greedy",
+    seed=0,
+)
+REPORT = Report(
+    header=HEADER,
+    kind="generated",
+    real=metrics(0.5, "r_precision_1", "diversity"),
+    measured=metrics(0.25, "r_precision_1", "fid", "diversity"),
+)
 
 
 @pytest.fixture(scope="module")
@@ -53,16 +53,16 @@ def motion():
 
 
 @pytest.fixture
-def evidence(motion):
+def details(motion):
     turn = dataclasses.replace(motion, caption=NASTY)
     nearest = (Candidate(turn, 1.25, False), Candidate(motion, 2.5, True))
-    return Evidence(
-        row="generated",
+    return RepeatDetails(
+        kind="generated",
         fps=20.0,
         real_lengths=np.array([40, 44, 80, 196]),
-        made_lengths=np.array([40, 40, 60, 100]),
+        measured_lengths=np.array([40, 40, 60, 100]),
         real_code_counts=np.array([4, 0, 3, 1]),
-        made_code_counts=np.array([0, 0, 8, 8]),
+        measured_code_counts=np.array([0, 0, 8, 8]),
         ranks=np.array([1, 2, 1, 7]),
         distances=np.array([1.0, 2.0, 3.0, 4.0]),
         examples=(Example("a person walks", 2, 2.5, nearest),),
@@ -75,14 +75,14 @@ def captions_alone(motions):
 
 
 @pytest.fixture
-def page(evidence):
-    return report_page(REPORT, evidence, viewer=captions_alone)
+def page(details):
+    return report_page(REPORT, details, viewer=captions_alone)
 
 
-def test_the_same_report_makes_the_same_page(evidence, page, monkeypatch):
+def test_the_same_report_makes_the_same_page(details, page, monkeypatch):
     matplotlib = pytest.importorskip("matplotlib")
     monkeypatch.setitem(matplotlib.rcParams, "axes.linewidth", 5.0)
-    assert report_page(REPORT, evidence, viewer=captions_alone) == page
+    assert report_page(REPORT, details, viewer=captions_alone) == page
 
 
 def test_it_fetches_nothing(page):
@@ -99,8 +99,8 @@ def test_it_says_what_was_measured(page):
     assert "R top-2" not in text, "a metric that nobody measured"
     assert "uses 75.0 % of the codes, perplexity 2.6" in text
     assert "generated uses 50.0 % of the codes, perplexity 2.0" in text
-    assert "real motion 4.50 s in the mean, generated 3.00 s" in text
-    assert "Of 4 captions 50.0 % find their own motion nearest; its median rank is 1.5" in text
+    assert "Mean length: real motion 4.50 s, generated 3.00 s" in text
+    assert "Of 4 captions, 50.0 % find their own motion nearest; the median rank is 1.5" in text
     assert "own motion: rank 2, distance 2.50" in text
     assert "rank 7, distance 4.00; the real motion's distance is 1.50" in text
 
@@ -119,9 +119,9 @@ def test_texts_of_the_user_stay_text(page):
 
 def test_plots_take_their_colours_from_the_page():
     drawn = [
-        repeats_plot(REPORT["rows"], COLUMNS),
-        lengths_plot(np.array([40, 196]), np.array([40, 4]), fps=20.0, row="generated"),
-        codes_plot(np.array([5, 0]), np.array([1, 1]), row="generated"),
+        repeats_plot(REPORT, COLUMNS),
+        lengths_plot(np.array([40, 196]), np.array([40, 4]), fps=20.0, kind="generated"),
+        codes_plot(np.array([5, 0]), np.array([1, 1]), kind="generated"),
     ]
     for svg in drawn:
         assert svg.startswith("<svg") and svg.rstrip().endswith("</svg>")
@@ -130,10 +130,10 @@ def test_plots_take_their_colours_from_the_page():
 
 
 def test_plots_stand_one_value_and_unused_codebooks():
-    rows = {"real": {"fid": {"mean": 1.0, "interval": 0.0, "repeats": [1.0]}}}
-    assert "FID" in repeats_plot(rows, COLUMNS[3:4])
-    assert "<svg" in codes_plot(np.zeros(3, int), np.zeros(3, int), row="reconstruction")
-    assert "<svg" in lengths_plot(np.array([4]), np.array([4]), fps=20.0, row="reconstruction")
+    report = dataclasses.replace(REPORT, real={"fid": Metric(1.0, 0.0, (1.0,))}, measured={})
+    assert "FID" in repeats_plot(report, COLUMNS[3:4])
+    assert "<svg" in codes_plot(np.zeros(3, int), np.zeros(3, int), kind="reconstruction")
+    assert "<svg" in lengths_plot(np.array([4]), np.array([4]), fps=20.0, kind="reconstruction")
 
 
 def test_what_is_missing_is_said_before_the_work(tmp_path, monkeypatch):
@@ -172,9 +172,9 @@ def open_in_browser(tmp_path):
     assert not troubles
 
 
-def test_viewers_live_while_they_are_near_the_screen(open_in_browser, evidence, tmp_path):
+def test_viewers_live_while_they_are_near_the_screen(open_in_browser, details, tmp_path):
     path = tmp_path / "page.html"
-    save_page(path, REPORT, evidence, viewer=lambda motions: viewer_html(motions, embed=False))
+    save_page(path, REPORT, details, viewer=lambda motions: viewer_html(motions, embed=False))
     page = open_in_browser(path)
     stages, frames = page.locator(".stage"), page.locator("iframe")
     assert stages.count() == 2 and frames.count() == 0

@@ -112,7 +112,7 @@ def test_a_partial_result_of_something_else_is_not_used(task, generation, conten
 
 
 def plan_of(task):
-    return make_plan(task.samples.clips, task.protocol, seed=1, repeat=0)
+    return task._replace(seed=1).plan(repeat=0)
 
 
 def test_only_measured_samples_are_made(task):

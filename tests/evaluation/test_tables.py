@@ -1,5 +1,6 @@
 """Tables of reports: figures as papers print them, the best of a column, and what does not stand in one table."""
 
+import dataclasses
 import json
 
 import pytest
@@ -7,22 +8,20 @@ import pytest
 from t2m_jax.cli.main import main
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.report.formats import format_table
-from t2m_jax.evaluation.report.record import load_report
+from t2m_jax.evaluation.report.record import COMPARABLE, Header, Metric, Report, load_report, save_report
 from t2m_jax.evaluation.report.tables import make_table
 
-HEADER = {"protocol": "strict", "data": "d_1", "split": "test", "num_samples": 64, "evaluator": "ab%c", "seed": 0}
+HEADER = Header(protocol="strict", data="d_1", split="test", num_samples=64, evaluator="ab%c", seed=0)
+OLD_HEADER = {"protocol": "strict", "data": "d_1", "split": "test", "num_samples": 64, "evaluator": "ab%c", "seed": 0}
 REAL = {"fid": (0.002, 0.0001), "diversity": (9.5, 0.065)}
 
 
 def figures(repeats, **metrics):
-    return {
-        name: {"mean": mean, "interval": interval, "repeats": [mean] * repeats}
-        for name, (mean, interval) in metrics.items()
-    }
+    return {name: Metric(mean, interval, (mean,) * repeats) for name, (mean, interval) in metrics.items()}
 
 
-def report(*, row="generated", repeats=20, real=REAL, **metrics):
-    return {**HEADER, "rows": {"real": figures(repeats, **real), row: figures(repeats, **metrics)}}
+def report(*, kind="generated", repeats=20, real=REAL, header=HEADER, **metrics):
+    return Report(header=header, kind=kind, real=figures(repeats, **real), measured=figures(repeats, **metrics))
 
 
 def best(table):
@@ -91,7 +90,7 @@ def test_latex(two):
 
 def test_json_keeps_all_digits(two):
     found = json.loads(format_table(two, style="json"))
-    assert {name: found[name] for name in HEADER} == HEADER
+    assert {name: found[name] for name in COMPARABLE} == {name: getattr(HEADER, name) for name in COMPARABLE}
     assert [column["metric"] for column in found["columns"]] == ["fid", "diversity", "multimodality"]
     assert [row["kind"] for row in found["rows"]] == ["real", "generated", "generated"]
     assert found["rows"][2]["figures"]["multimodality"] == {"mean": 1.8559, "interval": 0.048, "best": True}
@@ -117,7 +116,7 @@ def test_the_arrow_says_which_is_best(metric, winner):
 
 def test_real_motion_and_reconstruction_do_not_compete():
     generated = report(fid=(0.2, 0.01))
-    reconstruction = report(row="reconstruction", fid=(0.07, 0.001))
+    reconstruction = report(kind="reconstruction", fid=(0.07, 0.001))
     assert not best(make_table([generated, reconstruction], ["a", "b"])), "one generated row has no rival"
     rows = make_table([generated, reconstruction, report(fid=(0.3, 0.01))], ["a", "b", "c"])
     assert best(rows) == {("a", "fid")}
@@ -131,10 +130,16 @@ def test_real_motion_is_that_of_the_longest_report():
     assert "over 2 to 20 repeats" in format_table(table, style="terminal")
 
 
-@pytest.mark.parametrize("name", HEADER)
-def test_reports_of_different_kinds_do_not_stand_in_one_table(name):
-    with pytest.raises(UserError, match=f"^{name}: .* in a, other in b; they do not stand in one table"):
-        make_table([report(fid=(0.2, 0.0)), report(fid=(0.2, 0.0)) | {name: "other"}], ["a", "b"])
+@pytest.mark.parametrize("name", COMPARABLE)
+def test_reports_of_different_kinds_are_not_put_into_one_table(name):
+    other = report(fid=(0.2, 0.0), header=dataclasses.replace(HEADER, **{name: "other"}))
+    with pytest.raises(UserError, match=f"^{name}: .* in a, other in b; make a table for each"):
+        make_table([report(fid=(0.2, 0.0)), other], ["a", "b"])
+
+
+def test_tokenizers_with_other_units_can_be_in_one_table():
+    other = report(fid=(0.3, 0.0), header=dataclasses.replace(HEADER, unit=8))
+    assert best(make_table([report(fid=(0.2, 0.0)), other], ["a", "b"])) == {("a", "fid")}
 
 
 @pytest.mark.parametrize("style", ["terminal", "markdown", "latex"])
@@ -155,7 +160,7 @@ def files(tmp_path):
     paths = [tmp_path / folder / "report.json" for folder in ("one", "two")]
     for number, path in enumerate(paths):
         path.parent.mkdir()
-        path.write_text(json.dumps(report(fid=(0.1 + number / 10, 0.0))))
+        save_report(path, report(fid=(0.1 + number / 10, 0.0)))
     return paths
 
 
@@ -169,10 +174,10 @@ def test_rows_bear_the_names_of_files_or_those_given(files, capsys):
 
 def test_mistakes_of_the_command_are_one_line(files, tmp_path, capsys):
     for words, says in (
-        ([], "give the reports"),
+        ([], "the following arguments are required: REPORT"),
         ([*files, "--names", "x"], "1 given for 2"),
         ([*files, "--names", "x", "x"], "not all different"),
-        ([tmp_path / "none.json"], "cannot be read"),
+        ([tmp_path / "none.json"], "there is no such file"),
     ):
         assert command(*words) == 2
         (line,) = capsys.readouterr().err.splitlines()
@@ -191,14 +196,14 @@ def test_a_page_needs_an_evaluator(tmp_path, capsys):
         "[]",
         '{"rows": {}}',
         '{"rows": 3}',
-        json.dumps(HEADER | {"rows": {"generated": {}}}),
-        json.dumps(HEADER | {"rows": {"real": {"fid": {"mean": "1", "interval": 0.0, "repeats": [1]}}}}),
-        json.dumps(HEADER | {"rows": {"real": {"fid": {"mean": 1.0, "interval": 0.0, "repeats": []}}}}),
+        json.dumps(OLD_HEADER | {"rows": {"generated": {}}}),
+        json.dumps(OLD_HEADER | {"rows": {"real": {"fid": {"mean": "1", "interval": 0.0, "repeats": [1]}}}}),
+        json.dumps(OLD_HEADER | {"rows": {"real": {"fid": {"mean": 1.0, "interval": 0.0, "repeats": []}}}}),
     ],
 )
 def test_other_files_are_refused(content, tmp_path):
     (tmp_path / "report.json").write_text(content)
-    with pytest.raises(UserError, match=r"report\.json: no report of"):
+    with pytest.raises(UserError, match=r"report\.json: (is not a report|cannot be read as JSON)"):
         load_report(tmp_path / "report.json")
 
 
@@ -207,5 +212,5 @@ def test_labels_take_the_place_of_pairs():
     table = make_table([report(real=given, **given)], ["a"], by_label=True)
     assert [column.heading for column in table.columns] == ["R top-1 by label", "FID"]
     assert "0.600 ± .010" in format_table(table, style="terminal")
-    with pytest.raises(UserError, match="d_1 says nothing of labels"):
+    with pytest.raises(UserError, match="d_1 has no labels"):
         make_table([report(fid=(1.0, 0.1))], ["a"], by_label=True)

@@ -1,9 +1,9 @@
 """Motions of one repeat to look at: those nearest to a caption, and those farthest from their own."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -12,7 +12,7 @@ from t2m_jax.evaluation.codes import MotionCodes
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import Skeleton, skeleton_from_feature_dim
-from t2m_jax.sampling.codec import decode_positions
+from t2m_jax.sampling.codec import motions_from_codes
 
 NUM_EXAMPLES, NUM_NEAREST = 4, 3
 """Captions whose nearest motions are shown, and how many of them."""
@@ -54,24 +54,12 @@ class RankedRepeat(NamedTuple):
     def decode(self, rows: Sequence[int]) -> list[Motion]:
         """Returns the measured motions of some rows, decoded together and cut where the evaluator cuts them."""
         codes, code_lengths = (column[list(rows)] for column in self.codes)
-        _, positions = decode_positions(
-            self.tokenizer.variables,
-            self.tokenizer.normalizer,
-            jnp.asarray(codes),
-            jnp.asarray(code_lengths),
-            tokenizer=self.tokenizer.module,
-            skeleton=self.skeleton,
-        )
-        frames = np.minimum(code_lengths * self.tokenizer.config.downsample, self.max_frames)
+        captions = [self.captions[row] for row in rows]
+        motions = motions_from_codes(self.tokenizer, codes, code_lengths, skeleton=self.skeleton, captions=captions)
         return [
-            self.motion(np.asarray(positions)[place, :length], self.captions[row])
-            for place, (row, length) in enumerate(zip(rows, frames, strict=True))
+            dataclasses.replace(motion, positions=motion.positions[: self.max_frames], features=None, codes=None)
+            for motion in motions
         ]
-
-    def motion(self, positions: Float[np.ndarray, "T J 3"], caption: str) -> Motion:
-        """Returns positions in the skeleton's unit as a motion in meters."""
-        positions = positions * np.float32(self.skeleton.metres_per_unit)
-        return Motion(positions, self.skeleton.fps, skeleton=self.skeleton, caption=caption)
 
 
 class Candidate(NamedTuple):
@@ -124,7 +112,7 @@ def draw_examples(ranked: RankedRepeat, *, seed: int) -> tuple[Example, ...]:
 
 def find_failures(ranked: RankedRepeat) -> tuple[Failure, ...]:
     """Returns the captions whose own motion has the worst rank, the farthest first if ranks are equal."""
-    distances = ranked.distances
+    distances, skeleton = ranked.distances, ranked.skeleton
     real_distances = np.linalg.norm(ranked.text - ranked.real, axis=1)
     chosen = _distinct(np.lexsort((-distances, -ranked.ranks)), ranked.captions, NUM_FAILURES)
     return tuple(
@@ -134,7 +122,12 @@ def find_failures(ranked: RankedRepeat) -> tuple[Failure, ...]:
             float(distances[row]),
             float(real_distances[row]),
             measured,
-            ranked.motion(np.asarray(positions_from_features(ranked.pieces[row], ranked.skeleton)), measured.caption),
+            Motion(
+                positions_from_features(ranked.pieces[row], skeleton) * np.float32(skeleton.metres_per_unit),
+                skeleton.fps,
+                skeleton=skeleton,
+                caption=ranked.captions[row],
+            ),
         )
         for row, measured in zip(chosen, ranked.decode(chosen), strict=True)
     )
