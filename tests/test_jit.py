@@ -30,7 +30,7 @@ def test_static_and_donated_arguments_and_keys_are_possible():
 
 
 def test_a_function_that_is_not_jitted_fails():
-    with pytest.raises(AssertionError, match="not under jax.jit"):
+    with pytest.raises(AssertionError, match=r"not under jax\.jit"):
         assert_jit_equals_eager(double, jnp.arange(3.0))
 
 
