@@ -13,7 +13,7 @@ def test_bench_prints_one_line_a_batch_size(bundle_folder, capsys):
     assert main(["bench", "sample", *arguments]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split(":")[0].split()[-1] for line in lines] == ["1", "2"]
-    assert all("ms a code" in line for line in lines)
+    assert all("ms per code" in line for line in lines)
 
 
 def test_bench_refuses_numbers_out_of_range(refusal, bundle_folder):

@@ -1,12 +1,13 @@
 """`t2m train`: configs from file and command line, refusals before any work."""
 
+import dataclasses
+
 import pytest
 
 from t2m_jax.checkpoints.run import create_run
 from t2m_jax.cli.main import main
 from t2m_jax.config import load_config
-from t2m_jax.train import run_vqvae
-from t2m_jax.train.config import TrainVqVaeConfig
+from t2m_jax.train import TrainVqVaeConfig, experiment
 
 TINY = """
 model: {num_codes: 16, code_dim: 8, width: 16, depth: 1}
@@ -26,7 +27,7 @@ def config_file(tmp_path, data_folder):
 def trained(monkeypatch):
     """Returns what the command would train, instead of training it."""
     seen = []
-    monkeypatch.setattr(run_vqvae, "train_vqvae", lambda config, *, resume: seen.append((config, resume)))
+    monkeypatch.setattr(experiment, "train", lambda config, *, resume: seen.append((config, resume)))
     return seen
 
 
@@ -56,6 +57,7 @@ def test_help_lists_the_fields(capsys):
 
 def test_a_run_is_not_written_over(refusal, config_file):
     config = load_config(config_file, TrainVqVaeConfig)
+    config.run.mkdir()
     create_run(config.run, "vqvae", config)
     assert "--resume" in refusal("train", "vqvae", config_file)
     assert "model.width" in refusal("train", "vqvae", config_file, "--resume", "--model.width", "32")
@@ -71,3 +73,30 @@ def test_missing_places_are_named(refusal, config_file, tmp_path):
     assert "nowhere.yaml" in refusal("train", "vqvae", tmp_path / "nowhere.yaml")
     assert "nowhere" in refusal("train", "vqvae", config_file, "--data", tmp_path / "nowhere")
     assert "not a run" in refusal("train", "vqvae", config_file, "--resume")
+
+
+def test_a_run_alone_is_enough_to_resume(config_file, trained, tmp_path):
+    config = load_config(config_file, TrainVqVaeConfig)
+    config.run.mkdir()
+    create_run(config.run, "vqvae", config)
+    assert main(["train", "vqvae", "--run", f"{config.run}", "--resume", "--loop.num_steps", "7"]) == 0
+    [(resumed, resume)] = trained
+    assert resume
+    assert resumed == dataclasses.replace(config, loop=dataclasses.replace(config.loop, num_steps=7))
+
+
+def test_a_run_of_another_kind_is_refused(refusal, config_file):
+    config = load_config(config_file, TrainVqVaeConfig)
+    config.run.mkdir()
+    create_run(config.run, "vqvae", config)
+    assert "t2m train vqvae" in refusal("train", "gpt", "--run", config.run, "--resume")
+    assert "CONFIG is missing" in refusal("train", "vqvae", "--resume")
+    assert "CONFIG is missing" in refusal("train", "vqvae", "--run", config.run)
+
+
+def test_the_command_says_what_to_run_next(config_file, trained, capsys):
+    assert main(["train", "vqvae", f"{config_file}"]) == 0
+    said = capsys.readouterr()
+    run = load_config(config_file, TrainVqVaeConfig).run
+    assert said.out == f"{run}\n"
+    assert said.err.splitlines()[-1] == f"next: t2m train gpt CONFIG --vqvae {run}"

@@ -8,16 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from t2m_jax.checkpoints import save_evaluator
+from t2m_jax.config import config_to_dict
 from t2m_jax.data import open_dataset, write_synthetic_dataset
 from tests.tiny import CAPTION_ENCODER, random_evaluator
 
 DISTRIBUTION = Path(__file__).parent / "distribution"
-TEXT_FIELDS = {
-    f"caption_encoder.{name}": getattr(CAPTION_ENCODER, name)
-    for name in ("vocabulary_size", "max_length", "embed_dim", "num_layers", "num_heads", "text_dim")
-}
 LOOP = {"loop.num_steps": 6, "loop.batch_size": 4, "loop.log_every": 2, "loop.validate_every": 3}
 
 
@@ -45,20 +43,20 @@ def t2m(folder, *arguments, **fields):
 
 @pytest.mark.slow
 def test_train_bundle_load_generate_evaluate(folder):
-    (folder / "empty.yaml").write_text("{}\n")
+    (folder / "lookup.yaml").write_text("{}\n")
+    sizes = {"caption_encoder": config_to_dict(CAPTION_ENCODER), "model": {"text_dim": 12, "max_codes": 12}}
+    (folder / "bigram.yaml").write_text(yaml.safe_dump(sizes))
     evaluation = {"evaluation.evaluator": "evaluator", "evaluation.every": 3, "evaluation.metric": "r_precision_1"}
-    t2m(folder, "train", "lookup", "empty.yaml", data="data", run="lookup", **LOOP, **evaluation)
+    t2m(folder, "train", "lookup", "lookup.yaml", data="data", run="lookup", **LOOP, **evaluation)
     t2m(
         folder,
         "train",
         "bigram",
-        "empty.yaml",
+        "bigram.yaml",
         data="data",
         vqvae="lookup",
         run="bigram",
         **LOOP,
-        **TEXT_FIELDS,
-        **{"model.max_codes": 12},
         **evaluation,
     )
     assert (folder / "bigram" / "pictures" / "6.png").is_file()

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from t2m_jax.checkpoints import best as best_files
-from t2m_jax.checkpoints.best import BEST_FILE, BEST_FOLDER, Best, find_best, restore_trained, save_best
-from t2m_jax.checkpoints.evaluator import load_evaluator_bundle, save_evaluator
-from t2m_jax.checkpoints.gpt_run import load_gpt_run
+from t2m_jax.checkpoints.best import BEST_FILE, BEST_FOLDER, Best, find_best, forget_best, restore_trained, save_best
+from t2m_jax.checkpoints.evaluator import load_trained_evaluator, save_evaluator
+from t2m_jax.checkpoints.model import load_generator_run
 from t2m_jax.checkpoints.run import Checkpoints
-from t2m_jax.checkpoints.vqvae import load_vqvae
+from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.cli.main import main
 from t2m_jax.config import config_from_dict, save_config
 from t2m_jax.data.folder import open_dataset
@@ -22,20 +22,23 @@ from t2m_jax.errors import UserError
 from t2m_jax.evaluation.protocols import find_protocol
 from t2m_jax.evaluation.run import evaluate
 from t2m_jax.evaluation.sources import make_generation
-from t2m_jax.evaluation.task import make_subject
+from t2m_jax.evaluation.task import make_task
 from t2m_jax.motion.normalizer import Normalizer
-from t2m_jax.sampling import Temperature, TextToMotion
-from t2m_jax.sampling.pipeline import generate_codes
-from t2m_jax.sampling.strategies import TopK
-from t2m_jax.train import run_gpt, run_vqvae
-from t2m_jax.train.config import (
+from t2m_jax.sampling import Temperature, TextToMotion, TopK
+from t2m_jax.sampling.codec import generate_codes
+from t2m_jax.train import (
     EvaluationConfig,
     GenerationEvaluationConfig,
     TrainGptConfig,
     TrainVqVaeConfig,
-    computation,
+    experiment,
+    generator,
+    gpt,
+    train,
+    vqvae,
 )
-from t2m_jax.train.evaluation import BestByMetric, is_better
+from t2m_jax.train.best import BestWeights, is_better
+from t2m_jax.train.config import compiled_config
 from tests.tiny import gpt_training, random_evaluator, vqvae_training
 from tests.train.conftest import assert_same_checkpoint
 
@@ -79,12 +82,7 @@ def training(held_out, evaluator, runs):
 
 
 def module_of(config):
-    return run_vqvae if isinstance(config, TrainVqVaeConfig) else run_gpt
-
-
-def train(config, *, resume=False):
-    module = module_of(config)
-    return (module.train_vqvae if module is run_vqvae else module.train_gpt)(config, resume=resume)
+    return vqvae if isinstance(config, TrainVqVaeConfig) else gpt
 
 
 @pytest.fixture(scope="module")
@@ -111,9 +109,8 @@ def files(run):
 
 def trained_at(run, step):
     """Returns the weights of a checkpoint, by name."""
-    checkpoints = Checkpoints(run)
-    tree = checkpoints._manager.restore(step)
-    checkpoints.close()
+    with Checkpoints(run) as checkpoints:
+        tree = checkpoints._manager.restore(step)
     return {name: tree[name][name] for name in ("params", "codebook") if name in tree}
 
 
@@ -134,9 +131,10 @@ def test_the_table_and_the_best(finished, stage):
 def loaded(run, stage):
     """Returns the trained weights that whoever loads a run gets, as fields of its training state."""
     if stage == "vqvae":
-        return load_vqvae(run).variables
-    variables = load_gpt_run(run).variables
-    return {"params": {name: variables[name]["params"] for name in ("gpt", "caption_encoder")}}
+        return load_tokenizer(run).variables
+    variables = load_generator_run(run).variables
+    roles = {"gpt": "generator", "caption_encoder": "text_encoder"}
+    return {"params": {kind: variables[role]["params"] for kind, role in roles.items()}}
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -162,10 +160,11 @@ def test_a_resumed_run_equals_one_that_never_stopped(finished, training, stage, 
             raise KeyboardInterrupt
         return update(state, *arguments, **options)
 
-    compiled = generate_codes._cache_size()
     monkeypatch.setattr(module, "update", interrupted)
     with pytest.raises(KeyboardInterrupt):
         train(config)
+    compiled = generate_codes._cache_size()
+    assert compiled or stage == "vqvae"
     assert [row["step"] for row in table(config.run)] == [3, 6]
     assert find_best(config.run).step in (3, 6)
     monkeypatch.setattr(module, "update", update)
@@ -178,18 +177,18 @@ def test_a_resumed_run_equals_one_that_never_stopped(finished, training, stage, 
 def test_figures_are_those_of_the_command(finished, held_out, evaluator):
     """The best weights, loaded and evaluated by protocol, give the row by which they were chosen."""
     protocol, best = find_protocol("t2m-gpt"), find_best(finished["gpt"])
-    trained = load_evaluator_bundle(evaluator)
-    subject = make_subject(open_dataset(held_out), trained, protocol, split="val", seed=5)
-    maker = make_generation(TextToMotion.load(finished["gpt"]), Temperature(), subject.samples.clips)
-    report = evaluate(subject, maker, num_repeats=1, header={})
+    trained = load_trained_evaluator(evaluator)
+    task = make_task(open_dataset(held_out), trained, protocol, split="val", seed=5, unit=4)
+    source = make_generation(TextToMotion.load(finished["gpt"]), Temperature(), task.samples.clips)
+    report = evaluate(task, source, model="gpt", num_repeats=1)
     (row,) = [row for row in table(finished["gpt"]) if row["step"] == best.step]
     for metric in ("fid", "matching_score", "r_precision_1", "r_precision_3"):
-        assert report["rows"]["generated"][metric]["mean"] == pytest.approx(row[metric], rel=1e-6), metric
+        assert report.measured[metric].mean == pytest.approx(row[metric], rel=1e-6), metric
 
 
 def test_the_log_says_how_codes_were_chosen(training, tmp_path, caplog, monkeypatch):
-    monkeypatch.setattr(run_gpt, "held_out_figures", lambda subject, maker: {"fid": float(maker.strategy.k)})
-    monkeypatch.setattr(run_gpt, "Greedy", lambda: TopK(k=7))
+    monkeypatch.setattr(experiment, "held_out_metrics", lambda task, source: {"fid": float(source.strategy.k)})
+    monkeypatch.setattr(generator, "Greedy", lambda: TopK(k=7))
     config = training("gpt", tmp_path / "run", sampling="greedy")
     with caplog.at_level(logging.INFO):
         train(config)
@@ -204,7 +203,7 @@ def test_another_evaluator_is_refused_on_the_way(finished, training, held_out, t
     config = training("vqvae", run, evaluator=other)
     save_config(run / "config.yaml", config)
     save_evaluator(other, random_evaluator(seed=11)._replace(normalizer=open_dataset(held_out).normalizer))
-    with pytest.raises(UserError, match="figures of two evaluators do not compare"):
+    with pytest.raises(UserError, match="figures of two evaluators cannot be compared"):
         train(config, resume=True)
 
 
@@ -223,13 +222,13 @@ def refusal(request, training, tmp_path, capsys):
 
 
 def test_an_evaluator_that_is_none_is_refused_before_training(refusal, tmp_path):
-    assert f"{tmp_path / 'nowhere'}: no evaluator" in refusal(evaluator=tmp_path / "nowhere")
+    assert f"{tmp_path / 'nowhere'}: not an evaluator" in refusal(evaluator=tmp_path / "nowhere")
 
 
 def test_an_evaluator_of_other_data_is_refused_before_training(refusal, held_out, tmp_path):
     mean, std = open_dataset(held_out).normalizer
     save_evaluator(tmp_path / "evaluator", random_evaluator()._replace(normalizer=Normalizer(mean + std, std)))
-    assert "not those of the evaluator's data" in refusal(evaluator=tmp_path / "evaluator")
+    assert "differ too much from those of the evaluator" in refusal(evaluator=tmp_path / "evaluator")
 
 
 def test_a_validation_split_of_less_than_a_batch_is_refused_before_training(refusal, runs):
@@ -264,11 +263,13 @@ def test_what_makes_no_sense_is_refused(schema, fields, says):
 )
 def test_the_best_is_kept_by_the_direction_of_its_metric(metric, figures, steps, tmp_path):
     def look(resume):
-        return BestByMetric(tmp_path, metric=metric, sampling="greedy", evaluator="e", resume=resume)
+        if not resume:
+            forget_best(tmp_path)
+        return BestWeights(tmp_path, metric=metric, sampling="greedy", evaluator="e")
 
     best = look(False)
     for step, (value, expected) in enumerate(zip(figures, steps, strict=True), start=1):
-        best.see(step, {metric: value, "other": -value}, {"params": {"a": np.full(2, step, np.float32)}})
+        best.consider(step, {metric: value, "other": -value}, {"params": {"a": np.full(2, step, np.float32)}})
         assert (best.best and best.best.step) == expected
         assert find_best(tmp_path) == best.best
         if expected:
@@ -311,4 +312,26 @@ def test_steps_are_compiled_for_the_same_config_with_and_without(training, stage
     config = training(stage, tmp_path / "run")
     assert config.evaluation.evaluator is not None
     plain = dataclasses.replace(config, evaluation=type(config.evaluation)())
-    assert computation(config) == computation(plain)
+    assert compiled_config(config) == compiled_config(plain)
+
+
+def test_training_ends_when_the_best_is_too_old(tmp_path):
+    best = BestWeights(tmp_path)
+    assert not best.is_over(10**6, patience=4), "nothing was measured yet"
+    for step, loss in ((2, 3.0), (4, 1.0), (6, 2.0), (8, float("nan"))):
+        best.consider(step, {"loss": loss}, {"params": {"a": np.full(2, step, np.float32)}})
+        assert best.is_over(step, patience=4) == (step == 8)
+    assert not BestWeights(tmp_path).is_over(10**6, patience=0)
+
+
+def test_without_an_evaluator_the_lowest_validation_loss_chooses(runs):
+    for run in (runs.vqvae, runs.gpt):
+        rows = np.genfromtxt(run / "val.csv", delimiter=",", names=True)
+        best = find_best(run)
+        assert (best.metric, best.evaluator) == ("loss", None)
+        assert best.step == rows["step"][np.argmin(rows["loss"])] and best.value == rows["loss"].min()
+
+
+def test_a_picture_is_made_at_each_evaluation(finished):
+    for run in finished.values():
+        assert sorted(path.stem for path in (run / "pictures").iterdir()) == ["3", "6", "8"]

@@ -1,0 +1,101 @@
+"""`init` and `statistics`: training that starts from a trained model."""
+
+import dataclasses
+import json
+
+import jax
+import numpy as np
+import pytest
+
+from t2m_jax.checkpoints import load_generator_run, load_tokenizer, save_bundle
+from t2m_jax.config import load_config
+from t2m_jax.data import open_dataset
+from t2m_jax.errors import UserError
+from t2m_jax.motion import save_normalizer
+from t2m_jax.train import TrainVqVaeConfig, train
+from tests.tiny import LOOP, OPTIMIZER, VQVAE, gpt_training, vqvae_training
+
+STILL = dataclasses.replace(OPTIMIZER, learning_rate=0.0, warmup_steps=0)
+"""With it, weights stay where they start."""
+SHORT = dataclasses.replace(LOOP, num_steps=1, validate_every=0)
+
+
+def assert_same(one, other, **tolerance):
+    jax.tree.map(lambda left, right: np.testing.assert_allclose(left, right, **tolerance), one, other)
+
+
+@pytest.fixture(scope="module")
+def bundle(runs, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("init") / "bundle"
+    save_bundle(folder, load_generator_run(runs.gpt), card="")
+    return folder
+
+
+@pytest.mark.parametrize("source", ["run", "generator's run", "bundle"])
+def test_a_tokenizer_starts_from_a_model(runs, bundle, tmp_path, source):
+    init = {"run": runs.vqvae, "generator's run": runs.gpt, "bundle": bundle}[source]
+    fields = {"init": init, "statistics": f"{init}", "optimizer": STILL}
+    config = dataclasses.replace(vqvae_training(runs.data, tmp_path / "run", loop=SHORT), **fields)
+    state, expected = train(config), load_tokenizer(init)
+    assert_same(state.params, expected.variables["params"], rtol=1e-6)
+    np.testing.assert_array_equal(load_tokenizer(config.run).normalizer.std, expected.normalizer.std)
+
+
+def test_a_generator_starts_from_a_model_and_keeps_its_subwords(runs, tmp_path):
+    fields = {"init": runs.gpt, "optimizer": STILL}
+    config = dataclasses.replace(gpt_training(runs.data, runs.vqvae, tmp_path / "run", loop=SHORT), **fields)
+    state, expected = train(config), load_generator_run(runs.gpt)
+    assert_same(state.params["gpt"], expected.variables["generator"]["params"], rtol=1e-6)
+    assert_same(state.params["caption_encoder"], expected.variables["text_encoder"]["params"], rtol=1e-6)
+    assert (config.run / "tokenizer.json").read_bytes() == (runs.gpt / "tokenizer.json").read_bytes()
+
+
+def test_other_sizes_are_refused_with_the_array_named(runs, tmp_path):
+    model = dataclasses.replace(VQVAE, width=24)
+    config = dataclasses.replace(vqvae_training(runs.data, tmp_path / "run"), init=runs.vqvae, model=model)
+    with pytest.raises(UserError, match=r"init: array '.*' of .* is \(.*\), but the config needs"):
+        train(config)
+
+
+def test_a_generator_of_another_tokenizer_is_refused(runs, tmp_path):
+    loop = dataclasses.replace(SHORT, seed=9)
+    train(vqvae_training(runs.data, tmp_path / "other", loop=loop))
+    config = gpt_training(runs.data, tmp_path / "other", tmp_path / "run", loop=SHORT)
+    with pytest.raises(UserError, match="was trained with another tokenizer"):
+        train(dataclasses.replace(config, init=runs.gpt))
+
+
+def test_statistics_come_from_files(runs, tmp_path):
+    """As published: `mean.npy` and `std.npy`, measured on a slightly different build of the data."""
+    mean, std = open_dataset(runs.data).normalizer
+    published = open_dataset(runs.data).normalizer._replace(mean=mean + 0.23 * std)
+    (tmp_path / "meta").mkdir()
+    np.save(tmp_path / "meta" / "mean.npy", published.mean)
+    np.save(tmp_path / "meta" / "std.npy", published.std)
+    save_normalizer(tmp_path / "ours", published)
+    for number, statistics in enumerate(("meta", "meta/mean.npy", "ours")):
+        run = tmp_path / f"run{number}"
+        config = dataclasses.replace(vqvae_training(runs.data, run, loop=SHORT), statistics=f"{tmp_path / statistics}")
+        train(config)
+        np.testing.assert_array_equal(load_tokenizer(run).normalizer.mean, published.mean)
+    train(gpt_training(runs.data, tmp_path / "run0", tmp_path / "gpt", loop=SHORT))
+
+
+def test_statistics_of_other_motion_are_refused(runs, tmp_path):
+    mean, std = open_dataset(runs.data).normalizer
+    save_normalizer(tmp_path / "far", open_dataset(runs.data).normalizer._replace(mean=mean + std))
+    for statistics, said in ((f"{tmp_path / 'far'}", "differ too much"), ("nowhere", "nowhere does not exist")):
+        config = dataclasses.replace(vqvae_training(runs.data, tmp_path / "run"), statistics=statistics)
+        with pytest.raises(UserError, match=said):
+            train(config)
+        assert not (tmp_path / "run").exists()
+
+
+def test_a_run_records_what_it_was_trained_on_and_how_far(runs, tmp_path):
+    data = json.loads((runs.gpt / "training_data.json").read_text())
+    assert data["num_clips"] == len(open_dataset(runs.data).clips("train"))
+    assert "a" in data["words"] and sum(data["clips_per_action"].values()) == data["num_clips"]
+    config = vqvae_training(runs.data, tmp_path / "run", loop=SHORT)
+    train(config)
+    train(dataclasses.replace(config, loop=dataclasses.replace(SHORT, num_steps=2)), resume=True)
+    assert load_config(tmp_path / "run" / "config.yaml", TrainVqVaeConfig).loop.num_steps == 2
