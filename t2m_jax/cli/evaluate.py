@@ -10,19 +10,24 @@ model generates from the captions of a split with real motion, in the space of a
 import argparse
 import dataclasses
 import functools
+import os
 import shlex
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from t2m_jax.cli import evaluate_report
+from t2m_jax.cli.generate import add_sampling_arguments
+from t2m_jax.cli.next_step import show_next
 from t2m_jax.errors import UserError
+from t2m_jax.files import check_output, save_json
 
 if TYPE_CHECKING:
     from t2m_jax.data import Dataset
     from t2m_jax.evaluation import CodeSource, EvaluationTask
     from t2m_jax.evaluation.report import ReconstructionFigures
 
+FORMATS = ("terminal", "markdown", "latex", "json")
 LABELS = {
     "mpjpe_mm": "MPJPE, mm (root-aligned)",
     "mpjpe_median_clip_mm": "MPJPE of the median clip, mm",
@@ -37,47 +42,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the sub-commands and their options."""
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=type(parser))
 
-    def add(name: str, function: object, help_: str) -> argparse.ArgumentParser:
-        command = commands.add_parser(
-            name, help=help_, description=f"{help_[0].upper()}{help_[1:]}.", allow_abbrev=False
-        )
-        command.set_defaults(evaluate=function)
+    def add(function: Callable[[argparse.Namespace], None], help_: str) -> argparse.ArgumentParser:
+        name, description = function.__name__.removeprefix("run_"), f"{help_[0].upper()}{help_[1:]}."
+        command = commands.add_parser(name, help=help_, description=description, allow_abbrev=False)
+        command.set_defaults(run_command=function)
         return command
 
-    reconstruction = add("reconstruction", _reconstruction, "measure how well a tokenizer gives back real motion")
-    generation = add("generation", _generation, "measure how well generated motion fits captions and real motion")
-    prompts = add("prompts", _prompts, "count how often generated motion does what held-out sentences ask for")
+    reconstruction = add(run_reconstruction, "measure how well a tokenizer gives back real motion")
+    generation = add(run_generation, "measure how well generated motion fits captions and real motion")
+    prompts = add(run_prompts, "count how often generated motion does what held-out sentences ask for")
+    compare, table = add(run_compare, "test two reports for differences"), add(run_table, "print a table of reports")
     for command in (reconstruction, generation, prompts):
-        command.add_argument(
-            "--model", default="demo", help="bundled name, bundle folder or run folder (default: demo)"
-        )
+        command.add_argument("--model", default="demo", help="bundled name, bundle or run folder (default: demo)")
         command.add_argument("--json", type=Path, metavar="F", help="also write the figures to this file")
-    for command in (reconstruction, generation):
-        _add_protocol_arguments(command, needs_evaluator=command is generation)
-    generation.add_argument(
-        "--temperature", type=float, default=1.0, help="below 1: safer; 0: always the likeliest code"
-    )
+    _add_protocol_arguments(reconstruction, needs_evaluator=False)
+    _add_protocol_arguments(generation, needs_evaluator=True)
+    add_sampling_arguments(generation)
     generation.add_argument("--greedy", action="store_const", dest="temperature", const=0.0, help="--temperature 0")
-    generation.add_argument("--top-k", type=int, help="sample among this many likeliest codes")
-    generation.add_argument("--top-p", type=float, help="sample among the likeliest codes, up to this probability")
-    generation.add_argument("--guidance-scale", type=float, help="strength of guidance, for models trained for it")
     prompts.add_argument("--num-seeds", type=int, default=20, help="samples per content (default: 20)")
-    evaluate_report.add_compare_arguments(
-        add("compare", evaluate_report.run_compare, "test two reports for differences")
-    )
-    evaluate_report.add_table_arguments(add("table", evaluate_report.run_table, "print a table of reports"))
+    compare.add_argument("reports", nargs="+", type=Path, metavar="REPORT", help="two files of --json")
+    table.add_argument("reports", nargs="+", type=Path, metavar="REPORT", help="files of --json")
+    table.add_argument("--format", choices=FORMATS, default="terminal", help="how to print (default: terminal)")
+    table.add_argument("--names", nargs="+", metavar="NAME", help="names of the rows (default: names of the files)")
+    by_label = "R-precision that does not count motions of the same label as errors"
+    table.add_argument("--by-label", action="store_true", help=by_label)
 
 
 def _add_protocol_arguments(parser: argparse.ArgumentParser, *, needs_evaluator: bool) -> None:
-    trained = "folder or run of `t2m train evaluator`"
     parser.add_argument("--data", required=True, metavar="DIR", help="data-set folder")
     parser.add_argument("--split", default="test", help="split to measure on (default: test)")
-    parser.add_argument(
-        "--evaluator",
-        required=needs_evaluator,
-        metavar="E",
-        help=trained if needs_evaluator else f"{trained} (optional)",
-    )
+    evaluator = "folder of an evaluator, or run of `t2m train evaluator`" + ("" if needs_evaluator else " (optional)")
+    parser.add_argument("--evaluator", required=needs_evaluator, metavar="E", help=evaluator)
     parser.add_argument("--protocol", default="t2m-gpt", help="t2m-gpt (default), text-to-motion, momask or strict")
     parser.add_argument("--num-repeats", type=int, default=20, help="repeats (default: 20)")
     parser.add_argument("--seed", type=int, default=0, help="start of every random choice (default: 0)")
@@ -87,10 +82,6 @@ def _add_protocol_arguments(parser: argparse.ArgumentParser, *, needs_evaluator:
 
 def run(args: argparse.Namespace) -> None:
     """Checks the options that commands share and runs the command."""
-    from t2m_jax.evaluation.report import check_page
-    from t2m_jax.files import check_output
-    from t2m_jax.sampling import use_compilation_cache
-
     for name in ("num_repeats", "num_seeds"):
         if getattr(args, name, 1) < 1:
             raise UserError(f"--{name.replace('_', '-')}: {getattr(args, name)} is not a whole number above 0")
@@ -99,17 +90,20 @@ def run(args: argparse.Namespace) -> None:
     if getattr(args, "html", None):
         if args.evaluator is None:
             raise UserError("--html: the page shows motions as an evaluator ranks them; use it with --evaluator")
+        from t2m_jax.evaluation.report import check_page
+
         check_page(args.html)
-    use_compilation_cache()
-    args.evaluate(args)
+    args.run_command(args)
 
 
-def _reconstruction(args: argparse.Namespace) -> None:
+def run_reconstruction(args: argparse.Namespace) -> None:
+    """Prints how well a tokenizer gives back motion; with an evaluator, also by a protocol."""
     from t2m_jax.checkpoints import load_tokenizer
     from t2m_jax.data import open_dataset
     from t2m_jax.evaluation import Reconstruction, evaluate_reconstruction
-    from t2m_jax.files import save_json
+    from t2m_jax.sampling import use_compilation_cache
 
+    use_compilation_cache()
     tokenizer, dataset = load_tokenizer(args.model), open_dataset(args.data)
     task = _make_task(args, dataset, unit=tokenizer.config.downsample) if args.evaluator else None
     figures = evaluate_reconstruction(tokenizer, dataset, split=args.split)
@@ -123,10 +117,11 @@ def _reconstruction(args: argparse.Namespace) -> None:
     if args.json:
         save_json(args.json, dataclasses.asdict(figures))
     options = shlex.join(["--model", args.model, "--data", args.data])
-    evaluate_report.suggest(f"t2m evaluate reconstruction {options} --evaluator RUN --json reconstruction.json")
+    show_next(f"t2m evaluate reconstruction {options} --evaluator RUN --json reconstruction.json")
 
 
-def _generation(args: argparse.Namespace) -> None:
+def run_generation(args: argparse.Namespace) -> None:
+    """Evaluates motion that a model generates."""
     from t2m_jax.data import open_dataset
     from t2m_jax.data.checks import check_feature_dim
     from t2m_jax.evaluation import make_generation
@@ -174,15 +169,15 @@ def _measure(
         viewer = functools.partial(viewer_html, embed=False)
         save_page(args.html, report, gather_details(task, source), viewer=viewer)
     if args.json:
-        evaluate_report.suggest(shlex.join(["t2m", "evaluate", "table", str(args.json)]))
+        show_next(shlex.join(["t2m", "evaluate", "table", str(args.json)]))
     else:
-        evaluate_report.suggest("the same with --json F.json, then `t2m evaluate table F.json`")
+        show_next("the same with --json F.json, then `t2m evaluate table F.json`")
 
 
-def _prompts(args: argparse.Namespace) -> None:
+def run_prompts(args: argparse.Namespace) -> None:
+    """Prints how often generated motion does what was asked."""
     from t2m_jax.evaluation import evaluate_prompt_following
     from t2m_jax.evaluation.prompt_following import markdown_table
-    from t2m_jax.files import save_json
     from t2m_jax.sampling import TextToMotion
 
     model = TextToMotion.load(args.model)
@@ -197,4 +192,28 @@ def _prompts(args: argparse.Namespace) -> None:
     }
     if args.json:
         save_json(args.json, {"prompt_following": right / total, "num_samples": total, "contents": contents})
-    evaluate_report.suggest(shlex.join(["t2m", "generate", "a person walks forward", "--model", args.model]))
+    show_next(shlex.join(["t2m", "generate", "a person walks forward", "--model", args.model]))
+
+
+def run_compare(args: argparse.Namespace) -> None:
+    """Prints the comparison of two reports."""
+    from t2m_jax.evaluation.report import compare_reports, comparison_table, load_report
+
+    if len(args.reports) != 2:
+        raise UserError(f"evaluate compare: give two reports, not {len(args.reports)}")
+    differences = compare_reports(*map(load_report, args.reports))
+    sys.stdout.write(comparison_table([path.stem for path in args.reports], differences) + "\n")
+    show_next(shlex.join(["t2m", "evaluate", "table", *map(str, args.reports)]))
+
+
+def run_table(args: argparse.Namespace) -> None:
+    """Prints the table of some reports."""
+    from t2m_jax.evaluation.report import format_table, load_report, make_table
+
+    stems = [path.stem for path in args.reports]
+    names = args.names or (stems if len(set(stems)) == len(stems) else list(map(str, args.reports)))
+    table = make_table([load_report(path) for path in args.reports], names, by_label=args.by_label)
+    color = sys.stdout.isatty() and "NO_COLOR" not in os.environ
+    sys.stdout.write(format_table(table, style=args.format, color=color) + "\n")
+    others = [str(path) for path in args.reports[1:2]] or ["OTHER.json"]
+    show_next(shlex.join(["t2m", "evaluate", "compare", str(args.reports[0]), *others]))

@@ -15,7 +15,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.evaluation.embedding import embed_decoded, embed_plan_captions, embed_plan_motions
 from t2m_jax.evaluation.protocols import SAMPLES_PER_CAPTION, Plan
 from t2m_jax.evaluation.report.record import Header, Metric, Report
-from t2m_jax.evaluation.sources import CodeSource, SourceCodes
+from t2m_jax.evaluation.sources import CodeSource
 from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.files import load_json, save_json
 from t2m_jax.metrics import diversity, fid, label_bound, matching_score, multimodality, r_precision
@@ -101,11 +101,16 @@ def evaluate_repeat(task: EvaluationTask, source: CodeSource, *, repeat: int) ->
     key = jax.random.fold_in(jax.random.key(task.seed), repeat)
     found = source.make(task.samples.clips, task.protocol, plan, key)
     embeddings = embed_decoded(task, source.tokenizer, found.codes)
-    # One motion per item counts everywhere; the rest are only for variety.
-    motion, varied = embeddings[: len(plan.samples)], _varied_samples(plan, embeddings, found)
+    motion = embeddings[: len(plan.samples)]
     metrics = RepeatMetrics(*(_paired_metrics(task, plan, text, motions) for motions in (real, motion)))
     metrics.measured["fid"] = float(fid(jnp.asarray(real), jnp.asarray(motion)))
-    if varied is not None:
+    if len(found.items) > len(plan.samples):  # there are further samples of the captions whose variety is measured
+        place = np.full(len(plan.samples), -1)
+        place[plan.varied] = np.arange(len(plan.varied))
+        chosen = place[found.items] >= 0
+        # Samples that no pair uses were not made; they stay zero.
+        varied = np.zeros((len(plan.varied), SAMPLES_PER_CAPTION, embeddings.shape[1]), np.float32)
+        varied[place[found.items[chosen]], found.numbers[chosen]] = embeddings[chosen]
         variety = multimodality(jnp.asarray(varied), jnp.asarray(plan.multimodality_pairs))
         metrics.measured["multimodality"] = float(variety)
     if task.samples.labels is not None:
@@ -117,20 +122,6 @@ def evaluate_repeat(task: EvaluationTask, source: CodeSource, *, repeat: int) ->
         again = embed_plan_motions(task, task.plan(repeat + SECOND_PASS))
         metrics.real["fid"] = float(fid(jnp.asarray(real), jnp.asarray(again)))
     return metrics
-
-
-def _varied_samples(
-    plan: Plan, embeddings: Float[np.ndarray, "G E"], found: SourceCodes
-) -> Float[np.ndarray, "M S E"] | None:
-    """Returns the samples of each caption whose variety is measured, by number; samples that were not made are zero."""
-    if len(found.items) == len(plan.samples) or not len(plan.varied):
-        return None
-    place = np.full(len(plan.samples), -1)
-    place[plan.varied] = np.arange(len(plan.varied))
-    chosen = place[found.items] >= 0
-    varied = np.zeros((len(plan.varied), SAMPLES_PER_CAPTION, embeddings.shape[1]), np.float32)
-    varied[place[found.items[chosen]], found.numbers[chosen]] = embeddings[chosen]
-    return varied
 
 
 def _paired_metrics(

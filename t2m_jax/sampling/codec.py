@@ -91,7 +91,7 @@ def encode_motions(
     for first in tqdm(range(0, len(order), BATCH), desc="encoding", unit="batch", disable=None if progress else True):
         chosen = order[first : first + BATCH]
         size = round_up(len(motions[chosen[-1]]), FRAME_BUCKET)
-        normalized = [tokenizer.normalizer.normalize(motions[index]) for index in chosen]
+        normalized = [np.asarray(tokenizer.normalizer.normalize(motions[index])) for index in chosen]
         batch = pad_motions(normalized, batch=BATCH, size=size)
         mask = mask_from_lengths(jnp.asarray(batch.lengths), size)
         found = np.asarray(encode_batch(variables, jnp.asarray(batch.motion), mask, tokenizer=tokenizer.module))

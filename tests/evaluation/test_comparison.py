@@ -11,6 +11,7 @@ from t2m_jax.evaluation.report.comparison import PAIRED, compare_reports, compar
 from t2m_jax.evaluation.report.record import Header, Metric, Report, save_report
 
 HEADER = Header(protocol="strict", data="d", split="test", num_samples=64, evaluator="abc", seed=0)
+OTHERS = {int: -1, str: "other"}
 
 
 def report(kind="generated", header=HEADER, **metrics):
@@ -54,7 +55,7 @@ def test_no_chance_is_printed_as_none():
 
 @pytest.mark.parametrize("name", PAIRED)
 def test_reports_of_different_kinds_do_not_compare(name):
-    other = report(fid=[1.0, 2.0], header=dataclasses.replace(HEADER, **{name: "other"}))
+    other = report(fid=[1.0, 2.0], header=dataclasses.replace(HEADER, **{name: OTHERS[type(getattr(HEADER, name))]}))
     with pytest.raises(UserError, match=f"^{name}: .* evaluate both in the same way"):
         compare_reports(report(fid=[1.0, 2.0]), other)
 

@@ -62,7 +62,7 @@ def check_against_table(task, source, found):
     precision = r_precision(jnp.asarray(ranked.text[rows]), jnp.asarray(ranked.measured[rows]), counted=counted)
     for k in (1, 2, 3):
         assert precision[k - 1] == pytest.approx(metrics[f"r_precision_{k}"].mean, abs=1e-6)
-        # An untrained model makes some motions twice; the rank that is shown is behind such equals.
+        # An untrained model makes some motions twice; such equals come first in the rank that is shown.
         assert np.mean(found.ranks <= k) <= metrics[f"r_precision_{k}"].mean + 1e-6
     # Of motions made alike either may be farther by the last bit.
     least, most = (ranks_by_hand(ranked, slack=slack) for slack in (-1e-5, 1e-5))
@@ -74,7 +74,7 @@ def test_the_motions_are_those_of_the_first_repeat(task, source, details):
     check_against_table(task, source, details)
 
 
-def test_so_they_are_where_the_last_sample_stands_and_a_batch_is_not_full(task, source):
+def test_the_motions_are_the_same_if_the_last_sample_counts_and_a_batch_is_not_full(task, source):
     protocol = dataclasses.replace(
         find_protocol("strict"), generated_length="real", first_counts=False, multimodality_captions=2
     )
@@ -101,7 +101,7 @@ def test_real_codes_are_those_of_each_piece_alone(task, source, details):
     tokenizer = source.tokenizer
     encode = jax.jit(lambda motion: tokenizer.module.apply(tokenizer.variables, motion, method="encode"))
     clips = [clip for clip in task.samples.clips if len(clip.features) >= 40][:3]
-    # One piece stands in for all: the protocol takes them whole, and all are cut to one length, which compiles once.
+    # Whole pieces of one length, so that one program is compiled.
     cut = [clip._replace(features=clip.features[:40], captions=clip.captions[:1]) for clip in clips]
     judged = task._replace(samples=task.samples._replace(clips=cut * 11, labels=None), protocol=find_protocol("strict"))
     expected = sum(

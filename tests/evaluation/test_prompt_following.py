@@ -41,7 +41,7 @@ def test_motions_break_the_rule_of_another(kind, other):
     assert not any(follows(other, motion_of(kind, seed)) for seed in range(5))
 
 
-def test_someone_who_stands_does_nothing_that_was_asked():
+def test_standing_still_breaks_every_rule():
     still = Motion(np.repeat(make_motion("walk", seed=0, num_frames=40)[:1], 40, axis=0), 20.0)
     assert not any(follows(content, still) for content in RULES)
 

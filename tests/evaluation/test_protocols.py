@@ -1,5 +1,7 @@
 """What the protocols look at: counts, crops, captions, pairs, seeds; lengths against the reference's."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -24,8 +26,9 @@ def make_samples(count):
 SAMPLES = make_samples(413)
 
 
-def plan(name, *, samples=SAMPLES, seed=1, repeat=0):
-    return make_plan(samples, find_protocol(name), seed=seed, repeat=repeat, unit=4)
+def plan(name, *, samples=SAMPLES, seed=1, repeat=0, unit=4, **rules):
+    protocol = dataclasses.replace(find_protocol(name), **rules)
+    return make_plan(samples, protocol, seed=seed, repeat=repeat, unit=unit)
 
 
 @pytest.mark.parametrize("name", ["t2m-gpt", "text-to-motion", "momask"])
@@ -81,8 +84,21 @@ def test_a_repeat_is_a_function_of_seed_and_number():
 def test_few_motions():
     assert len(plan("t2m-gpt", samples=SAMPLES[:150]).diversity_pairs) == 100
     assert len(plan("t2m-gpt", samples=SAMPLES[:40]).diversity_pairs) == 31
-    with pytest.raises(UserError, match="20 motions with captions do not fill a batch of 32"):
+    with pytest.raises(UserError, match=r"20 motions with captions do not fill a batch of 32; .*`--batch 20`"):
         plan("t2m-gpt", samples=SAMPLES[:20])
+    assert len(plan("t2m-gpt", samples=SAMPLES[:20], batch=20).samples) == 20
+    assert len(plan("t2m-gpt", samples=SAMPLES[:20], batch=8).samples) == 16
+    with pytest.raises(UserError, match="batch: 3 is too small"):
+        plan("t2m-gpt", batch=3)
+
+
+@pytest.mark.parametrize("unit", [4, 8, 12])
+def test_lengths_are_multiples_of_the_unit(unit):
+    for name in PROTOCOLS:
+        found = plan(name, unit=unit)
+        frames = np.array([len(SAMPLES[owner].features) for owner in found.samples])
+        assert (found.lengths % unit == 0).all() and (found.starts + found.lengths <= frames).all()
+        assert set(frames // unit - found.lengths // unit) == ({0} if name == "strict" else {0, 1})
 
 
 def test_an_unknown_protocol_is_one_line():

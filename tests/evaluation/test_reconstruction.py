@@ -1,5 +1,7 @@
 """Reconstruction figures: against a plain NumPy computation, whatever the batch."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -35,17 +37,17 @@ def report(tokenizer, dataset):
 
 
 def test_figures_equal_a_plain_computation(tokenizer, dataset, report):
-    apply = jax.jit(lambda variables, motion: VqVae(VQVAE).apply(variables, motion, train=False))
+    encode, decode = (jax.jit(functools.partial(VqVae(VQVAE).apply, method=name)) for name in ("encode", "decode"))
     errors, per_clip, used = [], [], set()
     for clip in dataset.clips("test"):
         features = clip.features[: len(clip.features) // 4 * 4]
-        output = apply(tokenizer.variables, jnp.asarray(tokenizer.normalizer.normalize(features))[None])
-        raw = tokenizer.normalizer.denormalize(np.asarray(output.reconstruction[0]))
+        codes = encode(tokenizer.variables, jnp.asarray(tokenizer.normalizer.normalize(features))[None])
+        raw = tokenizer.normalizer.denormalize(np.asarray(decode(tokenizer.variables, codes)[0]))
         found, wanted = (positions_from_features(x, dataset.skeleton).astype(np.float64) for x in (raw, features))
         distance = np.linalg.norm((found - found[:, :1]) - (wanted - wanted[:, :1]), axis=-1).mean(axis=-1)
         errors.append(distance)
         per_clip.append(distance.mean())
-        used |= set(np.asarray(output.codes).ravel().tolist())
+        used |= set(np.ravel(codes).tolist())
     np.testing.assert_allclose(report.mpjpe_mm, 1000 * np.concatenate(errors).mean(), rtol=1e-3)
     np.testing.assert_allclose(report.mpjpe_median_clip_mm, 1000 * np.median(per_clip), rtol=1e-3)
     assert report.codebook_usage == len(used) / VQVAE.num_codes

@@ -18,7 +18,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.evaluation import run as repeats
 from t2m_jax.evaluation.codes import encode_pieces, generate_many
 from t2m_jax.evaluation.embedding import embed_decoded
-from t2m_jax.evaluation.protocols import SAMPLES_PER_CAPTION, find_protocol
+from t2m_jax.evaluation.protocols import SAMPLES_PER_CAPTION, Protocol, find_protocol
 from t2m_jax.evaluation.report.record import Metric, load_report
 from t2m_jax.evaluation.run import evaluate, load_partial, make_header
 from t2m_jax.evaluation.sources import Reconstruction, make_generation, measured_samples, sample_keys
@@ -276,3 +276,30 @@ def test_mistakes_are_one_line(folders, synthetic_folder, options, says, capsys)
     assert command(folders, synthetic_folder, *options) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert says in line
+
+
+def test_the_unit_is_of_the_tokenizer_and_the_evaluator(evaluator, synthetic_folder):
+    dataset = open_dataset(synthetic_folder)
+    fitting = evaluator._replace(normalizer=dataset.normalizer)
+    tasks = {
+        unit: make_task(dataset, fitting, Protocol(name="small", batch=16), split="train", seed=0, unit=unit)
+        for unit in (2, 4, 6, 64)
+    }
+    assert [task.unit for task in tasks.values()] == [4, 4, 12, 64]
+    shortest = {unit: min(len(clip.features) for clip in task.samples.clips) for unit, task in tasks.items()}
+    assert shortest[4] < 64 <= shortest[64], "a motion without a whole unit is left out"
+
+
+def test_a_small_split_needs_a_smaller_batch(folders, synthetic_folder, capsys):
+    path, data = folders / "report.json", shutil.copytree(synthetic_folder, folders / "data")
+    (data / "few.txt").write_text("\n".join(open_dataset(data).names("train")[:6]))
+    options = ["--num-repeats", "1", "--split", "few", "--json", str(path)]
+    assert command(folders, data, *options) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "split few" in line and "do not fill a batch of 32; use another split, or a smaller batch (`--batch" in line
+    sampling = ["--temperature", "0.5", "--top-k", "3"]
+    assert command(folders, data, *options, "--batch", "4", *sampling) == 0
+    header = load_report(path).header
+    assert (header.batch, header.unit, header.split) == (4, 4, "few")
+    assert (header.sampling, header.temperature, header.top_k, header.top_p) == ("sampled", 0.5, 3, None)
+    assert capsys.readouterr().err.splitlines()[-1] == f"next: t2m evaluate table {path}"

@@ -1,4 +1,4 @@
-"""The motions behind the figures of one repeat: lengths, codes, and how well each caption finds its motion."""
+"""The motions of one repeat: lengths, codes, and how well each caption finds its motion."""
 
 from typing import NamedTuple
 

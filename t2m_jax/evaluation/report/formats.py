@@ -43,7 +43,19 @@ def format_table(table: Table, *, style: Literal["terminal", "markdown", "latex"
     """Returns the table as text without a final line end; with `color`, the terminal shows the best in bold."""
     if style == "terminal":
         return _terminal(table, color=color)
-    return {"markdown": _markdown, "latex": _latex, "json": _json}[style](table)
+    if style != "json":
+        return (_markdown if style == "markdown" else _latex)(table)
+    rows = [
+        {
+            "name": row.name,
+            "kind": row.kind,
+            "num_repeats": row.num_repeats,
+            "figures": {c.metric: row.cells[c.metric]._asdict() for c in table.columns if c.metric in row.cells},
+        }
+        for row in table.rows
+    ]
+    columns = [column._asdict() for column in table.columns]
+    return json.dumps({**table.facts, "columns": columns, "rows": rows}, indent=2, ensure_ascii=False)
 
 
 def _plain(cell: Cell | None) -> str:
@@ -124,17 +136,3 @@ def _latex(table: Table) -> str:
             r"\end{table}",
         ]
     )
-
-
-def _json(table: Table) -> str:
-    rows = [
-        {
-            "name": row.name,
-            "kind": row.kind,
-            "num_repeats": row.num_repeats,
-            "figures": {c.metric: row.cells[c.metric]._asdict() for c in table.columns if c.metric in row.cells},
-        }
-        for row in table.rows
-    ]
-    columns = [column._asdict() for column in table.columns]
-    return json.dumps({**table.facts, "columns": columns, "rows": rows}, indent=2, ensure_ascii=False)

@@ -57,14 +57,18 @@ def check_plots() -> None:
 
 
 @contextlib.contextmanager
-def _drawing(name: str) -> Iterator[None]:
-    """Sets the style above, whatever the user has configured; `name` keeps the ids of two plots apart."""
+def _drawing(name: str, width: float, height: float) -> Iterator["Figure"]:
+    """Yields an empty figure of a size in inches; what is drawn on it in the block has the style above.
+
+    The style does not depend on what the user has configured. `name` keeps the ids of two plots apart.
+    """
     import matplotlib
+    from matplotlib.figure import Figure
 
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(STYLE | {"svg.hashsalt": name})
-        yield
+        yield Figure(figsize=(width, height), layout="constrained")
 
 
 def _svg(figure: "Figure") -> str:
@@ -83,18 +87,11 @@ def _svg(figure: "Figure") -> str:
     return f'{opening} aria-hidden="true">{rest}'
 
 
-def _figure(width: float, height: float) -> "Figure":
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
 def repeats_plot(report: Report, columns: tuple[Column, ...]) -> str:
     """Returns the values of each repeat for real and measured motion; bands are mean and 95 % interval."""
     across = 4
     down = -(-(len(columns) + 1) // across)  # one more for the legend
-    with _drawing("repeats"):
-        figure = _figure(9.6, 2.05 * down)
+    with _drawing("repeats", 9.6, 2.05 * down) as figure:
         axes = figure.subplots(down, across, squeeze=False).ravel()
         for axis, column in zip(axes, columns, strict=False):
             for row, metrics in report.rows.items():
@@ -123,8 +120,7 @@ def lengths_plot(real: Int[np.ndarray, " N"], measured: Int[np.ndarray, " N"], *
     longest = max(real.max(), measured.max())
     width = -(-int(longest) // (FRAMES_PER_BIN * LENGTH_BINS)) * FRAMES_PER_BIN
     edges = np.arange(0, longest + 2 * width, width) - FRAMES_PER_BIN / 2
-    with _drawing("lengths"):
-        figure = _figure(4.7, 2.7)
+    with _drawing("lengths", 4.7, 2.7) as figure:
         axis = figure.subplots()
         shares = [100 * np.histogram(lengths, edges)[0] / len(lengths) for lengths in (real, measured)]
         axis.stairs(shares[0], edges / fps, color=INKS["real"], fill=True, alpha=0.35, label="real motion")
@@ -146,8 +142,7 @@ def codes_plot(real: Int[np.ndarray, " K"], measured: Int[np.ndarray, " K"], *, 
     used = np.concatenate([share[share > 0] for share in shares])
     floor = (used.min() if len(used) else 1.0) / 2
     edges = np.arange(len(order) + 1) + 0.5
-    with _drawing("codes"):
-        figure = _figure(4.7, 2.7)
+    with _drawing("codes", 4.7, 2.7) as figure:
         axis = figure.subplots()
         axis.stairs(
             np.maximum(shares[0], floor), edges, baseline=floor, color=INKS["real"], fill=True, alpha=0.35,
