@@ -49,7 +49,8 @@ class Validation(NamedTuple):
 
     data: Any
     """The validation split, in the form of `Setup.data`."""
-    num_batches: int
+    num_clips: int
+    """Clips in `data`. A validation takes as many whole batches as they fill, but at least one."""
     measure: Callable[[Any, Any, jax.Array], Metrics]
     """From a state, the data and the number of a batch to metrics with a `loss`."""
 
@@ -261,9 +262,8 @@ def measure_validation(setup: Setup, loop: LoopConfig, best: BestWeights | None)
     def measure(state: Any) -> Mapping[str, float]:
         validation = setup.validation
         assert validation is not None
-        scores = mean_over_batches(
-            lambda batch: validation.measure(state, validation.data, batch), validation.num_batches
-        )
+        num_batches = max(validation.num_clips // loop.batch_size, 1)
+        scores = mean_over_batches(lambda batch: validation.measure(state, validation.data, batch), num_batches)
         if best is not None:
             best.consider(int(state.step), scores, setup.weights(state))
         return scores
