@@ -69,7 +69,7 @@ def normalizer_from_clips(clips: Iterable[Float[np.ndarray, "_ D"]], layout: Fea
     if count == 0:
         raise UserError("there is no clip with finite features, so there are no statistics; check the data set")
     std = np.sqrt(squares / count)
-    for group in layout.groups:
+    for group in layout:
         std[group] = std[group].mean() or 1.0
     return Normalizer(mean.astype(np.float32), std.astype(np.float32))
 
