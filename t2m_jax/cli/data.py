@@ -8,7 +8,6 @@ from pathlib import Path
 
 from t2m_jax.cli.next_step import show_next
 
-DESCRIPTION = "make a data-set folder from motion files, or check one"
 MAX_LINES = 20
 """Number of clips or problems that are printed; `check --json` has all problems."""
 

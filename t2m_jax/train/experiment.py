@@ -123,11 +123,6 @@ def find_trainer(kind: str) -> Trainer:
     return points[kind].load()
 
 
-def trainer_kinds() -> tuple[str, ...]:
-    """Returns the kinds that can be trained."""
-    return tuple(sorted(importlib.metadata.entry_points(group=GROUP).names))
-
-
 def load_run_config(run: Path) -> Any:
     """Returns the config of a run.
 
