@@ -54,10 +54,8 @@ class CaptionEncoder(nn.Module):
         """Returns the text embedding. Tokens where the mask is False have no influence."""
         config = self.config
         positions = self.param("position_embedding", WEIGHT_INIT, (config.max_length, config.embed_dim))
-        hidden = nn.Embed(config.vocabulary_size, config.embed_dim, embedding_init=WEIGHT_INIT, name="token_embedding")(
-            caption_tokens
-        )
-        hidden = hidden + positions[None, : caption_tokens.shape[1]]
+        embed = nn.Embed(config.vocabulary_size, config.embed_dim, embedding_init=WEIGHT_INIT, name="token_embedding")
+        hidden = embed(caption_tokens) + positions[None, : caption_tokens.shape[1]]
         for layer in range(config.num_layers):
             block = Block(config.num_heads, config.mlp_ratio, config.dropout, name=f"block_{layer}")
             hidden, _ = block(hidden, caption_mask[:, None, None, :], train=train)

@@ -93,10 +93,8 @@ class ClipText(nn.Module):
         if length > config.max_length:
             raise ValueError(f"{length} tokens do not fit a max_length of {config.max_length}")
         positions = self.param("position_embedding", WEIGHT_INIT, (config.max_length, config.embed_dim))
-        hidden = nn.Embed(config.vocabulary_size, config.embed_dim, embedding_init=WEIGHT_INIT, name="token_embedding")(
-            caption_tokens
-        )
-        hidden = hidden + positions[None, :length]
+        embed = nn.Embed(config.vocabulary_size, config.embed_dim, embedding_init=WEIGHT_INIT, name="token_embedding")
+        hidden = embed(caption_tokens) + positions[None, :length]
         causal = jnp.tril(jnp.ones((1, 1, length, length), bool))
         for layer in range(config.num_layers):
             hidden = ClipBlock(config, name=f"block_{layer}")(hidden, causal)
