@@ -38,13 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--num-heads", type=int, default=16, help="attention heads of the GPT (default: %(default)s)")
     vqvae = parser.add_argument_group("options of the VQ-VAE that its file does not contain")
     vqvae.add_argument("--dilation-growth", type=int, default=3, help="ratio of dilations (default: %(default)s)")
-    vqvae.add_argument(
-        "--activation", choices=["relu", "silu", "gelu"], default="relu", help="of the residual units (default: relu)"
-    )
+    vqvae.add_argument("--activation", choices=["relu", "silu", "gelu"], default="relu", help="default: %(default)s")
     vqvae.add_argument("--norm", choices=["LN", "GN"], help="if it has one of the two (default: LN)")
-    vqvae.add_argument(
-        "--quantizer", choices=["ema", "reset", "ema_reset"], help="how the codebook learned (default: ema_reset)"
-    )
+    vqvae.add_argument("--quantizer", choices=["ema", "reset", "ema_reset"], help="codebook rule (default: ema_reset)")
     vqvae.add_argument("--ema-decay", type=float, default=0.99, help="in further training (default: %(default)s)")
     vqvae.add_argument("--reset-threshold", type=float, default=1.0, help="in further training (default: %(default)s)")
     parser.add_argument(

@@ -103,9 +103,7 @@ def normalizer_from_files(mean_file: Path, std_file: Path) -> Normalizer:
     """
     rows = []
     for path in (mean_file, std_file):
-        with np.errstate(
-            over="ignore"
-        ):  # a number that is too large for float32 becomes infinite and is reported below
+        with np.errstate(over="ignore"):  # numbers that are too large become infinite, which is reported below
             row = load_array(path).astype(np.float32)
         if row.ndim != 1:
             raise UserError(f"{path}: has shape {list(row.shape)}; expected one row of floating-point numbers")

@@ -40,10 +40,7 @@ def trained_parts(params: Any, config: TrainEvaluatorConfig) -> dict[str, Any]:
 
 @functools.partial(jax.jit, static_argnames="config")
 def init_matching_state(
-    config: TrainEvaluatorConfig,
-    key: Key[Array, ""],
-    movement_encoder: Any,
-    word_vectors: Float[Array, "W X"] | None,
+    config: TrainEvaluatorConfig, key: Key[Array, ""], movement_encoder: Any, word_vectors: Float[Array, "W X"] | None
 ) -> TrainState:
     """Returns the state before the first update; `key` is consumed.
 

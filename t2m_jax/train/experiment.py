@@ -192,9 +192,7 @@ def checked_weights(source: Path, weights: Mapping[str, Any], like: Mapping[str,
     for name in sorted(found.keys() | wanted.keys()):
         shapes = [tree[name].shape if name in tree else "missing" for tree in (found, wanted)]
         if shapes[0] != shapes[1]:
-            raise UserError(
-                f"init: array {name!r} of {source} is {shapes[0]}, but the config needs {shapes[1]}; use its sizes"
-            )
+            raise UserError(f"init: array {name!r} of {source} is {shapes[0]}, not {shapes[1]} as in the config")
     return jax.tree.map(lambda leaf, other: jax.numpy.asarray(leaf, other.dtype), dict(weights), dict(like))
 
 

@@ -15,12 +15,7 @@ from tokenizers import Tokenizer
 from t2m_jax.checkpoints.bundle import CLIP_NAME, CONFIG_FILE, Bundle, BundleConfig, ClipReference
 from t2m_jax.checkpoints.clip import load_clip
 from t2m_jax.checkpoints.model import load_model
-from t2m_jax.checkpoints.tokenizer import (
-    TrainedTokenizer,
-    load_tokenizer,
-    load_tokenizer_config,
-    save_tokenizer_copy,
-)
+from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer, load_tokenizer_config, save_tokenizer_copy
 from t2m_jax.config import save_config
 from t2m_jax.data.banks.codes import Captions
 from t2m_jax.data.checks import check_statistics
