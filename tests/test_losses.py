@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.losses import elementwise_loss, reconstruction_loss, token_loss, velocity_loss
-from t2m_jax.motion.layout import FeatureLayout
+from t2m_jax.motion.layout import make_layout
 from tests.jit import assert_jit_matches_eager
 
 
@@ -17,7 +17,7 @@ def test_golden_losses(golden_dir, joints, kind):
     prefix = f"J{joints}"
     pred, motion = (jnp.asarray(arrays[f"{prefix}/{name}"]) for name in ("pred", "gt"))
     mask = jnp.ones(pred.shape[:2], bool)
-    positions = FeatureLayout(joints).positions
+    positions = make_layout(joints).positions
     assert [positions.start, positions.stop] == arrays[f"{prefix}/vel_slice"].tolist()
 
     def total(pred):

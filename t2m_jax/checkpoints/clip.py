@@ -146,10 +146,9 @@ def _params_from_arrays(path: Path, arrays: dict[str, np.ndarray], config: ClipT
     shapes = {names: shape[::-1] if names[-1] == "kernel" else shape for names, shape in param_shapes(config).items()}
     expected = {_key_from_path(names): (shape, np.float32) for names, shape in shapes.items()}
     fitted = fit_arrays(path, arrays, expected)
-    flat = {names: fitted[_key_from_path(names)] for names in shapes}
-    return traverse_util.unflatten_dict(
-        {names: array.T if names[-1] == "kernel" else array for names, array in flat.items()}
-    )
+    leaves = {names: fitted[_key_from_path(names)] for names in shapes}
+    flat = {names: leaf.T if names[-1] == "kernel" else leaf for names, leaf in leaves.items()}
+    return traverse_util.unflatten_dict(flat)
 
 
 def _key_from_path(names: tuple[str, ...]) -> str:

@@ -71,9 +71,7 @@ def load_runs(paths: Sequence[Path]) -> tuple[Path, Bundle]:
     """
     generators = [path for path in paths if run_info(path) and (path / CONFIG_FILE).is_file()]
     if len(generators) != 1:
-        raise UserError(
-            f"{len(generators)} of {len(paths)} folders are runs of a generator; a bundle needs exactly one"
-        )
+        raise UserError(f"{len(generators)} of {len(paths)} folders are runs of a generator; a bundle needs one")
     bundle = load_generator_run(generators[0])
     for path in paths:
         if path == generators[0]:

@@ -4,13 +4,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from t2m_jax.checkpoints.best import restore_trained
-from t2m_jax.checkpoints.bundle import (
-    CONFIG_FILE,
-    bundle_path,
-    check_statistics_width,
-    load_bundle,
-    load_bundle_config,
-)
+from t2m_jax.checkpoints.bundle import CONFIG_FILE, bundle_path, check_statistics_width, load_bundle, load_bundle_config
 from t2m_jax.checkpoints.run import is_run, run_info
 from t2m_jax.config import load_config, save_config
 from t2m_jax.errors import UserError

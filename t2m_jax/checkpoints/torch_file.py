@@ -78,14 +78,10 @@ def _read_archive(file: BinaryIO) -> Any:
             name.removesuffix("/data.pkl") for name in members if name.count("/") == 1 and name.endswith("/data.pkl")
         ]
         if len(roots) != 1:
-            raise UserError(
-                "a zip archive, but not of torch.save; use the downloaded file without unpacking or repacking it"
-            )
+            raise UserError("a zip archive, but not of torch.save; use the downloaded file as it is")
         (root,) = roots
         if members[f"{root}/data.pkl"].file_size > MAX_PICKLE_BYTES:
-            raise UserError(
-                f"its table of contents is larger than {MAX_PICKLE_BYTES // 1_000_000} MB; this is not a model"
-            )
+            raise UserError(f"its table of contents is larger than {MAX_PICKLE_BYTES // 1_000_000} MB; not a model")
         order = archive.read(f"{root}/byteorder") if f"{root}/byteorder" in members else b"little"
         if order not in (b"little", b"big"):
             raise UserError(f"its byte order is {order[:20]!r}, which is neither little nor big")
@@ -106,9 +102,7 @@ def _check_members(archive: zipfile.ZipFile, size: int) -> None:
     if len({member.filename for member in members}) < len(members):
         raise UserError("its archive has two members of the same name")
     if any(member.compress_type != zipfile.ZIP_STORED for member in members):
-        raise UserError(
-            "its archive is compressed, but torch.save does not compress; use the file without repacking it"
-        )
+        raise UserError("its archive is compressed, but torch.save does not compress; use the downloaded file as it is")
     if any(member.file_size != member.compress_size for member in members):
         raise UserError("its archive is damaged: a member has two sizes")
     if sum(member.file_size for member in members) > size:

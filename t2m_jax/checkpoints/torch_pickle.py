@@ -271,9 +271,7 @@ class _Machine:
     def _drop_attributes(self, _: Any) -> None:
         """Ignores the attributes of a dictionary, such as the `_metadata` of a state dict."""
         if type(self._stack[-1]) is not dict:
-            raise UserError(
-                f"sets attributes of {_kind(self._stack[-1])}, which is not a dictionary; refused, nothing was run"
-            )
+            raise UserError(f"sets attributes of {_kind(self._stack[-1])}, not a dictionary; refused, nothing was run")
 
 
 def _made(name: Any, arguments: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Lets `python -m t2m_jax.cli` stand for `t2m`."""
+"""Makes `python -m t2m_jax.cli` the same as `t2m`."""
 
 import sys
 

@@ -12,9 +12,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("runs", nargs="+", help="run folder of a generator, which contains its tokenizer")
     parser.add_argument("destination", help="folder to write")
     parser.add_argument("--card", default=None, metavar="FILE", help="model card (Markdown) to include")
-    parser.add_argument(
-        "--export-official", action="store_true", help="also write the weights with the names of the original code"
-    )
+    parser.add_argument("--export-official", action="store_true", help="also write files for the original code")
 
 
 def run(args: argparse.Namespace) -> None:

@@ -16,6 +16,7 @@ from pathlib import Path
 from t2m_jax.errors import UserError
 
 _MODEL_FILES = ("vqvae", "gpt", "mean", "std")
+_MODEL_OPTIONS = ("num_heads", "dilation_growth", "activation", "norm", "quantizer", "ema_decay", "reset_threshold")
 _EVALUATOR_FILES = ("evaluator", "mean", "std", "words", "word_vectors")
 
 
@@ -37,13 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--num-heads", type=int, default=16, help="attention heads of the GPT (default: %(default)s)")
     vqvae = parser.add_argument_group("options of the VQ-VAE that its file does not contain")
     vqvae.add_argument("--dilation-growth", type=int, default=3, help="ratio of dilations (default: %(default)s)")
-    vqvae.add_argument(
-        "--activation", choices=["relu", "silu", "gelu"], default="relu", help="of the residual units (default: relu)"
-    )
+    vqvae.add_argument("--activation", choices=["relu", "silu", "gelu"], default="relu", help="default: %(default)s")
     vqvae.add_argument("--norm", choices=["LN", "GN"], help="if it has one of the two (default: LN)")
-    vqvae.add_argument(
-        "--quantizer", choices=["ema", "reset", "ema_reset"], help="how the codebook learned (default: ema_reset)"
-    )
+    vqvae.add_argument("--quantizer", choices=["ema", "reset", "ema_reset"], help="codebook rule (default: ema_reset)")
     vqvae.add_argument("--ema-decay", type=float, default=0.99, help="in further training (default: %(default)s)")
     vqvae.add_argument("--reset-threshold", type=float, default=1.0, help="in further training (default: %(default)s)")
     parser.add_argument(
@@ -87,13 +84,12 @@ def _export(args: argparse.Namespace) -> None:
 def _convert_model(args: argparse.Namespace) -> None:
     from t2m_jax.checkpoints.bundle import ClipReference, save_bundle
     from t2m_jax.checkpoints.clip import load_clip
-    from t2m_jax.checkpoints.official import OfficialFiles, OfficialOptions, load_official, official_card
+    from t2m_jax.checkpoints.official import OfficialFiles, load_official, official_card
     from t2m_jax.files import check_new, load_text
 
     check_new(args.destination)
     files = OfficialFiles(*(getattr(args, name) for name in _MODEL_FILES))
-    names = [field.name for field in dataclasses.fields(OfficialOptions)]
-    bundle = load_official(files, options=OfficialOptions(**{name: getattr(args, name) for name in names}))
+    bundle = load_official(files, **{name: getattr(args, name) for name in _MODEL_OPTIONS})
     clip = None
     if args.clip is not None and Path(args.clip).is_dir():
         clip = load_clip(args.clip, text_dim=bundle.config.generator.text_dim)

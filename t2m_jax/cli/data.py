@@ -8,7 +8,6 @@ from pathlib import Path
 
 from t2m_jax.cli.next_step import show_next
 
-DESCRIPTION = "make a data-set folder from motion files, or check one"
 MAX_LINES = 20
 """Number of clips or problems that are printed; `check --json` has all problems."""
 
@@ -17,9 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the sub-commands `import`, `synthetic` and `check`."""
     commands = parser.add_subparsers(dest="data_command", required=True, metavar="{import,synthetic,check}")
     importer = commands.add_parser("import", help="convert motion files into a data-set folder")
-    synthetic = commands.add_parser(
-        "synthetic", help="make a data-set folder of procedural motions, without a download"
-    )
+    synthetic = commands.add_parser("synthetic", help="make a data-set folder of computed motions, without a download")
     check = commands.add_parser("check", help="count the contents of a data-set folder and find its faults")
     check.add_argument("folder", type=Path, metavar="DIR")
     check.add_argument("--json", type=Path, metavar="FILE", help="write the report to this file, too")
@@ -33,15 +30,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         command.add_argument("destination", type=Path, metavar="DEST", help="folder to make")
     bandai.add_argument("--splits", type=Path, metavar="DIR", help="folder with train.txt, val.txt and test.txt")
     bandai.add_argument("--workers", type=int, help="number of processes (default: one per processor)")
-    bvh.add_argument(
-        "--captions", type=Path, metavar="FILE", help="table: file,caption[,start,end], or text: 'file: caption'"
-    )
+    bvh.add_argument("--captions", type=Path, metavar="FILE", help="file,caption[,start,end] or 'file: caption' lines")
     bvh.add_argument("--rig", help="name of a rig or a YAML file (default: detected from the joint names)")
     bvh.add_argument("--caption-from-name", action="store_true", help="caption clips without captions by file name")
     bvh.add_argument("--seed", type=int, default=0, help="seed of the split into train, val and test")
-    synthetic.add_argument(
-        "--num-clips", type=int, help="clips before mirroring (default 200; 14614 with --like-humanml3d)"
-    )
+    synthetic.add_argument("--num-clips", type=int, help="clips before mirroring (default: 200, or 14614 as HumanML3D)")
     synthetic.add_argument(
         "--like-humanml3d",
         action="store_true",

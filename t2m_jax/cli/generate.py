@@ -14,24 +14,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="same seed, same motion (default: 0)")
     parser.add_argument("--num-samples", type=int, default=1, help="motions per sentence (default: 1)")
     add_sampling_arguments(parser)
-    parser.add_argument(
-        "-o",
-        "--output",
-        action="append",
-        default=None,
-        metavar="FILE",
-        help=".npz .bvh .gif .mp4 or .html; may be repeated; several motions get -0, -1, ... (default: motion.html)",
-    )
+    files = ".npz .bvh .gif .mp4 or .html; can be repeated; several motions get -0, -1, ... (default: motion.html)"
+    parser.add_argument("-o", "--output", action="append", metavar="FILE", help=files)
 
 
 def add_sampling_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares how codes are sampled; `t2m evaluate generation` has the same options."""
     parser.add_argument("--temperature", type=float, default=1.0, help="below 1 is safer; 0 is greedy (default: 1)")
-    parser.add_argument("--top-k", type=int, default=None, help="choose among this many of the likeliest codes")
-    parser.add_argument("--top-p", type=float, default=None, help="choose among the likeliest codes up to this sum")
-    parser.add_argument(
-        "--guidance-scale", type=float, default=None, help="strength of the text, for models trained with guidance"
-    )
+    parser.add_argument("--top-k", type=int, help="choose among this many of the likeliest codes")
+    parser.add_argument("--top-p", type=float, help="choose among the likeliest codes up to this sum")
+    parser.add_argument("--guidance-scale", type=float, help="strength of the text, for models trained with guidance")
 
 
 def run(args: argparse.Namespace) -> None:

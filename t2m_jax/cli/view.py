@@ -7,15 +7,9 @@ from pathlib import Path
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the arguments of `t2m view`."""
     parser.add_argument("file", type=Path, metavar="FILE", help="motion to read: .npz, .bvh, or .npy of a data set")
+    files = "file to write: .html, .gif, .mp4, .bvh or .npz; can be repeated"
     parser.add_argument(
-        "-o",
-        "--output",
-        dest="outputs",
-        type=Path,
-        action="append",
-        required=True,
-        metavar="FILE",
-        help="file to write: .html, .gif, .mp4, .bvh or .npz; can be repeated",
+        "-o", "--output", dest="outputs", type=Path, action="append", required=True, metavar="FILE", help=files
     )
 
 

@@ -12,7 +12,7 @@ from t2m_jax.data.importers import (
     write_synthetic_dataset,
 )
 from t2m_jax.data.index import ClipIndex, IndexRow, load_index, save_index
-from t2m_jax.data.summary import TrainingData, load_training_data, save_training_data, summarize_training_data
+from t2m_jax.data.summary import TrainingData, save_training_data, summarize_training_data
 from t2m_jax.data.texts import Caption, load_captions, parse_caption, save_captions
 from t2m_jax.data.writer import ImportReport, finish_folder, new_folder, write_clip
 
@@ -41,7 +41,6 @@ __all__ = [
     "import_humanml3d",
     "load_captions",
     "load_index",
-    "load_training_data",
     "make_bank",
     "make_motion",
     "new_folder",

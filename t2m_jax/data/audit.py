@@ -177,9 +177,7 @@ def check_stored_statistics(dataset: Dataset, splits: dict[str, tuple[str, ...]]
             return []
     if not differences:
         return []
-    return [
-        f"Mean.npy, Std.npy: differ from the clips' statistics by {min(differences):.2f} of their spread; import again"
-    ]
+    return [f"Mean.npy, Std.npy: differ from the clips by {min(differences):.2f} of their spread; import them again"]
 
 
 def _check_folder(dataset: Dataset, names: set[str]) -> list[str]:

@@ -33,9 +33,7 @@ def load_features(path: Path, *, feature_dim: int) -> Float[np.ndarray, "T D"]:
     array = load_array(path)
     if array.ndim != 2 or array.shape[1] != feature_dim:
         shape = "x".join(str(size) for size in array.shape)
-        raise UserError(
-            f"{path}: has shape {shape}, expected T x {feature_dim}; are these features of another skeleton?"
-        )
+        raise UserError(f"{path}: has shape {shape}, expected T x {feature_dim}; is it for another skeleton?")
     return array.astype(np.float32, copy=False)
 
 

@@ -62,11 +62,6 @@ class Clip(NamedTuple):
     features: Float[np.ndarray, "T D"]
     captions: tuple[Caption, ...]
 
-    @property
-    def is_mirrored(self) -> bool:
-        """Whether the clip is the mirrored twin of another clip."""
-        return self.name.startswith(MIRROR_PREFIX)
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Dataset:

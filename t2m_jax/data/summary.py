@@ -8,8 +8,7 @@ from pathlib import Path
 from t2m_jax.data.banks.captions import all_tokens
 from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.data.index import load_index
-from t2m_jax.errors import UserError
-from t2m_jax.files import load_json, save_json
+from t2m_jax.files import save_json
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -42,21 +41,3 @@ def summarize_training_data(dataset: Dataset, clips: Sequence[Clip]) -> Training
 def save_training_data(path: Path, data: TrainingData) -> None:
     """Writes a record as JSON."""
     save_json(path, dataclasses.asdict(data))
-
-
-def load_training_data(path: Path) -> TrainingData:
-    """Returns the record in a JSON file.
-
-    Raises:
-        UserError: The file is missing or damaged, or is not such a record.
-    """
-    fields = load_json(path)
-    try:
-        found = TrainingData(**fields)
-        counts = [found.num_clips, *found.clips_per_action.values(), *found.words.values()]
-        is_sound = type(found.data) is str and all(type(count) is int and count >= 0 for count in counts)
-    except (TypeError, AttributeError):
-        is_sound = False
-    if not is_sound:
-        raise UserError(f"{path}: is not a record of training data; copy the model again")
-    return found

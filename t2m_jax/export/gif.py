@@ -29,9 +29,8 @@ def save_gif(path: Path, motions: Sequence[Motion], *, height: int = 480) -> Non
     chosen = np.unique(np.linspace(0, film.num_frames - 1, PALETTE_SAMPLES).astype(int))
     samples = np.concatenate([np.asarray(film.draw_frame(int(frame))) for frame in chosen])
     palette = Image.fromarray(samples).quantize(255, method=Image.Quantize.MEDIANCUT)
-    frames = (
-        film.draw_frame(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in range(film.num_frames)
-    )
+    pictures = map(film.draw_frame, range(film.num_frames))
+    frames = (picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
     first = next(frames)
     with atomic_file(path) as partial:
         first.save(

@@ -5,11 +5,12 @@ from jaxtyping import Array, Bool, Float
 
 from t2m_jax.masks import masked_mean
 
+Positions = Float[Array, "B T J 3"]
 CONTACT_HEIGHT = 0.05
 """Meters. A foot should not move if it is less than this above the lowest point of its clip."""
 
 
-def joint_errors(positions: Float[Array, "B T J 3"], reference: Float[Array, "B T J 3"]) -> Float[Array, "B T"]:
+def joint_errors(positions: Positions, reference: Positions) -> Float[Array, "B T"]:
     """Returns the mean distance of the joints in each frame after both roots are moved to the origin.
 
     The orientation is not aligned. The unit is that of the positions.
@@ -19,7 +20,7 @@ def joint_errors(positions: Float[Array, "B T J 3"], reference: Float[Array, "B 
     return jnp.mean(jnp.linalg.norm(aligned - aligned_reference, axis=-1), axis=-1)
 
 
-def aligned_joint_errors(positions: Float[Array, "B T J 3"], reference: Float[Array, "B T J 3"]) -> Float[Array, "B T"]:
+def aligned_joint_errors(positions: Positions, reference: Positions) -> Float[Array, "B T"]:
     """Returns the mean distance of the joints in each frame after the best rotation, scale and shift of the pose.
 
     This is the Procrustes alignment without reflection.
@@ -35,23 +36,17 @@ def aligned_joint_errors(positions: Float[Array, "B T J 3"], reference: Float[Ar
     return jnp.mean(jnp.linalg.norm(turned - target, axis=-1), axis=-1)
 
 
-def mpjpe(
-    positions: Float[Array, "B T J 3"], reference: Float[Array, "B T J 3"], mask: Bool[Array, "B T"]
-) -> Float[Array, ""]:
+def mpjpe(positions: Positions, reference: Positions, mask: Bool[Array, "B T"]) -> Float[Array, ""]:
     """Returns the root-aligned mean per-joint position error over the True frames (as MoMask's evaluation does)."""
     return masked_mean(joint_errors(positions, reference), mask)
 
 
-def pa_mpjpe(
-    positions: Float[Array, "B T J 3"], reference: Float[Array, "B T J 3"], mask: Bool[Array, "B T"]
-) -> Float[Array, ""]:
+def pa_mpjpe(positions: Positions, reference: Positions, mask: Bool[Array, "B T"]) -> Float[Array, ""]:
     """Returns the mean per-joint position error over the True frames with every pose aligned by Procrustes."""
     return masked_mean(aligned_joint_errors(positions, reference), mask)
 
 
-def acceleration_error(
-    positions: Float[Array, "B T J 3"], reference: Float[Array, "B T J 3"], mask: Bool[Array, "B T"]
-) -> Float[Array, ""]:
+def acceleration_error(positions: Positions, reference: Positions, mask: Bool[Array, "B T"]) -> Float[Array, ""]:
     """Returns the mean distance of the joints' second differences, over True frames with two True neighbors.
 
     The unit is that of the positions per squared frame.
@@ -61,7 +56,7 @@ def acceleration_error(
 
 
 def foot_skating(
-    positions: Float[Array, "B T J 3"], mask: Bool[Array, "B T"], *, feet: tuple[int, ...], fps: float
+    positions: Positions, mask: Bool[Array, "B T"], *, feet: tuple[int, ...], fps: float
 ) -> Float[Array, ""]:
     """Returns the mean speed of feet on the ground in meters per second, over all frames and feet that touch it.
 

@@ -18,21 +18,21 @@ class CaptionEncoderConfig:
     kind: ClassVar[str] = "caption_encoder"
 
     vocabulary_size: int = 1024
-    """Subword tokens, padding included."""
+    """Number of subword tokens, including padding."""
     max_length: int = 48
-    """Longest caption in tokens; what exceeds it is cut."""
+    """Longest caption in tokens. Longer captions are cut."""
     embed_dim: int = 256
     """Width of the transformer."""
     num_layers: int = 2
-    """Blocks."""
+    """Number of blocks."""
     num_heads: int = 4
-    """Attention heads; must divide embed_dim."""
+    """Number of attention heads; must divide `embed_dim`."""
     mlp_ratio: int = 4
-    """Width of a block's MLP over embed_dim."""
+    """Width of a block's MLP divided by `embed_dim`."""
     dropout: float = 0.1
-    """Dropout rate in attention and MLP."""
+    """Dropout rate in the attention and the MLP."""
     text_dim: int = 256
-    """Width of the embedding that comes out (E)."""
+    """Width of the text embedding (E)."""
 
     def __post_init__(self) -> None:
         check_sizes(self)
@@ -43,7 +43,7 @@ class CaptionEncoderConfig:
 
 
 class CaptionEncoder(nn.Module):
-    """Reads a whole caption and returns its embedding. RNG stream `dropout` when training."""
+    """Reads a whole caption and returns its embedding. Training uses the RNG stream `dropout`."""
 
     config: CaptionEncoderConfig
 
@@ -51,17 +51,16 @@ class CaptionEncoder(nn.Module):
     def __call__(
         self, caption_tokens: Int[Array, "B S"], caption_mask: Bool[Array, "B S"], *, train: bool
     ) -> Float[Array, "B E"]:
-        """Returns the text embedding; tokens where the mask is False have no influence."""
+        """Returns the text embedding. Tokens where the mask is False have no influence."""
         config = self.config
         positions = self.param("position_embedding", WEIGHT_INIT, (config.max_length, config.embed_dim))
-        hidden = nn.Embed(config.vocabulary_size, config.embed_dim, embedding_init=WEIGHT_INIT, name="token_embedding")(
-            caption_tokens
-        )
-        hidden = hidden + positions[None, : caption_tokens.shape[1]]
+        embed = nn.Embed(config.vocabulary_size, config.embed_dim, embedding_init=WEIGHT_INIT, name="token_embedding")
+        hidden = embed(caption_tokens) + positions[None, : caption_tokens.shape[1]]
         for layer in range(config.num_layers):
             block = Block(config.num_heads, config.mlp_ratio, config.dropout, name=f"block_{layer}")
             hidden, _ = block(hidden, caption_mask[:, None, None, :], train=train)
         hidden = nn.LayerNorm(epsilon=LAYER_NORM_EPSILON, name="final_norm")(hidden)
+        # The mean over the tokens. A caption without tokens gets zeros and not NaN.
         weights = caption_mask / jnp.maximum(caption_mask.sum(axis=1, keepdims=True), 1)
         pooled = jnp.einsum("bs,bsw->bw", weights, hidden)
         return nn.Dense(config.text_dim, kernel_init=WEIGHT_INIT, name="projection")(pooled)

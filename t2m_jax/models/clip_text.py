@@ -1,4 +1,4 @@
-"""The text tower of CLIP (arXiv 2103.00020, section 2.4): a caption's tokens to one embedding."""
+"""The text encoder of CLIP (arXiv 2103.00020, section 2.4). It turns the tokens of a caption into one embedding."""
 
 import dataclasses
 from typing import Literal
@@ -15,30 +15,30 @@ Activation = Literal["quick_gelu", "gelu"]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ClipTextConfig:
-    """Sizes of the text tower; the defaults are ViT-B/32."""
+    """Sizes of the text encoder; the defaults are ViT-B/32."""
 
     vocabulary_size: int = 49408
-    """Subword tokens, start and end included."""
+    """Number of subword tokens, including start and end."""
     max_length: int = 77
-    """Longest caption in tokens, start and end included; what exceeds it is cut."""
+    """Longest caption in tokens, including start and end. Longer captions are cut."""
     embed_dim: int = 512
     """Width of the transformer."""
     num_layers: int = 12
-    """Blocks."""
+    """Number of blocks."""
     num_heads: int = 8
-    """Attention heads; must divide embed_dim."""
+    """Number of attention heads; must divide `embed_dim`."""
     mlp_dim: int = 2048
     """Width of a block's MLP."""
     activation: Activation = "quick_gelu"
-    """What the MLP uses: `quick_gelu` (x times sigmoid of 1.702 x; OpenAI's weights) or `gelu` (the exact form)."""
+    """Activation of the MLP: `quick_gelu` (x times sigmoid of 1.702 x, for OpenAI's weights) or `gelu` (exact)."""
     layer_norm_epsilon: float = 1e-5
-    """Added to the variance in every layer norm."""
+    """Number that every layer norm adds to the variance."""
     text_dim: int = 512
-    """Width of the embedding that comes out (E)."""
+    """Width of the text embedding (E)."""
     end_token: int | None = None
-    """The token at whose first place the caption is read; None reads at the largest token, as the original does.
+    """The embedding is read at the first place of this token. None means the largest token, as in the original.
 
-    The two agree while End is the last token of the vocabulary; with tokens added behind it only the first is right.
+    Both are the same if End is the last token of the vocabulary. If tokens were added after End, give its number.
     """
 
     def __post_init__(self) -> None:
@@ -46,7 +46,7 @@ class ClipTextConfig:
         check_limits(self, vocabulary_size=1_000_000, max_length=4096, embed_dim=16_384, num_layers=64, mlp_dim=65_536)
         check_limits(self, text_dim=65_536)
         if self.max_length < 2:
-            raise ValueError(f"max_length: {self.max_length} has no room for a start and an end")
+            raise ValueError(f"max_length: {self.max_length} leaves no room for a start and an end")
         if self.embed_dim % self.num_heads:
             raise ValueError(f"num_heads: {self.num_heads} does not divide embed_dim {self.embed_dim}")
         if self.end_token is not None and not 0 <= self.end_token < self.vocabulary_size:
@@ -59,7 +59,7 @@ def quick_gelu(values: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
 
 
 class ClipBlock(nn.Module):
-    """Attention and MLP, each behind a layer norm and beside a residual."""
+    """Attention and an MLP, each after a layer norm and with a residual connection."""
 
     config: ClipTextConfig
 
@@ -76,31 +76,29 @@ class ClipBlock(nn.Module):
 
 
 def layer_norm(config: ClipTextConfig, name: str) -> nn.LayerNorm:
-    """Returns a layer norm of the tower; the slow variance, because the mean of CLIP's activations is far from zero."""
+    """Returns a layer norm. It uses the slow variance, because the mean of CLIP's activations is far from zero."""
     return nn.LayerNorm(epsilon=config.layer_norm_epsilon, use_fast_variance=False, name=name)
 
 
 class ClipText(nn.Module):
-    """Reads a caption from start to end and returns its embedding, as CLIP's `encode_text` does: not normalised."""
+    """Reads a caption from start to end and returns its embedding like CLIP's `encode_text`, without normalizing it."""
 
     config: ClipTextConfig
 
     @nn.compact
     def __call__(self, caption_tokens: Int[Array, "B S"]) -> Float[Array, "B E"]:
-        """Returns the text embedding; what stands behind the end of a caption has no influence."""
+        """Returns the text embedding. Tokens after the end of a caption have no influence."""
         config = self.config
         length = caption_tokens.shape[1]
         if length > config.max_length:
             raise ValueError(f"{length} tokens do not fit a max_length of {config.max_length}")
         positions = self.param("position_embedding", WEIGHT_INIT, (config.max_length, config.embed_dim))
-        hidden = nn.Embed(config.vocabulary_size, config.embed_dim, embedding_init=WEIGHT_INIT, name="token_embedding")(
-            caption_tokens
-        )
-        hidden = hidden + positions[None, :length]
+        embed = nn.Embed(config.vocabulary_size, config.embed_dim, embedding_init=WEIGHT_INIT, name="token_embedding")
+        hidden = embed(caption_tokens) + positions[None, :length]
         causal = jnp.tril(jnp.ones((1, 1, length, length), bool))
         for layer in range(config.num_layers):
             hidden = ClipBlock(config, name=f"block_{layer}")(hidden, causal)
-        # Both forms take the first place, so padding with End itself changes nothing.
+        # `argmax` returns the first place in both cases, so captions may be padded with End.
         is_end = caption_tokens if config.end_token is None else caption_tokens == config.end_token
         ends = jnp.argmax(is_end, axis=1)
         read = jnp.take_along_axis(hidden, ends[:, None, None], axis=1)[:, 0]

@@ -1,7 +1,7 @@
 """The 1-D convolutional encoder and decoder of T2M-GPT (arXiv 2301.06052, figure 2), masked.
 
-What lies past a clip's end is set to zero before every convolution, so that a clip in a padded batch meets exactly the
-zeros it would meet alone.
+Positions past the end of a clip are set to zero before every convolution. A clip in a padded batch is therefore padded
+with the same zeros as it would be alone, and gives the same result.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,20 +19,21 @@ ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {
     "gelu": lambda values: nn.gelu(values, approximate=False),
 }
 
-
 NormKind = Literal["none", "LN", "GN", "BN"]
 GROUPS = 32
-"""Groups of channels of `GN`."""
+"""Number of channel groups of `GN`."""
 
 
 def normalized(
     hidden: Float[Array, "B T W"], mask: Bool[Array, "B T"], *, kind: NormKind, name: str, train: bool
 ) -> Float[Array, "B T W"]:
-    """Returns the sequence after a normalization layer called `name`; to be called inside a module's `compact` method.
+    """Returns the sequence after a normalization layer called `name`. Call this inside a module's `compact` method.
 
-    `LN` is over the channels of one position, `GN` over the positions of a clip and the channels of a group, `BN` over
-    the batch, with running statistics in the collection `batch_stats`. Masked positions count in none of them.
+    `LN` normalizes over the channels of one position. `GN` normalizes over the positions of a clip and the channels of
+    a group. `BN` normalizes over the batch and keeps running statistics in the collection `batch_stats`. All of them
+    ignore masked positions.
     """
+    # The fast variance (mean of squares minus square of the mean) cancels if the mean is large.
     if kind == "LN":
         return nn.LayerNorm(epsilon=1e-5, use_fast_variance=False, name=name)(hidden)
     if kind == "GN":
@@ -44,8 +45,8 @@ def normalized(
     return hidden
 
 
-def _fan_in_uniform(fan_in: int) -> nn.initializers.Initializer:
-    bound = fan_in**-0.5
+def uniform_init(bound: float) -> nn.initializers.Initializer:
+    """Returns an initializer that draws from -bound to bound."""
 
     def initialize(key: PRNGKeyArray, shape: Sequence[int], dtype: DTypeLike = jnp.float32) -> jax.Array:
         return jax.random.uniform(key, shape, dtype, -bound, bound)
@@ -54,17 +55,17 @@ def _fan_in_uniform(fan_in: int) -> nn.initializers.Initializer:
 
 
 def halve_mask(mask: Bool[Array, "B T"]) -> Bool[Array, "B T//2"]:
-    """Returns the mask after a stride of 2: a clip of length t keeps t // 2 positions."""
+    """Returns the mask after a stride of 2. A clip of length t keeps t // 2 positions."""
     return mask[:, 1::2]
 
 
 def double_mask(mask: Bool[Array, "B N"]) -> Bool[Array, "B 2*N"]:
-    """Returns the mask after every position was repeated."""
+    """Returns the mask after every position is repeated."""
     return jnp.repeat(mask, 2, axis=1)
 
 
 class MaskedConv(nn.Module):
-    """A 1-D convolution that sees zeros wherever `mask` is False."""
+    """A 1-D convolution that reads zeros where `mask` is False."""
 
     features: int
     kernel_size: int
@@ -74,8 +75,9 @@ class MaskedConv(nn.Module):
 
     @nn.compact
     def __call__(self, inputs: Float[Array, "B T X"], mask: Bool[Array, "B T"]) -> Float[Array, "B U Y"]:
-        """Returns the convolved sequence, `U = T // stride` positions long."""
-        initializer = _fan_in_uniform(self.kernel_size * inputs.shape[-1])
+        """Returns the convolved sequence of `U = T // stride` positions."""
+        # PyTorch's default for kernels and biases, which the original uses.
+        initializer = uniform_init((self.kernel_size * inputs.shape[-1]) ** -0.5)
         return nn.Conv(
             self.features,
             (self.kernel_size,),
@@ -89,7 +91,7 @@ class MaskedConv(nn.Module):
 
 
 class ResidualUnit(nn.Module):
-    """Pre-activation residual unit: a dilated convolution of width 3, then one of width 1, each behind its norm."""
+    """A pre-activation residual unit: a dilated convolution of width 3, then one of width 1, each after its norm."""
 
     dilation: int
     activation: str
@@ -99,7 +101,7 @@ class ResidualUnit(nn.Module):
     def __call__(
         self, inputs: Float[Array, "B T W"], mask: Bool[Array, "B T"], *, train: bool
     ) -> Float[Array, "B T W"]:
-        """Returns the inputs plus the unit's branch."""
+        """Returns the inputs plus the output of the convolutions."""
         width = inputs.shape[-1]
         activation = ACTIVATIONS[self.activation]
         branch = activation(normalized(inputs, mask, kind=self.norm, name="norm1", train=train))
@@ -109,7 +111,7 @@ class ResidualUnit(nn.Module):
 
 
 class ResidualStack(nn.Module):
-    """Residual units from the largest dilation to the smallest (the original reverses the order in both halves)."""
+    """Residual units from the largest dilation to the smallest. The original reverses the order in both halves."""
 
     depth: int
     dilation_growth: int
@@ -128,50 +130,44 @@ class ResidualStack(nn.Module):
 
 
 class Encoder(nn.Module):
-    """Motion to latents: `num_stages` halvings, each followed by a residual stack."""
+    """Turns motion into latents by `num_stages` halvings in time, each followed by a residual stack."""
 
     code_dim: int
     width: int
     num_stages: int
-    depth: int
-    dilation_growth: int
-    activation: str
-    norm: NormKind
+    stack: Callable[..., ResidualStack]
+    """Makes the residual stack of a stage. It gets the `name`."""
 
     @nn.compact
     def __call__(
         self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"], *, train: bool
     ) -> Float[Array, "B N C"]:
-        """Returns latents, N = T halved `num_stages` times (rounding down)."""
-        stack = (self.depth, self.dilation_growth, self.activation, self.norm)
+        """Returns latents. N is T halved `num_stages` times and rounded down."""
         hidden = nn.relu(MaskedConv(self.width, 3, padding=1, name="input")(motion, mask))
         for stage in range(self.num_stages):
             hidden = MaskedConv(self.width, 4, stride=2, padding=1, name=f"down_{stage}")(hidden, mask)
             mask = halve_mask(mask)
-            hidden = ResidualStack(*stack, name=f"stack_{stage}")(hidden, mask, train=train)
+            hidden = self.stack(name=f"stack_{stage}")(hidden, mask, train=train)
         return MaskedConv(self.code_dim, 3, padding=1, name="output")(hidden, mask)
 
 
 class Decoder(nn.Module):
-    """Latents to motion: `num_stages` residual stacks, each followed by a doubling."""
+    """Turns latents into motion by `num_stages` residual stacks, each followed by a doubling in time."""
 
     feature_dim: int
     width: int
     num_stages: int
-    depth: int
-    dilation_growth: int
-    activation: str
-    norm: NormKind
+    stack: Callable[..., ResidualStack]
+    """Makes the residual stack of a stage. It gets the `name`."""
 
     @nn.compact
     def __call__(
         self, latents: Float[Array, "B N C"], mask: Bool[Array, "B N"], *, train: bool
     ) -> Float[Array, "B T D"]:
-        """Returns motion, T = N * 2**num_stages."""
-        stack = (self.depth, self.dilation_growth, self.activation, self.norm)
+        """Returns motion of T = N * 2**num_stages frames."""
         hidden = nn.relu(MaskedConv(self.width, 3, padding=1, name="input")(latents, mask))
         for stage in range(self.num_stages):
-            hidden = jnp.repeat(ResidualStack(*stack, name=f"stack_{stage}")(hidden, mask, train=train), 2, axis=1)
+            hidden = jnp.repeat(self.stack(name=f"stack_{stage}")(hidden, mask, train=train), 2, axis=1)
             mask = double_mask(mask)
             hidden = MaskedConv(self.width, 3, padding=1, name=f"up_{stage}")(hidden, mask)
         hidden = nn.relu(MaskedConv(self.width, 3, padding=1, name="penultimate")(hidden, mask))

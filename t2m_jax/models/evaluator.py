@@ -1,7 +1,7 @@
-"""The evaluator behind the metrics: motion and text in one space (Guo et al., CVPR 2022, their feature extractors).
+"""The evaluator that the metrics use: it embeds motion and text in one space (Guo et al., CVPR 2022).
 
-Motion is normalized with the evaluator's own statistics and exactly zero behind its end: the last movement of a clip
-sees three frames past it.
+Motion is normalized with the evaluator's own statistics, and must be exactly zero past its end, because the last
+movement of a clip reads three frames past it.
 """
 
 import dataclasses
@@ -15,15 +15,15 @@ from t2m_jax.config import check_limits, check_sizes
 from t2m_jax.models.recurrent import BiGru
 
 FRAMES_PER_MOVEMENT = 4
-"""Frames that one movement stands for."""
+"""Frames per movement."""
 NUM_CONTACTS = 4
-"""Foot contacts, a frame's last features, which the evaluator does not look at."""
+"""Number of foot contacts. They are the last features of a frame, and the evaluator does not read them."""
 NEGATIVE_SLOPE = 0.2
-"""Of every leaky ReLU."""
+"""Slope of every leaky ReLU below zero."""
 
 _XAVIER = nn.initializers.variance_scaling(1.0, "fan_avg", "normal")
 _WORDS = nn.initializers.normal(0.4)
-"""As wide as the numbers of GloVe's vectors."""
+"""The standard deviation of the numbers in GloVe's vectors."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -31,25 +31,25 @@ class EvaluatorConfig:
     """Sizes of the evaluator; the defaults are the published HumanML3D model."""
 
     feature_dim: int = 263
-    """Features a frame (D), foot contacts included."""
+    """Features per frame (D), including the foot contacts."""
     movement_hidden: int = 512
     """Channels between the two convolutions of the movement encoder."""
     movement_dim: int = 512
-    """Width of a movement: what four frames become."""
+    """Width of the embedding of a movement (four frames)."""
     motion_hidden: int = 1024
-    """Width of the GRU over movements, each direction."""
+    """Width of the GRU over movements, for each direction."""
     text_hidden: int = 512
-    """Width of the GRU over words, each direction."""
+    """Width of the GRU over words, for each direction."""
     embedding_dim: int = 512
     """Width of the space in which motions and texts are compared (E)."""
     word_dim: int = 300
     """Width of a word vector."""
     num_words: int = 4199
-    """Words of the vocabulary; training sets it to what its vocabulary has."""
+    """Number of words of the vocabulary. Training sets this field to the size of its vocabulary."""
     num_parts_of_speech: int = 15
-    """Classes of words."""
+    """Number of parts of speech."""
     dropout: float = 0.2
-    """Dropout rate in the movement encoder, when that is trained."""
+    """Dropout rate in the movement encoder while it is trained."""
 
     def __post_init__(self) -> None:
         check_sizes(self)
@@ -57,15 +57,15 @@ class EvaluatorConfig:
         check_limits(self, text_hidden=65_536, embedding_dim=65_536, word_dim=65_536, num_words=1_000_000)
         check_limits(self, num_parts_of_speech=1000)
         if self.feature_dim <= NUM_CONTACTS:
-            raise ValueError(f"feature_dim: {self.feature_dim} leaves nothing beside the {NUM_CONTACTS} foot contacts")
+            raise ValueError(f"feature_dim: {self.feature_dim} is not more than the {NUM_CONTACTS} foot contacts")
         if not 0 <= self.dropout < 1:
-            raise ValueError(f"dropout: {self.dropout} is no rate from 0 to below 1")
+            raise ValueError(f"dropout: {self.dropout} is not a rate from 0 to below 1")
 
 
 class HalvingConv(nn.Module):
-    """A convolution of width 4 and stride 2 with one zero at either end, as two products of pairs of frames.
+    """A convolution of width 4 and stride 2 with one zero at each end, computed as two products of pairs of frames.
 
-    On a CPU its gradient takes a fraction of the time of a general convolution's.
+    On a CPU, its gradient takes a fraction of the time that the gradient of a general convolution takes.
     """
 
     features: int
@@ -84,7 +84,7 @@ class HalvingConv(nn.Module):
 
 
 class DoublingConv(nn.Module):
-    """The transpose of a `HalvingConv`: twice as many positions, each pair from two neighbours."""
+    """The transpose of a `HalvingConv`. It doubles the positions; each pair depends on two neighbors."""
 
     features: int
 
@@ -101,7 +101,7 @@ class DoublingConv(nn.Module):
 
 
 class MovementEncoder(nn.Module):
-    """Two convolutions that halve in time, then a projection. RNG stream `dropout` when training."""
+    """Two convolutions that halve in time, then a projection. Training uses the RNG stream `dropout`."""
 
     hidden: int
     features: int
@@ -109,7 +109,7 @@ class MovementEncoder(nn.Module):
 
     @nn.compact
     def __call__(self, motion: Float[Array, "B T X"], *, train: bool) -> Float[Array, "B N M"]:
-        """Returns the movements, N = T // 2 // 2; movement k sees the frames 4k-3 to 4k+6."""
+        """Returns N = T // 2 // 2 movements. Movement k depends on the frames 4k-3 to 4k+6."""
         hidden = motion
         for layer, width in enumerate((self.hidden, self.features)):
             hidden = HalvingConv(width, name=f"conv_{layer}")(hidden)
@@ -119,14 +119,14 @@ class MovementEncoder(nn.Module):
 
 
 class MovementDecoder(nn.Module):
-    """Movements back to motion, foot contacts included; for the training of the movement encoder alone."""
+    """Turns movements back into motion, including foot contacts. Only the training of the movement encoder uses it."""
 
     hidden: int
     feature_dim: int
 
     @nn.compact
     def __call__(self, movements: Float[Array, "B N M"]) -> Float[Array, "B 4*N D"]:
-        """Returns the motion, normalized."""
+        """Returns normalized motion."""
         hidden = movements
         for layer, width in enumerate((self.hidden, self.feature_dim)):
             hidden = nn.leaky_relu(DoublingConv(width, name=f"conv_{layer}")(hidden), NEGATIVE_SLOPE)
@@ -134,7 +134,7 @@ class MovementDecoder(nn.Module):
 
 
 class SequenceEncoder(nn.Module):
-    """A sequence to one embedding: projection, bidirectional GRU, two layers."""
+    """Turns a sequence into one embedding: a projection, a bidirectional GRU and two layers."""
 
     hidden: int
     embedding_dim: int
@@ -151,9 +151,10 @@ class SequenceEncoder(nn.Module):
 
 
 class Evaluator(nn.Module):
-    """Motions and captions as points of one space; the Euclidean distance is their only likeness.
+    """Embeds motions and captions in one space, in which the Euclidean distance measures how well they match.
 
-    The networks run in full single precision on every device: the published numbers do not survive 19 bits.
+    The networks run in full single precision on every device. With the 19 bits that GPUs use by default (TF32), the
+    metrics would differ from the published numbers.
     """
 
     config: EvaluatorConfig
@@ -175,23 +176,23 @@ class Evaluator(nn.Module):
         parts_of_speech: Int[Array, "B S"],
         text_lengths: Int[Array, " B"],
     ) -> tuple[Float[Array, "B E"], Float[Array, "B E"]]:
-        """Returns the embeddings of texts and of motions."""
+        """Returns the embeddings of the texts and of the motions."""
         return self.embed_text(words, parts_of_speech, text_lengths), self.embed_motion(motion, lengths)
 
     def movements(self, motion: Float[Array, "B T D"], *, train: bool) -> Float[Array, "B N M"]:
-        """Returns what every four frames become."""
+        """Returns one embedding per four frames."""
         with jax.default_matmul_precision("float32"):
             return self.movement_encoder(motion[..., :-NUM_CONTACTS], train=train)
 
     def embed_motion(self, motion: Float[Array, "B T D"], lengths: Int[Array, " B"]) -> Float[Array, "B E"]:
-        """Returns one embedding a motion.
+        """Returns one embedding per motion.
 
         Args:
-            motion: Normalized, zero behind the end of each motion. A motion that fills the array to its last frame
-                meets the convolution's own edge there and gets a slightly different embedding than in a longer array,
-                so arrays of one protocol are equally long (196 frames).
-            lengths: Frames; a rest that makes no four frames counts for no movement of its own. A motion below four
-                frames has none, and its embedding is that of nothing.
+            motion: Normalized motion, zero past the end of each motion. A motion that fills the array gets a slightly
+                different embedding than in a longer array, because the convolutions see the edge of the array. All
+                arrays of a protocol therefore have the same length (196 frames).
+            lengths: Number of frames. Remaining frames that do not fill a movement of four frames are ignored. All
+                motions of fewer than four frames have the same embedding.
         """
         movements = self.movements(motion, train=False)
         with jax.default_matmul_precision("float32"):
@@ -200,7 +201,7 @@ class Evaluator(nn.Module):
     def embed_text(
         self, words: Int[Array, "B S"], parts_of_speech: Int[Array, "B S"], text_lengths: Int[Array, " B"]
     ) -> Float[Array, "B E"]:
-        """Returns one embedding a caption, read as `Vocabulary.vectorize` gives it."""
+        """Returns one embedding per caption, for words and parts of speech from `Vocabulary.vectorize`."""
         with jax.default_matmul_precision("float32"):
             classes = jax.nn.one_hot(parts_of_speech, self.config.num_parts_of_speech)
             inputs = self.word_embedding(words) + self.part_of_speech_projection(classes)
@@ -208,7 +209,7 @@ class Evaluator(nn.Module):
 
 
 def evaluator_shapes(config: EvaluatorConfig) -> dict[str, dict]:
-    """Returns the shapes of an evaluator's variables."""
+    """Returns the shapes and dtypes of an evaluator's variables."""
     motion = jnp.zeros((1, FRAMES_PER_MOVEMENT, config.feature_dim))
     words, length = jnp.zeros((1, 1), jnp.int32), jnp.ones(1, jnp.int32)
     return jax.eval_shape(lambda: Evaluator(config).init(jax.random.key(0), motion, 4 * length, words, words, length))

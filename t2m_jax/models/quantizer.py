@@ -12,9 +12,10 @@ from typing import Literal, NamedTuple
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int
 
 from t2m_jax.masks import masked_mean
+from t2m_jax.models.convolution import uniform_init
 
 CANDIDATE_NOISE = 0.01
 """Standard deviation of the noise on repeated rows, before division by sqrt(code_dim)."""
@@ -161,7 +162,7 @@ class Quantizer(nn.Module):
         """Declares the codebook."""
         rows, counts = (self.num_codes, self.code_dim), (self.num_codes,)
         if RULES[self.kind].by_gradient:
-            self.embedding = self.param("codebook", _uniform_codes, rows)
+            self.embedding = self.param("codebook", uniform_init(1.0 / self.num_codes), rows)
             return
         self.codebook = self.variable("codebook", "codebook", jnp.zeros, rows)
         self.ema_sum = self.variable("codebook", "ema_sum", jnp.zeros, rows)
@@ -220,7 +221,3 @@ class Quantizer(nn.Module):
     def lookup(self, codes: Int[Array, "B N"]) -> Float[Array, "B N C"]:
         """Returns the codebook rows of `codes`."""
         return self._codebook()[codes]
-
-
-def _uniform_codes(key: PRNGKeyArray, shape: tuple[int, int]) -> Float[Array, "K C"]:
-    return jax.random.uniform(key, shape, minval=-1.0 / shape[0], maxval=1.0 / shape[0])

@@ -1,27 +1,19 @@
-"""A bidirectional GRU that reads sequences of different lengths as PyTorch reads packed ones."""
+"""A bidirectional GRU that reads sequences of different lengths, like PyTorch's GRU with packed sequences."""
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int
 
 from t2m_jax.masks import mask_from_lengths
-
-
-def uniform_init(bound: float) -> nn.initializers.Initializer:
-    """Returns an initializer that draws from -bound to bound."""
-
-    def initialize(key: PRNGKeyArray, shape: tuple[int, ...], dtype: jax.typing.DTypeLike = jnp.float32) -> jax.Array:
-        return jax.random.uniform(key, shape, dtype, -bound, bound)
-
-    return initialize
+from t2m_jax.models.convolution import uniform_init
 
 
 class GruDirection(nn.Module):
-    """One direction of a GRU.
+    """One direction of a GRU, with the gates in the order reset, update, new.
 
-    The new gate's recurrent bias sits inside the product with the reset gate (PyTorch's equations), so the two biases
-    cannot be one. Gates stand in the order reset, update, new.
+    As in PyTorch, the recurrent bias of the new gate is multiplied by the reset gate, so it cannot be merged with the
+    input bias.
     """
 
     features: int
@@ -31,7 +23,7 @@ class GruDirection(nn.Module):
     def __call__(
         self, inputs: Float[Array, "B S X"], mask: Bool[Array, "B S"], initial: Float[Array, "1 H"]
     ) -> Float[Array, "B H"]:
-        """Returns the state after the last step that is read; where the mask is False the state stays as it is."""
+        """Returns the state after the last step. The state does not change where the mask is False."""
         width = self.features
         initializer = uniform_init(width**-0.5)
         gates = nn.Dense(3 * width, kernel_init=initializer, bias_init=initializer, name="input")(inputs)
@@ -56,18 +48,18 @@ class GruDirection(nn.Module):
 
 
 class BiGru(nn.Module):
-    """Both directions of a GRU, each from an initial state that is learned."""
+    """Both directions of a GRU, each with a learned initial state."""
 
     features: int
 
     @nn.compact
     def __call__(self, inputs: Float[Array, "B S X"], lengths: Int[Array, " B"]) -> Float[Array, "B W"]:
-        """Returns the last states, forward beside backward, of reading the first `lengths[b]` steps.
+        """Returns the last states after reading the first `lengths[b]` steps, forward and backward side by side.
 
-        The backward direction begins at the last of them. What stands behind has no influence; of a sequence of length
-        0 the initial states come back.
+        The backward direction begins at step `lengths[b] - 1`, and later steps have no influence. The result for a
+        sequence of length 0 is the initial states.
         """
-        # Weights read from a file are NumPy's.
+        # Weights that were read from a file are NumPy arrays, but the directions take JAX arrays.
         initial = jnp.asarray(self.param("initial_state", nn.initializers.normal(1.0), (2, 1, self.features)))
         mask = mask_from_lengths(lengths, inputs.shape[1])
         forward = GruDirection(self.features, backward=False, name="forward")(inputs, mask, initial[0])

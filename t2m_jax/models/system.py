@@ -32,31 +32,32 @@ Draw = Callable[[Float[Array, "B V"], Key[Array, ""]], Int[Array, " B"]]
 
 
 @runtime_checkable
-class TokenizerConfig(Protocol):
-    """What every tokenizer's config has beside its own fields."""
+class PartConfig(Protocol):
+    """The fields that the configs of all tokenizers and generators have."""
 
     kind: ClassVar[str]
-    """The name of its entry point."""
-
-    @property
-    def feature_dim(self) -> int:
-        """Features per frame (D)."""
-        ...
+    """The name of the part's entry point."""
 
     @property
     def num_codes(self) -> int:
         """Codes in the codebook (K)."""
-        ...
 
     @property
     def num_quantizers(self) -> int:
         """Codes per row (R)."""
-        ...
+
+
+@runtime_checkable
+class TokenizerConfig(PartConfig, Protocol):
+    """The fields that the configs of all tokenizers have."""
+
+    @property
+    def feature_dim(self) -> int:
+        """Features per frame (D)."""
 
     @property
     def downsample(self) -> int:
         """Frames per row."""
-        ...
 
 
 @runtime_checkable
@@ -65,44 +66,26 @@ class Tokenizer(Protocol):
 
     def encode(self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"] | None = None) -> Int[Array, "B N R"]:
         """Returns the codes of a motion, 0 after its end."""
-        ...
 
     def decode(self, codes: Int[Array, "B N R"], mask: Bool[Array, "B N"] | None = None) -> Float[Array, "B T D"]:
         """Returns the motion of codes, `T = N * downsample`; frames after the end have no meaning."""
-        ...
 
 
 @runtime_checkable
-class GeneratorConfig(Protocol):
-    """What every generator's config has beside its own fields."""
-
-    kind: ClassVar[str]
-    """The name of its entry point."""
-
-    @property
-    def num_codes(self) -> int:
-        """Codes in the tokenizer's codebook (K)."""
-        ...
-
-    @property
-    def num_quantizers(self) -> int:
-        """Codes per row (R)."""
-        ...
+class GeneratorConfig(PartConfig, Protocol):
+    """The fields that the configs of all generators have."""
 
     @property
     def text_dim(self) -> int:
         """Width of the text embedding (E)."""
-        ...
 
     @property
     def max_codes(self) -> int:
         """Rows of the longest motion that can be generated."""
-        ...
 
     @property
     def stop_rule(self) -> str:
         """Name of the rule that ends a motion, see `t2m_jax.sampling.stopping`."""
-        ...
 
 
 @runtime_checkable
@@ -115,17 +98,14 @@ class Generator(Protocol):
 
     def begin(self, text_embedding: Float[Array, "B E"], guidance_scale: Any = None) -> tuple[Any, Any]:
         """Returns the context of the first row, and the cache; without a scale there is no guidance."""
-        ...
 
     def draw(
         self, context: Any, keys: Key[Array, " B"], strategy: Draw, *, may_stop: Bool[Array, ""]
     ) -> Int[Array, "B R"]:
         """Returns the next row; a generator that ends motions by a code must not draw it unless `may_stop`."""
-        ...
 
     def step(self, cache: Any, rows: Int[Array, "B R"]) -> tuple[Any, Float[Array, " B"], Any]:
         """Returns the context of the following row, the stop score of the row that was read, and the cache."""
-        ...
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -167,12 +147,12 @@ def find_generator_config(kind: str) -> type:
     return find_part(kind, "generator").config
 
 
-def make_module(config: TokenizerConfig | GeneratorConfig) -> Any:
+def make_module(config: PartConfig) -> Any:
     """Returns the Linen module of a part's config."""
     return find_part(config.kind).module(config)
 
 
-def variable_shapes(config: TokenizerConfig | GeneratorConfig) -> dict[str, Any]:
+def variable_shapes(config: PartConfig) -> dict[str, Any]:
     """Returns the shapes of a part's variables by collection."""
     module, example = make_module(config), find_part(config.kind).example
     return jax.eval_shape(lambda: module.init(jax.random.key(0), *example(config), train=False))

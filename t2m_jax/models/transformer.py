@@ -1,4 +1,4 @@
-"""Pre-norm transformer blocks, shared by the motion GPT (causal, cached) and the caption encoder (both ways)."""
+"""Pre-norm transformer blocks of the motion GPT (causal, cached) and the caption encoder (bidirectional)."""
 
 from typing import NamedTuple
 
@@ -12,14 +12,14 @@ WEIGHT_INIT = nn.initializers.normal(0.02)
 
 
 class LayerCache(NamedTuple):
-    """Keys and values one attention layer has seen; positions not yet written hold zeros."""
+    """Keys and values of the positions that one attention layer has read; other positions are zero."""
 
     keys: Float[Array, "B H L F"]
     values: Float[Array, "B H L F"]
 
 
 def empty_cache(batch: int, length: int, *, embed_dim: int, num_heads: int) -> LayerCache:
-    """Returns a cache for `length` positions with nothing in it."""
+    """Returns an empty cache for `length` positions."""
     zeros = jnp.zeros((batch, num_heads, length, embed_dim // num_heads))
     return LayerCache(zeros, zeros)
 
@@ -40,7 +40,7 @@ class Attention(nn.Module):
         cache: LayerCache | None = None,
         position: Int[Array, ""] | None = None,
     ) -> tuple[Float[Array, "B L E"], LayerCache | None]:
-        """Returns the attended sequence and, given a cache, the cache with this step written at `position`."""
+        """Returns the sequence after attention and, if a cache is given, the cache with this step at `position`."""
         embed_dim = hidden.shape[-1]
 
         def project(name: str) -> Float[Array, "B H L F"]:
@@ -62,7 +62,7 @@ class Attention(nn.Module):
 
 
 class Mlp(nn.Module):
-    """Two layers with GELU (exact form) between."""
+    """Two layers with an exact GELU between them."""
 
     ratio: int
     dropout: float
@@ -78,7 +78,7 @@ class Mlp(nn.Module):
 
 
 class Block(nn.Module):
-    """Attention and MLP, each behind a layer norm and beside a residual."""
+    """Attention and an MLP, each after a layer norm and with a residual connection."""
 
     num_heads: int
     mlp_ratio: int

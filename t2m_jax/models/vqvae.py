@@ -1,6 +1,7 @@
 """The motion VQ-VAE of T2M-GPT (arXiv 2301.06052, section 3.1)."""
 
 import dataclasses
+import functools
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import flax.linen as nn
@@ -8,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from t2m_jax.config import check_limits, check_sizes
-from t2m_jax.models.convolution import GROUPS, Decoder, Encoder, NormKind, halve_mask
+from t2m_jax.models.convolution import GROUPS, Decoder, Encoder, NormKind, ResidualStack, halve_mask
 from t2m_jax.models.quantizer import Quantizer, QuantizerKind
 from t2m_jax.models.system import Part
 
@@ -87,9 +88,9 @@ class VqVae(nn.Module):
     def setup(self) -> None:
         """Builds the three parts."""
         config = self.config
-        shape = (config.width, config.num_stages, config.depth, config.dilation_growth, config.activation, config.norm)
-        self.encoder = Encoder(config.code_dim, *shape)
-        self.decoder = Decoder(config.feature_dim, *shape)
+        stack = functools.partial(ResidualStack, config.depth, config.dilation_growth, config.activation, config.norm)
+        self.encoder = Encoder(config.code_dim, config.width, config.num_stages, stack)
+        self.decoder = Decoder(config.feature_dim, config.width, config.num_stages, stack)
         self.quantizer = Quantizer(
             config.num_codes, config.code_dim, config.quantizer, config.ema_decay, config.reset_threshold
         )

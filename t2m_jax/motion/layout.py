@@ -1,64 +1,36 @@
 """The columns of motion features."""
 
-import dataclasses
 import itertools
+from typing import NamedTuple
 
 
-@dataclasses.dataclass(frozen=True)
-class FeatureLayout:
-    """The columns of a feature row for a skeleton of `num_joints` joints.
+class FeatureLayout(NamedTuple):
+    """The seven groups of columns of a feature row, in order. The columns of a group share one standard deviation."""
 
-    The columns are: half the yaw step (radians per frame), root step in x and z, root height, local positions of all
-    joints except the root, their 6D rotations, local velocities of all joints, and four foot contacts (left ankle, left
-    toe, right ankle, right toe).
-    """
-
-    num_joints: int
-    """Number of joints, including the root."""
+    root_yaw: slice
+    """Half the yaw step from this frame to the next, in radians."""
+    root_velocity: slice
+    """The root's step in x and z, relative to the next frame's heading."""
+    root_height: slice
+    """The root's height above the floor."""
+    positions: slice
+    """Local positions of joints 1 … J-1, x y z per joint."""
+    rotations: slice
+    """6D rotations of joints 1 … J-1."""
+    velocities: slice
+    """Local velocities of joints 0 … J-1, length per frame."""
+    contacts: slice
+    """Four foot contacts: left ankle, left toe, right ankle, right toe."""
 
     @property
     def feature_dim(self) -> int:
         """Number of columns."""
-        return 12 * self.num_joints - 1
+        return self.contacts.stop
 
-    @property
-    def groups(self) -> tuple[slice, ...]:
-        """The seven groups in column order. The columns of a group share one standard deviation."""
-        sizes = (1, 2, 1, 3 * (self.num_joints - 1), 6 * (self.num_joints - 1), 3 * self.num_joints, 4)
-        ends = tuple(itertools.accumulate(sizes))
-        return tuple(slice(end - size, end) for end, size in zip(ends, sizes, strict=True))
 
-    @property
-    def root_yaw(self) -> slice:
-        """Column of half the yaw step from this frame to the next, in radians."""
-        return self.groups[0]
-
-    @property
-    def root_velocity(self) -> slice:
-        """Two columns of the root's step in x and z, relative to the next frame's heading."""
-        return self.groups[1]
-
-    @property
-    def root_height(self) -> slice:
-        """Column of the root's height above the floor."""
-        return self.groups[2]
-
-    @property
-    def positions(self) -> slice:
-        """Columns of the local positions of joints 1 … J−1, x y z per joint."""
-        return self.groups[3]
-
-    @property
-    def rotations(self) -> slice:
-        """Columns of the 6D rotations of joints 1 … J−1."""
-        return self.groups[4]
-
-    @property
-    def velocities(self) -> slice:
-        """Columns of the local velocities of joints 0 … J−1, length per frame."""
-        return self.groups[5]
-
-    @property
-    def contacts(self) -> slice:
-        """Four columns of foot contacts."""
-        return self.groups[6]
+def make_layout(num_joints: int) -> FeatureLayout:
+    """Returns the columns for a skeleton of `num_joints` joints, including the root."""
+    inner = num_joints - 1
+    sizes = (1, 2, 1, 3 * inner, 6 * inner, 3 * num_joints, 4)
+    ends = itertools.accumulate(sizes)
+    return FeatureLayout(*(slice(end - size, end) for end, size in zip(ends, sizes, strict=True)))

@@ -69,7 +69,7 @@ def normalizer_from_clips(clips: Iterable[Float[np.ndarray, "_ D"]], layout: Fea
     if count == 0:
         raise UserError("there is no clip with finite features, so there are no statistics; check the data set")
     std = np.sqrt(squares / count)
-    for group in layout.groups:
+    for group in layout:
         std[group] = std[group].mean() or 1.0
     return Normalizer(mean.astype(np.float32), std.astype(np.float32))
 
@@ -103,9 +103,7 @@ def normalizer_from_files(mean_file: Path, std_file: Path) -> Normalizer:
     """
     rows = []
     for path in (mean_file, std_file):
-        with np.errstate(
-            over="ignore"
-        ):  # a number that is too large for float32 becomes infinite and is reported below
+        with np.errstate(over="ignore"):  # numbers that are too large become infinite, which is reported below
             row = load_array(path).astype(np.float32)
         if row.ndim != 1:
             raise UserError(f"{path}: has shape {list(row.shape)}; expected one row of floating-point numbers")

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.layout import FeatureLayout
+from t2m_jax.motion.layout import FeatureLayout, make_layout
 from t2m_jax.motion.namespace import EitherArray
 
 _X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -58,7 +58,7 @@ class Skeleton:
     @property
     def layout(self) -> FeatureLayout:
         """Columns of the features."""
-        return FeatureLayout(self.num_joints)
+        return make_layout(self.num_joints)
 
     @property
     def feature_dim(self) -> int:

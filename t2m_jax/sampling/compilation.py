@@ -1,4 +1,4 @@
-"""Compiled programs kept on disk, so that only the first run of a model waits for the compiler."""
+"""A cache of compiled programs on disk, so that only the first run of a model waits for the compiler."""
 
 import os
 from pathlib import Path
@@ -10,10 +10,10 @@ DISABLE_VARIABLE = "T2M_JAX_NO_COMPILATION_CACHE"
 
 
 def use_compilation_cache() -> Path | None:
-    """Returns the folder of JAX's persistent compilation cache, having turned it on in the user's cache folder.
+    """Turns on JAX's persistent compilation cache in the user's cache folder and returns its folder.
 
-    A cache the user configured (`JAX_COMPILATION_CACHE_DIR`) is left alone; `T2M_JAX_NO_COMPILATION_CACHE=1` turns
-    ours off, and so does a cache folder that cannot be written (None is returned).
+    A cache that the user has configured (`JAX_COMPILATION_CACHE_DIR`) is not changed. Returns None if
+    `T2M_JAX_NO_COMPILATION_CACHE=1` turns the cache off, or if the folder cannot be written.
     """
     if os.environ.get(DISABLE_VARIABLE):
         return None
@@ -28,6 +28,6 @@ def use_compilation_cache() -> Path | None:
     if not os.access(folder, os.W_OK):
         return None
     jax.config.update("jax_compilation_cache_dir", str(folder))
-    # Generation is many small programs: keep them all, not only those that took a second to compile.
+    # Generation consists of many small programs. By default, JAX keeps only those that took a second to compile.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     return folder

@@ -22,11 +22,9 @@ class StopRule(Protocol):
 
     def ends(self, scores: Float[Array, "*shape"]) -> Bool[Array, "*shape"]:
         """Returns whether sampling of a motion can end after a row with this score."""
-        ...
 
     def count(self, scores: Float[Array, "B N"]) -> Int[Array, " B"]:
         """Returns how many rows a motion keeps; rows that were not sampled have the score -inf."""
-        ...
 
 
 def count_before_end(ends: Bool[Array, "B N"], *, keeps_last: bool) -> Int[Array, " B"]:

@@ -1,4 +1,4 @@
-"""How the next token is chosen from its logits: frozen dataclasses, called with logits and a key."""
+"""Sampling strategies: they choose the next token from its logits and a key."""
 
 import dataclasses
 from typing import Protocol, runtime_checkable
@@ -12,11 +12,10 @@ from t2m_jax.errors import UserError
 
 @runtime_checkable
 class Strategy(Protocol):
-    """Chooses one token a sequence. Hashable, so that it can be a static argument of a jitted function."""
+    """Chooses one token per sequence. It is hashable, so that it can be a static argument of a jitted function."""
 
     def __call__(self, logits: Float[Array, "B V"], key: PRNGKeyArray) -> Int[Array, " B"]:
-        """Returns one token a sequence; `key` is consumed."""
-        ...
+        """Returns one token per sequence; `key` is consumed."""
 
 
 def _check_temperature(temperature: float) -> None:
@@ -29,14 +28,14 @@ class Greedy:
     """Takes the likeliest token."""
 
     def __call__(self, logits: Float[Array, "B V"], key: PRNGKeyArray) -> Int[Array, " B"]:
-        """Returns one token a sequence; `key` is not used."""
+        """Returns one token per sequence; `key` is not used."""
         del key
         return jnp.argmax(logits, axis=-1)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Temperature:
-    """Samples among all tokens, from flattened (above 1) or sharpened (below 1) probabilities."""
+    """Samples among all tokens. A temperature above 1 flattens the probabilities, below 1 it sharpens them."""
 
     temperature: float = 1.0
 
@@ -44,7 +43,7 @@ class Temperature:
         _check_temperature(self.temperature)
 
     def __call__(self, logits: Float[Array, "B V"], key: PRNGKeyArray) -> Int[Array, " B"]:
-        """Returns one token a sequence; `key` is consumed."""
+        """Returns one token per sequence; `key` is consumed."""
         return jax.random.categorical(key, logits / self.temperature)
 
 
@@ -61,7 +60,7 @@ class TopK:
             raise UserError(f"top-k: {self.k} is not a whole number above 0")
 
     def __call__(self, logits: Float[Array, "B V"], key: PRNGKeyArray) -> Int[Array, " B"]:
-        """Returns one token a sequence; `key` is consumed."""
+        """Returns one token per sequence; `key` is consumed."""
         values, tokens = jax.lax.top_k(logits, min(self.k, logits.shape[-1]))
         choice = jax.random.categorical(key, values / self.temperature)
         return jnp.take_along_axis(tokens, choice[:, None], axis=-1)[:, 0]
@@ -80,24 +79,23 @@ class TopP:
             raise UserError(f"top-p: {self.p} is not a probability above 0 and at most 1")
 
     def __call__(self, logits: Float[Array, "B V"], key: PRNGKeyArray) -> Int[Array, " B"]:
-        """Returns one token a sequence; `key` is consumed."""
-        values, tokens = jax.lax.top_k(logits / self.temperature, logits.shape[-1])
+        """Returns one token per sequence; `key` is consumed."""
+        values, tokens = jax.lax.top_k(logits / self.temperature, logits.shape[-1])  # sorts all tokens
         probabilities = jax.nn.softmax(values)
+        # A token is kept if the likelier ones do not reach `p` without it. The likeliest token is always kept.
         before = jnp.cumsum(probabilities, axis=-1) - probabilities
         choice = jax.random.categorical(key, jnp.where(before < self.p, values, -jnp.inf))
         return jnp.take_along_axis(tokens, choice[:, None], axis=-1)[:, 0]
 
 
-def make_strategy(
-    temperature: float = 1.0, top_k: int | None = None, *, top_p: float | None = None
-) -> Greedy | Temperature | TopK | TopP:
-    """Returns the strategy these numbers describe; a temperature of 0 is greedy.
+def make_strategy(temperature: float = 1.0, top_k: int | None = None, *, top_p: float | None = None) -> Strategy:
+    """Returns the strategy for these numbers. A temperature of 0 means the likeliest token.
 
     Raises:
-        UserError: if a number is out of range, or `top_k` and `top_p` are both given.
+        UserError: A number is out of range, or both `top_k` and `top_p` are given.
     """
     if top_k is not None and top_p is not None:
-        raise UserError("top-k and top-p exclude each other; give one")
+        raise UserError("top-k and top-p cannot be combined; give one of them")
     if temperature == 0.0:
         return Greedy()
     if top_k is not None:

@@ -26,11 +26,7 @@ MAX_BATCH = 64
 
 @functools.partial(jax.jit, static_argnames="config")
 def encode_captions(
-    variables: Any,
-    caption_tokens: Int[Array, "B S"],
-    caption_mask: Bool[Array, "B S"],
-    *,
-    config: CaptionEncoderConfig,
+    variables: Any, caption_tokens: Int[Array, "B S"], caption_mask: Bool[Array, "B S"], *, config: CaptionEncoderConfig
 ) -> Float[Array, "B E"]:
     """Returns the text embeddings of captions, given as tokens of the caption encoder."""
     return CaptionEncoder(config).apply(variables, caption_tokens, caption_mask, train=False)

@@ -32,9 +32,7 @@ def load_clip_bpe(folder: Path) -> Tokenizer:
         path = folder / VOCABULARY_FILE
         tokenizer = _bpe_from_older_files(path, folder / MERGES_FILE)
     else:
-        raise UserError(
-            f"{folder}: there is no tokenizer; add {TOKENIZER_FILE}, or both {VOCABULARY_FILE} and {MERGES_FILE}"
-        )
+        raise UserError(f"{folder}: has no tokenizer; add {TOKENIZER_FILE}, or {VOCABULARY_FILE} and {MERGES_FILE}")
     for special in (START, END):
         if tokenizer.token_to_id(special) is None:
             raise UserError(f"{path}: has no token {special!r}; give the tokenizer of a CLIP")

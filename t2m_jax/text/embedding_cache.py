@@ -101,9 +101,7 @@ class EmbeddingCache:
         if isinstance(error, OSError) or code & 0xFF in _UNUSABLE:
             logger.warning("%s: cannot be used (%s); captions are embedded again", self.path, error)
             return
-        logger.warning(
-            "%s: damaged (%s); renamed to %s.damaged, and a new file is started", self.path, error, self.path.name
-        )
+        logger.warning("%s: damaged (%s); renamed to *.damaged, and a new file is started", self.path, error)
         # SQLite would replay a journal of the damaged file into the new one, so it is renamed first.
         for suffix in ("-journal", ""):
             with contextlib.suppress(OSError):

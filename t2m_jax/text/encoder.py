@@ -12,4 +12,3 @@ class TextEncoder(Protocol):
 
     def __call__(self, captions: Sequence[str]) -> Float[Array, "B E"]:
         """Returns one embedding per caption."""
-        ...

@@ -10,7 +10,6 @@ from t2m_jax.train.experiment import (
     find_trainer,
     load_run_config,
     train,
-    trainer_kinds,
 )
 from t2m_jax.train.gpt import TrainGptConfig
 from t2m_jax.train.optimizer import OptimizerConfig
@@ -35,5 +34,4 @@ __all__ = [
     "load_run_config",
     "preset_names",
     "train",
-    "trainer_kinds",
 ]

@@ -4,7 +4,7 @@ import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,54 +13,35 @@ from jaxtyping import Array, Float, Int, Key
 
 from t2m_jax.checkpoints.evaluator import WORDS_FILE, load_trained_evaluator, save_evaluator_parts
 from t2m_jax.data.banks.captions import CaptionBank, CaptionBatch, all_tokens, caption_batch_at, make_caption_bank
-from t2m_jax.data.checks import check_feature_dim
-from t2m_jax.data.folder import Clip, open_dataset, samples_from_clip
+from t2m_jax.data.folder import Clip, DatasetInfo, samples_from_clip
 from t2m_jax.errors import UserError
 from t2m_jax.losses import infonce_loss, margin_loss, pair_distances
 from t2m_jax.metrics import r_precision
 from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT, Evaluator
-from t2m_jax.motion.normalizer import load_normalizer
 from t2m_jax.text.word_vectors import Vocabulary, load_vocabulary, load_word_vectors, vocabulary_from_captions
 from t2m_jax.train.config import compiled_config
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from t2m_jax.train.experiment import Setup, Trainer, Validation
 from t2m_jax.train.movement import MOVEMENTS, train_movements
-from t2m_jax.train.optimizer import make_optimizer
-from t2m_jax.train.statistics import load_statistics
+from t2m_jax.train.optimizer import Metrics, TrainState, make_optimizer
+from t2m_jax.train.statistics import open_training_data
 from t2m_jax.train.streams import stream_key
-
-Metrics = dict[str, Float[Array, ""]]
 
 MOTION_PARTS = ("motion_encoder",)
 TEXT_PARTS = ("text_encoder", "part_of_speech_projection")
 WORDS = "word_embedding"
 
 
-class MatchingState(NamedTuple):
-    """Everything that an update of the matching changes; `params` are those of the whole evaluator."""
-
-    step: Int[Array, ""]
-    params: Any
-    opt_state: Any
-    """Of `motion` and of `text`."""
-
-
 def trained_parts(params: Any, config: TrainEvaluatorConfig) -> dict[str, Any]:
-    """Returns what the matching trains, by encoder: not the movements, and word vectors only if none are given."""
+    """Returns the parameters that are trained, by encoder. Word vectors are trained only if none are given."""
     text = (*TEXT_PARTS, WORDS) if config.word_vectors is None else TEXT_PARTS
-    return {
-        "motion": {name: params[name] for name in MOTION_PARTS},
-        "text": {name: params[name] for name in text},
-    }
+    return {"motion": {name: params[name] for name in MOTION_PARTS}, "text": {name: params[name] for name in text}}
 
 
 @functools.partial(jax.jit, static_argnames="config")
 def init_matching_state(
-    config: TrainEvaluatorConfig,
-    key: Key[Array, ""],
-    movement_encoder: Any,
-    word_vectors: Float[Array, "W X"] | None,
-) -> MatchingState:
+    config: TrainEvaluatorConfig, key: Key[Array, ""], movement_encoder: Any, word_vectors: Float[Array, "W X"] | None
+) -> TrainState:
     """Returns the state before the first update; `key` is consumed.
 
     Args:
@@ -77,7 +58,7 @@ def init_matching_state(
         params[WORDS] = {"embedding": word_vectors}
     optimizer = make_optimizer(config.optimizer)
     opt_state = {name: optimizer.init(part) for name, part in trained_parts(params, config).items()}
-    return MatchingState(jnp.array(0, jnp.int32), params, opt_state)
+    return TrainState(jnp.array(0, jnp.int32), params, opt_state)
 
 
 def matching_metrics(
@@ -107,8 +88,8 @@ def matching_metrics(
 
 
 def matching_train_step(
-    state: MatchingState, batch: CaptionBatch, shift: Int[Array, ""], *, config: TrainEvaluatorConfig
-) -> tuple[MatchingState, Metrics]:
+    state: TrainState, batch: CaptionBatch, shift: Int[Array, ""], *, config: TrainEvaluatorConfig
+) -> tuple[TrainState, Metrics]:
     """Returns the state after one update and the metrics before it, with the gradient norms before they are limited.
 
     `shift` is the distance of the negatives in the batch, 0 to B - 2.
@@ -126,7 +107,7 @@ def matching_train_step(
         params = params | optax.apply_updates(part, updates)
         squares = [jnp.sum(leaf**2) for leaf in jax.tree.leaves(gradient[name])]
         metrics[f"{name}_gradient_norm"] = jnp.sqrt(sum(squares, jnp.zeros(())))
-    return MatchingState(state.step + 1, params, opt_state), metrics
+    return TrainState(state.step + 1, params, opt_state), metrics
 
 
 def draw_shift(config: TrainEvaluatorConfig, stream: str, step: Int[Array, ""]) -> Int[Array, ""]:
@@ -137,8 +118,8 @@ def draw_shift(config: TrainEvaluatorConfig, stream: str, step: Int[Array, ""]) 
 
 @functools.partial(jax.jit, static_argnames=("config", "max_frames"), donate_argnums=0)
 def update(
-    state: MatchingState, bank: CaptionBank, *, config: TrainEvaluatorConfig, max_frames: int
-) -> tuple[MatchingState, Metrics]:
+    state: TrainState, bank: CaptionBank, *, config: TrainEvaluatorConfig, max_frames: int
+) -> tuple[TrainState, Metrics]:
     """Returns the state after one step on the batch of that step; `state` is donated."""
     key, size = stream_key(config.loop.seed, "data"), config.loop.batch_size
     batch = caption_batch_at(bank, key, state.step, batch_size=size, max_frames=max_frames)
@@ -147,12 +128,18 @@ def update(
 
 @functools.partial(jax.jit, static_argnames=("config", "max_frames"))
 def validate(
-    state: MatchingState, bank: CaptionBank, step: Int[Array, ""], *, config: TrainEvaluatorConfig, max_frames: int
+    state: TrainState, bank: CaptionBank, step: Int[Array, ""], *, config: TrainEvaluatorConfig, max_frames: int
 ) -> Metrics:
     """Returns the metrics of a batch of held-out motions and captions."""
     key, size = stream_key(config.loop.seed, "validation"), config.loop.batch_size
     batch = caption_batch_at(bank, key, step, batch_size=size, max_frames=max_frames)
     return matching_metrics(state.params, batch, draw_shift(config, "validation shift", step), config=config)
+
+
+def matching_samples(clips: Sequence[Clip], info: DatasetInfo) -> list[Clip]:
+    """Returns the captioned parts of clips that have at least one movement."""
+    samples = (sample for clip in clips for sample in samples_from_clip(clip, info))
+    return [sample for sample in samples if len(sample.features) >= FRAMES_PER_MOVEMENT]
 
 
 def make_vocabulary(config: TrainEvaluatorConfig, samples: Sequence[Clip], *, resume: bool) -> Vocabulary:
@@ -189,34 +176,27 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
     Raises:
         UserError: Data, words and model do not fit.
     """
-    dataset = open_dataset(config.data)
-    check_feature_dim(dataset, config.model.feature_dim, reader="the evaluator")
-    statistics = functools.partial(load_statistics, config.statistics, dataset, root_weight=config.root_weight)
-    normalizer = load_normalizer(config.run) if resume else statistics()
+    dataset, normalizer = open_training_data(config, reader="the evaluator", resume=resume)
     train = dataset.clips("train", fraction=config.data_fraction)
     held_out = dataset.clips("val") if config.loop.validate_every else []
-
-    def samples(clips: Sequence[Clip]) -> list[Clip]:
-        found = [sample for clip in clips for sample in samples_from_clip(clip, dataset.info)]
-        return [sample for sample in found if len(sample.features) >= FRAMES_PER_MOVEMENT]
-
-    vocabulary = make_vocabulary(config, samples(train), resume=resume)
+    samples, validated = (matching_samples(clips, dataset.info) for clips in (train, held_out))
+    vocabulary = make_vocabulary(config, samples, resume=resume)
     table = load_table(config, vocabulary)
     config = dataclasses.replace(config, model=dataclasses.replace(config.model, num_words=len(vocabulary)))
-    compiled, max_frames = compiled_config(config), dataset.info.max_frames
+    options = {"config": compiled_config(config), "max_frames": dataset.info.max_frames}
     validation = None
-    if validated := samples(held_out):
-        num_batches = max(len(validated) // config.loop.batch_size, 1)
-        measure = functools.partial(validate, config=compiled, max_frames=max_frames)
-        validation = Validation(make_caption_bank(validated, normalizer, vocabulary), num_batches, measure)
+    if validated:
+        bank = make_caption_bank(validated, normalizer, vocabulary)
+        validation = Validation(bank, len(validated), functools.partial(validate, **options))
 
-    def init() -> MatchingState:
+    def init() -> TrainState:
         if config.init is None:
             clips = {"train": train, "validation": held_out}
             movements = train_movements(config, dataset, normalizer, resume=resume, **clips)
         else:
             movements = start_from(config.init)["params"][MOVEMENTS]
-        return init_matching_state(compiled, stream_key(config.loop.seed, "init"), movements, table)
+        key = stream_key(config.loop.seed, "init")
+        return init_matching_state(compiled_config(config), key, movements, table)
 
     def start_from(path: Path) -> Mapping[str, Any]:
         return load_trained_evaluator(path).variables
@@ -224,11 +204,11 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
     return Setup(
         dataset=dataset,
         clips=train,
-        data=make_caption_bank(samples(train), normalizer, vocabulary),
+        data=make_caption_bank(samples, normalizer, vocabulary),
         init=init,
-        update=functools.partial(update, config=compiled, max_frames=max_frames),
+        update=functools.partial(update, **options),
         optimizer=config.optimizer,
-        frames_per_step=config.loop.batch_size * max_frames,
+        frames_per_step=config.loop.batch_size * dataset.info.max_frames,
         weights=lambda state: {"params": state.params},
         write_parts=lambda run: save_evaluator_parts(run, config.model, normalizer, vocabulary),
         start_from=start_from,
@@ -238,8 +218,6 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
 
 
 TRAINER = Trainer(
-    config=TrainEvaluatorConfig,
-    prepare=prepare,
-    next_command="t2m evaluate generation --data {data} --evaluator {run}",
+    config=TrainEvaluatorConfig, prepare=prepare, next_command="t2m evaluate generation --data {data} --evaluator {run}"
 )
 """The entry point `evaluator`."""

@@ -49,7 +49,8 @@ class Validation(NamedTuple):
 
     data: Any
     """The validation split, in the form of `Setup.data`."""
-    num_batches: int
+    num_clips: int
+    """Clips in `data`. A validation takes as many whole batches as they fill, but at least one."""
     measure: Callable[[Any, Any, jax.Array], Metrics]
     """From a state, the data and the number of a batch to metrics with a `loss`."""
 
@@ -122,11 +123,6 @@ def find_trainer(kind: str) -> Trainer:
     return points[kind].load()
 
 
-def trainer_kinds() -> tuple[str, ...]:
-    """Returns the kinds that can be trained."""
-    return tuple(sorted(importlib.metadata.entry_points(group=GROUP).names))
-
-
 def load_run_config(run: Path) -> Any:
     """Returns the config of a run.
 
@@ -196,9 +192,7 @@ def checked_weights(source: Path, weights: Mapping[str, Any], like: Mapping[str,
     for name in sorted(found.keys() | wanted.keys()):
         shapes = [tree[name].shape if name in tree else "missing" for tree in (found, wanted)]
         if shapes[0] != shapes[1]:
-            raise UserError(
-                f"init: array {name!r} of {source} is {shapes[0]}, but the config needs {shapes[1]}; use its sizes"
-            )
+            raise UserError(f"init: array {name!r} of {source} is {shapes[0]}, not {shapes[1]} as in the config")
     return jax.tree.map(lambda leaf, other: jax.numpy.asarray(leaf, other.dtype), dict(weights), dict(like))
 
 
@@ -261,9 +255,8 @@ def measure_validation(setup: Setup, loop: LoopConfig, best: BestWeights | None)
     def measure(state: Any) -> Mapping[str, float]:
         validation = setup.validation
         assert validation is not None
-        scores = mean_over_batches(
-            lambda batch: validation.measure(state, validation.data, batch), validation.num_batches
-        )
+        num_batches = max(validation.num_clips // loop.batch_size, 1)
+        scores = mean_over_batches(lambda batch: validation.measure(state, validation.data, batch), num_batches)
         if best is not None:
             best.consider(int(state.step), scores, setup.weights(state))
         return scores

@@ -1,6 +1,7 @@
 """What the trainings of all generators share: the tokenizer, the codes, the captions, and the run as a model."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple
@@ -14,12 +15,7 @@ from tokenizers import Tokenizer
 from t2m_jax.checkpoints.bundle import CLIP_NAME, CONFIG_FILE, Bundle, BundleConfig, ClipReference
 from t2m_jax.checkpoints.clip import load_clip
 from t2m_jax.checkpoints.model import load_model
-from t2m_jax.checkpoints.tokenizer import (
-    TrainedTokenizer,
-    load_tokenizer,
-    load_tokenizer_config,
-    save_tokenizer_copy,
-)
+from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer, load_tokenizer_config, save_tokenizer_copy
 from t2m_jax.config import save_config
 from t2m_jax.data.banks.codes import Captions
 from t2m_jax.data.checks import check_statistics
@@ -210,7 +206,7 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
         clips=clips,
         data=bank,
         init=lambda: steps.init(compiled, stream_key(config.loop.seed, "init")),
-        update=lambda state, bank: steps.update(state, bank, config=compiled),
+        update=functools.partial(steps.update, config=compiled),
         optimizer=config.optimizer,
         frames_per_step=config.loop.batch_size * float(bank.code_lengths.mean()) * tokenizer.config.downsample,
         weights=lambda state: {"params": state.params},
@@ -236,12 +232,9 @@ def make_validation(
     clips = dataset.clips("val") if config.loop.validate_every else []
     if not clips:
         return None
-    bank, compiled = (
-        make_code_bank(code_motions(config, clips, dataset, tokenizer), reader.read),
-        compiled_config(config),
-    )
-    num_batches = max(bank.codes.shape[0] // config.loop.batch_size, 1)
-    return Validation(bank, num_batches, lambda state, bank, batch: steps.validate(state, bank, batch, config=compiled))
+    motions = code_motions(config, clips, dataset, tokenizer)
+    measure = functools.partial(steps.validate, config=compiled_config(config))
+    return Validation(make_code_bank(motions, reader.read), len(motions), measure)
 
 
 def make_evaluation(config: Any, parts: BundleConfig, tokenizer: TrainedTokenizer, reader: CaptionReader) -> Evaluation:

@@ -7,8 +7,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import optax
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Int, Key
 
 from t2m_jax.data.banks.codes import Captions, CodeBank, CodeBatch, code_batch_at
 from t2m_jax.losses import TokenMean, token_loss
@@ -23,11 +22,9 @@ from t2m_jax.train.generator import (
     prepare_generator,
     resolve_generator,
 )
-from t2m_jax.train.optimizer import OptimizerConfig, make_optimizer
+from t2m_jax.train.optimizer import Metrics, OptimizerConfig, TrainState, descend, first_state
 from t2m_jax.train.streams import stream_key
 from t2m_jax.train.targets import Corruption, Targets, draw_corruption, drop_one_code, make_targets
-
-Metrics = dict[str, Float[Array, ""]]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -69,23 +66,18 @@ class GptBatch(NamedTuple):
     captions: Captions
 
 
-class GptState(NamedTuple):
-    """Everything that an update changes; `params` has `gpt` and, if it is trained too, `caption_encoder`."""
-
-    step: Int[Array, ""]
-    params: Any
-    opt_state: optax.OptState
-
-
 @functools.partial(jax.jit, static_argnames="config")
-def init_gpt_state(config: TrainGptConfig, key: Key[Array, ""]) -> GptState:
-    """Returns the state before the first update; `key` is consumed."""
+def init_gpt_state(config: TrainGptConfig, key: Key[Array, ""]) -> TrainState:
+    """Returns the state before the first update; `key` is consumed.
+
+    Its `params` have the entries `gpt` and, if it is trained too, `caption_encoder`.
+    """
     gpt_key, caption_key = jax.random.split(key)
     tokens = jnp.zeros((1, config.model.max_codes), jnp.int32)
     text = jnp.zeros((1, config.model.text_dim))
     params = {"gpt": MotionGpt(config.model).init(gpt_key, tokens, text, train=False)["params"]}
     params |= init_caption_encoder(config, caption_key)
-    return GptState(jnp.array(0, jnp.int32), params, make_optimizer(config.optimizer).init(params))
+    return first_state(params, config.optimizer)
 
 
 def gpt_metrics(
@@ -118,26 +110,23 @@ def gpt_metrics(
 
 
 def gpt_train_step(
-    state: GptState,
+    state: TrainState,
     batch: GptBatch,
     key: Key[Array, ""],
     *,
     config: TrainGptConfig,
     corruption: Corruption | None = None,
-) -> tuple[GptState, Metrics]:
+) -> tuple[TrainState, Metrics]:
     """Returns the state after one update and the metrics before it; `key` is consumed.
 
     `corruption` is used instead of one that is drawn.
     """
     keys = jax.random.split(key, 3)
 
-    def objective(params: Any) -> tuple[Float[Array, ""], Metrics]:
-        metrics = gpt_metrics(params, batch, keys, config=config, corruption=corruption)
-        return metrics["loss"], metrics
+    def measure(params: Any) -> tuple[Metrics, dict[str, Any]]:
+        return gpt_metrics(params, batch, keys, config=config, corruption=corruption), {}
 
-    (_, metrics), gradient = jax.value_and_grad(objective, has_aux=True)(state.params)
-    updates, opt_state = make_optimizer(config.optimizer).update(gradient, state.opt_state, state.params)
-    return GptState(state.step + 1, optax.apply_updates(state.params, updates), opt_state), metrics
+    return descend(state, measure, config.optimizer)
 
 
 def make_batch(batch: CodeBatch, key: Key[Array, ""] | None, *, config: TrainGptConfig) -> GptBatch:
@@ -159,7 +148,7 @@ def batch_at(bank: CodeBank, stream: str, step: Int[Array, ""], *, config: Train
 
 
 @functools.partial(jax.jit, static_argnames="config", donate_argnums=0)
-def update(state: GptState, bank: CodeBank, *, config: TrainGptConfig) -> tuple[GptState, Metrics]:
+def update(state: TrainState, bank: CodeBank, *, config: TrainGptConfig) -> tuple[TrainState, Metrics]:
     """Returns the state after one step on the batch of that step; `state` is donated."""
     keys = (stream_key(config.loop.seed, name) for name in ("drop", "model"))
     drop_key, model_key = (jax.random.fold_in(key, state.step) for key in keys)
@@ -168,7 +157,7 @@ def update(state: GptState, bank: CodeBank, *, config: TrainGptConfig) -> tuple[
 
 
 @functools.partial(jax.jit, static_argnames="config")
-def validate(state: GptState, bank: CodeBank, step: Int[Array, ""], *, config: TrainGptConfig) -> Metrics:
+def validate(state: TrainState, bank: CodeBank, step: Int[Array, ""], *, config: TrainGptConfig) -> Metrics:
     """Returns loss and accuracy on a batch of held-out motions, with clean inputs."""
     batch = make_batch(batch_at(bank, "validation", step, config=config), None, config=config)
     return gpt_metrics(state.params, batch, None, config=config)

@@ -26,7 +26,6 @@ class TrainingState(Protocol):
     @property
     def step(self) -> Any:
         """Updates made so far."""
-        ...
 
 
 State = TypeVar("State", bound=TrainingState)

@@ -4,12 +4,11 @@ import dataclasses
 import functools
 import logging
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-import optax
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Int, Key
 
 from t2m_jax.checkpoints.run import restore_latest
 from t2m_jax.data.banks.motions import MotionBank, Windows, batch_at, make_bank
@@ -20,25 +19,15 @@ from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.train.config import compiled_config
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from t2m_jax.train.experiment import Setup, Validation, run_setup
-from t2m_jax.train.optimizer import make_optimizer
+from t2m_jax.train.optimizer import Metrics, TrainState, descend, first_state
 from t2m_jax.train.streams import stream_key
 
 logger = logging.getLogger(__name__)
-
-Metrics = dict[str, Float[Array, ""]]
 
 MOVEMENTS = "movement_encoder"
 """Name of the module."""
 MOVEMENT_FOLDER = "movement"
 """Folder of a run with the metrics and checkpoints of this training."""
-
-
-class MovementState(NamedTuple):
-    """Everything that an update changes; `params` has `movement_encoder` and `decoder`."""
-
-    step: Int[Array, ""]
-    params: Any
-    opt_state: optax.OptState
 
 
 def make_decoder(config: TrainEvaluatorConfig) -> MovementDecoder:
@@ -47,15 +36,14 @@ def make_decoder(config: TrainEvaluatorConfig) -> MovementDecoder:
 
 
 @functools.partial(jax.jit, static_argnames="config")
-def init_movement_state(config: TrainEvaluatorConfig, key: Key[Array, ""]) -> MovementState:
-    """Returns the state before the first update; `key` is consumed."""
+def init_movement_state(config: TrainEvaluatorConfig, key: Key[Array, ""]) -> TrainState:
+    """Returns the state before the first update, with `movement_encoder` and `decoder`; `key` is consumed."""
     encoder_key, decoder_key = jax.random.split(key)
     motion = jnp.zeros((1, config.window, config.model.feature_dim))
     movements = jnp.zeros((1, 1, config.model.movement_dim))
     encoder = Evaluator(config.model).init(encoder_key, motion, train=False, method="movements")
     params = encoder["params"] | {"decoder": make_decoder(config).init(decoder_key, movements)["params"]}
-    opt_state = make_optimizer(config.movement_optimizer).init(params)
-    return MovementState(jnp.array(0, jnp.int32), params, opt_state)
+    return first_state(params, config.movement_optimizer)
 
 
 def movement_metrics(
@@ -81,23 +69,18 @@ def movement_metrics(
 
 
 def movement_train_step(
-    state: MovementState, windows: Windows, key: Key[Array, ""], *, config: TrainEvaluatorConfig
-) -> tuple[MovementState, Metrics]:
+    state: TrainState, windows: Windows, key: Key[Array, ""], *, config: TrainEvaluatorConfig
+) -> tuple[TrainState, Metrics]:
     """Returns the state after one update and the metrics before it; `key` is consumed."""
-
-    def objective(params: Any) -> tuple[Float[Array, ""], Metrics]:
-        metrics = movement_metrics(params, windows, key, config=config)
-        return metrics["loss"], metrics
-
-    (_, metrics), gradient = jax.value_and_grad(objective, has_aux=True)(state.params)
-    updates, opt_state = make_optimizer(config.movement_optimizer).update(gradient, state.opt_state, state.params)
-    return MovementState(state.step + 1, optax.apply_updates(state.params, updates), opt_state), metrics
+    return descend(
+        state, lambda params: (movement_metrics(params, windows, key, config=config), {}), config.movement_optimizer
+    )
 
 
 @functools.partial(jax.jit, static_argnames="config", donate_argnums=0)
 def update_movements(
-    state: MovementState, bank: MotionBank, *, config: TrainEvaluatorConfig
-) -> tuple[MovementState, Metrics]:
+    state: TrainState, bank: MotionBank, *, config: TrainEvaluatorConfig
+) -> tuple[TrainState, Metrics]:
     """Returns the state after one step on the windows of that step; `state` is donated."""
     data_key, model_key = stream_key(config.loop.seed, "windows"), stream_key(config.loop.seed, "dropout")
     windows = batch_at(bank, data_key, state.step, batch_size=config.movement_batch_size, window=config.window)
@@ -106,7 +89,7 @@ def update_movements(
 
 @functools.partial(jax.jit, static_argnames="config")
 def validate_movements(
-    state: MovementState, bank: MotionBank, batch: Int[Array, ""], *, config: TrainEvaluatorConfig
+    state: TrainState, bank: MotionBank, batch: Int[Array, ""], *, config: TrainEvaluatorConfig
 ) -> Metrics:
     """Returns the losses on a batch of held-out windows, without dropout."""
     key = stream_key(config.loop.seed, "validation")
@@ -127,18 +110,14 @@ def train_movements(
     run, compiled = config.run / MOVEMENT_FOLDER, compiled_config(config)
     clips, held_out = ([clip for clip in part if len(clip.features) >= config.window] for part in (train, validation))
 
-    def init() -> MovementState:
+    def init() -> TrainState:
         return init_movement_state(compiled, stream_key(config.loop.seed, "movements"))
 
     state = restore_latest(run, init()) if resume else init()
     if int(state.step) >= config.movement_steps:
         return state.params[MOVEMENTS]
     logger.info("first the movement encoder, %d steps", config.movement_steps)
-    measured = None
-    if held_out:
-        num_batches = max(len(held_out) // config.movement_batch_size, 1)
-        measure = functools.partial(validate_movements, config=compiled)
-        measured = Validation(make_bank(held_out, normalizer), num_batches, measure)
+    measure = functools.partial(validate_movements, config=compiled)
     setup = Setup(
         dataset=dataset,
         clips=clips,
@@ -148,7 +127,7 @@ def train_movements(
         optimizer=config.movement_optimizer,
         frames_per_step=config.movement_batch_size * config.window,
         weights=lambda state: {"params": state.params},
-        validation=measured,
+        validation=Validation(make_bank(held_out, normalizer), len(held_out), measure) if held_out else None,
     )
-    loop = dataclasses.replace(config.loop, num_steps=config.movement_steps)
+    loop = dataclasses.replace(config.loop, num_steps=config.movement_steps, batch_size=config.movement_batch_size)
     return run_setup(run, state, setup, loop).params[MOVEMENTS]

@@ -1,10 +1,15 @@
-"""Learning-rate schedules and the optimiser."""
+"""The optimizer, its learning-rate schedule, and the update that every trainer makes with it."""
 
 import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int
+
+Metrics = dict[str, Float[Array, ""]]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -12,24 +17,32 @@ class OptimizerConfig:
     """AdamW with warm-up and step decay."""
 
     learning_rate: float = 2e-4
-    """Rate after the warm-up (see `warmup_steps` for the original's quirk)."""
+    """Learning rate after the warm-up. With a warm-up it is slightly lower, see `warmup_steps`."""
     warmup_steps: int = 0
-    """Length of the linear warm-up, W. It takes W - 1 updates, and the rate stays at its last value,
-    learning_rate * W / (W + 1), as in the original code."""
+    """Length W of the linear warm-up. As in the original code, it takes W - 1 updates, and the rate then stays at its
+    last value, learning_rate * W / (W + 1)."""
     milestones: tuple[int, ...] = ()
-    """Updates after the warm-up at which the rate is multiplied by `gamma`."""
+    """Updates after the warm-up at which the learning rate is multiplied by `gamma`."""
     gamma: float = 0.05
     """Factor at each milestone."""
     betas: tuple[float, float] = (0.9, 0.99)
     """Decay rates of AdamW's two averages."""
     weight_decay: float = 0.0
-    """Decoupled weight decay, times the learning rate."""
+    """Decoupled weight decay, which is multiplied by the learning rate."""
     clip_norm: float = 0.0
-    """Global norm to which gradients are cut; 0 leaves them alone."""
+    """Largest global norm of the gradients. Larger gradients are scaled down to it; 0 turns this off."""
+
+
+class TrainState(NamedTuple):
+    """Everything that an update changes, for models that have only parameters."""
+
+    step: Int[Array, ""]
+    params: Any
+    opt_state: Any
 
 
 def learning_rate_at(step: Int[Array, ""] | int, config: OptimizerConfig) -> Float[Array, ""]:
-    """Returns the learning rate of update `step` (from 0, warm-up included)."""
+    """Returns the learning rate of update `step`, counted from 0 at the start of the warm-up."""
     warmup = config.warmup_steps
     num_warmup_updates = max(warmup - 1, 0)
     warm = config.learning_rate * jnp.minimum(step + 2, warmup) / (warmup + 1) if warmup else config.learning_rate
@@ -38,7 +51,7 @@ def learning_rate_at(step: Int[Array, ""] | int, config: OptimizerConfig) -> Flo
 
 
 def make_optimizer(config: OptimizerConfig) -> optax.GradientTransformation:
-    """Returns AdamW (decoupled decay, arXiv 1711.05101) that follows the schedule."""
+    """Returns AdamW (decoupled weight decay, arXiv 1711.05101) with the learning-rate schedule."""
     adamw = optax.adamw(
         lambda count: learning_rate_at(count, config),
         b1=config.betas[0],
@@ -49,3 +62,29 @@ def make_optimizer(config: OptimizerConfig) -> optax.GradientTransformation:
     if config.clip_norm > 0:
         return optax.chain(optax.clip_by_global_norm(config.clip_norm), adamw)
     return adamw
+
+
+def first_state(params: Any, config: OptimizerConfig) -> TrainState:
+    """Returns the state before the first update."""
+    return TrainState(jnp.array(0, jnp.int32), params, make_optimizer(config).init(params))
+
+
+def descend(
+    state: Any, measure: Callable[[Any], tuple[Metrics, dict[str, Any]]], config: OptimizerConfig
+) -> tuple[Any, Metrics]:
+    """Returns the state after one update and the metrics before it.
+
+    Args:
+        state: A `TrainState`, or a `NamedTuple` with its fields and others.
+        measure: From `params` to metrics with the `loss` to minimize, and new values of the other fields of `state`.
+        config: The optimizer.
+    """
+
+    def objective(params: Any) -> tuple[Float[Array, ""], tuple[Metrics, dict[str, Any]]]:
+        metrics, fields = measure(params)
+        return metrics["loss"], (metrics, fields)
+
+    (_, (metrics, fields)), gradient = jax.value_and_grad(objective, has_aux=True)(state.params)
+    updates, opt_state = make_optimizer(config).update(gradient, state.opt_state, state.params)
+    params = optax.apply_updates(state.params, updates)
+    return state._replace(step=state.step + 1, params=params, opt_state=opt_state, **fields), metrics

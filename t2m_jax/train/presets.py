@@ -1,4 +1,4 @@
-"""T2M-GPT's recipes: `official` follows its published commands, `paper` follows its text.
+"""Configs of T2M-GPT: `official` follows the published commands, `paper` follows the text of the paper.
 
 `docs/paper_and_code.md` lists every difference and the reason for each choice.
 """
@@ -10,7 +10,6 @@ from typing import Any
 
 from t2m_jax.config import flat_fields
 from t2m_jax.errors import UserError
-from t2m_jax.models.motion_gpt import MotionGptConfig
 from t2m_jax.models.vqvae import VqVaeConfig
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML, Skeleton
 from t2m_jax.train.config import LoopConfig
@@ -19,27 +18,27 @@ from t2m_jax.train.optimizer import OptimizerConfig
 from t2m_jax.train.vqvae import TrainVqVaeConfig
 
 SKELETONS = {skeleton.name: skeleton for skeleton in (HUMANML3D, KIT_ML)}
-"""Data sets that have presets."""
+"""The skeletons of the data sets that have presets, by name."""
 OFFICIAL_FOLDERS = {HUMANML3D.name: "t2m", KIT_ML.name: "kit"}
-"""Folders of the original code by data set; it reads the statistics from files that were published with the weights."""
+"""The folder of each data set in the original code, which contains the statistics published with the weights."""
 
 
 def official_vqvae(skeleton: Skeleton) -> TrainVqVaeConfig:
-    """Returns the first stage as the published command runs it."""
+    """Returns the config of the published command for the first stage."""
     return TrainVqVaeConfig(
         data=Path(f"data/{skeleton.name}"),
         run=Path(f"runs/{skeleton.name}-official-vqvae"),
         model=VqVaeConfig(feature_dim=skeleton.feature_dim),
         short_clips="drop",
         statistics=f"checkpoints/{OFFICIAL_FOLDERS[skeleton.name]}/VQVAEV3_CB1024_CMT_H1024_NRES3/meta",
-        # 999 updates of warm-up come on top of the 300,000.
+        # The original trains for 300,000 updates after 999 updates of warm-up.
         optimizer=OptimizerConfig(warmup_steps=1000, milestones=(200_000,)),
         loop=LoopConfig(num_steps=300_999, seed=123),
     )
 
 
 def paper_vqvae(skeleton: Skeleton) -> TrainVqVaeConfig:
-    """Returns the first stage as section 3.1 and the implementation details of the paper have it."""
+    """Returns the config that the paper describes for the first stage (section 3.1 and implementation details)."""
     return dataclasses.replace(
         official_vqvae(skeleton),
         run=Path(f"runs/{skeleton.name}-paper-vqvae"),
@@ -51,12 +50,11 @@ def paper_vqvae(skeleton: Skeleton) -> TrainVqVaeConfig:
 
 
 def official_gpt(skeleton: Skeleton) -> TrainGptConfig:
-    """Returns the second stage as the published command runs it."""
+    """Returns the config of the published command for the second stage."""
     return TrainGptConfig(
         data=Path(f"data/{skeleton.name}"),
         vqvae=Path(f"runs/{skeleton.name}-official-vqvae"),
         run=Path(f"runs/{skeleton.name}-official-gpt"),
-        model=MotionGptConfig(),
         text_encoder="clip",
         offsets="one",
         timed_captions="slice",
@@ -66,9 +64,9 @@ def official_gpt(skeleton: Skeleton) -> TrainGptConfig:
 
 
 def paper_gpt(skeleton: Skeleton) -> TrainGptConfig:
-    """Returns the second stage as section 3.2 and the implementation details of the paper have it.
+    """Returns the config that the paper describes for the second stage (section 3.2 and implementation details).
 
-    Its best figures are those of tau 0.5 on HumanML3D and of a random tau on KIT-ML.
+    The paper's best results are with a tau of 0.5 on HumanML3D, and with a random tau on KIT-ML.
     """
     return dataclasses.replace(
         official_gpt(skeleton),
@@ -90,16 +88,16 @@ PRESETS: dict[tuple[str, str], Callable[[Skeleton], Any]] = {
 
 
 def preset_names() -> tuple[str, ...]:
-    """Returns what a preset can be called: a recipe of HumanML3D, or of a data set named before it."""
+    """Returns the names of all presets: a recipe for HumanML3D, or a data set and a recipe such as `kit_ml/paper`."""
     recipes = ("official", "paper")
     return (*recipes, *(f"{data}/{recipe}" for data in SKELETONS for recipe in recipes))
 
 
 def load_preset(stage: str, name: str) -> Any:
-    """Returns a stage's config by a name such as "paper", "humanml3d/paper" or "kit_ml/official".
+    """Returns the config of a stage by a name such as "paper", "humanml3d/paper" or "kit_ml/official".
 
     Raises:
-        UserError: if there is no such preset.
+        UserError: There is no such preset.
     """
     data, _, recipe = name.rpartition("/")
     data = data or HUMANML3D.name
@@ -109,6 +107,6 @@ def load_preset(stage: str, name: str) -> Any:
 
 
 def differences(one: Any, other: Any) -> dict[str, tuple[Any, Any]]:
-    """Returns the fields in which two configs of one stage differ, with both values."""
+    """Returns the fields in which two configs of the same stage differ, with both values."""
     left, right = flat_fields(one), flat_fields(other)
     return {name: (left[name], right[name]) for name in left if left[name] != right[name]}

@@ -1,20 +1,40 @@
-"""The statistics that a training normalizes motion with."""
+"""The data set of a training, and the statistics that normalize its motion."""
+
+from typing import Any
 
 from t2m_jax.checkpoints.bundle import CONFIG_FILE, bundle_path
 from t2m_jax.checkpoints.run import is_run
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
-from t2m_jax.data.checks import check_statistics
-from t2m_jax.data.folder import Dataset
+from t2m_jax.data.checks import check_feature_dim, check_statistics
+from t2m_jax.data.folder import Dataset, open_dataset
 from t2m_jax.errors import UserError
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, normalizer_from_files, weighted_normalizer
 from t2m_jax.train.config import FROM_DATA
+
+
+def open_training_data(config: Any, *, reader: str, resume: bool) -> tuple[Dataset, Normalizer]:
+    """Returns the data set of a config, and its statistics or those of the run that is resumed.
+
+    Args:
+        config: A config with the fields `data`, `run`, `statistics`, `root_weight` and `model.feature_dim`.
+        reader: What is trained, for error messages.
+        resume: Whether the run is resumed.
+
+    Raises:
+        UserError: The data set or the statistics cannot be read, or do not fit the model.
+    """
+    dataset = open_dataset(config.data)
+    check_feature_dim(dataset, config.model.feature_dim, reader=reader)
+    if resume:
+        return dataset, load_normalizer(config.run)
+    return dataset, load_statistics(config.statistics, dataset, root_weight=config.root_weight)
 
 
 def load_statistics(statistics: str, dataset: Dataset, *, root_weight: float) -> Normalizer:
     """Returns the statistics that a config names (see `TrainVqVaeConfig.statistics`).
 
     Raises:
-        UserError: There are none, or they are of a different kind of motion than the data.
+        UserError: They do not exist, or describe motion of another kind than the data.
     """
     if statistics == FROM_DATA:
         return weighted_normalizer(dataset.normalizer, dataset.skeleton.layout, factor=root_weight)
@@ -29,8 +49,6 @@ def load_statistics(statistics: str, dataset: Dataset, *, root_weight: float) ->
     elif path.is_dir():
         normalizer = load_normalizer(path)
     else:
-        raise UserError(
-            f"statistics: {statistics} does not exist; give a folder with mean.npy and std.npy, a model, or `data`"
-        )
+        raise UserError(f"statistics: {statistics} does not exist; give a folder with mean.npy, a model, or `data`")
     check_statistics(dataset, normalizer, reader=statistics, advice=f"choose others, or `--statistics {FROM_DATA}`")
     return normalizer

@@ -1,4 +1,4 @@
-"""Keys by purpose: a run has one seed, and every use of randomness its own named stream."""
+"""Random keys by purpose. A run has one seed, and every use of randomness has its own named stream."""
 
 import zlib
 
@@ -7,5 +7,6 @@ from jaxtyping import Array, Key
 
 
 def stream_key(seed: int, name: str) -> Key[Array, ""]:
-    """Returns the key of stream `name` of a run; fold the step in before use."""
+    """Returns the key of stream `name` of a run. Fold the step into it before use."""
+    # The checksum is the same on every platform and in every process, unlike `hash`.
     return jax.random.fold_in(jax.random.key(seed), zlib.crc32(name.encode()))

@@ -1,4 +1,4 @@
-"""From codes to the inputs and targets of the GPT (T2M-GPT, section 3.2, and its code)."""
+"""The inputs and targets of the GPT, made from codes (T2M-GPT, section 3.2, and its code)."""
 
 from typing import Literal, NamedTuple
 
@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Int, Key
 
 
 class Targets(NamedTuple):
-    """Codes, then End, then Pad."""
+    """What the GPT predicts: the codes of each motion, then End, then Pad."""
 
     tokens: Int[Array, "B L"]
     code_lengths: Int[Array, " B"]
@@ -17,9 +17,9 @@ class Targets(NamedTuple):
 def make_targets(
     codes: Int[Array, "B N"], code_lengths: Int[Array, " B"], *, num_codes: int, block_size: int
 ) -> Targets:
-    """Returns targets of `block_size`: each motion's codes, End (= num_codes), then Pad (= num_codes + 1).
+    """Returns `block_size` targets per motion: its codes, End (= num_codes), then Pad (= num_codes + 1).
 
-    A motion longer than `block_size - 1` codes is cut there.
+    Motions are cut after `block_size - 1` codes.
     """
     code_lengths = jnp.minimum(code_lengths, block_size - 1)
     room = block_size - codes.shape[1]
@@ -32,16 +32,16 @@ def make_targets(
 def drop_one_code(
     codes: Int[Array, "B N"], code_lengths: Int[Array, " B"], drop: Bool[Array, " B"], *, at_head: Bool[Array, " B"]
 ) -> tuple[Int[Array, "B N"], Int[Array, " B"]]:
-    """Returns codes and lengths with one code fewer where `drop`, taken from the head or the tail.
+    """Returns codes and lengths. Where `drop` is True, the first or the last code is removed.
 
-    A motion of one code is left with none, as in the original: its target is End at once.
+    As in the original, a motion of one code then has none, so that its only target is End.
     """
     shifted = jnp.where((drop & at_head)[:, None], jnp.roll(codes, -1, axis=1), codes)
     return shifted, code_lengths - drop
 
 
 class Corruption(NamedTuple):
-    """Which inputs are replaced, and by what."""
+    """Inputs that are replaced in training, and their replacements."""
 
     keep: Bool[Array, "B L"]
     replacements: Int[Array, "B L"]
@@ -59,14 +59,14 @@ def draw_corruption(
     num_codes: int,
     past_end: bool,
 ) -> Corruption:
-    """Returns a corruption that replaces each position by a uniform code with probability tau.
+    """Returns a corruption that replaces each token, with probability `tau`, by a code from a uniform distribution.
 
     Args:
         tokens: Codes, End (= `num_codes`) and Pad.
         key: Consumed.
-        tau: The probability, or how often one is drawn from 0 to 1: once for the batch, or once for each motion.
-        num_codes: Codes to draw from; the right one may be drawn.
-        past_end: Whether End and Pad may be replaced (as in the original code).
+        tau: The probability. `per_batch` draws one from 0 to 1 for the batch, and `per_motion` one for each motion.
+        num_codes: Number of codes to draw from. The right code may be drawn, too.
+        past_end: Whether End and Pad may be replaced, as in the original code.
     """
     share_key, replace_key, code_key = jax.random.split(key, 3)
     if isinstance(tau, float):

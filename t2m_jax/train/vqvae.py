@@ -13,23 +13,20 @@ from jaxtyping import Array, Float, Int, Key
 
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer, save_tokenizer_parts
 from t2m_jax.data.banks.motions import MotionBank, Windows, batch_at, make_bank
-from t2m_jax.data.checks import check_feature_dim
-from t2m_jax.data.folder import Clip, Dataset, open_dataset
+from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.evaluation.sources import CodeSource, Reconstruction
 from t2m_jax.losses import ReconstructionKind, VelocityKind, reconstruction_loss, velocity_loss
 from t2m_jax.metrics.codes import perplexity
 from t2m_jax.models.vqvae import VqVae, VqVaeConfig, VqVaeOutput
-from t2m_jax.motion.normalizer import Normalizer, load_normalizer
+from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import skeleton_from_feature_dim
 from t2m_jax.sampling.codec import reconstruct_motions
 from t2m_jax.train.config import FROM_DATA, EvaluationConfig, ExperimentConfig, compiled_config
 from t2m_jax.train.experiment import Evaluation, Setup, Trainer, Validation
-from t2m_jax.train.optimizer import OptimizerConfig, make_optimizer
-from t2m_jax.train.statistics import load_statistics
+from t2m_jax.train.optimizer import Metrics, OptimizerConfig, descend, make_optimizer
+from t2m_jax.train.statistics import open_training_data
 from t2m_jax.train.streams import stream_key
-
-Metrics = dict[str, Float[Array, ""]]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -136,8 +133,8 @@ def vqvae_train_step(
     """
     model = VqVae(config.model)
 
-    def objective(params: Any) -> tuple[Float[Array, ""], tuple[Any, Metrics]]:
-        output, updates = model.apply(
+    def measure(params: Any) -> tuple[Metrics, dict[str, Any]]:
+        output, moved = model.apply(
             state.variables | {"params": params},
             windows.motion,
             windows.mask,
@@ -146,14 +143,10 @@ def vqvae_train_step(
             rngs={"codebook": key},
             mutable=["codebook", "batch_stats"],
         )
-        metrics = vqvae_losses(output, windows, config)
-        return metrics["loss"], (updates, metrics)
+        fields = {name: moved.get(name, {}) for name in ("codebook", "batch_stats")}
+        return vqvae_losses(output, windows, config), fields
 
-    (_, (moved, metrics)), gradient = jax.value_and_grad(objective, has_aux=True)(state.params)
-    updates, opt_state = make_optimizer(config.optimizer).update(gradient, state.opt_state, state.params)
-    params = optax.apply_updates(state.params, updates)
-    codebook, batch_stats = moved.get("codebook", {}), moved.get("batch_stats", {})
-    return VqVaeState(state.step + 1, params, codebook, batch_stats, opt_state), metrics
+    return descend(state, measure, config.optimizer)
 
 
 @functools.partial(jax.jit, static_argnames="config", donate_argnums=0)
@@ -179,12 +172,7 @@ def prepare(config: TrainVqVaeConfig, resume: bool) -> Setup:
     Raises:
         UserError: The data do not fit the model.
     """
-    dataset = open_dataset(config.data)
-    check_feature_dim(dataset, config.model.feature_dim, reader="the VQ-VAE")
-    if resume:
-        normalizer = load_normalizer(config.run)
-    else:
-        normalizer = load_statistics(config.statistics, dataset, root_weight=config.root_weight)
+    dataset, normalizer = open_training_data(config, reader="the VQ-VAE", resume=resume)
     compiled, is_padded = compiled_config(config), config.short_clips == "pad"
     # The original takes every clip that is as long as a window, also those that its other stages find too short.
     shortest = max(config.model.downsample, dataset.info.min_frames) if is_padded else config.window
@@ -221,15 +209,9 @@ def make_validation(config: TrainVqVaeConfig, dataset: Dataset, normalizer: Norm
     clips = dataset.clips("val", min_frames=shortest) if config.loop.validate_every else []
     if not clips:
         return None
-    num_batches = max(len(clips) // config.loop.batch_size, 1)
-    return Validation(
-        make_bank(clips, normalizer), num_batches, functools.partial(validate, config=compiled_config(config))
-    )
+    measure = functools.partial(validate, config=compiled_config(config))
+    return Validation(make_bank(clips, normalizer), len(clips), measure)
 
 
-TRAINER = Trainer(
-    config=TrainVqVaeConfig,
-    prepare=prepare,
-    next_command="t2m train gpt CONFIG --vqvae {run}",
-)
+TRAINER = Trainer(config=TrainVqVaeConfig, prepare=prepare, next_command="t2m train gpt CONFIG --vqvae {run}")
 """The entry point `vqvae`."""

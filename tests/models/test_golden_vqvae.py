@@ -11,7 +11,7 @@ from t2m_jax.checkpoints.official.load import vqvae_variables
 from t2m_jax.losses import reconstruction_loss
 from t2m_jax.metrics import perplexity
 from t2m_jax.models.vqvae import VqVae, VqVaeConfig
-from t2m_jax.motion.layout import FeatureLayout
+from t2m_jax.motion.layout import make_layout
 from tests.golden_files import state_dict
 
 NAMES = (
@@ -70,7 +70,7 @@ def test_losses_and_gradient_norms(case):
     arrays, model, variables = case
     motion = jnp.asarray(arrays["x"])
     mask = jnp.ones(motion.shape[:2], bool)
-    positions = FeatureLayout(22 if motion.shape[2] == 263 else 21).positions
+    positions = make_layout(22 if motion.shape[2] == 263 else 21).positions
 
     def total(params):
         output = model.apply({**variables, "params": params}, motion, train=False)

@@ -84,7 +84,7 @@ def test_features_are_the_references(golden, clip):
 def assert_features_close(actual, expected, skeleton):
     layout, actual = skeleton.layout, np.asarray(actual)
     np.testing.assert_array_equal(actual[:, layout.contacts], expected[:, layout.contacts])
-    for group in layout.groups:
+    for group in layout:
         tolerance = (
             2e-4 if group == layout.rotations else 2e-6 if group == layout.root_yaw else TOLERANCE[skeleton.name]
         )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.layout import FeatureLayout
+from t2m_jax.motion.layout import make_layout
 from t2m_jax.motion.normalizer import (
     Normalizer,
     load_normalizer,
@@ -14,7 +14,7 @@ from t2m_jax.motion.normalizer import (
 )
 from tests.jit import assert_jit_matches_eager
 
-LAYOUT = FeatureLayout(3)
+LAYOUT = make_layout(3)
 in_both_libraries = pytest.mark.parametrize("asarray", [np.asarray, jnp.asarray], ids=["numpy", "jax"])
 
 
@@ -25,7 +25,7 @@ def random_clips(offset=0.0):
 
 @pytest.mark.parametrize("joints", [22, 21])
 def test_like_the_reference(golden_dir, joints):
-    reference, layout = np.load(golden_dir / "motion" / f"stats_grouping{joints}.npz"), FeatureLayout(joints)
+    reference, layout = np.load(golden_dir / "motion" / f"stats_grouping{joints}.npz"), make_layout(joints)
     clips = np.split(reference["clips"], np.cumsum(reference["lengths"])[:-1])
     assert not np.isfinite(reference["clips"]).all()  # one clip is to be left out
     normalizer = normalizer_from_clips(clips, layout)
@@ -49,7 +49,7 @@ def test_normalized_frames_have_mean_0_and_deviation_1_a_group(asarray):
     normalizer = normalizer_from_clips(clips, LAYOUT)
     motion = np.asarray(normalizer.normalize(asarray(np.concatenate(clips))))
     np.testing.assert_allclose(motion.mean(0), 0, atol=1e-5)
-    for group in LAYOUT.groups:
+    for group in LAYOUT:
         np.testing.assert_allclose(motion.std(0)[group].mean(), 1, rtol=1e-5)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.layout import FeatureLayout
+from t2m_jax.motion.layout import make_layout
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML, skeleton_from_feature_dim, skeleton_from_name
 
 both_skeletons = pytest.mark.parametrize("skeleton", [HUMANML3D, KIT_ML], ids=lambda skeleton: skeleton.name)
@@ -42,11 +42,11 @@ def test_mirror_keeps_the_tree(skeleton):
 
 @pytest.mark.parametrize(("joints", "feature_dim"), [(22, 263), (21, 251)])
 def test_groups_are_all_columns_in_order(joints, feature_dim):
-    layout = FeatureLayout(joints)
-    columns = [column for group in layout.groups for column in range(group.start, group.stop)]
+    layout = make_layout(joints)
+    columns = [column for group in layout for column in range(group.start, group.stop)]
     assert columns == list(range(feature_dim)) == list(range(layout.feature_dim))
     named = (layout.root_yaw, layout.root_velocity, layout.root_height, layout.positions)
-    assert layout.groups == (*named, layout.rotations, layout.velocities, layout.contacts)
+    assert layout == (*named, layout.rotations, layout.velocities, layout.contacts)
 
 
 def test_published_columns():

@@ -23,9 +23,9 @@ from t2m_jax.losses import infonce_loss, margin_loss, pair_distances
 from t2m_jax.models.evaluator import Evaluator
 from t2m_jax.text.word_vectors import WordIds
 from t2m_jax.train import evaluator, experiment, movement, train
-from t2m_jax.train.evaluator import MatchingState, matching_train_step, trained_parts
+from t2m_jax.train.evaluator import matching_train_step, trained_parts
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
-from t2m_jax.train.optimizer import make_optimizer
+from t2m_jax.train.optimizer import TrainState, make_optimizer
 from tests.golden_files import evaluator_config, evaluator_state_dict
 from tests.tiny import EVALUATOR, LOOP
 from tests.train.conftest import assert_same_checkpoint, newest_checkpoint
@@ -76,7 +76,7 @@ def test_three_steps_are_the_reference_s(golden_dir):
     params = evaluator_variables(evaluator_state_dict(arrays, prefix="init_"), sizes, table)["params"]
     optimizer = make_optimizer(config.optimizer)
     opt_state = {name: optimizer.init(part) for name, part in trained_parts(params, config).items()}
-    state = MatchingState(jnp.array(0, jnp.int32), params, opt_state)
+    state = TrainState(jnp.array(0, jnp.int32), params, opt_state)
     words = jnp.arange(num * length).reshape(num, length)
     captions = WordIds(words, jnp.asarray(arrays["pos_ids"]), jnp.asarray(arrays["cap_lens"]))
     batch = CaptionBatch(jnp.asarray(arrays["motions"]), jnp.asarray(arrays["m_lens"]), captions)
@@ -218,9 +218,9 @@ def test_given_words_and_vectors_are_used_and_left_as_they_are(data, tmp_path):
 @pytest.mark.parametrize(
     ("fields", "says"),
     [
-        ({"model": dataclasses.replace(EVALUATOR, feature_dim=251)}, "model.feature_dim is 251"),
+        ({"model": dataclasses.replace(EVALUATOR, feature_dim=251)}, "the evaluator reads 251"),
         ({"word_vectors": "glove.txt"}, "glove.txt: cannot be read"),
-        ({"words": "words.txt"}, "words.txt: cannot be read"),
+        ({"words": "words.txt"}, "words.txt: there is no such file"),
         ({"window": 10_000}, "no clips to train on"),
     ],
 )

@@ -11,8 +11,8 @@ from t2m_jax.data.banks.motions import Windows
 from t2m_jax.models.motion_gpt import MotionGptConfig
 from t2m_jax.models.vqvae import VqVaeConfig
 from t2m_jax.train import OptimizerConfig, TrainGptConfig, TrainVqVaeConfig
-from t2m_jax.train.gpt import GptBatch, GptState, gpt_train_step
-from t2m_jax.train.optimizer import make_optimizer
+from t2m_jax.train.gpt import GptBatch, gpt_train_step
+from t2m_jax.train.optimizer import first_state, make_optimizer
 from t2m_jax.train.targets import Corruption, Targets
 from t2m_jax.train.vqvae import VqVaeState, vqvae_train_step
 from tests.golden_files import state_dict
@@ -103,7 +103,7 @@ def test_gpt_steps(golden_dir):
     )
     weights = state_dict(arrays)
     params = {"gpt": gpt_variables(weights, config.model)["params"]}
-    state = GptState(jnp.array(0), params, make_optimizer(config.optimizer).init(params))
+    state = first_state(params, config.optimizer)
     step_function = jax.jit(gpt_train_step, static_argnames="config")
     for step in range(len(arrays["loss"])):
         targets = Targets(jnp.asarray(arrays["target"][step]), jnp.asarray(arrays["n_tokens"][step]))

@@ -3,7 +3,6 @@
 from t2m_jax.checkpoints.official.bundle import (
     OfficialEvaluatorFiles,
     OfficialFiles,
-    OfficialOptions,
     load_official,
     load_official_evaluator,
     official_card,
@@ -21,7 +20,6 @@ from t2m_jax.checkpoints.official.load import (
 __all__ = [
     "OfficialEvaluatorFiles",
     "OfficialFiles",
-    "OfficialOptions",
     "evaluator_variables",
     "export_official",
     "gpt_variables",

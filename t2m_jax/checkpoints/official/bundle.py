@@ -1,16 +1,13 @@
 """Puts published files together: four files of T2M-GPT make a bundle, five files make an evaluator."""
 
-import dataclasses
 import hashlib
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from t2m_jax.checkpoints.bundle import Bundle, BundleConfig, ClipReference, check_statistics_width
 from t2m_jax.checkpoints.evaluator import TrainedEvaluator, make_trained_evaluator
 from t2m_jax.checkpoints.official.load import load_evaluator, load_gpt, load_vqvae
 from t2m_jax.errors import UserError
-from t2m_jax.models.convolution import NormKind
-from t2m_jax.models.quantizer import QuantizerKind
 from t2m_jax.motion.normalizer import normalizer_from_files
 from t2m_jax.motion.skeleton import skeleton_from_feature_dim
 from t2m_jax.text.word_vectors import load_vocabulary
@@ -25,42 +22,25 @@ class OfficialFiles(NamedTuple):
     std: Path
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class OfficialOptions:
-    """What the files do not contain; the defaults are the published models' values."""
-
-    num_heads: int = 16
-    """Attention heads of the GPT."""
-    dilation_growth: int = 3
-    """Ratio of the dilations of neighboring residual units."""
-    activation: Literal["relu", "silu", "gelu"] = "relu"
-    """Activation inside the residual units."""
-    norm: NormKind | None = None
-    """Norm of the residual units if it is `LN` or `GN`, which have the same tensors; by default `LN`."""
-    quantizer: QuantizerKind | None = None
-    """How the codebook learned; by default `ema_reset`, or `orig` if the file is of that kind."""
-    ema_decay: float = 0.99
-    """Share of the old codebook statistics that a training step keeps."""
-    reset_threshold: float = 1.0
-    """A code is replaced in training if its averaged number of hits per batch is below this."""
-
-
-def load_official(files: OfficialFiles, *, options: OfficialOptions = OfficialOptions()) -> Bundle:
+def load_official(files: OfficialFiles, *, num_heads: int = 16, **vqvae_options: Any) -> Bundle:
     """Returns the model in four published files. Its text encoder is CLIP, which is not part of the files.
+
+    Args:
+        files: The files.
+        num_heads: Attention heads of the GPT, which its file does not contain.
+        vqvae_options: What the file of the VQ-VAE does not contain; see `load_vqvae`.
 
     Raises:
         UserError: A file is missing, damaged or of something else, or the files do not fit each other.
     """
-    choices = dataclasses.asdict(options)
-    gpt_config, gpt = load_gpt(files.gpt, num_heads=choices.pop("num_heads"))
-    vqvae_config, vqvae = load_vqvae(files.vqvae, **choices)
+    gpt_config, gpt = load_gpt(files.gpt, num_heads=num_heads)
+    vqvae_config, vqvae = load_vqvae(files.vqvae, **vqvae_options)
     normalizer = normalizer_from_files(files.mean, files.std)
     check_statistics_width(files.mean, normalizer, vqvae_config.feature_dim)
     try:
-        skeleton = skeleton_from_feature_dim(vqvae_config.feature_dim).name
-        config = BundleConfig(
-            skeleton=skeleton, tokenizer=vqvae_config, generator=gpt_config, text_encoder=ClipReference()
-        )
+        name = skeleton_from_feature_dim(vqvae_config.feature_dim).name
+        clip = ClipReference()
+        config = BundleConfig(skeleton=name, tokenizer=vqvae_config, generator=gpt_config, text_encoder=clip)
     except ValueError as error:
         raise UserError(f"{files.vqvae} and {files.gpt} do not make a model: {error}") from None
     return Bundle(config, {"tokenizer": vqvae, "generator": gpt}, normalizer, None)

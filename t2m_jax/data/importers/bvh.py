@@ -177,9 +177,8 @@ def import_bvh_folder(
                 left_out[name] = str(error)
         names = [name for name in files if name not in left_out]
         if not names:
-            raise UserError(
-                f"{source}: none of {len(files)} clips could be imported; the first: {next(iter(left_out.values()))}"
-            )
+            reason = next(iter(left_out.values()))
+            raise UserError(f"{source}: none of {len(files)} clips could be imported; the first: {reason}")
         twins = {split: with_twins(members) for split, members in split_by_hash([names], seed=str(seed)).items()}
         info = DatasetInfo(name=source.resolve().name, min_frames=16, source=source.resolve().name)
         sizes = finish_folder(folder, twins, info=info, skeleton=HUMANML3D)

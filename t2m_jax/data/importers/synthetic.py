@@ -220,12 +220,7 @@ def write_synthetic_dataset(destination: str | Path, *, num_clips: int = NUM_CLI
         UserError: There are fewer clips than the splits need (20), or the destination exists.
     """
     check_num_clips(num_clips)
-    info = DatasetInfo(
-        name="synthetic",
-        min_frames=HUMANML3D.min_frames - 1,
-        licence="CC0-1.0",
-        source="t2m_jax",
-    )
+    info = DatasetInfo(name="synthetic", min_frames=HUMANML3D.min_frames - 1, licence="CC0-1.0", source="t2m_jax")
     names, frames = [f"synthetic_{number:05d}" for number in range(num_clips)], 0
     kinds = [tuple(KINDS)[number % len(KINDS)] for number in range(num_clips)]
     with new_folder(destination) as folder:

@@ -55,9 +55,8 @@ def make_ground(view: View) -> Ground:
     mix = np.clip(np.arange(view.height) / horizon, 0, 1)[:, None, None]
     sky = np.asarray(SKY_TOP) * (1 - mix) + np.asarray(SKY_LOW) * mix
     empty = sky + fade[..., None] * (np.asarray(GROUND) - sky)
-    return Ground(
-        Image.fromarray(np.rint(empty).astype(np.uint8)), Image.fromarray(np.rint(255 * fade).astype(np.uint8)), reach
-    )
+    picture, mask = (Image.fromarray(np.rint(levels).astype(np.uint8)) for levels in (empty, 255 * fade))
+    return Ground(picture, mask, reach)
 
 
 def draw_ground(ground: Ground, view: View) -> Image.Image:

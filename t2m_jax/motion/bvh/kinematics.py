@@ -15,9 +15,7 @@ class JointPoses(NamedTuple):
 
 
 def forward_kinematics(
-    rotations: Float[np.ndarray, "*batch J 3 3"],
-    translations: Float[np.ndarray, "*batch J 3"],
-    parents: Sequence[int],
+    rotations: Float[np.ndarray, "*batch J 3 3"], translations: Float[np.ndarray, "*batch J 3"], parents: Sequence[int]
 ) -> JointPoses:
     """Returns the world poses of a hierarchy of joints.
 

@@ -123,9 +123,7 @@ def _divide_clips(names: Sequence[str], lists: Path | None) -> dict[str, list[st
     if sum(map(len, splits.values())) != len(set().union(*splits.values())):
         raise UserError(f"{lists}: a clip is in more than one of train.txt, val.txt and test.txt")
     if not splits["train"]:
-        raise UserError(
-            f"{lists / 'train.txt'}: names none of the clips that were found; is it the list of another data set?"
-        )
+        raise UserError(f"{lists / 'train.txt'}: names none of the clips; is it the list of another data set?")
     return splits
 
 
