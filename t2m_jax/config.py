@@ -29,6 +29,8 @@ class Tagged(typing.NamedTuple):
 
     find: Callable[[str], type]
     """Returns the config class of a kind. Raises `UserError` if the kind is unknown."""
+    default: str | None = None
+    """Kind of a section that does not name one."""
 
 
 class _FieldError(Exception):
@@ -205,7 +207,7 @@ def _section(schema: type[T] | Tagged, data: Any, keys: tuple[str, ...]) -> T:
 
 def _tagged_class(tagged: Tagged, data: Mapping[str, Any], keys: tuple[str, ...]) -> type:
     """Returns the config class that the `kind` of a section names."""
-    kind, here = data.get("kind"), (*keys, "kind")
+    kind, here = data.get("kind", tagged.default), (*keys, "kind")
     try:
         if not isinstance(kind, str):
             raise UserError(f"expected text that names the kind of this section, got {reprlib.repr(kind)}")

@@ -16,9 +16,7 @@ from t2m_jax.config import Tagged, load_versioned, save_config
 from t2m_jax.errors import UserError
 from t2m_jax.files import atomic_folder, check_new, load_arrays, load_json, save_arrays, save_json
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
-from t2m_jax.models.motion_gpt import MotionGptConfig
 from t2m_jax.models.system import find_generator_config, find_tokenizer_config, variable_shapes
-from t2m_jax.models.vqvae import VqVaeConfig
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
 from t2m_jax.motion.skeleton import skeleton_from_name
 from t2m_jax.text.bpe import load_bpe, save_bpe
@@ -90,8 +88,8 @@ class _BundleConfig1:
 
     format_version: int = 1
     skeleton: str = "humanml3d"
-    vqvae: VqVaeConfig = VqVaeConfig()
-    gpt: MotionGptConfig = MotionGptConfig()
+    vqvae: Annotated[Any, Tagged(find_tokenizer_config, default="vqvae")]
+    gpt: Annotated[Any, Tagged(find_generator_config, default="gpt")]
     text_encoder: str = CaptionEncoderConfig.kind
     clip: str = CLIP_NAME
     caption_encoder: CaptionEncoderConfig = CaptionEncoderConfig()
