@@ -162,12 +162,11 @@ def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
         setup.write_parts(config.run)
         save_training_data(config.run / DATA_FILE, summarize_training_data(setup.dataset, setup.clips))
         create_run(config.run, config.kind, config)
-    state = setup.init()
-    restored = restore_latest(config.run, state)
-    if restored is state and config.init is not None:
+    first = setup.init()
+    state = restore_latest(config.run, first) if resume else first
+    # Also a run that was stopped before its first checkpoint starts from `init`.
+    if state is first and config.init is not None:
         state = state._replace(**checked_weights(config.init, setup.start_from(config.init), setup.weights(state)))
-    else:
-        state = restored
     return run_setup(config.run, state, setup, config.loop, best=best, held_out=held_out)
 
 
