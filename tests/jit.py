@@ -1,11 +1,25 @@
-"""Compares a function compiled by `jax.jit` with the same function run operation by operation."""
+"""Compares a function compiled by `jax.jit`, as for users, with the same function run operation by operation."""
 
-from collections.abc import Callable
+import contextlib
+import copy
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import chex
 import jax
 import jax.numpy as jnp
+
+SETTING = "jax_disable_most_optimizations"
+"""Set in tests/conftest.py, because the suite mostly compiles. Users have XLA's optimizations."""
+
+
+@contextlib.contextmanager
+def optimized() -> Iterator[None]:
+    """Compiles new programs as for users; those that were compiled before are not compiled again."""
+    before = jax.config.read(SETTING)
+    jax.config.update(SETTING, False)
+    yield
+    jax.config.update(SETTING, before)
 
 
 def without_keys(tree: Any) -> Any:
@@ -20,8 +34,8 @@ def without_keys(tree: Any) -> Any:
 def compiled_and_eager(function: Callable, *arguments: Any, **options: Any) -> tuple[Any, Any]:
     """Returns the results of a jitted function with and without compilation, random keys as bits.
 
-    The function is compiled ahead of time, so the first result cannot come from Python code, not even inside
-    `jax.disable_jit()`.
+    The function is compiled ahead of time and with optimizations. So the first result cannot come from Python code, not
+    even inside `jax.disable_jit()`, nor from a program that a test compiled without optimizations.
 
     Raises:
         AssertionError: `function` is not under `jax.jit`.
@@ -29,23 +43,24 @@ def compiled_and_eager(function: Callable, *arguments: Any, **options: Any) -> t
     assert isinstance(function, type(jax.jit(lambda: None))), f"{function} is not under jax.jit"
     with jax.disable_jit():
         eager = function(*arguments, **options)
-    with jax.disable_jit(False):
+    with jax.disable_jit(False), optimized():
         lowered = function.lower(*arguments, **options)
-        # Static options are part of the program. It may reuse the memory of donated arguments, so it runs last.
+        # Static options are part of the program.
         dynamic = {name: value for name, value in options.items() if name in lowered.args_info[1]}
-        compiled = lowered.compile()(*arguments, **dynamic)
+        # Copies, because the program may write into donated arguments, which may be part of the other result.
+        compiled = lowered.compile()(*copy.deepcopy(arguments), **dynamic)
     return without_keys(compiled), without_keys(eager)
 
 
 def assert_jit_equals_eager(
-    function: Callable, *arguments: Any, rtol: float = 1e-5, atol: float = 1e-6, **options: Any
+    function: Callable, *arguments: Any, rtol: float = 1e-5, atol: float = 0.0, **options: Any
 ) -> Any:
     """Fails if the results of a jitted function differ with and without compilation, and returns the former.
 
     Args:
         function: A function under `jax.jit`. Its static arguments must be among the options.
         *arguments: Of the function.
-        rtol: Relative tolerance; 0 with `atol=0` for results that are equal.
+        rtol: Relative tolerance.
         atol: Absolute tolerance.
         **options: Of the function.
     """
@@ -53,8 +68,3 @@ def assert_jit_equals_eager(
     chex.assert_trees_all_equal_shapes_and_dtypes(compiled, eager)
     chex.assert_trees_all_close(compiled, eager, rtol=rtol, atol=atol)
     return compiled
-
-
-def assert_jit_matches_eager(function: Callable, *arguments: Any, rtol: float = 1e-5, atol: float = 0.0) -> Any:
-    """Compiles a function, and fails if its results differ from those without compilation; returns the former."""
-    return assert_jit_equals_eager(jax.jit(function), *arguments, rtol=rtol, atol=atol)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from t2m_jax.masks import mask_from_lengths, masked_mean
-from tests.jit import assert_jit_matches_eager
+from tests.jit import assert_jit_equals_eager
 
 
 @pytest.mark.parametrize("size", [1, 5])
 def test_the_first_positions_are_true(size):
     lengths = jnp.array([0, 1, 3, 5, 9])
     expected = [[position < length for position in range(size)] for length in (0, 1, 3, 5, 9)]
-    mask = assert_jit_matches_eager(partial(mask_from_lengths, size=size), lengths)
+    mask = assert_jit_equals_eager(jax.jit(partial(mask_from_lengths, size=size)), lengths)
     np.testing.assert_array_equal(mask, expected)
     assert mask.dtype == bool
 
@@ -25,7 +25,7 @@ def test_the_mean_is_over_true_positions_only():
     mask = np.array([[True, False, True], [False, False, True]])
     expected = values[mask].mean()
     assert expected != values.mean()
-    found = assert_jit_matches_eager(masked_mean, jnp.asarray(values), jnp.asarray(mask)[..., None])
+    found = assert_jit_equals_eager(jax.jit(masked_mean), jnp.asarray(values), jnp.asarray(mask)[..., None])
     np.testing.assert_allclose(found, expected)
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from t2m_jax.data.banks.codes import CodeBank, code_batch_at, crop_codes
 from t2m_jax.text.bpe import CaptionTokens
+from tests.jit import assert_jit_equals_eager
 
 NUM_MOTIONS, OFFSETS, LONGEST, DEPTH = 7, 4, 9, 2
 NUM_CAPTIONS = np.array([1, 3, 2, 1, 1, 4, 2])
@@ -105,7 +106,4 @@ def test_a_bank_smaller_than_a_batch_is_repeated(bank):
 
 
 def test_jit_equals_eager(bank):
-    jitted = batches(bank, [3], max_codes=4)[0]
-    with jax.disable_jit():
-        eager = batches(bank, [3], max_codes=4)[0]
-    jax.tree.map(np.testing.assert_array_equal, jitted, eager)
+    assert_jit_equals_eager(batch_at, bank, jax.random.key(0), 3, rtol=0, batch_size=3, max_codes=4)

@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,18 +12,17 @@ from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.synthetic import write_synthetic_dataset
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation import codes, embedding
-from t2m_jax.evaluation.embedding import embed_codes, embed_motion, embed_plan_captions, embed_plan_motions, embed_text
+from t2m_jax.evaluation.embedding import embed_plan_captions, embed_plan_motions
 from t2m_jax.evaluation.protocols import find_protocol
 from t2m_jax.evaluation.run import evaluate
-from t2m_jax.evaluation.sources import make_generation, sample_keys
+from t2m_jax.evaluation.sources import make_generation
 from t2m_jax.evaluation.task import EvaluationTask, load_samples, make_task
 from t2m_jax.metrics import matching_score, r_precision
 from t2m_jax.models.evaluator import evaluator_shapes
-from t2m_jax.models.system import make_module
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.sampling import Greedy, Temperature, TextToMotion
 from t2m_jax.text.word_vectors import vocabulary_from_captions
-from tests.tiny import EVALUATOR, random_bundle, random_evaluator, random_variables
+from tests.tiny import EVALUATOR, random_bundle, random_variables
 
 TEXT_METRICS = {"matching_score"} | {
     f"r_precision_{k}{kind}" for k in (1, 2, 3) for kind in ("", "_texts_per_motion", "_by_label")
@@ -196,36 +194,3 @@ def test_labels_change_what_reads_labels(task, model, before):
         assert {found[metric] for metric in by_label} == {1.0}, row
         others = changed(before[row], found) - by_label
         assert all("label" in metric for metric in others), others
-
-
-def test_jit_equals_eager():
-    evaluator, bundle = random_evaluator(), random_bundle()
-    generator = np.random.default_rng(0)
-    tokens = jnp.asarray(generator.integers(0, 16, (3, 4, 1)), jnp.int32)
-    lengths = jnp.array([4, 2, 1], jnp.int32)
-    words = tuple(map(jnp.asarray, evaluator.vocabulary.vectorize_all([("a", "person"), ("walks",)])))
-    motion = jnp.asarray(generator.normal(size=(2, 12, 263)), jnp.float32)
-    statistics = tuple(Normalizer(*map(jnp.asarray, part.normalizer)) for part in (bundle, evaluator))
-    calls = [
-        (
-            embed_codes,
-            (jax.device_put((bundle.variables["tokenizer"], evaluator.variables)), statistics, tokens, lengths),
-            {
-                "tokenizer": make_module(bundle.config.tokenizer),
-                "evaluator": evaluator.config,
-                "max_frames": 12,
-                "clear": True,
-            },
-        ),
-        (embed_motion, (evaluator.variables, motion, jnp.array([12, 7])), {"config": evaluator.config}),
-        (embed_text, (evaluator.variables, *words), {"config": evaluator.config}),
-    ]
-    for function, arguments, options in calls:
-        jitted = function(*arguments, **options)
-        with jax.disable_jit():
-            np.testing.assert_allclose(jitted, function(*arguments, **options), rtol=1e-4, atol=1e-5)
-    keys = (jax.random.key(1), jnp.arange(3), jnp.array([0, 5, 0]))
-    jitted = jax.random.key_data(sample_keys(*keys))
-    with jax.disable_jit():
-        np.testing.assert_array_equal(jitted, jax.random.key_data(sample_keys(*keys)))
-    assert len(np.unique(jitted, axis=0)) == 3

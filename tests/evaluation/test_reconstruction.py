@@ -62,16 +62,12 @@ def test_the_batch_does_not_matter(tokenizer, dataset, report, monkeypatch):
     assert other.codebook_usage == report.codebook_usage
 
 
-def test_jit_equals_eager(tokenizer, dataset):
+def test_codes_after_the_end_are_zero(tokenizer, dataset):
     features = jnp.asarray(dataset.clips("test")[0].features[None, :16])
     statistics = jax.tree.map(jnp.asarray, tokenizer.normalizer)
     arguments = (jax.device_put(tokenizer.variables), statistics, features, jnp.array([12]))
-    jitted = reconstruct_batch(*arguments, tokenizer=tokenizer.module, skeleton=dataset.skeleton)
-    with jax.disable_jit():
-        eager = reconstruct_batch(*arguments, tokenizer=tokenizer.module, skeleton=dataset.skeleton)
-    np.testing.assert_allclose(jitted.error_sums, eager.error_sums, rtol=1e-4)
-    np.testing.assert_array_equal(jitted.codes, eager.codes)
-    assert jitted.codes.shape == (1, 4, 1) and jitted.codes[0, 3] == 0
+    codes = reconstruct_batch(*arguments, tokenizer=tokenizer.module, skeleton=dataset.skeleton).codes
+    assert codes.shape == (1, 4, 1) and codes[0, 3] == 0
 
 
 def test_a_split_without_clips_is_refused(tokenizer, dataset, tmp_path):

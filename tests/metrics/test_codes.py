@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from t2m_jax.metrics import code_usage, perplexity
+from tests.jit import assert_jit_equals_eager
 
 
 def test_equal_use_of_all_codes():
@@ -28,6 +29,4 @@ def test_no_code_at_all():
 def test_jit_equals_eager():
     counts = jnp.array([3, 0, 1, 9])
     for function in (code_usage, perplexity):
-        jitted = jax.jit(function)(counts)
-        with jax.disable_jit():
-            np.testing.assert_allclose(jitted, function(counts), rtol=1e-6)
+        assert_jit_equals_eager(jax.jit(function), counts, rtol=1e-6)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.metrics import fid
-from tests.jit import assert_jit_matches_eager
+from tests.jit import assert_jit_equals_eager
 
 jitted = jax.jit(fid)
 
@@ -92,7 +92,7 @@ def test_jit_vmap_and_eager_agree():
     generator = np.random.default_rng(0)
     sets_of_two = [jnp.asarray(generator.normal(size=(2, 100, 16)), jnp.float32) for _ in range(2)]
     together = jax.jit(jax.vmap(fid))(sets_of_two[0], sets_of_two[1])
-    alone = [assert_jit_matches_eager(fid, *two, rtol=1e-4) for two in zip(*sets_of_two, strict=True)]
+    alone = [assert_jit_equals_eager(jax.jit(fid), *two, rtol=1e-4) for two in zip(*sets_of_two, strict=True)]
     np.testing.assert_allclose(together, alone, rtol=1e-4)
 
 

@@ -12,6 +12,7 @@ from t2m_jax.checkpoints.official.load import evaluator_variables
 from t2m_jax.losses import movement_loss
 from t2m_jax.models.evaluator import Evaluator, EvaluatorConfig, MovementDecoder, MovementEncoder, evaluator_shapes
 from tests.golden_files import evaluator_config, evaluator_state_dict, plain_variables
+from tests.jit import assert_jit_equals_eager
 
 TOLERANCE = 5e-6
 """Of |a - b| / (1 + |b|), as the reference's README suggests."""
@@ -128,10 +129,7 @@ def test_a_motion_ignores_its_neighbours_and_no_length_breaks_it(small):
 
 
 def test_compiled_is_eager(small):
-    compiled = jax.jit(small.embed_motion)(small["motions"], small["m_lens"])
-    with jax.disable_jit():
-        eager = small.embed_motion(small["motions"], small["m_lens"])
-    np.testing.assert_allclose(compiled, eager, atol=2e-6)
+    assert_jit_equals_eager(jax.jit(small.embed_motion), small["motions"], small["m_lens"], rtol=1e-7, atol=2e-6)
 
 
 def test_the_autoencoder_is_the_reference_s(golden_dir):

@@ -57,16 +57,6 @@ def test_codes_are_decoded_as_their_rows_of_the_codebook_and_latents_as_they_are
     assert between.shape == decoded.shape and np.abs(between - decoded).max() > 1e-3
 
 
-def test_jit_equals_eager(model_and_variables):
-    model, variables = model_and_variables
-    motion = jax.random.normal(jax.random.key(3), (2, 16, 7))
-    jitted = jax.jit(lambda variables, motion: model.apply(variables, motion, train=False))(variables, motion)
-    with jax.disable_jit():
-        eager = model.apply(variables, motion, train=False)
-    for one, other in zip(jitted, eager, strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-5)
-
-
 def test_parameter_tree_is_a_file_format(model_and_variables):
     _, variables = model_and_variables
     paths = {

@@ -43,11 +43,3 @@ def test_the_tokenizer_reads_normalized_motion(tokenizer, motions):
     found = encode_motions(shifted, [2 * motion + 5 for motion in motions[:2]])
     for ours, theirs in zip(found, expected, strict=True):
         assert np.mean(ours == theirs) > 0.9
-
-
-def test_encoding_equals_eager(tokenizer, motions):
-    motion, mask = jnp.asarray(motions[0])[None, :12], jnp.arange(12)[None] < 10
-    jitted = encode_batch(tokenizer.variables, motion, mask, tokenizer=tokenizer.module)
-    with jax.disable_jit():
-        eager = encode_batch(tokenizer.variables, motion, mask, tokenizer=tokenizer.module)
-    np.testing.assert_array_equal(eager, jitted)

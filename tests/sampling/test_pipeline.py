@@ -1,13 +1,11 @@
 """`TextToMotion`: a sample is a function of seed, sentence and its number, and of nothing beside it."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
 from t2m_jax.sampling import Greedy, TextToMotion, sample_key
-from t2m_jax.sampling.codec import decode_positions
 from t2m_jax.sampling.pipeline import MAX_BATCH
 from t2m_jax.text.encoder import TextEncoder
 from tests.tiny import BUNDLE, CAPTIONS, random_bundle
@@ -122,21 +120,3 @@ def test_the_text_encoder_reads_each_caption_for_itself(model):
 def test_sample_keys_are_distinct():
     keys = [sample_key(seed, caption, sample) for seed in (0, 1) for caption in CAPTIONS for sample in (0, 1)]
     assert len({tuple(jax.random.key_data(key).tolist()) for key in keys}) == len(keys)
-
-
-def test_jit_equals_eager(model):
-    keys = jnp.stack([sample_key(0, caption, 0) for caption in CAPTIONS[:2]])
-    trained = model.tokenizer
-
-    def both():
-        text = model.text_encoder(CAPTIONS[:2])
-        sampled = model.sample_codes(text, keys, model.sampling(max_codes=6))
-        parts = {"tokenizer": trained.module, "skeleton": model.skeleton}
-        decoded = decode_positions(trained.variables, trained.normalizer, *sampled[:2], **parts)
-        return sampled, decoded[1]
-
-    jitted = both()
-    with jax.disable_jit():
-        eager = both()
-    np.testing.assert_array_equal(jitted[0].codes, eager[0].codes)
-    np.testing.assert_allclose(jitted[1], eager[1], atol=1e-3)

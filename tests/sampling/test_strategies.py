@@ -7,6 +7,7 @@ import pytest
 
 from t2m_jax.errors import UserError
 from t2m_jax.sampling.strategies import Greedy, Temperature, TopK, TopP, make_strategy
+from tests.jit import assert_jit_equals_eager
 
 LOGITS = jax.random.normal(jax.random.key(0), (4, 9))
 MANY = jnp.broadcast_to(jnp.log(jnp.array([0.5, 0.3, 0.15, 0.05])), (4000, 4))
@@ -41,10 +42,7 @@ def test_temperature_flattens():
 
 @pytest.mark.parametrize("strategy", [Greedy(), Temperature(), TopK(k=3), TopP(p=0.8)])
 def test_jit_equals_eager(strategy):
-    key = jax.random.key(2)
-    jitted = jax.jit(strategy)(LOGITS, key)
-    with jax.disable_jit():
-        np.testing.assert_array_equal(jitted, strategy(LOGITS, key))
+    assert_jit_equals_eager(jax.jit(strategy), LOGITS, jax.random.key(2))
 
 
 def test_make_strategy():

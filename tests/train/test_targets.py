@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from t2m_jax.train.targets import Corruption, draw_corruption, drop_one_code, make_targets
+from tests.jit import assert_jit_equals_eager
 
 
 def test_golden_targets(golden_dir):
@@ -94,7 +95,4 @@ def test_jit_equals_eager():
     def build(codes, lengths):
         return make_targets(codes, lengths, num_codes=30, block_size=7)
 
-    jitted = jax.jit(build)(codes, lengths)
-    with jax.disable_jit():
-        eager = build(codes, lengths)
-    np.testing.assert_array_equal(jitted.tokens, eager.tokens)
+    assert_jit_equals_eager(jax.jit(build), codes, lengths)

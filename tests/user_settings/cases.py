@@ -14,7 +14,9 @@ from t2m_jax.data.banks.codes import CodeBank
 from t2m_jax.data.banks.motions import MotionBank, make_bank
 from t2m_jax.data.folder import Clip
 from t2m_jax.data.texts import Caption
+from t2m_jax.masks import mask_from_lengths
 from t2m_jax.models.clip_text import ClipText, ClipTextConfig
+from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
 from t2m_jax.models.system import make_module, variable_shapes
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import HUMANML3D
@@ -29,7 +31,7 @@ from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from t2m_jax.train.gpt import init_gpt_state
 from t2m_jax.train.movement import init_movement_state
 from t2m_jax.train.vqvae import init_vqvae_state
-from tests.tiny import CAPTION_ENCODER, EVALUATOR, GPT, VQVAE, random_variables, walking_normalizer
+from tests.tiny import CAPTION_ENCODER, GPT, VQVAE, random_variables, walking_normalizer
 
 CASES: dict[str, Callable[[], "Case"]] = {}
 """By `module.function`, without `t2m_jax.`."""
@@ -67,9 +69,19 @@ OPTIMIZER = OptimizerConfig(learning_rate=1e-7)
 LOOP = LoopConfig(num_steps=8, batch_size=2, seed=5)
 VQVAE_TRAINING = TrainVqVaeConfig(model=TOKENIZER, window=16, optimizer=OPTIMIZER, loop=LOOP)
 GPT_TRAINING = TrainGptConfig(model=GENERATOR, caption_encoder=TEXT_ENCODER, optimizer=OPTIMIZER, loop=LOOP)
+STANDARD_NORMAL = Normalizer(np.zeros(263, np.float32), np.ones(263, np.float32))
+"""The statistics of `clips`."""
 WORDS = Vocabulary(("sos", "eos", "unk", "walk", "wave"))
 EVALUATOR_TRAINING = TrainEvaluatorConfig(
-    model=dataclasses.replace(EVALUATOR, num_words=len(WORDS)),
+    model=EvaluatorConfig(
+        movement_hidden=8,
+        movement_dim=8,
+        motion_hidden=8,
+        text_hidden=8,
+        embedding_dim=8,
+        word_dim=8,
+        num_words=len(WORDS),
+    ),
     decoder_hidden=8,
     window=16,
     movement_batch_size=2,
@@ -95,10 +107,15 @@ def first_steps() -> jax.Array:
     return jnp.array(3, jnp.int32)
 
 
+def weights(shapes: Any) -> Any:
+    """Returns random weights on the device."""
+    return jax.device_put(random_variables(shapes, gain=1.0))
+
+
 @functools.cache
 def tokenizer_variables() -> Any:
     """Returns random weights of the tokenizer."""
-    return random_variables(variable_shapes(TOKENIZER))
+    return weights(variable_shapes(TOKENIZER))
 
 
 def codes_and_lengths() -> tuple[jax.Array, jax.Array]:
@@ -107,7 +124,7 @@ def codes_and_lengths() -> tuple[jax.Array, jax.Array]:
 
 
 def clips() -> list[Clip]:
-    """Returns three motions with captions."""
+    """Returns three motions of noise, with captions."""
     generator = np.random.default_rng(0)
     captions = (Caption("walk", ("walk/VERB",)), Caption("wave", ("wave/VERB",)))
     lengths = (20, 33, 17)
@@ -119,25 +136,25 @@ def clips() -> list[Clip]:
 
 def motion_bank() -> MotionBank:
     """Returns the motions on the device."""
-    return make_bank(clips(), walking_normalizer())
+    return make_bank(clips(), STANDARD_NORMAL)
 
 
 def caption_bank() -> CaptionBank:
     """Returns motions and captions on the device."""
-    return make_caption_bank(clips(), walking_normalizer(), WORDS)
+    return make_caption_bank(clips(), STANDARD_NORMAL, WORDS)
 
 
 def code_bank() -> CodeBank:
     """Returns three motions as codes, from two offsets, with a caption each."""
     codes = jax.random.randint(jax.random.key(2), (3, 2, 6, 1), 0, GENERATOR.num_codes)
     tokens = jax.random.randint(jax.random.key(3), (3, TEXT_ENCODER.max_length), 2, 90)
-    captions = CaptionTokens(tokens, jnp.arange(TEXT_ENCODER.max_length) < jnp.array([[4], [8], [6]]))
+    captions = CaptionTokens(tokens, mask_from_lengths(jnp.array([4, 8, 6]), TEXT_ENCODER.max_length))
     return CodeBank(codes, jnp.array([[6, 5], [3, 3], [5, 4]]), captions, jnp.arange(3), jnp.ones(3, jnp.int32))
 
 
 @case("sampling.codec.encode_batch")
 def _() -> Case:
-    mask = jnp.arange(16) < jnp.array([[16], [9]])
+    mask = mask_from_lengths(jnp.array([16, 9]), 16)
     return Case((tokenizer_variables(), normal(1, 2, 16, 263), mask), {"tokenizer": make_module(TOKENIZER)}, atol=0)
 
 
@@ -159,7 +176,7 @@ def _() -> Case:
 
 @case("sampling.codec.generate_codes")
 def _() -> Case:
-    variables, keys = random_variables(variable_shapes(GENERATOR)), jax.random.split(jax.random.key(4), 2)
+    variables, keys = weights(variable_shapes(GENERATOR)), jax.random.split(jax.random.key(4), 2)
     sampling = Sampling(Temperature(), StopAtEnd(), max_codes=6)
     return Case((variables, normal(5, 2, 16), keys), {"generator": make_module(GENERATOR), "sampling": sampling})
 
@@ -175,7 +192,50 @@ def _() -> Case:
 def _() -> Case:
     tokens = jnp.array([[1, 5, 19, 0, 0, 0], [1, 7, 3, 2, 4, 19]])
     shapes = jax.eval_shape(ClipText(CLIP).init, jax.random.key(0), tokens)
-    return Case((random_variables(shapes, gain=1.0), tokens), {"config": CLIP})
+    return Case((weights(shapes), tokens), {"config": CLIP})
+
+
+def evaluator_variables() -> Any:
+    """Returns random weights of the evaluator."""
+    return weights(evaluator_shapes(EVALUATOR_TRAINING.model))
+
+
+@case("evaluation.embedding.embed_codes")
+def _() -> Case:
+    variables = (tokenizer_variables(), evaluator_variables())
+    statistics = (on_device(walking_normalizer()),) * 2
+    options = {"tokenizer": make_module(TOKENIZER), "evaluator": EVALUATOR_TRAINING.model}
+    arguments = (variables, statistics, *codes_and_lengths())
+    return Case(arguments, options | {"max_frames": 10, "clear": True}, rtol=1e-4, atol=1e-5)
+
+
+@case("evaluation.embedding.embed_motion")
+def _() -> Case:
+    arguments = (evaluator_variables(), normal(1, 2, 16, 263), jnp.array([16, 9]))
+    return Case(arguments, {"config": EVALUATOR_TRAINING.model}, rtol=1e-4, atol=1e-5)
+
+
+@case("evaluation.embedding.embed_text")
+def _() -> Case:
+    words = map(jnp.asarray, WORDS.vectorize_all([("walk/VERB", "wave/VERB"), ("wave/VERB",)]))
+    return Case((evaluator_variables(), *words), {"config": EVALUATOR_TRAINING.model}, rtol=1e-4, atol=1e-5)
+
+
+@case("evaluation.sources.sample_keys")
+def _() -> Case:
+    return Case((jax.random.key(1), jnp.arange(3), jnp.array([0, 5, 0])), {})
+
+
+@case("evaluation.reconstruction.reconstruct_batch")
+def _() -> Case:
+    features = jnp.asarray(walking_normalizer().denormalize(np.asarray(normal(1, 2, 16, 263))))
+    arguments = (tokenizer_variables(), on_device(walking_normalizer()), features, jnp.array([16, 9]))
+    return Case(arguments, {"tokenizer": make_module(TOKENIZER), "skeleton": HUMANML3D}, rtol=1e-4)
+
+
+@case("evaluation.report.details.rank_own")
+def _() -> Case:
+    return Case((normal(1, 2, 5, 4), normal(2, 2, 5, 4)), {})
 
 
 @case("train.vqvae.init_vqvae_state")

@@ -2,6 +2,7 @@
 
 import importlib
 import pkgutil
+from typing import Any
 
 import jax
 import pytest
@@ -27,11 +28,16 @@ def jitted_functions() -> dict:
 FUNCTIONS = jitted_functions()
 
 
-def test_every_jitted_function_has_a_case():
+def test_every_compiled_function_has_a_case():
     assert sorted(FUNCTIONS) == sorted(CASES), "add the function to tests/user_settings/cases.py, or remove its case"
 
 
-@pytest.mark.parametrize("name", sorted(CASES))
+def marked(name: str) -> Any:
+    """Returns the parameter of a case; those of training take long."""
+    return pytest.param(name, marks=[pytest.mark.slow] * name.startswith("train."))
+
+
+@pytest.mark.parametrize("name", [marked(name) for name in sorted(CASES)])
 def test_jit_equals_eager(name):
     case = CASES[name]()
     assert_jit_equals_eager(FUNCTIONS[name], *case.arguments, rtol=case.rtol, atol=case.atol, **case.options)

@@ -1,4 +1,7 @@
-"""SIGKILL at awkward moments: what is on disk always loads, and going on ends where an unkilled run ends."""
+"""Trainings that are killed (SIGKILL) while they write: their runs load, and resumed they end bit for bit as others.
+
+The programs are started as users start them, with XLA's optimizations.
+"""
 
 import dataclasses
 import os
@@ -14,8 +17,10 @@ import pytest
 from t2m_jax.checkpoints import Checkpoints, load_tokenizer
 from t2m_jax.checkpoints.run import is_run
 from t2m_jax.config import save_config
+from t2m_jax.data import write_synthetic_dataset
 from t2m_jax.train import train
-from tests.tiny import LOOP, vqvae_training
+from tests.jit import SETTING
+from tests.tiny import LOOP, gpt_training, vqvae_training
 from tests.train.conftest import assert_same_checkpoint
 
 NUM_STEPS = 400
@@ -23,22 +28,42 @@ PATIENCE = 180.0
 """Seconds until a training that shows no checkpoint counts as hung."""
 
 
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("killed") / "data"
+    write_synthetic_dataset(folder, num_clips=20, seed=3)
+    return folder
+
+
 @pytest.fixture
-def training(runs, tmp_path):
-    """Returns a config on disk whose every step is checkpointed, and its run folder."""
+def training(request, data, tmp_path):
+    """Returns a config on disk whose every step is checkpointed."""
     loop = dataclasses.replace(LOOP, num_steps=NUM_STEPS, checkpoint_every=1, validate_every=0, log_every=1)
-    save_config(tmp_path / "vqvae.yaml", vqvae_training(runs.data, tmp_path / "run", loop=loop))
-    return tmp_path / "vqvae.yaml", tmp_path / "run"
+    if request.param == "vqvae":
+        config = vqvae_training(data, tmp_path / "run", loop=loop)
+    else:
+        train(vqvae_training(data, tmp_path / "vqvae"))
+        config = gpt_training(data, tmp_path / "vqvae", tmp_path / "run", loop=loop)
+    save_config(tmp_path / f"{request.param}.yaml", config)
+    return tmp_path / f"{request.param}.yaml"
 
 
-def start(config, tmp_path, *options):
-    """Starts the real program; programs it compiles are kept for the next start."""
+def start(config, *options):
+    """Starts the real program with users' settings; programs it compiles are kept for the next start."""
     environment = os.environ | {
-        "JAX_COMPILATION_CACHE_DIR": f"{tmp_path / 'cache'}",
+        "JAX_COMPILATION_CACHE_DIR": f"{config.parent / 'cache'}",
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     }
-    command = [sys.executable, "-m", "t2m_jax.cli", "train", "vqvae", f"{config}", *options]
+    del environment[SETTING.upper()]
+    command = [sys.executable, "-m", "t2m_jax.cli", "train", config.stem, f"{config}", *options]
     return subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+
+
+def finish(config, *options):
+    """Waits for the end of a training."""
+    process = start(config, *options)
+    errors = process.communicate(timeout=PATIENCE)[1]
+    assert process.returncode == 0, errors
 
 
 def names(run):
@@ -74,10 +99,10 @@ def newest(run, tmp_path):
     return step or 0
 
 
-def test_a_killed_training_goes_on_as_if_nothing_had_happened(training, runs, tmp_path):
-    config, run = training
-    draws = random.Random(0)
-    reached = 0
+@pytest.mark.slow
+@pytest.mark.parametrize("training", ["vqvae", "gpt"], indirect=True)
+def test_a_killed_training_ends_as_one_that_was_not_killed(training, tmp_path):
+    run, draws, reached = tmp_path / "run", random.Random(0), 0
 
     def partial():
         return any(not name.isdigit() for name in names(run) - before)
@@ -87,7 +112,7 @@ def test_a_killed_training_goes_on_as_if_nothing_had_happened(training, runs, tm
 
     for moment in (partial, finished, partial):
         before = names(run)
-        process = start(config, tmp_path, *(["--resume"] if is_run(run) else []))
+        process = start(training, *(["--resume"] if is_run(run) else []))
         wait_for(process, moment)
         time.sleep(draws.uniform(0.0, 0.02))
         kill(process)
@@ -98,11 +123,8 @@ def test_a_killed_training_goes_on_as_if_nothing_had_happened(training, runs, tm
     assert 2 < reached < NUM_STEPS, "training was not killed on its way"
 
     last = ["--loop.num-steps", f"{reached + 5}"]
-    process = start(config, tmp_path, "--resume", *last)
-    errors = process.communicate(timeout=PATIENCE)[1]
-    assert process.returncode == 0, errors
-    loop = dataclasses.replace(LOOP, num_steps=reached + 5, validate_every=0)
-    train(vqvae_training(runs.data, tmp_path / "unkilled", loop=loop))
+    finish(training, "--resume", *last)
+    finish(training, "--run", f"{tmp_path / 'unkilled'}", *last)
     assert_same_checkpoint(run, tmp_path / "unkilled")
     rows = (run / "train.csv").read_text(encoding="utf-8").splitlines()
     assert [int(row.split(",")[0]) for row in rows[1:]] == list(range(1, reached + 6))
