@@ -112,6 +112,19 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         shutil.rmtree(partial, ignore_errors=True)
 
 
+@contextlib.contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turns the errors of a missing or unreadable file, or of text that is not UTF-8, into a `UserError`."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise UserError(f"{path}: there is no such file") from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror or error}); is the copy complete?") from None
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from None
+
+
 def save_text(path: str | os.PathLike[str], text: str) -> None:
     """Writes text as UTF-8; each line ends with a line feed on every system."""
     with atomic_file(path) as partial:
@@ -133,14 +146,9 @@ def load_text(path: Path) -> str:
     Raises:
         UserError: The file is missing, cannot be read or is not UTF-8.
     """
-    try:
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise UserError(f"{path}: there is no such file") from None
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror or error})") from None
-    except UnicodeDecodeError as error:
-        raise UserError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from None
+    with reading(path):
+        text = path.read_text(encoding="utf-8")
+    return text  # noqa: RET504 - for mypy, a `return` inside `with` may not be reached
 
 
 def load_json(path: Path) -> Any:
@@ -162,14 +170,11 @@ def load_array(path: Path, *, mmap: bool = False) -> np.ndarray:  # any shape: t
     Raises:
         UserError: The file is missing or damaged, or holds something else.
     """
-    try:
-        array = np.load(path, mmap_mode="r" if mmap else None, allow_pickle=False)
-    except FileNotFoundError:
-        raise UserError(f"{path}: there is no such file") from None
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror or error}); is the copy complete?") from None
-    except DAMAGED_ARRAY as error:
-        raise UserError(f"{path}: is not a complete .npy file ({first_line(error)}); copy it again") from None
+    with reading(path):
+        try:
+            array = np.load(path, mmap_mode="r" if mmap else None, allow_pickle=False)
+        except DAMAGED_ARRAY as error:
+            raise UserError(f"{path}: is not a complete .npy file ({first_line(error)}); copy it again") from None
     if not isinstance(array, np.ndarray) or array.dtype.kind != "f":
         raise UserError(f"{path}: does not hold one array of floating-point numbers")
     return array
@@ -181,20 +186,16 @@ def load_archive(path: Path) -> dict[str, np.ndarray]:
     Raises:
         UserError: The file is missing or damaged, or an entry holds Python objects.
     """
-    key = ""
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            arrays = {}
-            for key in archive.files:
-                arrays[key] = archive[key]
-            return arrays
-    except FileNotFoundError:
-        raise UserError(f"{path}: there is no such file") from None
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror or error})") from None
-    except (*DAMAGED_ARRAY, zlib.error, AttributeError, NotImplementedError) as error:
-        where = f"entry {key!r} is damaged or holds Python objects" if key else "this is not a complete .npz file"
-        raise UserError(f"{path}: {where} ({first_line(error)})") from None
+    key, arrays = "", {}
+    with reading(path):
+        try:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+                for key in archive.files:
+                    arrays[key] = archive[key]
+        except (*DAMAGED_ARRAY, zlib.error, AttributeError, NotImplementedError) as error:
+            where = f"entry {key!r} is damaged or holds Python objects" if key else "this is not a complete .npz file"
+            raise UserError(f"{path}: {where} ({first_line(error)})") from None
+    return arrays
 
 
 def flatten_tree(tree: Mapping[str, Any], *, prefix: str = "") -> dict[str, Any]:

@@ -14,5 +14,5 @@ def only_motion(path: Path, motions: Sequence[Motion]) -> Motion:
         UserError: There is more than one motion, or none.
     """
     if len(motions) != 1:
-        raise UserError(f"{path}: a {path.suffix} file holds one motion, not {len(motions)}; write one file each")
+        raise UserError(f"{path}: a {path.suffix} file holds exactly one motion, not {len(motions)}; use more files")
     return motions[0]

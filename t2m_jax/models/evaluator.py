@@ -76,6 +76,7 @@ class HalvingConv(nn.Module):
         size, length, width = inputs.shape
         kernel = jnp.asarray(self.param("kernel", _XAVIER, (4, width, self.features)))
         bias = jnp.asarray(self.param("bias", nn.initializers.zeros, (self.features,)))
+        # Output i covers the frames 2i - 1 to 2i + 2, which are the pairs i and i + 1 of the padded frames.
         num_pairs = length // 2 + 1
         padded = jnp.pad(inputs, ((0, 0), (1, 1), (0, 0)))[:, : 2 * num_pairs]
         pairs = padded.reshape(size, num_pairs, 2 * width)
@@ -95,6 +96,7 @@ class DoublingConv(nn.Module):
         kernel = jnp.asarray(self.param("kernel", _XAVIER, (4, self.features, width)))
         bias = jnp.asarray(self.param("bias", nn.initializers.zeros, (self.features,)))
         first, last = kernel.reshape(2, 2 * self.features, width)
+        # A pair of outputs depends on the inputs before and after it. The first and last outputs are incomplete.
         ahead, behind = (jnp.pad(inputs, ((0, 0), ends, (0, 0))) for ends in ((0, 1), (1, 0)))
         pairs = ahead @ first.T + behind @ last.T
         return pairs.reshape(size, 2 * (length + 1), self.features)[:, 1:-1] + bias[None, None]

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_array, load_text, save_text
+from t2m_jax.files import load_array, load_text, reading, save_text
 from t2m_jax.text.parts_of_speech import OTHER, part_of_speech
 
 logger = logging.getLogger(__name__)
@@ -168,25 +168,19 @@ def load_vector_table(path: Path) -> Float[np.ndarray, "W X"]:
 def _glove_vectors(path: Path, words: frozenset[str]) -> dict[str, Float[np.ndarray, " X"]]:
     """Returns the vectors of the given words, without those that the GloVe file does not have."""
     found: dict[str, np.ndarray] = {}
-    width = number = 0
+    width = 0
     # The published files have gigabytes, so they are read line by line and only the given words are kept.
-    try:
-        with path.open(encoding="utf-8") as file:
-            for number, line in enumerate(file, start=1):
-                word, _, rest = line.rstrip("\n").partition(" ")
-                if word not in words or word in found:
-                    continue
+    with reading(path), path.open(encoding="utf-8") as file:
+        for number, line in enumerate(file, start=1):
+            word, _, rest = line.rstrip("\n").partition(" ")
+            if word not in words or word in found:
+                continue
+            try:
                 vector = np.array(rest.split(), np.float32)
-                width = width or len(vector)
-                if len(vector) != width or not width or not np.isfinite(vector).all():
-                    raise UserError(f"{path}:{number}: expected a word and {width or 'some'} finite numbers")
-                found[word] = vector
-    except UserError:  # a ValueError, too
-        raise
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise UserError(f"{path}: is not UTF-8 text; give a GloVe text file") from error
-    except ValueError as error:
-        raise UserError(f"{path}:{number}: expected a word and numbers; give a GloVe text file") from error
+            except ValueError as error:
+                raise UserError(f"{path}:{number}: expected a word and numbers; give a GloVe text file") from error
+            width = width or len(vector)
+            if len(vector) != width or not width or not np.isfinite(vector).all():
+                raise UserError(f"{path}:{number}: expected a word and {width or 'some'} finite numbers")
+            found[word] = vector
     return found

@@ -255,9 +255,9 @@ def test_a_bad_file_gets_one_line_with_file_and_line(tmp_path, name):
     assert "\n" not in text
 
 
-@pytest.mark.parametrize("place", ["missing.bvh", "."])
-def test_what_cannot_be_read_is_named(tmp_path, place):
-    with pytest.raises(UserError, match="cannot be read"):
+@pytest.mark.parametrize(("place", "said"), [("missing.bvh", "there is no such file"), (".", "cannot be read")])
+def test_what_cannot_be_read_is_named(tmp_path, place, said):
+    with pytest.raises(UserError, match=said):
         load_bvh(tmp_path / place)
 
 

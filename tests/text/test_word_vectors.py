@@ -165,7 +165,7 @@ def test_vectors_of_a_table(tmp_path):
         ("a 1 nan\n", ":1: expected a word and 2 finite"),
         ("a 1 x\n", ":1: expected a word and numbers"),
         ("c 1 2\n", "has none of the 2 words"),
-        (None, "cannot be read"),
+        (None, "there is no such file"),
     ],
 )
 def test_broken_vectors_are_refused(tmp_path, content, said):

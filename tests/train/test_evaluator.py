@@ -219,7 +219,7 @@ def test_given_words_and_vectors_are_used_and_left_as_they_are(data, tmp_path):
     ("fields", "says"),
     [
         ({"model": dataclasses.replace(EVALUATOR, feature_dim=251)}, "the evaluator reads 251"),
-        ({"word_vectors": "glove.txt"}, "glove.txt: cannot be read"),
+        ({"word_vectors": "glove.txt"}, "glove.txt: there is no such file"),
         ({"words": "words.txt"}, "words.txt: there is no such file"),
         ({"window": 10_000}, "no clips to train on"),
     ],

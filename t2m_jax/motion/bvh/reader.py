@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
+from t2m_jax.files import reading
 from t2m_jax.motion.bvh.channels import parse_motion
 from t2m_jax.motion.bvh.clip import BvhClip
 from t2m_jax.motion.bvh.hierarchy import AXES, POSITION_CHANNELS, ROTATION_CHANNELS, Hierarchy, parse_hierarchy
@@ -36,10 +37,8 @@ def load_bvh(
         UserError: The file cannot be read, or is not correct. The message names the line.
     """
     path = Path(path)
-    try:
+    with reading(path):
         data = path.read_bytes().removeprefix(b"\xef\xbb\xbf")
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror})") from error
     if not data.strip():
         raise UserError(f"{path}:1: the file is empty")
     if b"\0" in data[:4096] or not re.match(rb"\s*HIERARCHY\b", data, flags=re.IGNORECASE):

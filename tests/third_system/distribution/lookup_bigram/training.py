@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -27,26 +27,8 @@ from t2m_jax.train.generator import (
     prepare_generator,
     resolve_generator,
 )
-from t2m_jax.train.optimizer import make_optimizer
+from t2m_jax.train.optimizer import descend, first_state
 from t2m_jax.train.streams import stream_key
-
-
-class State(NamedTuple):
-    """Everything that an update changes."""
-
-    step: jax.Array
-    params: dict
-    opt_state: optax.OptState
-
-
-def start(params, config):
-    return State(jnp.array(0, jnp.int32), params, make_optimizer(config.optimizer).init(params))
-
-
-def descend(state, objective, config):
-    (_, metrics), gradient = jax.value_and_grad(objective, has_aux=True)(state.params)
-    updates, opt_state = make_optimizer(config.optimizer).update(gradient, state.opt_state, state.params)
-    return State(state.step + 1, optax.apply_updates(state.params, updates), opt_state), metrics
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -70,18 +52,19 @@ def update_lookup(state, bank, *, config):
     key = stream_key(config.loop.seed, "data")
     windows = batch_at(bank, key, state.step, batch_size=config.loop.batch_size, window=32)
 
-    def objective(params):
+    def measure(params):
         reconstruction, _ = Lookup(config.model).apply({"params": params}, windows.motion, windows.mask, train=True)
         loss = jnp.mean(jnp.where(windows.mask[:, :, None], reconstruction - windows.motion, 0.0) ** 2)
-        return loss, {"loss": loss}
+        return {"loss": loss}, {}
 
-    return descend(state, objective, config)
+    return descend(state, measure, config.optimizer)
 
 
 def init_lookup(config):
     module = Lookup(config.model)
     motion = jnp.zeros((1, config.model.downsample, config.model.feature_dim))
-    return start(module.init(stream_key(config.loop.seed, "init"), motion, train=False)["params"], config)
+    params = module.init(stream_key(config.loop.seed, "init"), motion, train=False)["params"]
+    return first_state(params, config.optimizer)
 
 
 def prepare_lookup(config, resume):
@@ -131,7 +114,7 @@ def init_bigram(config, key):
     bigram_key, caption_key = jax.random.split(key)
     rows, text = jnp.zeros((1, 1, 2), jnp.int32), jnp.zeros((1, config.model.text_dim))
     params = {"bigram": Bigram(config.model).init(bigram_key, rows, text, train=False)["params"]}
-    return start(params | init_caption_encoder(config, caption_key), config)
+    return first_state(params | init_caption_encoder(config, caption_key), config.optimizer)
 
 
 def bigram_metrics(params, batch, key, config):
@@ -142,7 +125,7 @@ def bigram_metrics(params, batch, key, config):
     errors = optax.losses.softmax_cross_entropy_with_integer_labels(logits, batch.codes).mean(-1)
     errors = errors + optax.losses.sigmoid_binary_cross_entropy(stops, is_last.astype(jnp.float32))
     loss = jnp.sum(jnp.where(mask, errors, 0.0)) / jnp.sum(mask)
-    return loss, {"loss": loss}
+    return {"loss": loss}
 
 
 def bigram_batch(bank, stream, step, config):
@@ -154,12 +137,12 @@ def bigram_batch(bank, stream, step, config):
 def update_bigram(state, bank, *, config):
     batch = bigram_batch(bank, "data", state.step, config)
     key = jax.random.fold_in(stream_key(config.loop.seed, "model"), state.step)
-    return descend(state, lambda params: bigram_metrics(params, batch, key, config), config)
+    return descend(state, lambda params: (bigram_metrics(params, batch, key, config), {}), config.optimizer)
 
 
 @functools.partial(jax.jit, static_argnames="config")
 def validate_bigram(state, bank, step, *, config):
-    return bigram_metrics(state.params, bigram_batch(bank, "validation", step, config), None, config)[1]
+    return bigram_metrics(state.params, bigram_batch(bank, "validation", step, config), None, config)
 
 
 LOOKUP = Trainer(config=TrainLookupConfig, prepare=prepare_lookup)
