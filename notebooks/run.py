@@ -13,7 +13,7 @@ import nbformat
 from nbclient import NotebookClient
 from PIL import Image
 
-NUM_COLORS = 64
+NUM_COLORS = 32
 
 
 def small_picture(data: str) -> str:
