@@ -7,7 +7,7 @@ import pytest
 
 from t2m_jax.cli.train import _config
 from t2m_jax.config import load_config, override_config
-from t2m_jax.train.config import TrainGptConfig, TrainVqVaeConfig
+from t2m_jax.train import TrainGptConfig, TrainVqVaeConfig
 from tests.conftest import REPOSITORY
 
 CONFIGS = sorted((REPOSITORY / "configs").rglob("*.yaml"))
@@ -56,7 +56,7 @@ def test_the_defaults_are_the_published_models():
     from t2m_jax.checkpoints.bundle import BundleConfig, expected_variables
 
     vqvae, gpt = TrainVqVaeConfig().model, TrainGptConfig()
-    shapes = expected_variables(BundleConfig(vqvae=vqvae, gpt=gpt.model, caption_encoder=gpt.caption_encoder))
+    shapes = expected_variables(BundleConfig(tokenizer=vqvae, generator=gpt.model, text_encoder=gpt.caption_encoder))
     counts = {name: sum(leaf.size for leaf in jax.tree.leaves(shapes[name]["params"])) for name in shapes}
-    assert counts["vqvae"] == 19_436_807
-    assert counts["gpt"] == 228_311_040
+    assert counts["tokenizer"] == 19_436_807
+    assert counts["generator"] == 228_311_040

@@ -1,0 +1,48 @@
+"""Runs notebooks and saves them with small outputs: `python notebooks/run.py [NOTEBOOK...]`, by default all.
+
+Interactive viewers are left out, because one has 100 kB and code hosts do not show it. Plots are stored with fewer
+colors.
+"""
+
+import base64
+import io
+import sys
+from pathlib import Path
+
+import nbformat
+from nbclient import NotebookClient
+from PIL import Image
+
+NUM_COLORS = 32
+
+
+def small_picture(data: str) -> str:
+    """Returns a PNG picture (base64) with fewer colors."""
+    picture = Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB")
+    stream = io.BytesIO()
+    picture.quantize(NUM_COLORS, dither=Image.Dither.NONE).save(stream, "PNG", optimize=True)
+    return base64.b64encode(stream.getvalue()).decode("ascii")
+
+
+def run_notebook(path: Path) -> None:
+    """Executes a notebook and saves it."""
+    notebook = nbformat.read(path, as_version=4)
+    NotebookClient(notebook, timeout=1800, kernel_name="python3", resources={"metadata": {"path": path.parent}}).execute()
+    for cell in notebook.cells:
+        cell.metadata.pop("execution", None)  # times, which change with every run
+        for output in cell.get("outputs", []):
+            data = output.get("data", {})
+            for unwanted in ("text/html", "image/jpeg"):  # PIL images come as PNG, too
+                data.pop(unwanted, None)
+            if "image/png" in data:
+                data["image/png"] = small_picture(data["image/png"])
+        if "outputs" in cell:
+            cell.outputs = [output for output in cell.outputs if output.get("data", True)]
+    notebook.metadata.language_info = {"name": "python"}
+    nbformat.write(notebook, path)
+
+
+if __name__ == "__main__":
+    for name in sys.argv[1:] or sorted(Path(__file__).parent.glob("*.ipynb")):
+        run_notebook(Path(name))
+        print(name)
