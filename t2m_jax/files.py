@@ -54,7 +54,7 @@ def check_output(path: str | os.PathLike[str]) -> Path:
     folder = path.absolute().parent
     try:
         if path.is_dir():
-            raise UserError(f"{path}: this is a folder; give the name of a file")
+            raise UserError(f"{path}: cannot be written, it is a folder; give the name of a file")
         if not folder.is_dir():
             raise UserError(f"{path}: the folder {folder} does not exist; create it or choose another")
         if not os.access(path if path.exists() else folder, os.W_OK):

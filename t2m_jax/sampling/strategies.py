@@ -95,7 +95,7 @@ def make_strategy(temperature: float = 1.0, top_k: int | None = None, *, top_p: 
         UserError: A number is out of range, or both `top_k` and `top_p` are given.
     """
     if top_k is not None and top_p is not None:
-        raise UserError("top-k and top-p cannot be combined; give one of them")
+        raise UserError("top-k and top-p exclude each other; give one of them")
     if temperature == 0.0:
         return Greedy()
     if top_k is not None:

@@ -93,7 +93,7 @@ def test_files_that_cannot_be_written_are_refused(monkeypatch, tmp_path):
     with pytest.raises(UserError, match=r"wave.txt: the folder .*missing does not exist"):
         save_motions(tmp_path / "missing" / "wave.txt", [])
     (tmp_path / "wave.txt").mkdir()
-    with pytest.raises(UserError, match=r"wave.txt: this is a folder"):
+    with pytest.raises(UserError, match=r"wave.txt: cannot be written, it is a folder"):
         save_motions(tmp_path / "wave.txt", [])
 
 
