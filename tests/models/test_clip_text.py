@@ -121,7 +121,7 @@ def test_too_many_tokens_are_refused(variables):
     ("changes", "message"),
     [
         ({"num_heads": 3}, "num_heads: 3 does not divide"),
-        ({"max_length": 1}, "max_length: 1 has no room"),
+        ({"max_length": 1}, "max_length: 1 leaves no room"),
         ({"mlp_dim": 0}, "mlp_dim: 0"),
         ({"end_token": 49408}, "end_token: 49408"),
         ({"end_token": -1}, "end_token: -1"),
