@@ -1,6 +1,6 @@
 """Runs notebooks and saves them with small outputs: `python notebooks/run.py [NOTEBOOK...]`, by default all.
 
-Interactive viewers are left out, because one has 100 kB and code hosts do not show it. Plots are stored with fewer
+Interactive viewers are removed, because each has 100 kB and code hosts do not show them. Plots are stored with fewer
 colors.
 """
 
@@ -20,16 +20,18 @@ def small_picture(data: str) -> str:
     """Returns a PNG picture (base64) with fewer colors."""
     picture = Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB")
     stream = io.BytesIO()
-    picture.quantize(NUM_COLORS, dither=Image.Dither.NONE).save(stream, "PNG", optimize=True)
+    # This method keeps rare colors, and dots of dithering would make the file larger.
+    few = picture.quantize(NUM_COLORS, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    few.save(stream, "PNG", optimize=True)
     return base64.b64encode(stream.getvalue()).decode("ascii")
 
 
 def run_notebook(path: Path) -> None:
     """Executes a notebook and saves it."""
     notebook = nbformat.read(path, as_version=4)
-    NotebookClient(notebook, timeout=1800, kernel_name="python3", resources={"metadata": {"path": path.parent}}).execute()
+    NotebookClient(notebook, timeout=1800, kernel_name="python3").execute()
     for cell in notebook.cells:
-        cell.metadata.pop("execution", None)  # times, which change with every run
+        cell.metadata.pop("execution", None)  # times change with every run
         for output in cell.get("outputs", []):
             data = output.get("data", {})
             for unwanted in ("text/html", "image/jpeg"):  # PIL images come as PNG, too
