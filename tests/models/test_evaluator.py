@@ -215,7 +215,7 @@ def test_sizes_that_describe_nothing_are_refused(field):
 
 
 def test_features_that_are_contacts_alone_are_refused():
-    with pytest.raises(ValueError, match="feature_dim: 4 is not more than"):
+    with pytest.raises(ValueError, match="feature_dim: 4 is not more than the 4 foot contacts"):
         EvaluatorConfig(feature_dim=4)
     with pytest.raises(ValueError, match="dropout: 1"):
         EvaluatorConfig(dropout=1.0)
