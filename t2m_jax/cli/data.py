@@ -100,7 +100,7 @@ def _check(folder: Path, report_file: Path | None) -> None:
     recipe = "kit_ml/official" if report.skeleton == "kit_ml" else "official"
     run_folder = shlex.quote(f"runs/{folder.resolve().name}-vqvae")
     print("  no problems found")
-    show_next(f"t2m train vqvae {recipe} --data {shlex.quote(str(folder))} --run {run_folder}")
+    show_next(f"t2m train vqvae {recipe} --statistics data --data {shlex.quote(str(folder))} --run {run_folder}")
 
 
 def _print_lines(lines: list[str]) -> None:

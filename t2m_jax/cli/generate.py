@@ -44,12 +44,16 @@ def run(args: argparse.Namespace) -> None:
     model = TextToMotion.load(args.model)
     options = {"seed": args.seed, "num_samples": args.num_samples, "guidance_scale": args.guidance_scale}
     motions = model.generate(args.text, strategy=strategy, **options)
+    written = []
     for output in outputs:
         for number, motion in enumerate(motions):
             path = output if len(motions) == 1 else output.with_stem(f"{output.stem}-{number}")
             motion.save(path)
             sys.stdout.write(f"{path}\n")
-    if all(output.suffix != ".html" for output in outputs):
-        show_next(f"t2m view {path} -o motion.html")
-    else:
-        show_next(f"open {next(output for output in outputs if output.suffix == '.html')} in a browser")
+            written.append(path)
+    pages = [path for path in written if path.suffix == ".html"]
+    convertible = [path for path in written if path.suffix in (".npz", ".bvh")]
+    if pages:
+        show_next(f"open {pages[0]} in a browser")
+    elif convertible:
+        show_next(f"t2m view {convertible[0]} -o motion.html")

@@ -129,7 +129,7 @@ def make_plan(samples: Sequence[Clip], protocol: Protocol, *, seed: int, repeat:
     count = len(owners) if protocol.keeps_tail else len(owners) // batch * batch
     if count < batch:
         found = f"{len(owners)} motions with captions do not fill a batch of {batch}"
-        smaller = f", or a smaller batch (`--batch {len(owners)}`)" if len(owners) >= MIN_BATCH else ""
+        smaller = f", or a smaller batch (`t2m evaluate ... --batch {len(owners)}`)" if len(owners) >= MIN_BATCH else ""
         raise UserError(f"protocol {protocol.name}: {found}; use another split{smaller}")
     owners, captions = owners[:count], captions[:count]
     frames = np.array([len(samples[owner].features) for owner in owners])

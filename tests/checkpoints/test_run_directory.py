@@ -195,6 +195,7 @@ def refuse_damaged_files(run) -> None:
     assert not refusal(run)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("check", [refuse_other_models, refuse_damaged_files])
 def test_checkpoints_that_do_not_fit_or_are_damaged_are_refused(copy, check):
     # In a process of its own: Orbax's readers that were under way when another failed complain until the very end.

@@ -31,6 +31,8 @@ TEXT_METRICS = {"matching_score"} | {
 MAX_FRAMES = 196
 PROTOCOL = find_protocol("t2m-gpt")
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):

@@ -91,6 +91,7 @@ def test_best_weights_are_read_in_both_formats(samples, run, expected):
     assert {name: getattr(best, name) for name in expected} == expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", ["vqvae", "gpt"])
 def test_a_run_is_resumed_and_goes_on_as_before(samples_with_data, stage):
     config = samples_with_data / f"{stage}.yaml"

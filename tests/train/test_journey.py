@@ -93,7 +93,7 @@ def test_reconstruction_is_measured(runs, tmp_path, capsys):
     arguments = ["--model", f"{runs.vqvae}", "--data", f"{runs.data}", "--json", f"{tmp_path}/figures.json"]
     assert main(["evaluate", "reconstruction", *arguments]) == 0
     figures = json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))
-    assert figures == report._asdict()
+    assert figures == dataclasses.asdict(report)
     assert f"{report.mpjpe_mm:,.3f}" in capsys.readouterr().out
     assert (report.split, report.num_clips) == ("test", len(dataset.clips("test")))
     assert 10 < report.mpjpe_mm < 2000

@@ -86,6 +86,7 @@ def losses(run):
     return np.genfromtxt(run / "train.csv", delimiter=",", names=True)["loss"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("recipe", RECIPES)
 def test_each_recipe_trains_both_stages_at_reduced_size(recipe, data, tmp_path):
     places = {"data": data, "loop": LONG}

@@ -53,7 +53,7 @@ def test_a_generator_starts_from_a_model_and_keeps_its_subwords(runs, tmp_path):
 def test_other_sizes_are_refused_with_the_array_named(runs, tmp_path):
     model = dataclasses.replace(VQVAE, width=24)
     config = dataclasses.replace(vqvae_training(runs.data, tmp_path / "run"), init=runs.vqvae, model=model)
-    with pytest.raises(UserError, match=r"init: array '.*' of .* is \(.*\), but the config needs"):
+    with pytest.raises(UserError, match=r"init: array '.*' of .* is \(.*\), not \(.*\) as in the config"):
         train(config)
 
 

@@ -93,7 +93,8 @@ def render_film(motions: Sequence[Motion], *, height: int, max_fps: float) -> Fi
         _draw_labels(picture, views[frame], tracks, frame)
         # The bar along the lower edge shows how much of the film has passed.
         thickness = max(height // 120, 2)
-        bar = (0, height - thickness, round((frame + 1) / num_frames * width) - 1, height - 1)
+        # At least one pixel wide: in a long film, the share of the first frames rounds to nothing.
+        bar = (0, height - thickness, max(round((frame + 1) / num_frames * width), 1) - 1, height - 1)
         ImageDraw.Draw(picture).rectangle(bar, fill=ACCENTS[0])
         return picture
 
