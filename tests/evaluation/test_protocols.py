@@ -84,7 +84,7 @@ def test_a_repeat_is_a_function_of_seed_and_number():
 def test_few_motions():
     assert len(plan("t2m-gpt", samples=SAMPLES[:150]).diversity_pairs) == 100
     assert len(plan("t2m-gpt", samples=SAMPLES[:40]).diversity_pairs) == 31
-    with pytest.raises(UserError, match=r"20 motions with captions do not fill a batch of 32; .*`--batch 20`"):
+    with pytest.raises(UserError, match=r"20 motions with captions do not fill a batch of 32; .*--batch 20`"):
         plan("t2m-gpt", samples=SAMPLES[:20])
     assert len(plan("t2m-gpt", samples=SAMPLES[:20], batch=20).samples) == 20
     assert len(plan("t2m-gpt", samples=SAMPLES[:20], batch=8).samples) == 16

@@ -296,7 +296,10 @@ def test_a_small_split_needs_a_smaller_batch(folders, synthetic_folder, capsys):
     options = ["--num-repeats", "1", "--split", "few", "--json", str(path)]
     assert command(folders, data, *options) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert "split few" in line and "do not fill a batch of 32; use another split, or a smaller batch (`--batch" in line
+    assert (
+        "split few" in line
+        and "do not fill a batch of 32; use another split, or a smaller batch (`t2m evaluate" in line
+    )
     sampling = ["--temperature", "0.5", "--top-k", "3"]
     assert command(folders, data, *options, "--batch", "4", *sampling) == 0
     header = load_report(path).header
