@@ -159,8 +159,8 @@ def test_check_prints_counts_and_writes_json(synthetic_folder, tmp_path, capsys)
     run_cli("check", str(synthetic_folder), "--json", str(tmp_path / "report.json"))
     printed = capsys.readouterr()
     assert "no problems found" in printed.out
-    command = f"t2m train vqvae official --statistics data --data {synthetic_folder} --run runs/{synthetic_folder.name}-vqvae"
-    assert printed.err.splitlines()[-1] == f"next: {command}"
+    places = f"--data {synthetic_folder} --run runs/{synthetic_folder.name}-vqvae"
+    assert printed.err.splitlines()[-1] == f"next: t2m train vqvae official --statistics data {places}"
     assert json.loads((tmp_path / "report.json").read_text())["problems"] == []
 
 
