@@ -1,4 +1,4 @@
-"""The best weights of a run. If there are any, the run stands for them and not for its newest checkpoint."""
+"""The best weights of a run. If there are any, they are loaded from the run instead of its newest checkpoint."""
 
 import dataclasses
 import shutil
@@ -78,7 +78,7 @@ def forget_best(run: Path) -> None:
 
 
 def restore_trained(run: Path, like: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns some fields of the state that a run stands for: the best if one was chosen, else the newest.
+    """Returns some fields of a run's state: the best weights if any were chosen, else the newest.
 
     Raises:
         UserError: There is none, or it does not fit `like`.

@@ -74,7 +74,7 @@ def save_evaluator_parts(folder: Path, config: EvaluatorConfig, normalizer: Norm
 
 
 def load_trained_evaluator(folder: str | Path) -> TrainedEvaluator:
-    """Returns the evaluator of a folder or of a run; a run stands for its best weights so far.
+    """Returns the evaluator of a folder, or of a run with its best weights so far.
 
     Raises:
         UserError: There is none, a file is damaged, or the parts do not fit each other.

@@ -34,7 +34,7 @@ def load_model(name_or_path: str | Path) -> Bundle:
 
 
 def load_generator_run(path: Path) -> Bundle:
-    """Returns the model that a generator's run stands for: its best weights if any were chosen, else its newest.
+    """Returns the model of a generator's run, with its best weights if any were chosen, else with its newest.
 
     Raises:
         UserError: The folder is not such a run, or has no checkpoint.

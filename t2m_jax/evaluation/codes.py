@@ -65,7 +65,9 @@ def generate_many(
     code_lengths = np.zeros(len(expected), np.int32)
     limits = np.minimum(-(-(expected + MARGIN) // CHUNK) * CHUNK, longest)
     if exact:
-        sampling, limits = sampling._replace(min_codes=longest), np.full_like(limits, longest)
+        sampling = sampling._replace(min_codes=longest)
+    if exact or not sampling.stop_rule.ends_early:
+        limits = np.full_like(limits, longest)
 
     def generate(rows: Int[np.ndarray, " C"]) -> None:
         limits[rows] = limit = int(limits[rows].max())

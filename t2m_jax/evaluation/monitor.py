@@ -3,12 +3,17 @@
 import dataclasses
 from pathlib import Path
 
+import jax
+
 from t2m_jax.checkpoints.evaluator import load_trained_evaluator
 from t2m_jax.data.folder import Dataset
 from t2m_jax.evaluation.protocols import find_protocol
 from t2m_jax.evaluation.run import evaluate_repeat
 from t2m_jax.evaluation.sources import CodeSource
 from t2m_jax.evaluation.task import EvaluationTask, make_task
+from t2m_jax.motion.record import Motion
+from t2m_jax.motion.skeleton import skeleton_from_feature_dim
+from t2m_jax.sampling.codec import motions_from_codes
 
 SPLIT = "val"
 """The test split must not choose anything."""
@@ -29,3 +34,15 @@ def open_held_out(dataset: Dataset, evaluator: Path, *, seed: int, unit: int) ->
 def held_out_metrics(task: EvaluationTask, source: CodeSource) -> dict[str, float]:
     """Returns the metrics of a source's motion for the validation split."""
     return evaluate_repeat(task, source, repeat=REPEAT).measured
+
+
+def sample_motions(task: EvaluationTask, source: CodeSource, *, count: int) -> list[Motion]:
+    """Returns the first motions of a source in the repeat that is measured, with their captions."""
+    plan = task.plan(REPEAT)
+    few = plan._replace(**{name: getattr(plan, name)[:count] for name in ("samples", "captions", "starts", "lengths")})
+    key = jax.random.fold_in(jax.random.key(task.seed), REPEAT)
+    found = source.make(task.samples.clips, task.protocol, few, key)
+    clips = [task.samples.clips[owner] for owner in few.samples]
+    captions = [clip.captions[caption].text for clip, caption in zip(clips, few.captions, strict=True)]
+    skeleton = skeleton_from_feature_dim(source.tokenizer.config.feature_dim)
+    return motions_from_codes(source.tokenizer, *found.codes, skeleton=skeleton, captions=captions)

@@ -141,12 +141,3 @@ def pad_codes(codes: Sequence[Int[np.ndarray, "_ R"]]) -> tuple[Int[np.ndarray, 
     for row, rows in enumerate(codes):
         padded[row, : len(rows)] = rows
     return padded, code_lengths
-
-
-def reconstruct_motions(
-    tokenizer: TrainedTokenizer, features: Sequence[Float[np.ndarray, "_ D"]], skeleton: Skeleton
-) -> list[Motion]:
-    """Returns motions (raw features) after encoding and decoding."""
-    codes, code_lengths = pad_codes(encode_motions(tokenizer, features, progress=False))
-    captions = ["reconstruction"] * len(features)
-    return motions_from_codes(tokenizer, codes, code_lengths, skeleton=skeleton, captions=captions)

@@ -19,6 +19,8 @@ class StopRule(Protocol):
 
     keeps_last: ClassVar[bool]
     """Whether the row that ends a motion is part of it."""
+    ends_early: ClassVar[bool]
+    """Whether a motion can end before the longest length was sampled."""
 
     def ends(self, scores: Float[Array, "*shape"]) -> Bool[Array, "*shape"]:
         """Returns whether sampling of a motion can end after a row with this score."""
@@ -37,6 +39,7 @@ class StopAtEnd:
     """Stops at the row that is End, which is not kept; the score of End is 1, that of other rows 0 (T2M-GPT)."""
 
     keeps_last: ClassVar[bool] = False
+    ends_early: ClassVar[bool] = True
 
     def ends(self, scores: Float[Array, "*shape"]) -> Bool[Array, "*shape"]:
         """Returns whether a row is End."""
@@ -52,6 +55,7 @@ class StopAtThreshold:
     """Stops at the first row whose stop probability reaches a threshold; the score is a logit."""
 
     keeps_last: ClassVar[bool] = True
+    ends_early: ClassVar[bool] = True
     threshold: float = 0.5
 
     def ends(self, scores: Float[Array, "*shape"]) -> Bool[Array, "*shape"]:
@@ -68,6 +72,7 @@ class StopAtHighest:
     """Samples the longest motion, then cuts it after the (first) row with the highest score."""
 
     keeps_last: ClassVar[bool] = True
+    ends_early: ClassVar[bool] = False
 
     def ends(self, scores: Float[Array, "*shape"]) -> Bool[Array, "*shape"]:
         """Returns False: later rows may have a higher score."""

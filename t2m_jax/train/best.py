@@ -18,7 +18,7 @@ def is_better(metric: str, value: float, than: float) -> bool:
 
 
 class BestWeights:
-    """Keeps the weights with the best value of one metric; the run then stands for them.
+    """Keeps the weights with the best value of one metric, which are then loaded from the run.
 
     A resumed run repeats some measurements with the same values. They are not better, so the weights do not change.
     """

@@ -42,8 +42,8 @@ class EvaluationConfig:
     """Evaluation on the validation split during training."""
 
     evaluator: Path | None = None
-    """Folder or run of an evaluator. The run then stands for the weights with the best `metric`. Without an evaluator
-    it stands for the weights with the lowest validation loss, and without validation for the newest."""
+    """Folder or run of an evaluator. The weights with the best `metric` are then loaded from the run. Without an
+    evaluator these are the weights with the lowest validation loss, and without validation the newest."""
     every: int = 10_000
     """Updates between two evaluations; one more is made at the end."""
     metric: EvaluationMetric = "fid"

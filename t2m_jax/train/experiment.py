@@ -14,8 +14,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-import numpy as np
-from jaxtyping import UInt8
 
 from t2m_jax.checkpoints.best import forget_best
 from t2m_jax.checkpoints.run import CONFIG_FILE, DATA_FILE, create_run, is_run, restore_latest, run_info
@@ -23,15 +21,14 @@ from t2m_jax.config import flat_fields, load_config, save_config
 from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.data.summary import save_training_data, summarize_training_data
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation.monitor import SPLIT, held_out_metrics, open_held_out
+from t2m_jax.evaluation.monitor import SPLIT, held_out_metrics, open_held_out, sample_motions
 from t2m_jax.evaluation.sources import CodeSource
 from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.export.render import render_poster
 from t2m_jax.files import flatten_tree
-from t2m_jax.motion.record import Motion
 from t2m_jax.train.best import BestWeights
 from t2m_jax.train.config import EvaluationConfig, ExperimentConfig, LoopConfig
-from t2m_jax.train.loop import Measurement, Metrics, Speed, mean_over_batches, run_loop
+from t2m_jax.train.loop import Measured, Measurement, Metrics, Speed, mean_over_batches, run_loop
 from t2m_jax.train.optimizer import OptimizerConfig, learning_rate_at
 
 logger = logging.getLogger(__name__)
@@ -63,8 +60,6 @@ class Evaluation(NamedTuple):
     """Frames per row of codes."""
     source: Callable[[Any, Sequence[Clip]], CodeSource]
     """From a state and the clips of the evaluation to a source of codes."""
-    motions: Callable[[Any, Sequence[Clip]], Sequence[Motion]]
-    """From a state and some clips to motions for a picture."""
     sampling: str | None = None
     """How codes are chosen, None if they are not."""
 
@@ -251,31 +246,29 @@ def run_setup(
 def measure_validation(setup: Setup, loop: LoopConfig, best: BestWeights | None) -> Measurement:
     """Returns the measurement of the validation loss, which keeps the best weights if `best` is given."""
 
-    def measure(state: Any) -> Mapping[str, float]:
+    def measure(state: Any) -> Measured:
         validation = setup.validation
         assert validation is not None
         num_batches = max(validation.num_clips // loop.batch_size, 1)
         scores = mean_over_batches(lambda batch: validation.measure(state, validation.data, batch), num_batches)
         if best is not None:
             best.consider(int(state.step), scores, setup.weights(state))
-        return scores
+        return Measured(scores)
 
     return Measurement("val", "validation", loop.validate_every if setup.validation is not None else 0, measure)
 
 
 def measure_evaluation(setup: Setup, held_out: EvaluationTask, best: BestWeights | None) -> Measurement:
     """Returns the measurement of the evaluator's metrics, with a picture, which keeps the best weights."""
-    evaluation, clips = setup.evaluation, held_out.samples.clips
+    evaluation = setup.evaluation
     assert evaluation is not None
 
-    def measure(state: Any) -> Mapping[str, float]:
-        metrics = held_out_metrics(held_out, evaluation.source(state, clips))
+    def measure(state: Any) -> Measured:
+        source = evaluation.source(state, held_out.samples.clips)
+        metrics = held_out_metrics(held_out, source)
         if best is not None:
             best.consider(int(state.step), metrics, setup.weights(state))
-        return metrics
-
-    def picture(state: Any) -> UInt8[np.ndarray, "H W 3"]:
-        return render_poster(evaluation.motions(state, clips[:NUM_PICTURED]))
+        return Measured(metrics, render_poster(sample_motions(held_out, source, count=NUM_PICTURED)))
 
     how = f"{SPLIT}, {evaluation.sampling}" if evaluation.sampling else SPLIT
-    return Measurement("evaluation", f"evaluation ({how})", evaluation.config.every, measure, picture)
+    return Measurement("evaluation", f"evaluation ({how})", evaluation.config.every, measure)

@@ -23,7 +23,6 @@ from t2m_jax.data.folder import Clip, Dataset, open_dataset
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.sources import CodeSource, make_generation
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
-from t2m_jax.motion.record import Motion
 from t2m_jax.sampling.pipeline import TextToMotion
 from t2m_jax.sampling.strategies import Greedy, Temperature
 from t2m_jax.sampling.text_encoders import ClipTextEncoder
@@ -251,9 +250,5 @@ def make_evaluation(config: Any, parts: BundleConfig, tokenizer: TrainedTokenize
     def source(state: Any, clips: Sequence[Clip]) -> CodeSource:
         return make_generation(model(state), strategy, clips)
 
-    def motions(state: Any, clips: Sequence[Clip]) -> list[Motion]:
-        captions = [clip.captions[0].text for clip in clips]
-        return model(state).generate(captions, seed=config.evaluation.seed, strategy=strategy)
-
     unit = tokenizer.config.downsample
-    return Evaluation(config.evaluation, unit, source, motions, sampling=config.evaluation.sampling)
+    return Evaluation(config.evaluation, unit, source, sampling=config.evaluation.sampling)

@@ -32,6 +32,14 @@ State = TypeVar("State", bound=TrainingState)
 Metrics = Mapping[str, jax.Array]
 
 
+class Measured(NamedTuple):
+    """The result of a measurement."""
+
+    metrics: Mapping[str, float]
+    picture: UInt8[np.ndarray, "H W 3"] | None = None
+    """Motions of the model."""
+
+
 class Measurement(NamedTuple):
     """What is measured on held-out data every so many updates, and at the end."""
 
@@ -41,10 +49,8 @@ class Measurement(NamedTuple):
     """Name in the log."""
     every: int
     """Updates between two measurements; 0 is never."""
-    measure: Callable[[Any], Mapping[str, float]]
-    """From a state to metrics."""
-    picture: Callable[[Any], UInt8[np.ndarray, "H W 3"]] | None = None
-    """From a state to a picture of its motions."""
+    measure: Callable[[Any], Measured]
+    """From a state to metrics, and to a picture if there is one."""
 
 
 class Speed(NamedTuple):
@@ -147,6 +153,7 @@ def _log_updates(log: MetricLog, step: int, history: list[Metrics], speed: Speed
 
 
 def _log_measurement(log: MetricLog, step: int, measurement: Measurement, state: Any) -> None:
-    log.write(measurement.split, step, measurement.measure(state), title=measurement.title)
-    if measurement.picture is not None:
-        log.write_picture(step, measurement.picture(state))
+    found = measurement.measure(state)
+    log.write(measurement.split, step, found.metrics, title=measurement.title)
+    if found.picture is not None:
+        log.write_picture(step, found.picture)

@@ -19,9 +19,7 @@ from t2m_jax.losses import ReconstructionKind, VelocityKind, reconstruction_loss
 from t2m_jax.metrics.codes import perplexity
 from t2m_jax.models.vqvae import VqVae, VqVaeConfig, VqVaeOutput
 from t2m_jax.motion.normalizer import Normalizer
-from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import skeleton_from_feature_dim
-from t2m_jax.sampling.codec import reconstruct_motions
 from t2m_jax.train.config import FROM_DATA, EvaluationConfig, ExperimentConfig, compiled_config
 from t2m_jax.train.experiment import Evaluation, Setup, Trainer, Validation
 from t2m_jax.train.optimizer import Metrics, OptimizerConfig, descend, make_optimizer
@@ -178,14 +176,8 @@ def prepare(config: TrainVqVaeConfig, resume: bool) -> Setup:
     shortest = max(config.model.downsample, dataset.info.min_frames) if is_padded else config.window
     clips = dataset.clips("train", min_frames=shortest, fraction=config.data_fraction)
 
-    def trained(state: VqVaeState) -> TrainedTokenizer:
-        return TrainedTokenizer(config.model, state.variables, normalizer)
-
     def source(state: VqVaeState, clips: Sequence[Clip]) -> CodeSource:
-        return Reconstruction(trained(state))
-
-    def motions(state: VqVaeState, clips: Sequence[Clip]) -> list[Motion]:
-        return reconstruct_motions(trained(state), [clip.features for clip in clips], dataset.skeleton)
+        return Reconstruction(TrainedTokenizer(config.model, state.variables, normalizer))
 
     return Setup(
         dataset=dataset,
@@ -199,7 +191,7 @@ def prepare(config: TrainVqVaeConfig, resume: bool) -> Setup:
         write_parts=lambda run: save_tokenizer_parts(run, config.model, normalizer),
         start_from=lambda path: {"codebook": {}, "batch_stats": {}} | load_tokenizer(path).variables,
         validation=make_validation(config, dataset, normalizer),
-        evaluation=Evaluation(config.evaluation, config.model.downsample, source, motions),
+        evaluation=Evaluation(config.evaluation, config.model.downsample, source),
     )
 
 

@@ -14,7 +14,7 @@ from t2m_jax.checkpoints.run import Checkpoints
 from t2m_jax.errors import UserError
 from t2m_jax.train.config import LoopConfig
 from t2m_jax.train.log import MetricLog
-from t2m_jax.train.loop import Measurement, Speed, mean_metrics, run_loop
+from t2m_jax.train.loop import Measured, Measurement, Speed, mean_metrics, run_loop
 
 
 class Counter(NamedTuple):
@@ -47,8 +47,8 @@ def kept_steps(run):
     return sorted(int(folder.name) for folder in (run / "checkpoints").iterdir())
 
 
-def every(interval, measure):
-    return Measurement("val", "validation", interval, measure)
+def every(interval, measure, picture=lambda state: None):
+    return Measurement("val", "validation", interval, lambda state: Measured(measure(state), picture(state)))
 
 
 def loop(num_steps=10, log_every=4, checkpoint_every=5, keep=2):
@@ -95,7 +95,7 @@ def test_a_picture_is_kept_with_each_measurement(tmp_path):
     def picture(state):
         return np.full((8, 6, 3), int(state.step), np.uint8)
 
-    measurement = every(5, lambda state: {"fid": 1.0})._replace(picture=picture)
+    measurement = every(5, lambda state: {"fid": 1.0}, picture)
     run_loop(tmp_path, START, counting(), config=loop(), measurements=[measurement])
     assert sorted(path.name for path in (tmp_path / "pictures").iterdir()) == ["10.png", "5.png"]
     assert np.asarray(Image.open(tmp_path / "pictures" / "5.png")).tolist() == np.full((8, 6, 3), 5).tolist()

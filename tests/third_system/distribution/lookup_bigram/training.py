@@ -16,7 +16,6 @@ from t2m_jax.data import open_dataset
 from t2m_jax.data.banks.codes import code_batch_at
 from t2m_jax.data.banks.motions import batch_at, make_bank
 from t2m_jax.evaluation.sources import Reconstruction
-from t2m_jax.sampling.codec import reconstruct_motions
 from t2m_jax.train import Evaluation, EvaluationConfig, ExperimentConfig, LoopConfig, OptimizerConfig, Setup, Trainer
 from t2m_jax.train.config import compiled_config
 from t2m_jax.train.generator import (
@@ -71,11 +70,8 @@ def prepare_lookup(config, resume):
     dataset = open_dataset(config.data)
     clips = dataset.clips("train", min_frames=config.model.downsample, fraction=config.data_fraction)
 
-    def trained(state):
-        return TrainedTokenizer(config.model, {"params": state.params}, dataset.normalizer)
-
-    def motions(state, clips):
-        return reconstruct_motions(trained(state), [clip.features for clip in clips], dataset.skeleton)
+    def source(state, clips):
+        return Reconstruction(TrainedTokenizer(config.model, {"params": state.params}, dataset.normalizer))
 
     return Setup(
         dataset=dataset,
@@ -88,9 +84,7 @@ def prepare_lookup(config, resume):
         weights=lambda state: {"params": state.params},
         write_parts=lambda run: save_tokenizer_parts(run, config.model, dataset.normalizer),
         start_from=lambda path: load_tokenizer(path).variables,
-        evaluation=Evaluation(
-            config.evaluation, config.model.downsample, lambda state, clips: Reconstruction(trained(state)), motions
-        ),
+        evaluation=Evaluation(config.evaluation, config.model.downsample, source),
     )
 
 
