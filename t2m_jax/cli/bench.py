@@ -3,6 +3,8 @@
 import argparse
 import sys
 
+from t2m_jax.cli.next_step import show_next
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the options of the command."""
@@ -40,3 +42,4 @@ def run(args: argparse.Namespace) -> None:
             f"batch {batch:4}: {timing.milliseconds_per_code:8.2f} ms per code, "
             f"{timing.milliseconds_per_step:8.2f} ms per step, compiled in {timing.compile_seconds:.1f} s\n"
         )
+    show_next("t2m bench sample" + ("" if args.full_size else " --full-size"))

@@ -1,6 +1,7 @@
 """Pack run folders into one model to share: `t2m bundle RUN... DIR`."""
 
 import argparse
+import shlex
 import sys
 from pathlib import Path
 
@@ -30,4 +31,4 @@ def run(args: argparse.Namespace) -> None:
     if args.export_official:
         export_official(Path(args.destination) / "official", bundle)
     sys.stdout.write(f"{args.destination}\n")
-    show_next(f't2m generate "a person walks forward" --model {args.destination}')
+    show_next(f't2m generate "a person walks forward" --model {shlex.quote(args.destination)}')

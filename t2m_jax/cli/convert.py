@@ -10,9 +10,11 @@ Any T2M-GPT of ours as files for the original code:
 
 import argparse
 import dataclasses
+import shlex
 import sys
 from pathlib import Path
 
+from t2m_jax.cli.next_step import show_next
 from t2m_jax.errors import UserError
 
 _MODEL_FILES = ("vqvae", "gpt", "mean", "std")
@@ -51,14 +53,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Writes the folder and prints its name."""
+    """Writes the folder, and prints its name and the next command."""
     wanted: tuple[str, ...]
+    folder = shlex.quote(f"{args.destination}")
     if args.export_official is not None:
         write, task, wanted = _export, "--export-official", ()
+        following = f"load the files of {folder} with the original code"
     elif args.evaluator is not None:
         write, task, wanted = _convert_evaluator, "an evaluator", _EVALUATOR_FILES
+        following = f"t2m evaluate generation --data DATA --evaluator {folder}"
     else:
         write, task, wanted = _convert_model, "a model", _MODEL_FILES
+        following = f't2m generate "a man walks in a circle" --model {folder}'
     given = [name for name in dict.fromkeys((*_MODEL_FILES, *_EVALUATOR_FILES)) if getattr(args, name) is not None]
     extra = [_option(name) for name in given if name not in wanted]
     missing = [_option(name) for name in wanted if name not in given]
@@ -68,6 +74,7 @@ def run(args: argparse.Namespace) -> None:
         raise UserError(f"convert: {', '.join(missing)} missing; {task} needs {', '.join(map(_option, wanted))}")
     write(args)
     sys.stdout.write(f"{args.destination}\n")
+    show_next(following)
 
 
 def _option(name: str) -> str:

@@ -1,6 +1,7 @@
 """Turn sentences into motion files: `t2m generate "a person waves" -o wave.html -o wave.bvh`."""
 
 import argparse
+import shlex
 import sys
 from pathlib import Path
 
@@ -56,4 +57,4 @@ def run(args: argparse.Namespace) -> None:
     if pages:
         show_next(f"open {pages[0]} in a browser")
     elif convertible:
-        show_next(f"t2m view {convertible[0]} -o motion.html")
+        show_next(f"t2m view {shlex.quote(str(convertible[0]))} -o motion.html")

@@ -7,6 +7,7 @@ CONFIG is a YAML file or, for vqvae and gpt, a recipe of T2M-GPT by name: `offic
 
 import argparse
 import importlib.metadata
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -58,7 +59,8 @@ def run(args: argparse.Namespace) -> None:
     use_compilation_cache()
     train(config, resume=args.resume)
     sys.stdout.write(f"{config.run}\n")
-    show_next(find_trainer(args.kind).next_command.format(run=config.run, data=config.data))
+    places = {name: shlex.quote(str(getattr(config, name))) for name in ("run", "data")}
+    show_next(find_trainer(args.kind).next_command.format(**places))
 
 
 def _start_config(args: argparse.Namespace) -> Any:

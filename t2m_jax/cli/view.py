@@ -1,7 +1,10 @@
 """Converts a motion file to other formats. The suffix of each output selects the format."""
 
 import argparse
+import shlex
 from pathlib import Path
+
+from t2m_jax.cli.next_step import show_next
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -14,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Reads the motion and writes all outputs."""
+    """Reads the motion, writes all outputs, and prints their names and the next command."""
     from t2m_jax.export import load_motion
     from t2m_jax.motion.record import check_motion_output
 
@@ -24,3 +27,5 @@ def run(args: argparse.Namespace) -> None:
     for output in args.outputs:
         motion.save(output)
         print(output)
+    pages = [output for output in args.outputs if output.suffix == ".html"]
+    show_next(f"open {pages[0]} in a browser" if pages else f"t2m view {shlex.quote(str(args.file))} -o motion.html")
