@@ -2,9 +2,11 @@
 
 import dataclasses
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from t2m_jax.data.banks.motions import Windows
 from t2m_jax.text.bpe import CaptionTokens
@@ -23,6 +25,8 @@ GPT_TRAINING = TrainGptConfig(
     caption_encoder=dataclasses.replace(CAPTION_ENCODER, text_dim=16),
     optimizer=OPTIMIZER,
 )
+
+KEY = jax.random.key(0)
 
 
 def windows() -> Windows:
@@ -56,3 +60,21 @@ def test_the_caption_reaches_the_loss():
     after, _ = step(state, gpt_batch(), jax.random.key(4), config=GPT_TRAINING)
     before = state.params["caption_encoder"]["token_embedding"]["embedding"]
     assert np.any(np.asarray(after.params["caption_encoder"]["token_embedding"]["embedding"] != before))
+
+
+@pytest.mark.parametrize("name", ["vqvae", "gpt"])
+def test_a_step_is_compiled_once(name):
+    """The state that a step returns must have the types of the state that it takes."""
+    function, state, batch, config = {
+        "vqvae": lambda: (vqvae_train_step, init_vqvae_state(VQVAE_TRAINING, KEY), windows(), VQVAE_TRAINING),
+        "gpt": lambda: (gpt_train_step, init_gpt_state(GPT_TRAINING, KEY), gpt_batch(), GPT_TRAINING),
+    }[name]()
+    chex.clear_trace_counter()
+
+    def step(state, batch, key):
+        return function(state, batch, key, config=config)
+
+    compiled = jax.jit(chex.assert_max_traces(step, n=1))
+    for number in range(3):
+        state, _ = compiled(state, batch, jax.random.key(number))
+    assert state.step == 3
