@@ -9,6 +9,7 @@ import pytest
 
 from t2m_jax.metrics import perplexity
 from t2m_jax.models.quantizer import (
+    CANDIDATE_NOISE,
     RULES,
     CodebookState,
     Quantizer,
@@ -180,3 +181,23 @@ def test_masked_rows_do_not_count():
     sums, counts = hits(rows, jnp.array([1, 1]), jnp.array([True, False]), num_codes=2)
     np.testing.assert_array_equal(sums, [[0.0, 0.0], [1.0, 0.0]])
     np.testing.assert_array_equal(counts, [0.0, 1.0])
+
+
+def test_given_noise_replaces_drawn_noise(golden_dir):
+    """With fewer rows than codes, the reference draws noise. Given the same noise, the module learns the same codes."""
+    arrays = np.load(golden_dir / "t2m_gpt" / "quantizer_ema_reset_tile.npz")
+    sizes = json.loads(str(arrays["config_json"]))
+    num_codes, code_dim = sizes["nb_code"], sizes["code_dim"]
+    module = Quantizer(num_codes, code_dim, "ema_reset", sizes.get("effective_mu") or 0.99, 1.0)
+    first = jnp.asarray(arrays["x_nct"][0].transpose(0, 2, 1))
+    mask = jnp.ones(first.shape[:2], bool)
+    variables = module.init(jax.random.key(0), first, mask, train=True)
+    for step, latents in enumerate(arrays["x_nct"]):
+        latents = latents.transpose(0, 2, 1)
+        rows = np.resize(latents.reshape(-1, code_dim), (num_codes, code_dim))
+        drawn = np.stack([arrays["init_candidates"], arrays["reset_candidates"][step]]) - rows
+        noise = jnp.asarray(drawn / (CANDIDATE_NOISE * code_dim**-0.5))
+        _, variables = module.apply(
+            variables, jnp.asarray(latents), mask, train=True, noise=noise, mutable=["codebook"]
+        )
+        np.testing.assert_allclose(variables["codebook"]["codebook"], arrays["codebook_after"][step], atol=1e-5)
