@@ -10,6 +10,7 @@ import contextlib
 import dataclasses
 import difflib
 import io
+import itertools
 import math
 import reprlib
 import types
@@ -140,15 +141,20 @@ def override_config(config: T, args: Sequence[str], *, prog: str) -> T:
     except SystemExit as exit_:
         if not exit_.code:
             raise
-        # tyro draws a box: the message, a rule, then help texts.
-        rows = [row.strip("│ ") for row in messages.getvalue().splitlines() if not row.startswith(("╭", "╰"))]
-        end = next((index for index, row in enumerate(rows) if row and not row.strip("─")), len(rows))
-        reason = " ".join(" ".join(rows[:end]).split()) or "cannot read the options"
+        # tyro draws a box, in ASCII if need be: a title, the message, a rule, then help texts.
+        rows = [row.strip("│ ") for row in messages.getvalue().splitlines()[1:]]
+        start = 1 if rows and _is_rule(rows[0]) else 0
+        message = itertools.takewhile(lambda row: not _is_rule(row), rows[start:])
+        reason = " ".join(" ".join(message).split()) or "cannot read the options"
         raise UserError(f"{prog}: {reason}") from None
     if unknown:
         names = [f"--{name}" for name in _field_names(type(config))]
         raise UserError(f"{prog}: unknown option '{unknown[0]}'{_nearest(unknown[0].split('=')[0], names)}")
     return config_from_dict(type(config), config_to_dict(changed), source=prog)
+
+
+def _is_rule(row: str) -> bool:
+    return bool(row) and not row.strip("─-╰╯")
 
 
 def check_sizes(config: Any, *names: str) -> None:
@@ -160,6 +166,12 @@ def check_sizes(config: Any, *names: str) -> None:
         value = getattr(config, name)
         if type(value) is int and value < 1:
             raise ValueError(f"{name}: {value} is not a whole number above 0")
+
+
+def check_seed(seed: int) -> None:
+    """Raises `UserError` if a seed is not from 0 to 2**32 - 1: keys of JAX ignore the bits above."""
+    if not 0 <= seed < 2**32:
+        raise UserError(f"seed: {seed} is not between 0 and {2**32 - 1}")
 
 
 def check_limits(config: Any, **limits: int) -> None:

@@ -1,11 +1,12 @@
 """Files: written whole or not at all, and read without trusting them.
 
-Every writer of the package uses `atomic_file` or `atomic_folder`. A reader that meets the destination sees the old
+Writers of data and models use `atomic_file` or `atomic_folder`. A reader that meets the destination sees the old
 contents or the new ones, never a part of them.
 """
 
 import contextlib
 import json
+import math
 import os
 import secrets
 import shutil
@@ -137,7 +138,7 @@ def save_json(path: str | os.PathLike[str], data: Any) -> None:
     Raises:
         ValueError: A number is not finite.
     """
-    save_text(path, json.dumps(data, indent=2, sort_keys=True, allow_nan=False, ensure_ascii=False) + "\n")
+    save_text(path, json.dumps(data, indent=2, sort_keys=True, allow_nan=False) + "\n")
 
 
 def load_text(path: Path) -> str:
@@ -151,15 +152,21 @@ def load_text(path: Path) -> str:
     return text  # noqa: RET504 - for mypy, a `return` inside `with` may not be reached
 
 
+def _finite(number: str) -> float:
+    if not math.isfinite(value := float(number)):
+        raise ValueError(f"{number[:20]} is not a finite number")
+    return value
+
+
 def load_json(path: Path) -> Any:
     """Returns the data of a JSON file.
 
     Raises:
-        UserError: The file is missing or is not JSON.
+        UserError: The file is missing or is not JSON, or a number in it is not finite.
     """
     text = load_text(path)
     try:
-        return json.loads(text)
+        return json.loads(text, parse_float=_finite, parse_constant=_finite)
     except (ValueError, RecursionError) as error:
         raise UserError(f"{path}: cannot be read as JSON ({first_line(error)})") from None
 

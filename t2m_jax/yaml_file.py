@@ -13,6 +13,8 @@ MAX_FILE_BYTES = 100_000
 """Largest config file that is read. Real files have a few kB; PyYAML needs seconds for a megabyte."""
 MAX_DEPTH = 32
 """Deepest nesting that is read. It bounds every recursion over a file."""
+MAX_BITS = 10_000
+"""Largest size of a whole number, about 3000 digits."""
 
 
 class YamlFile(NamedTuple):
@@ -92,6 +94,13 @@ class _Loader(yaml.SafeLoader):
             seen.add(str(key.value))
         return super().construct_mapping(node, deep)
 
+    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
+        """Returns a whole number; Python reads huge ones in hexadecimal, but cannot print them in messages."""
+        value = super().construct_yaml_int(node)
+        if value.bit_length() > MAX_BITS:
+            raise yaml.MarkedYAMLError(problem="whole number of too many digits", problem_mark=node.start_mark)
+        return value
+
 
 class _Dumper(yaml.SafeDumper):
     """Writes what `_Loader` reads: it puts text such as 1e-4 in quotes."""
@@ -103,6 +112,7 @@ _Loader.yaml_implicit_resolvers = {
     start: [(tag, pattern) for tag, pattern in resolvers if tag.endswith((":null", ":bool", ":int", ":float"))]
     for start, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
 for _class in (_Loader, _Dumper):
     _class.add_implicit_resolver("tag:yaml.org,2002:float", _EXPONENT, list("-+.0123456789"))
 

@@ -144,6 +144,7 @@ def test_an_empty_file_is_all_defaults(tmp_path):
         ("schedule: &a {peak: 1}\nsecond: *a", "run.yaml:1: cannot read this YAML: anchors"),
         ("steps: 1\n---\nsteps: 2", "cannot read this YAML"),
         ("steps: 0b_", "run.yaml: cannot read this YAML"),
+        (f"steps: 0x{'f' * 6000}", "run.yaml:1: cannot read this YAML: whole number of too many digits"),
         ("steps: " + "9" * 5000, "run.yaml: cannot read this YAML"),
         ("steps: 1\nschedule:\n  peak: " + "9" * 400, "run.yaml:3: schedule.peak: expected a number, got 9999"),
         ("null: 1", "run.yaml: unknown key 'None'"),

@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib.resources
+import reprlib
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, NamedTuple
 
@@ -14,7 +15,7 @@ from t2m_jax.checkpoints.run import CONFIG_FILE as RUN_CONFIG_FILE
 from t2m_jax.checkpoints.run import DATA_FILE
 from t2m_jax.config import Tagged, load_versioned, save_config
 from t2m_jax.errors import UserError
-from t2m_jax.files import atomic_folder, check_new, load_arrays, load_json, save_arrays, save_json
+from t2m_jax.files import atomic_folder, check_new, load_arrays, load_json, load_text, save_arrays, save_json
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
 from t2m_jax.models.system import find_generator_config, find_tokenizer_config, variable_shapes
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
@@ -172,9 +173,22 @@ def load_bundle(path: Path) -> Bundle:
     check_statistics_width(path, normalizer, config.tokenizer.feature_dim)
     if (path / CLIP_FOLDER).is_dir() and isinstance(config.text_encoder, ClipReference):
         config = dataclasses.replace(config, text_encoder=ClipReference(name=str(path / CLIP_FOLDER)))
-    data = load_json(path / DATA_FILE) if (path / DATA_FILE).is_file() else None
+    data = load_training_data(path)
     variables = {role: arrays[kind] for role, kind in kinds.items()}
     return Bundle(config, variables, normalizer, load_text_tokenizer(path, config), data)
+
+
+def load_training_data(folder: Path) -> dict[str, Any] | None:
+    """Returns what a model was trained on, None if its folder does not say.
+
+    Raises:
+        UserError: The file is damaged.
+    """
+    path = folder / DATA_FILE
+    data = load_json(path) if path.is_file() else None
+    if data is not None and not isinstance(data, dict):
+        raise UserError(f"{path}: expected an object, got {reprlib.repr(data)}")
+    return data
 
 
 def check_statistics_width(path: Path, normalizer: Normalizer, feature_dim: int) -> None:
@@ -227,7 +241,7 @@ def save_bundle(path: Path, bundle: Bundle, *, card: str, half: bool = True, cli
 
 def default_card(run: Path) -> str:
     """Returns the Markdown card of a model whose maker wrote none: the training config, and what is unknown."""
-    config = (run / RUN_CONFIG_FILE).read_text(encoding="utf-8").strip()
+    config = load_text(run / RUN_CONFIG_FILE).strip()
     return (
         f"# {run.name}\n\n"
         "A text-to-motion model trained with t2m_jax. Its makers did not say which data it was trained on, which\n"

@@ -15,12 +15,12 @@ from t2m_jax.checkpoints.bundle import (
     load_bundle,
     load_bundle_config,
     load_text_tokenizer,
+    load_training_data,
     part_kinds,
 )
-from t2m_jax.checkpoints.run import DATA_FILE, is_run, run_info
+from t2m_jax.checkpoints.run import is_run, run_info
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_json
 
 
 def load_model(name_or_path: str | Path) -> Bundle:
@@ -56,8 +56,8 @@ def load_generator_run(path: Path) -> Bundle:
     variables = {"tokenizer": tokenizer.variables} | {
         role: {name: found[name][kind] for name in expected[role]} for role, kind in kinds.items()
     }
-    data = load_json(path / DATA_FILE) if (path / DATA_FILE).is_file() else None
-    return Bundle(config, variables, tokenizer.normalizer, load_text_tokenizer(path, config), data)
+    text_tokenizer, data = load_text_tokenizer(path, config), load_training_data(path)
+    return Bundle(config, variables, tokenizer.normalizer, text_tokenizer, data)
 
 
 def load_runs(paths: Sequence[Path]) -> tuple[Path, Bundle]:

@@ -124,6 +124,12 @@ class Checkpoints:
         return dict(like) | {name: restored[name][name] for name in saved}
 
 
+def has_checkpoint(run: Path) -> bool:
+    """Returns whether a run has a checkpoint."""
+    with Checkpoints(run) as checkpoints:
+        return checkpoints.latest_step is not None
+
+
 def restore_latest(run: Path, state: State) -> State:
     """Returns the newest checkpoint of a run in the structure of `state`, or `state` if there is none yet."""
     with Checkpoints(run) as checkpoints:

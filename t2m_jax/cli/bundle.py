@@ -22,9 +22,10 @@ def run(args: argparse.Namespace) -> None:
     from t2m_jax.checkpoints.clip import load_clip
     from t2m_jax.checkpoints.model import load_runs
     from t2m_jax.checkpoints.official import export_official
+    from t2m_jax.files import load_text
 
     run_folder, bundle = load_runs([Path(path) for path in args.runs])
-    card = Path(args.card).read_text(encoding="utf-8") if args.card else default_card(run_folder)
+    card = load_text(Path(args.card)) if args.card else default_card(run_folder)
     text_encoder = bundle.config.text_encoder
     clip = load_clip(text_encoder.name) if isinstance(text_encoder, ClipReference) else None
     save_bundle(Path(args.destination), bundle, card=card, clip=clip)

@@ -58,3 +58,5 @@ def run(args: argparse.Namespace) -> None:
         show_next(f"open {pages[0]} in a browser")
     elif convertible:
         show_next(f"t2m view {shlex.quote(str(convertible[0]))} -o motion.html")
+    else:
+        show_next(shlex.join(["t2m", "generate", *args.text, "--model", args.model, "-o", "motion.html"]))

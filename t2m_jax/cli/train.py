@@ -71,7 +71,7 @@ def _start_config(args: argparse.Namespace) -> Any:
     if args.config is not None:
         return _config(args.kind, args.config)
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    parser.add_argument("--run", type=Path)
+    parser.add_argument("--run", type=Path, nargs="?")
     found = parser.parse_known_args(args.config_options)[0].run
     if not args.resume or found is None:
         raise UserError(

@@ -233,6 +233,8 @@ def _build(path: Path, folder: Path, sources: Sources, *, feature_dim: int) -> N
         index |= {"fingerprint": sources.fingerprint}
         index |= {"blocks": [checksum for _, checksum in _block_checksums(file)]}
         save_text(partial / INDEX, json.dumps(index | {"checksum": _checksum(index)}))
+    with contextlib.suppress(OSError):
+        path.with_suffix(".cache").unlink()  # the cache in the format before this one
 
 
 def _write_clips(file: BinaryIO, folder: Path, names: frozenset[str], *, feature_dim: int) -> dict[str, Any]:

@@ -50,7 +50,8 @@ class DatasetInfo:
     def fits(self, num_frames: int) -> bool:
         """Returns whether text-to-motion models use a motion of this length.
 
-        Motions may be up to three frames longer than the maximum, because they are cut to a multiple of four.
+        Motions may be up to three frames longer than the maximum, as in HumanML3D, where they are cut to whole codes
+        of four frames.
         """
         return self.min_frames <= num_frames < self.max_frames + 4
 

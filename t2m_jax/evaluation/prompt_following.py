@@ -9,7 +9,9 @@ from typing import NamedTuple
 
 from t2m_jax.data.importers.bandai_namco.measure import Facts, measure
 from t2m_jax.data.importers.bandai_namco.wordings import held_out_sentences
+from t2m_jax.errors import UserError
 from t2m_jax.motion.record import Motion
+from t2m_jax.motion.skeleton import HUMANML3D
 
 HAND_UP = -0.05
 """A wrist is raised if it is higher than this above its own shoulder, in meters."""
@@ -97,7 +99,13 @@ class ContentResult(NamedTuple):
 
 
 def follows(content: str, motion: Motion) -> bool:
-    """Returns whether a motion satisfies the rule of a content."""
+    """Returns whether a motion satisfies the rule of a content.
+
+    Raises:
+        UserError: The motion has another skeleton than HumanML3D's, whose joints the rules name.
+    """
+    if motion.skeleton != HUMANML3D:
+        raise UserError(f"skeleton: the rules are for {HUMANML3D.name!r}, and the motion has {motion.skeleton.name!r}")
     if motion.num_frames < 2:
         return False
     return RULES[content].holds(measure(motion.positions, fps=motion.fps))

@@ -54,7 +54,7 @@ class Protocol:
 
     def __post_init__(self) -> None:
         if self.batch < MIN_BATCH:
-            raise UserError(f"batch: {self.batch} is too small; give a whole number from {MIN_BATCH} to {BATCH}")
+            raise UserError(f"batch: {self.batch} is too small; give {MIN_BATCH} or more")
 
 
 PROTOCOLS = {

@@ -87,11 +87,22 @@ def load_partial(path: Path | None, header: Header) -> list[RepeatMetrics]:
         return []
     try:
         found = load_json(path)
-        same = found["header"] == dataclasses.asdict(header)
-        return [RepeatMetrics(real, measured) for real, measured in found["repeats"]] if same else []
-    except (UserError, LookupError, TypeError, ValueError):
+        if found["header"] != dataclasses.asdict(header):
+            return []
+        repeats = [RepeatMetrics(real, measured) for real, measured in found["repeats"]]
+        columns = zip(*repeats, strict=True)
+        if not all(_is_sound(metrics, column[0]) for column in columns for metrics in column):
+            raise ValueError("metrics that are not finite, or not the same in all repeats")
+        return repeats
+    except (UserError, LookupError, TypeError, ValueError, AttributeError):
         logger.warning("%s: is damaged; the evaluation starts over", path)
         return []
+
+
+def _is_sound(metrics: dict[str, float], first: dict[str, float]) -> bool:
+    """Returns whether the metrics of a file are finite, and those of the first repeat."""
+    finite = all(type(value) is float and np.isfinite(value) for value in metrics.values())
+    return finite and metrics.keys() == first.keys() and len(metrics) > 0
 
 
 def evaluate_repeat(task: EvaluationTask, source: CodeSource, *, repeat: int) -> RepeatMetrics:

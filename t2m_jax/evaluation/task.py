@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Int
 
 from t2m_jax.checkpoints.evaluator import TrainedEvaluator
+from t2m_jax.config import check_seed
 from t2m_jax.data.checks import check_feature_dim, check_statistics
 from t2m_jax.data.folder import Clip, Dataset, samples_from_clip
 from t2m_jax.data.index import load_index
@@ -63,8 +64,10 @@ def make_task(
         unit: The tokenizer's frames per code. Lengths are multiples of it and of the evaluator's frames per movement.
 
     Raises:
-        UserError: The evaluator was trained on other data, or the split does not fill a batch.
+        UserError: The evaluator was trained on other data, the split does not fill a batch, or the seed is not from 0
+            to 2**32 - 1.
     """
+    check_seed(seed)
     check_feature_dim(dataset, evaluator.config.feature_dim, reader="the evaluator")
     advice = "use the evaluator of this data set, or train one with `t2m train evaluator`"
     check_statistics(dataset, evaluator.normalizer, reader="the evaluator", advice=advice)

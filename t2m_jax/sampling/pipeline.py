@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int, Key
 from t2m_jax.checkpoints.bundle import Bundle
 from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
+from t2m_jax.config import check_seed
 from t2m_jax.errors import UserError
 from t2m_jax.models.system import make_module
 from t2m_jax.motion.normalizer import Normalizer
@@ -107,8 +108,7 @@ class TextToMotion:
         """
         texts = [check_prompt(caption) for caption in ([captions] if isinstance(captions, str) else captions)]
         longest = self.config.generator.max_codes
-        if not 0 <= seed < 2**32:
-            raise UserError(f"seed: {seed} is not between 0 and {2**32 - 1}")
+        check_seed(seed)
         if num_samples < 1:
             raise UserError(f"num-samples: {num_samples} is not a whole number above 0")
         if max_codes is not None and not 1 <= max_codes <= longest:

@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TypeVar
 
-from t2m_jax.config import check_sizes
+from t2m_jax.config import check_seed, check_sizes
 
 EvaluationMetric = Literal["fid", "matching_score", "r_precision_1", "r_precision_2", "r_precision_3"]
 """Metrics that can choose weights: a larger value is always better, or always worse. Diversity is not one of them."""
@@ -35,6 +35,10 @@ class LoopConfig:
 
     def __post_init__(self) -> None:
         check_sizes(self, "num_steps", "batch_size", "keep_checkpoints")
+        check_seed(self.seed)
+        for name in ("log_every", "validate_every", "checkpoint_every"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name}: {getattr(self, name)} is below 0")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -53,8 +57,7 @@ class EvaluationConfig:
 
     def __post_init__(self) -> None:
         check_sizes(self, "every")
-        if self.seed < 0:
-            raise ValueError(f"seed: {self.seed} is below 0")
+        check_seed(self.seed)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

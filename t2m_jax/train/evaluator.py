@@ -2,8 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -12,12 +11,13 @@ import optax
 from jaxtyping import Array, Float, Int, Key
 
 from t2m_jax.checkpoints.evaluator import WORDS_FILE, load_trained_evaluator, save_evaluator_parts
+from t2m_jax.checkpoints.run import has_checkpoint
 from t2m_jax.data.banks.captions import CaptionBank, CaptionBatch, all_tokens, caption_batch_at, make_caption_bank
 from t2m_jax.data.folder import Clip, DatasetInfo, samples_from_clip
 from t2m_jax.errors import UserError
 from t2m_jax.losses import infonce_loss, margin_loss, pair_distances
 from t2m_jax.metrics import r_precision
-from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT, Evaluator
+from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT, Evaluator, evaluator_shapes
 from t2m_jax.text.word_vectors import Vocabulary, load_vocabulary, load_word_vectors, vocabulary_from_captions
 from t2m_jax.train.config import compiled_config
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
@@ -181,7 +181,9 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
     held_out = dataset.clips("val") if config.loop.validate_every else []
     samples, validated = (matching_samples(clips, dataset.info) for clips in (train, held_out))
     vocabulary = make_vocabulary(config, samples, resume=resume)
-    table = load_table(config, vocabulary)
+    # The state that is restored has the movement encoder and the word vectors; their files may be gone.
+    is_restored = resume and has_checkpoint(config.run)
+    table = None if is_restored else load_table(config, vocabulary)
     config = dataclasses.replace(config, model=dataclasses.replace(config.model, num_words=len(vocabulary)))
     options = {"config": compiled_config(config), "max_frames": dataset.info.max_frames}
     validation = None
@@ -190,16 +192,14 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
         validation = Validation(bank, len(validated), functools.partial(validate, **options))
 
     def init() -> TrainState:
-        if config.init is None:
+        if is_restored:
+            movements = jax.tree.map(jnp.zeros_like, evaluator_shapes(config.model)["params"][MOVEMENTS])
+        elif config.init is None:
             clips = {"train": train, "validation": held_out}
             movements = train_movements(config, dataset, normalizer, resume=resume, **clips)
         else:
-            movements = start_from(config.init)["params"][MOVEMENTS]
-        key = stream_key(config.loop.seed, "init")
-        return init_matching_state(compiled_config(config), key, movements, table)
-
-    def start_from(path: Path) -> Mapping[str, Any]:
-        return load_trained_evaluator(path).variables
+            movements = load_trained_evaluator(config.init).variables["params"][MOVEMENTS]
+        return init_matching_state(options["config"], stream_key(config.loop.seed, "init"), movements, table)
 
     return Setup(
         dataset=dataset,
@@ -211,7 +211,7 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
         frames_per_step=config.loop.batch_size * dataset.info.max_frames,
         weights=lambda state: {"params": state.params},
         write_parts=lambda run: save_evaluator_parts(run, config.model, normalizer, vocabulary),
-        start_from=start_from,
+        start_from=lambda path: load_trained_evaluator(path).variables,
         validation=validation,
         patience=config.patience * config.loop.validate_every if validation is not None else 0,
     )

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import jax
 
 from t2m_jax.checkpoints.best import forget_best
+from t2m_jax.checkpoints.bundle import BUNDLED, WEIGHTS_FILE
 from t2m_jax.checkpoints.run import CONFIG_FILE, DATA_FILE, create_run, is_run, restore_latest, run_info
 from t2m_jax.config import flat_fields, load_config, save_config
 from t2m_jax.data.folder import Clip, Dataset
@@ -141,8 +142,8 @@ def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
     trainer = find_trainer(config.kind)
     if resume:
         run_info(config.run)
-    elif is_run(config.run):
-        raise UserError(f"{config.run}: contains a run already; add --resume to continue it, or choose another --run")
+    else:
+        check_new_run(config.run)
     config = trainer.resolve(config, resume)
     if resume:
         check_same_config(config)
@@ -151,18 +152,42 @@ def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
     if not resume:
         forget_best(config.run)
     best = make_best(config.run, setup, held_out)
+    # What cannot start from `init` is refused here, before anything is written.
+    started = None if resume or config.init is None else first_state(setup, config.init)
     if resume:
         save_config(config.run / CONFIG_FILE, config)  # so that a run that is extended says so
     else:
         setup.write_parts(config.run)
         save_training_data(config.run / DATA_FILE, summarize_training_data(setup.dataset, setup.clips))
         create_run(config.run, config.kind, config)
-    first = setup.init()
-    state = restore_latest(config.run, first) if resume else first
-    # Also a run that was stopped before its first checkpoint starts from `init`.
-    if state is first and config.init is not None:
-        state = state._replace(**checked_weights(config.init, setup.start_from(config.init), setup.weights(state)))
+    state = setup.init() if started is None else started
+    if resume:
+        first, state = state, restore_latest(config.run, state)
+        if state is first:  # the run was stopped before its first checkpoint
+            state = first_state(setup, config.init)
     return run_setup(config.run, state, setup, config.loop, best=best, held_out=held_out)
+
+
+def check_new_run(run: Path) -> None:
+    """Raises `UserError` if a folder cannot become a run."""
+    if is_run(run):
+        raise UserError(f"{run}: contains a run already; add --resume to continue it, or choose another --run")
+    if (run / WEIGHTS_FILE).exists():  # they would be loaded instead of the run's
+        raise UserError(f"{run}: contains a model already; choose another --run")
+    if str(run) in BUNDLED:
+        raise UserError(f"run: {run} is the name of a packaged model; choose another --run")
+
+
+def first_state(setup: Setup, init: Path | None) -> Any:
+    """Returns the state before the first update, with the weights of `init` if there is one.
+
+    Raises:
+        UserError: Those weights do not fit.
+    """
+    state = setup.init()
+    if init is None:
+        return state
+    return state._replace(**checked_weights(init, setup.start_from(init), setup.weights(state)))
 
 
 def check_same_config(config: ExperimentConfig) -> None:

@@ -22,6 +22,7 @@ from t2m_jax.data.checks import check_statistics
 from t2m_jax.data.folder import Clip, Dataset, open_dataset
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.sources import CodeSource, make_generation
+from t2m_jax.files import flatten_tree
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
 from t2m_jax.sampling.pipeline import TextToMotion
 from t2m_jax.sampling.strategies import Greedy, Temperature
@@ -158,12 +159,10 @@ def start_from_model(path: Path, tokenizer: TrainedTokenizer) -> Mapping[str, An
         UserError: There is none, or its codes mean something else because it has another tokenizer.
     """
     model = load_model(path)
-    same = model.config.tokenizer == tokenizer.config and jax.tree.all(
-        jax.tree.map(
-            lambda one, other: np.allclose(one, other, rtol=SAME_WEIGHTS, atol=SAME_WEIGHTS),
-            jax.device_get(model.variables["tokenizer"]["params"]),
-            jax.device_get(tokenizer.variables["params"]),
-        )
+    own = flatten_tree({"codes": model.variables["tokenizer"], "statistics": model.normalizer._asdict()})
+    given = flatten_tree({"codes": tokenizer.variables, "statistics": tokenizer.normalizer._asdict()})
+    same = model.config.tokenizer == tokenizer.config and all(
+        np.allclose(own[name], given[name], rtol=SAME_WEIGHTS, atol=SAME_WEIGHTS) for name in given
     )
     if not same:
         raise UserError(f"init: {path} was trained with another tokenizer; use its own with `--vqvae {path}`")

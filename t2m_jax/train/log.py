@@ -11,7 +11,7 @@ from jaxtyping import UInt8
 from PIL import Image
 from tensorboardX import SummaryWriter
 
-from t2m_jax.files import save_text
+from t2m_jax.files import load_text, save_text
 
 logger = logging.getLogger(__name__)
 
@@ -77,11 +77,12 @@ class MetricLog:
 
 
 def _keep_rows(path: Path, last_step: int) -> list[str]:
-    """Removes rows after `last_step`, and a last row that a crash cut off; returns the columns, none for a new file."""
+    """Removes rows after `last_step` and rows that are cut off; returns the columns, none for a new file."""
     if not path.exists():
         return []
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
-    kept = [line for line in lines[1:] if line.endswith("\n") and int(line.split(",")[0]) <= last_step]
+    lines = load_text(path).splitlines(keepends=True)
+    rows = [(line.split(",")[0], line) for line in lines[1:] if line.endswith("\n")]
+    kept = [line for step, line in rows if step.isdecimal() and int(step) <= last_step]
     if not kept:
         path.unlink()
         return []

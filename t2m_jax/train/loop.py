@@ -133,7 +133,7 @@ def run_loop(
             for measurement in now:
                 _log_measurement(log, step, measurement, state)
             ends_here = bool(now) and is_over(step)
-            if due(config.checkpoint_every) or ends_here:
+            if due(config.checkpoint_every) or ends_here or step == total:
                 checkpoints.save(step, state)
             if not history:
                 log.restart_clock()

@@ -32,6 +32,11 @@ class OptimizerConfig:
     clip_norm: float = 0.0
     """Largest global norm of the gradients. Larger gradients are scaled down to it; 0 turns this off."""
 
+    def __post_init__(self) -> None:
+        for step in (self.warmup_steps, *self.milestones):
+            if not 0 <= step < 2**31:
+                raise ValueError(f"warmup_steps, milestones: {step} is not a number of updates from 0 to {2**31 - 1}")
+
 
 class TrainState(NamedTuple):
     """Everything that an update changes, for models that have only parameters."""

@@ -63,6 +63,8 @@ class TrainVqVaeConfig(ExperimentConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if not self.root_weight > 0:
+            raise ValueError(f"root_weight: {self.root_weight} is not above 0")
         if self.window < self.model.downsample:
             raise ValueError(f"window: {self.window} is shorter than one code, {self.model.downsample} frames")
 

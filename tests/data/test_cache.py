@@ -334,3 +334,10 @@ def test_a_folder_without_any_usable_clip_has_an_empty_cache(folder):
     assert cached.frames.shape == (0, WIDTH) and cached.left_out.keys() == LENGTHS.keys()
     with pytest.raises(UserError, match="6 of 6 clips cannot be used: 6 without caption file"):
         open_dataset(folder).clips("train")
+
+
+def test_a_cache_in_the_format_before_this_one_is_removed(folder):
+    (folder / CACHE_FOLDER).mkdir()
+    (folder / CACHE_FOLDER / "clips.cache").write_bytes(b"old")
+    check_whole(folder)
+    assert files(folder) == [CACHE_NAME]

@@ -8,6 +8,7 @@ import pytest
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.bandai_namco.measure import measure
 from t2m_jax.data.importers.synthetic import KINDS, make_motion, write_synthetic_dataset
+from t2m_jax.data.importers.synthetic_scale import write_scaled_dataset
 from t2m_jax.errors import UserError
 from t2m_jax.motion.skeleton import HUMANML3D
 
@@ -38,6 +39,14 @@ def test_motions_do_what_their_label_says(seed):
     assert min(facts["wave-both-hands"].above_shoulder) > 0
     pelvis = make_motion("squat", seed=seed)[:, 0, 1]
     assert pelvis.max() - pelvis.min() > 0.2
+
+
+@pytest.mark.parametrize("write", [write_synthetic_dataset, write_scaled_dataset])
+@pytest.mark.parametrize("seed", [-1, 2**32])
+def test_seeds_that_cannot_be_used_are_refused(write, seed, tmp_path):
+    with pytest.raises(UserError, match=rf"^seed: {seed} is not between 0 and 4294967295$"):
+        write(tmp_path / "data", num_clips=20, seed=seed)
+    assert not (tmp_path / "data").exists()
 
 
 def test_the_seed_decides():

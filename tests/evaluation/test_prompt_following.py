@@ -5,6 +5,7 @@ import pytest
 
 from t2m_jax.data.importers.bandai_namco.wordings import held_out_sentences
 from t2m_jax.data.importers.synthetic import KINDS, make_motion
+from t2m_jax.errors import UserError
 from t2m_jax.evaluation.prompt_following import (
     RULES,
     evaluate_prompt_following,
@@ -13,6 +14,7 @@ from t2m_jax.evaluation.prompt_following import (
     requests,
 )
 from t2m_jax.motion.record import Motion
+from t2m_jax.motion.skeleton import KIT_ML
 
 OTHERS = (
     ("walk-turn-left", "walk-turn-right"),
@@ -44,6 +46,12 @@ def test_motions_break_the_rule_of_another(kind, other):
 def test_standing_still_breaks_every_rule():
     still = Motion(np.repeat(make_motion("walk", seed=0, num_frames=40)[:1], 40, axis=0), 20.0)
     assert not any(follows(content, still) for content in RULES)
+
+
+def test_other_skeletons_are_refused():
+    motion = Motion(np.zeros((10, 21, 3)), 12.5, skeleton=KIT_ML)
+    with pytest.raises(UserError, match=r"^skeleton: the rules are for 'humanml3d', and the motion has 'kit_ml'$"):
+        follows("walk", motion)
 
 
 def test_requests_cover_the_held_out_sentences():

@@ -10,6 +10,7 @@ from t2m_jax.evaluation.report import Header, Metric, ReconstructionFigures, Rep
 
 HEADER = {"protocol": "strict", "data": "d_1", "split": "test", "num_samples": 64, "evaluator": "ab%c", "seed": 0}
 METRIC = {"mean": 1.5, "interval": 0.5, "repeats": [1.0, 2.0]}
+ROWS = {"real": {"fid": METRIC}, "generated": {"fid": METRIC}}
 FIGURES = ReconstructionFigures(
     mpjpe_mm=30.5,
     mpjpe_median_clip_mm=20.0,
@@ -40,7 +41,7 @@ def test_figures_of_a_reconstruction_are_beside_the_header(tmp_path):
 def test_a_report_of_version_0_1_has_its_unit_and_batch(tmp_path):
     old = HEADER | {"model": "demo", "sampling": "greedy", "left_out_for_shared_source": None}
     path = tmp_path / "report.json"
-    path.write_text(json.dumps(old | {"rows": {"real": {"fid": METRIC}, "generated": {"fid": METRIC}}}))
+    path.write_text(json.dumps(old | {"rows": ROWS}))
     report = load_report(path)
     assert (report.kind, report.header.unit, report.header.batch) == ("generated", 4, 32)
     assert (report.header.sampling, report.header.temperature) == ("greedy", None)
@@ -62,6 +63,15 @@ def test_a_report_of_version_0_1_has_its_unit_and_batch(tmp_path):
         json.dumps(HEADER | {"rows": {"real": {"fid": METRIC | {"mean": "1"}}, "generated": {}}}),
         json.dumps(HEADER | {"rows": {"real": {"fid": METRIC | {"repeats": []}}, "generated": {}}}),
         json.dumps(HEADER | {"rows": {"real": {"fid": METRIC | {"repeats": "12"}}, "generated": {}}}),
+        json.dumps(HEADER | {"rows": ROWS | {"generated": {}}}),
+        json.dumps(HEADER | {"rows": {"real": {"fid": METRIC}, "measured": {"fid": METRIC}}}),
+        json.dumps(HEADER | {"rows": ROWS | {"real": {"fid\u001b[2J": METRIC}}}),
+        json.dumps(HEADER | {"rows": ROWS | {"real": {"fid": METRIC | {"mean": True}}}}),
+        json.dumps(HEADER | {"rows": ROWS | {"real": {"fid": METRIC | {"mean": 10**400}}}}),
+        json.dumps(HEADER | {"rows": ROWS | {"real": {"fid": METRIC | {"repeats": [float("inf")]}}}}),
+        json.dumps(HEADER | {"rows": ROWS, "batch": "32"}),
+        json.dumps(HEADER | {"rows": ROWS, "model": "\u001b[2J"}),
+        json.dumps(HEADER | {"rows": ROWS, "mpjpe_mm": 3.0}),
     ],
 )
 def test_other_files_are_refused(content, tmp_path):

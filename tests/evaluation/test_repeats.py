@@ -111,6 +111,23 @@ def test_a_partial_result_of_something_else_is_not_used(task, generation, conten
     assert load_partial(tmp_path / "partial", make_header(task, generation, model="")) == []
 
 
+@pytest.mark.parametrize(
+    "repeats",
+    [
+        [[{}, {}]],
+        [[{"fid": 1.0}, {"fid": float("nan")}]],
+        [[{"fid": 1.0}, {"fid": "1"}]],
+        [[{"fid": 1.0}, [2.0]]],
+        [[{"fid": 1.0}, {"fid": 1.0}], [{"fid": 1.0}, {"diversity": 1.0}]],
+    ],
+)
+def test_unsound_repeats_of_a_partial_result_are_not_used(repeats, task, generation, caplog, tmp_path):
+    header = make_header(task, generation, model="")
+    (tmp_path / "partial").write_text(json.dumps({"header": dataclasses.asdict(header), "repeats": repeats}))
+    assert load_partial(tmp_path / "partial", header) == []
+    assert "is damaged; the evaluation starts over" in caplog.text
+
+
 def plan_of(task):
     return task._replace(seed=1).plan(repeat=0)
 

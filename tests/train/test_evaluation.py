@@ -243,7 +243,7 @@ def test_a_validation_split_of_less_than_a_batch_is_refused_before_training(refu
         (TrainGptConfig, {"sampling": "likeliest"}, "evaluation.sampling: expected one of 'greedy', 'sampled'"),
         (TrainVqVaeConfig, {"sampling": "greedy"}, "unknown key 'evaluation.sampling'"),
         (TrainGptConfig, {"every": 0}, "evaluation: every: 0 is not a whole number above 0"),
-        (TrainGptConfig, {"seed": -1}, "evaluation: seed: -1 is below 0"),
+        (TrainGptConfig, {"seed": -1}, "evaluation: seed: -1 is not between 0 and 4294967295"),
     ],
 )
 def test_what_makes_no_sense_is_refused(schema, fields, says):

@@ -253,3 +253,13 @@ def test_broken_captions_are_no_obstacle(data, tmp_path):
     assert main(["train", "evaluator", f"{tmp_path / 'config.yaml'}"]) == 0
     assert np.isfinite(np.genfromtxt(config.run / "train.csv", delimiter=",", names=True)["loss"]).all()
     assert "walk" in load_trained_evaluator(config.run).vocabulary
+
+
+def test_a_resumed_run_does_not_need_what_it_started_from(data, finished, tmp_path):
+    shutil.copytree(finished, tmp_path / "first")
+    config = training(data, tmp_path / "run", init=tmp_path / "first")
+    train(config)
+    shutil.rmtree(tmp_path / "first")
+    steps = config.loop.num_steps + 1
+    state = train(dataclasses.replace(config, loop=dataclasses.replace(config.loop, num_steps=steps)), resume=True)
+    assert int(state.step) == steps

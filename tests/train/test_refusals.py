@@ -1,6 +1,7 @@
 """What training does not take: sizes that describe nothing, data that hold nothing, data of another width."""
 
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from t2m_jax.cli.main import main
 from t2m_jax.config import config_from_dict, save_config
 from t2m_jax.data.files import FEATURES
 from t2m_jax.errors import UserError
-from t2m_jax.train import TrainGptConfig, TrainVqVaeConfig
+from t2m_jax.train import TrainGptConfig, TrainVqVaeConfig, train
 from tests.tiny import gpt_training, vqvae_training
 
 
@@ -23,6 +24,11 @@ from tests.tiny import gpt_training, vqvae_training
         (TrainVqVaeConfig, {"loop": {"batch_size": 0}}, "loop: batch_size: 0"),
         (TrainGptConfig, {"loop": {"keep_checkpoints": 0}}, "loop: keep_checkpoints: 0"),
         (TrainGptConfig, {"loop": {"num_steps": -5}}, "loop: num_steps: -5"),
+        (TrainGptConfig, {"loop": {"seed": -1}}, "loop: seed: -1 is not between 0 and 4294967295"),
+        (TrainGptConfig, {"loop": {"seed": 2**32}}, "loop: seed: 4294967296 is not between"),
+        (TrainGptConfig, {"loop": {"log_every": -1}}, "loop: log_every: -1 is below 0"),
+        (TrainVqVaeConfig, {"root_weight": 0.0}, "root_weight: 0.0 is not above 0"),
+        (TrainVqVaeConfig, {"optimizer": {"milestones": [2**31]}}, "optimizer: warmup_steps, milestones: 2147483648"),
         (TrainGptConfig, {"model": {"block_size": 1}}, "model: block_size: 1 leaves no position"),
         (TrainGptConfig, {"model": {"num_heads": 0}}, "model: num_heads: 0"),
         (TrainGptConfig, {"model": {"num_heads": 7}}, "model: num_heads: 7 does not divide"),
@@ -90,3 +96,14 @@ def test_data_of_another_width(refusal, copy):
 
 def test_data_that_are_not_there(refusal, tmp_path):
     assert f"{tmp_path / 'nowhere'}: no data set here" in refusal(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize(("run", "says"), [("demo", "packaged model"), ("folder", "contains a model already")])
+def test_folders_that_are_models_do_not_become_runs(runs, tmp_path, monkeypatch, run, says):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "weights.safetensors").write_bytes(b"mine")
+    with pytest.raises(UserError, match=says):
+        train(vqvae_training(runs.data, Path(run)))
+    assert not Path("demo").exists()
+    assert [path.name for path in (tmp_path / "folder").iterdir()] == ["weights.safetensors"]

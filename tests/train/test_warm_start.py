@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -13,6 +14,7 @@ from t2m_jax.data import open_dataset
 from t2m_jax.errors import UserError
 from t2m_jax.motion import save_normalizer
 from t2m_jax.train import TrainVqVaeConfig, train
+from t2m_jax.train.generator import start_from_model
 from tests.tiny import LOOP, OPTIMIZER, VQVAE, gpt_training, vqvae_training
 
 STILL = dataclasses.replace(OPTIMIZER, learning_rate=0.0, warmup_steps=0)
@@ -55,6 +57,30 @@ def test_other_sizes_are_refused_with_the_array_named(runs, tmp_path):
     config = dataclasses.replace(vqvae_training(runs.data, tmp_path / "run"), init=runs.vqvae, model=model)
     with pytest.raises(UserError, match=r"init: array '.*' of .* is \(.*\), not \(.*\) as in the config"):
         train(config)
+
+
+@pytest.mark.parametrize("init", ["nowhere", "demo"])
+def test_a_run_that_cannot_start_from_a_model_is_not_made(runs, tmp_path, init):
+    for config in (
+        vqvae_training(runs.data, tmp_path / "run"),
+        gpt_training(runs.data, runs.vqvae, tmp_path / "run"),
+    ):
+        with pytest.raises(UserError, match=init):
+            train(dataclasses.replace(config, init=Path(init)))
+        assert not (tmp_path / "run").exists()
+
+
+def test_a_generator_whose_codes_or_statistics_mean_something_else_is_refused(runs):
+    tokenizer = load_tokenizer(runs.vqvae)
+    codebook = jax.tree.map(lambda leaf: leaf[::-1] if leaf.ndim else leaf, tokenizer.variables["codebook"])
+    shifted = tokenizer.normalizer._replace(mean=tokenizer.normalizer.mean + 1)
+    start_from_model(runs.gpt, tokenizer)
+    for other in (
+        tokenizer._replace(variables=tokenizer.variables | {"codebook": codebook}),
+        tokenizer._replace(normalizer=shifted),
+    ):
+        with pytest.raises(UserError, match="was trained with another tokenizer"):
+            start_from_model(runs.gpt, other)
 
 
 def test_a_generator_of_another_tokenizer_is_refused(runs, tmp_path):

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from t2m_jax.config import check_seed
 from t2m_jax.data.folder import DatasetInfo
 from t2m_jax.data.importers.bandai_namco.captions import Labels, write_captions
 from t2m_jax.data.importers.bandai_namco.measure import measure
@@ -217,9 +218,11 @@ def write_synthetic_dataset(destination: str | Path, *, num_clips: int = NUM_CLI
         seed: Another seed gives other motions.
 
     Raises:
-        UserError: There are fewer clips than the splits need (20), or the destination exists.
+        UserError: There are fewer clips than the splits need (20), the seed is not from 0 to 2**32 - 1, or the
+            destination exists.
     """
     check_num_clips(num_clips)
+    check_seed(seed)
     info = DatasetInfo(name="synthetic", min_frames=HUMANML3D.min_frames - 1, licence="CC0-1.0", source="t2m_jax")
     names, frames = [f"synthetic_{number:05d}" for number in range(num_clips)], 0
     kinds = [tuple(KINDS)[number % len(KINDS)] for number in range(num_clips)]

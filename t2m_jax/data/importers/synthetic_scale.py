@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from tqdm import tqdm
 
+from t2m_jax.config import check_seed
 from t2m_jax.data.files import FEATURES, TEXTS
 from t2m_jax.data.importers.bandai_namco.captions import Labels, write_captions
 from t2m_jax.data.importers.bandai_namco.measure import measure
@@ -106,9 +107,11 @@ def write_scaled_dataset(
         motions_a_kind: Number of motions of each kind that the clips are cut from.
 
     Raises:
-        UserError: There are fewer clips than the splits need (20), or the destination exists.
+        UserError: There are fewer clips than the splits need (20), the seed is not from 0 to 2**32 - 1, or the
+            destination exists.
     """
     check_num_clips(num_clips)
+    check_seed(seed)
     names, motions, lengths = [f"{number:06d}" for number in range(num_clips)], [], []
     with new_folder(destination, parts=(FEATURES, TEXTS)) as folder:
         kinds = list(KINDS) * motions_a_kind

@@ -45,7 +45,7 @@ STYLE: dict[Any, Any] = {
 LENGTH_BINS = 28
 """Largest number of bars in the histogram of lengths."""
 FRAMES_PER_BIN = 4
-"""Bars are as wide as a multiple of this, because lengths are multiples of it."""
+"""Bars are as wide as a multiple of this: the lengths of most evaluations are multiples of it."""
 
 
 def check_plots() -> None:

@@ -3,15 +3,20 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
+from t2m_jax.config import config_from_dict
 from t2m_jax.errors import UserError
 from t2m_jax.files import load_json, save_json
 
+T = TypeVar("T")
+
 REAL = "real"
 """The row of real motion."""
+KINDS = ("generated", "reconstruction")
+"""Where measured motion comes from."""
 COMPARABLE = ("protocol", "data", "split", "num_samples", "evaluator", "seed", "batch")
 """Fields of the header that reports must share to be in one table."""
 
@@ -68,18 +73,6 @@ class Metric:
         """Returns mean and interval of some values."""
         values = np.asarray(repeats, np.float64)
         return cls(float(values.mean()), float(1.96 * values.std() / np.sqrt(len(values))), tuple(values.tolist()))
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> "Metric":
-        """Returns a metric of a JSON report.
-
-        Raises:
-            ValueError: There are no repeats, or something is not a number.
-        """
-        mean, interval, *repeats = numbers = [data["mean"], data["interval"], *data["repeats"]]
-        if not repeats or not all(isinstance(number, int | float) for number in numbers):
-            raise ValueError("a metric needs a mean, an interval and repeats")
-        return cls(mean, interval, tuple(repeats))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -144,16 +137,45 @@ def load_report(path: Path) -> Report:
     Raises:
         UserError: The file is missing, or is something else.
     """
-    data, fields = load_json(path), [field.name for field in dataclasses.fields(ReconstructionFigures)]
+    data, hint = load_json(path), "write one with `t2m evaluate generation --json`"
     try:
-        rows = {
-            row: {name: Metric.from_json(found) for name, found in metrics.items()}
-            for row, metrics in data["rows"].items()
-        }
-        (kind,) = rows.keys() - {REAL}
-        figures = ReconstructionFigures(**{name: data[name] for name in fields}) if fields[0] in data else None
-        header = Header(**{f.name: data[f.name] for f in dataclasses.fields(Header) if f.name in data})
-        return Report(header=header, kind=kind, real=rows[REAL], measured=rows[kind], reconstruction=figures)
-    except (LookupError, TypeError, ValueError, AttributeError):
-        hint = "write one with `t2m evaluate generation --json`"
-        raise UserError(f"{path}: is not a report with the metrics of an evaluator; {hint}") from None
+        rows = data["rows"]
+        (kind,) = rows.keys() & set(KINDS)
+        if rows.keys() != {REAL, kind}:
+            raise ValueError("rows of an unknown kind")
+        header = _fields_of(Header, data)
+        figures = _fields_of(ReconstructionFigures, data) if "mpjpe_mm" in data else None
+        real, measured = (_metrics(rows[row]) for row in (REAL, kind))
+        if not measured:
+            raise ValueError("no metrics")
+        return Report(header=header, kind=kind, real=real, measured=measured, reconstruction=figures)
+    except (LookupError, TypeError, AttributeError, ValueError) as error:
+        reason = f" ({error})" if isinstance(error, UserError) else ""
+        raise UserError(f"{path}: is not a report with the metrics of an evaluator{reason}; {hint}") from None
+
+
+def _fields_of(schema: type[T], data: Mapping[str, Any]) -> T:
+    """Returns the fields of one dataclass among the entries of a report.
+
+    Raises:
+        UserError: A field is missing or has another type, or text has control characters.
+    """
+    found = {field.name: data[field.name] for field in dataclasses.fields(schema) if field.name in data}  # type: ignore[arg-type]
+    for name, value in found.items():
+        if isinstance(value, str) and not value.isprintable():
+            raise UserError(f"{name}: {value!r} has characters that cannot be printed")
+    return config_from_dict(schema, found, source="header")
+
+
+def _metrics(row: Mapping[str, Mapping[str, Any]]) -> dict[str, Metric]:
+    """Returns the metrics of one row of a report file.
+
+    Raises:
+        UserError: A name is not a word, or a metric has no repeats or figures that are not finite.
+    """
+    metrics = {name: config_from_dict(Metric, found, source=repr(name)) for name, found in row.items()}
+    for name, metric in metrics.items():
+        figures = (metric.mean, metric.interval, *metric.repeats)
+        if not name.isidentifier() or not metric.repeats or not np.isfinite(figures).all():
+            raise UserError(f"metric {name!r}: needs a name of letters, and repeats that are finite")
+    return metrics

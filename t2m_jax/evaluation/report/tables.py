@@ -55,6 +55,8 @@ class Row(NamedTuple):
     num_repeats: int
     cells: dict[str, Cell]
     """Figures by metric; a row may lack some."""
+    fits_captions: bool = False
+    """Whether the R-precision (top 3) is close to that of the same report's real motion, see `Column`."""
 
 
 class Table(NamedTuple):
@@ -93,14 +95,14 @@ def make_table(reports: Sequence[Report], names: Sequence[str], *, by_label: boo
     # Real motion of the report with the most repeats; the others' repeats are its first ones.
     real = max((_row("real motion", REAL, report.real) for report in reports), key=lambda row: row.num_repeats)
     rows = [
-        _row(" ".join(title.split()), report.kind, report.measured)
+        _row(" ".join(title.split()), report.kind, report.measured)._replace(fits_captions=fits_captions(report))
         for report, title in zip(reports, names, strict=True)
     ]
     known = {metric for row in (real, *rows) for metric in row.cells}
     wanted = [_by_label(column) if by_label else column for column in COLUMNS]
     if by_label and wanted[0].metric not in known:
         raise UserError(f"by label: {facts['data']} has no labels (column `label` of its index.csv)")
-    if not any(fits_captions(row, real) for row in rows if row.kind == "generated"):
+    if not any(row.fits_captions for row in rows if row.kind == "generated"):
         wanted = [c._replace(better="none") if c.metric == "multimodality" else c for c in wanted]
     columns = tuple(column for column in wanted if column.metric in known)
     for column in columns:
@@ -125,7 +127,7 @@ def _best_rows(column: Column, real: Row, rows: Sequence[Row]) -> list[Row]:
     """Returns the rows of generated motion that are best in a column; none if fewer than two can be compared."""
     rivals = [row for row in rows if row.kind == "generated" and column.metric in row.cells]
     if column.metric == "multimodality":
-        rivals = [row for row in rivals if fits_captions(row, real)]
+        rivals = [row for row in rivals if row.fits_captions]
     if len(rivals) < 2 or (column.better == "real" and column.metric not in real.cells):
         return []
     # Rounded as printed, so that figures that are printed alike are equally good; larger is better from here on.
@@ -138,9 +140,7 @@ def _best_rows(column: Column, real: Row, rows: Sequence[Row]) -> list[Row]:
     return [row for row, value in zip(rivals, values, strict=True) if value == max(values)]
 
 
-def fits_captions(row: Row, real: Row) -> bool:
-    """Returns whether the R-precision (top 3) of a row is close to real motion's, see `Column`."""
-    precisions = [found.cells.get("r_precision_3") for found in (row, real)]
-    if precisions[0] is None or precisions[1] is None:
-        return False
-    return precisions[0].mean >= CLOSE_TO_REAL * precisions[1].mean
+def fits_captions(report: Report) -> bool:
+    """Returns whether the R-precision (top 3) of a report's motion is close to its real motion's, see `Column`."""
+    measured, real = (metrics.get("r_precision_3") for metrics in (report.measured, report.real))
+    return measured is not None and real is not None and measured.mean >= CLOSE_TO_REAL * real.mean
