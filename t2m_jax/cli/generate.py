@@ -55,8 +55,8 @@ def run(args: argparse.Namespace) -> None:
     pages = [path for path in written if path.suffix == ".html"]
     convertible = [path for path in written if path.suffix in (".npz", ".bvh")]
     if pages:
-        show_next(f"open {pages[0]} in a browser")
+        show_next(f"open {shlex.quote(str(pages[0]))} in a browser")
     elif convertible:
         show_next(f"t2m view {shlex.quote(str(convertible[0]))} -o motion.html")
     else:
-        show_next(shlex.join(["t2m", "generate", *args.text, "--model", args.model, "-o", "motion.html"]))
+        show_next(f"open {shlex.quote(str(written[0]))}")

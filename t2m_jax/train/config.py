@@ -23,7 +23,7 @@ class LoopConfig:
     batch_size: int = 256
     """Clips per update."""
     seed: int = 0
-    """Seed of every random choice: weights, order, windows, dropout."""
+    """Seed of every random choice: weights, order, windows, dropout. From 0 to 2**32 - 1."""
     log_every: int = 50
     """Updates per row of metrics."""
     validate_every: int = 1000

@@ -153,7 +153,7 @@ def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
         forget_best(config.run)
     best = make_best(config.run, setup, held_out)
     # What cannot start from `init` is refused here, before anything is written.
-    started = None if resume or config.init is None else first_state(setup, config.init)
+    started = None if resume or config.init is None else with_weights(setup, setup.init(), config.init)
     if resume:
         save_config(config.run / CONFIG_FILE, config)  # so that a run that is extended says so
     else:
@@ -163,8 +163,8 @@ def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
     state = setup.init() if started is None else started
     if resume:
         first, state = state, restore_latest(config.run, state)
-        if state is first:  # the run was stopped before its first checkpoint
-            state = first_state(setup, config.init)
+        if state is first and config.init is not None:  # the run was stopped before its first checkpoint
+            state = with_weights(setup, first, config.init)
     return run_setup(config.run, state, setup, config.loop, best=best, held_out=held_out)
 
 
@@ -178,15 +178,12 @@ def check_new_run(run: Path) -> None:
         raise UserError(f"run: {run} is the name of a packaged model; choose another --run")
 
 
-def first_state(setup: Setup, init: Path | None) -> Any:
-    """Returns the state before the first update, with the weights of `init` if there is one.
+def with_weights(setup: Setup, state: Any, init: Path) -> Any:
+    """Returns the state before the first update with the weights of a trained model.
 
     Raises:
         UserError: Those weights do not fit.
     """
-    state = setup.init()
-    if init is None:
-        return state
     return state._replace(**checked_weights(init, setup.start_from(init), setup.weights(state)))
 
 

@@ -127,7 +127,7 @@ def run_loop(
             state, metrics = update(state)
             history.append(metrics)
             now = [measurement for measurement in measurements if due(measurement.every)]
-            if now or due(config.log_every) or due(config.checkpoint_every):
+            if now or due(config.log_every) or due(config.checkpoint_every) or step == total:
                 _log_updates(log, step, history, speed, progress)
                 history = []
             for measurement in now:

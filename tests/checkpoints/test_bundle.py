@@ -138,6 +138,13 @@ def test_weights_that_are_not_finite_are_refused(copy):
     assert "gpt/params/head/kernel" in refused(copy)
 
 
+@pytest.mark.parametrize("content", ['{"a": NaN}', '{"a": 1e999}', "[1]", "{"])
+def test_training_data_that_cannot_be_written_again_are_refused(copy, content):
+    (copy / "training_data.json").write_text(content)
+    with pytest.raises(UserError, match=r"training_data\.json: "):
+        load_bundle(copy)
+
+
 def test_statistics_of_another_width_are_refused(copy):
     for name in ("Mean", "Std"):
         np.save(copy / f"{name}.npy", np.ones(251, np.float32))

@@ -111,6 +111,25 @@ def test_the_newest_checkpoints_are_kept(tmp_path, keep, expected):
     np.testing.assert_array_equal(state.weight, [10.0, 10.0])
 
 
+def test_the_last_state_is_kept_without_any_interval(tmp_path):
+    config = loop(log_every=0, checkpoint_every=0)
+    run_loop(tmp_path / "good", START, counting(), config=config)
+    assert kept_steps(tmp_path / "good") == [10]
+    with pytest.raises(UserError, match="10"):
+        run_loop(tmp_path / "bad", START, counting(bad_step=10), config=config)
+    assert kept_steps(tmp_path / "bad") == []
+
+
+def test_damaged_rows_of_the_log_are_left_out(tmp_path):
+    run_loop(tmp_path, START, counting(), config=loop(num_steps=5))
+    with (tmp_path / "train.csv").open("a", encoding="utf-8") as file:
+        file.write("abc,1,2\n")
+    with Checkpoints(tmp_path) as checkpoints:
+        state = checkpoints.restore(START)
+    run_loop(tmp_path, state, counting(), config=loop())
+    assert [row["step"] for row in rows(tmp_path)] == [4, 5, 8, 10]
+
+
 @pytest.mark.parametrize("bad_loss", [float("nan"), float("inf")])
 @pytest.mark.parametrize(
     ("bad_step", "log_every", "kept"),
