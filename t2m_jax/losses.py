@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Bool, Float, Int
 
+from t2m_jax.devices import global_mean, global_sum
 from t2m_jax.masks import masked_mean
 
 ReconstructionKind = Literal["l1", "l2", "l1_smooth"]
@@ -61,26 +62,38 @@ def velocity_loss(
     return reconstruction_loss(jnp.diff(reconstruction, axis=1), jnp.diff(motion, axis=1), both, kind=kind)
 
 
-def token_loss(
-    logits: Float[Array, "B L V"],
-    targets: Int[Array, "B L"],
-    code_lengths: Int[Array, " B"],
-    *,
-    mean_over: TokenMean = "motions",
-) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Returns the cross-entropy and the arg-max accuracy over each motion's codes and its End token.
+def token_weights(
+    code_lengths: Int[Array, " B"], length: int, *, mean_over: TokenMean = "motions"
+) -> Float[Array, "B {length}"]:
+    """Returns the weights of a mean over each motion's codes and its End token; they sum to 1 over the global batch.
 
     With `mean_over` "motions", all motions have the same weight (T2M-GPT's code). With "tokens", all codes and End
     tokens have the same weight, so that long motions count more (the likelihood in T2M-GPT's paper).
     """
-    mask = jnp.arange(logits.shape[1])[None] <= code_lengths[:, None]
-    safe_targets = jnp.where(mask, targets, 0)
-    losses = optax.losses.softmax_cross_entropy_with_integer_labels(logits, safe_targets)
-    right = masked_mean((jnp.argmax(logits, axis=-1) == targets).astype(logits.dtype), mask)
+    counts = code_lengths + 1
+    mask = jnp.arange(length)[None] < counts[:, None]
     if mean_over == "tokens":
-        return masked_mean(losses, mask), right
-    per_motion = jnp.sum(jnp.where(mask, losses, 0.0), axis=1) / (code_lengths + 1)
-    return jnp.mean(per_motion), right
+        return mask / global_sum(jnp.sum(mask))
+    return mask / (counts * global_sum(jnp.asarray(len(counts))))[:, None]
+
+
+def token_loss(
+    logits: Float[Array, "B L V"], targets: Int[Array, "B L"], weights: Float[Array, "B L"]
+) -> Float[Array, ""]:
+    """Returns the weighted sum of the cross-entropies, over the global batch. Targets without weight may be anything.
+
+    The sums of the parts of a batch, with the weights of the whole, add up to the sum of the whole.
+    """
+    safe_targets = jnp.where(weights > 0, targets, 0)
+    losses = optax.losses.softmax_cross_entropy_with_integer_labels(logits.astype(jnp.float32), safe_targets)
+    return global_sum(jnp.sum(jnp.where(weights > 0, weights * losses, 0.0)))
+
+
+def token_accuracy(
+    logits: Float[Array, "B L V"], targets: Int[Array, "B L"], weights: Float[Array, "B L"]
+) -> Float[Array, ""]:
+    """Returns the sum of the weights of the targets that have the highest logits, over the global batch."""
+    return global_sum(jnp.sum(jnp.where(jnp.argmax(logits, axis=-1) == targets, weights, 0.0)))
 
 
 def movement_loss(
@@ -96,9 +109,9 @@ def movement_loss(
     The terms are the mean absolute values of the error, of the movements, and of their differences in time.
     """
     terms = {
-        "reconstruction": jnp.mean(jnp.abs(reconstruction - motion)),
-        "sparsity": jnp.mean(jnp.abs(movements)),
-        "smoothness": jnp.mean(jnp.abs(jnp.diff(movements, axis=1))),
+        "reconstruction": global_mean(jnp.mean(jnp.abs(reconstruction - motion))),
+        "sparsity": global_mean(jnp.mean(jnp.abs(movements))),
+        "smoothness": global_mean(jnp.mean(jnp.abs(jnp.diff(movements, axis=1)))),
     }
     loss = terms["reconstruction"] + sparsity_weight * terms["sparsity"] + smoothness_weight * terms["smoothness"]
     return {"loss": loss} | terms

@@ -5,7 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.losses import elementwise_loss, reconstruction_loss, token_loss, velocity_loss
+from t2m_jax.losses import (
+    elementwise_loss,
+    reconstruction_loss,
+    token_accuracy,
+    token_loss,
+    token_weights,
+    velocity_loss,
+)
 from t2m_jax.motion.layout import make_layout
 from tests.jit import assert_jit_equals_eager
 
@@ -42,26 +49,59 @@ def test_smooth_l1_is_quadratic_below_one():
     np.testing.assert_allclose(elementwise_loss(jnp.array([0.5, -3.0]), "l1_smooth"), [0.125, 2.5])
 
 
+def mean_loss(logits, targets, code_lengths, **options):
+    """The loss of a whole batch."""
+    return token_loss(logits, targets, token_weights(code_lengths, targets.shape[1], **options))
+
+
 def test_every_motion_weighs_the_same():
     logits = jnp.zeros((2, 6, 4)).at[0, :, 0].set(10.0)
     targets = jnp.array([[0, 0, 0, 0, 0, 0], [1, 3, 4, 4, 4, 4]])
-    loss, _ = token_loss(logits, targets, jnp.array([5, 1]))
+    loss = mean_loss(logits, targets, jnp.array([5, 1]))
     np.testing.assert_allclose(loss, (0.0 + np.log(4.0)) / 2, atol=1e-3)
 
 
 def test_padding_does_not_count():
     logits = jax.random.normal(jax.random.key(0), (1, 5, 4))
-    short = assert_jit_equals_eager(jax.jit(token_loss), logits, jnp.array([[1, 2, 3, 0, 0]]), jnp.array([2]))
-    other = token_loss(logits.at[:, 3:].set(99.0), jnp.array([[1, 2, 3, 7, 7]]), jnp.array([2]))
+    short = assert_jit_equals_eager(jax.jit(mean_loss), logits, jnp.array([[1, 2, 3, 0, 0]]), jnp.array([2]))
+    other = mean_loss(logits.at[:, 3:].set(99.0), jnp.array([[1, 2, 3, 7, 7]]), jnp.array([2]))
     np.testing.assert_allclose(short, other)
+
+
+def test_padding_may_be_infinite():
+    logits = jax.random.normal(jax.random.key(0), (1, 5, 4)).at[:, 3:].set(jnp.nan)
+    loss, gradient = jax.value_and_grad(mean_loss)(logits, jnp.array([[1, 2, 3, 0, 0]]), jnp.array([2]))
+    assert np.isfinite(loss)
+    assert np.all(np.isfinite(gradient[:, :3]))
 
 
 def test_tokens_can_weigh_the_same():
     logits = jnp.zeros((2, 6, 4)).at[0, :, 0].set(10.0)
     targets = jnp.array([[0, 0, 0, 0, 0, 0], [1, 3, 4, 4, 4, 4]])
-    loss, right = token_loss(logits, targets, jnp.array([5, 1]), mean_over="tokens")
+    loss = mean_loss(logits, targets, jnp.array([5, 1]), mean_over="tokens")
     np.testing.assert_allclose(loss, 2 * np.log(4.0) / 8, atol=1e-3)
-    np.testing.assert_allclose(right, token_loss(logits, targets, jnp.array([5, 1]))[1])
+
+
+def test_accuracy_is_the_weight_of_what_is_right():
+    """All six of the first motion, and the first of the two of the second."""
+    logits = jnp.zeros((2, 6, 4)).at[0, :, 0].set(10.0).at[1, :, 1].set(10.0)
+    targets = jnp.array([[0, 0, 0, 0, 0, 0], [1, 3, 1, 1, 1, 1]])
+    for mean_over, expected in (("tokens", 7 / 8), ("motions", 3 / 4)):
+        weights = token_weights(jnp.array([5, 1]), 6, mean_over=mean_over)
+        np.testing.assert_allclose(token_accuracy(logits, targets, weights), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("mean_over", ["motions", "tokens"])
+def test_weights_add_up_to_one_and_parts_to_the_whole(mean_over):
+    lengths = jnp.array([5, 1, 0, 3])
+    weights = token_weights(lengths, 6, mean_over=mean_over)
+    np.testing.assert_allclose(np.sum(weights), 1.0, rtol=1e-6)
+    np.testing.assert_array_equal(np.sum(np.asarray(weights) > 0, axis=1), lengths + 1)
+    logits = jax.random.normal(jax.random.key(0), (4, 6, 9))
+    targets = jax.random.randint(jax.random.key(1), (4, 6), 0, 9)
+    for measure in (token_loss, token_accuracy):
+        parts = [measure(logits[rows], targets[rows], weights[rows]) for rows in (slice(0, 1), slice(1, 4))]
+        np.testing.assert_allclose(sum(parts), measure(logits, targets, weights), rtol=1e-6)
 
 
 def velocity(pred, motion, mask, kind):

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import jax
-import jax.numpy as jnp
 
 from t2m_jax.config import load_versioned, save_config
 from t2m_jax.errors import UserError
@@ -14,6 +13,10 @@ from t2m_jax.files import first_line
 
 CONFIG_FILE, INFO_FILE, DATA_FILE = "config.yaml", "run.yaml", "training_data.json"
 CHECKPOINTS = "checkpoints"
+
+FORMAT_VERSION = 2
+"""Version of new runs. Since version 2, every row of a batch has its own random keys, and the order of the data is
+another one. Runs of version 1 can be used, but not continued."""
 
 _DAMAGED = (OSError, LookupError, ValueError, TypeError, AttributeError, RuntimeError)
 """What Orbax raises for damaged files. It uses their metadata without checking it."""
@@ -35,8 +38,15 @@ class RunInfo:
 
     kind: str
     """What was trained, such as `vqvae`, `gpt` or `evaluator`."""
+    format_version: int = FORMAT_VERSION
+    """Layout of the directory, and the random streams of its updates."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _RunInfoV1(RunInfo):
+    """The file in runs of version 1, which did not name it at first."""
+
     format_version: int = 1
-    """Layout of the directory."""
 
 
 def run_info(path: Path) -> RunInfo:
@@ -47,7 +57,16 @@ def run_info(path: Path) -> RunInfo:
     """
     if not is_run(path):
         raise UserError(f"{path}: not a run directory (it has no {INFO_FILE})")
-    return load_versioned(path / INFO_FILE, {1: RunInfo})
+    return load_versioned(path / INFO_FILE, {1: _RunInfoV1, FORMAT_VERSION: RunInfo})
+
+
+def check_resumable(path: Path) -> None:
+    """Raises `UserError` if a folder is not a run, or was written by a version whose updates were different."""
+    if run_info(path).format_version != FORMAT_VERSION:
+        raise UserError(
+            f"{path}: was started with an older t2m_jax, whose updates were different; use it as it is, or start "
+            f"a new run from its weights with `--init {path}`"
+        )
 
 
 def is_run(path: Path) -> bool:
@@ -71,9 +90,9 @@ class Checkpoints:
 
         folder = (run / CHECKPOINTS).resolve()
         folder.mkdir(parents=True, exist_ok=True)
-        options = ocp.CheckpointManagerOptions(max_to_keep=keep, enable_async_checkpointing=False)
+        # Saving goes on while training does; closing waits for it.
         self._ocp = ocp
-        self._manager = ocp.CheckpointManager(folder, options=options)
+        self._manager = ocp.CheckpointManager(folder, options=ocp.CheckpointManagerOptions(max_to_keep=keep))
         self._run = run
 
     def __enter__(self) -> "Checkpoints":
@@ -113,7 +132,7 @@ class Checkpoints:
         if step is None:
             raise UserError(f"{self._run}: has no checkpoint yet; train it first")
         saved = {name: value for name, value in like.items() if jax.tree.leaves(value)}
-        shapes = jax.tree.map(self._ocp.utils.to_shape_dtype_struct, saved)
+        shapes = jax.tree.map(_destination, saved)
         items = {name: args.StandardRestore({name: value}) for name, value in shapes.items()}
         try:
             restored = self._manager.restore(step, args=args.Composite(**items))
@@ -131,9 +150,12 @@ def has_checkpoint(run: Path) -> bool:
 
 
 def restore_latest(run: Path, state: State) -> State:
-    """Returns the newest checkpoint of a run in the structure of `state`, or `state` if there is none yet."""
+    """Returns the newest checkpoint of a run on the devices of `state`, or `state` if there is none yet."""
     with Checkpoints(run) as checkpoints:
-        if checkpoints.latest_step is None:
-            return state
-        # Orbax commits arrays to a device. Steps would be compiled again for committed arrays.
-        return jax.tree.map(jnp.array, jax.device_get(checkpoints.restore(state)))
+        return state if checkpoints.latest_step is None else checkpoints.restore(state)
+
+
+def _destination(leaf: Any) -> jax.ShapeDtypeStruct:
+    """Returns shape, dtype and place of an array to restore: its own devices, or the first device of this process."""
+    sharding = getattr(leaf, "sharding", None) or jax.sharding.SingleDeviceSharding(jax.local_devices()[0])
+    return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding)

@@ -6,13 +6,16 @@ CONFIG is a YAML file or, for vqvae and gpt, a recipe of T2M-GPT by name: `offic
 """
 
 import argparse
+import contextlib
 import importlib.metadata
+import os
 import shlex
 import sys
 from pathlib import Path
 from typing import Any
 
 from t2m_jax.cli.next_step import show_next
+from t2m_jax.errors import UserError
 
 TAKES_CONFIG_OPTIONS = True
 
@@ -43,6 +46,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar=("A", "B"),
         help="show the fields in which two configs or recipes differ; nothing is trained",
     )
+    several = parser.add_argument_group("several processes", "start the same command once per process")
+    several.add_argument("--distributed", action="store_true", help="take the next three from the cluster's variables")
+    several.add_argument("--coordinator", metavar="HOST:PORT", help="address of process 0")
+    several.add_argument("--num-processes", type=int, metavar="N", help="how many processes train together")
+    several.add_argument("--process-id", type=int, metavar="I", help="number of this process, from 0")
+    several.add_argument("--heartbeat", type=int, metavar="SECONDS", help="silence that ends the others (default 30)")
+    several.add_argument(
+        "--stall", type=int, metavar="SECONDS", help="standstill that ends all (default 1800, 0 never)"
+    )
     parser.add_argument("-h", "--help", nargs=0, action=_Help, help="show this (after a kind: all fields) and exit")
 
 
@@ -52,20 +64,45 @@ def run(args: argparse.Namespace) -> None:
         _show_differences(args)
         return
     from t2m_jax.config import override_config
+    from t2m_jax.distributed import is_writer
     from t2m_jax.sampling.compilation import use_compilation_cache
     from t2m_jax.train.experiment import find_trainer, train
 
     config: Any = override_config(_start_config(args), args.config_options, prog=f"t2m train {args.kind}")
     use_compilation_cache()
-    train(config, resume=args.resume)
-    sys.stdout.write(f"{config.run}\n")
-    places = {name: shlex.quote(str(getattr(config, name))) for name in ("run", "data")}
-    show_next(find_trainer(args.kind).next_command.format(**places))
+    with _several_processes(args):
+        train(config, resume=args.resume)
+        if is_writer():
+            sys.stdout.write(f"{config.run}\n")
+            places = {name: shlex.quote(str(getattr(config, name))) for name in ("run", "data")}
+            show_next(find_trainer(args.kind).next_command.format(**places))
+
+
+def _several_processes(args: argparse.Namespace) -> contextlib.AbstractContextManager[None]:
+    """Returns the context in which the processes of a run train together; with one process it does nothing."""
+    given = (args.coordinator, args.num_processes, args.process_id)
+    limits = {name: getattr(args, name) for name in ("heartbeat", "stall") if getattr(args, name) is not None}
+    if not args.distributed and given == (None, None, None) and not limits:
+        return contextlib.nullcontext()
+    from t2m_jax.distributed import Processes, find_processes, supervised
+
+    if args.distributed == (given != (None, None, None)):
+        raise UserError("train: give either --distributed, or --coordinator with --num-processes and --process-id")
+    if min(limits.get("heartbeat", 5), limits.get("stall", 0) + 5) < 5:
+        raise UserError("train: --heartbeat must be at least 5 and --stall not negative")
+    if args.distributed:
+        return supervised(find_processes(os.environ, **limits))
+    if (
+        None in given
+        or not 0 <= args.process_id < args.num_processes
+        or not args.coordinator.rpartition(":")[2].isdigit()
+    ):
+        raise UserError("train: --coordinator HOST:PORT needs --num-processes N and --process-id I with 0 <= I < N")
+    return supervised(Processes(*given, **limits))
 
 
 def _start_config(args: argparse.Namespace) -> Any:
     """Returns the config that the options change: of CONFIG or, to resume without one, of the run."""
-    from t2m_jax.errors import UserError
     from t2m_jax.train.experiment import load_run_config
 
     if args.config is not None:
@@ -98,7 +135,6 @@ def _config(kind: str, name: str) -> Any:
 
 def _show_differences(args: argparse.Namespace) -> None:
     """Prints a table of the fields in which two configs differ."""
-    from t2m_jax.errors import UserError
     from t2m_jax.train.presets import differences
 
     if args.config_options:

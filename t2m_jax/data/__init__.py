@@ -1,7 +1,7 @@
 """Data sets: folders of clips with captions, importers that make them, checks, and batches on the device."""
 
 from t2m_jax.data.audit import AuditReport, audit_dataset
-from t2m_jax.data.banks import MotionBank, Windows, batch_at, batch_clips, cut_windows, epoch_order, make_bank
+from t2m_jax.data.banks import MotionBank, Windows, batch_at, make_bank
 from t2m_jax.data.checks import check_feature_dim, check_statistics
 from t2m_jax.data.folder import Clip, Dataset, DatasetInfo, open_dataset, samples_from_clip
 from t2m_jax.data.importers import (
@@ -30,11 +30,8 @@ __all__ = [
     "Windows",
     "audit_dataset",
     "batch_at",
-    "batch_clips",
     "check_feature_dim",
     "check_statistics",
-    "cut_windows",
-    "epoch_order",
     "finish_folder",
     "import_bandai_namco",
     "import_bvh_folder",

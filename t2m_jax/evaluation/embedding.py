@@ -13,6 +13,7 @@ from t2m_jax.checkpoints.evaluator import TrainedEvaluator
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.data.banks.captions import caption_tokens
 from t2m_jax.data.folder import Clip
+from t2m_jax.devices import put_everywhere, put_rows
 from t2m_jax.evaluation.codes import MotionCodes
 from t2m_jax.evaluation.protocols import Plan
 from t2m_jax.evaluation.task import EvaluationTask
@@ -70,9 +71,9 @@ def embed_decoded(task: EvaluationTask, tokenizer: TrainedTokenizer, motions: Mo
     evaluator = task.evaluator
     embeddings = np.zeros((len(motions.codes), evaluator.config.embedding_dim), np.float32)
     bucket = max(FRAME_BUCKET // tokenizer.config.downsample, 1)
-    # On the device once, not once per batch.
-    statistics = jax.tree.map(jnp.asarray, (tokenizer.normalizer, evaluator.normalizer))
-    variables = jax.device_put((tokenizer.variables, evaluator.variables))
+    # On the devices once, not once per batch.
+    statistics = put_everywhere((tokenizer.normalizer, evaluator.normalizer))
+    variables = put_everywhere((tokenizer.variables, evaluator.variables))
 
     def embed(chosen: Int[np.ndarray, " B"]) -> None:
         longest = round_up(int(motions.code_lengths[chosen].max()), bucket)
@@ -81,8 +82,7 @@ def embed_decoded(task: EvaluationTask, tokenizer: TrainedTokenizer, motions: Mo
         embeddings[chosen] = embed_codes(
             variables,
             statistics,
-            jnp.asarray(codes),
-            jnp.asarray(motions.code_lengths[chosen]),
+            *put_rows((codes, motions.code_lengths[chosen])),
             tokenizer=tokenizer.module,
             evaluator=evaluator.config,
             max_frames=task.max_frames,
@@ -116,9 +116,7 @@ def embed_real(
         pieces = [samples[row].features[starts[row] : starts[row] + lengths[row]] for row in chosen]
         size = min(round_up(int(lengths[chosen].max()), FRAME_BUCKET) + ROOM, max_frames)
         batch = pad_motions([evaluator.normalizer.normalize(piece) for piece in pieces], batch=BATCH, size=size)
-        embeddings[chosen] = embed_motion(
-            evaluator.variables, jnp.asarray(batch.motion), jnp.asarray(batch.lengths), config=evaluator.config
-        )
+        embeddings[chosen] = embed_motion(evaluator.variables, *put_rows(tuple(batch)), config=evaluator.config)
     return embeddings
 
 
@@ -140,7 +138,7 @@ def embed_captions(evaluator: TrainedEvaluator, captions: Sequence[Sequence[str]
     ids = evaluator.vocabulary.vectorize_all(captions)
     embeddings = np.zeros((len(captions), evaluator.config.embedding_dim), np.float32)
     for rows in batches_of(np.arange(len(captions)), BATCH):
-        columns = (jnp.asarray(column[rows]) for column in ids)
+        columns = put_rows(tuple(column[rows] for column in ids))
         embeddings[rows] = embed_text(evaluator.variables, *columns, config=evaluator.config)
     return embeddings
 

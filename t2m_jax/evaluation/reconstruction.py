@@ -13,6 +13,7 @@ from tqdm import tqdm
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.data.checks import check_feature_dim
 from t2m_jax.data.folder import Dataset
+from t2m_jax.devices import put_everywhere, put_rows
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.codes import MotionCodes
 from t2m_jax.evaluation.report.record import ReconstructionFigures
@@ -71,7 +72,7 @@ def evaluate_reconstruction(tokenizer: TrainedTokenizer, dataset: Dataset, *, sp
     if not clips:
         raise UserError(f"{dataset.folder}: split {split} has no clips to evaluate; choose another split")
     features = sorted((clip.features[: len(clip.features) // downsample * downsample] for clip in clips), key=len)
-    variables = jax.device_put(tokenizer.variables)
+    variables = put_everywhere(tokenizer.variables)
     lengths, sums = np.array([len(clip) for clip in features]), np.zeros(len(features), np.float32)
     counts = np.zeros(tokenizer.config.num_codes, np.int64)
     for first in tqdm(range(0, len(features), BATCH), desc="reconstructing", unit="batch", disable=None):
@@ -80,8 +81,7 @@ def evaluate_reconstruction(tokenizer: TrainedTokenizer, dataset: Dataset, *, sp
         result = reconstruct_batch(
             variables,
             tokenizer.normalizer,
-            jnp.asarray(batch.motion),
-            jnp.asarray(batch.lengths),
+            *put_rows(tuple(batch)),
             tokenizer=tokenizer.module,
             skeleton=dataset.skeleton,
         )

@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Int
 
@@ -13,6 +12,7 @@ from t2m_jax.config import check_seed
 from t2m_jax.data.checks import check_feature_dim, check_statistics
 from t2m_jax.data.folder import Clip, Dataset, samples_from_clip
 from t2m_jax.data.index import load_index
+from t2m_jax.devices import put_everywhere
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.protocols import Plan, Protocol, make_plan
 from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT
@@ -74,7 +74,7 @@ def make_task(
     unit = math.lcm(unit, FRAMES_PER_MOVEMENT)
     samples = load_samples(dataset, split, min_frames=unit, source_disjoint=protocol.source_disjoint)
     # Weights from a file are on the host; without this they would be copied to the device with every batch.
-    evaluator = evaluator._replace(variables=jax.device_put(evaluator.variables))
+    evaluator = evaluator._replace(variables=put_everywhere(evaluator.variables))
     max_frames = dataset.info.max_frames
     task = EvaluationTask(evaluator, samples, protocol, max_frames, seed, unit, dataset.info.name, split)
     try:

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from t2m_jax.config import check_limits, check_sizes
-from t2m_jax.models.transformer import LAYER_NORM_EPSILON, WEIGHT_INIT, Block
+from t2m_jax.models.projection import WEIGHT_INIT
+from t2m_jax.models.transformer import LAYER_NORM_EPSILON, Block
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -62,5 +63,5 @@ class CaptionEncoder(nn.Module):
         hidden = nn.LayerNorm(epsilon=LAYER_NORM_EPSILON, name="final_norm")(hidden)
         # The mean over the tokens. A caption without tokens gets zeros and not NaN.
         weights = caption_mask / jnp.maximum(caption_mask.sum(axis=1, keepdims=True), 1)
-        pooled = jnp.einsum("bs,bsw->bw", weights, hidden)
+        pooled = jnp.einsum("bs,bsw->bw", weights.astype(hidden.dtype), hidden)
         return nn.Dense(config.text_dim, kernel_init=WEIGHT_INIT, name="projection")(pooled)

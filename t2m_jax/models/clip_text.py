@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from t2m_jax.config import check_limits, check_sizes
-from t2m_jax.models.transformer import WEIGHT_INIT, Attention
+from t2m_jax.models.projection import WEIGHT_INIT
+from t2m_jax.models.transformer import Attention
 
 Activation = Literal["quick_gelu", "gelu"]
 

@@ -4,6 +4,7 @@ Positions past the end of a clip are set to zero before every convolution. A cli
 with the same zeros as it would be alone, and gives the same result.
 """
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Literal
 
@@ -12,6 +13,9 @@ import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
+
+from t2m_jax.devices import global_sum
+from t2m_jax.models.convolve import convolve, convolve_repeated
 
 ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {
     "relu": nn.relu,
@@ -40,9 +44,48 @@ def normalized(
         norm = nn.GroupNorm(GROUPS, epsilon=1e-6, use_fast_variance=False, name=name)
         return norm(hidden, mask=jnp.broadcast_to(mask[:, :, None], hidden.shape))
     if kind == "BN":
-        norm = nn.BatchNorm(not train, momentum=0.9, epsilon=1e-6, use_fast_variance=False, name=name)
-        return norm(hidden, mask=mask[:, :, None])
+        return MaskedBatchNorm(name=name)(hidden, mask, train=train)
     return hidden
+
+
+class MaskedBatchNorm(nn.Module):
+    """Normalizes over the True positions of the global batch.
+
+    Collection `batch_stats`: running averages `mean` and `var`, which are used if not `train`. `nn.BatchNorm` averages
+    the means of the devices, so a device whose clips are short would count too much.
+    """
+
+    momentum: float = 0.9
+    epsilon: float = 1e-6
+
+    @nn.compact
+    def __call__(
+        self, hidden: Float[Array, "B T W"], mask: Bool[Array, "B T"], *, train: bool
+    ) -> Float[Array, "B T W"]:
+        """Returns the normalized sequence; statistics are computed in float32."""
+        width = hidden.shape[-1:]
+        averages = {
+            "mean": self.variable("batch_stats", "mean", jnp.zeros, width),
+            "var": self.variable("batch_stats", "var", jnp.ones, width),
+        }
+        scale = self.param("scale", nn.initializers.ones, width)
+        bias = self.param("bias", nn.initializers.zeros, width)
+        values = hidden.astype(jnp.float32)
+        mean, var = averages["mean"].value, averages["var"].value
+        if train:
+            mean = _mean_over_positions(values, mask)
+            var = _mean_over_positions((values - mean[None, None]) ** 2, mask)
+            if not self.is_initializing():
+                for name, now in (("mean", mean), ("var", var)):
+                    averages[name].value = self.momentum * averages[name].value + (1 - self.momentum) * now
+        normed = (values - mean[None, None]) * (jax.lax.rsqrt(var + self.epsilon) * scale)[None, None]
+        return (normed + bias[None, None]).astype(hidden.dtype)
+
+
+def _mean_over_positions(values: Float[Array, "B T W"], mask: Bool[Array, "B T"]) -> Float[Array, " W"]:
+    """Returns the mean of each channel over the True positions of the global batch."""
+    total, count = global_sum((jnp.sum(jnp.where(mask[:, :, None], values, 0.0), axis=(0, 1)), jnp.sum(mask)))
+    return total / jnp.maximum(count, 1)
 
 
 def uniform_init(bound: float) -> nn.initializers.Initializer:
@@ -64,6 +107,23 @@ def double_mask(mask: Bool[Array, "B N"]) -> Bool[Array, "B 2*N"]:
     return jnp.repeat(mask, 2, axis=1)
 
 
+class Conv(nn.Module):
+    """The parameters of a 1-D convolution, as in `nn.Conv`, applied in the dtype of the inputs."""
+
+    features: int
+    kernel_size: int
+
+    @nn.compact
+    def __call__(self, inputs: Float[Array, "B T X"], form: Callable[..., jax.Array]) -> Float[Array, "B U Y"]:
+        """Returns `form(inputs, kernel)` plus the bias."""
+        # PyTorch's default for kernels and biases, which the original uses.
+        initializer = uniform_init((self.kernel_size * inputs.shape[-1]) ** -0.5)
+        kernel = self.param("kernel", initializer, (self.kernel_size, inputs.shape[-1], self.features))
+        bias = self.param("bias", initializer, (self.features,))
+        kernel, bias = (jnp.asarray(values, inputs.dtype) for values in (kernel, bias))
+        return form(inputs, kernel) + bias[None, None]
+
+
 class MaskedConv(nn.Module):
     """A 1-D convolution that reads zeros where `mask` is False."""
 
@@ -76,18 +136,19 @@ class MaskedConv(nn.Module):
     @nn.compact
     def __call__(self, inputs: Float[Array, "B T X"], mask: Bool[Array, "B T"]) -> Float[Array, "B U Y"]:
         """Returns the convolved sequence of `U = T // stride` positions."""
-        # PyTorch's default for kernels and biases, which the original uses.
-        initializer = uniform_init((self.kernel_size * inputs.shape[-1]) ** -0.5)
-        return nn.Conv(
-            self.features,
-            (self.kernel_size,),
-            strides=(self.stride,),
-            kernel_dilation=(self.dilation,),
-            padding=[(self.padding, self.padding)],
-            kernel_init=initializer,
-            bias_init=initializer,
-            name="conv",
-        )(jnp.where(mask[:, :, None], inputs, 0.0))
+        form = functools.partial(convolve, stride=self.stride, dilation=self.dilation, padding=self.padding)
+        return Conv(self.features, self.kernel_size, name="conv")(jnp.where(mask[:, :, None], inputs, 0.0), form)
+
+
+class MaskedUpConv(nn.Module):
+    """Repeats every position, then applies a convolution of width 3 that reads zeros where `mask` is False."""
+
+    features: int
+
+    @nn.compact
+    def __call__(self, inputs: Float[Array, "B N X"], mask: Bool[Array, "B N"]) -> Float[Array, "B 2*N Y"]:
+        """Returns the longer sequence."""
+        return Conv(self.features, 3, name="conv")(jnp.where(mask[:, :, None], inputs, 0.0), convolve_repeated)
 
 
 class ResidualUnit(nn.Module):
@@ -167,8 +228,8 @@ class Decoder(nn.Module):
         """Returns motion of T = N * 2**num_stages frames."""
         hidden = nn.relu(MaskedConv(self.width, 3, padding=1, name="input")(latents, mask))
         for stage in range(self.num_stages):
-            hidden = jnp.repeat(self.stack(name=f"stack_{stage}")(hidden, mask, train=train), 2, axis=1)
+            hidden = self.stack(name=f"stack_{stage}")(hidden, mask, train=train)
+            hidden = MaskedUpConv(self.width, name=f"up_{stage}")(hidden, mask)
             mask = double_mask(mask)
-            hidden = MaskedConv(self.width, 3, padding=1, name=f"up_{stage}")(hidden, mask)
         hidden = nn.relu(MaskedConv(self.width, 3, padding=1, name="penultimate")(hidden, mask))
         return MaskedConv(self.feature_dim, 3, padding=1, name="output")(hidden, mask)

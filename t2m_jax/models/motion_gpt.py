@@ -13,8 +13,9 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from t2m_jax.config import check_limits, check_sizes
 from t2m_jax.errors import UserError
+from t2m_jax.models.projection import WEIGHT_INIT, Projection
 from t2m_jax.models.system import Draw, Part, draw_each
-from t2m_jax.models.transformer import LAYER_NORM_EPSILON, WEIGHT_INIT, Block, LayerCache, empty_cache
+from t2m_jax.models.transformer import LAYER_NORM_EPSILON, Block, LayerCache, empty_cache
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -81,18 +82,20 @@ class MotionGpt(nn.Module):
     """
 
     config: MotionGptConfig
+    remat: bool = False
+    """Whether the intermediate values of blocks are computed again for the gradient."""
 
     def setup(self) -> None:
         """Builds embeddings, blocks and head."""
         config = self.config
         self.token_embedding = nn.Embed(config.num_codes + 2, config.embed_dim, embedding_init=WEIGHT_INIT)
-        self.text_projection = nn.Dense(config.embed_dim, kernel_init=WEIGHT_INIT)
+        self.text_projection = Projection(config.embed_dim)
         self.blocks = [
             Block(config.num_heads, config.mlp_ratio, config.dropout, name=f"block_{layer}")
             for layer in range(config.num_layers)
         ]
         self.final_norm = nn.LayerNorm(epsilon=LAYER_NORM_EPSILON)
-        self.head = nn.Dense(config.num_codes + 1, use_bias=False, kernel_init=WEIGHT_INIT)
+        self.head = Projection(config.num_codes + 1, use_bias=False)
 
     def _positions(self) -> Float[Array, "L W"]:
         return jnp.asarray(sinusoidal_table(self.config.block_size, self.config.embed_dim))
@@ -106,10 +109,15 @@ class MotionGpt(nn.Module):
             raise ValueError(f"{length - 1} tokens do not fit a block size of {self.config.block_size}")
         text = self.text_projection(text_embedding)[:, None]
         hidden = jnp.concatenate([text, self.token_embedding(tokens)], axis=1)
-        hidden = hidden + self._positions()[None, :length]
+        # In the dtype of the input: a table in float32 would turn all products after it into float32.
+        hidden = hidden + self._positions()[None, :length].astype(hidden.dtype)
         causal = jnp.tril(jnp.ones((1, 1, length, length), bool))
+
+        def read(block: Block, hidden: Float[Array, "B L W"]) -> Float[Array, "B L W"]:
+            return block(hidden, causal, train=train)[0]
+
         for block in self.blocks:
-            hidden, _ = block(hidden, causal, train=train)
+            hidden = (nn.remat(read) if self.remat else read)(block, hidden)
         return self.head(self.final_norm(hidden))
 
     def begin(self, text_embedding: Float[Array, "B E"], guidance_scale: Any = None) -> tuple[Any, "GptCache"]:

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from t2m_jax.devices import global_rows, global_sum
 from t2m_jax.masks import masked_mean
 from t2m_jax.models.convolution import uniform_init
 
@@ -76,19 +77,21 @@ class QuantizerOutput(NamedTuple):
 
 def nearest_codes(latents: Float[Array, "M C"], codebook: Float[Array, "K C"]) -> Int[Array, " M"]:
     """Returns the index of the nearest code by squared distance; ties go to the lowest index."""
-    distances = jnp.sum(codebook**2, axis=1)[None, :] - 2.0 * latents @ codebook.T
+    # Full precision on every device: with TF32, one code in a thousand differs.
+    products = jnp.matmul(latents, codebook.T, precision=jax.lax.Precision.HIGHEST)
+    distances = jnp.sum(codebook**2, axis=1)[None, :] - 2.0 * products
     return jnp.argmin(distances, axis=1)
 
 
 def candidate_codes(
     latents: Float[Array, "M C"], mask: Bool[Array, " M"], noise: Float[Array, "K C"]
 ) -> Float[Array, "K C"]:
-    """Returns K rows that codes can start from: the first True rows of the batch, in order.
+    """Returns K rows that codes can start from: the first True rows of the global batch, in order.
 
     If there are fewer rows than codes, rows are repeated, and `noise` (standard normal) is scaled and added to all of
     them, so that no two codes are equal.
     """
-    num_codes = noise.shape[0]
+    num_codes, (latents, mask) = noise.shape[0], global_rows((latents, mask))
     order = jnp.argsort(~mask, stable=True)
     num_rows = jnp.sum(mask)
     rows = latents[order[jnp.arange(num_codes) % jnp.maximum(num_rows, 1)]]
@@ -105,10 +108,10 @@ def initial_codebook(state: CodebookState, candidates: Float[Array, "K C"]) -> C
 def hits(
     latents: Float[Array, "M C"], codes: Int[Array, " M"], mask: Bool[Array, " M"], *, num_codes: int
 ) -> tuple[Float[Array, "K C"], Float[Array, " K"]]:
-    """Returns the sum of the latents and their number for each code, over the True rows."""
+    """Returns the sum of the latents and their number for each code, over the True rows of the global batch."""
     weights = mask.astype(latents.dtype)
     sums = jax.ops.segment_sum(latents * weights[:, None], codes, num_segments=num_codes)
-    return sums, jax.ops.segment_sum(weights, codes, num_segments=num_codes)
+    return global_sum((sums, jax.ops.segment_sum(weights, codes, num_segments=num_codes)))
 
 
 def update_codebook(
@@ -191,7 +194,8 @@ class Quantizer(nn.Module):
             train: Whether the codebook moves.
             noise: Standard normal numbers for the first codebook and for replaced codes. Drawn if None.
         """
-        rows, row_mask = latents.reshape(-1, self.code_dim), mask.reshape(-1)
+        # All of the codebook is in full precision, whatever the latents have.
+        rows, row_mask = latents.reshape(-1, self.code_dim).astype(jnp.float32), mask.reshape(-1)
         rule, detached = RULES[self.kind], jax.lax.stop_gradient(rows)
         moves = train and not rule.by_gradient and self.is_mutable_collection("codebook") and not self.is_initializing()
 
@@ -213,7 +217,8 @@ class Quantizer(nn.Module):
             limits = {"decay": self.ema_decay, "threshold": self.reset_threshold}
             self._write(update_codebook(self._read(), batch_hits, candidates(1), rule=rule, **limits))
         straight_through = rows + jax.lax.stop_gradient(quantized - rows)
-        return QuantizerOutput(straight_through.reshape(latents.shape), codes.reshape(mask.shape), loss, batch_hits[1])
+        straight_through = straight_through.reshape(latents.shape).astype(latents.dtype)
+        return QuantizerOutput(straight_through, codes.reshape(mask.shape), loss, batch_hits[1])
 
     def _codebook(self) -> Float[Array, "K C"]:
         return self.embedding if RULES[self.kind].by_gradient else self.codebook.value

@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from t2m_jax.models.projection import Projection
+
 LAYER_NORM_EPSILON = 1e-5
-WEIGHT_INIT = nn.initializers.normal(0.02)
 
 
 class LayerCache(NamedTuple):
@@ -44,7 +45,7 @@ class Attention(nn.Module):
         embed_dim = hidden.shape[-1]
 
         def project(name: str) -> Float[Array, "B H L F"]:
-            projected = nn.Dense(embed_dim, kernel_init=WEIGHT_INIT, name=name)(hidden)
+            projected = Projection(embed_dim, name=name)(hidden)
             return projected.reshape(*hidden.shape[:2], self.num_heads, -1).transpose(0, 2, 1, 3)
 
         queries, keys, values = project("query"), project("key"), project("value")
@@ -53,11 +54,11 @@ class Attention(nn.Module):
             keys = jax.lax.dynamic_update_slice_in_dim(cache.keys, keys, position, axis=2)
             values = jax.lax.dynamic_update_slice_in_dim(cache.values, values, position, axis=2)
             cache = LayerCache(keys, values)
-        scores = jnp.einsum("bhqf,bhkf->bhqk", queries, keys) * queries.shape[-1] ** -0.5
-        weights = nn.softmax(jnp.where(mask, scores, -jnp.inf))
+        scores = jnp.einsum("bhqf,bhkf->bhqk", queries, keys, preferred_element_type=jnp.float32)
+        weights = nn.softmax(jnp.where(mask, scores * queries.shape[-1] ** -0.5, -jnp.inf)).astype(hidden.dtype)
         weights = nn.Dropout(self.dropout)(weights, deterministic=not train)
         attended = jnp.einsum("bhqk,bhkf->bhqf", weights, values).transpose(0, 2, 1, 3).reshape(hidden.shape)
-        output = nn.Dense(embed_dim, kernel_init=WEIGHT_INIT, name="proj")(attended)
+        output = Projection(embed_dim, name="proj")(attended)
         return nn.Dropout(self.dropout)(output, deterministic=not train), cache
 
 
@@ -71,9 +72,9 @@ class Mlp(nn.Module):
     def __call__(self, hidden: Float[Array, "B L E"], *, train: bool) -> Float[Array, "B L E"]:
         """Returns the transformed sequence."""
         embed_dim = hidden.shape[-1]
-        hidden = nn.Dense(self.ratio * embed_dim, kernel_init=WEIGHT_INIT, name="up")(hidden)
+        hidden = Projection(self.ratio * embed_dim, name="up")(hidden)
         hidden = nn.gelu(hidden, approximate=False)
-        hidden = nn.Dense(embed_dim, kernel_init=WEIGHT_INIT, name="down")(hidden)
+        hidden = Projection(embed_dim, name="down")(hidden)
         return nn.Dropout(self.dropout)(hidden, deterministic=not train)
 
 

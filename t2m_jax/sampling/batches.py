@@ -4,11 +4,14 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float, Int
 
+from t2m_jax.distributed import report_progress
+
 CONCURRENT_BATCHES = 2
-"""Batches computed at the same time: with one, the cores of a processor often wait for each other."""
+"""Batches computed at the same time on one device: with one, the cores of a processor often wait for each other."""
 
 
 class PaddedMotions(NamedTuple):
@@ -46,6 +49,7 @@ def batches_of(rows: Int[np.ndarray, " N"], size: int) -> list[Int[np.ndarray, "
 
 def for_each_batch(work: Callable[[Int[np.ndarray, " B"]], None], batches: Iterable[Int[np.ndarray, " B"]]) -> None:
     """Calls `work` with each batch in several threads; each call must write to places of its own."""
-    with ThreadPoolExecutor(CONCURRENT_BATCHES) as threads:
+    # On several devices, each batch is divided among all of them. They could wait for each other forever.
+    with ThreadPoolExecutor(CONCURRENT_BATCHES if jax.local_device_count() == 1 else 1) as threads:
         for _ in threads.map(work, batches):
-            pass
+            report_progress()

@@ -11,7 +11,10 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from tqdm import tqdm
 
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
+from t2m_jax.devices import put_everywhere, put_rows
 from t2m_jax.masks import mask_from_lengths
+from t2m_jax.models.projection import transpose_kernels
+from t2m_jax.models.system import GeneratorConfig
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.record import Motion
@@ -72,7 +75,10 @@ def generate_codes(
     generator: Any,
     sampling: Sampling,
 ) -> SampledCodes:
-    """Returns codes for text embeddings; `generator` is the module."""
+    """Returns codes for text embeddings; `generator` is the module.
+
+    The variables may be those that training made, or `sampling_variables` of them, with which it is faster.
+    """
 
     def method(name: str) -> Any:
         return functools.partial(generator.apply, variables, method=name)
@@ -81,20 +87,25 @@ def generate_codes(
     return sample_codes(functions, text_embedding, keys, sampling=sampling, guidance_scale=guidance_scale)
 
 
+def sampling_variables(variables: dict[str, Any], config: GeneratorConfig) -> dict[str, Any]:
+    """Returns a generator's variables in the layout with which `generate_codes` is fastest on the default device."""
+    return transpose_kernels(variables, config) if jax.default_backend() == "cpu" else variables
+
+
 def encode_motions(
     tokenizer: TrainedTokenizer, motions: Sequence[Float[np.ndarray, "_ D"]], *, progress: bool = True
 ) -> list[Int[np.ndarray, "_ R"]]:
     """Returns the codes of each motion (raw features); `progress` shows a bar on a terminal."""
     codes: list[Int[np.ndarray, "_ R"]] = [np.zeros((0, tokenizer.config.num_quantizers), np.int32)] * len(motions)
     order = sorted(range(len(motions)), key=lambda index: len(motions[index]))
-    variables, downsample = jax.device_put(tokenizer.variables), tokenizer.config.downsample
+    variables, downsample = put_everywhere(tokenizer.variables), tokenizer.config.downsample
     for first in tqdm(range(0, len(order), BATCH), desc="encoding", unit="batch", disable=None if progress else True):
         chosen = order[first : first + BATCH]
         size = round_up(len(motions[chosen[-1]]), FRAME_BUCKET)
         normalized = [np.asarray(tokenizer.normalizer.normalize(motions[index])) for index in chosen]
         batch = pad_motions(normalized, batch=BATCH, size=size)
         mask = mask_from_lengths(jnp.asarray(batch.lengths), size)
-        found = np.asarray(encode_batch(variables, jnp.asarray(batch.motion), mask, tokenizer=tokenizer.module))
+        found = np.asarray(encode_batch(variables, *put_rows((batch.motion, mask)), tokenizer=tokenizer.module))
         for row, index in enumerate(chosen):
             codes[index] = found[row, : batch.lengths[row] // downsample]
     return codes
@@ -111,10 +122,9 @@ def motions_from_codes(
 ) -> list[Motion]:
     """Returns the motions of the first rows of a batch, one for each caption, with features and codes."""
     decoded = decode_positions(
-        tokenizer.variables,
+        put_everywhere(tokenizer.variables),
         tokenizer.normalizer,
-        jnp.asarray(codes),
-        jnp.asarray(code_lengths),
+        *put_rows((codes, code_lengths)),
         tokenizer=tokenizer.module,
         skeleton=skeleton,
     )

@@ -14,13 +14,15 @@ from t2m_jax.checkpoints.bundle import Bundle
 from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.config import check_seed
+from t2m_jax.devices import put_everywhere, put_rows
 from t2m_jax.errors import UserError
+from t2m_jax.models.projection import restore_kernels
 from t2m_jax.models.system import make_module
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import skeleton_from_name
 from t2m_jax.sampling.batches import padded_batch_size
-from t2m_jax.sampling.codec import generate_codes, motions_from_codes
+from t2m_jax.sampling.codec import generate_codes, motions_from_codes, sampling_variables
 from t2m_jax.sampling.compilation import use_compilation_cache
 from t2m_jax.sampling.decoding import SampledCodes, Sampling
 from t2m_jax.sampling.stopping import make_stop_rule
@@ -43,7 +45,7 @@ class TextToMotion:
     """A loaded model: `TextToMotion.load("demo").generate(["a person walks forward"])`."""
 
     def __init__(self, bundle: Bundle, *, text_encoder: TextEncoder | None = None):
-        """Puts the weights on the default device.
+        """Puts the weights on all devices of this process.
 
         Args:
             bundle: The model.
@@ -56,7 +58,8 @@ class TextToMotion:
         self.skeleton = skeleton_from_name(bundle.config.skeleton)
         self.training_data = bundle.training_data
         self.text_encoder = text_encoder or make_text_encoder(bundle)
-        self._variables = jax.device_put(bundle.variables)
+        self._variables = put_everywhere(bundle.variables)
+        self._ready_to_sample = False
         self._normalizer = Normalizer(*map(jnp.asarray, bundle.normalizer))
         self._generator = make_module(self.config.generator)
 
@@ -73,7 +76,7 @@ class TextToMotion:
     @property
     def variables(self) -> dict[str, Any]:
         """The weights of `tokenizer`, `generator` and (if trained with the model) `text_encoder` for `apply`."""
-        return self._variables
+        return self._variables | {"generator": restore_kernels(self._variables["generator"])}
 
     @property
     def tokenizer(self) -> TrainedTokenizer:
@@ -136,8 +139,18 @@ class TextToMotion:
     ) -> SampledCodes:
         """Returns codes for text embeddings of `text_encoder`, one key per motion (consumed)."""
         scale = None if guidance_scale is None else jnp.asarray(guidance_scale, jnp.float32)
-        variables = self._variables["generator"]
+        text_embedding, keys = put_rows((text_embedding, keys))
+        variables = self._variables_for_sampling()
         return generate_codes(variables, text_embedding, keys, scale, generator=self._generator, sampling=sampling)
+
+    def _variables_for_sampling(self) -> dict[str, Any]:
+        """Returns the generator's variables, rearranged at the first call; the old arrangement is not kept."""
+        if not self._ready_to_sample:
+            generator = sampling_variables(self._variables["generator"], self.config.generator)
+            # A new dictionary, because another thread may be in this function, too. Both make the same variables.
+            self._variables = self._variables | {"generator": generator}
+            self._ready_to_sample = True
+        return self._variables["generator"]
 
     def _generate_batch(
         self, requests: Sequence[tuple[str, int]], *, seed: int, sampling: Sampling, guidance_scale: float | None

@@ -1,6 +1,12 @@
 """Training: one experiment for every model, from a config to a run directory."""
 
-from t2m_jax.train.config import EvaluationConfig, ExperimentConfig, GenerationEvaluationConfig, LoopConfig
+from t2m_jax.train.config import (
+    EvaluationConfig,
+    ExperimentConfig,
+    GenerationEvaluationConfig,
+    LoopConfig,
+    ShardingConfig,
+)
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from t2m_jax.train.experiment import (
     Evaluation,
@@ -14,6 +20,7 @@ from t2m_jax.train.experiment import (
 from t2m_jax.train.gpt import TrainGptConfig
 from t2m_jax.train.optimizer import OptimizerConfig
 from t2m_jax.train.presets import load_preset, preset_names
+from t2m_jax.train.program import Update
 from t2m_jax.train.vqvae import TrainVqVaeConfig
 
 __all__ = [
@@ -24,10 +31,12 @@ __all__ = [
     "LoopConfig",
     "OptimizerConfig",
     "Setup",
+    "ShardingConfig",
     "TrainEvaluatorConfig",
     "TrainGptConfig",
     "TrainVqVaeConfig",
     "Trainer",
+    "Update",
     "Validation",
     "find_trainer",
     "load_preset",

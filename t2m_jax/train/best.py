@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from t2m_jax.checkpoints.best import Best, find_best, save_best
+from t2m_jax.distributed import is_writer
 from t2m_jax.errors import UserError
 
 logger = logging.getLogger(__name__)
@@ -50,7 +51,8 @@ class BestWeights:
             self.best = Best(
                 step=step, metric=self._metric, value=value, sampling=self._sampling, evaluator=self._evaluator
             )
-            save_best(self._run, self.best, fields)
+            if is_writer():
+                save_best(self._run, self.best, fields)
             logger.info("step %d: best %s so far, these weights are kept", step, self._metric)
 
     def is_over(self, step: int, *, patience: int) -> bool:

@@ -10,6 +10,8 @@ EvaluationMetric = Literal["fid", "matching_score", "r_precision_1", "r_precisio
 """Metrics that can choose weights: a larger value is always better, or always worse. Diversity is not one of them."""
 DrawMode = Literal["greedy", "sampled"]
 """How an evaluation during training chooses codes: the likeliest each time, or drawn."""
+Placement = Literal["auto", "device", "host"]
+"""Where the training motion is."""
 FROM_DATA = "data"
 """The value of `statistics` that means the data set's own."""
 
@@ -32,13 +34,35 @@ class LoopConfig:
     """Updates between two checkpoints; one more is written at the end."""
     keep_checkpoints: int = 2
     """How many of the newest checkpoints are kept."""
+    steps_per_call: int = 1
+    """Updates that the devices make without waiting for the host. Rows of metrics, measurements and checkpoints cut a
+    call short."""
 
     def __post_init__(self) -> None:
-        check_sizes(self, "num_steps", "batch_size", "keep_checkpoints")
+        check_sizes(self, "num_steps", "batch_size", "keep_checkpoints", "steps_per_call")
         check_seed(self.seed)
         for name in ("log_every", "validate_every", "checkpoint_every"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name}: {getattr(self, name)} is below 0")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ShardingConfig:
+    """How a training uses devices. Nothing of it changes what is learned, and a resumed run may change it."""
+
+    mode: Literal["jit", "pmap"] = "jit"
+    """How one program runs on all devices: XLA divides it (`jit`), or each device runs it on its rows (`pmap`)."""
+    devices: int | Literal["auto"] = "auto"
+    """Number of devices; it must divide the batch. `auto` takes as many as possible."""
+    optimizer: Literal["replicated", "sharded"] = "replicated"
+    """Whether each device has all of the optimizer's state, or its share of it (ZeRO). Shares need less memory."""
+    bank: Literal["replicated", "sharded"] = "replicated"
+    """Whether each device has all of the training motion, or its share of it."""
+
+    def __post_init__(self) -> None:
+        check_sizes(self)
+        if self.mode == "pmap" and "sharded" in (self.optimizer, self.bank):
+            raise ValueError("mode: pmap has all of the state and the data on each device; shares need mode jit")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -74,7 +98,16 @@ class ExperimentConfig:
 
     kind: ClassVar[str]
     """Name of the trainer's entry point, and of what is trained."""
-    not_compiled: ClassVar[tuple[str, ...]] = ("data", "data_fraction", "run", "init", "statistics", "evaluation")
+    not_compiled: ClassVar[tuple[str, ...]] = (
+        "data",
+        "data_fraction",
+        "run",
+        "init",
+        "statistics",
+        "evaluation",
+        "sharding",
+        "placement",
+    )
     """Fields that no compiled step reads."""
 
     data: Path = Path("data/humanml3d")
@@ -87,6 +120,12 @@ class ExperimentConfig:
     """Bundle, bundled name or run to start from: its weights instead of random ones, of the same sizes."""
     loop: LoopConfig = LoopConfig()
     """Length, batch, seed, checkpoints."""
+    sharding: ShardingConfig = ShardingConfig()
+    """How devices share the work."""
+    placement: Placement = "auto"
+    """Where the training motion is: on the devices, or on the host, which reads the windows of the next steps from the
+    data set's cache and feeds them. `auto` chooses the host for motion that takes more than half of a device's free
+    memory. The batches are the same, and a resumed run may change it. A generator's codes are always on the devices."""
 
     def __post_init__(self) -> None:
         if not 0 < self.data_fraction <= 1:

@@ -12,18 +12,30 @@ from jaxtyping import Array, Float, Int, Key
 
 from t2m_jax.checkpoints.evaluator import WORDS_FILE, load_trained_evaluator, save_evaluator_parts
 from t2m_jax.checkpoints.run import has_checkpoint
-from t2m_jax.data.banks.captions import CaptionBank, CaptionBatch, all_tokens, caption_batch_at, make_caption_bank
+from t2m_jax.data.banks.captions import (
+    CaptionBank,
+    CaptionBatch,
+    all_tokens,
+    caption_batch_at,
+    caption_cuts_at,
+    make_caption_bank,
+)
+from t2m_jax.data.banks.host import FeedPlan
+from t2m_jax.data.banks.motions import Cuts
 from t2m_jax.data.folder import Clip, DatasetInfo, samples_from_clip
+from t2m_jax.devices import global_mean, global_rows
 from t2m_jax.errors import UserError
 from t2m_jax.losses import infonce_loss, margin_loss, pair_distances
 from t2m_jax.metrics import r_precision
 from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT, Evaluator, evaluator_shapes
+from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.text.word_vectors import Vocabulary, load_vocabulary, load_word_vectors, vocabulary_from_captions
 from t2m_jax.train.config import compiled_config
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from t2m_jax.train.experiment import Setup, Trainer, Validation
 from t2m_jax.train.movement import MOVEMENTS, train_movements
 from t2m_jax.train.optimizer import Metrics, TrainState, make_optimizer
+from t2m_jax.train.program import Update
 from t2m_jax.train.statistics import open_training_data
 from t2m_jax.train.streams import stream_key
 
@@ -70,13 +82,15 @@ def matching_metrics(
     their places. Before negatives are shifted, pairs are sorted by the length of their motions, longest first, as in
     the original.
     """
-    order = jnp.argsort(-batch.lengths, stable=True)
-    text, motion = Evaluator(config.model).apply({"params": params}, batch.motion, batch.lengths, *batch.captions)
+    embedded = Evaluator(config.model).apply({"params": params}, batch.motion, batch.lengths, *batch.captions)
+    # Every text is compared with motions of other rows.
+    (text, motion), lengths, words = global_rows((embedded, batch.lengths, batch.captions.words))
+    order = jnp.argsort(-lengths, stable=True)
     text, motion = text[order], motion[order]
     if config.objective == "margin":
         loss = margin_loss(text, motion, shift, margin=config.margin)["loss"]
     else:
-        words = batch.captions.words[order]
+        words = words[order]
         same = jnp.all(words[:, None] == words[None, :], axis=-1)
         loss = infonce_loss(text, motion, same, temperature=config.temperature)
     return {
@@ -101,6 +115,7 @@ def matching_train_step(
         return metrics["loss"], metrics
 
     (_, metrics), gradient = jax.value_and_grad(objective, has_aux=True)(trained)
+    gradient = global_mean(gradient)
     params, opt_state = state.params, {}
     for name, part in trained.items():
         updates, opt_state[name] = make_optimizer(config.optimizer).update(gradient[name], state.opt_state[name], part)
@@ -116,13 +131,26 @@ def draw_shift(config: TrainEvaluatorConfig, stream: str, step: Int[Array, ""]) 
     return jax.random.randint(key, (), 0, config.loop.batch_size - 1)
 
 
-@functools.partial(jax.jit, static_argnames=("config", "max_frames"), donate_argnums=0)
+def batch_options(config: TrainEvaluatorConfig, stream: str, max_frames: int) -> dict[str, Any]:
+    """Returns what decides, with the step, which motions, captions and crops are in a batch."""
+    key = stream_key(config.loop.seed, stream)
+    return {"key": key, "batch_size": config.loop.batch_size, "max_frames": max_frames}
+
+
+def plan_feed(stream: str, *, config: TrainEvaluatorConfig, max_frames: int) -> FeedPlan:
+    """Returns how the host cuts the motions of a stream."""
+
+    def cuts(bank: CaptionBank, step: Int[Array, ""]) -> Cuts:
+        return caption_cuts_at(bank, step=step, **batch_options(config, stream, max_frames))
+
+    return FeedPlan(cuts, max_frames)
+
+
 def update(
     state: TrainState, bank: CaptionBank, *, config: TrainEvaluatorConfig, max_frames: int
 ) -> tuple[TrainState, Metrics]:
-    """Returns the state after one step on the batch of that step; `state` is donated."""
-    key, size = stream_key(config.loop.seed, "data"), config.loop.batch_size
-    batch = caption_batch_at(bank, key, state.step, batch_size=size, max_frames=max_frames)
+    """Returns the state after one step on the batch of that step."""
+    batch = caption_batch_at(bank, step=state.step, **batch_options(config, "data", max_frames))
     return matching_train_step(state, batch, draw_shift(config, "shift", state.step), config=config)
 
 
@@ -131,8 +159,7 @@ def validate(
     state: TrainState, bank: CaptionBank, step: Int[Array, ""], *, config: TrainEvaluatorConfig, max_frames: int
 ) -> Metrics:
     """Returns the metrics of a batch of held-out motions and captions."""
-    key, size = stream_key(config.loop.seed, "validation"), config.loop.batch_size
-    batch = caption_batch_at(bank, key, step, batch_size=size, max_frames=max_frames)
+    batch = caption_batch_at(bank, step=step, **batch_options(config, "validation", max_frames))
     return matching_metrics(state.params, batch, draw_shift(config, "validation shift", step), config=config)
 
 
@@ -170,6 +197,16 @@ def load_table(config: TrainEvaluatorConfig, vocabulary: Vocabulary) -> Array | 
     return jnp.asarray(table)
 
 
+def make_validation(
+    samples: Sequence[Clip], normalizer: Normalizer, vocabulary: Vocabulary, **options: Any
+) -> Validation | None:
+    """Returns the validation on one pass over the validation split, None if it is empty or turned off."""
+    if not samples:
+        return None
+    bank, measure = make_caption_bank(samples, normalizer, vocabulary), functools.partial(validate, **options)
+    return Validation(bank, len(samples), measure, plan_feed("validation", **options))
+
+
 def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
     """Returns the setup of a training; its first state contains the trained movement encoder.
 
@@ -185,11 +222,7 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
     is_restored = resume and has_checkpoint(config.run)
     table = None if is_restored else load_table(config, vocabulary)
     config = dataclasses.replace(config, model=dataclasses.replace(config.model, num_words=len(vocabulary)))
-    options = {"config": compiled_config(config), "max_frames": dataset.info.max_frames}
-    validation = None
-    if validated:
-        bank = make_caption_bank(validated, normalizer, vocabulary)
-        validation = Validation(bank, len(validated), functools.partial(validate, **options))
+    options: dict[str, Any] = {"config": compiled_config(config), "max_frames": dataset.info.max_frames}
 
     def init() -> TrainState:
         if is_restored:
@@ -206,14 +239,15 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
         clips=train,
         data=make_caption_bank(samples, normalizer, vocabulary),
         init=init,
-        update=functools.partial(update, **options),
+        update=Update(update, **options),
+        plan=plan_feed("data", **options),
         optimizer=config.optimizer,
         frames_per_step=config.loop.batch_size * dataset.info.max_frames,
         weights=lambda state: {"params": state.params},
         write_parts=lambda run: save_evaluator_parts(run, config.model, normalizer, vocabulary),
         start_from=lambda path: load_trained_evaluator(path).variables,
-        validation=validation,
-        patience=config.patience * config.loop.validate_every if validation is not None else 0,
+        validation=make_validation(validated, normalizer, vocabulary, **options),
+        patience=config.patience * config.loop.validate_every if validated else 0,
     )
 
 

@@ -16,11 +16,21 @@ from typing import Any, NamedTuple
 import jax
 
 from t2m_jax.checkpoints.best import forget_best
-from t2m_jax.checkpoints.bundle import BUNDLED, WEIGHTS_FILE
-from t2m_jax.checkpoints.run import CONFIG_FILE, DATA_FILE, create_run, is_run, restore_latest, run_info
-from t2m_jax.config import flat_fields, load_config, save_config
+from t2m_jax.checkpoints.run import (
+    CONFIG_FILE,
+    DATA_FILE,
+    check_resumable,
+    create_run,
+    has_checkpoint,
+    restore_latest,
+    run_info,
+)
+from t2m_jax.config import load_config, save_config
+from t2m_jax.data.banks.host import FeedPlan
 from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.data.summary import save_training_data, summarize_training_data
+from t2m_jax.devices import put_everywhere
+from t2m_jax.distributed import is_writer, report_progress, wait_for_all
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.monitor import SPLIT, held_out_metrics, open_held_out, sample_motions
 from t2m_jax.evaluation.sources import CodeSource
@@ -28,16 +38,17 @@ from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.export.render import render_poster
 from t2m_jax.files import flatten_tree
 from t2m_jax.train.best import BestWeights
+from t2m_jax.train.checks import check_new_run, check_same_config
 from t2m_jax.train.config import EvaluationConfig, ExperimentConfig, LoopConfig
 from t2m_jax.train.loop import Measured, Measurement, Metrics, Speed, mean_over_batches, run_loop
 from t2m_jax.train.optimizer import OptimizerConfig, learning_rate_at
+from t2m_jax.train.placement import DataOnDevices, DataOnHost, place_data
+from t2m_jax.train.program import Devices, Update
 
 logger = logging.getLogger(__name__)
 
 GROUP = "t2m_jax.trainers"
 """The entry-point group of trainers."""
-MAY_CHANGE = ("run", "loop.num_steps", "loop.log_every", "loop.checkpoint_every", "loop.keep_checkpoints")
-"""Fields that a resumed run may change, because they do not affect what its updates compute."""
 NUM_PICTURED = 2
 """Motions in the picture of an evaluation."""
 
@@ -51,6 +62,8 @@ class Validation(NamedTuple):
     """Clips in `data`. A validation takes as many whole batches as they fill, but at least one."""
     measure: Callable[[Any, Any, jax.Array], Metrics]
     """From a state, the data and the number of a batch to metrics with a `loss`."""
+    plan: FeedPlan | None = None
+    """The windows that `measure` uses, for data that stay on the host; None if they are always on the devices."""
 
 
 class Evaluation(NamedTuple):
@@ -76,8 +89,10 @@ class Setup:
     """The training split, from which updates cut their batches."""
     init: Callable[[], Any]
     """Returns the state before the first update, a `NamedTuple` with `step`."""
-    update: Callable[[Any, Any], tuple[Any, Metrics]]
-    """From a state and `data` to the next state and metrics with a `loss`; jitted, donates the state."""
+    update: Update
+    """From a state and `data` to the next state and metrics with a `loss`."""
+    plan: FeedPlan | None = None
+    """The windows that `update` uses, for data that stay on the host; None if they are always on the devices."""
     optimizer: OptimizerConfig
     frames_per_step: int | float
     """For the log."""
@@ -141,41 +156,36 @@ def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
     """
     trainer = find_trainer(config.kind)
     if resume:
-        run_info(config.run)
+        check_resumable(config.run)
     else:
         check_new_run(config.run)
+    wait_for_all("checked")
     config = trainer.resolve(config, resume)
     if resume:
         check_same_config(config)
     setup = trainer.prepare(config, resume)
     held_out = open_evaluation(setup)
-    if not resume:
-        forget_best(config.run)
+    state = None
+    if config.init is not None and not (resume and has_checkpoint(config.run)):
+        # What cannot start from `init` is refused here, before anything is written.
+        state = with_weights(setup, setup.init(), config.init)
+    if is_writer():
+        write_run(config, setup, resume=resume)
+    wait_for_all("written")
+    state = setup.init() if state is None else state
     best = make_best(config.run, setup, held_out)
-    # What cannot start from `init` is refused here, before anything is written.
-    started = None if resume or config.init is None else with_weights(setup, setup.init(), config.init)
+    return run_setup(config, state, setup, config.loop, resume=resume, best=best, held_out=held_out)
+
+
+def write_run(config: ExperimentConfig, setup: Setup, *, resume: bool) -> None:
+    """Makes a folder a run, or writes the config of a run that is resumed."""
     if resume:
         save_config(config.run / CONFIG_FILE, config)  # so that a run that is extended says so
-    else:
-        setup.write_parts(config.run)
-        save_training_data(config.run / DATA_FILE, summarize_training_data(setup.dataset, setup.clips))
-        create_run(config.run, config.kind, config)
-    state = setup.init() if started is None else started
-    if resume:
-        first, state = state, restore_latest(config.run, state)
-        if state is first and config.init is not None:  # the run was stopped before its first checkpoint
-            state = with_weights(setup, first, config.init)
-    return run_setup(config.run, state, setup, config.loop, best=best, held_out=held_out)
-
-
-def check_new_run(run: Path) -> None:
-    """Raises `UserError` if a folder cannot become a run."""
-    if is_run(run):
-        raise UserError(f"{run}: contains a run already; add --resume to continue it, or choose another --run")
-    if (run / WEIGHTS_FILE).exists():  # they would be loaded instead of the run's
-        raise UserError(f"{run}: contains a model already; choose another --run")
-    if str(run) in BUNDLED:
-        raise UserError(f"run: {run} is the name of a packaged model; choose another --run")
+        return
+    forget_best(config.run)
+    setup.write_parts(config.run)
+    save_training_data(config.run / DATA_FILE, summarize_training_data(setup.dataset, setup.clips))
+    create_run(config.run, config.kind, config)
 
 
 def with_weights(setup: Setup, state: Any, init: Path) -> Any:
@@ -185,17 +195,6 @@ def with_weights(setup: Setup, state: Any, init: Path) -> Any:
         UserError: Those weights do not fit.
     """
     return state._replace(**checked_weights(init, setup.start_from(init), setup.weights(state)))
-
-
-def check_same_config(config: ExperimentConfig) -> None:
-    """Raises `UserError` if a run was started with other values of fields that must not change."""
-    saved = flat_fields(load_config(config.run / CONFIG_FILE, type(config)))
-    for name, value in flat_fields(config).items():
-        if name not in MAY_CHANGE and saved[name] != value:
-            raise UserError(
-                f"{config.run}: was started with {name} {saved[name]}, not {value}; resume it with the same config "
-                "(`--run RUN --resume` alone takes the config of the run)"
-            )
 
 
 def checked_weights(source: Path, weights: Mapping[str, Any], like: Mapping[str, Any]) -> dict[str, Any]:
@@ -234,50 +233,75 @@ def make_best(run: Path, setup: Setup, held_out: EvaluationTask | None) -> BestW
 
 
 def run_setup(
-    run: Path,
+    config: ExperimentConfig,
     state: Any,
     setup: Setup,
     loop: LoopConfig,
     *,
+    folder: str = "",
+    resume: bool = False,
     best: BestWeights | None = None,
     held_out: EvaluationTask | None = None,
 ) -> Any:
     """Returns the state after the loop.
 
     Args:
-        run: Folder of the log, the checkpoints and the best weights.
-        state: The state to start from.
+        config: Names the run and its devices.
+        state: The state before the first update.
         setup: What to train.
         loop: For how long.
+        folder: Folder of the run that gets the log, the checkpoints and the best weights.
+        resume: Whether to continue from the newest checkpoint.
         best: Keeps the best weights.
         held_out: What the model is evaluated on.
     """
-    measurements = [measure_validation(setup, loop, best if held_out is None else None)]
+    devices, run = Devices(config.sharding, batch_size=loop.batch_size), config.run / folder
+    state = devices.put_state(state)
+    if resume:
+        state = restore_latest(run, state)
+    place = functools.partial(place_data, devices=devices, placement=config.placement, batch_size=loop.batch_size)
+    measurements = [measure_validation(setup, loop, devices, place, best if held_out is None else None)]
     measurements += [] if held_out is None else [measure_evaluation(setup, held_out, best)]
-    return run_loop(
-        run,
-        state,
-        lambda state: setup.update(state, setup.data),
-        config=loop,
-        measurements=measurements,
-        speed=Speed(lambda step: float(learning_rate_at(step - 1, setup.optimizer)), setup.frames_per_step),
-        is_over=lambda step: best is not None and best.is_over(step, patience=setup.patience),
-    )
+    with place(setup.data, setup.plan).feed(int(state.step), loop.num_steps, size=loop.steps_per_call) as take:
+
+        def update(state: Any, count: int) -> tuple[Any, Metrics]:
+            report_progress()
+            return devices.run(setup.update, state, take(count), count, size=loop.steps_per_call)
+
+        return run_loop(
+            run,
+            state,
+            update,
+            config=loop,
+            measurements=measurements,
+            speed=Speed(lambda step: float(learning_rate_at(step - 1, setup.optimizer)), setup.frames_per_step),
+            is_over=lambda step: best is not None and best.is_over(step, patience=setup.patience),
+        )
 
 
-def measure_validation(setup: Setup, loop: LoopConfig, best: BestWeights | None) -> Measurement:
+def measure_validation(
+    setup: Setup,
+    loop: LoopConfig,
+    devices: Devices,
+    place: Callable[[Any, FeedPlan | None], DataOnDevices | DataOnHost],
+    best: BestWeights | None,
+) -> Measurement:
     """Returns the measurement of the validation loss, which keeps the best weights if `best` is given."""
+    validation = setup.validation
+    if validation is None:
+        return Measurement("val", "validation", 0, lambda state: None)
+    data, num_batches = place(validation.data, validation.plan), max(validation.num_clips // loop.batch_size, 1)
 
     def measure(state: Any) -> Measured:
-        validation = setup.validation
-        assert validation is not None
-        num_batches = max(validation.num_clips // loop.batch_size, 1)
-        scores = mean_over_batches(lambda batch: validation.measure(state, validation.data, batch), num_batches)
+        with data.feed(0, num_batches) as take:
+            scores = mean_over_batches(
+                lambda batch: devices.measure(validation.measure, state, take(1), batch), num_batches
+            )
         if best is not None:
             best.consider(int(state.step), scores, setup.weights(state))
         return Measured(scores)
 
-    return Measurement("val", "validation", loop.validate_every if setup.validation is not None else 0, measure)
+    return Measurement("val", "validation", loop.validate_every, measure)
 
 
 def measure_evaluation(setup: Setup, held_out: EvaluationTask, best: BestWeights | None) -> Measurement:
@@ -285,11 +309,15 @@ def measure_evaluation(setup: Setup, held_out: EvaluationTask, best: BestWeights
     evaluation = setup.evaluation
     assert evaluation is not None
 
-    def measure(state: Any) -> Measured:
-        source = evaluation.source(state, held_out.samples.clips)
+    def measure(state: Any) -> Measured | None:
+        if not is_writer():
+            return None
+        # Motions are sampled on the devices of this process alone.
+        weights = put_everywhere(jax.device_get(dict(setup.weights(state))))
+        source = evaluation.source(state._replace(**weights), held_out.samples.clips)
         metrics = held_out_metrics(held_out, source)
         if best is not None:
-            best.consider(int(state.step), metrics, setup.weights(state))
+            best.consider(int(state.step), metrics, weights)
         return Measured(metrics, render_poster(sample_motions(held_out, source, count=NUM_PICTURED)))
 
     how = f"{SPLIT}, {evaluation.sampling}" if evaluation.sampling else SPLIT

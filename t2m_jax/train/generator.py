@@ -24,6 +24,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.evaluation.sources import CodeSource, make_generation
 from t2m_jax.files import flatten_tree
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
+from t2m_jax.models.rows import apply_rows
 from t2m_jax.sampling.pipeline import TextToMotion
 from t2m_jax.sampling.strategies import Greedy, Temperature
 from t2m_jax.sampling.text_encoders import ClipTextEncoder
@@ -33,6 +34,7 @@ from t2m_jax.text.encoder import TextEncoder
 from t2m_jax.train.config import ExperimentConfig, GenerationEvaluationConfig, compiled_config
 from t2m_jax.train.experiment import Evaluation, Setup, Validation
 from t2m_jax.train.optimizer import OptimizerConfig
+from t2m_jax.train.program import Update
 from t2m_jax.train.streams import stream_key
 from t2m_jax.train.tokenize import CodedMotion, OffsetKind, TimedCaptionKind, encode_clips, make_code_bank
 
@@ -97,15 +99,12 @@ def init_caption_encoder(config: TrainGeneratorConfig, key: Key[Array, ""]) -> d
 
 
 def embed_captions(
-    params: Any, captions: Captions, key: Key[Array, ""] | None, *, config: TrainGeneratorConfig
+    params: Any, captions: Captions, keys: Key[Array, " B"] | None, *, config: TrainGeneratorConfig
 ) -> Float[Array, "B E"]:
-    """Returns the text embeddings: of the encoder that is trained (`key`, consumed, is for dropout), or as given."""
+    """Returns the text embeddings: of the encoder that is trained (`keys`, consumed, are for dropout), or as given."""
     if isinstance(captions, jax.Array):
         return captions
-    rngs = {} if key is None else {"dropout": key}
-    return CaptionEncoder(config.caption_encoder).apply(
-        {"params": params["caption_encoder"]}, captions.tokens, captions.mask, train=key is not None, rngs=rngs
-    )
+    return apply_rows(CaptionEncoder(config.caption_encoder), params["caption_encoder"], *captions, keys=keys)
 
 
 def resolve_generator(config: Any, resume: bool) -> Any:
@@ -204,7 +203,7 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
         clips=clips,
         data=bank,
         init=lambda: steps.init(compiled, stream_key(config.loop.seed, "init")),
-        update=functools.partial(steps.update, config=compiled),
+        update=Update(steps.update, config=compiled),
         optimizer=config.optimizer,
         frames_per_step=config.loop.batch_size * float(bank.code_lengths.mean()) * tokenizer.config.downsample,
         weights=lambda state: {"params": state.params},

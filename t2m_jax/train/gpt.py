@@ -7,11 +7,15 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Int, Key
+from jaxtyping import Array, Float, Int, Key
 
+from t2m_jax.config import check_sizes
 from t2m_jax.data.banks.codes import Captions, CodeBank, CodeBatch, code_batch_at
-from t2m_jax.losses import TokenMean, token_loss
+from t2m_jax.data.banks.order import row_keys, split_each
+from t2m_jax.devices import own_rows, split_rows
+from t2m_jax.losses import TokenMean, token_accuracy, token_loss, token_weights
 from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
+from t2m_jax.models.rows import Precision, apply_rows, in_precision
 from t2m_jax.train.config import LoopConfig
 from t2m_jax.train.experiment import Setup, Trainer
 from t2m_jax.train.generator import (
@@ -22,9 +26,9 @@ from t2m_jax.train.generator import (
     prepare_generator,
     resolve_generator,
 )
-from t2m_jax.train.optimizer import Metrics, OptimizerConfig, TrainState, descend, first_state
+from t2m_jax.train.optimizer import Metrics, OptimizerConfig, TrainState, descend_in_parts, first_state
 from t2m_jax.train.streams import stream_key
-from t2m_jax.train.targets import Corruption, Targets, draw_corruption, drop_one_code, make_targets
+from t2m_jax.train.targets import Targets, draw_corruption, drop_one_code, make_targets
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -46,6 +50,13 @@ class TrainGptConfig(TrainGeneratorConfig):
     """Mean of the loss: over motions of their means (the original's code), or over all tokens (its paper)."""
     drop_probability: float = 1 / 3
     """Probability that a motion loses one code at its head or tail."""
+    precision: Precision = "float32"
+    """What products are computed in during training."""
+    remat: bool = False
+    """Whether intermediate values of a block are computed again for the gradient. This needs less memory, but not in
+    XLA's order of computations on a CPU; use `num_parts` there."""
+    num_parts: int = 1
+    """Parts of a batch, computed one after another, whose gradients are added up. This needs less memory."""
     optimizer: OptimizerConfig = OptimizerConfig(
         learning_rate=1e-4, milestones=(150_000,), betas=(0.5, 0.9), weight_decay=1e-6
     )
@@ -57,13 +68,21 @@ class TrainGptConfig(TrainGeneratorConfig):
         super().__post_init__()
         if isinstance(self.tau, float) and not 0 <= self.tau <= 1:
             raise ValueError(f"tau: {self.tau} is not a share between 0 and 1")
+        check_sizes(self, "num_parts")
+        if self.loop.batch_size % self.num_parts:
+            raise ValueError(f"num_parts: {self.num_parts} does not divide loop.batch_size {self.loop.batch_size}")
 
 
 class GptBatch(NamedTuple):
-    """Targets and their captions."""
+    """What the GPT reads and predicts. The weights are those of the means over the global batch."""
 
-    targets: Targets
+    inputs: Int[Array, "B N"]
+    tokens: Int[Array, "B L"]
+    loss_weights: Float[Array, "B L"]
+    accuracy_weights: Float[Array, "B L"]
     captions: Captions
+    dropout_keys: Key[Array, "B 2"] | None
+    """Of caption encoder and GPT; None turns dropout off."""
 
 
 @functools.partial(jax.jit, static_argnames="config")
@@ -80,87 +99,87 @@ def init_gpt_state(config: TrainGptConfig, key: Key[Array, ""]) -> TrainState:
     return first_state(params, config.optimizer)
 
 
-def gpt_metrics(
-    params: Any,
-    batch: GptBatch,
-    keys: Key[Array, "3"] | None,
+def make_gpt_batch(
+    targets: Targets,
+    captions: Captions,
     *,
     config: TrainGptConfig,
-    corruption: Corruption | None = None,
-) -> Metrics:
-    """Returns loss and accuracy.
-
-    Args:
-        params: Of the state.
-        batch: Targets and captions.
-        keys: Of corruption, caption encoder and GPT, as in training; None for clean inputs without dropout.
-        config: Sizes and loss.
-        corruption: Used instead of one that is drawn.
-    """
-    inputs, rngs, caption_key = batch.targets.tokens[:, :-1], {}, None
-    if keys is not None:
-        caption_key, rngs = keys[1], {"dropout": keys[2]}
-        num_codes, past_end = config.model.num_codes, config.corrupt_past_end
-        drawn = draw_corruption(inputs, keys[0], tau=config.tau, num_codes=num_codes, past_end=past_end)
-        inputs = (corruption or drawn).apply(inputs)
-    text = embed_captions(params, batch.captions, caption_key, config=config)
-    logits = MotionGpt(config.model).apply({"params": params["gpt"]}, inputs, text, train=keys is not None, rngs=rngs)
-    loss, accuracy = token_loss(logits, batch.targets.tokens, batch.targets.code_lengths, mean_over=config.mean_over)
-    return {"loss": loss, "accuracy": accuracy}
+    inputs: Int[Array, "B N"] | None = None,
+    dropout_keys: Key[Array, "B 2"] | None = None,
+) -> GptBatch:
+    """Returns a batch for the GPT; without `inputs` they are the targets but for the last."""
+    length = targets.tokens.shape[1]
+    loss_weights = token_weights(targets.code_lengths, length, mean_over=config.mean_over)
+    accuracy_weights = token_weights(targets.code_lengths, length, mean_over="tokens")
+    inputs = targets.tokens[:, :-1] if inputs is None else inputs
+    return GptBatch(inputs, targets.tokens, loss_weights, accuracy_weights, captions, dropout_keys)
 
 
-def gpt_train_step(
-    state: TrainState,
-    batch: GptBatch,
-    key: Key[Array, ""],
-    *,
-    config: TrainGptConfig,
-    corruption: Corruption | None = None,
-) -> tuple[TrainState, Metrics]:
-    """Returns the state after one update and the metrics before it; `key` is consumed.
-
-    `corruption` is used instead of one that is drawn.
-    """
-    keys = jax.random.split(key, 3)
-
-    def measure(params: Any) -> tuple[Metrics, dict[str, Any]]:
-        return gpt_metrics(params, batch, keys, config=config, corruption=corruption), {}
-
-    return descend(state, measure, config.optimizer)
+def gpt_metrics(params: Any, batch: GptBatch, *, config: TrainGptConfig, precision: Precision = "float32") -> Metrics:
+    """Returns loss and accuracy of a batch, or the shares of a part of a batch in them."""
+    params, captions = in_precision((params, batch.captions), precision)
+    keys = (None, None) if batch.dropout_keys is None else (batch.dropout_keys[:, 0], batch.dropout_keys[:, 1])
+    text = embed_captions(params, captions, keys[0], config=config)
+    model = MotionGpt(config.model, remat=config.remat)
+    logits = apply_rows(model, params["gpt"], batch.inputs, text, keys=keys[1])
+    return {
+        "loss": token_loss(logits, batch.tokens, batch.loss_weights),
+        "accuracy": token_accuracy(logits, batch.tokens, batch.accuracy_weights),
+    }
 
 
-def make_batch(batch: CodeBatch, key: Key[Array, ""] | None, *, config: TrainGptConfig) -> GptBatch:
-    """Returns targets and captions; with a key (consumed), some motions lose a code at one end."""
-    codes, code_lengths = batch.codes[:, :, 0], batch.code_lengths
-    if key is not None:
-        drop_key, head_key = jax.random.split(key)
-        drop = jax.random.bernoulli(drop_key, config.drop_probability, code_lengths.shape)
-        at_head = jax.random.bernoulli(head_key, 0.5, code_lengths.shape)
-        codes, code_lengths = drop_one_code(codes, code_lengths, drop, at_head=at_head)
-    targets = make_targets(codes, code_lengths, num_codes=config.model.num_codes, block_size=config.model.block_size)
-    return GptBatch(targets, batch.captions)
+def gpt_train_step(state: TrainState, batch: GptBatch, *, config: TrainGptConfig) -> tuple[TrainState, Metrics]:
+    """Returns the state after one update and the metrics before it."""
+
+    def measure(params: Any, part: GptBatch) -> Metrics:
+        return gpt_metrics(params, part, config=config, precision=config.precision)
+
+    return descend_in_parts(state, measure, batch, config.optimizer, num_parts=config.num_parts)
 
 
-def batch_at(bank: CodeBank, stream: str, step: Int[Array, ""], *, config: TrainGptConfig) -> CodeBatch:
+def codes_at(bank: CodeBank, stream: str, step: Int[Array, ""], *, config: TrainGptConfig) -> CodeBatch:
     """Returns the codes of a step of a stream."""
     key = stream_key(config.loop.seed, stream)
     return code_batch_at(bank, key, step, batch_size=config.loop.batch_size, max_codes=config.model.max_codes)
 
 
-@functools.partial(jax.jit, static_argnames="config", donate_argnums=0)
+def targets_from_codes(codes: Int[Array, "B N"], code_lengths: Int[Array, " B"], *, config: TrainGptConfig) -> Targets:
+    """Returns the targets of motions."""
+    return make_targets(codes, code_lengths, num_codes=config.model.num_codes, block_size=config.model.block_size)
+
+
+def training_batch(bank: CodeBank, step: Int[Array, ""], *, config: TrainGptConfig) -> GptBatch:
+    """Returns the batch of an update: some motions lose a code at one end, and some inputs are replaced."""
+    rows, seed = own_rows(config.loop.batch_size), config.loop.seed
+    keys = {name: row_keys(stream_key(seed, name), step, rows) for name in ("drop", "corruption", "dropout")}
+    codes, code_lengths, captions = codes_at(bank, "data", step, config=config)
+    drop_keys, head_keys = split_each(keys["drop"], 2)
+    drop = jax.vmap(lambda key: jax.random.bernoulli(key, config.drop_probability))(drop_keys)
+    at_head = jax.vmap(jax.random.bernoulli)(head_keys)
+    codes, code_lengths = drop_one_code(codes[:, :, 0], code_lengths, drop, at_head=at_head)
+    targets = targets_from_codes(codes, code_lengths, config=config)
+    tau: Any = config.tau
+    if tau == "per_batch":
+        tau = jax.random.uniform(jax.random.fold_in(stream_key(seed, "tau"), step))
+    inputs = targets.tokens[:, :-1]
+    num_codes, past_end = config.model.num_codes, config.corrupt_past_end
+    corruption = draw_corruption(inputs, keys["corruption"], tau=tau, num_codes=num_codes, past_end=past_end)
+    dropout_keys = jnp.stack(split_each(keys["dropout"], 2), axis=1)
+    inputs = corruption.apply(inputs)
+    return split_rows(make_gpt_batch(targets, captions, config=config, inputs=inputs, dropout_keys=dropout_keys))
+
+
 def update(state: TrainState, bank: CodeBank, *, config: TrainGptConfig) -> tuple[TrainState, Metrics]:
-    """Returns the state after one step on the batch of that step; `state` is donated."""
-    keys = (stream_key(config.loop.seed, name) for name in ("drop", "model"))
-    drop_key, model_key = (jax.random.fold_in(key, state.step) for key in keys)
-    batch = make_batch(batch_at(bank, "data", state.step, config=config), drop_key, config=config)
-    return gpt_train_step(state, batch, model_key, config=config)
+    """Returns the state after one step on the batch of that step."""
+    return gpt_train_step(state, training_batch(bank, state.step, config=config), config=config)
 
 
 @functools.partial(jax.jit, static_argnames="config")
 def validate(state: TrainState, bank: CodeBank, step: Int[Array, ""], *, config: TrainGptConfig) -> Metrics:
     """Returns loss and accuracy on a batch of held-out motions, with clean inputs."""
-    batch = make_batch(batch_at(bank, "validation", step, config=config), None, config=config)
-    return gpt_metrics(state.params, batch, None, config=config)
+    codes, code_lengths, captions = codes_at(bank, "validation", step, config=config)
+    targets = targets_from_codes(codes[:, :, 0], code_lengths, config=config)
+    return gpt_metrics(state.params, make_gpt_batch(targets, captions, config=config), config=config)
 
 
 def prepare(config: TrainGptConfig, resume: bool) -> Setup:

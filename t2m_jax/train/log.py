@@ -11,6 +11,7 @@ from jaxtyping import UInt8
 from PIL import Image
 from tensorboardX import SummaryWriter
 
+from t2m_jax.distributed import is_writer
 from t2m_jax.files import load_text, save_text
 
 logger = logging.getLogger(__name__)
@@ -74,6 +75,30 @@ class MetricLog:
             self._board.add_scalar(f"{split}/{name}", value, step)
         words = ", ".join(f"{name} {value:.4g}" for name, value in metrics.items())
         logger.info("step %d, %s: %s", step, title, words)
+
+
+class NoLog(MetricLog):
+    """The log of a process that writes none, because another process does."""
+
+    def __init__(self) -> None:
+        """Opens nothing."""
+
+    def __exit__(self, *error: object) -> None:
+        """Closes nothing."""
+
+    def write(self, split: str, step: int, metrics: Mapping[str, float], *, title: str) -> None:
+        """Writes nothing."""
+
+    def write_speed(self, step: int, *, steps: int, frames_per_step: int | float) -> None:
+        """Writes nothing."""
+
+    def write_picture(self, step: int, picture: UInt8[np.ndarray, "H W 3"]) -> None:
+        """Writes nothing."""
+
+
+def open_log(run: Path, *, first_step: int) -> MetricLog:
+    """Returns the log of a run in the process that writes, and one that does nothing in the others."""
+    return MetricLog(run, first_step=first_step) if is_writer() else NoLog()
 
 
 def _keep_rows(path: Path, last_step: int) -> list[str]:

@@ -6,15 +6,15 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import UInt8
 from tqdm import tqdm
 
 from t2m_jax.checkpoints.run import Checkpoints
+from t2m_jax.distributed import is_writer, report_progress
 from t2m_jax.errors import UserError
 from t2m_jax.train.config import LoopConfig
-from t2m_jax.train.log import MetricLog
+from t2m_jax.train.log import MetricLog, open_log
 
 
 @runtime_checkable
@@ -49,8 +49,8 @@ class Measurement(NamedTuple):
     """Name in the log."""
     every: int
     """Updates between two measurements; 0 is never."""
-    measure: Callable[[Any], Measured]
-    """From a state to metrics, and to a picture if there is one."""
+    measure: Callable[[Any], Measured | None]
+    """From a state to metrics, and to a picture if there is one; None in a process that does not measure."""
 
 
 class Speed(NamedTuple):
@@ -61,32 +61,47 @@ class Speed(NamedTuple):
     frames_per_step: int | float
 
 
-def mean_metrics(history: Sequence[Metrics], *, first_step: int) -> dict[str, float]:
+class Call(NamedTuple):
+    """The updates of one call."""
+
+    metrics: Metrics
+    """Of each update, in arrays that may have more rows."""
+    updates: int
+    """Number of updates."""
+
+
+def mean_metrics(calls: Sequence[Call], *, first_step: int) -> dict[str, float]:
     """Returns the mean of each metric over consecutive steps, the first of which is `first_step`.
 
     Raises:
         UserError: A loss is not finite; the message names the step.
     """
-    values = jax.device_get(history)
-    for offset, metrics in enumerate(values):
-        if not math.isfinite(metrics["loss"]):
-            raise UserError(
-                f"step {first_step + offset}: the loss is {metrics['loss']}; lower optimizer.learning_rate, or check "
-                "the data with `t2m data check` (checkpoints before this step are kept)"
-            )
-    return {name: float(np.mean([metrics[name] for metrics in values])) for name in values[0]}
+    fetched = [(jax.device_get(call.metrics), call.updates) for call in calls]
+    values = {name: np.concatenate([metrics[name][:count] for metrics, count in fetched]) for name in fetched[0][0]}
+    for offset, loss in enumerate(values["loss"]):
+        if math.isfinite(loss):
+            continue
+        raise UserError(
+            f"step {first_step + offset}: the loss is {loss}; lower optimizer.learning_rate, or check "
+            "the data with `t2m data check` (checkpoints before this step are kept)"
+        )
+    return {name: float(np.mean(rows)) for name, rows in values.items()}
 
 
-def mean_over_batches(measure: Callable[[jax.Array], Metrics], num_batches: int) -> dict[str, float]:
+def mean_over_batches(measure: Callable[[Any], Metrics], num_batches: int) -> dict[str, float]:
     """Returns the mean of each metric over the batches 0, 1, ... of a data set."""
-    fetched = jax.device_get([measure(jnp.array(batch)) for batch in range(num_batches)])
+    found = []
+    for batch in range(num_batches):
+        report_progress()
+        found.append(measure(np.int32(batch)))
+    fetched = jax.device_get(found)
     return {name: float(np.mean([metrics[name] for metrics in fetched])) for name in fetched[0]}
 
 
 def run_loop(
     run: Path,
     state: State,
-    update: Callable[[State], tuple[State, Metrics]],
+    update: Callable[[State, int], tuple[State, Metrics]],
     *,
     config: LoopConfig,
     measurements: Sequence[Measurement] = (),
@@ -101,7 +116,8 @@ def run_loop(
     Args:
         run: Folder of the log and the checkpoints.
         state: The state to start from; it is donated.
-        update: From a state to the next state and its metrics.
+        update: From a state and a number of updates, up to `config.steps_per_call`, to the state after them and the
+            metrics of each in arrays.
         config: Length and intervals.
         measurements: What is measured on held-out data.
         speed: Learning rate and speed for the log.
@@ -110,50 +126,63 @@ def run_loop(
     Raises:
         UserError: A loss is not finite; the message names the step.
     """
-    first_step, total = int(state.step), config.num_steps
-    if is_over(first_step) or first_step >= total:
+    step, total = int(state.step), config.num_steps
+    if is_over(step) or step >= total:
         return state
-    history: list[Metrics] = []
-
-    def due(every: int) -> bool:
-        return every > 0 and (step % every == 0 or step == total)
-
+    calls: list[Call] = []
+    intervals = (config.log_every, config.checkpoint_every, *(measurement.every for measurement in measurements))
     with (
         Checkpoints(run, keep=config.keep_checkpoints) as checkpoints,
-        MetricLog(run, first_step=first_step) as log,
-        tqdm(total=total, initial=first_step, unit="step", disable=None) as progress,
+        open_log(run, first_step=step) as log,
+        tqdm(total=total, initial=step, unit="step", disable=None if is_writer() else True) as progress,
     ):
-        for step in range(first_step + 1, total + 1):
-            state, metrics = update(state)
-            history.append(metrics)
-            now = [measurement for measurement in measurements if due(measurement.every)]
-            if now or due(config.log_every) or due(config.checkpoint_every) or step == total:
-                _log_updates(log, step, history, speed, progress)
-                history = []
+        while step < total:
+            count = min(config.steps_per_call, *(next_multiple(step, every, limit=total) - step for every in intervals))
+            state, metrics = update(state, count)
+            step += count
+            calls.append(Call(metrics, count))
+            is_kept = is_due(step, config.checkpoint_every, last=total) or step == total
+            now = [measurement for measurement in measurements if is_due(step, measurement.every, last=total)]
+            if now or is_kept or is_due(step, config.log_every, last=total):
+                _log_updates(log, step, calls, speed, progress)
+                calls = []
             for measurement in now:
                 _log_measurement(log, step, measurement, state)
             ends_here = bool(now) and is_over(step)
-            if due(config.checkpoint_every) or ends_here or step == total:
+            if is_kept or ends_here:
                 checkpoints.save(step, state)
-            if not history:
+            if not calls:
                 log.restart_clock()
             if ends_here:
                 break
     return state
 
 
-def _log_updates(log: MetricLog, step: int, history: list[Metrics], speed: Speed | None, progress: Any) -> None:
-    means = mean_metrics(history, first_step=step - len(history) + 1)
+def next_multiple(step: int, every: int, *, limit: int) -> int:
+    """Returns the next step after `step` that is a multiple of `every`, or `limit` if that is sooner or never."""
+    return limit if every == 0 else min((step // every + 1) * every, limit)
+
+
+def is_due(step: int, every: int, *, last: int) -> bool:
+    """Returns whether something is done after `step`: after each `every` steps and the last; never if `every` is 0."""
+    return every > 0 and (step % every == 0 or step == last)
+
+
+def _log_updates(log: MetricLog, step: int, calls: list[Call], speed: Speed | None, progress: Any) -> None:
+    count = sum(call.updates for call in calls)
+    means = mean_metrics(calls, first_step=step - count + 1)
     if speed is not None:
         means["learning_rate"] = speed.learning_rate(step)
-        log.write_speed(step, steps=len(history), frames_per_step=speed.frames_per_step)
+        log.write_speed(step, steps=count, frames_per_step=speed.frames_per_step)
     log.write("train", step, means, title="training")
-    progress.update(len(history))
+    progress.update(count)
     progress.set_postfix(loss=f"{means['loss']:.4f}")
 
 
 def _log_measurement(log: MetricLog, step: int, measurement: Measurement, state: Any) -> None:
     found = measurement.measure(state)
+    if found is None:
+        return
     log.write(measurement.split, step, found.metrics, title=measurement.title)
     if found.picture is not None:
         log.write_picture(step, found.picture)

@@ -10,16 +10,20 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int, Key
 
-from t2m_jax.checkpoints.run import restore_latest
-from t2m_jax.data.banks.motions import MotionBank, Windows, batch_at, make_bank
+from t2m_jax.data.banks.host import FeedPlan
+from t2m_jax.data.banks.motions import Cuts, MotionBank, Windows, batch_at, cuts_at, make_bank
+from t2m_jax.data.banks.order import row_keys
 from t2m_jax.data.folder import Clip, Dataset
+from t2m_jax.devices import own_rows, split_rows
 from t2m_jax.losses import movement_loss
 from t2m_jax.models.evaluator import Evaluator, MovementDecoder
+from t2m_jax.models.rows import apply_rows
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.train.config import compiled_config
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from t2m_jax.train.experiment import Setup, Validation, run_setup
 from t2m_jax.train.optimizer import Metrics, TrainState, descend, first_state
+from t2m_jax.train.program import Update
 from t2m_jax.train.streams import stream_key
 
 logger = logging.getLogger(__name__)
@@ -47,17 +51,14 @@ def init_movement_state(config: TrainEvaluatorConfig, key: Key[Array, ""]) -> Tr
 
 
 def movement_metrics(
-    params: Any, windows: Windows, key: Key[Array, ""] | None, *, config: TrainEvaluatorConfig
+    params: Any, windows: Windows, keys: Key[Array, " B"] | None, *, config: TrainEvaluatorConfig
 ) -> Metrics:
-    """Returns the terms of the autoencoder's loss; `key` (consumed) is for dropout, which None turns off.
+    """Returns the terms of the autoencoder's loss; `keys` (consumed) are for dropout, which None turns off.
 
     The original has dropout in validation too.
     """
-    rngs = {} if key is None else {"dropout": key}
-    variables = {"params": {MOVEMENTS: params[MOVEMENTS]}}
-    movements = Evaluator(config.model).apply(
-        variables, windows.motion, train=key is not None, method="movements", rngs=rngs
-    )
+    encoder = {MOVEMENTS: params[MOVEMENTS]}
+    movements = apply_rows(Evaluator(config.model), encoder, windows.motion, keys=keys, method="movements")
     reconstruction = make_decoder(config).apply({"params": params["decoder"]}, movements)
     return movement_loss(
         reconstruction,
@@ -69,22 +70,37 @@ def movement_metrics(
 
 
 def movement_train_step(
-    state: TrainState, windows: Windows, key: Key[Array, ""], *, config: TrainEvaluatorConfig
+    state: TrainState, windows: Windows, keys: Key[Array, " B"], *, config: TrainEvaluatorConfig
 ) -> tuple[TrainState, Metrics]:
-    """Returns the state after one update and the metrics before it; `key` is consumed."""
+    """Returns the state after one update and the metrics before it; `keys` (one per window) are consumed."""
     return descend(
-        state, lambda params: (movement_metrics(params, windows, key, config=config), {}), config.movement_optimizer
+        state, lambda params: (movement_metrics(params, windows, keys, config=config), {}), config.movement_optimizer
     )
 
 
-@functools.partial(jax.jit, static_argnames="config", donate_argnums=0)
+def window_options(config: TrainEvaluatorConfig, stream: str) -> dict[str, Any]:
+    """Returns what decides, with the step, which windows are cut."""
+    key = stream_key(config.loop.seed, stream)
+    return {"key": key, "batch_size": config.movement_batch_size, "window": config.window}
+
+
+def plan_feed(config: TrainEvaluatorConfig, stream: str) -> FeedPlan:
+    """Returns how the host cuts the windows of a stream."""
+
+    def cuts(bank: MotionBank, step: Int[Array, ""]) -> Cuts:
+        return cuts_at(bank, step=step, **window_options(config, stream))
+
+    return FeedPlan(cuts, config.window)
+
+
 def update_movements(
     state: TrainState, bank: MotionBank, *, config: TrainEvaluatorConfig
 ) -> tuple[TrainState, Metrics]:
-    """Returns the state after one step on the windows of that step; `state` is donated."""
-    data_key, model_key = stream_key(config.loop.seed, "windows"), stream_key(config.loop.seed, "dropout")
-    windows = batch_at(bank, data_key, state.step, batch_size=config.movement_batch_size, window=config.window)
-    return movement_train_step(state, windows, jax.random.fold_in(model_key, state.step), config=config)
+    """Returns the state after one step on the windows of that step."""
+    model_key = stream_key(config.loop.seed, "dropout")
+    windows = batch_at(bank, step=state.step, **window_options(config, "windows"))
+    keys = row_keys(model_key, state.step, own_rows(config.movement_batch_size))
+    return movement_train_step(state, windows, split_rows(keys), config=config)
 
 
 @functools.partial(jax.jit, static_argnames="config")
@@ -92,8 +108,7 @@ def validate_movements(
     state: TrainState, bank: MotionBank, batch: Int[Array, ""], *, config: TrainEvaluatorConfig
 ) -> Metrics:
     """Returns the losses on a batch of held-out windows, without dropout."""
-    key = stream_key(config.loop.seed, "validation")
-    windows = batch_at(bank, key, batch, batch_size=config.movement_batch_size, window=config.window)
+    windows = batch_at(bank, step=batch, **window_options(config, "validation"))
     return movement_metrics(state.params, windows, None, config=config)
 
 
@@ -107,27 +122,30 @@ def train_movements(
     resume: bool,
 ) -> Any:
     """Returns the trained weights of the movement encoder; a finished training is only loaded."""
-    run, compiled = config.run / MOVEMENT_FOLDER, compiled_config(config)
+    compiled = compiled_config(config)
     clips, held_out = ([clip for clip in part if len(clip.features) >= config.window] for part in (train, validation))
 
     def init() -> TrainState:
         return init_movement_state(compiled, stream_key(config.loop.seed, "movements"))
 
-    state = restore_latest(run, init()) if resume else init()
-    if int(state.step) >= config.movement_steps:
-        return state.params[MOVEMENTS]
     logger.info("first the movement encoder, %d steps", config.movement_steps)
-    measure = functools.partial(validate_movements, config=compiled)
+    validated = None
+    if held_out:
+        measure = functools.partial(validate_movements, config=compiled)
+        plan = plan_feed(config, "validation")
+        validated = Validation(make_bank(held_out, normalizer), len(held_out), measure, plan)
     setup = Setup(
         dataset=dataset,
         clips=clips,
         data=make_bank(clips, normalizer),
         init=init,
-        update=functools.partial(update_movements, config=compiled),
+        update=Update(update_movements, config=compiled),
+        plan=plan_feed(config, "windows"),
         optimizer=config.movement_optimizer,
         frames_per_step=config.movement_batch_size * config.window,
         weights=lambda state: {"params": state.params},
-        validation=Validation(make_bank(held_out, normalizer), len(held_out), measure) if held_out else None,
+        validation=validated,
     )
     loop = dataclasses.replace(config.loop, num_steps=config.movement_steps, batch_size=config.movement_batch_size)
-    return run_setup(run, state, setup, loop).params[MOVEMENTS]
+    state = run_setup(config, init(), setup, loop, folder=MOVEMENT_FOLDER, resume=resume)
+    return jax.device_get(state.params[MOVEMENTS])

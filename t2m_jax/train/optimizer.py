@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int
 
+from t2m_jax.devices import global_mean
+
 Metrics = dict[str, Float[Array, ""]]
 
 
@@ -84,12 +86,57 @@ def descend(
         measure: From `params` to metrics with the `loss` to minimize, and new values of the other fields of `state`.
         config: The optimizer.
     """
+    (metrics, fields), gradient = _measure_gradient(measure, state.params)
+    return _apply_gradient(state, gradient, config)._replace(**fields), metrics
+
+
+def descend_in_parts(
+    state: Any, measure: Callable[[Any, Any], Metrics], batch: Any, config: OptimizerConfig, *, num_parts: int
+) -> tuple[Any, Metrics]:
+    """Returns the state after one update and the metrics before it, computed for one part of the batch after another.
+
+    Only one part's intermediate values are in memory at a time. Gradients and metrics are added up.
+
+    Args:
+        state: A `TrainState`, or a `NamedTuple` with its fields.
+        measure: From `params` and a part of the batch to that part's share of the metrics, with the `loss` to minimize.
+        batch: A tree of arrays whose first axis is the batch.
+        config: The optimizer.
+        num_parts: Number of parts; must divide the batch.
+    """
+
+    def part_gradient(part: Any) -> tuple[Metrics, Any]:
+        (metrics, _), gradient = _measure_gradient(lambda params: (measure(params, part), {}), state.params)
+        return metrics, gradient
+
+    def add_part(total: Any, part: Any) -> tuple[Any, None]:
+        return jax.tree.map(jnp.add, total, part_gradient(part)), None
+
+    if num_parts == 1:
+        metrics, gradient = part_gradient(batch)
+    else:
+        # Every `num_parts`-th row, and not neighbors, because neighbors are on one device.
+        parts = jax.tree.map(lambda rows: rows.reshape(-1, num_parts, *rows.shape[1:]).swapaxes(0, 1), batch)
+        shapes = jax.eval_shape(part_gradient, jax.tree.map(lambda rows: rows[0], parts))
+        zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+        (metrics, gradient), _ = jax.lax.scan(add_part, zeros, parts)
+    return _apply_gradient(state, gradient, config), metrics
+
+
+def _measure_gradient(
+    measure: Callable[[Any], tuple[Metrics, dict[str, Any]]], params: Any
+) -> tuple[tuple[Metrics, dict[str, Any]], Any]:
+    """Returns what `measure` returns, and the gradient of its `loss` over the global batch."""
 
     def objective(params: Any) -> tuple[Float[Array, ""], tuple[Metrics, dict[str, Any]]]:
         metrics, fields = measure(params)
         return metrics["loss"], (metrics, fields)
 
-    (_, (metrics, fields)), gradient = jax.value_and_grad(objective, has_aux=True)(state.params)
+    (_, found), gradient = jax.value_and_grad(objective, has_aux=True)(params)
+    return found, global_mean(gradient)
+
+
+def _apply_gradient(state: Any, gradient: Any, config: OptimizerConfig) -> Any:
     updates, opt_state = make_optimizer(config).update(gradient, state.opt_state, state.params)
     params = optax.apply_updates(state.params, updates)
-    return state._replace(step=state.step + 1, params=params, opt_state=opt_state, **fields), metrics
+    return state._replace(step=state.step + 1, params=params, opt_state=opt_state)

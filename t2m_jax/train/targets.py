@@ -4,7 +4,7 @@ from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 
 class Targets(NamedTuple):
@@ -53,9 +53,9 @@ class Corruption(NamedTuple):
 
 def draw_corruption(
     tokens: Int[Array, "B L"],
-    key: Key[Array, ""],
+    keys: Key[Array, " B"],
     *,
-    tau: float | Literal["per_batch", "per_motion"],
+    tau: float | Float[Array, ""] | Literal["per_motion"],
     num_codes: int,
     past_end: bool,
 ) -> Corruption:
@@ -63,16 +63,17 @@ def draw_corruption(
 
     Args:
         tokens: Codes, End (= `num_codes`) and Pad.
-        key: Consumed.
-        tau: The probability. `per_batch` draws one from 0 to 1 for the batch, and `per_motion` one for each motion.
+        keys: One per motion; consumed.
+        tau: The probability. `per_motion` draws one from 0 to 1 for each motion.
         num_codes: Number of codes to draw from. The right code may be drawn, too.
         past_end: Whether End and Pad may be replaced, as in the original code.
     """
-    share_key, replace_key, code_key = jax.random.split(key, 3)
-    if isinstance(tau, float):
-        share = jnp.asarray(tau)
-    else:
-        share = jax.random.uniform(share_key, (1 if tau == "per_batch" else len(tokens), 1))
-    keep = ~(jax.random.uniform(replace_key, tokens.shape) < share)
-    keep = keep if past_end else keep | (tokens >= num_codes)
-    return Corruption(keep, jax.random.randint(code_key, tokens.shape, 0, num_codes))
+
+    def draw(key: Key[Array, ""]) -> tuple[Bool[Array, " L"], Int[Array, " L"]]:
+        share_key, replace_key, code_key = jax.random.split(key, 3)
+        share = jax.random.uniform(share_key) if isinstance(tau, str) else tau
+        keep = ~(jax.random.uniform(replace_key, tokens.shape[1:]) < share)
+        return keep, jax.random.randint(code_key, tokens.shape[1:], 0, num_codes)
+
+    keep, replacements = jax.vmap(draw)(keys)
+    return Corruption(keep if past_end else keep | (tokens >= num_codes), replacements)

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
@@ -102,7 +101,7 @@ def split_by_captions(
 
 
 def make_code_bank(motions: Sequence[CodedMotion], read: Callable[[Sequence[str]], Captions]) -> CodeBank:
-    """Returns coded motions on the device; `read` turns all captions into the input of the text encoder."""
+    """Returns coded motions as NumPy arrays; `read` turns all captions into the input of the text encoder."""
     lengths = np.array([[len(codes) for codes in motion.variants] for motion in motions], np.int32)
     codes = np.zeros((*lengths.shape, int(lengths.max()), motions[0].variants[0].shape[1]), np.int32)
     for index, motion in enumerate(motions):
@@ -111,4 +110,4 @@ def make_code_bank(motions: Sequence[CodedMotion], read: Callable[[Sequence[str]
     counts = np.array([len(motion.captions) for motion in motions], np.int32)
     captions = read([caption.text for motion in motions for caption in motion.captions])
     first = np.cumsum(counts, dtype=np.int32) - counts
-    return CodeBank(*jax.tree.map(jnp.asarray, (codes, lengths, captions, first, counts)))
+    return CodeBank(codes, lengths, jax.tree.map(np.asarray, captions), first, counts)

@@ -12,17 +12,20 @@ import optax
 from jaxtyping import Array, Float, Int, Key
 
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer, save_tokenizer_parts
-from t2m_jax.data.banks.motions import MotionBank, Windows, batch_at, make_bank
+from t2m_jax.data.banks.host import FeedPlan
+from t2m_jax.data.banks.motions import Cuts, MotionBank, Windows, batch_at, cuts_at, make_bank
 from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.evaluation.sources import CodeSource, Reconstruction
 from t2m_jax.losses import ReconstructionKind, VelocityKind, reconstruction_loss, velocity_loss
 from t2m_jax.metrics.codes import perplexity
+from t2m_jax.models.rows import Precision, in_precision
 from t2m_jax.models.vqvae import VqVae, VqVaeConfig, VqVaeOutput
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import skeleton_from_feature_dim
 from t2m_jax.train.config import FROM_DATA, EvaluationConfig, ExperimentConfig, compiled_config
 from t2m_jax.train.experiment import Evaluation, Setup, Trainer, Validation
 from t2m_jax.train.optimizer import Metrics, OptimizerConfig, descend, make_optimizer
+from t2m_jax.train.program import Update
 from t2m_jax.train.statistics import open_training_data
 from t2m_jax.train.streams import stream_key
 
@@ -56,6 +59,8 @@ class TrainVqVaeConfig(ExperimentConfig):
     """Weight of the velocity loss."""
     commitment_weight: float = 0.02
     """Weight of the commitment loss."""
+    precision: Precision = "float32"
+    """What products are computed in during training; the codebook is always in float32."""
     optimizer: OptimizerConfig = OptimizerConfig(warmup_steps=1000, milestones=(200_000,))
     """Optimizer and schedule."""
     evaluation: EvaluationConfig = EvaluationConfig()
@@ -101,7 +106,7 @@ def vqvae_losses(output: VqVaeOutput, windows: Windows, config: TrainVqVaeConfig
     positions = skeleton_from_feature_dim(config.model.feature_dim).layout.positions
     motion = windows.motion[:, : output.reconstruction.shape[1]]
     mask = windows.mask[:, : output.reconstruction.shape[1]]
-    pair, kind = (output.reconstruction, motion, mask), config.reconstruction
+    pair, kind = (output.reconstruction.astype(jnp.float32), motion, mask), config.reconstruction
     reconstruction = reconstruction_loss(*pair, kind=kind)
     velocity = velocity_loss(*pair, kind=kind, velocity=config.velocity, positions=positions)
     loss = reconstruction + config.velocity_weight * velocity + config.commitment_weight * output.commitment_loss
@@ -134,9 +139,13 @@ def vqvae_train_step(
     model = VqVae(config.model)
 
     def measure(params: Any) -> tuple[Metrics, dict[str, Any]]:
+        # A codebook that is a parameter keeps its precision.
+        computed = in_precision(params, config.precision) | {
+            name: params[name] for name in params if name == "quantizer"
+        }
         output, moved = model.apply(
-            state.variables | {"params": params},
-            windows.motion,
+            state.variables | {"params": computed},
+            in_precision(windows.motion, config.precision),
             windows.mask,
             train=True,
             noise=noise,
@@ -149,19 +158,32 @@ def vqvae_train_step(
     return descend(state, measure, config.optimizer)
 
 
-@functools.partial(jax.jit, static_argnames="config", donate_argnums=0)
+def window_options(config: TrainVqVaeConfig, stream: str) -> dict[str, Any]:
+    """Returns what decides, with the step, which windows are cut."""
+    key = stream_key(config.loop.seed, stream)
+    return {"key": key, "batch_size": config.loop.batch_size, "window": config.window}
+
+
+def plan_feed(config: TrainVqVaeConfig, stream: str) -> FeedPlan:
+    """Returns how the host cuts the windows of a stream."""
+
+    def cuts(bank: MotionBank, step: Int[Array, ""]) -> Cuts:
+        return cuts_at(bank, step=step, **window_options(config, stream))
+
+    return FeedPlan(cuts, config.window)
+
+
 def update(state: VqVaeState, bank: MotionBank, *, config: TrainVqVaeConfig) -> tuple[VqVaeState, Metrics]:
-    """Returns the state after one step on the batch of that step; `state` is donated."""
-    data_key, model_key = stream_key(config.loop.seed, "data"), stream_key(config.loop.seed, "codebook")
-    windows = batch_at(bank, data_key, state.step, batch_size=config.loop.batch_size, window=config.window)
+    """Returns the state after one step on the batch of that step."""
+    model_key = stream_key(config.loop.seed, "codebook")
+    windows = batch_at(bank, step=state.step, **window_options(config, "data"))
     return vqvae_train_step(state, windows, jax.random.fold_in(model_key, state.step), config=config)
 
 
 @functools.partial(jax.jit, static_argnames="config")
 def validate(state: VqVaeState, bank: MotionBank, batch: Int[Array, ""], *, config: TrainVqVaeConfig) -> Metrics:
     """Returns the losses on a batch of held-out windows."""
-    key = stream_key(config.loop.seed, "validation")
-    windows = batch_at(bank, key, batch, batch_size=config.loop.batch_size, window=config.window)
+    windows = batch_at(bank, step=batch, **window_options(config, "validation"))
     output = VqVae(config.model).apply(state.variables, windows.motion, windows.mask, train=False)
     return vqvae_losses(output, windows, config)
 
@@ -186,7 +208,8 @@ def prepare(config: TrainVqVaeConfig, resume: bool) -> Setup:
         clips=clips,
         data=make_bank(clips, normalizer),
         init=lambda: init_vqvae_state(compiled, stream_key(config.loop.seed, "init")),
-        update=functools.partial(update, config=compiled),
+        update=Update(update, config=compiled),
+        plan=plan_feed(config, "data"),
         optimizer=config.optimizer,
         frames_per_step=config.loop.batch_size * config.window,
         weights=lambda state: state.variables,
@@ -204,7 +227,7 @@ def make_validation(config: TrainVqVaeConfig, dataset: Dataset, normalizer: Norm
     if not clips:
         return None
     measure = functools.partial(validate, config=compiled_config(config))
-    return Validation(make_bank(clips, normalizer), len(clips), measure)
+    return Validation(make_bank(clips, normalizer), len(clips), measure, plan_feed(config, "validation"))
 
 
 TRAINER = Trainer(config=TrainVqVaeConfig, prepare=prepare, next_command="t2m train gpt CONFIG --vqvae {run}")

@@ -15,8 +15,10 @@ import pytest
 from t2m_jax.checkpoints.run import (
     CHECKPOINTS,
     CONFIG_FILE,
+    FORMAT_VERSION,
     INFO_FILE,
     Checkpoints,
+    check_resumable,
     create_run,
     is_run,
     restore_latest,
@@ -153,6 +155,48 @@ def test_folders_that_are_no_run_are_named(copy, content, says):
     with pytest.raises(UserError, match=says) as caught:
         run_info(copy)
     assert str(copy) in str(caught.value)
+
+
+@pytest.mark.parametrize("content", ["kind: gpt\n", "kind: gpt\nformat_version: 1\n"])
+def test_runs_of_the_first_format_are_read_but_not_continued(copy, content):
+    (copy / INFO_FILE).write_text(content, encoding="utf-8")
+    assert (run_info(copy).kind, run_info(copy).format_version) == ("gpt", 1)
+    assert_same(restore(copy), state_at(6))
+    with pytest.raises(UserError) as caught:
+        check_resumable(copy)
+    assert f"{caught.value}".startswith(f"{copy}: was started with an older t2m_jax, whose updates were different;")
+    assert f"{caught.value}".endswith(f"`--init {copy}`") and "\n" not in f"{caught.value}"
+
+
+def test_new_runs_have_todays_format_and_can_be_resumed(saved, tmp_path):
+    assert run_info(saved).format_version == FORMAT_VERSION == 2
+    assert "format_version: 2" in (saved / INFO_FILE).read_text(encoding="utf-8")
+    check_resumable(saved)
+    with pytest.raises(UserError, match="not a run directory"):
+        check_resumable(tmp_path)
+
+
+def test_what_is_saved_is_what_the_state_was(tmp_path):
+    """Saving goes on while the next update writes into the donated state."""
+    update = jax.jit(lambda state: jax.tree.map(lambda leaf: leaf + leaf, state), donate_argnums=0)
+    state = state_at(1)
+    with Checkpoints(tmp_path) as checkpoints:
+        for step in (1, 2, 3):
+            checkpoints.save(step, state)
+            state = update(state)
+    for step in (1, 2, 3):
+        with Checkpoints(tmp_path) as checkpoints:
+            found = checkpoints._manager.restore(step)["params"]["params"]["layer"]["kernel"]
+        np.testing.assert_array_equal(found, 2 ** (step - 1) * state_at(1).params["layer"]["kernel"])
+
+
+def test_a_checkpoint_comes_back_on_the_devices_of_the_state(saved):
+    """Otherwise the updates of a resumed run would be compiled again."""
+    mesh = jax.sharding.Mesh(np.array(jax.devices()[:1]), ("data",))
+    sharding = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec())
+    found = restore_latest(saved, jax.device_put(state_at(0), sharding))
+    assert_same(found, state_at(6))
+    assert {leaf.sharding for leaf in jax.tree.leaves(found)} == {sharding}
 
 
 def refusal(run, like=None) -> str:

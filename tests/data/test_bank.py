@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.data.banks.motions import batch_at, batch_clips, cut_windows, epoch_order, make_bank
+from t2m_jax.data.banks.motions import batch_at, compact, draw_cuts, make_bank, windows_at
 from t2m_jax.data.folder import Clip
 from t2m_jax.errors import UserError
 from t2m_jax.motion.normalizer import Normalizer
@@ -29,7 +29,7 @@ def make_clips(width=5):
 
 @pytest.fixture(scope="module")
 def bank():
-    return make_bank(make_clips(), Normalizer(np.zeros(5, np.float32), np.ones(5, np.float32)))
+    return jax.device_put(make_bank(make_clips(), Normalizer(np.zeros(5, np.float32), np.ones(5, np.float32))))
 
 
 def noise_clips(num_clips=6, *, width=263, seed=0):
@@ -49,6 +49,11 @@ def noise_normalizer(width=263):
     return Normalizer(
         generator.normal(size=width).astype(np.float32), generator.uniform(0.01, 3, width).astype(np.float32)
     )
+
+
+def cut_windows(bank, clips, keys, *, window):
+    """One window from each of the given clips."""
+    return windows_at(bank, 0, draw_cuts(bank, clips, keys, window=window), window=window)
 
 
 def copied(clips):
@@ -71,7 +76,7 @@ def test_views_of_a_mapped_file_are_not_copied(tmp_path):
     clips = [clip._replace(features=whole[start:][:20]) for clip, start in zip(clips, (77, 37, 57), strict=False)]
     made = make_bank(clips, noise_normalizer())
     # The mapped memory itself, from the last row before the first clip that is a multiple of 16 rows down the file.
-    assert made.frames.unsafe_buffer_pointer() == whole.ctypes.data + 32 * whole.strides[0]
+    assert made.frames.ctypes.data == whole.ctypes.data + 32 * whole.strides[0]
     assert len(made.frames) == 97 - 32
     expected = np.array(whole[32:97])
     del whole, clips
@@ -80,11 +85,13 @@ def test_views_of_a_mapped_file_are_not_copied(tmp_path):
 
 
 @pytest.mark.parametrize(("num_used", "is_copied"), [(6, False), (5, False), (4, True), (2, True)])
-def test_a_small_share_of_an_array_is_copied(num_used, is_copied):
+def test_a_small_share_of_an_array_is_copied_for_a_device(num_used, is_copied):
     whole = np.random.default_rng(0).normal(size=(6 * 16, 4)).astype(np.float32)
     whole.flags.writeable = False
     clips = [Clip(f"{number}", whole[16 * number :][:16], ()) for number in (0, 5, 1, 4, 2, 3)][:num_used]
     made = make_bank(clips, noise_normalizer(4))
+    assert made.frames.base is whole
+    made = compact(made)
     assert len(made.frames) == 16 * (num_used if is_copied else 6)
     for clip, start in zip(clips, made.starts, strict=True):
         np.testing.assert_array_equal(made.frames[start : start + 16], clip.features)
@@ -99,12 +106,12 @@ def test_arrays_that_somebody_may_write_to_are_copied(tmp_path):
 
 @pytest.mark.parametrize("own", [False, True], ids=["views", "arrays"])
 def test_windows_are_those_of_clips_normalized_first_to_the_last_bit(own):
-    clips, normalizer, key = noise_clips(), noise_normalizer(), jax.random.key(4)
+    clips, normalizer, keys = noise_clips(), noise_normalizer(), jax.random.split(jax.random.key(4), 6)
     made = make_bank(copied(clips) if own else clips, normalizer)
-    chosen = jnp.array([5, 0, 3, 1, 2, 4])
-    cut = jax.jit(cut_windows, static_argnames="window")(made, chosen, key, window=WINDOW)
-    offsets = jax.random.randint(key, chosen.shape, 0, jnp.maximum(made.lengths[chosen] - WINDOW, 0) + 1)
-    for row, (number, offset) in enumerate(zip(chosen, offsets, strict=True)):
+    chosen = np.array([5, 0, 3, 1, 2, 4])
+    cut = jax.jit(cut_windows, static_argnames="window")(made, chosen, keys, window=WINDOW)
+    for row, (number, key) in enumerate(zip(chosen, keys, strict=True)):
+        offset = int(jax.random.randint(key, (), 0, max(made.lengths[number] - WINDOW, 0) + 1))
         expected = normalizer.normalize(clips[number].features)[offset : offset + WINDOW]
         np.testing.assert_array_equal(cut.motion[row, : len(expected)], expected)
         assert cut.mask[row].sum() == len(expected)
@@ -113,7 +120,7 @@ def test_windows_are_those_of_clips_normalized_first_to_the_last_bit(own):
 def test_windows_never_show_a_neighbour_and_pad_with_zeros(bank):
     clips = jnp.arange(len(LENGTHS))
     for seed in range(20):
-        windows = cut_windows(bank, clips, jax.random.key(seed), window=WINDOW)
+        windows = cut_windows(bank, clips, jax.random.split(jax.random.key(seed), len(LENGTHS)), window=WINDOW)
         for number, length in enumerate(LENGTHS):
             values = np.asarray(windows.motion[number, :, 0])
             mask = np.asarray(windows.mask[number])
@@ -129,37 +136,23 @@ def test_windows_never_show_a_neighbour_and_pad_with_zeros(bank):
 
 def test_every_start_is_drawn_also_the_last(bank):
     clips = jnp.full(4000, 4)
-    starts = np.asarray(cut_windows(bank, clips, jax.random.key(0), window=WINDOW).motion[:, 0, 0]) - 4001
+    keys = jax.random.split(jax.random.key(0), len(clips))
+    starts = np.asarray(cut_windows(bank, clips, keys, window=WINDOW).motion[:, 0, 0]) - 4001
     assert set(starts) == {0, 1}
     assert abs(starts.mean() - 0.5) < 0.05
 
 
 def test_the_last_clip_is_not_clamped(bank):
-    window = cut_windows(bank, jnp.array([5]), jax.random.key(0), window=WINDOW)
+    window = cut_windows(bank, jnp.array([5]), jax.random.key(0)[None], window=WINDOW)
     np.testing.assert_array_equal(window.motion[0, :9, 0], 5000 + np.arange(1, 10))
 
 
-def test_an_epoch_visits_each_clip_once_and_epochs_differ():
-    key = jax.random.key(1)
-    orders = [np.asarray(epoch_order(key, epoch, num_clips=50)) for epoch in range(3)]
-    for order in orders:
-        np.testing.assert_array_equal(np.sort(order), np.arange(50))
-    assert not np.array_equal(orders[0], orders[1])
-    np.testing.assert_array_equal(orders[2], epoch_order(key, 2, num_clips=50))
-
-
-def test_steps_walk_through_epochs_and_drop_the_rest():
-    key = jax.random.key(1)
-    steps = [np.asarray(batch_clips(key, step, num_clips=10, batch_size=4)) for step in range(4)]
-    first, second = np.concatenate(steps[:2]), np.concatenate(steps[2:])
-    assert len(set(first)) == len(set(second)) == 8
-    np.testing.assert_array_equal(first, epoch_order(key, 0, num_clips=10)[:8])
-    np.testing.assert_array_equal(second, epoch_order(key, 1, num_clips=10)[:8])
-
-
-def test_a_small_data_set_fills_the_batch_by_repeating():
-    clips = np.asarray(batch_clips(jax.random.key(1), 7, num_clips=3, batch_size=8))
-    assert np.bincount(clips).min() >= 2
+def test_a_window_does_not_depend_on_the_others(bank):
+    clips, keys = jnp.array([1, 3, 1, 4]), jax.random.split(jax.random.key(2), 4)
+    together = cut_windows(bank, clips, keys, window=4)
+    alone = [cut_windows(bank, clips[row : row + 1], keys[row : row + 1], window=4) for row in range(4)]
+    np.testing.assert_array_equal(together.motion, jnp.concatenate([windows.motion for windows in alone]))
+    assert not np.array_equal(together.motion[0], together.motion[2])
 
 
 def test_a_batch_is_a_pure_function_of_key_and_step(bank):
@@ -185,5 +178,5 @@ def test_statistics_of_other_features_are_a_user_error(bank):
 
 
 def test_windows_are_the_same_without_jit(bank):
-    clips, key = jnp.array([1, 2]), jax.random.key(3)
-    assert_jit_equals_eager(jax.jit(cut_windows, static_argnames="window"), bank, clips, key, rtol=0, window=4)
+    clips, keys = jnp.array([1, 2]), jax.random.split(jax.random.key(3), 2)
+    assert_jit_equals_eager(jax.jit(cut_windows, static_argnames="window"), bank, clips, keys, rtol=0, window=4)

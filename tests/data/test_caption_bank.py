@@ -10,6 +10,7 @@ from t2m_jax.data.folder import Clip
 from t2m_jax.data.texts import Caption
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.text.word_vectors import Vocabulary
+from tests.jit import assert_jit_equals_eager
 
 VOCABULARY = Vocabulary(("sos", "eos", "unk", "a", "b", "c", "d"))
 LENGTHS = (4, 7, 12, 30)
@@ -38,12 +39,14 @@ def bank():
         features = np.stack([100 * number + np.arange(length), np.ones(length)], axis=1).astype(np.float32)
         captions = tuple(Caption("x", (f"{'abcd'[number]}/X",) * words) for words in range(1, number + 2))
         samples.append(Clip(f"{number}", features, captions))
-    return make_caption_bank(samples, Normalizer(np.zeros(2, np.float32), np.full(2, 2.0, np.float32)), VOCABULARY)
+    normalizer = Normalizer(np.zeros(2, np.float32), np.full(2, 2.0, np.float32))
+    return jax.device_put(make_caption_bank(samples, normalizer, VOCABULARY))
 
 
 def batches(bank, num=150):
-    draw = jax.jit(lambda step: caption_batch_at(bank, jax.random.key(3), step, batch_size=4, max_frames=MAX_FRAMES))
-    return [jax.device_get(draw(step)) for step in range(num)]
+    draw = jax.jit(caption_batch_at, static_argnames=("batch_size", "max_frames"))
+    sizes = {"batch_size": 4, "max_frames": MAX_FRAMES}
+    return [jax.device_get(draw(bank, jax.random.key(3), step, **sizes)) for step in range(num)]
 
 
 def test_crops_belong_to_their_captions(bank):
@@ -74,6 +77,11 @@ def test_a_batch_is_a_function_of_key_and_step(bank):
     one = caption_batch_at(bank, jax.random.key(1), 5, batch_size=3, max_frames=MAX_FRAMES)
     other = caption_batch_at(bank, jax.random.key(1), jnp.array(5), batch_size=3, max_frames=MAX_FRAMES)
     jax.tree.map(np.testing.assert_array_equal, one, other)
+
+
+def test_jit_equals_eager(bank):
+    draw = jax.jit(caption_batch_at, static_argnames=("batch_size", "max_frames"))
+    assert_jit_equals_eager(draw, bank, jax.random.key(1), 5, rtol=0, batch_size=3, max_frames=MAX_FRAMES)
 
 
 def test_words_stand_in_for_tokens():

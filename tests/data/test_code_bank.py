@@ -37,7 +37,7 @@ def batches(bank, steps, *, batch_size=3, max_codes=20, seed=0):
 
 def test_short_motions_are_kept_whole():
     codes = jnp.arange(40).reshape(2, 10, 2)
-    cropped, lengths = crop_codes(codes, jnp.array([10, 4]), jax.random.key(0), max_codes=12)
+    cropped, lengths = crop_codes(codes, jnp.array([10, 4]), jax.random.split(jax.random.key(0), 2), max_codes=12)
     assert cropped.shape == (2, 12, 2)
     np.testing.assert_array_equal(lengths, [10, 4])
     np.testing.assert_array_equal(cropped[0, :10], codes[0])
@@ -47,7 +47,8 @@ def test_short_motions_are_kept_whole():
 def test_long_motions_are_cut_at_every_start_alike():
     length, window, trials = 10, 6, 5000
     codes = jnp.tile(jnp.arange(15)[None, :, None], (trials, 1, 1))
-    cropped, lengths = crop_codes(codes, jnp.full(trials, length), jax.random.key(1), max_codes=window)
+    keys = jax.random.split(jax.random.key(1), trials)
+    cropped, lengths = crop_codes(codes, jnp.full(trials, length), keys, max_codes=window)
     np.testing.assert_array_equal(lengths, window)
     np.testing.assert_array_equal((cropped - cropped[:, :1])[..., 0], np.tile(np.arange(window), (trials, 1)))
     starts = np.bincount(np.asarray(cropped[:, 0, 0]), minlength=15)

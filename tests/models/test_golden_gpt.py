@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.checkpoints.official.load import gpt_variables
-from t2m_jax.losses import token_loss
+from t2m_jax.losses import token_accuracy, token_loss, token_weights
 from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
 from tests.golden_files import state_dict
 
@@ -45,7 +45,9 @@ def test_loss_and_gradient(case):
 
     def loss_function(params):
         logits = model.apply({"params": params}, tokens, text, train=False)
-        return token_loss(logits, jnp.asarray(arrays["target"]), jnp.asarray(arrays["n_tokens"]))
+        targets, lengths = jnp.asarray(arrays["target"]), jnp.asarray(arrays["n_tokens"])
+        weights = [token_weights(lengths, targets.shape[1], mean_over=kind) for kind in ("motions", "tokens")]
+        return token_loss(logits, targets, weights[0]), token_accuracy(logits, targets, weights[1])
 
     (loss, right), gradient = jax.value_and_grad(loss_function, has_aux=True)(variables["params"])
     np.testing.assert_allclose(loss, arrays["loss"], rtol=1e-5)

@@ -1,5 +1,6 @@
 """Normalization inside the residual units: over what it is taken, and that padding has no part in it."""
 
+import chex
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
@@ -27,6 +28,10 @@ class Norm(nn.Module):
 def batch():
     hidden = 3.0 + 2.0 * jax.random.normal(jax.random.key(0), (3, 12, 64))
     return hidden, jnp.arange(12)[None] < jnp.asarray(LENGTHS)[:, None]
+
+
+def normal(seed, *shape):
+    return jax.random.normal(jax.random.key(seed), shape)
 
 
 def oracle(hidden, kind):
@@ -65,6 +70,43 @@ def test_running_statistics_are_those_of_the_data(batch):
     np.testing.assert_array_equal(kept["batch_stats"]["norm"]["mean"], moved["mean"])
     mean, std = np.asarray(moved["mean"]), np.sqrt(np.asarray(moved["var"]) + 1e-6)
     np.testing.assert_allclose(output, (np.asarray(hidden) - mean) / std, rtol=1e-4, atol=1e-5)
+
+
+def test_batch_norm_is_that_of_flax_on_one_device(batch):
+    """With the names and the running statistics of trained models."""
+    hidden, mask = batch
+    ours, theirs = Norm("BN"), nn.BatchNorm(momentum=0.9, epsilon=1e-6, use_fast_variance=False)
+    params = {"scale": normal(1, 64), "bias": normal(2, 64)}
+    stats = {"mean": normal(3, 64), "var": 1.0 + normal(4, 64) ** 2}
+
+    weights = normal(5, *hidden.shape) * mask[:, :, None]
+
+    def found(hidden, params, train):
+        variables = {"params": {"norm": params}, "batch_stats": {"norm": stats}}
+        output, updates = ours.apply(variables, hidden, mask, train=train, mutable=["batch_stats"])
+        return jnp.sum(weights * output), (output, updates["batch_stats"]["norm"])
+
+    def expected(hidden, params, train):
+        variables = {"params": params, "batch_stats": stats}
+        options = {"use_running_average": not train, "mask": mask[:, :, None], "mutable": ["batch_stats"]}
+        output, updates = theirs.apply(variables, hidden, **options)
+        return jnp.sum(weights * output), (output, updates["batch_stats"])
+
+    for train in (True, False):
+        one, other = (
+            jax.grad(apply, argnums=(0, 1), has_aux=True)(hidden, params, train) for apply in (found, expected)
+        )
+        chex.assert_trees_all_close(one, other, rtol=1e-4, atol=1e-4)
+
+
+def test_statistics_of_batch_norm_are_in_float32(batch):
+    hidden, mask = batch
+    variables = Norm("BN").init(jax.random.key(0), hidden, mask, train=False)
+    rounded = hidden.astype(jnp.bfloat16)
+    output, updates = Norm("BN").apply(variables, rounded, mask, train=True, mutable=["batch_stats"])
+    assert output.dtype == jnp.bfloat16
+    exact = Norm("BN").apply(variables, rounded.astype(jnp.float32), mask, train=True, mutable=["batch_stats"])[1]
+    chex.assert_trees_all_equal(updates, exact)
 
 
 @pytest.mark.parametrize("norm", NORMS)

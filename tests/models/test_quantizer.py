@@ -2,6 +2,7 @@
 
 import json
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -145,6 +146,21 @@ def test_evaluation_leaves_the_codebook_alone():
     _, updates = module.apply(variables, latents, mask, train=False, mutable=["codebook"])
     for before, after in zip(jax.tree.leaves(variables), jax.tree.leaves(updates), strict=True):
         np.testing.assert_array_equal(before, after)
+
+
+def test_a_quantizer_of_bfloat16_latents_computes_in_float32():
+    module = Quantizer(8, 4, "ema_reset", 0.99, 1.0)
+    latents, mask = jax.random.normal(jax.random.key(0), (2, 6, 4), jnp.bfloat16), jnp.ones((2, 6), bool)
+    variables = module.init(jax.random.key(0), latents, mask, train=True)
+    output, updates = call(module, variables, latents, mask)
+    exact, exact_updates = call(module, variables, latents.astype(jnp.float32), mask)
+    assert output.quantized.dtype == jnp.bfloat16
+    assert output.commitment_loss.dtype == output.code_counts.dtype == jnp.float32
+    np.testing.assert_array_equal(output.codes, exact.codes)
+    np.testing.assert_array_equal(output.commitment_loss, exact.commitment_loss)
+    np.testing.assert_array_equal(output.quantized, exact.quantized.astype(jnp.bfloat16))
+    chex.assert_trees_all_equal(updates, exact_updates)
+    assert updates["codebook"]["codebook"].dtype == jnp.float32
 
 
 def test_zero_counts_stay_finite_in_value_and_gradient():

@@ -11,7 +11,7 @@ import pytest
 from t2m_jax.checkpoints.official.load import gpt_variables
 from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
 from t2m_jax.sampling import Greedy, Sampling, StopAtEnd, TopK
-from t2m_jax.sampling.codec import generate_codes
+from t2m_jax.sampling.codec import generate_codes, sampling_variables
 from t2m_jax.sampling.decoding import CHUNK
 from tests.golden_files import state_dict
 from tests.tiny import random_variables
@@ -125,3 +125,26 @@ def test_end_waits_for_min_codes(model_and_variables):
     late = np.asarray(free.code_lengths) >= 6
     assert late.any()
     np.testing.assert_array_equal(free.codes[late], held.codes[late])
+
+
+@pytest.mark.parametrize("strategy", [Greedy(), TopK(k=3)])
+def test_the_layout_of_the_weights_does_not_matter(model_and_variables, strategy):
+    model, variables = model_and_variables
+    fast = sampling_variables(variables, CONFIG)
+    assert "transposed" in fast, "the test wants two layouts"
+    texts, keys = texts_and_keys(1)
+    expected = decode(model, variables, texts, keys, strategy=strategy)
+    for found, wanted in zip(decode(model, fast, texts, keys, strategy=strategy), expected, strict=True):
+        np.testing.assert_array_equal(found, wanted)
+
+
+@pytest.mark.parametrize("batch", [1, 8, 32])
+def test_logits_do_not_depend_on_the_other_rows_in_any_bit(model_and_variables, batch):
+    model, variables = model_and_variables
+    begin = jax.jit(functools.partial(model.apply, sampling_variables(variables, CONFIG), method="begin"))
+    texts, _ = texts_and_keys(5, batch)
+    others, _ = texts_and_keys(6, batch)
+    expected, _ = begin(texts)
+    for row in {0, batch // 2, batch - 1}:
+        found, _ = begin(others.at[row].set(texts[row]))
+        np.testing.assert_array_equal(found[row], expected[row])

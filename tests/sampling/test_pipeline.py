@@ -8,6 +8,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.sampling import Greedy, TextToMotion, sample_key
 from t2m_jax.sampling.pipeline import MAX_BATCH
 from t2m_jax.text.encoder import TextEncoder
+from tests.jit import optimized
 from tests.tiny import BUNDLE, CAPTIONS, random_bundle
 
 
@@ -120,3 +121,37 @@ def test_the_text_encoder_reads_each_caption_for_itself(model):
 def test_sample_keys_are_distinct():
     keys = [sample_key(seed, caption, sample) for seed in (0, 1) for caption in CAPTIONS for sample in (0, 1)]
     assert len({tuple(jax.random.key_data(key).tolist()) for key in keys}) == len(keys)
+
+
+def test_sampling_does_not_change_the_variables(bundle):
+    model = TextToMotion(bundle)
+    for _ in range(2):
+        jax.tree.map(np.testing.assert_array_equal, model.variables, bundle.variables)
+        model.generate(CAPTIONS[0])
+
+
+def test_weights_are_rearranged_once_and_held_once(bundle):
+    model = TextToMotion(bundle)
+    model.generate(CAPTIONS[0])
+    first = model._variables["generator"]
+    model.generate(CAPTIONS[0])
+    assert model._variables["generator"] is first
+    assert sum(leaf.size for leaf in jax.tree.leaves(first)) == sum(
+        leaf.size for leaf in jax.tree.leaves(bundle.variables["generator"])
+    )
+
+
+@pytest.mark.slow
+def test_the_batch_size_hardly_changes_a_code(monkeypatch):
+    """Another batch size changes the last bits of the logits. The promise is one changed code in 100,000."""
+    actions = ("walks", "runs", "jumps", "waves", "kicks", "bows", "turns around", "dances")
+    captions = [f"a person {action} {how}" for action in actions for how in ("", "slowly", "happily", "and stops")]
+    codes = {}
+    with optimized():
+        for size in (1, 8, 32):
+            monkeypatch.setattr("t2m_jax.sampling.pipeline.MAX_BATCH", size)
+            model = TextToMotion.load("demo")
+            motions = [motion for seed in range(8) for motion in model.generate(captions, seed=seed)]
+            codes[size] = [motion.codes.tolist() for motion in motions]
+    assert sum(map(len, codes[1])) > 5000
+    assert codes[1] == codes[8] == codes[32]

@@ -10,6 +10,7 @@ import pytest
 from t2m_jax.checkpoints.run import Checkpoints
 from t2m_jax.data.importers.synthetic import write_synthetic_dataset
 from t2m_jax.train import train
+from t2m_jax.train.program import Devices
 from tests.tiny import gpt_training, vqvae_training
 
 
@@ -44,6 +45,22 @@ def runs(data) -> Runs:
     train(gpt_training(data, first, gpt))
     first.rename(vqvae)
     return Runs(data, vqvae, gpt)
+
+
+def stop_at(step, monkeypatch, *, is_meant=lambda state: True):
+    """Interrupts training in the given update, as Ctrl-C would, and returns what ends this.
+
+    `is_meant` tells the training by its state, if there are several.
+    """
+    run = Devices.run
+
+    def interrupted(devices, update, state, data, count, *, size):
+        if is_meant(state) and int(state.step) < step <= int(state.step) + count:
+            raise KeyboardInterrupt
+        return run(devices, update, state, data, count, size=size)
+
+    monkeypatch.setattr(Devices, "run", interrupted)
+    return lambda: monkeypatch.setattr(Devices, "run", run)
 
 
 def newest_checkpoint(run: Path):

@@ -22,13 +22,13 @@ from t2m_jax.errors import UserError
 from t2m_jax.losses import infonce_loss, margin_loss, pair_distances
 from t2m_jax.models.evaluator import Evaluator
 from t2m_jax.text.word_vectors import WordIds
-from t2m_jax.train import evaluator, experiment, movement, train
+from t2m_jax.train import experiment, movement, train
 from t2m_jax.train.evaluator import matching_train_step, trained_parts
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from t2m_jax.train.optimizer import TrainState, make_optimizer
 from tests.golden_files import evaluator_config, evaluator_state_dict
 from tests.tiny import EVALUATOR, LOOP
-from tests.train.conftest import assert_same_checkpoint, newest_checkpoint
+from tests.train.conftest import assert_same_checkpoint, newest_checkpoint, stop_at
 
 
 def training(data, run, **fields) -> TrainEvaluatorConfig:
@@ -161,24 +161,19 @@ def test_the_same_seed_gives_the_same_bits(data, finished, tmp_path):
     assert_same_checkpoint(tmp_path / "again", finished)
 
 
-@pytest.mark.parametrize(("name", "stop"), [("update_movements", 3), ("update", 3), ("update", 7)])
-def test_a_resumed_run_equals_one_that_never_stopped(data, finished, tmp_path, monkeypatch, name, stop):
-    module = movement if name == "update_movements" else evaluator
-    step = getattr(module, name)
+@pytest.mark.parametrize(("training_of", "stop"), [("movements", 3), ("matching", 3), ("matching", 7)])
+def test_a_resumed_run_equals_one_that_never_stopped(data, finished, tmp_path, monkeypatch, training_of, stop):
+    def is_meant(state):
+        return ("decoder" in state.params) == (training_of == "movements")
 
-    def interrupted(state, *arguments, **options):
-        if int(state.step) + 1 == stop:
-            raise KeyboardInterrupt
-        return step(state, *arguments, **options)
-
-    monkeypatch.setattr(module, name, interrupted)
+    mend = stop_at(stop, monkeypatch, is_meant=is_meant)
     config = training(data, tmp_path / "run")
     with pytest.raises(KeyboardInterrupt):
         train(config)
-    if name == "update_movements":
+    if training_of == "movements":
         with pytest.raises(UserError, match="no checkpoint yet"):
             load_trained_evaluator(config.run)
-    monkeypatch.setattr(module, name, step)
+    mend()
     train(config, resume=True)
     assert texts(config.run) == texts(finished)
     assert_same_checkpoint(config.run, finished)

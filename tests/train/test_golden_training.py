@@ -11,7 +11,7 @@ from t2m_jax.data.banks.motions import Windows
 from t2m_jax.models.motion_gpt import MotionGptConfig
 from t2m_jax.models.vqvae import VqVaeConfig
 from t2m_jax.train import OptimizerConfig, TrainGptConfig, TrainVqVaeConfig
-from t2m_jax.train.gpt import GptBatch, gpt_train_step
+from t2m_jax.train.gpt import gpt_train_step, make_gpt_batch
 from t2m_jax.train.optimizer import first_state, make_optimizer
 from t2m_jax.train.targets import Corruption, Targets
 from t2m_jax.train.vqvae import VqVaeState, vqvae_train_step
@@ -109,8 +109,14 @@ def test_gpt_steps(golden_dir):
         targets = Targets(jnp.asarray(arrays["target"][step]), jnp.asarray(arrays["n_tokens"][step]))
         keep = jnp.asarray(arrays["mask_keep"][step]).astype(bool)
         corruption = Corruption(keep, jnp.asarray(arrays["random_indices"][step]))
-        batch = GptBatch(targets, jnp.asarray(arrays["clip_feat"][step]))
-        state, metrics = step_function(state, batch, jax.random.key(step), config=config, corruption=corruption)
+        batch = make_gpt_batch(
+            targets,
+            jnp.asarray(arrays["clip_feat"][step]),
+            config=config,
+            inputs=corruption.apply(targets.tokens[:, :-1]),
+            dropout_keys=jax.random.split(jax.random.key(step), (len(keep), 2)),
+        )
+        state, metrics = step_function(state, batch, config=config)
         np.testing.assert_allclose(metrics["loss"], arrays["loss"][step], rtol=1e-5)
     final = weights | state_dict(arrays, "final/")
     expected = gpt_variables(final, config.model)["params"]

@@ -14,7 +14,7 @@ from t2m_jax.checkpoints.run import Checkpoints
 from t2m_jax.errors import UserError
 from t2m_jax.train.config import LoopConfig
 from t2m_jax.train.log import MetricLog
-from t2m_jax.train.loop import Measured, Measurement, Speed, mean_metrics, run_loop
+from t2m_jax.train.loop import Call, Measured, Measurement, Speed, mean_metrics, next_multiple, run_loop
 
 
 class Counter(NamedTuple):
@@ -27,13 +27,23 @@ class Counter(NamedTuple):
 START = Counter(jnp.array(0), jnp.zeros(2))
 
 
-def counting(bad_step=None, bad_loss=float("nan")):
-    """Returns an update whose loss is the number of its step, but for one."""
+def counting(bad_step=None, bad_loss=float("nan"), size=1, counts=None):
+    """Returns updates whose losses are the numbers of their steps, but for one.
 
-    def update(state):
-        step = int(state.step) + 1
-        loss = bad_loss if step == bad_step else float(step)
-        return Counter(jnp.array(step), jnp.full(2, loss)), {"loss": jnp.array(loss), "square": jnp.array(loss**2)}
+    The metrics have `size` rows as in training. Rows without an update are not finite, so that nobody uses them. The
+    list `counts` gets the number of updates of each call.
+    """
+
+    def update(state, count):
+        assert 1 <= count <= size
+        if counts is not None:
+            counts.append(count)
+        steps = int(state.step) + 1 + np.arange(size)
+        losses = np.where(steps == bad_step, bad_loss, steps.astype(np.float32))
+        last = losses[count - 1]
+        losses[count:] = np.nan
+        metrics = {"loss": jnp.asarray(losses), "square": jnp.asarray(losses**2)}
+        return Counter(jnp.asarray(steps[count - 1]), jnp.full(2, last)), metrics
 
     return update
 
@@ -51,12 +61,13 @@ def every(interval, measure, picture=lambda state: None):
     return Measurement("val", "validation", interval, lambda state: Measured(measure(state), picture(state)))
 
 
-def loop(num_steps=10, log_every=4, checkpoint_every=5, keep=2):
+def loop(num_steps=10, log_every=4, checkpoint_every=5, keep=2, steps_per_call=1):
     return LoopConfig(
         num_steps=num_steps,
         log_every=log_every,
         checkpoint_every=checkpoint_every,
         keep_checkpoints=keep,
+        steps_per_call=steps_per_call,
     )
 
 
@@ -130,15 +141,18 @@ def test_damaged_rows_of_the_log_are_left_out(tmp_path):
     assert [row["step"] for row in rows(tmp_path)] == [4, 5, 8, 10]
 
 
+@pytest.mark.parametrize("size", [1, 4])
 @pytest.mark.parametrize("bad_loss", [float("nan"), float("inf")])
 @pytest.mark.parametrize(
     ("bad_step", "log_every", "kept"),
     [(1, 100, []), (7, 100, [3, 6]), (6, 100, [3]), (7, 1, [3, 6]), (10, 4, [3, 6, 9])],
 )
-def test_a_loss_that_is_not_finite_stops_with_its_step_and_is_never_kept(tmp_path, bad_loss, bad_step, log_every, kept):
-    config = loop(log_every=log_every, checkpoint_every=3, keep=9)
+def test_a_loss_that_is_not_finite_stops_with_its_step_and_is_never_kept(
+    tmp_path, bad_loss, bad_step, log_every, kept, size
+):
+    config = loop(log_every=log_every, checkpoint_every=3, keep=9, steps_per_call=size)
     with pytest.raises(UserError, match=rf"^step {bad_step}: the loss is {bad_loss}"):
-        run_loop(tmp_path, START, counting(bad_step, bad_loss), config=config)
+        run_loop(tmp_path, START, counting(bad_step, bad_loss, size), config=config)
     assert kept_steps(tmp_path) == kept
     if kept:
         assert max(row["step"] for row in rows(tmp_path)) < bad_step
@@ -163,13 +177,39 @@ def test_a_finished_state_is_left_alone(tmp_path):
 
 
 def test_means_are_over_the_steps():
-    history = [{"loss": jnp.array(value), "other": jnp.array(2 * value)} for value in (1.0, 2.0, 6.0)]
+    history = [
+        Call({"loss": jnp.array([1.0, 2.0]), "other": jnp.array([2.0, 4.0])}, 2),
+        Call({"loss": jnp.array([6.0, jnp.nan]), "other": jnp.array([12.0, 99.0])}, 1),
+    ]
     assert mean_metrics(history, first_step=5) == {"loss": 3.0, "other": 6.0}
-    history[1]["other"] = jnp.array(jnp.nan)
+    history[0].metrics["other"] = jnp.array([2.0, jnp.nan])
     assert np.isnan(mean_metrics(history, first_step=5)["other"])
-    history[2]["loss"] = jnp.array(jnp.inf)
+    history[1].metrics["loss"] = jnp.array([jnp.inf, 1.0])
     with pytest.raises(UserError, match=r"^step 7: "):
         mean_metrics(history, first_step=5)
+
+
+@pytest.mark.parametrize(
+    ("size", "expected"), [(1, [1] * 10), (2, [2, 1, 1, 1, 1, 2, 1, 1]), (99, [3, 1, 1, 1, 2, 1, 1])]
+)
+def test_calls_end_where_something_is_due_and_change_no_file(tmp_path, size, expected):
+    def validate(state):
+        return {"loss": 100.0 + int(state.step)}
+
+    run_loop(tmp_path / "single", START, counting(), config=loop(), measurements=[every(3, validate)])
+    counts, config = [], loop(steps_per_call=size)
+    update = counting(size=size, counts=counts)
+    state = run_loop(tmp_path / "calls", START, update, config=config, measurements=[every(3, validate)])
+    assert int(state.step) == sum(counts) == 10
+    assert counts == expected
+    for name in ("train.csv", "val.csv"):
+        assert (tmp_path / "calls" / name).read_bytes() == (tmp_path / "single" / name).read_bytes()
+    assert kept_steps(tmp_path / "calls") == kept_steps(tmp_path / "single")
+
+
+def test_the_next_multiple_is_after_a_step():
+    assert [next_multiple(step, 4, limit=10) for step in (0, 3, 4, 7, 8, 9)] == [4, 4, 8, 8, 10, 10]
+    assert next_multiple(3, 0, limit=10) == 10
 
 
 TABLE = "step,loss\n2,0.5\n4,0.25\n6,0.125\n"

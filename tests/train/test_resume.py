@@ -10,9 +10,9 @@ import pytest
 
 from t2m_jax.checkpoints.run import Checkpoints
 from t2m_jax.errors import UserError
-from t2m_jax.train import gpt, train, vqvae
+from t2m_jax.train import train
 from tests.tiny import LOOP, gpt_training, vqvae_training
-from tests.train.conftest import assert_same_checkpoint, newest_checkpoint
+from tests.train.conftest import assert_same_checkpoint, newest_checkpoint, stop_at
 
 STAGES = ["vqvae", "gpt"]
 STOP = 7
@@ -23,7 +23,7 @@ class Stage:
     """One of the two trainings, into a folder of its own."""
 
     def __init__(self, name, runs, run):
-        self.module, self.finished = {"vqvae": (vqvae, runs.vqvae), "gpt": (gpt, runs.gpt)}[name]
+        self.finished = {"vqvae": runs.vqvae, "gpt": runs.gpt}[name]
         # The config of a run to resume has to name the VQ-VAE by which it was started.
         self.config = vqvae_training(runs.data, run) if name == "vqvae" else gpt_training(runs.data, runs.vqvae, run)
 
@@ -37,26 +37,13 @@ def stage(request, runs, tmp_path):
     return Stage(request.param, runs, tmp_path / "run")
 
 
-def stop_at(step, module, monkeypatch):
-    """Interrupts training in the given update, as Ctrl-C would."""
-    update = module.update
-
-    def interrupted(state, *arguments, **options):
-        if int(state.step) + 1 == step:
-            raise KeyboardInterrupt
-        return update(state, *arguments, **options)
-
-    monkeypatch.setattr(module, "update", interrupted)
-    return lambda: monkeypatch.setattr(module, "update", update)
-
-
 def texts(run):
     return {name: (run / name).read_bytes() for name in ("train.csv", "val.csv")}
 
 
 @pytest.mark.parametrize("stage", STAGES, indirect=True)
 def test_a_resumed_run_equals_one_that_never_stopped(stage, monkeypatch):
-    mend = stop_at(STOP, stage.module, monkeypatch)
+    mend = stop_at(STOP, monkeypatch)
     with pytest.raises(KeyboardInterrupt):
         stage.train()
     run = stage.config.run
@@ -71,8 +58,20 @@ def test_a_resumed_run_equals_one_that_never_stopped(stage, monkeypatch):
 
 
 @pytest.mark.parametrize("stage", STAGES, indirect=True)
+def test_calls_of_several_updates_are_resumed_exactly_too(stage, tmp_path):
+    """The whole run has calls of 3, 1, 3 and 1 updates; that of the other from step 4 is cut short."""
+    loop = {"steps_per_call": 3, "log_every": 100}
+    stage.train(**loop)
+    whole = stage.config.run
+    stage.config = dataclasses.replace(stage.config, run=tmp_path / "again")
+    stage.train(num_steps=6, **loop)
+    stage.train(resume=True, **loop)
+    assert_same_checkpoint(stage.config.run, whole)
+
+
+@pytest.mark.parametrize("stage", STAGES, indirect=True)
 def test_a_run_that_stopped_before_its_first_checkpoint_starts_over(stage, monkeypatch):
-    mend = stop_at(4, stage.module, monkeypatch)
+    mend = stop_at(4, monkeypatch)
     with pytest.raises(KeyboardInterrupt):
         stage.train()
     assert (stage.config.run / "train.csv").exists()

@@ -11,7 +11,7 @@ import pytest
 from t2m_jax.data.banks.motions import Windows
 from t2m_jax.text.bpe import CaptionTokens
 from t2m_jax.train import TrainGptConfig, TrainVqVaeConfig
-from t2m_jax.train.gpt import GptBatch, gpt_train_step, init_gpt_state
+from t2m_jax.train.gpt import GptBatch, gpt_train_step, init_gpt_state, make_gpt_batch
 from t2m_jax.train.targets import make_targets
 from t2m_jax.train.vqvae import init_vqvae_state, vqvae_train_step
 from tests.tiny import CAPTION_ENCODER, GPT, OPTIMIZER, VQVAE
@@ -38,7 +38,9 @@ def gpt_batch() -> GptBatch:
     codes = jax.random.randint(jax.random.key(2), (3, 7), 0, GPT.num_codes)
     targets = make_targets(codes, jnp.array([7, 3, 5]), num_codes=GPT.num_codes, block_size=GPT.block_size)
     tokens = jax.random.randint(jax.random.key(3), (3, 16), 2, 90)
-    return GptBatch(targets, CaptionTokens(tokens, jnp.arange(16)[None] < jnp.array([4, 16, 9])[:, None]))
+    captions = CaptionTokens(tokens, jnp.arange(16)[None] < jnp.array([4, 16, 9])[:, None])
+    keys = jax.random.split(jax.random.key(4), (3, 2))
+    return make_gpt_batch(targets, captions, config=GPT_TRAINING, dropout_keys=keys)
 
 
 def test_what_lies_past_the_end_teaches_nothing():
@@ -57,24 +59,38 @@ def test_what_lies_past_the_end_teaches_nothing():
 def test_the_caption_reaches_the_loss():
     state = init_gpt_state(GPT_TRAINING, jax.random.key(0))
     step = jax.jit(gpt_train_step, static_argnames="config")
-    after, _ = step(state, gpt_batch(), jax.random.key(4), config=GPT_TRAINING)
+    after, _ = step(state, gpt_batch(), config=GPT_TRAINING)
     before = state.params["caption_encoder"]["token_embedding"]["embedding"]
     assert np.any(np.asarray(after.params["caption_encoder"]["token_embedding"]["embedding"] != before))
+
+
+def test_accuracy_is_over_tokens_whatever_the_loss_is():
+    codes = jax.random.randint(jax.random.key(2), (3, 7), 0, GPT.num_codes)
+    targets = make_targets(codes, jnp.array([7, 3, 5]), num_codes=GPT.num_codes, block_size=GPT.block_size)
+    configs = [dataclasses.replace(GPT_TRAINING, mean_over=kind) for kind in ("motions", "tokens")]
+    batches = [make_gpt_batch(targets, jnp.zeros((3, 16)), config=config) for config in configs]
+    np.testing.assert_array_equal(batches[0].accuracy_weights, batches[1].accuracy_weights)
+    np.testing.assert_array_equal(batches[1].loss_weights, batches[1].accuracy_weights)
+    assert not np.array_equal(batches[0].loss_weights, batches[1].loss_weights)
 
 
 @pytest.mark.parametrize("name", ["vqvae", "gpt"])
 def test_a_step_is_compiled_once(name):
     """The state that a step returns must have the types of the state that it takes."""
-    function, state, batch, config = {
-        "vqvae": lambda: (vqvae_train_step, init_vqvae_state(VQVAE_TRAINING, KEY), windows(), VQVAE_TRAINING),
-        "gpt": lambda: (gpt_train_step, init_gpt_state(GPT_TRAINING, KEY), gpt_batch(), GPT_TRAINING),
-    }[name]()
     chex.clear_trace_counter()
 
-    def step(state, batch, key):
-        return function(state, batch, key, config=config)
+    def vqvae_step(state, number):
+        return vqvae_train_step(state, windows(), jax.random.key(number), config=VQVAE_TRAINING)
 
+    def gpt_step(state, number):
+        keys = jax.random.split(jax.random.key(number), (3, 2))
+        return gpt_train_step(state, gpt_batch()._replace(dropout_keys=keys), config=GPT_TRAINING)
+
+    step, state = {
+        "vqvae": lambda: (vqvae_step, init_vqvae_state(VQVAE_TRAINING, KEY)),
+        "gpt": lambda: (gpt_step, init_gpt_state(GPT_TRAINING, KEY)),
+    }[name]()
     compiled = jax.jit(chex.assert_max_traces(step, n=1))
     for number in range(3):
-        state, _ = compiled(state, batch, jax.random.key(number))
+        state, _ = compiled(state, number)
     assert state.step == 3

@@ -7,7 +7,7 @@ import numpy as np
 
 from t2m_jax.train.streams import stream_key
 
-NAMES = ("init", "data", "codebook", "validation", "drop", "model")
+NAMES = ("init", "data", "codebook", "validation", "drop", "corruption", "dropout", "tau", "windows", "movements")
 
 
 def bits(key):

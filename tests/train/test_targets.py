@@ -4,6 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from t2m_jax.data.banks.codes import CodeBank
+from t2m_jax.models.motion_gpt import MotionGptConfig
+from t2m_jax.train import LoopConfig, TrainGptConfig
+from t2m_jax.train.gpt import training_batch
 from t2m_jax.train.targets import Corruption, draw_corruption, drop_one_code, make_targets
 from tests.jit import assert_jit_equals_eager
 
@@ -38,7 +42,9 @@ def test_golden_corruption(golden_dir):
 
 
 def corrupted(tokens, key, **options):
-    return draw_corruption(tokens, key, num_codes=8, **options).apply(tokens)
+    """Tokens as in training, with a key for each motion."""
+    keys = jax.random.split(key, len(tokens))
+    return draw_corruption(tokens, keys, num_codes=8, **options).apply(tokens)
 
 
 def test_random_corruption_replaces_the_right_share():
@@ -52,21 +58,45 @@ def test_random_corruption_replaces_the_right_share():
     assert np.max(everything) < 8
 
 
-def test_a_drawn_share_is_one_a_batch_or_one_a_motion():
-    tokens = jnp.full((40, 2000), 99)
+def replaced_shares(tau, num_steps):
+    """The share of the inputs that is replaced, by step and motion; almost all of them are Pad."""
+    config = TrainGptConfig(
+        text_encoder="clip",
+        model=MotionGptConfig(num_codes=8, text_dim=4, embed_dim=8, num_heads=2, block_size=2001),
+        tau=tau,
+        loop=LoopConfig(batch_size=40),
+    )
+    ones = jnp.ones(40, jnp.int32)
+    bank = CodeBank(jnp.zeros((40, 1, 3, 1), jnp.int32), 3 * ones[:, None], jnp.zeros((40, 4)), jnp.arange(40), ones)
+    batch_at = jax.jit(lambda step: training_batch(bank, step, config=config))
+    batches = [batch_at(step) for step in range(num_steps)]
+    return np.stack([np.mean(batch.inputs != batch.tokens[:, :-1], axis=1) for batch in batches])
 
-    def shares(tau, seed):
-        found = corrupted(tokens, jax.random.key(seed), tau=tau, past_end=True)
-        return np.mean(found != 99, axis=1)
 
-    batches = np.stack([shares("per_batch", seed) for seed in range(40)])
+def test_a_share_is_drawn_for_each_batch():
+    batches = replaced_shares("per_batch", num_steps=40)
     assert np.ptp(batches, axis=1).max() < 0.1, "motions of one batch differ"
     assert batches.min() < 0.1 and batches.max() > 0.9
-    motions = shares("per_motion", 0)
-    assert motions.min() < 0.15 and motions.max() > 0.85
-    np.testing.assert_allclose(
-        np.concatenate([shares("per_motion", seed) for seed in range(10)]).mean(), 0.5, atol=0.05
-    )
+
+
+def test_a_share_is_drawn_for_each_motion():
+    motions = replaced_shares("per_motion", num_steps=10)
+    assert motions[0].min() < 0.15 and motions[0].max() > 0.85
+    np.testing.assert_allclose(motions.mean(), 0.5, atol=0.05)
+
+
+def test_a_given_share_is_that_of_every_motion():
+    np.testing.assert_allclose(replaced_shares(0.3, num_steps=2), 0.3, atol=0.06)
+
+
+def test_the_corruption_of_a_motion_does_not_depend_on_the_others():
+    tokens, keys = jnp.full((6, 50), 99), jax.random.split(jax.random.key(3), 6)
+    options = {"tau": "per_motion", "num_codes": 8, "past_end": True}
+    together = draw_corruption(tokens, keys, **options)
+    alone = draw_corruption(tokens[2:4], keys[2:4], **options)
+    np.testing.assert_array_equal(together.keep[2:4], alone.keep)
+    np.testing.assert_array_equal(together.replacements[2:4], alone.replacements)
+    assert len(np.unique(np.asarray(together.replacements), axis=0)) == 6
 
 
 def test_end_and_pad_can_be_left_alone():

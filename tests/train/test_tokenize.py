@@ -1,5 +1,6 @@
 """Motions as codes, and the bank that the GPT trains on."""
 
+import dataclasses
 import logging
 
 import jax
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.checkpoints import TrainedTokenizer
-from t2m_jax.data.banks.codes import CodeBatch, code_batch_at
+from t2m_jax.data.banks.codes import CodeBank, code_batch_at
 from t2m_jax.data.folder import Clip, DatasetInfo
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
@@ -16,9 +17,9 @@ from t2m_jax.models.system import variable_shapes
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.text.bpe import tokenize_captions, train_bpe
 from t2m_jax.train import tokenize as train_tokenize
-from t2m_jax.train.gpt import make_batch
+from t2m_jax.train.gpt import targets_from_codes, training_batch
 from t2m_jax.train.tokenize import encode_clips, make_code_bank
-from tests.tiny import CAPTIONS, VQVAE, gpt_training, random_variables
+from tests.tiny import CAPTIONS, LOOP, VQVAE, gpt_training, random_variables
 
 INFO = DatasetInfo(name="fake", min_frames=40, max_frames=196)
 
@@ -137,15 +138,20 @@ def test_the_bank_can_hold_embeddings(first_frames, vqvae):
 
 
 def test_targets_of_a_batch(tmp_path):
-    """Without a key the codes stay; with keys some motions lose one code, at either end, and none gains."""
-    config = gpt_training(tmp_path, tmp_path, tmp_path)
+    """In validation the codes stay; in training some motions lose one code, at either end, and none gains."""
+    config = gpt_training(tmp_path, tmp_path, tmp_path, loop=dataclasses.replace(LOOP, batch_size=200))
+    config = dataclasses.replace(config, tau=0.0)
     end, pad = config.model.end_token, config.model.pad_token
-    codes = jnp.tile(jnp.arange(1, 7), (200, 1))[:, :, None]
-    batch = CodeBatch(codes, jnp.full(200, 6), jnp.ones((200, 4)))
-    plain = make_batch(batch, None, config=config)
+    codes, lengths = np.tile(np.arange(1, 7), (200, 1)), np.full(200, 6)
+    plain = targets_from_codes(jnp.asarray(codes), jnp.asarray(lengths), config=config)
     expected = [1, 2, 3, 4, 5, 6, end, *[pad] * (config.model.block_size - 7)]
-    np.testing.assert_array_equal(plain.targets.tokens, np.tile(expected, (200, 1)))
-    found = np.asarray(make_batch(batch, jax.random.key(0), config=config).targets.tokens)[:, :7]
+    np.testing.assert_array_equal(plain.tokens, np.tile(expected, (200, 1)))
+    bank = CodeBank(
+        codes[:, None, :, None], lengths[:, None], np.ones((200, 4), np.float32), np.arange(200), np.ones(200, np.int32)
+    )
+    batch = training_batch(bank, jnp.array(0), config=config)
+    found = np.asarray(batch.tokens)[:, :7]
+    np.testing.assert_array_equal(batch.inputs, batch.tokens[:, :-1])
     kinds = {(1, 2, 3, 4, 5, 6, end): 0, (2, 3, 4, 5, 6, end, pad): 0, (1, 2, 3, 4, 5, end, pad): 0}
     for row in found.tolist():
         kinds[tuple(row)] += 1

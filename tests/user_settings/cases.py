@@ -1,4 +1,7 @@
-"""Arguments for every jitted function of the package; `test_compiled.py` compares its results with and without jit."""
+"""Arguments for every jitted function of the package, and for every update that trainers have the program compile.
+
+`test_compiled.py` compares their results with and without jit.
+"""
 
 import dataclasses
 import functools
@@ -8,12 +11,14 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh
 
 from t2m_jax.data.banks.captions import CaptionBank, make_caption_bank
 from t2m_jax.data.banks.codes import CodeBank
 from t2m_jax.data.banks.motions import MotionBank, make_bank
 from t2m_jax.data.folder import Clip
 from t2m_jax.data.texts import Caption
+from t2m_jax.devices import make_data_mesh
 from t2m_jax.masks import mask_from_lengths
 from t2m_jax.models.clip_text import ClipText, ClipTextConfig
 from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
@@ -30,6 +35,8 @@ from t2m_jax.train.evaluator import init_matching_state
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from t2m_jax.train.gpt import init_gpt_state
 from t2m_jax.train.movement import init_movement_state
+from t2m_jax.train.optimizer import TrainState
+from t2m_jax.train.program import Update
 from t2m_jax.train.vqvae import init_vqvae_state
 from tests.tiny import CAPTION_ENCODER, GPT, VQVAE, random_variables, walking_normalizer
 
@@ -44,6 +51,8 @@ class Case(NamedTuple):
     options: dict[str, Any]
     rtol: float = 1e-5
     atol: float = 1e-6
+    mesh: Mesh | None = None
+    """The devices that the function needs around it."""
 
 
 def case(name: str) -> Callable:
@@ -136,12 +145,12 @@ def clips() -> list[Clip]:
 
 def motion_bank() -> MotionBank:
     """Returns the motions on the device."""
-    return make_bank(clips(), STANDARD_NORMAL)
+    return jax.device_put(make_bank(clips(), STANDARD_NORMAL))
 
 
 def caption_bank() -> CaptionBank:
     """Returns motions and captions on the device."""
-    return make_caption_bank(clips(), STANDARD_NORMAL, WORDS)
+    return jax.device_put(make_caption_bank(clips(), STANDARD_NORMAL, WORDS))
 
 
 def code_bank() -> CodeBank:
@@ -236,6 +245,19 @@ def _() -> Case:
 @case("evaluation.report.details.rank_own")
 def _() -> Case:
     return Case((normal(1, 2, 5, 4), normal(2, 2, 5, 4)), {})
+
+
+def count_down(state: Any, data: Any) -> tuple[Any, Any]:
+    """Returns a training state of one weight that moves to the data."""
+    error = state.params - data
+    return TrainState(state.step + 1, state.params - 0.1 * error, state.opt_state + error), {"loss": error @ error}
+
+
+@case("train.program._divided_updates")
+def _() -> Case:
+    state = TrainState(jnp.array(0), normal(1, 4), normal(2, 4))
+    options = {"update": Update(count_down), "size": 3, "shares": 1}
+    return Case((state, normal(3, 4), jnp.array(2)), options, mesh=make_data_mesh(jax.devices()[:1]))
 
 
 @case("train.vqvae.init_vqvae_state")

@@ -1,6 +1,8 @@
 """Every jitted function of the package gives the same result with and without compilation, optimized as for users."""
 
+import contextlib
 import importlib
+import inspect
 import pkgutil
 from typing import Any
 
@@ -8,6 +10,7 @@ import jax
 import pytest
 
 import t2m_jax
+from t2m_jax import train
 from tests.jit import assert_jit_equals_eager
 from tests.user_settings.cases import CASES
 
@@ -25,7 +28,18 @@ def jitted_functions() -> dict:
     return found
 
 
-FUNCTIONS = jitted_functions()
+def updates() -> dict:
+    """Returns the updates of the trainers of the package under `jax.jit`, by name. `Devices.run` compiles them."""
+    found = {}
+    for info in pkgutil.iter_modules(train.__path__, f"{PREFIX}train."):
+        for name, value in vars(importlib.import_module(info.name)).items():
+            if inspect.isfunction(value) and value.__module__ == info.name and name.startswith("update"):
+                options = inspect.signature(value).parameters.keys() - {"state", "bank"}
+                found[f"{info.name}.{name}".removeprefix(PREFIX)] = jax.jit(value, static_argnames=sorted(options))
+    return found
+
+
+FUNCTIONS = jitted_functions() | updates()
 
 
 def test_every_compiled_function_has_a_case():
@@ -40,4 +54,5 @@ def marked(name: str) -> Any:
 @pytest.mark.parametrize("name", [marked(name) for name in sorted(CASES)])
 def test_jit_equals_eager(name):
     case = CASES[name]()
-    assert_jit_equals_eager(FUNCTIONS[name], *case.arguments, rtol=case.rtol, atol=case.atol, **case.options)
+    with jax.set_mesh(case.mesh) if case.mesh else contextlib.nullcontext():
+        assert_jit_equals_eager(FUNCTIONS[name], *case.arguments, rtol=case.rtol, atol=case.atol, **case.options)

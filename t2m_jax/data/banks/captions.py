@@ -9,11 +9,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, Key
 
-from t2m_jax.data.banks.motions import MotionBank, batch_clips, make_bank, windows_at
+from t2m_jax.data.banks.motions import Cuts, MotionBank, make_bank, windows_at
+from t2m_jax.data.banks.order import AnyArray, batch_items, draw_below, row_keys, split_each
 from t2m_jax.data.folder import Clip
 from t2m_jax.data.texts import Caption
+from t2m_jax.devices import own_rows, split_rows
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.text.word_vectors import Vocabulary, WordIds, tokens_from_text
 
@@ -27,8 +29,8 @@ class CaptionBank(NamedTuple):
     motions: MotionBank
     captions: WordIds
     """One row per caption."""
-    first_caption: Int[Array, " M"]
-    num_captions: Int[Array, " M"]
+    first_caption: Int[AnyArray, " M"]
+    num_captions: Int[AnyArray, " M"]
 
 
 class CaptionBatch(NamedTuple):
@@ -50,7 +52,7 @@ def all_tokens(samples: Iterable[Clip]) -> list[tuple[str, ...]]:
 
 
 def make_caption_bank(samples: Sequence[Clip], normalizer: Normalizer, vocabulary: Vocabulary) -> CaptionBank:
-    """Returns motions and captions on the default device.
+    """Returns motions and captions as NumPy arrays, which training puts on its devices.
 
     Args:
         samples: Samples of text-to-motion (`samples_from_clip`); each has a caption.
@@ -64,7 +66,7 @@ def make_caption_bank(samples: Sequence[Clip], normalizer: Normalizer, vocabular
     captions = vocabulary.vectorize_all(all_tokens(samples))
     counts = np.array([len(sample.captions) for sample in samples], np.int32)
     first = np.cumsum(counts, dtype=np.int32) - counts
-    return CaptionBank(motions, WordIds(*map(jnp.asarray, captions)), jnp.asarray(first), jnp.asarray(counts))
+    return CaptionBank(motions, WordIds(*captions), first, counts)
 
 
 def used_lengths(lengths: Int[Array, " B"], is_shorter: Bool[Array, " B"], *, unit: int = 4) -> Int[Array, " B"]:
@@ -72,8 +74,30 @@ def used_lengths(lengths: Int[Array, " B"], is_shorter: Bool[Array, " B"], *, un
     return jnp.maximum(lengths // unit - is_shorter, 1) * unit
 
 
+def _draw(
+    bank: CaptionBank, key: Key[Array, ""], step: Int[Array, ""] | int, *, batch_size: int, max_frames: int
+) -> tuple[Cuts, Int[Array, " B"]]:
+    """Returns the cuts and the captions of a step."""
+    bank, (order_key, draw_key) = jax.tree.map(jnp.asarray, bank), jax.random.split(key)
+    rows = own_rows(batch_size)
+    motions = batch_items(order_key, step, rows, num_items=bank.first_caption.shape[0], batch_size=batch_size)
+    caption_keys, coin_keys, start_keys = split_each(row_keys(draw_key, step, rows), 3)
+    captions = bank.first_caption[motions] + draw_below(caption_keys, bank.num_captions[motions])
+    whole = bank.motions.lengths[motions]
+    is_shorter = jax.vmap(lambda coin: jax.random.bernoulli(coin, SHORTER_CHANCE))(coin_keys)
+    lengths = jnp.minimum(used_lengths(whole, is_shorter), max_frames)
+    return Cuts(bank.motions.starts[motions] + draw_below(start_keys, whole - lengths + 1), lengths), captions
+
+
+def caption_cuts_at(
+    bank: CaptionBank, key: Key[Array, ""], step: Int[Array, ""] | int, *, batch_size: int, max_frames: int
+) -> Cuts:
+    """Returns the cuts of the batch of a step, see `caption_batch_at`. No frames are read."""
+    return _draw(bank, key, step, batch_size=batch_size, max_frames=max_frames)[0]
+
+
 def caption_batch_at(
-    bank: CaptionBank, key: PRNGKeyArray, step: Int[Array, ""] | int, *, batch_size: int, max_frames: int
+    bank: CaptionBank, key: Key[Array, ""], step: Int[Array, ""] | int, *, batch_size: int, max_frames: int
 ) -> CaptionBatch:
     """Returns the batch of a step. Every motion is used once per epoch; caption, length and start are drawn.
 
@@ -84,15 +108,7 @@ def caption_batch_at(
         batch_size: Motions per step.
         max_frames: Frames of the arrays; longer crops are cut.
     """
-    order_key, draw_key = jax.random.split(key)
-    motions = batch_clips(order_key, step, num_clips=bank.first_caption.shape[0], batch_size=batch_size)
-    caption_key, coin_key, start_key = jax.random.split(jax.random.fold_in(draw_key, step), 3)
-    caption = bank.first_caption[motions] + jax.random.randint(
-        caption_key, motions.shape, 0, bank.num_captions[motions]
-    )
-    whole = bank.motions.lengths[motions]
-    is_shorter = jax.random.bernoulli(coin_key, SHORTER_CHANCE, whole.shape)
-    lengths = jnp.minimum(used_lengths(whole, is_shorter), max_frames)
-    start = jax.random.randint(start_key, whole.shape, 0, whole - lengths + 1)
-    windows = windows_at(bank.motions, bank.motions.starts[motions] + start, lengths, window=max_frames)
-    return CaptionBatch(windows.motion, lengths, jax.tree.map(lambda rows: rows[caption], bank.captions))
+    cuts, captions = _draw(bank, key, step, batch_size=batch_size, max_frames=max_frames)
+    windows = windows_at(bank.motions, step, cuts, window=max_frames)
+    words = jax.tree.map(lambda table: table[captions], bank.captions)
+    return split_rows(CaptionBatch(windows.motion, cuts.lengths, words))

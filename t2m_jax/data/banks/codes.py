@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
-from t2m_jax.data.banks.motions import batch_clips
+from t2m_jax.data.banks.order import AnyArray, batch_items, draw_below, row_keys, split_each
+from t2m_jax.devices import own_rows, split_rows
 from t2m_jax.text.bpe import CaptionTokens
 
 Captions: TypeAlias = CaptionTokens | Float[Array, "B E"]
@@ -16,12 +17,12 @@ Captions: TypeAlias = CaptionTokens | Float[Array, "B E"]
 class CodeBank(NamedTuple):
     """The codes of every motion from S starting offsets, and all captions in one table."""
 
-    codes: Int[Array, "M S N R"]
-    code_lengths: Int[Array, "M S"]
+    codes: Int[AnyArray, "M S N R"]
+    code_lengths: Int[AnyArray, "M S"]
     captions: Captions
     """One row per caption."""
-    first_caption: Int[Array, " M"]
-    num_captions: Int[Array, " M"]
+    first_caption: Int[AnyArray, " M"]
+    num_captions: Int[AnyArray, " M"]
 
 
 class CodeBatch(NamedTuple):
@@ -33,10 +34,10 @@ class CodeBatch(NamedTuple):
 
 
 def crop_codes(
-    codes: Int[Array, "B N R"], code_lengths: Int[Array, " B"], key: Key[Array, ""], *, max_codes: int
+    codes: Int[Array, "B N R"], code_lengths: Int[Array, " B"], keys: Key[Array, " B"], *, max_codes: int
 ) -> tuple[Int[Array, "B M R"], Int[Array, " B"]]:
-    """Returns at most `max_codes` rows of each motion, from a uniformly drawn start; `key` is consumed."""
-    start = jax.random.randint(key, code_lengths.shape, 0, jnp.maximum(code_lengths - max_codes, 0) + 1)
+    """Returns at most `max_codes` rows of each motion, from a uniformly drawn start; `keys` are consumed."""
+    start = draw_below(keys, jnp.maximum(code_lengths - max_codes, 0) + 1)
     padded = jnp.pad(codes, ((0, 0), (0, max_codes), (0, 0)))
     cropped = jax.vmap(lambda rows, first: jax.lax.dynamic_slice_in_dim(rows, first, max_codes))(padded, start)
     return cropped, jnp.minimum(code_lengths, max_codes)
@@ -49,13 +50,12 @@ def code_batch_at(
 
     Every motion comes once per epoch, with a uniformly drawn offset and caption.
     """
-    order_key, draw_key = jax.random.split(key)
-    motions = batch_clips(order_key, step, num_clips=bank.codes.shape[0], batch_size=batch_size)
-    offset_key, caption_key, crop_key = jax.random.split(jax.random.fold_in(draw_key, step), 3)
-    offsets = jax.random.randint(offset_key, motions.shape, 0, bank.codes.shape[1])
-    captions = jax.random.randint(caption_key, motions.shape, 0, bank.num_captions[motions])
-    captions = bank.first_caption[motions] + captions
-    codes, code_lengths = crop_codes(
-        bank.codes[motions, offsets], bank.code_lengths[motions, offsets], crop_key, max_codes=max_codes
-    )
-    return CodeBatch(codes, code_lengths, jax.tree.map(lambda rows: rows[captions], bank.captions))
+    bank, (order_key, draw_key) = jax.tree.map(jnp.asarray, bank), jax.random.split(key)
+    rows = own_rows(batch_size)
+    motions = batch_items(order_key, step, rows, num_items=bank.codes.shape[0], batch_size=batch_size)
+    offset_keys, caption_keys, crop_keys = split_each(row_keys(draw_key, step, rows), 3)
+    offsets = draw_below(offset_keys, bank.codes.shape[1])
+    caption = bank.first_caption[motions] + draw_below(caption_keys, bank.num_captions[motions])
+    lengths = bank.code_lengths[motions, offsets]
+    codes, lengths = crop_codes(bank.codes[motions, offsets], lengths, crop_keys, max_codes=max_codes)
+    return split_rows(CodeBatch(codes, lengths, jax.tree.map(lambda table: table[caption], bank.captions)))

@@ -4,20 +4,36 @@ The clips of batch b of epoch e and the starts of their windows are a pure funct
 resumed run gets exactly the batches that it would have got without the interruption.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jax.sharding import PartitionSpec
+from jaxtyping import Array, Bool, Float, Int, Key
 
+from t2m_jax.data.banks.order import AnyArray, batch_items, draw_below, row_keys
 from t2m_jax.data.folder import Clip
+from t2m_jax.devices import AXIS, global_sum, own_rows, split_rows
 from t2m_jax.errors import UserError
 from t2m_jax.motion.normalizer import Normalizer
 
 UNUSED_SHARE = 0.25
-"""Largest share of unused rows for which clips are shared with the cache and not copied."""
+"""Largest share of unused rows with which frames are put on a device as they are. With more, the clips are copied."""
+
+
+class ShardedFrames(NamedTuple):
+    """Frames that are divided among the devices of a mesh, in order."""
+
+    rows: Float[AnyArray, "F D"]
+
+
+class FedFrames(NamedTuple):
+    """Raw windows that the host has cut for S consecutive steps. The frames themselves are not on the devices."""
+
+    first_step: Int[AnyArray, ""]
+    windows: Float[AnyArray, "S B T D"]
 
 
 class MotionBank(NamedTuple):
@@ -26,11 +42,18 @@ class MotionBank(NamedTuple):
     Windows are normalized when they are cut, because normalized frames would be a second copy of the data set.
     """
 
-    frames: Float[Array, "F D"]
-    starts: Int[Array, " M"]
-    lengths: Int[Array, " M"]
-    mean: Float[Array, " D"]
-    std: Float[Array, " D"]
+    frames: Float[AnyArray, "F D"] | ShardedFrames | FedFrames
+    starts: Int[AnyArray, " M"]
+    lengths: Int[AnyArray, " M"]
+    mean: Float[AnyArray, " D"]
+    std: Float[AnyArray, " D"]
+
+
+class Cuts(NamedTuple):
+    """The windows of a batch: their first rows in the bank, and the number of their frames that are data."""
+
+    first_rows: Int[Array, " B"]
+    lengths: Int[Array, " B"]
 
 
 class Windows(NamedTuple):
@@ -41,10 +64,10 @@ class Windows(NamedTuple):
 
 
 def make_bank(clips: Sequence[Clip], normalizer: Normalizer) -> MotionBank:
-    """Returns the clips on the default device.
+    """Returns the clips as NumPy arrays, which training puts on its devices or feeds to them.
 
-    Clips that are views of one read-only array, such as the cache of a data set, are not copied if they use most of
-    it: a CPU shares their memory, and an accelerator gets them in one transfer.
+    Clips that are views of one read-only array, such as the cache of a data set, are not copied: `frames` is then the
+    part of it from the first clip to the last.
 
     Args:
         clips: Training clips; each counts once per epoch.
@@ -60,9 +83,73 @@ def make_bank(clips: Sequence[Clip], normalizer: Normalizer) -> MotionBank:
         raise UserError(f"the clips have {width} features, the statistics {normalizer.mean.shape[0]}; use their own")
     lengths = np.array([len(clip.features) for clip in clips], dtype=np.int32)
     frames, starts = _gather_frames([clip.features for clip in clips], lengths)
-    mean, std = (jnp.asarray(statistic, jnp.float32) for statistic in normalizer)
-    # `jnp.asarray` would copy. This shares the memory if the device can; nobody writes to it.
-    return MotionBank(jax.device_put(frames, may_alias=True), jnp.asarray(starts), jnp.asarray(lengths), mean, std)
+    mean, std = (np.asarray(statistic, np.float32) for statistic in normalizer)
+    return MotionBank(frames, starts, lengths, mean, std)
+
+
+def map_banks(data: Any, change: Callable[[MotionBank], MotionBank]) -> Any:
+    """Returns data in which every bank of motions is changed."""
+
+    def is_bank(leaf: Any) -> bool:
+        return isinstance(leaf, MotionBank)
+
+    return jax.tree.map(lambda leaf: change(leaf) if is_bank(leaf) else leaf, data, is_leaf=is_bank)
+
+
+def banks_of(data: Any) -> list[MotionBank]:
+    """Returns the banks of motions in data."""
+    leaves = jax.tree.leaves(data, is_leaf=lambda leaf: isinstance(leaf, MotionBank))
+    return [leaf for leaf in leaves if isinstance(leaf, MotionBank)]
+
+
+def used_rows(bank: MotionBank) -> int:
+    """Returns the number of rows that a bank on the host has when it is compact."""
+    used, rows = int(np.sum(bank.lengths)), len(bank.frames)
+    return rows if used >= (1 - UNUSED_SHARE) * rows else used
+
+
+def compact(bank: MotionBank) -> MotionBank:
+    """Returns a bank on the host without the rows between its clips, if these are more than `UNUSED_SHARE`.
+
+    Other banks keep their frames. If these are mapped, a CPU shares them, and an accelerator gets them in one transfer.
+    """
+    if used_rows(bank) == len(bank.frames):
+        return bank
+    frames, lengths = np.asarray(bank.frames), np.asarray(bank.lengths)
+    clips = [frames[start : start + length] for start, length in zip(bank.starts, lengths, strict=True)]
+    return bank._replace(frames=np.concatenate(clips), starts=_first_rows(lengths))
+
+
+def divide_frames(bank: MotionBank, count: int) -> MotionBank:
+    """Returns a bank whose frames can be divided among `count` devices."""
+    return bank._replace(frames=ShardedFrames(np.pad(bank.frames, ((0, -len(bank.frames) % count), (0, 0)))))
+
+
+def without_frames(bank: MotionBank) -> MotionBank:
+    """Returns a bank on the host without its frames: what is needed to choose windows."""
+    return bank._replace(frames=np.asarray(bank.frames)[:0])
+
+
+def take_frames(frames: Float[AnyArray, "F D"] | ShardedFrames, rows: Int[Array, "B T"]) -> Float[Array, "B T D"]:
+    """Returns some rows of the frames; numbers after the last row give the last row."""
+    if not isinstance(frames, ShardedFrames):
+        return jnp.take(jnp.asarray(frames), rows, axis=0, mode="clip")
+
+    def own_part(part: Float[Array, "P D"], rows: Int[Array, "B T"]) -> Float[Array, "B T D"]:
+        local = rows - jax.lax.axis_index(AXIS) * len(part)
+        is_here = (local >= 0) & (local < len(part))
+        return global_sum(jnp.where(is_here[:, :, None], jnp.take(part, local, axis=0, mode="clip"), 0.0))
+
+    # XLA would bring all frames to all devices. Each device looks up what it has, and the results are added.
+    look_up = jax.shard_map(
+        own_part, in_specs=(PartitionSpec(AXIS), PartitionSpec()), out_specs=PartitionSpec(), check_vma=False
+    )
+    return look_up(jnp.asarray(frames.rows), jnp.minimum(rows, len(frames.rows) - 1))
+
+
+def _first_rows(lengths: Int[np.ndarray, " M"]) -> Int[np.ndarray, " M"]:
+    """Returns the first row of each clip when clips of these lengths are end to end."""
+    return np.cumsum(lengths, dtype=np.int32) - lengths
 
 
 def _gather_frames(
@@ -82,66 +169,50 @@ def _gather_frames(
         starts = np.array([clip.ctypes.data - whole.ctypes.data for clip in clips]) // whole.strides[0]
         # Devices share only memory that begins at a multiple of 64 bytes: every 16th row of an aligned float32 array.
         first, end = int(starts.min()) // 16 * 16, int((starts + lengths).max())
-        if lengths.sum() >= (1 - UNUSED_SHARE) * (end - first):
-            return whole[first:end], (starts - first).astype(np.int32)
-    return np.concatenate(clips, dtype=np.float32), np.cumsum(lengths, dtype=np.int32) - lengths
+        return whole[first:end], (starts - first).astype(np.int32)
+    return np.concatenate(clips, dtype=np.float32), _first_rows(lengths)
 
 
-def epoch_order(key: PRNGKeyArray, epoch: Int[Array, ""] | int, *, num_clips: int) -> Int[Array, " M"]:
-    """Returns the order of the clips in an epoch, each exactly once: a pure function of key and epoch."""
-    return jax.random.permutation(jax.random.fold_in(key, epoch), num_clips)
+def draw_cuts(bank: MotionBank, clips: Int[Array, " B"], keys: Key[Array, " B"], *, window: int) -> Cuts:
+    """Returns where one window of each of the given clips is cut; the length is that of the clip.
 
-
-def batch_clips(key: PRNGKeyArray, step: Int[Array, ""] | int, *, num_clips: int, batch_size: int) -> Int[Array, " B"]:
-    """Returns the clips of training step `step` (counted from 0 over the whole run).
-
-    An epoch has `num_clips // batch_size` steps; the clips at the end of the order that do not fill a batch are not
-    used in this epoch. A data set smaller than one batch is repeated in the batch.
-
-    Args:
-        key: Key of the run's data order. It is not consumed: give the same key at every step.
-        step: Number of the step.
-        num_clips: Clips in the bank.
-        batch_size: Clips per step.
-    """
-    steps_per_epoch = max(num_clips // batch_size, 1)
-    order = epoch_order(key, step // steps_per_epoch, num_clips=num_clips)
-    first = (step % steps_per_epoch) * batch_size
-    return order[(first + jnp.arange(batch_size)) % num_clips]
-
-
-def cut_windows(bank: MotionBank, clips: Int[Array, " B"], key: PRNGKeyArray, *, window: int) -> Windows:
-    """Returns one window of `window` frames from each of the given clips.
-
-    The start is uniform over all positions where the window fits. A shorter clip is returned from its first frame, with
-    zeros and a False mask after its end.
+    The start is uniform over all positions where the window fits. A shorter clip is used from its first frame.
 
     Args:
         bank: The clips.
         clips: Positions in the bank.
-        key: Consumed.
+        keys: One per window; consumed.
         window: Frames to cut.
     """
-    lengths = bank.lengths[clips]
-    offsets = jax.random.randint(key, clips.shape, 0, jnp.maximum(lengths - window, 0) + 1)
-    return windows_at(bank, bank.starts[clips] + offsets, lengths, window=window)
+    lengths = jnp.asarray(bank.lengths)[clips]
+    return Cuts(jnp.asarray(bank.starts)[clips] + draw_below(keys, jnp.maximum(lengths - window, 0) + 1), lengths)
 
 
-def windows_at(bank: MotionBank, first_rows: Int[Array, " B"], lengths: Int[Array, " B"], *, window: int) -> Windows:
-    """Returns windows that begin at the given rows of the bank; the mask is True for the first `lengths[b]` frames."""
-    rows = first_rows[:, None] + jnp.arange(window)[None, :]
-    mask = jnp.arange(window)[None, :] < lengths[:, None]
-    raw = bank.frames.at[rows].get(mode="clip")
+def windows_at(bank: MotionBank, step: Int[Array, ""] | int, cuts: Cuts, *, window: int) -> Windows:
+    """Returns the windows of a step; the mask is True for the first `cuts.lengths[b]` frames of window b."""
+    mask = jnp.arange(window)[None, :] < cuts.lengths[:, None]
+    if isinstance(bank.frames, FedFrames):
+        # The host has cut them at the same rows.
+        raw = jnp.asarray(bank.frames.windows)[step - bank.frames.first_step]
+    else:
+        raw = take_frames(bank.frames, cuts.first_rows[:, None] + jnp.arange(window)[None, :])
     # Without the barrier XLA multiplies by 1 / std, which differs from the division in the last bit.
     std = jax.lax.optimization_barrier(jnp.broadcast_to(bank.std[None, None], raw.shape))
     motion = (raw - bank.mean[None, None]) / std
     return Windows(jnp.where(mask[:, :, None], motion, 0.0), mask)
 
 
-def batch_at(
-    bank: MotionBank, key: PRNGKeyArray, step: Int[Array, ""] | int, *, batch_size: int, window: int
-) -> Windows:
-    """Returns the batch of a training step: a pure function of the run's data key and the step."""
+def cuts_at(bank: MotionBank, key: Key[Array, ""], step: Int[Array, ""] | int, *, batch_size: int, window: int) -> Cuts:
+    """Returns the cuts of a training step: a pure function of the run's data key and the step. No frames are read."""
     order_key, cut_key = jax.random.split(key)
-    clips = batch_clips(order_key, step, num_clips=bank.lengths.shape[0], batch_size=batch_size)
-    return cut_windows(bank, clips, jax.random.fold_in(cut_key, step), window=window)
+    rows = own_rows(batch_size)
+    clips = batch_items(order_key, step, rows, num_items=bank.lengths.shape[0], batch_size=batch_size)
+    return draw_cuts(bank, clips, row_keys(cut_key, step, rows), window=window)
+
+
+def batch_at(
+    bank: MotionBank, key: Key[Array, ""], step: Int[Array, ""] | int, *, batch_size: int, window: int
+) -> Windows:
+    """Returns the batch of a training step: the windows of `cuts_at`."""
+    cuts = cuts_at(bank, key, step, batch_size=batch_size, window=window)
+    return split_rows(windows_at(bank, step, cuts, window=window))

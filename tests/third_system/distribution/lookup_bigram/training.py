@@ -15,7 +15,10 @@ from t2m_jax.checkpoints.tokenizer import save_tokenizer_parts
 from t2m_jax.data import open_dataset
 from t2m_jax.data.banks.codes import code_batch_at
 from t2m_jax.data.banks.motions import batch_at, make_bank
+from t2m_jax.data.banks.order import row_keys
+from t2m_jax.devices import own_rows
 from t2m_jax.evaluation.sources import Reconstruction
+from t2m_jax.masks import masked_mean
 from t2m_jax.train import Evaluation, EvaluationConfig, ExperimentConfig, LoopConfig, OptimizerConfig, Setup, Trainer
 from t2m_jax.train.config import compiled_config
 from t2m_jax.train.generator import (
@@ -27,6 +30,7 @@ from t2m_jax.train.generator import (
     resolve_generator,
 )
 from t2m_jax.train.optimizer import descend, first_state
+from t2m_jax.train.program import Update
 from t2m_jax.train.streams import stream_key
 
 
@@ -46,14 +50,13 @@ class TrainLookupConfig(ExperimentConfig):
     """Evaluation of reconstructions."""
 
 
-@functools.partial(jax.jit, static_argnames="config", donate_argnums=0)
 def update_lookup(state, bank, *, config):
     key = stream_key(config.loop.seed, "data")
     windows = batch_at(bank, key, state.step, batch_size=config.loop.batch_size, window=32)
 
     def measure(params):
         reconstruction, _ = Lookup(config.model).apply({"params": params}, windows.motion, windows.mask, train=True)
-        loss = jnp.mean(jnp.where(windows.mask[:, :, None], reconstruction - windows.motion, 0.0) ** 2)
+        loss = masked_mean((reconstruction - windows.motion) ** 2, windows.mask[:, :, None])
         return {"loss": loss}, {}
 
     return descend(state, measure, config.optimizer)
@@ -78,7 +81,7 @@ def prepare_lookup(config, resume):
         clips=clips,
         data=make_bank(clips, dataset.normalizer),
         init=lambda: init_lookup(config),
-        update=functools.partial(update_lookup, config=compiled_config(config)),
+        update=Update(update_lookup, config=compiled_config(config)),
         optimizer=config.optimizer,
         frames_per_step=config.loop.batch_size * 32,
         weights=lambda state: {"params": state.params},
@@ -111,15 +114,14 @@ def init_bigram(config, key):
     return first_state(params | init_caption_encoder(config, caption_key), config.optimizer)
 
 
-def bigram_metrics(params, batch, key, config):
-    text = embed_captions(params, batch.captions, key, config=config)
+def bigram_metrics(params, batch, keys, config):
+    text = embed_captions(params, batch.captions, keys, config=config)
     logits, stops = Bigram(config.model).apply({"params": params["bigram"]}, batch.codes, text, train=True)
     position = jnp.arange(batch.codes.shape[1])[None]
     mask, is_last = position < batch.code_lengths[:, None], position == batch.code_lengths[:, None] - 1
     errors = optax.losses.softmax_cross_entropy_with_integer_labels(logits, batch.codes).mean(-1)
     errors = errors + optax.losses.sigmoid_binary_cross_entropy(stops, is_last.astype(jnp.float32))
-    loss = jnp.sum(jnp.where(mask, errors, 0.0)) / jnp.sum(mask)
-    return {"loss": loss}
+    return {"loss": masked_mean(errors, mask)}
 
 
 def bigram_batch(bank, stream, step, config):
@@ -127,11 +129,10 @@ def bigram_batch(bank, stream, step, config):
     return code_batch_at(bank, key, step, batch_size=size, max_codes=config.model.max_codes)
 
 
-@functools.partial(jax.jit, static_argnames="config", donate_argnums=0)
 def update_bigram(state, bank, *, config):
     batch = bigram_batch(bank, "data", state.step, config)
-    key = jax.random.fold_in(stream_key(config.loop.seed, "model"), state.step)
-    return descend(state, lambda params: (bigram_metrics(params, batch, key, config), {}), config.optimizer)
+    keys = row_keys(stream_key(config.loop.seed, "model"), state.step, own_rows(config.loop.batch_size))
+    return descend(state, lambda params: (bigram_metrics(params, batch, keys, config), {}), config.optimizer)
 
 
 @functools.partial(jax.jit, static_argnames="config")

@@ -1,0 +1,42 @@
+"""What is checked before a run starts or is resumed."""
+
+from pathlib import Path
+
+from t2m_jax.checkpoints.bundle import BUNDLED, WEIGHTS_FILE
+from t2m_jax.checkpoints.run import CONFIG_FILE, is_run
+from t2m_jax.config import flat_fields, load_config
+from t2m_jax.errors import UserError
+from t2m_jax.train.config import ExperimentConfig
+
+MAY_CHANGE = (
+    "run",
+    "loop.num_steps",
+    "loop.log_every",
+    "loop.checkpoint_every",
+    "loop.keep_checkpoints",
+    "loop.steps_per_call",
+    "sharding",
+    "placement",
+)
+"""Fields and sections that a resumed run may change, because they do not affect what its updates compute."""
+
+
+def check_new_run(run: Path) -> None:
+    """Raises `UserError` if a folder cannot become a run."""
+    if is_run(run):
+        raise UserError(f"{run}: contains a run already; add --resume to continue it, or choose another --run")
+    if (run / WEIGHTS_FILE).exists():  # they would be loaded instead of the run's
+        raise UserError(f"{run}: contains a model already; choose another --run")
+    if str(run) in BUNDLED:
+        raise UserError(f"run: {run} is the name of a packaged model; choose another --run")
+
+
+def check_same_config(config: ExperimentConfig) -> None:
+    """Raises `UserError` if a run was started with other values of fields that must not change."""
+    saved = flat_fields(load_config(config.run / CONFIG_FILE, type(config)))
+    for name, value in flat_fields(config).items():
+        if not {name, name.partition(".")[0]} & set(MAY_CHANGE) and saved[name] != value:
+            raise UserError(
+                f"{config.run}: was started with {name} {saved[name]}, not {value}; resume it with the same config "
+                "(`--run RUN --resume` alone takes the config of the run)"
+            )

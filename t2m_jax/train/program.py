@@ -1,0 +1,233 @@
+"""The compiled program of a training: several updates in one call, on one device or on many."""
+
+import collections
+import functools
+import logging
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Array, Float, Int
+
+from t2m_jax.data.banks.motions import ShardedFrames, compact, divide_frames, map_banks
+from t2m_jax.devices import AXIS, make_data_mesh
+from t2m_jax.errors import UserError
+from t2m_jax.train.config import ShardingConfig
+
+logger = logging.getLogger(__name__)
+
+CALLS_AHEAD = 2
+"""Calls that the host may be ahead of the devices. Each has its own data if these stay on the host."""
+SHARDED_FIELDS = ("opt_state",)
+"""Fields of a training state that may be divided among devices."""
+
+
+class Update:
+    """An update with its options: from a state and data to the next state and metrics with a `loss`.
+
+    Two are equal if their functions and options are, so that equal trainings share their compiled programs.
+    """
+
+    def __init__(self, function: Callable[..., tuple[Any, Any]], **options: Hashable):
+        """Keeps a pure function of a state, data and the (hashable) options."""
+        self._key = (function, tuple(sorted(options.items())))
+        self._call = functools.partial(function, **options)
+
+    def __call__(self, state: Any, data: Any) -> tuple[Any, Any]:
+        """Returns the next state and the metrics."""
+        return self._call(state, data)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Update) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+
+def many_updates(
+    state: Any, data: Any, count: Int[Array, ""], *, update: Callable[[Any, Any], tuple[Any, Any]], size: int
+) -> tuple[Any, Any]:
+    """Returns the state after `count` updates, and the metrics of each in arrays of `size` rows.
+
+    `count` is not a constant of the program. So a call that is cut short runs the same program, and its results are
+    those of a longer call to the last bit.
+    """
+    if size == 1:
+        state, metrics = update(state, data)
+        return state, jax.tree.map(lambda value: value[None], metrics)
+
+    def one_more(carry: tuple[Any, Any, Any]) -> tuple[Any, Any, Any]:
+        number, state, rows = carry
+        state, metrics = update(state, data)
+        return number + 1, state, jax.tree.map(lambda row, value: row.at[number].set(value), rows, metrics)
+
+    shapes = jax.eval_shape(update, state, data)[1]
+    rows = jax.tree.map(lambda leaf: jnp.zeros((size, *leaf.shape), leaf.dtype), shapes)
+    first = (jnp.array(0, jnp.int32), state, rows)
+    return jax.lax.while_loop(lambda carry: carry[0] < count, one_more, first)[1:]
+
+
+def largest_share(shape: Sequence[int], count: int) -> PartitionSpec:
+    """Returns how an array is divided among `count` devices: along its longest axis that they divide, or not at all."""
+    axes = [axis for axis, size in enumerate(shape) if size % count == 0 and size > 0]
+    if not axes:
+        return PartitionSpec()
+    longest = max(axes, key=lambda axis: shape[axis])
+    return PartitionSpec(*[None] * longest, AXIS)
+
+
+def state_specs(state: Any, *, shares: int) -> Any:
+    """Returns how each array of a training state is divided: `SHARDED_FIELDS` into `shares`, others not at all."""
+
+    def specs(name: str, tree: Any) -> Any:
+        parts = shares if name in SHARDED_FIELDS else 1
+        return jax.tree.map(lambda leaf: largest_share(leaf.shape, parts) if parts > 1 else PartitionSpec(), tree)
+
+    return type(state)(**{name: specs(name, tree) for name, tree in state._asdict().items()})
+
+
+def choose_devices(config: ShardingConfig, *, batch_size: int) -> Mesh:
+    """Returns the mesh of a training.
+
+    Raises:
+        UserError: There are not so many devices, or they do not divide the batch.
+    """
+    available = jax.devices()
+    count: Any = config.devices
+    if count == "auto":
+        fitting = [number for number in range(1, len(available) + 1) if batch_size % number == 0]
+        count = len(available) if jax.process_count() > 1 else fitting[-1]
+        if count < len(available):
+            logger.warning("%d of %d devices are used, because they divide the batch", count, len(available))
+    if count > len(available) or (jax.process_count() > 1 and count != len(available)):
+        raise UserError(f"sharding.devices: {count}, but there are {len(available)}")
+    if batch_size % count:
+        raise UserError(f"loop.batch_size: {batch_size} is not a multiple of the {count} devices; change one of them")
+    return make_data_mesh(available[:count])
+
+
+@functools.partial(jax.jit, static_argnames=("update", "size", "shares"), donate_argnums=0)
+def _divided_updates(
+    state: Any, data: Any, count: Int[Array, ""], *, update: Update, size: int, shares: int
+) -> tuple[Any, Any]:
+    """Runs `many_updates` as one global program, in which every update keeps the state where it is."""
+
+    def update_in_place(state: Any, data: Any) -> tuple[Any, Any]:
+        state, metrics = update(state, data)
+        return jax.lax.with_sharding_constraint(state, state_specs(state, shares=shares)), metrics
+
+    return many_updates(state, data, count, update=update_in_place, size=size)
+
+
+@functools.cache
+def _mapped_updates(update: Update, size: int, mesh: Mesh) -> Callable[..., tuple[Any, Any]]:
+    """Returns `many_updates` under `jax.pmap`: every device runs it on its rows, with all of the state and the data."""
+
+    def run(number: Int[Array, ""], state: Any, data: Any, count: Int[Array, ""]) -> tuple[Any, Any]:
+        del number  # `jax.pmap` needs one argument that differs between devices
+        return many_updates(state, data, count, update=update, size=size)
+
+    return jax.pmap(
+        run,
+        axis_name=AXIS,
+        in_axes=(0, None, None, None),
+        out_axes=(None, None),
+        devices=list(mesh.devices.flat),
+        donate_argnums=1,
+    )
+
+
+class Devices:
+    """The devices of a training: puts state and data on them, and runs compiled updates."""
+
+    def __init__(self, config: ShardingConfig, *, batch_size: int):
+        """Chooses the devices.
+
+        Raises:
+            UserError: There are not so many devices, or they do not divide the batch.
+        """
+        self._config = config
+        self.mesh = choose_devices(config, batch_size=batch_size)
+        self.is_mapped = config.mode == "pmap"
+        """Whether `jax.pmap` runs the program."""
+        self.bank_shares = self.mesh.size if config.bank == "sharded" else 1
+        """Parts into which the frames of a bank are divided."""
+        self._shares = self.mesh.size if config.optimizer == "sharded" else 1
+        self._running: collections.deque[Any] = collections.deque()
+        # On a CPU, devices share one pool of threads. Many programs that wait for all of them at once can block it.
+        self._waits = self.mesh.size > 1 and self.mesh.devices.flat[0].platform == "cpu"
+
+    def put_state(self, state: Any) -> Any:
+        """Returns a training state on the devices."""
+        return jax.tree.map(self._put, state, state_specs(state, shares=self._shares))
+
+    def put_data(self, data: Any) -> Any:
+        """Returns data on all devices; the frames of a bank are divided among them if the config says so."""
+        data = map_banks(data, compact)
+        if self._config.bank == "sharded":
+            data = map_banks(data, lambda bank: divide_frames(bank, self.mesh.size))
+
+        def put(leaf: Any) -> Any:
+            if isinstance(leaf, ShardedFrames):
+                return ShardedFrames(self._put(leaf.rows, PartitionSpec(AXIS)))
+            return self._put(leaf, PartitionSpec(), may_alias=True)  # nobody writes to data
+
+        return jax.tree.map(put, data, is_leaf=lambda leaf: isinstance(leaf, ShardedFrames))
+
+    def put_windows(self, windows: Float[np.ndarray, "S R T D"]) -> jax.Array:
+        """Returns the windows of S steps on the devices, each of which gets its rows.
+
+        `windows` has the `rows_of_process` of each batch.
+        """
+        return jax.make_array_from_process_local_data(NamedSharding(self.mesh, PartitionSpec(None, AXIS)), windows)
+
+    def rows_of_process(self, batch_size: int) -> Int[np.ndarray, " R"]:
+        """Returns the rows of a global batch that the devices of this process compute, in order."""
+        sharding, rows = NamedSharding(self.mesh, PartitionSpec(AXIS)), np.arange(batch_size)
+        return np.unique([rows[index] for index in sharding.addressable_devices_indices_map(rows.shape).values()])
+
+    def run(self, update: Update, state: Any, data: Any, count: int, *, size: int) -> tuple[Any, Any]:
+        """Returns the state after `count` updates, and the metrics of each in arrays of `size` rows.
+
+        Args:
+            update: What to run.
+            state: On the devices; it is donated.
+            data: On the devices.
+            count: Number of updates, up to `size`.
+            size: Most updates of a call; the program is compiled for it.
+        """
+        number = np.int32(count)
+        if self.is_mapped:
+            numbers = self._put(np.arange(self.mesh.size), PartitionSpec(AXIS))
+            result = self._finished(_mapped_updates(update, size, self.mesh)(numbers, state, data, number))
+        else:
+            options = {"update": update, "size": size, "shares": self._shares}
+            result = self.measure(functools.partial(_divided_updates, **options), state, data, number)
+        self._running.append(result[1])
+        if len(self._running) > CALLS_AHEAD:
+            jax.block_until_ready(self._running.popleft())
+        return result
+
+    def lower(self, update: Update, state: Any, data: Any, *, size: int) -> jax.stages.Lowered:
+        """Returns the program that `run` uses in mode `jit`; once it is compiled, `run` does not compile it again."""
+        options = {"update": update, "size": size, "shares": self._shares}
+        with jax.set_mesh(self.mesh):
+            return _divided_updates.lower(state, data, np.int32(1), **options)
+
+    def measure(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Returns what a jitted function returns for arguments on the devices; it divides batches among them."""
+        with jax.set_mesh(self.mesh):
+            return self._finished(function(*arguments))
+
+    def _put(self, leaf: Any, spec: PartitionSpec, *, may_alias: bool | None = None) -> jax.Array:
+        sharding = NamedSharding(self.mesh, spec)
+        if jax.process_count() == 1:
+            return jax.device_put(leaf, sharding, may_alias=may_alias)
+        values = np.asarray(leaf)
+        return jax.make_array_from_callback(values.shape, sharding, lambda index: values[index])
+
+    def _finished(self, found: Any) -> Any:
+        return jax.block_until_ready(found) if self._waits else found

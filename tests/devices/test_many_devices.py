@@ -1,0 +1,123 @@
+"""Training on one device, on eight, in two processes, under jit and pmap: the same run."""
+
+import csv
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from t2m_jax.checkpoints.evaluator import save_evaluator
+from t2m_jax.data import write_synthetic_dataset
+from t2m_jax.train import train
+from tests import tiny
+from tests.devices.worker import NUM_UPDATES
+
+pytestmark = pytest.mark.slow
+
+REPOSITORY = Path(__file__).parents[2]
+TOLERANCE = 1e-5
+KINDS = ("vqvae", "gpt", "movement", "evaluator")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Data, a tokenizer and an evaluator."""
+    folder = tmp_path_factory.mktemp("devices")
+    write_synthetic_dataset(folder / "data", num_clips=24, seed=0)
+    train(tiny.vqvae_training(folder / "data", folder / "vqvae"))
+    save_evaluator(folder / "evaluator", tiny.random_evaluator())
+    return folder
+
+
+def start(task, folder, **options):
+    words = [f"{name}={value}" for name, value in options.items()]
+    command = [sys.executable, "-m", "tests.devices.worker", task, f"{folder}", *words]
+    environment = os.environ | {"T2M_JAX_NO_COMPILATION_CACHE": "1"}
+    return subprocess.Popen(command, cwd=REPOSITORY, env=environment, stderr=subprocess.PIPE, text=True)
+
+
+def finish(*processes, status=0):
+    for process in processes:
+        try:
+            _, errors = process.communicate(timeout=400)
+        finally:
+            process.kill()
+        assert process.returncode == status, errors[-3000:]
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@pytest.fixture(scope="module")
+def trained(folder):
+    """Returns what each way of training gave, by way and name."""
+    port = free_port()
+    some = "vqvae:jit,gpt:jit,evaluator:jit,vqvae:pmap"
+    pair = [start("memory", folder, name="pair", ways=some, local=4, process=number, port=port) for number in (0, 1)]
+    finish(start("memory", folder, name="alone", ways="one,jit,pmap,vqvae:shares"), *pair)
+    arrays = {}
+    for name in ("alone", "pair"):
+        with np.load(folder / f"{name}.npz") as file:
+            for key in file:
+                way, kind, metric = key.split(" ")
+                arrays[f"{name} {way}", kind, metric] = file[key]
+    return arrays
+
+
+WAYS = [(way, kind) for way in ("alone jit", "alone pmap") for kind in KINDS]
+WAYS += [("pair jit", kind) for kind in ("vqvae", "gpt", "evaluator")]
+WAYS += [("alone shares", "vqvae"), ("pair pmap", "vqvae")]
+
+
+def test_every_way_gives_the_same_run(trained):
+    for way, kind in WAYS:
+        assert_same_run(trained, way, kind)
+
+
+def assert_same_run(trained, way, kind):
+    reference = {metric: values for (name, of, metric), values in trained.items() if (name, of) == ("alone one", kind)}
+    losses = reference["loss"]
+    assert len(losses) == NUM_UPDATES
+    assert len(set(losses.tolist())) > 15, "nothing was learned"
+    np.testing.assert_allclose(trained[way, kind, "loss"], losses, rtol=TOLERANCE)
+    for metric, values in reference.items():
+        scale = np.abs(values).max()
+        np.testing.assert_allclose(trained[way, kind, metric], values, atol=10 * TOLERANCE * scale, err_msg=metric)
+    if kind == "vqvae":
+        np.testing.assert_allclose(trained[way, kind, "codebook"], reference["codebook"], atol=TOLERANCE)
+        # How often every code was chosen, in all updates: equal if every code is.
+        np.testing.assert_allclose(trained[way, kind, "hits"], reference["hits"], atol=1e-5)
+
+
+def test_batches_banks_and_optimizers_are_divided(folder):
+    finish(start("cut", folder))
+
+
+def losses(run):
+    with (run / "train.csv").open(encoding="utf-8") as file:
+        return [float(row["loss"]) for row in csv.DictReader(file)]
+
+
+def test_a_run_that_is_killed_on_eight_devices_goes_on_with_two_and_one(folder):
+    finish(start("die", folder, devices=8, at=11), status=9)
+    assert len(losses(folder / "run")) == 11
+    finish(start("resume", folder, devices=2, until=14))
+    finish(start("resume", folder, devices=1, until=NUM_UPDATES))
+    finish(start("memory", folder, name="reference", ways="vqvae:one"))
+    with np.load(folder / "reference.npz") as file:
+        np.testing.assert_allclose(losses(folder / "run"), file["one vqvae loss"], rtol=TOLERANCE)
+
+
+def test_motions_are_the_same_on_one_and_on_eight_devices(tmp_path):
+    finish(start("generate", tmp_path, local=1), start("generate", tmp_path, local=8))
+    with np.load(tmp_path / "1.npz") as one, np.load(tmp_path / "8.npz") as eight:
+        assert len(one.files) == len(eight.files) > 16
+        for name in one.files:
+            np.testing.assert_array_equal(one[name], eight[name], err_msg=name)
