@@ -1,45 +1,230 @@
-"""Measure speed: `t2m bench sample [--model M | --full-size] [--batch 1 32]` prints milliseconds per code."""
+"""Measure how fast this machine trains, samples, evaluates and reads data, or compute the time on many accelerators.
+
+Figures are medians; compile time is separate. Shares of a peak refer to products and memory rates that were measured on
+this machine just before. `--json F` stores the figures, and `--compare F` names figures that are worse than stored ones
+and then exits with code 1. `t2m bench COMMAND --help` describes the options of each.
+"""
 
 import argparse
+import contextlib
+import shutil
 import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from t2m_jax.cli.next_step import show_next
+from t2m_jax.errors import UserError
+from t2m_jax.files import check_output
+
+if TYPE_CHECKING:
+    from t2m_jax.bench import Peaks, Report, Row
+
+EXIT_REGRESSION = 1
+"""Exit code if a figure is worse than in the report of `--compare`."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the options of the command."""
-    parser.add_argument("what", choices=("sample",), help="what to measure")
-    parser.add_argument("--model", default="demo", help="bundled name, bundle folder or run folder (default: demo)")
-    parser.add_argument(
-        "--full-size",
-        action="store_true",
-        help="instead of the model's weights: random weights of the size that its kind was published with",
-    )
-    parser.add_argument("--batch", type=int, nargs="+", default=[1, 32], help="batch sizes (default: 1 32)")
-    parser.add_argument("--codes", type=int, default=50, help="codes per motion (default: 50)")
-    parser.add_argument("--repeats", type=int, default=3, help="runs after the first; the median is shown (default: 3)")
+    """Declares the sub-commands and their options."""
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=type(parser))
+
+    def add(function: Callable[[argparse.Namespace], None], help_: str) -> argparse.ArgumentParser:
+        name, description = function.__name__.removeprefix("run_"), f"{help_[0].upper()}{help_[1:]}."
+        command = commands.add_parser(name, help=help_, description=description, allow_abbrev=False)
+        command.set_defaults(run_command=function)
+        return command
+
+    train = add(run_train, "measure updates of the VQ-VAE and the GPT, on random data")
+    sample, evaluate = add(run_sample, "measure sampling"), add(run_evaluate, "measure the networks of an evaluation")
+    data, everything = add(run_data, "measure batches and opening a data set"), add(run_all, "measure all of this")
+    for command in (train, sample, evaluate, data, everything):
+        _add_shared_arguments(command)
+    for command in (train, evaluate):
+        command.add_argument(
+            "--size", choices=("full", "demo"), default="full", help="published or demo (default: full)"
+        )
+    _add_train_arguments(train)
+    sample.add_argument("--model", default="demo", help="bundled name, bundle folder or run folder (default: demo)")
+    full = "instead of the model's weights: random weights of the size that its kind was published with"
+    sample.add_argument("--full-size", action="store_true", help=full)
+    sample.add_argument("--batch", type=int, nargs="+", default=[1, 32], help="batch sizes (default: 1 32)")
+    sample.add_argument("--codes", type=int, default=50, help="codes per motion (default: 50)")
+    evaluate.add_argument("--batch", type=int, default=128, help="motions embedded together (default: 128)")
+    data.add_argument("--batch", type=int, default=256, help="windows per batch (default: 256)")
+    for command in (data, everything):
+        command.add_argument("--data", metavar="DIR", help="also open this data set")
+    _add_scale_arguments(add(run_scale, "compute the time of the published recipes on 1 to 64 accelerators"))
+
+
+def _add_shared_arguments(parser: argparse.ArgumentParser) -> None:
+    devices = "numbers of devices, each measured; on a CPU they are virtual and share its cores (default: all devices)"
+    parser.add_argument("--devices", type=int, nargs="+", metavar="N", help=devices)
+    repeats = "timed calls after the first; the median is shown (default: 3)"
+    parser.add_argument("--repeats", type=int, default=3, help=repeats)
+    parser.add_argument("--json", type=Path, metavar="F", help="also write the figures to this file")
+    parser.add_argument("--compare", type=Path, metavar="F", help="name figures that are worse than in this file")
+    tolerance = "by which share a figure may be worse (default: 0.1)"
+    parser.add_argument("--tolerance", type=float, default=0.1, help=tolerance)
+
+
+def _add_train_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--kind", nargs="+", choices=("vqvae", "gpt"), default=["vqvae", "gpt"], help="default: both")
+    parser.add_argument("--batch", type=int, help="default: of the recipe, but 16 for the full GPT on a CPU")
+    parser.add_argument("--precision", choices=("float32", "bfloat16"), default="float32", help="default: float32")
+    parser.add_argument("--steps-per-call", type=int, default=1, help="updates of one call (default: 1)")
+    parser.add_argument("--remat", action="store_true", help="compute values of the GPT again for the gradient")
+    parser.add_argument("--num-parts", type=int, default=1, help="parts of a batch of the GPT (default: 1)")
+
+
+def _add_scale_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--from", dest="report", type=Path, metavar="F", help="take rates from a report of --json")
+    parser.add_argument("--device", default="h200", help="without --from: device whose peak is known (default: h200)")
+    links = "nvlink (default), infiniband, pcie or ethernet"
+    parser.add_argument("--interconnect", default="nvlink", help=links)
 
 
 def run(args: argparse.Namespace) -> None:
-    """Prints one line per batch size."""
-    from t2m_jax.errors import UserError
-    from t2m_jax.sampling.bench import benchmark_sampling, random_variables
+    """Runs the chosen sub-command."""
+    numbers = ("codes", "repeats", "batch", "devices", "steps_per_call", "num_parts")
+    for name in numbers:
+        value = getattr(args, name, None)
+        smallest = min(value) if isinstance(value, list) else value
+        if smallest is not None and smallest < 1:
+            raise UserError(f"bench: --{name.replace('_', '-')} {smallest} is not a whole number above 0")
+    if args.run_command is not run_scale:
+        args.devices = _use_devices(args.devices)
+    args.run_command(args)
+
+
+def run_train(args: argparse.Namespace) -> None:
+    """Prints the speed of training."""
+    from t2m_jax import bench
+
+    options = bench.Options(args.batch, args.precision, args.steps_per_call, args.remat, args.num_parts)
+
+    def measure(peaks: "Peaks") -> "list[Row]":
+        try:
+            configs = [bench.make_training(kind, args.size, options, devices=peaks.num_devices) for kind in args.kind]
+        except ValueError as error:  # an option does not fit the batch
+            raise UserError(f"bench: {error}") from error
+        return [
+            bench.benchmark_training(config, size=args.size, peaks=peaks, repeats=args.repeats) for config in configs
+        ]
+
+    _report(args, measure)
+    show_next("t2m bench sample --full-size")
+
+
+def run_sample(args: argparse.Namespace) -> None:
+    """Prints the speed of sampling."""
+    from t2m_jax import bench
+    from t2m_jax.bench.sample import check_sampling
     from t2m_jax.sampling.pipeline import TextToMotion
 
-    for name, number in (("codes", args.codes), ("repeats", args.repeats), ("batch", min(args.batch))):
-        if number < 1:
-            raise UserError(f"bench: --{name} {number} is not a whole number above 0")
     model = TextToMotion.load(args.model)
-    config, variables = model.config.generator, model.variables["generator"]
+    config, variables, name = model.config.generator, model.variables["generator"], Path(args.model).name
     if args.full_size:
-        config = type(config)()
-        variables = random_variables(config)
-    if args.codes > config.max_codes:
-        raise UserError(f"bench: --codes {args.codes} is more than the model's {config.max_codes}")
-    for batch in args.batch:
-        timing = benchmark_sampling(config, variables, batch=batch, num_codes=args.codes, repeats=args.repeats)
-        sys.stdout.write(
-            f"batch {batch:4}: {timing.milliseconds_per_code:8.2f} ms per code, "
-            f"{timing.milliseconds_per_step:8.2f} ms per step, compiled in {timing.compile_seconds:.1f} s\n"
-        )
+        config, name = type(config)(), f"{config.kind} full"
+        variables = bench.random_variables(config)
+    check_sampling(config, batches=args.batch, num_codes=args.codes, devices=args.devices)
+
+    def measure(peaks: "Peaks") -> "list[Row]":
+        mesh = bench.first_devices(peaks.num_devices)
+        shared = {"name": name, "num_codes": args.codes, "mesh": mesh, "peaks": peaks, "repeats": args.repeats}
+        return [bench.benchmark_sampling(config, variables, batch=batch, **shared) for batch in args.batch]
+
+    _report(args, measure)
     show_next("t2m bench sample" + ("" if args.full_size else " --full-size"))
+
+
+def run_evaluate(args: argparse.Namespace) -> None:
+    """Prints the speed of the evaluator's networks."""
+    from t2m_jax import bench
+    from t2m_jax.bench.evaluate import DEMO_SIZES
+    from t2m_jax.models.evaluator import EvaluatorConfig
+
+    config = EvaluatorConfig() if args.size == "full" else DEMO_SIZES
+
+    def measure(peaks: "Peaks") -> "list[Row]":
+        mesh = bench.first_devices(peaks.num_devices)
+        return bench.benchmark_embedding(
+            config, size=args.size, mesh=mesh, peaks=peaks, batch=args.batch, repeats=args.repeats
+        )
+
+    _report(args, measure)
+    show_next("t2m bench data")
+
+
+def run_data(args: argparse.Namespace) -> None:
+    """Prints the speed of reading data."""
+    from t2m_jax import bench
+
+    def measure(peaks: "Peaks") -> "list[Row]":
+        count, shared = peaks.num_devices, {"peaks": peaks, "batch": args.batch, "repeats": args.repeats}
+        rows = [bench.benchmark_windows(num_devices=count, **shared)]
+        if count > 1:
+            rows.append(bench.benchmark_windows(num_devices=count, bank="sharded", **shared))
+        return rows if args.data is None else [*rows, bench.benchmark_opening(args.data, repeats=args.repeats)]
+
+    _report(args, measure)
+    show_next("t2m bench all --json performance.json")
+
+
+def run_all(args: argparse.Namespace) -> None:
+    """Prints the speed of everything."""
+    from t2m_jax import bench
+
+    _report(args, lambda peaks: bench.measure_all(peaks, data=args.data, repeats=args.repeats))
+    show_next("t2m bench scale" + ("" if args.json is None else f" --from {args.json}"))
+
+
+def run_scale(args: argparse.Namespace) -> None:
+    """Prints the time of the published recipes on many accelerators, as a model predicts it."""
+    from t2m_jax.bench import load_report, markdown_table, scaling_rows
+    from t2m_jax.bench.scaling import HEADINGS, assumed_rates, measured_rates
+
+    rates = assumed_rates(args.device) if args.report is None else measured_rates(load_report(args.report))
+    sys.stdout.write(f"{markdown_table(HEADINGS, scaling_rows(rates, interconnect=args.interconnect))}\n")
+
+
+def _report(args: argparse.Namespace, measure: "Callable[[Peaks], Sequence[Row]]") -> None:
+    """Measures, prints the figures and stores them. Exits with `EXIT_REGRESSION` if some are worse than stored ones."""
+    from t2m_jax import bench
+
+    # Whatever is wrong with the files is said before the measurement, which may take minutes.
+    before = None if args.compare is None else bench.load_report(args.compare)
+    if before is not None:
+        bench.check_same_machine(before.machine, bench.describe_machine(()))
+    if args.json is not None:
+        check_output(args.json)
+    report = bench.make_report(measure, devices=args.devices, probe=bench.measure_peaks)
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    sys.stdout.write(f"{bench.report_text(report, width=width)}\n")
+    if args.json is not None:
+        bench.save_report(args.json, report)
+    if before is not None:
+        _show_regressions(before, report, args.tolerance)
+
+
+def _use_devices(counts: list[int] | None) -> list[int]:
+    """Returns the numbers of devices to measure. On a CPU, this makes as many virtual devices."""
+    import jax
+
+    jax.config.update("jax_enable_compilation_cache", False)  # so that compile times are real
+    if counts is not None:
+        with contextlib.suppress(RuntimeError):  # raised if devices are in use; `first_devices` checks the number
+            jax.config.update("jax_num_cpu_devices", max(counts))
+    return counts or [jax.device_count()]
+
+
+def _show_regressions(before: "Report", after: "Report", tolerance: float) -> None:
+    from t2m_jax.bench import compare_reports
+
+    found = compare_reports(before, after, tolerance=tolerance)
+    if not found.num_compared:
+        raise UserError("bench: the stored report has none of these rows; measure both with the same options")
+    for regression in found.regressions:
+        sys.stdout.write(f"worse: {regression}\n")
+    sys.stdout.write(f"{len(found.regressions)} of {found.num_compared} figures are worse than before\n")
+    if found.regressions:
+        sys.exit(EXIT_REGRESSION)

@@ -45,9 +45,3 @@ def test_a_video_is_opened(bundle_folder, tmp_path, capsys):
     path = tmp_path / "a walk.gif"
     assert main(["generate", "a person walks", "--model", f"{bundle_folder}", "-o", f"{path}"]) == 0
     assert next_step(capsys) == ["open", f"{path}"]
-
-
-def test_speed_is_measured_at_full_size(bundle_folder, capsys):
-    arguments = ["--model", f"{bundle_folder}", "--batch", "1", "--codes", "2", "--repeats", "1"]
-    assert main(["bench", "sample", *arguments]) == 0
-    assert next_step(capsys) == ["t2m", "bench", "sample", "--full-size"]

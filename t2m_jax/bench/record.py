@@ -1,0 +1,137 @@
+"""The report of a benchmark: the machine, and rows of figures with their units."""
+
+import dataclasses
+import datetime
+from pathlib import Path
+from typing import Any, Literal
+
+from t2m_jax.config import config_from_dict, config_to_dict
+from t2m_jax.errors import UserError
+from t2m_jax.files import load_json, save_json
+
+FORMAT_VERSION = 1
+"""Version of the files that `save_report` writes."""
+Benchmark = Literal["train", "sample", "evaluate", "data"]
+"""What a row measures."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Peaks:
+    """The highest rates that simple programs reach on some devices of the machine together."""
+
+    num_devices: int
+    """Number of devices that were used."""
+    float32: float
+    """Matrix products of float32 numbers in the precision that JAX uses by default, in FLOP/s."""
+    bfloat16: float
+    """Matrix products of bfloat16 numbers, in FLOP/s."""
+    memory: float
+    """Reading and writing of device memory, in bytes/s."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Machine:
+    """What a report was measured on."""
+
+    device_kind: str
+    """Name that JAX gives the devices, such as `cpu`."""
+    num_devices: int
+    """Number of devices."""
+    processor: str
+    """Name of the processor."""
+    num_cores: int
+    """Processor cores that the process may use."""
+    jax_version: str
+    """Version of JAX."""
+    peaks: tuple[Peaks, ...]
+    """For each number of devices that the rows use."""
+
+    def __post_init__(self) -> None:
+        _check_printable(self.device_kind, self.processor, self.jax_version)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Figure:
+    """A number with its unit."""
+
+    name: str
+    """What it is."""
+    value: float
+    """The median of all repeats if it is a time or a rate."""
+    unit: str = ""
+    """Unit; empty for a ratio or a count."""
+    better: Literal["more", "less", "neither"] = "neither"
+    """What an improvement is. `neither` is for figures that describe the work or follow from another figure."""
+    spread: float = 0.0
+    """Distance of the upper and the lower quartile of all repeats, relative to the median."""
+
+    def __post_init__(self) -> None:
+        _check_printable(self.name, self.unit)
+
+    @property
+    def heading(self) -> str:
+        """The name with the unit."""
+        return f"{self.name} ({self.unit})" if self.unit else self.name
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Row:
+    """The figures of one measurement."""
+
+    benchmark: Benchmark
+    """What it measures."""
+    name: str
+    """What was run, with all settings that affect the figures."""
+    figures: tuple[Figure, ...]
+    """Figures; their names differ."""
+
+    def __post_init__(self) -> None:
+        _check_printable(self.name)
+
+    def __getitem__(self, name: str) -> Figure:
+        """Returns the figure of a name. Raises `KeyError` if there is none."""
+        return {figure.name: figure for figure in self.figures}[name]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Report:
+    """The rows of one run of a benchmark."""
+
+    machine: Machine
+    """Where they were measured."""
+    rows: tuple[Row, ...]
+    """Measurements."""
+    peak_memory: float
+    """Most memory that the process used, in bytes: of its first device, or on a CPU of the process."""
+    date: str = dataclasses.field(default_factory=lambda: datetime.date.today().isoformat())
+    """Day of the measurement."""
+    format_version: int = FORMAT_VERSION
+    """Version of the file."""
+
+    def __post_init__(self) -> None:
+        _check_printable(self.date)
+
+
+def save_report(path: Path, report: Report) -> None:
+    """Writes a report as JSON."""
+    save_json(path, config_to_dict(report))
+
+
+def load_report(path: Path) -> Report:
+    """Returns the report in a file.
+
+    Raises:
+        UserError: The file is missing, or is something else.
+    """
+    data: Any = load_json(path)
+    if not isinstance(data, dict) or data.get("format_version") != FORMAT_VERSION:
+        expected = f"a benchmark report of format_version {FORMAT_VERSION}"
+        raise UserError(f"{path}: is not {expected}; write one with `t2m bench all --json`")
+    return config_from_dict(Report, data, source=f"{path}")
+
+
+def _check_printable(*texts: str) -> None:
+    """Raises `ValueError` if a text has characters that could move the cursor of a terminal."""
+    for text in texts:
+        if not text.isprintable():
+            raise ValueError(f"{text!r} has characters that cannot be printed")

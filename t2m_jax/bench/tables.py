@@ -1,0 +1,73 @@
+"""Reports as Markdown tables, whose columns are aligned so that they can also be read in a terminal."""
+
+from collections.abc import Sequence
+
+from t2m_jax.bench.record import Figure, Machine, Report
+
+MISSING = "-"
+"""Printed if a row has no such figure."""
+TITLES = {"train": "Training", "sample": "Sampling", "evaluate": "Evaluation", "data": "Data"}
+
+
+def markdown_table(headings: Sequence[str], rows: Sequence[Sequence[str]], *, width: int | None = None) -> str:
+    """Returns a Markdown table, the first column to the left and the others to the right.
+
+    If it is wider than `width` characters, columns and rows are exchanged, which is narrower for a few rows.
+    """
+    cells = [list(headings), *map(list, rows)]
+    text = _aligned(cells)
+    if width is None or len(text.partition("\n")[0]) <= width:
+        return text
+    return _aligned([list(column) for column in zip(*cells, strict=True)])
+
+
+def _aligned(cells: Sequence[Sequence[str]]) -> str:
+    widths = [max(4, *map(len, column)) for column in zip(*cells, strict=True)]
+    rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
+    lines = []
+    for row in (cells[0], rule, *cells[1:]):
+        padded = [row[0].ljust(widths[0]), *(cell.rjust(size) for cell, size in zip(row[1:], widths[1:], strict=True))]
+        lines.append("| " + " | ".join(padded) + " |")
+    return "\n".join(lines)
+
+
+def report_text(report: Report, *, width: int | None = None) -> str:
+    """Returns a report as text: a line on the machine, its peaks, and one table for each benchmark."""
+    parts = [f"{machine_text(report.machine)}; {report.date}.", _peaks_table(report.machine, width)]
+    for benchmark, title in TITLES.items():
+        rows = [row for row in report.rows if row.benchmark == benchmark]
+        # Rows that do not have the same figures share a table; cells that are missing are marked.
+        headings = list(dict.fromkeys(figure.heading for row in rows for figure in row.figures))
+        cells = []
+        for row in rows:
+            found = {figure.heading: number_text(figure) for figure in row.figures}
+            cells.append([row.name, *(found.get(heading, MISSING) for heading in headings)])
+        if rows:
+            parts += [f"## {title}", markdown_table([benchmark, *headings], cells, width=width)]
+    parts.append(f"Peak memory of the whole command: {report.peak_memory / 1e9:.2f} GB.")
+    return "\n\n".join(parts)
+
+
+def machine_text(machine: Machine) -> str:
+    """Returns the machine in words."""
+    devices = f"{machine.num_devices} x {machine.device_kind}"
+    return f"{machine.processor}, {machine.num_cores} cores; {devices}; JAX {machine.jax_version}"
+
+
+def number_text(figure: Figure) -> str:
+    """Returns a value with three digits, or with all digits before the point; without a unit, with six digits."""
+    if not figure.unit:
+        return f"{figure.value:.6g}"
+    return f"{figure.value:,.0f}" if abs(figure.value) >= 1000 else f"{figure.value:.3g}"
+
+
+def _peaks_table(machine: Machine, width: int | None) -> str:
+    headings = ("measured peak on", "float32 (GFLOP/s)", "bfloat16 (GFLOP/s)", "memory (GB/s)")
+    rows = [
+        (
+            f"{peak.num_devices} device(s)",
+            *(f"{rate / 1e9:,.1f}" for rate in (peak.float32, peak.bfloat16, peak.memory)),
+        )
+        for peak in machine.peaks
+    ]
+    return markdown_table(headings, rows, width=width)

@@ -1,0 +1,80 @@
+"""Times and memory of compiled programs."""
+
+import resource
+import sys
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from t2m_jax.bench.record import Figure
+
+MIN_SECONDS = 0.2
+"""Calls are repeated for at least this time, because a few short calls say little."""
+
+
+class Timing(NamedTuple):
+    """Seconds of one call."""
+
+    median: float
+    fastest: float
+    spread: float
+    """Distance of the quartiles, relative to the median."""
+
+
+class Program(NamedTuple):
+    """A compiled program and what it took to compile it."""
+
+    compiled: jax.stages.Compiled
+    compile_seconds: float
+
+
+def compile_program(lower: Callable[[], jax.stages.Lowered]) -> Program:
+    """Returns a program that is traced by `lower`, compiled; the time includes both."""
+    start = time.perf_counter()
+    compiled = lower().compile()
+    return Program(compiled, time.perf_counter() - start)
+
+
+def time_calls(call: Callable[[], Any], *, repeats: int) -> Timing:
+    """Returns the time of a call until its results are ready, after one call that does not count.
+
+    Args:
+        call: What to run.
+        repeats: Number of calls, or more of them until `MIN_SECONDS` have passed.
+    """
+    jax.block_until_ready(call())
+    seconds: list[float] = []
+    while len(seconds) < repeats or sum(seconds) < MIN_SECONDS:
+        start = time.perf_counter()
+        jax.block_until_ready(call())
+        seconds.append(time.perf_counter() - start)
+    lower, median, upper = np.quantile(seconds, (0.25, 0.5, 0.75))
+    return Timing(float(median), min(seconds), float((upper - lower) / median))
+
+
+def program_figures(program: Program) -> tuple[Figure, ...]:
+    """Returns what a program took to compile, and the memory of its arguments, results and intermediate values."""
+    figures = [Figure(name="compile", value=program.compile_seconds, unit="s", better="less")]
+    memory = program.compiled.memory_analysis()
+    if memory is not None:  # not every device knows it
+        total = memory.argument_size_in_bytes + memory.output_size_in_bytes + memory.temp_size_in_bytes
+        size = total - memory.alias_size_in_bytes
+        figures.append(Figure(name="memory per device", value=size / 1e9, unit="GB", better="less"))
+    return tuple(figures)
+
+
+def share(name: str, rate: float, peak: float) -> Figure:
+    """Returns a rate as a share of a measured peak."""
+    return Figure(name=f"of {name} peak", value=100 * rate / peak, unit="%")
+
+
+def peak_memory() -> float:
+    """Returns the most bytes that the first device had in use, or on a CPU the largest resident size of the process."""
+    found = jax.devices()[0].memory_stats()
+    if found is not None:
+        return float(found["peak_bytes_in_use"])
+    unit = 1 if sys.platform == "darwin" else 1024
+    return float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit)

@@ -1,0 +1,189 @@
+"""Speed of training: one update of the VQ-VAE or of the GPT, on random data of the right shapes."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple
+
+import jax
+import numpy as np
+
+from t2m_jax.bench.flops import count_flops
+from t2m_jax.bench.record import Figure, Peaks, Row
+from t2m_jax.bench.timing import compile_program, program_figures, share, time_calls
+from t2m_jax.checkpoints.bundle import BundleConfig, bundle_path, load_bundle_config
+from t2m_jax.data.banks.codes import CodeBank
+from t2m_jax.data.banks.motions import MotionBank
+from t2m_jax.models.rows import Precision
+from t2m_jax.text.bpe import CaptionTokens
+from t2m_jax.train.config import LoopConfig, ShardingConfig
+from t2m_jax.train.gpt import TrainGptConfig, init_gpt_state
+from t2m_jax.train.gpt import update as gpt_update
+from t2m_jax.train.program import Devices, Update
+from t2m_jax.train.vqvae import TrainVqVaeConfig, init_vqvae_state
+from t2m_jax.train.vqvae import update as vqvae_update
+
+Kind = Literal["vqvae", "gpt"]
+"""What is trained."""
+Size = Literal["full", "demo"]
+"""Sizes of the published HumanML3D model, or of the packaged model `demo`."""
+BATCHES: dict[tuple[str, str], int] = {
+    ("vqvae", "full"): 256,
+    ("gpt", "full"): 128,
+    ("vqvae", "demo"): 96,
+    ("gpt", "demo"): 64,
+}
+"""Batch of each recipe."""
+CPU_BATCHES = BATCHES | {("gpt", "full"): 16}
+"""Default batches on a CPU, where an update of the full GPT with its own batch takes a minute and 17 GB."""
+RECIPE_STEPS = 300_000
+"""Updates of each published recipe."""
+CLIP_FRAMES = 200
+"""Frames of a random clip, about the longest in HumanML3D."""
+
+
+class Options(NamedTuple):
+    """How an update is computed. `batch` is None for the default of the device."""
+
+    batch: int | None = None
+    precision: Precision = "float32"
+    steps_per_call: int = 1
+    remat: bool = False
+    """Of the GPT."""
+    num_parts: int = 1
+    """Of the GPT."""
+
+
+def demo_sizes() -> BundleConfig:
+    """Returns the sizes of the packaged model."""
+    return load_bundle_config(bundle_path("demo"))
+
+
+def make_training(kind: Kind, size: Size, options: Options, *, devices: int = 1) -> TrainVqVaeConfig | TrainGptConfig:
+    """Returns the config of a training at a size.
+
+    Raises:
+        ValueError: An option does not fit the batch.
+    """
+    batches = CPU_BATCHES if jax.default_backend() == "cpu" else BATCHES
+    batch = batches[kind, size] if options.batch is None else options.batch
+    shared: dict[str, Any] = {
+        "loop": LoopConfig(batch_size=batch, steps_per_call=options.steps_per_call),
+        "sharding": ShardingConfig(devices=devices),
+        "precision": options.precision,
+    }
+    if kind == "vqvae":
+        return TrainVqVaeConfig(**shared if size == "full" else shared | {"model": demo_sizes().tokenizer})
+    shared |= {"remat": options.remat, "num_parts": options.num_parts}
+    if size == "full":
+        return TrainGptConfig(text_encoder="clip", **shared)
+    sizes = demo_sizes()
+    return TrainGptConfig(model=sizes.generator, caption_encoder=sizes.text_encoder, **shared)
+
+
+def random_motions(config: TrainVqVaeConfig) -> MotionBank:
+    """Returns a bank of normal random clips, two batches of them."""
+    count, width = 2 * config.loop.batch_size, config.model.feature_dim
+    frames = np.random.default_rng(0).standard_normal((count * CLIP_FRAMES, width), np.float32)
+    lengths = np.full(count, CLIP_FRAMES, np.int32)
+    starts = np.arange(count, dtype=np.int32) * CLIP_FRAMES
+    return MotionBank(frames, starts, lengths, np.zeros(width, np.float32), np.ones(width, np.float32))
+
+
+def random_codes(config: TrainGptConfig) -> CodeBank:
+    """Returns a bank of random codes of the greatest length, two batches of them, each with one caption."""
+    count, model, generator = 2 * config.loop.batch_size, config.model, np.random.default_rng(0)
+    codes = generator.integers(0, model.num_codes, (count, 1, model.max_codes, 1), np.int32)
+    captions: Any = generator.standard_normal((count, model.text_dim), np.float32)
+    if config.text_encoder == "caption_encoder":
+        sizes = config.caption_encoder
+        tokens = generator.integers(1, sizes.vocabulary_size, (count, sizes.max_length), np.int32)
+        captions = CaptionTokens(tokens, np.ones(tokens.shape, bool))
+    lengths = np.full((count, 1), model.max_codes, np.int32)
+    return CodeBank(codes, lengths, captions, np.arange(count, dtype=np.int32), np.ones(count, np.int32))
+
+
+class Work(NamedTuple):
+    """What a training computes."""
+
+    init: Callable[..., Any]
+    update: Callable[..., tuple[Any, Any]]
+    data: Any
+    frames: int
+    """Frames of a batch."""
+    shape: str
+    """Batch and length of a sequence."""
+
+
+def make_work(config: TrainVqVaeConfig | TrainGptConfig) -> Work:
+    """Returns what a training computes, with random data."""
+    batch = config.loop.batch_size
+    if isinstance(config, TrainVqVaeConfig):
+        data, shape = random_motions(config), f"{batch}x{config.window}"
+        return Work(init_vqvae_state, vqvae_update, data, batch * config.window, shape)
+    frames = batch * config.model.max_codes * TrainVqVaeConfig().model.downsample
+    return Work(init_gpt_state, gpt_update, random_codes(config), frames, f"{batch}x{config.model.block_size}")
+
+
+def update_flops(config: TrainVqVaeConfig | TrainGptConfig) -> float:
+    """Returns the operations of the products of one update, without those that `remat` repeats."""
+    if isinstance(config, TrainGptConfig):
+        config = dataclasses.replace(config, remat=False, num_parts=1)
+    work = make_work(config)
+    state = jax.eval_shape(lambda key: work.init(config, key), jax.random.key(0))
+    return count_flops(lambda state, data: work.update(state, data, config=config), state, work.data)
+
+
+def benchmark_training(config: TrainVqVaeConfig | TrainGptConfig, *, size: str, peaks: Peaks, repeats: int = 3) -> Row:
+    """Returns the speed of the updates of a training.
+
+    Args:
+        config: The training; its folders are not used.
+        size: Name of its sizes, for the row.
+        peaks: Of `config.sharding.devices` devices.
+        repeats: Calls that are timed, each of `config.loop.steps_per_call` updates.
+
+    Raises:
+        UserError: There are not so many devices, or they do not divide the batch.
+    """
+    devices, work = Devices(config.sharding, batch_size=config.loop.batch_size), make_work(config)
+    count, update = config.loop.steps_per_call, Update(work.update, config=config)
+    state = devices.put_state(work.init(config, jax.random.key(0)))
+    data = devices.put_data(work.data)
+    program = compile_program(lambda: devices.lower(update, state, data, size=count))
+    losses: list[Any] = []
+
+    def call() -> Any:
+        nonlocal state
+        state, metrics = devices.run(update, state, data, count, size=count)
+        losses.append(metrics["loss"])
+        return state
+
+    timing = time_calls(call, repeats=repeats)
+    rate, flops = count / timing.median, update_flops(config)
+    peak = peaks.bfloat16 if config.precision == "bfloat16" else peaks.float32
+    figures = [
+        Figure(name="updates", value=rate, unit="1/s", better="more", spread=timing.spread),
+        Figure(name="frames", value=rate * work.frames, unit="1/s"),
+        *program_figures(program),
+        Figure(name="work", value=flops / 1e12, unit="TFLOP/update"),
+        share("product", rate * flops, peak),
+        Figure(name="first loss", value=float(np.asarray(losses[0])[0])),
+    ]
+    if size == "full" and config.loop.batch_size == BATCHES[config.kind, "full"]:
+        figures.append(Figure(name=f"{RECIPE_STEPS:,} updates", value=RECIPE_STEPS / rate / 3600, unit="h"))
+    return Row(benchmark="train", name=_row_name(config, work.shape, size, devices.mesh.size), figures=tuple(figures))
+
+
+def _row_name(config: TrainVqVaeConfig | TrainGptConfig, shape: str, size: str, num_devices: int) -> str:
+    """Returns what was run, with all options that are not the defaults."""
+    options = [f"{config.loop.steps_per_call} updates per call"] if config.loop.steps_per_call > 1 else []
+    if isinstance(config, TrainGptConfig):
+        options += ["remat"] if config.remat else []
+        options += [f"{config.num_parts} parts"] if config.num_parts > 1 else []
+    options += [f"{num_devices} devices"] if num_devices > 1 else []
+    return ", ".join([f"{config.kind} {size} {shape} {config.precision}", *options])
+
+
+def full_size_rows(rows: Sequence[Row], kind: Kind) -> list[Row]:
+    """Returns the rows of the training of a kind at full size."""
+    return [row for row in rows if row.benchmark == "train" and row.name.startswith(f"{kind} full ")]

@@ -1,0 +1,48 @@
+"""Peaks of small probes and tiny reports, so that no test measures anything large."""
+
+import dataclasses
+import functools
+
+import jax
+import pytest
+
+from t2m_jax import bench
+from t2m_jax.bench import Figure, Machine, Peaks, Report, Row
+from t2m_jax.bench import timing as timing_module
+from tests.cli.conftest import bundle_folder, data_folder, no_cache, refusal
+
+__all__ = ["bundle_folder", "data_folder", "no_cache", "refusal"]
+
+PEAKS = Peaks(num_devices=1, float32=2e11, bfloat16=1e11, memory=1e10)
+MACHINE = Machine(
+    device_kind="cpu", num_devices=1, processor="Abacus", num_cores=2, jax_version="0.10.2", peaks=(PEAKS,)
+)
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    jax.devices()  # so that `--devices` does not change the number of devices of the other tests
+    cache = jax.config.values["jax_enable_compilation_cache"]
+    monkeypatch.setattr(timing_module, "MIN_SECONDS", 0.0)
+    small = functools.partial(bench.measure_peaks, product_sizes=(16,), array_sizes=(1024,))
+    monkeypatch.setattr(bench, "measure_peaks", small)
+    yield
+    jax.config.update("jax_enable_compilation_cache", cache)
+
+
+def report(**values) -> Report:
+    """Returns a report of one row: `updates` (more is better), `compile` (less) and `loss` (neither)."""
+    spread = values.pop("spread", 0.0)
+    kinds = {"updates": ("1/s", "more"), "compile": ("s", "less"), "loss": ("", "neither")}
+    values = {"updates": 10.0, "compile": 4.0, "loss": 1.0} | values
+    figures = tuple(
+        Figure(name=name, value=value, unit=kinds[name][0], better=kinds[name][1], spread=spread)
+        for name, value in values.items()
+    )
+    row = Row(benchmark="train", name="gpt tiny", figures=figures)
+    return Report(machine=MACHINE, rows=(row,), peak_memory=2e9, date="2026-11-21")
+
+
+def on_another_machine(found: Report) -> Report:
+    """Returns the same figures of a machine with more cores."""
+    return dataclasses.replace(found, machine=dataclasses.replace(found.machine, num_cores=64))

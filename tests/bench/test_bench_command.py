@@ -1,0 +1,153 @@
+"""`t2m bench`: every sub-command prints a table and writes a report."""
+
+import dataclasses
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from t2m_jax import bench
+from t2m_jax.bench import evaluate as evaluate_module
+from t2m_jax.bench import run as run_module
+from t2m_jax.cli.main import main
+from t2m_jax.models.evaluator import EvaluatorConfig
+from t2m_jax.models.motion_gpt import MotionGptConfig
+from t2m_jax.train import LoopConfig
+from tests import tiny
+from tests.conftest import REPOSITORY
+
+
+def tiny_training(kind, size, options, *, devices=1):
+    assert options.batch in (None, 4)
+    if kind == "vqvae":
+        return tiny.vqvae_training(Path(), Path(), loop=LoopConfig(batch_size=4))
+    return tiny.gpt_training(Path(), Path(), Path(), loop=LoopConfig(batch_size=4))
+
+
+@pytest.fixture
+def tiny_models(monkeypatch):
+    monkeypatch.setattr(bench, "make_training", tiny_training)
+    monkeypatch.setattr(run_module, "make_training", tiny_training)
+    monkeypatch.setattr(evaluate_module, "DEMO_SIZES", tiny.EVALUATOR)
+    monkeypatch.setattr(run_module, "NUM_CODES", 8)
+    for schema, sizes in ((MotionGptConfig, tiny.GPT), (EvaluatorConfig, tiny.EVALUATOR)):
+        monkeypatch.setattr(run_module, schema.__name__, lambda sizes=sizes: sizes)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "count", "then"),
+    [
+        (["train", "--batch", "4"], 2, "sample --full-size"),
+        (["train", "--kind", "vqvae", "--devices", "1"], 1, "sample --full-size"),
+        (["sample", "--model", "MODEL", "--batch", "1", "2", "--codes", "4"], 2, "sample --full-size"),
+        (["evaluate", "--size", "demo", "--batch", "2"], 2, "data"),
+        (["data", "--data", "DATA", "--batch", "2"], 2, "all --json performance.json"),
+        (["all"], 7, "scale --from REPORT"),
+    ],
+)
+def test_measurements_are_printed_and_stored(
+    tiny_models, bundle_folder, data_folder, tmp_path, capsys, arguments, count, then
+):
+    path = tmp_path / "report.json"
+    places = {"MODEL": f"{bundle_folder}", "DATA": f"{data_folder}"}
+    arguments = ["bench", *(places.get(word, word) for word in arguments), "--repeats", "1"]
+    assert main([*arguments, "--json", f"{path}"]) == 0
+    printed, report = capsys.readouterr(), bench.load_report(path)
+    assert len(report.rows) == count
+    assert all(f"| {row.name} " in printed.out for row in report.rows)
+    assert "measured peak" in printed.out
+    assert printed.err.splitlines()[-1] == f"next: t2m bench {then}".replace("REPORT", f"{path}")
+
+
+@pytest.fixture
+def stored(bundle_folder, tmp_path, capsys):
+    """Returns a command and the file with its report."""
+    path = tmp_path / "stored.json"
+    command = ["bench", "sample", "--model", f"{bundle_folder}", "--batch", "1", "--codes", "2", "--repeats", "1"]
+    assert main([*command, "--json", f"{path}"]) == 0
+    capsys.readouterr()
+    return command, path
+
+
+def test_virtual_devices_share_the_work(bundle_folder, tmp_path):
+    """In a process of its own, because the number of devices cannot change later."""
+    command = [sys.executable, "-m", "tests.bench.several_devices", f"{bundle_folder}", f"{tmp_path}"]
+    result = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    reports = {name: bench.load_report(tmp_path / f"{name}.json") for name in ("train", "sample", "data")}
+    one, two = reports["train"].rows
+    assert two.name == f"{one.name}, 2 devices"
+    assert two["first loss"].value == pytest.approx(one["first loss"].value, rel=1e-5)
+    assert [peaks.num_devices for peaks in reports["train"].machine.peaks] == [1, 2]
+    assert [row.name.partition("batch 2")[2] for row in reports["sample"].rows] == ["", ", 2 devices"]
+    ends = [row.name.partition(", 2 devices, ")[2] for row in reports["data"].rows]
+    assert ends == ["", "bank replicated", "bank sharded"]
+    assert "--devices 4, but there are 2" in result.stderr
+
+
+def changed(path: Path, factor: float) -> None:
+    """Multiplies all stored times, as if the machine had been slower or faster."""
+    report = bench.load_report(path)
+    rows = tuple(
+        dataclasses.replace(
+            row, figures=tuple(dataclasses.replace(figure, value=factor * figure.value) for figure in row.figures)
+        )
+        for row in report.rows
+    )
+    bench.save_report(path, dataclasses.replace(report, rows=rows))
+
+
+def test_a_regression_is_named_and_fails(stored, capsys):
+    command, path = stored
+    changed(path, 1e-6)
+    assert main([*command, "--compare", f"{path}"]) == 1
+    assert "worse: sample tiny, 2 codes, batch 1: per step (ms)" in capsys.readouterr().out
+
+
+def test_what_is_faster_is_no_regression(stored, capsys):
+    command, path = stored
+    changed(path, 1e6)
+    assert main([*command, "--compare", f"{path}"]) == 0
+    assert "0 of 3 figures are worse" in capsys.readouterr().out
+
+
+def test_a_report_of_another_machine_or_of_other_rows_is_refused(stored, capsys):
+    command, path = stored
+    assert main([*command, "--codes", "3", "--compare", f"{path}"]) == 2
+    assert "none of these rows" in capsys.readouterr().err
+    data = json.loads(path.read_text())
+    data["machine"]["num_cores"] = 1000
+    path.write_text(json.dumps(data))
+    assert main([*command, "--compare", f"{path}"]) == 2
+    assert "num_cores: the stored report has 1000" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("train --batch 0", "--batch 0 is not a whole number above 0"),
+        ("train --steps-per-call 0", "--steps-per-call 0"),
+        ("train --kind gpt --size demo --batch 4 --num-parts 3", "num_parts: 3 does not divide"),
+        ("sample --repeats 0", "--repeats 0"),
+        ("sample --codes 1000", "--codes 1000 is more than the model's 40"),
+        ("evaluate --devices 0", "--devices 0"),
+        ("data --devices 100", "--devices 100, but there are"),
+        ("data --data no-such-folder --batch 2", "no-such-folder"),
+        ("data --compare no-such-file", "no-such-file"),
+        ("data --json no-such-folder/x.json", "no-such-folder"),
+        ("scale --device abacus", "device 'abacus' is unknown"),
+        ("scale --interconnect string", "interconnect 'string' is unknown"),
+        ("scale --from no-such-file", "no-such-file"),
+        ("walk", "invalid choice: 'walk'"),
+    ],
+)
+def test_bad_options_give_one_line(refusal, arguments, message):
+    assert message in refusal("bench", *arguments.split())
+
+
+def test_scale_prints_markdown(capsys):
+    assert main(["bench", "scale", "--interconnect", "infiniband"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("| recipe ") and len(lines) == 2 + 2 * 7

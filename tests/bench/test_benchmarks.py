@@ -1,0 +1,96 @@
+"""Each benchmark of a tiny model gives figures that make sense. No test looks at a time."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+from t2m_jax import bench
+from t2m_jax.bench.probes import memory_rate, product_rate
+from t2m_jax.bench.timing import time_calls
+from t2m_jax.errors import UserError
+from t2m_jax.train import LoopConfig
+from tests import tiny
+from tests.bench.conftest import PEAKS
+
+
+def check(row, *names):
+    assert set(names) <= {figure.name for figure in row.figures}
+    assert len({figure.name for figure in row.figures}) == len(row.figures)
+    for figure in row.figures:
+        assert math.isfinite(figure.value) and figure.value > 0, figure
+
+
+def test_probes_find_positive_rates():
+    mesh = bench.first_devices(1)
+    assert 0 < product_rate(mesh, jnp.bfloat16, sizes=(16, 32)) < math.inf
+    assert 0 < memory_rate(mesh, sizes=(1024,)) < math.inf
+
+
+def test_devices_that_do_not_exist_are_refused():
+    with pytest.raises(UserError, match="--devices 100, but there are"):
+        bench.first_devices(100)
+
+
+def test_a_call_is_repeated_after_one_that_does_not_count():
+    calls = []
+    assert time_calls(lambda: calls.append(1), repeats=4).median > 0
+    assert len(calls) == 5
+
+
+def test_training_of_a_vqvae():
+    config = tiny.vqvae_training(Path(), Path(), loop=LoopConfig(batch_size=4, steps_per_call=2))
+    row = bench.benchmark_training(config, size="tiny", peaks=PEAKS, repeats=1)
+    check(row, "updates", "frames", "compile", "memory per device", "work", "of product peak", "first loss")
+    assert row["frames"].value == pytest.approx(row["updates"].value * 4 * 32)
+    assert row.name == "vqvae tiny 4x32 float32, 2 updates per call"
+
+
+def test_training_of_a_gpt():
+    plain = tiny.gpt_training(Path(), Path(), Path(), loop=LoopConfig(batch_size=4))
+    config = dataclasses.replace(plain, text_encoder="clip", remat=True, num_parts=2, precision="bfloat16")
+    row = bench.benchmark_training(config, size="tiny", peaks=PEAKS, repeats=1)
+    check(row, "updates", "frames", "compile", "memory per device", "work", "of product peak", "first loss")
+    assert row.name == "gpt tiny 4x41 bfloat16, remat, 2 parts"
+    assert bench.update_flops(config) == bench.update_flops(dataclasses.replace(config, remat=False, num_parts=1))
+
+
+def test_sampling():
+    variables = bench.random_variables(tiny.GPT)
+    shared = {"name": "tiny", "mesh": bench.first_devices(1), "peaks": PEAKS, "repeats": 1}
+    row = bench.benchmark_sampling(tiny.GPT, variables, batch=3, num_codes=9, **shared)
+    check(row, "per code", "per step", "codes", "compile", "of product peak", "of memory peak")
+    assert row["per step"].value == pytest.approx(3 * row["per code"].value)
+    with pytest.raises(UserError, match="--codes 41 is more than the model's 40"):
+        bench.benchmark_sampling(tiny.GPT, variables, batch=3, num_codes=41, **shared)
+
+
+def test_embedding():
+    mesh = bench.first_devices(1)
+    rows = bench.benchmark_embedding(tiny.EVALUATOR, size="tiny", mesh=mesh, peaks=PEAKS, batch=2, frames=8, repeats=1)
+    assert [row.name for row in rows] == ["motions, tiny 2x8", "captions, tiny 2x22"]
+    for row in rows:
+        check(row, "speed", "compile", "of product peak")
+
+
+def test_windows_and_opening(data_folder):
+    check(bench.benchmark_windows(num_devices=1, peaks=PEAKS, batch=2, repeats=1), "speed", "of memory peak")
+    check(bench.benchmark_opening(data_folder, repeats=1), "speed", "first opening")
+
+
+def test_updates_have_more_operations_with_a_larger_batch():
+    small, large = (
+        bench.update_flops(tiny.vqvae_training(Path(), Path(), loop=LoopConfig(batch_size=batch))) for batch in (2, 4)
+    )
+    assert large == pytest.approx(2 * small, rel=0.2)
+
+
+def test_the_demo_is_trained_at_its_sizes():
+    config = bench.make_training("gpt", "demo", bench.Options(batch=8, num_parts=2))
+    assert (config.model.embed_dim, config.loop.batch_size, config.num_parts) == (256, 8, 2)
+    with pytest.raises(ValueError, match="num_parts: 3 does not divide"):
+        bench.make_training("gpt", "demo", bench.Options(batch=8, num_parts=3))
+    assert jax.default_backend() != "cpu" or bench.make_training("gpt", "full", bench.Options()).loop.batch_size == 16

@@ -1,0 +1,77 @@
+import json
+import math
+
+import pytest
+
+from t2m_jax.bench import Figure, compare_reports, load_report, markdown_table, report_text, save_report
+from t2m_jax.errors import UserError
+from tests.bench.conftest import on_another_machine, report
+
+
+def test_a_report_survives_its_file(tmp_path):
+    save_report(tmp_path / "report.json", report())
+    assert load_report(tmp_path / "report.json") == report()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"format_version": 2}, "format_version 1"),
+        ({"rows": 3}, "rows: expected a list"),
+        ({"speed": 3}, "unknown key 'speed'"),
+        ({"date": "a\x1b[31m"}, "cannot be printed"),
+    ],
+)
+def test_a_damaged_report_is_refused(tmp_path, change, message):
+    path = tmp_path / "report.json"
+    save_report(path, report())
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(UserError, match=message) as error:
+        load_report(path)
+    assert str(path) in str(error.value)
+
+
+def test_what_became_worse_is_named_and_noise_is_not():
+    before = report()
+    found = compare_reports(before, report(updates=8.0, compile=4.3, loss=9.0), tolerance=0.1)
+    (regression,) = found.regressions
+    assert (regression.after.name, found.num_compared) == ("updates", 2)
+    assert str(regression) == "train gpt tiny: updates (1/s) 10 -> 8 (-20%)"
+    assert not compare_reports(before, report(updates=9.5, compile=4.3), tolerance=0.1).regressions
+
+
+def test_less_is_better_for_times():
+    worse = compare_reports(report(), report(compile=5.0), tolerance=0.1).regressions
+    assert [regression.after.name for regression in worse] == ["compile"]
+    assert not compare_reports(report(), report(compile=1.0, updates=90.0), tolerance=0.1).regressions
+
+
+def test_figures_may_be_worse_by_the_spread_of_their_repeats():
+    assert not compare_reports(report(), report(updates=8.0, spread=0.3), tolerance=0.1).regressions
+    assert not compare_reports(report(spread=0.3), report(updates=8.0), tolerance=0.1).regressions
+    assert compare_reports(report(spread=0.3), report(updates=5.0), tolerance=0.1).regressions
+
+
+def test_reports_of_two_machines_are_not_compared():
+    with pytest.raises(UserError, match="num_cores: the stored report has 2, this machine 64"):
+        compare_reports(report(), on_another_machine(report()), tolerance=0.1)
+
+
+def test_a_report_is_shown_as_aligned_markdown():
+    text = report_text(report())
+    assert "Abacus, 2 cores; 1 x cpu; JAX 0.10.2; 2026-11-21." in text
+    table = text.partition("## Training\n\n")[2].splitlines()[:3]
+    assert len({len(line) for line in table}) == 1
+    assert [cell.strip() for cell in table[2].split("|")[1:-1]] == ["gpt tiny", "10", "4", "1"]
+
+
+def test_a_table_that_is_too_wide_is_turned():
+    headings, rows = [f"heading {number}" for number in range(9)], [[f"{number}" for number in range(9)]]
+    wide, narrow = markdown_table(headings, rows), markdown_table(headings, rows, width=40)
+    assert max(map(len, wide.splitlines())) > 40 >= max(map(len, narrow.splitlines()))
+    assert [line.split()[-2] for line in narrow.splitlines()[2:]] == [f"{number}" for number in range(1, 9)]
+
+
+def test_a_name_that_moves_the_cursor_is_refused():
+    with pytest.raises(ValueError, match="cannot be printed"):
+        Figure(name="\x1b[2J", value=math.pi)
