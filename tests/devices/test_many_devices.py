@@ -88,8 +88,9 @@ def assert_same_run(trained, way, kind):
     assert len(set(losses.tolist())) > 15, "nothing was learned"
     np.testing.assert_allclose(trained[way, kind, "loss"], losses, rtol=TOLERANCE)
     for metric, values in reference.items():
-        scale = np.abs(values).max()
-        np.testing.assert_allclose(trained[way, kind, metric], values, atol=10 * TOLERANCE * scale, err_msg=metric)
+        # AdamW makes steps of the learning rate (1e-3) also for gradients that are nothing but rounding.
+        tolerance = 1e-3 if metric == "weights" else 10 * TOLERANCE * np.abs(values).max()
+        np.testing.assert_allclose(trained[way, kind, metric], values, atol=tolerance, err_msg=metric)
     if kind == "vqvae":
         np.testing.assert_allclose(trained[way, kind, "codebook"], reference["codebook"], atol=TOLERANCE)
         # How often every code was chosen, in all updates: equal if every code is.
