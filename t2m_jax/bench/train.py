@@ -34,7 +34,7 @@ BATCHES: dict[tuple[str, str], int] = {
 }
 """Batch of each recipe."""
 CPU_BATCHES = BATCHES | {("gpt", "full"): 16}
-"""Default batches on a CPU, where an update of the full GPT with its own batch takes a minute and 17 GB."""
+"""Default batches on a CPU, where an update of the full GPT with its own batch needs 21 GB."""
 RECIPE_STEPS = 300_000
 """Updates of each published recipe."""
 CLIP_FRAMES = 200

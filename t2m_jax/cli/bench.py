@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from t2m_jax.cli.next_step import show_next
+from t2m_jax.cli.subcommands import subcommand_adder
 from t2m_jax.errors import UserError
 from t2m_jax.files import check_output
 
@@ -26,14 +27,7 @@ EXIT_REGRESSION = 1
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the sub-commands and their options."""
-    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=type(parser))
-
-    def add(function: Callable[[argparse.Namespace], None], help_: str) -> argparse.ArgumentParser:
-        name, description = function.__name__.removeprefix("run_"), f"{help_[0].upper()}{help_[1:]}."
-        command = commands.add_parser(name, help=help_, description=description, allow_abbrev=False)
-        command.set_defaults(run_command=function)
-        return command
-
+    add = subcommand_adder(parser)
     train = add(run_train, "measure updates of the VQ-VAE and the GPT, on random data")
     sample, evaluate = add(run_sample, "measure sampling"), add(run_evaluate, "measure the networks of an evaluation")
     data, everything = add(run_data, "measure batches and opening a data set"), add(run_all, "measure all of this")

@@ -13,12 +13,12 @@ import functools
 import os
 import shlex
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from t2m_jax.cli.generate import add_sampling_arguments
 from t2m_jax.cli.next_step import show_next
+from t2m_jax.cli.subcommands import subcommand_adder
 from t2m_jax.errors import UserError
 from t2m_jax.files import check_output, save_json
 
@@ -40,14 +40,7 @@ LABELS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the sub-commands and their options."""
-    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=type(parser))
-
-    def add(function: Callable[[argparse.Namespace], None], help_: str) -> argparse.ArgumentParser:
-        name, description = function.__name__.removeprefix("run_"), f"{help_[0].upper()}{help_[1:]}."
-        command = commands.add_parser(name, help=help_, description=description, allow_abbrev=False)
-        command.set_defaults(run_command=function)
-        return command
-
+    add = subcommand_adder(parser)
     reconstruction = add(run_reconstruction, "measure how well a tokenizer gives back real motion")
     generation = add(run_generation, "measure how well generated motion fits captions and real motion")
     prompts = add(run_prompts, "count how often generated motion does what held-out sentences ask for")

@@ -9,12 +9,71 @@ from t2m_jax.masks import mask_from_lengths
 from t2m_jax.models.convolution import uniform_init
 
 
-class GruDirection(nn.Module):
-    """One direction of a GRU, with the gates in the order reset, update, new.
+def next_state(
+    state: Float[Array, "B H"], gates: Float[Array, "B W"], recurrent: Float[Array, "B W"], is_read: Bool[Array, " B"]
+) -> Float[Array, "B H"]:
+    """Returns the next state of a GRU for what the input and the state give its gates: reset, update, new.
 
-    As in PyTorch, the recurrent bias of the new gate is multiplied by the reset gate, so it cannot be merged with the
-    input bias.
+    As in PyTorch, the recurrent part of the new gate is multiplied by the reset gate, so its bias cannot be merged with
+    the input bias. The state does not change where `is_read` is False.
     """
+    reset, update, new = jnp.split(gates, 3, axis=-1)
+    reset_by, update_by, new_by = jnp.split(recurrent, 3, axis=-1)
+    kept = nn.sigmoid(update + update_by)
+    proposal = jnp.tanh(new + nn.sigmoid(reset + reset_by) * new_by)
+    return jnp.where(is_read[:, None], (1 - kept) * proposal + kept * state, state)
+
+
+@jax.custom_vjp
+def last_state(
+    first: Float[Array, "B H"],
+    gates: Float[Array, "S B W"],
+    mask: Bool[Array, "S B"],
+    kernel: Float[Array, "H W"],
+    bias: Float[Array, " W"],
+) -> Float[Array, "B H"]:
+    """Returns the state of a GRU after all steps.
+
+    The gradient of the recurrent weights is one product after the loop. JAX's own gradient adds it up inside, which is
+    slower, and exchanges it between devices at every step.
+    """
+    return _all_states(first, gates, mask, kernel, bias)[0]
+
+
+def _all_states(first: Array, gates: Array, mask: Array, kernel: Array, bias: Array) -> tuple[Array, Array]:
+    """Returns the last state, and the state before each step."""
+
+    def step(state: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
+        return next_state(state, now[0], state @ kernel + bias[None], now[1]), state
+
+    return jax.lax.scan(step, first, (gates, mask))
+
+
+def _forward(first: Array, gates: Array, mask: Array, kernel: Array, bias: Array) -> tuple[Array, tuple[Array, ...]]:
+    last, states = _all_states(first, gates, mask, kernel, bias)
+    return last, (states, gates, mask, kernel, bias)
+
+
+def _backward(kept: tuple[Array, ...], gradient: Array) -> tuple[Array, Array, None, Array, Array]:
+    states, gates, mask, kernel, bias = kept
+
+    def step(gradient: Array, now: tuple[Array, Array, Array]) -> tuple[Array, tuple[Array, Array]]:
+        state, gate, is_read = now
+        recurrent = state @ kernel + bias[None]
+        _, pull = jax.vjp(lambda h, g, r: next_state(h, g, r, is_read), state, gate, recurrent)
+        of_state, of_gates, of_recurrent = pull(gradient)
+        return of_state + of_recurrent @ kernel.T, (of_gates, of_recurrent)
+
+    of_first, (of_gates, of_recurrent) = jax.lax.scan(step, gradient, (states, gates, mask), reverse=True)
+    of_kernel = jnp.einsum("sbh,sbw->hw", states, of_recurrent)
+    return of_first, of_gates, None, of_kernel, of_recurrent.sum((0, 1))
+
+
+last_state.defvjp(_forward, _backward)
+
+
+class GruDirection(nn.Module):
+    """One direction of a GRU."""
 
     features: int
     backward: bool
@@ -27,24 +86,11 @@ class GruDirection(nn.Module):
         width = self.features
         initializer = uniform_init(width**-0.5)
         gates = nn.Dense(3 * width, kernel_init=initializer, bias_init=initializer, name="input")(inputs)
-        recurrent_kernel = self.param("recurrent_kernel", initializer, (width, 3 * width))
-        recurrent_bias = self.param("recurrent_bias", initializer, (3 * width,))
-
-        def step(
-            state: Float[Array, "B H"], now: tuple[Float[Array, "B W"], Bool[Array, " B"]]
-        ) -> tuple[Float[Array, "B H"], None]:
-            gate, is_read = now
-            reset, update, new = jnp.split(gate, 3, axis=-1)
-            recurrent = state @ recurrent_kernel + recurrent_bias[None]
-            reset_by, update_by, new_by = jnp.split(recurrent, 3, axis=-1)
-            kept = nn.sigmoid(update + update_by)
-            proposal = jnp.tanh(new + nn.sigmoid(reset + reset_by) * new_by)
-            return jnp.where(is_read[:, None], (1 - kept) * proposal + kept * state, state), None
-
+        kernel = self.param("recurrent_kernel", initializer, (width, 3 * width))
+        bias = self.param("recurrent_bias", initializer, (3 * width,))
         first = jnp.broadcast_to(initial, (inputs.shape[0], width))
-        steps = (jnp.swapaxes(gates, 0, 1), mask.T)
-        last, _ = jax.lax.scan(step, first, steps, reverse=self.backward)
-        return last
+        order = slice(None, None, -1 if self.backward else 1)
+        return last_state(first, jnp.swapaxes(gates, 0, 1)[order], mask.T[order], kernel, bias)
 
 
 class BiGru(nn.Module):

@@ -12,6 +12,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax.tree_util import keystr
 
 from t2m_jax.data.banks import MotionBank, batch_at
 from t2m_jax.sampling import TextToMotion, encode_motions
@@ -48,6 +49,15 @@ def configs(folder: Path) -> dict[str, ExperimentConfig]:
     }
 
 
+def weights_with_gradient(params: Any) -> np.ndarray:
+    """Returns all weights in one row, but for biases that a batch norm takes away again.
+
+    The gradients of these are nothing but rounding, which AdamW scales up to whole steps.
+    """
+    leaves = jax.tree_util.tree_leaves_with_path(params)
+    return np.concatenate([leaf.ravel() for path, leaf in leaves if "['dilated']['conv']['bias']" not in keystr(path)])
+
+
 def train_in_memory(folder: Path, ways: list[str]) -> dict[str, np.ndarray]:
     """Returns losses, codebooks and other state after some updates of each kind, for each way to use the devices.
 
@@ -68,8 +78,7 @@ def train_in_memory(folder: Path, ways: list[str]) -> dict[str, np.ndarray]:
                 state = devices.put_state(init())
                 state, metrics = devices.run(update, state, devices.put_data(data), NUM_UPDATES, size=NUM_UPDATES)
                 found |= {f"{way} {name} {metric}": np.asarray(values) for metric, values in metrics.items()}
-                weights = jax.tree.leaves(jax.device_get(state.params))
-                found[f"{way} {name} weights"] = np.concatenate([leaf.ravel() for leaf in weights])
+                found[f"{way} {name} weights"] = weights_with_gradient(jax.device_get(state.params))
                 if name == "vqvae":
                     found[f"{way} {name} codebook"] = np.asarray(state.codebook["quantizer"]["codebook"])
                     found[f"{way} {name} hits"] = np.asarray(state.codebook["quantizer"]["ema_count"])
