@@ -3,11 +3,14 @@
 from typing import Literal
 
 import jax.numpy as jnp
+import numpy as np
 import optax
 from jaxtyping import Array, Bool, Float, Int
 
 from t2m_jax.devices import global_mean, global_sum
 from t2m_jax.masks import masked_mean
+from t2m_jax.motion.normalizer import Normalizer
+from t2m_jax.motion.skeleton import Skeleton
 
 ReconstructionKind = Literal["l1", "l2", "l1_smooth"]
 VelocityKind = Literal["joint_positions", "frame_difference"]
@@ -62,19 +65,82 @@ def velocity_loss(
     return reconstruction_loss(jnp.diff(reconstruction, axis=1), jnp.diff(motion, axis=1), both, kind=kind)
 
 
-def token_weights(
-    code_lengths: Int[Array, " B"], length: int, *, mean_over: TokenMean = "motions"
-) -> Float[Array, "B {length}"]:
-    """Returns the weights of a mean over each motion's codes and its End token; they sum to 1 over the global batch.
+def acceleration_loss(
+    reconstruction: Float[Array, "B T D"],
+    motion: Float[Array, "B T D"],
+    mask: Bool[Array, "B T"],
+    *,
+    kind: ReconstructionKind,
+) -> Float[Array, ""]:
+    """Returns the mean loss of second differences in time (T2M-HiFiGPT, arXiv 2312.10628, section 3.2).
 
-    With `mean_over` "motions", all motions have the same weight (T2M-GPT's code). With "tokens", all codes and End
-    tokens have the same weight, so that long motions count more (the likelihood in T2M-GPT's paper).
+    A difference counts if all its three frames are data.
     """
-    counts = code_lengths + 1
+    all_three = mask[:, 2:] & mask[:, 1:-1] & mask[:, :-2]
+    return reconstruction_loss(jnp.diff(reconstruction, 2, axis=1), jnp.diff(motion, 2, axis=1), all_three, kind=kind)
+
+
+def bone_vectors(features: Float[Array, "B T D"], skeleton: Skeleton) -> Float[Array, "B T J 3"]:
+    """Returns the vectors from parents to joints, of all joints but the root, in features that may be normalized.
+
+    The root is at (0, root height, 0), because features have the other joints relative to the floor below it.
+    """
+    layout = skeleton.layout
+    height = features[..., layout.root_height]
+    root = jnp.concatenate([jnp.zeros_like(height), height, jnp.zeros_like(height)], axis=-1)
+    others = features[..., layout.positions].reshape(*features.shape[:2], -1, 3)
+    joints = jnp.concatenate([root[:, :, None], others], axis=2)
+    return joints[:, :, 1:] - joints[:, :, np.array(skeleton.parents[1:])]
+
+
+def bone_loss(
+    reconstruction: Float[Array, "B T D"],
+    motion: Float[Array, "B T D"],
+    mask: Bool[Array, "B T"],
+    *,
+    skeleton: Skeleton,
+    normalizer: Normalizer | None = None,
+) -> Float[Array, ""]:
+    """Returns the mean length of the differences of bone vectors.
+
+    This is the last term of T2M-HiFiGPT's reconstruction loss (arXiv 2312.10628, section 3.2). Its gradient is 0 where
+    the vectors agree.
+
+    Args:
+        reconstruction: The decoder's output, normalized.
+        motion: The target, normalized.
+        mask: True where there is data.
+        skeleton: Says which joints make a bone.
+        normalizer: Turns features into the skeleton's unit; without it, vectors are those of normalized features.
+    """
+    if normalizer is not None:
+        reconstruction, motion = normalizer.denormalize(reconstruction), normalizer.denormalize(motion)
+    difference = bone_vectors(reconstruction, skeleton) - bone_vectors(motion, skeleton)
+    squares = jnp.sum(difference**2, axis=-1)
+    differs = squares > 0
+    lengths = jnp.where(differs, jnp.sqrt(jnp.where(differs, squares, 1.0)), 0.0)
+    return masked_mean(lengths, mask[:, :, None])
+
+
+def mean_weights(
+    counts: Int[Array, " B"], length: int, *, mean_over: TokenMean = "motions"
+) -> Float[Array, "B {length}"]:
+    """Returns the weights of a mean over the first `counts[b]` positions of each motion.
+
+    They sum to 1 over the global batch. With `mean_over` "motions", all motions have the same weight (T2M-GPT's code).
+    With "tokens", all positions have the same weight, so that long motions count more (the likelihood in its paper).
+    """
     mask = jnp.arange(length)[None] < counts[:, None]
     if mean_over == "tokens":
         return mask / global_sum(jnp.sum(mask))
     return mask / (counts * global_sum(jnp.asarray(len(counts))))[:, None]
+
+
+def token_weights(
+    code_lengths: Int[Array, " B"], length: int, *, mean_over: TokenMean = "motions"
+) -> Float[Array, "B {length}"]:
+    """Returns the `mean_weights` of each motion's codes and its End token."""
+    return mean_weights(code_lengths + 1, length, mean_over=mean_over)
 
 
 def token_loss(
@@ -94,6 +160,26 @@ def token_accuracy(
 ) -> Float[Array, ""]:
     """Returns the sum of the weights of the targets that have the highest logits, over the global batch."""
     return global_sum(jnp.sum(jnp.where(jnp.argmax(logits, axis=-1) == targets, weights, 0.0)))
+
+
+def stop_loss(
+    stop_logits: Float[Array, "B N"],
+    is_last: Bool[Array, "B N"],
+    weights: Float[Array, "B N"],
+    *,
+    positive_weight: float = 1.0,
+) -> Float[Array, ""]:
+    """Returns the weighted sum of the binary cross-entropies of stopping, over the global batch.
+
+    Args:
+        stop_logits: Of each row being the last.
+        is_last: Whether it is.
+        weights: Of each row, see `mean_weights`.
+        positive_weight: Factor of the terms of last rows.
+    """
+    losses = optax.losses.sigmoid_binary_cross_entropy(stop_logits.astype(jnp.float32), is_last.astype(jnp.float32))
+    losses *= jnp.where(is_last, positive_weight, 1.0)
+    return global_sum(jnp.sum(jnp.where(weights > 0, weights * losses, 0.0)))
 
 
 def movement_loss(

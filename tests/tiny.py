@@ -11,21 +11,42 @@ from t2m_jax.checkpoints.evaluator import TrainedEvaluator, make_trained_evaluat
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.models.caption_encoder import CaptionEncoderConfig
 from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
+from t2m_jax.models.hifigpt import HiFiGptConfig
 from t2m_jax.models.motion_gpt import MotionGptConfig
-from t2m_jax.models.vqvae import VqVaeConfig
+from t2m_jax.models.vqvae import RvqVaeConfig, VqVaeConfig
 from t2m_jax.motion.features import features_from_positions
 from t2m_jax.motion.normalizer import Normalizer, normalizer_from_clips
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.text.bpe import train_bpe
 from t2m_jax.text.word_vectors import tokens_from_text, vocabulary_from_captions
-from t2m_jax.train import LoopConfig, OptimizerConfig, TrainGptConfig, TrainVqVaeConfig
+from t2m_jax.train import (
+    LoopConfig,
+    OptimizerConfig,
+    TrainGptConfig,
+    TrainHiFiGptConfig,
+    TrainRvqVaeConfig,
+    TrainVqVaeConfig,
+)
 
 VQVAE = VqVaeConfig(num_codes=16, code_dim=8, width=16, depth=1)
+RVQVAE = RvqVaeConfig(num_codes=16, code_dim=8, width=16, num_quantizers=3)
 GPT = MotionGptConfig(num_codes=16, embed_dim=16, text_dim=12, num_layers=2, num_heads=2, block_size=41)
+HIFIGPT = HiFiGptConfig(
+    num_codes=16,
+    num_quantizers=3,
+    code_dim=8,
+    embed_dim=16,
+    text_dim=12,
+    num_layers=2,
+    num_residual_layers=2,
+    num_heads=2,
+    max_codes=20,
+)
 CAPTION_ENCODER = CaptionEncoderConfig(
     vocabulary_size=90, max_length=16, embed_dim=16, num_layers=1, num_heads=2, text_dim=12
 )
 BUNDLE = BundleConfig(tokenizer=VQVAE, generator=GPT, text_encoder=CAPTION_ENCODER)
+HIFIGPT_BUNDLE = BundleConfig(tokenizer=RVQVAE, generator=HIFIGPT, text_encoder=CAPTION_ENCODER)
 EVALUATOR = EvaluatorConfig(
     movement_hidden=10, movement_dim=12, motion_hidden=8, text_hidden=6, embedding_dim=16, word_dim=5
 )
@@ -52,6 +73,18 @@ def gpt_training(data: Path, vqvae: Path, run: Path, *, loop: LoopConfig = LOOP)
     )
 
 
+def rvqvae_training(data: Path, run: Path, *, loop: LoopConfig = LOOP) -> TrainRvqVaeConfig:
+    """Returns the config of a residual first stage that takes seconds."""
+    return TrainRvqVaeConfig(data=data, run=run, model=RVQVAE, optimizer=OPTIMIZER, loop=loop)
+
+
+def hifigpt_training(data: Path, vqvae: Path, run: Path, *, loop: LoopConfig = LOOP) -> TrainHiFiGptConfig:
+    """Returns the config of a double-tier second stage that takes seconds."""
+    return TrainHiFiGptConfig(
+        data=data, vqvae=vqvae, run=run, model=HIFIGPT, caption_encoder=CAPTION_ENCODER, optimizer=OPTIMIZER, loop=loop
+    )
+
+
 def random_variables(shapes, *, seed: int = 10, gain: float = 2.0):
     """Returns weights that say something: matrices of the given gain, scales of one, biases of zero.
 
@@ -75,14 +108,14 @@ def walking_normalizer() -> Normalizer:
     return normalizer_from_clips([np.asarray(features)], HUMANML3D.layout)
 
 
-def random_bundle(*, seed: int = 10) -> Bundle:
+def random_bundle(config: BundleConfig = BUNDLE, *, seed: int = 10) -> Bundle:
     """Returns a complete model that nobody trained."""
     bpe = train_bpe(CAPTIONS, vocabulary_size=CAPTION_ENCODER.vocabulary_size)
-    kinds, shapes = part_kinds(BUNDLE), expected_variables(BUNDLE)
+    kinds, shapes = part_kinds(config), expected_variables(config)
     # Drawn in the order of the kinds' names: tests know what these weights generate.
     drawn = random_variables({kind: shapes[role] for role, kind in kinds.items()}, seed=seed)
     variables = {role: drawn[kind] for role, kind in kinds.items()}
-    return Bundle(BUNDLE, variables, walking_normalizer(), bpe)
+    return Bundle(config, variables, walking_normalizer(), bpe)
 
 
 def random_evaluator(*, seed: int = 10) -> TrainedEvaluator:

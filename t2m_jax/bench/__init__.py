@@ -7,7 +7,7 @@ from t2m_jax.bench.flops import count_flops
 from t2m_jax.bench.probes import describe_machine, first_devices, measure_peaks
 from t2m_jax.bench.record import Figure, Machine, Peaks, Report, Row, load_report, save_report
 from t2m_jax.bench.run import make_report, measure_all
-from t2m_jax.bench.sample import benchmark_sampling, random_variables
+from t2m_jax.bench.sample import Subject, benchmark_sampling, full_size_subjects, random_variables
 from t2m_jax.bench.scaling import Interconnect, Prediction, Recipe, predict, published_recipes, scaling_rows
 from t2m_jax.bench.tables import markdown_table, report_text
 from t2m_jax.bench.train import Options, benchmark_training, make_training, update_flops
@@ -24,6 +24,7 @@ __all__ = [
     "Regression",
     "Report",
     "Row",
+    "Subject",
     "benchmark_embedding",
     "benchmark_opening",
     "benchmark_sampling",
@@ -34,6 +35,7 @@ __all__ = [
     "count_flops",
     "describe_machine",
     "first_devices",
+    "full_size_subjects",
     "load_report",
     "make_report",
     "make_training",

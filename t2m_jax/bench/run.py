@@ -9,16 +9,13 @@ from t2m_jax.bench.data import benchmark_opening, benchmark_windows
 from t2m_jax.bench.evaluate import benchmark_embedding
 from t2m_jax.bench.probes import describe_machine, first_devices, measure_peaks
 from t2m_jax.bench.record import Peaks, Report, Row
-from t2m_jax.bench.sample import benchmark_sampling, random_variables
+from t2m_jax.bench.sample import TOKENIZERS, benchmark_sampling, full_size_subjects
 from t2m_jax.bench.timing import peak_memory
 from t2m_jax.bench.train import Kind, Options, benchmark_training, make_training
 from t2m_jax.models.evaluator import EvaluatorConfig
-from t2m_jax.models.motion_gpt import MotionGptConfig
 
 BATCHES = (1, 32)
 """Batches of sampling."""
-NUM_CODES = 50
-"""Codes of a motion: the longest that the published GPT can sample."""
 
 
 def make_report(
@@ -58,19 +55,10 @@ def _training(peaks: Peaks, repeats: int) -> list[Row]:
 
 
 def _sampling(peaks: Peaks, repeats: int) -> list[Row]:
-    config, mesh = MotionGptConfig(), first_devices(peaks.num_devices)
-    variables = random_variables(config)
+    mesh = first_devices(peaks.num_devices)
     return [
-        benchmark_sampling(
-            config,
-            variables,
-            name="gpt full",
-            batch=batch,
-            num_codes=NUM_CODES,
-            mesh=mesh,
-            peaks=peaks,
-            repeats=repeats,
-        )
+        benchmark_sampling(subject, batch=batch, mesh=mesh, peaks=peaks, repeats=repeats)
+        for subject in full_size_subjects(tuple(TOKENIZERS))
         for batch in BATCHES
         if batch % mesh.size == 0
     ]

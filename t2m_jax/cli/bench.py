@@ -7,6 +7,7 @@ and then exits with code 1. `t2m bench COMMAND --help` describes the options of 
 
 import argparse
 import contextlib
+import itertools
 import shutil
 import sys
 from collections.abc import Callable, Sequence
@@ -39,10 +40,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         )
     _add_train_arguments(train)
     sample.add_argument("--model", default="demo", help="bundled name, bundle folder or run folder (default: demo)")
-    full = "instead of the model's weights: random weights of the size that its kind was published with"
+    full = "instead of a model: random weights of the published sizes (see --kind)"
     sample.add_argument("--full-size", action="store_true", help=full)
+    kinds = ("gpt", "hifigpt")
+    sample.add_argument("--kind", nargs="+", choices=kinds, default=kinds, help="with --full-size (default: both)")
     sample.add_argument("--batch", type=int, nargs="+", default=[1, 32], help="batch sizes (default: 1 32)")
-    sample.add_argument("--codes", type=int, default=50, help="codes per motion (default: 50)")
+    sample.add_argument("--codes", type=int, help="rows of codes per motion (default: the model's most, up to 50)")
     evaluate.add_argument("--batch", type=int, default=128, help="motions embedded together (default: 128)")
     data.add_argument("--batch", type=int, default=256, help="windows per batch (default: 256)")
     for command in (data, everything):
@@ -115,17 +118,21 @@ def run_sample(args: argparse.Namespace) -> None:
     from t2m_jax.bench.sample import check_sampling
     from t2m_jax.sampling.pipeline import TextToMotion
 
-    model = TextToMotion.load(args.model)
-    config, variables, name = model.config.generator, model.variables["generator"], Path(args.model).name
     if args.full_size:
-        config, name = type(config)(), f"{config.kind} full"
-        variables = bench.random_variables(config)
-    check_sampling(config, batches=args.batch, num_codes=args.codes, devices=args.devices)
+        subjects = bench.full_size_subjects(args.kind)
+    else:
+        model = TextToMotion.load(args.model)
+        parts, scale = model.config, model.guidance_scale()
+        given = (parts.generator, model.variables["generator"], parts.tokenizer.downsample)
+        subjects = [bench.Subject(Path(args.model).name, *given, None if scale == 1 else scale)]
+    configs = [subject.config for subject in subjects]
+    check_sampling(configs, batches=args.batch, num_codes=args.codes, devices=args.devices)
 
     def measure(peaks: "Peaks") -> "list[Row]":
         mesh = bench.first_devices(peaks.num_devices)
-        shared = {"name": name, "num_codes": args.codes, "mesh": mesh, "peaks": peaks, "repeats": args.repeats}
-        return [bench.benchmark_sampling(config, variables, batch=batch, **shared) for batch in args.batch]
+        shared = {"num_codes": args.codes, "mesh": mesh, "peaks": peaks, "repeats": args.repeats}
+        pairs = itertools.product(subjects, args.batch)
+        return [bench.benchmark_sampling(subject, batch=batch, **shared) for subject, batch in pairs]
 
     _report(args, measure)
     show_next("t2m bench sample" + ("" if args.full_size else " --full-size"))

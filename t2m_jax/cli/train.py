@@ -1,7 +1,8 @@
 """Train a model: `t2m train KIND CONFIG [--field value]...`; fields are those of the config, with dots.
 
-CONFIG is a YAML file or, for vqvae and gpt, a recipe of T2M-GPT by name: `official` or `paper`, and for KIT-ML
-`kit_ml/official` and `kit_ml/paper`. `t2m train KIND --run RUN --resume` continues a run.
+CONFIG is a YAML file or a recipe by name: for vqvae and gpt (T2M-GPT) `official` or `paper`, for rvqvae and hifigpt
+(T2M-HiFiGPT) `hifigpt/paper`; with `kit_ml/` before it, for KIT-ML. `t2m train KIND --run RUN --resume` continues a
+run.
 `t2m train gpt --diff paper official` shows how two configs differ.
 """
 
@@ -127,7 +128,7 @@ def _config(kind: str, name: str) -> Any:
     from t2m_jax.train.experiment import find_trainer
     from t2m_jax.train.presets import load_preset, preset_names
 
-    if name in preset_names() and not Path(name).exists():
+    if name in preset_names() and not Path(name).is_file():
         return load_preset(kind, name)
     schema: Any = find_trainer(kind).config
     return load_config(name, schema)

@@ -86,7 +86,7 @@ class Generation:
     texts: dict[str, Float[np.ndarray, " E"]]
     """The model's embedding of each caption."""
     guidance_scale: float | None = None
-    """Strength of the guidance by the text, None for none."""
+    """Strength of the guidance by the text, None for the model's own."""
 
     @property
     def tokenizer(self) -> TrainedTokenizer:
@@ -101,7 +101,7 @@ class Generation:
             "temperature": getattr(self.strategy, "temperature", None),
             "top_k": getattr(self.strategy, "k", None),
             "top_p": getattr(self.strategy, "p", None),
-            "guidance_scale": self.guidance_scale,
+            "guidance_scale": self.model.guidance_scale(self.guidance_scale),
         }
 
     def make(self, samples: Sequence[Clip], protocol: Protocol, plan: Plan, key: Key[Array, ""]) -> SourceCodes:

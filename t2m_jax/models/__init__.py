@@ -3,9 +3,10 @@
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
 from t2m_jax.models.clip_text import ClipText, ClipTextConfig
 from t2m_jax.models.evaluator import Evaluator, EvaluatorConfig
+from t2m_jax.models.hifigpt import HiFiGpt, HiFiGptConfig
 from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
 from t2m_jax.models.system import Generator, GeneratorConfig, Part, Tokenizer, TokenizerConfig, find_part, make_module
-from t2m_jax.models.vqvae import VqVae, VqVaeConfig
+from t2m_jax.models.vqvae import RvqVaeConfig, VqVae, VqVaeConfig
 
 __all__ = [
     "CaptionEncoder",
@@ -16,9 +17,12 @@ __all__ = [
     "EvaluatorConfig",
     "Generator",
     "GeneratorConfig",
+    "HiFiGpt",
+    "HiFiGptConfig",
     "MotionGpt",
     "MotionGptConfig",
     "Part",
+    "RvqVaeConfig",
     "Tokenizer",
     "TokenizerConfig",
     "VqVae",

@@ -15,7 +15,7 @@ from t2m_jax.config import check_limits, check_sizes
 from t2m_jax.errors import UserError
 from t2m_jax.models.projection import WEIGHT_INIT, Projection
 from t2m_jax.models.system import Draw, Part, draw_each
-from t2m_jax.models.transformer import LAYER_NORM_EPSILON, Block, LayerCache, empty_cache
+from t2m_jax.models.transformer import LAYER_NORM_EPSILON, Block, LayerCache, empty_cache, read_causal, read_one
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -25,6 +25,7 @@ class MotionGptConfig:
     kind: ClassVar[str] = "gpt"
     num_quantizers: ClassVar[int] = 1
     stop_rule: ClassVar[str] = "end"
+    guidance_scale: ClassVar[None] = None
 
     num_codes: int = 512
     """Codes of the tokenizer (K); tokens K and K+1 are End and Pad. Training takes it from the tokenizer."""
@@ -111,13 +112,7 @@ class MotionGpt(nn.Module):
         hidden = jnp.concatenate([text, self.token_embedding(tokens)], axis=1)
         # In the dtype of the input: a table in float32 would turn all products after it into float32.
         hidden = hidden + self._positions()[None, :length].astype(hidden.dtype)
-        causal = jnp.tril(jnp.ones((1, 1, length, length), bool))
-
-        def read(block: Block, hidden: Float[Array, "B L W"]) -> Float[Array, "B L W"]:
-            return block(hidden, causal, train=train)[0]
-
-        for block in self.blocks:
-            hidden = (nn.remat(read) if self.remat else read)(block, hidden)
+        hidden = read_causal(self.blocks, hidden, train=train, remat=self.remat)
         return self.head(self.final_norm(hidden))
 
     def begin(self, text_embedding: Float[Array, "B E"], guidance_scale: Any = None) -> tuple[Any, "GptCache"]:
@@ -154,13 +149,8 @@ class MotionGpt(nn.Module):
         """Returns the logits after one more input, and the cache with it."""
         # The sampling loop works in chunks and may go past the last position. Those rows are thrown away.
         position = jnp.minimum(cache.position, self.config.block_size - 1)
-        hidden = (inputs + self._positions()[position][None])[:, None]
-        seen = (jnp.arange(self.config.block_size) <= position)[None, None, None, :]
-        layers = []
-        for block, layer in zip(self.blocks, cache.layers, strict=True):
-            hidden, layer = block(hidden, seen, train=False, cache=layer, position=position)
-            layers.append(layer)
-        return self.head(self.final_norm(hidden))[:, 0], GptCache(tuple(layers), cache.position + 1)
+        hidden, layers = read_one(self.blocks, inputs + self._positions()[position][None], cache.layers, position)
+        return self.head(self.final_norm(hidden)), GptCache(layers, cache.position + 1)
 
 
 class GptCache(NamedTuple):

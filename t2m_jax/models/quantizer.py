@@ -1,78 +1,65 @@
-"""Vector quantization: nearest-code lookup, and four rules by which a codebook learns.
+"""Vector quantization: nearest-code lookup, once or residual, with a codebook that learns (`models/codebook.py`).
 
-The rules are those of T2M-GPT (arXiv 2301.06052, section 3.1 and table 3), as implemented in its code. `orig` trains
-the codebook by gradient. The others move it directly. `ema` and `ema_reset` move each code to the running average of
-the latents that chose it; sums and counts are averaged separately. `reset` and `ema_reset` replace a code that is
-rarely chosen by a row of the current batch and keep its statistics. With `reset` alone, replacement is the only change.
+Residual quantization (RQ-VAE, arXiv 2203.01941; T2M-HiFiGPT, arXiv 2312.10628, section 3.2) looks up the latent, then
+what is left of it, and so on. R codes of one shared codebook add up to the quantized latent. R = 1 is a plain layer.
 """
 
-import dataclasses
-from typing import Literal, NamedTuple
+import functools
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from t2m_jax.devices import global_rows, global_sum
 from t2m_jax.masks import masked_mean
+from t2m_jax.models.codebook import (
+    RULES,
+    CodebookState,
+    QuantizerKind,
+    candidate_codes,
+    count_codes,
+    draw_codes,
+    initial_codebook,
+    make_pool,
+    move_codebook,
+)
 from t2m_jax.models.convolution import uniform_init
 
-CANDIDATE_NOISE = 0.01
-"""Standard deviation of the noise on repeated rows, before division by sqrt(code_dim)."""
-LEAST_COUNT = 1e-30
-"""Smallest averaged count of a code that is averaged. Smaller counts remain of codes that were not used for thousands
-of steps, and dividing by them gives no useful code."""
-
-QuantizerKind = Literal["orig", "ema", "reset", "ema_reset"]
-
-
-@dataclasses.dataclass(frozen=True)
-class CodebookRule:
-    """How a codebook moves in training. If it neither averages nor resets, it is a parameter and learns by gradient."""
-
-    averages: bool
-    """Codes follow the running average of the latents that chose them."""
-    resets: bool
-    """Codes that are rarely chosen are replaced by latents of the batch."""
-
-    @property
-    def by_gradient(self) -> bool:
-        """Whether the optimizer moves the codebook."""
-        return not (self.averages or self.resets)
-
-
-RULES: dict[str, CodebookRule] = {
-    "orig": CodebookRule(averages=False, resets=False),
-    "ema": CodebookRule(averages=True, resets=False),
-    "reset": CodebookRule(averages=False, resets=True),
-    "ema_reset": CodebookRule(averages=True, resets=True),
-}
-
-
-class CodebookState(NamedTuple):
-    """The collection `codebook`: what a codebook that is not trained by gradient keeps between steps.
-
-    Without averaging, `ema_sum` and `ema_count` are the values of the last batch.
-    """
-
-    codebook: Float[Array, "K C"]
-    ema_sum: Float[Array, "K C"]
-    ema_count: Float[Array, " K"]
-    initialised: Bool[Array, ""]
+CodebookUpdate = Literal["joint", "per_depth"]
+CommitmentKind = Literal["mean", "sum"]
+Move = Callable[..., tuple[CodebookState, Float[Array, " R"]]]
+"""From a state, vectors [R, M, C], codes [R, M], used depths [R] and random draws to the next state and the number of
+codes that were redrawn from each depth."""
 
 
 class QuantizerOutput(NamedTuple):
     """One pass through the codebook."""
 
     quantized: Float[Array, "B N C"]
-    """Straight-through: the value of the code, the gradient of the latent."""
-    codes: Int[Array, "B N"]
+    """Straight-through: the value of the sum of the codes, the gradient of the latent."""
+    codes: Int[Array, "B N R"]
     commitment_loss: Float[Array, ""]
-    """Mean squared distance of latents and codes. If the codebook learns by gradient, its own loss is added: the same
-    value, with the gradient to the codes."""
-    code_counts: Float[Array, " K"]
-    """How often each code was chosen in this batch, masked positions not counted."""
+    """Mean squared distance of latents and the sums of their first codes, averaged or added up over the depths. If the
+    codebook learns by gradient, its own loss is added: the same value, with the gradient to the codes."""
+    code_counts: Float[Array, "R K"]
+    """How often each code was chosen in this batch at each depth, masked positions not counted."""
+    residual_norms: Float[Array, " R"]
+    """Mean length of what each depth looked up."""
+    expired: Float[Array, " R"]
+    """Codes that were replaced by a vector of each depth."""
+
+
+class Lookup(NamedTuple):
+    """What each depth looked up, and what was found."""
+
+    codes: Int[Array, "R M"]
+    residuals: Float[Array, "R M C"]
+    """What depth w looked up; the latents at the first depth."""
+    totals: Float[Array, "R M C"]
+    """Sums of the first codes."""
+    expired: Float[Array, "R _"]
 
 
 def nearest_codes(latents: Float[Array, "M C"], codebook: Float[Array, "K C"]) -> Int[Array, " M"]:
@@ -83,76 +70,43 @@ def nearest_codes(latents: Float[Array, "M C"], codebook: Float[Array, "K C"]) -
     return jnp.argmin(distances, axis=1)
 
 
-def candidate_codes(
-    latents: Float[Array, "M C"], mask: Bool[Array, " M"], noise: Float[Array, "K C"]
-) -> Float[Array, "K C"]:
-    """Returns K rows that codes can start from: the first True rows of the global batch, in order.
-
-    If there are fewer rows than codes, rows are repeated, and `noise` (standard normal) is scaled and added to all of
-    them, so that no two codes are equal.
-    """
-    num_codes, (latents, mask) = noise.shape[0], global_rows((latents, mask))
-    order = jnp.argsort(~mask, stable=True)
-    num_rows = jnp.sum(mask)
-    rows = latents[order[jnp.arange(num_codes) % jnp.maximum(num_rows, 1)]]
-    scale = CANDIDATE_NOISE * latents.shape[1] ** -0.5
-    return rows + jnp.where(num_rows < num_codes, scale * noise, 0.0)
-
-
-def initial_codebook(state: CodebookState, candidates: Float[Array, "K C"]) -> CodebookState:
-    """Returns `state` if it was initialized, else a state that starts from `candidates`."""
-    fresh = CodebookState(candidates, candidates, jnp.ones_like(state.ema_count), jnp.array(True))
-    return jax.tree.map(lambda old, new: jnp.where(state.initialised, old, new), state, fresh)
-
-
-def hits(
-    latents: Float[Array, "M C"], codes: Int[Array, " M"], mask: Bool[Array, " M"], *, num_codes: int
-) -> tuple[Float[Array, "K C"], Float[Array, " K"]]:
-    """Returns the sum of the latents and their number for each code, over the True rows of the global batch."""
-    weights = mask.astype(latents.dtype)
-    sums = jax.ops.segment_sum(latents * weights[:, None], codes, num_segments=num_codes)
-    return global_sum((sums, jax.ops.segment_sum(weights, codes, num_segments=num_codes)))
-
-
-def update_codebook(
+def look_up(
+    rows: Float[Array, "M C"],
     state: CodebookState,
-    batch_hits: tuple[Float[Array, "K C"], Float[Array, " K"]],
-    candidates: Float[Array, "K C"],
+    used: Bool[Array, " R"],
     *,
-    rule: CodebookRule,
-    decay: float,
-    threshold: float,
-) -> CodebookState:
-    """Returns the codebook after one step of a rule that averages, resets, or does both.
+    draws: Array | None = None,
+    move: Move | None = None,
+) -> tuple[Lookup, CodebookState]:
+    """Returns the codes of latents at all depths, and the state after them.
 
     Args:
-        state: The codebook that was used for the lookup.
-        batch_hits: Sums and counts of `hits`.
-        candidates: Row k replaces code k if that code is dead.
-        rule: Whether to average and whether to reset.
-        decay: Share of the old averages that is kept.
-        threshold: A code is dead if its count (averaged, if the rule averages) is below this.
+        rows: The latents.
+        state: The codebook; only its codes are read.
+        used: Depths that count. The others add nothing.
+        draws: What `move` gets at each depth [R, ...].
+        move: Changes the codebook after the lookup of each depth, before that of the next.
     """
-    kept = decay if rule.averages else 0.0
-    ema_sum, ema_count = (
-        kept * old + (1.0 - kept) * new for old, new in zip((state.ema_sum, state.ema_count), batch_hits, strict=True)
-    )
-    alive = ema_count >= (threshold if rule.resets else LEAST_COUNT)
-    codebook = state.codebook
-    if rule.averages:
-        # The count of a dead code may be 0 or denormal. Dividing by it would give NaN, also in the unused branch.
-        codebook = jnp.where(alive[:, None], ema_sum / jnp.where(alive, ema_count, 1.0)[:, None], codebook)
-    if rule.resets:
-        codebook = jnp.where(alive[:, None], codebook, candidates)
-    return CodebookState(codebook, ema_sum, ema_count, state.initialised)
+
+    def one_depth(carry: Any, now: Any) -> tuple[Any, Lookup]:
+        (residual, total, state), (is_used, draw) = carry, now
+        codes = nearest_codes(residual, state.codebook)
+        chosen = jnp.where(is_used, state.codebook[codes], 0.0)
+        expired = jnp.zeros(1)
+        if move is not None:
+            state, expired = move(state, residual[None], codes[None], is_used[None], draw)
+        return (residual - chosen, total + chosen, state), Lookup(codes, residual, total + chosen, expired)
+
+    (_, _, state), found = jax.lax.scan(one_depth, (rows, jnp.zeros_like(rows), state), (used, draws))
+    return found, state
 
 
 class Quantizer(nn.Module):
-    """Replaces latents by their nearest codes and, in training, moves the codebook towards the latents.
+    """Replaces latents by sums of their nearest codes and, in training, moves the codebook towards the latents.
 
     With `orig` the codebook is the parameter `codebook` [K, C]. Otherwise it is the collection `codebook`:
     `codebook` [K, C], `ema_sum` [K, C], `ema_count` [K], `initialised` []. The collection changes only if `train` is
-    True and it is mutable. RNG stream `codebook` (training): noise on repeated candidates.
+    True and it is mutable. RNG stream `codebook` (training): noise on repeated candidates, and drawn codes.
     """
 
     num_codes: int
@@ -160,6 +114,10 @@ class Quantizer(nn.Module):
     kind: QuantizerKind
     ema_decay: float
     reset_threshold: float
+    num_quantizers: int = 1
+    codebook_update: CodebookUpdate = "joint"
+    commitment: CommitmentKind = "mean"
+    depth_dropout: float = 0.0
 
     def setup(self) -> None:
         """Declares the codebook."""
@@ -173,6 +131,9 @@ class Quantizer(nn.Module):
         self.initialised = self.variable("codebook", "initialised", lambda: jnp.array(False))
 
     def _read(self) -> CodebookState:
+        if RULES[self.kind].by_gradient:
+            unused = jnp.zeros(())
+            return CodebookState(self.embedding, unused, unused, unused)
         return CodebookState(self.codebook.value, self.ema_sum.value, self.ema_count.value, self.initialised.value)
 
     def _write(self, state: CodebookState) -> None:
@@ -186,7 +147,9 @@ class Quantizer(nn.Module):
         train: bool,
         noise: Float[Array, "2 K C"] | None = None,
     ) -> QuantizerOutput:
-        """Returns quantized latents, codes and the commitment loss, computed with the codebook from before the step.
+        """Returns quantized latents, codes and the commitment loss.
+
+        All depths look up the codebook from before the step, unless `codebook_update` is `per_depth` in training.
 
         Args:
             latents: What to quantize.
@@ -196,33 +159,89 @@ class Quantizer(nn.Module):
         """
         # All of the codebook is in full precision, whatever the latents have.
         rows, row_mask = latents.reshape(-1, self.code_dim).astype(jnp.float32), mask.reshape(-1)
-        rule, detached = RULES[self.kind], jax.lax.stop_gradient(rows)
-        moves = train and not rule.by_gradient and self.is_mutable_collection("codebook") and not self.is_initializing()
+        used = self._used_depths(train=train)
+        if train and self._can_move():
+            found, expired = self._look_up_and_move(rows, row_mask, used, noise)
+        else:
+            found, _ = look_up(rows, self._read(), used)
+            expired = jnp.zeros(self.num_quantizers)
+        counted, residuals = used[:, None] & row_mask[None], jax.lax.stop_gradient(found.residuals)
+        straight_through = rows + jax.lax.stop_gradient(found.totals[-1] - rows)
+        return QuantizerOutput(
+            quantized=straight_through.reshape(latents.shape).astype(latents.dtype),
+            codes=found.codes.T.reshape(*mask.shape, self.num_quantizers),
+            commitment_loss=self._commitment_loss(rows, found.totals, row_mask, used),
+            code_counts=count_codes(found.codes, counted, num_codes=self.num_codes),
+            residual_norms=jax.vmap(masked_mean, (0, None))(jnp.linalg.norm(residuals, axis=-1), row_mask),
+            expired=expired,
+        )
 
-        def candidates(use: int) -> Float[Array, "K C"]:
-            shape = (self.num_codes, self.code_dim)
-            drawn = jax.random.normal(self.make_rng("codebook"), shape) if noise is None else noise[use]
-            return candidate_codes(detached, row_mask, drawn)
+    def _can_move(self) -> bool:
+        by_gradient = RULES[self.kind].by_gradient
+        return not by_gradient and self.is_mutable_collection("codebook") and not self.is_initializing()
 
-        if moves:
-            self._write(initial_codebook(self._read(), candidates(0)))
-        codebook = self._codebook()
-        codes = nearest_codes(rows, codebook)
-        batch_hits = hits(detached, codes, row_mask, num_codes=self.num_codes)
-        quantized = codebook[codes]
-        loss = masked_mean((rows - jax.lax.stop_gradient(quantized)) ** 2, row_mask[:, None])
-        if rule.by_gradient:
-            loss += masked_mean((quantized - detached) ** 2, row_mask[:, None])
-        if moves:
+    def _used_depths(self, *, train: bool) -> Bool[Array, " R"]:
+        """Returns which depths are used: with probability `depth_dropout`, only a random number of the first."""
+        depths = jnp.arange(self.num_quantizers)
+        if not (train and self.depth_dropout > 0) or self.is_initializing():
+            return depths >= 0
+        drop_key, count_key = jax.random.split(self.make_rng("codebook"))
+        count = jax.random.randint(count_key, (), 1, self.num_quantizers + 1)
+        return (depths < count) | ~jax.random.bernoulli(drop_key, self.depth_dropout)
+
+    def _look_up_and_move(
+        self, rows: Float[Array, "M C"], mask: Bool[Array, " M"], used: Bool[Array, " R"], noise: Array | None
+    ) -> tuple[Lookup, Float[Array, " R"]]:
+        """Returns the codes, and how many codes were redrawn from each depth; moves the codebook."""
+        rule, detached, everywhere = RULES[self.kind], jax.lax.stop_gradient(rows), jnp.ones_like(used)
+        draws: Any
+        if rule.redraws:
+            first_key, *draws = jax.random.split(self.make_rng("codebook"), self.num_quantizers + 1)
+            provisional = candidate_codes(detached, mask, jnp.zeros((self.num_codes, self.code_dim)))
+            residuals = look_up(detached, self._read()._replace(codebook=provisional), everywhere)[0].residuals
+            pool = make_pool(residuals, everywhere[:, None] & mask[None])
+            first = draw_codes(pool, provisional, first_key)
+        else:
+            if noise is None:
+                shape = (self.num_codes, self.code_dim)
+                noise = jnp.stack([jax.random.normal(self.make_rng("codebook"), shape) for _ in range(2)])
+            first, draws = candidate_codes(detached, mask, noise[0]), [noise[1]] * self.num_quantizers
+
+        def move(state: CodebookState, vectors: Array, codes: Array, used: Array, draw: Array) -> Any:
             limits = {"decay": self.ema_decay, "threshold": self.reset_threshold}
-            self._write(update_codebook(self._read(), batch_hits, candidates(1), rule=rule, **limits))
-        straight_through = rows + jax.lax.stop_gradient(quantized - rows)
-        straight_through = straight_through.reshape(latents.shape).astype(latents.dtype)
-        return QuantizerOutput(straight_through, codes.reshape(mask.shape), loss, batch_hits[1])
+            counted = used[:, None] & mask[None]
+            return move_codebook(state, jax.lax.stop_gradient(vectors), codes, counted, draw, rule=rule, **limits)
 
-    def _codebook(self) -> Float[Array, "K C"]:
-        return self.embedding if RULES[self.kind].by_gradient else self.codebook.value
+        state = initial_codebook(self._read(), first)
+        if self.codebook_update == "per_depth":
+            found, state = look_up(rows, state, used, draws=jnp.stack(draws), move=move)
+            expired = found.expired[:, 0]
+        else:
+            found, _ = look_up(rows, state, used)
+            state, expired = move(state, found.residuals, found.codes, used, draws[0])
+        self._write(state)
+        return found, expired
 
-    def lookup(self, codes: Int[Array, "B N"]) -> Float[Array, "B N C"]:
-        """Returns the codebook rows of `codes`."""
-        return self._codebook()[codes]
+    def _commitment_loss(
+        self, rows: Float[Array, "M C"], totals: Float[Array, "R M C"], mask: Bool[Array, " M"], used: Bool[Array, " R"]
+    ) -> Float[Array, ""]:
+        """Returns the distance of latents and codes over the depths that are used."""
+
+        def mean_squares(ours: Array, theirs: Array) -> Float[Array, ""]:
+            return masked_mean((ours - theirs) ** 2, mask[:, None])
+
+        losses = jax.vmap(mean_squares, (None, 0))(rows, jax.lax.stop_gradient(totals))
+        if RULES[self.kind].by_gradient:
+            losses += jax.vmap(mean_squares, (0, None))(totals, jax.lax.stop_gradient(rows))
+        total = jnp.sum(jnp.where(used, losses, 0.0))
+        return total if self.commitment == "sum" else total / jnp.sum(used)
+
+    def read_codebook(self) -> Float[Array, "K C"]:
+        """Returns the codes."""
+        return jnp.asarray(self._read().codebook)
+
+    def lookup(self, codes: Int[Array, "B N R"]) -> Float[Array, "B N C"]:
+        """Returns the sums of the codebook rows of `codes`: of all depths, or of the first of them."""
+        codebook = self.read_codebook()
+        # One after the other, as in the lookup, so that the sum is the same to the last bit.
+        return functools.reduce(jnp.add, [codebook[codes[..., depth]] for depth in range(codes.shape[-1])])

@@ -86,8 +86,9 @@ class GruDirection(nn.Module):
         width = self.features
         initializer = uniform_init(width**-0.5)
         gates = nn.Dense(3 * width, kernel_init=initializer, bias_init=initializer, name="input")(inputs)
-        kernel = self.param("recurrent_kernel", initializer, (width, 3 * width))
-        bias = self.param("recurrent_bias", initializer, (3 * width,))
+        # Weights that were read from a file are NumPy arrays.
+        kernel = jnp.asarray(self.param("recurrent_kernel", initializer, (width, 3 * width)))
+        bias = jnp.asarray(self.param("recurrent_bias", initializer, (3 * width,)))
         first = jnp.broadcast_to(initial, (inputs.shape[0], width))
         order = slice(None, None, -1 if self.backward else 1)
         return last_state(first, jnp.swapaxes(gates, 0, 1)[order], mask.T[order], kernel, bias)

@@ -11,25 +11,25 @@ Precision = Literal["float32", "bfloat16"]
 """What products are computed in. Parameters, their optimizer's state, losses and statistics are always float32."""
 
 
-def apply_rows(module: nn.Module, params: Any, *inputs: Any, keys: Key[Array, " B"] | None, **options: Any) -> Any:
+def apply_rows(module: nn.Module, variables: Any, *inputs: Any, keys: Key[Array, " B"] | None, **options: Any) -> Any:
     """Returns the output of a module for a batch: as in training with dropout keys, without dropout if they are None.
 
     Each row has its own key (consumed), because one mask for a batch could not be the same on one and on many devices.
 
     Args:
         module: Takes `inputs` with the batch as first axis, and `train`. It must not mix rows.
-        params: Its parameters.
+        variables: Its collections.
         *inputs: Arrays of the batch.
         keys: For the RNG stream `dropout`.
         **options: Of `module.apply`, such as `method`.
     """
-    variables = {"params": params}
     if keys is None:
         return module.apply(variables, *inputs, train=False, **options)
 
     def apply_row(key: Key[Array, ""], *row: Any) -> Any:
         alone = jax.tree.map(lambda values: values[None], row)
-        return module.apply(variables, *alone, train=True, rngs={"dropout": key}, **options)[0]
+        output = module.apply(variables, *alone, train=True, rngs={"dropout": key}, **options)
+        return jax.tree.map(lambda values: values[0], output)
 
     return jax.vmap(apply_row)(keys, *inputs)
 

@@ -59,6 +59,10 @@ class TokenizerConfig(PartConfig, Protocol):
     def downsample(self) -> int:
         """Frames per row."""
 
+    @property
+    def decoder_context(self) -> int:
+        """Rows after a row that its frames depend on. Frames are final when that many more rows are known."""
+
 
 @runtime_checkable
 class Tokenizer(Protocol):
@@ -86,6 +90,10 @@ class GeneratorConfig(PartConfig, Protocol):
     @property
     def stop_rule(self) -> str:
         """Name of the rule that ends a motion, see `t2m_jax.sampling.stopping`."""
+
+    @property
+    def guidance_scale(self) -> float | None:
+        """Strength of the guidance by the text if the user gives none; None without guidance."""
 
 
 @runtime_checkable

@@ -1,5 +1,6 @@
 """Pre-norm transformer blocks of the motion GPT (causal, cached) and the caption encoder (bidirectional)."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import flax.linen as nn
@@ -102,3 +103,32 @@ class Block(nn.Module):
         hidden = hidden + attended
         normed = nn.LayerNorm(epsilon=LAYER_NORM_EPSILON, name="ln2")(hidden)
         return hidden + Mlp(self.mlp_ratio, self.dropout, name="mlp")(normed, train=train), cache
+
+
+def read_causal(
+    blocks: Sequence[Block], hidden: Float[Array, "B L E"], *, train: bool, remat: bool
+) -> Float[Array, "B L E"]:
+    """Returns a sequence after all blocks, in which no position sees a later one.
+
+    With `remat`, the intermediate values of a block are computed again for the gradient.
+    """
+    causal = jnp.tril(jnp.ones((1, 1, hidden.shape[1], hidden.shape[1]), bool))
+
+    def read(block: Block, hidden: Float[Array, "B L E"]) -> Float[Array, "B L E"]:
+        return block(hidden, causal, train=train)[0]
+
+    for block in blocks:
+        hidden = (nn.remat(read) if remat else read)(block, hidden)
+    return hidden
+
+
+def read_one(
+    blocks: Sequence[Block], inputs: Float[Array, "B E"], layers: Sequence[LayerCache], position: Int[Array, ""]
+) -> tuple[Float[Array, "B E"], tuple[LayerCache, ...]]:
+    """Returns the output of all blocks for one more input at `position`, and their caches with it."""
+    hidden, seen = inputs[:, None], (jnp.arange(layers[0].keys.shape[2]) <= position)[None, None, None, :]
+    filled = []
+    for block, layer in zip(blocks, layers, strict=True):
+        hidden, layer = block(hidden, seen, train=False, cache=layer, position=position)
+        filled.append(layer)
+    return hidden[:, 0], tuple(filled)

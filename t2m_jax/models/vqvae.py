@@ -1,4 +1,7 @@
-"""The motion VQ-VAE of T2M-GPT (arXiv 2301.06052, section 3.1)."""
+"""The motion VQ-VAE of T2M-GPT (arXiv 2301.06052, section 3.1), and the residual one of T2M-HiFiGPT (arXiv 2312.10628).
+
+They are one module: the second has several codes per row, which add up.
+"""
 
 import dataclasses
 import functools
@@ -9,12 +12,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from t2m_jax.config import check_limits, check_sizes
+from t2m_jax.models.codebook import QuantizerKind
 from t2m_jax.models.convolution import GROUPS, Decoder, Encoder, NormKind, ResidualStack, halve_mask
-from t2m_jax.models.quantizer import Quantizer, QuantizerKind
+from t2m_jax.models.quantizer import CodebookUpdate, CommitmentKind, Quantizer
 from t2m_jax.models.system import Part
 
 MAX_DILATION = 100_000
 """Largest distance in frames between the taps of a convolution; published models have 9."""
+
+MAX_ROWS = 1_000_000
+"""More rows than any motion has."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -22,7 +29,6 @@ class VqVaeConfig:
     """Sizes of the VQ-VAE; the defaults are the published HumanML3D model."""
 
     kind: ClassVar[str] = "vqvae"
-    num_quantizers: ClassVar[int] = 1
 
     feature_dim: int = 263
     """Features per frame (D)."""
@@ -43,25 +49,68 @@ class VqVaeConfig:
     norm: NormKind = "none"
     """Normalization inside the residual units: over channels (LN), 32 groups of channels (GN), or the batch (BN)."""
     quantizer: QuantizerKind = "ema_reset"
-    """How the codebook learns: by gradient (`orig`), by running averages, by replacing unused codes, or by both."""
+    """How the codebook learns: by gradient (`orig`), by running averages, by replacing unused codes, or by both;
+    `ema_redraw` draws the new codes from the whole batch (T2M-HiFiGPT)."""
     ema_decay: float = 0.99
     """Share of the old codebook statistics that a step keeps."""
     reset_threshold: float = 1.0
     """A code is replaced if its averaged number of hits per batch is below this."""
+    num_quantizers: int = 1
+    """Codes per row (R), which add up: each is nearest to what the ones before it leave. All share the codebook."""
+    projections: bool = False
+    """Whether a linear layer stands before the codebook and another after it."""
+    codebook_update: CodebookUpdate = "joint"
+    """When the codebook moves in a step: once after all depths (`joint`), or after each depth (`per_depth`). Public
+    RQ-VAE code does the second. The next depth then reads other codes than in evaluation."""
+    commitment: CommitmentKind = "mean"
+    """Commitment loss over the depths: their mean or their sum."""
+    depth_dropout: float = 0.0
+    """Probability that a training step uses only some of the first depths; their number is drawn."""
 
     def __post_init__(self) -> None:
         check_sizes(self)
         check_limits(self, feature_dim=65_536, num_codes=1_000_000, code_dim=65_536, width=65_536)
-        check_limits(self, num_stages=8, depth=16, dilation_growth=16)
+        check_limits(self, num_stages=8, depth=16, dilation_growth=16, num_quantizers=64)
         if self.dilation_growth ** (self.depth - 1) > MAX_DILATION:
             raise ValueError(f"dilation_growth: with depth {self.depth}, convolutions would span {MAX_DILATION} frames")
         if self.norm == "GN" and self.width % GROUPS:
             raise ValueError(f"width: {self.width} is not a multiple of {GROUPS}, which norm GN needs")
+        if self.codebook_update == "per_depth" and self.quantizer not in ("ema", "ema_redraw"):
+            raise ValueError(f"codebook_update: per_depth needs quantizer ema or ema_redraw, not {self.quantizer}")
+        if self.quantizer == "ema_redraw" and not 0 <= self.reset_threshold <= 1:
+            raise ValueError(f"reset_threshold: {self.reset_threshold} is not between 0 and 1, as ema_redraw needs")
+        if not 0 <= self.depth_dropout <= 1:
+            raise ValueError(f"depth_dropout: {self.depth_dropout} is not a probability between 0 and 1")
 
     @property
     def downsample(self) -> int:
         """Frames per code."""
         return 2**self.num_stages
+
+    @property
+    def decoder_context(self) -> int:
+        """Rows after a row that its frames depend on."""
+        if self.norm == "GN":
+            return MAX_ROWS  # it normalizes over all of a motion
+        reach = 2  # in positions: the last two convolutions
+        for _ in range(self.num_stages):
+            # The convolution after a doubling; then, with half as many positions, the stack.
+            reach = -(-(reach + 1) // 2) + sum(self.dilation_growth**unit for unit in range(self.depth))
+        return reach + 1
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RvqVaeConfig(VqVaeConfig):
+    """Sizes of the residual VQ-VAE of T2M-HiFiGPT; the defaults are its paper's (see `docs/hifigpt.md`)."""
+
+    kind: ClassVar[str] = "rvqvae"
+
+    num_codes: int = 256
+    num_stages: int = 3
+    depth: int = 2
+    quantizer: QuantizerKind = "ema_redraw"
+    num_quantizers: int = 10
+    projections: bool = True
 
 
 class VqVaeOutput(NamedTuple):
@@ -69,13 +118,15 @@ class VqVaeOutput(NamedTuple):
 
     reconstruction: Float[Array, "B U D"]
     """Normalized motion; U is T rounded down to a multiple of `downsample`."""
-    codes: Int[Array, "B N 1"]
+    codes: Int[Array, "B N R"]
     commitment_loss: Float[Array, ""]
-    code_counts: Float[Array, " K"]
+    code_counts: Float[Array, "R K"]
+    residual_norms: Float[Array, " R"]
+    expired: Float[Array, " R"]
 
 
 class VqVae(nn.Module):
-    """The tokenizer of T2M-GPT: motion to one code per row, and back.
+    """The tokenizer: motion to R codes per row, and back. R is 1 in T2M-GPT.
 
     Collections: `params`, `codebook` (see `Quantizer`; none with quantizer `orig`), `batch_stats` (with norm `BN`).
 
@@ -92,8 +143,18 @@ class VqVae(nn.Module):
         self.encoder = Encoder(config.code_dim, config.width, config.num_stages, stack)
         self.decoder = Decoder(config.feature_dim, config.width, config.num_stages, stack)
         self.quantizer = Quantizer(
-            config.num_codes, config.code_dim, config.quantizer, config.ema_decay, config.reset_threshold
+            config.num_codes,
+            config.code_dim,
+            config.quantizer,
+            config.ema_decay,
+            config.reset_threshold,
+            config.num_quantizers,
+            config.codebook_update,
+            config.commitment,
+            config.depth_dropout,
         )
+        if config.projections:
+            self.project_in, self.project_out = nn.Dense(config.code_dim), nn.Dense(config.code_dim)
 
     def _latents(
         self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"] | None, *, train: bool
@@ -101,6 +162,8 @@ class VqVae(nn.Module):
         if mask is None:
             mask = jnp.ones(motion.shape[:2], bool)
         latents = self.encoder(motion, mask, train=train)
+        if self.config.projections:
+            latents = self.project_in(latents)
         for _ in range(self.config.num_stages):
             mask = halve_mask(mask)
         return latents, mask
@@ -119,27 +182,39 @@ class VqVae(nn.Module):
         """
         latents, code_mask = self._latents(motion, mask, train=train)
         output = self.quantizer(latents, code_mask, train=train, noise=noise)
-        reconstruction = self.decoder(output.quantized, code_mask, train=train)
-        return VqVaeOutput(reconstruction, output.codes[:, :, None], output.commitment_loss, output.code_counts)
+        reconstruction = self._decode(output.quantized, code_mask, train=train)
+        return VqVaeOutput(reconstruction, *output[1:])
 
-    def encode(self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"] | None = None) -> Int[Array, "B N 1"]:
+    def _decode(
+        self, latents: Float[Array, "B N C"], mask: Bool[Array, "B N"], *, train: bool
+    ) -> Float[Array, "B U D"]:
+        if self.config.projections:
+            latents = self.project_out(latents)
+        return self.decoder(latents, mask, train=train)
+
+    def encode(self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"] | None = None) -> Int[Array, "B N R"]:
         """Returns the codes of a motion, 0 after the end of a clip."""
         latents, code_mask = self._latents(motion, mask, train=False)
         codes = self.quantizer(latents, code_mask, train=False).codes
-        return jnp.where(code_mask, codes, 0)[:, :, None]
+        return jnp.where(code_mask[:, :, None], codes, 0)
 
     def encode_latents(
         self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"] | None = None
     ) -> Float[Array, "B N C"]:
-        """Returns the latents before the codebook."""
+        """Returns what the codebook reads."""
         return self._latents(motion, mask, train=False)[0]
 
     def decode(self, codes: Int[Array, "B N *R"], mask: Bool[Array, "B N"] | None = None) -> Float[Array, "B T D"]:
         """Returns the motion of codes, T = N * downsample; `mask` is over codes.
 
-        The axis of the one code per row may be left out.
+        With fewer codes per row than `num_quantizers`, those of the first depths, the motion is coarser. The last axis
+        may be left out if there is one code per row.
         """
-        return self.decode_latents(self.quantizer.lookup(codes.reshape(codes.shape[:2])), mask)
+        return self.decode_latents(self.quantizer.lookup(codes if codes.ndim == 3 else codes[:, :, None]), mask)
+
+    def read_codebook(self) -> Float[Array, "K C"]:
+        """Returns the codebook."""
+        return self.quantizer.read_codebook()
 
     def decode_latents(
         self, latents: Float[Array, "B N C"], mask: Bool[Array, "B N"] | None = None
@@ -147,7 +222,7 @@ class VqVae(nn.Module):
         """Returns the motion of latents that need not be in the codebook, such as blended codes."""
         if mask is None:
             mask = jnp.ones(latents.shape[:2], bool)
-        return self.decoder(latents, mask, train=False)
+        return self._decode(latents, mask, train=False)
 
 
 def _example(config: VqVaeConfig) -> tuple[Any, ...]:
@@ -156,3 +231,5 @@ def _example(config: VqVaeConfig) -> tuple[Any, ...]:
 
 PART = Part(role="tokenizer", config=VqVaeConfig, module=VqVae, example=_example)
 """The entry point `vqvae`."""
+RESIDUAL_PART = Part(role="tokenizer", config=RvqVaeConfig, module=VqVae, example=_example)
+"""The entry point `rvqvae`."""

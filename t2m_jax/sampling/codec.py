@@ -20,7 +20,15 @@ from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.sampling.batches import pad_motions, round_up
-from t2m_jax.sampling.decoding import GeneratorFunctions, SampledCodes, Sampling, sample_codes
+from t2m_jax.sampling.decoding import (
+    GeneratorFunctions,
+    LoopState,
+    SampledCodes,
+    Sampling,
+    first_state,
+    sample_codes,
+    sample_row,
+)
 
 BATCH = 64
 """Motions that are encoded together."""
@@ -79,12 +87,31 @@ def generate_codes(
 
     The variables may be those that training made, or `sampling_variables` of them, with which it is faster.
     """
-
-    def method(name: str) -> Any:
-        return functools.partial(generator.apply, variables, method=name)
-
-    functions = GeneratorFunctions(method("begin"), method("draw"), method("step"))
+    functions = _functions(generator, variables)
     return sample_codes(functions, text_embedding, keys, sampling=sampling, guidance_scale=guidance_scale)
+
+
+def _functions(generator: Any, variables: Any) -> GeneratorFunctions:
+    """Returns the methods of a generator with its weights."""
+    names = ("begin", "draw", "step")
+    return GeneratorFunctions(*[functools.partial(generator.apply, variables, method=name) for name in names])
+
+
+@functools.partial(jax.jit, static_argnames="generator")
+def begin_motions(
+    variables: Any, text_embedding: Float[Array, "B E"], guidance_scale: Float[Array, ""] | None, *, generator: Any
+) -> LoopState:
+    """Returns the state before the first row, to generate row by row; `generator` is the module."""
+    return first_state(_functions(generator, variables), text_embedding, guidance_scale)
+
+
+@functools.partial(jax.jit, static_argnames=("generator", "sampling"))
+def generate_row(
+    variables: Any, state: LoopState, keys: Key[Array, " B"], *, generator: Any, sampling: Sampling
+) -> tuple[LoopState, Int[Array, "B R"]]:
+    """Returns the state after one more row, and the row; `generator` is the module."""
+    state, (rows, _) = sample_row(_functions(generator, variables), state, keys, sampling=sampling)
+    return state, rows
 
 
 def sampling_variables(variables: dict[str, Any], config: GeneratorConfig) -> dict[str, Any]:

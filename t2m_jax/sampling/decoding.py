@@ -53,6 +53,27 @@ class LoopState(NamedTuple):
     step: Int[Array, ""]
 
 
+def first_state(
+    generator: GeneratorFunctions, text_embedding: Float[Array, "B E"], guidance_scale: Float[Array, ""] | None
+) -> LoopState:
+    """Returns the state before the first row."""
+    context, cache = generator.begin(text_embedding, guidance_scale)
+    return LoopState(context, cache, jnp.zeros(text_embedding.shape[0], bool), jnp.array(0, jnp.int32))
+
+
+def sample_row(
+    generator: GeneratorFunctions, state: LoopState, keys: Key[Array, " B"], *, sampling: Sampling
+) -> tuple[LoopState, tuple[Int[Array, "B R"], Float[Array, " B"]]]:
+    """Returns the state after one more row, the row, and its stop score: -inf if a motion may not end there."""
+    rule = sampling.stop_rule
+    may_stop = state.step >= sampling.min_codes - rule.keeps_last
+    step_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, state.step)
+    rows = generator.draw(state.context, step_keys, sampling.strategy, may_stop=may_stop)
+    context, scores, cache = generator.step(state.cache, rows)
+    scores = jnp.where(may_stop, scores, -jnp.inf)
+    return LoopState(context, cache, state.done | rule.ends(scores), state.step + 1), (rows, scores)
+
+
 def sample_codes(
     generator: GeneratorFunctions,
     text_embedding: Float[Array, "B E"],
@@ -74,15 +95,9 @@ def sample_codes(
         guidance_scale: Strength of the guidance, None for none.
     """
     max_codes, rule = sampling.max_codes, sampling.stop_rule
-    first_end = sampling.min_codes - rule.keeps_last
 
     def one_row(state: LoopState, _: None) -> tuple[LoopState, tuple[Int[Array, "B R"], Float[Array, " B"]]]:
-        may_stop = state.step >= first_end
-        step_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, state.step)
-        rows = generator.draw(state.context, step_keys, sampling.strategy, may_stop=may_stop)
-        context, scores, cache = generator.step(state.cache, rows)
-        scores = jnp.where(may_stop, scores, -jnp.inf)
-        return LoopState(context, cache, state.done | rule.ends(scores), state.step + 1), (rows, scores)
+        return sample_row(generator, state, keys, sampling=sampling)
 
     def go_on(carry: tuple[LoopState, Any]) -> Bool[Array, ""]:
         return (carry[0].step < max_codes) & ~jnp.all(carry[0].done)
@@ -94,8 +109,7 @@ def sample_codes(
         return state, jax.tree.map(lambda buffer, values: buffer.at[chunk].set(values), buffers, sampled)
 
     batch = text_embedding.shape[0]
-    context, cache = generator.begin(text_embedding, guidance_scale)
-    state = LoopState(context, cache, jnp.zeros(batch, bool), jnp.array(0, jnp.int32))
+    state = first_state(generator, text_embedding, guidance_scale)
     _, (row, _) = jax.eval_shape(one_row, state, None)
     chunks = (-(-max_codes // CHUNK), CHUNK)
     buffers = (jnp.zeros((*chunks, *row.shape), jnp.int32), jnp.full((*chunks, batch), -jnp.inf))

@@ -1,7 +1,8 @@
 """From sentences to motions: text encoder, generator, tokenizer and skeleton in one object."""
 
+import functools
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +23,18 @@ from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import skeleton_from_name
 from t2m_jax.sampling.batches import padded_batch_size
-from t2m_jax.sampling.codec import generate_codes, motions_from_codes, sampling_variables
+from t2m_jax.sampling.codec import (
+    begin_motions,
+    generate_codes,
+    generate_row,
+    motions_from_codes,
+    sampling_variables,
+)
 from t2m_jax.sampling.compilation import use_compilation_cache
 from t2m_jax.sampling.decoding import SampledCodes, Sampling
-from t2m_jax.sampling.stopping import make_stop_rule
+from t2m_jax.sampling.stopping import find_stop_rule
 from t2m_jax.sampling.strategies import Strategy, Temperature
+from t2m_jax.sampling.streaming import stream_pieces
 from t2m_jax.sampling.text_encoders import make_text_encoder
 from t2m_jax.text.encoder import TextEncoder
 from t2m_jax.text.prompts import check_prompt
@@ -92,6 +100,7 @@ class TextToMotion:
         strategy: Strategy | None = None,
         max_codes: int | None = None,
         guidance_scale: float | None = None,
+        stop_rule: str | None = None,
     ) -> list[Motion]:
         """Returns `num_samples` motions for each caption, caption by caption.
 
@@ -104,19 +113,18 @@ class TextToMotion:
             num_samples: Motions per caption.
             strategy: How codes are chosen; by default from the model's own probabilities.
             max_codes: Longest motion in codes; by default the model's maximum.
-            guidance_scale: Strength of the guidance by the text, for models that were trained for it.
+            guidance_scale: Strength of the guidance by the text, for models that were trained for it; 1 is none. By
+                default the model's own.
+            stop_rule: `argmax` or `threshold`, for models with a stop head; by default the model's own.
 
         Raises:
             UserError: A caption or a number cannot be used.
         """
         texts = [check_prompt(caption) for caption in ([captions] if isinstance(captions, str) else captions)]
-        longest = self.config.generator.max_codes
         check_seed(seed)
         if num_samples < 1:
             raise UserError(f"num-samples: {num_samples} is not a whole number above 0")
-        if max_codes is not None and not 1 <= max_codes <= longest:
-            raise UserError(f"max-codes: {max_codes} is not between 1 and {longest}")
-        sampling = self.sampling(strategy, max_codes=max_codes or longest)
+        sampling = self.sampling(strategy, max_codes=max_codes, stop_rule=stop_rule)
         requests = [(text, sample) for text in texts for sample in range(num_samples)]
         motions: list[Motion] = []
         for first in range(0, len(requests), MAX_BATCH):
@@ -124,10 +132,82 @@ class TextToMotion:
             motions += self._generate_batch(batch, seed=seed, sampling=sampling, guidance_scale=guidance_scale)
         return motions
 
-    def sampling(self, strategy: Strategy | None = None, *, max_codes: int, min_codes: int = 1) -> Sampling:
-        """Returns how codes are sampled, with the model's own stop rule."""
-        stop_rule = make_stop_rule(self.config.generator.stop_rule)
-        return Sampling(strategy or Temperature(), stop_rule, max_codes, min_codes)
+    def stream(
+        self,
+        caption: str,
+        *,
+        seed: int = 0,
+        sample: int = 0,
+        strategy: Strategy | None = None,
+        max_codes: int | None = None,
+        guidance_scale: float | None = None,
+    ) -> Iterator[Motion]:
+        """Yields the motion of a caption while it is generated: one piece for each row of codes.
+
+        A piece comes as soon as its frames are final. They also depend on some rows after them (see
+        `TokenizerConfig.decoder_context`), so the last pieces come together. All pieces are the motion that `generate`
+        returns with the same arguments. A stop rule that needs all rows is replaced by `threshold`.
+
+        Args:
+            caption: A sentence.
+            seed: From 0 to 2**32 - 1.
+            sample: Number of the motion among the samples of `generate`.
+            strategy: How codes are chosen; by default from the model's own probabilities.
+            max_codes: Longest motion in codes; by default the model's maximum.
+            guidance_scale: Strength of the guidance by the text; by default the model's own.
+
+        Raises:
+            UserError: The caption or a number cannot be used.
+        """
+        text = check_prompt(caption)
+        check_seed(seed)
+        ends_early = find_stop_rule(self.config.generator).ends_early
+        sampling = self.sampling(strategy, max_codes=max_codes, stop_rule=None if ends_early else "threshold")
+        keys = put_everywhere(sample_key(seed, text, sample)[None])
+        variables, scale = self._variables_for_sampling(), self._guidance(guidance_scale)
+        state = begin_motions(variables, self.text_encoder([text]), scale, generator=self._generator)
+        yield from stream_pieces(
+            lambda state: generate_row(variables, state, keys, generator=self._generator, sampling=sampling),
+            state,
+            sampling,
+            functools.partial(self._decode_padded, size=sampling.max_codes, caption=text, seed=seed),
+            decoder_context=self.config.tokenizer.decoder_context,
+        )
+
+    def sampling(
+        self,
+        strategy: Strategy | None = None,
+        *,
+        max_codes: int | None = None,
+        min_codes: int = 1,
+        stop_rule: str | None = None,
+    ) -> Sampling:
+        """Returns how codes are sampled; what is not given is the model's own.
+
+        Raises:
+            UserError: The length or the stop rule does not fit the model.
+        """
+        longest = self.config.generator.max_codes
+        if max_codes is not None and not 1 <= max_codes <= longest:
+            raise UserError(f"max-codes: {max_codes} is not between 1 and {longest}")
+        rule = find_stop_rule(self.config.generator, stop_rule)
+        return Sampling(strategy or Temperature(), rule, max_codes or longest, min_codes)
+
+    def guidance_scale(self, given: float | None = None) -> float | None:
+        """Returns the strength of the guidance: as given, or the model's own; None for none.
+
+        Raises:
+            UserError: It is not a number from 0.
+        """
+        scale = self.config.generator.guidance_scale if given is None else given
+        if scale is not None and not 0 <= scale < float("inf"):
+            raise UserError(f"guidance-scale: {scale} is not a number from 0")
+        return scale
+
+    def _guidance(self, given: float | None) -> Float[Array, ""] | None:
+        """Returns the scale for the generator. A scale of 1 changes nothing, so only half of the work is needed."""
+        scale = self.guidance_scale(given)
+        return None if scale is None or scale == 1 else jnp.asarray(scale, jnp.float32)
 
     def sample_codes(
         self,
@@ -138,7 +218,7 @@ class TextToMotion:
         guidance_scale: float | None = None,
     ) -> SampledCodes:
         """Returns codes for text embeddings of `text_encoder`, one key per motion (consumed)."""
-        scale = None if guidance_scale is None else jnp.asarray(guidance_scale, jnp.float32)
+        scale = self._guidance(guidance_scale)
         text_embedding, keys = put_rows((text_embedding, keys))
         variables = self._variables_for_sampling()
         return generate_codes(variables, text_embedding, keys, scale, generator=self._generator, sampling=sampling)
@@ -174,17 +254,23 @@ class TextToMotion:
     def decode(self, codes: Int[np.ndarray, "N ..."], *, caption: str = "") -> Motion:
         """Returns the motion of codes [N, R]; the last axis may be left out if there is one code per row.
 
+        With fewer than R codes per row, those of the first depths, the motion is coarser.
+
         Raises:
-            UserError: There are no codes, they have another depth, or one is not in the codebook.
+            UserError: There are no codes, too many per row, or one that is not in the codebook.
         """
         config, codes = self.config.tokenizer, np.asarray(codes, np.int32)
         if codes.ndim == 1:
             codes = codes[:, None]
-        if codes.ndim != 2 or not len(codes) or codes.shape[1] != config.num_quantizers:
-            raise UserError(f"codes: expected rows of {config.num_quantizers} codes, at least one row")
+        if codes.ndim != 2 or not len(codes) or not 1 <= codes.shape[1] <= config.num_quantizers:
+            raise UserError(f"codes: expected rows of {config.num_quantizers} codes (or fewer), at least one row")
         if codes.min() < 0 or codes.max() >= config.num_codes:
             raise UserError(f"codes: must be between 0 and {config.num_codes - 1}")
+        return self._decode_padded(codes, size=len(codes), caption=caption, seed=0)
+
+    def _decode_padded(self, codes: Int[np.ndarray, "N R"], *, size: int, caption: str, seed: int) -> Motion:
+        """Returns the motion of codes, decoded by a program for `size` rows."""
         lengths = np.array([len(codes)], np.int32)
-        return motions_from_codes(
-            self.tokenizer, codes[None], lengths, skeleton=self.skeleton, captions=[caption], seed=0
-        )[0]
+        padded = np.pad(codes, ((0, size - len(codes)), (0, 0)))[None]
+        options: Any = {"skeleton": self.skeleton, "captions": [caption], "seed": seed}
+        return motions_from_codes(self.tokenizer, padded, lengths, **options)[0]

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from t2m_jax.errors import UserError
+from t2m_jax.models.system import GeneratorConfig
 
 
 @runtime_checkable
@@ -57,6 +58,7 @@ class StopAtThreshold:
     keeps_last: ClassVar[bool] = True
     ends_early: ClassVar[bool] = True
     threshold: float = 0.5
+    """From 0 to 1."""
 
     def ends(self, scores: Float[Array, "*shape"]) -> Bool[Array, "*shape"]:
         """Returns whether the probability of a row reaches the threshold."""
@@ -85,14 +87,29 @@ class StopAtHighest:
 
 STOP_RULES: dict[str, type[StopRule]] = {"end": StopAtEnd, "threshold": StopAtThreshold, "argmax": StopAtHighest}
 """Rules by the name that a generator's config gives."""
+LOGIT_RULES = ("threshold", "argmax")
+"""Rules that read logits, and can stand in for each other."""
 
 
-def make_stop_rule(name: str) -> StopRule:
-    """Returns the rule of a name.
+def make_stop_rule(name: str, *, threshold: float = 0.5) -> StopRule:
+    """Returns the rule of a name; `threshold` is for the rule of that name.
 
     Raises:
         UserError: There is no such rule.
     """
     if name not in STOP_RULES:
         raise UserError(f"stop_rule: {name!r} is unknown; known: {', '.join(STOP_RULES)}")
-    return STOP_RULES[name]()
+    return StopAtThreshold(threshold=threshold) if name == "threshold" else STOP_RULES[name]()
+
+
+def find_stop_rule(config: GeneratorConfig, name: str | None = None) -> StopRule:
+    """Returns the stop rule of a generator, or another one that reads the same scores.
+
+    Raises:
+        UserError: The generator's scores do not fit the rule.
+    """
+    own = config.stop_rule
+    if name is not None and name != own and not {name, own} <= set(LOGIT_RULES):
+        known = LOGIT_RULES if own in LOGIT_RULES else (own,)
+        raise UserError(f"stop-rule: {name!r} does not fit this model; use {' or '.join(known)}")
+    return make_stop_rule(name or own, threshold=getattr(config, "stop_threshold", StopAtThreshold.threshold))

@@ -18,10 +18,11 @@ from t2m_jax.train.experiment import (
     train,
 )
 from t2m_jax.train.gpt import TrainGptConfig
+from t2m_jax.train.hifigpt import TrainHiFiGptConfig
 from t2m_jax.train.optimizer import OptimizerConfig
 from t2m_jax.train.presets import load_preset, preset_names
 from t2m_jax.train.program import Update
-from t2m_jax.train.vqvae import TrainVqVaeConfig
+from t2m_jax.train.vqvae import TrainRvqVaeConfig, TrainVqVaeConfig
 
 __all__ = [
     "Evaluation",
@@ -34,6 +35,8 @@ __all__ = [
     "ShardingConfig",
     "TrainEvaluatorConfig",
     "TrainGptConfig",
+    "TrainHiFiGptConfig",
+    "TrainRvqVaeConfig",
     "TrainVqVaeConfig",
     "Trainer",
     "Update",

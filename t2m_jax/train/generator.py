@@ -9,22 +9,22 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Float, Int, Key
 from tokenizers import Tokenizer
 
-from t2m_jax.checkpoints.bundle import CLIP_NAME, CONFIG_FILE, Bundle, BundleConfig, ClipReference
+from t2m_jax.checkpoints.bundle import CLIP_NAME, CONFIG_FILE, Bundle, BundleConfig, ClipReference, part_kinds
 from t2m_jax.checkpoints.clip import load_clip
 from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer, load_tokenizer_config, save_tokenizer_copy
-from t2m_jax.config import save_config
-from t2m_jax.data.banks.codes import Captions
+from t2m_jax.config import check_sizes, save_config
+from t2m_jax.data.banks.codes import Captions, CodeBank, CodeBatch, code_batch_at
 from t2m_jax.data.checks import check_statistics
 from t2m_jax.data.folder import Clip, Dataset, open_dataset
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.sources import CodeSource, make_generation
 from t2m_jax.files import flatten_tree
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
-from t2m_jax.models.rows import apply_rows
+from t2m_jax.models.rows import Precision, apply_rows
 from t2m_jax.sampling.pipeline import TextToMotion
 from t2m_jax.sampling.strategies import Greedy, Temperature
 from t2m_jax.sampling.text_encoders import ClipTextEncoder
@@ -38,6 +38,8 @@ from t2m_jax.train.program import Update
 from t2m_jax.train.streams import stream_key
 from t2m_jax.train.tokenize import CodedMotion, OffsetKind, TimedCaptionKind, encode_clips, make_code_bank
 
+SIZES_OF_TOKENIZER = ("num_codes", "num_quantizers", "code_dim")
+"""Fields of a generator's config that are taken from its tokenizer."""
 SAME_WEIGHTS = 2e-3
 """Relative and absolute tolerance for the weights of one tokenizer: bundles store them in 16 bits."""
 
@@ -53,7 +55,8 @@ class TrainGeneratorConfig(ExperimentConfig):
     optimizer: OptimizerConfig
     """Optimizer and schedule."""
     vqvae: Path = Path("runs/vqvae")
-    """Run or bundle of the tokenizer that makes the codes; `model.num_codes` is taken from it."""
+    """Run or bundle of the tokenizer that makes the codes. The sizes that the model shares with it, such as
+    `model.num_codes`, are taken from it."""
     text_encoder: Literal["caption_encoder", "clip"] = "caption_encoder"
     """What reads the captions: a small transformer that is trained with the generator, or CLIP, which is not."""
     clip: str = CLIP_NAME
@@ -66,11 +69,21 @@ class TrainGeneratorConfig(ExperimentConfig):
     timed_captions: TimedCaptionKind = "encode"
     """Codes for a caption with times: of those frames alone, or cut out of the codes of the whole clip (the
     original)."""
+    precision: Precision = "float32"
+    """What products are computed in during training."""
+    remat: bool = False
+    """Whether intermediate values of a block are computed again for the gradient. This needs less memory, but not in
+    XLA's order of computations on a CPU; use `num_parts` there."""
+    num_parts: int = 1
+    """Parts of a batch, computed one after another, whose gradients are added up. This needs less memory."""
     evaluation: GenerationEvaluationConfig = GenerationEvaluationConfig()
     """Evaluation of generated motion during training."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        check_sizes(self, "num_parts")
+        if self.loop.batch_size % self.num_parts:
+            raise ValueError(f"num_parts: {self.num_parts} does not divide loop.batch_size {self.loop.batch_size}")
         if self.text_encoder == "caption_encoder" and self.model.text_dim != self.caption_encoder.text_dim:
             raise ValueError(
                 f"caption_encoder.text_dim: {self.caption_encoder.text_dim}, but the generator reads model.text_dim "
@@ -82,7 +95,7 @@ class GeneratorSteps(NamedTuple):
     """The jitted functions of a generator's training; each takes `config` as a keyword."""
 
     init: Callable[..., Any]
-    """From a config and a key to the state, whose `params` have one entry per kind of part."""
+    """From a config, a key and the tokenizer to the state. Its collections have one entry per kind of part."""
     update: Callable[..., Any]
     """From a state and a `CodeBank` to the next state and its metrics."""
     validate: Callable[..., Any]
@@ -104,7 +117,8 @@ def embed_captions(
     """Returns the text embeddings: of the encoder that is trained (`keys`, consumed, are for dropout), or as given."""
     if isinstance(captions, jax.Array):
         return captions
-    return apply_rows(CaptionEncoder(config.caption_encoder), params["caption_encoder"], *captions, keys=keys)
+    variables = {"params": params["caption_encoder"]}
+    return apply_rows(CaptionEncoder(config.caption_encoder), variables, *captions, keys=keys)
 
 
 def resolve_generator(config: Any, resume: bool) -> Any:
@@ -115,12 +129,29 @@ def resolve_generator(config: Any, resume: bool) -> Any:
     """
     path = config.run if resume else config.vqvae
     tokenizer = load_tokenizer_config(path)
-    if tokenizer.num_quantizers != config.model.num_quantizers:
+    # The sizes that a generator shares with its tokenizer are fields of its config, or they cannot be changed.
+    fields = {field.name for field in dataclasses.fields(config.model)} & set(SIZES_OF_TOKENIZER)
+    try:
+        model = dataclasses.replace(config.model, **{name: getattr(tokenizer, name) for name in fields})
+    except ValueError as error:
+        raise UserError(f"{path}: with this tokenizer, model.{error}") from None
+    if tokenizer.num_quantizers != model.num_quantizers:
         raise UserError(
             f"{path}: has {tokenizer.num_quantizers} codes per row, but a {config.kind} predicts "
-            f"{config.model.num_quantizers}; choose another tokenizer"
+            f"{model.num_quantizers}; choose another tokenizer"
         )
-    return dataclasses.replace(config, model=dataclasses.replace(config.model, num_codes=tokenizer.num_codes))
+    return dataclasses.replace(config, model=model)
+
+
+def codes_at(bank: CodeBank, stream: str, step: Int[Array, ""], *, config: TrainGeneratorConfig) -> CodeBatch:
+    """Returns the codes of a step of a stream."""
+    key = stream_key(config.loop.seed, stream)
+    return code_batch_at(bank, key, step, batch_size=config.loop.batch_size, max_codes=config.model.max_codes)
+
+
+def weights_of(state: Any) -> dict[str, Any]:
+    """Returns the fields of a training state that are the model: its collections, each with one entry per kind."""
+    return {name: tree for name, tree in state._asdict().items() if name not in ("step", "opt_state")}
 
 
 class CaptionReader(NamedTuple):
@@ -152,7 +183,7 @@ def make_caption_reader(config: TrainGeneratorConfig, motions: Sequence[CodedMot
 
 
 def start_from_model(path: Path, tokenizer: TrainedTokenizer) -> Mapping[str, Any]:
-    """Returns the parameters of a trained model by kind.
+    """Returns the collections of a trained model's generator and text encoder, by name and kind.
 
     Raises:
         UserError: There is none, or its codes mean something else because it has another tokenizer.
@@ -165,10 +196,11 @@ def start_from_model(path: Path, tokenizer: TrainedTokenizer) -> Mapping[str, An
     )
     if not same:
         raise UserError(f"init: {path} was trained with another tokenizer; use its own with `--vqvae {path}`")
-    kinds = {"generator": model.config.generator.kind, "text_encoder": model.config.text_encoder.kind}
-    return {
-        "params": {kind: model.variables[role]["params"] for role, kind in kinds.items() if role in model.variables}
-    }
+    weights: dict[str, Any] = {}
+    for role, kind in part_kinds(model.config).items():
+        for name, tree in model.variables[role].items() if role != "tokenizer" else ():
+            weights.setdefault(name, {})[kind] = tree
+    return weights
 
 
 def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Setup:
@@ -202,11 +234,11 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
         dataset=dataset,
         clips=clips,
         data=bank,
-        init=lambda: steps.init(compiled, stream_key(config.loop.seed, "init")),
+        init=lambda: steps.init(compiled, stream_key(config.loop.seed, "init"), tokenizer),
         update=Update(steps.update, config=compiled),
         optimizer=config.optimizer,
         frames_per_step=config.loop.batch_size * float(bank.code_lengths.mean()) * tokenizer.config.downsample,
-        weights=lambda state: {"params": state.params},
+        weights=weights_of,
         write_parts=write_parts,
         start_from=lambda path: start_from_model(path, tokenizer),
         validation=make_validation(config, steps, dataset, tokenizer, reader),
@@ -236,13 +268,16 @@ def make_validation(
 
 def make_evaluation(config: Any, parts: BundleConfig, tokenizer: TrainedTokenizer, reader: CaptionReader) -> Evaluation:
     """Returns the evaluation of generated motion."""
-    kinds = {"generator": parts.generator.kind, "text_encoder": parts.text_encoder.kind}
+    kinds = {role: kind for role, kind in part_kinds(parts).items() if role != "tokenizer"}
     strategy = Greedy() if config.evaluation.sampling == "greedy" else Temperature()
     on_device = tokenizer._replace(variables=jax.device_put(tokenizer.variables))
 
     def model(state: Any) -> TextToMotion:
-        params = {role: {"params": state.params[kind]} for role, kind in kinds.items() if kind in state.params}
-        variables = {"tokenizer": on_device.variables} | params
+        weights = weights_of(state)
+        variables = {
+            role: {name: tree[kind] for name, tree in weights.items() if kind in tree} for role, kind in kinds.items()
+        }
+        variables["tokenizer"] = on_device.variables
         return TextToMotion(Bundle(parts, variables, tokenizer.normalizer, reader.bpe), text_encoder=reader.encoder)
 
     def source(state: Any, clips: Sequence[Clip]) -> CodeSource:

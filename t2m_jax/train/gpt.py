@@ -9,8 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
-from t2m_jax.config import check_sizes
-from t2m_jax.data.banks.codes import Captions, CodeBank, CodeBatch, code_batch_at
+from t2m_jax.data.banks.codes import Captions, CodeBank
 from t2m_jax.data.banks.order import row_keys, split_each
 from t2m_jax.devices import own_rows, split_rows
 from t2m_jax.losses import TokenMean, token_accuracy, token_loss, token_weights
@@ -21,6 +20,7 @@ from t2m_jax.train.experiment import Setup, Trainer
 from t2m_jax.train.generator import (
     GeneratorSteps,
     TrainGeneratorConfig,
+    codes_at,
     embed_captions,
     init_caption_encoder,
     prepare_generator,
@@ -50,13 +50,6 @@ class TrainGptConfig(TrainGeneratorConfig):
     """Mean of the loss: over motions of their means (the original's code), or over all tokens (its paper)."""
     drop_probability: float = 1 / 3
     """Probability that a motion loses one code at its head or tail."""
-    precision: Precision = "float32"
-    """What products are computed in during training."""
-    remat: bool = False
-    """Whether intermediate values of a block are computed again for the gradient. This needs less memory, but not in
-    XLA's order of computations on a CPU; use `num_parts` there."""
-    num_parts: int = 1
-    """Parts of a batch, computed one after another, whose gradients are added up. This needs less memory."""
     optimizer: OptimizerConfig = OptimizerConfig(
         learning_rate=1e-4, milestones=(150_000,), betas=(0.5, 0.9), weight_decay=1e-6
     )
@@ -68,9 +61,6 @@ class TrainGptConfig(TrainGeneratorConfig):
         super().__post_init__()
         if isinstance(self.tau, float) and not 0 <= self.tau <= 1:
             raise ValueError(f"tau: {self.tau} is not a share between 0 and 1")
-        check_sizes(self, "num_parts")
-        if self.loop.batch_size % self.num_parts:
-            raise ValueError(f"num_parts: {self.num_parts} does not divide loop.batch_size {self.loop.batch_size}")
 
 
 class GptBatch(NamedTuple):
@@ -121,7 +111,7 @@ def gpt_metrics(params: Any, batch: GptBatch, *, config: TrainGptConfig, precisi
     keys = (None, None) if batch.dropout_keys is None else (batch.dropout_keys[:, 0], batch.dropout_keys[:, 1])
     text = embed_captions(params, captions, keys[0], config=config)
     model = MotionGpt(config.model, remat=config.remat)
-    logits = apply_rows(model, params["gpt"], batch.inputs, text, keys=keys[1])
+    logits = apply_rows(model, {"params": params["gpt"]}, batch.inputs, text, keys=keys[1])
     return {
         "loss": token_loss(logits, batch.tokens, batch.loss_weights),
         "accuracy": token_accuracy(logits, batch.tokens, batch.accuracy_weights),
@@ -135,12 +125,6 @@ def gpt_train_step(state: TrainState, batch: GptBatch, *, config: TrainGptConfig
         return gpt_metrics(params, part, config=config, precision=config.precision)
 
     return descend_in_parts(state, measure, batch, config.optimizer, num_parts=config.num_parts)
-
-
-def codes_at(bank: CodeBank, stream: str, step: Int[Array, ""], *, config: TrainGptConfig) -> CodeBatch:
-    """Returns the codes of a step of a stream."""
-    key = stream_key(config.loop.seed, stream)
-    return code_batch_at(bank, key, step, batch_size=config.loop.batch_size, max_codes=config.model.max_codes)
 
 
 def targets_from_codes(codes: Int[Array, "B N"], code_lengths: Int[Array, " B"], *, config: TrainGptConfig) -> Targets:
@@ -188,7 +172,8 @@ def prepare(config: TrainGptConfig, resume: bool) -> Setup:
     Raises:
         UserError: Data, tokenizer and GPT do not fit.
     """
-    return prepare_generator(config, GeneratorSteps(init_gpt_state, update, validate), resume=resume)
+    steps = GeneratorSteps(lambda config, key, tokenizer: init_gpt_state(config, key), update, validate)
+    return prepare_generator(config, steps, resume=resume)
 
 
 TRAINER = Trainer(

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Array, Float, UInt8
 from PIL import Image
 from tensorboardX import SummaryWriter
 
@@ -18,6 +18,12 @@ logger = logging.getLogger(__name__)
 
 PICTURES = "pictures"
 """Folder of a run with pictures of its motions."""
+
+
+def by_depth(name: str, values: Float[Array, " R"]) -> dict[str, Float[Array, ""]]:
+    """Returns a metric of every depth by its name in logs: `name/1` to `name/R`, in an order that sorting keeps."""
+    digits = len(str(len(values)))
+    return {f"{name}/{depth:0{digits}d}": value for depth, value in enumerate(values, start=1)}
 
 
 class MetricLog:
@@ -73,7 +79,8 @@ class MetricLog:
     def _show(self, split: str, step: int, metrics: Mapping[str, float], *, title: str) -> None:
         for name, value in metrics.items():
             self._board.add_scalar(f"{split}/{name}", value, step)
-        words = ", ".join(f"{name} {value:.4g}" for name, value in metrics.items())
+        # There are too many metrics of single depths for a line.
+        words = ", ".join(f"{name} {value:.4g}" for name, value in metrics.items() if "/" not in name)
         logger.info("step %d, %s: %s", step, title, words)
 
 

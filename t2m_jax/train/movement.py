@@ -58,7 +58,7 @@ def movement_metrics(
     The original has dropout in validation too.
     """
     encoder = {MOVEMENTS: params[MOVEMENTS]}
-    movements = apply_rows(Evaluator(config.model), encoder, windows.motion, keys=keys, method="movements")
+    movements = apply_rows(Evaluator(config.model), {"params": encoder}, windows.motion, keys=keys, method="movements")
     reconstruction = make_decoder(config).apply({"params": params["decoder"]}, movements)
     return movement_loss(
         reconstruction,

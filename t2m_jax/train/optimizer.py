@@ -16,7 +16,7 @@ Metrics = dict[str, Float[Array, ""]]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class OptimizerConfig:
-    """AdamW with warm-up and step decay."""
+    """AdamW with warm-up, and step or cosine decay."""
 
     learning_rate: float = 2e-4
     """Learning rate after the warm-up. With a warm-up it is slightly lower, see `warmup_steps`."""
@@ -27,6 +27,8 @@ class OptimizerConfig:
     """Updates after the warm-up at which the learning rate is multiplied by `gamma`."""
     gamma: float = 0.05
     """Factor at each milestone."""
+    cosine: tuple[int, int] | None = None
+    """Updates at which a decay along half a cosine begins, and at which it has reached 0; null for none."""
     betas: tuple[float, float] = (0.9, 0.99)
     """Decay rates of AdamW's two averages."""
     weight_decay: float = 0.0
@@ -38,6 +40,8 @@ class OptimizerConfig:
         for step in (self.warmup_steps, *self.milestones):
             if not 0 <= step < 2**31:
                 raise ValueError(f"warmup_steps, milestones: {step} is not a number of updates from 0 to {2**31 - 1}")
+        if self.cosine is not None and not 0 <= self.cosine[0] < self.cosine[1] < 2**31:
+            raise ValueError(f"cosine: {list(self.cosine)} is not the first and the last update of a decay")
 
 
 class TrainState(NamedTuple):
@@ -54,7 +58,11 @@ def learning_rate_at(step: Int[Array, ""] | int, config: OptimizerConfig) -> Flo
     num_warmup_updates = max(warmup - 1, 0)
     warm = config.learning_rate * jnp.minimum(step + 2, warmup) / (warmup + 1) if warmup else config.learning_rate
     passed = jnp.sum(jnp.asarray(config.milestones, jnp.int32) <= step - num_warmup_updates)
-    return jnp.asarray(warm * config.gamma**passed, jnp.float32)
+    rate = warm * config.gamma**passed
+    if config.cosine is not None:
+        first, last = config.cosine
+        rate *= 0.5 * (1.0 + jnp.cos(jnp.pi * jnp.clip((step - first) / (last - first), 0.0, 1.0)))
+    return jnp.asarray(rate, jnp.float32)
 
 
 def make_optimizer(config: OptimizerConfig) -> optax.GradientTransformation:

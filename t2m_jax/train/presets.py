@@ -1,6 +1,8 @@
-"""Configs of T2M-GPT: `official` follows the published commands, `paper` follows the text of the paper.
+"""Configs of the published trainings.
 
-`docs/paper_and_code.md` lists every difference and the reason for each choice.
+T2M-GPT: `official` follows the published commands, `paper` follows the text of the paper. `docs/paper_and_code.md`
+lists every difference and the reason for each choice. T2M-HiFiGPT has no published code: `hifigpt/paper` follows its
+paper, and `docs/hifigpt.md` says what the paper leaves open.
 """
 
 import dataclasses
@@ -10,12 +12,13 @@ from typing import Any
 
 from t2m_jax.config import flat_fields
 from t2m_jax.errors import UserError
-from t2m_jax.models.vqvae import VqVaeConfig
+from t2m_jax.models.vqvae import RvqVaeConfig, VqVaeConfig
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML, Skeleton
 from t2m_jax.train.config import LoopConfig
 from t2m_jax.train.gpt import TrainGptConfig
+from t2m_jax.train.hifigpt import TrainHiFiGptConfig
 from t2m_jax.train.optimizer import OptimizerConfig
-from t2m_jax.train.vqvae import TrainVqVaeConfig
+from t2m_jax.train.vqvae import TrainRvqVaeConfig, TrainVqVaeConfig
 
 SKELETONS = {skeleton.name: skeleton for skeleton in (HUMANML3D, KIT_ML)}
 """The skeletons of the data sets that have presets, by name."""
@@ -79,17 +82,42 @@ def paper_gpt(skeleton: Skeleton) -> TrainGptConfig:
     )
 
 
+def hifigpt_rvqvae(skeleton: Skeleton) -> TrainRvqVaeConfig:
+    """Returns the config of T2M-HiFiGPT's first stage: the default (section 4.1 of its paper)."""
+    return TrainRvqVaeConfig(
+        data=Path(f"data/{skeleton.name}"),
+        run=Path(f"runs/{skeleton.name}-hifigpt-rvqvae"),
+        model=RvqVaeConfig(feature_dim=skeleton.feature_dim),
+    )
+
+
+def hifigpt_gpt(skeleton: Skeleton) -> TrainHiFiGptConfig:
+    """Returns the config of T2M-HiFiGPT's second stage: the default, but with CLIP (section 4.1 of its paper)."""
+    return TrainHiFiGptConfig(
+        data=Path(f"data/{skeleton.name}"),
+        vqvae=Path(f"runs/{skeleton.name}-hifigpt-rvqvae"),
+        run=Path(f"runs/{skeleton.name}-hifigpt-gpt"),
+        text_encoder="clip",
+    )
+
+
 PRESETS: dict[tuple[str, str], Callable[[Skeleton], Any]] = {
     ("vqvae", "official"): official_vqvae,
     ("vqvae", "paper"): paper_vqvae,
     ("gpt", "official"): official_gpt,
     ("gpt", "paper"): paper_gpt,
+    ("rvqvae", "hifigpt/paper"): hifigpt_rvqvae,
+    ("hifigpt", "hifigpt/paper"): hifigpt_gpt,
 }
+"""From what is trained and a recipe to a config."""
 
 
-def preset_names() -> tuple[str, ...]:
-    """Returns the names of all presets: a recipe for HumanML3D, or a data set and a recipe such as `kit_ml/paper`."""
-    recipes = ("official", "paper")
+def preset_names(kind: str | None = None) -> tuple[str, ...]:
+    """Returns the names of the presets of a kind, or of all.
+
+    A name is a recipe for HumanML3D, or a data set and a recipe such as `kit_ml/paper`.
+    """
+    recipes = tuple(dict.fromkeys(recipe for stage, recipe in PRESETS if kind in (None, stage)))
     return (*recipes, *(f"{data}/{recipe}" for data in SKELETONS for recipe in recipes))
 
 
@@ -99,10 +127,11 @@ def load_preset(stage: str, name: str) -> Any:
     Raises:
         UserError: There is no such preset.
     """
-    data, _, recipe = name.rpartition("/")
-    data = data or HUMANML3D.name
-    if (stage, recipe) not in PRESETS or data not in SKELETONS:
-        raise UserError(f"{name}: no preset of stage {stage}; known: {', '.join(preset_names())}")
+    if name not in preset_names(stage):
+        raise UserError(f"{name}: no preset of stage {stage}; known: {', '.join(preset_names(stage)) or 'none'}")
+    data, _, recipe = name.partition("/")
+    if data not in SKELETONS:
+        data, recipe = HUMANML3D.name, name
     return PRESETS[stage, recipe](SKELETONS[data])
 
 

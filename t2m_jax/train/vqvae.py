@@ -1,4 +1,4 @@
-"""Training of the VQ-VAE: config, state, one pure step, and the data it is trained on."""
+"""Training of the VQ-VAE and of the residual VQ-VAE: configs, state, one pure step, and the data."""
 
 import dataclasses
 import functools
@@ -16,14 +16,22 @@ from t2m_jax.data.banks.host import FeedPlan
 from t2m_jax.data.banks.motions import Cuts, MotionBank, Windows, batch_at, cuts_at, make_bank
 from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.evaluation.sources import CodeSource, Reconstruction
-from t2m_jax.losses import ReconstructionKind, VelocityKind, reconstruction_loss, velocity_loss
-from t2m_jax.metrics.codes import perplexity
+from t2m_jax.losses import (
+    ReconstructionKind,
+    VelocityKind,
+    acceleration_loss,
+    bone_loss,
+    reconstruction_loss,
+    velocity_loss,
+)
+from t2m_jax.metrics.codes import code_usage, perplexity
 from t2m_jax.models.rows import Precision, in_precision
-from t2m_jax.models.vqvae import VqVae, VqVaeConfig, VqVaeOutput
+from t2m_jax.models.vqvae import RvqVaeConfig, VqVae, VqVaeConfig, VqVaeOutput
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import skeleton_from_feature_dim
 from t2m_jax.train.config import FROM_DATA, EvaluationConfig, ExperimentConfig, compiled_config
 from t2m_jax.train.experiment import Evaluation, Setup, Trainer, Validation
+from t2m_jax.train.log import by_depth
 from t2m_jax.train.optimizer import Metrics, OptimizerConfig, descend, make_optimizer
 from t2m_jax.train.program import Update
 from t2m_jax.train.statistics import open_training_data
@@ -57,6 +65,12 @@ class TrainVqVaeConfig(ExperimentConfig):
     consecutive frames (its paper)."""
     velocity_weight: float = 0.5
     """Weight of the velocity loss."""
+    acceleration_weight: float = 0.0
+    """Weight of the loss of second differences in time."""
+    bone_weight: float = 0.0
+    """Weight of the loss of bone vectors."""
+    bone_space: Literal["metres", "normalized"] = "metres"
+    """What bone vectors are measured in: meters, or the normalized features."""
     commitment_weight: float = 0.02
     """Weight of the commitment loss."""
     precision: Precision = "float32"
@@ -72,6 +86,21 @@ class TrainVqVaeConfig(ExperimentConfig):
             raise ValueError(f"root_weight: {self.root_weight} is not above 0")
         if self.window < self.model.downsample:
             raise ValueError(f"window: {self.window} is shorter than one code, {self.model.downsample} frames")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrainRvqVaeConfig(TrainVqVaeConfig):
+    """Training of the residual VQ-VAE; the defaults are those of T2M-HiFiGPT's paper (see `docs/hifigpt.md`)."""
+
+    kind: ClassVar[str] = "rvqvae"
+
+    run: Path = Path("runs/rvqvae")
+    model: RvqVaeConfig = RvqVaeConfig()
+    window: int = 32
+    velocity: VelocityKind = "frame_difference"
+    acceleration_weight: float = 0.5
+    bone_weight: float = 1.0
+    optimizer: OptimizerConfig = OptimizerConfig(betas=(0.9, 0.95), cosine=(22_000, 300_000))
 
 
 class VqVaeState(NamedTuple):
@@ -101,22 +130,42 @@ def init_vqvae_state(config: TrainVqVaeConfig, key: Key[Array, ""]) -> VqVaeStat
     return VqVaeState(jnp.array(0, jnp.int32), variables["params"], codebook, batch_stats, opt_state)
 
 
-def vqvae_losses(output: VqVaeOutput, windows: Windows, config: TrainVqVaeConfig) -> Metrics:
-    """Returns the terms of the loss and their weighted sum, `loss`."""
-    positions = skeleton_from_feature_dim(config.model.feature_dim).layout.positions
+def vqvae_losses(
+    output: VqVaeOutput, windows: Windows, config: TrainVqVaeConfig, normalizer: Normalizer | None = None
+) -> Metrics:
+    """Returns the terms of the loss and their weighted sum, `loss`, and how the codebook is used.
+
+    The normalizer is needed for bones in meters.
+    """
+    skeleton, kind = skeleton_from_feature_dim(config.model.feature_dim), config.reconstruction
     motion = windows.motion[:, : output.reconstruction.shape[1]]
     mask = windows.mask[:, : output.reconstruction.shape[1]]
-    pair, kind = (output.reconstruction.astype(jnp.float32), motion, mask), config.reconstruction
-    reconstruction = reconstruction_loss(*pair, kind=kind)
-    velocity = velocity_loss(*pair, kind=kind, velocity=config.velocity, positions=positions)
-    loss = reconstruction + config.velocity_weight * velocity + config.commitment_weight * output.commitment_loss
-    return {
-        "loss": loss,
-        "reconstruction": reconstruction,
-        "velocity": velocity,
-        "commitment": output.commitment_loss,
-        "perplexity": perplexity(output.code_counts),
-    }
+    pair, positions = (output.reconstruction.astype(jnp.float32), motion, mask), skeleton.layout.positions
+    terms = {"reconstruction": reconstruction_loss(*pair, kind=kind)}
+    terms["velocity"] = velocity_loss(*pair, kind=kind, velocity=config.velocity, positions=positions)
+    if config.acceleration_weight:
+        terms["acceleration"] = acceleration_loss(*pair, kind=kind)
+    if config.bone_weight:
+        in_meters = config.bone_space == "metres"
+        scale = normalizer if in_meters and normalizer is not None else None
+        bones = bone_loss(*pair, skeleton=skeleton, normalizer=scale)
+        terms["bones"] = skeleton.metres_per_unit * bones if in_meters else bones
+    terms["commitment"] = output.commitment_loss
+    weights = {"reconstruction": 1.0, "velocity": config.velocity_weight, "acceleration": config.acceleration_weight}
+    weights |= {"bones": config.bone_weight, "commitment": config.commitment_weight}
+    loss = functools.reduce(jnp.add, [weights[name] * term for name, term in terms.items()])
+    return {"loss": loss} | terms | codebook_metrics(output)
+
+
+def codebook_metrics(output: VqVaeOutput) -> Metrics:
+    """Returns how a batch used the codebook: as a whole, and with residual quantization at each depth, too."""
+    metrics = {"perplexity": perplexity(jnp.sum(output.code_counts, axis=0))}
+    if len(output.expired) == 1:
+        return metrics
+    metrics["expired"] = jnp.sum(output.expired)
+    metrics |= by_depth("perplexity", perplexity(output.code_counts))
+    metrics |= by_depth("usage", code_usage(output.code_counts))
+    return metrics | by_depth("residual_norm", output.residual_norms) | by_depth("expired", output.expired)
 
 
 def vqvae_train_step(
@@ -125,6 +174,7 @@ def vqvae_train_step(
     key: Key[Array, ""],
     *,
     config: TrainVqVaeConfig,
+    normalizer: Normalizer | None = None,
     noise: Float[Array, "2 K C"] | None = None,
 ) -> tuple[VqVaeState, Metrics]:
     """Returns the state after one update and the metrics before it.
@@ -134,6 +184,7 @@ def vqvae_train_step(
         windows: The batch.
         key: Consumed.
         config: Losses and optimizer.
+        normalizer: Statistics of the windows; a loss of bones in meters needs them.
         noise: Standard normal numbers for new codes, see `Quantizer`; drawn from `key` if None.
     """
     model = VqVae(config.model)
@@ -153,7 +204,7 @@ def vqvae_train_step(
             mutable=["codebook", "batch_stats"],
         )
         fields = {name: moved.get(name, {}) for name in ("codebook", "batch_stats")}
-        return vqvae_losses(output, windows, config), fields
+        return vqvae_losses(output, windows, config, normalizer), fields
 
     return descend(state, measure, config.optimizer)
 
@@ -177,7 +228,8 @@ def update(state: VqVaeState, bank: MotionBank, *, config: TrainVqVaeConfig) -> 
     """Returns the state after one step on the batch of that step."""
     model_key = stream_key(config.loop.seed, "codebook")
     windows = batch_at(bank, step=state.step, **window_options(config, "data"))
-    return vqvae_train_step(state, windows, jax.random.fold_in(model_key, state.step), config=config)
+    key, normalizer = jax.random.fold_in(model_key, state.step), Normalizer(bank.mean, bank.std)
+    return vqvae_train_step(state, windows, key, config=config, normalizer=normalizer)
 
 
 @functools.partial(jax.jit, static_argnames="config")
@@ -185,7 +237,7 @@ def validate(state: VqVaeState, bank: MotionBank, batch: Int[Array, ""], *, conf
     """Returns the losses on a batch of held-out windows."""
     windows = batch_at(bank, step=batch, **window_options(config, "validation"))
     output = VqVae(config.model).apply(state.variables, windows.motion, windows.mask, train=False)
-    return vqvae_losses(output, windows, config)
+    return vqvae_losses(output, windows, config, Normalizer(bank.mean, bank.std))
 
 
 def prepare(config: TrainVqVaeConfig, resume: bool) -> Setup:
@@ -232,3 +284,7 @@ def make_validation(config: TrainVqVaeConfig, dataset: Dataset, normalizer: Norm
 
 TRAINER = Trainer(config=TrainVqVaeConfig, prepare=prepare, next_command="t2m train gpt CONFIG --vqvae {run}")
 """The entry point `vqvae`."""
+RESIDUAL_TRAINER = Trainer(
+    config=TrainRvqVaeConfig, prepare=prepare, next_command="t2m train hifigpt CONFIG --vqvae {run}"
+)
+"""The entry point `rvqvae`."""

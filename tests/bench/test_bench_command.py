@@ -11,9 +11,8 @@ import pytest
 from t2m_jax import bench
 from t2m_jax.bench import evaluate as evaluate_module
 from t2m_jax.bench import run as run_module
+from t2m_jax.bench import sample as sample_module
 from t2m_jax.cli.main import main
-from t2m_jax.models.evaluator import EvaluatorConfig
-from t2m_jax.models.motion_gpt import MotionGptConfig
 from t2m_jax.train import LoopConfig
 from tests import tiny
 from tests.conftest import REPOSITORY
@@ -31,9 +30,9 @@ def tiny_models(monkeypatch):
     monkeypatch.setattr(bench, "make_training", tiny_training)
     monkeypatch.setattr(run_module, "make_training", tiny_training)
     monkeypatch.setattr(evaluate_module, "DEMO_SIZES", tiny.EVALUATOR)
-    monkeypatch.setattr(run_module, "NUM_CODES", 8)
-    for schema, sizes in ((MotionGptConfig, tiny.GPT), (EvaluatorConfig, tiny.EVALUATOR)):
-        monkeypatch.setattr(run_module, schema.__name__, lambda sizes=sizes: sizes)
+    monkeypatch.setattr(sample_module, "NUM_CODES", 8)
+    monkeypatch.setattr(sample_module, "published_config", {"gpt": tiny.GPT, "hifigpt": tiny.HIFIGPT}.get)
+    monkeypatch.setattr(run_module, "EvaluatorConfig", lambda: tiny.EVALUATOR)
 
 
 @pytest.mark.parametrize(
@@ -44,7 +43,8 @@ def tiny_models(monkeypatch):
         (["sample", "--model", "MODEL", "--batch", "1", "2", "--codes", "4"], 2, "sample --full-size"),
         (["evaluate", "--size", "demo", "--batch", "2"], 2, "data"),
         (["data", "--data", "DATA", "--batch", "2"], 2, "all --json performance.json"),
-        (["all"], 7, "scale --from REPORT"),
+        (["sample", "--full-size", "--kind", "hifigpt", "--batch", "2"], 2, "sample"),
+        (["all"], 11, "scale --from REPORT"),
     ],
 )
 def test_measurements_are_printed_and_stored(
@@ -103,7 +103,7 @@ def test_a_regression_is_named_and_fails(stored, capsys):
     command, path = stored
     changed(path, 1e-6)
     assert main([*command, "--compare", f"{path}"]) == 1
-    assert "worse: sample tiny, 2 codes, batch 1: per step (ms)" in capsys.readouterr().out
+    assert "worse: sample tiny, 2 rows, batch 1: per step (ms)" in capsys.readouterr().out
 
 
 def test_what_is_faster_is_no_regression(stored, capsys):

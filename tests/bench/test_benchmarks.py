@@ -59,13 +59,25 @@ def test_training_of_a_gpt():
 
 
 def test_sampling():
-    variables = bench.random_variables(tiny.GPT)
-    shared = {"name": "tiny", "mesh": bench.first_devices(1), "peaks": PEAKS, "repeats": 1}
-    row = bench.benchmark_sampling(tiny.GPT, variables, batch=3, num_codes=9, **shared)
-    check(row, "per code", "per step", "codes", "compile", "of product peak", "of memory peak")
-    assert row["per step"].value == pytest.approx(3 * row["per code"].value)
+    subject = bench.Subject("tiny", tiny.GPT, bench.random_variables(tiny.GPT), 4)
+    shared = {"mesh": bench.first_devices(1), "peaks": PEAKS, "repeats": 1}
+    row = bench.benchmark_sampling(subject, batch=3, num_codes=9, **shared)
+    check(row, "per step", "per row", "per frame", "codes", "compile", "of product peak", "of memory peak")
+    assert row["per step"].value == pytest.approx(3 * row["per row"].value)
+    assert row["per row"].value == pytest.approx(4 * row["per frame"].value)
+    assert row.name == "tiny, 9 rows, batch 3"
     with pytest.raises(UserError, match="--codes 41 is more than the model's 40"):
-        bench.benchmark_sampling(tiny.GPT, variables, batch=3, num_codes=41, **shared)
+        bench.benchmark_sampling(subject, batch=3, num_codes=41, **shared)
+
+
+def test_sampling_with_several_codes_per_row():
+    variables = bench.random_variables(tiny.HIFIGPT)
+    subject = bench.Subject("tiny", tiny.HIFIGPT, variables, 8, guidance_scale=3.0)
+    shared = {"mesh": bench.first_devices(1), "peaks": PEAKS, "repeats": 1}
+    row = bench.benchmark_sampling(subject, batch=2, **shared)
+    assert row.name == "tiny, 20 rows, batch 2", "no motion is longer"
+    assert row["codes"].value == pytest.approx(3 * 1e3 / row["per row"].value)
+    assert row["per row"].value == pytest.approx(8 * row["per frame"].value)
 
 
 def test_embedding():

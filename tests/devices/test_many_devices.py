@@ -14,13 +14,12 @@ from t2m_jax.checkpoints.evaluator import save_evaluator
 from t2m_jax.data import write_synthetic_dataset
 from t2m_jax.train import train
 from tests import tiny
-from tests.devices.worker import NUM_UPDATES
+from tests.devices.worker import KINDS, NUM_UPDATES
 
 pytestmark = pytest.mark.slow
 
 REPOSITORY = Path(__file__).parents[2]
 TOLERANCE = 1e-5
-KINDS = ("vqvae", "gpt", "movement", "evaluator")
 
 
 @pytest.fixture(scope="module")
@@ -100,10 +99,20 @@ def assert_same_run(trained, way, kind):
     for metric, values in reference.items():
         scale = np.abs(values).max()
         np.testing.assert_allclose(trained[way, kind, metric], values, atol=10 * TOLERANCE * scale, err_msg=metric)
-    if kind == "vqvae":
+    if kind.endswith("vqvae"):
         np.testing.assert_allclose(trained[way, kind, "codebook"], reference["codebook"], atol=TOLERANCE)
         # How often every code was chosen, in all updates: equal if every code is.
         np.testing.assert_allclose(trained[way, kind, "hits"], reference["hits"], atol=1e-5)
+
+
+def test_the_second_system_gives_the_same_run(folder):
+    train(tiny.rvqvae_training(folder / "data", folder / "rvqvae"))
+    ways = [f"{kind}:{way}" for kind in ("rvqvae", "hifigpt") for way in ("one", "jit", "pmap")]
+    finish(start("memory", folder, name="alone", ways=",".join(ways)))
+    runs = read_runs(folder, "alone")
+    for kind in ("rvqvae", "hifigpt"):
+        for way in ("alone jit", "alone pmap"):
+            assert_same_run(runs, way, kind)
 
 
 def test_batches_banks_and_optimizers_are_divided(folder):

@@ -26,6 +26,8 @@ from t2m_jax.train.streams import stream_key
 from tests import tiny
 
 NUM_UPDATES, BATCH = 20, 8
+KINDS = ("vqvae", "gpt", "movement", "evaluator")
+"""What T2M-GPT and its evaluation train."""
 LOOP = LoopConfig(num_steps=NUM_UPDATES, batch_size=BATCH, seed=5, log_every=1, checkpoint_every=4, validate_every=0)
 WAYS = {
     "one": ShardingConfig(devices=1),
@@ -46,6 +48,8 @@ def configs(folder: Path) -> dict[str, ExperimentConfig]:
         "evaluator": TrainEvaluatorConfig(
             data=folder / "data", run=folder / "none", init=folder / "evaluator", model=tiny.EVALUATOR, loop=LOOP
         ),
+        "rvqvae": tiny.rvqvae_training(folder / "data", folder / "none", loop=LOOP),
+        "hifigpt": tiny.hifigpt_training(folder / "data", folder / "rvqvae", folder / "none", loop=LOOP),
     }
 
 
@@ -61,10 +65,13 @@ def weights_with_gradient(params: Any) -> np.ndarray:
 def train_in_memory(folder: Path, ways: list[str]) -> dict[str, np.ndarray]:
     """Returns losses, codebooks and other state after some updates of each kind, for each way to use the devices.
 
-    A way such as `gpt:pmap` is for one kind only. Compiling takes most of the time.
+    A way such as `gpt:pmap` is for one kind only; others are for `KINDS`. Compiling takes most of the time.
     """
     found: dict[str, np.ndarray] = {}
+    ways = [way if ":" in way else f"{kind}:{way}" for way in ways for kind in (KINDS if ":" not in way else [""])]
     for kind, config in configs(folder).items():
+        if not any(way.startswith(f"{kind}:") for way in ways):
+            continue
         setup = find_trainer(kind).prepare(find_trainer(kind).resolve(config, False), False)
         trainings: dict[str, Any] = {kind: (setup.update, setup.init, setup.data)}
         if kind == "evaluator":
@@ -73,13 +80,13 @@ def train_in_memory(folder: Path, ways: list[str]) -> dict[str, np.ndarray]:
             init = functools.partial(init_movement_state, movements, stream_key(LOOP.seed, "movements"))
             trainings["movement"] = (Update(update_movements, config=movements), init, bank)
         for name, (update, init, data) in trainings.items():
-            for way in [way.removeprefix(f"{name}:") for way in ways if way.partition(":")[0] in (name, way)]:
+            for way in [way.removeprefix(f"{name}:") for way in ways if way.startswith(f"{name}:")]:
                 devices = Devices(WAYS[way], batch_size=BATCH)
                 state = devices.put_state(init())
                 state, metrics = devices.run(update, state, devices.put_data(data), NUM_UPDATES, size=NUM_UPDATES)
                 found |= {f"{way} {name} {metric}": np.asarray(values) for metric, values in metrics.items()}
                 found[f"{way} {name} weights"] = weights_with_gradient(jax.device_get(state.params))
-                if name == "vqvae":
+                if name.endswith("vqvae"):
                     found[f"{way} {name} codebook"] = np.asarray(state.codebook["quantizer"]["codebook"])
                     found[f"{way} {name} hits"] = np.asarray(state.codebook["quantizer"]["ema_count"])
     return found

@@ -64,7 +64,7 @@ def test_parameters_are_those_of_all_rows():
         def __call__(self, hidden, *, train):
             return nn.Dense(3, name="dense")(hidden)
 
-    found = apply_rows(Projected(), {"dense": params}, hidden, keys=KEYS)
+    found = apply_rows(Projected(), {"params": {"dense": params}}, hidden, keys=KEYS)
     np.testing.assert_allclose(found, module.apply({"params": params}, hidden), rtol=1e-6)
 
 

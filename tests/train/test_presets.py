@@ -10,6 +10,7 @@ from t2m_jax.checkpoints.bundle import load_bundle
 from t2m_jax.checkpoints.clip import load_clip
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.cli.main import main
+from t2m_jax.errors import UserError
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.train import train
 from t2m_jax.train.presets import differences, load_preset, preset_names
@@ -20,17 +21,28 @@ RECIPES = ("official", "paper")
 SMALL_CLIP = REPOSITORY / "tests" / "golden" / "clip" / "text_only"
 
 
-@pytest.mark.parametrize("stage", ["vqvae", "gpt"])
-@pytest.mark.parametrize("name", preset_names())
+TOKENIZERS = {"gpt": "vqvae", "hifigpt": "rvqvae"}
+"""What is trained before each generator."""
+NAMED = [(stage, name) for stage in ("vqvae", "rvqvae", "gpt", "hifigpt") for name in preset_names(stage)]
+
+
+@pytest.mark.parametrize(("stage", "name"), NAMED)
 def test_presets_are_whole_configs(stage, name):
     config = load_preset(stage, name)
-    assert name.rpartition("/")[2] in str(config.run)
+    assert config.kind == stage
     kit = name.startswith("kit_ml")
     assert ("kit_ml" in str(config.data)) == kit
-    if stage == "vqvae":
-        assert config.model.feature_dim == (251 if kit else 263)
+    if stage in TOKENIZERS:
+        assert config.vqvae == load_preset(TOKENIZERS[stage], name).run
     else:
-        assert config.vqvae == load_preset("vqvae", name).run
+        assert config.model.feature_dim == (251 if kit else 263)
+
+
+def test_every_kind_has_its_recipes():
+    assert len(NAMED) == 2 * 6 + 2 * 3
+    assert preset_names("rvqvae") == ("hifigpt/paper", "humanml3d/hifigpt/paper", "kit_ml/hifigpt/paper")
+    with pytest.raises(UserError, match="paper: no preset of stage rvqvae; known: hifigpt/paper"):
+        load_preset("rvqvae", "paper")
 
 
 def test_in_what_the_recipes_differ():

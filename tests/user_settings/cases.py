@@ -25,20 +25,23 @@ from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
 from t2m_jax.models.system import make_module, variable_shapes
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.sampling.codec import begin_motions
 from t2m_jax.sampling.decoding import Sampling
-from t2m_jax.sampling.stopping import StopAtEnd
+from t2m_jax.sampling.stopping import StopAtEnd, StopAtThreshold
 from t2m_jax.sampling.strategies import Temperature
 from t2m_jax.text.bpe import CaptionTokens
 from t2m_jax.text.word_vectors import Vocabulary
-from t2m_jax.train import LoopConfig, OptimizerConfig, TrainGptConfig, TrainVqVaeConfig
+from t2m_jax.train import LoopConfig, OptimizerConfig, TrainGptConfig, TrainHiFiGptConfig, TrainVqVaeConfig
 from t2m_jax.train.evaluator import init_matching_state
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from t2m_jax.train.gpt import init_gpt_state
+from t2m_jax.train.hifigpt import init_hifigpt_state
 from t2m_jax.train.movement import init_movement_state
 from t2m_jax.train.optimizer import TrainState
 from t2m_jax.train.program import Update
 from t2m_jax.train.vqvae import init_vqvae_state
 from tests.tiny import CAPTION_ENCODER, GPT, VQVAE, random_variables, walking_normalizer
+from tests.tiny import HIFIGPT as TINY_HIFIGPT
 
 CASES: dict[str, Callable[[], "Case"]] = {}
 """By `module.function`, without `t2m_jax.`."""
@@ -68,6 +71,9 @@ def case(name: str) -> Callable:
 # Without jit every operation is compiled for every shape: few layers, and widths that agree.
 TOKENIZER = dataclasses.replace(VQVAE, num_stages=1, code_dim=16)
 GENERATOR = dataclasses.replace(GPT, num_layers=1, text_dim=16, block_size=9)
+HIFIGPT = dataclasses.replace(
+    TINY_HIFIGPT, num_layers=1, num_residual_layers=1, text_dim=16, code_dim=16, max_codes=8, num_quantizers=2
+)
 TEXT_ENCODER = dataclasses.replace(CAPTION_ENCODER, text_dim=16, max_length=8)
 CLIP = ClipTextConfig(
     vocabulary_size=20, max_length=6, embed_dim=16, num_layers=1, num_heads=2, mlp_dim=32, text_dim=16
@@ -78,6 +84,7 @@ OPTIMIZER = OptimizerConfig(learning_rate=1e-7)
 LOOP = LoopConfig(num_steps=8, batch_size=2, seed=5)
 VQVAE_TRAINING = TrainVqVaeConfig(model=TOKENIZER, window=16, optimizer=OPTIMIZER, loop=LOOP)
 GPT_TRAINING = TrainGptConfig(model=GENERATOR, caption_encoder=TEXT_ENCODER, optimizer=OPTIMIZER, loop=LOOP)
+HIFIGPT_TRAINING = TrainHiFiGptConfig(model=HIFIGPT, caption_encoder=TEXT_ENCODER, optimizer=OPTIMIZER, loop=LOOP)
 STANDARD_NORMAL = Normalizer(np.zeros(263, np.float32), np.ones(263, np.float32))
 """The statistics of `clips`."""
 WORDS = Vocabulary(("sos", "eos", "unk", "walk", "wave"))
@@ -153,9 +160,9 @@ def caption_bank() -> CaptionBank:
     return jax.device_put(make_caption_bank(clips(), STANDARD_NORMAL, WORDS))
 
 
-def code_bank() -> CodeBank:
+def code_bank(num_quantizers: int = 1) -> CodeBank:
     """Returns three motions as codes, from two offsets, with a caption each."""
-    codes = jax.random.randint(jax.random.key(2), (3, 2, 6, 1), 0, GENERATOR.num_codes)
+    codes = jax.random.randint(jax.random.key(2), (3, 2, 6, num_quantizers), 0, GENERATOR.num_codes)
     tokens = jax.random.randint(jax.random.key(3), (3, TEXT_ENCODER.max_length), 2, 90)
     captions = CaptionTokens(tokens, mask_from_lengths(jnp.array([4, 8, 6]), TEXT_ENCODER.max_length))
     return CodeBank(codes, jnp.array([[6, 5], [3, 3], [5, 4]]), captions, jnp.arange(3), jnp.ones(3, jnp.int32))
@@ -188,6 +195,25 @@ def _() -> Case:
     variables, keys = weights(variable_shapes(GENERATOR)), jax.random.split(jax.random.key(4), 2)
     sampling = Sampling(Temperature(), StopAtEnd(), max_codes=6)
     return Case((variables, normal(5, 2, 16), keys), {"generator": make_module(GENERATOR), "sampling": sampling})
+
+
+def row_arguments() -> tuple[tuple, dict[str, Any]]:
+    """Returns what generating row by row needs, with guidance."""
+    variables, generator = weights(variable_shapes(HIFIGPT)), make_module(HIFIGPT)
+    return (variables, normal(5, 2, 16), jnp.float32(3.0)), {"generator": generator}
+
+
+@case("sampling.codec.begin_motions")
+def _() -> Case:
+    return Case(*row_arguments())
+
+
+@case("sampling.codec.generate_row")
+def _() -> Case:
+    arguments, options = row_arguments()
+    state, keys = begin_motions(*arguments, **options), jax.random.split(jax.random.key(4), 2)
+    sampling = Sampling(Temperature(), StopAtThreshold(), max_codes=6)
+    return Case((arguments[0], state, keys), options | {"sampling": sampling})
 
 
 @case("sampling.text_encoders.encode_captions")
@@ -298,6 +324,28 @@ def _() -> Case:
 @case("train.gpt.validate")
 def _() -> Case:
     return Case((gpt_state(), code_bank(), first_steps()), {"config": GPT_TRAINING}, **TRAINING_TOLERANCE)
+
+
+def hifigpt_arguments() -> dict[str, Any]:
+    """Returns the arguments of the first state of the double-tier GPT."""
+    return {"config": HIFIGPT_TRAINING, "key": jax.random.key(0), "codebook": normal(7, 16, 16)}
+
+
+@case("train.hifigpt.init_hifigpt_state")
+def _() -> Case:
+    return Case((), hifigpt_arguments())
+
+
+@case("train.hifigpt.update")
+def _() -> Case:
+    state = init_hifigpt_state(**hifigpt_arguments())
+    return Case((state, code_bank(2)), {"config": HIFIGPT_TRAINING}, **TRAINING_TOLERANCE)
+
+
+@case("train.hifigpt.validate")
+def _() -> Case:
+    state = init_hifigpt_state(**hifigpt_arguments())
+    return Case((state, code_bank(2), first_steps()), {"config": HIFIGPT_TRAINING}, **TRAINING_TOLERANCE)
 
 
 @case("train.movement.init_movement_state")

@@ -22,10 +22,10 @@ from t2m_jax.checkpoints.official.names import (
 from t2m_jax.checkpoints.torch_file import load_torch_file
 from t2m_jax.errors import UserError
 from t2m_jax.files import fit_arrays, read_arrays
+from t2m_jax.models.codebook import QuantizerKind
 from t2m_jax.models.convolution import NormKind
 from t2m_jax.models.evaluator import NUM_CONTACTS, EvaluatorConfig
 from t2m_jax.models.motion_gpt import MotionGptConfig
-from t2m_jax.models.quantizer import QuantizerKind
 from t2m_jax.models.vqvae import VqVaeConfig
 from t2m_jax.text.word_vectors import load_vector_table
 

@@ -16,6 +16,7 @@ class LookupConfig:
 
     kind: ClassVar[str] = "lookup"
     num_quantizers: ClassVar[int] = 2
+    decoder_context: ClassVar[int] = 0
 
     feature_dim: int = 263
     """Features per frame."""
@@ -67,6 +68,7 @@ class BigramConfig:
     kind: ClassVar[str] = "bigram"
     num_quantizers: ClassVar[int] = 2
     stop_rule: ClassVar[str] = "threshold"
+    guidance_scale: ClassVar[None] = None
 
     num_codes: int = 8
     """Poses in the tokenizer's codebook."""

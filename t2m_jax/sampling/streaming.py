@@ -1,0 +1,53 @@
+"""Motion while it is generated: rows of codes are decoded as soon as their frames are final."""
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int
+
+from t2m_jax.motion.record import Motion
+from t2m_jax.sampling.decoding import LoopState, Sampling
+
+
+def stream_pieces(
+    next_row: Callable[[LoopState], tuple[LoopState, Any]],
+    state: LoopState,
+    sampling: Sampling,
+    decode: Callable[[Int[np.ndarray, "N R"]], Motion],
+    *,
+    decoder_context: int,
+) -> Iterator[Motion]:
+    """Yields the frames of each row of one motion when they are final.
+
+    Args:
+        next_row: From a state to the next state and a row [1, R].
+        state: Before the first row.
+        sampling: Says when the motion ends.
+        decode: From the first rows of a motion to its frames.
+        decoder_context: Rows after a row that its frames depend on.
+    """
+    rows: list[Int[np.ndarray, " R"]] = []
+    sent, ended = 0, False
+    while not ended:
+        state, row = next_row(state)
+        ended = bool(state.done[0])
+        if not ended or sampling.stop_rule.keeps_last:
+            rows.append(np.asarray(row[0]))
+        ended = ended or len(rows) == sampling.max_codes
+        final = len(rows) if ended else len(rows) - decoder_context
+        if final <= sent:
+            continue
+        motion = decode(np.stack(rows))
+        yield from (_frames_of_row(motion, row) for row in range(sent, final))
+        sent = final
+
+
+def _frames_of_row(motion: Motion, row: int) -> Motion:
+    """Returns the part of a motion that one row of codes stands for."""
+    assert motion.features is not None and motion.codes is not None
+    size = motion.num_frames // len(motion.codes)
+    frames = slice(row * size, (row + 1) * size)
+    features, codes = motion.features[frames], motion.codes[row : row + 1]
+    return dataclasses.replace(motion, positions=motion.positions[frames], features=features, codes=codes)

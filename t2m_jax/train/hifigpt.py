@@ -1,0 +1,251 @@
+"""Training of the double-tier GPT of T2M-HiFiGPT, together with its caption encoder if it has one."""
+
+import dataclasses
+import functools
+from pathlib import Path
+from typing import Any, ClassVar, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
+from t2m_jax.data.banks.codes import Captions, CodeBank, CodeBatch
+from t2m_jax.data.banks.order import row_keys, split_each
+from t2m_jax.devices import own_rows, split_rows
+from t2m_jax.errors import UserError
+from t2m_jax.losses import TokenMean, mean_weights, stop_loss, token_accuracy, token_loss
+from t2m_jax.models.hifigpt import HiFiGpt, HiFiGptConfig
+from t2m_jax.models.rows import Precision, apply_rows, in_precision
+from t2m_jax.train.config import LoopConfig
+from t2m_jax.train.experiment import Setup, Trainer
+from t2m_jax.train.generator import (
+    GeneratorSteps,
+    TrainGeneratorConfig,
+    codes_at,
+    embed_captions,
+    init_caption_encoder,
+    prepare_generator,
+    resolve_generator,
+)
+from t2m_jax.train.log import by_depth
+from t2m_jax.train.optimizer import Metrics, OptimizerConfig, descend_in_parts, make_optimizer
+from t2m_jax.train.streams import stream_key
+
+CorruptionKind = Literal["rows", "codes", "none"]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrainHiFiGptConfig(TrainGeneratorConfig):
+    """Training of the double-tier GPT; the defaults are the paper's, except for the text encoder."""
+
+    kind: ClassVar[str] = "hifigpt"
+
+    run: Path = Path("runs/hifigpt")
+    """Run directory to write."""
+    vqvae: Path = Path("runs/rvqvae")
+    model: HiFiGptConfig = HiFiGptConfig()
+    """Sizes of the double-tier GPT."""
+    tau: float = 0.5
+    """Probability with which a row (or a code) that is read is replaced by random codes."""
+    corruption: CorruptionKind = "rows"
+    """What is replaced: all codes of a row (the paper's method), single codes, or nothing (its ablations)."""
+    corrupt_residual: bool = False
+    """Whether the residual tier reads the replaced codes, too."""
+    condition_dropout: float = 0.1
+    """Probability with which a motion is learned without its text, which guidance needs."""
+    mean_over: TokenMean = "tokens"
+    """Mean of the losses: over all rows, or over motions of their means."""
+    stop_weight: float = 1.0
+    """Weight of the stop loss."""
+    stop_positive_weight: float = 1.0
+    """Weight of the last row of a motion in the stop loss."""
+    optimizer: OptimizerConfig = OptimizerConfig(
+        learning_rate=1e-4, betas=(0.9, 0.95), weight_decay=1e-6, clip_norm=1.0, cosine=(37_500, 300_000)
+    )
+    """Optimizer and schedule."""
+    loop: LoopConfig = LoopConfig(batch_size=128)
+    """Length, batch, seed, checkpoints."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("tau", "condition_dropout"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name}: {getattr(self, name)} is not a probability between 0 and 1")
+        if self.condition_dropout == 0 and self.model.guidance_scale != 1:
+            raise ValueError("condition_dropout: without it, guidance means nothing; set model.guidance_scale to 1")
+
+
+class HiFiGptState(NamedTuple):
+    """Everything that an update changes, and the codebook, which it does not."""
+
+    step: Int[Array, ""]
+    params: Any
+    codebook: Any
+    """The tokenizer's codebook, as a collection of the `hifigpt`; empty if the model learns its own table."""
+    opt_state: optax.OptState
+
+
+class HiFiGptBatch(NamedTuple):
+    """What the tiers read and predict. The weights are those of a mean over the global batch."""
+
+    codes: Int[Array, "B N R"]
+    """The targets."""
+    read: Int[Array, "B N R"]
+    """What the temporal tier reads."""
+    is_last: Bool[Array, "B N"]
+    weights: Float[Array, "B N"]
+    captions: Captions
+    dropped: Bool[Array, " B"]
+    """Motions without text."""
+    dropout_keys: Key[Array, "B 2"] | None
+    """Of caption encoder and GPT; None turns dropout off."""
+
+
+@functools.partial(jax.jit, static_argnames="config")
+def init_hifigpt_state(
+    config: TrainHiFiGptConfig, key: Key[Array, ""], codebook: Float[Array, "K C"] | None
+) -> HiFiGptState:
+    """Returns the state before the first update; `key` is consumed.
+
+    Its `params` have the entries `hifigpt` and, if it is trained too, `caption_encoder`.
+    """
+    gpt_key, caption_key = jax.random.split(key)
+    codes = jnp.zeros((1, 1, config.model.num_quantizers), jnp.int32)
+    variables = HiFiGpt(config.model).init(gpt_key, codes, jnp.zeros((1, config.model.text_dim)), train=False)
+    params = {"hifigpt": variables["params"]} | init_caption_encoder(config, caption_key)
+    collection = {} if codebook is None else {"hifigpt": {"codebook": codebook}}
+    return HiFiGptState(jnp.array(0, jnp.int32), params, collection, make_optimizer(config.optimizer).init(params))
+
+
+def init_with_tokenizer(config: TrainHiFiGptConfig, key: Key[Array, ""], tokenizer: TrainedTokenizer) -> HiFiGptState:
+    """Returns the state before the first update, with the codebook of a tokenizer.
+
+    Raises:
+        UserError: The tokenizer has none.
+    """
+    if config.model.code_embedding == "learned":
+        return init_hifigpt_state(config, key, None)
+    if not hasattr(tokenizer.module, "read_codebook"):
+        raise UserError(f"vqvae: a {tokenizer.config.kind} has no codebook to read; use model.code_embedding learned")
+    codebook = tokenizer.module.apply(tokenizer.variables, method="read_codebook")
+    return init_hifigpt_state(config, key, jnp.array(codebook))
+
+
+def corrupt_codes(
+    codes: Int[Array, "B N R"], keys: Key[Array, " B"], *, kind: CorruptionKind, tau: float, num_codes: int
+) -> Int[Array, "B N R"]:
+    """Returns codes of which some are replaced by codes from a uniform distribution; the right code may be drawn, too.
+
+    Args:
+        codes: What a model reads in training.
+        keys: One per motion; consumed.
+        kind: Whether rows are replaced as a whole, or each code by itself, or nothing.
+        tau: Probability of being replaced.
+        num_codes: Number of codes to draw from.
+    """
+    if kind == "none":
+        return codes
+
+    def corrupt(key: Key[Array, ""], rows: Int[Array, "N R"]) -> Int[Array, "N R"]:
+        replace_key, code_key = jax.random.split(key)
+        shape = (rows.shape[0], 1) if kind == "rows" else rows.shape
+        replace = jax.random.uniform(replace_key, shape) < tau
+        return jnp.where(replace, jax.random.randint(code_key, rows.shape, 0, num_codes), rows)
+
+    return jax.vmap(corrupt)(keys, codes)
+
+
+def make_hifigpt_batch(
+    batch: CodeBatch,
+    *,
+    config: TrainHiFiGptConfig,
+    read: Int[Array, "B N R"] | None = None,
+    dropped: Bool[Array, " B"] | None = None,
+    dropout_keys: Key[Array, "B 2"] | None = None,
+) -> HiFiGptBatch:
+    """Returns a batch for the model; without more arguments it reads the targets, and all texts."""
+    length = batch.codes.shape[1]
+    return HiFiGptBatch(
+        codes=batch.codes,
+        read=batch.codes if read is None else read,
+        is_last=jnp.arange(length)[None] == batch.code_lengths[:, None] - 1,
+        weights=mean_weights(batch.code_lengths, length, mean_over=config.mean_over),
+        captions=batch.captions,
+        dropped=jnp.zeros(len(batch.codes), bool) if dropped is None else dropped,
+        dropout_keys=dropout_keys,
+    )
+
+
+def hifigpt_metrics(
+    params: Any, codebook: Any, batch: HiFiGptBatch, *, config: TrainHiFiGptConfig, precision: Precision = "float32"
+) -> Metrics:
+    """Returns losses and accuracy of a batch, or the shares of a part of a batch in them."""
+    params, codebook, captions = in_precision((params, codebook, batch.captions), precision)
+    keys = (None, None) if batch.dropout_keys is None else (batch.dropout_keys[:, 0], batch.dropout_keys[:, 1])
+    text = embed_captions(params, captions, keys[0], config=config)
+    text = jnp.where(batch.dropped[:, None], jnp.zeros_like(text), text)
+    variables = {"params": params["hifigpt"]} | ({"codebook": codebook["hifigpt"]} if codebook else {})
+    model, residual = HiFiGpt(config.model, remat=config.remat), batch.read if config.corrupt_residual else batch.codes
+    # By position, because `apply_rows` divides what it is given by rows.
+    output = apply_rows(model, variables, batch.read, text, residual, keys=keys[1])
+    given = (output.code_logits, batch.codes, batch.weights)
+    nll, accuracy = (jax.vmap(measure, (2, 2, None))(*given) for measure in (token_loss, token_accuracy))
+    stop = stop_loss(output.stop_logits, batch.is_last, batch.weights, positive_weight=config.stop_positive_weight)
+    loss = jnp.mean(nll) + config.stop_weight * stop
+    metrics = {"loss": loss, "nll": jnp.mean(nll), "stop": stop, "accuracy": jnp.mean(accuracy)}
+    return metrics | by_depth("nll", nll) | by_depth("accuracy", accuracy)
+
+
+def hifigpt_train_step(
+    state: HiFiGptState, batch: HiFiGptBatch, *, config: TrainHiFiGptConfig
+) -> tuple[HiFiGptState, Metrics]:
+    """Returns the state after one update and the metrics before it."""
+
+    def measure(params: Any, part: HiFiGptBatch) -> Metrics:
+        return hifigpt_metrics(params, state.codebook, part, config=config, precision=config.precision)
+
+    return descend_in_parts(state, measure, batch, config.optimizer, num_parts=config.num_parts)
+
+
+def training_batch(bank: CodeBank, step: Int[Array, ""], *, config: TrainHiFiGptConfig) -> HiFiGptBatch:
+    """Returns the batch of an update: some rows are replaced in what is read, and some texts are left out."""
+    rows, seed = own_rows(config.loop.batch_size), config.loop.seed
+    keys = {name: row_keys(stream_key(seed, name), step, rows) for name in ("condition", "corruption", "dropout")}
+    batch = codes_at(bank, "data", step, config=config)
+    options: Any = {"kind": config.corruption, "tau": config.tau, "num_codes": config.model.num_codes}
+    read = corrupt_codes(batch.codes, keys["corruption"], **options)
+    dropped = jax.vmap(lambda key: jax.random.bernoulli(key, config.condition_dropout))(keys["condition"])
+    dropout_keys = jnp.stack(split_each(keys["dropout"], 2), axis=1)
+    return split_rows(make_hifigpt_batch(batch, config=config, read=read, dropped=dropped, dropout_keys=dropout_keys))
+
+
+def update(state: HiFiGptState, bank: CodeBank, *, config: TrainHiFiGptConfig) -> tuple[HiFiGptState, Metrics]:
+    """Returns the state after one step on the batch of that step."""
+    return hifigpt_train_step(state, training_batch(bank, state.step, config=config), config=config)
+
+
+@functools.partial(jax.jit, static_argnames="config")
+def validate(state: HiFiGptState, bank: CodeBank, step: Int[Array, ""], *, config: TrainHiFiGptConfig) -> Metrics:
+    """Returns the metrics of a batch of held-out motions, with clean codes and all texts."""
+    batch = make_hifigpt_batch(codes_at(bank, "validation", step, config=config), config=config)
+    return hifigpt_metrics(state.params, state.codebook, batch, config=config)
+
+
+def prepare(config: TrainHiFiGptConfig, resume: bool) -> Setup:
+    """Returns the setup of a training.
+
+    Raises:
+        UserError: Data, tokenizer and model do not fit.
+    """
+    return prepare_generator(config, GeneratorSteps(init_with_tokenizer, update, validate), resume=resume)
+
+
+TRAINER = Trainer(
+    config=TrainHiFiGptConfig,
+    prepare=prepare,
+    resolve=resolve_generator,
+    next_command='t2m generate "a person walks forward" --model {run}',
+)
+"""The entry point `hifigpt`."""

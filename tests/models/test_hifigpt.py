@@ -1,0 +1,130 @@
+"""Laws of the double-tier GPT: what a prediction may depend on, guidance, and what is computed in bfloat16."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from t2m_jax.models.hifigpt import HiFiGpt, HiFiGptConfig
+from t2m_jax.models.rows import in_precision
+from t2m_jax.models.system import variable_shapes
+from t2m_jax.sampling.codec import generate_codes
+from t2m_jax.sampling.decoding import Sampling
+from t2m_jax.sampling.stopping import StopAtHighest, StopAtThreshold
+from t2m_jax.sampling.strategies import Greedy, Temperature, TopK, TopP
+from tests.tiny import HIFIGPT, random_variables
+
+CONFIGS = {
+    "default": HIFIGPT,
+    "per_depth": dataclasses.replace(HIFIGPT, head="per_depth"),
+    "cumulative": dataclasses.replace(HIFIGPT, cumulative_depth=True),
+    "learned": dataclasses.replace(HIFIGPT, code_embedding="learned"),
+    "one_depth": dataclasses.replace(HIFIGPT, num_quantizers=1),
+}
+TEXT = jax.random.normal(jax.random.key(0), (3, HIFIGPT.text_dim))
+KEYS = jax.random.split(jax.random.key(1), 3)
+
+
+def make(config):
+    variables = jax.device_put(random_variables(variable_shapes(config), gain=1.5))
+    return HiFiGpt(config), variables
+
+
+def draw_codes(config, rows=6, seed=2):
+    return jax.random.randint(jax.random.key(seed), (3, rows, config.num_quantizers), 0, config.num_codes)
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_a_prediction_sees_earlier_codes_only(name):
+    """Codes of row t and depth w change neither earlier rows, nor depths up to w of the row, nor earlier stops."""
+    config = CONFIGS[name]
+    module, variables = make(config)
+    codes = draw_codes(config)
+    predict = jax.jit(lambda codes: module.apply(variables, codes, TEXT, train=False))
+    before = predict(codes)
+    for row, depth in ((0, 0), (2, config.num_quantizers - 1), (5, 0)):
+        after = predict(codes.at[:, row, depth].add(1) % config.num_codes)
+        changed = np.asarray(jnp.any(before.code_logits != after.code_logits, axis=(0, 3)))
+        assert not changed[:row].any()
+        assert not changed[row, : depth + 1].any()
+        assert changed[row, depth + 1 :].all() and changed[row + 1 :].all()
+        stops = np.asarray(jnp.any(before.stop_logits != after.stop_logits, axis=0))
+        assert not stops[:row].any() and stops[row:].all()
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+@pytest.mark.parametrize("scale", [None, 2.5])
+def test_sampled_rows_are_those_of_the_whole_sequence(name, scale):
+    """Greedy codes, read with a cache, are the likeliest under teacher forcing; so are the stops."""
+    config = CONFIGS[name]
+    module, variables = make(config)
+    sampling = Sampling(Greedy(), StopAtHighest(), config.max_codes)
+    given = None if scale is None else jnp.float32(scale)
+    sampled = generate_codes(variables, TEXT, KEYS, given, generator=module, sampling=sampling)
+    with_text = module.apply(variables, sampled.codes, TEXT, train=False)
+    logits = with_text.code_logits
+    if scale is not None:
+        without = module.apply(variables, sampled.codes, jnp.zeros_like(TEXT), train=False)
+        logits = without.code_logits + scale * (logits - without.code_logits)
+    for row, length in enumerate(sampled.code_lengths):
+        np.testing.assert_array_equal(jnp.argmax(logits[row, :length], axis=-1), sampled.codes[row, :length])
+
+
+def test_a_guidance_of_one_is_no_guidance():
+    module, variables = make(HIFIGPT)
+    sampling = Sampling(Temperature(), StopAtThreshold(), HIFIGPT.max_codes)
+    options = {"generator": module, "sampling": sampling}
+    plain = generate_codes(variables, TEXT, KEYS, None, **options)
+    guided = generate_codes(variables, TEXT, KEYS, jnp.float32(1.0), **options)
+    np.testing.assert_array_equal(plain.codes, guided.codes)
+    np.testing.assert_array_equal(plain.code_lengths, guided.code_lengths)
+    strong = generate_codes(variables, TEXT, KEYS, jnp.float32(6.0), **options)
+    assert strong.codes.shape == plain.codes.shape and (strong.codes != plain.codes).any()
+
+
+@pytest.mark.parametrize("strategy", [Temperature(), TopK(k=3), TopP(p=0.8)], ids=["temperature", "top-k", "top-p"])
+def test_a_motion_depends_on_its_text_and_key_only(strategy):
+    module, variables = make(HIFIGPT)
+    options = {"generator": module, "sampling": Sampling(strategy, StopAtHighest(), HIFIGPT.max_codes)}
+    scale = jnp.float32(2.0)
+    together = generate_codes(variables, TEXT, KEYS, scale, **options)
+    assert len(np.unique(np.asarray(together.codes).reshape(3, -1), axis=0)) == 3
+    for rows in ([1], [2, 0, 1]):
+        chosen = jnp.array(rows)
+        alone = generate_codes(variables, TEXT[chosen], KEYS[chosen], scale, **options)
+        np.testing.assert_array_equal(alone.codes, together.codes[chosen])
+    for w in range(HIFIGPT.num_quantizers - 1):
+        assert (together.codes[:, :, w] != together.codes[:, :, w + 1]).any(), "depths draw with one key"
+
+
+def test_products_are_in_bfloat16_and_scores_finite():
+    module, variables = make(HIFIGPT)
+    codes, text = draw_codes(HIFIGPT), TEXT.astype(jnp.bfloat16)
+    low = in_precision(variables, "bfloat16")
+    output = module.apply(low, codes, text, train=False)
+    assert output.code_logits.dtype == output.stop_logits.dtype == jnp.bfloat16
+    exact = module.apply(variables, codes, TEXT, train=False)
+    error = np.abs(np.asarray(output.code_logits, np.float32) - exact.code_logits)
+    assert error.max() < 0.1 * np.abs(exact.code_logits).max()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"num_heads": 3}, "num_heads: 3 does not divide"),
+        ({"code_embedding": "frozen", "code_dim": 4}, "code_embedding: frozen needs code_dim 4"),
+        ({"stop_threshold": 0.0}, "stop_threshold: 0.0"),
+        ({"max_codes": 0}, "max_codes"),
+    ],
+)
+def test_impossible_sizes_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        HiFiGptConfig(**options)
+
+
+def test_too_many_rows_are_refused():
+    module, variables = make(HIFIGPT)
+    with pytest.raises(ValueError, match="21 rows are more than max_codes 20"):
+        module.apply(variables, draw_codes(HIFIGPT, rows=21), TEXT, train=False)

@@ -1,0 +1,82 @@
+"""Motion while it is generated: the pieces are the motion of the batch."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+from t2m_jax.errors import UserError
+from t2m_jax.sampling import TextToMotion, pipeline
+from t2m_jax.sampling.strategies import Greedy
+from tests import tiny
+
+CONFIGS = {"gpt": tiny.BUNDLE, "hifigpt": tiny.HIFIGPT_BUNDLE}
+
+
+@pytest.fixture(scope="module", params=CONFIGS)
+def model(request):
+    return TextToMotion(tiny.random_bundle(CONFIGS[request.param]))
+
+
+def stop_rule(model):
+    return None if model.config.generator.stop_rule == "end" else "threshold"
+
+
+@pytest.mark.parametrize("strategy", [None, Greedy()], ids=["drawn", "greedy"])
+def test_pieces_are_the_motion_of_generate(model, strategy):
+    lengths = set()
+    for seed, sample in itertools.product(range(3), range(2)):
+        options = {"seed": seed, "strategy": strategy}
+        motions = model.generate(tiny.CAPTIONS[:3], num_samples=2, stop_rule=stop_rule(model), **options)
+        expected = motions[2 + sample]
+        pieces = list(model.stream(tiny.CAPTIONS[1], sample=sample, **options))
+        assert {len(piece.codes) for piece in pieces} == {1}
+        assert {piece.num_frames for piece in pieces} == {model.config.tokenizer.downsample}
+        np.testing.assert_array_equal(np.concatenate([piece.codes for piece in pieces]), expected.codes)
+        for name in ("features", "positions"):
+            found = np.concatenate([getattr(piece, name) for piece in pieces])
+            np.testing.assert_allclose(found, getattr(expected, name), atol=1e-4)
+        assert pieces[0].caption == expected.caption and pieces[0].seed == seed
+        lengths.add(len(pieces))
+    assert len(lengths) > 1 or strategy is not None
+
+
+def test_pieces_come_before_the_end(model, monkeypatch):
+    """As soon as the decoder's context is known, and not earlier."""
+    rows = []
+    generate_row = pipeline.generate_row
+    monkeypatch.setattr(pipeline, "generate_row", lambda *a, **k: rows.append(1) or generate_row(*a, **k))
+    context = model.config.tokenizer.decoder_context
+    longest = model.config.generator.max_codes
+    # A stop probability of 1 is never reached.
+    endless = {"stop_threshold": 1.0} if stop_rule(model) else {}
+    generator = dataclasses.replace(model.config.generator, **endless)
+    name = "gpt" if stop_rule(model) is None else "hifigpt"
+    long = TextToMotion(tiny.random_bundle(dataclasses.replace(CONFIGS[name], generator=generator)))
+    for seed in range(40):
+        rows.clear()
+        seen = [len(rows) for _ in long.stream(tiny.CAPTIONS[0], seed=seed)]
+        drawn = len(rows)
+        early = [row + 1 + context for row in range(len(seen)) if row + 1 + context < drawn]
+        assert seen[: len(early)] == early
+        if early:
+            return
+    pytest.fail(f"no motion is longer than {context} of {longest} rows")
+
+
+def test_what_cannot_be_streamed_is_refused(model):
+    for arguments, message in (
+        ({"caption": " "}, "caption|text|prompt"),
+        ({"caption": "walk", "max_codes": 99}, "max-codes: 99"),
+        ({"caption": "walk", "seed": -1}, "seed"),
+        ({"caption": "walk", "guidance_scale": float("nan")}, "guidance-scale: nan"),
+    ):
+        with pytest.raises(UserError, match=message):
+            next(model.stream(**arguments))
+
+
+def test_a_stop_rule_of_other_scores_is_refused(model):
+    wrong = "end" if stop_rule(model) else "argmax"
+    with pytest.raises(UserError, match=f"stop-rule: '{wrong}' does not fit this model; use"):
+        model.generate("walk", stop_rule=wrong)
