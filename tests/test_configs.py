@@ -6,12 +6,19 @@ import shlex
 import pytest
 
 from t2m_jax.cli.train import _config
-from t2m_jax.config import load_config, override_config
+from t2m_jax.config import override_config
 from t2m_jax.train import TrainGptConfig, TrainVqVaeConfig
 from tests.conftest import REPOSITORY
 
 CONFIGS = sorted((REPOSITORY / "configs").rglob("*.yaml"))
-PAIRS = sorted({path.parent for path in CONFIGS if path.stem in ("vqvae", "gpt")})
+PAIRS = [
+    (REPOSITORY / "configs" / folder, tokenizer, generator)
+    for folder, tokenizer, generator in (
+        ("demo", "vqvae", "gpt"),
+        ("synthetic", "vqvae", "gpt"),
+        ("hifigpt", "rvqvae", "hifigpt"),
+    )
+]
 
 
 def commands(path):
@@ -41,12 +48,13 @@ def test_the_commands_of_a_header_work(path, monkeypatch):
         assert config_of(own[0][0], str(path), []) in configs, "no row is the file as it stands"
 
 
-@pytest.mark.parametrize("folder", PAIRS, ids=lambda path: path.name)
-def test_the_stages_of_a_folder_fit(folder):
-    vqvae, gpt = load_config(folder / "vqvae.yaml", TrainVqVaeConfig), load_config(folder / "gpt.yaml", TrainGptConfig)
-    assert gpt.vqvae == vqvae.run
-    assert gpt.data == vqvae.data
-    assert gpt.model.num_codes == vqvae.model.num_codes
+@pytest.mark.parametrize(("folder", "tokenizer", "generator"), PAIRS, ids=[pair[0].name for pair in PAIRS])
+def test_the_stages_of_a_folder_fit(folder, tokenizer, generator):
+    first, second = (config_of(kind, str(folder / f"{kind}.yaml"), []) for kind in (tokenizer, generator))
+    assert second.vqvae == first.run
+    assert second.data == first.data
+    for name in ("num_codes", "num_quantizers"):
+        assert getattr(second.model, name) == getattr(first.model, name)
 
 
 def test_the_defaults_are_the_published_models():
