@@ -193,34 +193,46 @@ class Quantizer(nn.Module):
         self, rows: Float[Array, "M C"], mask: Bool[Array, " M"], used: Bool[Array, " R"], noise: Array | None
     ) -> tuple[Lookup, Float[Array, " R"]]:
         """Returns the codes, and how many codes were redrawn from each depth; moves the codebook."""
-        rule, detached, everywhere = RULES[self.kind], jax.lax.stop_gradient(rows), jnp.ones_like(used)
-        draws: Any
-        if rule.redraws:
-            first_key, *draws = jax.random.split(self.make_rng("codebook"), self.num_quantizers + 1)
-            provisional = candidate_codes(detached, mask, jnp.zeros((self.num_codes, self.code_dim)))
-            residuals = look_up(detached, self._read()._replace(codebook=provisional), everywhere)[0].residuals
-            pool = make_pool(residuals, everywhere[:, None] & mask[None])
-            first = draw_codes(pool, provisional, first_key)
-        else:
-            if noise is None:
-                shape = (self.num_codes, self.code_dim)
-                noise = jnp.stack([jax.random.normal(self.make_rng("codebook"), shape) for _ in range(2)])
-            first, draws = candidate_codes(detached, mask, noise[0]), [noise[1]] * self.num_quantizers
-
-        def move(state: CodebookState, vectors: Array, codes: Array, used: Array, draw: Array) -> Any:
-            limits = {"decay": self.ema_decay, "threshold": self.reset_threshold}
-            counted = used[:, None] & mask[None]
-            return move_codebook(state, jax.lax.stop_gradient(vectors), codes, counted, draw, rule=rule, **limits)
-
-        state = initial_codebook(self._read(), first)
+        first, draws = self._first_codes(jax.lax.stop_gradient(rows), mask, noise)
+        state, move = initial_codebook(self._read(), first), functools.partial(self._move, mask)
         if self.codebook_update == "per_depth":
-            found, state = look_up(rows, state, used, draws=jnp.stack(draws), move=move)
+            found, state = look_up(rows, state, used, draws=draws, move=move)
             expired = found.expired[:, 0]
         else:
             found, _ = look_up(rows, state, used)
             state, expired = move(state, found.residuals, found.codes, used, draws[0])
         self._write(state)
         return found, expired
+
+    def _first_codes(
+        self, rows: Float[Array, "M C"], mask: Bool[Array, " M"], noise: Array | None
+    ) -> tuple[Float[Array, "K C"], Array]:
+        """Returns a first codebook, and what the update after each depth draws from: keys, or noise."""
+        if RULES[self.kind].redraws:
+            keys, depths = jax.random.split(self.make_rng("codebook"), self.num_quantizers + 1), self.num_quantizers
+            provisional = candidate_codes(rows, mask, jnp.zeros((self.num_codes, self.code_dim)))
+            state, everywhere = self._read()._replace(codebook=provisional), jnp.ones(depths, bool)
+            residuals = look_up(rows, state, everywhere)[0].residuals
+            return draw_codes(make_pool(residuals, everywhere[:, None] & mask[None]), provisional, keys[0]), keys[1:]
+        if noise is None:
+            shape = (self.num_codes, self.code_dim)
+            noise = jnp.stack([jax.random.normal(self.make_rng("codebook"), shape) for _ in range(2)])
+        draws = jnp.broadcast_to(noise[1], (self.num_quantizers, *noise.shape[1:]))
+        return candidate_codes(rows, mask, noise[0]), draws
+
+    def _move(
+        self,
+        mask: Bool[Array, " M"],
+        state: CodebookState,
+        vectors: Float[Array, "D M C"],
+        codes: Int[Array, "D M"],
+        used: Bool[Array, " D"],
+        draw: Array,
+    ) -> tuple[CodebookState, Float[Array, " D"]]:
+        """Returns the codebook after the lookup of D depths, see `move_codebook`."""
+        limits = {"decay": self.ema_decay, "threshold": self.reset_threshold}
+        counted, vectors = used[:, None] & mask[None], jax.lax.stop_gradient(vectors)
+        return move_codebook(state, vectors, codes, counted, draw, rule=RULES[self.kind], **limits)
 
     def _commitment_loss(
         self, rows: Float[Array, "M C"], totals: Float[Array, "R M C"], mask: Bool[Array, " M"], used: Bool[Array, " R"]
