@@ -130,7 +130,8 @@ def resolve_generator(config: Any, resume: bool) -> Any:
     path = config.run if resume else config.vqvae
     tokenizer = load_tokenizer_config(path)
     # The sizes that a generator shares with its tokenizer are fields of its config, or they cannot be changed.
-    fields = {field.name for field in dataclasses.fields(config.model)} & set(SIZES_OF_TOKENIZER)
+    own = {field.name for field in dataclasses.fields(config.model)}
+    fields = [name for name in SIZES_OF_TOKENIZER if name in own and hasattr(tokenizer, name)]
     try:
         model = dataclasses.replace(config.model, **{name: getattr(tokenizer, name) for name in fields})
     except ValueError as error:

@@ -1,5 +1,6 @@
 """The original's state dicts: names, shapes, both ways, and what is refused."""
 
+import dataclasses
 import json
 
 import jax
@@ -17,7 +18,7 @@ from t2m_jax.models.system import variable_shapes
 from t2m_jax.models.vqvae import VqVaeConfig
 from tests.checkpoints.torch_archives import entry, number, text, write_archive
 from tests.golden_files import state_dict
-from tests.tiny import GPT, VQVAE, random_variables
+from tests.tiny import GPT, RVQVAE, VQVAE, random_variables
 
 VQVAE_NAMES = (
     "vqvae_d2_dim263_relu_ema_reset",
@@ -146,6 +147,13 @@ def test_our_vqvae_there_and_back(tmp_path, norm, quantizer):
             np.testing.assert_array_equal(found["codebook"]["quantizer"][name], codebook)
         np.testing.assert_array_equal(found["codebook"]["quantizer"]["ema_count"], np.ones(7))
         assert found["codebook"]["quantizer"]["initialised"]
+
+
+@pytest.mark.parametrize("options", [{"num_quantizers": 1, "projections": True}, {"num_quantizers": 3}])
+def test_a_vqvae_that_the_original_does_not_have_is_refused(options):
+    config = dataclasses.replace(RVQVAE, **({"projections": False} | options))
+    with pytest.raises(UserError, match="the original code has no such VQ-VAE"):
+        vqvae_state_dict(random_variables(variable_shapes(config)), config)
 
 
 def test_our_gpt_there_and_back(tmp_path):

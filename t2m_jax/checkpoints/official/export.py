@@ -26,7 +26,13 @@ from t2m_jax.models.vqvae import VqVaeConfig
 
 
 def vqvae_state_dict(variables: Mapping[str, Any], config: VqVaeConfig) -> dict[str, np.ndarray]:
-    """Returns the state dict that the original's VQ-VAE loads strictly; it does not contain the codebook's averages."""
+    """Returns the state dict that the original's VQ-VAE loads strictly; it does not contain the codebook's averages.
+
+    Raises:
+        UserError: It has several codes per row, or projections. The original has neither.
+    """
+    if config.num_quantizers != 1 or config.projections:
+        raise UserError("tokenizer.num_quantizers, tokenizer.projections: the original code has no such VQ-VAE")
     return _state_dict(variables, vqvae_weights(config), vqvae_constant_shapes(config))
 
 
