@@ -115,23 +115,28 @@ class Tier(nn.Module):
         config = self.config
         if config.code_embedding == "projected":
             self.project = Projection(config.embed_dim)
+        # Weights that were read from a file are NumPy arrays.
         if self.num_positions:
-            self.position = self.param("position", WEIGHT_INIT, (self.num_positions, config.embed_dim))
+            self.position = jnp.asarray(self.param("position", WEIGHT_INIT, (self.num_positions, config.embed_dim)))
         self.blocks = [
             Block(config.num_heads, config.mlp_ratio, config.dropout, name=f"block_{layer}")
             for layer in range(self.num_layers)
         ]
 
+    def _read_vectors(self, vectors: Float[Array, "*B C"]) -> Float[Array, "*B W"]:
+        return self.project(vectors) if self.config.code_embedding == "projected" else vectors
+
     def embed(self, vectors: Float[Array, "*B L C"]) -> Float[Array, "*B L W"]:
         """Returns inputs for code vectors at the first L positions after the prompt."""
-        inputs = self.project(vectors) if self.config.code_embedding == "projected" else vectors
+        inputs = self._read_vectors(vectors)
         if not self.num_positions:
             return inputs
-        return inputs + self.position[: inputs.shape[-2]].reshape((1,) * (inputs.ndim - 2) + (-1, inputs.shape[-1]))
+        positions = self.position[: inputs.shape[-2]]
+        return inputs + positions.reshape((1,) * (inputs.ndim - 2) + positions.shape)
 
     def embed_at(self, vectors: Float[Array, "B C"], number: Int[Array, ""]) -> Float[Array, "B W"]:
         """Returns the input for code vectors at one position after the prompt, counted from 0."""
-        inputs = self.project(vectors) if self.config.code_embedding == "projected" else vectors
+        inputs = self._read_vectors(vectors)
         if not self.num_positions:
             return inputs
         return inputs + self.position[jnp.minimum(number, self.num_positions - 1)][None]
@@ -167,8 +172,9 @@ class HiFiGpt(nn.Module):
     def setup(self) -> None:
         """Builds the tiers and the heads."""
         config = self.config
+        # Weights that were read from a file are NumPy arrays.
         if config.code_embedding == "learned":
-            self.table = self.param("embedding", WEIGHT_INIT, (config.num_codes, config.embed_dim))
+            self.table = jnp.asarray(self.param("embedding", WEIGHT_INIT, (config.num_codes, config.embed_dim)))
         else:
             self.codebook = self.variable("codebook", "codebook", jnp.zeros, (config.num_codes, config.code_dim))
         self.text_projection = Projection(config.embed_dim)
@@ -181,11 +187,10 @@ class HiFiGpt(nn.Module):
             self.head = Projection(config.num_codes, use_bias=False)
         else:
             shape = (config.num_quantizers, config.embed_dim, config.num_codes)
-            self.heads = self.param("heads", WEIGHT_INIT, shape)
+            self.heads = jnp.asarray(self.param("heads", WEIGHT_INIT, shape))
 
     def _vectors(self, codes: Int[Array, "*B"]) -> Float[Array, "*B C"]:
-        # Weights that were read from a file are NumPy arrays.
-        return jnp.asarray(self.table if self.config.code_embedding == "learned" else self.codebook.value)[codes]
+        return (self.table if self.config.code_embedding == "learned" else jnp.asarray(self.codebook.value))[codes]
 
     def _stop_logits(self, hidden: Float[Array, "*B W"]) -> Float[Array, "*B"]:
         return self.stop_head(self.stop_norm(hidden))[..., 0]
