@@ -142,11 +142,11 @@ class TextToMotion:
         max_codes: int | None = None,
         guidance_scale: float | None = None,
     ) -> Iterator[Motion]:
-        """Yields the motion of a caption while it is generated: one piece for each row of codes.
+        """Returns an iterator over the motion of a caption while it is generated: a piece for each row of codes.
 
         A piece comes as soon as its frames are final. They also depend on some rows after them (see
         `TokenizerConfig.decoder_context`), so the last pieces come together. All pieces are the motion that `generate`
-        returns with the same arguments. A stop rule that needs all rows is replaced by `threshold`.
+        returns with the same arguments; with `stop_rule="threshold"` if the model's own rule needs all rows first.
 
         Args:
             caption: A sentence.
@@ -166,7 +166,7 @@ class TextToMotion:
         keys = put_everywhere(sample_key(seed, text, sample)[None])
         variables, scale = self._variables_for_sampling(), self._guidance(guidance_scale)
         state = begin_motions(variables, self.text_encoder([text]), scale, generator=self._generator)
-        yield from stream_pieces(
+        return stream_pieces(
             lambda state: generate_row(variables, state, keys, generator=self._generator, sampling=sampling),
             state,
             sampling,
