@@ -44,7 +44,7 @@ def tiny_models(monkeypatch):
         (["evaluate", "--size", "demo", "--batch", "2"], 2, "data"),
         (["data", "--data", "DATA", "--batch", "2"], 2, "all --json performance.json"),
         (["sample", "--full-size", "--kind", "hifigpt", "--batch", "2"], 2, "sample"),
-        (["all"], 11, "scale --from REPORT"),
+        pytest.param(["all"], 11, "scale --from REPORT", marks=pytest.mark.slow),
     ],
 )
 def test_measurements_are_printed_and_stored(

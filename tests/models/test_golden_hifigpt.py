@@ -1,6 +1,7 @@
 """The double-tier GPT of T2M-HiFiGPT against the arrays of an independent program."""
 
 import dataclasses
+import functools
 import json
 
 import jax
@@ -111,7 +112,8 @@ class LossCase:
 def test_losses(golden_dir, case, mean_over):
     arrays = load(golden_dir, "loss")
     setup = LossCase(arrays, case, mean_over=mean_over)
-    metrics = hifigpt_metrics(setup.params, setup.codebook, setup.batch(), config=setup.config)
+    measure = jax.jit(functools.partial(hifigpt_metrics, config=setup.config))
+    metrics = measure(setup.params, setup.codebook, setup.batch())
     suffix = "_mean_over_motions" if mean_over == "motions" else ""
     for name in ("nll", "stop", "loss"):
         expected = arrays[f"{case}/{name}{suffix}"]
@@ -126,9 +128,12 @@ def test_gradients(golden_dir):
     arrays = load(golden_dir, "loss")
     setup = LossCase(arrays, "default")
     batch = setup.batch()
-    gradient = jax.grad(lambda params: hifigpt_metrics(params, setup.codebook, batch, config=setup.config)["loss"])(
-        setup.params
-    )["hifigpt"]
+
+    @jax.jit
+    def loss(params):
+        return hifigpt_metrics(params, setup.codebook, batch, config=setup.config)["loss"]
+
+    gradient = jax.grad(loss)(setup.params)["hifigpt"]
     for prefix, compare in (("grad/", compare_arrays), ("grad_norm/", compare_norms)):
         expected = hifigpt_params(arrays, prefix)
         assert len(jax.tree.leaves(expected)) > 3
@@ -163,8 +168,9 @@ def test_three_training_steps(golden_dir, num_parts):
     config = dataclasses.replace(setup.config, num_parts=num_parts, loop=loop)
     params = jax.tree.map(jnp.asarray, setup.params)
     state = HiFiGptState(jnp.array(0), params, setup.codebook, make_optimizer(optimizer).init(params))
+    update = jax.jit(functools.partial(hifigpt_train_step, config=config))
     for step in range(3):
-        state, metrics = hifigpt_train_step(state, setup.batch(step), config=config)
+        state, metrics = update(state, setup.batch(step))
         for name in ("nll", "stop", "loss"):
             np.testing.assert_allclose(metrics[name], arrays[name][step], rtol=1e-4, err_msg=name)
     expected = hifigpt_params(arrays, "final/")
@@ -210,7 +216,8 @@ def test_cached_steps_equal_the_whole_sequence(golden_dir, scale):
         return jnp.stack(scores, axis=1)
 
     expected = arrays[f"guidance{scale}/stop_logits"]
-    np.testing.assert_allclose(module.apply(variables, method=read), expected, atol=2e-4)
+    found = jax.jit(functools.partial(module.apply, method=read))(variables)
+    np.testing.assert_allclose(found, expected, atol=2e-4)
     with_text, without = (module.apply(variables, codes, given, train=False) for given in (text, jnp.zeros_like(text)))
     halves = jnp.stack([output.code_logits.reshape(len(text), -1) for output in (with_text, without)], axis=1)
     found = guided(halves, jnp.full(len(text), float(scale))).reshape(with_text.code_logits.shape)

@@ -1,5 +1,6 @@
 """Residual quantization against the arrays of an independent program."""
 
+import functools
 import json
 
 import jax
@@ -31,16 +32,15 @@ def collection(codebook, count=None, total=None):
     return {"codebook": state._asdict()}
 
 
+@functools.partial(jax.jit, static_argnames="module")
+def _step(variables, latents, mask, *, module):
+    streams = {"codebook": jax.random.key(3)}
+    return module.apply(variables, latents, mask, train=True, rngs=streams, mutable=["codebook"])
+
+
 def step(module, variables, latents, mask):
     """Returns the output and the state after a training step on one row of latents."""
-    output, moved = module.apply(
-        variables,
-        jnp.asarray(latents)[None],
-        jnp.asarray(mask, bool)[None],
-        train=True,
-        rngs={"codebook": jax.random.key(3)},
-        mutable=["codebook"],
-    )
+    output, moved = _step(variables, jnp.asarray(latents)[None], jnp.asarray(mask, bool)[None], module=module)
     return output, jax.tree.map(np.asarray, moved["codebook"])
 
 

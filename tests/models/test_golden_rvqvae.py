@@ -1,5 +1,6 @@
 """The residual VQ-VAE of T2M-HiFiGPT against the arrays of an independent program."""
 
+import functools
 import json
 
 import jax
@@ -89,6 +90,7 @@ def test_losses_and_gradients(case):
     motion = jnp.asarray(arrays["motion"])
     windows = Windows(motion, jnp.ones(motion.shape[:2], bool))
 
+    @jax.jit
     def total(params):
         output = case.module.apply({"params": params, "codebook": case.codebook}, motion, train=False)
         losses = vqvae_losses(output, windows, training_config(case), case.normalizer)
@@ -149,13 +151,13 @@ def test_three_training_steps(golden_dir):
     config = training_config(case, optimizer=optimizer)
     opt_state = make_optimizer(optimizer).init(case.params)
     state = VqVaeState(jnp.array(0), case.params, case.codebook, {}, opt_state)
+    update = jax.jit(functools.partial(vqvae_train_step, config=config, normalizer=case.normalizer))
+    encode = jax.jit(functools.partial(case.module.apply, method="encode"))
     for step, motion in enumerate(arrays["motion"]):
         windows = Windows(jnp.asarray(motion), jnp.ones(motion.shape[:2], bool))
-        codes = case.module.apply(state.variables, windows.motion, method="encode")
+        codes = encode(state.variables, windows.motion)
         np.testing.assert_array_equal(codes, arrays["codes"][step])
-        state, metrics = vqvae_train_step(
-            state, windows, jax.random.key(step), config=config, normalizer=case.normalizer
-        )
+        state, metrics = update(state, windows, jax.random.key(step))
         for ours, theirs in (LOSSES | {"loss": "total"}).items():
             np.testing.assert_allclose(metrics[ours], arrays[f"loss/{theirs}"][step], rtol=1e-4, err_msg=ours)
         moved = state.codebook["quantizer"]

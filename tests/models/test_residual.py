@@ -42,10 +42,14 @@ def first_variables(module):
     return module.init(jax.random.key(0), LATENTS, MASK, train=False)
 
 
+@functools.partial(jax.jit, static_argnames="module")
+def _step(variables, latents, mask, key, *, module):
+    return module.apply(variables, latents, mask, train=True, rngs={"codebook": key}, mutable=["codebook"])
+
+
 def step(module, variables, latents=LATENTS, mask=MASK, *, seed=1):
     """Returns the output of a training step, and the collections after it."""
-    streams = {"codebook": jax.random.key(seed)}
-    return module.apply(variables, latents, mask, train=True, rngs=streams, mutable=["codebook"])
+    return _step(variables, latents, mask, jax.random.key(seed), module=module)
 
 
 @pytest.mark.parametrize("seed", range(4))

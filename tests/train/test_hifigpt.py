@@ -174,7 +174,7 @@ def test_impossible_configs_are_refused(options, message):
         TrainHiFiGptConfig(**options)
 
 
-def test_tokenizers_that_do_not_fit_are_one_line(data, both, runs, tmp_path):
+def test_tokenizers_that_do_not_fit_are_one_line(data, both, tmp_path):
     """A GPT cannot predict several codes per row; a frozen codebook must be as wide as the model."""
     with pytest.raises(UserError, match="has 3 codes per row, but a gpt predicts 1"):
         train(tiny.gpt_training(data, both / "rvqvae", tmp_path / "gpt"))
