@@ -95,7 +95,7 @@ class GeneratorSteps(NamedTuple):
     """The jitted functions of a generator's training; each takes `config` as a keyword."""
 
     init: Callable[..., Any]
-    """From a config, a key and the tokenizer to the state. Its collections have one entry per kind of part."""
+    """From a config and a key to the state, whose collections have one entry per kind of part."""
     update: Callable[..., Any]
     """From a state and a `CodeBank` to the next state and its metrics."""
     validate: Callable[..., Any]
@@ -235,7 +235,7 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
         dataset=dataset,
         clips=clips,
         data=bank,
-        init=lambda: steps.init(compiled, stream_key(config.loop.seed, "init"), tokenizer),
+        init=lambda: steps.init(compiled, stream_key(config.loop.seed, "init")),
         update=Update(steps.update, config=compiled),
         optimizer=config.optimizer,
         frames_per_step=config.loop.batch_size * float(bank.code_lengths.mean()) * tokenizer.config.downsample,

@@ -172,8 +172,7 @@ def prepare(config: TrainGptConfig, resume: bool) -> Setup:
     Raises:
         UserError: Data, tokenizer and GPT do not fit.
     """
-    steps = GeneratorSteps(lambda config, key, tokenizer: init_gpt_state(config, key), update, validate)
-    return prepare_generator(config, steps, resume=resume)
+    return prepare_generator(config, GeneratorSteps(init_gpt_state, update, validate), resume=resume)
 
 
 TRAINER = Trainer(

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
+from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer
 from t2m_jax.data.banks.codes import Captions, CodeBank, CodeBatch
 from t2m_jax.data.banks.order import row_keys, split_each
 from t2m_jax.devices import own_rows, split_rows
@@ -119,7 +119,9 @@ def init_hifigpt_state(
     return HiFiGptState(jnp.array(0, jnp.int32), params, collection, make_optimizer(config.optimizer).init(params))
 
 
-def init_with_tokenizer(config: TrainHiFiGptConfig, key: Key[Array, ""], tokenizer: TrainedTokenizer) -> HiFiGptState:
+def init_with_tokenizer(
+    config: TrainHiFiGptConfig, key: Key[Array, ""], *, tokenizer: TrainedTokenizer
+) -> HiFiGptState:
     """Returns the state before the first update, with the codebook of a tokenizer.
 
     Raises:
@@ -239,7 +241,9 @@ def prepare(config: TrainHiFiGptConfig, resume: bool) -> Setup:
     Raises:
         UserError: Data, tokenizer and model do not fit.
     """
-    return prepare_generator(config, GeneratorSteps(init_with_tokenizer, update, validate), resume=resume)
+    tokenizer = load_tokenizer(config.run if resume else config.vqvae)
+    init = functools.partial(init_with_tokenizer, tokenizer=tokenizer)
+    return prepare_generator(config, GeneratorSteps(init, update, validate), resume=resume)
 
 
 TRAINER = Trainer(
