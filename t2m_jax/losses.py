@@ -127,13 +127,14 @@ def mean_weights(
 ) -> Float[Array, "B {length}"]:
     """Returns the weights of a mean over the first `counts[b]` positions of each motion.
 
-    They sum to 1 over the global batch. With `mean_over` "motions", all motions have the same weight (T2M-GPT's code).
-    With "tokens", all positions have the same weight, so that long motions count more (the likelihood in its paper).
+    They sum to 1 over the global batch, if every motion has a position. With `mean_over` "motions", all motions have
+    the same weight (T2M-GPT's code). With "tokens", all positions have the same weight, so that long motions count more
+    (the likelihood in its paper).
     """
     mask = jnp.arange(length)[None] < counts[:, None]
     if mean_over == "tokens":
         return mask / global_sum(jnp.sum(mask))
-    return mask / (counts * global_sum(jnp.asarray(len(counts))))[:, None]
+    return mask / (jnp.maximum(counts, 1) * global_sum(jnp.asarray(len(counts))))[:, None]
 
 
 def token_weights(

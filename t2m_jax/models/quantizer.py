@@ -209,11 +209,15 @@ class Quantizer(nn.Module):
     ) -> tuple[Float[Array, "K C"], Array]:
         """Returns a first codebook, and what the update after each depth draws from: keys, or noise."""
         if RULES[self.kind].redraws:
-            keys, depths = jax.random.split(self.make_rng("codebook"), self.num_quantizers + 1), self.num_quantizers
-            provisional = candidate_codes(rows, mask, jnp.zeros((self.num_codes, self.code_dim)))
-            state, everywhere = self._read()._replace(codebook=provisional), jnp.ones(depths, bool)
-            residuals = look_up(rows, state, everywhere)[0].residuals
-            return draw_codes(make_pool(residuals, everywhere[:, None] & mask[None]), provisional, keys[0]), keys[1:]
+            keys, state = jax.random.split(self.make_rng("codebook"), self.num_quantizers + 1), self._read()
+
+            def draw() -> Float[Array, "K C"]:
+                provisional = candidate_codes(rows, mask, jnp.zeros_like(state.codebook))
+                used = jnp.ones(self.num_quantizers, bool)
+                found, _ = look_up(rows, state._replace(codebook=provisional), used)
+                return draw_codes(make_pool(found.residuals, used[:, None] & mask[None]), provisional, keys[0])
+
+            return jax.lax.cond(state.initialised, lambda: state.codebook, draw), keys[1:]
         if noise is None:
             shape = (self.num_codes, self.code_dim)
             noise = jnp.stack([jax.random.normal(self.make_rng("codebook"), shape) for _ in range(2)])

@@ -100,6 +100,8 @@ class GeneratorSteps(NamedTuple):
     """From a state and a `CodeBank` to the next state and its metrics."""
     validate: Callable[..., Any]
     """From a state, a `CodeBank` and the number of a batch to metrics."""
+    with_tokenizer: Callable[[Any, TrainedTokenizer], Any] = lambda state, tokenizer: state
+    """From the first state to the state with what the generator takes from its tokenizer; not jitted."""
 
 
 def init_caption_encoder(config: TrainGeneratorConfig, key: Key[Array, ""]) -> dict[str, Any]:
@@ -235,7 +237,7 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
         dataset=dataset,
         clips=clips,
         data=bank,
-        init=lambda: steps.init(compiled, stream_key(config.loop.seed, "init")),
+        init=lambda: steps.with_tokenizer(steps.init(compiled, stream_key(config.loop.seed, "init")), tokenizer),
         update=Update(steps.update, config=compiled),
         optimizer=config.optimizer,
         frames_per_step=config.loop.batch_size * float(bank.code_lengths.mean()) * tokenizer.config.downsample,

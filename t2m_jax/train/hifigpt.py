@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer
+from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.data.banks.codes import Captions, CodeBank, CodeBatch
 from t2m_jax.data.banks.order import row_keys, split_each
 from t2m_jax.devices import own_rows, split_rows
@@ -92,7 +92,7 @@ class HiFiGptBatch(NamedTuple):
 
     codes: Int[Array, "B N R"]
     """The targets."""
-    read: Int[Array, "B N R"]
+    inputs: Int[Array, "B N R"]
     """What the temporal tier reads."""
     is_last: Bool[Array, "B N"]
     weights: Float[Array, "B N"]
@@ -104,10 +104,8 @@ class HiFiGptBatch(NamedTuple):
 
 
 @functools.partial(jax.jit, static_argnames="config")
-def init_hifigpt_state(
-    config: TrainHiFiGptConfig, key: Key[Array, ""], codebook: Float[Array, "K C"] | None
-) -> HiFiGptState:
-    """Returns the state before the first update; `key` is consumed.
+def init_hifigpt_state(config: TrainHiFiGptConfig, key: Key[Array, ""]) -> HiFiGptState:
+    """Returns the state before the first update, with a codebook of zeros; `key` is consumed.
 
     Its `params` have the entries `hifigpt` and, if it is trained too, `caption_encoder`.
     """
@@ -115,24 +113,22 @@ def init_hifigpt_state(
     codes = jnp.zeros((1, 1, config.model.num_quantizers), jnp.int32)
     variables = HiFiGpt(config.model).init(gpt_key, codes, jnp.zeros((1, config.model.text_dim)), train=False)
     params = {"hifigpt": variables["params"]} | init_caption_encoder(config, caption_key)
-    collection = {} if codebook is None else {"hifigpt": {"codebook": codebook}}
-    return HiFiGptState(jnp.array(0, jnp.int32), params, collection, make_optimizer(config.optimizer).init(params))
+    codebook = {"hifigpt": variables["codebook"]} if "codebook" in variables else {}
+    return HiFiGptState(jnp.array(0, jnp.int32), params, codebook, make_optimizer(config.optimizer).init(params))
 
 
-def init_with_tokenizer(
-    config: TrainHiFiGptConfig, key: Key[Array, ""], *, tokenizer: TrainedTokenizer
-) -> HiFiGptState:
-    """Returns the state before the first update, with the codebook of a tokenizer.
+def with_codebook(state: HiFiGptState, tokenizer: TrainedTokenizer) -> HiFiGptState:
+    """Returns the state with the codebook of a tokenizer, if the model reads one.
 
     Raises:
         UserError: The tokenizer has none.
     """
-    if config.model.code_embedding == "learned":
-        return init_hifigpt_state(config, key, None)
+    if not state.codebook:
+        return state
     if not hasattr(tokenizer.module, "read_codebook"):
         raise UserError(f"vqvae: a {tokenizer.config.kind} has no codebook to read; use model.code_embedding learned")
     codebook = tokenizer.module.apply(tokenizer.variables, method="read_codebook")
-    return init_hifigpt_state(config, key, jnp.array(codebook))
+    return state._replace(codebook={"hifigpt": {"codebook": jnp.array(codebook)}})
 
 
 def corrupt_codes(
@@ -163,15 +159,15 @@ def make_hifigpt_batch(
     batch: CodeBatch,
     *,
     config: TrainHiFiGptConfig,
-    read: Int[Array, "B N R"] | None = None,
+    inputs: Int[Array, "B N R"] | None = None,
     dropped: Bool[Array, " B"] | None = None,
     dropout_keys: Key[Array, "B 2"] | None = None,
 ) -> HiFiGptBatch:
-    """Returns a batch for the model; without more arguments it reads the targets, and all texts."""
+    """Returns a batch for the model; without more arguments its inputs are the targets, with all texts."""
     length = batch.codes.shape[1]
     return HiFiGptBatch(
         codes=batch.codes,
-        read=batch.codes if read is None else read,
+        inputs=batch.codes if inputs is None else inputs,
         is_last=jnp.arange(length)[None] == batch.code_lengths[:, None] - 1,
         weights=mean_weights(batch.code_lengths, length, mean_over=config.mean_over),
         captions=batch.captions,
@@ -189,9 +185,12 @@ def hifigpt_metrics(
     text = embed_captions(params, captions, keys[0], config=config)
     text = jnp.where(batch.dropped[:, None], jnp.zeros_like(text), text)
     variables = {"params": params["hifigpt"]} | ({"codebook": codebook["hifigpt"]} if codebook else {})
-    model, residual = HiFiGpt(config.model, remat=config.remat), batch.read if config.corrupt_residual else batch.codes
+    model, residual = (
+        HiFiGpt(config.model, remat=config.remat),
+        batch.inputs if config.corrupt_residual else batch.codes,
+    )
     # By position, because `apply_rows` divides what it is given by rows.
-    output = apply_rows(model, variables, batch.read, text, residual, keys=keys[1])
+    output = apply_rows(model, variables, batch.inputs, text, residual, keys=keys[1])
     given = (output.code_logits, batch.codes, batch.weights)
     nll, accuracy = (jax.vmap(measure, (2, 2, None))(*given) for measure in (token_loss, token_accuracy))
     stop = stop_loss(output.stop_logits, batch.is_last, batch.weights, positive_weight=config.stop_positive_weight)
@@ -217,10 +216,12 @@ def training_batch(bank: CodeBank, step: Int[Array, ""], *, config: TrainHiFiGpt
     keys = {name: row_keys(stream_key(seed, name), step, rows) for name in ("condition", "corruption", "dropout")}
     batch = codes_at(bank, "data", step, config=config)
     options: Any = {"kind": config.corruption, "tau": config.tau, "num_codes": config.model.num_codes}
-    read = corrupt_codes(batch.codes, keys["corruption"], **options)
+    inputs = corrupt_codes(batch.codes, keys["corruption"], **options)
     dropped = jax.vmap(lambda key: jax.random.bernoulli(key, config.condition_dropout))(keys["condition"])
     dropout_keys = jnp.stack(split_each(keys["dropout"], 2), axis=1)
-    return split_rows(make_hifigpt_batch(batch, config=config, read=read, dropped=dropped, dropout_keys=dropout_keys))
+    return split_rows(
+        make_hifigpt_batch(batch, config=config, inputs=inputs, dropped=dropped, dropout_keys=dropout_keys)
+    )
 
 
 def update(state: HiFiGptState, bank: CodeBank, *, config: TrainHiFiGptConfig) -> tuple[HiFiGptState, Metrics]:
@@ -241,9 +242,8 @@ def prepare(config: TrainHiFiGptConfig, resume: bool) -> Setup:
     Raises:
         UserError: Data, tokenizer and model do not fit.
     """
-    tokenizer = load_tokenizer(config.run if resume else config.vqvae)
-    init = functools.partial(init_with_tokenizer, tokenizer=tokenizer)
-    return prepare_generator(config, GeneratorSteps(init, update, validate), resume=resume)
+    steps = GeneratorSteps(init_hifigpt_state, update, validate, with_codebook)
+    return prepare_generator(config, steps, resume=resume)
 
 
 TRAINER = Trainer(

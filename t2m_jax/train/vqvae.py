@@ -130,12 +130,10 @@ def init_vqvae_state(config: TrainVqVaeConfig, key: Key[Array, ""]) -> VqVaeStat
     return VqVaeState(jnp.array(0, jnp.int32), variables["params"], codebook, batch_stats, opt_state)
 
 
-def vqvae_losses(
-    output: VqVaeOutput, windows: Windows, config: TrainVqVaeConfig, normalizer: Normalizer | None = None
-) -> Metrics:
+def vqvae_losses(output: VqVaeOutput, windows: Windows, config: TrainVqVaeConfig, normalizer: Normalizer) -> Metrics:
     """Returns the terms of the loss and their weighted sum, `loss`, and how the codebook is used.
 
-    The normalizer is needed for bones in meters.
+    The normalizer is that of the windows; bones in meters need it.
     """
     skeleton, kind = skeleton_from_feature_dim(config.model.feature_dim), config.reconstruction
     motion = windows.motion[:, : output.reconstruction.shape[1]]
@@ -145,11 +143,10 @@ def vqvae_losses(
     terms["velocity"] = velocity_loss(*pair, kind=kind, velocity=config.velocity, positions=positions)
     if config.acceleration_weight:
         terms["acceleration"] = acceleration_loss(*pair, kind=kind)
-    if config.bone_weight:
-        in_meters = config.bone_space == "metres"
-        scale = normalizer if in_meters and normalizer is not None else None
-        bones = bone_loss(*pair, skeleton=skeleton, normalizer=scale)
-        terms["bones"] = skeleton.metres_per_unit * bones if in_meters else bones
+    if config.bone_weight and config.bone_space == "normalized":
+        terms["bones"] = bone_loss(*pair, skeleton=skeleton)
+    elif config.bone_weight:
+        terms["bones"] = skeleton.metres_per_unit * bone_loss(*pair, skeleton=skeleton, normalizer=normalizer)
     terms["commitment"] = output.commitment_loss
     weights = {"reconstruction": 1.0, "velocity": config.velocity_weight, "acceleration": config.acceleration_weight}
     weights |= {"bones": config.bone_weight, "commitment": config.commitment_weight}
@@ -174,7 +171,7 @@ def vqvae_train_step(
     key: Key[Array, ""],
     *,
     config: TrainVqVaeConfig,
-    normalizer: Normalizer | None = None,
+    normalizer: Normalizer,
     noise: Float[Array, "2 K C"] | None = None,
 ) -> tuple[VqVaeState, Metrics]:
     """Returns the state after one update and the metrics before it.
@@ -184,7 +181,7 @@ def vqvae_train_step(
         windows: The batch.
         key: Consumed.
         config: Losses and optimizer.
-        normalizer: Statistics of the windows; a loss of bones in meters needs them.
+        normalizer: Statistics of the windows, for bones in meters.
         noise: Standard normal numbers for new codes, see `Quantizer`; drawn from `key` if None.
     """
     model = VqVae(config.model)

@@ -102,9 +102,9 @@ class LossCase:
             return jnp.asarray(self.arrays[name] if step is None else self.arrays[name][step])
 
         codes = get("codes")
-        read = jnp.where(get("corrupted_rows")[:, :, None] == 1, get("replacement_codes"), codes)
+        inputs = jnp.where(get("corrupted_rows")[:, :, None] == 1, get("replacement_codes"), codes)
         given = CodeBatch(codes, get("code_lengths"), get("text"))
-        return make_batch(given, config=self.config, read=read, dropped=get("text_dropped") == 1)
+        return make_batch(given, config=self.config, inputs=inputs, dropped=get("text_dropped") == 1)
 
 
 @pytest.mark.parametrize("case", ["default", "corrupt_residual", "stop_weights"])

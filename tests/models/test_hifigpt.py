@@ -95,8 +95,20 @@ def test_a_motion_depends_on_its_text_and_key_only(strategy):
         chosen = jnp.array(rows)
         alone = generate_codes(variables, TEXT[chosen], KEYS[chosen], scale, **options)
         np.testing.assert_array_equal(alone.codes, together.codes[chosen])
-    for w in range(HIFIGPT.num_quantizers - 1):
-        assert (together.codes[:, :, w] != together.codes[:, :, w + 1]).any(), "depths draw with one key"
+
+
+def test_every_code_has_a_key_of_its_own():
+    """With a strategy that looks at the key alone, codes would repeat if keys did."""
+    module, variables = make(HIFIGPT)
+
+    def draw(logits, key):
+        return jax.random.randint(key, logits.shape[:1], 0, 2**30)
+
+    options = {"generator": module, "sampling": Sampling(draw, StopAtHighest(), HIFIGPT.max_codes)}
+    sampled = generate_codes(variables, TEXT, KEYS, jnp.float32(2.0), **options)
+    for row, length in enumerate(sampled.code_lengths):
+        drawn = np.asarray(sampled.codes[row, :length])
+        assert len(np.unique(drawn)) == drawn.size
 
 
 def test_products_are_in_bfloat16_and_scores_finite():

@@ -14,7 +14,7 @@ from t2m_jax.train import LoopConfig, TrainGptConfig, TrainVqVaeConfig
 from t2m_jax.train.gpt import gpt_metrics, gpt_train_step, init_gpt_state, make_gpt_batch
 from t2m_jax.train.targets import make_targets
 from t2m_jax.train.vqvae import init_vqvae_state, vqvae_train_step
-from tests.tiny import CAPTION_ENCODER, GPT, OPTIMIZER, VQVAE
+from tests.tiny import CAPTION_ENCODER, GPT, OPTIMIZER, VQVAE, walking_normalizer
 
 GPT_TRAINING = TrainGptConfig(
     model=dataclasses.replace(GPT, block_size=9),
@@ -94,7 +94,7 @@ def test_bfloat16_keeps_the_state_of_a_vqvae_in_float32():
     for precision in ("float32", "bfloat16"):
         config = dataclasses.replace(VQVAE_TRAINING, precision=precision)
         before = init_vqvae_state(config, jax.random.key(0))
-        found[precision] = train(before, windows, jax.random.key(4), config=config)
+        found[precision] = train(before, windows, jax.random.key(4), config=config, normalizer=walking_normalizer())
     after, metrics = found["bfloat16"]
     chex.assert_trees_all_equal_shapes_and_dtypes((after, metrics), found["float32"])
     codebook = after.codebook["quantizer"]["codebook"]

@@ -15,7 +15,7 @@ from t2m_jax.sampling import TextToMotion
 from t2m_jax.train import train
 from t2m_jax.train.presets import differences, load_preset, preset_names
 from tests.conftest import REPOSITORY
-from tests.tiny import GPT, LOOP, VQVAE
+from tests.tiny import GPT, HIFIGPT, LOOP, RVQVAE, VQVAE
 
 RECIPES = ("official", "paper")
 SMALL_CLIP = REPOSITORY / "tests" / "golden" / "clip" / "text_only"
@@ -127,6 +127,33 @@ def test_each_recipe_trains_both_stages_at_reduced_size(recipe, data, tmp_path):
     passed_on = load_bundle(tmp_path / "bundle").config.text_encoder.name
     assert passed_on == str(tmp_path / "bundle" / "clip")
     assert load_clip(passed_on).fingerprint == load_clip(SMALL_CLIP).fingerprint, "a bundle holds its text encoder"
+
+
+@pytest.mark.slow
+def test_the_recipe_of_hifigpt_trains_both_stages_at_reduced_size(data, tmp_path):
+    """With CLIP, which no other test of this system has."""
+    places, faster = {"data": data, "loop": LONG}, {"learning_rate": 2e-3}
+    first = load_preset("rvqvae", "hifigpt/paper")
+    optimizer = dataclasses.replace(first.optimizer, **faster)
+    first = dataclasses.replace(first, run=tmp_path / "rvqvae", model=RVQVAE, optimizer=optimizer, **places)
+    second = load_preset("hifigpt", "hifigpt/paper")
+    model = dataclasses.replace(HIFIGPT, text_dim=load_clip(SMALL_CLIP).config.text_dim)
+    optimizer = dataclasses.replace(second.optimizer, **faster)
+    second = dataclasses.replace(
+        second,
+        vqvae=first.run,
+        run=tmp_path / "hifigpt",
+        clip=str(SMALL_CLIP),
+        model=model,
+        optimizer=optimizer,
+        **places,
+    )
+    for config in (first, second):
+        train(config)
+        found = losses(config.run)
+        assert len(found) == 5 and found[-1] < found[0]
+    motion = TextToMotion.load(second.run).generate("a person walks", seed=1)[0]
+    assert np.isfinite(motion.positions).all() and motion.codes.shape[1] == 3
 
 
 @pytest.mark.parametrize(("quantizer", "norm"), [("orig", "GN"), ("reset", "BN")])
