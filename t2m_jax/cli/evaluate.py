@@ -31,10 +31,22 @@ FORMATS = ("terminal", "markdown", "latex", "json")
 LABELS = {
     "mpjpe_mm": "MPJPE, mm (root-aligned)",
     "mpjpe_median_clip_mm": "MPJPE of the median clip, mm",
+    "global_mpjpe_mm": "global MPJPE, mm",
+    "acceleration_error_mm": "acceleration error, mm/frame^2",
+    "path_drift_mm": "path drift, mm",
+    "heading_drift_degrees": "heading drift, degrees",
     "codebook_usage": "codebook usage",
     "perplexity": "perplexity",
     "num_clips": "clips",
     "num_frames": "frames",
+}
+QUALITY_LABELS = {
+    "bone_variation": "bone variation, share of length",
+    "jerk": "jerk, m/s^3",
+    "skating_ratio": "skating, share of contacts",
+    "skating_speed": "speed of feet in contact, m/s",
+    "floating": "floating, share of frames",
+    "penetration": "in the floor, share of frames",
 }
 
 
@@ -50,15 +62,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         command.add_argument("--json", type=Path, metavar="F", help="also write the figures to this file")
     _add_protocol_arguments(reconstruction, needs_evaluator=False)
     _add_protocol_arguments(generation, needs_evaluator=True)
-    add_sampling_arguments(generation)
-    generation.add_argument("--greedy", action="store_const", dest="temperature", const=0.0, help="--temperature 0")
+    for command in (generation, prompts):
+        add_sampling_arguments(command)
+        command.add_argument("--greedy", action="store_const", dest="temperature", const=0.0, help="--temperature 0")
     prompts.add_argument("--num-seeds", type=int, default=20, help="samples per content (default: 20)")
     compare.add_argument("reports", nargs="+", type=Path, metavar="REPORT", help="two files of --json")
     table.add_argument("reports", nargs="+", type=Path, metavar="REPORT", help="files of --json")
     table.add_argument("--format", choices=FORMATS, default="terminal", help="how to print (default: terminal)")
     table.add_argument("--names", nargs="+", metavar="NAME", help="names of the rows (default: names of the files)")
     by_label = "R-precision that does not count motions of the same label as errors"
-    table.add_argument("--by-label", action="store_true", help=by_label)
+    quality = "bones, jerk and feet instead of the evaluator's metrics"
+    measures = table.add_mutually_exclusive_group()
+    for flag, value, text in (("--by-label", "labels", by_label), ("--quality", "quality", quality)):
+        measures.add_argument(flag, dest="measures", action="store_const", const=value, default="captions", help=text)
 
 
 def _add_protocol_arguments(parser: argparse.ArgumentParser, *, needs_evaluator: bool) -> None:
@@ -103,6 +119,10 @@ def run_reconstruction(args: argparse.Namespace) -> None:
     for name, label in LABELS.items():
         value = getattr(figures, name)
         sys.stdout.write(f"{label:32} {value:,.3f}\n" if isinstance(value, float) else f"{label:32} {value:,}\n")
+    sys.stdout.write(f"\n{'':32} {'real':>10} {'reconstruction':>15}\n")
+    for name, label in QUALITY_LABELS.items():
+        real, quality = (getattr(measured, name) for measured in (figures.real_quality, figures.quality))
+        sys.stdout.write(f"{label:32} {real:10.3f} {quality:15.3f}\n")
     if task is not None:
         sys.stdout.write("\n")
         _measure(args, task, Reconstruction(tokenizer), figures)
@@ -153,8 +173,9 @@ def _measure(
     report = dataclasses.replace(report, reconstruction=figures)
     header = dataclasses.asdict(report.header)
     sys.stdout.write(", ".join(f"{name} {value}" for name, value in header.items() if value is not None) + "\n\n")
-    table = make_table([report], [source.kind])._replace(facts={})
-    sys.stdout.write(format_table(table, style="terminal") + "\n")
+    for measures in ("captions", "quality"):
+        table = make_table([report], [source.kind], measures=measures)._replace(facts={})
+        sys.stdout.write(format_table(table, style="terminal") + "\n\n")
     if args.json:
         save_report(args.json, report)
         Path(f"{args.json}.partial").unlink(missing_ok=True)
@@ -171,11 +192,12 @@ def run_prompts(args: argparse.Namespace) -> None:
     """Prints how often generated motion does what was asked."""
     from t2m_jax.evaluation import evaluate_prompt_following
     from t2m_jax.evaluation.prompt_following import markdown_table
-    from t2m_jax.sampling import TextToMotion
+    from t2m_jax.sampling import TextToMotion, make_strategy
 
-    model = TextToMotion.load(args.model)
+    strategy = make_strategy(args.temperature, args.top_k, top_p=args.top_p)
+    model, options = TextToMotion.load(args.model), {"strategy": strategy, "guidance_scale": args.guidance_scale}
     results = evaluate_prompt_following(
-        lambda sentence, seed: model.generate(sentence, seed=seed)[0], num_seeds=args.num_seeds
+        lambda sentence, seed: model.generate(sentence, seed=seed, **options)[0], num_seeds=args.num_seeds
     )
     sys.stdout.write(markdown_table(results) + "\n")
     right, total = sum(row.num_right for row in results), sum(row.num_samples for row in results)
@@ -205,7 +227,7 @@ def run_table(args: argparse.Namespace) -> None:
 
     stems = [path.stem for path in args.reports]
     names = args.names or (stems if len(set(stems)) == len(stems) else list(map(str, args.reports)))
-    table = make_table([load_report(path) for path in args.reports], names, by_label=args.by_label)
+    table = make_table([load_report(path) for path in args.reports], names, measures=args.measures)
     color = sys.stdout.isatty() and "NO_COLOR" not in os.environ
     sys.stdout.write(format_table(table, style=args.format, color=color) + "\n")
     others = [str(path) for path in args.reports[1:2]] or ["OTHER.json"]

@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_sampling_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares how codes are sampled; `t2m evaluate generation` has the same options."""
+    """Declares how codes are sampled; `t2m evaluate generation` and `prompts` have the same options."""
     parser.add_argument("--temperature", type=float, default=1.0, help="below 1 is safer; 0 is greedy (default: 1)")
     parser.add_argument("--top-k", type=int, help="choose among this many of the likeliest codes")
     parser.add_argument("--top-p", type=float, help="choose among the likeliest codes up to this sum")

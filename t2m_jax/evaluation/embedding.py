@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,8 +18,11 @@ from t2m_jax.evaluation.codes import MotionCodes
 from t2m_jax.evaluation.protocols import Plan
 from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.masks import mask_from_lengths
+from t2m_jax.metrics.quality import MotionQuality, measure_quality
 from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT, Evaluator, EvaluatorConfig
+from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.normalizer import Normalizer
+from t2m_jax.motion.skeleton import Skeleton, skeleton_from_feature_dim
 from t2m_jax.sampling.batches import batches_of, for_each_batch, pad_motions, round_up
 from t2m_jax.sampling.codec import decode_batch
 
@@ -29,6 +32,15 @@ FRAME_BUCKET = 32
 """Batches of motion are padded to a multiple of this many frames, so that few programs are compiled."""
 ROOM = 4
 """Empty frames after the longest motion, which the convolution over the last movement reads."""
+
+
+class DecodedMotions(NamedTuple):
+    """What is measured of motions given as codes."""
+
+    embeddings: Float[np.ndarray, "B E"]
+    """Of the evaluator."""
+    quality: MotionQuality
+    """Of the joints, for each motion."""
 
 
 @functools.partial(jax.jit, static_argnames=("tokenizer", "evaluator", "max_frames", "clear"))
@@ -42,8 +54,8 @@ def embed_codes(
     evaluator: EvaluatorConfig,
     max_frames: int,
     clear: bool,
-) -> Float[Array, "B E"]:
-    """Returns the evaluator's embeddings of decoded codes.
+) -> tuple[Float[Array, "B E"], MotionQuality]:
+    """Returns the evaluator's embeddings of decoded codes, and the quality of the motions.
 
     Args:
         variables: The weights of the tokenizer and of the evaluator.
@@ -63,13 +75,17 @@ def embed_codes(
     motion = jnp.pad(motion, ((0, 0), (0, min(ROOM, max_frames - motion.shape[1])), (0, 0)))
     if clear:
         motion = jnp.where(mask_from_lengths(lengths, motion.shape[1])[:, :, None], motion, 0.0)
-    return Evaluator(evaluator).apply(variables[1], motion, lengths, method="embed_motion")
+    embeddings = Evaluator(evaluator).apply(variables[1], motion, lengths, method="embed_motion")
+    skeleton, decoded = skeleton_from_feature_dim(decoded.shape[2]), decoded[:, :max_frames]
+    mask = mask_from_lengths(code_lengths * frames_per_row, decoded.shape[1])
+    return embeddings, measure_quality(positions_from_features(decoded, skeleton), mask, skeleton=skeleton)
 
 
-def embed_decoded(task: EvaluationTask, tokenizer: TrainedTokenizer, motions: MotionCodes) -> Float[np.ndarray, "B E"]:
-    """Returns the embeddings of motions given as codes, decoded in batches of similar length."""
-    evaluator = task.evaluator
-    embeddings = np.zeros((len(motions.codes), evaluator.config.embedding_dim), np.float32)
+def embed_decoded(task: EvaluationTask, tokenizer: TrainedTokenizer, motions: MotionCodes) -> DecodedMotions:
+    """Returns the measurements of motions given as codes, decoded in batches of similar length."""
+    evaluator, count = task.evaluator, len(motions.codes)
+    embeddings = np.zeros((count, evaluator.config.embedding_dim), np.float32)
+    quality = np.zeros((len(MotionQuality._fields), count), np.float32)
     bucket = max(FRAME_BUCKET // tokenizer.config.downsample, 1)
     # On the devices once, not once per batch.
     statistics = put_everywhere((tokenizer.normalizer, evaluator.normalizer))
@@ -79,7 +95,7 @@ def embed_decoded(task: EvaluationTask, tokenizer: TrainedTokenizer, motions: Mo
         longest = round_up(int(motions.code_lengths[chosen].max()), bucket)
         codes = motions.codes[chosen, :longest]
         codes = np.pad(codes, ((0, 0), (0, longest - codes.shape[1]), (0, 0)))
-        embeddings[chosen] = embed_codes(
+        embeddings[chosen], quality[:, chosen] = embed_codes(
             variables,
             statistics,
             *put_rows((codes, motions.code_lengths[chosen])),
@@ -90,7 +106,7 @@ def embed_decoded(task: EvaluationTask, tokenizer: TrainedTokenizer, motions: Mo
         )
 
     for_each_batch(embed, batches_of(np.argsort(motions.code_lengths, kind="stable"), BATCH))
-    return embeddings
+    return DecodedMotions(embeddings, MotionQuality(*quality))
 
 
 @functools.partial(jax.jit, static_argnames="config")
@@ -154,3 +170,27 @@ def embed_plan_motions(task: EvaluationTask, plan: Plan) -> Float[np.ndarray, "N
     """Returns the embeddings of a plan's real motions."""
     samples = [task.samples.clips[owner] for owner in plan.samples]
     return embed_real(task.evaluator, samples, plan.starts, plan.lengths, max_frames=task.max_frames)
+
+
+@functools.partial(jax.jit, static_argnames="skeleton")
+def measure_features(
+    features: Float[Array, "B T D"], lengths: Int[Array, " B"], *, skeleton: Skeleton
+) -> MotionQuality:
+    """Returns the quality of raw features."""
+    mask = mask_from_lengths(lengths, features.shape[1])
+    return measure_quality(positions_from_features(features, skeleton), mask, skeleton=skeleton)
+
+
+def measure_plan_motions(task: EvaluationTask, plan: Plan) -> MotionQuality:
+    """Returns the quality of a plan's real motions, one figure per motion."""
+    lengths = np.minimum(plan.lengths, task.max_frames)
+    quality = np.zeros((len(MotionQuality._fields), len(lengths)), np.float32)
+    for chosen in batches_of(np.argsort(lengths, kind="stable"), BATCH):
+        pieces = [
+            task.samples.clips[plan.samples[row]].features[plan.starts[row] : plan.starts[row] + lengths[row]]
+            for row in chosen
+        ]
+        batch = pad_motions(pieces, batch=BATCH, size=round_up(int(lengths[chosen].max()), FRAME_BUCKET))
+        skeleton = skeleton_from_feature_dim(batch.motion.shape[2])
+        quality[:, chosen] = measure_features(*put_rows(tuple(batch)), skeleton=skeleton)
+    return MotionQuality(*quality)

@@ -16,10 +16,10 @@ from t2m_jax.data.folder import Dataset
 from t2m_jax.devices import put_everywhere, put_rows
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.codes import MotionCodes
-from t2m_jax.evaluation.report.record import ReconstructionFigures
+from t2m_jax.evaluation.report.record import QualityFigures, ReconstructionFigures
 from t2m_jax.masks import mask_from_lengths
 from t2m_jax.metrics.codes import code_usage, perplexity
-from t2m_jax.metrics.positions import joint_errors
+from t2m_jax.metrics.quality import MotionErrors, MotionQuality, measure_errors, measure_quality
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import Skeleton
@@ -35,8 +35,9 @@ FRAME_BUCKET = 64
 class ReconstructedBatch(NamedTuple):
     """A batch of clips after encoding and decoding."""
 
-    error_sums: Float[Array, " B"]
-    """Joint error of each clip, summed over its frames, in the skeleton's unit."""
+    errors: MotionErrors
+    real: MotionQuality
+    reconstruction: MotionQuality
     codes: Int[Array, "B N R"]
     """0 after the end of a clip."""
 
@@ -51,13 +52,18 @@ def reconstruct_batch(
     tokenizer: Any,
     skeleton: Skeleton,
 ) -> ReconstructedBatch:
-    """Returns errors and codes of raw features; `tokenizer` is the module."""
+    """Returns errors, quality and codes of raw features; `tokenizer` is the module."""
     mask = mask_from_lengths(lengths, features.shape[1])
     codes = encode_batch(variables, normalizer.normalize(features), mask, tokenizer=tokenizer)
     code_lengths = lengths // (features.shape[1] // codes.shape[1])
     _, positions = decode_positions(variables, normalizer, codes, code_lengths, tokenizer=tokenizer, skeleton=skeleton)
-    errors = joint_errors(positions, positions_from_features(features, skeleton))
-    return ReconstructedBatch(jnp.sum(jnp.where(mask, errors, 0.0), axis=1), codes)
+    real = positions_from_features(features, skeleton)
+    return ReconstructedBatch(
+        errors=measure_errors(positions, real, mask, skeleton=skeleton),
+        real=measure_quality(real, mask, skeleton=skeleton),
+        reconstruction=measure_quality(positions, mask, skeleton=skeleton),
+        codes=codes,
+    )
 
 
 def evaluate_reconstruction(tokenizer: TrainedTokenizer, dataset: Dataset, *, split: str) -> ReconstructionFigures:
@@ -72,8 +78,7 @@ def evaluate_reconstruction(tokenizer: TrainedTokenizer, dataset: Dataset, *, sp
     if not clips:
         raise UserError(f"{dataset.folder}: split {split} has no clips to evaluate; choose another split")
     features = sorted((clip.features[: len(clip.features) // downsample * downsample] for clip in clips), key=len)
-    variables = put_everywhere(tokenizer.variables)
-    lengths, sums = np.array([len(clip) for clip in features]), np.zeros(len(features), np.float32)
+    variables, parts = put_everywhere(tokenizer.variables), []
     counts = np.zeros(tokenizer.config.num_codes, np.int64)
     for first in tqdm(range(0, len(features), BATCH), desc="reconstructing", unit="batch", disable=None):
         chosen = features[first : first + BATCH]
@@ -85,17 +90,40 @@ def evaluate_reconstruction(tokenizer: TrainedTokenizer, dataset: Dataset, *, sp
             tokenizer=tokenizer.module,
             skeleton=dataset.skeleton,
         )
-        sums[first : first + BATCH] = result.error_sums[: len(chosen)]
-        counts += MotionCodes(np.asarray(result.codes), batch.lengths // downsample).count_codes(
-            tokenizer.config.num_codes
-        )
-    millimeters, code_counts = 1000.0 * dataset.skeleton.metres_per_unit, jnp.asarray(counts, jnp.int32)
+        parts.append([np.asarray(values)[:, : len(chosen)] for values in result[:3]])
+        codes = MotionCodes(np.asarray(result.codes), batch.lengths // downsample)
+        counts += codes.count_codes(tokenizer.config.num_codes)
+    errors, real, quality = (np.concatenate(rows, axis=1) for rows in zip(*parts, strict=True))
+    lengths = np.array([len(clip) for clip in features])
+    return make_figures(MotionErrors(*errors), MotionQuality(*real), MotionQuality(*quality), lengths, counts, split)
+
+
+def make_figures(
+    errors: MotionErrors,
+    real: MotionQuality,
+    quality: MotionQuality,
+    lengths: Int[np.ndarray, " B"],
+    code_counts: Int[np.ndarray, " K"],
+    split: str,
+) -> ReconstructionFigures:
+    """Returns the figures of a split from those of its clips."""
+    counts = jnp.asarray(code_counts, jnp.int32)
+    qualities = [
+        QualityFigures(**{name: float(values.mean()) for name, values in measured._asdict().items()})
+        for measured in (real, quality)
+    ]
     return ReconstructionFigures(
-        mpjpe_mm=float(sums.sum() / lengths.sum() * millimeters),
-        mpjpe_median_clip_mm=float(np.median(sums / lengths) * millimeters),
-        codebook_usage=float(code_usage(code_counts)),
-        perplexity=float(perplexity(code_counts)),
+        mpjpe_mm=1000 * float(errors.mpjpe @ lengths / lengths.sum()),
+        mpjpe_median_clip_mm=1000 * float(np.median(errors.mpjpe)),
+        codebook_usage=float(code_usage(counts)),
+        perplexity=float(perplexity(counts)),
         num_clips=len(lengths),
         num_frames=int(lengths.sum()),
         split=split,
+        global_mpjpe_mm=1000 * float(errors.global_mpjpe.mean()),
+        acceleration_error_mm=1000 * float(errors.acceleration_error.mean()),
+        path_drift_mm=1000 * float(errors.path_drift.mean()),
+        heading_drift_degrees=float(errors.heading_drift.mean()),
+        real_quality=qualities[0],
+        quality=qualities[1],
     )

@@ -12,7 +12,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation.embedding import embed_decoded, embed_plan_captions, embed_plan_motions
+from t2m_jax.evaluation.embedding import (
+    embed_decoded,
+    embed_plan_captions,
+    embed_plan_motions,
+    measure_plan_motions,
+)
 from t2m_jax.evaluation.protocols import SAMPLES_PER_CAPTION, Plan
 from t2m_jax.evaluation.report.record import Header, Metric, Report
 from t2m_jax.evaluation.sources import CodeSource
@@ -111,9 +116,11 @@ def evaluate_repeat(task: EvaluationTask, source: CodeSource, *, repeat: int) ->
     text, real = embed_plan_captions(task, plan), embed_plan_motions(task, plan)
     key = jax.random.fold_in(jax.random.key(task.seed), repeat)
     found = source.make(task.samples.clips, task.protocol, plan, key)
-    embeddings = embed_decoded(task, source.tokenizer, found.codes)
+    embeddings, quality = embed_decoded(task, source.tokenizer, found.codes)
     motion = embeddings[: len(plan.samples)]
     metrics = RepeatMetrics(*(_paired_metrics(task, plan, text, motions) for motions in (real, motion)))
+    for row, measures in zip(metrics, (measure_plan_motions(task, plan), quality), strict=True):
+        row.update({name: float(np.mean(v[: len(motion)])) for name, v in measures._asdict().items()})
     metrics.measured["fid"] = float(fid(jnp.asarray(real), jnp.asarray(motion)))
     if len(found.items) > len(plan.samples):  # there are further samples of the captions whose variety is measured
         place = np.full(len(plan.samples), -1)

@@ -6,8 +6,6 @@ from jaxtyping import Array, Bool, Float
 from t2m_jax.masks import masked_mean
 
 Positions = Float[Array, "B T J 3"]
-CONTACT_HEIGHT = 0.05
-"""Meters. A foot should not move if it is less than this above the lowest point of its clip."""
 
 
 def joint_errors(positions: Positions, reference: Positions) -> Float[Array, "B T"]:
@@ -44,31 +42,3 @@ def mpjpe(positions: Positions, reference: Positions, mask: Bool[Array, "B T"]) 
 def pa_mpjpe(positions: Positions, reference: Positions, mask: Bool[Array, "B T"]) -> Float[Array, ""]:
     """Returns the mean per-joint position error over the True frames with every pose aligned by Procrustes."""
     return masked_mean(aligned_joint_errors(positions, reference), mask)
-
-
-def acceleration_error(positions: Positions, reference: Positions, mask: Bool[Array, "B T"]) -> Float[Array, ""]:
-    """Returns the mean distance of the joints' second differences, over True frames with two True neighbors.
-
-    The unit is that of the positions per squared frame.
-    """
-    errors = jnp.linalg.norm(jnp.diff(positions - reference, n=2, axis=1), axis=-1)
-    return masked_mean(jnp.mean(errors, axis=-1), mask[:, 2:] & mask[:, 1:-1] & mask[:, :-2])
-
-
-def foot_skating(
-    positions: Positions, mask: Bool[Array, "B T"], *, feet: tuple[int, ...], fps: float
-) -> Float[Array, ""]:
-    """Returns the mean speed of feet on the ground in meters per second, over all frames and feet that touch it.
-
-    Args:
-        positions: Joints in meters, Y up.
-        mask: True where there is data.
-        feet: Indices of the foot joints.
-        fps: Frames per second.
-    """
-    foot = positions[:, :, jnp.asarray(feet)]
-    floor = jnp.min(jnp.where(mask[:, :, None], foot[..., 1], jnp.inf), axis=(1, 2), keepdims=True)
-    low = (foot[..., 1] - floor < CONTACT_HEIGHT) & mask[:, :, None]
-    touching = low[:, 1:] & low[:, :-1]
-    speed = jnp.linalg.norm(jnp.diff(foot[..., jnp.array([0, 2])], axis=1), axis=-1) * fps
-    return masked_mean(speed, touching)

@@ -58,3 +58,5 @@ def test_mistakes_are_told_in_one_line(refusal, bundle_folder, data_folder, tmp_
     assert "does not exist" in refusal(*arguments, "--json", tmp_path / "no" / "figures.json")
     assert "nonsense" in refusal(*arguments, "--split", "nonsense")
     assert "--num-seeds" in refusal("evaluate", "prompts", "--model", bundle_folder, "--num-seeds", "0")
+    for option in ("--temperature", "--guidance-scale"):
+        assert option[2:] in refusal("evaluate", "prompts", "--model", bundle_folder, option, "-1")

@@ -19,6 +19,7 @@ from t2m_jax.evaluation.report.plots import codes_plot, lengths_plot, repeats_pl
 from t2m_jax.evaluation.report.record import Header, Metric, Report
 from t2m_jax.evaluation.report.tables import COLUMNS
 from t2m_jax.export import viewer_html
+from t2m_jax.metrics import MotionQuality
 from t2m_jax.motion.record import Motion
 
 NASTY = 'walks </script><img src=x onerror="alert(1)"> {{table}} & "waves" \\1 <!-- é'
@@ -42,8 +43,8 @@ HEADER = Header(
 REPORT = Report(
     header=HEADER,
     kind="generated",
-    real=metrics(0.5, "r_precision_1", "diversity"),
-    measured=metrics(0.25, "r_precision_1", "fid", "diversity"),
+    real=metrics(0.5, "r_precision_1", "diversity", *MotionQuality._fields),
+    measured=metrics(0.25, "r_precision_1", "fid", "diversity", *MotionQuality._fields),
 )
 
 
@@ -114,7 +115,7 @@ def test_texts_of_the_user_stay_text(page):
     assert "<img" not in page and "<b>mine" not in page
     assert page.count(html.escape(NASTY)) == 3, "the failure, its viewer's label, and where it was found"
     assert page.count("</script>") == 1
-    assert page.count("<table>") == 1, "a caption was taken for a place in the page"
+    assert page.count("<table>") == 2, "a caption was taken for a place in the page"
 
 
 def test_plots_take_their_colours_from_the_page():

@@ -23,6 +23,7 @@ from t2m_jax.evaluation.report.record import Metric, load_report
 from t2m_jax.evaluation.run import evaluate, load_partial, make_header
 from t2m_jax.evaluation.sources import Reconstruction, make_generation, measured_samples, sample_keys
 from t2m_jax.evaluation.task import EvaluationTask, Samples, load_samples, make_task
+from t2m_jax.metrics import MotionQuality
 from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.strategies import Temperature
@@ -219,10 +220,12 @@ def test_strict_leaves_out_what_shares_a_recording_with_training(synthetic_folde
 def test_decoding_in_a_longer_batch_changes_nothing(task, generation):
     made = generation.make(task.samples.clips, task.protocol, plan_of(task), jax.random.key(0))
     first = made.codes._replace(codes=made.codes.codes[:4], code_lengths=np.array([3, 3, 4, 3], np.int32))
-    together = embed_decoded(task, generation.tokenizer, first._replace(code_lengths=np.array([3, 3, 4, 40])))
-    alone = embed_decoded(task, generation.tokenizer, first)
-    np.testing.assert_allclose(together[:3], alone[:3], atol=2e-5)
-    assert np.abs(together[3] - alone[3]).max() > 1e-3
+    longer = first._replace(code_lengths=np.array([3, 3, 4, 40]))
+    together, alone = (embed_decoded(task, generation.tokenizer, codes) for codes in (longer, first))
+    np.testing.assert_allclose(together.embeddings[:3], alone.embeddings[:3], atol=2e-5)
+    assert np.abs(together.embeddings[3] - alone.embeddings[3]).max() > 1e-3
+    for name, one, other in zip(MotionQuality._fields, together.quality, alone.quality, strict=True):
+        np.testing.assert_allclose(one[:3], other[:3], rtol=1e-3, atol=1e-3, err_msg=name)
 
 
 def test_the_interval_is_that_of_the_field(golden_dir):
@@ -258,7 +261,9 @@ def test_the_command_prints_a_table_and_writes_the_report(folders, synthetic_fol
     assert command(folders, synthetic_folder, "--num-repeats", "1", "--json", str(path)) == 0
     printed = capsys.readouterr().out
     assert printed.startswith("protocol t2m-gpt, model ")
-    assert [line.split("  ")[0] for line in printed.splitlines()[-4:-2]] == ["real motion", "generated"]
+    names = [line.split("  ")[0] for line in printed.splitlines()]
+    assert [name for name in names if name in ("real motion", "generated")] == 2 * ["real motion", "generated"]
+    assert "FID" in printed and "Jerk" in printed
     report = json.loads(path.read_text())
     assert report["evaluator"] == load_trained_evaluator(folders / "evaluator").fingerprint
     assert f"{report['rows']['generated']['fid']['mean']:.3f} ±" in printed
@@ -272,6 +277,7 @@ def test_reconstruction_by_a_protocol_is_a_row_like_those_of_generation(folders,
     report = json.loads(path.read_text())
     assert set(report["rows"]) == {"real", "reconstruction"} and report["sampling"] == "none"
     assert report["mpjpe_mm"] > 0 and "protocol t2m-gpt, model " in capsys.readouterr().out
+    assert load_report(path).reconstruction.quality.jerk == report["quality"]["jerk"] > 0
 
 
 def test_an_evaluator_of_other_data_is_refused(folders, evaluator, synthetic_folder, capsys):

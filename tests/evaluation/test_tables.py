@@ -222,8 +222,17 @@ def test_a_page_needs_an_evaluator(tmp_path, capsys):
 
 def test_labels_take_the_place_of_pairs():
     given = {"r_precision_1": (0.4, 0.01), "r_precision_1_by_label": (0.6, 0.01), "fid": (1.0, 0.1)}
-    table = make_table([report(real=given, **given)], ["a"], by_label=True)
+    table = make_table([report(real=given, **given)], ["a"], measures="labels")
     assert [column.heading for column in table.columns] == ["R top-1 by label", "FID"]
     assert "0.600 ± .010" in format_table(table, style="terminal")
     with pytest.raises(UserError, match="d_1 has no labels"):
-        make_table([report(fid=(1.0, 0.1))], ["a"], by_label=True)
+        make_table([report(fid=(1.0, 0.1))], ["a"], measures="labels")
+
+
+def test_quality_has_a_table_of_its_own():
+    given = {"jerk": (120.0, 1.0), "bone_variation": (0.03, 0.001), "fid": (1.0, 0.1)}
+    table = make_table([report(real=given, **given)], ["a"], measures="quality")
+    assert [column.heading for column in table.columns] == ["Bone variation", "Jerk"]
+    assert "120.000 ± 1.000" in format_table(table, style="terminal")
+    with pytest.raises(UserError, match="quality: not in these reports; evaluate the models again"):
+        make_table([report(fid=(1.0, 0.1))], ["a"], measures="quality")

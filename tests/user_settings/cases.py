@@ -244,6 +244,11 @@ def _() -> Case:
     return Case(arguments, options | {"max_frames": 10, "clear": True}, rtol=1e-4, atol=1e-5)
 
 
+@case("evaluation.embedding.measure_features")
+def _() -> Case:
+    return Case((normal(1, 2, 16, 263), jnp.array([16, 9])), {"skeleton": HUMANML3D}, rtol=1e-4, atol=1e-4)
+
+
 @case("evaluation.embedding.embed_motion")
 def _() -> Case:
     arguments = (evaluator_variables(), normal(1, 2, 16, 263), jnp.array([16, 9]))

@@ -69,7 +69,7 @@ def rank_repeat(task: EvaluationTask, source: CodeSource) -> RankedRepeat:
     brief = plan._replace(varied=plan.varied[:0])
     key = jax.random.fold_in(jax.random.key(task.seed), REPEAT)
     found = source.make(task.samples.clips, task.protocol, brief, key)
-    text, measured = embed_plan_captions(task, plan), embed_decoded(task, source.tokenizer, found.codes)
+    text, measured = embed_plan_captions(task, plan), embed_decoded(task, source.tokenizer, found.codes).embeddings
     samples = [task.samples.clips[owner] for owner in plan.samples]
     # The last batch is filled with the first rows, as for the metrics.
     batch = task.protocol.batch

@@ -48,7 +48,7 @@ def report_page(report: Report, details: RepeatDetails, *, viewer: Viewer) -> st
     facts = (
         f"<div><dt>{_text(name.replace('_', ' '))}</dt><dd>{_text(value)}</dd></div>"
         for name, value in report_as_json(report).items()
-        if name != "rows" and value not in (None, "")
+        if not isinstance(value, dict) and value not in (None, "")
     )
     first, count = 100 * float(np.mean(details.ranks == 1)), len(details.ranks)
     parts = {
@@ -56,6 +56,7 @@ def report_page(report: Report, details: RepeatDetails, *, viewer: Viewer) -> st
         "facts": "".join(facts),
         "table": _table(table),
         "table_note": _text(f"{repeats_text(table)}."),
+        "quality": _table(make_table([report], [report.kind], measures="quality")),
         "repeats_plot": _plot(repeats_plot(report, table.columns), "Metrics of each repeat", "", "broad"),
         **_detail_plots(details),
         "retrieval_note": _text(

@@ -76,6 +76,24 @@ class Metric:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
+class QualityFigures:
+    """What a viewer sees first, as means over clips; see `t2m_jax.metrics.MotionQuality`."""
+
+    bone_variation: float
+    """Share of a bone's length."""
+    jerk: float
+    """m/s^3."""
+    skating_ratio: float
+    """Share of contacts."""
+    skating_speed: float
+    """m/s."""
+    floating: float
+    """Share of frames."""
+    penetration: float
+    """Share of frames."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class ReconstructionFigures:
     """How well a tokenizer gives back the motion of a split, without an evaluator."""
 
@@ -93,6 +111,18 @@ class ReconstructionFigures:
     """Frames of all clips, whole codes only."""
     split: str
     """Name of the split."""
+    global_mpjpe_mm: float | None = None
+    """Mean over clips, with only the first frame aligned. None, like what follows, in reports of version 0.1."""
+    acceleration_error_mm: float | None = None
+    """Mean over clips, in millimeters per squared frame."""
+    path_drift_mm: float | None = None
+    """Mean distance of the roots in the last frame."""
+    heading_drift_degrees: float | None = None
+    """Mean difference of the turns from the first frame to the last."""
+    real_quality: QualityFigures | None = None
+    """Quality of the split's motion."""
+    quality: QualityFigures | None = None
+    """Quality of the reconstructed motion."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

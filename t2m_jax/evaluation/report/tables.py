@@ -35,6 +35,16 @@ COLUMNS = (
     Column("diversity", "Diversity", "real"),
     Column("multimodality", "MModality", "higher"),
 )
+QUALITY_COLUMNS = (
+    Column("bone_variation", "Bone variation", "lower"),
+    Column("jerk", "Jerk", "real"),
+    Column("skating_ratio", "Skating", "real"),
+    Column("skating_speed", "Contact speed", "real"),
+    Column("floating", "Floating", "real"),
+    Column("penetration", "Penetration", "lower"),
+)
+Measures = Literal["captions", "labels", "quality"]
+"""Which figures a table shows: the field's, those with R-precision by label, or the quality of motion."""
 
 
 class Cell(NamedTuple):
@@ -68,7 +78,7 @@ class Table(NamedTuple):
     rows: tuple[Row, ...]
 
 
-def make_table(reports: Sequence[Report], names: Sequence[str], *, by_label: bool = False) -> Table:
+def make_table(reports: Sequence[Report], names: Sequence[str], *, measures: Measures = "captions") -> Table:
     """Returns the table of reports: one row for real motion, then a row per report.
 
     The best figure of a column is marked if there are two or more rows of generated motion. Figures that are printed
@@ -77,10 +87,10 @@ def make_table(reports: Sequence[Report], names: Sequence[str], *, by_label: boo
     Args:
         reports: One or more reports.
         names: Their rows' names.
-        by_label: Show the R-precision that does not count motions of the same label as errors.
+        measures: With `labels`, R-precision does not count motions of the same label as errors.
 
     Raises:
-        UserError: The reports cannot be compared, a name is missing or given twice, or the data have no labels.
+        UserError: The reports cannot be compared or lack these figures, or a name is missing or given twice.
     """
     if not reports or len(names) != len(reports):
         raise UserError(f"names: {len(names)} given for {len(reports)} reports; give one for each")
@@ -99,9 +109,15 @@ def make_table(reports: Sequence[Report], names: Sequence[str], *, by_label: boo
         for report, title in zip(reports, names, strict=True)
     ]
     known = {metric for row in (real, *rows) for metric in row.cells}
-    wanted = [_by_label(column) if by_label else column for column in COLUMNS]
-    if by_label and wanted[0].metric not in known:
-        raise UserError(f"by label: {facts['data']} has no labels (column `label` of its index.csv)")
+    wanted = list(QUALITY_COLUMNS if measures == "quality" else COLUMNS)
+    if measures == "labels":
+        wanted = [_by_label(column) for column in COLUMNS]
+    if measures != "captions" and wanted[0].metric not in known:
+        labels, quality = (
+            f"{facts['data']} has no labels (column `label` of its index.csv)",
+            "evaluate the models again",
+        )
+        raise UserError(f"{measures}: not in these reports; {labels if measures == 'labels' else quality}")
     if not any(row.fits_captions for row in rows if row.kind == "generated"):
         wanted = [c._replace(better="none") if c.metric == "multimodality" else c for c in wanted]
     columns = tuple(column for column in wanted if column.metric in known)
