@@ -145,7 +145,8 @@ def run_generation(args: argparse.Namespace) -> None:
     check_feature_dim(dataset, model.config.tokenizer.feature_dim, reader="the model")
     task = _make_task(args, dataset, unit=model.config.tokenizer.downsample)
     clips = task.samples.clips
-    _measure(args, task, make_generation(model, strategy, clips, guidance_scale=args.guidance_scale))
+    options = {"guidance_scale": args.guidance_scale, "stop_rule": args.stop_rule}
+    _measure(args, task, make_generation(model, strategy, clips, **options))
 
 
 def _make_task(args: argparse.Namespace, dataset: "Dataset", *, unit: int) -> "EvaluationTask":
@@ -195,7 +196,8 @@ def run_prompts(args: argparse.Namespace) -> None:
     from t2m_jax.sampling import TextToMotion, make_strategy
 
     strategy = make_strategy(args.temperature, args.top_k, top_p=args.top_p)
-    model, options = TextToMotion.load(args.model), {"strategy": strategy, "guidance_scale": args.guidance_scale}
+    model = TextToMotion.load(args.model)
+    options = {"strategy": strategy, "guidance_scale": args.guidance_scale, "stop_rule": args.stop_rule}
     results = evaluate_prompt_following(
         lambda sentence, seed: model.generate(sentence, seed=seed, **options)[0], num_seeds=args.num_seeds
     )

@@ -14,8 +14,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", default="demo", help="bundled name, bundle or run folder (default: demo)")
     parser.add_argument("--seed", type=int, default=0, help="same seed, same motion (default: 0)")
     parser.add_argument("--num-samples", type=int, default=1, help="motions per sentence (default: 1)")
-    stop_help = "when a motion ends, for models with a stop head (default: the model's own rule)"
-    parser.add_argument("--stop-rule", choices=("argmax", "threshold"), help=stop_help)
     add_sampling_arguments(parser)
     files = ".npz .bvh .gif .mp4 or .html; can be repeated; several motions get -0, -1, ... (default: motion.html)"
     parser.add_argument("-o", "--output", action="append", metavar="FILE", help=files)
@@ -27,6 +25,8 @@ def add_sampling_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--top-k", type=int, help="choose among this many of the likeliest codes")
     parser.add_argument("--top-p", type=float, help="choose among the likeliest codes up to this sum")
     parser.add_argument("--guidance-scale", type=float, help="strength of the text, for models trained with guidance")
+    stop_help = "when a motion ends, for models with a stop head (default: the model's own rule)"
+    parser.add_argument("--stop-rule", choices=("argmax", "threshold", "sampled"), help=stop_help)
 
 
 def run(args: argparse.Namespace) -> None:
@@ -45,8 +45,8 @@ def run(args: argparse.Namespace) -> None:
 
     strategy = make_strategy(args.temperature, args.top_k, top_p=args.top_p)
     model = TextToMotion.load(args.model)
-    options = {"seed": args.seed, "num_samples": args.num_samples, "guidance_scale": args.guidance_scale}
-    motions = model.generate(args.text, strategy=strategy, stop_rule=args.stop_rule, **options)
+    options = {"guidance_scale": args.guidance_scale, "stop_rule": args.stop_rule}
+    motions = model.generate(args.text, seed=args.seed, num_samples=args.num_samples, strategy=strategy, **options)
     written = []
     for output in outputs:
         for number, motion in enumerate(motions):

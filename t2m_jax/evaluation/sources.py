@@ -87,6 +87,8 @@ class Generation:
     """The model's embedding of each caption."""
     guidance_scale: float | None = None
     """Strength of the guidance by the text, None for the model's own."""
+    stop_rule: str | None = None
+    """When a motion ends, None for the model's own rule."""
 
     @property
     def tokenizer(self) -> TrainedTokenizer:
@@ -102,6 +104,7 @@ class Generation:
             "top_k": getattr(self.strategy, "k", None),
             "top_p": getattr(self.strategy, "p", None),
             "guidance_scale": self.model.guidance_scale(self.guidance_scale),
+            "stop_rule": self.stop_rule or self.model.config.generator.stop_rule,
         }
 
     def make(self, samples: Sequence[Clip], protocol: Protocol, plan: Plan, key: Key[Array, ""]) -> SourceCodes:
@@ -111,7 +114,7 @@ class Generation:
         text = np.stack([self.texts[caption] for caption in captions])[items]
         keys = sample_keys(key, jnp.asarray(items), jnp.asarray(numbers))
         # Motions may end at once, unlike those that users generate.
-        sampling = self.model.sampling(self.strategy, max_codes=self.model.config.generator.max_codes, min_codes=0)
+        sampling = self.model.sampling(self.strategy, min_codes=0, stop_rule=self.stop_rule)
         codes = generate_many(
             self.model,
             text,
@@ -125,7 +128,12 @@ class Generation:
 
 
 def make_generation(
-    model: TextToMotion, strategy: Strategy, samples: Sequence[Clip], *, guidance_scale: float | None = None
+    model: TextToMotion,
+    strategy: Strategy,
+    samples: Sequence[Clip],
+    *,
+    guidance_scale: float | None = None,
+    stop_rule: str | None = None,
 ) -> Generation:
     """Returns the source that generates with a model; the text encoder reads the captions of all samples now."""
     captions = sorted({caption.text for sample in samples for caption in sample.captions})
@@ -133,7 +141,7 @@ def make_generation(
     for first in range(0, len(captions), TEXT_BATCH):
         chosen = captions[first : first + TEXT_BATCH]
         texts |= dict(zip(chosen, np.asarray(model.text_encoder(chosen)), strict=True))
-    return Generation(model, strategy, texts, guidance_scale)
+    return Generation(model, strategy, texts, guidance_scale, stop_rule)
 
 
 def measured_samples(plan: Plan, protocol: Protocol) -> tuple[Int[np.ndarray, " G"], Int[np.ndarray, " G"]]:

@@ -54,8 +54,9 @@ class HiFiGptConfig:
     """Whether the residual tier reads the sum of a row's codes so far, and not the last code alone."""
     head: Literal["shared", "per_depth"] = "shared"
     """Whether all depths are predicted by one matrix, or each by its own."""
-    stop_rule: Literal["argmax", "threshold"] = "argmax"
-    """Which row is the last: the one with the highest stop probability, or the first that reaches `stop_threshold`."""
+    stop_rule: Literal["argmax", "threshold", "sampled"] = "argmax"
+    """Which row is the last: the one with the highest stop probability, the first that reaches `stop_threshold`, or
+    each with its stop probability."""
     stop_threshold: float = 0.5
     """Stop probability at which a motion ends, with `stop_rule: threshold`."""
     guidance_scale: float = 4.0

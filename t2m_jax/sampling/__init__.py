@@ -4,7 +4,14 @@ from t2m_jax.sampling.codec import encode_motions
 from t2m_jax.sampling.compilation import use_compilation_cache
 from t2m_jax.sampling.decoding import SampledCodes, Sampling, sample_codes
 from t2m_jax.sampling.pipeline import TextToMotion, sample_key
-from t2m_jax.sampling.stopping import StopAtEnd, StopAtHighest, StopAtThreshold, StopRule, make_stop_rule
+from t2m_jax.sampling.stopping import (
+    StopAtEnd,
+    StopAtHighest,
+    StopAtRandom,
+    StopAtThreshold,
+    StopRule,
+    make_stop_rule,
+)
 from t2m_jax.sampling.strategies import Greedy, Strategy, Temperature, TopK, TopP, make_strategy
 from t2m_jax.sampling.text_encoders import CaptionTextEncoder, ClipTextEncoder, make_text_encoder
 
@@ -16,6 +23,7 @@ __all__ = [
     "Sampling",
     "StopAtEnd",
     "StopAtHighest",
+    "StopAtRandom",
     "StopAtThreshold",
     "StopRule",
     "Strategy",

@@ -12,6 +12,8 @@ from t2m_jax.sampling.strategies import Strategy
 
 CHUNK = 8
 """Rows that are sampled before the loop checks whether every motion has ended."""
+STOP_STREAM = 2**31
+"""In place of a step's number, in keys for the stop rule."""
 
 
 class GeneratorFunctions(NamedTuple):
@@ -70,8 +72,13 @@ def sample_row(
     step_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, state.step)
     rows = generator.draw(state.context, step_keys, sampling.strategy, may_stop=may_stop)
     context, scores, cache = generator.step(state.cache, rows)
-    scores = jnp.where(may_stop, scores, -jnp.inf)
+    scores = jnp.where(may_stop, rule.draw(scores, _stop_keys(keys, state.step)), -jnp.inf)
     return LoopState(context, cache, state.done | rule.ends(scores), state.step + 1), (rows, scores)
+
+
+def _stop_keys(keys: Key[Array, " B"], step: Int[Array, ""]) -> Key[Array, " B"]:
+    """Returns keys for the stop rule at a step; no row is drawn with them."""
+    return jax.vmap(lambda key: jax.random.fold_in(jax.random.fold_in(key, STOP_STREAM), step))(keys)
 
 
 def sample_codes(

@@ -115,7 +115,7 @@ class TextToMotion:
             max_codes: Longest motion in codes; by default the model's maximum.
             guidance_scale: Strength of the guidance by the text, for models that were trained for it; 1 is none. By
                 default the model's own.
-            stop_rule: `argmax` or `threshold`, for models with a stop head; by default the model's own.
+            stop_rule: `argmax`, `threshold` or `sampled`, for models with a stop head; by default the model's own.
 
         Raises:
             UserError: A caption or a number cannot be used.

@@ -8,7 +8,7 @@ from typing import ClassVar, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from t2m_jax.errors import UserError
 from t2m_jax.models.system import GeneratorConfig
@@ -23,11 +23,18 @@ class StopRule(Protocol):
     ends_early: ClassVar[bool]
     """Whether a motion can end before the longest length was sampled."""
 
+    def draw(self, scores: Float[Array, " B"], keys: Key[Array, " B"]) -> Float[Array, " B"]:
+        """Returns the scores of a row for `ends` and `count`, after what is random in the rule; `keys` are consumed."""
+        del keys
+        return scores
+
     def ends(self, scores: Float[Array, "*shape"]) -> Bool[Array, "*shape"]:
         """Returns whether sampling of a motion can end after a row with this score."""
+        ...
 
     def count(self, scores: Float[Array, "B N"]) -> Int[Array, " B"]:
         """Returns how many rows a motion keeps; rows that were not sampled have the score -inf."""
+        ...
 
 
 def count_before_end(ends: Bool[Array, "B N"], *, keeps_last: bool) -> Int[Array, " B"]:
@@ -36,7 +43,7 @@ def count_before_end(ends: Bool[Array, "B N"], *, keeps_last: bool) -> Int[Array
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class StopAtEnd:
+class StopAtEnd(StopRule):
     """Stops at the row that is End, which is not kept; the score of End is 1, that of other rows 0 (T2M-GPT)."""
 
     keeps_last: ClassVar[bool] = False
@@ -52,7 +59,7 @@ class StopAtEnd:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class StopAtThreshold:
+class StopAtThreshold(StopRule):
     """Stops at the first row whose stop probability reaches a threshold; the score is a logit."""
 
     keeps_last: ClassVar[bool] = True
@@ -70,7 +77,7 @@ class StopAtThreshold:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class StopAtHighest:
+class StopAtHighest(StopRule):
     """Samples the longest motion, then cuts it after the (first) row with the highest score."""
 
     keeps_last: ClassVar[bool] = True
@@ -85,9 +92,37 @@ class StopAtHighest:
         return (jnp.argmax(scores, axis=1) + 1).astype(jnp.int32)
 
 
-STOP_RULES: dict[str, type[StopRule]] = {"end": StopAtEnd, "threshold": StopAtThreshold, "argmax": StopAtHighest}
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class StopAtRandom(StopRule):
+    """Stops after each row with its stop probability, so that motions are as long as those of training.
+
+    The score is a logit. Logistic noise added to it is above 0 with the probability of the logit.
+    """
+
+    keeps_last: ClassVar[bool] = True
+    ends_early: ClassVar[bool] = True
+
+    def draw(self, scores: Float[Array, " B"], keys: Key[Array, " B"]) -> Float[Array, " B"]:
+        """Returns the logits with noise."""
+        return scores + jax.vmap(lambda key: jax.random.logistic(key))(keys)
+
+    def ends(self, scores: Float[Array, "*shape"]) -> Bool[Array, "*shape"]:
+        """Returns whether a row was drawn to be the last."""
+        return scores > 0
+
+    def count(self, scores: Float[Array, "B N"]) -> Int[Array, " B"]:
+        """Returns the number of rows up to and including the first that was drawn to be the last."""
+        return count_before_end(self.ends(scores), keeps_last=self.keeps_last)
+
+
+STOP_RULES: dict[str, type[StopRule]] = {
+    "end": StopAtEnd,
+    "threshold": StopAtThreshold,
+    "argmax": StopAtHighest,
+    "sampled": StopAtRandom,
+}
 """Rules by the name that a generator's config gives."""
-LOGIT_RULES = ("threshold", "argmax")
+LOGIT_RULES = ("threshold", "argmax", "sampled")
 """Rules that read logits, and can stand in for each other."""
 
 

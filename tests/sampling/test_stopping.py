@@ -11,6 +11,7 @@ from t2m_jax.sampling import (
     Sampling,
     StopAtEnd,
     StopAtHighest,
+    StopAtRandom,
     StopAtThreshold,
     StopRule,
     make_stop_rule,
@@ -85,6 +86,29 @@ def test_the_loop_ends_motions_by_the_rule(rule, expected):
         assert not codes[length:].any()
 
 
+def test_motions_end_after_each_row_with_its_probability():
+    """With a probability of 0.2 for every row, lengths are those of a geometric distribution, cut at the limit."""
+    scores = np.full((4000, ROWS), np.log(0.2 / 0.8), np.float32)
+    lengths = np.asarray(sample(StopAtRandom(), scores).code_lengths)
+    for row in (1, 2, 5, 10, ROWS):
+        np.testing.assert_allclose(np.mean(lengths >= row), 0.8 ** (row - 1), atol=0.03)
+    later = np.asarray(sample(StopAtRandom(), scores, min_codes=6).code_lengths)
+    np.testing.assert_array_equal(later[lengths >= 6], lengths[lengths >= 6])
+    assert later.min() == 6
+
+
+def test_a_random_end_depends_on_the_key_of_its_motion_only():
+    scores = np.full((6, ROWS), -1.5, np.float32)
+    together = sample(StopAtRandom(), scores)
+    keys = jax.random.split(jax.random.key(0), 6)
+    sampling = Sampling(Greedy(), StopAtRandom(), ROWS)
+    for row in range(6):
+        one = jnp.asarray(scores[:1])
+        alone = sample_codes(scripted(one), one, keys[row : row + 1], sampling=sampling)
+        assert alone.code_lengths[0] == together.code_lengths[row]
+    assert len(set(np.asarray(together.code_lengths).tolist())) > 2
+
+
 @pytest.mark.parametrize("name", STOP_RULES)
 def test_rules_are_found_by_name(name):
     rule = make_stop_rule(name)
@@ -93,7 +117,7 @@ def test_rules_are_found_by_name(name):
 
 
 def test_an_unknown_rule_is_named():
-    with pytest.raises(UserError, match="stop_rule: 'soon' is unknown; known: end, threshold, argmax"):
+    with pytest.raises(UserError, match="stop_rule: 'soon' is unknown; known: end, threshold, argmax, sampled"):
         make_stop_rule("soon")
 
 

@@ -80,3 +80,15 @@ def test_a_stop_rule_of_other_scores_is_refused(model):
     wrong = "end" if stop_rule(model) else "argmax"
     with pytest.raises(UserError, match=f"stop-rule: '{wrong}' does not fit this model; use"):
         model.generate("walk", stop_rule=wrong)
+
+
+def test_a_random_end_is_the_same_in_a_stream():
+    config = CONFIGS["hifigpt"]
+    sampled = dataclasses.replace(config, generator=dataclasses.replace(config.generator, stop_rule="sampled"))
+    model, lengths = TextToMotion(tiny.random_bundle(sampled)), set()
+    for seed in range(6):
+        expected = model.generate(tiny.CAPTIONS[:2], seed=seed)[1]
+        pieces = list(model.stream(tiny.CAPTIONS[1], seed=seed))
+        np.testing.assert_array_equal(np.concatenate([piece.codes for piece in pieces]), expected.codes)
+        lengths.add(len(pieces))
+    assert len(lengths) > 1

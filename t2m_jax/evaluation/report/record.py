@@ -55,6 +55,8 @@ class Header:
     """Probability of the likeliest codes that were sampled from; None for all."""
     guidance_scale: float | None = None
     """Strength of the guidance by the text; None for none."""
+    stop_rule: str | None = None
+    """Rule that ended motions; None for reconstructions, and in reports of version 0.1, whose models end at End."""
 
 
 @dataclasses.dataclass(frozen=True)
