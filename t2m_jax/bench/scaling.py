@@ -17,9 +17,10 @@ import jax
 from t2m_jax.bench.record import Report
 from t2m_jax.bench.train import RECIPE_STEPS, Kind, full_size_rows
 from t2m_jax.errors import UserError
+from t2m_jax.models.hifigpt import HiFiGptConfig
 from t2m_jax.models.motion_gpt import MotionGptConfig
-from t2m_jax.models.system import variable_shapes
-from t2m_jax.models.vqvae import VqVaeConfig
+from t2m_jax.models.system import GeneratorConfig, TokenizerConfig, variable_shapes
+from t2m_jax.models.vqvae import RvqVaeConfig, VqVaeConfig
 
 COUNTS = (1, 2, 4, 8, 16, 32, 64)
 """Numbers of accelerators."""
@@ -78,14 +79,16 @@ class Prediction(NamedTuple):
 
 
 def published_recipes() -> dict[Kind, Recipe]:
-    """Returns the recipes of T2M-GPT for HumanML3D, with the operations that `update_flops` counts for them."""
+    """Returns the recipes of both papers for HumanML3D, with the operations that `update_flops` counts for them."""
     return {
         "vqvae": Recipe("VQ-VAE, 256x64", 0.846e12, _num_parameters(VqVaeConfig())),
         "gpt": Recipe("GPT, 128x51", 8.97e12, _num_parameters(MotionGptConfig())),
+        "rvqvae": Recipe("RVQ-VAE, 256x32", 0.389e12, _num_parameters(RvqVaeConfig())),
+        "hifigpt": Recipe("double-tier GPT, 128x24x10", 5.84e12, _num_parameters(HiFiGptConfig())),
     }
 
 
-def _num_parameters(config: VqVaeConfig | MotionGptConfig) -> int:
+def _num_parameters(config: TokenizerConfig | GeneratorConfig) -> int:
     return sum(math.prod(leaf.shape) for leaf in jax.tree.leaves(variable_shapes(config)["params"]))
 
 
@@ -131,22 +134,22 @@ def assumed_rates(device: str) -> dict[Kind, float]:
     """
     if device not in DEVICES:
         raise UserError(f"device {device!r} is unknown; known: {', '.join(DEVICES)}")
-    return {"vqvae": ASSUMED_SHARE * DEVICES[device], "gpt": ASSUMED_SHARE * DEVICES[device]}
+    return dict.fromkeys(published_recipes(), ASSUMED_SHARE * DEVICES[device])
 
 
 def measured_rates(report: Report) -> dict[Kind, float]:
-    """Returns the FLOP/s of each recipe on one device, from the fastest row of a report at full size on one device.
+    """Returns the FLOP/s of measured recipes on one device, from the fastest row of each at full size on one device.
 
     Raises:
         UserError: The report has no such row.
     """
     rates: dict[Kind, float] = {}
-    kinds: tuple[Kind, ...] = ("vqvae", "gpt")
-    for kind in kinds:
+    for kind in published_recipes():
         rows = [row for row in full_size_rows(report.rows, kind) if "devices" not in row.name]
-        if not rows:
-            raise UserError(f"the report has no {kind} of full size on one device; run `t2m bench train --json FILE`")
-        rates[kind] = max(row["updates"].value * row["work"].value * 1e12 for row in rows)
+        if rows:
+            rates[kind] = max(row["updates"].value * row["work"].value * 1e12 for row in rows)
+    if not rates:
+        raise UserError("the report has no training of full size on one device; run `t2m bench train --json FILE`")
     return rates
 
 
@@ -155,13 +158,13 @@ HEADINGS = ("recipe", "accelerators", "computation, ms", "communication, ms", "3
 
 
 def scaling_rows(rates: Mapping[Kind, float], *, interconnect: str, counts: Sequence[int] = COUNTS) -> list[list[str]]:
-    """Returns the cells of the table; times of communication that are longer than computation are bold.
+    """Returns the cells of the table, for each recipe with a rate; communication that takes longer is bold.
 
     Raises:
         UserError: The interconnect is unknown.
     """
     rows = []
-    for kind, recipe in published_recipes().items():
+    for kind, recipe in ((kind, recipe) for kind, recipe in published_recipes().items() if kind in rates):
         alone = predict(recipe, rate=rates[kind], count=1, interconnect=interconnect).total
         for count in counts:
             found = predict(recipe, rate=rates[kind], count=count, interconnect=interconnect)

@@ -1,4 +1,4 @@
-"""Speed of training: one update of the VQ-VAE or of the GPT, on random data of the right shapes."""
+"""Speed of training: one update of a tokenizer or of a generator, on random data of the right shapes."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -10,31 +10,43 @@ import numpy as np
 from t2m_jax.bench.flops import count_flops
 from t2m_jax.bench.record import Figure, Peaks, Row
 from t2m_jax.bench.timing import compile_program, program_figures, share, time_calls
-from t2m_jax.checkpoints.bundle import BundleConfig, bundle_path, load_bundle_config
+from t2m_jax.checkpoints.bundle import bundle_path, load_bundle_config
 from t2m_jax.data.banks.codes import CodeBank
 from t2m_jax.data.banks.motions import MotionBank
+from t2m_jax.models.caption_encoder import CaptionEncoderConfig
+from t2m_jax.models.hifigpt import HiFiGptConfig
 from t2m_jax.models.rows import Precision
+from t2m_jax.models.vqvae import RvqVaeConfig
 from t2m_jax.text.bpe import CaptionTokens
 from t2m_jax.train.config import LoopConfig, ShardingConfig
 from t2m_jax.train.gpt import TrainGptConfig, init_gpt_state
 from t2m_jax.train.gpt import update as gpt_update
+from t2m_jax.train.hifigpt import TrainHiFiGptConfig, init_hifigpt_state
+from t2m_jax.train.hifigpt import update as hifigpt_update
 from t2m_jax.train.program import Devices, Update
-from t2m_jax.train.vqvae import TrainVqVaeConfig, init_vqvae_state
+from t2m_jax.train.vqvae import TrainRvqVaeConfig, TrainVqVaeConfig, init_vqvae_state
 from t2m_jax.train.vqvae import update as vqvae_update
 
-Kind = Literal["vqvae", "gpt"]
+Kind = Literal["vqvae", "gpt", "rvqvae", "hifigpt"]
 """What is trained."""
+TrainConfig = TrainVqVaeConfig | TrainGptConfig | TrainHiFiGptConfig
 Size = Literal["full", "demo"]
-"""Sizes of the published HumanML3D model, or of the packaged model `demo`."""
+"""Sizes of the published models for HumanML3D, or of small ones like the packaged model."""
 BATCHES: dict[tuple[str, str], int] = {
     ("vqvae", "full"): 256,
     ("gpt", "full"): 128,
+    ("rvqvae", "full"): 256,
+    ("hifigpt", "full"): 128,
     ("vqvae", "demo"): 96,
     ("gpt", "demo"): 64,
+    ("rvqvae", "demo"): 96,
+    ("hifigpt", "demo"): 64,
 }
 """Batch of each recipe."""
-CPU_BATCHES = BATCHES | {("gpt", "full"): 16}
+CPU_BATCHES = BATCHES | {("gpt", "full"): 16, ("hifigpt", "full"): 16}
 """Default batches on a CPU, where an update of the full GPT with its own batch needs 21 GB."""
+TOKENIZERS = {"gpt": TrainVqVaeConfig, "hifigpt": TrainRvqVaeConfig}
+"""Whose codes a generator learns."""
 RECIPE_STEPS = 300_000
 """Updates of each published recipe."""
 CLIP_FRAMES = 200
@@ -48,17 +60,30 @@ class Options(NamedTuple):
     precision: Precision = "float32"
     steps_per_call: int = 1
     remat: bool = False
-    """Of the GPT."""
+    """Of a generator."""
     num_parts: int = 1
-    """Of the GPT."""
+    """Of a generator."""
 
 
-def demo_sizes() -> BundleConfig:
-    """Returns the sizes of the packaged model."""
-    return load_bundle_config(bundle_path("demo"))
+class Sizes(NamedTuple):
+    """The parts of a model."""
+
+    tokenizer: Any
+    generator: Any
+    text_encoder: CaptionEncoderConfig
 
 
-def make_training(kind: Kind, size: Size, options: Options, *, devices: int = 1) -> TrainVqVaeConfig | TrainGptConfig:
+def demo_sizes(kind: Kind) -> Sizes:
+    """Returns the sizes of the packaged model, or those of `configs/hifigpt` for the second system."""
+    packaged = load_bundle_config(bundle_path("demo"))
+    if kind in ("vqvae", "gpt"):
+        return Sizes(packaged.tokenizer, packaged.generator, packaged.text_encoder)
+    heads: dict[str, Any] = {"num_heads": 8, "num_layers": 2, "num_residual_layers": 2}
+    generator = HiFiGptConfig(embed_dim=256, text_dim=256, code_dim=128, max_codes=20, **heads)
+    return Sizes(RvqVaeConfig(width=184, code_dim=128), generator, packaged.text_encoder)
+
+
+def make_training(kind: Kind, size: Size, options: Options, *, devices: int = 1) -> TrainConfig:
     """Returns the config of a training at a size.
 
     Raises:
@@ -71,13 +96,15 @@ def make_training(kind: Kind, size: Size, options: Options, *, devices: int = 1)
         "sharding": ShardingConfig(devices=devices),
         "precision": options.precision,
     }
-    if kind == "vqvae":
-        return TrainVqVaeConfig(**shared if size == "full" else shared | {"model": demo_sizes().tokenizer})
+    if kind in ("vqvae", "rvqvae"):
+        tokenizer = TrainVqVaeConfig if kind == "vqvae" else TrainRvqVaeConfig
+        return tokenizer(**shared if size == "full" else shared | {"model": demo_sizes(kind).tokenizer})
+    generator: type[TrainGptConfig | TrainHiFiGptConfig] = TrainGptConfig if kind == "gpt" else TrainHiFiGptConfig
     shared |= {"remat": options.remat, "num_parts": options.num_parts}
     if size == "full":
-        return TrainGptConfig(text_encoder="clip", **shared)
-    sizes = demo_sizes()
-    return TrainGptConfig(model=sizes.generator, caption_encoder=sizes.text_encoder, **shared)
+        return generator(text_encoder="clip", **shared)
+    sizes = demo_sizes(kind)
+    return generator(model=sizes.generator, caption_encoder=sizes.text_encoder, **shared)
 
 
 def random_motions(config: TrainVqVaeConfig) -> MotionBank:
@@ -89,10 +116,10 @@ def random_motions(config: TrainVqVaeConfig) -> MotionBank:
     return MotionBank(frames, starts, lengths, np.zeros(width, np.float32), np.ones(width, np.float32))
 
 
-def random_codes(config: TrainGptConfig) -> CodeBank:
+def random_codes(config: TrainGptConfig | TrainHiFiGptConfig) -> CodeBank:
     """Returns a bank of random codes of the greatest length, two batches of them, each with one caption."""
     count, model, generator = 2 * config.loop.batch_size, config.model, np.random.default_rng(0)
-    codes = generator.integers(0, model.num_codes, (count, 1, model.max_codes, 1), np.int32)
+    codes = generator.integers(0, model.num_codes, (count, 1, model.max_codes, model.num_quantizers), np.int32)
     captions: Any = generator.standard_normal((count, model.text_dim), np.float32)
     if config.text_encoder == "caption_encoder":
         sizes = config.caption_encoder
@@ -114,26 +141,29 @@ class Work(NamedTuple):
     """Batch and length of a sequence."""
 
 
-def make_work(config: TrainVqVaeConfig | TrainGptConfig) -> Work:
+def make_work(config: TrainConfig) -> Work:
     """Returns what a training computes, with random data."""
     batch = config.loop.batch_size
     if isinstance(config, TrainVqVaeConfig):
         data, shape = random_motions(config), f"{batch}x{config.window}"
         return Work(init_vqvae_state, vqvae_update, data, batch * config.window, shape)
-    frames = batch * config.model.max_codes * TrainVqVaeConfig().model.downsample
-    return Work(init_gpt_state, gpt_update, random_codes(config), frames, f"{batch}x{config.model.block_size}")
-
-
-def update_flops(config: TrainVqVaeConfig | TrainGptConfig) -> float:
-    """Returns the operations of the products of one update, without those that `remat` repeats."""
+    frames = batch * config.model.max_codes * TOKENIZERS[config.kind]().model.downsample
     if isinstance(config, TrainGptConfig):
+        return Work(init_gpt_state, gpt_update, random_codes(config), frames, f"{batch}x{config.model.block_size}")
+    shape = f"{batch}x{config.model.max_codes}x{config.model.num_quantizers}"
+    return Work(init_hifigpt_state, hifigpt_update, random_codes(config), frames, shape)
+
+
+def update_flops(config: TrainConfig) -> float:
+    """Returns the operations of the products of one update, without those that `remat` repeats."""
+    if not isinstance(config, TrainVqVaeConfig):
         config = dataclasses.replace(config, remat=False, num_parts=1)
     work = make_work(config)
     state = jax.eval_shape(lambda key: work.init(config, key), jax.random.key(0))
     return count_flops(lambda state, data: work.update(state, data, config=config), state, work.data)
 
 
-def benchmark_training(config: TrainVqVaeConfig | TrainGptConfig, *, size: str, peaks: Peaks, repeats: int = 3) -> Row:
+def benchmark_training(config: TrainConfig, *, size: str, peaks: Peaks, repeats: int = 3) -> Row:
     """Returns the speed of the updates of a training.
 
     Args:
@@ -174,10 +204,10 @@ def benchmark_training(config: TrainVqVaeConfig | TrainGptConfig, *, size: str, 
     return Row(benchmark="train", name=_row_name(config, work.shape, size, devices.mesh.size), figures=tuple(figures))
 
 
-def _row_name(config: TrainVqVaeConfig | TrainGptConfig, shape: str, size: str, num_devices: int) -> str:
+def _row_name(config: TrainConfig, shape: str, size: str, num_devices: int) -> str:
     """Returns what was run, with all options that are not the defaults."""
     options = [f"{config.loop.steps_per_call} updates per call"] if config.loop.steps_per_call > 1 else []
-    if isinstance(config, TrainGptConfig):
+    if not isinstance(config, TrainVqVaeConfig):
         options += ["remat"] if config.remat else []
         options += [f"{config.num_parts} parts"] if config.num_parts > 1 else []
     options += [f"{num_devices} devices"] if num_devices > 1 else []

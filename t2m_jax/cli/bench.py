@@ -29,7 +29,7 @@ EXIT_REGRESSION = 1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the sub-commands and their options."""
     add = subcommand_adder(parser)
-    train = add(run_train, "measure updates of the VQ-VAE and the GPT, on random data")
+    train = add(run_train, "measure updates of tokenizers and generators, on random data")
     sample, evaluate = add(run_sample, "measure sampling"), add(run_evaluate, "measure the networks of an evaluation")
     data, everything = add(run_data, "measure batches and opening a data set"), add(run_all, "measure all of this")
     for command in (train, sample, evaluate, data, everything):
@@ -65,12 +65,13 @@ def _add_shared_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_train_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--kind", nargs="+", choices=("vqvae", "gpt"), default=["vqvae", "gpt"], help="default: both")
-    parser.add_argument("--batch", type=int, help="default: of the recipe, but 16 for the full GPT on a CPU")
+    kinds = ("vqvae", "gpt", "rvqvae", "hifigpt")
+    parser.add_argument("--kind", nargs="+", choices=kinds, default=["vqvae", "gpt"], help="default: vqvae gpt")
+    parser.add_argument("--batch", type=int, help="default: of the recipe, but 16 for a full generator on a CPU")
     parser.add_argument("--precision", choices=("float32", "bfloat16"), default="float32", help="default: float32")
     parser.add_argument("--steps-per-call", type=int, default=1, help="updates of one call (default: 1)")
-    parser.add_argument("--remat", action="store_true", help="compute values of the GPT again for the gradient")
-    parser.add_argument("--num-parts", type=int, default=1, help="parts of a batch of the GPT (default: 1)")
+    parser.add_argument("--remat", action="store_true", help="compute values of a generator again for the gradient")
+    parser.add_argument("--num-parts", type=int, default=1, help="parts of a batch of a generator (default: 1)")
 
 
 def _add_scale_arguments(parser: argparse.ArgumentParser) -> None:

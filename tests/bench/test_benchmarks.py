@@ -12,6 +12,7 @@ from t2m_jax import bench
 from t2m_jax.bench.probes import memory_rate, product_rate
 from t2m_jax.bench.timing import time_calls
 from t2m_jax.errors import UserError
+from t2m_jax.models.system import variable_shapes
 from t2m_jax.train import LoopConfig
 from tests import tiny
 from tests.bench.conftest import PEAKS
@@ -93,11 +94,37 @@ def test_windows_and_opening(data_folder):
     check(bench.benchmark_opening(data_folder, repeats=1), "speed", "first opening")
 
 
+@pytest.mark.parametrize("kind", ["rvqvae", "hifigpt"])
+def test_training_of_the_second_system(kind):
+    loop = {"loop": LoopConfig(batch_size=4)}
+    if kind == "rvqvae":
+        config = dataclasses.replace(bench.make_training("rvqvae", "full", bench.Options()), model=tiny.RVQVAE, **loop)
+        shape, frames = "4x32", 4 * 32
+    else:
+        config = bench.make_training("hifigpt", "full", bench.Options())
+        config = dataclasses.replace(config, model=tiny.HIFIGPT, **loop)
+        shape, frames = f"4x{tiny.HIFIGPT.max_codes}x{tiny.HIFIGPT.num_quantizers}", 4 * tiny.HIFIGPT.max_codes * 8
+    row = bench.benchmark_training(config, size="tiny", peaks=PEAKS, repeats=1)
+    check(row, "updates", "frames", "compile", "memory per device", "work", "of product peak", "first loss")
+    assert row.name == f"{kind} tiny {shape} float32"
+    assert row["frames"].value == pytest.approx(row["updates"].value * frames)
+
+
 def test_updates_have_more_operations_with_a_larger_batch():
     small, large = (
         bench.update_flops(tiny.vqvae_training(Path(), Path(), loop=LoopConfig(batch_size=batch))) for batch in (2, 4)
     )
     assert large == pytest.approx(2 * small, rel=0.2)
+
+
+def test_small_models_of_both_systems_are_about_as_large():
+    tokenizers = [bench.make_training(kind, "demo", bench.Options()).model for kind in ("vqvae", "rvqvae")]
+    one, other = (
+        sum(math.prod(leaf.shape) for leaf in jax.tree.leaves(variable_shapes(sizes)["params"])) for sizes in tokenizers
+    )
+    assert one == pytest.approx(other, rel=0.05)
+    config = bench.make_training("hifigpt", "demo", bench.Options())
+    assert (config.model.embed_dim, config.model.code_dim, config.loop.batch_size) == (256, 128, 64)
 
 
 def test_the_demo_is_trained_at_its_sizes():

@@ -5,7 +5,7 @@ import pytest
 from t2m_jax.bench import Recipe, predict, published_recipes, scaling_rows, update_flops
 from t2m_jax.bench.record import Figure, Report, Row
 from t2m_jax.bench.scaling import INTERCONNECTS, all_reduce_seconds, assumed_rates, measured_rates
-from t2m_jax.bench.train import Options, make_training
+from t2m_jax.bench.train import BATCHES, Options, make_training
 from t2m_jax.errors import UserError
 from tests.bench.conftest import MACHINE
 
@@ -42,12 +42,14 @@ def test_the_recipes_have_the_published_sizes():
     recipes = published_recipes()
     assert 15e6 < recipes["vqvae"].num_parameters < 25e6
     assert 225e6 < recipes["gpt"].num_parameters < 232e6
+    assert recipes["rvqvae"].num_parameters == pytest.approx(21.9e6, rel=0.01)
+    assert recipes["hifigpt"].num_parameters == pytest.approx(57.7e6, rel=0.01)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["vqvae", "gpt"])
+@pytest.mark.parametrize("kind", ["vqvae", "gpt", "rvqvae", "hifigpt"])
 def test_the_recipes_have_the_counted_operations(kind):
-    recipe = make_training(kind, "full", Options(batch={"vqvae": 256, "gpt": 128}[kind]))
+    recipe = make_training(kind, "full", Options(batch=BATCHES[kind, "full"]))
     assert math.isclose(update_flops(recipe), published_recipes()[kind].flops, rel_tol=0.005)
 
 
@@ -60,8 +62,10 @@ def test_measured_rates_are_of_the_fastest_row_on_one_device():
     rows = (row("vqvae", 3.0), row("vqvae", 5.0, ", 4 updates per call"), row("vqvae", 9.0, ", 8 devices"))
     report = Report(machine=MACHINE, rows=(*rows, row("gpt", 0.5)), peak_memory=1.0)
     assert measured_rates(report) == {"vqvae": 1e13, "gpt": 1e12}
-    with pytest.raises(UserError, match="has no gpt of full size"):
-        measured_rates(Report(machine=MACHINE, rows=rows, peak_memory=1.0))
+    assert measured_rates(Report(machine=MACHINE, rows=rows, peak_memory=1.0)) == {"vqvae": 1e13}
+    assert {cells[0] for cells in scaling_rows({"vqvae": 1e13}, interconnect="pcie")} == {"VQ-VAE, 256x64"}
+    with pytest.raises(UserError, match="has no training of full size"):
+        measured_rates(Report(machine=MACHINE, rows=rows[2:], peak_memory=1.0))
 
 
 @pytest.mark.parametrize("kind", ["vqvae", "gpt"])
