@@ -150,4 +150,4 @@ def test_bad_options_give_one_line(refusal, arguments, message):
 def test_scale_prints_markdown(capsys):
     assert main(["bench", "scale", "--interconnect", "infiniband"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("| recipe ") and len(lines) == 2 + 2 * 7
+    assert lines[0].startswith("| recipe ") and len(lines) == 2 + 4 * 7

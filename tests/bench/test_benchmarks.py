@@ -94,6 +94,7 @@ def test_windows_and_opening(data_folder):
     check(bench.benchmark_opening(data_folder, repeats=1), "speed", "first opening")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["rvqvae", "hifigpt"])
 def test_training_of_the_second_system(kind):
     loop = {"loop": LoopConfig(batch_size=4)}

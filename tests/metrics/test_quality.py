@@ -15,8 +15,8 @@ from tests.jit import assert_jit_equals_eager
 LENGTHS = (40, 23)
 MASK = jnp.arange(40)[None] < jnp.array(LENGTHS)[:, None]
 FEET = (7, 10, 8, 11)
-quality = functools.partial(measure_quality, skeleton=HUMANML3D)
-errors = functools.partial(measure_errors, skeleton=HUMANML3D)
+quality = jax.jit(functools.partial(measure_quality, skeleton=HUMANML3D))
+errors = jax.jit(functools.partial(measure_errors, skeleton=HUMANML3D))
 
 
 def clips(*, noise: float = 0.0, seed: int = 0) -> jax.Array:
@@ -131,5 +131,5 @@ def test_one_frame_and_an_empty_clip_have_finite_figures():
 
 
 def test_jit_equals_eager():
-    assert_jit_equals_eager(jax.jit(quality), clips(noise=0.02), MASK)
-    assert_jit_equals_eager(jax.jit(errors), clips(noise=0.02), clips(seed=1), MASK)
+    assert_jit_equals_eager(quality, clips(noise=0.02), MASK)
+    assert_jit_equals_eager(errors, clips(noise=0.02), clips(seed=1), MASK)
