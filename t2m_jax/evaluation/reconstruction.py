@@ -95,10 +95,10 @@ def evaluate_reconstruction(tokenizer: TrainedTokenizer, dataset: Dataset, *, sp
         counts += codes.count_codes(tokenizer.config.num_codes)
     errors, real, quality = (np.concatenate(rows, axis=1) for rows in zip(*parts, strict=True))
     lengths = np.array([len(clip) for clip in features])
-    return make_figures(MotionErrors(*errors), MotionQuality(*real), MotionQuality(*quality), lengths, counts, split)
+    return _make_figures(MotionErrors(*errors), MotionQuality(*real), MotionQuality(*quality), lengths, counts, split)
 
 
-def make_figures(
+def _make_figures(
     errors: MotionErrors,
     real: MotionQuality,
     quality: MotionQuality,

@@ -120,7 +120,7 @@ def evaluate_repeat(task: EvaluationTask, source: CodeSource, *, repeat: int) ->
     motion = embeddings[: len(plan.samples)]
     metrics = RepeatMetrics(*(_paired_metrics(task, plan, text, motions) for motions in (real, motion)))
     for row, measures in zip(metrics, (measure_plan_motions(task, plan), quality), strict=True):
-        row.update({name: float(np.mean(v[: len(motion)])) for name, v in measures._asdict().items()})
+        row.update({name: float(np.mean(values[: len(motion)])) for name, values in measures._asdict().items()})
     metrics.measured["fid"] = float(fid(jnp.asarray(real), jnp.asarray(motion)))
     if len(found.items) > len(plan.samples):  # there are further samples of the captions whose variety is measured
         place = np.full(len(plan.samples), -1)

@@ -33,13 +33,10 @@ class StopRule(Protocol):
         ...
 
     def count(self, scores: Float[Array, "B N"]) -> Int[Array, " B"]:
-        """Returns how many rows a motion keeps; rows that were not sampled have the score -inf."""
-        ...
-
-
-def count_before_end(ends: Bool[Array, "B N"], *, keeps_last: bool) -> Int[Array, " B"]:
-    """Returns the number of rows up to the first end, or N if there is none."""
-    return jnp.where(jnp.any(ends, axis=1), jnp.argmax(ends, axis=1) + keeps_last, ends.shape[1]).astype(jnp.int32)
+        """Returns how many rows a motion keeps: up to its first end, or all. Rows that were not sampled have -inf."""
+        ends = self.ends(scores)
+        kept = jnp.argmax(ends, axis=1) + self.keeps_last
+        return jnp.where(jnp.any(ends, axis=1), kept, ends.shape[1]).astype(jnp.int32)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -52,10 +49,6 @@ class StopAtEnd(StopRule):
     def ends(self, scores: Float[Array, "*shape"]) -> Bool[Array, "*shape"]:
         """Returns whether a row is End."""
         return scores > 0.5
-
-    def count(self, scores: Float[Array, "B N"]) -> Int[Array, " B"]:
-        """Returns the number of rows before End."""
-        return count_before_end(self.ends(scores), keeps_last=self.keeps_last)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -70,10 +63,6 @@ class StopAtThreshold(StopRule):
     def ends(self, scores: Float[Array, "*shape"]) -> Bool[Array, "*shape"]:
         """Returns whether the probability of a row reaches the threshold."""
         return jax.nn.sigmoid(scores) >= self.threshold
-
-    def count(self, scores: Float[Array, "B N"]) -> Int[Array, " B"]:
-        """Returns the number of rows up to and including the first that reaches the threshold."""
-        return count_before_end(self.ends(scores), keeps_last=self.keeps_last)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -109,10 +98,6 @@ class StopAtRandom(StopRule):
     def ends(self, scores: Float[Array, "*shape"]) -> Bool[Array, "*shape"]:
         """Returns whether a row was drawn to be the last."""
         return scores > 0
-
-    def count(self, scores: Float[Array, "B N"]) -> Int[Array, " B"]:
-        """Returns the number of rows up to and including the first that was drawn to be the last."""
-        return count_before_end(self.ends(scores), keeps_last=self.keeps_last)
 
 
 STOP_RULES: dict[str, type[StopRule]] = {

@@ -185,10 +185,8 @@ def hifigpt_metrics(
     text = embed_captions(params, captions, keys[0], config=config)
     text = jnp.where(batch.dropped[:, None], jnp.zeros_like(text), text)
     variables = {"params": params["hifigpt"]} | ({"codebook": codebook["hifigpt"]} if codebook else {})
-    model, residual = (
-        HiFiGpt(config.model, remat=config.remat),
-        batch.inputs if config.corrupt_residual else batch.codes,
-    )
+    model = HiFiGpt(config.model, remat=config.remat)
+    residual = batch.inputs if config.corrupt_residual else batch.codes
     # By position, because `apply_rows` divides what it is given by rows.
     output = apply_rows(model, variables, batch.inputs, text, residual, keys=keys[1])
     given = (output.code_logits, batch.codes, batch.weights)

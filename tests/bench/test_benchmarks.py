@@ -11,11 +11,13 @@ import pytest
 from t2m_jax import bench
 from t2m_jax.bench.probes import memory_rate, product_rate
 from t2m_jax.bench.timing import time_calls
+from t2m_jax.config import load_config
 from t2m_jax.errors import UserError
 from t2m_jax.models.system import variable_shapes
 from t2m_jax.train import LoopConfig
 from tests import tiny
 from tests.bench.conftest import PEAKS
+from tests.conftest import REPOSITORY
 
 
 def check(row, *names):
@@ -124,8 +126,20 @@ def test_small_models_of_both_systems_are_about_as_large():
         sum(math.prod(leaf.shape) for leaf in jax.tree.leaves(variable_shapes(sizes)["params"])) for sizes in tokenizers
     )
     assert one == pytest.approx(other, rel=0.05)
-    config = bench.make_training("hifigpt", "demo", bench.Options())
-    assert (config.model.embed_dim, config.model.code_dim, config.loop.batch_size) == (256, 128, 64)
+
+
+@pytest.mark.parametrize("kind", ["rvqvae", "hifigpt"])
+def test_small_models_of_the_second_system_are_those_of_the_configs(kind):
+    ours = bench.make_training(kind, "demo", bench.Options())
+    config = load_config(REPOSITORY / "configs" / "hifigpt" / f"{kind}.yaml", type(ours))
+    assert ours.loop.batch_size == config.loop.batch_size
+    # What a run takes from its tokenizer, and what only matters to sampling, is not compared.
+    left_out = {"code_dim", "guidance_scale", "stop_rule"} if kind == "hifigpt" else set()
+    one, other = (
+        {name: value for name, value in dataclasses.asdict(found.model).items() if name not in left_out}
+        for found in (ours, config)
+    )
+    assert one == other
 
 
 def test_the_demo_is_trained_at_its_sizes():
