@@ -14,9 +14,9 @@ CONFIGS = sorted((REPOSITORY / "configs").rglob("*.yaml"))
 PAIRS = [
     (REPOSITORY / "configs" / folder, tokenizer, generator)
     for folder, tokenizer, generator in (
-        ("demo", "vqvae", "gpt"),
+        ("t2m-gpt", "vqvae", "gpt"),
         ("synthetic", "vqvae", "gpt"),
-        ("hifigpt", "rvqvae", "hifigpt"),
+        ("demo", "rvqvae", "hifigpt"),
     )
 ]
 

@@ -7,8 +7,8 @@ import pytest
 from nbclient import NotebookClient
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
-# They train something.
-SLOW = {"02_tokenizer", "03_evaluate"}
+# They train something, or generate many motions.
+SLOW = {"02_tokenizer", "03_evaluate", "05_residual_codes"}
 
 
 @pytest.mark.parametrize(

@@ -14,9 +14,9 @@ from t2m_jax.checkpoints.bundle import bundle_path, load_bundle_config
 from t2m_jax.data.banks.codes import CodeBank
 from t2m_jax.data.banks.motions import MotionBank
 from t2m_jax.models.caption_encoder import CaptionEncoderConfig
-from t2m_jax.models.hifigpt import HiFiGptConfig
+from t2m_jax.models.motion_gpt import MotionGptConfig
 from t2m_jax.models.rows import Precision
-from t2m_jax.models.vqvae import RvqVaeConfig
+from t2m_jax.models.vqvae import VqVaeConfig
 from t2m_jax.text.bpe import CaptionTokens
 from t2m_jax.train.config import LoopConfig, ShardingConfig
 from t2m_jax.train.gpt import TrainGptConfig, init_gpt_state
@@ -74,13 +74,12 @@ class Sizes(NamedTuple):
 
 
 def demo_sizes(kind: Kind) -> Sizes:
-    """Returns the sizes of the packaged model, or those of `configs/hifigpt` for the second system."""
+    """Returns the sizes of the packaged model, or those of `configs/t2m-gpt`, which are about as large."""
     packaged = load_bundle_config(bundle_path("demo"))
-    if kind in ("vqvae", "gpt"):
+    if kind in ("rvqvae", "hifigpt"):
         return Sizes(packaged.tokenizer, packaged.generator, packaged.text_encoder)
-    heads: dict[str, Any] = {"num_heads": 8, "num_layers": 2, "num_residual_layers": 2}
-    generator = HiFiGptConfig(embed_dim=256, text_dim=256, code_dim=128, max_codes=20, **heads)
-    return Sizes(RvqVaeConfig(width=184, code_dim=128), generator, packaged.text_encoder)
+    generator = MotionGptConfig(embed_dim=256, text_dim=256, num_layers=4, num_heads=8, block_size=41)
+    return Sizes(VqVaeConfig(width=192, code_dim=128), generator, packaged.text_encoder)
 
 
 def make_training(kind: Kind, size: Size, options: Options, *, devices: int = 1) -> TrainConfig:

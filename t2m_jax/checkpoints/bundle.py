@@ -29,7 +29,7 @@ CLIP_FOLDER = "clip"
 """Folder of a bundle that may contain its CLIP."""
 CLIP_NAME = "openai/clip-vit-base-patch32"
 """The CLIP of T2M-GPT on the Hugging Face hub."""
-BUNDLED = ("demo",)
+BUNDLED = ("demo", "demo-t2m-gpt")
 """Names of the bundles that are part of the package."""
 
 

@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from t2m_jax.cli.generate import add_sampling_arguments
+from t2m_jax.cli.generate import add_raw_argument, add_sampling_arguments
 from t2m_jax.cli.next_step import show_next
 from t2m_jax.cli.subcommands import subcommand_adder
 from t2m_jax.errors import UserError
@@ -65,6 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for command in (generation, prompts):
         add_sampling_arguments(command)
         command.add_argument("--greedy", action="store_const", dest="temperature", const=0.0, help="--temperature 0")
+    add_raw_argument(prompts)
     prompts.add_argument("--num-seeds", type=int, default=20, help="samples per content (default: 20)")
     compare.add_argument("reports", nargs="+", type=Path, metavar="REPORT", help="two files of --json")
     table.add_argument("reports", nargs="+", type=Path, metavar="REPORT", help="files of --json")
@@ -119,10 +120,10 @@ def run_reconstruction(args: argparse.Namespace) -> None:
     for name, label in LABELS.items():
         value = getattr(figures, name)
         sys.stdout.write(f"{label:32} {value:,.3f}\n" if isinstance(value, float) else f"{label:32} {value:,}\n")
-    sys.stdout.write(f"\n{'':32} {'real':>10} {'reconstruction':>15}\n")
+    sys.stdout.write(f"\n{'':32} {'real':>10} {'decoded':>10} {'cleaned':>10}\n")
+    measured = (figures.real_quality, figures.quality, figures.cleaned_quality)
     for name, label in QUALITY_LABELS.items():
-        real, quality = (getattr(measured, name) for measured in (figures.real_quality, figures.quality))
-        sys.stdout.write(f"{label:32} {real:10.3f} {quality:15.3f}\n")
+        sys.stdout.write(f"{label:32}" + "".join(f" {getattr(quality, name):10.3f}" for quality in measured) + "\n")
     if task is not None:
         sys.stdout.write("\n")
         _measure(args, task, Reconstruction(tokenizer), figures)
@@ -198,6 +199,7 @@ def run_prompts(args: argparse.Namespace) -> None:
     strategy = make_strategy(args.temperature, args.top_k, top_p=args.top_p)
     model = TextToMotion.load(args.model)
     options = {"strategy": strategy, "guidance_scale": args.guidance_scale, "stop_rule": args.stop_rule}
+    options["raw"] = args.raw
     results = evaluate_prompt_following(
         lambda sentence, seed: model.generate(sentence, seed=seed, **options)[0], num_seeds=args.num_seeds
     )
@@ -208,7 +210,8 @@ def run_prompts(args: argparse.Namespace) -> None:
         for row in results
     }
     if args.json:
-        save_json(args.json, {"prompt_following": right / total, "num_samples": total, "contents": contents})
+        measured = {"motion": "decoded" if args.raw else "cleaned", "prompt_following": right / total}
+        save_json(args.json, measured | {"num_samples": total, "contents": contents})
     show_next(shlex.join(["t2m", "generate", "a person walks forward", "--model", args.model]))
 
 

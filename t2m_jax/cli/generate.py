@@ -15,6 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="same seed, same motion (default: 0)")
     parser.add_argument("--num-samples", type=int, default=1, help="motions per sentence (default: 1)")
     add_sampling_arguments(parser)
+    add_raw_argument(parser)
     files = ".npz .bvh .gif .mp4 or .html; can be repeated; several motions get -0, -1, ... (default: motion.html)"
     parser.add_argument("-o", "--output", action="append", metavar="FILE", help=files)
 
@@ -27,6 +28,11 @@ def add_sampling_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--guidance-scale", type=float, help="strength of the text, for models trained with guidance")
     stop_help = "when a motion ends, for models with a stop head (default: the model's own rule)"
     parser.add_argument("--stop-rule", choices=("argmax", "threshold", "sampled"), help=stop_help)
+
+
+def add_raw_argument(parser: argparse.ArgumentParser) -> None:
+    """Declares whether motion is cleaned; `t2m evaluate prompts` has the same option."""
+    parser.add_argument("--raw", action="store_true", help="motion as decoded, without the clean-up")
 
 
 def run(args: argparse.Namespace) -> None:
@@ -45,7 +51,7 @@ def run(args: argparse.Namespace) -> None:
 
     strategy = make_strategy(args.temperature, args.top_k, top_p=args.top_p)
     model = TextToMotion.load(args.model)
-    options = {"guidance_scale": args.guidance_scale, "stop_rule": args.stop_rule}
+    options = {"guidance_scale": args.guidance_scale, "stop_rule": args.stop_rule, "raw": args.raw}
     motions = model.generate(args.text, seed=args.seed, num_samples=args.num_samples, strategy=strategy, **options)
     written = []
     for output in outputs:

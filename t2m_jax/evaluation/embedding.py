@@ -16,6 +16,7 @@ from t2m_jax.data.folder import Clip
 from t2m_jax.devices import put_everywhere, put_rows
 from t2m_jax.evaluation.codes import MotionCodes
 from t2m_jax.evaluation.protocols import Plan
+from t2m_jax.evaluation.quality import DecodedQuality, measure_decoded
 from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.masks import mask_from_lengths
 from t2m_jax.metrics.quality import MotionQuality, measure_quality
@@ -39,7 +40,7 @@ class DecodedMotions(NamedTuple):
 
     embeddings: Float[np.ndarray, "B E"]
     """Of the evaluator."""
-    quality: MotionQuality
+    quality: DecodedQuality
     """Of the joints, for each motion."""
 
 
@@ -54,7 +55,7 @@ def embed_codes(
     evaluator: EvaluatorConfig,
     max_frames: int,
     clear: bool,
-) -> tuple[Float[Array, "B E"], MotionQuality]:
+) -> tuple[Float[Array, "B E"], DecodedQuality]:
     """Returns the evaluator's embeddings of decoded codes, and the quality of the motions.
 
     Args:
@@ -77,15 +78,15 @@ def embed_codes(
         motion = jnp.where(mask_from_lengths(lengths, motion.shape[1])[:, :, None], motion, 0.0)
     embeddings = Evaluator(evaluator).apply(variables[1], motion, lengths, method="embed_motion")
     skeleton, decoded = skeleton_from_feature_dim(decoded.shape[2]), decoded[:, :max_frames]
-    mask = mask_from_lengths(code_lengths * frames_per_row, decoded.shape[1])
-    return embeddings, measure_quality(positions_from_features(decoded, skeleton), mask, skeleton=skeleton)
+    shown = jnp.minimum(code_lengths * frames_per_row, decoded.shape[1])
+    return embeddings, measure_decoded(positions_from_features(decoded, skeleton), shown, skeleton=skeleton)
 
 
 def embed_decoded(task: EvaluationTask, tokenizer: TrainedTokenizer, motions: MotionCodes) -> DecodedMotions:
     """Returns the measurements of motions given as codes, decoded in batches of similar length."""
     evaluator, count = task.evaluator, len(motions.codes)
     embeddings = np.zeros((count, evaluator.config.embedding_dim), np.float32)
-    quality = np.zeros((len(MotionQuality._fields), count), np.float32)
+    quality = np.zeros((2, len(MotionQuality._fields), count), np.float32)
     bucket = max(FRAME_BUCKET // tokenizer.config.downsample, 1)
     # On the devices once, not once per batch.
     statistics = put_everywhere((tokenizer.normalizer, evaluator.normalizer))
@@ -95,7 +96,7 @@ def embed_decoded(task: EvaluationTask, tokenizer: TrainedTokenizer, motions: Mo
         longest = round_up(int(motions.code_lengths[chosen].max()), bucket)
         codes = motions.codes[chosen, :longest]
         codes = np.pad(codes, ((0, 0), (0, longest - codes.shape[1]), (0, 0)))
-        embeddings[chosen], quality[:, chosen] = embed_codes(
+        embeddings[chosen], quality[:, :, chosen] = embed_codes(
             variables,
             statistics,
             *put_rows((codes, motions.code_lengths[chosen])),
@@ -106,7 +107,7 @@ def embed_decoded(task: EvaluationTask, tokenizer: TrainedTokenizer, motions: Mo
         )
 
     for_each_batch(embed, batches_of(np.argsort(motions.code_lengths, kind="stable"), BATCH))
-    return DecodedMotions(embeddings, MotionQuality(*quality))
+    return DecodedMotions(embeddings, DecodedQuality(*[MotionQuality(*measures) for measures in quality]))
 
 
 @functools.partial(jax.jit, static_argnames="config")

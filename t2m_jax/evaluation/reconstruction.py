@@ -2,6 +2,7 @@
 
 import functools
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -16,6 +17,7 @@ from t2m_jax.data.folder import Dataset
 from t2m_jax.devices import put_everywhere, put_rows
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.codes import MotionCodes
+from t2m_jax.evaluation.quality import DecodedQuality, measure_decoded
 from t2m_jax.evaluation.report.record import QualityFigures, ReconstructionFigures
 from t2m_jax.masks import mask_from_lengths
 from t2m_jax.metrics.codes import code_usage, perplexity
@@ -37,7 +39,7 @@ class ReconstructedBatch(NamedTuple):
 
     errors: MotionErrors
     real: MotionQuality
-    reconstruction: MotionQuality
+    quality: DecodedQuality
     codes: Int[Array, "B N R"]
     """0 after the end of a clip."""
 
@@ -61,7 +63,7 @@ def reconstruct_batch(
     return ReconstructedBatch(
         errors=measure_errors(positions, real, mask, skeleton=skeleton),
         real=measure_quality(real, mask, skeleton=skeleton),
-        reconstruction=measure_quality(positions, mask, skeleton=skeleton),
+        quality=measure_decoded(positions, lengths, skeleton=skeleton),
         codes=codes,
     )
 
@@ -90,28 +92,28 @@ def evaluate_reconstruction(tokenizer: TrainedTokenizer, dataset: Dataset, *, sp
             tokenizer=tokenizer.module,
             skeleton=dataset.skeleton,
         )
-        parts.append([np.asarray(values)[:, : len(chosen)] for values in result[:3]])
+        measures = (result.errors, result.real, *result.quality)
+        parts.append([np.asarray(values)[:, : len(chosen)] for values in measures])
         codes = MotionCodes(np.asarray(result.codes), batch.lengths // downsample)
         counts += codes.count_codes(tokenizer.config.num_codes)
-    errors, real, quality = (np.concatenate(rows, axis=1) for rows in zip(*parts, strict=True))
+    errors, *quality = (np.concatenate(rows, axis=1) for rows in zip(*parts, strict=True))
     lengths = np.array([len(clip) for clip in features])
-    return _make_figures(MotionErrors(*errors), MotionQuality(*real), MotionQuality(*quality), lengths, counts, split)
+    return _make_figures(MotionErrors(*errors), [MotionQuality(*rows) for rows in quality], lengths, counts, split)
 
 
 def _make_figures(
     errors: MotionErrors,
-    real: MotionQuality,
-    quality: MotionQuality,
+    quality: Sequence[MotionQuality],
     lengths: Int[np.ndarray, " B"],
     code_counts: Int[np.ndarray, " K"],
     split: str,
 ) -> ReconstructionFigures:
-    """Returns the figures of a split from those of its clips."""
+    """Returns the figures of a split from those of its clips; quality of real, decoded and cleaned motion."""
     counts = jnp.asarray(code_counts, jnp.int32)
-    qualities = [
+    real, decoded, cleaned = (
         QualityFigures(**{name: float(values.mean()) for name, values in measured._asdict().items()})
-        for measured in (real, quality)
-    ]
+        for measured in quality
+    )
     return ReconstructionFigures(
         mpjpe_mm=1000 * float(errors.mpjpe @ lengths / lengths.sum()),
         mpjpe_median_clip_mm=1000 * float(np.median(errors.mpjpe)),
@@ -124,6 +126,7 @@ def _make_figures(
         acceleration_error_mm=1000 * float(errors.acceleration_error.mean()),
         path_drift_mm=1000 * float(errors.path_drift.mean()),
         heading_drift_degrees=float(errors.heading_drift.mean()),
-        real_quality=qualities[0],
-        quality=qualities[1],
+        real_quality=real,
+        quality=decoded,
+        cleaned_quality=cleaned,
     )

@@ -19,11 +19,13 @@ from t2m_jax.evaluation.embedding import (
     measure_plan_motions,
 )
 from t2m_jax.evaluation.protocols import SAMPLES_PER_CAPTION, Plan
+from t2m_jax.evaluation.quality import CLEANED
 from t2m_jax.evaluation.report.record import Header, Metric, Report
 from t2m_jax.evaluation.sources import CodeSource
 from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.files import load_json, save_json
 from t2m_jax.metrics import diversity, fid, label_bound, matching_score, multimodality, r_precision
+from t2m_jax.metrics.quality import MotionQuality
 from t2m_jax.sampling.batches import round_up
 
 logger = logging.getLogger(__name__)
@@ -119,8 +121,9 @@ def evaluate_repeat(task: EvaluationTask, source: CodeSource, *, repeat: int) ->
     embeddings, quality = embed_decoded(task, source.tokenizer, found.codes)
     motion = embeddings[: len(plan.samples)]
     metrics = RepeatMetrics(*(_paired_metrics(task, plan, text, motions) for motions in (real, motion)))
-    for row, measures in zip(metrics, (measure_plan_motions(task, plan), quality), strict=True):
-        row.update({name: float(np.mean(values[: len(motion)])) for name, values in measures._asdict().items()})
+    metrics.real.update(_mean_quality(measure_plan_motions(task, plan), count=len(motion)))
+    metrics.measured.update(_mean_quality(quality.decoded, count=len(motion)))
+    metrics.measured.update(_mean_quality(quality.cleaned, count=len(motion), prefix=CLEANED))
     metrics.measured["fid"] = float(fid(jnp.asarray(real), jnp.asarray(motion)))
     if len(found.items) > len(plan.samples):  # there are further samples of the captions whose variety is measured
         place = np.full(len(plan.samples), -1)
@@ -140,6 +143,11 @@ def evaluate_repeat(task: EvaluationTask, source: CodeSource, *, repeat: int) ->
         again = embed_plan_motions(task, task.plan(repeat + SECOND_PASS))
         metrics.real["fid"] = float(fid(jnp.asarray(real), jnp.asarray(again)))
     return metrics
+
+
+def _mean_quality(quality: MotionQuality, *, count: int, prefix: str = "") -> dict[str, float]:
+    """Returns the means over the first `count` motions, by name."""
+    return {f"{prefix}{name}": float(np.mean(values[:count])) for name, values in quality._asdict().items()}
 
 
 def _paired_metrics(

@@ -25,6 +25,7 @@ REQUIRED_KEYS = ("positions", "fps")
 ENTRIES = {
     "positions": _Entry("f", (3,), "real numbers [frames, joints, 3]"),
     "fps": _Entry("fiu", (0,), "one number"),
+    "positions_raw": _Entry("f", (3,), "real numbers [frames, joints, 3]"),
     "features": _Entry("f", (2,), "real numbers [frames, features]"),
     "codes": _Entry("iu", (1, 2), "whole numbers [codes] or [codes, layers]"),
     "caption": _Entry("U", (0,), "one text"),

@@ -27,10 +27,12 @@ class Motion:
     fps: float
     """Frames per second."""
     _: dataclasses.KW_ONLY
+    positions_raw: Float[np.ndarray, "T J 3"] | None = None
+    """Joints as a decoder gave them, if `positions` were cleaned (see `t2m_jax.motion.cleanup`)."""
     skeleton: Skeleton = HUMANML3D
     """Names and hierarchy of the joints."""
     features: Float[np.ndarray, "T D"] | None = None
-    """Raw features in the skeleton's unit, one row per frame."""
+    """Raw features in the skeleton's unit, one row per frame, as a decoder gave them."""
     codes: Int[np.ndarray, " N"] | Int[np.ndarray, "N R"] | None = None
     """Codebook indices. Residual codebooks have one column per layer."""
     caption: str = ""
@@ -45,13 +47,12 @@ class Motion:
             object.__setattr__(self, "features", np.asarray(self.features, np.float32))
         if self.codes is not None:
             object.__setattr__(self, "codes", np.asarray(self.codes))
-        shape, joints = self.positions.shape, self.skeleton.num_joints
-        if len(shape) != 3 or shape[1:] != (joints, 3) or shape[0] == 0:
-            name = self.skeleton.name
-            raise UserError(f"positions have shape {shape}; skeleton {name} needs [frames, {joints}, 3] with a frame")
-        if not np.isfinite(self.positions).all():
-            frame = int(np.argwhere(~np.isfinite(self.positions))[0, 0])
-            raise UserError(f"positions of frame {frame} are not finite numbers")
+        self._check_positions("positions", self.positions)
+        if self.positions_raw is not None:
+            object.__setattr__(self, "positions_raw", np.asarray(self.positions_raw, np.float32))
+            self._check_positions("positions_raw", self.positions_raw)
+            if len(self.positions_raw) != self.num_frames:
+                raise UserError(f"positions_raw have {len(self.positions_raw)} frames, positions {self.num_frames}")
         if not (math.isfinite(self.fps) and self.fps > 0):
             raise UserError(f"fps is {self.fps}; give a number above zero")
         expected = (self.num_frames, self.skeleton.feature_dim)
@@ -59,6 +60,15 @@ class Motion:
             raise UserError(f"features have shape {self.features.shape}; these positions need {list(expected)}")
         if self.codes is not None and (self.codes.ndim not in (1, 2) or self.codes.dtype.kind not in "iu"):
             raise UserError(f"codes have shape {self.codes.shape} and type {self.codes.dtype}; give whole numbers [N]")
+
+    def _check_positions(self, name: str, positions: Float[np.ndarray, "..."]) -> None:
+        shape, joints = positions.shape, self.skeleton.num_joints
+        if len(shape) != 3 or shape[1:] != (joints, 3) or shape[0] == 0:
+            skeleton = self.skeleton.name
+            raise UserError(f"{name} have shape {shape}; skeleton {skeleton} needs [frames, {joints}, 3] with a frame")
+        if not np.isfinite(positions).all():
+            frame = int(np.argwhere(~np.isfinite(positions))[0, 0])
+            raise UserError(f"{name} of frame {frame} are not finite numbers")
 
     @property
     def num_frames(self) -> int:

@@ -15,6 +15,7 @@ from t2m_jax.devices import put_everywhere, put_rows
 from t2m_jax.masks import mask_from_lengths
 from t2m_jax.models.projection import transpose_kernels
 from t2m_jax.models.system import GeneratorConfig
+from t2m_jax.motion.cleanup import clean_positions
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.record import Motion
@@ -146,8 +147,19 @@ def motions_from_codes(
     skeleton: Skeleton,
     captions: Sequence[str],
     seed: int | None = None,
+    clean: bool = False,
 ) -> list[Motion]:
-    """Returns the motions of the first rows of a batch, one for each caption, with features and codes."""
+    """Returns the motions of the first rows of a batch, one for each caption, with features and codes.
+
+    Args:
+        tokenizer: The tokenizer of the codes.
+        codes: Rows of codes, 0 after the end of a motion.
+        code_lengths: Rows of each motion.
+        skeleton: The skeleton of the motions.
+        captions: What the motions show.
+        seed: The seed that they were sampled with.
+        clean: Whether positions are cleaned. Then `positions_raw` are as decoded.
+    """
     decoded = decode_positions(
         put_everywhere(tokenizer.variables),
         tokenizer.normalizer,
@@ -156,12 +168,16 @@ def motions_from_codes(
         skeleton=skeleton,
     )
     features, positions = map(np.asarray, decoded)
+    positions, cleaned = positions * np.float32(skeleton.metres_per_unit), None
     frames = code_lengths * tokenizer.config.downsample
+    if clean:
+        cleaned = np.asarray(clean_positions(*put_rows((positions, frames)), skeleton=skeleton))
     return [
         Motion(
-            positions=positions[row, : frames[row]] * np.float32(skeleton.metres_per_unit),
+            positions=(positions if cleaned is None else cleaned)[row, : frames[row]],
             fps=skeleton.fps,
             skeleton=skeleton,
+            positions_raw=None if cleaned is None else positions[row, : frames[row]],
             features=features[row, : frames[row]],
             codes=codes[row, : code_lengths[row]],
             caption=caption,

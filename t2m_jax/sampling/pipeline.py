@@ -101,6 +101,7 @@ class TextToMotion:
         max_codes: int | None = None,
         guidance_scale: float | None = None,
         stop_rule: str | None = None,
+        raw: bool = False,
     ) -> list[Motion]:
         """Returns `num_samples` motions for each caption, caption by caption.
 
@@ -116,6 +117,8 @@ class TextToMotion:
             guidance_scale: Strength of the guidance by the text, for models that were trained for it; 1 is none. By
                 default the model's own.
             stop_rule: `argmax`, `threshold` or `sampled`, for models with a stop head; by default the model's own.
+            raw: Whether positions stay as decoded. By default they are cleaned: they tremble less, bones have constant
+                lengths, and feet that stand do not slide (`t2m_jax.motion.cleanup`).
 
         Raises:
             UserError: A caption or a number cannot be used.
@@ -129,7 +132,9 @@ class TextToMotion:
         motions: list[Motion] = []
         for first in range(0, len(requests), MAX_BATCH):
             batch = requests[first : first + MAX_BATCH]
-            motions += self._generate_batch(batch, seed=seed, sampling=sampling, guidance_scale=guidance_scale)
+            motions += self._generate_batch(
+                batch, seed=seed, sampling=sampling, guidance_scale=guidance_scale, clean=not raw
+            )
         return motions
 
     def stream(
@@ -145,8 +150,9 @@ class TextToMotion:
         """Returns an iterator over the motion of a caption while it is generated: a piece for each row of codes.
 
         A piece comes as soon as its frames are final. They also depend on some rows after them (see
-        `TokenizerConfig.decoder_context`), so the last pieces come together. All pieces are the motion that `generate`
-        returns with the same arguments; with `stop_rule="threshold"` if the model's own rule needs all rows first.
+        `TokenizerConfig.decoder_context`), so the last pieces come together. Pieces are as decoded, because a clean-up
+        needs the whole motion: together they are the motion that `generate` returns with the same arguments and
+        `raw=True`, and with `stop_rule="threshold"` if the model's own rule needs all rows first.
 
         Args:
             caption: A sentence.
@@ -170,7 +176,7 @@ class TextToMotion:
             lambda state: generate_row(variables, state, keys, generator=self._generator, sampling=sampling),
             state,
             sampling,
-            functools.partial(self._decode_padded, size=sampling.max_codes, caption=text, seed=seed),
+            functools.partial(self._decode_padded, size=sampling.max_codes, caption=text, seed=seed, clean=False),
             decoder_context=self.config.tokenizer.decoder_context,
         )
 
@@ -233,7 +239,13 @@ class TextToMotion:
         return self._variables["generator"]
 
     def _generate_batch(
-        self, requests: Sequence[tuple[str, int]], *, seed: int, sampling: Sampling, guidance_scale: float | None
+        self,
+        requests: Sequence[tuple[str, int]],
+        *,
+        seed: int,
+        sampling: Sampling,
+        guidance_scale: float | None,
+        clean: bool,
     ) -> list[Motion]:
         filled = [*requests, *[requests[0]] * (padded_batch_size(len(requests)) - len(requests))]
         sampled = self.sample_codes(
@@ -249,12 +261,14 @@ class TextToMotion:
             skeleton=self.skeleton,
             captions=[text for text, _ in requests],
             seed=seed,
+            clean=clean,
         )
 
-    def decode(self, codes: Int[np.ndarray, "N ..."], *, caption: str = "") -> Motion:
+    def decode(self, codes: Int[np.ndarray, "N ..."], *, caption: str = "", raw: bool = False) -> Motion:
         """Returns the motion of codes [N, R]; the last axis may be left out if there is one code per row.
 
-        With fewer than R codes per row, those of the first depths, the motion is coarser.
+        With fewer than R codes per row, those of the first depths, the motion is coarser. It is cleaned as by
+        `generate`, unless `raw`.
 
         Raises:
             UserError: There are no codes, too many per row, or one that is not in the codebook.
@@ -266,11 +280,13 @@ class TextToMotion:
             raise UserError(f"codes: expected rows of {config.num_quantizers} codes (or fewer), at least one row")
         if codes.min() < 0 or codes.max() >= config.num_codes:
             raise UserError(f"codes: must be between 0 and {config.num_codes - 1}")
-        return self._decode_padded(codes, size=len(codes), caption=caption, seed=0)
+        return self._decode_padded(codes, size=len(codes), caption=caption, seed=0, clean=not raw)
 
-    def _decode_padded(self, codes: Int[np.ndarray, "N R"], *, size: int, caption: str, seed: int) -> Motion:
+    def _decode_padded(
+        self, codes: Int[np.ndarray, "N R"], *, size: int, caption: str, seed: int, clean: bool
+    ) -> Motion:
         """Returns the motion of codes, decoded by a program for `size` rows."""
         lengths = np.array([len(codes)], np.int32)
         padded = np.pad(codes, ((0, size - len(codes)), (0, 0)))[None]
-        options: Any = {"skeleton": self.skeleton, "captions": [caption], "seed": seed}
+        options: Any = {"skeleton": self.skeleton, "captions": [caption], "seed": seed, "clean": clean}
         return motions_from_codes(self.tokenizer, padded, lengths, **options)[0]

@@ -49,7 +49,7 @@ def tokenize_captions(tokenizer: Tokenizer, captions: Sequence[str], *, max_leng
 
 def save_bpe(folder: Path, tokenizer: Tokenizer) -> None:
     """Writes `tokenizer.json` into `folder`."""
-    save_text(folder / TOKENIZER_FILE, tokenizer.to_str(pretty=True))
+    save_text(folder / TOKENIZER_FILE, tokenizer.to_str())
 
 
 def load_bpe(folder: Path) -> Tokenizer:

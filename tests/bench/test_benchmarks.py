@@ -128,13 +128,13 @@ def test_small_models_of_both_systems_are_about_as_large():
     assert one == pytest.approx(other, rel=0.05)
 
 
-@pytest.mark.parametrize("kind", ["rvqvae", "hifigpt"])
-def test_small_models_of_the_second_system_are_those_of_the_configs(kind):
-    ours = bench.make_training(kind, "demo", bench.Options())
-    config = load_config(REPOSITORY / "configs" / "hifigpt" / f"{kind}.yaml", type(ours))
+@pytest.mark.parametrize("name", ["t2m-gpt/vqvae", "t2m-gpt/gpt", "demo/rvqvae", "demo/hifigpt"])
+def test_small_models_are_those_of_the_configs(name):
+    ours = bench.make_training(name.partition("/")[2], "demo", bench.Options())
+    config = load_config(REPOSITORY / "configs" / f"{name}.yaml", type(ours))
     assert ours.loop.batch_size == config.loop.batch_size
     # What a run takes from its tokenizer, and what only matters to sampling, is not compared.
-    left_out = {"code_dim", "guidance_scale", "stop_rule"} if kind == "hifigpt" else set()
+    left_out = {"code_dim", "guidance_scale", "stop_rule"} if name == "demo/hifigpt" else set()
     one, other = (
         {name: value for name, value in dataclasses.asdict(found.model).items() if name not in left_out}
         for found in (ours, config)

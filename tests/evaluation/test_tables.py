@@ -234,5 +234,9 @@ def test_quality_has_a_table_of_its_own():
     table = make_table([report(real=given, **given)], ["a"], measures="quality")
     assert [column.heading for column in table.columns] == ["Bone variation", "Jerk"]
     assert "120.000 ± 1.000" in format_table(table, style="terminal")
+    cleaned = make_table([report(real=given, **given, cleaned_jerk=(70.0, 1.0))], ["a"], measures="quality")
+    assert [row.name for row in cleaned.rows] == ["real motion", "a", "a, cleaned"]
+    assert [row.cells["jerk"].mean for row in cleaned.rows] == [120.0, 120.0, 70.0]
+    assert len(make_table([report(real=given, **given, cleaned_jerk=(70.0, 1.0))], ["a"]).rows) == 2
     with pytest.raises(UserError, match="quality: not in these reports; evaluate the models again"):
         make_table([report(fid=(1.0, 0.1))], ["a"], measures="quality")

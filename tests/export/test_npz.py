@@ -10,10 +10,20 @@ from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 def test_everything_comes_back(tmp_path, walk):
     features = np.arange(walk.num_frames * HUMANML3D.feature_dim, dtype=np.float32).reshape(walk.num_frames, -1)
     codes = np.arange(20)[:, None]
-    motion = Motion(walk.positions, 20.0, features=features, codes=codes, caption="walks\n👋 </script>", seed=2**40)
+    raw = walk.positions + np.float32(0.01)
+    motion = Motion(
+        walk.positions,
+        20.0,
+        positions_raw=raw,
+        features=features,
+        codes=codes,
+        caption="walks\n👋 </script>",
+        seed=2**40,
+    )
     save_npz(tmp_path / "a.npz", [motion])
     back = load_npz(tmp_path / "a.npz")
     np.testing.assert_array_equal(back.positions, motion.positions)
+    np.testing.assert_array_equal(back.positions_raw, raw)
     np.testing.assert_array_equal(back.features, features)
     np.testing.assert_array_equal(back.codes, motion.codes)
     assert np.load(tmp_path / "a.npz")["codes"].shape == (20,)

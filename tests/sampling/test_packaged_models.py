@@ -29,6 +29,18 @@ def test_they_do_what_is_asked(name):
     assert all(np.isfinite(motion.positions).all() for motion in motions)
 
 
+@pytest.mark.parametrize(
+    ("name", "codes"),
+    [
+        ("demo", [128, 121, 121, 236, 236, 121, 236, 121]),
+        ("demo-t2m-gpt", [266, 470, 162, 218, 218, 218, 259, 162]),
+    ],
+)
+def test_a_seed_gives_the_motion_that_it_gave_before(name, codes):
+    (motion,) = TextToMotion.load(name).generate("a person waves with the left hand", seed=3)
+    assert motion.codes[:8, 0].tolist() == codes
+
+
 @pytest.mark.parametrize("name", BUNDLED)
 def test_their_cards_say_what_the_license_is(name):
     card = (FOLDER / name / "README.md").read_text()

@@ -28,7 +28,7 @@ def test_pieces_are_the_motion_of_generate(model, strategy):
     lengths = set()
     for seed, sample in itertools.product(range(3), range(2)):
         options = {"seed": seed, "strategy": strategy}
-        motions = model.generate(tiny.CAPTIONS[:3], num_samples=2, stop_rule=stop_rule(model), **options)
+        motions = model.generate(tiny.CAPTIONS[:3], num_samples=2, stop_rule=stop_rule(model), raw=True, **options)
         expected = motions[2 + sample]
         pieces = list(model.stream(tiny.CAPTIONS[1], sample=sample, **options))
         assert {len(piece.codes) for piece in pieces} == {1}

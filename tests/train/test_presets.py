@@ -79,7 +79,7 @@ def test_the_command_shows_the_differences(capsys):
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert rows[0] == ["field", "paper", "official"]
     assert ["velocity", "frame_difference", "joint_positions"] in rows
-    config = REPOSITORY / "configs" / "demo" / "gpt.yaml"
+    config = REPOSITORY / "configs" / "t2m-gpt" / "gpt.yaml"
     assert main(["train", "gpt", "--diff", str(config), "kit_ml/paper"]) == 0
     assert ["tau", "0.3", "per_motion"] in [line.split() for line in capsys.readouterr().out.splitlines()]
 

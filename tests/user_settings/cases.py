@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
 
+from t2m_jax.data import make_motion
 from t2m_jax.data.banks.captions import CaptionBank, make_caption_bank
 from t2m_jax.data.banks.codes import CodeBank
 from t2m_jax.data.banks.motions import MotionBank, make_bank
@@ -188,6 +189,13 @@ def _() -> Case:
 def _() -> Case:
     # Positions add up over the frames.
     return Case(decoding(), {"tokenizer": make_module(TOKENIZER), "skeleton": HUMANML3D}, rtol=1e-4, atol=1e-4)
+
+
+@case("motion.cleanup.clean_positions")
+def _() -> Case:
+    positions = np.stack([make_motion(kind, seed=0, num_frames=40) for kind in ("walk", "wave-left-hand")])
+    positions = jnp.asarray(positions, jnp.float32) + 0.005 * normal(6, *positions.shape)
+    return Case((positions, jnp.array([40, 31])), {"skeleton": HUMANML3D}, rtol=1e-4, atol=1e-4)
 
 
 @case("sampling.codec.generate_codes")

@@ -55,6 +55,8 @@ class Header:
     """Probability of the likeliest codes that were sampled from; None for all."""
     guidance_scale: float | None = None
     """Strength of the guidance by the text; None for none."""
+    motion: str = "decoded"
+    """What all metrics measure, except for those that are called `cleaned`: motion as decoded."""
     stop_rule: str | None = None
     """Rule that ended motions; None for reconstructions, and in reports of version 0.1, whose models end at End."""
 
@@ -124,7 +126,9 @@ class ReconstructionFigures:
     real_quality: QualityFigures | None = None
     """Quality of the split's motion."""
     quality: QualityFigures | None = None
-    """Quality of the reconstructed motion."""
+    """Quality of the reconstructed motion, as decoded."""
+    cleaned_quality: QualityFigures | None = None
+    """Quality of the reconstructed motion after the clean-up."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 from t2m_jax.errors import UserError
+from t2m_jax.evaluation.quality import CLEANED
 from t2m_jax.evaluation.report.record import COMPARABLE, REAL, Metric, Report
 
 DIGITS = 3
@@ -104,10 +105,13 @@ def make_table(reports: Sequence[Report], names: Sequence[str], *, measures: Mea
                 raise UserError(f"{name}: {value} in {names[0]}, {found} in {title}; make a table for each")
     # Real motion of the report with the most repeats; the others' repeats are its first ones.
     real = max((_row("real motion", REAL, report.real) for report in reports), key=lambda row: row.num_repeats)
+    titles = [" ".join(title.split()) for title in names]
     rows = [
-        _row(" ".join(title.split()), report.kind, report.measured)._replace(fits_captions=fits_captions(report))
-        for report, title in zip(reports, names, strict=True)
+        _row(title, report.kind, report.measured)._replace(fits_captions=fits_captions(report))
+        for report, title in zip(reports, titles, strict=True)
     ]
+    if measures == "quality":
+        rows += [row for report, title in zip(reports, titles, strict=True) if (row := _cleaned_row(title, report))]
     known = {metric for row in (real, *rows) for metric in row.cells}
     wanted = list(QUALITY_COLUMNS if measures == "quality" else COLUMNS)
     if measures == "labels":
@@ -130,6 +134,12 @@ def make_table(reports: Sequence[Report], names: Sequence[str], *, measures: Mea
 def _row(name: str, kind: str, metrics: dict[str, Metric]) -> Row:
     cells = {metric: Cell(found.mean, found.interval) for metric, found in metrics.items()}
     return Row(name, kind, max((len(found.repeats) for found in metrics.values()), default=0), cells)
+
+
+def _cleaned_row(title: str, report: Report) -> Row | None:
+    """Returns the quality of a report's motion after the clean-up; None in reports that do not have it."""
+    cleaned = {name.removeprefix(CLEANED): found for name, found in report.measured.items() if name.startswith(CLEANED)}
+    return _row(f"{title}, cleaned", report.kind, cleaned) if cleaned else None
 
 
 def _by_label(column: Column) -> Column:

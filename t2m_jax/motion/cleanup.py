@@ -1,0 +1,250 @@
+"""A clean-up of decoded motion: less trembling, bones of constant length, and feet that stand still on the ground.
+
+A decoder predicts each joint by itself. So joints tremble, bones stretch, and standing feet slide. Each step below is a
+function of positions alone and moves most joints by a few millimeters. A foot that would have to move by more than
+`LARGEST_SHIFT` is left where it is. Positions are in meters with Y up.
+"""
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from t2m_jax.masks import mask_from_lengths
+from t2m_jax.motion.rotations import cross_product, unit_vectors
+from t2m_jax.motion.skeleton import Skeleton
+
+SIGMA = 0.045
+"""Standard deviation of the Gaussian that smooths; seconds."""
+TORSO_SIGMA = 0.17
+"""The same for the shape of the torso, which changes slowly; seconds."""
+BONE_ROUNDS = 10
+"""Rounds of moving joints towards the lengths of their bones."""
+BONE_STEP = 1.6
+"""Share of the error that a round corrects. Above 1, because the bones of a chain share a correction."""
+CONTACT_HEIGHT = 0.05
+"""A toe that is lower than this above the floor may stand; meters."""
+CONTACT_SPEED = 1.0
+"""A toe that is faster than this over the ground does not stand; meters per second."""
+TRIMS = 3
+"""Times that frames too far from the middle of a stand are left out of it."""
+FADE = 4
+"""Frames in which a lock begins and ends."""
+LARGEST_SHIFT = 0.06
+"""A foot is not moved further than this; meters."""
+LARGEST_STRETCH = 0.999
+"""Largest share of a leg's length between hip and ankle. So the knee stays bent."""
+
+Clip = Float[Array, "T J 3"]
+Frames = Bool[Array, " T"]
+
+
+@functools.partial(jax.jit, static_argnames="skeleton")
+def clean_positions(
+    positions: Float[Array, "B T J 3"], lengths: Int[Array, " B"], *, skeleton: Skeleton
+) -> Float[Array, "B T J 3"]:
+    """Returns cleaned clips, in meters at the skeleton's frame rate; frames after the end of a clip have no meaning."""
+    return jax.vmap(functools.partial(_clean_clip, skeleton=skeleton))(positions, lengths)
+
+
+def _clean_clip(positions: Clip, length: Int[Array, ""], *, skeleton: Skeleton) -> Clip:
+    smooth = smooth_over_clip(positions, length, sigma=SIGMA * skeleton.fps)
+    calm = calm_torso(fix_bones(smooth, skeleton), length, skeleton)
+    return lock_feet(calm, length, skeleton)
+
+
+def smooth_over_clip(positions: Clip, length: Int[Array, ""], *, sigma: float) -> Clip:
+    """Returns positions without movement that is faster than bodies move.
+
+    The kernel is 2 g - g * g with a Gaussian g, which leaves slow movement as it is. A clip continues beyond its
+    ends as it was before, mirrored at the end point, so that its speed remains.
+
+    Args:
+        positions: One clip and padding.
+        length: Frames of the clip.
+        sigma: Standard deviation of the Gaussian in frames.
+    """
+    radius = int(4 * sigma + 0.5)
+    gaussian = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
+    gaussian /= gaussian.sum()
+    kernel = 2 * np.pad(gaussian, radius) - np.convolve(gaussian, gaussian)
+    wanted = jnp.arange(-2 * radius, len(positions) + 2 * radius)
+    inside = jnp.clip(wanted, 0, length - 1)
+    mirrored = jnp.clip(2 * inside - wanted, 0, length - 1)
+    beyond = (wanted != inside)[:, None, None]
+    longer = positions[inside] + jnp.where(beyond, positions[inside] - positions[mirrored], 0.0)
+    # Row t of the matrix has the kernel around frame t.
+    steps = np.arange(len(wanted))[None] - np.arange(len(positions))[:, None]
+    matrix = np.where((steps >= 0) & (steps < len(kernel)), kernel[np.clip(steps, 0, len(kernel) - 1)], 0.0)
+    return jnp.einsum("ts,sjc->tjc", jnp.asarray(matrix, jnp.float32), longer)
+
+
+def fix_bones(positions: Clip, skeleton: Skeleton) -> Clip:
+    """Returns positions with the skeleton's bone lengths; the root stays where it is.
+
+    Each round moves both ends of every bone towards its length, so that one wrong bone does not move a whole limb. The
+    small rest is corrected from the root outwards.
+    """
+    # Row j of `ends` has -1 for the bones that begin at joint j, and 1 for the one that ends there.
+    ends, chains = _bone_matrices(skeleton)
+    lengths = np.array(skeleton.bone_lengths[1:], np.float32)[None, :, None] * np.float32(skeleton.metres_per_unit)
+    share = (0.5 * BONE_STEP / np.abs(ends).sum(axis=1))[None, :, None].astype(np.float32)
+
+    def one_round(_: Any, positions: Clip) -> Clip:
+        bones = jnp.einsum("jb,tjc->tbc", ends, positions)
+        excess = bones * (1 - lengths / _length(bones))
+        return positions - share * jnp.einsum("jb,tbc->tjc", ends, excess)
+
+    near = jax.lax.fori_loop(0, BONE_ROUNDS, one_round, positions)
+    bones = jnp.einsum("jb,tjc->tbc", ends, near)
+    return positions[:, :1] + jnp.einsum("jb,tbc->tjc", chains, bones * (lengths / _length(bones)))
+
+
+def calm_torso(positions: Clip, length: Int[Array, ""], skeleton: Skeleton) -> Clip:
+    """Returns positions whose spine, hips and collars tremble less; limbs and head move along.
+
+    Their bones are short, so an error of a few millimeters is a turn of several degrees. Seen from the torso, they turn
+    slowly, so their directions are smoothed there.
+    """
+    torso, top = _torso(skeleton)
+    ends, chains = _bone_matrices(skeleton)
+    bones = jnp.einsum("jb,tjc->tbc", ends, positions)
+    right_hip, left_hip, right_shoulder, left_shoulder = skeleton.face_joints
+    across = (
+        positions[:, left_hip] - positions[:, right_hip] + positions[:, left_shoulder] - positions[:, right_shoulder]
+    )
+    across = unit_vectors(across)
+    up = positions[:, top] - positions[:, 0]
+    up = unit_vectors(up - jnp.sum(up * across, axis=-1, keepdims=True) * across)
+    frame = jnp.stack([across, up, cross_product(across, up)], axis=1)
+    seen = jnp.einsum("tac,tbc->tba", frame, bones[:, torso])
+    calm = smooth_over_clip(seen, length, sigma=TORSO_SIGMA * skeleton.fps)
+    calm = calm * (_length(seen) / _length(calm))
+    bones = bones.at[:, torso].set(jnp.einsum("tac,tba->tbc", frame, calm))
+    return positions[:, :1] + jnp.einsum("jb,tbc->tjc", chains, bones)
+
+
+@functools.cache
+def _torso(skeleton: Skeleton) -> tuple[np.ndarray, int]:
+    """Returns the bones of hips, spine, head and shoulders, and the joint at the upper end of the spine."""
+    hips, shoulders = skeleton.face_joints[:2], skeleton.face_joints[2:]
+    spine = next(chain for chain in skeleton.chains if chain[0] == 0 and chain[1] not in hips)[1:]
+    joints = {*hips, *spine, *shoulders, *(skeleton.parents[shoulder] for shoulder in shoulders)}
+    return np.array(sorted(joints)) - 1, spine[-2]
+
+
+@functools.cache
+def _bone_matrices(skeleton: Skeleton) -> tuple[np.ndarray, np.ndarray]:
+    """Returns which bones end or begin at a joint, and which bones lead from the root to it; each [J, J-1]."""
+    bones = np.arange(skeleton.num_joints - 1)
+    ends = np.eye(skeleton.num_joints, dtype=np.float32)[:, 1:]
+    chains = ends.copy()
+    for bone in bones:
+        chains[bone + 1] += chains[skeleton.parents[bone + 1]]
+    ends[np.array(skeleton.parents[1:]), bones] -= 1
+    return ends, chains
+
+
+def lock_feet(positions: Clip, length: Int[Array, ""], skeleton: Skeleton) -> Clip:
+    """Returns positions in which a toe that stands does not move over the ground; the legs bend as needed."""
+    mask = mask_from_lengths(length[None], len(positions))[0]
+    feet = jnp.array([skeleton.left_foot, skeleton.right_foot])
+    heights = jnp.where(mask[:, None], positions[:, feet.ravel(), 1], jnp.nan)
+    low = jnp.nanpercentile(heights, 1.0) + CONTACT_HEIGHT
+
+    def moved_leg(leg: Int[Array, " 4"]) -> Float[Array, "T 4 3"]:
+        hip, knee, ankle, toe = jnp.moveaxis(positions[:, leg], 1, 0)
+        shift = lock_shift(toe, _standing(toe, mask, low, fps=skeleton.fps))
+        return jnp.stack(move_foot(hip, knee, ankle, toe, shift), axis=1)
+
+    legs = np.array([_leg(skeleton, *foot) for foot in (skeleton.left_foot, skeleton.right_foot)])
+    moved = jax.vmap(moved_leg, out_axes=1)(jnp.asarray(legs))
+    return positions.at[:, legs.ravel()].set(moved.reshape(len(positions), -1, 3))
+
+
+def _leg(skeleton: Skeleton, ankle: int, toe: int) -> tuple[int, int, int, int]:
+    """Returns hip, knee, ankle and toe."""
+    knee = skeleton.parents[ankle]
+    return skeleton.parents[knee], knee, ankle, toe
+
+
+def _standing(toe: Float[Array, "T 3"], mask: Frames, low: Float[Array, ""], *, fps: float) -> Frames:
+    """Returns in which frames a toe stands: it is low and slow, without short gaps and single frames."""
+    steps = _length(jnp.diff(toe[:, ::2], axis=0))[:, 0] * fps
+    speed = jnp.minimum(jnp.append(steps, steps[-1:]), jnp.concatenate([steps[:1], steps]))
+    standing = (toe[:, 1] < low) & (speed < CONTACT_SPEED) & mask
+    return _widened(_narrowed(_narrowed(_widened(standing)))) & mask
+
+
+def _widened(frames: Frames) -> Frames:
+    """Returns frames and their neighbors."""
+    return frames | jnp.append(frames[1:], False) | jnp.concatenate([jnp.array([False]), frames[:-1]])
+
+
+def _narrowed(frames: Frames) -> Frames:
+    """Returns frames whose neighbors are among them, too."""
+    return ~_widened(~frames)
+
+
+def lock_shift(toe: Float[Array, "T 3"], standing: Frames) -> Float[Array, "T 3"]:
+    """Returns how far to move a foot over the ground, so that it rests at one point while it stands.
+
+    The point is the mean of the toe over one stand. Frames that are too far from it do not belong to the stand. The
+    shift fades in before a stand and out after it.
+    """
+
+    def trimmed(_: Any, standing: Frames) -> Frames:
+        return standing & (_length(_to_rest(toe, standing))[:, 0] <= LARGEST_SHIFT)
+
+    standing = jax.lax.fori_loop(0, TRIMS, trimmed, standing)
+    shift, frames = _to_rest(toe, standing), jnp.arange(len(standing))
+    shift = jnp.where(_length(shift) > LARGEST_SHIFT, 0.0, shift)
+    before = jax.lax.cummax(jnp.where(standing, frames, -FADE - 1))
+    after = jax.lax.cummin(jnp.where(standing, frames, len(frames) + FADE), reverse=True)
+    weights = _fade(frames - before), _fade(after - frames)
+    faded = weights[0] * shift[before] + weights[1] * shift[jnp.minimum(after, len(frames) - 1)]
+    return jnp.where(standing[:, None], shift, faded / jnp.maximum(weights[0] + weights[1], 1.0))
+
+
+def _to_rest(toe: Float[Array, "T 3"], standing: Frames) -> Float[Array, "T 3"]:
+    """Returns the way over the ground from a toe to its mean over the stand; 0 in other frames."""
+    begins = standing & ~jnp.concatenate([jnp.array([False]), standing[:-1]])
+    stand = jnp.where(standing, jnp.cumsum(begins), 0)
+    sums = jax.ops.segment_sum(jnp.append(toe, jnp.ones((len(toe), 1)), axis=1), stand, len(stand))
+    mean = sums[:, :3] / jnp.maximum(sums[:, 3:], 1)
+    return jnp.where(standing[:, None], mean[stand] - toe, 0.0) * jnp.array([[1.0, 0.0, 1.0]])
+
+
+def _fade(distance: Int[Array, " T"]) -> Float[Array, "T 1"]:
+    """Returns a factor that falls from 1 to 0 over `FADE` frames."""
+    return (0.5 + 0.5 * jnp.cos(jnp.pi * jnp.minimum(distance / (FADE + 1), 1.0)))[:, None]
+
+
+def move_foot(
+    hip: Float[Array, "T 3"],
+    knee: Float[Array, "T 3"],
+    ankle: Float[Array, "T 3"],
+    toe: Float[Array, "T 3"],
+    shift: Float[Array, "T 3"],
+) -> tuple[Float[Array, "T 3"], ...]:
+    """Returns a leg whose foot moves by a shift, as far as the leg reaches; the knee bends in the same direction."""
+    thigh, shin = _length(knee - hip), _length(ankle - knee)
+    wanted = ankle + shift - hip
+    # A leg that is straighter than the limit may stay so, but not become straighter.
+    longest = jnp.maximum(LARGEST_STRETCH * (thigh + shin), _length(ankle - hip))
+    reach = jnp.clip(_length(wanted), jnp.abs(thigh - shin) + 1e-4, longest)
+    direction = wanted / _length(wanted)
+    # The knee is on a circle around the line from hip to ankle, on the side on which it was.
+    along = (thigh**2 - shin**2 + reach**2) / (2 * reach)
+    bend = (knee - hip) - jnp.sum((knee - hip) * direction, axis=-1, keepdims=True) * direction
+    aside = jnp.sqrt(jnp.maximum(thigh**2 - along**2, 0.0)) * bend / _length(bend)
+    new_ankle = hip + reach * direction
+    return hip, hip + along * direction + aside, new_ankle, toe + new_ankle - ankle
+
+
+def _length(vectors: Float[Array, "*B C"]) -> Float[Array, "*B 1"]:
+    """Returns lengths, at least 1e-6, so that they can be divided by."""
+    return jnp.maximum(jnp.linalg.norm(vectors, axis=-1, keepdims=True), 1e-6)

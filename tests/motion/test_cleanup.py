@@ -1,0 +1,245 @@
+"""The clean-up: what trembles, stretches or slides is corrected, and what is right stays."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from t2m_jax.data import make_motion
+from t2m_jax.metrics import measure_quality
+from t2m_jax.motion import cleanup
+from t2m_jax.motion.cleanup import (
+    calm_torso,
+    clean_positions,
+    fix_bones,
+    lock_feet,
+    lock_shift,
+    move_foot,
+    smooth_over_clip,
+)
+from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
+
+FRAMES = 60
+ALL = jnp.asarray(FRAMES)
+LEFT_LEG, LEFT_FOOT = (1, 4, 7, 10), 10
+smooth = jax.jit(functools.partial(smooth_over_clip, sigma=0.9))
+fix = jax.jit(functools.partial(fix_bones, skeleton=HUMANML3D))
+calm = jax.jit(functools.partial(calm_torso, skeleton=HUMANML3D))
+lock = jax.jit(functools.partial(lock_feet, skeleton=HUMANML3D))
+clean = functools.partial(clean_positions, skeleton=HUMANML3D)
+lock_shift_of = jax.jit(lock_shift)
+
+
+def walk(*, seed=0, kind="walk"):
+    return make_motion(kind, seed=seed, num_frames=FRAMES).astype(np.float32)
+
+
+def cleaned(positions, length=None):
+    return np.asarray(clean(positions[None], np.array([length or len(positions)]))[0])
+
+
+def bone_lengths(positions, skeleton=HUMANML3D):
+    return np.linalg.norm(positions[:, 1:] - positions[:, list(skeleton.parents[1:])], axis=-1)
+
+
+def distances(one, other):
+    return np.linalg.norm(np.asarray(one) - np.asarray(other), axis=-1)
+
+
+def quality(positions):
+    found = measure_quality(jnp.asarray(positions)[None], jnp.ones((1, len(positions)), bool), skeleton=HUMANML3D)
+    return {name: float(values[0]) for name, values in found._asdict().items()}
+
+
+def trembling(positions, size, seed=0):
+    return positions + size * np.random.default_rng(seed).standard_normal(positions.shape).astype(np.float32)
+
+
+def test_straight_movement_is_not_smoothed_not_even_at_the_ends():
+    line = np.linspace(0, 3, FRAMES, dtype=np.float32)[:, None, None] * np.array([1, -0.5, 2], np.float32)
+    np.testing.assert_allclose(smooth(line, ALL), line, atol=1e-5)
+
+
+def test_slow_movement_stays_and_trembling_goes():
+    seconds = np.arange(FRAMES)[:, None, None] / 20
+    slow = np.sin(2 * np.pi * seconds) * np.ones((1, 1, 3))
+    fast = 0.01 * (-1.0) ** np.arange(FRAMES)[:, None, None]
+    inner = slice(8, -8)
+    assert np.abs(smooth(slow.astype(np.float32), ALL) - slow)[inner].max() < 0.005
+    assert np.abs(smooth((slow + fast).astype(np.float32), ALL) - slow)[inner].max() < 0.006
+
+
+def test_bones_get_their_lengths_and_the_root_stays():
+    positions = trembling(walk(), 0.02)
+    fixed = np.asarray(fix(positions))
+    expected = np.tile(HUMANML3D.bone_lengths[1:], (FRAMES, 1))
+    np.testing.assert_allclose(bone_lengths(fixed), expected, rtol=1e-4)
+    np.testing.assert_allclose(fixed[:, 0].mean(axis=0), positions[:, 0].mean(axis=0), atol=0.01)
+
+
+def test_one_stretched_bone_does_not_move_a_whole_limb():
+    positions = walk()
+    stretched = positions.copy()
+    # The forearm is 6 cm too long, and the wrist is at its end.
+    forearm = stretched[:, 20] - stretched[:, 18]
+    stretched[:, 20] += 0.06 * forearm / np.linalg.norm(forearm, axis=-1, keepdims=True)
+    fixed = np.asarray(fix(stretched))
+    np.testing.assert_allclose(bone_lengths(fixed)[:, 19], HUMANML3D.bone_lengths[20], rtol=1e-4)
+    others = [joint for joint in range(22) if joint not in (16, 18, 20)]
+    assert distances(fixed, stretched)[:, others].max() < 0.01
+
+
+def test_right_bones_are_not_changed():
+    np.testing.assert_allclose(fix(walk()), walk(), atol=1e-5)
+
+
+SPINE = [HUMANML3D.joint_names.index(name) for name in ("spine1", "spine2", "spine3", "neck")]
+
+
+def bones(positions):
+    return positions[:, 1:] - positions[:, list(HUMANML3D.parents[1:])]
+
+
+def test_a_torso_that_only_moves_as_a_whole_is_not_changed():
+    angles = np.linspace(0, 2, FRAMES)
+    turns = np.zeros((FRAMES, 3, 3))
+    turns[:, 0, 0] = turns[:, 2, 2] = np.cos(angles)
+    turns[:, 0, 2], turns[:, 2, 0], turns[:, 1, 1] = np.sin(angles), -np.sin(angles), 1
+    body = walk(kind="wave-left-hand")[0]
+    turning = (np.einsum("tab,jb->tja", turns, body) + np.linspace(0, 2, FRAMES)[:, None, None]).astype(np.float32)
+    np.testing.assert_allclose(calm(turning, ALL), turning, atol=1e-5)
+
+
+def test_a_trembling_spine_becomes_calm_and_limbs_keep_their_directions():
+    positions = walk(kind="wave-left-hand")
+    shaken = positions.copy()
+    shaken[:, SPINE] = trembling(shaken, 0.005)[:, SPINE]
+    shaken = np.asarray(fix(shaken))
+    calmed = np.asarray(calm(shaken, ALL))
+    turns = [
+        np.linalg.norm(np.diff(bones(one), axis=0), axis=-1)[:, np.array(SPINE) - 1].mean() for one in (shaken, calmed)
+    ]
+    assert turns[1] < 0.4 * turns[0]
+    np.testing.assert_allclose(bone_lengths(calmed), bone_lengths(shaken), atol=1e-5)
+    limbs = [joint - 1 for joint in (4, 5, 7, 8, 10, 11, 18, 19, 20, 21)]
+    np.testing.assert_allclose(bones(calmed)[:, limbs], bones(shaken)[:, limbs], atol=1e-5)
+
+
+def slide_of(seed, size):
+    """Returns a person who stands and waves, and whose left foot slides over the ground by up to a size."""
+    positions, generator = walk(seed=seed, kind="wave-right-hand"), np.random.default_rng(seed)
+    phases = generator.uniform(0, 2 * np.pi, 2)
+    time = np.arange(FRAMES)[:, None] / 20
+    slide = np.zeros((FRAMES, 3), np.float32)
+    slide[:, ::2] = size * np.sin(2 * np.pi * 0.7 * time + phases)
+    hip, knee, ankle, toe = move_foot(*[jnp.asarray(positions[:, joint]) for joint in LEFT_LEG], jnp.asarray(slide))
+    for joint, values in zip(LEFT_LEG, (hip, knee, ankle, toe), strict=True):
+        positions[:, joint] = values
+    return positions
+
+
+def toe_speed(positions):
+    """Returns the mean speed of the left toe over the ground."""
+    return float(20 * np.linalg.norm(np.diff(positions[:, LEFT_FOOT, ::2], axis=0), axis=1).mean())
+
+
+@given(seed=st.integers(0, 30), size=st.floats(0.005, 0.03))
+@settings(max_examples=15, deadline=None)
+def test_a_sliding_foot_is_locked(seed, size):
+    positions = slide_of(seed, size)
+    locked = np.asarray(lock(positions, ALL))
+    assert toe_speed(locked) < 0.2 * toe_speed(positions)
+    assert distances(locked, positions)[:, (7, 8, 10, 11)].max() <= cleanup.LARGEST_SHIFT + 1e-4
+    np.testing.assert_allclose(bone_lengths(locked), bone_lengths(positions), atol=1e-4)
+    others = [joint for joint in range(22) if joint not in (4, 5, 7, 8, 10, 11)]
+    np.testing.assert_array_equal(locked[:, others], positions[:, others])
+    # A foot keeps its height, and no knee jumps.
+    assert np.abs(locked[:, (10, 11), 1] - positions[:, (10, 11), 1]).max() < 0.005
+    steps = [np.linalg.norm(np.diff(one[:, (4, 5)], n=2, axis=0), axis=-1).max() for one in (locked, positions)]
+    assert steps[0] < steps[1] + 0.03
+
+
+def test_a_foot_that_goes_away_is_not_held():
+    """A lock that needs more than the largest shift is released, in the frames that are too far away."""
+    toe = np.zeros((FRAMES, 3), np.float32)
+    toe[30:, 0] = np.linspace(0, 1, FRAMES - 30)
+    shift = np.asarray(lock_shift_of(toe, np.ones(FRAMES, bool)))
+    assert np.linalg.norm(shift, axis=-1).max() <= cleanup.LARGEST_SHIFT
+    np.testing.assert_allclose(shift[45:], 0, atol=1e-6)
+
+
+def test_a_lock_fades_in_and_out():
+    """The foot rests 4 cm beside itself, so the shift falls to zero within some frames after it stands."""
+    toe = np.zeros((FRAMES, 3), np.float32)
+    toe[20:25, 0], toe[25:30, 0] = -0.04, 0.04
+    standing = (np.arange(FRAMES) >= 20) & (np.arange(FRAMES) < 30)
+    shift = np.asarray(lock_shift_of(toe, standing))[:, 0]
+    np.testing.assert_allclose((toe[:, 0] + shift)[20:30], 0, atol=1e-6)
+    assert (np.diff(np.abs(shift[29:36])) <= 0).all() and shift[35] == 0 == shift[14]
+    assert np.abs(np.diff(shift[29:40])).max() < 0.02
+
+
+def test_between_two_stands_the_shift_is_between_theirs():
+    toe = np.zeros((FRAMES, 3), np.float32)
+    toe[20:25, 0], toe[25:30, 0], toe[31:36, 0], toe[36:41, 0] = -0.03, 0.03, -0.02, 0.02
+    frames = np.arange(FRAMES)
+    shift = np.asarray(lock_shift_of(toe, ((frames >= 20) & (frames < 30)) | ((frames >= 31) & (frames < 41))))[:, 0]
+    assert min(shift[29], shift[31]) <= shift[30] <= max(shift[29], shift[31])
+
+
+def test_a_leg_reaches_no_further_than_it_is_long():
+    leg = [jnp.asarray(walk()[:, joint]) for joint in LEFT_LEG]
+    far = jnp.tile(jnp.array([[0.0, -5.0, 0.0]]), (FRAMES, 1))
+    hip, knee, ankle, toe = move_foot(*leg, far)
+    np.testing.assert_allclose(distances(knee, hip), distances(leg[1], leg[0]), atol=1e-4)
+    np.testing.assert_allclose(distances(ankle, knee), distances(leg[2], leg[1]), atol=1e-4)
+    np.testing.assert_allclose(distances(toe, ankle), distances(leg[3], leg[2]), atol=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["walk", "wave-left-hand", "squat"])
+def test_trembling_motion_becomes_quiet_and_rigid(kind):
+    real = walk(kind=kind, seed=2)
+    shaken = trembling(real, 0.006)
+    found, before, aim = quality(cleaned(shaken)), quality(shaken), quality(real)
+    assert found["bone_variation"] < 1e-4 < before["bone_variation"]
+    assert found["jerk"] < 0.5 * before["jerk"]
+    assert found["skating_ratio"] <= before["skating_ratio"] + 0.01
+    if kind != "walk":  # whose feet slide by themselves
+        assert distances(cleaned(shaken), real).mean() < distances(shaken, real).mean()
+    assert found["floating"] <= aim["floating"] + 0.02 and found["penetration"] <= aim["penetration"] + 0.02
+
+
+@pytest.mark.parametrize("kind", ["raise-up-both-hands", "wave-left-hand", "squat"])
+def test_good_motion_is_hardly_moved_and_a_second_pass_less(kind):
+    once = cleaned(walk(kind=kind, seed=3))
+    assert distances(once, walk(kind=kind, seed=3)).mean() < 0.005
+    assert distances(cleaned(once), once).mean() < 0.002
+
+
+def test_what_follows_a_clip_does_not_matter_nor_do_its_neighbors():
+    one, other = trembling(walk(), 0.005), trembling(walk(kind="squat"), 0.005)
+    padded = np.stack([np.concatenate([one[:40], np.full((20, 22, 3), np.nan, np.float32)]), other])
+    both = np.asarray(clean(padded, np.array([40, FRAMES])))
+    np.testing.assert_allclose(both[0, :40], cleaned(one, 40)[:40], atol=1e-5)
+    np.testing.assert_allclose(both[1], cleaned(other), atol=1e-5)
+
+
+@pytest.mark.parametrize("length", [1, 2, 3, 5])
+def test_short_clips_are_possible(length):
+    assert np.isfinite(cleaned(walk(), length)[:length]).all()
+
+
+def test_other_skeletons_have_their_own_lengths():
+    generator = np.random.default_rng(0)
+    offsets = KIT_ML.offsets * np.array(KIT_ML.bone_lengths)[:, None] * KIT_ML.metres_per_unit
+    joints = np.zeros((21, 3))
+    for joint, parent in enumerate(KIT_ML.parents[1:], start=1):
+        joints[joint] = joints[parent] + offsets[joint]
+    positions = (joints + generator.normal(0, 0.01, (1, 30, 21, 3))).astype(np.float32)
+    found = np.asarray(clean_positions(positions, np.array([30]), skeleton=KIT_ML)[0])
+    expected = np.array(KIT_ML.bone_lengths[1:]) * KIT_ML.metres_per_unit
+    np.testing.assert_allclose(bone_lengths(found, KIT_ML).mean(axis=0), expected, rtol=1e-3)
