@@ -66,6 +66,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         add_sampling_arguments(command)
         command.add_argument("--greedy", action="store_const", dest="temperature", const=0.0, help="--temperature 0")
     add_raw_argument(prompts)
+    groups = "what is asked for: single actions, actions at a pace (--data), or two actions in turn (default: actions)"
+    prompts.add_argument("--group", choices=("actions", "paces", "composed"), default="actions", help=groups)
+    prompts.add_argument("--data", metavar="DIR", help="data set whose clips say what is slow and fast")
     prompts.add_argument("--num-seeds", type=int, default=20, help="samples per content (default: 20)")
     compare.add_argument("reports", nargs="+", type=Path, metavar="REPORT", help="two files of --json")
     table.add_argument("reports", nargs="+", type=Path, metavar="REPORT", help="files of --json")
@@ -192,26 +195,39 @@ def _measure(
 
 def run_prompts(args: argparse.Namespace) -> None:
     """Prints how often generated motion does what was asked."""
-    from t2m_jax.evaluation import evaluate_prompt_following
+    from t2m_jax.data import open_dataset
+    from t2m_jax.evaluation import action_tests, composed_tests, evaluate_prompt_following, pace_tests
     from t2m_jax.evaluation.prompt_following import markdown_table
     from t2m_jax.sampling import TextToMotion, make_strategy
 
+    if (args.group == "paces") != (args.data is not None):
+        raise UserError("--data: is needed for --group paces, whose limits are those of real clips, and only for it")
+    if args.group == "paces":
+        tests = pace_tests(open_dataset(args.data))
+    else:
+        tests = action_tests() if args.group == "actions" else composed_tests()
     strategy = make_strategy(args.temperature, args.top_k, top_p=args.top_p)
     model = TextToMotion.load(args.model)
     options = {"strategy": strategy, "guidance_scale": args.guidance_scale, "stop_rule": args.stop_rule}
     options["raw"] = args.raw
     results = evaluate_prompt_following(
-        lambda sentence, seed: model.generate(sentence, seed=seed, **options)[0], num_seeds=args.num_seeds
+        tests, lambda sentence, seed: model.generate(sentence, seed=seed, **options)[0], num_seeds=args.num_seeds
     )
     sys.stdout.write(markdown_table(results) + "\n")
     right, total = sum(row.num_right for row in results), sum(row.num_samples for row in results)
     contents = {
-        row.content: {"right": row.num_right, "samples": row.num_samples, "failures": list(row.failures)}
+        row.name: {
+            "right": row.num_right,
+            "samples": row.num_samples,
+            "failures": list(row.failures),
+            "instead": row.instead,
+        }
         for row in results
     }
     if args.json:
-        measured = {"motion": "decoded" if args.raw else "cleaned", "prompt_following": right / total}
-        save_json(args.json, measured | {"num_samples": total, "contents": contents})
+        measured = {"group": args.group, "motion": "decoded" if args.raw else "cleaned"}
+        measured |= {"prompt_following": right / total, "num_samples": total, "contents": contents}
+        save_json(args.json, measured)
     show_next(shlex.join(["t2m", "generate", "a person walks forward", "--model", args.model]))
 
 

@@ -2,7 +2,8 @@
 
 from t2m_jax.evaluation.embedding import embed_plan_captions, embed_plan_motions
 from t2m_jax.evaluation.monitor import held_out_metrics, open_held_out
-from t2m_jax.evaluation.prompt_following import evaluate_prompt_following
+from t2m_jax.evaluation.prompt_following import action_tests, evaluate_prompt_following
+from t2m_jax.evaluation.prompt_groups import composed_tests, pace_tests
 from t2m_jax.evaluation.protocols import PROTOCOLS, Plan, Protocol, find_protocol, make_plan
 from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
 from t2m_jax.evaluation.run import evaluate
@@ -17,6 +18,8 @@ __all__ = [
     "Plan",
     "Protocol",
     "Reconstruction",
+    "action_tests",
+    "composed_tests",
     "embed_plan_captions",
     "embed_plan_motions",
     "evaluate",
@@ -28,4 +31,5 @@ __all__ = [
     "make_plan",
     "make_task",
     "open_held_out",
+    "pace_tests",
 ]

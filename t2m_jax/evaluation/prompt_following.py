@@ -4,7 +4,9 @@ The contents are those of Bandai-Namco dataset-2. The limits were chosen so that
 satisfy them. The sentences are held out from training.
 """
 
-from collections.abc import Callable
+import functools
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from t2m_jax.data.importers.bandai_namco.measure import Facts, measure
@@ -27,6 +29,8 @@ FASTEST_WALK, SLOWEST_RUN = 1.8, 1.35
 """Mean speed over the ground in meters per second; the ranges overlap because tired and old people run slowly."""
 WAVES = 2
 """A raised hand waves if it sweeps to and fro at least this often."""
+NOTHING = "nothing of these"
+"""What a motion does that passes no test."""
 
 
 class Rule(NamedTuple):
@@ -36,7 +40,8 @@ class Rule(NamedTuple):
     holds: Callable[[Facts], bool]
 
 
-def _goes_straight(facts: Facts) -> bool:
+def goes_straight(facts: Facts) -> bool:
+    """Returns whether somebody goes ahead without a turn, at any speed."""
     return facts.forward >= MOVES_TRAVEL and abs(facts.turn) <= STRAIGHT_TURN
 
 
@@ -72,11 +77,11 @@ RULES: dict[str, Rule] = {
     "raise-up-right-hand": _hand_rule("right", waves=False),
     "run": Rule(
         "goes at least 1 m ahead without a turn (40 degrees), at 1.35 m/s or faster",
-        lambda facts: _goes_straight(facts) and facts.speed >= SLOWEST_RUN,
+        lambda facts: goes_straight(facts) and facts.speed >= SLOWEST_RUN,
     ),
     "walk": Rule(
         "goes at least 1 m ahead without a turn (40 degrees), at 1.8 m/s or slower",
-        lambda facts: _goes_straight(facts) and facts.speed <= FASTEST_WALK,
+        lambda facts: goes_straight(facts) and facts.speed <= FASTEST_WALK,
     ),
     "walk-turn-left": _corner_rule(1),
     "walk-turn-right": _corner_rule(-1),
@@ -87,15 +92,39 @@ RULES: dict[str, Rule] = {
 """The rule of each content of dataset-2."""
 
 
-class ContentResult(NamedTuple):
-    """How often the motions of one content did what was asked."""
+class PromptTest(NamedTuple):
+    """What some sentences ask for, and how it is recognized."""
 
-    content: str
+    name: str
+    rule: str
+    """In words."""
+    sentences: tuple[str, ...]
+    """Held out from training."""
+    holds: Callable[[Motion], bool]
+
+
+class PromptResult(NamedTuple):
+    """How often the motions of one test did what was asked."""
+
+    name: str
     rule: str
     num_samples: int
     num_right: int
     failures: tuple[str, ...]
     """The sentences that failed."""
+    instead: Mapping[str, int]
+    """Which other test of the group a failed motion passes, and how often; `NOTHING` if none."""
+
+
+def measure_motion(motion: Motion) -> Facts | None:
+    """Returns the measurements that rules are about; None for motion of one frame.
+
+    Raises:
+        UserError: The motion has another skeleton than HumanML3D's, whose joints the rules name.
+    """
+    if motion.skeleton != HUMANML3D:
+        raise UserError(f"skeleton: the rules are for {HUMANML3D.name!r}, and the motion has {motion.skeleton.name!r}")
+    return measure(motion.positions, fps=motion.fps) if motion.num_frames >= 2 else None
 
 
 def follows(content: str, motion: Motion) -> bool:
@@ -104,38 +133,51 @@ def follows(content: str, motion: Motion) -> bool:
     Raises:
         UserError: The motion has another skeleton than HumanML3D's, whose joints the rules name.
     """
-    if motion.skeleton != HUMANML3D:
-        raise UserError(f"skeleton: the rules are for {HUMANML3D.name!r}, and the motion has {motion.skeleton.name!r}")
-    if motion.num_frames < 2:
-        return False
-    return RULES[content].holds(measure(motion.positions, fps=motion.fps))
+    facts = measure_motion(motion)
+    return facts is not None and RULES[content].holds(facts)
 
 
-def requests(content: str, *, num_seeds: int) -> list[tuple[int, str]]:
-    """Returns seeds 0 to `num_seeds` - 1, each with one of the content's held-out sentences in turn."""
-    sentences = held_out_sentences()[content]
-    return [(seed, sentences[seed % len(sentences)]) for seed in range(num_seeds)]
+def action_tests() -> list[PromptTest]:
+    """Returns a test for each content of dataset-2."""
+    return [
+        PromptTest(content, rule.words, held_out_sentences()[content], functools.partial(follows, content))
+        for content, rule in RULES.items()
+    ]
 
 
-def evaluate_prompt_following(generate: Callable[[str, int], Motion], *, num_seeds: int) -> list[ContentResult]:
-    """Returns one result per content.
+def requests(test: PromptTest, *, num_seeds: int) -> list[tuple[int, str]]:
+    """Returns seeds 0 to `num_seeds` - 1, each with one of the test's sentences in turn."""
+    return [(seed, test.sentences[seed % len(test.sentences)]) for seed in range(num_seeds)]
+
+
+def evaluate_prompt_following(
+    tests: Sequence[PromptTest], generate: Callable[[str, int], Motion], *, num_seeds: int
+) -> list[PromptResult]:
+    """Returns one result per test.
 
     Args:
+        tests: A group of tests.
         generate: Returns the motion of a sentence and a seed.
-        num_seeds: Samples per content.
+        num_seeds: Samples per test.
     """
     results = []
-    for content, rule in RULES.items():
-        asked = requests(content, num_seeds=num_seeds)
-        failures = tuple(sentence for seed, sentence in asked if not follows(content, generate(sentence, seed)))
-        results.append(ContentResult(content, rule.words, len(asked), len(asked) - len(failures), failures))
+    for test in tests:
+        asked = requests(test, num_seeds=num_seeds)
+        failed = [(sentence, motion) for seed, sentence in asked if not test.holds(motion := generate(sentence, seed))]
+        instead = Counter(next((other.name for other in tests if other.holds(motion)), NOTHING) for _, motion in failed)
+        failures = tuple(sentence for sentence, _ in failed)
+        results.append(
+            PromptResult(test.name, test.rule, len(asked), len(asked) - len(failed), failures, dict(instead))
+        )
     return results
 
 
-def markdown_table(results: list[ContentResult]) -> str:
+def markdown_table(results: Sequence[PromptResult]) -> str:
     """Returns the results as a Markdown table; the last row is the sum."""
-    lines = ["| content | rule | did what was asked |", "| --- | --- | ---: |"]
-    lines += [f"| {row.content} | {row.rule} | {row.num_right} of {row.num_samples} |" for row in results]
+    lines = ["| content | rule | did what was asked | did instead |", "| --- | --- | ---: | --- |"]
+    for row in results:
+        others = ", ".join(f"{name} {count}" for name, count in row.instead.items())
+        lines.append(f"| {row.name} | {row.rule} | {row.num_right} of {row.num_samples} | {others} |")
     right, total = sum(row.num_right for row in results), sum(row.num_samples for row in results)
-    lines.append(f"| **all** | | **{right} of {total} ({right / total:.0%})** |")
+    lines.append(f"| **all** | | **{right} of {total} ({right / total:.0%})** | |")
     return "\n".join(lines)

@@ -8,6 +8,7 @@ from t2m_jax.data.importers.synthetic import KINDS, make_motion
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.prompt_following import (
     RULES,
+    action_tests,
     evaluate_prompt_following,
     follows,
     markdown_table,
@@ -55,8 +56,9 @@ def test_other_skeletons_are_refused():
 
 
 def test_requests_cover_the_held_out_sentences():
-    for content in RULES:
-        asked = requests(content, num_seeds=20)
+    assert [test.name for test in action_tests()] == list(RULES)
+    for test in action_tests():
+        content, asked = test.name, requests(test, num_seeds=20)
         assert [seed for seed, _ in asked] == list(range(20))
         assert len({sentence for _, sentence in asked}) == 20
         assert {sentence for _, sentence in asked} <= set(held_out_sentences()[content])
@@ -66,14 +68,16 @@ def test_results_count_what_was_done():
     def generate(sentence: str, seed: int) -> Motion:
         return motion_of("walk", seed)
 
-    results = evaluate_prompt_following(generate, num_seeds=3)
-    assert [row.content for row in results] == list(RULES)
-    right = {row.content: row.num_right for row in results}
+    results = evaluate_prompt_following(action_tests(), generate, num_seeds=3)
+    assert [row.name for row in results] == list(RULES)
+    right = {row.name: row.num_right for row in results}
     assert right["walk"] == 3
     assert right["wave-left-hand"] == 0
-    row = next(row for row in results if row.content == "wave-left-hand")
-    assert row.failures == tuple(sentence for _, sentence in requests("wave-left-hand", num_seeds=3))
+    row = next(row for row in results if row.name == "wave-left-hand")
+    assert row.failures == held_out_sentences()["wave-left-hand"][:3]
+    assert sum(row.instead.values()) == 3 and set(row.instead) <= {"walk", "run"}  # whose speeds overlap
     total = sum(right.values())
     table = markdown_table(results)
     assert f"{total} of 30 ({total / 30:.0%})" in table
     assert len(table.splitlines()) == 2 + len(RULES) + 1
+    assert "| 0 of 3 | " + ", ".join(f"{name} {count}" for name, count in row.instead.items()) + " |" in table

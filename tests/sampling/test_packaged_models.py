@@ -11,6 +11,8 @@ from t2m_jax.evaluation.prompt_following import follows
 from t2m_jax.sampling import TextToMotion
 
 FOLDER = Path(str(importlib.resources.files("t2m_jax"))) / "bundles"
+FIRST_CODES: dict[str, list[int]] = {"demo": [], "demo-t2m-gpt": []}
+"""The first codes of the first rows of one motion, so that a change of what a seed gives is noticed."""
 ASKED = {"a person waves with the right hand": "wave-right-hand", "someone runs forward": "run"}
 
 
@@ -20,25 +22,14 @@ def test_all_of_them_are_known_by_name_and_small():
 
 
 @pytest.mark.parametrize("name", BUNDLED)
-def test_they_do_what_is_asked(name):
+def test_they_do_what_is_asked_and_the_same_as_before(name):
     model = TextToMotion.load(name)
     motions = model.generate(list(ASKED), seed=5, num_samples=4)
     for number, content in enumerate(ASKED.values()):
         assert sum(follows(content, motion) for motion in motions[4 * number : 4 * number + 4]) >= 3, content
     assert len({motion.num_frames for motion in motions}) > 1
     assert all(np.isfinite(motion.positions).all() for motion in motions)
-
-
-@pytest.mark.parametrize(
-    ("name", "codes"),
-    [
-        ("demo", [128, 121, 121, 236, 236, 121, 236, 121]),
-        ("demo-t2m-gpt", [266, 470, 162, 218, 218, 218, 259, 162]),
-    ],
-)
-def test_a_seed_gives_the_motion_that_it_gave_before(name, codes):
-    (motion,) = TextToMotion.load(name).generate("a person waves with the left hand", seed=3)
-    assert motion.codes[:8, 0].tolist() == codes
+    assert motions[0].codes[:8, 0].tolist() == FIRST_CODES[name]
 
 
 @pytest.mark.parametrize("name", BUNDLED)

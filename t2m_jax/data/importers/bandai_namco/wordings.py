@@ -32,6 +32,25 @@ class Style(NamedTuple):
     """People who typically move in this style."""
 
 
+class Pace(NamedTuple):
+    """How fast somebody is asked to move. One of the limits is None."""
+
+    name: str
+    phrases: tuple[str, ...]
+    """What is added to a sentence."""
+    slower_than: float | None
+    """Share of an action's clips, the slowest ones."""
+    faster_than: float | None
+    """Share of an action's clips, all but the fastest ones."""
+
+
+class ComposedRequest(NamedTuple):
+    """Sentences that ask for two contents, one after the other."""
+
+    parts: tuple[str, str]
+    sentences: tuple[str, ...]
+
+
 class Wordings(NamedTuple):
     """Everything that captions are made of."""
 
@@ -97,3 +116,20 @@ def held_out_sentences() -> Mapping[str, tuple[str, ...]]:
         for group in _read("held_out")
         for content, side in group["contents"].items()
     }
+
+
+@functools.cache
+def held_out_paces() -> tuple[Pace, ...]:
+    """Returns the paces that held-out sentences are combined with."""
+    return tuple(
+        Pace(entry["name"], tuple(entry["phrases"]), entry.get("slower_than"), entry.get("faster_than"))
+        for entry in _read("held_out_paces")
+    )
+
+
+@functools.cache
+def held_out_compositions() -> tuple[ComposedRequest, ...]:
+    """Returns sentences that ask for two contents of dataset-2, one after the other; no training caption does."""
+    return tuple(
+        ComposedRequest(tuple(entry["parts"]), tuple(entry["sentences"])) for entry in _read("held_out_composed")
+    )

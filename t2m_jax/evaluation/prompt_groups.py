@@ -1,0 +1,98 @@
+"""Further groups of prompt tests: paces, measured against real clips, and sentences that ask for two actions."""
+
+import functools
+from collections import defaultdict
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from t2m_jax.data.folder import Dataset
+from t2m_jax.data.importers.bandai_namco.measure import Facts, measure
+from t2m_jax.data.importers.bandai_namco.wordings import (
+    Pace,
+    held_out_compositions,
+    held_out_paces,
+    held_out_sentences,
+)
+from t2m_jax.data.index import load_index
+from t2m_jax.errors import UserError
+from t2m_jax.evaluation.prompt_following import RULES, PromptTest, goes_straight, measure_motion
+from t2m_jax.motion.features import positions_from_features
+from t2m_jax.motion.record import Motion
+
+PACED = ("walk", "run", "walk-turn-left", "walk-turn-right", "wave-left-hand", "wave-right-hand", "wave-both-hands")
+"""Contents that are asked for at each pace."""
+PACE_WORDS = ("pace", "steady", "relaxed", "step by step", "a few", "several")
+"""Sentences with these say how fast already, or ask for little movement."""
+SHORTEST_PART = 20
+"""Frames of the shortest part of a composed motion."""
+CUT_STEP = 4
+"""Frames between the places where a composed motion is cut on trial."""
+
+
+def pace_tests(dataset: Dataset) -> list[PromptTest]:
+    """Returns a test for each paced content and pace. The limits are shares of the training clips by speed.
+
+    Raises:
+        UserError: The data set does not show one of the contents.
+    """
+    speeds = _clip_speeds(dataset)
+    return [_pace_test(content, pace, speeds[content]) for content in PACED for pace in held_out_paces()]
+
+
+def _clip_speeds(dataset: Dataset) -> Mapping[str, Float[np.ndarray, " N"]]:
+    """Returns the speeds of the training clips of each paced content, in m/s."""
+    index, found = load_index(dataset.folder), defaultdict(list)
+    for clip in dataset.clips("train", min_frames=2):
+        content = ((index.label(clip.name) if index else None) or "").partition(",")[0]
+        if content in PACED:
+            positions = np.asarray(positions_from_features(clip.features, dataset.skeleton))
+            found[content].append(measure(positions, fps=dataset.skeleton.fps).speed)
+    for content in PACED:
+        if not found[content]:
+            raise UserError(f"{dataset.folder}: no training clip has the label {content!r}, whose speed is compared")
+    return {content: np.array(values) for content, values in found.items()}
+
+
+def _pace_test(content: str, pace: Pace, speeds: Float[np.ndarray, " N"]) -> PromptTest:
+    share: Any = pace.faster_than if pace.slower_than is None else pace.slower_than
+    limit = float(np.quantile(speeds, share))
+    words = f"speed {'above' if pace.slower_than is None else 'below'} {limit:.2f} m/s"
+    plain = [text for text in held_out_sentences()[content] if not any(word in text for word in PACE_WORDS)]
+    sentences = tuple(f"{text} {pace.phrases[number % len(pace.phrases)]}" for number, text in enumerate(plain))
+
+    def holds(motion: Motion) -> bool:
+        facts = measure_motion(motion)
+        in_time = facts is not None and (facts.speed > limit if pace.slower_than is None else facts.speed < limit)
+        return in_time and facts is not None and _shows(content, facts)
+
+    return PromptTest(f"{content} {pace.name}", f"as for {content}; {words}", sentences, holds)
+
+
+def _shows(content: str, facts: Facts) -> bool:
+    """Returns whether a motion shows a content at any speed."""
+    return goes_straight(facts) if content in ("walk", "run") else RULES[content].holds(facts)
+
+
+def composed_tests() -> list[PromptTest]:
+    """Returns a test for each pair of contents: both are shown, one after the other."""
+    return [
+        PromptTest(
+            " + ".join(request.parts),
+            "can be cut so that each part keeps its rule",
+            request.sentences,
+            functools.partial(_shows_in_order, *request.parts),
+        )
+        for request in held_out_compositions()
+    ]
+
+
+def _shows_in_order(first: str, second: str, motion: Motion) -> bool:
+    """Returns whether a motion can be cut into parts that satisfy the rules of two contents."""
+    return any(
+        RULES[first].holds(measure(motion.positions[:cut], fps=motion.fps))
+        and RULES[second].holds(measure(motion.positions[cut:], fps=motion.fps))
+        for cut in range(SHORTEST_PART, motion.num_frames - SHORTEST_PART + 1, CUT_STEP)
+    )
