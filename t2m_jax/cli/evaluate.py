@@ -66,9 +66,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         add_sampling_arguments(command)
         command.add_argument("--greedy", action="store_const", dest="temperature", const=0.0, help="--temperature 0")
     add_raw_argument(prompts)
-    groups = "what is asked for: single actions, actions at a pace (--data), or two actions in turn (default: actions)"
-    prompts.add_argument("--group", choices=("actions", "paces", "composed"), default="actions", help=groups)
-    prompts.add_argument("--data", metavar="DIR", help="data set whose clips say what is slow and fast")
+    groups = "what is asked for: actions, a pace or a manner (both with --data), or two actions in turn"
+    choices = ("actions", "paces", "manners", "composed")
+    prompts.add_argument("--group", choices=choices, default="actions", help=f"{groups} (default: actions)")
+    prompts.add_argument("--data", metavar="DIR", help="data set with which paces and manners are compared")
     prompts.add_argument("--num-seeds", type=int, default=20, help="samples per content (default: 20)")
     compare.add_argument("reports", nargs="+", type=Path, metavar="REPORT", help="two files of --json")
     table.add_argument("reports", nargs="+", type=Path, metavar="REPORT", help="files of --json")
@@ -196,14 +197,21 @@ def _measure(
 def run_prompts(args: argparse.Namespace) -> None:
     """Prints how often generated motion does what was asked."""
     from t2m_jax.data import open_dataset
-    from t2m_jax.evaluation import action_tests, composed_tests, evaluate_prompt_following, pace_tests
+    from t2m_jax.evaluation import (
+        action_tests,
+        composed_tests,
+        evaluate_prompt_following,
+        manner_tests,
+        pace_tests,
+    )
     from t2m_jax.evaluation.prompt_following import markdown_table
     from t2m_jax.sampling import TextToMotion, make_strategy
 
-    if (args.group == "paces") != (args.data is not None):
-        raise UserError("--data: is needed for --group paces, whose limits are those of real clips, and only for it")
-    if args.group == "paces":
-        tests = pace_tests(open_dataset(args.data))
+    with_data = {"paces": pace_tests, "manners": manner_tests}
+    if (args.group in with_data) != (args.data is not None):
+        raise UserError("--data: is for --group paces and manners, which compare motion with real clips; they need it")
+    if args.group in with_data:
+        tests = with_data[args.group](open_dataset(args.data))
     else:
         tests = action_tests() if args.group == "actions" else composed_tests()
     strategy = make_strategy(args.temperature, args.top_k, top_p=args.top_p)

@@ -161,15 +161,21 @@ def evaluate_prompt_following(
         num_seeds: Samples per test.
     """
     results = []
-    for test in tests:
+    for place, test in enumerate(tests):
         asked = requests(test, num_seeds=num_seeds)
         failed = [(sentence, motion) for seed, sentence in asked if not test.holds(motion := generate(sentence, seed))]
-        instead = Counter(next((other.name for other in tests if other.holds(motion)), NOTHING) for _, motion in failed)
+        instead = Counter(_passes(tests, place, motion) for _, motion in failed)
         failures = tuple(sentence for sentence, _ in failed)
         results.append(
             PromptResult(test.name, test.rule, len(asked), len(asked) - len(failed), failures, dict(instead))
         )
     return results
+
+
+def _passes(tests: Sequence[PromptTest], place: int, motion: Motion) -> str:
+    """Returns the test that a motion passes. Of several, it is the nearest one to a place in the list."""
+    near = sorted(range(len(tests)), key=lambda other: abs(other - place))
+    return next((tests[other].name for other in near if tests[other].holds(motion)), NOTHING)
 
 
 def markdown_table(results: Sequence[PromptResult]) -> str:

@@ -191,6 +191,11 @@ def _() -> Case:
     return Case(decoding(), {"tokenizer": make_module(TOKENIZER), "skeleton": HUMANML3D}, rtol=1e-4, atol=1e-4)
 
 
+@case("evaluation.manners.fit_softmax")
+def _() -> Case:
+    return Case((normal(7, 20, 6), jnp.arange(20) % 7), {"num_steps": 5}, rtol=1e-4, atol=1e-4)
+
+
 @case("motion.cleanup.clean_positions")
 def _() -> Case:
     positions = np.stack([make_motion(kind, seed=0, num_frames=40) for kind in ("walk", "wave-left-hand")])

@@ -1,0 +1,120 @@
+"""Whether generated motion has the manner that a sentence asked for, as a classifier of real clips sees it."""
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float, Int
+
+from t2m_jax.data.folder import Dataset
+from t2m_jax.data.importers.bandai_namco.wordings import held_out_sentences, load_wordings
+from t2m_jax.data.index import load_index
+from t2m_jax.errors import UserError
+from t2m_jax.evaluation.prompt_following import RULES, PromptTest
+from t2m_jax.motion.features import features_from_positions
+from t2m_jax.motion.record import Motion
+
+MANNERS = ("normal", "active", "elderly", "exhausted", "feminine", "masculine", "youthful")
+"""Styles of dataset-2. `normal` is recognized, but not asked for."""
+CONTENTS = ("walk", "run", "walk-turn-left", "wave-right-hand", "wave-both-hands", "raise-up-left-hand")
+"""Contents that are asked for in each manner, in turn."""
+NUM_STEPS, LEARNING_RATE, WEIGHT_DECAY = 400, 0.01, 0.01
+
+
+class Classifier(NamedTuple):
+    """A linear classifier of the statistics of a clip."""
+
+    mean: Float[np.ndarray, " S"]
+    std: Float[np.ndarray, " S"]
+    weights: Float[np.ndarray, "S K"]
+    bias: Float[np.ndarray, " K"]
+
+    def recognize(self, features: Float[np.ndarray, "T D"]) -> str:
+        """Returns the manner of raw features."""
+        scores = (_statistics(features) - self.mean) / self.std @ self.weights + self.bias
+        return MANNERS[int(scores.argmax())]
+
+
+def manner_tests(dataset: Dataset) -> list[PromptTest]:
+    """Returns a test for each manner; its rule says how well the classifier recognizes real clips of the test split.
+
+    Raises:
+        UserError: The data set does not show all manners.
+    """
+    classifier = train_classifier(*_labeled_clips(dataset, "train"))
+    clips, manners = _labeled_clips(dataset, "test")
+    right = [classifier.recognize(clip) == MANNERS[manner] for clip, manner in zip(clips, manners, strict=True)]
+    rule = f"a classifier recognizes it; of real test clips, it recognizes {np.mean(right):.0%}"
+    return [
+        PromptTest(manner, rule, _sentences(manner), functools.partial(_has_manner, classifier, dataset, manner))
+        for manner in MANNERS[1:]
+    ]
+
+
+def train_classifier(clips: list[Float[np.ndarray, "_ D"]], manners: Int[np.ndarray, " N"]) -> Classifier:
+    """Returns a classifier of raw features by their manners' numbers (softmax regression)."""
+    statistics = np.stack([_statistics(clip) for clip in clips])
+    mean, std = statistics.mean(axis=0), statistics.std(axis=0) + 1e-6
+    weights, bias = fit_softmax(jnp.asarray((statistics - mean) / std), jnp.asarray(manners))
+    return Classifier(mean, std, np.asarray(weights), np.asarray(bias))
+
+
+@functools.partial(jax.jit, static_argnames="num_steps")
+def fit_softmax(
+    inputs: Float[Array, "N S"], classes: Int[Array, " N"], *, num_steps: int = NUM_STEPS
+) -> tuple[Float[Array, "S K"], Float[Array, " K"]]:
+    """Returns weights and bias of a softmax regression on manners, with decayed weights."""
+    optimizer = optax.adamw(LEARNING_RATE, weight_decay=WEIGHT_DECAY)
+    start = jnp.zeros((inputs.shape[1], len(MANNERS))), jnp.zeros(len(MANNERS))
+
+    def loss(parameters: tuple[Array, Array]) -> Float[Array, ""]:
+        logits = inputs @ parameters[0] + parameters[1][None]
+        return optax.softmax_cross_entropy_with_integer_labels(logits, classes).mean()
+
+    def step(state: tuple[Any, Any], _: None) -> tuple[tuple[Any, Any], None]:
+        parameters, moments = state
+        updates, moments = optimizer.update(jax.grad(loss)(parameters), moments, parameters)
+        return (optax.apply_updates(parameters, updates), moments), None
+
+    (parameters, _), _ = jax.lax.scan(step, (start, optimizer.init(start)), length=num_steps)
+    return parameters
+
+
+def _labeled_clips(dataset: Dataset, split: str) -> tuple[list[Float[np.ndarray, "_ D"]], Int[np.ndarray, " N"]]:
+    """Returns raw features and the numbers of their manners."""
+    index, clips, manners = load_index(dataset.folder), [], []
+    for clip in dataset.clips(split, min_frames=2):
+        content, _, style = ((index.label(clip.name) if index else None) or "").partition(", ")
+        if content in RULES and style in MANNERS:
+            clips.append(clip.features)
+            manners.append(MANNERS.index(style))
+    for number, manner in enumerate(MANNERS):
+        if number not in manners:
+            raise UserError(f"{dataset.folder}: no clip of the split {split} has a label in the style {manner!r}")
+    return clips, np.array(manners)
+
+
+def _statistics(features: Float[np.ndarray, "T D"]) -> Float[np.ndarray, " S"]:
+    """Returns mean and standard deviation of each feature over time."""
+    return np.concatenate([features.mean(axis=0), features.std(axis=0)]).astype(np.float32)
+
+
+def _sentences(manner: str) -> tuple[str, ...]:
+    """Returns held-out sentences with the manner at the end."""
+    phrases = [text.text for text in load_wordings().styles[manner].manners if text.place == "end"]
+    sentences = held_out_sentences()
+    return tuple(
+        f"{sentences[content][number // len(CONTENTS)]} {phrases[number % len(phrases)]}"
+        for number, content in enumerate(CONTENTS * 10)
+    )
+
+
+def _has_manner(classifier: Classifier, dataset: Dataset, manner: str, motion: Motion) -> bool:
+    """Returns whether the classifier recognizes a manner in a motion, which may have one frame."""
+    if motion.num_frames < 2:
+        return False
+    positions = motion.positions / dataset.skeleton.metres_per_unit
+    return classifier.recognize(np.asarray(features_from_positions(positions, dataset.skeleton))) == manner
