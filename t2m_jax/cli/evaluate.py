@@ -25,6 +25,7 @@ from t2m_jax.files import check_output, save_json
 if TYPE_CHECKING:
     from t2m_jax.data import Dataset
     from t2m_jax.evaluation import CodeSource, EvaluationTask
+    from t2m_jax.evaluation.prompt_following import PromptTest
     from t2m_jax.evaluation.report import ReconstructionFigures
 
 FORMATS = ("terminal", "markdown", "latex", "json")
@@ -194,26 +195,30 @@ def _measure(
         show_next("the same with --json F.json, then `t2m evaluate table F.json`")
 
 
+def _prompt_tests(group: str, data: str | None) -> "list[PromptTest]":
+    """Returns the tests of a group.
+
+    Raises:
+        UserError: The group needs a data set, and none is given, or the other way round.
+    """
+    from t2m_jax.data import open_dataset
+    from t2m_jax.evaluation import action_tests, composed_tests, manner_tests, pace_tests
+
+    with_data = {"paces": pace_tests, "manners": manner_tests}
+    if (group in with_data) != (data is not None):
+        raise UserError("--data: is for --group paces and manners, which compare motion with real clips; they need it")
+    if data is not None:
+        return with_data[group](open_dataset(data))
+    return action_tests() if group == "actions" else composed_tests()
+
+
 def run_prompts(args: argparse.Namespace) -> None:
     """Prints how often generated motion does what was asked."""
-    from t2m_jax.data import open_dataset
-    from t2m_jax.evaluation import (
-        action_tests,
-        composed_tests,
-        evaluate_prompt_following,
-        manner_tests,
-        pace_tests,
-    )
+    from t2m_jax.evaluation import evaluate_prompt_following
     from t2m_jax.evaluation.prompt_following import markdown_table
     from t2m_jax.sampling import TextToMotion, make_strategy
 
-    with_data = {"paces": pace_tests, "manners": manner_tests}
-    if (args.group in with_data) != (args.data is not None):
-        raise UserError("--data: is for --group paces and manners, which compare motion with real clips; they need it")
-    if args.group in with_data:
-        tests = with_data[args.group](open_dataset(args.data))
-    else:
-        tests = action_tests() if args.group == "actions" else composed_tests()
+    tests = _prompt_tests(args.group, args.data)
     strategy = make_strategy(args.temperature, args.top_k, top_p=args.top_p)
     model = TextToMotion.load(args.model)
     options = {"strategy": strategy, "guidance_scale": args.guidance_scale, "stop_rule": args.stop_rule}
