@@ -26,7 +26,11 @@ def test_prompts_writes_json(bundle_folder, tmp_path, capsys):
     figures = json.loads(output.read_text())
     assert figures["num_samples"] == 10
     assert len(figures["contents"]) == 10
+    assert (figures["group"], figures["motion"]) == ("actions", "cleaned")
     assert "| **all** |" in capsys.readouterr().out
+    assert main(["evaluate", "prompts", *arguments, "--group", "composed", "--raw"]) == 0
+    figures = json.loads(output.read_text())
+    assert (figures["group"], figures["motion"], figures["num_samples"]) == ("composed", "decoded", 10)
 
 
 def test_a_model_of_another_width_is_refused(refusal, bundle_folder, data_folder, tmp_path):
@@ -58,5 +62,10 @@ def test_mistakes_are_told_in_one_line(refusal, bundle_folder, data_folder, tmp_
     assert "does not exist" in refusal(*arguments, "--json", tmp_path / "no" / "figures.json")
     assert "nonsense" in refusal(*arguments, "--split", "nonsense")
     assert "--num-seeds" in refusal("evaluate", "prompts", "--model", bundle_folder, "--num-seeds", "0")
+    for options in (("--group", "paces"), ("--group", "manners"), ("--data", data_folder)):
+        assert "--data" in refusal("evaluate", "prompts", "--model", bundle_folder, *options)
+    assert "label" in refusal(
+        "evaluate", "prompts", "--group", "manners", "--data", data_folder, "--model", bundle_folder
+    )
     for option in ("--temperature", "--guidance-scale"):
         assert option[2:] in refusal("evaluate", "prompts", "--model", bundle_folder, option, "-1")
