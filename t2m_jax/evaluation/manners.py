@@ -13,15 +13,17 @@ from t2m_jax.data.folder import Dataset
 from t2m_jax.data.importers.bandai_namco.wordings import held_out_sentences, load_wordings
 from t2m_jax.data.index import load_index
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation.prompt_following import RULES, PromptTest
+from t2m_jax.evaluation.prompt_following import RULES, PromptTest, check_skeleton
 from t2m_jax.motion.features import features_from_positions
 from t2m_jax.motion.record import Motion
+from t2m_jax.motion.skeleton import HUMANML3D
 
 MANNERS = ("normal", "active", "elderly", "exhausted", "feminine", "masculine", "youthful")
 """Styles of dataset-2. `normal` is recognized, but not asked for."""
 CONTENTS = ("walk", "run", "walk-turn-left", "wave-right-hand", "wave-both-hands", "raise-up-left-hand")
 """Contents that are asked for in each manner, in turn."""
 NUM_STEPS, LEARNING_RATE, WEIGHT_DECAY = 400, 0.01, 0.01
+"""Of the classifier's training with AdamW on all clips at once."""
 
 
 class Classifier(NamedTuple):
@@ -42,14 +44,15 @@ def manner_tests(dataset: Dataset) -> list[PromptTest]:
     """Returns a test for each manner; its rule says how well the classifier recognizes real clips of the test split.
 
     Raises:
-        UserError: The data set does not show all manners.
+        UserError: The data set has another skeleton than HumanML3D's, or does not show all manners.
     """
+    check_skeleton(dataset.skeleton, owner="data set")
     classifier = train_classifier(*_labeled_clips(dataset, "train"))
     clips, manners = _labeled_clips(dataset, "test")
     right = [classifier.recognize(clip) == MANNERS[manner] for clip, manner in zip(clips, manners, strict=True)]
     rule = f"a classifier recognizes it; of real test clips, it recognizes {np.mean(right):.0%}"
     return [
-        PromptTest(manner, rule, _sentences(manner), functools.partial(_has_manner, classifier, dataset, manner))
+        PromptTest(manner, rule, _sentences(manner), functools.partial(_has_manner, classifier, manner))
         for manner in MANNERS[1:]
     ]
 
@@ -107,14 +110,15 @@ def _sentences(manner: str) -> tuple[str, ...]:
     phrases = [text.text for text in load_wordings().styles[manner].manners if text.place == "end"]
     sentences = held_out_sentences()
     return tuple(
-        f"{sentences[content][number // len(CONTENTS)]} {phrases[number % len(phrases)]}"
-        for number, content in enumerate(CONTENTS * 10)
+        f"{sentences[content][turn]} {phrases[(turn * len(CONTENTS) + place) % len(phrases)]}"
+        for turn in range(10)
+        for place, content in enumerate(CONTENTS)
     )
 
 
-def _has_manner(classifier: Classifier, dataset: Dataset, manner: str, motion: Motion) -> bool:
+def _has_manner(classifier: Classifier, manner: str, motion: Motion) -> bool:
     """Returns whether the classifier recognizes a manner in a motion, which may have one frame."""
+    check_skeleton(motion.skeleton)
     if motion.num_frames < 2:
         return False
-    positions = motion.positions / dataset.skeleton.metres_per_unit
-    return classifier.recognize(np.asarray(features_from_positions(positions, dataset.skeleton))) == manner
+    return classifier.recognize(features_from_positions(motion.positions, HUMANML3D)) == manner

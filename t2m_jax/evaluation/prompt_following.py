@@ -13,7 +13,7 @@ from t2m_jax.data.importers.bandai_namco.measure import Facts, measure
 from t2m_jax.data.importers.bandai_namco.wordings import held_out_sentences
 from t2m_jax.errors import UserError
 from t2m_jax.motion.record import Motion
-from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.motion.skeleton import HUMANML3D, Skeleton
 
 HAND_UP = -0.05
 """A wrist is raised if it is higher than this above its own shoulder, in meters."""
@@ -116,14 +116,23 @@ class PromptResult(NamedTuple):
     """Which other test of the group a failed motion passes, and how often; `NOTHING` if none."""
 
 
+def check_skeleton(skeleton: Skeleton, *, owner: str = "motion") -> None:
+    """Checks that rules can be applied to a motion or to a data set.
+
+    Raises:
+        UserError: The skeleton is another one than HumanML3D's, whose joints the rules name.
+    """
+    if skeleton != HUMANML3D:
+        raise UserError(f"skeleton: the rules are for {HUMANML3D.name!r}, and the {owner} has {skeleton.name!r}")
+
+
 def measure_motion(motion: Motion) -> Facts | None:
     """Returns the measurements that rules are about; None for motion of one frame.
 
     Raises:
-        UserError: The motion has another skeleton than HumanML3D's, whose joints the rules name.
+        UserError: The motion has another skeleton than HumanML3D's.
     """
-    if motion.skeleton != HUMANML3D:
-        raise UserError(f"skeleton: the rules are for {HUMANML3D.name!r}, and the motion has {motion.skeleton.name!r}")
+    check_skeleton(motion.skeleton)
     return measure(motion.positions, fps=motion.fps) if motion.num_frames >= 2 else None
 
 
@@ -131,7 +140,7 @@ def follows(content: str, motion: Motion) -> bool:
     """Returns whether a motion satisfies the rule of a content.
 
     Raises:
-        UserError: The motion has another skeleton than HumanML3D's, whose joints the rules name.
+        UserError: The motion has another skeleton than HumanML3D's.
     """
     facts = measure_motion(motion)
     return facts is not None and RULES[content].holds(facts)

@@ -18,7 +18,7 @@ from t2m_jax.data.importers.bandai_namco.wordings import (
 )
 from t2m_jax.data.index import load_index
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation.prompt_following import RULES, PromptTest, goes_straight, measure_motion
+from t2m_jax.evaluation.prompt_following import RULES, PromptTest, check_skeleton, goes_straight, measure_motion
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.record import Motion
 
@@ -36,8 +36,9 @@ def pace_tests(dataset: Dataset) -> list[PromptTest]:
     """Returns a test for each paced content and pace. The limits are shares of the training clips by speed.
 
     Raises:
-        UserError: The data set does not show one of the contents.
+        UserError: The data set has another skeleton than HumanML3D's, or does not show one of the contents.
     """
+    check_skeleton(dataset.skeleton, owner="data set")
     speeds = _clip_speeds(dataset)
     return [_pace_test(content, pace, speeds[content]) for content in PACED for pace in held_out_paces()]
 
@@ -65,8 +66,9 @@ def _pace_test(content: str, pace: Pace, speeds: Float[np.ndarray, " N"]) -> Pro
 
     def holds(motion: Motion) -> bool:
         facts = measure_motion(motion)
-        in_time = facts is not None and (facts.speed > limit if pace.slower_than is None else facts.speed < limit)
-        return in_time and facts is not None and _shows(content, facts)
+        if facts is None or not _shows(content, facts):
+            return False
+        return facts.speed > limit if pace.slower_than is None else facts.speed < limit
 
     return PromptTest(f"{content} {pace.name}", f"as for {content}; {words}", sentences, holds)
 
@@ -91,6 +93,7 @@ def composed_tests() -> list[PromptTest]:
 
 def _shows_in_order(first: str, second: str, motion: Motion) -> bool:
     """Returns whether a motion can be cut into parts that satisfy the rules of two contents."""
+    check_skeleton(motion.skeleton)
     return any(
         RULES[first].holds(measure(motion.positions[:cut], fps=motion.fps))
         and RULES[second].holds(measure(motion.positions[cut:], fps=motion.fps))

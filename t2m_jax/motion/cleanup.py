@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from t2m_jax.masks import mask_from_lengths
+from t2m_jax.motion.features import gaussian_kernel
 from t2m_jax.motion.rotations import cross_product, unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 
@@ -67,11 +68,10 @@ def smooth_over_clip(positions: Clip, length: Int[Array, ""], *, sigma: float) -
         length: Frames of the clip.
         sigma: Standard deviation of the Gaussian in frames.
     """
-    radius = int(4 * sigma + 0.5)
-    gaussian = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
-    gaussian /= gaussian.sum()
-    kernel = 2 * np.pad(gaussian, radius) - np.convolve(gaussian, gaussian)
-    wanted = jnp.arange(-2 * radius, len(positions) + 2 * radius)
+    gaussian = gaussian_kernel(sigma)
+    reach = len(gaussian) - 1
+    kernel = 2 * np.pad(gaussian, reach // 2) - np.convolve(gaussian, gaussian)
+    wanted = jnp.arange(-reach, len(positions) + reach)
     inside = jnp.clip(wanted, 0, length - 1)
     mirrored = jnp.clip(2 * inside - wanted, 0, length - 1)
     beyond = (wanted != inside)[:, None, None]
@@ -151,18 +151,18 @@ def _bone_matrices(skeleton: Skeleton) -> tuple[np.ndarray, np.ndarray]:
 def lock_feet(positions: Clip, length: Int[Array, ""], skeleton: Skeleton) -> Clip:
     """Returns positions in which a toe that stands does not move over the ground; the legs bend as needed."""
     mask = mask_from_lengths(length[None], len(positions))[0]
-    feet = jnp.array([skeleton.left_foot, skeleton.right_foot])
-    heights = jnp.where(mask[:, None], positions[:, feet.ravel(), 1], jnp.nan)
+    feet = np.array(skeleton.left_foot + skeleton.right_foot)
+    heights = jnp.where(mask[:, None], positions[:, feet, 1], jnp.nan)
     low = jnp.nanpercentile(heights, 1.0) + CONTACT_HEIGHT
 
-    def moved_leg(leg: Int[Array, " 4"]) -> Float[Array, "T 4 3"]:
+    def moved_joints(leg: Int[Array, " 4"]) -> Float[Array, "T 3 3"]:
         hip, knee, ankle, toe = jnp.moveaxis(positions[:, leg], 1, 0)
         shift = lock_shift(toe, _standing(toe, mask, low, fps=skeleton.fps))
         return jnp.stack(move_foot(hip, knee, ankle, toe, shift), axis=1)
 
     legs = np.array([_leg(skeleton, *foot) for foot in (skeleton.left_foot, skeleton.right_foot)])
-    moved = jax.vmap(moved_leg, out_axes=1)(jnp.asarray(legs))
-    return positions.at[:, legs.ravel()].set(moved.reshape(len(positions), -1, 3))
+    moved = jax.vmap(moved_joints, out_axes=1)(jnp.asarray(legs))
+    return positions.at[:, legs[:, 1:].ravel()].set(moved.reshape(len(positions), -1, 3))
 
 
 def _leg(skeleton: Skeleton, ankle: int, toe: int) -> tuple[int, int, int, int]:
@@ -230,7 +230,7 @@ def move_foot(
     toe: Float[Array, "T 3"],
     shift: Float[Array, "T 3"],
 ) -> tuple[Float[Array, "T 3"], ...]:
-    """Returns a leg whose foot moves by a shift, as far as the leg reaches; the knee bends in the same direction."""
+    """Returns knee, ankle and toe of a leg whose foot moves by a shift, as far as it reaches."""
     thigh, shin = _length(knee - hip), _length(ankle - knee)
     wanted = ankle + shift - hip
     # A leg that is straighter than the limit may stay so, but not become straighter.
@@ -242,7 +242,7 @@ def move_foot(
     bend = (knee - hip) - jnp.sum((knee - hip) * direction, axis=-1, keepdims=True) * direction
     aside = jnp.sqrt(jnp.maximum(thigh**2 - along**2, 0.0)) * bend / _length(bend)
     new_ankle = hip + reach * direction
-    return hip, hip + along * direction + aside, new_ankle, toe + new_ankle - ankle
+    return hip + along * direction + aside, new_ankle, toe + new_ankle - ankle
 
 
 def _length(vectors: Float[Array, "*B C"]) -> Float[Array, "*B 1"]:

@@ -126,6 +126,13 @@ def _forward(across: Float[AnyArray, "*batch 3"]) -> Float[AnyArray, "*batch 3"]
     return xp.stack([across[..., 2], xp.zeros_like(across[..., 0]), -across[..., 0]], axis=-1)
 
 
+def gaussian_kernel(sigma: float) -> Float[np.ndarray, " K"]:
+    """Returns a Gaussian of a standard deviation in frames, cut off as in SciPy; its sum is 1."""
+    radius = int(_TRUNCATE * sigma + 0.5)
+    kernel = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
+    return kernel / kernel.sum()
+
+
 def smooth_over_time(values: Float[AnyArray, "*batch T C"], *, sigma: float) -> Float[AnyArray, "*batch T C"]:
     """Returns `values` smoothed over time by a Gaussian. The first and last frames are repeated as padding.
 
@@ -133,10 +140,9 @@ def smooth_over_time(values: Float[AnyArray, "*batch T C"], *, sigma: float) -> 
     """
     xp = namespace_of(values)
     dtype = np.float64 if xp is np else np.float32
-    radius = int(_TRUNCATE * sigma + 0.5)
+    kernel = gaussian_kernel(sigma).astype(dtype)
+    radius = len(kernel) // 2
     steps = np.arange(-radius, radius + 1)
-    kernel = np.exp(-0.5 * (steps / sigma) ** 2)
-    kernel = (kernel / kernel.sum()).astype(dtype)
     num_frames = values.shape[-2]
     windows = np.clip(np.arange(num_frames)[:, None] + steps, 0, num_frames - 1)
     neighbors = xp.asarray(values, dtype=dtype)[..., windows, :]

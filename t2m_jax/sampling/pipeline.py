@@ -118,7 +118,7 @@ class TextToMotion:
                 default the model's own.
             stop_rule: `argmax`, `threshold` or `sampled`, for models with a stop head; by default the model's own.
             raw: Whether positions stay as decoded. By default they are cleaned: they tremble less, bones have constant
-                lengths, and feet that stand do not slide (`t2m_jax.motion.cleanup`).
+                lengths, and feet slide less (`t2m_jax.motion.cleanup`).
 
         Raises:
             UserError: A caption or a number cannot be used.

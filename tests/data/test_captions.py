@@ -5,7 +5,7 @@ import pytest
 from t2m_jax.data.importers.bandai_namco.captions import Labels, clip_pace, true_facts, write_captions
 from t2m_jax.data.importers.bandai_namco.grammar import Manner, Subject, sentence
 from t2m_jax.data.importers.bandai_namco.measure import Facts
-from t2m_jax.data.importers.bandai_namco.wordings import held_out_sentences, load_wordings
+from t2m_jax.data.importers.bandai_namco.wordings import held_out_compositions, held_out_sentences, load_wordings
 from t2m_jax.data.importers.lexicon import gerund, knows, tag_words, third_person, words_in
 
 CONTENTS, EXCEPTIONS, STYLES, SUBJECTS = load_wordings()
@@ -148,6 +148,11 @@ def test_held_out_sentences_are_new_but_their_words_are_not(many_captions):
         assert not forms & captions
         assert not {bare(text) for text in sentences} & predicates
         assert {word for text in forms for word in text.split()} <= vocabulary
+
+
+def test_no_caption_asks_for_two_actions_as_the_composed_sentences_do(many_captions):
+    captions = {normal_form(caption.text) for group in many_captions.values() for caption in group}
+    assert not {normal_form(text) for request in held_out_compositions() for text in request.sentences} & captions
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Paces and composed sentences on procedural motions whose speed and order are known."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -8,9 +9,11 @@ import pytest
 from t2m_jax.data import make_motion, open_dataset, write_synthetic_dataset
 from t2m_jax.data.importers.bandai_namco.wordings import held_out_paces
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation import composed_tests, pace_tests, prompt_groups
+from t2m_jax.evaluation import composed_tests, manner_tests, pace_tests, prompt_groups
 from t2m_jax.evaluation.prompt_following import RULES, requests
+from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.record import Motion
+from t2m_jax.motion.skeleton import KIT_ML
 
 CONTENTS = ("walk", "wave-left-hand")
 COMPOSED = {test.name: test for test in composed_tests()}
@@ -88,6 +91,21 @@ def test_both_parts_in_order(parts):
     assert not test.holds(in_turn(*parts[::-1]))
     assert not any(test.holds(in_turn(part)) for part in parts)
     assert not test.holds(Motion(in_turn(*parts).positions[:30], 20.0)), "too short for two parts"
+
+
+def test_other_skeletons_are_refused():
+    motion = Motion(np.zeros((60, 21, 3)), 12.5, skeleton=KIT_ML)
+    for test in COMPOSED.values():
+        with pytest.raises(UserError, match="the rules are for 'humanml3d', and the motion has 'kit_ml'"):
+            test.holds(motion)
+
+
+def test_data_of_another_skeleton_are_refused(dataset):
+    normalizer = Normalizer(*np.zeros((2, KIT_ML.feature_dim), np.float32))
+    other = dataclasses.replace(dataset, skeleton=KIT_ML, normalizer=normalizer)
+    for make_tests in (pace_tests, manner_tests):
+        with pytest.raises(UserError, match="the rules are for 'humanml3d', and the data set has 'kit_ml'"):
+            make_tests(other)
 
 
 def test_there_are_enough_sentences_of_known_parts():

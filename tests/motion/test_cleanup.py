@@ -78,7 +78,7 @@ def test_bones_get_their_lengths_and_the_root_stays():
     fixed = np.asarray(fix(positions))
     expected = np.tile(HUMANML3D.bone_lengths[1:], (FRAMES, 1))
     np.testing.assert_allclose(bone_lengths(fixed), expected, rtol=1e-4)
-    np.testing.assert_allclose(fixed[:, 0].mean(axis=0), positions[:, 0].mean(axis=0), atol=0.01)
+    np.testing.assert_array_equal(fixed[:, 0], positions[:, 0])
 
 
 def test_one_stretched_bone_does_not_move_a_whole_limb():
@@ -136,8 +136,8 @@ def slide_of(seed, size):
     time = np.arange(FRAMES)[:, None] / 20
     slide = np.zeros((FRAMES, 3), np.float32)
     slide[:, ::2] = size * np.sin(2 * np.pi * 0.7 * time + phases)
-    hip, knee, ankle, toe = move_foot(*[jnp.asarray(positions[:, joint]) for joint in LEFT_LEG], jnp.asarray(slide))
-    for joint, values in zip(LEFT_LEG, (hip, knee, ankle, toe), strict=True):
+    moved = move_foot(*[jnp.asarray(positions[:, joint]) for joint in LEFT_LEG], jnp.asarray(slide))
+    for joint, values in zip(LEFT_LEG[1:], moved, strict=True):
         positions[:, joint] = values
     return positions
 
@@ -194,8 +194,8 @@ def test_between_two_stands_the_shift_is_between_theirs():
 def test_a_leg_reaches_no_further_than_it_is_long():
     leg = [jnp.asarray(walk()[:, joint]) for joint in LEFT_LEG]
     far = jnp.tile(jnp.array([[0.0, -5.0, 0.0]]), (FRAMES, 1))
-    hip, knee, ankle, toe = move_foot(*leg, far)
-    np.testing.assert_allclose(distances(knee, hip), distances(leg[1], leg[0]), atol=1e-4)
+    knee, ankle, toe = move_foot(*leg, far)
+    np.testing.assert_allclose(distances(knee, leg[0]), distances(leg[1], leg[0]), atol=1e-4)
     np.testing.assert_allclose(distances(ankle, knee), distances(leg[2], leg[1]), atol=1e-4)
     np.testing.assert_allclose(distances(toe, ankle), distances(leg[3], leg[2]), atol=1e-4)
 
