@@ -14,6 +14,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.evaluation import codes, embedding
 from t2m_jax.evaluation.embedding import embed_plan_captions, embed_plan_motions
 from t2m_jax.evaluation.protocols import find_protocol
+from t2m_jax.evaluation.quality import CLEANED
 from t2m_jax.evaluation.run import evaluate
 from t2m_jax.evaluation.sources import make_generation
 from t2m_jax.evaluation.task import EvaluationTask, load_samples, make_task
@@ -160,7 +161,8 @@ def test_another_unit_of_the_features_changes_no_embedding(task, before):
     model = TextToMotion(random_bundle()._replace(normalizer=statistics))
     after = figures(with_clips(with_statistics(task, statistics), clips), model)
     for row, found in after.items():
-        assert changed(before[row], found) <= set(MotionQuality._fields), "only what is measured in meters"
+        names = {name.removeprefix(CLEANED) for name in changed(before[row], found)}
+        assert names <= set(MotionQuality._fields), "only what is measured in meters"
 
 
 def test_the_size_of_batches_does_not_matter(task, model, before, monkeypatch):
@@ -170,7 +172,8 @@ def test_the_size_of_batches_does_not_matter(task, model, before, monkeypatch):
     for row, metrics in before.items():
         for metric, value in metrics.items():
             # Of two motions that are made alike either may be nearer by the last bit.
-            ties = 1 / 32 if metric.startswith("r_precision") else 0
+            # Bones are of one length after the clean-up: their variation is what rounding leaves, below 1e-5.
+            ties = 1 / 32 if metric.startswith("r_precision") else 1e-7
             np.testing.assert_allclose(after[row][metric], value, rtol=1e-4, atol=ties, err_msg=f"{row} {metric}")
 
 
