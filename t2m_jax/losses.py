@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from t2m_jax.devices import global_mean, global_sum
 from t2m_jax.masks import masked_mean
+from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import Skeleton
 
@@ -116,10 +117,54 @@ def bone_loss(
     if normalizer is not None:
         reconstruction, motion = normalizer.denormalize(reconstruction), normalizer.denormalize(motion)
     difference = bone_vectors(reconstruction, skeleton) - bone_vectors(motion, skeleton)
-    squares = jnp.sum(difference**2, axis=-1)
+    return masked_mean(_lengths(difference), mask[:, :, None])
+
+
+def joint_loss(
+    reconstruction: Float[Array, "B T D"],
+    motion: Float[Array, "B T D"],
+    mask: Bool[Array, "B T"],
+    *,
+    skeleton: Skeleton,
+    normalizer: Normalizer,
+) -> Float[Array, ""]:
+    """Returns the mean distance of the joints but the root, relative to its place and heading, in the skeleton's unit.
+
+    Arguments as for `bone_loss`; the normalizer is needed.
+    """
+    difference = normalizer.denormalize(reconstruction) - normalizer.denormalize(motion)
+    joints = difference[..., skeleton.layout.positions].reshape(*difference.shape[:2], -1, 3)
+    return masked_mean(_lengths(joints), mask[:, :, None])
+
+
+def world_losses(
+    reconstruction: Float[Array, "B T D"],
+    motion: Float[Array, "B T D"],
+    mask: Bool[Array, "B T"],
+    *,
+    skeleton: Skeleton,
+    normalizer: Normalizer,
+) -> dict[str, Float[Array, ""]]:
+    """Returns how far joints move differently in the world: per frame, in the skeleton's unit.
+
+    `world_velocity` is the mean distance of the joints' steps from a frame to the next, and `world_acceleration` that
+    of the steps' differences. Both contain the root's path and heading. A difference counts if all its frames are data.
+    Arguments as for `joint_loss`.
+    """
+    difference = positions_from_features(normalizer.denormalize(reconstruction), skeleton)
+    difference -= positions_from_features(normalizer.denormalize(motion), skeleton)
+    two, three = mask[:, 1:] & mask[:, :-1], mask[:, 2:] & mask[:, 1:-1] & mask[:, :-2]
+    return {
+        "world_velocity": masked_mean(_lengths(jnp.diff(difference, axis=1)), two[:, :, None]),
+        "world_acceleration": masked_mean(_lengths(jnp.diff(difference, 2, axis=1)), three[:, :, None]),
+    }
+
+
+def _lengths(vectors: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
+    """Returns the lengths of vectors, whose gradient is 0 where they are 0."""
+    squares = jnp.sum(vectors**2, axis=-1)
     differs = squares > 0
-    lengths = jnp.where(differs, jnp.sqrt(jnp.where(differs, squares, 1.0)), 0.0)
-    return masked_mean(lengths, mask[:, :, None])
+    return jnp.where(differs, jnp.sqrt(jnp.where(differs, squares, 1.0)), 0.0)
 
 
 def mean_weights(

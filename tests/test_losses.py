@@ -6,15 +6,22 @@ import numpy as np
 import pytest
 
 from t2m_jax.losses import (
+    bone_loss,
     elementwise_loss,
+    joint_loss,
     reconstruction_loss,
     token_accuracy,
     token_loss,
     token_weights,
     velocity_loss,
+    world_losses,
 )
+from t2m_jax.motion.features import features_from_positions
 from t2m_jax.motion.layout import make_layout
+from t2m_jax.motion.normalizer import Normalizer
+from t2m_jax.motion.skeleton import HUMANML3D
 from tests.jit import assert_jit_equals_eager
+from tests.motion.figures import walking_positions
 
 
 @pytest.mark.parametrize("joints", [22, 21])
@@ -122,3 +129,52 @@ def test_differences_across_a_clips_end_do_not_count():
     pred = motion.at[:, 2:].set(9.0)
     assert velocity(pred, motion, jnp.array([[True, True, False, False]]), "frame_difference") == 0.0
     assert velocity(pred, motion, jnp.array([[True, True, True, False]]), "frame_difference") == 4.5
+
+
+LAYOUT = HUMANML3D.layout
+NORMALIZER = Normalizer(jnp.full(263, 0.1), jnp.linspace(0.5, 2.0, 263))
+IN_METERS = {"skeleton": HUMANML3D, "normalizer": NORMALIZER}
+
+
+@pytest.fixture(scope="module")
+def walk():
+    """A normalized walk of 40 frames and its mask, of which the last 10 are padding."""
+    motion = NORMALIZER.normalize(jnp.asarray(features_from_positions(walking_positions(41), HUMANML3D))[None])
+    return motion, (jnp.arange(40) < 30)[None]
+
+
+def moved(motion, columns, amount):
+    """The motion with an amount in meters added to columns."""
+    return motion.at[..., columns].add(amount / NORMALIZER.std[columns])
+
+
+def test_losses_in_meters_are_distances(walk):
+    motion, mask = walk
+    lifted = moved(motion, slice(LAYOUT.positions.start, LAYOUT.positions.start + 3), jnp.array([0.03, 0.0, 0.04]))
+    assert joint_loss(lifted, motion, mask, **IN_METERS) == pytest.approx(0.05 / 21, rel=1e-4)
+    # The left hip is the end of one bone and the beginning of another.
+    assert bone_loss(lifted, motion, mask, **IN_METERS) == pytest.approx(2 * 0.05 / 21, rel=1e-4)
+    found = world_losses(lifted, motion, mask, **IN_METERS)
+    assert max(found.values()) < 2e-3, "turning with the heading is all that moves a constant offset"
+
+
+def test_world_losses_contain_the_path(walk):
+    motion, mask = walk
+    faster = moved(motion, slice(LAYOUT.root_velocity.start + 1, LAYOUT.root_velocity.stop), 0.01)
+    found = world_losses(faster, motion, mask, **IN_METERS)
+    assert found["world_velocity"] == pytest.approx(0.01, rel=1e-3)
+    assert found["world_acceleration"] < 1e-3
+    assert joint_loss(faster, motion, mask, **IN_METERS) == 0
+
+
+@pytest.mark.parametrize("measure", [joint_loss, bone_loss, world_losses])
+def test_losses_in_meters_leave_out_padding_and_have_gradients_at_zero(walk, measure):
+    motion, mask = walk
+
+    def total(reconstruction):
+        return sum(jax.tree.leaves(measure(reconstruction, motion, mask, **IN_METERS)))
+
+    assert total(motion.at[:, 30:].add(9.0)) == 0
+    gradient = jax.grad(total)(motion)
+    assert jnp.all(jnp.isfinite(gradient))
+    assert_jit_equals_eager(jax.jit(total), motion + 0.1)

@@ -13,10 +13,13 @@ MAX_LINES = 20
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Adds the sub-commands `import`, `synthetic` and `check`."""
-    commands = parser.add_subparsers(dest="data_command", required=True, metavar="{import,synthetic,check}")
+    """Adds the sub-commands `import`, `merge`, `synthetic` and `check`."""
+    commands = parser.add_subparsers(dest="data_command", required=True, metavar="{import,merge,synthetic,check}")
     importer = commands.add_parser("import", help="convert motion files into a data-set folder")
     synthetic = commands.add_parser("synthetic", help="make a data-set folder of computed motions, without a download")
+    merge = commands.add_parser("merge", help="put several data sets into one folder")
+    merge.add_argument("sources", nargs="+", type=Path, metavar="SRC", help="folders to read")
+    merge.add_argument("destination", type=Path, metavar="DEST", help="folder to make")
     check = commands.add_parser("check", help="count the contents of a data-set folder and find its faults")
     check.add_argument("folder", type=Path, metavar="DIR")
     check.add_argument("--json", type=Path, metavar="FILE", help="write the report to this file, too")
@@ -29,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for command in (bandai, bvh, humanml3d, synthetic):
         command.add_argument("destination", type=Path, metavar="DEST", help="folder to make")
     bandai.add_argument("--splits", type=Path, metavar="DIR", help="folder with train.txt, val.txt and test.txt")
+    bandai.add_argument("--composed", type=int, default=0, help="motions of several actions to add")
     bandai.add_argument("--workers", type=int, help="number of processes (default: one per processor)")
     bvh.add_argument("--captions", type=Path, metavar="FILE", help="file,caption[,start,end] or 'file: caption' lines")
     bvh.add_argument("--rig", help="name of a rig or a YAML file (default: detected from the joint names)")
@@ -51,6 +55,7 @@ def run(args: argparse.Namespace) -> None:
         return
     from t2m_jax.data import importers
     from t2m_jax.data.importers import synthetic, synthetic_scale
+    from t2m_jax.data.merge import merge_datasets
 
     if args.data_command == "synthetic":
         default, write = synthetic.NUM_CLIPS, synthetic.write_synthetic_dataset
@@ -58,8 +63,11 @@ def run(args: argparse.Namespace) -> None:
             default, write = synthetic_scale.NUM_CLIPS, synthetic_scale.write_scaled_dataset
         num_clips = default if args.num_clips is None else args.num_clips
         report = write(args.destination, num_clips=num_clips, seed=args.seed)
+    elif args.data_command == "merge":
+        report = merge_datasets(args.sources, args.destination)
     elif args.source_kind == "bandai-namco":
-        report = importers.import_bandai_namco(args.source, args.destination, splits=args.splits, workers=args.workers)
+        options = {name: getattr(args, name) for name in ("splits", "composed", "workers")}
+        report = importers.import_bandai_namco(args.source, args.destination, **options)
     elif args.source_kind == "humanml3d":
         report = importers.import_humanml3d(args.source, args.destination)
     else:

@@ -36,7 +36,7 @@ from t2m_jax.train.experiment import Evaluation, Setup, Validation
 from t2m_jax.train.optimizer import OptimizerConfig
 from t2m_jax.train.program import Update
 from t2m_jax.train.streams import stream_key
-from t2m_jax.train.tokenize import CodedMotion, OffsetKind, TimedCaptionKind, encode_clips, make_code_bank
+from t2m_jax.train.tokenize import CodedMotion, LongClipKind, OffsetKind, TimedCaptionKind, encode_clips, make_code_bank
 
 SIZES_OF_TOKENIZER = ("num_codes", "num_quantizers", "code_dim")
 """Fields of a generator's config that are taken from its tokenizer."""
@@ -69,6 +69,9 @@ class TrainGeneratorConfig(ExperimentConfig):
     timed_captions: TimedCaptionKind = "encode"
     """Codes for a caption with times: of those frames alone, or cut out of the codes of the whole clip (the
     original)."""
+    long_clips: LongClipKind = "drop"
+    """Clips that are longer than the data set's longest motion: left out (the original), or cut into windows that
+    overlap by half, each with the captions of the clip."""
     precision: Precision = "float32"
     """What products are computed in during training."""
     remat: bool = False
@@ -253,7 +256,8 @@ def code_motions(
     config: Any, clips: Sequence[Clip], dataset: Dataset, tokenizer: TrainedTokenizer
 ) -> list[CodedMotion]:
     """Returns clips as codes, as the config asks for."""
-    options = {"offsets": config.offsets, "timed_captions": config.timed_captions, "seed": config.loop.seed}
+    options = {name: getattr(config, name) for name in ("offsets", "timed_captions", "long_clips")}
+    options["seed"] = config.loop.seed
     return encode_clips(clips, dataset.info, tokenizer, **options)
 
 

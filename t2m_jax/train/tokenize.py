@@ -20,6 +20,7 @@ logger = logging.getLogger(__name__)
 
 OffsetKind = Literal["all", "one"]
 TimedCaptionKind = Literal["encode", "slice"]
+LongClipKind = Literal["drop", "windows"]
 
 
 class CodedMotion(NamedTuple):
@@ -44,6 +45,7 @@ def encode_clips(
     *,
     offsets: OffsetKind,
     timed_captions: TimedCaptionKind,
+    long_clips: LongClipKind = "drop",
     seed: int,
 ) -> list[CodedMotion]:
     """Returns what a generator learns from: whole clips, and parts of them that have captions with times, as codes.
@@ -54,6 +56,8 @@ def encode_clips(
         tokenizer: Encodes the motions.
         offsets: Frames at which the first code may start: all that leave the same number of codes, or one per clip.
         timed_captions: Codes for a caption with times: of those frames alone, or cut out of the codes of the clip.
+        long_clips: Leave out clips that are too long (the original), or cut them into windows that overlap by half.
+            All captions of a clip without times are taken to describe each of its windows.
         seed: Seed of the random choices.
 
     Raises:
@@ -62,6 +66,8 @@ def encode_clips(
     downsample = tokenizer.config.downsample
     # One code more than the shortest motion, so that every starting frame leaves at least one.
     shortest = max(2 * downsample, info.min_frames)
+    if long_clips == "windows":
+        clips = [window for clip in clips for window in cut_windows(clip, info)]
     if timed_captions == "encode":
         pieces = [piece for clip in clips for piece in samples_from_clip(clip, info)]
     else:
@@ -84,6 +90,20 @@ def encode_clips(
             "`t2m data check`)"
         )
     return motions
+
+
+def cut_windows(clip: Clip, info: DatasetInfo) -> list[Clip]:
+    """Returns the clip or, if it is too long, windows of it that overlap by half or a little more.
+
+    Captions with times are left out of windows.
+    """
+    frames, length = len(clip.features), info.max_frames
+    if info.fits(frames) or frames < info.min_frames:
+        return [clip]
+    captions = tuple(caption for caption in clip.captions if caption.whole_clip)
+    count = -(-(frames - length) // (length // 2)) + 1
+    starts = [round(place * (frames - length) / (count - 1)) for place in range(count)]
+    return [Clip(clip.name, clip.features[start : start + length], captions) for start in starts]
 
 
 def split_by_captions(

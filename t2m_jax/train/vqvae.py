@@ -21,8 +21,10 @@ from t2m_jax.losses import (
     VelocityKind,
     acceleration_loss,
     bone_loss,
+    joint_loss,
     reconstruction_loss,
     velocity_loss,
+    world_losses,
 )
 from t2m_jax.metrics.codes import code_usage, perplexity
 from t2m_jax.models.rows import Precision, in_precision
@@ -71,6 +73,13 @@ class TrainVqVaeConfig(ExperimentConfig):
     """Weight of the loss of bone vectors."""
     bone_space: Literal["metres", "normalized"] = "metres"
     """What bone vectors are measured in: meters, or the normalized features."""
+    joint_weight: float = 0.0
+    """Weight of the distance of the joints in meters, relative to the root."""
+    world_velocity_weight: float = 0.0
+    """Weight of the distance of the joints' steps in the world, in meters per frame. With it, paths drift less and feet
+    slide less."""
+    world_acceleration_weight: float = 0.0
+    """Weight of the distance of the joints' changes of step in the world, in meters. With it, motion trembles less."""
     commitment_weight: float = 0.02
     """Weight of the commitment loss."""
     precision: Precision = "float32"
@@ -145,11 +154,19 @@ def vqvae_losses(output: VqVaeOutput, windows: Windows, config: TrainVqVaeConfig
         terms["acceleration"] = acceleration_loss(*pair, kind=kind)
     if config.bone_weight and config.bone_space == "normalized":
         terms["bones"] = bone_loss(*pair, skeleton=skeleton)
-    elif config.bone_weight:
-        terms["bones"] = skeleton.metres_per_unit * bone_loss(*pair, skeleton=skeleton, normalizer=normalizer)
+    in_meters: Any = {"skeleton": skeleton, "normalizer": normalizer}
+    if config.bone_weight and config.bone_space == "metres":
+        terms["bones"] = skeleton.metres_per_unit * bone_loss(*pair, **in_meters)
+    if config.joint_weight:
+        terms["joints"] = skeleton.metres_per_unit * joint_loss(*pair, **in_meters)
+    if config.world_velocity_weight or config.world_acceleration_weight:
+        moved = world_losses(*pair, **in_meters)
+        terms |= {name: skeleton.metres_per_unit * term for name, term in moved.items()}
     terms["commitment"] = output.commitment_loss
     weights = {"reconstruction": 1.0, "velocity": config.velocity_weight, "acceleration": config.acceleration_weight}
-    weights |= {"bones": config.bone_weight, "commitment": config.commitment_weight}
+    weights |= {"bones": config.bone_weight, "joints": config.joint_weight, "commitment": config.commitment_weight}
+    weights |= {"world_velocity": config.world_velocity_weight}
+    weights |= {"world_acceleration": config.world_acceleration_weight}
     loss = functools.reduce(jnp.add, [weights[name] * term for name, term in terms.items()])
     return {"loss": loss} | terms | codebook_metrics(output)
 

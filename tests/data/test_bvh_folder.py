@@ -6,6 +6,8 @@ from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.bvh import import_bvh_folder
 from t2m_jax.errors import UserError
 from tests.data.bvh_files import write_bvh
+from tests.motion.glb_files import write_person
+from tests.motion.test_retarget import BANDAI
 
 
 def write_clips(folder, names):
@@ -101,7 +103,7 @@ def test_broken_tables_name_the_line(tmp_path, content, words):
 
 
 def test_refusals(tmp_path):
-    with pytest.raises(UserError, match=r"no \.bvh files"):
+    with pytest.raises(UserError, match=r"no .bvh or .glb files"):
         import_bvh_folder(tmp_path, tmp_path / "data")
     source = write_clips(tmp_path / "source", ["a"])
     with pytest.raises(UserError, match="none of 1 clips"):
@@ -127,3 +129,26 @@ def test_a_caption_file_in_another_encoding_is_named(tmp_path):
     (source / "a.txt").write_bytes("sie läuft".encode("latin-1"))
     with pytest.raises(UserError, match=r"a\.txt: is not UTF-8"):
         import_bvh_folder(source, tmp_path / "data")
+
+
+def test_each_animation_of_a_glb_file_is_a_clip(tmp_path):
+    source = write_clips(tmp_path / "source", ["a"])
+    animations = {"Armature|Turn_Left": 90.0, "Armature|Wait": 0.0, "Armature|Rest": 0.0}
+    write_person(source / "sub" / "figure.glb", BANDAI, animations, seconds=2.0)
+    (source / "captions.csv").write_text(
+        "file,caption\na,she glides\nsub/figure/Turn_Left,he turns\nfigure/Turn_Left,he spins\nWait,he waits\n"
+    )
+    (source / "sub" / "figure.txt").write_text("not read for several animations\n")
+    report = import_bvh_folder(source, tmp_path / "data")
+    captions = all_captions(tmp_path / "data")
+    assert captions["sub_figure_Turn_Left"] == ["he turns", "he spins"] and captions["sub_figure_Wait"] == ["he waits"]
+    assert report.num_clips == 6 and list(report.left_out) == ["sub_figure_Rest"]
+    assert len(open_dataset(tmp_path / "data").features("sub_figure_Turn_Left")) == 40
+    assert audit_dataset(tmp_path / "data").problems == []
+
+
+def test_a_broken_glb_file_is_named(tmp_path):
+    source = write_clips(tmp_path / "source", ["a"])
+    (source / "b.glb").write_bytes(b"no figure here, but more than 20 bytes")
+    report = import_bvh_folder(source, tmp_path / "data", caption_from_name=True)
+    assert "b.glb: is not a GLB file" in report.left_out["b"]

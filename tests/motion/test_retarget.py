@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -6,6 +8,7 @@ from t2m_jax.motion.bvh import load_bvh, save_bvh
 from t2m_jax.motion.bvh.retarget import retarget
 from t2m_jax.motion.bvh.rigs import RIGS, detect_rig, load_rig, make_rig
 from t2m_jax.motion.record import Motion
+from t2m_jax.motion.rotations import matrix_from_euler
 from t2m_jax.motion.skeleton import HUMANML3D
 
 from .figures import INDEX, bvh_text, walking_positions
@@ -158,3 +161,39 @@ def test_bad_rig_files_are_named(tmp_path, text, message):
         path.write_text(text)
     with pytest.raises(UserError, match=message):
         load_rig(path)
+
+
+def lower_sides(joints: dict) -> dict:
+    """Returns joints whose names begin with l or r in place of L or R."""
+
+    def lower(name):
+        return name and name[0].lower() + name[1:]
+
+    return {lower(name): (lower(parent), offset) for name, (parent, offset) in joints.items()}
+
+
+DAZ = (
+    {"hip": (None, (0.0, 93.0, 0.0)), "abdomen": ("hip", (0.0, 20.0, 0.0)), "chest": ("abdomen", (0.0, 12.0, 0.0))}
+    | {"neck": ("chest", (0.0, 22.0, 0.0)), "head": ("neck", (0.0, 7.0, 0.0))}
+    | lower_sides(arms("{S}Collar", "{S}Shldr", "{S}ForeArm", "{S}Hand", chest="chest"))
+    | lower_sides(limbs("{S}Thigh", "{S}Shin", "{S}Foot", "{S}Toe", pelvis="hip"))
+)
+
+
+def test_the_toes_of_a_daz_figure_are_at_its_end_sites(tmp_path):
+    """It has no toe joint. An End Site moves with its joint."""
+    figure = {name: bone for name, bone in DAZ.items() if not name.endswith("Toe")}
+    text = bvh_text(figure, np.zeros((2, 6 + 3 * (len(figure) - 1))))
+    for side in "lr":
+        before, name, after = text.partition(f"JOINT {side}Foot\n")
+        text = before + name + after.replace("OFFSET 0 0 0", "OFFSET 0 -6 12", 1)
+    path = tmp_path / "daz.bvh"
+    path.write_text(text)
+    clip = load_bvh(path)
+    assert detect_rig(clip.with_end_sites().joint_names).name == "daz"
+    pose = retarget(clip).positions[0]
+    np.testing.assert_allclose(pose[INDEX["left_foot"]], [0.09, 0, 0.12], atol=1e-6)
+    np.testing.assert_allclose(pose[INDEX["right_foot"]], [-0.09, 0, 0.12], atol=1e-6)
+    lifted = dataclasses.replace(clip, rotations=clip.rotations.copy())
+    lifted.rotations[:, clip.joint_names.index("lFoot")] = matrix_from_euler(np.array([-np.pi / 2, 0, 0]), "XYZ")
+    np.testing.assert_allclose(retarget(lifted).positions[0, INDEX["left_foot"]], [0.09, 0.18, 0.06], atol=1e-5)

@@ -157,3 +157,20 @@ def test_targets_of_a_batch(tmp_path):
         kinds[tuple(row)] += 1
     shares = np.array(list(kinds.values())) / 200
     np.testing.assert_allclose(shares, [2 / 3, 1 / 6, 1 / 6], atol=0.1)
+
+
+def test_long_clips_may_be_cut_into_windows(first_frames, vqvae):
+    motions = coded(vqvae, CLIPS, long_clips="windows")
+    windows = [motion for motion in motions if texts([motion]) == [["walks on"]]]
+    assert [int(motion.variants[0][0, 0]) for motion in windows] == [0, 52, 104]
+    assert len(motions) == 6 + len(windows) and all(len(motion.variants[0]) == 49 for motion in windows)
+
+
+def test_windows_cover_a_clip_and_lose_captions_with_times():
+    long = clip("long", 1000, Caption("walks on"), tagged("stops", 1.0, 2.0))
+    windows = train_tokenize.cut_windows(long, INFO)
+    starts = [int(window.features[0, 0]) for window in windows]
+    assert starts[0] == 0 and starts[-1] == 1000 - 196 and max(np.diff(starts)) <= 98
+    assert {window.captions for window in windows} == {(Caption("walks on"),)}
+    assert train_tokenize.cut_windows(CLIPS[0], INFO) == [CLIPS[0]]
+    assert train_tokenize.cut_windows(clip("tiny", 3), INFO)[0].name == "tiny"

@@ -1,6 +1,7 @@
 """The content of a BVH file: a hierarchy of joints, local rotations and translations."""
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Float
@@ -10,7 +11,7 @@ from t2m_jax.motion.bvh.kinematics import forward_kinematics
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class BvhClip:
-    """One clip of one figure. All lengths are in meters, whatever the file's unit was."""
+    """One clip of one figure, from BVH or glTF. All lengths are in meters, whatever the file's unit was."""
 
     joint_names: tuple[str, ...]
     """Names in their order in the file."""
@@ -26,6 +27,8 @@ class BvhClip:
     """Frames per second."""
     metres_per_unit: float
     """Factor by which the numbers of the file were multiplied."""
+    end_sites: Mapping[int, Float[np.ndarray, " 3"]] = dataclasses.field(default_factory=dict)
+    """Joint -> place of its End Site in its frame: the tip of a toe, a hand or the head."""
 
     @property
     def num_frames(self) -> int:
@@ -36,3 +39,18 @@ class BvhClip:
     def positions(self) -> Float[np.ndarray, "T J 3"]:
         """World positions of all joints in meters."""
         return forward_kinematics(self.rotations, self.translations, self.parents).positions
+
+    def with_end_sites(self) -> "BvhClip":
+        """Returns the clip with a joint at each End Site, named "<joint> End Site"."""
+        joints, offsets = list(self.end_sites), np.array(list(self.end_sites.values()), np.float32).reshape(-1, 3)
+        frames, count = self.num_frames, len(joints)
+        still = np.broadcast_to(np.eye(3, dtype=np.float32), (frames, count, 3, 3))
+        return dataclasses.replace(
+            self,
+            joint_names=(*self.joint_names, *(f"{self.joint_names[joint]} End Site" for joint in joints)),
+            parents=(*self.parents, *joints),
+            offsets=np.concatenate([self.offsets, offsets]),
+            rotations=np.concatenate([self.rotations, still], axis=1),
+            translations=np.concatenate([self.translations, np.tile(offsets, (frames, 1, 1))], axis=1),
+            end_sites={},
+        )

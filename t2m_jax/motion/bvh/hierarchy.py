@@ -24,6 +24,8 @@ class Hierarchy(NamedTuple):
     parents: tuple[int, ...]
     offsets: Float[np.ndarray, "J 3"]
     channels: tuple[tuple[str, ...], ...]
+    end_sites: dict[int, tuple[float, ...]]
+    """Joint -> OFFSET of its first End Site."""
 
     @property
     def num_channels(self) -> int:
@@ -105,6 +107,7 @@ class _Draft(NamedTuple):
     parents: list[int]
     offsets: list[tuple[float, ...]]
     channels: list[tuple[str, ...]]
+    end_sites: dict[int, tuple[float, ...]]
 
 
 def parse_hierarchy(lines: Sequence[str], path: Path) -> Hierarchy:
@@ -116,7 +119,7 @@ def parse_hierarchy(lines: Sequence[str], path: Path) -> Hierarchy:
     """
     tokens = _Tokens(lines, path)
     tokens.take_word("HIERARCHY")
-    draft = _Draft([], [], [], [])
+    draft = _Draft([], [], [], [], {})
     root = tokens.take('"ROOT"')
     if root.text.upper() != "ROOT":
         raise tokens.error(f'expected "ROOT", found "{root.text}"')
@@ -129,7 +132,7 @@ def parse_hierarchy(lines: Sequence[str], path: Path) -> Hierarchy:
             case "END":
                 tokens.take_name(token)
                 tokens.take_word("{")
-                _read_offset(tokens, "OFFSET of End Site")
+                draft.end_sites.setdefault(stack[-1], _read_offset(tokens, "OFFSET of End Site"))
                 tokens.take_word("}")
             case "}":
                 stack.pop()
@@ -141,7 +144,7 @@ def parse_hierarchy(lines: Sequence[str], path: Path) -> Hierarchy:
         kind = "a second ROOT; one figure per file" if found.text.upper() == "ROOT" else f'"{found.text}"'
         raise tokens.error(f"after the closing brace of the root follows {kind}")
     offsets = np.array(draft.offsets, dtype=np.float64)
-    return Hierarchy(tuple(draft.names), tuple(draft.parents), offsets, tuple(draft.channels))
+    return Hierarchy(tuple(draft.names), tuple(draft.parents), offsets, tuple(draft.channels), draft.end_sites)
 
 
 def _open_joint(tokens: _Tokens, draft: _Draft, *, keyword: _Token, parent: int) -> int:

@@ -63,6 +63,9 @@ def load_bvh(
         translations=(translations * metres_per_unit).astype(np.float32),
         fps=table.fps,
         metres_per_unit=metres_per_unit,
+        end_sites={
+            joint: np.array(offset, np.float32) * metres_per_unit for joint, offset in hierarchy.end_sites.items()
+        },
     )
 
 

@@ -25,9 +25,9 @@ class Rig:
 
 
 def _sided(**patterns: str) -> dict[str, str]:
-    """Returns a table for both sides. In the patterns, {side} becomes Left or Right, and {S} becomes L or R."""
+    """Returns a table for both sides. In the patterns, {side} becomes Left or Right, {S} L or R, and {s} l or r."""
     return {
-        f"{side.lower()}_{joint}": pattern.format(side=side, S=side[0])
+        f"{side.lower()}_{joint}": pattern.format(side=side, S=side[0], s=side[0].lower())
         for joint, pattern in patterns.items()
         for side in ("Left", "Right")
     }
@@ -89,7 +89,27 @@ MIXAMO = make_rig(
     | {"left_foot": ("LeftToe", "LeftToeBase"), "right_foot": ("RightToe", "RightToeBase")},
     name="mixamo",
 )
-RIGS = {rig.name: rig for rig in (BANDAI_NAMCO, CMU_ICLONE, MIXAMO)}
+DAZ = make_rig(
+    {"pelvis": "hip", "spine1": "abdomen", "spine3": "chest", "neck": "neck", "head": "head"}
+    | _sided(hip="{s}Thigh", knee="{s}Shin", ankle="{s}Foot", foot="{s}Foot End Site")
+    | _sided(collar="{s}Collar", shoulder="{s}Shldr", elbow="{s}ForeArm", wrist="{s}Hand"),
+    name="daz",
+)
+RIGIFY = make_rig(
+    {"pelvis": "DEF-hips", "spine1": "DEF-spine.001", "spine2": "DEF-spine.002", "spine3": "DEF-spine.003"}
+    | {"neck": "DEF-neck", "head": "DEF-head"}
+    | _sided(hip="DEF-thigh.{S}", knee="DEF-shin.{S}", ankle="DEF-foot.{S}", foot="DEF-toe.{S}")
+    | _sided(collar="DEF-shoulder.{S}", shoulder="DEF-upper_arm.{S}", elbow="DEF-forearm.{S}", wrist="DEF-hand.{S}"),
+    name="rigify",
+)
+# Its joint `head` is at the base of the neck.
+KAYKIT = make_rig(
+    {"pelvis": "hips", "spine1": "spine", "spine3": "chest", "neck": "head"}
+    | _sided(hip="upperleg.{s}", knee="lowerleg.{s}", ankle="foot.{s}", foot="toes.{s}")
+    | _sided(shoulder="upperarm.{s}", elbow="lowerarm.{s}", wrist="wrist.{s}"),
+    name="kaykit",
+)
+RIGS = {rig.name: rig for rig in (BANDAI_NAMCO, CMU_ICLONE, MIXAMO, DAZ, RIGIFY, KAYKIT)}
 
 
 def match_rig(rig: Rig, joint_names: Sequence[str]) -> dict[str, int]:

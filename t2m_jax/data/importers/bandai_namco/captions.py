@@ -63,19 +63,34 @@ def true_facts(labels: Labels, facts: Facts) -> frozenset[str]:
     return frozenset(name for name, holds in found.items() if holds)
 
 
-def compose(labels: Labels, wording: Wording, *, facts: Facts, style_share: float, generator: random.Random) -> str:
+def compose(
+    labels: Labels,
+    wording: Wording,
+    *,
+    facts: Facts,
+    style_share: float,
+    generator: random.Random,
+    manners: tuple[Manner, ...] = (),
+) -> str:
     """Returns one sentence for a clip; subject, tense, manner and final stop are drawn at random.
 
     The order of the draws is part of the data set: another order gives other captions.
+
+    Args:
+        labels: Content and style of the clip.
+        wording: What the sentence says.
+        facts: Measurements of the clip.
+        style_share: Share of the sentences that name the style.
+        generator: Source of the draws.
+        manners: One of these is named, instead of the style or the pace.
     """
     words = load_wordings()
     content, style, predicate = words.contents[labels.content], words.styles[labels.style], wording.predicate
     (form,) = generator.choices(FORMS, FORM_WEIGHTS)
     pace = clip_pace(labels, facts)
-    manners: tuple[Manner, ...] = ()
-    if generator.random() < style_share:
+    if not manners and generator.random() < style_share:
         manners = style.manners
-    elif pace and generator.random() < SPEED_SHARE:
+    elif not manners and pace and generator.random() < SPEED_SHARE:
         manners = content.paces[pace]
     if any(mark in predicate for mark in CLAUSE_MARKS):
         manners = tuple(manner for manner in manners if manner.place != "end")

@@ -57,9 +57,22 @@ def sentence(
         limb: "hand" or "arm".
         manner: How it is done, or None.
     """
+    if manner is not None and manner.place == "adjective":
+        subject = subject_with_adjective(subject, manner.text)
+    return opening(subject, form) + clause(predicate, subject, form=form, side=side, limb=limb, manner=manner)
+
+
+def opening(subject: Subject, form: Form) -> str:
+    """Returns what a sentence begins with, such as "a person is "; nothing in forms without a subject."""
+    openings = {"present": f"{subject.text} ", "progressive": f"{subject.text} is "}
+    return (openings | {"begins": f"{subject.text} begins to "}).get(form, "")
+
+
+def clause(
+    predicate: str, subject: Subject, *, form: Form, side: Side = "", limb: str = "hand", manner: Manner | None = None
+) -> str:
+    """Returns a sentence without its opening; arguments as for `sentence`. Adjectives are not in it."""
     text, place = manner or ("", "end")
-    if place == "adjective":
-        subject = subject_with_adjective(subject, text)
     possessive = {"imperative": "your", "gerund": "the"}.get(form, subject.possessive)
     hands = f"both {limb}s" if side == "both" else f"{possessive} {side} {limb}"
     body = predicate.replace("{limb}", hands).replace("{poss}", possessive).replace("{side}", side)
@@ -67,8 +80,5 @@ def sentence(
     inflect = {"present": third_person, "progressive": gerund, "gerund": gerund}.get(form, str)
     body = re.sub(r"\[(\w+)\]", lambda verb: inflect(verb[1]), body)
     if place == "before_verb":
-        body = f"{text} {body}"
-    elif place == "end" and text:
-        body = f"{body} {text}"
-    opening = {"present": subject.text, "progressive": f"{subject.text} is", "begins": f"{subject.text} begins to"}
-    return f"{opening[form]} {body}" if form in opening else body
+        return f"{text} {body}"
+    return f"{body} {text}" if place == "end" and text else body

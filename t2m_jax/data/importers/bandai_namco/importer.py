@@ -5,14 +5,23 @@ import csv
 import functools
 import multiprocessing
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import tqdm
 
 from t2m_jax.data.files import SPLITS, read_names
 from t2m_jax.data.folder import DatasetInfo
 from t2m_jax.data.importers.bandai_namco.captions import Labels, write_captions
+from t2m_jax.data.importers.bandai_namco.compose import STAND
+from t2m_jax.data.importers.bandai_namco.extra import (
+    NewClip,
+    make_library,
+    write_composition,
+    write_more_captions,
+    write_stand_clips,
+)
 from t2m_jax.data.importers.bandai_namco.measure import measure
 from t2m_jax.data.importers.bandai_namco.wordings import load_wordings
 from t2m_jax.data.index import IndexRow, save_index
@@ -54,6 +63,8 @@ INFO = DatasetInfo(
         "of AI-based Motion Editing and Stylization, 2023, arXiv:2306.08861."
     ),
 )
+Mapper: TypeAlias = Callable[..., Iterable[Any]]
+NO_LISTS = "no split lists found: split by a hash of the names, 80/5/15 % of every content and style"
 
 
 def labels_from_name(name: str) -> Labels:
@@ -134,54 +145,101 @@ def _convert(file: Path, *, folder: Path) -> int:
     return write_twins(folder, file.stem, motion.positions, captions=captions, skeleton=HUMANML3D)
 
 
+def _labels_of_clip(name: str) -> Labels:
+    """Returns content and style of a clip, also of one that was cut out of another."""
+    if name.startswith(f"{STAND}_"):
+        return Labels(STAND, labels_from_name(name.removeprefix(f"{STAND}_")).style)
+    return labels_from_name(name)
+
+
+def _find_lists(source: Path, splits: str | Path | None) -> Path | None:
+    """Returns the folder with the split lists, the given one or one near the data; None if there is none.
+
+    Raises:
+        UserError: The given folder does not have the lists.
+    """
+    near = (source, source / "splits", source.parent / "splits", source.parent / "splits/bandai-namco")
+    for lists in [Path(splits)] if splits else near:
+        if all((lists / f"{split}.txt").is_file() for split in SPLITS):
+            return lists
+    if splits:
+        raise UserError(f"{splits}: expected train.txt, val.txt and test.txt in it")
+    return None
+
+
+@contextlib.contextmanager
+def _map_in_processes(workers: int) -> Iterator[Mapper]:
+    """Yields what applies a function to many arguments, in as many processes."""
+    if workers == 1:
+        yield map
+        return
+    # Fresh interpreters, because forking a process in which JAX has threads may hang.
+    with multiprocessing.get_context("spawn").Pool(workers) as pool:
+        yield functools.partial(pool.imap, chunksize=8)
+
+
+def _write_new_clips(folder: Path, names: Sequence[str], composed: int, run_all: Mapper) -> list[NewClip]:
+    """Writes motions that are made of training clips, and returns them."""
+    still = write_stand_clips(folder, names, labels_from_name)
+    library = make_library(folder, [*names, *(clip.name for clip in still)], _labels_of_clip)
+    made = run_all(functools.partial(write_composition, library=library), range(composed))
+    return [*still, *tqdm.tqdm(made, total=composed, unit="clip", desc="composing")]
+
+
 def import_bandai_namco(
-    source: str | Path, destination: str | Path, *, splits: str | Path | None = None, workers: int | None = None
+    source: str | Path,
+    destination: str | Path,
+    *,
+    splits: str | Path | None = None,
+    composed: int = 0,
+    workers: int | None = None,
 ) -> ImportReport:
     """Converts the whole archive into a new data-set folder and returns a report of what was written.
 
     Every clip is resampled to 20 frames per second, retargeted to the 22 joints, encoded, mirrored and captioned.
-    Flagged clips are left out. Scripts that call this with several workers need `if __name__ == "__main__":`.
+    Flagged clips are left out. Training clips get more captions: how fast they are among the clips of their content,
+    and their style. Scripts that call this with several workers need `if __name__ == "__main__":`.
 
     Args:
         source: Folder of the unpacked archive.
         destination: Folder to make.
         splits: Folder with train.txt, val.txt and test.txt (clip names). By default, it is searched near the data.
             Without lists, clips are split 80/5/15 % by a hash of the names, within every content and style.
+        composed: Number of motions to add for training that show two or three actions in turn. They are made of
+            training clips. If it is above 0, motions of standing still are added, too.
         workers: Number of processes; by default one per processor.
 
     Raises:
-        UserError: There are no clips, a BVH file or a list is broken, or the destination exists.
+        UserError: There are no clips, a BVH file or a list is broken, `composed` is negative, no clips are short
+            enough to be joined, or the destination exists.
     """
+    if composed < 0:
+        raise UserError(f"composed: {composed} is negative")
     source = Path(source)
     files = find_clips(source)
-    near = (source, source / "splits", source.parent / "splits", source.parent / "splits/bandai-namco")
-    for lists in [Path(splits)] if splits else near:
-        if all((lists / f"{split}.txt").is_file() for split in SPLITS):
-            break
-    else:
-        lists = None
-    if splits and lists is None:
-        raise UserError(f"{splits}: expected train.txt, val.txt and test.txt in it")
+    lists = _find_lists(source, splits)
     flagged, flags_from = flagged_clips(source, lists)
     divided = _divide_clips([name for name in files if name not in flagged], lists)
     wanted = {name: files[name] for name in sorted(name for members in divided.values() for name in members)}
     left_out = {name: f"flagged in {flags_from}" for name in files if name in flagged}
     left_out |= dict.fromkeys(sorted(files.keys() - flagged - wanted.keys()), f"in no list of {lists}")
     workers = min(workers or os.cpu_count() or 1, max(1, len(wanted) // 16))
-    with new_folder(destination) as folder, contextlib.ExitStack() as stack:
-        convert = functools.partial(_convert, folder=folder)
-        done: Iterable[int] = map(convert, wanted.values())
-        if workers > 1:
-            # Fresh interpreters, because forking a process in which JAX has threads may hang.
-            pool = stack.enter_context(multiprocessing.get_context("spawn").Pool(workers))
-            done = pool.imap(convert, wanted.values(), chunksize=8)
+    with new_folder(destination) as folder, _map_in_processes(workers) as run_all:
+        done = run_all(functools.partial(_convert, folder=folder), wanted.values())
         frames = sum(tqdm.tqdm(done, total=len(wanted), unit="clip", desc="converting"))
+        write_more_captions(folder, divided["train"], labels_from_name)
+        new = _write_new_clips(folder, divided["train"], composed, run_all) if composed else []
+        divided["train"] = [*divided["train"], *(clip.name for clip in new)]
         twins = {split: with_twins(members) for split, members in divided.items()}
         sizes = finish_folder(folder, twins, info=INFO, skeleton=HUMANML3D)
-        labels = {name: ", ".join(labels_from_name(name)) for name in wanted}
-        rows = [IndexRow(name, wanted[name].relative_to(source).as_posix(), labels[name]) for name in wanted]
-        save_index(folder, rows)
-    hashed = "no split lists found: split by a hash of the names, 80/5/15 % of every content and style"
-    origin = f"split lists: {lists}" if lists else hashed
-    notes = (origin, f"{sum(name in flagged for name in files)} flagged clips left out (by {flags_from})")
-    return ImportReport(2 * len(wanted), 2 * frames, sizes, left_out, notes)
+        origins = ((name, path.relative_to(source).as_posix()) for name, path in wanted.items())
+        rows = [IndexRow(name, origin, ", ".join(labels_from_name(name))) for name, origin in origins]
+        save_index(folder, [*rows, *(IndexRow(clip.name, "", clip.label) for clip in new)])
+    notes = [
+        f"split lists: {lists}" if lists else NO_LISTS,
+        f"{len(flagged & files.keys())} flagged clips left out (by {flags_from})",
+    ]
+    added = f"{len(new) - composed} motions of standing still and {composed} composed ones added to train"
+    notes += [added] if new else []
+    frames += sum(clip.num_frames for clip in new)
+    return ImportReport(2 * (len(wanted) + len(new)), 2 * frames, sizes, left_out, tuple(notes))

@@ -51,6 +51,19 @@ class ComposedRequest(NamedTuple):
     sentences: tuple[str, ...]
 
 
+class Composition(NamedTuple):
+    """How several contents follow each other, and how people say it."""
+
+    weights: Mapping[str, float]
+    """Content -> how often it is drawn."""
+    two: tuple[str, ...]
+    """Sentences of two clauses."""
+    stops: tuple[str, ...]
+    """Sentences of somebody who goes somewhere and then stops."""
+    three: tuple[str, ...]
+    """Sentences of three clauses."""
+
+
 class Wordings(NamedTuple):
     """Everything that captions are made of."""
 
@@ -106,6 +119,23 @@ def load_wordings() -> Wordings:
         manners += [Manner(text, "adjective") for text in entry.get("adjectives", ())]
         styles[name] = Style(tuple(manners), _subjects(entry.get("subjects", ())))
     return Wordings(contents, exceptions, styles, _subjects(words["subjects"]))
+
+
+@functools.cache
+def load_composition() -> Composition:
+    """Returns how several contents follow each other."""
+    entries = _read("composed")
+    return Composition(entries["weights"], *(tuple(entries[name]) for name in ("two", "stops", "three")))
+
+
+@functools.cache
+def load_extremes() -> Mapping[str, tuple[Manner, ...]]:
+    """Returns the ways of saying that a clip is among the slowest or the fastest of its content."""
+    return {
+        name: tuple(Manner(text, "end") for text in texts)
+        + tuple(Manner(text, "before_verb") for text in texts if text.endswith("ly"))
+        for name, texts in _read("styles")["extremes"].items()
+    }
 
 
 @functools.cache

@@ -1,0 +1,138 @@
+"""More for training than the recordings: captions of extremes, standing still, and actions in turn."""
+
+import random
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from t2m_jax.data.files import MIRROR_PREFIX, POSITIONS, TEXTS
+from t2m_jax.data.importers.bandai_namco.captions import Labels, compose, true_facts
+from t2m_jax.data.importers.bandai_namco.compose import (
+    STAND,
+    STAND_FRAMES,
+    Library,
+    draw_parts,
+    find_stillness,
+    join_parts,
+    stand_still,
+    write_composed_captions,
+)
+from t2m_jax.data.importers.bandai_namco.grammar import Manner
+from t2m_jax.data.importers.bandai_namco.measure import Facts, measure
+from t2m_jax.data.importers.bandai_namco.wordings import load_extremes, load_wordings
+from t2m_jax.data.importers.lexicon import tag_words
+from t2m_jax.data.texts import Caption, load_captions, save_captions
+from t2m_jax.data.writer import mirror, write_twins
+from t2m_jax.motion.skeleton import HUMANML3D
+
+EXTREMES = {"very_slow": (0.0, 0.08), "slow": (0.0, 0.17), "fast": (0.83, 1.0), "very_fast": (0.92, 1.0)}
+"""Shares of a content's clips by speed. They are narrower than those that a model is tested with, so that what it
+learns lies inside."""
+PACE_MARKS = ("pace", "steady", "quick", "fast", "speed", "stroll", "march", "stride", "wander")
+"""Parts of wordings that say how fast already."""
+FEWEST_CLIPS = 50
+"""Clips of a content that can be compared by speed."""
+MORE_CAPTIONS = 3
+"""Captions of each extreme, and of the style, that a training clip gets besides its own."""
+CAPTIONS_OF_NEW = 6
+"""Captions of a motion that is made of others."""
+
+
+class NewClip(NamedTuple):
+    """A clip that was written."""
+
+    name: str
+    label: str
+    num_frames: int
+
+
+def write_more_captions(folder: Path, names: Sequence[str], labels: Callable[[str], Labels]) -> None:
+    """Adds captions to training clips: how fast they are among the clips of their content, and their style."""
+    facts = {name: measure(np.load(folder / POSITIONS / f"{name}.npy"), fps=HUMANML3D.fps) for name in names}
+    by_content = defaultdict(list)
+    for name in names:
+        by_content[labels(name).content].append(facts[name].speed)
+    for name in names:
+        speeds = np.sort(by_content[labels(name).content])
+        texts = _extreme_captions(name, labels(name), facts[name], speeds)
+        if labels(name).style != "normal":
+            texts += _style_captions(name, labels(name), facts[name])
+        said = _captions(dict.fromkeys(texts))
+        for twin, more in ((name, said), (MIRROR_PREFIX + name, [mirror(caption) for caption in said])):
+            path = folder / TEXTS / f"{twin}.txt"
+            save_captions(path, (*load_captions(path), *more))
+
+
+def _extreme_captions(name: str, labels: Labels, facts: Facts, speeds: Float[np.ndarray, " N"]) -> list[str]:
+    place = float(np.searchsorted(speeds, facts.speed, side="right") / len(speeds))
+    generator = random.Random(f"speed of {name}")
+    if len(speeds) < FEWEST_CLIPS:
+        return []
+    found = [extreme for extreme, (above, below) in EXTREMES.items() if above < place <= below]
+    manners = [load_extremes()[extreme] for extreme in found for _ in range(MORE_CAPTIONS)]
+    return [_say(labels, facts, generator, manners=one) for one in manners]
+
+
+def _style_captions(name: str, labels: Labels, facts: Facts) -> list[str]:
+    generator = random.Random(f"style of {name}")
+    return [_say(labels, facts, generator, manners=()) for _ in range(MORE_CAPTIONS)]
+
+
+def _say(labels: Labels, facts: Facts, generator: random.Random, *, manners: tuple[Manner, ...]) -> str:
+    """Returns a sentence with one of the given manners; without any, with one of the clip's style."""
+    words, holding = load_wordings(), true_facts(labels, facts)
+    known = words.exceptions.get((labels.content, labels.style), words.contents[labels.content].wordings)
+    plain = [one for one in known if one.needs in holding and not any(mark in one.predicate for mark in PACE_MARKS)]
+    wording = generator.choice(plain or [one for one in known if one.needs in holding])
+    return compose(labels, wording, facts=facts, style_share=1.0, generator=generator, manners=manners)
+
+
+def write_stand_clips(folder: Path, names: Sequence[str], labels: Callable[[str], Labels]) -> list[NewClip]:
+    """Writes a motion of standing still for each training clip that has a stretch of it, and returns them."""
+    clips = []
+    for name in names:
+        positions = np.load(folder / POSITIONS / f"{name}.npy")
+        still = find_stillness(positions)
+        if still is None:
+            continue
+        generator = random.Random(f"stillness of {name}")
+        motion = stand_still(positions[still], num_frames=generator.randint(*STAND_FRAMES))
+        label = Labels(STAND, labels(name).style)
+        facts, wordings = measure(motion, fps=HUMANML3D.fps), load_wordings().contents[STAND].wordings
+        texts = {
+            compose(label, generator.choice(wordings), facts=facts, style_share=0.3, generator=generator): None
+            for _ in range(CAPTIONS_OF_NEW)
+        }
+        clips.append(_write(folder, f"{STAND}_{name}", ", ".join(label), motion, _captions(texts)))
+    return clips
+
+
+def write_composition(number: int, *, library: Library) -> NewClip:
+    """Writes a motion of two or three actions in turn; the number decides which."""
+    generator = random.Random(f"composition {number}")
+    parts = draw_parts(library, generator)
+    captions = write_composed_captions(parts, count=CAPTIONS_OF_NEW, generator=generator)
+    label = " + ".join(part.labels.content for part in parts)
+    return _write(library.folder, f"composed_{number:05d}", label, join_parts(parts), captions)
+
+
+def make_library(folder: Path, names: Sequence[str], labels: Callable[[str], Labels]) -> Library:
+    """Returns the clips that compositions are made of."""
+    clips = defaultdict(list)
+    for name in names:
+        clips[labels(name).content].append((name, labels(name).style))
+    return Library(folder, dict(clips))
+
+
+def _captions(texts: Iterable[str]) -> tuple[Caption, ...]:
+    return tuple(Caption(text, tag_words(text, strict=True)) for text in texts)
+
+
+def _write(
+    folder: Path, name: str, label: str, positions: Float[np.ndarray, "T J 3"], captions: Sequence[Caption]
+) -> NewClip:
+    return NewClip(name, label, write_twins(folder, name, positions, captions=captions, skeleton=HUMANML3D))

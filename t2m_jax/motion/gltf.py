@@ -1,0 +1,223 @@
+"""Reading the animations of a GLB file (glTF 2.0 in one binary file) as clips of a hierarchy of joints.
+
+Scales are taken as equal along x, y and z and as constant, which they are in files of people.
+"""
+
+import json
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from t2m_jax.errors import UserError
+from t2m_jax.files import first_line, reading
+from t2m_jax.motion.bvh.clip import BvhClip
+from t2m_jax.motion.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
+
+MAX_SECONDS = 3600.0
+"""A longer animation is taken as an error in the file."""
+_MAGIC, _JSON_CHUNK, _BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
+_SIZES = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+_TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5126: np.float32}
+_W_FIRST = [3, 0, 1, 2]
+"""glTF's quaternions are x, y, z, w."""
+
+
+class _Glb(NamedTuple):
+    tree: Mapping[str, Any]
+    binary: bytes
+
+
+class _Track(NamedTuple):
+    """The keys of one property of one node."""
+
+    times: Float[np.ndarray, " K"]
+    values: Float[np.ndarray, "K M C"]
+    """M is 1, or 3 with cubic splines: tangent before the key, value, tangent after it."""
+    interpolation: str
+
+
+class _Nodes(NamedTuple):
+    """The nodes that move the joints, parents first."""
+
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    numbers: dict[int, int]
+    """Number in the file -> place in this table."""
+    translations: Float[np.ndarray, "J 3"]
+    rotations: Float[np.ndarray, "J 4"]
+    scales: Float[np.ndarray, " J"]
+    """Of each joint's parent and all nodes above it."""
+
+
+def load_gltf(path: Path | str, *, fps: float = 20.0) -> dict[str, BvhClip]:
+    """Returns the animations of a GLB file by name, sampled at `fps` frames per second.
+
+    Equal names get a number. Lengths are in meters, as glTF demands.
+
+    Raises:
+        UserError: The file cannot be read, is damaged, or has no skin or no animation.
+    """
+    path = Path(path)
+    with reading(path):
+        data = path.read_bytes()
+    try:
+        glb = _split_chunks(data)
+        nodes = _find_nodes(glb.tree)
+        clips: dict[str, BvhClip] = {}
+        for number, animation in enumerate(glb.tree.get("animations", [])):
+            name = str(animation.get("name") or f"animation_{number}")
+            clips[name if name not in clips else f"{name}_{number}"] = _sample(glb, nodes, animation, fps=fps)
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from error
+    except (LookupError, TypeError, ValueError, AttributeError, struct.error, RecursionError) as error:
+        raise UserError(f"{path}: is not a correct GLB file ({first_line(error)})") from error
+    if not clips:
+        raise UserError(f"{path}: has no animation")
+    return clips
+
+
+def _split_chunks(data: bytes) -> _Glb:
+    """Returns the two chunks of a GLB file."""
+    if len(data) < 20 or struct.unpack_from("<I", data)[0] != _MAGIC:
+        raise UserError("is not a GLB file; export as glTF binary (.glb)")
+    chunks: dict[int, bytes] = {}
+    start = 12
+    while start + 8 <= len(data):
+        size, kind = struct.unpack_from("<II", data, start)
+        chunks.setdefault(kind, data[start + 8 : start + 8 + size])
+        start += 8 + size
+    tree = json.loads(chunks[_JSON_CHUNK])
+    if not isinstance(tree, dict):
+        raise ValueError("its JSON is not an object")
+    return _Glb(tree, chunks.get(_BINARY_CHUNK, b""))
+
+
+def _find_nodes(tree: Mapping[str, Any]) -> _Nodes:
+    """Returns the joints of all skins and the nodes above them."""
+    nodes = tree.get("nodes", [])
+    above = {child: number for number, node in enumerate(nodes) for child in node.get("children", [])}
+    wanted = {joint for skin in tree.get("skins", []) for joint in skin["joints"]}
+    if not wanted:
+        raise UserError("has no skin, so it is not known which of its nodes are joints")
+    lines: dict[int, list[int]] = {}
+    for joint in wanted:
+        line = [joint]
+        while line[-1] in above:
+            line.append(above[line[-1]])
+            if len(line) > len(nodes):
+                raise ValueError("its nodes are their own parents")
+        lines |= {number: line[place:] for place, number in enumerate(line)}
+    order = sorted(lines, key=lambda number: (len(lines[number]), number))
+    numbers = {number: place for place, number in enumerate(order)}
+    parents = tuple(numbers[above[number]] if number in above else -1 for number in order)
+    poses = [_rest_pose(nodes[number]) for number in order]
+    scales = np.ones(len(order))
+    for place, parent in enumerate(parents):
+        scales[place] = 1.0 if parent < 0 else scales[parent] * poses[parent][2]
+    names = tuple(str(nodes[number].get("name", f"node_{number}")) for number in order)
+    translations, rotations = np.stack([pose[0] for pose in poses]), np.stack([pose[1] for pose in poses])
+    return _Nodes(names, parents, numbers, translations, rotations, scales)
+
+
+def _rest_pose(node: Mapping[str, Any]) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 4"], float]:
+    """Returns translation, rotation (w first) and scale of a node."""
+    if "matrix" in node:
+        matrix = np.array(node["matrix"], float).reshape(4, 4).T
+        scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+        return matrix[:3, 3], quaternion_from_matrix(matrix[:3, :3] / scale).astype(float), scale
+    translation = np.array(node.get("translation", (0, 0, 0)), float).reshape(3)
+    rotation = np.array(node.get("rotation", (0, 0, 0, 1)), float).reshape(4)[_W_FIRST]
+    return translation, rotation, float(np.mean(np.array(node.get("scale", 1), float)))
+
+
+def _sample(glb: _Glb, nodes: _Nodes, animation: Mapping[str, Any], *, fps: float) -> BvhClip:
+    """Returns one animation at `fps` frames per second."""
+    tracks: dict[tuple[int, str], _Track] = {}
+    for channel in animation["channels"]:
+        target, sampler = channel["target"], animation["samplers"][channel["sampler"]]
+        if target.get("node") in nodes.numbers and target["path"] in ("translation", "rotation"):
+            tracks[nodes.numbers[target["node"]], target["path"]] = _read_track(glb, sampler)
+    seconds = max((float(track.times[-1]) for track in tracks.values()), default=0.0)
+    if not 0 <= seconds <= MAX_SECONDS:
+        raise UserError(f"an animation ends after {seconds:g} seconds; expected at most {MAX_SECONDS:g}")
+    times = np.arange(int(np.floor(seconds * fps + 1e-4)) + 1) / fps
+    translations = np.tile(nodes.translations, (len(times), 1, 1))
+    rotations = np.tile(nodes.rotations, (len(times), 1, 1))
+    for (joint, kind), track in tracks.items():
+        (rotations if kind == "rotation" else translations)[:, joint] = _interpolate(track, times, kind)
+    if not (np.isfinite(translations).all() and np.isfinite(rotations).all()):
+        raise ValueError("an animation has values that are not finite")
+    return BvhClip(
+        joint_names=nodes.names,
+        parents=nodes.parents,
+        offsets=(nodes.translations * nodes.scales[:, None]).astype(np.float32),
+        rotations=matrix_from_quaternion(rotations.astype(np.float32)),
+        translations=(translations * nodes.scales[:, None]).astype(np.float32),
+        fps=fps,
+        metres_per_unit=1.0,
+    )
+
+
+def _read_track(glb: _Glb, sampler: Mapping[str, Any]) -> _Track:
+    interpolation = sampler.get("interpolation", "LINEAR")
+    times, values = _read_accessor(glb, sampler["input"])[:, 0], _read_accessor(glb, sampler["output"])
+    per_key = 3 if interpolation == "CUBICSPLINE" else 1
+    if values.shape[1] == 4:
+        values = values[:, _W_FIRST]
+    if not (len(times) and len(values) == per_key * len(times) and np.all(np.diff(times) >= 0)):
+        raise ValueError("an animation has as many times as it has no values, or times that go back")
+    return _Track(times, values.reshape(len(times), per_key, -1), interpolation)
+
+
+def _read_accessor(glb: _Glb, number: int) -> Float[np.ndarray, "N C"]:
+    """Returns the numbers of an accessor; integers are shares of their largest value, as rotations may be stored."""
+    accessor = glb.tree["accessors"][number]
+    if "sparse" in accessor:
+        raise UserError("sparse accessors are not supported")
+    view = glb.tree["bufferViews"][accessor["bufferView"]]
+    if view["buffer"] or "uri" in glb.tree["buffers"][0]:
+        raise UserError("its animations are in another file; export everything into one .glb")
+    dtype, columns = np.dtype(_TYPES[accessor["componentType"]]), _SIZES[accessor["type"]]
+    start, count = view.get("byteOffset", 0) + accessor.get("byteOffset", 0), accessor["count"]
+    if min(start, count) < 0 or view.get("byteStride", columns * dtype.itemsize) != columns * dtype.itemsize:
+        raise ValueError("an accessor's place is not supported")
+    values = np.frombuffer(glb.binary, dtype, count=count * columns, offset=start).reshape(count, columns)
+    scale = 1.0 if dtype.kind == "f" else 1.0 / int(np.iinfo(str(dtype)).max)
+    return np.maximum(values * scale, -1.0) if dtype.kind == "i" else values * scale
+
+
+def _interpolate(track: _Track, times: Float[np.ndarray, " T"], kind: str) -> Float[np.ndarray, "T C"]:
+    """Returns the values at `times`; before the first key and after the last, theirs (glTF 2.0, appendix C)."""
+    keys = track.times
+    before = np.clip(np.searchsorted(keys, times, side="right") - 1, 0, len(keys) - 1)
+    after = np.minimum(before + 1, len(keys) - 1)
+    length = keys[after] - keys[before]
+    share = np.clip(np.divide(times - keys[before], length, out=np.zeros_like(times), where=length > 0), 0, 1)
+    if track.interpolation == "STEP":
+        return track.values[before, 0]
+    if track.interpolation == "CUBICSPLINE":
+        return _cubic(track.values, before, after, length[:, None], share[:, None])
+    start, end = track.values[before, 0], track.values[after, 0]
+    return slerp(start, end, share) if kind == "rotation" else start + (end - start) * share[:, None]
+
+
+def _cubic(
+    values: Float[np.ndarray, "K 3 C"],
+    before: Int[np.ndarray, " T"],
+    after: Int[np.ndarray, " T"],
+    length: Float[np.ndarray, "T 1"],
+    t: Float[np.ndarray, "T 1"],
+) -> Float[np.ndarray, "T C"]:
+    """Returns Hermite splines of keys with tangents."""
+    start, leave = values[before, 1], length * values[before, 2]
+    end, arrive = values[after, 1], length * values[after, 0]
+    return (
+        (2 * t**3 - 3 * t**2 + 1) * start
+        + (t**3 - 2 * t**2 + t) * leave
+        + (3 * t**2 - 2 * t**3) * end
+        + (t**3 - t**2) * arrive
+    )

@@ -1,0 +1,164 @@
+"""Training motions that are made of others."""
+
+import itertools
+import random
+
+import numpy as np
+import pytest
+
+from t2m_jax.data.audit import audit_dataset
+from t2m_jax.data.files import FEATURES
+from t2m_jax.data.folder import open_dataset
+from t2m_jax.data.importers.bandai_namco import compose
+from t2m_jax.data.importers.bandai_namco.captions import Labels
+from t2m_jax.data.importers.bandai_namco.compose import (
+    LONGEST,
+    Library,
+    Part,
+    draw_parts,
+    find_stillness,
+    join_parts,
+    stand_still,
+    write_composed_captions,
+)
+from t2m_jax.data.importers.bandai_namco.extra import MORE_CAPTIONS, write_more_captions
+from t2m_jax.data.importers.bandai_namco.importer import import_bandai_namco, labels_from_name
+from t2m_jax.data.importers.bandai_namco.wordings import load_composition, load_wordings
+from t2m_jax.data.index import load_index
+from t2m_jax.data.texts import Caption, load_captions
+from t2m_jax.data.writer import new_folder, write_twins
+from t2m_jax.motion.bvh.kinematics import forward_kinematics
+from t2m_jax.motion.features import features_from_positions
+from t2m_jax.motion.skeleton import HUMANML3D
+from tests.data.bvh_files import write_bvh
+from tests.motion.figures import INDEX, standing_offsets, walking_positions
+
+
+def standing(num_frames, *, raised=()):
+    """A figure that stands still; in the frames `raised`, the left hand is up."""
+    rotations = np.tile(np.eye(3, dtype=np.float32), (num_frames, 22, 1, 1))
+    rotations[list(raised), INDEX["left_shoulder"]] = np.diag([-1.0, -1.0, 1.0])
+    translations = np.tile(standing_offsets(), (num_frames, 1, 1))
+    translations[:, 0] = [0, 0.92, 0]
+    return forward_kinematics(rotations, translations, HUMANML3D.parents).positions
+
+
+def part(content, positions, style="normal"):
+    return Part(Labels(content, style), features_from_positions(positions, HUMANML3D))
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    """Two walks and two figures that stand, one of which lasts too long for any composition."""
+    folder = tmp_path_factory.mktemp("library")
+    (folder / FEATURES).mkdir()
+    clips = {"walk": walking_positions(121), "run": walking_positions(60), "wave": standing(70), "bow": standing(190)}
+    for name, positions in clips.items():
+        np.save(folder / FEATURES / f"{name}.npy", features_from_positions(positions, HUMANML3D))
+    contents = {"walk": "walk", "run": "run", "wave-left-hand": "wave", "bow": "bow"}
+    return Library(folder, {content: [(name, "normal")] for content, name in contents.items()})
+
+
+def test_stillness_is_the_longest_stretch_with_low_hands():
+    assert find_stillness(standing(60, raised=range(20, 35))) == slice(36, 60)
+    assert find_stillness(standing(30, raised=range(10, 20))) is None
+    assert find_stillness(walking_positions(60)) is None
+
+
+def test_standing_still_goes_forward_and_back():
+    positions = np.arange(5, dtype=np.float32)[:, None, None] * np.ones((22, 3), np.float32)
+    assert stand_still(positions, num_frames=12)[:, 0, 0].tolist() == [0, 1, 2, 3, 4, 3, 2, 1, 0, 1, 2, 3]
+
+
+def test_parts_fit_and_differ_and_only_travel_is_cut(library):
+    seen = set()
+    for number in range(60):
+        parts = draw_parts(library, random.Random(number))
+        contents = [one.labels.content for one in parts]
+        seen |= set(contents)
+        assert len(parts) in (2, 3) and all(a != b for a, b in itertools.pairwise(contents))
+        assert len(join_parts(parts)) <= LONGEST
+        assert all(len(one.features) == 69 for one in parts if one.labels.content == "wave-left-hand")
+    assert seen == {"walk", "run", "wave-left-hand"}, "a bow of 189 frames leaves no room"
+
+
+def test_joined_parts_keep_their_bones_and_come_in_order():
+    joints = join_parts(
+        [part("walk", walking_positions(80)), part("wave-left-hand", standing(80, raised=range(30, 60)))]
+    )
+    lengths = np.linalg.norm(joints[:, 1:] - joints[:, list(HUMANML3D.parents[1:])], axis=-1)
+    np.testing.assert_allclose(lengths, np.tile(HUMANML3D.bone_lengths[1:], (len(joints), 1)), atol=1e-5)
+    speed = np.linalg.norm(np.diff(joints[:, 0, ::2], axis=0), axis=-1) * 20
+    assert speed[:40].min() > 1.0 and speed[-40:].max() < 0.05
+    above = joints[:, INDEX["left_wrist"], 1] - joints[:, INDEX["left_shoulder"], 1]
+    assert above[:60].max() < 0 < above[60:].max()
+
+
+def test_captions_name_the_parts_in_their_order():
+    parts = [part("walk", walking_positions(60)), part("wave-left-hand", standing(60))]
+    texts = [caption.text for caption in write_composed_captions(parts, count=60, generator=random.Random(0))]
+    assert len(set(texts)) == 60
+    for text in texts:
+        words = text.replace(",", " ").replace(".", " ").split()
+        walk = min(text.find(stem) for stem in WALKING if stem in text)
+        wave = min(text.find(stem) for stem in WAVING if stem in text)
+        reversed_order = " after " in f" {text}" and "after that" not in text and not text.startswith("after")
+        assert (walk < wave) != reversed_order, text
+        assert "left" in words or "hands" not in words
+
+
+WALKING = ("walk", "step", "stroll", "mov", "wander", "goes", "go ", "going", "travel", "strid", "march")
+WAVING = ("wav", "hand", "arm")
+
+
+def test_held_out_sentences_are_never_written(monkeypatch):
+    parts = [part("walk", walking_positions(60)), part("wave-left-hand", standing(60))]
+    texts = [caption.text for caption in write_composed_captions(parts, count=8, generator=random.Random(1))]
+    held_out = compose.held_out_compositions()[0]._replace(sentences=(texts[0].upper().rstrip(".") + ".",))
+    monkeypatch.setattr(compose, "held_out_compositions", lambda: (held_out,))
+    again = [caption.text for caption in write_composed_captions(parts, count=8, generator=random.Random(1))]
+    assert texts[0] not in again and again[:7] == texts[1:]
+
+
+def test_every_content_of_compositions_has_words():
+    for content in load_composition().weights:
+        assert load_wordings().contents[content].wordings
+
+
+def test_the_slowest_clips_are_called_slow(tmp_path):
+    names = [f"dataset-2_walk_elderly_{number:03d}" for number in range(60)]
+    with new_folder(tmp_path / "data") as folder:
+        for number, name in enumerate(names):
+            positions = walking_positions(40)
+            positions[:, :, 2] += positions[:, :1, 2] * (number - 30) / 40  # each walks faster than the one before
+            write_twins(folder, name, positions, captions=(Caption("walks", ("walk/VERB",)),), skeleton=HUMANML3D)
+        write_more_captions(folder, names, labels_from_name)
+        texts = {name: [one.text for one in load_captions(folder / "texts" / f"{name}.txt")] for name in names}
+        twin = [one.text for one in load_captions(folder / "texts" / f"M{names[0]}.txt")]
+    assert len(twin) == len(texts[names[0]])
+
+    def share(name, words):
+        return sum(any(word in text for word in words) for text in texts[name])
+
+    assert share(names[0], ("very slow", "extremely slow", "as slowly")) >= 2
+    assert share(names[59], ("very", "extremely", "as fast")) >= 2 and not share(names[59], ("slow",))
+    assert texts[names[30]][0] == "walks" and len(texts[names[30]]) == 1 + MORE_CAPTIONS
+
+
+def test_an_import_with_compositions(tmp_path):
+    archive, lists = tmp_path / "archive", tmp_path / "lists"
+    lists.mkdir()
+    names = [f"dataset-2_{content}_active_001" for content in ("walk", "run", "wave-left-hand", "raise-up-left-hand")]
+    for seed, name in enumerate([*names, "dataset-2_walk_active_002"]):
+        write_bvh(archive / f"{name}.bvh", seed=seed, num_frames=90, speed=120.0 if seed < 2 else 0.0)
+    for split, members in {"train": names, "val": [], "test": ["dataset-2_walk_active_002"]}.items():
+        (lists / f"{split}.txt").write_text("".join(f"{name}\n" for name in members))
+    report = import_bandai_namco(archive, tmp_path / "data", splits=lists, composed=5, workers=1)
+    dataset = open_dataset(tmp_path / "data")
+    made = [name for name in dataset.names("train") if "composed" in name]
+    assert len(made) == 10 and "composed_00004" in made and "5 composed ones" in report.notes[-1]
+    assert len(dataset.captions("dataset-2_walk_active_002")) == 6, "clips of other splits keep their captions"
+    assert " + " in load_index(dataset.folder).label("composed_00000")
+    assert audit_dataset(tmp_path / "data").problems == []
+    import_bandai_namco(archive, tmp_path / "again", splits=lists, composed=5, workers=1)
+    np.testing.assert_array_equal(open_dataset(tmp_path / "again").features(made[3]), dataset.features(made[3]))

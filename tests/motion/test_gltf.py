@@ -1,0 +1,131 @@
+import random
+
+import numpy as np
+import pytest
+
+from t2m_jax.errors import UserError
+from t2m_jax.motion.bvh import retarget
+from t2m_jax.motion.bvh.rigs import detect_rig
+from t2m_jax.motion.gltf import load_gltf
+
+from .glb_files import GlbWriter, about_y, write_person
+from .test_retarget import BANDAI
+
+ARM = {"Root": (None, (0.0, 100.0, 0.0)), "Arm": ("Root", (50.0, 0.0, 0.0)), "Hand": ("Arm", (0.0, 0.0, 20.0))}
+
+
+def arm(writer=None, **properties):
+    """A joint at height 1 with a hand 0.5 to its left."""
+    writer = writer or GlbWriter()
+    root = writer.joint("Root", translation=[0, 1, 0], **properties)
+    return writer, root, writer.joint("Hand", root, translation=[0.5, 0, 0])
+
+
+def hand_of(writer, tmp_path, **options):
+    clip = load_gltf(writer.save(tmp_path / "arm.glb"), **options)["move"]
+    return clip.positions[:, clip.joint_names.index("Hand")]
+
+
+def test_a_turn_is_a_turn_at_constant_speed_and_scales_count(tmp_path):
+    path = write_person(tmp_path / "arm.glb", ARM, {"quarter": 90.0, "none": 0.0})
+    clips = load_gltf(path, fps=10.0)
+    assert list(clips) == ["quarter", "none"] and clips["quarter"].joint_names[0] == "Armature"
+    clip = clips["quarter"]
+    assert clip.fps == 10 and clip.num_frames == 11
+    hand = clip.positions[:, clip.joint_names.index("Hand")]
+    angle = np.deg2rad(np.linspace(0, 90, 11))
+    expected = np.stack([np.cos(angle) * 0.5 + np.sin(angle) * 0.2, np.ones(11)], axis=1)
+    np.testing.assert_allclose(hand[:, :2], expected, atol=1e-6)
+    np.testing.assert_allclose(hand[:, 2], np.cos(angle) * 0.2 - np.sin(angle) * 0.5, atol=1e-6)
+
+
+def test_places_between_keys(tmp_path):
+    keys = [[0, 1, 0], [0, 2, 0], [0, 4, 0]]
+    for interpolation, expected in (("LINEAR", [1, 1.5, 2, 3, 4]), ("STEP", [1, 1, 2, 2, 4])):
+        writer, root, _ = arm()
+        writer.animation("move", [(root, "translation", [0, 1, 2], keys, interpolation, "f4")])
+        np.testing.assert_allclose(hand_of(writer, tmp_path, fps=2.0)[:, 1], expected, atol=1e-6)
+
+
+def test_cubic_splines_keep_a_parabola(tmp_path):
+    """A cubic with the right tangents is exact; their unit is per second, whatever the keys' distance."""
+    times = np.array([0.0, 0.5, 2.0])
+    values, slopes = times**2, 2 * times
+    keys = np.stack([slopes, values, slopes], axis=1).reshape(-1, 1) * [[0, 1, 0]]
+    writer, root, _ = arm()
+    writer.animation("move", [(root, "translation", times, keys, "CUBICSPLINE", "f4")])
+    np.testing.assert_allclose(hand_of(writer, tmp_path, fps=10.0)[:, 1], (np.arange(21) / 10) ** 2, atol=1e-5)
+
+
+def test_rotations_may_be_integers_and_nodes_may_be_matrices(tmp_path):
+    writer = GlbWriter()
+    matrix = np.diag([2.0, 2.0, 2.0, 1.0])
+    matrix[:3, 3] = 1.0
+    above = writer.joint("Above", is_joint=False, matrix=matrix.T.ravel().tolist())
+    root = writer.joint("Root", above)
+    writer.joint("Hand", root, translation=[0.5, 0, 0])
+    turns = np.round(about_y([0, 180]) * 32767)
+    writer.animation("move", [(root, "rotation", [0, 1], turns, "STEP", "i2")])
+    np.testing.assert_allclose(hand_of(writer, tmp_path, fps=1.0), [[2, 1, 1], [0, 1, 1]], atol=1e-3)
+
+
+def test_a_rig_is_found_and_a_person_stands(tmp_path):
+    path = write_person(tmp_path / "person.glb", BANDAI, {"a": 10.0, "Armature|a": 20.0})
+    clip = load_gltf(path)["a"]
+    assert detect_rig(clip.joint_names).name == "bandai-namco"
+    positions = retarget(clip).positions
+    assert 0.8 < positions[0, 0, 1] < 1.0 and positions[0, 15, 1] > positions[0, 0, 1] > positions[0, 7, 1]
+
+
+def broken(change):
+    writer, root, _ = arm()
+    writer.animation("move", [(root, "rotation", [0, 1], about_y([0, 90]), "LINEAR", "f4")])
+    change(writer.tree)
+    return writer.data()
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"", "not a GLB file"),
+        (b"{}" * 20, "not a GLB file"),
+        (broken(lambda tree: tree.pop("skins")), "no skin"),
+        (broken(lambda tree: tree.update(animations=[])), "no animation"),
+        (broken(lambda tree: tree["nodes"][1].update(children=[0])), "their own parents"),
+        (broken(lambda tree: tree["accessors"][0].update(count=10**9)), "not a correct GLB"),
+        (broken(lambda tree: tree["accessors"][1].update(sparse={})), "sparse"),
+        (broken(lambda tree: tree["bufferViews"][0].update(buffer=1)), "another file"),
+        (broken(lambda tree: tree["animations"][0].update(channels=7)), "not a correct GLB"),
+        (broken(lambda tree: tree["nodes"][0].update(translation=[1, 2])), "not a correct GLB"),
+        (broken(lambda tree: tree["nodes"][0].update(translation=[1, 2, float("nan")])), "not finite"),
+    ],
+)
+def test_refusals_name_the_file(tmp_path, data, words):
+    path = tmp_path / "broken.glb"
+    path.write_bytes(data)
+    with pytest.raises(UserError, match=words) as refusal:
+        load_gltf(path)
+    assert str(path) in str(refusal.value) and len(str(refusal.value)) < 400
+
+
+def test_a_very_long_animation_is_refused(tmp_path):
+    writer, root, _ = arm()
+    writer.animation("move", [(root, "rotation", [0, 1e9], about_y([0, 90]), "LINEAR", "f4")])
+    with pytest.raises(UserError, match="1e\\+09 seconds"):
+        load_gltf(writer.save(tmp_path / "long.glb"))
+
+
+def test_damaged_files_are_read_or_refused(tmp_path):
+    """Flipped bytes and cut files: nothing but a `UserError` comes out."""
+    whole, generator = bytearray(broken(lambda tree: None)), random.Random(3)
+    path = tmp_path / "damaged.glb"
+    for trial in range(300):
+        data = bytearray(whole)
+        for _ in range(generator.randint(1, 4)):
+            data[generator.randrange(len(data))] = generator.randrange(256)
+        path.write_bytes(data[: generator.randrange(len(data))] if trial % 3 == 0 else data)
+        try:
+            clips = load_gltf(path)
+        except UserError:
+            continue
+        assert all(np.isfinite(clip.positions).all() for clip in clips.values())

@@ -1,0 +1,38 @@
+import numpy as np
+
+from t2m_jax.motion.features import features_from_positions, positions_from_features
+from t2m_jax.motion.joining import OVERLAP, Cut, find_cut, join_features
+from t2m_jax.motion.skeleton import HUMANML3D
+
+from .figures import walking_positions
+
+
+def features(num_frames):
+    return features_from_positions(walking_positions(num_frames), HUMANML3D)
+
+
+def test_a_clip_continues_itself():
+    """Cut in two with an overlap and joined again, a clip is what it was."""
+    whole = features(81)
+    joined = join_features(whole[:50], whole[50 - OVERLAP :], Cut(50, 0, 0.0))
+    np.testing.assert_allclose(joined, whole, atol=1e-6)
+
+
+def test_the_cut_is_where_the_poses_are_alike():
+    """The walk repeats itself after 20 frames, but it goes straight on while its heading turns slowly."""
+    whole = features(121)
+    cut = find_cut(whole, whole[5:], ends=range(90, 121), starts=range(16), skeleton=HUMANML3D)
+    assert (cut.end - OVERLAP - cut.start - 5) % 20 == 0
+    worse = find_cut(whole, whole[5:], ends=range(90, 91), starts=range(1), skeleton=HUMANML3D)
+    assert worse.cost > 1.5 * cut.cost
+
+
+def test_a_join_is_as_smooth_as_the_clips():
+    """From a walk into the same walk half a step later."""
+    walk = features(121)
+    cut = find_cut(walk, walk, ends=range(50, 71), starts=range(31), skeleton=HUMANML3D)
+    joined = positions_from_features(join_features(walk, walk, cut), HUMANML3D)
+    jerk = np.linalg.norm(np.diff(joined, 3, axis=0), axis=-1).mean(axis=1)
+    around = slice(cut.end - OVERLAP - 3, cut.end)
+    assert jerk[around].max() < 1.5 * np.median(jerk)
+    assert np.linalg.norm(np.diff(joined[:, 0], axis=0), axis=-1).max() < 1.3 / 20 * 1.2
