@@ -64,12 +64,13 @@ def test_broken_clips_are_named_and_the_rest_is_kept(tmp_path):
     assert report.num_clips == 2
 
 
-def test_a_rest_pose_in_front_is_dropped(tmp_path):
+@pytest.mark.parametrize("away", ["300", "20"])
+def test_a_rest_pose_in_front_is_dropped(tmp_path, away):
     source = write_clips(tmp_path / "source", ["a"])
     lines = (source / "a.bvh").read_text().split("\n")
     first = lines.index("Frame Time:\t0.0333333") + 1
     far = lines[first].split()
-    far[8] = "300"  # the hips three metres off
+    far[8] = away  # the hips are so many centimeters off
     lines[first] = " ".join(far)
     (source / "a.bvh").write_text("\n".join(lines))
     import_bvh_folder(source, tmp_path / "data", caption_from_name=True)

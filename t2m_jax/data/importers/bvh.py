@@ -19,8 +19,10 @@ from t2m_jax.motion.bvh.retarget import retarget
 from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.motion.skeleton import HUMANML3D
 
-POP = 0.5
-"""Meters: if the joints move by more (on average) from frame 0 to 1, frame 0 is a rest pose before the motion."""
+POP_SPEED, POP_RATIO = 3.0, 5.0
+"""Frame 0 is a rest pose before the motion if the joints then move faster than this (meters per second, on average) and
+this many times as fast as in the next frames."""
+NEXT_FRAMES = 5
 
 
 def clip_name(key: str) -> str:
@@ -51,10 +53,16 @@ def _open_file(path: Path) -> dict[Source, BvhClip]:
 
 def _load_positions(clip: BvhClip, rig: str | None) -> Float[np.ndarray, "T J 3"]:
     """Returns the 22 joints of a clip at 20 frames per second, without a rest pose at the beginning."""
-    motion = retarget(clip, rig=rig)
-    if motion.num_frames > 2 and np.linalg.norm(np.diff(motion.positions[:2], axis=0), axis=-1).mean() > POP:
+    if _begins_with_rest_pose(retarget(clip, rig=rig).positions, fps=clip.fps):
         clip = dataclasses.replace(clip, rotations=clip.rotations[1:], translations=clip.translations[1:])
     return retarget(resample(clip, HUMANML3D.fps), rig=rig).positions
+
+
+def _begins_with_rest_pose(positions: Float[np.ndarray, "T J 3"], *, fps: float) -> bool:
+    """Returns whether the figure jumps from frame 0 to frame 1."""
+    steps = np.diff(positions[: NEXT_FRAMES + 2], axis=0)
+    speeds = np.linalg.norm(steps, axis=-1).mean(axis=1) * fps
+    return len(speeds) > 1 and bool(speeds[0] > max(POP_SPEED, POP_RATIO * speeds[1:].max()))
 
 
 def import_bvh_folder(
