@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     check.add_argument("--json", type=Path, metavar="FILE", help="write the report to this file, too")
     sources = importer.add_subparsers(dest="source_kind", required=True, metavar="{bandai-namco,bvh,humanml3d}")
     bandai = sources.add_parser("bandai-namco", help="the Bandai-Namco-Research-Motiondataset (CC BY-NC 4.0)")
-    bvh = sources.add_parser("bvh", help="a folder of BVH files with captions")
+    bvh = sources.add_parser("bvh", help="a folder of BVH and GLB files with captions")
     humanml3d = sources.add_parser("humanml3d", help="a folder with the layout of HumanML3D or KIT-ML")
     for command in (bandai, bvh, humanml3d):
         command.add_argument("source", type=Path, metavar="SRC", help="folder to read")
@@ -37,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     bvh.add_argument("--captions", type=Path, metavar="FILE", help="file,caption[,start,end] or 'file: caption' lines")
     bvh.add_argument("--rig", help="name of a rig or a YAML file (default: detected from the joint names)")
     bvh.add_argument("--caption-from-name", action="store_true", help="caption clips without captions by file name")
+    bvh.add_argument("--info", type=Path, metavar="FILE", help="YAML with name, licence, source and attribution")
     bvh.add_argument("--seed", type=int, default=0, help="seed of the split into train, val and test")
     synthetic.add_argument("--num-clips", type=int, help="clips before mirroring (default: 200, or 14614 as HumanML3D)")
     synthetic.add_argument(
@@ -71,7 +72,7 @@ def run(args: argparse.Namespace) -> None:
     elif args.source_kind == "humanml3d":
         report = importers.import_humanml3d(args.source, args.destination)
     else:
-        options = {name: getattr(args, name) for name in ("captions", "rig", "caption_from_name", "seed")}
+        options = {name: getattr(args, name) for name in ("captions", "rig", "caption_from_name", "info", "seed")}
         report = importers.import_bvh_folder(args.source, args.destination, **options)
     sizes = ", ".join(f"{split} {size}" for split, size in report.split_sizes.items())
     print(f"{args.destination}: {report.num_clips} clips ({report.num_frames} frames; with mirrored twins): {sizes}")

@@ -153,3 +153,14 @@ def test_a_broken_glb_file_is_named(tmp_path):
     (source / "b.glb").write_bytes(b"no figure here, but more than 20 bytes")
     report = import_bvh_folder(source, tmp_path / "data", caption_from_name=True)
     assert "b.glb: is not a GLB file" in report.left_out["b"]
+
+
+def test_what_is_known_of_the_data_may_be_given(tmp_path):
+    source, info = write_clips(tmp_path / "source", ["a", "b"]), tmp_path / "info.yaml"
+    info.write_text("name: Mine\nlicence: CC0\nmin_frames: 20\n")
+    import_bvh_folder(source, tmp_path / "data", caption_from_name=True, info=info)
+    found = open_dataset(tmp_path / "data").info
+    assert (found.name, found.licence, found.min_frames, found.source) == ("Mine", "CC0", 20, "")
+    info.write_text("fps: 30.0\n")
+    with pytest.raises(UserError, match=r"info\.yaml: .*leave them out|info\.yaml: .*name"):
+        import_bvh_folder(source, tmp_path / "again", caption_from_name=True, info=info)

@@ -8,6 +8,7 @@ import numpy as np
 import tqdm
 from jaxtyping import Float
 
+from t2m_jax.config import load_config
 from t2m_jax.data.folder import DatasetInfo
 from t2m_jax.data.importers.caption_files import Source, find_captions, load_caption_table
 from t2m_jax.data.splits import split_by_hash
@@ -65,6 +66,16 @@ def _begins_with_rest_pose(positions: Float[np.ndarray, "T J 3"], *, fps: float)
     return len(speeds) > 1 and bool(speeds[0] > max(POP_SPEED, POP_RATIO * speeds[1:].max()))
 
 
+def _load_info(source: Path, info: str | Path | None) -> DatasetInfo:
+    """Returns what is known of the data: from a file, or the folder's name."""
+    if info is None:
+        return DatasetInfo(name=source.resolve().name, min_frames=16, source=source.resolve().name)
+    about = load_config(Path(info), DatasetInfo)
+    if (about.skeleton, about.fps) != (HUMANML3D.name, HUMANML3D.fps):
+        raise UserError(f"{info}: skeleton and fps are {HUMANML3D.name} and {HUMANML3D.fps:g} here; leave them out")
+    return about
+
+
 def import_bvh_folder(
     source: str | Path,
     destination: str | Path,
@@ -72,6 +83,7 @@ def import_bvh_folder(
     captions: str | Path | None = None,
     rig: str | None = None,
     caption_from_name: bool = False,
+    info: str | Path | None = None,
     seed: int = 0,
 ) -> ImportReport:
     """Converts a folder of BVH and GLB files into a new data-set folder and returns a report of what was written.
@@ -87,12 +99,14 @@ def import_bvh_folder(
             file is always read.
         rig: Name of a rig, or a YAML table such as `pelvis: Hips`; by default detected from the joint names.
         caption_from_name: A clip without captions gets the words of its file's or its animation's name.
+        info: YAML file with the name, license, source and attribution of the data, as in `dataset.yaml`.
         seed: Seed of the split.
 
     Raises:
-        UserError: No clip can be imported, a caption file is broken, or the destination exists.
+        UserError: No clip can be imported, a table or `info` is broken, or the destination exists.
     """
     source = Path(source)
+    about = _load_info(source, info)
     files = find_motion_files(source)
     table = load_caption_table(source, Path(captions) if captions else None)
     seen: dict[str, Source] = {}
@@ -120,6 +134,5 @@ def import_bvh_folder(
             reason = next(iter(left_out.values()))
             raise UserError(f"{source}: none of {len(left_out)} clips could be imported; the first: {reason}")
         twins = {split: with_twins(members) for split, members in split_by_hash([names], seed=str(seed)).items()}
-        info = DatasetInfo(name=source.resolve().name, min_frames=16, source=source.resolve().name)
-        sizes = finish_folder(folder, twins, info=info, skeleton=HUMANML3D)
+        sizes = finish_folder(folder, twins, info=about, skeleton=HUMANML3D)
     return ImportReport(2 * len(names), frames, sizes, left_out, ())
