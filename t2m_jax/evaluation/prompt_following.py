@@ -27,6 +27,8 @@ CORNER_TURN = (45.0, 160.0)
 """Smallest and largest change of heading of somebody who turns a corner, in degrees."""
 FASTEST_WALK, SLOWEST_RUN = 1.8, 1.35
 """Mean speed over the ground in meters per second; the ranges overlap because tired and old people run slowly."""
+STILL_HANDS = 0.5
+"""Largest speed of a wrist of somebody who stands still (95 % of the time), in meters per second."""
 WAVES = 2
 """A raised hand waves if it sweeps to and fro at least this often."""
 NOTHING = "nothing of these"
@@ -64,6 +66,12 @@ def _hand_rule(hands: str, *, waves: bool) -> Rule:
     return Rule(f"{words}; no travel; {'2 waves or more' if waves else 'fewer than 2 waves'}", holds)
 
 
+def _stands(facts: Facts) -> bool:
+    """Returns whether somebody stands still with low hands."""
+    in_place = facts.travel <= STANDS_TRAVEL and abs(facts.turn) <= STRAIGHT_TURN
+    return in_place and facts.speed <= STILL_HANDS and max(facts.above_shoulder) < HAND_DOWN
+
+
 def _corner_rule(sign: int) -> Rule:
     def holds(facts: Facts) -> bool:
         return facts.forward >= MOVES_TRAVEL and CORNER_TURN[0] <= sign * facts.turn <= CORNER_TURN[1]
@@ -79,6 +87,7 @@ RULES: dict[str, Rule] = {
         "goes at least 1 m ahead without a turn (40 degrees), at 1.35 m/s or faster",
         lambda facts: goes_straight(facts) and facts.speed >= SLOWEST_RUN,
     ),
+    "stand": Rule("no travel; both wrists stay 15 cm below their shoulders, slower than 0.5 m/s", _stands),
     "walk": Rule(
         "goes at least 1 m ahead without a turn (40 degrees), at 1.8 m/s or slower",
         lambda facts: goes_straight(facts) and facts.speed <= FASTEST_WALK,
@@ -89,7 +98,7 @@ RULES: dict[str, Rule] = {
     "wave-left-hand": _hand_rule("left", waves=True),
     "wave-right-hand": _hand_rule("right", waves=True),
 }
-"""The rule of each content of dataset-2."""
+"""The rule of each content of dataset-2, and of standing still, which is cut out of its clips."""
 
 
 class PromptTest(NamedTuple):
@@ -147,7 +156,7 @@ def follows(content: str, motion: Motion) -> bool:
 
 
 def action_tests() -> list[PromptTest]:
-    """Returns a test for each content of dataset-2."""
+    """Returns a test for each content that has a rule."""
     return [
         PromptTest(content, rule.words, held_out_sentences()[content], functools.partial(follows, content))
         for content, rule in RULES.items()
