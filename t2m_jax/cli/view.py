@@ -9,7 +9,10 @@ from t2m_jax.cli.next_step import show_next
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the arguments of `t2m view`."""
-    parser.add_argument("file", type=Path, metavar="FILE", help="motion to read: .npz, .bvh, or .npy of a data set")
+    parser.add_argument(
+        "file", type=Path, metavar="FILE", help="motion to read: .npz, .bvh, .glb, or .npy of a data set"
+    )
+    parser.add_argument("--animation", metavar="NAME", help="animation to read from a .glb file that has several")
     files = "file to write: .html, .gif, .mp4, .bvh or .npz; can be repeated"
     parser.add_argument(
         "-o", "--output", dest="outputs", type=Path, action="append", required=True, metavar="FILE", help=files
@@ -23,9 +26,11 @@ def run(args: argparse.Namespace) -> None:
 
     for output in args.outputs:
         check_motion_output(output)
-    motion = load_motion(args.file)
+    motion = load_motion(args.file, animation=args.animation)
     for output in args.outputs:
         motion.save(output)
         print(output)
+    chosen = [] if args.animation is None else ["--animation", args.animation]
+    again = ["t2m", "view", str(args.file), *chosen]
     pages = [output for output in args.outputs if output.suffix == ".html"]
-    show_next(f"open {pages[0]} in a browser" if pages else f"t2m view {shlex.quote(str(args.file))} -o motion.html")
+    show_next(f"open {pages[0]} in a browser" if pages else f"{shlex.join(again)} -o motion.html")

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from textwrap import shorten
 
 import numpy as np
 
@@ -10,22 +11,29 @@ from t2m_jax.export.npz import load_npz
 from t2m_jax.files import load_array
 from t2m_jax.motion.bvh import load_bvh, retarget
 from t2m_jax.motion.features import positions_from_features
+from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 
 SKELETONS = (HUMANML3D, KIT_ML)
 
 
-def load_motion(path: str | Path) -> Motion:
-    """Returns the motion of a file: `.npz`, `.bvh`, or a `.npy` file of a data set with joints or features.
+def load_motion(path: str | Path, *, animation: str | None = None) -> Motion:
+    """Returns the motion of a file: `.npz`, `.bvh`, `.glb`, or a `.npy` file of a data set with joints or features.
+
+    Args:
+        path: The file.
+        animation: Name of the animation in a `.glb` file, with or without the armature's name; needed if there are
+            several.
 
     Raises:
-        UserError: The suffix is unknown, or the file does not contain a motion.
+        UserError: The suffix is unknown, the file does not contain a motion, or it has several and none was chosen.
     """
     path = Path(path)
     readers: dict[str, Callable[[Path], Motion]] = {
         ".npz": load_npz,
         ".bvh": lambda path: retarget(load_bvh(path)),
+        ".glb": lambda path: load_animation(path, animation),
         ".npy": load_npy,
     }
     suffix = path.suffix.lower()
@@ -35,6 +43,20 @@ def load_motion(path: str | Path) -> Motion:
     if not path.is_file():
         raise UserError(f"{path}: there is no such file")
     return readers[suffix](path)
+
+
+def load_animation(path: Path, name: str | None) -> Motion:
+    """Returns an animation of a GLB file; without a name, the only one.
+
+    Raises:
+        UserError: The file is damaged, there are several animations, or none has this name.
+    """
+    clips = load_gltf(path)
+    chosen = [clip for own, clip in clips.items() if name in (None, own, own.rpartition("|")[2])]
+    if len(chosen) != 1:
+        wanted = "several animations" if name is None else f"no animation {name!r}"
+        raise UserError(f"{path}: has {wanted}; choose one of {shorten(', '.join(clips), 200, placeholder=' ...')}")
+    return retarget(chosen[0])
 
 
 def load_npy(path: Path) -> Motion:

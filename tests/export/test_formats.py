@@ -6,6 +6,8 @@ from t2m_jax.export import load_motion
 from t2m_jax.motion.features import features_from_positions
 from t2m_jax.motion.record import Motion, motion_formats
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
+from tests.motion.glb_files import write_person
+from tests.motion.test_retarget import BANDAI
 
 
 def test_every_format_is_registered():
@@ -57,9 +59,9 @@ def test_other_arrays_are_refused(tmp_path, array, message):
 
 
 def test_unknown_and_absent_files_are_refused(tmp_path):
-    with pytest.raises(UserError, match=r"known are \.npz, \.bvh, \.npy"):
+    with pytest.raises(UserError, match=r"known are \.npz, \.bvh, \.glb, \.npy"):
         load_motion(tmp_path / "a.fbx")
-    for suffix in (".npz", ".bvh", ".npy"):
+    for suffix in (".npz", ".bvh", ".glb", ".npy"):
         with pytest.raises(UserError, match="no such file"):
             load_motion(tmp_path / f"a{suffix}")
 
@@ -88,3 +90,16 @@ def test_a_failure_leaves_nothing_behind(tmp_path, walk, suffix):
     with pytest.raises(UserError):
         short.save(tmp_path / ("very long name" * 30 + suffix))
     assert {path.name for path in tmp_path.iterdir()} == {folder.name, "file"}
+
+
+def test_an_animation_of_a_glb_file_is_chosen_by_name(tmp_path):
+    path = write_person(tmp_path / "one.glb", BANDAI, {"Armature|Turn": 90.0})
+    assert load_motion(path).num_frames == 21 and load_motion(path, animation="Turn").skeleton is HUMANML3D
+    path = write_person(tmp_path / "two.glb", BANDAI, {"Armature|Turn": 90.0, "Armature|Stand": 0.0})
+    with pytest.raises(UserError, match=r"two\.glb: has several animations; .*Armature\|Turn, Armature\|Stand"):
+        load_motion(path)
+    with pytest.raises(UserError, match=r"two\.glb: has no animation 'Jump'"):
+        load_motion(path, animation="Jump")
+    turned, still = (load_motion(path, animation=name).positions for name in ("Turn", "Armature|Stand"))
+    np.testing.assert_allclose(turned[0], still[0], atol=1e-6)
+    assert np.abs(still[-1] - still[0]).max() < 1e-6 < 0.3 < np.abs(turned[-1] - turned[0]).max()

@@ -106,8 +106,7 @@ def import_bvh_folder(
         UserError: No clip can be imported, a table or `info` is broken, or the destination exists.
     """
     source = Path(source)
-    about = _load_info(source, info)
-    files = find_motion_files(source)
+    files, about = find_motion_files(source), _load_info(source, info)
     table = load_caption_table(source, Path(captions) if captions else None)
     seen: dict[str, Source] = {}
     left_out, frames = {}, 0
@@ -131,8 +130,8 @@ def import_bvh_folder(
                     left_out[name] = str(error)
         names = [name for name in seen if name not in left_out]
         if not names:
-            reason = next(iter(left_out.values()))
-            raise UserError(f"{source}: none of {len(left_out)} clips could be imported; the first: {reason}")
+            first = next(iter(left_out.values()))
+            raise UserError(f"{source}: none of {len(left_out)} clips could be imported; the first: {first}")
         twins = {split: with_twins(members) for split, members in split_by_hash([names], seed=str(seed)).items()}
         sizes = finish_folder(folder, twins, info=about, skeleton=HUMANML3D)
     return ImportReport(2 * len(names), frames, sizes, left_out, ())
