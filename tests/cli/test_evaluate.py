@@ -24,8 +24,8 @@ def test_prompts_writes_json(bundle_folder, tmp_path, capsys):
     arguments = ["--model", f"{bundle_folder}", "--num-seeds", "1", "--json", f"{output}"]
     assert main(["evaluate", "prompts", *arguments]) == 0
     figures = json.loads(output.read_text())
-    assert figures["num_samples"] == 10
-    assert len(figures["contents"]) == 10
+    assert figures["num_samples"] == 11
+    assert len(figures["contents"]) == 11
     assert (figures["group"], figures["motion"]) == ("actions", "cleaned")
     assert "| **all** |" in capsys.readouterr().out
     assert main(["evaluate", "prompts", *arguments, "--group", "composed", "--raw"]) == 0
