@@ -30,7 +30,7 @@ SHORTEST_STAND = 16
 """Frames of the shortest stretch of stillness that is used."""
 STAND_FRAMES = (30, 120)
 """Shortest and longest motion of standing still; stretches are played forward and backward until it is full."""
-LONGEST = 196
+LONGEST = HUMANML3D.max_frames
 SHORTEST_PART, LONGEST_TRAVEL = 36, 90
 """Frames of a part that travels; other parts are whole clips."""
 THREE_SHARE = 0.25

@@ -34,7 +34,10 @@ EXTREMES = {"very_slow": (0.0, 0.08), "slow": (0.0, 0.17), "fast": (0.83, 1.0), 
 learns lies inside."""
 PACE_MARKS = ("pace", "steady", "quick", "fast", "speed", "stroll", "march", "stride", "wander")
 """Parts of wordings that say how fast already."""
-FEWEST_CLIPS = 50
+SLOW_WORDS, FAST_WORDS = ("slow", "unhurried"), ("quick", "fast", "rapid", "swift")
+SLOW_UP_TO, FAST_FROM = 0.35, 0.65
+"""Shares of a content's clips by speed that may be called slow or fast."""
+FEWEST = 50
 """Clips of a content that can be compared by speed."""
 MORE_CAPTIONS = 3
 """Captions of each extreme, and of the style, that a training clip gets besides its own."""
@@ -51,28 +54,38 @@ class NewClip(NamedTuple):
 
 
 def write_more_captions(folder: Path, names: Sequence[str], labels: Callable[[str], Labels]) -> None:
-    """Adds captions to training clips: how fast they are among the clips of their content, and their style."""
+    """Adds captions to training clips: how fast they are among the clips of their content, and their style.
+
+    Captions that call a clip slow or fast, as those of some styles do, are removed if it is not.
+    """
     facts = {name: measure(np.load(folder / POSITIONS / f"{name}.npy"), fps=HUMANML3D.fps) for name in names}
     by_content = defaultdict(list)
     for name in names:
         by_content[labels(name).content].append(facts[name].speed)
     for name in names:
         speeds = np.sort(by_content[labels(name).content])
-        texts = _extreme_captions(name, labels(name), facts[name], speeds)
+        # Few clips cannot be compared.
+        rank = np.searchsorted(speeds, facts[name].speed, side="right") / len(speeds) if len(speeds) >= FEWEST else None
+        texts = _extreme_captions(name, labels(name), facts[name], rank)
         if labels(name).style != "normal":
             texts += _style_captions(name, labels(name), facts[name])
         said = _captions(dict.fromkeys(texts))
         for twin, more in ((name, said), (MIRROR_PREFIX + name, [mirror(caption) for caption in said])):
             path = folder / TEXTS / f"{twin}.txt"
-            save_captions(path, (*load_captions(path), *more))
+            save_captions(path, [one for one in (*load_captions(path), *more) if _is_true(one.text, rank)])
 
 
-def _extreme_captions(name: str, labels: Labels, facts: Facts, speeds: Float[np.ndarray, " N"]) -> list[str]:
-    place = float(np.searchsorted(speeds, facts.speed, side="right") / len(speeds))
+def _is_true(text: str, rank: float | None) -> bool:
+    """Returns whether a caption does not call a clip slow or fast against its rank among the clips of its content."""
+    if rank is None:
+        return True
+    slow, fast = (any(word in text for word in words) for words in (SLOW_WORDS, FAST_WORDS))
+    return not (slow and rank > SLOW_UP_TO) and not (fast and rank <= FAST_FROM)
+
+
+def _extreme_captions(name: str, labels: Labels, facts: Facts, rank: float | None) -> list[str]:
     generator = random.Random(f"speed of {name}")
-    if len(speeds) < FEWEST_CLIPS:
-        return []
-    found = [extreme for extreme, (above, below) in EXTREMES.items() if above < place <= below]
+    found = [extreme for extreme, (above, below) in EXTREMES.items() if rank is not None and above < rank <= below]
     manners = [load_extremes()[extreme] for extreme in found for _ in range(MORE_CAPTIONS)]
     return [_say(labels, facts, generator, manners=one) for one in manners]
 
