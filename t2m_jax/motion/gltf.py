@@ -19,6 +19,8 @@ from t2m_jax.motion.rotations import matrix_from_quaternion, quaternion_from_mat
 
 MAX_SECONDS = 3600.0
 """A longer animation is taken as an error in the file."""
+MAX_POSES = 20_000_000
+"""Joints times frames of all animations; an hour of 60 joints at 20 frames per second has 4 million."""
 _MAGIC, _JSON_CHUNK, _BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 _SIZES = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 _TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5126: np.float32}
@@ -68,9 +70,12 @@ def load_gltf(path: Path | str, *, fps: float = 20.0) -> dict[str, BvhClip]:
         glb = _split_chunks(data)
         nodes = _find_nodes(glb.tree)
         clips: dict[str, BvhClip] = {}
+        room = MAX_POSES
         for number, animation in enumerate(glb.tree.get("animations", [])):
             name = str(animation.get("name") or f"animation_{number}")
-            clips[name if name not in clips else f"{name}_{number}"] = _sample(glb, nodes, animation, fps=fps)
+            clip = _sample(glb, nodes, animation, fps=fps, room=room)
+            room -= clip.num_frames * len(nodes.names)
+            clips[name if name not in clips else f"{name}_{number}"] = clip
     except UserError as error:
         raise UserError(f"{path}: {error}") from error
     except (LookupError, TypeError, ValueError, AttributeError, struct.error, RecursionError) as error:
@@ -103,15 +108,18 @@ def _find_nodes(tree: Mapping[str, Any]) -> _Nodes:
     wanted = {joint for skin in tree.get("skins", []) for joint in skin["joints"]}
     if not wanted:
         raise UserError("has no skin, so it is not known which of its nodes are joints")
-    lines: dict[int, list[int]] = {}
+    depths: dict[int, int] = {}
     for joint in wanted:
-        line = [joint]
-        while line[-1] in above:
-            line.append(above[line[-1]])
+        line: list[int] = []
+        number: int | None = joint
+        while number is not None and number not in depths:
+            line.append(number)
+            number = above.get(number)
             if len(line) > len(nodes):
                 raise ValueError("its nodes are their own parents")
-        lines |= {number: line[place:] for place, number in enumerate(line)}
-    order = sorted(lines, key=lambda number: (len(lines[number]), number))
+        start = -1 if number is None else depths[number]
+        depths |= {below: start + place for place, below in enumerate(reversed(line), start=1)}
+    order = sorted(depths, key=lambda number: (depths[number], number))
     numbers = {number: place for place, number in enumerate(order)}
     parents = tuple(numbers[above[number]] if number in above else -1 for number in order)
     poses = [_rest_pose(nodes[number]) for number in order]
@@ -134,8 +142,8 @@ def _rest_pose(node: Mapping[str, Any]) -> tuple[Float[np.ndarray, " 3"], Float[
     return translation, rotation, float(np.mean(np.array(node.get("scale", 1), float)))
 
 
-def _sample(glb: _Glb, nodes: _Nodes, animation: Mapping[str, Any], *, fps: float) -> BvhClip:
-    """Returns one animation at `fps` frames per second."""
+def _sample(glb: _Glb, nodes: _Nodes, animation: Mapping[str, Any], *, fps: float, room: int) -> BvhClip:
+    """Returns one animation at `fps` frames per second, if it has at most `room` poses of joints."""
     tracks: dict[tuple[int, str], _Track] = {}
     for channel in animation["channels"]:
         target, sampler = channel["target"], animation["samplers"][channel["sampler"]]
@@ -145,6 +153,8 @@ def _sample(glb: _Glb, nodes: _Nodes, animation: Mapping[str, Any], *, fps: floa
     if not 0 <= seconds <= MAX_SECONDS:
         raise UserError(f"an animation ends after {seconds:g} seconds; expected at most {MAX_SECONDS:g}")
     times = np.arange(int(np.floor(seconds * fps + 1e-4)) + 1) / fps
+    if len(times) * len(nodes.names) > room:
+        raise UserError(f"its animations have more than {MAX_POSES} poses of joints; split the file")
     translations = np.tile(nodes.translations, (len(times), 1, 1))
     rotations = np.tile(nodes.rotations, (len(times), 1, 1))
     for (joint, kind), track in tracks.items():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
+from t2m_jax.motion import gltf
 from t2m_jax.motion.bvh import retarget
 from t2m_jax.motion.bvh.rigs import detect_rig
 from t2m_jax.motion.gltf import load_gltf
@@ -113,6 +114,20 @@ def test_a_very_long_animation_is_refused(tmp_path):
     writer.animation("move", [(root, "rotation", [0, 1e9], about_y([0, 90]), "LINEAR", "f4")])
     with pytest.raises(UserError, match="1e\\+09 seconds"):
         load_gltf(writer.save(tmp_path / "long.glb"))
+
+
+def test_many_joints_are_read_in_time_and_too_many_poses_are_refused(tmp_path, monkeypatch):
+    """A chain of 20,000 joints would take hours if each walked up to the root."""
+    writer = GlbWriter()
+    joint = None
+    for number in range(20_000):
+        joint = writer.joint(f"Joint{number}", joint, translation=[0, 0.001, 0])
+    writer.animation("move", [(joint, "rotation", [0, 0.2], about_y([0, 90]), "LINEAR", "f4")])
+    clip = load_gltf(writer.save(tmp_path / "chain.glb"))["move"]
+    assert clip.parents[0] == -1 and clip.positions[0, -1, 1] == pytest.approx(20.0, rel=1e-3)
+    monkeypatch.setattr(gltf, "MAX_POSES", 30_000)
+    with pytest.raises(UserError, match="more than 30000 poses"):
+        load_gltf(tmp_path / "chain.glb")
 
 
 def test_damaged_files_are_read_or_refused(tmp_path):

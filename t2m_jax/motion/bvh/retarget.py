@@ -30,8 +30,9 @@ def retarget(clip: BvhClip, *, rig: RigLike | None = None) -> Motion:
         rig: A rig, the name of one, the path of a YAML file (`*.yaml`) or a table `{"pelvis": "Hips", …}`.
             By default the named rig whose joints the clip has.
     """
+    clip = clip.with_end_sites()
     if rig is None:
-        rig = detect_rig(clip.with_end_sites().joint_names)
+        rig = detect_rig(clip.joint_names)
     elif isinstance(rig, Mapping):
         rig = make_rig(rig, name="the given rig")
     elif isinstance(rig, str) and rig in RIGS:
@@ -40,7 +41,6 @@ def retarget(clip: BvhClip, *, rig: RigLike | None = None) -> Motion:
         if not rig.endswith((".yaml", ".yml")):
             raise UserError(f'unknown rig "{rig}"; known are {", ".join(RIGS)}, or give a .yaml file')
         rig = load_rig(rig)
-    clip = clip.with_end_sites()
     index = match_rig(rig, clip.joint_names)
     for joint, spellings in rig.sources:
         if joint not in index:
