@@ -6,11 +6,14 @@ import shlex
 import pytest
 
 from t2m_jax.cli.train import _config
-from t2m_jax.config import override_config
+from t2m_jax.config import load_config, override_config
+from t2m_jax.data.folder import DatasetInfo
+from t2m_jax.data.importers.caption_files import load_caption_table
 from t2m_jax.train import TrainGptConfig, TrainVqVaeConfig
 from tests.conftest import REPOSITORY
 
-CONFIGS = sorted((REPOSITORY / "configs").rglob("*.yaml"))
+FREE = REPOSITORY / "configs" / "free"
+CONFIGS = sorted(path for path in (REPOSITORY / "configs").rglob("*.yaml") if path.parent != FREE)
 PAIRS = [
     (REPOSITORY / "configs" / folder, tokenizer, generator)
     for folder, tokenizer, generator in (
@@ -55,6 +58,12 @@ def test_the_stages_of_a_folder_fit(folder, tokenizer, generator):
     assert second.data == first.data
     for name in ("num_codes", "num_quantizers"):
         assert getattr(second.model, name) == getattr(first.model, name)
+
+
+def test_the_free_motions_have_captions_and_a_license():
+    info, captions = load_config(FREE / "dataset.yaml", DatasetInfo), load_caption_table(FREE, None)
+    assert "CMU" in info.licence and "mocap.cs.cmu.edu" in info.attribution
+    assert len(captions) > 150 and all(len(said) >= 4 for said in captions.values())
 
 
 def test_the_defaults_are_the_published_models():

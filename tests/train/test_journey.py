@@ -184,7 +184,7 @@ def test_prompts_are_measured(bundle_folder, tmp_path, capsys):
     arguments = ["--model", f"{bundle_folder}", "--num-seeds", "1", "--json", f"{tmp_path}/prompts.json"]
     assert main(["evaluate", "prompts", *arguments]) == 0
     figures = json.loads((tmp_path / "prompts.json").read_text(encoding="utf-8"))
-    assert figures["num_samples"] == len(RULES) == 10
+    assert figures["num_samples"] == len(RULES) == 11
     right = sum(content["right"] for content in figures["contents"].values())
     failures = sum(len(content["failures"]) for content in figures["contents"].values())
     assert (figures["prompt_following"], failures) == (right / 10, 10 - right)
