@@ -187,10 +187,10 @@ def test_prompts_are_measured(bundle_folder, tmp_path, capsys):
     assert figures["num_samples"] == len(RULES) == 11
     right = sum(content["right"] for content in figures["contents"].values())
     failures = sum(len(content["failures"]) for content in figures["contents"].values())
-    assert (figures["prompt_following"], failures) == (right / 10, 10 - right)
+    assert (figures["prompt_following"], failures) == (right / 11, 11 - right)
     table = capsys.readouterr().out
-    assert f"**{right} of 10" in table
-    assert table.count("\n") == 13
+    assert f"**{right} of 11" in table
+    assert table.count("\n") == 14
 
 
 def test_the_number_of_codes_is_that_of_the_tokenizer(runs, tmp_path):
