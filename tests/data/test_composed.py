@@ -9,10 +9,11 @@ import pytest
 from t2m_jax.data.audit import audit_dataset
 from t2m_jax.data.files import FEATURES
 from t2m_jax.data.folder import open_dataset
-from t2m_jax.data.importers.bandai_namco import compose
+from t2m_jax.data.importers.bandai_namco import compose, extra
 from t2m_jax.data.importers.bandai_namco.captions import Labels
 from t2m_jax.data.importers.bandai_namco.compose import (
     LONGEST,
+    QUIET_SPEED,
     Library,
     Part,
     draw_parts,
@@ -21,7 +22,7 @@ from t2m_jax.data.importers.bandai_namco.compose import (
     stand_still,
     write_composed_captions,
 )
-from t2m_jax.data.importers.bandai_namco.extra import MORE_CAPTIONS, write_more_captions
+from t2m_jax.data.importers.bandai_namco.extra import MORE_CAPTIONS, VARIANTS, write_more_captions, write_stand_clips
 from t2m_jax.data.importers.bandai_namco.importer import import_bandai_namco, labels_from_name
 from t2m_jax.data.importers.bandai_namco.wordings import load_composition, load_wordings
 from t2m_jax.data.index import load_index
@@ -61,13 +62,19 @@ def library(tmp_path_factory):
 
 def test_stillness_is_the_longest_stretch_with_low_hands():
     assert find_stillness(standing(60, raised=range(20, 35))) == slice(36, 60)
-    assert find_stillness(standing(30, raised=range(10, 20))) is None
+    assert find_stillness(standing(20, raised=range(6, 14))) is None
     assert find_stillness(walking_positions(60)) is None
 
 
-def test_standing_still_goes_forward_and_back():
-    positions = np.arange(5, dtype=np.float32)[:, None, None] * np.ones((22, 3), np.float32)
-    assert stand_still(positions, num_frames=12)[:, 0, 0].tolist() == [0, 1, 2, 3, 4, 3, 2, 1, 0, 1, 2, 3]
+def test_standing_still_goes_forward_and_back_at_a_quiet_speed():
+    steps = np.arange(5, dtype=np.float32)[:, None, None] * np.ones((22, 3), np.float32)
+    quiet = steps * 0.004  # 0.14 m/s
+    there_and_back = [0, 1, 2, 3, 4, 3, 2, 1, 0, 1, 2, 3]
+    np.testing.assert_allclose(stand_still(quiet, num_frames=12)[:, 0, 0] / 0.004, there_and_back, atol=1e-5)
+    slowed = stand_still(steps * 0.01, num_frames=60)
+    speeds = np.linalg.norm(np.diff(slowed, axis=0), axis=-1) * 20
+    np.testing.assert_allclose(speeds.max(), QUIET_SPEED, rtol=1e-3)
+    assert slowed.min() == 0 and slowed.max() == pytest.approx(0.04, abs=0.003)
 
 
 def test_parts_fit_and_differ_and_only_travel_is_cut(library):
@@ -118,6 +125,23 @@ def test_held_out_sentences_are_never_written(monkeypatch):
     monkeypatch.setattr(compose, "held_out_compositions", lambda: (held_out,))
     again = [caption.text for caption in write_composed_captions(parts, count=8, generator=random.Random(1))]
     assert texts[0] not in again and again[:7] == texts[1:]
+
+
+def test_each_style_stands_still_as_often_as_the_others(tmp_path, monkeypatch):
+    monkeypatch.setattr(extra, "MOST_OF_A_STYLE", 2)
+    styles = ["elderly"] * 4 + ["normal", "active"]
+    names = [f"dataset-2_raise-up-left-hand_{style}_{number:03d}" for number, style in enumerate(styles)]
+    with new_folder(tmp_path / "data") as folder:
+        for number, name in enumerate(names):
+            raised = range(20 + number, 70) if number < 5 else range(70)
+            captions = (Caption("raises a hand", ("raise/VERB",)),)
+            write_twins(folder, name, standing(70, raised=raised), captions=captions, skeleton=HUMANML3D)
+        made = write_stand_clips(folder, names, labels_from_name)
+    assert {clip.name.partition("_")[2] for clip in made} == {names[2], names[3], names[4]}, (
+        "the longest; none of `active`"
+    )
+    assert len({clip.name for clip in made}) == len(made) == 3 * VARIANTS
+    assert {clip.label for clip in made} == {"stand, elderly", "stand, normal"}
 
 
 def test_every_content_of_compositions_has_words():

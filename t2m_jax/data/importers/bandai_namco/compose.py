@@ -22,11 +22,11 @@ from t2m_jax.motion.joining import OVERLAP, find_cut, join_features
 from t2m_jax.motion.skeleton import HUMANML3D
 
 STAND = "stand"
-STILL_SPEED = 0.25
-"""Meters per second of the fastest joint of somebody who stands still."""
+STILL_SPEED, QUIET_SPEED = 0.5, 0.15
+"""Meters per second of the fastest joint of somebody who stands nearly still, and to which it is slowed down."""
 HANDS_DOWN = -0.15
 """Meters above the shoulder that a wrist stays below while somebody stands still."""
-SHORTEST_STAND = 16
+SHORTEST_STAND = 8
 """Frames of the shortest stretch of stillness that is used."""
 STAND_FRAMES = (30, 120)
 """Shortest and longest motion of standing still; stretches are played forward and backward until it is full."""
@@ -88,9 +88,14 @@ def find_stillness(positions: Float[np.ndarray, "T J 3"]) -> slice | None:
 
 
 def stand_still(positions: Float[np.ndarray, "T J 3"], *, num_frames: int) -> Float[np.ndarray, "U J 3"]:
-    """Returns a stretch of stillness, played forward and backward until it has `num_frames` frames."""
-    there_and_back = np.concatenate([positions, positions[-2:0:-1]])
-    return np.resize(there_and_back, (num_frames, *positions.shape[1:]))
+    """Returns a stretch of stillness, played slowly forward and backward until it has `num_frames` frames."""
+    last = len(positions) - 1
+    speed = np.linalg.norm(np.diff(positions, axis=0), axis=-1).max() * HUMANML3D.fps
+    places = np.arange(num_frames) * min(1.0, QUIET_SPEED / max(speed, QUIET_SPEED))
+    places = last - np.abs(places % (2 * last) - last)
+    before = np.minimum(places.astype(int), last - 1)
+    share = (places - before).astype(np.float32)[:, None, None]
+    return positions[before] * (1 - share) + positions[before + 1] * share
 
 
 def draw_parts(library: Library, generator: random.Random) -> list[Part]:

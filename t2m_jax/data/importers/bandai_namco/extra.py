@@ -2,7 +2,7 @@
 
 import random
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -41,6 +41,8 @@ FEWEST = 50
 """Clips of a content that can be compared by speed."""
 MORE_CAPTIONS = 3
 """Captions of each extreme, and of the style, that a training clip gets besides its own."""
+MOST_OF_A_STYLE, VARIANTS = 12, 4
+"""Clips of a style from which motions of standing still are made, and motions made of each."""
 CAPTIONS_OF_NEW = 6
 """Captions of a motion that is made of others."""
 
@@ -105,23 +107,33 @@ def _say(labels: Labels, facts: Facts, generator: random.Random, *, manners: tup
 
 
 def write_stand_clips(folder: Path, names: Sequence[str], labels: Callable[[str], Labels]) -> list[NewClip]:
-    """Writes a motion of standing still for each training clip that has a stretch of it, and returns them."""
-    clips = []
+    """Writes motions of standing still for training clips that have a stretch of it, and returns them.
+
+    Of each style, only the clips with the longest stretches are used, because some styles have many more than others.
+    """
+    stretches = defaultdict(list)
     for name in names:
-        positions = np.load(folder / POSITIONS / f"{name}.npy")
-        still = find_stillness(positions)
-        if still is None:
-            continue
-        generator = random.Random(f"stillness of {name}")
-        motion = stand_still(positions[still], num_frames=generator.randint(*STAND_FRAMES))
-        label = Labels(STAND, labels(name).style)
-        facts, wordings = measure(motion, fps=HUMANML3D.fps), load_wordings().contents[STAND].wordings
-        texts = {
-            compose(label, generator.choice(wordings), facts=facts, style_share=0.3, generator=generator): None
-            for _ in range(CAPTIONS_OF_NEW)
-        }
-        clips.append(_write(folder, f"{STAND}_{name}", ", ".join(label), motion, _captions(texts)))
-    return clips
+        still = find_stillness(np.load(folder / POSITIONS / f"{name}.npy", mmap_mode="r"))
+        if still is not None:
+            stretches[labels(name).style].append((still.start - still.stop, name, still))
+    chosen = [found for style in stretches.values() for found in sorted(style)[:MOST_OF_A_STYLE]]
+    return [
+        _write_stand_clip(folder, name, number, still, labels(name).style)
+        for _, name, still in chosen
+        for number in range(1, VARIANTS + 1)
+    ]
+
+
+def _write_stand_clip(folder: Path, name: str, number: int, still: slice, style: str) -> NewClip:
+    generator, label = random.Random(f"stillness {number} of {name}"), Labels(STAND, style)
+    positions = np.load(folder / POSITIONS / f"{name}.npy")[still]
+    motion = stand_still(positions, num_frames=generator.randint(*STAND_FRAMES))
+    facts, wordings = measure(motion, fps=HUMANML3D.fps), load_wordings().contents[STAND].wordings
+    texts = [
+        compose(label, generator.choice(wordings), facts=facts, style_share=0.3, generator=generator)
+        for _ in range(CAPTIONS_OF_NEW)
+    ]
+    return _write(folder, f"{STAND}{number}_{name}", ", ".join(label), motion, _captions(dict.fromkeys(texts)))
 
 
 def write_composition(number: int, *, library: Library) -> NewClip:
@@ -133,11 +145,11 @@ def write_composition(number: int, *, library: Library) -> NewClip:
     return _write(library.folder, f"composed_{number:05d}", label, join_parts(parts), captions)
 
 
-def make_library(folder: Path, names: Sequence[str], labels: Callable[[str], Labels]) -> Library:
+def make_library(folder: Path, labels: Mapping[str, Labels]) -> Library:
     """Returns the clips that compositions are made of."""
     clips = defaultdict(list)
-    for name in names:
-        clips[labels(name).content].append((name, labels(name).style))
+    for name, label in labels.items():
+        clips[label.content].append((name, label.style))
     return Library(folder, dict(clips))
 
 

@@ -14,7 +14,6 @@ import tqdm
 from t2m_jax.data.files import SPLITS, read_names
 from t2m_jax.data.folder import DatasetInfo
 from t2m_jax.data.importers.bandai_namco.captions import Labels, write_captions
-from t2m_jax.data.importers.bandai_namco.compose import STAND
 from t2m_jax.data.importers.bandai_namco.extra import (
     NewClip,
     make_library,
@@ -145,13 +144,6 @@ def _convert(file: Path, *, folder: Path) -> int:
     return write_twins(folder, file.stem, motion.positions, captions=captions, skeleton=HUMANML3D)
 
 
-def _labels_of_clip(name: str) -> Labels:
-    """Returns content and style of a clip, also of one that was cut out of another."""
-    if name.startswith(f"{STAND}_"):
-        return Labels(STAND, labels_from_name(name.removeprefix(f"{STAND}_")).style)
-    return labels_from_name(name)
-
-
 def _find_lists(source: Path, splits: str | Path | None) -> Path | None:
     """Returns the folder with the split lists, the given one or one near the data; None if there is none.
 
@@ -181,7 +173,9 @@ def _map_in_processes(workers: int) -> Iterator[Mapper]:
 def _write_new_clips(folder: Path, names: Sequence[str], composed: int, run_all: Mapper) -> list[NewClip]:
     """Writes motions that are made of training clips, and returns them."""
     still = write_stand_clips(folder, names, labels_from_name)
-    library = make_library(folder, [*names, *(clip.name for clip in still)], _labels_of_clip)
+    labels = {name: labels_from_name(name) for name in names}
+    labels |= {clip.name: Labels(*clip.label.split(", ")) for clip in still}
+    library = make_library(folder, labels)
     made = run_all(functools.partial(write_composition, library=library), range(composed))
     return [*still, *tqdm.tqdm(made, total=composed, unit="clip", desc="composing")]
 
