@@ -24,7 +24,7 @@ from t2m_jax.motion.skeleton import HUMANML3D
 STAND = "stand"
 STILL_SPEED, QUIET_SPEED = 0.5, 0.15
 """Meters per second of the fastest joint of somebody who stands nearly still, and to which it is slowed down."""
-HANDS_DOWN = -0.15
+HANDS_DOWN = -0.3
 """Meters above the shoulder that a wrist stays below while somebody stands still."""
 SHORTEST_STAND = 8
 """Frames of the shortest stretch of stillness that is used."""
