@@ -9,7 +9,7 @@ from t2m_jax.data.folder import Dataset, DatasetInfo, open_dataset
 from t2m_jax.data.index import IndexRow, load_index, save_index
 from t2m_jax.data.writer import ImportReport, finish_folder, new_folder
 from t2m_jax.errors import UserError
-from t2m_jax.files import reading
+from t2m_jax.files import load_array, reading
 
 
 def merge_datasets(sources: Sequence[str | Path], destination: str | Path) -> ImportReport:
@@ -50,7 +50,7 @@ def _copy_clip(name: str, dataset: Dataset, folder: Path) -> int:
     for part in (f"{FEATURES}/{name}.npy", f"{POSITIONS}/{name}.npy", f"{TEXTS}/{name}.txt"):
         with reading(dataset.folder / part):
             shutil.copyfile(dataset.folder / part, folder / part)
-    return len(dataset.features(name))
+    return len(load_array(folder / FEATURES / f"{name}.npy", mmap=True))
 
 
 def _merged_info(datasets: Sequence[Dataset]) -> DatasetInfo:

@@ -1,7 +1,7 @@
 """Whether generated motion does what the sentence asked, by simple kinematic rules.
 
-The contents are those of Bandai-Namco dataset-2. The limits were chosen so that nearly all of its training clips
-satisfy them. The sentences are held out from training.
+The contents are those of Bandai-Namco dataset-2, and standing still. The limits were chosen so that nearly all of the
+training clips satisfy them. The sentences are held out from training.
 """
 
 import functools

@@ -63,6 +63,13 @@ def true_facts(labels: Labels, facts: Facts) -> frozenset[str]:
     return frozenset(name for name, holds in found.items() if holds)
 
 
+def true_wordings(labels: Labels, facts: Facts) -> tuple[Wording, ...]:
+    """Returns the wordings of a clip's content that may be said of it."""
+    words, holding = load_wordings(), true_facts(labels, facts)
+    known = words.exceptions.get((labels.content, labels.style), words.contents[labels.content].wordings)
+    return tuple(wording for wording in known if wording.needs in holding)
+
+
 def compose(
     labels: Labels,
     wording: Wording,
@@ -119,11 +126,7 @@ def write_captions(name: str, labels: Labels, facts: Facts, *, count: int = 6) -
         facts: Measurements of the clip.
         count: Number of captions.
     """
-    words = load_wordings()
-    generator = random.Random(f"captions of {name}")
-    holding = true_facts(labels, facts)
-    known = words.exceptions.get((labels.content, labels.style), words.contents[labels.content].wordings)
-    wordings = tuple(wording for wording in known if wording.needs in holding)
+    generator, wordings = random.Random(f"captions of {name}"), true_wordings(labels, facts)
     low = tuple(wording for wording in wordings if wording.needs == "low")
     styled = tuple(wording for wording in wordings if not any(mark in wording.predicate for mark in CLAUSE_MARKS))
     texts: dict[str, Wording] = {}

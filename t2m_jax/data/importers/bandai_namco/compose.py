@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.data.files import FEATURES
-from t2m_jax.data.importers.bandai_namco.captions import CLAUSE_MARKS, Labels, true_facts
+from t2m_jax.data.importers.bandai_namco.captions import CLAUSE_MARKS, Labels, true_wordings
 from t2m_jax.data.importers.bandai_namco.grammar import Form, Manner, Wording, clause, opening
 from t2m_jax.data.importers.bandai_namco.measure import WALKING_SPEED, measure
 from t2m_jax.data.importers.bandai_namco.wordings import held_out_compositions, load_composition, load_wordings
-from t2m_jax.data.importers.lexicon import tag_words
+from t2m_jax.data.importers.lexicon import tag_words, words_in
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
 from t2m_jax.motion.features import features_from_positions, positions_from_features
@@ -153,17 +153,13 @@ def join_parts(parts: Sequence[Part]) -> Float[np.ndarray, "T J 3"]:
 
 def write_composed_captions(parts: Sequence[Part], *, count: int, generator: random.Random) -> tuple[Caption, ...]:
     """Returns `count` different captions of parts in turn; none is a held-out sentence."""
-    forbidden = {_plain(text) for request in held_out_compositions() for text in request.sentences}
+    forbidden = {tuple(words_in(text)) for request in held_out_compositions() for text in request.sentences}
     texts: dict[str, None] = {}
     while len(texts) < count:
         text = _compose(parts, generator)
-        if _plain(text) not in forbidden:
+        if tuple(words_in(text)) not in forbidden:
             texts[text] = None
     return tuple(Caption(text, tag_words(text, strict=True)) for text in texts)
-
-
-def _plain(text: str) -> str:
-    return "".join(letter for letter in text.lower() if letter.isalpha() or letter == " ").strip()
 
 
 def _compose(parts: Sequence[Part], generator: random.Random) -> str:
@@ -192,16 +188,9 @@ def _compose(parts: Sequence[Part], generator: random.Random) -> str:
 
 def _choose_wording(part: Part, generator: random.Random) -> Wording:
     """Returns a wording that holds for a part and has no clause of its own."""
-    labels, words = part.labels, load_wordings()
     facts = measure(np.asarray(positions_from_features(part.features, HUMANML3D)), fps=HUMANML3D.fps)
-    holding = true_facts(labels, facts)
-    known = words.exceptions.get((labels.content, labels.style), words.contents[labels.content].wordings)
-    clear = [
-        wording
-        for wording in known
-        if wording.needs in holding and not any(mark in wording.predicate for mark in (*CLAUSE_MARKS, " and then "))
-    ]
-    return generator.choice(clear)
+    marks, wordings = (*CLAUSE_MARKS, " and then "), true_wordings(part.labels, facts)
+    return generator.choice([one for one in wordings if not any(mark in one.predicate for mark in marks)])
 
 
 def _choose_manner(part: Part, generator: random.Random) -> Manner | None:

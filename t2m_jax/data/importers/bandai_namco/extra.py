@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.data.files import MIRROR_PREFIX, POSITIONS, TEXTS
-from t2m_jax.data.importers.bandai_namco.captions import Labels, compose, true_facts
+from t2m_jax.data.importers.bandai_namco.captions import Labels, compose, true_wordings
 from t2m_jax.data.importers.bandai_namco.compose import (
     STAND,
     STAND_FRAMES,
@@ -99,10 +99,9 @@ def _style_captions(name: str, labels: Labels, facts: Facts) -> list[str]:
 
 def _say(labels: Labels, facts: Facts, generator: random.Random, *, manners: tuple[Manner, ...]) -> str:
     """Returns a sentence with one of the given manners; without any, with one of the clip's style."""
-    words, holding = load_wordings(), true_facts(labels, facts)
-    known = words.exceptions.get((labels.content, labels.style), words.contents[labels.content].wordings)
-    plain = [one for one in known if one.needs in holding and not any(mark in one.predicate for mark in PACE_MARKS)]
-    wording = generator.choice(plain or [one for one in known if one.needs in holding])
+    wordings = true_wordings(labels, facts)
+    plain = [one for one in wordings if not any(mark in one.predicate for mark in PACE_MARKS)]
+    wording = generator.choice(plain or wordings)
     return compose(labels, wording, facts=facts, style_share=1.0, generator=generator, manners=manners)
 
 

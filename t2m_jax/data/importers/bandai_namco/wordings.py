@@ -86,6 +86,12 @@ def _subjects(pairs: Iterable[Sequence[str]]) -> tuple[Subject, ...]:
     return tuple(Subject(text, possessive) for text, possessive in pairs)
 
 
+def _pace_manners(texts: Sequence[str]) -> tuple[Manner, ...]:
+    """Returns words for a pace at the end of a sentence, and adverbs also before the verb."""
+    before = tuple(Manner(text, "before_verb") for text in texts if text.endswith("ly"))
+    return tuple(Manner(text, "end") for text in texts) + before
+
+
 @functools.cache
 def load_wordings() -> Wordings:
     """Returns all wordings. The files are read once, when the first caption is written."""
@@ -96,11 +102,7 @@ def load_wordings() -> Wordings:
         for name, group in _read(file).items()
     }
     paces = {
-        kind: {
-            pace: tuple(Manner(text, "end") for text in texts)
-            + tuple(Manner(text, "before_verb") for text in texts if text.endswith("ly"))
-            for pace, texts in by_pace.items()
-        }
+        kind: {pace: _pace_manners(texts) for pace, texts in by_pace.items()}
         for kind, by_pace in words["paces"].items()
     }
     contents = {}
@@ -131,11 +133,7 @@ def load_composition() -> Composition:
 @functools.cache
 def load_extremes() -> Mapping[str, tuple[Manner, ...]]:
     """Returns the ways of saying that a clip is among the slowest or the fastest of its content."""
-    return {
-        name: tuple(Manner(text, "end") for text in texts)
-        + tuple(Manner(text, "before_verb") for text in texts if text.endswith("ly"))
-        for name, texts in _read("styles")["extremes"].items()
-    }
+    return {name: _pace_manners(texts) for name, texts in _read("styles")["extremes"].items()}
 
 
 @functools.cache
