@@ -137,6 +137,29 @@ def joint_loss(
     return masked_mean(_lengths(joints), mask[:, :, None])
 
 
+def facing_loss(
+    reconstruction: Float[Array, "B T D"],
+    motion: Float[Array, "B T D"],
+    mask: Bool[Array, "B T"],
+    *,
+    skeleton: Skeleton,
+    normalizer: Normalizer,
+) -> Float[Array, ""]:
+    """Returns the mean angle between the directions of hips and shoulders over the ground, in radians if it is small.
+
+    The vectors are relative to the heading of each frame. Arguments as for `joint_loss`.
+    """
+
+    def along(features: Float[Array, "B T D"]) -> Float[Array, "B T 2"]:
+        # The root is no column of the positions, so joint j is row j - 1.
+        joints = normalizer.denormalize(features)[..., skeleton.layout.positions].reshape(*mask.shape, -1, 3)
+        right_hip, left_hip, right_shoulder, left_shoulder = (joints[:, :, j - 1, ::2] for j in skeleton.face_joints)
+        vectors = left_hip - right_hip + left_shoulder - right_shoulder
+        return vectors / jnp.maximum(_lengths(vectors), 1e-6)[..., None]
+
+    return masked_mean(_lengths(along(reconstruction) - along(motion)), mask)
+
+
 def world_losses(
     reconstruction: Float[Array, "B T D"],
     motion: Float[Array, "B T D"],
@@ -160,7 +183,7 @@ def world_losses(
     }
 
 
-def _lengths(vectors: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
+def _lengths(vectors: Float[Array, "*batch D"]) -> Float[Array, "*batch"]:
     """Returns the lengths of vectors, whose gradient is 0 where they are 0."""
     squares = jnp.sum(vectors**2, axis=-1)
     differs = squares > 0

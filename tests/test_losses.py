@@ -8,6 +8,7 @@ import pytest
 from t2m_jax.losses import (
     bone_loss,
     elementwise_loss,
+    facing_loss,
     joint_loss,
     reconstruction_loss,
     token_accuracy,
@@ -167,7 +168,20 @@ def test_world_losses_contain_the_path(walk):
     assert joint_loss(faster, motion, mask, **IN_METERS) == 0
 
 
-@pytest.mark.parametrize("measure", [joint_loss, bone_loss, world_losses])
+def test_the_facing_loss_is_an_angle(walk):
+    motion, mask = walk
+    joints = NORMALIZER.denormalize(motion)[..., LAYOUT.positions].reshape(1, 40, 21, 3)
+    cos, sin = np.cos(0.1), np.sin(0.1)
+    turn = joints @ jnp.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]]) - joints
+    turned = motion.at[..., LAYOUT.positions].add(
+        turn.reshape(1, 40, 63) / NORMALIZER.std[LAYOUT.positions][None, None]
+    )
+    assert facing_loss(turned, motion, mask, **IN_METERS) == pytest.approx(0.1, rel=1e-3)
+    raised = moved(motion, slice(LAYOUT.positions.start + 1, LAYOUT.positions.start + 2), 0.3)
+    assert facing_loss(raised, motion, mask, **IN_METERS) < 1e-6
+
+
+@pytest.mark.parametrize("measure", [joint_loss, bone_loss, facing_loss, world_losses])
 def test_losses_in_meters_leave_out_padding_and_have_gradients_at_zero(walk, measure):
     motion, mask = walk
 

@@ -100,7 +100,7 @@ def _run(arguments: list[str]) -> int:
         if takes_config_options:
             args.config_options = unknown
         elif unknown:
-            near = difflib.get_close_matches(unknown[0].partition("=")[0], _options(parser), n=1)
+            near = difflib.get_close_matches(unknown[0].partition("=")[0], _options(parser, rest), n=1)
             parser.error(f"unknown argument '{unknown[0]}'" + (f"; did you mean '{near[0]}'?" if near else ""))
         module.run(args)
     except SystemExit as exit_:  # raised by argparse and tyro after --help
@@ -108,13 +108,14 @@ def _run(arguments: list[str]) -> int:
     return EXIT_OK
 
 
-def _options(parser: argparse.ArgumentParser) -> list[str]:
-    """Returns the options of a parser and of its sub-commands."""
+def _options(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> list[str]:
+    """Returns the options of a parser and of the sub-command that the arguments name."""
     options: list[str] = []
     for action in parser._actions:
         options += action.option_strings
         if isinstance(action, argparse._SubParsersAction):
-            options += [option for subparser in action.choices.values() for option in _options(subparser)]
+            chosen = [subparser for name, subparser in action.choices.items() if name in arguments]
+            options += [option for subparser in chosen for option in _options(subparser, arguments)]
     return options
 
 

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from jaxtyping import Array, Float, Int, Key
 
@@ -15,12 +16,14 @@ from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer, save
 from t2m_jax.data.banks.host import FeedPlan
 from t2m_jax.data.banks.motions import Cuts, MotionBank, Windows, batch_at, cuts_at, make_bank
 from t2m_jax.data.folder import Clip, Dataset
+from t2m_jax.errors import UserError
 from t2m_jax.evaluation.sources import CodeSource, Reconstruction
 from t2m_jax.losses import (
     ReconstructionKind,
     VelocityKind,
     acceleration_loss,
     bone_loss,
+    facing_loss,
     joint_loss,
     reconstruction_loss,
     velocity_loss,
@@ -75,6 +78,8 @@ class TrainVqVaeConfig(ExperimentConfig):
     """What bone vectors are measured in: meters, or the normalized features."""
     joint_weight: float = 0.0
     """Weight of the distance of the joints in meters, relative to the root."""
+    facing_weight: float = 0.0
+    """Weight of the angle between the directions in which hips and shoulders face, in radians."""
     world_velocity_weight: float = 0.0
     """Weight of the distance of the joints' steps in the world, in meters per frame. With it, paths drift less and feet
     slide less."""
@@ -82,6 +87,8 @@ class TrainVqVaeConfig(ExperimentConfig):
     """Weight of the distance of the joints' changes of step in the world, in meters. With it, motion trembles less."""
     commitment_weight: float = 0.02
     """Weight of the commitment loss."""
+    trained: Literal["all", "decoder"] = "all"
+    """What is trained. With `decoder`, and `init`, all motion keeps its codes, so that generators still fit."""
     precision: Precision = "float32"
     """What products are computed in during training; the codebook is always in float32."""
     optimizer: OptimizerConfig = OptimizerConfig(warmup_steps=1000, milestones=(200_000,))
@@ -95,6 +102,8 @@ class TrainVqVaeConfig(ExperimentConfig):
             raise ValueError(f"root_weight: {self.root_weight} is not above 0")
         if self.window < self.model.downsample:
             raise ValueError(f"window: {self.window} is shorter than one code, {self.model.downsample} frames")
+        if self.trained == "decoder" and self.model.norm == "BN":
+            raise ValueError("trained: a model with batch norm (model.norm: BN) cannot keep its codes")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -110,6 +119,10 @@ class TrainRvqVaeConfig(TrainVqVaeConfig):
     acceleration_weight: float = 0.5
     bone_weight: float = 1.0
     optimizer: OptimizerConfig = OptimizerConfig(betas=(0.9, 0.95), cosine=(22_000, 300_000))
+
+
+DECODER_PARTS = ("decoder", "project_out")
+"""The parameters that read codes."""
 
 
 class VqVaeState(NamedTuple):
@@ -159,13 +172,15 @@ def vqvae_losses(output: VqVaeOutput, windows: Windows, config: TrainVqVaeConfig
         terms["bones"] = skeleton.metres_per_unit * bone_loss(*pair, **in_meters)
     if config.joint_weight:
         terms["joints"] = skeleton.metres_per_unit * joint_loss(*pair, **in_meters)
+    if config.facing_weight:
+        terms["facing"] = facing_loss(*pair, **in_meters)
     if config.world_velocity_weight or config.world_acceleration_weight:
         moved = world_losses(*pair, **in_meters)
         terms |= {name: skeleton.metres_per_unit * term for name, term in moved.items()}
     terms["commitment"] = output.commitment_loss
     weights = {"reconstruction": 1.0, "velocity": config.velocity_weight, "acceleration": config.acceleration_weight}
     weights |= {"bones": config.bone_weight, "joints": config.joint_weight, "commitment": config.commitment_weight}
-    weights |= {"world_velocity": config.world_velocity_weight}
+    weights |= {"facing": config.facing_weight, "world_velocity": config.world_velocity_weight}
     weights |= {"world_acceleration": config.world_acceleration_weight}
     loss = functools.reduce(jnp.add, [weights[name] * term for name, term in terms.items()])
     return {"loss": loss} | terms | codebook_metrics(output)
@@ -202,8 +217,10 @@ def vqvae_train_step(
         noise: Standard normal numbers for new codes, see `Quantizer`; drawn from `key` if None.
     """
     model = VqVae(config.model)
+    fixed = {} if config.trained == "all" else {n: state.params[n] for n in state.params if n not in DECODER_PARTS}
 
     def measure(params: Any) -> tuple[Metrics, dict[str, Any]]:
+        params = params | fixed
         # A codebook that is a parameter keeps its precision.
         computed = in_precision(params, config.precision) | {
             name: params[name] for name in params if name == "quantizer"
@@ -218,9 +235,11 @@ def vqvae_train_step(
             mutable=["codebook", "batch_stats"],
         )
         fields = {name: moved.get(name, {}) for name in ("codebook", "batch_stats")}
-        return vqvae_losses(output, windows, config, normalizer), fields
+        return vqvae_losses(output, windows, config, normalizer), fields if config.trained == "all" else {}
 
-    return descend(state, measure, config.optimizer)
+    after, metrics = descend(state, measure, config.optimizer)
+    # Weight decay would change what has no gradient.
+    return after._replace(params=after.params | fixed), metrics
 
 
 def window_options(config: TrainVqVaeConfig, stream: str) -> dict[str, Any]:
@@ -258,9 +277,11 @@ def prepare(config: TrainVqVaeConfig, resume: bool) -> Setup:
     """Returns the setup of a training.
 
     Raises:
-        UserError: The data do not fit the model.
+        UserError: The data do not fit the model, or a decoder is to be trained without a tokenizer in `init`.
     """
     dataset, normalizer = open_training_data(config, reader="the VQ-VAE", resume=resume)
+    if config.trained == "decoder":
+        _check_codes_stay(config.init, normalizer)
     compiled, is_padded = compiled_config(config), config.short_clips == "pad"
     # The original takes every clip that is as long as a window, also those that its other stages find too short.
     shortest = max(config.model.downsample, dataset.info.min_frames) if is_padded else config.window
@@ -284,6 +305,13 @@ def prepare(config: TrainVqVaeConfig, resume: bool) -> Setup:
         validation=make_validation(config, dataset, normalizer),
         evaluation=Evaluation(config.evaluation, config.model.downsample, source),
     )
+
+
+def _check_codes_stay(init: Path | None, normalizer: Normalizer) -> None:
+    if init is None:
+        raise UserError("trained: a decoder alone needs `init`, the tokenizer whose codes it reads")
+    if not all(np.array_equal(*pair) for pair in zip(normalizer, load_tokenizer(init).normalizer, strict=True)):
+        raise UserError(f"statistics: those of {init} are others, so codes would change; set it to `init`")
 
 
 def make_validation(config: TrainVqVaeConfig, dataset: Dataset, normalizer: Normalizer) -> Validation | None:

@@ -43,6 +43,31 @@ def test_a_tokenizer_starts_from_a_model(runs, bundle, tmp_path, source):
     np.testing.assert_array_equal(load_tokenizer(config.run).normalizer.std, expected.normalizer.std)
 
 
+def test_a_decoder_is_trained_alone_and_all_motion_keeps_its_codes(runs, tmp_path):
+    optimizer = dataclasses.replace(OPTIMIZER, weight_decay=0.1, warmup_steps=0)
+    fields = {"init": runs.vqvae, "trained": "decoder", "optimizer": optimizer}
+    config = dataclasses.replace(vqvae_training(runs.data, tmp_path / "run", loop=SHORT), **fields)
+    train(config)
+    before, after = load_tokenizer(runs.vqvae).variables, load_tokenizer(config.run).variables
+    for part in ("encoder", "quantizer"):
+        assert_same(after["params"].get(part, {}), before["params"].get(part, {}), rtol=0)
+    assert_same(after["codebook"], before["codebook"], rtol=0)
+    with pytest.raises(AssertionError):
+        assert_same(after["params"]["decoder"], before["params"]["decoder"], rtol=1e-3)
+
+
+def test_a_decoder_alone_needs_its_tokenizer_and_its_statistics(runs, tmp_path):
+    config = dataclasses.replace(vqvae_training(runs.data, tmp_path / "run"), trained="decoder")
+    with pytest.raises(UserError, match="a decoder alone needs `init`"):
+        train(config)
+    normalizer = load_tokenizer(runs.vqvae).normalizer
+    save_normalizer(tmp_path, normalizer._replace(std=1.01 * normalizer.std))
+    with pytest.raises(UserError, match=r"statistics: .* set it to `init`"):
+        train(dataclasses.replace(config, init=runs.vqvae, statistics=f"{tmp_path}"))
+    with pytest.raises(ValueError, match="batch norm"):
+        dataclasses.replace(config, model=dataclasses.replace(VQVAE, norm="BN"))
+
+
 def test_a_generator_starts_from_a_model_and_keeps_its_subwords(runs, tmp_path):
     fields = {"init": runs.gpt, "optimizer": STILL}
     config = dataclasses.replace(gpt_training(runs.data, runs.vqvae, tmp_path / "run", loop=SHORT), **fields)
