@@ -1,7 +1,32 @@
+"""Files and folders are written whole or not at all, by one process at a time, and damage shows."""
+
+import errno
+import hashlib
+import os
+import stat
+import subprocess
+import sys
+import time
+
+import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.files import atomic_file
+from t2m_jax.files import (
+    MANIFEST,
+    atomic_file,
+    atomic_folder,
+    check_folder,
+    check_output,
+    lock,
+    read_manifest,
+    write_manifest,
+)
+from t2m_jax.files.writing import ABANDONED_SECONDS
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
 
 
 def test_an_interrupted_write_keeps_the_old_file(tmp_path):
@@ -10,16 +35,133 @@ def test_an_interrupted_write_keeps_the_old_file(tmp_path):
     with pytest.raises(KeyboardInterrupt), atomic_file(path) as part:
         part.write_text("half of the n")
         raise KeyboardInterrupt
-    assert [file.name for file in tmp_path.iterdir()] == ["a.txt"] and path.read_text() == "old"
+    assert names(tmp_path) == ["a.txt"] and path.read_text() == "old"
     with atomic_file(path) as part:
         part.write_text("new")
         assert path.read_text() == "old"
-    assert [file.name for file in tmp_path.iterdir()] == ["a.txt"] and path.read_text() == "new"
+    assert names(tmp_path) == ["a.txt"] and path.read_text() == "new"
 
 
-def test_a_full_disk_is_one_line(tmp_path):
-    with (
-        pytest.raises(UserError, match=r"a\.txt: cannot be written \(No space left on device\)"),
-        atomic_file(tmp_path / "a.txt"),
-    ):
-        raise OSError(28, "No space left on device")
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
+def test_a_full_disk_is_one_line(tmp_path, number):
+    for opened in (atomic_file, atomic_folder):
+        with pytest.raises(UserError, match=r"a\.txt: cannot be written \(.*\); make room"), opened(tmp_path / "a.txt"):
+            raise OSError(number, os.strerror(number))
+    assert names(tmp_path) == []
+
+
+def test_links_stay_links_and_modes_are_kept(tmp_path):
+    target, link = tmp_path / "target.txt", tmp_path / "link.txt"
+    target.write_text("old")
+    target.chmod(0o640)
+    link.symlink_to(target)
+    with atomic_file(link) as part:
+        part.write_text("new")
+    assert link.is_symlink() and target.read_text() == "new"
+    assert stat.S_IMODE(target.stat().st_mode) == 0o640
+
+
+def test_pipes_are_not_replaced(tmp_path):
+    os.mkfifo(tmp_path / "pipe.bvh")
+    with pytest.raises(UserError, match=r"pipe\.bvh: cannot be written, it is a pipe or device"):
+        check_output(tmp_path / "pipe.bvh")
+
+
+def test_what_killed_processes_left_is_deleted_later(tmp_path):
+    left, young = tmp_path / ".a.txt.0123.partial.txt", tmp_path / ".a.txt.4567.partial.txt"
+    half = tmp_path / ".folder.0123.partial"
+    half.mkdir()
+    for path in (left, young, half / "x"):
+        path.write_text("half")
+    old = time.time() - 2 * ABANDONED_SECONDS
+    for path in (left, half / "x", half):
+        os.utime(path, (old, old))
+    check_output(tmp_path / "a.txt")
+    with atomic_folder(tmp_path / "folder"):
+        pass
+    assert names(tmp_path) == [young.name, "folder"]
+
+
+HOLD = """
+import sys, pathlib
+from t2m_jax.files import lock
+with lock(pathlib.Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_one_process_writes_and_the_others_are_told(tmp_path):
+    path = tmp_path / "out"
+    with subprocess.Popen([sys.executable, "-c", HOLD, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout.readline() == b"held\n"
+        with pytest.raises(UserError, match=f"out: is being written by process {other.pid}"), atomic_folder(path):
+            pass
+        other.kill()
+        other.wait()
+        assert names(tmp_path) == [".out.lock"]
+    with atomic_folder(path), lock(path):  # taken over from the killed process, and taken again inside
+        pass
+    assert names(tmp_path) == ["out"]
+
+
+@pytest.fixture
+def listed(tmp_path):
+    folder = tmp_path / "listed"
+    (folder / "deep" / "er").mkdir(parents=True)
+    (folder / "a.txt").write_text("some text")
+    (folder / "deep" / "er" / "b.bin").write_bytes(bytes(range(256)) * 50)
+    write_manifest(folder)
+    return folder
+
+
+def test_a_manifest_lists_all_files(listed):
+    assert list(read_manifest(listed)) == ["a.txt", "deep/er/b.bin"]
+    check_folder(listed)
+    check_folder(listed, thorough=True)
+
+
+@pytest.mark.parametrize("thorough", [False, True])
+def test_every_flipped_bit_shows(listed, thorough):
+    random = np.random.default_rng(0)
+    for name in ("a.txt", "deep/er/b.bin", MANIFEST):
+        path = listed / name
+        sound = path.read_bytes()
+        for _ in range(150):
+            bit = int(random.integers(8 * len(sound)))
+            damaged = bytearray(sound)
+            damaged[bit // 8] ^= 1 << bit % 8
+            path.write_bytes(damaged)
+            with pytest.raises(UserError, match=name):
+                check_folder(listed, thorough=thorough)
+        path.write_bytes(sound)
+    check_folder(listed, thorough=thorough)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda folder: (folder / "a.txt").unlink(),
+        lambda folder: (folder / "a.txt").write_text("some text "),
+        lambda folder: (folder / MANIFEST).write_bytes((folder / MANIFEST).read_bytes().replace(b"\n", b"\r\n")),
+        lambda folder: (folder / MANIFEST).write_bytes((folder / MANIFEST).read_bytes()[:-70]),
+        lambda folder: (folder / MANIFEST).write_bytes(b""),
+        lambda folder: (folder / MANIFEST).unlink(),
+    ],
+)
+def test_missing_and_changed_files_show(listed, change):
+    change(listed)
+    with pytest.raises(UserError):
+        check_folder(listed)
+
+
+def test_a_manifest_does_not_lead_out_of_its_folder(listed):
+    (listed.parent / "secret").write_text("x")
+    (listed / "..secret").write_text("x")
+    write_manifest(listed)
+    check_folder(listed)  # this name is one of a file inside
+    text = (listed / MANIFEST).read_text().replace("..secret", "../secret")
+    body = "".join(line + "\n" for line in text.splitlines()[:-1])
+    (listed / MANIFEST).write_text(body + hashlib.sha256(body.encode()).hexdigest() + "\n")
+    with pytest.raises(UserError, match="damaged"):
+        check_folder(listed)

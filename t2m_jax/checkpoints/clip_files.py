@@ -12,7 +12,8 @@ from safetensors import safe_open
 
 from t2m_jax.checkpoints.torch_file import load_torch_file
 from t2m_jax.errors import UserError
-from t2m_jax.files import DAMAGED_WEIGHTS, first_line, load_json
+from t2m_jax.files import first_line, load_json
+from t2m_jax.files.arrays import DAMAGED_WEIGHTS
 
 CONFIG_FILE = "config.json"
 TOKENIZER_FILES = ("tokenizer.json", "vocab.json", "merges.txt")

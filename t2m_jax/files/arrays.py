@@ -1,0 +1,110 @@
+"""Nested dictionaries of arrays as safetensors files."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
+
+from t2m_jax.errors import UserError
+from t2m_jax.files.reading import first_line
+from t2m_jax.files.writing import atomic_file
+
+DAMAGED_WEIGHTS = (SafetensorError, OSError, ValueError, LookupError, TypeError, AttributeError)
+"""What safetensors raises for damaged files."""
+
+
+def flatten_tree(tree: Mapping[str, Any], *, prefix: str = "") -> dict[str, Any]:
+    """Returns the leaves of nested dictionaries by their path, such as `params/decoder/kernel`."""
+    flat: dict[str, Any] = {}
+    for name, value in tree.items():
+        path = f"{prefix}{name}"
+        flat |= flatten_tree(value, prefix=f"{path}/") if isinstance(value, Mapping) else {path: value}
+    return flat
+
+
+def unflatten_tree(flat: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the nested dictionaries of which `flatten_tree` made `flat`."""
+    tree: dict[str, Any] = {}
+    for path, value in flat.items():
+        *parents, name = path.split("/")
+        place = tree
+        for parent in parents:
+            place = place.setdefault(parent, {})
+        place[name] = value
+    return tree
+
+
+def save_weights(path: Path, arrays: Mapping[str, np.ndarray], *, metadata: dict[str, str] | None = None) -> None:
+    """Writes arrays by name as a safetensors file that everybody may read."""
+    with atomic_file(path) as partial:
+        save_file(dict(arrays), partial, metadata=metadata)
+        partial.chmod(0o644)  # safetensors makes its files private, but models are made to be shared
+
+
+def save_arrays(path: Path, tree: Mapping[str, Any], *, half: bool = False) -> None:
+    """Writes nested dictionaries of arrays as a safetensors file; with `half`, float32 is stored in 16 bits."""
+    arrays = {name: np.asarray(leaf) for name, leaf in flatten_tree(tree).items()}
+    if half:
+        arrays = {name: a.astype(np.float16) if a.dtype == np.float32 else a for name, a in arrays.items()}
+    save_weights(path, arrays)
+
+
+def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Returns the arrays of a safetensors file by name, as they are.
+
+    Raises:
+        UserError: The file is missing or damaged.
+    """
+    try:
+        return load_file(path)
+    except FileNotFoundError:
+        raise UserError(f"{path}: missing; the folder is not a complete model") from None
+    except DAMAGED_WEIGHTS as error:
+        raise UserError(f"{path}: damaged or not a safetensors file ({first_line(error)})") from None
+
+
+def fit_arrays(
+    path: Path, found: Mapping[str, np.ndarray], expected: Mapping[str, tuple[tuple[int, ...], Any]]
+) -> dict[str, np.ndarray]:
+    """Returns the arrays of a file in the dtypes of a model.
+
+    Args:
+        path: The file, for error messages.
+        found: Its arrays by name.
+        expected: Shape and dtype of each array by name.
+
+    Raises:
+        UserError: Names, shapes or values are not as expected.
+    """
+    for name in sorted(expected.keys() ^ found.keys()):
+        problem = "is missing" if name in expected else "is not part of the model that its config describes"
+        raise UserError(f"{path}: array {name[:80]!r} {problem}")
+    arrays = {}
+    for name, (shape, dtype) in expected.items():
+        array = found[name]
+        if array.shape != shape:
+            raise UserError(f"{path}: array {name!r} has shape {array.shape}; its config needs {shape}")
+        if np.dtype(dtype).kind == "f" and array.dtype.kind != "f" and array.dtype.name != "bfloat16":
+            raise UserError(f"{path}: array {name!r} holds {array.dtype}, not floating-point numbers")
+        with np.errstate(all="ignore"):  # numbers that are too large become infinite, and are refused
+            arrays[name] = array.astype(dtype, copy=False)
+        if not np.all(np.isfinite(arrays[name])):
+            raise UserError(f"{path}: array {name!r} has values that are not finite")
+    return arrays
+
+
+def load_arrays(path: Path, expected: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the nested dictionaries of a safetensors file.
+
+    Args:
+        path: The file.
+        expected: The structure, with a shape and a dtype in each leaf. The arrays are returned in these dtypes.
+
+    Raises:
+        UserError: The file is missing or damaged, or its names, shapes or values are not as expected.
+    """
+    leaves = {name: (leaf.shape, leaf.dtype) for name, leaf in flatten_tree(expected).items()}
+    return unflatten_tree(fit_arrays(path, read_arrays(path), leaves))

@@ -1,0 +1,102 @@
+"""Manifests: the checksums of all files of a folder, in the folder itself.
+
+A manifest is a text. Its first line names the format, then follows a line for each file with CRC-32, SHA-256, size in
+bytes and name, sorted by name. The last line is the SHA-256 of the lines before it. There is only one way to write the
+manifest of a folder, so that any change of a byte shows.
+"""
+
+import hashlib
+import zlib
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
+
+from t2m_jax.errors import UserError
+from t2m_jax.files.reading import reading
+from t2m_jax.files.writing import save_text
+
+MANIFEST = "manifest.txt"
+_TITLE = "t2m_jax manifest 1"
+_CHUNK = 4 * 2**20
+
+
+class Entry(NamedTuple):
+    """What a manifest says of a file."""
+
+    crc32: str
+    sha256: str
+    size: int
+
+
+def write_manifest(folder: Path) -> None:
+    """Writes the manifest of all files in a folder and in the folders in it."""
+    save_text(folder / MANIFEST, _render({name: _measure(folder / name) for name in _names(folder)}))
+
+
+def has_manifest(folder: Path) -> bool:
+    """Returns whether a folder has a manifest. Those that older versions wrote have none."""
+    return (folder / MANIFEST).is_file()
+
+
+def read_manifest(folder: Path) -> dict[str, Entry]:
+    """Returns the manifest of a folder: its files by name.
+
+    Raises:
+        UserError: The manifest is missing or damaged.
+    """
+    path = folder / MANIFEST
+    with reading(path):
+        found = path.read_bytes()
+    try:
+        fields = [line.split(" ", 3) for line in found.decode().split("\n")[1:-2]]
+        entries = {name: Entry(crc32, sha256, int(size)) for crc32, sha256, size, name in fields}
+    except ValueError:
+        entries = {}
+    is_intact = found == _render(entries).encode() and all(map(_stays_inside, entries))
+    if not is_intact:
+        raise UserError(f"{path}: damaged; copy the folder again")
+    return entries
+
+
+def check_folder(folder: Path, *, thorough: bool = False) -> None:
+    """Compares the files of a folder with its manifest: sizes and CRC-32, which finds damage.
+
+    Args:
+        folder: The folder.
+        thorough: Compare SHA-256, too, which also finds changes that somebody wanted to hide.
+
+    Raises:
+        UserError: A file is missing or has changed, or the manifest is missing or damaged.
+    """
+    for name, expected in read_manifest(folder).items():
+        found = _measure(folder / name, sha256=thorough)
+        if found != (expected if thorough else expected._replace(sha256="")):
+            raise UserError(f"{folder / name}: has changed since it was written, or is damaged; copy the folder again")
+
+
+def _names(folder: Path) -> Iterator[str]:
+    for path in sorted(folder.rglob("*")):
+        if path.is_file() and path != folder / MANIFEST:
+            yield path.relative_to(folder).as_posix()
+
+
+def _stays_inside(name: str) -> bool:
+    path = PurePosixPath(name)
+    return not path.is_absolute() and ".." not in path.parts
+
+
+def _measure(path: Path, *, sha256: bool = True) -> Entry:
+    """Returns the size and checksums of a file, without `sha256` an empty one in its place."""
+    crc32, digest, size = 0, hashlib.sha256(), 0
+    with reading(path), path.open("rb") as file:
+        while chunk := file.read(_CHUNK):
+            crc32, size = zlib.crc32(chunk, crc32), size + len(chunk)
+            if sha256:
+                digest.update(chunk)
+    return Entry(f"{crc32:08x}", digest.hexdigest() if sha256 else "", size)
+
+
+def _render(entries: dict[str, Entry]) -> str:
+    lines = [f"{crc32} {sha256} {size} {name}\n" for name, (crc32, sha256, size) in sorted(entries.items())]
+    text = "".join([f"{_TITLE}\n", *lines])
+    return f"{text}{hashlib.sha256(text.encode()).hexdigest()}\n"

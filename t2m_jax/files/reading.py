@@ -1,0 +1,109 @@
+"""Reads files without trusting them."""
+
+import contextlib
+import json
+import math
+import zipfile
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from tokenize import TokenError
+from typing import Any
+
+import numpy as np
+
+from t2m_jax.errors import UserError
+
+DAMAGED_ARRAY = (
+    ValueError,
+    TypeError,
+    EOFError,
+    SyntaxError,
+    TokenError,
+    MemoryError,
+    OverflowError,
+    zipfile.BadZipFile,
+)
+"""What `np.load` raises for damaged files. It parses the header as Python source and trusts the sizes in it."""
+
+
+def first_line(error: BaseException) -> str:
+    """Returns the first line of an error's text, or the name of its type if it has none."""
+    return next(iter(str(error).splitlines()), type(error).__name__)
+
+
+@contextlib.contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turns the errors of a missing or unreadable file, or of text that is not UTF-8, into a `UserError`."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise UserError(f"{path}: there is no such file") from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror or error}); is the copy complete?") from None
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from None
+
+
+def load_text(path: Path) -> str:
+    """Returns the text of a UTF-8 file.
+
+    Raises:
+        UserError: The file is missing, cannot be read or is not UTF-8.
+    """
+    with reading(path):
+        text = path.read_text(encoding="utf-8")
+    return text  # noqa: RET504 - for mypy, a `return` inside `with` may not be reached
+
+
+def _finite(number: str) -> float:
+    if not math.isfinite(value := float(number)):
+        raise ValueError(f"{number[:20]} is not a finite number")
+    return value
+
+
+def load_json(path: Path) -> Any:
+    """Returns the data of a JSON file.
+
+    Raises:
+        UserError: The file is missing or is not JSON, or a number in it is not finite.
+    """
+    text = load_text(path)
+    try:
+        return json.loads(text, parse_float=_finite, parse_constant=_finite)
+    except (ValueError, RecursionError) as error:
+        raise UserError(f"{path}: cannot be read as JSON ({first_line(error)})") from None
+
+
+def load_array(path: Path, *, mmap: bool = False) -> np.ndarray:  # any shape: the caller checks it
+    """Returns the array in a `.npy` file of floating-point numbers; with `mmap` the rows stay on disk until used.
+
+    Raises:
+        UserError: The file is missing or damaged, or holds something else.
+    """
+    with reading(path):
+        try:
+            array = np.load(path, mmap_mode="r" if mmap else None, allow_pickle=False)
+        except DAMAGED_ARRAY as error:
+            raise UserError(f"{path}: is not a complete .npy file ({first_line(error)}); copy it again") from None
+    if not isinstance(array, np.ndarray) or array.dtype.kind != "f":
+        raise UserError(f"{path}: does not hold one array of floating-point numbers")
+    return array
+
+
+def load_archive(path: Path) -> dict[str, np.ndarray]:
+    """Returns the arrays of a `.npz` file by name.
+
+    Raises:
+        UserError: The file is missing or damaged, or an entry holds Python objects.
+    """
+    key, arrays = "", {}
+    with reading(path):
+        try:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+                for key in archive.files:
+                    arrays[key] = archive[key]
+        except (*DAMAGED_ARRAY, zlib.error, AttributeError, NotImplementedError) as error:
+            where = f"entry {key!r} is damaged or holds Python objects" if key else "this is not a complete .npz file"
+            raise UserError(f"{path}: {where} ({first_line(error)})") from None
+    return arrays

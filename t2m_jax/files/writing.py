@@ -1,0 +1,183 @@
+"""Writes files and folders whole or not at all.
+
+A reader that meets the destination sees the old contents or the new ones, never a part of them. This also holds if the
+machine fails: contents are on the disk before they get their name.
+"""
+
+import concurrent.futures
+import contextlib
+import errno
+import json
+import os
+import secrets
+import shutil
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from t2m_jax.errors import UserError
+from t2m_jax.files.locks import lock
+
+ABANDONED_SECONDS = 3600.0
+"""Age after which the unfinished contents of a file or folder are deleted: the process that wrote them was killed."""
+PARTIAL = ".partial"
+"""Part of the names of files and folders that are not finished."""
+SYNC_THREADS = 16
+"""Files of a folder that are brought to the disk at once. Each waits for the disk."""
+
+
+def check_output(path: str | os.PathLike[str]) -> Path:
+    """Returns the path of a file to write.
+
+    Call this before long work, so that a wrong path is reported first.
+
+    Raises:
+        UserError: The path is a folder or a device, or its folder does not exist or is not writable.
+    """
+    path = Path(path)
+    _check_place(path)
+    _delete_abandoned(path)
+    return path
+
+
+def _check_place(path: Path) -> None:
+    folder = path.absolute().parent
+    try:
+        if path.is_dir():
+            raise UserError(f"{path}: cannot be written, it is a folder; give the name of a file")
+        if path.exists() and not path.is_file():
+            raise UserError(f"{path}: cannot be written, it is a pipe or device; give the name of a file")
+        if not folder.is_dir():
+            raise UserError(f"{path}: the folder {folder} does not exist; create it or choose another")
+        if not os.access(path if path.exists() else folder, os.W_OK):
+            raise UserError(f"{path}: cannot be written (no permission); choose another place")
+    except OSError as error:  # such as a name that is too long
+        raise UserError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
+
+
+def check_new(path: Path) -> None:
+    """Raises `UserError` if a folder to write exists already. An empty folder may be replaced."""
+    if path.exists() and not (path.is_dir() and next(path.iterdir(), None) is None):
+        raise UserError(f"{path}: exists already; choose another folder or remove it")
+
+
+@contextlib.contextmanager
+def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yields a temporary path in the same folder, which replaces `path` when the block ends.
+
+    If the block fails, the temporary file is deleted and an older file at `path` is kept. A link stays a link: the file
+    it points to is replaced. The mode of an older file is kept.
+
+    Raises:
+        UserError: `path` cannot be written, or the disk is full.
+    """
+    path = Path(path)
+    _check_place(path)
+    target = path.resolve() if path.is_symlink() else path
+    # The suffix is kept because encoders choose the container by it.
+    partial = _partial(target, path.suffix)
+    try:
+        yield partial
+        if target.exists():
+            partial.chmod(target.stat().st_mode & 0o777)
+        # What is in an unfinished folder is brought to the disk with it, thousands of files at once.
+        is_inside = any(part.endswith(PARTIAL) for part in target.parts)
+        if not is_inside:
+            _sync(partial)
+        partial.replace(target)
+        if not is_inside:
+            _sync(target.absolute().parent)
+    except OSError as error:
+        raise _unwritable(path, error) from error
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def atomic_folder(path: Path) -> Iterator[Path]:
+    """Yields a temporary folder beside `path`, which is renamed to `path` when the block ends.
+
+    If the block fails, the temporary folder is deleted. Two processes cannot make the same folder at once.
+
+    Raises:
+        UserError: `path` exists already, cannot be written, or another process is making it.
+    """
+    check_new(path)
+    try:
+        path.absolute().parent.mkdir(parents=True, exist_ok=True)
+        with lock(path):
+            check_new(path)
+            _delete_abandoned(path)
+            partial = _partial(path, "")
+            try:
+                partial.mkdir()
+                yield partial
+                _sync_tree(partial)
+                partial.replace(path)
+                _sync(path.absolute().parent)
+            finally:
+                shutil.rmtree(partial, ignore_errors=True)
+    except OSError as error:
+        raise _unwritable(path, error) from error
+
+
+def _unwritable(path: Path, error: OSError) -> UserError:
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return UserError(f"{path}: cannot be written ({error.strerror}); make room, then try again")
+    return UserError(f"{path}: cannot be written ({error.strerror or error}); choose another place")
+
+
+def _partial(path: Path, suffix: str) -> Path:
+    # The start of the name is enough to find it again, and file systems limit the length.
+    return path.with_name(f"{_partial_start(path)}{secrets.token_hex(8)}{PARTIAL}{suffix}")
+
+
+def _partial_start(path: Path) -> str:
+    return f".{path.name[:60]}."
+
+
+def _delete_abandoned(path: Path) -> None:
+    """Deletes what killed processes left of their attempts to write a file or folder."""
+    start = _partial_start(path)
+    with os.scandir(path.absolute().parent) as entries:
+        for entry in entries:
+            if not entry.name.startswith(start) or PARTIAL not in entry.name:
+                continue
+            with contextlib.suppress(OSError):  # another process may delete it, too
+                is_folder, found = entry.is_dir(follow_symlinks=False), Path(entry.path)
+                newest = max(part.stat().st_mtime for part in (found, *(found.iterdir() if is_folder else ())))
+                if time.time() - newest > ABANDONED_SECONDS:
+                    shutil.rmtree(found) if is_folder else found.unlink()
+
+
+def _sync(path: Path) -> None:
+    """Waits until a file or folder is on the disk. Windows has no such call for folders and needs none."""
+    if os.name == "nt" and path.is_dir():
+        return
+    descriptor = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _sync_tree(folder: Path) -> None:
+    with concurrent.futures.ThreadPoolExecutor(SYNC_THREADS) as threads:
+        for _ in threads.map(_sync, (folder, *folder.rglob("*"))):
+            pass
+
+
+def save_text(path: str | os.PathLike[str], text: str) -> None:
+    """Writes text as UTF-8; each line ends with a line feed on every system."""
+    with atomic_file(path) as partial:
+        partial.write_text(text, encoding="utf-8", newline="\n")
+
+
+def save_json(path: str | os.PathLike[str], data: Any) -> None:
+    """Writes plain data as JSON with sorted keys.
+
+    Raises:
+        ValueError: A number is not finite.
+    """
+    save_text(path, json.dumps(data, indent=2, sort_keys=True, allow_nan=False) + "\n")
