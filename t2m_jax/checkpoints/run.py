@@ -1,22 +1,34 @@
 """A run directory: the resolved config, the statistics and the checkpoints of one training run."""
 
+import concurrent.futures
+import contextlib
 import dataclasses
-from collections.abc import Mapping
+import logging
+import secrets
+import shutil
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import jax
 
 from t2m_jax.config import load_versioned, save_config
+from t2m_jax.distributed import is_writer, wait_for_all
 from t2m_jax.errors import UserError
-from t2m_jax.files import first_line
+from t2m_jax.files import PARTIAL, check_folder, commit_folder, first_line, has_manifest, write_manifest
+
+logger = logging.getLogger(__name__)
 
 CONFIG_FILE, INFO_FILE, DATA_FILE = "config.yaml", "run.yaml", "training_data.json"
 CHECKPOINTS = "checkpoints"
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 """Version of new runs. Since version 2, every row of a batch has its own random keys, and the order of the data is
-another one. Runs of version 1 can be used, but not continued."""
+another one. Runs of version 1 can be used, but not continued. Since version 3, checkpoints have manifests."""
+RESUMABLE_VERSION = 2
+"""Oldest version of runs that can be continued."""
+MANIFEST_VERSION = 3
+"""In runs of older versions, a checkpoint without a manifest may be intact."""
 
 _DAMAGED = (OSError, LookupError, ValueError, TypeError, AttributeError, RuntimeError)
 """What Orbax raises for damaged files. It uses their metadata without checking it."""
@@ -49,6 +61,13 @@ class _RunInfoV1(RunInfo):
     format_version: int = 1
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _RunInfoV2(RunInfo):
+    """The file in runs of version 2."""
+
+    format_version: int = 2
+
+
 def run_info(path: Path) -> RunInfo:
     """Returns what a run directory contains.
 
@@ -57,12 +76,12 @@ def run_info(path: Path) -> RunInfo:
     """
     if not is_run(path):
         raise UserError(f"{path}: not a run directory (it has no {INFO_FILE})")
-    return load_versioned(path / INFO_FILE, {1: _RunInfoV1, FORMAT_VERSION: RunInfo})
+    return load_versioned(path / INFO_FILE, {1: _RunInfoV1, 2: _RunInfoV2, FORMAT_VERSION: RunInfo})
 
 
 def check_resumable(path: Path) -> None:
     """Raises `UserError` if a folder is not a run, or was written by a version whose updates were different."""
-    if run_info(path).format_version != FORMAT_VERSION:
+    if run_info(path).format_version < RESUMABLE_VERSION:
         raise UserError(
             f"{path}: was started with an older t2m_jax, whose updates were different; use it as it is, or start "
             f"a new run from its weights with `--init {path}`"
@@ -82,40 +101,119 @@ def create_run(path: Path, kind: str, config: Any) -> None:
 
 
 class Checkpoints:
-    """The checkpoints of a run. Each is written under a temporary name and renamed, so none is ever incomplete."""
+    """The checkpoints of a run: folders named by the step.
+
+    Each is written under a temporary name, gets its manifest and is renamed, so none is ever incomplete. Damaged ones
+    are found by their manifests, and the newest intact one counts.
+    """
 
     def __init__(self, run: Path, *, keep: int | None = None):
         """Opens the folder, which is created if it is missing; the newest `keep` checkpoints are kept."""
         import orbax.checkpoint as ocp  # here, because generation from a bundle does not need it
 
-        folder = (run / CHECKPOINTS).resolve()
-        folder.mkdir(parents=True, exist_ok=True)
-        # Saving goes on while training does; closing waits for it.
-        self._ocp = ocp
-        self._manager = ocp.CheckpointManager(folder, options=ocp.CheckpointManagerOptions(max_to_keep=keep))
-        self._run = run
+        self._ocp, self._run, self._keep = ocp, run, keep
+        self._folder = (run / CHECKPOINTS).resolve()
+        self._folder.mkdir(parents=True, exist_ok=True)
+        self._checkpointer = ocp.AsyncCheckpointer(ocp.CompositeCheckpointHandler())
+        self._needs_manifest = is_run(run) and run_info(run).format_version >= MANIFEST_VERSION
+        # Saving goes on while training does; the next save and closing wait for it.
+        self._thread = concurrent.futures.ThreadPoolExecutor(1)
+        self._unfinished: concurrent.futures.Future[None] | None = None
 
     def __enter__(self) -> "Checkpoints":
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._manager.close()
+        try:
+            self._finish()
+        finally:
+            self._thread.shutdown()
+            self._checkpointer.close()
+
+    def steps(self) -> list[int]:
+        """Returns the steps of all checkpoints, the newest first."""
+        self._finish()
+        names = [path.name for path in self._folder.iterdir() if path.is_dir()]
+        return sorted((int(name) for name in names if name.isdecimal() and str(int(name)) == name), reverse=True)
 
     @property
     def latest_step(self) -> int | None:
-        """The step of the newest checkpoint, None if there is none."""
-        return self._manager.latest_step()
+        """The step of the newest intact checkpoint, None if there is none."""
+        return next((step for step in self.steps() if not self.damage(step)), None)
+
+    def damage(self, step: int) -> str:
+        """Returns what is wrong with a checkpoint, "" if it is as it was written."""
+        folder = self._folder / str(step)
+        if not has_manifest(folder) and not self._needs_manifest:
+            return ""  # it was written by an older version
+        try:
+            check_folder(folder)
+        except UserError as error:
+            return str(error)
+        return ""
+
+    def set_aside_damaged(self) -> None:
+        """Renames damaged checkpoints that are newer than the newest intact one, and says so."""
+        for step in self.steps():
+            if not (problem := self.damage(step)):
+                return
+            aside = self._folder / f"damaged-{step}-{secrets.token_hex(3)}"
+            (self._folder / str(step)).rename(aside)
+            logger.warning("%s; checkpoint %d is set aside as %s", problem, step, aside.name)
 
     def save(self, step: int, state: NamedFields) -> None:
-        """Writes a checkpoint unless this step has one; every field of the state that contains arrays is one item."""
-        if step != self.latest_step:
-            args = self._ocp.args
-            fields = {name: value for name, value in state._asdict().items() if jax.tree.leaves(value)}
-            items = {name: args.StandardSave({name: value}) for name, value in fields.items()}
-            self._manager.save(step, args=args.Composite(**items))
+        """Writes a checkpoint unless this step has one; every field of the state that contains arrays is one item.
+
+        Raises:
+            UserError: This checkpoint or the one before it cannot be written.
+        """
+        if step in self.steps():
+            return
+        args = self._ocp.args
+        fields = {name: value for name, value in state._asdict().items() if jax.tree.leaves(value)}
+        items = {name: args.StandardSave({name: value}) for name, value in fields.items()}
+        partial = self._folder / f".{step}{PARTIAL}"
+        if is_writer():
+            for leftover in self._folder.glob(f".*{PARTIAL}*"):
+                shutil.rmtree(leftover)
+        wait_for_all("save")
+        with self._writing(step):
+            self._checkpointer.save(partial, args=args.Composite(**items))
+        self._unfinished = self._thread.submit(self._commit, step, partial)
+        if jax.process_count() > 1:  # the others may only go on when it has its name
+            self._finish()
+            wait_for_all("saved")
+
+    def _commit(self, step: int, partial: Path) -> None:
+        """Gives a checkpoint its manifest and its name, and deletes those that are too old."""
+        with self._writing(step):
+            self._checkpointer.wait_until_finished()
+            if not is_writer():
+                return
+            write_manifest(partial)
+            commit_folder(partial, self._folder / str(step))
+        steps = sorted((int(path.name) for path in self._folder.iterdir() if path.name.isdecimal()), reverse=True)
+        for old in steps[self._keep :] if self._keep else ():
+            shutil.rmtree(self._folder / str(old))
+
+    @contextlib.contextmanager
+    def _writing(self, step: int) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, ValueError, RuntimeError) as error:  # what Orbax raises for a full disk
+            raise UserError(
+                f"{self._folder / str(step)}: the checkpoint cannot be written ({first_line(error)}); make room, then "
+                "resume the run"
+            ) from error
+
+    def _finish(self) -> None:
+        """Waits for the save in progress."""
+        if self._unfinished is not None:
+            unfinished, self._unfinished = self._unfinished, None
+            unfinished.result()
 
     def restore(self, like: State) -> State:
-        """Returns the newest checkpoint in the structure of `like`, a state of arrays or of shapes.
+        """Returns the newest intact checkpoint in the structure of `like`, a state of arrays or of shapes.
 
         Raises:
             UserError: There is no checkpoint, or it does not fit.
@@ -123,19 +221,32 @@ class Checkpoints:
         return type(like)(**self.restore_fields(like._asdict()))
 
     def restore_fields(self, like: Mapping[str, Any]) -> dict[str, Any]:
-        """Returns some fields of the newest checkpoint, each in the structure of `like`.
+        """Returns some fields of the newest intact checkpoint, each in the structure of `like`.
 
         Raises:
             UserError: There is no checkpoint, or it does not fit.
         """
-        step, args = self.latest_step, self._ocp.args
+        step = self.latest_step
         if step is None:
-            raise UserError(f"{self._run}: has no checkpoint yet; train it first")
+            found = [self.damage(step) for step in self.steps()]
+            raise UserError(found[0] if found else f"{self._run}: has no checkpoint yet; train it first")
+        for newer in self.steps():
+            if newer > step:
+                logger.warning("%s; checkpoint %d is used instead", self.damage(newer), step)
+        return self.restore_step(step, like)
+
+    def restore_step(self, step: int, like: Mapping[str, Any]) -> dict[str, Any]:
+        """Returns some fields of one checkpoint, each in the structure of `like`.
+
+        Raises:
+            UserError: It does not fit.
+        """
+        args = self._ocp.args
         saved = {name: value for name, value in like.items() if jax.tree.leaves(value)}
         shapes = jax.tree.map(_destination, saved)
         items = {name: args.StandardRestore({name: value}) for name, value in shapes.items()}
         try:
-            restored = self._manager.restore(step, args=args.Composite(**items))
+            restored = self._checkpointer.restore(self._folder / str(step), args=args.Composite(**items))
         except _DAMAGED as error:
             raise UserError(
                 f"{self._run}: checkpoint {step} is damaged or does not fit its config ({first_line(error)})"
@@ -150,9 +261,15 @@ def has_checkpoint(run: Path) -> bool:
 
 
 def restore_latest(run: Path, state: State) -> State:
-    """Returns the newest checkpoint of a run on the devices of `state`, or `state` if there is none yet."""
+    """Returns the newest checkpoint of a run on the devices of `state`, or `state` if there is none yet.
+
+    Newer checkpoints that are damaged are set aside.
+    """
     with Checkpoints(run) as checkpoints:
-        return state if checkpoints.latest_step is None else checkpoints.restore(state)
+        if is_writer():
+            checkpoints.set_aside_damaged()
+        wait_for_all("checked")
+        return checkpoints.restore(state) if checkpoints.steps() else state
 
 
 def _destination(leaf: Any) -> jax.ShapeDtypeStruct:

@@ -12,15 +12,26 @@ from t2m_jax.files.arrays import (
 from t2m_jax.files.locks import lock
 from t2m_jax.files.manifest import MANIFEST, check_folder, has_manifest, read_manifest, write_manifest
 from t2m_jax.files.reading import first_line, load_archive, load_array, load_json, load_text, reading
-from t2m_jax.files.writing import atomic_file, atomic_folder, check_new, check_output, save_json, save_text
+from t2m_jax.files.writing import (
+    PARTIAL,
+    atomic_file,
+    atomic_folder,
+    check_new,
+    check_output,
+    commit_folder,
+    save_json,
+    save_text,
+)
 
 __all__ = [
     "MANIFEST",
+    "PARTIAL",
     "atomic_file",
     "atomic_folder",
     "check_folder",
     "check_new",
     "check_output",
+    "commit_folder",
     "first_line",
     "fit_arrays",
     "flatten_tree",

@@ -113,13 +113,20 @@ def atomic_folder(path: Path) -> Iterator[Path]:
             try:
                 partial.mkdir()
                 yield partial
-                _sync_tree(partial)
-                partial.replace(path)
-                _sync(path.absolute().parent)
+                commit_folder(partial, path)
             finally:
                 shutil.rmtree(partial, ignore_errors=True)
     except OSError as error:
         raise _unwritable(path, error) from error
+
+
+def commit_folder(partial: Path, path: Path) -> None:
+    """Gives a finished folder its name, after all its files are on the disk."""
+    with concurrent.futures.ThreadPoolExecutor(SYNC_THREADS) as threads:
+        for _ in threads.map(_sync, (partial, *partial.rglob("*"))):
+            pass
+    partial.replace(path)
+    _sync(path.absolute().parent)
 
 
 def _unwritable(path: Path, error: OSError) -> UserError:
@@ -160,12 +167,6 @@ def _sync(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-def _sync_tree(folder: Path) -> None:
-    with concurrent.futures.ThreadPoolExecutor(SYNC_THREADS) as threads:
-        for _ in threads.map(_sync, (folder, *folder.rglob("*"))):
-            pass
 
 
 def save_text(path: str | os.PathLike[str], text: str) -> None:
