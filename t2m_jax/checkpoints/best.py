@@ -9,9 +9,9 @@ from typing import Any
 from t2m_jax.checkpoints.run import Checkpoints
 from t2m_jax.config import load_config, save_config
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_arrays, save_arrays
+from t2m_jax.files import atomic_folder, check_folder, load_arrays, save_arrays, write_manifest
 
-BEST_FILE, BEST_FOLDER = "best.yaml", "best"
+BEST_FILE, BEST_FOLDER, WEIGHTS_FILE = "best.yaml", "best", "weights.safetensors"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -44,7 +44,15 @@ def find_best(run: Path) -> Best | None:
     Raises:
         UserError: The file is damaged.
     """
-    path = run / BEST_FILE
+    folder = _newest(run)
+    if folder is not None:
+        check_folder(folder, only=(BEST_FILE,))
+        return load_config(folder / BEST_FILE, Best)
+    return _find_old_best(run / BEST_FILE)
+
+
+def _find_old_best(path: Path) -> Best | None:
+    """Returns what a run of format version 2 or older records, in a file beside the folder of weights."""
     if not path.is_file():
         return None
     try:
@@ -60,15 +68,18 @@ def find_best(run: Path) -> Best | None:
 def save_best(run: Path, best: Best, fields: Mapping[str, Any]) -> None:
     """Writes some fields of a training state as the best weights of a run.
 
-    The file that names the step is replaced last. A run that is killed at any moment has the new weights or the old.
+    They are in a folder with a manifest, which appears complete. A run that is killed at any moment has the new weights
+    or the old.
     """
-    path = _weights_path(run, best.step)
-    path.parent.mkdir(exist_ok=True)
-    save_arrays(path, fields)
-    save_config(run / BEST_FILE, best)
-    for other in path.parent.iterdir():
-        if other != path:
-            other.unlink()
+    folder = run / BEST_FOLDER / f"{best.step}"
+    with atomic_folder(folder) as partial:
+        save_arrays(partial / WEIGHTS_FILE, fields)
+        save_config(partial / BEST_FILE, best)
+        write_manifest(partial)
+    (run / BEST_FILE).unlink(missing_ok=True)
+    for other in folder.parent.iterdir():
+        if other != folder:
+            shutil.rmtree(other) if other.is_dir() else other.unlink()
 
 
 def forget_best(run: Path) -> None:
@@ -81,14 +92,19 @@ def restore_trained(run: Path, like: Mapping[str, Any]) -> dict[str, Any]:
     """Returns some fields of a run's state: the best weights if any were chosen, else the newest.
 
     Raises:
-        UserError: There is none, or it does not fit `like`.
+        UserError: There is none, it is damaged, or it does not fit `like`.
     """
-    best = find_best(run)
+    folder, best = _newest(run), find_best(run)
+    if folder is not None:
+        check_folder(folder)
+        return load_arrays(folder / WEIGHTS_FILE, like)
     if best is not None:
-        return load_arrays(_weights_path(run, best.step), like)
+        return load_arrays(run / BEST_FOLDER / f"{best.step}.safetensors", like)
     with Checkpoints(run) as checkpoints:
         return checkpoints.restore_fields(like)
 
 
-def _weights_path(run: Path, step: int) -> Path:
-    return run / BEST_FOLDER / f"{step}.safetensors"
+def _newest(run: Path) -> Path | None:
+    """Returns the folder of the best weights; after a kill, the older ones may be there, too."""
+    folders = [path for path in (run / BEST_FOLDER).glob("*") if path.is_dir() and path.name.isdecimal()]
+    return max(folders, key=lambda path: int(path.name), default=None)

@@ -15,7 +15,20 @@ from t2m_jax.checkpoints.run import CONFIG_FILE as RUN_CONFIG_FILE
 from t2m_jax.checkpoints.run import DATA_FILE
 from t2m_jax.config import Tagged, load_versioned, save_config
 from t2m_jax.errors import UserError
-from t2m_jax.files import atomic_folder, check_new, load_arrays, load_json, load_text, save_arrays, save_json
+from t2m_jax.files import (
+    atomic_folder,
+    check_folder,
+    check_new,
+    has_manifest,
+    load_arrays,
+    load_json,
+    load_text,
+    read_manifest,
+    save_arrays,
+    save_json,
+    save_text,
+    write_manifest,
+)
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
 from t2m_jax.models.system import find_generator_config, find_tokenizer_config, variable_shapes
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
@@ -29,6 +42,8 @@ CLIP_FOLDER = "clip"
 """Folder of a bundle that may contain its CLIP."""
 CLIP_NAME = "openai/clip-vit-base-patch32"
 """The CLIP of T2M-GPT on the Hugging Face hub."""
+MANIFEST_VERSION = 3
+"""Bundles have a manifest since this format version."""
 BUNDLED = ("demo", "demo-t2m-gpt")
 """Names of the bundles that are part of the package."""
 
@@ -59,8 +74,8 @@ def find_text_encoder_config(kind: str) -> type:
 class BundleConfig:
     """The parts of a model; the `kind` of each section names its type."""
 
-    format_version: int = 2
-    """Layout of the folder."""
+    format_version: int = 3
+    """Layout of the folder. Since version 3, bundles have a manifest."""
     skeleton: str = "humanml3d"
     """Name of the skeleton of the motion."""
     tokenizer: Annotated[Any, Tagged(find_tokenizer_config)]
@@ -103,7 +118,13 @@ class _BundleConfig1:
         """Returns the same parts in the format of today."""
         uses_clip = self.text_encoder == ClipReference.kind
         text_encoder = ClipReference(name=self.clip) if uses_clip else self.caption_encoder
-        return BundleConfig(skeleton=self.skeleton, tokenizer=self.vqvae, generator=self.gpt, text_encoder=text_encoder)
+        return BundleConfig(
+            format_version=2,
+            skeleton=self.skeleton,
+            tokenizer=self.vqvae,
+            generator=self.gpt,
+            text_encoder=text_encoder,
+        )
 
 
 class Bundle(NamedTuple):
@@ -132,7 +153,7 @@ def load_bundle_config(folder: Path) -> BundleConfig:
     Raises:
         UserError: The file is missing, damaged or of an unknown version, or the parts do not fit each other.
     """
-    config = load_versioned(folder / CONFIG_FILE, {1: _BundleConfig1, 2: BundleConfig})
+    config = load_versioned(folder / CONFIG_FILE, {1: _BundleConfig1, 2: BundleConfig, 3: BundleConfig})
     return config.current() if isinstance(config, _BundleConfig1) else config
 
 
@@ -165,7 +186,11 @@ def load_bundle(path: Path) -> Bundle:
     if not path.is_dir():
         known = ", ".join(BUNDLED)
         raise UserError(f"{path}: no such model; give a bundle folder, a run folder, or a bundled name ({known})")
+    if has_manifest(path):
+        check_folder(path)
     config = load_bundle_config(path)
+    if config.format_version >= MANIFEST_VERSION:
+        read_manifest(path)  # bundles of older versions have none
     kinds = part_kinds(config)
     shapes = {kinds[role]: shapes for role, shapes in expected_variables(config).items()}
     arrays = load_arrays(path / WEIGHTS_FILE, shapes)
@@ -227,7 +252,7 @@ def save_bundle(path: Path, bundle: Bundle, *, card: str, half: bool = True, cli
     check_new(path)
     kinds = part_kinds(bundle.config)
     with atomic_folder(path) as folder:
-        save_config(folder / CONFIG_FILE, bundle.config)
+        save_config(folder / CONFIG_FILE, dataclasses.replace(bundle.config, format_version=MANIFEST_VERSION))
         save_arrays(folder / WEIGHTS_FILE, {kinds[role]: tree for role, tree in bundle.variables.items()}, half=half)
         save_normalizer(folder, bundle.normalizer)
         if bundle.bpe is not None:
@@ -236,7 +261,8 @@ def save_bundle(path: Path, bundle: Bundle, *, card: str, half: bool = True, cli
             save_json(folder / DATA_FILE, bundle.training_data)
         if clip is not None:
             save_clip(folder / CLIP_FOLDER, clip)
-        (folder / CARD_FILE).write_text(card, encoding="utf-8")
+        save_text(folder / CARD_FILE, card)
+        write_manifest(folder)
 
 
 def default_card(run: Path) -> str:

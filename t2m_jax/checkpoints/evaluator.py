@@ -13,7 +13,16 @@ from t2m_jax.checkpoints.bundle import check_statistics_width
 from t2m_jax.checkpoints.run import is_run
 from t2m_jax.config import load_versioned, save_config
 from t2m_jax.errors import UserError
-from t2m_jax.files import atomic_folder, flatten_tree, load_arrays, save_arrays
+from t2m_jax.files import (
+    atomic_folder,
+    check_folder,
+    flatten_tree,
+    has_manifest,
+    load_arrays,
+    read_manifest,
+    save_arrays,
+    write_manifest,
+)
 from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
 from t2m_jax.text.word_vectors import Vocabulary, load_vocabulary, save_vocabulary
@@ -25,10 +34,17 @@ EVALUATOR_CONFIG, WEIGHTS_FILE, WORDS_FILE = "evaluator.yaml", "weights.safetens
 class EvaluatorFolderConfig:
     """The file that makes a folder an evaluator."""
 
-    format_version: int = 1
-    """Layout of the folder."""
+    format_version: int = 2
+    """Layout of the folder. Since version 2, it has a manifest, unless it is a run."""
     model: EvaluatorConfig = EvaluatorConfig()
     """Sizes."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _EvaluatorFolderConfigV1(EvaluatorFolderConfig):
+    """The file of version 1, which did not name it at first."""
+
+    format_version: int = 1
 
 
 class TrainedEvaluator(NamedTuple):
@@ -64,6 +80,7 @@ def save_evaluator(path: Path, trained: TrainedEvaluator) -> None:
     with atomic_folder(path) as folder:
         save_evaluator_parts(folder, trained.config, trained.normalizer, trained.vocabulary)
         save_arrays(folder / WEIGHTS_FILE, trained.variables)
+        write_manifest(folder)
 
 
 def save_evaluator_parts(folder: Path, config: EvaluatorConfig, normalizer: Normalizer, vocabulary: Vocabulary) -> None:
@@ -83,7 +100,12 @@ def load_trained_evaluator(folder: str | Path) -> TrainedEvaluator:
     path = folder / EVALUATOR_CONFIG
     if not path.is_file():
         raise UserError(f"{folder}: not an evaluator (it has no {path.name}); train one with `t2m train evaluator`")
-    config = load_versioned(path, {1: EvaluatorFolderConfig}).model
+    if has_manifest(folder):
+        check_folder(folder)
+    found = load_versioned(path, {1: _EvaluatorFolderConfigV1, 2: EvaluatorFolderConfig})
+    if found.format_version > 1 and not is_run(folder):
+        read_manifest(folder)
+    config = found.model
     normalizer, vocabulary = load_normalizer(folder), load_vocabulary(folder / WORDS_FILE)
     if len(vocabulary) != config.num_words:
         raise UserError(f"{folder / WORDS_FILE}: has {len(vocabulary)} words, but {path.name} says {config.num_words}")

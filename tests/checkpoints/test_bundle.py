@@ -11,8 +11,8 @@ from t2m_jax.checkpoints.bundle import CONFIG_FILE, WEIGHTS_FILE, bundle_path, l
 from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_arrays, read_arrays, save_arrays, unflatten_tree
-from tests.tiny import BUNDLE, random_bundle
+from t2m_jax.files import load_arrays, read_arrays, read_manifest, save_arrays, unflatten_tree
+from tests.tiny import BUNDLE, drop_manifest, random_bundle
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,9 @@ def saved(tmp_path_factory):
 
 @pytest.fixture
 def copy(saved, tmp_path):
+    """A bundle of the version before manifests, whose files can be changed."""
     shutil.copytree(saved, tmp_path / "copy")
+    drop_manifest(tmp_path / "copy")
     return tmp_path / "copy"
 
 
@@ -86,6 +88,28 @@ def test_the_demo_model_loads():
     assert bundle.config.skeleton == "humanml3d"
     assert sum(path.stat().st_size for path in folder.iterdir()) < 20e6
     assert "CC BY-NC 4.0" in (folder / "README.md").read_text()
+
+
+def test_every_change_of_a_file_is_refused(saved, tmp_path):
+    copy = tmp_path / "copy"
+    shutil.copytree(saved, copy)
+    for path in sorted(copy.iterdir()):
+        whole = path.read_bytes()
+        flipped = bytearray(whole)
+        flipped[len(whole) // 2] ^= 1
+        for changed in (bytes(flipped), whole[:-1], whole + b"\n", None):
+            path.unlink() if changed is None else path.write_bytes(changed)
+            assert f"{path}: " in refused(copy)
+        path.write_bytes(whole)
+    load_bundle(copy)
+
+
+def test_a_bundle_of_an_older_version_gets_a_manifest_when_it_is_saved(copy, tmp_path):
+    old = load_bundle(copy)
+    assert old.config.format_version == 2
+    save_bundle(tmp_path / "new", old, card="")
+    assert load_bundle(tmp_path / "new").config.format_version == 3
+    assert list(read_manifest(tmp_path / "new")) == sorted({path.name for path in copy.iterdir()})
 
 
 @pytest.mark.parametrize("name", [CONFIG_FILE, WEIGHTS_FILE, "Mean.npy", "Std.npy", "tokenizer.json"])

@@ -15,7 +15,7 @@ from t2m_jax.checkpoints.evaluator import (
 )
 from t2m_jax.errors import UserError
 from t2m_jax.text.word_vectors import Vocabulary, save_vocabulary
-from tests.tiny import random_evaluator
+from tests.tiny import drop_manifest, random_evaluator
 
 
 @pytest.fixture(scope="module")
@@ -27,6 +27,13 @@ def trained() -> TrainedEvaluator:
 def folder(trained, tmp_path):
     save_evaluator(tmp_path / "evaluator", trained)
     return tmp_path / "evaluator"
+
+
+@pytest.fixture
+def old(folder):
+    """A folder of the version before manifests, whose files can be changed."""
+    drop_manifest(folder)
+    return folder
 
 
 def test_there_and_back(trained, folder):
@@ -42,6 +49,7 @@ def test_there_and_back(trained, folder):
         "Mean.npy",
         "Std.npy",
         "words.txt",
+        "manifest.txt",
     }
     assert load_trained_evaluator(str(folder)).fingerprint == found.fingerprint
 
@@ -75,30 +83,42 @@ def test_no_folder_is_written_over(trained, folder):
         ("Mean.npy", "missing"),
     ],
 )
-def test_what_is_missing_is_named(folder, name, said):
-    (folder / name).unlink()
+def test_what_is_missing_is_named(old, name, said):
+    (old / name).unlink()
     with pytest.raises(UserError, match=said):
-        load_trained_evaluator(folder)
+        load_trained_evaluator(old)
 
 
-def test_parts_that_do_not_fit_are_refused(trained, folder, tmp_path):
-    shutil.copytree(folder, tmp_path / "words")
+def test_every_change_of_a_file_is_refused(folder):
+    for path in sorted(folder.iterdir()):
+        whole = path.read_bytes()
+        flipped = bytearray(whole)
+        flipped[len(whole) // 2] ^= 1
+        path.write_bytes(bytes(flipped))
+        with pytest.raises(UserError, match=f"{path}: "):
+            load_trained_evaluator(folder)
+        path.write_bytes(whole)
+    load_trained_evaluator(folder)
+
+
+def test_parts_that_do_not_fit_are_refused(trained, old, tmp_path):
+    shutil.copytree(old, tmp_path / "words")
     save_vocabulary(tmp_path / "words" / "words.txt", Vocabulary((*trained.vocabulary.words, "more")))
     with pytest.raises(UserError, match=r"words\.txt: has \d+ words, but evaluator\.yaml says"):
         load_trained_evaluator(tmp_path / "words")
-    shutil.copytree(folder, tmp_path / "statistics")
+    shutil.copytree(old, tmp_path / "statistics")
     for name in ("Mean.npy", "Std.npy"):
         np.save(tmp_path / "statistics" / name, np.ones(251, np.float32))
     with pytest.raises(UserError, match="statistics are for 251 features; the model has 263"):
         load_trained_evaluator(tmp_path / "statistics")
-    path = folder / "evaluator.yaml"
+    path = old / "evaluator.yaml"
     path.write_text(path.read_text().replace("format_version: 1", "format_version: 9"))
     with pytest.raises(UserError, match="format_version 9"):
-        load_trained_evaluator(folder)
+        load_trained_evaluator(old)
     path.write_text(
         path.read_text()
         .replace("format_version: 9", "format_version: 1")
         .replace("motion_hidden: 8", "motion_hidden: 6")
     )
     with pytest.raises(UserError, match="has shape"):
-        load_trained_evaluator(folder)
+        load_trained_evaluator(old)

@@ -23,7 +23,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.files import load_arrays
 from t2m_jax.motion.normalizer import load_normalizer
 from t2m_jax.text.bpe import load_bpe
-from tests.tiny import BUNDLE, random_bundle
+from tests.tiny import BUNDLE, drop_manifest, random_bundle
 
 MEAN, TOKENIZER = "Mean.npy", "tokenizer.json"
 
@@ -37,7 +37,9 @@ def saved(tmp_path_factory):
 
 @pytest.fixture
 def copy(saved, tmp_path):
+    """A bundle of the version before manifests. A stranger's bundle may also have a manifest that fits its files."""
     shutil.copytree(saved, tmp_path / "copy")
+    drop_manifest(tmp_path / "copy")
     return tmp_path / "copy"
 
 

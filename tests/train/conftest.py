@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints.run import Checkpoints
+from t2m_jax.checkpoints.run import CHECKPOINTS, Checkpoints
 from t2m_jax.data.importers.synthetic import write_synthetic_dataset
 from t2m_jax.train import train
 from t2m_jax.train.program import Devices
@@ -67,8 +67,9 @@ def newest_checkpoint(run: Path):
     """Returns the step of a run's newest checkpoint and what is in it."""
     with Checkpoints(run) as checkpoints:
         step = checkpoints.latest_step
-        tree = checkpoints._manager.restore(step)
-    return step, dict(tree)
+    folders = [path for path in (run / CHECKPOINTS / f"{step}").iterdir() if path.is_dir()]
+    with ocp.StandardCheckpointer() as reader:
+        return step, {folder.name: reader.restore(folder.resolve()) for folder in sorted(folders)}
 
 
 def assert_same_checkpoint(run: Path, other: Path) -> None:

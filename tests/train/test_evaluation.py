@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.checkpoints import best as best_files
-from t2m_jax.checkpoints.best import BEST_FILE, BEST_FOLDER, Best, find_best, forget_best, restore_trained, save_best
+from t2m_jax.checkpoints.best import BEST_FOLDER, Best, find_best, forget_best, restore_trained, save_best
 from t2m_jax.checkpoints.evaluator import load_trained_evaluator, save_evaluator
 from t2m_jax.checkpoints.model import load_generator_run
 from t2m_jax.checkpoints.run import Checkpoints
@@ -23,6 +23,7 @@ from t2m_jax.evaluation.protocols import find_protocol
 from t2m_jax.evaluation.run import evaluate
 from t2m_jax.evaluation.sources import make_generation
 from t2m_jax.evaluation.task import make_task
+from t2m_jax.files import save_arrays
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.sampling import Temperature, TextToMotion, TopK
 from t2m_jax.sampling.codec import generate_codes
@@ -97,15 +98,15 @@ def table(run):
 
 def files(run):
     """Returns what a run wrote of its metrics and its best weights."""
-    names = ("train.csv", "val.csv", "evaluation.csv", BEST_FILE)
-    return {path.name: path.read_bytes() for path in [*(run / name for name in names), *(run / BEST_FOLDER).iterdir()]}
+    names = ("train.csv", "val.csv", "evaluation.csv")
+    paths = [*(run / name for name in names), *(run / BEST_FOLDER).glob("*/*")]
+    return {f"{path.relative_to(run)}": path.read_bytes() for path in paths}
 
 
-def trained_at(run, step):
+def trained_at(run, step, like):
     """Returns the weights of a checkpoint, by name."""
     with Checkpoints(run) as checkpoints:
-        tree = checkpoints._manager.restore(step)
-    return {name: tree[name][name] for name in ("params", "codebook") if name in tree}
+        return checkpoints.restore_step(step, like)
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -140,9 +141,10 @@ def test_a_run_stands_for_its_best(training, stage, tmp_path):
     train(config)
     best, last = find_best(config.run).step, config.loop.num_steps
     assert best < last, "the best is the newest: the test sees nothing"
-    jax.tree.map(np.testing.assert_array_equal, loaded(config.run, stage), trained_at(config.run, best))
-    (config.run / BEST_FILE).unlink()
-    jax.tree.map(np.testing.assert_array_equal, loaded(config.run, stage), trained_at(config.run, last))
+    found = loaded(config.run, stage)
+    jax.tree.map(np.testing.assert_array_equal, found, trained_at(config.run, best, found))
+    shutil.rmtree(config.run / BEST_FOLDER)
+    jax.tree.map(np.testing.assert_array_equal, loaded(config.run, stage), trained_at(config.run, last, found))
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -263,7 +265,7 @@ def test_the_best_is_kept_by_the_direction_of_its_metric(metric, figures, steps,
         if expected:
             found = restore_trained(tmp_path, {"params": {"a": np.zeros(2, np.float32)}})
             np.testing.assert_array_equal(found["params"]["a"], expected)
-            assert [path.name for path in (tmp_path / BEST_FOLDER).iterdir()] == [f"{expected}.safetensors"]
+            assert [path.name for path in (tmp_path / BEST_FOLDER).iterdir()] == [f"{expected}"]
     assert look(True).best == best.best
     assert look(False).best is None and not list(tmp_path.iterdir())
 
@@ -273,7 +275,7 @@ def test_directions_are_opposite():
     assert is_better("r_precision_2", 2.0, 1.0) and not is_better("r_precision_2", 1.0, 2.0)
 
 
-@pytest.mark.parametrize("lost", ["save_arrays", "save_config"])
+@pytest.mark.parametrize("lost", ["save_arrays", "save_config", "write_manifest"])
 def test_a_kill_while_the_best_is_written_leaves_that_of_before(lost, tmp_path, monkeypatch):
     def weights(step):
         return {"params": {"a": np.full(2, step, np.float32)}}
@@ -292,7 +294,33 @@ def test_a_kill_while_the_best_is_written_leaves_that_of_before(lost, tmp_path, 
     np.testing.assert_array_equal(restore_trained(tmp_path, weights(0))["params"]["a"], 3)
     save_best(tmp_path, dataclasses.replace(best, step=6, value=0.5), weights(6))
     np.testing.assert_array_equal(restore_trained(tmp_path, weights(0))["params"]["a"], 6)
-    assert [path.name for path in (tmp_path / BEST_FOLDER).iterdir()] == ["6.safetensors"]
+    assert [path.name for path in (tmp_path / BEST_FOLDER).iterdir()] == ["6"]
+
+
+def test_damaged_best_weights_are_refused(tmp_path):
+    fields = {"params": {"a": np.arange(2.0)}}
+    save_best(tmp_path, Best(step=3, metric="fid", value=1.0), fields)
+    for path in (tmp_path / BEST_FOLDER / "3").iterdir():
+        whole = path.read_bytes()
+        path.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+        with pytest.raises(UserError, match=f"{path}: .*copy"):
+            restore_trained(tmp_path, fields)
+        path.write_bytes(whole)
+    restore_trained(tmp_path, fields)
+
+
+def test_best_weights_of_older_versions_are_read_and_replaced(tmp_path):
+    old = Best(step=3, metric="fid", value=1.0)
+    (tmp_path / BEST_FOLDER).mkdir()
+    save_config(tmp_path / "best.yaml", old)
+    save_arrays(tmp_path / BEST_FOLDER / "3.safetensors", {"params": {"a": np.full(2, 3.0)}})
+    like = {"params": {"a": np.zeros(2)}}
+    assert find_best(tmp_path) == old
+    np.testing.assert_array_equal(restore_trained(tmp_path, like)["params"]["a"], 3)
+    save_best(tmp_path, dataclasses.replace(old, step=6), {"params": {"a": np.full(2, 6.0)}})
+    np.testing.assert_array_equal(restore_trained(tmp_path, like)["params"]["a"], 6)
+    assert [path.name for path in tmp_path.rglob("*") if path.is_dir()] == [BEST_FOLDER, "6"]
+    assert not (tmp_path / "best.yaml").exists()
 
 
 @pytest.mark.parametrize("stage", STAGES)

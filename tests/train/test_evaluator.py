@@ -124,8 +124,8 @@ def finished(data, tmp_path_factory):
 
 
 def texts(run):
-    names = ("train.csv", "val.csv", "movement/train.csv", "movement/val.csv", "best.yaml")
-    best = {path.name: path.read_bytes() for path in (run / "best").iterdir()}
+    names = ("train.csv", "val.csv", "movement/train.csv", "movement/val.csv")
+    best = {path.name: path.read_bytes() for path in (run / "best").glob("*/*")}
     return best | {name: (run / name).read_bytes() for name in names}
 
 
@@ -139,7 +139,7 @@ def test_a_run_is_an_evaluator(data, finished):
     rows = np.genfromtxt(finished / "val.csv", delimiter=",", names=True)
     assert rows["step"].tolist() == [4, 8]
     best = rows["step"][np.argmin(rows["loss"])]
-    assert f"step: {int(best)}" in (finished / "best.yaml").read_text()
+    assert f"step: {int(best)}" in (finished / f"best/{int(best)}/best.yaml").read_text()
     words = trained.vocabulary.vectorize(("a/DET", "person/NOUN"))
     arguments = jax.tree.map(lambda row: jnp.asarray(row)[None], words)
     text = Evaluator(trained.config).apply(trained.variables, *arguments, method="embed_text")
@@ -188,7 +188,7 @@ def test_training_ends_when_validation_gets_no_better(data, tmp_path, monkeypatc
     state = train(config)
     assert int(state.step) == 8
     assert newest_checkpoint(config.run)[0] == 8
-    assert "step: 4" in (config.run / "best.yaml").read_text()
+    assert (config.run / "best" / "4" / "best.yaml").is_file()
     assert not (config.run / "movement" / "val.csv").exists()
     again = train(config, resume=True)
     assert int(again.step) == 8
