@@ -19,6 +19,7 @@ from t2m_jax.files import (
     atomic_folder,
     check_folder,
     check_new,
+    fingerprint,
     has_manifest,
     load_arrays,
     load_json,
@@ -138,6 +139,12 @@ class Bundle(NamedTuple):
     """Subwords of the caption encoder; None with CLIP."""
     training_data: dict[str, Any] | None = None
     """What the model was trained on: words, actions and their numbers of clips; None if it is not recorded."""
+
+    @property
+    def fingerprint(self) -> str:
+        """Identifies the model: a digest of sizes, weights, statistics and subwords."""
+        words = "" if self.bpe is None else self.bpe.to_str()
+        return fingerprint(f"{self.config!r}{words}", jax.device_get(self.variables), self.normalizer._asdict())
 
 
 def bundle_path(name_or_path: str | Path) -> Path:

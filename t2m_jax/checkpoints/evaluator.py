@@ -1,12 +1,10 @@
 """A trained evaluator in a folder: sizes, weights, statistics and words. A run of its training is such a folder."""
 
 import dataclasses
-import hashlib
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-import numpy as np
 
 from t2m_jax.checkpoints.best import BEST_FOLDER, restore_trained
 from t2m_jax.checkpoints.bundle import check_statistics_width
@@ -16,7 +14,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.files import (
     atomic_folder,
     check_folder,
-    flatten_tree,
+    fingerprint,
     has_manifest,
     load_arrays,
     read_manifest,
@@ -63,12 +61,9 @@ def make_trained_evaluator(
     config: EvaluatorConfig, variables: dict[str, Any], normalizer: Normalizer, vocabulary: Vocabulary
 ) -> TrainedEvaluator:
     """Returns an evaluator with its fingerprint: a digest of sizes, weights, statistics and words."""
-    digest = hashlib.sha256(repr(config).encode())
-    digest.update("\n".join(vocabulary.words).encode())
-    flat = flatten_tree(jax.device_get(variables))
-    for name, array in (*sorted(flat.items()), *normalizer._asdict().items()):
-        digest.update(name.encode() + np.ascontiguousarray(array, np.float32).tobytes())
-    return TrainedEvaluator(config, variables, normalizer, vocabulary, digest.hexdigest()[:16])
+    words = "\n".join(vocabulary.words)
+    digest = fingerprint(f"{config!r}{words}", jax.device_get(variables), normalizer._asdict())
+    return TrainedEvaluator(config, variables, normalizer, vocabulary, digest)
 
 
 def save_evaluator(path: Path, trained: TrainedEvaluator) -> None:

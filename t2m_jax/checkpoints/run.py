@@ -52,6 +52,8 @@ class RunInfo:
     """What was trained, such as `vqvae`, `gpt` or `evaluator`."""
     format_version: int = FORMAT_VERSION
     """Layout of the directory, and the random streams of its updates."""
+    data: str | None = None
+    """Fingerprint of the data set; null in runs of version 2 and older."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -93,11 +95,14 @@ def is_run(path: Path) -> bool:
     return (path / INFO_FILE).is_file()
 
 
-def create_run(path: Path, kind: str, config: Any) -> None:
-    """Makes a folder a run directory; call this when everything else that a run needs is in the folder."""
+def create_run(path: Path, kind: str, config: Any, *, data: str | None = None) -> None:
+    """Makes a folder a run directory; call this when everything else that a run needs is in the folder.
+
+    `data` is the fingerprint of the data set.
+    """
     save_config(path / CONFIG_FILE, config)
     # Last, because a folder without this file is not a run: an interrupted start can simply be repeated.
-    save_config(path / INFO_FILE, RunInfo(kind=kind))
+    save_config(path / INFO_FILE, RunInfo(kind=kind, data=data))
 
 
 class Checkpoints:

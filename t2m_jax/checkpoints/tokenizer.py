@@ -3,12 +3,14 @@
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
+
 from t2m_jax.checkpoints.best import restore_trained
 from t2m_jax.checkpoints.bundle import CONFIG_FILE, bundle_path, check_statistics_width, load_bundle, load_bundle_config
 from t2m_jax.checkpoints.run import is_run, run_info
 from t2m_jax.config import load_config, save_config
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_arrays, save_arrays
+from t2m_jax.files import check_folder, fingerprint, has_manifest, load_arrays, save_arrays, write_manifest
 from t2m_jax.models.system import TokenizerConfig, find_part, make_module, variable_shapes
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
 
@@ -24,6 +26,11 @@ class TrainedTokenizer(NamedTuple):
     def module(self) -> Any:
         """The Linen module; hashable, so that it can be a static argument of jitted functions."""
         return make_module(self.config)
+
+    @property
+    def fingerprint(self) -> str:
+        """Identifies the tokenizer: a digest of sizes, weights and statistics."""
+        return fingerprint(repr(self.config), jax.device_get(self.variables), self.normalizer._asdict())
 
 
 def load_tokenizer_config(path: str | Path) -> TokenizerConfig:
@@ -56,6 +63,8 @@ def load_tokenizer(path: str | Path) -> TrainedTokenizer:
     shapes = variable_shapes(config)
     if (path / CONFIG_FILE).is_file():
         path /= config.kind
+        if has_manifest(path):
+            check_folder(path)
         variables = load_arrays(path / f"{config.kind}.safetensors", shapes)
     else:
         variables = restore_trained(path, shapes)
@@ -81,3 +90,4 @@ def save_tokenizer_copy(run: Path, tokenizer: TrainedTokenizer) -> None:
     kind = tokenizer.config.kind
     save_tokenizer_parts(run / kind, tokenizer.config, tokenizer.normalizer)
     save_arrays(run / kind / f"{kind}.safetensors", tokenizer.variables)
+    write_manifest(run / kind)

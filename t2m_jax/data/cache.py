@@ -54,6 +54,8 @@ class CachedClips(NamedTuple):
     """Clip name -> why it cannot be used."""
     broken_captions: Mapping[str, int]
     """Clip name -> number of caption lines that cannot be read, for clips that have such lines."""
+    fingerprint: str
+    """Identifies the contents: names, frames and captions of all clips, wherever the folder is."""
 
     def features(self, name: str) -> Float[np.ndarray, "T D"]:
         """Returns the rows of a clip, a view of `frames`."""
@@ -213,7 +215,8 @@ def _clips_from_index(index: dict[str, Any], frames: Float[np.ndarray, "F D"]) -
     names = [name for name, _, _ in index["clips"]]
     lines = {name: clip_lines for name, _, clip_lines in index["clips"]}
     spans = dict(zip(names, itertools.pairwise(ends), strict=True))
-    return CachedClips(frames, spans, lines, index["left_out"], index["broken_captions"])
+    contents = _hash(json.dumps([index[name] for name in ("clips", "left_out", "broken_captions", "blocks")]))
+    return CachedClips(frames, spans, lines, index["left_out"], index["broken_captions"], contents)
 
 
 def _build(path: Path, folder: Path, sources: Sources, *, feature_dim: int) -> None:

@@ -12,11 +12,11 @@ from jaxtyping import Float
 
 from t2m_jax.config import load_config
 from t2m_jax.data.cache import open_clips
-from t2m_jax.data.files import FEATURES, INFO, MIRROR_PREFIX, TEXTS, load_features, read_names
+from t2m_jax.data.files import FEATURES, INFO, MIRROR_PREFIX, SPLITS, TEXTS, load_features, read_names
 from t2m_jax.data.splits import nested_choice
 from t2m_jax.data.texts import Caption, load_captions
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_array
+from t2m_jax.files import fingerprint, load_array
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer
 from t2m_jax.motion.skeleton import Skeleton, skeleton_from_feature_dim, skeleton_from_name
 
@@ -90,6 +90,15 @@ class Dataset:
                 "features; import the data again"
             )
         return normalizer
+
+    @property
+    def fingerprint(self) -> str:
+        """Identifies the contents: clips, captions, splits and statistics, wherever the folder is."""
+        lists = {split: self.names(split) for split in SPLITS if (self.folder / f"{split}.txt").exists()}
+        cached = open_clips(self.folder, feature_dim=self.skeleton.feature_dim)
+        limits = (self.skeleton.name, self.info.fps, self.info.min_frames, self.info.max_frames)
+        statistics = self.normalizer._asdict() if (self.folder / "Mean.npy").exists() else {}
+        return fingerprint(f"{cached.fingerprint} {lists} {limits}", statistics)
 
     def names(self, split: str) -> tuple[str, ...]:
         """Returns the clip names of a split in the order of its list."""

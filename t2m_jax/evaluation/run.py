@@ -51,6 +51,8 @@ def make_header(task: EvaluationTask, source: CodeSource, *, model: str) -> Head
         num_samples=len(task.samples.clips),
         left_out_for_shared_source=task.samples.shared,
         evaluator=task.evaluator.fingerprint,
+        weights=source.fingerprint,
+        contents=task.contents,
         seed=task.seed,
         unit=task.unit,
         batch=task.protocol.batch,
@@ -89,21 +91,33 @@ def evaluate(
 
 
 def load_partial(path: Path | None, header: Header) -> list[RepeatMetrics]:
-    """Returns the finished repeats of an interrupted evaluation with the same header; none if there was none."""
+    """Returns the finished repeats of an interrupted evaluation with the same header; none if there was none.
+
+    Raises:
+        UserError: The file belongs to another evaluation.
+    """
     if path is None or not path.exists():
         return []
     try:
         found = load_json(path)
-        if found["header"] != dataclasses.asdict(header):
-            return []
+        started = found["header"]
+        # What the user called model and data may change; the fingerprints tell what they are.
+        current = dataclasses.asdict(header) | {name: started[name] for name in ("model", "data")}
+        differs = [name for name in current if started.get(name) != current[name]]
         repeats = [RepeatMetrics(real, measured) for real, measured in found["repeats"]]
         columns = zip(*repeats, strict=True)
         if not all(_is_sound(metrics, column[0]) for column in columns for metrics in column):
             raise ValueError("metrics that are not finite, or not the same in all repeats")
-        return repeats
     except (UserError, LookupError, TypeError, ValueError, AttributeError):
         logger.warning("%s: is damaged; the evaluation starts over", path)
         return []
+    if differs:
+        name = differs[0]
+        raise UserError(
+            f"{path}: keeps the repeats of an evaluation with other {name} ({started.get(name)}, not {current[name]}); "
+            "finish that one, or delete the file to start over"
+        )
+    return repeats
 
 
 def _is_sound(metrics: dict[str, float], first: dict[str, float]) -> bool:

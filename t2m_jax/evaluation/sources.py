@@ -44,6 +44,11 @@ class CodeSource(typing.Protocol):
         ...
 
     @property
+    def fingerprint(self) -> str:
+        """Identifies what is measured: a digest of its weights."""
+        ...
+
+    @property
     def sampling(self) -> dict[str, Any]:
         """How codes are chosen: `sampling` and further fields of a report's header."""
         ...
@@ -61,6 +66,11 @@ class Reconstruction:
 
     tokenizer: TrainedTokenizer
     """Encodes and decodes."""
+
+    @property
+    def fingerprint(self) -> str:
+        """Identifies the tokenizer."""
+        return self.tokenizer.fingerprint
 
     @property
     def sampling(self) -> dict[str, Any]:
@@ -94,6 +104,11 @@ class Generation:
     def tokenizer(self) -> TrainedTokenizer:
         """The model's tokenizer."""
         return self.model.tokenizer
+
+    @property
+    def fingerprint(self) -> str:
+        """Identifies the model."""
+        return self.model.fingerprint
 
     @property
     def sampling(self) -> dict[str, Any]:

@@ -44,6 +44,8 @@ class EvaluationTask(NamedTuple):
     """Name of the data set."""
     split: str = ""
     """Name of the split."""
+    contents: str | None = None
+    """Fingerprint of the data set."""
 
     def plan(self, repeat: int) -> Plan:
         """Returns what a repeat uses."""
@@ -75,8 +77,8 @@ def make_task(
     samples = load_samples(dataset, split, min_frames=unit, source_disjoint=protocol.source_disjoint)
     # Weights from a file are on the host; without this they would be copied to the device with every batch.
     evaluator = evaluator._replace(variables=put_everywhere(evaluator.variables))
-    max_frames = dataset.info.max_frames
-    task = EvaluationTask(evaluator, samples, protocol, max_frames, seed, unit, dataset.info.name, split)
+    facts = (dataset.info.max_frames, seed, unit, dataset.info.name, split, dataset.fingerprint)
+    task = EvaluationTask(evaluator, samples, protocol, *facts)
     try:
         task.plan(repeat=0)
     except UserError as error:

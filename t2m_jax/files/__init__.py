@@ -1,6 +1,7 @@
 """Files: written whole or not at all, with checksums, and read without trusting them."""
 
 from t2m_jax.files.arrays import (
+    fingerprint,
     fit_arrays,
     flatten_tree,
     load_arrays,
@@ -32,6 +33,7 @@ __all__ = [
     "check_new",
     "check_output",
     "commit_folder",
+    "fingerprint",
     "first_line",
     "fit_arrays",
     "flatten_tree",

@@ -1,5 +1,6 @@
 """Nested dictionaries of arrays as safetensors files."""
 
+import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,15 @@ def unflatten_tree(flat: Mapping[str, Any]) -> dict[str, Any]:
             place = place.setdefault(parent, {})
         place[name] = value
     return tree
+
+
+def fingerprint(text: str, arrays: Mapping[str, Any], *others: Mapping[str, Any]) -> str:
+    """Returns what identifies a text and some arrays: 16 hexadecimal digits of a digest."""
+    digest = hashlib.sha256(text.encode())
+    for flat in (sorted(flatten_tree(arrays).items()), *(other.items() for other in others)):
+        for name, array in flat:
+            digest.update(name.encode() + np.ascontiguousarray(array, np.float32).tobytes())
+    return digest.hexdigest()[:16]
 
 
 def save_weights(path: Path, arrays: Mapping[str, np.ndarray], *, metadata: dict[str, str] | None = None) -> None:

@@ -66,6 +66,7 @@ class TextToMotion:
         self.skeleton = skeleton_from_name(bundle.config.skeleton)
         self.training_data = bundle.training_data
         self.text_encoder = text_encoder or make_text_encoder(bundle)
+        self._bpe = bundle.bpe
         self._variables = put_everywhere(bundle.variables)
         self._ready_to_sample = False
         self._normalizer = Normalizer(*map(jnp.asarray, bundle.normalizer))
@@ -85,6 +86,11 @@ class TextToMotion:
     def variables(self) -> dict[str, Any]:
         """The weights of `tokenizer`, `generator` and (if trained with the model) `text_encoder` for `apply`."""
         return self._variables | {"generator": restore_kernels(self._variables["generator"])}
+
+    @property
+    def fingerprint(self) -> str:
+        """Identifies the model: a digest of sizes, weights, statistics and subwords."""
+        return Bundle(self.config, self.variables, self._normalizer, self._bpe).fingerprint
 
     @property
     def tokenizer(self) -> TrainedTokenizer:

@@ -38,7 +38,7 @@ from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.export.render import render_poster
 from t2m_jax.files import flatten_tree
 from t2m_jax.train.best import BestWeights
-from t2m_jax.train.checks import check_new_run, check_same_config
+from t2m_jax.train.checks import check_new_run, check_same_config, check_same_data
 from t2m_jax.train.config import EvaluationConfig, ExperimentConfig, LoopConfig
 from t2m_jax.train.loop import Measured, Measurement, Metrics, Speed, mean_over_batches, run_loop
 from t2m_jax.train.optimizer import OptimizerConfig, learning_rate_at
@@ -164,6 +164,8 @@ def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
     if resume:
         check_same_config(config)
     setup = trainer.prepare(config, resume)
+    if resume:
+        check_same_data(config, setup.dataset)
     held_out = open_evaluation(setup)
     state = None
     if config.init is not None and not (resume and has_checkpoint(config.run)):
@@ -185,7 +187,7 @@ def write_run(config: ExperimentConfig, setup: Setup, *, resume: bool) -> None:
     forget_best(config.run)
     setup.write_parts(config.run)
     save_training_data(config.run / DATA_FILE, summarize_training_data(setup.dataset, setup.clips))
-    create_run(config.run, config.kind, config)
+    create_run(config.run, config.kind, config, data=setup.dataset.fingerprint)
 
 
 def with_weights(setup: Setup, state: Any, init: Path) -> Any:

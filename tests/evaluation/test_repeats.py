@@ -107,6 +107,18 @@ def test_an_interrupted_evaluation_goes_on(task, generation, report, tmp_path, m
     assert seen == [0, 1, 1], "a repeat that was done is done again"
 
 
+def test_an_evaluation_does_not_go_on_with_another_model_or_other_data(task, generation, tmp_path):
+    partial = tmp_path / "report.json.partial"
+    evaluate(task, generation, num_repeats=1, partial=partial)
+    other = make_generation(TextToMotion(random_bundle(seed=1)), Temperature(), task.samples.clips)
+    with pytest.raises(UserError, match=r"partial: keeps the repeats of an evaluation with other weights \(\w+, not"):
+        evaluate(task, other, num_repeats=2, partial=partial)
+    with pytest.raises(UserError, match=r"with other contents \(None, not abc\)"):
+        evaluate(task._replace(contents="abc"), generation, num_repeats=2, partial=partial)
+    moved = load_partial(partial, make_header(task._replace(data="moved"), generation, model="elsewhere"))
+    assert len(moved) == 1, "what only moved is the same"
+
+
 @pytest.mark.parametrize("content", ['{"header": {"seed": 4}, "repeats": [{}]}', "{", '{"repeats": 3}', "[]"])
 def test_a_partial_result_of_something_else_is_not_used(task, generation, content, tmp_path):
     (tmp_path / "partial").write_text(content)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+import orbax.checkpoint as ocp
 import pytest
 
 from t2m_jax.checkpoints.run import CHECKPOINTS, Checkpoints
@@ -67,9 +68,14 @@ def newest_checkpoint(run: Path):
     """Returns the step of a run's newest checkpoint and what is in it."""
     with Checkpoints(run) as checkpoints:
         step = checkpoints.latest_step
+    return step, read_checkpoint(run, step)
+
+
+def read_checkpoint(run: Path, step: int):
+    """Returns everything in a checkpoint, by field."""
     folders = [path for path in (run / CHECKPOINTS / f"{step}").iterdir() if path.is_dir()]
     with ocp.StandardCheckpointer() as reader:
-        return step, {folder.name: reader.restore(folder.resolve()) for folder in sorted(folders)}
+        return {folder.name: reader.restore(folder.resolve()) for folder in sorted(folders)}
 
 
 def assert_same_checkpoint(run: Path, other: Path) -> None:

@@ -8,11 +8,10 @@ import jax
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints.run import Checkpoints
 from t2m_jax.errors import UserError
 from t2m_jax.train import train
 from tests.tiny import LOOP, gpt_training, vqvae_training
-from tests.train.conftest import assert_same_checkpoint, newest_checkpoint, stop_at
+from tests.train.conftest import assert_same_checkpoint, newest_checkpoint, read_checkpoint, stop_at
 
 STAGES = ["vqvae", "gpt"]
 STOP = 7
@@ -98,13 +97,56 @@ def test_a_run_may_be_prolonged_and_a_finished_one_is_left_alone(stage):
 
 def test_the_step_counts(runs, tmp_path):
     """What the equalities above could not see: that steps differ and that training moves every part."""
-    shutil.copytree(runs.vqvae, tmp_path / "run")
-    with Checkpoints(tmp_path / "run") as checkpoints:
-        early, late = checkpoints._manager.restore(4), checkpoints._manager.restore(8)
+    early, late = (read_checkpoint(runs.vqvae, step) for step in (4, 8))
     assert (early["step"]["step"], late["step"]["step"]) == (4, 8)
     for part in ("params", "codebook", "opt_state"):
         same = jax.tree.map(np.array_equal, early[part], late[part])
         assert not all(jax.tree.leaves(same))
+
+
+@pytest.mark.parametrize("stage", STAGES, indirect=True)
+def test_data_that_only_moved_are_accepted(stage, runs, tmp_path):
+    stage.train(num_steps=4)
+    shutil.copytree(runs.data, tmp_path / "moved")
+    fields = {"data": tmp_path / "moved"}
+    if hasattr(stage.config, "vqvae"):
+        fields["vqvae"] = shutil.copytree(runs.vqvae, tmp_path / "tokenizer")
+    stage.config = dataclasses.replace(stage.config, **fields)
+    stage.train(resume=True)
+    assert_same_checkpoint(stage.config.run, stage.finished)
+
+
+def add_to_first_frame(data):
+    path = min((data / "new_joint_vecs").iterdir())
+    features = np.load(path)
+    features[0, 0] += 0.01
+    np.save(path, features)
+
+
+def scale_statistics(data):
+    np.save(data / "Mean.npy", 1.001 * np.load(data / "Mean.npy"))
+
+
+def drop_a_clip(data):
+    names = (data / "train.txt").read_text().split()
+    (data / "train.txt").write_text("\n".join(names[1:]))
+
+
+def add_a_caption(data):
+    with min((data / "texts").iterdir()).open("a") as file:
+        file.write("a person stands#a/DET person/NOUN stands/VERB#0.0#0.0\n")
+
+
+@pytest.mark.parametrize("stage", STAGES, indirect=True)
+@pytest.mark.parametrize("change", [add_to_first_frame, scale_statistics, drop_a_clip, add_a_caption])
+def test_data_that_changed_are_refused(stage, runs, tmp_path, change):
+    stage.config = dataclasses.replace(stage.config, data=shutil.copytree(runs.data, tmp_path / "data"))
+    stage.train(num_steps=4)
+    change(tmp_path / "data")
+    before = {path: path.read_bytes() for path in stage.config.run.rglob("*") if path.is_file()}
+    with pytest.raises(UserError, match=r"data: .* is not what .* was started with \(fingerprint \w+, not \w+\)"):
+        stage.train(resume=True)
+    assert {path: path.read_bytes() for path in stage.config.run.rglob("*") if path.is_file()} == before
 
 
 @pytest.mark.parametrize(

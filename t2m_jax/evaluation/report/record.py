@@ -39,6 +39,10 @@ class Header:
     """Clips left out because their recording is also in training; None if this is not known or does not matter."""
     evaluator: str
     """Fingerprint of the evaluator."""
+    weights: str | None = None
+    """Fingerprint of the model, or of the tokenizer if only that is measured. None, like the next, in older reports."""
+    contents: str | None = None
+    """Fingerprint of the data set."""
     seed: int
     """Start of every random choice."""
     unit: int = 4
