@@ -161,7 +161,7 @@ def start_processes(processes: Processes) -> None:
     """
     import jax
 
-    jax.config.update("jax_enable_preemption_service", False)  # it would ignore SIGTERM
+    jax.config.update("jax_enable_preemption_service", True)  # SIGTERM ends the training after the same step in all
     limit = processes.heartbeat + START
     # JAX ends the process with a stack trace if a process is missing, so a timer comes first.
     timer = threading.Timer(limit, lambda: _exit(_missing(processes, limit), after=_linger(processes.process_id)))
@@ -296,7 +296,8 @@ def _is_connection_error(error: BaseException) -> bool:
 
 def _skip_shutdown(error: BaseException) -> None:
     """Makes the program exit without JAX's shutdown, which would wait for the other processes for minutes."""
-    code = 130 if isinstance(error, KeyboardInterrupt) else 2 if isinstance(error, UserError | OSError) else 1
+    number = getattr(error, "number", signal.SIGINT)
+    code = 128 + number if isinstance(error, KeyboardInterrupt) else 2 if isinstance(error, UserError | OSError) else 1
 
     def leave() -> None:
         sys.stdout.flush()

@@ -1,4 +1,6 @@
-"""The exception for mistakes that the user can correct."""
+"""The exceptions that end a command with one line."""
+
+import signal
 
 
 class UserError(ValueError):
@@ -6,3 +8,12 @@ class UserError(ValueError):
 
     The message is one line. It names the file, field or value, says what is wrong, and says what to do.
     """
+
+
+class Interruption(KeyboardInterrupt):
+    """A signal asked the process to end. The message is one line that says what was kept."""
+
+    def __init__(self, number: int, message: str = ""):
+        """Takes the number of the signal."""
+        super().__init__(message or f"interrupted by {signal.Signals(number).name}")
+        self.number = number

@@ -1,6 +1,8 @@
 import argparse
 import errno
 import importlib.metadata
+import os
+import signal
 import subprocess
 import sys
 import types
@@ -9,7 +11,8 @@ import numpy as np
 import pytest
 
 from t2m_jax.cli.main import COMMANDS, main
-from t2m_jax.errors import UserError
+from t2m_jax.errors import Interruption, UserError
+from t2m_jax.files import atomic_file
 
 
 @pytest.fixture
@@ -104,16 +107,55 @@ def test_text_after_a_double_dash_is_no_option(command):
     assert seen[0].text == ["--debug", "--seed"]
 
 
-def test_a_bug_keeps_its_traceback(command):
-    command(raising(KeyError("bug")))
-    with pytest.raises(KeyError):
-        main(["fake"])
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        (KeyError("bug"), "KeyError in test_cli.py:"),
+        (RecursionError("deep"), "RecursionError in test_cli.py:"),
+        (ZeroDivisionError("\x1b[31m" + "x" * 10_000), r"ZeroDivisionError in test_cli.py:"),
+    ],
+)
+def test_a_bug_is_one_line_that_says_where_it_happened(command, capsys, error, says):
+    command(raising(error))
+    assert main(["fake"]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"t2m: error: {says}") and len(line) < 450
+    assert line.endswith("(a bug of t2m_jax: run it again with --debug, and report what that prints)")
+    assert main(["fake", "--debug"]) == 1
+    assert "Traceback" in capsys.readouterr().err
 
 
-def test_an_interrupt_is_no_traceback(command, capsys):
-    command(raising(KeyboardInterrupt()))
-    assert main(["fake"]) == 130
-    assert capsys.readouterr().err == "t2m: error: interrupted\n"
+def test_too_little_memory_is_no_bug(command, capsys):
+    command(raising(MemoryError()))
+    assert main(["fake"]) == 2
+    assert capsys.readouterr().err == "t2m: error: out of memory; give fewer or smaller inputs at once\n"
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "line"),
+    [
+        (KeyboardInterrupt(), 130, "interrupted"),
+        (Interruption(signal.SIGINT), 130, "interrupted by SIGINT"),
+        (Interruption(signal.SIGTERM, "kept"), 143, "kept"),
+    ],
+)
+def test_an_interrupt_is_no_traceback(command, capsys, error, code, line):
+    command(raising(error))
+    assert main(["fake"]) == code
+    assert capsys.readouterr().err == f"t2m: error: {line}\n"
+
+
+def test_sigterm_removes_what_is_unfinished(command, capsys, tmp_path):
+    def write(args):
+        with atomic_file(tmp_path / "a.txt") as partial:
+            partial.write_text("half")
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    command(write)
+    before = signal.getsignal(signal.SIGTERM)
+    assert main(["fake"]) == 143
+    assert capsys.readouterr().err == "t2m: error: interrupted by SIGTERM\n"
+    assert not list(tmp_path.iterdir()) and signal.getsignal(signal.SIGTERM) == before
 
 
 def test_config_options_reach_the_commands_that_take_them(command):

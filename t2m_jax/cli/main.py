@@ -7,18 +7,23 @@ own `--help`.
 """
 
 import argparse
+import contextlib
 import difflib
 import importlib
 import importlib.metadata
 import logging
 import os
+import signal
 import sys
+import threading
 import traceback
 import typing
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from types import FrameType
 
-from t2m_jax.errors import UserError
+from t2m_jax.errors import Interruption, UserError
 
 COMMANDS = {
     "generate": "convert text to motion files",
@@ -35,7 +40,12 @@ COMMANDS = {
 QUIET_LIBRARIES = ("absl", "etils", "flax", "jax", "orbax", "tensorstore")
 """Libraries whose warnings do not concern the user. Only their errors are shown."""
 
-EXIT_OK, EXIT_BUG, EXIT_USER_ERROR, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE = 0, 1, 2, 130, 141
+EXIT_OK, EXIT_BUG, EXIT_USER_ERROR, EXIT_BROKEN_PIPE = 0, 1, 2, 141
+EXIT_SIGNAL = 128
+"""Added to the number of the signal that ended a command: 130 after Ctrl-C, 143 after SIGTERM."""
+REPORT = "run it again with --debug, and report what that prints"
+MAX_LINE = 400
+"""Longest message in characters; a value that a message quotes may be of any length."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -47,27 +57,59 @@ def main(argv: Sequence[str] | None = None) -> int:
     debug = len(options) < end
     _configure_logging(debug)
     try:
-        code = _run(options + arguments[end:])
-        sys.stdout.flush()
+        with _ended_by_sigterm():
+            code = _run(options + arguments[end:])
+            if sys.stdout is not None:  # None if it was closed before the start
+                sys.stdout.flush()
         return code
     except BrokenPipeError:
         # The reader (`| head`) has closed the pipe. Without this, Python would fail again when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_BROKEN_PIPE
-    except (KeyboardInterrupt, UserError, OSError) as error:
+    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - whatever it is, users get one line
         if debug:
             traceback.print_exc()
-        message, code = str(error), EXIT_USER_ERROR
-        if isinstance(error, KeyboardInterrupt):
-            message, code = "interrupted", EXIT_INTERRUPTED
-        elif isinstance(error, OSError):
-            reason = (error.strerror or str(error)).rstrip(".")
-            message = f"{error.filename}: {reason}" if error.filename is not None else reason
+        message, code = _explain(error)
         line = " ".join(message.split())
         # The message may quote text of the user. It must not move the cursor or break the line.
         line = "".join(character if character.isprintable() else repr(character)[1:-1] for character in line)
+        line = line if len(line) <= MAX_LINE else f"{line[: MAX_LINE // 2]} ... {line[-MAX_LINE // 2 :]}"
         sys.stderr.write(f"t2m: error: {line}\n")
         return code
+
+
+def _explain(error: BaseException) -> tuple[str, int]:
+    """Returns the message and the exit code for what ended a command."""
+    if isinstance(error, KeyboardInterrupt):
+        return str(error) or "interrupted", EXIT_SIGNAL + getattr(error, "number", signal.SIGINT)
+    if isinstance(error, UserError):
+        return str(error), EXIT_USER_ERROR
+    if isinstance(error, OSError):
+        reason = (error.strerror or str(error)).rstrip(".")
+        return (f"{error.filename}: {reason}" if error.filename is not None else reason), EXIT_USER_ERROR
+    if isinstance(error, MemoryError):
+        return "out of memory; give fewer or smaller inputs at once", EXIT_USER_ERROR
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    place = f"{Path(last.filename).name}:{last.lineno}"
+    return f"{type(error).__name__} in {place}: {error} (a bug of t2m_jax: {REPORT})", EXIT_BUG
+
+
+@contextlib.contextmanager
+def _ended_by_sigterm() -> Iterator[None]:
+    """Turns SIGTERM into an exception in the block, so that temporary files are removed."""
+
+    def interrupt(number: int, _: FrameType | None) -> None:
+        signal.signal(number, signal.SIG_IGN)  # a second one must not interrupt the removal
+        raise Interruption(number)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, interrupt) or signal.SIG_DFL
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -44,6 +44,7 @@ from t2m_jax.train.loop import Measured, Measurement, Metrics, Speed, mean_over_
 from t2m_jax.train.optimizer import OptimizerConfig, learning_rate_at
 from t2m_jax.train.placement import DataOnDevices, DataOnHost, place_data
 from t2m_jax.train.program import Devices, Update
+from t2m_jax.train.signals import stop_requests
 
 logger = logging.getLogger(__name__)
 
@@ -264,7 +265,8 @@ def run_setup(
     place = functools.partial(place_data, devices=devices, placement=config.placement, batch_size=loop.batch_size)
     measurements = [measure_validation(setup, loop, devices, place, best if held_out is None else None)]
     measurements += [] if held_out is None else [measure_evaluation(setup, held_out, best)]
-    with place(setup.data, setup.plan).feed(int(state.step), loop.num_steps, size=loop.steps_per_call) as take:
+    feed = place(setup.data, setup.plan).feed(int(state.step), loop.num_steps, size=loop.steps_per_call)
+    with feed as take, stop_requests() as asked_to_stop:
 
         def update(state: Any, count: int) -> tuple[Any, Metrics]:
             report_progress()
@@ -278,6 +280,7 @@ def run_setup(
             measurements=measurements,
             speed=Speed(lambda step: float(learning_rate_at(step - 1, setup.optimizer)), setup.frames_per_step),
             is_over=lambda step: best is not None and best.is_over(step, patience=setup.patience),
+            asked_to_stop=asked_to_stop,
         )
 
 

@@ -1,6 +1,7 @@
 """The training loop."""
 
 import math
+import signal
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
@@ -12,7 +13,7 @@ from tqdm import tqdm
 
 from t2m_jax.checkpoints.run import Checkpoints
 from t2m_jax.distributed import is_writer, report_progress
-from t2m_jax.errors import UserError
+from t2m_jax.errors import Interruption, UserError
 from t2m_jax.train.config import LoopConfig
 from t2m_jax.train.log import MetricLog, open_log
 
@@ -107,6 +108,7 @@ def run_loop(
     measurements: Sequence[Measurement] = (),
     speed: Speed | None = None,
     is_over: Callable[[int], bool] = lambda step: False,
+    asked_to_stop: Callable[[int], int | None] = lambda step: None,
 ) -> State:
     """Returns the state after `config.num_steps` updates, of which `state` has made some.
 
@@ -122,11 +124,13 @@ def run_loop(
         measurements: What is measured on held-out data.
         speed: Learning rate and speed for the log.
         is_over: Whether training ends after this many updates; asked at the start and after measurements.
+        asked_to_stop: The number of the signal that asked to stop, None if there was none; asked after each call.
 
     Raises:
         UserError: A loss is not finite; the message names the step.
+        Interruption: A signal asked to stop; the state of that moment is the newest checkpoint.
     """
-    step, total = int(state.step), config.num_steps
+    step, total, asked = int(state.step), config.num_steps, None
     if is_over(step) or step >= total:
         return state
     calls: list[Call] = []
@@ -141,7 +145,8 @@ def run_loop(
             state, metrics = update(state, count)
             step += count
             calls.append(Call(metrics, count))
-            is_kept = is_due(step, config.checkpoint_every, last=total) or step == total
+            asked = asked_to_stop(step)
+            is_kept = is_due(step, config.checkpoint_every, last=total) or step == total or asked is not None
             now = [measurement for measurement in measurements if is_due(step, measurement.every, last=total)]
             if now or is_kept or is_due(step, config.log_every, last=total):
                 _log_updates(log, step, calls, speed, progress)
@@ -153,8 +158,11 @@ def run_loop(
                 checkpoints.save(step, state)
             if not calls:
                 log.restart_clock()
-            if ends_here:
+            if ends_here or asked is not None:
                 break
+    if asked is not None and step < total:
+        name = signal.Signals(asked).name
+        raise Interruption(asked, f"{run}: stopped by {name} after step {step}, which is kept; add --resume to go on")
     return state
 
 

@@ -2,6 +2,8 @@
 
 import csv
 import logging
+import os
+import signal
 from typing import NamedTuple
 
 import jax
@@ -11,10 +13,11 @@ import pytest
 from PIL import Image
 
 from t2m_jax.checkpoints.run import Checkpoints
-from t2m_jax.errors import UserError
+from t2m_jax.errors import Interruption, UserError
 from t2m_jax.train.config import LoopConfig
 from t2m_jax.train.log import MetricLog
 from t2m_jax.train.loop import Call, Measured, Measurement, Speed, mean_metrics, next_multiple, run_loop
+from t2m_jax.train.signals import stop_requests
 
 
 class Counter(NamedTuple):
@@ -129,6 +132,49 @@ def test_the_last_state_is_kept_without_any_interval(tmp_path):
     with pytest.raises(UserError, match="10"):
         run_loop(tmp_path / "bad", START, counting(bad_step=10), config=config)
     assert kept_steps(tmp_path / "bad") == []
+
+
+@pytest.mark.parametrize(("size", "kept"), [(1, 3), (2, 4)])
+def test_when_asked_to_stop_the_state_of_that_moment_is_kept(tmp_path, size, kept):
+    with pytest.raises(
+        Interruption, match=f"stopped by SIGTERM after step {kept}, which is kept; add --resume"
+    ) as found:
+        run_loop(
+            tmp_path,
+            START,
+            counting(size=size),
+            config=loop(steps_per_call=size),
+            asked_to_stop=lambda step: signal.SIGTERM if step >= 3 else None,
+        )
+    assert found.value.number == signal.SIGTERM and kept_steps(tmp_path) == [kept]
+    with Checkpoints(tmp_path) as checkpoints:
+        state = checkpoints.restore(START)
+    assert int(state.step) == kept
+    state = run_loop(tmp_path, state, counting(), config=loop())
+    assert int(state.step) == 10
+    assert [row["step"] for row in rows(tmp_path)] == sorted({kept, 4, 5, 8, 10})
+
+
+def test_a_training_that_is_over_needs_no_interruption(tmp_path):
+    state = run_loop(tmp_path, START, counting(), config=loop(), asked_to_stop=lambda step: 15 if step == 10 else None)
+    assert int(state.step) == 10
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGUSR1"])
+def test_signals_are_remembered_and_handlers_restored(name):
+    number = getattr(signal, name)
+    before = signal.getsignal(number)
+    with stop_requests() as asked:
+        assert asked(1) is None
+        os.kill(os.getpid(), number)
+        assert asked(2) == number
+    assert signal.getsignal(number) == before
+
+
+def test_a_second_ctrl_c_interrupts_at_once():
+    with pytest.raises(KeyboardInterrupt), stop_requests():
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
 
 
 def test_damaged_rows_of_the_log_are_left_out(tmp_path):
