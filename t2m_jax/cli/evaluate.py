@@ -20,7 +20,7 @@ from t2m_jax.cli.generate import add_raw_argument, add_sampling_arguments
 from t2m_jax.cli.next_step import show_next
 from t2m_jax.cli.subcommands import subcommand_adder
 from t2m_jax.errors import UserError
-from t2m_jax.files import check_output, save_json
+from t2m_jax.files import check_output, claim, save_json
 
 if TYPE_CHECKING:
     from t2m_jax.data import Dataset
@@ -108,7 +108,8 @@ def run(args: argparse.Namespace) -> None:
         from t2m_jax.evaluation.report import check_page
 
         check_page(args.html)
-    args.run_command(args)
+    with claim([path for path in (getattr(args, "json", None), getattr(args, "html", None)) if path]):
+        args.run_command(args)
 
 
 def run_reconstruction(args: argparse.Namespace) -> None:

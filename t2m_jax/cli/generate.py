@@ -37,6 +37,7 @@ def add_raw_argument(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Generates, writes the files, and prints their names and the next command."""
+    from t2m_jax.files import claim
     from t2m_jax.motion.record import check_motion_output
     from t2m_jax.text.prompts import check_prompt
 
@@ -45,7 +46,20 @@ def run(args: argparse.Namespace) -> None:
         check_prompt(text)
     for output in outputs:
         check_motion_output(output)
+    with claim(outputs):
+        written = _generate(args, outputs)
+    pages = [path for path in written if path.suffix == ".html"]
+    convertible = [path for path in written if path.suffix in (".npz", ".bvh")]
+    if pages:
+        show_next(f"open {shlex.quote(str(pages[0]))} in a browser")
+    elif convertible:
+        show_next(f"t2m view {shlex.quote(str(convertible[0]))} -o motion.html")
+    else:
+        show_next(f"open {shlex.quote(str(written[0]))}")
 
+
+def _generate(args: argparse.Namespace, outputs: list[Path]) -> list[Path]:
+    """Writes the files and returns their names."""
     from t2m_jax.sampling import TextToMotion
     from t2m_jax.sampling.strategies import make_strategy
 
@@ -60,11 +74,4 @@ def run(args: argparse.Namespace) -> None:
             motion.save(path)
             sys.stdout.write(f"{path}\n")
             written.append(path)
-    pages = [path for path in written if path.suffix == ".html"]
-    convertible = [path for path in written if path.suffix in (".npz", ".bvh")]
-    if pages:
-        show_next(f"open {shlex.quote(str(pages[0]))} in a browser")
-    elif convertible:
-        show_next(f"t2m view {shlex.quote(str(convertible[0]))} -o motion.html")
-    else:
-        show_next(f"open {shlex.quote(str(written[0]))}")
+    return written

@@ -22,14 +22,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Reads the motion, writes all outputs, and prints their names and the next command."""
     from t2m_jax.export import load_motion
+    from t2m_jax.files import claim
     from t2m_jax.motion.record import check_motion_output
 
     for output in args.outputs:
         check_motion_output(output)
-    motion = load_motion(args.file, animation=args.animation)
-    for output in args.outputs:
-        motion.save(output)
-        print(output)
+    with claim(args.outputs):
+        motion = load_motion(args.file, animation=args.animation)
+        for output in args.outputs:
+            motion.save(output)
+            print(output)
     chosen = [] if args.animation is None else ["--animation", args.animation]
     again = ["t2m", "view", str(args.file), *chosen]
     pages = [output for output in args.outputs if output.suffix == ".html"]

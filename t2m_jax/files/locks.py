@@ -1,12 +1,13 @@
 """Locks: one process at a time writes a destination."""
 
 import contextlib
-from collections.abc import Iterator
+import logging
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from filelock import SoftFileLock, Timeout
-
 from t2m_jax.errors import UserError
+
+logger = logging.getLogger(__name__)
 
 
 @contextlib.contextmanager
@@ -20,6 +21,8 @@ def lock(path: Path) -> Iterator[None]:
         UserError: Another process holds it.
         OSError: The file cannot be written.
     """
+    from filelock import SoftFileLock, Timeout  # here, because reading needs no locks
+
     place = path.absolute().with_name(f".{path.name[:60]}.lock")
     holder = SoftFileLock(place, timeout=0, is_singleton=True, thread_local=False)
     try:
@@ -31,3 +34,23 @@ def lock(path: Path) -> Iterator[None]:
         yield
     finally:
         holder.release()
+
+
+@contextlib.contextmanager
+def claim(outputs: Iterable[Path]) -> Iterator[None]:
+    """Holds the locks of files that a command is going to write, and says which of them will be replaced.
+
+    Raises:
+        UserError: Another process is writing one of them, or its folder cannot be written.
+    """
+    with contextlib.ExitStack() as held:
+        for path in outputs:
+            try:
+                held.enter_context(lock(path))
+            except OSError as error:
+                raise UserError(
+                    f"{path}: cannot be written ({error.strerror or error}); choose another place"
+                ) from error
+            if path.exists():
+                logger.info("%s: exists and will be replaced", path)
+        yield

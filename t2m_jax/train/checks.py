@@ -1,6 +1,7 @@
 """What is checked before a run starts or is resumed."""
 
 import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,9 @@ from t2m_jax.checkpoints.run import CONFIG_FILE, is_run, run_info
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.config import flat_fields, load_config
 from t2m_jax.data.folder import Dataset
+from t2m_jax.distributed import is_writer
 from t2m_jax.errors import UserError
+from t2m_jax.files import lock
 from t2m_jax.train.config import ExperimentConfig
 
 MAY_CHANGE = (
@@ -23,6 +26,23 @@ MAY_CHANGE = (
     "placement",
 )
 """Fields and sections that a resumed run may change, because they do not affect what its updates compute."""
+
+
+@contextlib.contextmanager
+def claim_run(run: Path) -> Iterator[None]:
+    """Holds the lock of a run, so that no other training writes into it. Of several processes, one holds it for all.
+
+    Raises:
+        UserError: Another training writes into it, or its folder cannot be written.
+    """
+    with contextlib.ExitStack() as held:
+        if is_writer():
+            try:
+                run.absolute().parent.mkdir(parents=True, exist_ok=True)
+                held.enter_context(lock(run))
+            except OSError as error:
+                raise UserError(f"{run}: cannot be written ({error.strerror or error})") from error
+        yield
 
 
 def check_new_run(run: Path) -> None:

@@ -38,7 +38,7 @@ from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.export.render import render_poster
 from t2m_jax.files import flatten_tree
 from t2m_jax.train.best import BestWeights
-from t2m_jax.train.checks import check_new_run, check_same_config, check_same_data
+from t2m_jax.train.checks import check_new_run, check_same_config, check_same_data, claim_run
 from t2m_jax.train.config import EvaluationConfig, ExperimentConfig, LoopConfig
 from t2m_jax.train.loop import Measured, Measurement, Metrics, Speed, mean_over_batches, run_loop
 from t2m_jax.train.optimizer import OptimizerConfig, learning_rate_at
@@ -155,6 +155,11 @@ def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
     Raises:
         UserError: Data and model do not fit, the run exists (or, to resume, does not), or a loss is not finite.
     """
+    with claim_run(config.run):
+        return _train(config, resume=resume)
+
+
+def _train(config: ExperimentConfig, *, resume: bool) -> Any:
     trainer = find_trainer(config.kind)
     if resume:
         check_resumable(config.run)
