@@ -168,6 +168,16 @@ def check_sizes(config: Any, *names: str) -> None:
             raise ValueError(f"{name}: {value} is not a whole number above 0")
 
 
+def check_amounts(config: Any, *names: str) -> None:
+    """Raises `ValueError` if a number in one of the fields is negative or not finite.
+
+    Call it in `__post_init__`, like `check_sizes`.
+    """
+    for name in names:
+        if not 0 <= (value := getattr(config, name)) < math.inf:
+            raise ValueError(f"{name}: {value} is not a number from 0 up")
+
+
 def check_seed(seed: int) -> None:
     """Raises `UserError` if a seed is not from 0 to 2**32 - 1: keys of JAX ignore the bits above."""
     if not 0 <= seed < 2**32:

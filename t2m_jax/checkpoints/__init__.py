@@ -1,5 +1,6 @@
 """Trained weights on disk: run directories, bundles, tokenizers, evaluators."""
 
+from t2m_jax.checkpoints.audit import Part, audit_model
 from t2m_jax.checkpoints.best import Best, find_best
 from t2m_jax.checkpoints.bundle import Bundle, BundleConfig, ClipReference, load_bundle, save_bundle
 from t2m_jax.checkpoints.clip import TrainedClip, load_clip, save_clip
@@ -14,10 +15,12 @@ __all__ = [
     "BundleConfig",
     "Checkpoints",
     "ClipReference",
+    "Part",
     "RunInfo",
     "TrainedClip",
     "TrainedEvaluator",
     "TrainedTokenizer",
+    "audit_model",
     "find_best",
     "load_bundle",
     "load_clip",

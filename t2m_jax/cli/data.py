@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Runs the chosen sub-command and prints the next command; `check` exits with code 1 if it finds problems."""
     if args.data_command == "check":
-        _check(args.folder, args.json)
+        check_dataset(args.folder, args.json)
         return
     from t2m_jax.data import importers
     from t2m_jax.data.importers import synthetic, synthetic_scale
@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> None:
     show_next(f"t2m data check {shlex.quote(str(args.destination))}")
 
 
-def _check(folder: Path, report_file: Path | None) -> None:
+def check_dataset(folder: Path, report_file: Path | None) -> None:
     """Prints the audit of a folder and exits with code 1 if something is wrong."""
     from t2m_jax.data.audit import audit_dataset
     from t2m_jax.files import check_output, save_json

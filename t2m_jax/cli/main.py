@@ -33,6 +33,7 @@ COMMANDS = {
     "bundle": "combine runs to one model that can be shared",
     "convert": "convert published weights to a model, and back",
     "view": "convert a motion file to other formats",
+    "check": "say what is intact in a model, a data set or a report",
     "bench": "measure the speed",
 }
 """Commands in the order of use, with their help. The module of a command has its name."""

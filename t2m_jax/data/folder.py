@@ -24,6 +24,8 @@ logger = logging.getLogger(__name__)
 
 MAX_NAMED = 5
 """Number of clips that a warning names per reason."""
+MAX_FPS = 1000.0
+"""Highest rate of a data set; no motion capture is faster."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -46,6 +48,12 @@ class DatasetInfo:
     """Origin of the motion."""
     attribution: str = ""
     """Text that must be shown wherever something derived from the data is shown."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.fps <= MAX_FPS:
+            raise ValueError(f"fps: {self.fps} is not a number of frames per second above 0 and up to {MAX_FPS:g}")
+        if not 1 <= self.min_frames <= self.max_frames:
+            raise ValueError(f"min_frames, max_frames: {self.min_frames} and {self.max_frames} are not 1 <= min <= max")
 
     def fits(self, num_frames: int) -> bool:
         """Returns whether text-to-motion models use a motion of this length.

@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TypeVar
 
-from t2m_jax.config import check_seed, check_sizes
+from t2m_jax.config import check_amounts, check_seed, check_sizes
 
 EvaluationMetric = Literal["fid", "matching_score", "r_precision_1", "r_precision_2", "r_precision_3"]
 """Metrics that can choose weights: a larger value is always better, or always worse. Diversity is not one of them."""
@@ -14,6 +14,10 @@ Placement = Literal["auto", "device", "host"]
 """Where the training motion is."""
 FROM_DATA = "data"
 """The value of `statistics` that means the data set's own."""
+
+
+MAX_WINDOW = 10_000
+"""Longest training window in frames, eight minutes: a window beyond all motions would only fill the memory."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -40,6 +44,9 @@ class LoopConfig:
 
     def __post_init__(self) -> None:
         check_sizes(self, "num_steps", "batch_size", "keep_checkpoints", "steps_per_call")
+        for name in ("num_steps", "batch_size"):
+            if getattr(self, name) >= 2**31:
+                raise ValueError(f"{name}: {getattr(self, name)} is more than {2**31 - 1}")
         check_seed(self.seed)
         for name in ("log_every", "validate_every", "checkpoint_every"):
             if getattr(self, name) < 0:
@@ -130,6 +137,10 @@ class ExperimentConfig:
     def __post_init__(self) -> None:
         if not 0 < self.data_fraction <= 1:
             raise ValueError(f"data_fraction: {self.data_fraction} is not a share above 0 and at most 1")
+        names = [field.name for field in dataclasses.fields(self)]
+        check_amounts(self, *(name for name in names if name.endswith("_weight")))
+        if "window" in names and self.window > MAX_WINDOW:
+            raise ValueError(f"window: {self.window} frames are more than {MAX_WINDOW}")
 
 
 Config = TypeVar("Config", bound=ExperimentConfig)

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int
 
+from t2m_jax.config import check_amounts
 from t2m_jax.devices import global_mean
 
 Metrics = dict[str, Float[Array, ""]]
@@ -37,6 +38,9 @@ class OptimizerConfig:
     """Largest global norm of the gradients. Larger gradients are scaled down to it; 0 turns this off."""
 
     def __post_init__(self) -> None:
+        check_amounts(self, "learning_rate", "gamma", "weight_decay", "clip_norm")
+        if not all(0 <= beta < 1 for beta in self.betas):
+            raise ValueError(f"betas: {list(self.betas)} are not two numbers from 0 to 1, without 1")
         for step in (self.warmup_steps, *self.milestones):
             if not 0 <= step < 2**31:
                 raise ValueError(f"warmup_steps, milestones: {step} is not a number of updates from 0 to {2**31 - 1}")

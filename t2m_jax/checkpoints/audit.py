@@ -1,0 +1,83 @@
+"""What is intact in the folder of a model: of a run, a bundle, or an evaluator."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from t2m_jax.checkpoints.best import BEST_FOLDER, find_best
+from t2m_jax.checkpoints.bundle import CONFIG_FILE, load_bundle
+from t2m_jax.checkpoints.evaluator import EVALUATOR_CONFIG, load_trained_evaluator
+from t2m_jax.checkpoints.model import load_generator_run
+from t2m_jax.checkpoints.run import CHECKPOINTS, Checkpoints, is_run, run_info
+from t2m_jax.checkpoints.tokenizer import load_tokenizer
+from t2m_jax.errors import UserError
+from t2m_jax.files import check_folder, has_manifest
+
+
+class Part(NamedTuple):
+    """A part of a model's folder."""
+
+    name: str
+    problem: str
+    """What is wrong; "" if nothing is."""
+    has_manifest: bool = True
+    """Whether its files were compared with a manifest. Those of older versions have none."""
+
+
+def is_model_folder(path: Path) -> bool:
+    """Returns whether a folder says that it is a run, a bundle or an evaluator."""
+    return is_run(path) or any((path / name).is_file() for name in (CONFIG_FILE, EVALUATOR_CONFIG))
+
+
+def audit_model(path: Path) -> list[Part]:
+    """Returns the parts of a run, a bundle or an evaluator. SHA-256 of all files with a manifest are compared.
+
+    Raises:
+        UserError: The folder is none of these.
+    """
+    if is_run(path):
+        return list(_audit_run(path))
+    if (path / CONFIG_FILE).is_file():
+        return [_audit_folder(path, "bundle"), Part("model", _problem(load_bundle, path))]
+    if (path / EVALUATOR_CONFIG).is_file():
+        return [_audit_folder(path, "evaluator"), Part("weights", _problem(load_trained_evaluator, path))]
+    raise UserError(f"{path}: neither a run, a bundle nor an evaluator")
+
+
+def _audit_run(path: Path) -> Iterator[Part]:
+    """Yields what a run has: its checkpoints, the best weights, the copy of its tokenizer, and the model they make."""
+    yield Part("run.yaml", _problem(run_info, path))
+    with Checkpoints(path) as checkpoints:
+        for step in checkpoints.steps():
+            folder = path / CHECKPOINTS / f"{step}"
+            problem = checkpoints.damage(step) or _problem(_check_thoroughly, folder)
+            yield Part(f"checkpoint {step}", problem, has_manifest(folder))
+    for folder in sorted((path / BEST_FOLDER).glob("[0-9]*")):
+        if folder.is_dir():
+            yield _audit_folder(folder, f"best weights of step {folder.name}")
+    yield Part("choice of the best weights", _problem(find_best, path))
+    if (path / CONFIG_FILE).is_file():
+        yield from (_audit_folder(found.parent, "tokenizer") for found in sorted(path.glob("*/*.safetensors")))
+        yield Part("model", _problem(load_generator_run, path))
+    elif (path / EVALUATOR_CONFIG).is_file():
+        yield Part("model", _problem(load_trained_evaluator, path))
+    else:
+        yield Part("model", _problem(load_tokenizer, path))
+
+
+def _audit_folder(folder: Path, name: str) -> Part:
+    return Part(name, _problem(_check_thoroughly, folder), has_manifest(folder))
+
+
+def _check_thoroughly(folder: Path) -> None:
+    if has_manifest(folder):
+        check_folder(folder, thorough=True)
+
+
+def _problem(check: Callable[[Path], Any], path: Path) -> str:
+    """Returns the error of a check, "" if there is none."""
+    try:
+        check(path)
+    except UserError as error:
+        return str(error)
+    return ""
