@@ -66,11 +66,11 @@ def _generate(args: argparse.Namespace, outputs: list[Path]) -> list[Path]:
     strategy = make_strategy(args.temperature, args.top_k, top_p=args.top_p)
     model = TextToMotion.load(args.model)
     options = {"guidance_scale": args.guidance_scale, "stop_rule": args.stop_rule, "raw": args.raw}
-    motions = model.generate(args.text, seed=args.seed, num_samples=args.num_samples, strategy=strategy, **options)
-    written = []
-    for output in outputs:
-        for number, motion in enumerate(motions):
-            path = output if len(motions) == 1 else output.with_stem(f"{output.stem}-{number}")
+    options |= {"seed": args.seed, "num_samples": args.num_samples, "strategy": strategy}
+    is_alone, written = len(args.text) * args.num_samples == 1, []
+    for number, motion in enumerate(model.generate_each(args.text, **options)):
+        for output in outputs:
+            path = output if is_alone else output.with_stem(f"{output.stem}-{number}")
             motion.save(path)
             sys.stdout.write(f"{path}\n")
             written.append(path)

@@ -1,6 +1,7 @@
 """From sentences to motions: text encoder, generator, tokenizer and skeleton in one object."""
 
 import functools
+import itertools
 import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -39,6 +40,8 @@ from t2m_jax.sampling.text_encoders import make_text_encoder
 from t2m_jax.text.encoder import TextEncoder
 from t2m_jax.text.prompts import check_prompt
 
+MAX_SAMPLES = 1_000_000
+"""Most motions of a caption in one call. A larger number is probably a mistake: they would take weeks and 100 GB."""
 MAX_BATCH = 32
 """Motions that are generated together."""
 
@@ -129,19 +132,34 @@ class TextToMotion:
         Raises:
             UserError: A caption or a number cannot be used.
         """
+        options = {"strategy": strategy, "max_codes": max_codes, "guidance_scale": guidance_scale, "raw": raw}
+        return list(self.generate_each(captions, seed=seed, num_samples=num_samples, stop_rule=stop_rule, **options))
+
+    def generate_each(
+        self,
+        captions: Sequence[str] | str,
+        *,
+        seed: int = 0,
+        num_samples: int = 1,
+        strategy: Strategy | None = None,
+        max_codes: int | None = None,
+        guidance_scale: float | None = None,
+        stop_rule: str | None = None,
+        raw: bool = False,
+    ) -> Iterator[Motion]:
+        """Returns an iterator over the motions of `generate`, for more of them than fit into the memory.
+
+        Arguments and errors are those of `generate`.
+        """
         texts = [check_prompt(caption) for caption in ([captions] if isinstance(captions, str) else captions)]
         check_seed(seed)
-        if num_samples < 1:
-            raise UserError(f"num-samples: {num_samples} is not a whole number above 0")
+        if not 1 <= num_samples <= MAX_SAMPLES:
+            raise UserError(f"num-samples: {num_samples} is not a whole number from 1 to {MAX_SAMPLES:,}")
         sampling = self.sampling(strategy, max_codes=max_codes, stop_rule=stop_rule)
-        requests = [(text, sample) for text in texts for sample in range(num_samples)]
-        motions: list[Motion] = []
-        for first in range(0, len(requests), MAX_BATCH):
-            batch = requests[first : first + MAX_BATCH]
-            motions += self._generate_batch(
-                batch, seed=seed, sampling=sampling, guidance_scale=guidance_scale, clean=not raw
-            )
-        return motions
+        options = {"seed": seed, "sampling": sampling, "guidance_scale": guidance_scale, "clean": not raw}
+        requests = itertools.product(texts, range(num_samples))
+        batches = iter(lambda: list(itertools.islice(requests, MAX_BATCH)), [])
+        return itertools.chain.from_iterable(self._generate_batch(batch, **options) for batch in batches)
 
     def stream(
         self,
