@@ -363,3 +363,32 @@ def test_a_published_clip_comes_closer_than_the_published_export(tmp_path, share
     error = np.linalg.norm(read - positions[:, order], axis=-1).mean()
     assert error < 1e-3 < np.linalg.norm(baseline - positions, axis=-1).mean()
     assert INDEX["pelvis"] == 0
+
+
+def nested(count):
+    """A chain of joints."""
+    joints = "".join(f"JOINT j{n}\n{{\nOFFSET 0 1 0\nCHANNELS 0\n" for n in range(1, count))
+    root = "HIERARCHY\nROOT j0\n{\nOFFSET 0 0 0\nCHANNELS 3 Xposition Yposition Zposition\n"
+    return f"{root}{joints}{'}' * count}\nMOTION\nFrames: 1\nFrame Time: 0.05\n0 0 0\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (nested(20_000), "more than 2,000 joints"),
+        (
+            nested(3).replace("MOTION\n", "MOTION\n" + "\n" * 20_000_000).replace("Frames", "Frame"),
+            ':20000015: expected "Frames',
+        ),
+        ("HIERARCHY\n" + "{" * 20_000_000, "its hierarchy has 20,000,010 bytes, more than 4,000,000"),
+        ("HIERARCHY\n" + "JOINT a\n" * 1_000_000, "its hierarchy has 8,000,010 bytes"),
+        (nested(3).replace("0.05", "10"), 'bad frame time "10"'),
+        ("\n" * 50_000_000, "the file is empty"),
+    ],
+    ids=["joints", "lines", "braces", "words", "frame time", "empty"],
+)
+def test_files_that_would_take_long_are_refused_at_once(tmp_path, text, says):
+    path = tmp_path / "a.bvh"
+    path.write_text(text)
+    with pytest.raises(UserError, match=re.escape(says)):
+        load_bvh(path)

@@ -57,16 +57,17 @@ def parse_motion(text: bytes, path: Path, *, first_line: int, num_channels: int)
 
 def _read_field(text: bytes, path: Path, *, line: int, field: str, content: str) -> tuple[str, bytes, int]:
     """Returns the value of a line such as `Frames: 10`, the text after this line, and its number."""
-    while text:
-        head, _, text = text.partition(b"\n")
-        if head.strip():
-            words = head.decode("utf-8", errors="replace").strip()
-            found = re.fullmatch(field.replace(" ", r"\s*") + r"\s*:\s*(\S+)", words, flags=re.IGNORECASE)
-            if not found:
-                raise UserError(f'{path}:{line}: expected "{field}: <{content}>", found "{words[:40]}"')
-            return found[1], text, line
-        line += 1
-    raise UserError(f'{path}:{line}: the MOTION section ends where "{field}:" should follow; is the file truncated?')
+    rest = text.lstrip()
+    line += text[: len(text) - len(rest)].count(b"\n")
+    if not rest:
+        message = f'the MOTION section ends where "{field}:" should follow; is the file truncated?'
+        raise UserError(f"{path}:{line}: {message}")
+    head, _, text = rest.partition(b"\n")
+    words = head[:200].decode("utf-8", errors="replace").strip()
+    found = re.fullmatch(field.replace(" ", r"\s*") + r"\s*:\s*(\S+)", words, flags=re.IGNORECASE)
+    if not found:
+        raise UserError(f'{path}:{line}: expected "{field}: <{content}>", found "{words[:40]}"')
+    return found[1], text, line
 
 
 def _frame_rate(text: str, path: Path, *, line: int) -> float:
@@ -75,8 +76,8 @@ def _frame_rate(text: str, path: Path, *, line: int) -> float:
         seconds = float(text)
     except ValueError:
         seconds = np.nan
-    if not 1e-4 <= seconds <= 10:
-        raise UserError(f'{path}:{line}: bad frame time "{text}"; it must be seconds per frame, 0.0001 to 10')
+    if not 1e-4 <= seconds <= 1:
+        raise UserError(f'{path}:{line}: bad frame time "{text}"; it must be seconds per frame, 0.0001 to 1')
     nearest = max(round(1 / seconds), 1)
     decimals = len(text.partition(".")[2]) if "e" not in text.lower() else 9
     same_digits = round(1 / nearest, decimals) == round(seconds, decimals)

@@ -12,6 +12,8 @@ from jaxtyping import Float
 from t2m_jax.errors import UserError
 
 AXES = "XYZ"
+MAX_JOINTS = 2000
+"""Most joints of a figure. Those with fingers, face and clothes have up to some hundred."""
 POSITION_CHANNELS = tuple(f"{axis}position" for axis in AXES)
 ROTATION_CHANNELS = tuple(f"{axis}rotation" for axis in AXES)
 _CHANNEL_SPELLINGS = {name.lower(): name for name in POSITION_CHANNELS + ROTATION_CHANNELS}
@@ -150,6 +152,8 @@ def parse_hierarchy(lines: Sequence[str], path: Path) -> Hierarchy:
 def _open_joint(tokens: _Tokens, draft: _Draft, *, keyword: _Token, parent: int) -> int:
     """Reads a joint from its name to its channels and returns its index. The keyword was read before."""
     joint = tokens.take_name(keyword)
+    if len(draft.names) == MAX_JOINTS:
+        raise tokens.error(f"the figure has more than {MAX_JOINTS:,} joints", line=keyword.line)
     if joint in draft.names:
         raise tokens.error(f'joint name "{joint}" appears twice; names must be unique')
     tokens.take_word("{")

@@ -21,6 +21,10 @@ PositionRule = Literal["auto", "absolute", "add"]
 _UNITS = ((10.0, 1.0), (300.0, 0.01), (np.inf, 0.001))
 
 
+MAX_HIERARCHY_BYTES = 4_000_000
+"""Longest text before the word MOTION. That of a figure with fingers and face has about 100 kB."""
+
+
 def load_bvh(
     path: Path | str, *, metres_per_unit: float | None = None, root_positions: PositionRule = "auto"
 ) -> BvhClip:
@@ -46,6 +50,8 @@ def load_bvh(
         raise UserError(f"{path}:1: not a BVH file: it starts with {start!r} instead of HIERARCHY")
     word = re.search(rb"^[ \t]*MOTION[ \t\r]*$\n?", data, flags=re.IGNORECASE | re.MULTILINE)
     head = data[: word.start()] if word else data
+    if len(head) > MAX_HIERARCHY_BYTES:
+        raise UserError(f"{path}: its hierarchy has {len(head):,} bytes, more than {MAX_HIERARCHY_BYTES:,}")
     lines = head.decode("utf-8", errors="replace").split("\n")
     hierarchy = parse_hierarchy(lines, path)
     if not word:
