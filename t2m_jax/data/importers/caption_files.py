@@ -43,7 +43,10 @@ def _tagged_caption(text: str, *, source: str, start: str = "", end: str = "") -
     if "#" in text:
         raise UserError(f"{source}: the caption has a '#', which the text format cannot store; remove it")
     text = " ".join(text.split())
-    line = f"{text}#{' '.join(tag_words(text))}#{start.strip() or 0.0}#{end.strip() or 0.0}"
+    tokens = tag_words(text)
+    if not tokens:
+        raise UserError(f"{source}: the caption {text[:40]!r} has no words; say what the motion shows")
+    line = f"{text}#{' '.join(tokens)}#{start.strip() or 0.0}#{end.strip() or 0.0}"
     return parse_caption(line, source=source)
 
 

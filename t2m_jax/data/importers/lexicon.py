@@ -7,6 +7,7 @@ A general tagger is a heavy dependency, and the project's own captions have a cl
 
 import functools
 import importlib.resources
+import itertools
 import re
 from typing import Any
 
@@ -112,7 +113,7 @@ def tag_words(text: str, *, strict: bool = False) -> tuple[str, ...]:
     words, table = words_in(text), _readings()
     tokens: list[str] = []
     previous = ""
-    for word, following in zip(words, [*words[1:], ""], strict=True):
+    for word, following in itertools.zip_longest(words, words[1:], fillvalue=""):
         if word in SIDES:
             # An adjective before a noun, a noun after "the", else an adverb. "back" and nouns that are also adverbs
             # do not count: "turn left back" and "turn left forward" have adverbs.
