@@ -132,8 +132,17 @@ class TextToMotion:
         Raises:
             UserError: A caption or a number cannot be used.
         """
-        options = {"strategy": strategy, "max_codes": max_codes, "guidance_scale": guidance_scale, "raw": raw}
-        return list(self.generate_each(captions, seed=seed, num_samples=num_samples, stop_rule=stop_rule, **options))
+        motions = self.generate_each(
+            captions,
+            seed=seed,
+            num_samples=num_samples,
+            strategy=strategy,
+            max_codes=max_codes,
+            guidance_scale=guidance_scale,
+            stop_rule=stop_rule,
+            raw=raw,
+        )
+        return list(motions)
 
     def generate_each(
         self,
@@ -156,10 +165,12 @@ class TextToMotion:
         if not 1 <= num_samples <= MAX_SAMPLES:
             raise UserError(f"num-samples: {num_samples} is not a whole number from 1 to {MAX_SAMPLES:,}")
         sampling = self.sampling(strategy, max_codes=max_codes, stop_rule=stop_rule)
-        options = {"seed": seed, "sampling": sampling, "guidance_scale": guidance_scale, "clean": not raw}
         requests = itertools.product(texts, range(num_samples))
         batches = iter(lambda: list(itertools.islice(requests, MAX_BATCH)), [])
-        return itertools.chain.from_iterable(self._generate_batch(batch, **options) for batch in batches)
+        return itertools.chain.from_iterable(
+            self._generate_batch(batch, seed=seed, sampling=sampling, guidance_scale=guidance_scale, clean=not raw)
+            for batch in batches
+        )
 
     def stream(
         self,

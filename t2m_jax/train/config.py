@@ -139,8 +139,9 @@ class ExperimentConfig:
             raise ValueError(f"data_fraction: {self.data_fraction} is not a share above 0 and at most 1")
         names = [field.name for field in dataclasses.fields(self)]
         check_amounts(self, *(name for name in names if name.endswith("_weight")))
-        if "window" in names and self.window > MAX_WINDOW:
-            raise ValueError(f"window: {self.window} frames are more than {MAX_WINDOW}")
+        window = getattr(self, "window", 0)  # generators have none
+        if window > MAX_WINDOW:
+            raise ValueError(f"window: {window} frames are more than {MAX_WINDOW}")
 
 
 Config = TypeVar("Config", bound=ExperimentConfig)

@@ -134,14 +134,13 @@ def run_loop(
     if is_over(step) or step >= total:
         return state
     calls: list[Call] = []
-    intervals = (config.log_every, config.checkpoint_every, *(measurement.every for measurement in measurements))
     with (
         Checkpoints(run, keep=config.keep_checkpoints) as checkpoints,
         open_log(run, first_step=step) as log,
         tqdm(total=total, initial=step, unit="step", disable=None if is_writer() else True) as progress,
     ):
         while step < total:
-            count = min(config.steps_per_call, *(next_multiple(step, every, limit=total) - step for every in intervals))
+            count = next_count(step, config, measurements)
             state, metrics = update(state, count)
             step += count
             calls.append(Call(metrics, count))
@@ -161,9 +160,20 @@ def run_loop(
             if ends_here or asked is not None:
                 break
     if asked is not None and step < total:
-        name = signal.Signals(asked).name
-        raise Interruption(asked, f"{run}: stopped by {name} after step {step}, which is kept; add --resume to go on")
+        raise _interruption(run, asked, step)
     return state
+
+
+def _interruption(run: Path, number: int, step: int) -> Interruption:
+    name = signal.Signals(number).name
+    return Interruption(number, f"{run}: stopped by {name} after step {step}, which is kept; add --resume to go on")
+
+
+def next_count(step: int, config: LoopConfig, measurements: Sequence[Measurement]) -> int:
+    """Returns the number of updates of the call after `step`: nothing is due before its end."""
+    intervals = (config.log_every, config.checkpoint_every, *(measurement.every for measurement in measurements))
+    until_due = (next_multiple(step, every, limit=config.num_steps) - step for every in intervals)
+    return min(config.steps_per_call, *until_due)
 
 
 def next_multiple(step: int, every: int, *, limit: int) -> int:

@@ -378,7 +378,7 @@ def nested(count):
         (nested(20_000), "more than 2,000 joints"),
         (
             nested(3).replace("MOTION\n", "MOTION\n" + "\n" * 20_000_000).replace("Frames", "Frame"),
-            ':20000015: expected "Frames',
+            ':20000016: expected "Frames: <count>"',
         ),
         ("HIERARCHY\n" + "{" * 20_000_000, "its hierarchy has 20,000,010 bytes, more than 4,000,000"),
         ("HIERARCHY\n" + "JOINT a\n" * 1_000_000, "its hierarchy has 8,000,010 bytes"),

@@ -117,6 +117,7 @@ def test_a_bundle_is_complete_and_small(runs, bundle_folder):
         "tokenizer.json",
         "README.md",
         "training_data.json",
+        "manifest.txt",
     }
     card = (bundle_folder / "README.md").read_text(encoding="utf-8")
     assert "num_steps: 8" in card
