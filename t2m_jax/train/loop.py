@@ -1,8 +1,9 @@
 """The training loop."""
 
+import contextlib
 import math
 import signal
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
@@ -134,11 +135,7 @@ def run_loop(
     if is_over(step) or step >= total:
         return state
     calls: list[Call] = []
-    with (
-        Checkpoints(run, keep=config.keep_checkpoints) as checkpoints,
-        open_log(run, first_step=step) as log,
-        tqdm(total=total, initial=step, unit="step", disable=None if is_writer() else True) as progress,
-    ):
+    with _open_run(run, step, config) as (checkpoints, log, progress):
         while step < total:
             count = next_count(step, config, measurements)
             state, metrics = update(state, count)
@@ -146,22 +143,33 @@ def run_loop(
             calls.append(Call(metrics, count))
             asked = asked_to_stop(step)
             is_kept = is_due(step, config.checkpoint_every, last=total) or step == total or asked is not None
-            now = [measurement for measurement in measurements if is_due(step, measurement.every, last=total)]
+            now = [one for one in measurements if is_due(step, one.every, last=total)]
             if now or is_kept or is_due(step, config.log_every, last=total):
                 _log_updates(log, step, calls, speed, progress)
                 calls = []
             for measurement in now:
                 _log_measurement(log, step, measurement, state)
-            ends_here = bool(now) and is_over(step)
+            ends_here = asked is not None or (bool(now) and is_over(step))
             if is_kept or ends_here:
                 checkpoints.save(step, state)
+            if ends_here:
+                break
             if not calls:
                 log.restart_clock()
-            if ends_here or asked is not None:
-                break
     if asked is not None and step < total:
         raise _interruption(run, asked, step)
     return state
+
+
+@contextlib.contextmanager
+def _open_run(run: Path, step: int, config: LoopConfig) -> Iterator[tuple[Checkpoints, MetricLog, Any]]:
+    """Yields the checkpoints, the log and the progress bar of a run."""
+    with (
+        Checkpoints(run, keep=config.keep_checkpoints) as checkpoints,
+        open_log(run, first_step=step) as log,
+        tqdm(total=config.num_steps, initial=step, unit="step", disable=None if is_writer() else True) as progress,
+    ):
+        yield checkpoints, log, progress
 
 
 def _interruption(run: Path, number: int, step: int) -> Interruption:
