@@ -128,3 +128,36 @@ def test_a_killed_training_ends_as_one_that_was_not_killed(training, tmp_path):
     assert_same_checkpoint(run, tmp_path / "unkilled")
     rows = (run / "train.csv").read_text(encoding="utf-8").splitlines()
     assert [int(row.split(",")[0]) for row in rows[1:]] == list(range(1, reached + 6))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("training", ["vqvae"], indirect=True)
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGUSR1"])
+def test_a_training_that_is_asked_to_stop_loses_no_update(training, tmp_path, name):
+    run, number = tmp_path / "run", getattr(signal, name)
+    process = start(training, "--loop.checkpoint_every", "0", "--loop.log_every", "1")
+    wait_for(process, lambda: (run / "train.csv").is_file() and (run / "train.csv").read_text().count("\n") > 20)
+    process.send_signal(number)
+    errors = process.communicate(timeout=PATIENCE)[1]
+    assert process.returncode == 128 + number, errors
+    line = errors.splitlines()[-1]
+    step = int((run / "train.csv").read_text().splitlines()[-1].split(",")[0])
+    assert line.startswith("t2m: error: ") and f"stopped by {name} after step {step}, which is kept" in line
+    assert names(run) == {f"{step}"} and not list(tmp_path.glob(".*"))
+    last = ["--loop.num-steps", f"{step + 5}", "--loop.checkpoint_every", "0"]
+    finish(training, "--resume", *last)
+    finish(training, "--run", f"{tmp_path / 'whole'}", *last)
+    assert_same_checkpoint(run, tmp_path / "whole")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("training", ["vqvae"], indirect=True)
+def test_only_one_process_trains_a_run(training, tmp_path):
+    first = start(training)
+    wait_for(first, lambda: names(tmp_path / "run"))
+    second = start(training, "--resume")
+    errors = second.communicate(timeout=PATIENCE)[1]
+    assert second.returncode == 2 and f"is being written by process {first.pid}" in errors.splitlines()[-1]
+    assert first.poll() is None
+    kill(first)
+    finish(training, "--resume", "--loop.num-steps", f"{newest(tmp_path / 'run', tmp_path) + 2}")

@@ -1,0 +1,84 @@
+"""What is intact in the folder of a model, and what is not."""
+
+import shutil
+
+import pytest
+
+from t2m_jax.checkpoints.audit import audit_model, is_model_folder
+from t2m_jax.checkpoints.bundle import save_bundle
+from t2m_jax.checkpoints.evaluator import save_evaluator
+from t2m_jax.cli.main import main
+from t2m_jax.data.importers.synthetic import write_synthetic_dataset
+from t2m_jax.errors import UserError
+from t2m_jax.train import train
+from tests.tiny import LOOP, drop_manifest, random_bundle, random_evaluator, vqvae_training
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory):
+    """A bundle, an evaluator, a data set and a run on it."""
+    folder = tmp_path_factory.mktemp("models")
+    save_bundle(folder / "bundle", random_bundle(), card="# tiny\n")
+    save_evaluator(folder / "evaluator", random_evaluator())
+    write_synthetic_dataset(folder / "data", num_clips=20, seed=3)
+    train(vqvae_training(folder / "data", folder / "run", loop=LOOP))
+    return folder
+
+
+@pytest.fixture
+def copy(models, tmp_path):
+    """A copy of the models, which may be changed."""
+    return shutil.copytree(models, tmp_path / "models")
+
+
+def flip(path):
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+
+
+def problems(path):
+    return {part.name: part.problem for part in audit_model(path) if part.problem}
+
+
+@pytest.mark.parametrize("name", ["bundle", "evaluator", "run"])
+def test_sound_models_are_intact(models, name, capsys):
+    assert is_model_folder(models / name) and not problems(models / name)
+    assert all(part.has_manifest for part in audit_model(models / name))
+    assert main(["check", f"{models / name}"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) >= 2 and all(line.endswith(": intact") for line in lines)
+
+
+def test_each_damaged_part_of_a_run_is_named(copy, capsys):
+    run = copy / "run"
+    oldest, newest = sorted((run / "checkpoints").iterdir(), key=lambda path: int(path.name))
+    (best,) = (run / "best").iterdir()
+    flip(newest / "_CHECKPOINT_METADATA")
+    flip(best / "weights.safetensors")
+    found = problems(run)
+    assert set(found) == {f"checkpoint {newest.name}", f"best weights of step {best.name}", "model"}
+    assert f"{newest / '_CHECKPOINT_METADATA'}" in found[f"checkpoint {newest.name}"]
+    assert main(["check", f"{run}"]) == 1
+    assert f"checkpoint {oldest.name}: intact\n" in capsys.readouterr().out
+
+
+def test_damage_of_a_bundle_shows(copy):
+    flip(copy / "bundle" / "README.md")
+    assert "README.md: has changed since it was written" in problems(copy / "bundle")["bundle"]
+
+
+def test_what_older_versions_wrote_has_no_checksums(copy, capsys):
+    drop_manifest(copy / "bundle")
+    assert main(["check", f"{copy / 'bundle'}"]) == 0
+    assert "bundle: intact (it has no checksums, because an older version wrote it)\n" in capsys.readouterr().out
+
+
+def test_data_sets_and_other_paths(models, capsys):
+    assert main(["check", f"{models / 'data'}"]) == 0
+    assert "no problems found" in capsys.readouterr().out
+    assert main(["check", f"{models / 'nothing'}"]) == 2
+    assert "there is no such file or folder" in capsys.readouterr().err
+    assert main(["check", f"{models}"]) == 2
+    assert main(["check", "demo"]) == 0
+    with pytest.raises(UserError, match="neither a run, a bundle nor an evaluator"):
+        audit_model(models)
