@@ -1,6 +1,11 @@
-"""The exceptions that end a command with one line."""
+"""The exceptions that end a command with one line, and text that is safe to print."""
 
 import signal
+
+
+def printable(text: str) -> str:
+    """Returns a text with escapes in place of characters that could move the cursor or break the line."""
+    return "".join(character if character.isprintable() else repr(character)[1:-1] for character in text)
 
 
 class UserError(ValueError):

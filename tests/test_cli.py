@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from t2m_jax.cli.main import COMMANDS, main
+from t2m_jax.cli.next_step import show_next
 from t2m_jax.errors import Interruption, UserError
+from t2m_jax.evaluation.report import comparison_table
 from t2m_jax.files import atomic_file
 
 
@@ -247,3 +249,12 @@ def test_view_refuses_in_one_line(tmp_path, monkeypatch, capsys, arguments, name
     assert printed.startswith("t2m: error: ")
     assert named in printed
     assert printed.count("\n") == 1
+
+
+def test_names_of_files_do_not_reach_the_terminal_as_they_are(capsys):
+    show_next("t2m view 'a\x1b[31m.npz'")
+    assert capsys.readouterr().err == "next: t2m view 'a\\x1b[31m.npz'\n"
+    assert (
+        comparison_table(["a\x1b[31m", "b\x07"], []).splitlines()[0]
+        == r"| metric | a\x1b[31m | b\x07 | difference | p |"
+    )

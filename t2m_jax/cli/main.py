@@ -23,7 +23,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 
-from t2m_jax.errors import Interruption, UserError
+from t2m_jax.errors import Interruption, UserError, printable
 
 COMMANDS = {
     "generate": "convert text to motion files",
@@ -71,9 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if debug:
             traceback.print_exc()
         message, code = _explain(error)
-        line = " ".join(message.split())
-        # The message may quote text of the user. It must not move the cursor or break the line.
-        line = "".join(character if character.isprintable() else repr(character)[1:-1] for character in line)
+        line = printable(" ".join(message.split()))  # it may quote text of the user
         line = line if len(line) <= MAX_LINE else f"{line[: MAX_LINE // 2]} ... {line[-MAX_LINE // 2 :]}"
         sys.stderr.write(f"t2m: error: {line}\n")
         return code

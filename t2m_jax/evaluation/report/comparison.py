@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.errors import UserError
+from t2m_jax.errors import UserError, printable
 from t2m_jax.evaluation.report.record import COMPARABLE, Report
 
 PAIRED = (*COMPARABLE, "unit")
@@ -64,7 +64,8 @@ def compare_reports(first: Report, second: Report) -> list[Difference]:
 
 def comparison_table(names: Sequence[str], differences: Sequence[Difference]) -> str:
     """Returns the Markdown table of a comparison; differences with p < 0.05 are bold."""
-    lines = [f"| metric | {names[0]} | {names[1]} | difference | p |", "| --- | ---: | ---: | ---: | ---: |"]
+    first, second = map(printable, names)
+    lines = [f"| metric | {first} | {second} | difference | p |", "| --- | ---: | ---: | ---: | ---: |"]
     for row in differences:
         change = f"{row.second - row.first:+.3f} ± {row.interval:.3f}"
         change = f"**{change}**" if row.p_value < 0.05 else change

@@ -4,6 +4,7 @@ import json
 import re
 from typing import Literal
 
+from t2m_jax.errors import printable
 from t2m_jax.evaluation.report.tables import DIGITS, Cell, Column, Table
 
 MISSING = "-"
@@ -64,7 +65,7 @@ def _plain(cell: Cell | None) -> str:
 
 def _terminal(table: Table, *, color: bool) -> str:
     # A name may contain control characters, which would move the terminal's cursor.
-    names = ["".join(c if c.isprintable() else repr(c)[1:-1] for c in row.name) for row in table.rows]
+    names = [printable(row.name) for row in table.rows]
     texts = [[_plain(row.cells.get(column.metric)) for column in table.columns] for row in table.rows]
     widths = [
         max(len(heading(column)), *(len(row[number]) for row in texts)) for number, column in enumerate(table.columns)
