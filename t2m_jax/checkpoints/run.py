@@ -158,9 +158,16 @@ class Checkpoints:
         return ""
 
     def set_aside_damaged(self) -> None:
-        """Renames damaged checkpoints that are newer than the newest intact one, and says so."""
-        for step in self.steps():
-            if not (problem := self.damage(step)):
+        """Renames damaged checkpoints that are newer than the newest intact one, and says so.
+
+        Raises:
+            UserError: There are checkpoints, but all of them are damaged.
+        """
+        problems = {step: self.damage(step) for step in self.steps()}
+        if problems and all(problems.values()):
+            raise UserError(f"{next(iter(problems.values()))} (no older checkpoint is intact)")
+        for step, problem in problems.items():
+            if not problem:
                 return
             aside = self._folder / f"damaged-{step}-{secrets.token_hex(3)}"
             (self._folder / str(step)).rename(aside)

@@ -257,6 +257,14 @@ def test_a_resumed_run_sets_damaged_checkpoints_aside(copy, caplog):
     assert_same(restore(copy), state_at(6))
 
 
+def test_a_run_does_not_start_over_because_all_its_checkpoints_are_damaged(copy):
+    for step in ("3", "6"):
+        (copy / CHECKPOINTS / step / "manifest.txt").write_text("damaged")
+    for _ in range(2):
+        with pytest.raises(UserError, match=r"6/manifest\.txt: damaged; .* \(no older checkpoint is intact\)"):
+            restore_latest(copy, state_at(0))
+
+
 @pytest.mark.parametrize("version", ["", "format_version: 2\n"])
 def test_checkpoints_of_older_versions_have_no_manifest(copy, version):
     (copy / CHECKPOINTS / "6" / "manifest.txt").unlink()
