@@ -1,5 +1,6 @@
 """The best weights of a run. If there are any, they are loaded from the run instead of its newest checkpoint."""
 
+import contextlib
 import dataclasses
 import shutil
 from collections.abc import Mapping
@@ -76,10 +77,12 @@ def save_best(run: Path, best: Best, fields: Mapping[str, Any]) -> None:
         save_arrays(partial / WEIGHTS_FILE, fields)
         save_config(partial / BEST_FILE, best)
         write_manifest(partial)
-    (run / BEST_FILE).unlink(missing_ok=True)
-    for other in folder.parent.iterdir():
-        if other != folder:
-            shutil.rmtree(other) if other.is_dir() else other.unlink()
+    # What cannot be deleted now does no harm, and goes with the next best weights.
+    with contextlib.suppress(OSError):
+        (run / BEST_FILE).unlink(missing_ok=True)
+        for other in folder.parent.iterdir():
+            if other != folder:
+                shutil.rmtree(other) if other.is_dir() else other.unlink()
 
 
 def forget_best(run: Path) -> None:

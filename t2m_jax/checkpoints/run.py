@@ -206,7 +206,7 @@ class Checkpoints:
             commit_folder(partial, self._folder / str(step))
         steps = sorted((int(path.name) for path in self._folder.iterdir() if path.name.isdecimal()), reverse=True)
         for old in steps[self._keep :] if self._keep else ():
-            shutil.rmtree(self._folder / str(old))
+            shutil.rmtree(self._folder / str(old), ignore_errors=True)
 
     @contextlib.contextmanager
     def _writing(self, step: int) -> Iterator[None]:
