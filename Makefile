@@ -10,12 +10,13 @@ BIN := $(VENV)/bin
 PROMPT ?= a person waves with the left hand
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow lint format notebooks clean
+.PHONY: help demo test test-slow soak lint format notebooks clean
 
 help:
 	@echo "make demo       generate a motion and print where it was saved"
 	@echo "make test       run the tests that take a short time (PYTEST_ARGS=\"...\" for other options of pytest)"
 	@echo "make test-slow  run the other tests"
+	@echo "make soak       attack the readers of files with a million inputs (SOAK_ARGS=\"--inputs 10000\" for fewer)"
 	@echo "make lint       check style, imports and types"
 	@echo "make format     format the code"
 	@echo "make notebooks  run the notebooks and save their outputs"
@@ -48,6 +49,9 @@ test: $(VENV)/.dev
 
 test-slow: $(VENV)/.dev
 	$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
+
+soak: $(VENV)/.dev
+	$(BIN)/python -m tests.fuzz.soak $(SOAK_ARGS)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

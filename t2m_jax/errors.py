@@ -2,10 +2,20 @@
 
 import signal
 
+MAX_LINE = 430
+"""Characters of the longest message; a longer one quotes a long text of a file, or a long list."""
+
 
 def printable(text: str) -> str:
     """Returns a text with escapes in place of characters that could move the cursor or break the line."""
     return "".join(character if character.isprintable() else repr(character)[1:-1] for character in text)
+
+
+def one_line(text: str) -> str:
+    """Returns a text as one printable line; if it is too long, its middle is left out."""
+    line = printable(" ".join(text.splitlines()))
+    half = MAX_LINE // 2
+    return line if len(line) <= MAX_LINE else f"{line[:half]} ... {line[-half:]}"
 
 
 class UserError(ValueError):
@@ -13,6 +23,10 @@ class UserError(ValueError):
 
     The message is one line. It names the file, field or value, says what is wrong, and says what to do.
     """
+
+    def __init__(self, message: str):
+        """Takes the message, which may quote text of the user."""
+        super().__init__(one_line(message))
 
 
 class Interruption(KeyboardInterrupt):

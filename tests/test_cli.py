@@ -1,16 +1,19 @@
 import argparse
 import errno
+import importlib
 import importlib.metadata
+import logging
 import os
 import signal
 import subprocess
 import sys
+import time
 import types
 
 import numpy as np
 import pytest
 
-from t2m_jax.cli.main import COMMANDS, main
+from t2m_jax.cli.main import COMMANDS, _PrintableFormatter, main
 from t2m_jax.cli.next_step import show_next
 from t2m_jax.errors import Interruption, UserError
 from t2m_jax.evaluation.report import comparison_table
@@ -160,6 +163,22 @@ def test_sigterm_removes_what_is_unfinished(command, capsys, tmp_path):
     assert not list(tmp_path.iterdir()) and signal.getsignal(signal.SIGTERM) == before
 
 
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_a_signal_during_an_import_comes_after_it(command, capsys, tmp_path, monkeypatch, number, code):
+    """An exception in the middle of it would end the process without a message: C++ code cannot pass it on."""
+    (tmp_path / "interrupted.py").write_text(f"import os\nos.kill(os.getpid(), {int(number)})\nfinished = True\n")
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def wait(args):
+        assert importlib.import_module("interrupted").finished
+        time.sleep(10)
+
+    command(wait)
+    assert main(["fake"]) == code
+    assert capsys.readouterr().err.startswith("t2m: error: interrupted")
+    sys.modules.pop("interrupted")
+
+
 def test_config_options_reach_the_commands_that_take_them(command):
     seen = []
     command(seen.append, TAKES_CONFIG_OPTIONS=True)
@@ -258,3 +277,23 @@ def test_names_of_files_do_not_reach_the_terminal_as_they_are(capsys):
         comparison_table(["a\x1b[31m", "b\x07"], []).splitlines()[0]
         == r"| metric | a\x1b[31m | b\x07 | difference | p |"
     )
+
+
+def test_names_in_a_data_set_do_not_reach_the_terminal_as_they_are(tmp_path, capsys):
+    (tmp_path / "new_joint_vecs").mkdir()
+    np.save(tmp_path / "Mean.npy", np.zeros(263, np.float32))
+    (tmp_path / "train.txt").write_text("a\x1b[31m\n")
+    assert main(["data", "check", f"{tmp_path}"]) == 1
+    assert "\x1b" not in capsys.readouterr().out
+
+
+def test_the_log_is_printable():
+    record = logging.LogRecord("t2m_jax", logging.WARNING, "", 0, "clip %s", ("a\x1b[31m",), None)
+    assert _PrintableFormatter("%(message)s").format(record) == r"clip a\x1b[31m"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="uses a shell of POSIX")
+def test_a_closed_standard_output_is_no_error():
+    command = f"{sys.executable} -m t2m_jax.cli evaluate --help >&-"
+    result = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stderr) == (0, "")

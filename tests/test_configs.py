@@ -19,7 +19,8 @@ PAIRS = [
     for folder, tokenizer, generator in (
         ("t2m-gpt", "vqvae", "gpt"),
         ("synthetic", "vqvae", "gpt"),
-        ("demo", "rvqvae", "hifigpt"),
+        ("demo", "decoder", "hifigpt"),
+        ("hifigpt", "rvqvae", "hifigpt"),
     )
 ]
 
@@ -53,11 +54,28 @@ def test_the_commands_of_a_header_work(path, monkeypatch):
 
 @pytest.mark.parametrize(("folder", "tokenizer", "generator"), PAIRS, ids=[pair[0].name for pair in PAIRS])
 def test_the_stages_of_a_folder_fit(folder, tokenizer, generator):
-    first, second = (config_of(kind, str(folder / f"{kind}.yaml"), []) for kind in (tokenizer, generator))
+    kinds = {"decoder": "rvqvae"}
+    first, second = (config_of(kinds.get(n, n), str(folder / f"{n}.yaml"), []) for n in (tokenizer, generator))
     assert second.vqvae == first.run
     assert second.data == first.data
     for name in ("num_codes", "num_quantizers"):
         assert getattr(second.model, name) == getattr(first.model, name)
+
+
+def test_the_script_of_the_demo_fits_its_configs():
+    script = (REPOSITORY / "configs" / "demo" / "make.sh").read_text(encoding="utf-8").splitlines()
+    single, _, _, merge, *trainings, bundle = (shlex.split(line)[1:] for line in script if line.startswith("t2m "))
+    configs = [config_of(kind, str(REPOSITORY / path), []) for _, kind, path in trainings]
+    tokenizer, decoder, first, *later = configs
+    assert [f"{config.data}" for config in configs] == [merge[-1], merge[-1], single[-1], merge[-1], merge[-1]]
+    assert (decoder.init, decoder.model) == (tokenizer.run, tokenizer.model)
+    for before, config in zip((first, *later), later, strict=False):
+        assert config.init == before.run
+    assert {config.vqvae for config in (first, *later)} == {decoder.run}
+    assert {repr((config.model, config.caption_encoder)) for config in (first, *later)} == {
+        repr((first.model, first.caption_encoder))
+    }
+    assert bundle[:3] == ["bundle", f"{later[-1].run}", "t2m_jax/bundles/demo"] and (REPOSITORY / bundle[-1]).is_file()
 
 
 def test_the_free_motions_have_captions_and_a_license():

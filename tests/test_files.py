@@ -18,6 +18,7 @@ from t2m_jax.files import (
     atomic_folder,
     check_folder,
     check_output,
+    claim,
     lock,
     read_manifest,
     write_manifest,
@@ -76,7 +77,8 @@ def test_what_killed_processes_left_is_deleted_later(tmp_path):
     old = time.time() - 2 * ABANDONED_SECONDS
     for path in (left, half / "x", half):
         os.utime(path, (old, old))
-    check_output(tmp_path / "a.txt")
+    with claim([tmp_path / "a.txt"]):
+        pass
     with atomic_folder(tmp_path / "folder"):
         pass
     assert names(tmp_path) == [young.name, "folder"]
@@ -103,6 +105,14 @@ def test_one_process_writes_and_the_others_are_told(tmp_path):
     with atomic_folder(path), lock(path):  # taken over from the killed process, and taken again inside
         pass
     assert names(tmp_path) == ["out"]
+
+
+def test_long_names_do_not_share_a_lock(tmp_path):
+    first, second = (tmp_path / f"{'walk' * 60}{number}" for number in (1, 2))
+    with lock(first):
+        assert len(names(tmp_path)) == 1
+        with lock(second):
+            assert len(names(tmp_path)) == 2
 
 
 @pytest.fixture

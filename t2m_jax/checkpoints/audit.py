@@ -1,5 +1,6 @@
 """What is intact in the folder of a model: of a run, a bundle, or an evaluator."""
 
+import functools
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -46,12 +47,14 @@ def audit_model(path: Path) -> list[Part]:
 
 def _audit_run(path: Path) -> Iterator[Part]:
     """Yields what a run has: its checkpoints, the best weights, the copy of its tokenizer, and the model they make."""
-    yield Part("run.yaml", _problem(run_info, path))
+    problem = _problem(run_info, path)
+    yield Part("run.yaml", problem)
+    if problem:
+        return  # it says how the rest is to be read
     with Checkpoints(path) as checkpoints:
         for step in checkpoints.steps():
-            folder = path / CHECKPOINTS / f"{step}"
-            problem = checkpoints.damage(step) or _problem(_check_thoroughly, folder)
-            yield Part(f"checkpoint {step}", problem, has_manifest(folder))
+            listed = has_manifest(path / CHECKPOINTS / f"{step}")
+            yield Part(f"checkpoint {step}", checkpoints.damage(step, thorough=True), listed)
     for folder in sorted((path / BEST_FOLDER).glob("[0-9]*")):
         if folder.is_dir():
             yield _audit_folder(folder, f"best weights of step {folder.name}")
@@ -66,12 +69,8 @@ def _audit_run(path: Path) -> Iterator[Part]:
 
 
 def _audit_folder(folder: Path, name: str) -> Part:
-    return Part(name, _problem(_check_thoroughly, folder), has_manifest(folder))
-
-
-def _check_thoroughly(folder: Path) -> None:
-    if has_manifest(folder):
-        check_folder(folder, thorough=True)
+    check = functools.partial(check_folder, thorough=True, required=False)
+    return Part(name, _problem(check, folder), has_manifest(folder))
 
 
 def _problem(check: Callable[[Path], Any], path: Path) -> str:

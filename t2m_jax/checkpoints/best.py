@@ -97,10 +97,11 @@ def restore_trained(run: Path, like: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         UserError: There is none, it is damaged, or it does not fit `like`.
     """
-    folder, best = _newest(run), find_best(run)
+    folder = _newest(run)
     if folder is not None:
         check_folder(folder)
         return load_arrays(folder / WEIGHTS_FILE, like)
+    best = _find_old_best(run / BEST_FILE)
     if best is not None:
         return load_arrays(run / BEST_FOLDER / f"{best.step}.safetensors", like)
     with Checkpoints(run) as checkpoints:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from tokenizers import Tokenizer
 
 from t2m_jax.checkpoints.clip import TrainedClip, save_clip
+from t2m_jax.checkpoints.derived import add_derived, drop_derived
 from t2m_jax.checkpoints.run import CONFIG_FILE as RUN_CONFIG_FILE
 from t2m_jax.checkpoints.run import DATA_FILE
 from t2m_jax.config import Tagged, load_versioned, save_config
@@ -20,14 +21,16 @@ from t2m_jax.files import (
     check_folder,
     check_new,
     fingerprint,
-    has_manifest,
-    load_arrays,
+    fit_arrays,
+    flatten_tree,
     load_json,
     load_text,
+    read_arrays,
     read_manifest,
     save_arrays,
     save_json,
     save_text,
+    unflatten_tree,
     write_manifest,
 )
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
@@ -144,7 +147,9 @@ class Bundle(NamedTuple):
     def fingerprint(self) -> str:
         """Identifies the model: a digest of sizes, weights, statistics and subwords."""
         words = "" if self.bpe is None else self.bpe.to_str()
-        return fingerprint(f"{self.config!r}{words}", jax.device_get(self.variables), self.normalizer._asdict())
+        # The layout of the folder that it came from does not matter.
+        config = dataclasses.replace(self.config, format_version=MANIFEST_VERSION)
+        return fingerprint(f"{config!r}{words}", jax.device_get(self.variables), self.normalizer._asdict())
 
 
 def bundle_path(name_or_path: str | Path) -> Path:
@@ -193,14 +198,15 @@ def load_bundle(path: Path) -> Bundle:
     if not path.is_dir():
         known = ", ".join(BUNDLED)
         raise UserError(f"{path}: no such model; give a bundle folder, a run folder, or a bundled name ({known})")
-    if has_manifest(path):
-        check_folder(path)
+    check_folder(path, required=False)
     config = load_bundle_config(path)
     if config.format_version >= MANIFEST_VERSION:
         read_manifest(path)  # bundles of older versions have none
     kinds = part_kinds(config)
-    shapes = {kinds[role]: shapes for role, shapes in expected_variables(config).items()}
-    arrays = load_arrays(path / WEIGHTS_FILE, shapes)
+    shapes = flatten_tree({kinds[role]: shapes for role, shapes in expected_variables(config).items()})
+    leaves = {name: (leaf.shape, leaf.dtype) for name, leaf in shapes.items()}
+    found = add_derived(read_arrays(path / WEIGHTS_FILE), leaves.keys())
+    arrays = unflatten_tree(fit_arrays(path / WEIGHTS_FILE, found, leaves))
     normalizer = load_normalizer(path)
     check_statistics_width(path, normalizer, config.tokenizer.feature_dim)
     if (path / CLIP_FOLDER).is_dir() and isinstance(config.text_encoder, ClipReference):
@@ -250,7 +256,7 @@ def save_bundle(path: Path, bundle: Bundle, *, card: str, half: bool = True, cli
         path: Folder to create.
         bundle: The model.
         card: Markdown that describes the model.
-        half: Whether weights are stored in 16 bits.
+        half: Whether the bundle is small: weights have 16 bits, and some follow from others (see `derived`).
         clip: The CLIP to include, if it is the text encoder. Without it, users of the bundle need it by its name.
 
     Raises:
@@ -260,7 +266,8 @@ def save_bundle(path: Path, bundle: Bundle, *, card: str, half: bool = True, cli
     kinds = part_kinds(bundle.config)
     with atomic_folder(path) as folder:
         save_config(folder / CONFIG_FILE, dataclasses.replace(bundle.config, format_version=MANIFEST_VERSION))
-        save_arrays(folder / WEIGHTS_FILE, {kinds[role]: tree for role, tree in bundle.variables.items()}, half=half)
+        arrays = flatten_tree({kinds[role]: tree for role, tree in bundle.variables.items()})
+        save_arrays(folder / WEIGHTS_FILE, drop_derived(arrays) if half else arrays, half=half)
         save_normalizer(folder, bundle.normalizer)
         if bundle.bpe is not None:
             save_bpe(folder, bundle.bpe)

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
@@ -67,7 +68,7 @@ def _hub_snapshot(name: str) -> Path:
                 return Path(folder)
             reason = f"it has no {weights} or no tokenizer"
     raise UserError(
-        f"{name}: no such folder, and not found on the Hugging Face hub ({reason}); download {CONFIG_FILE}, "
+        f"{name}: no such folder, and not on the Hugging Face hub ({shorten(reason, 40)}); download {CONFIG_FILE}, "
         f"tokenizer.json (or vocab.json and merges.txt) and {' or '.join(WEIGHT_FILES)} "
         f"from https://huggingface.co/{name}/tree/main into {user_folder(name)}"
     )

@@ -15,7 +15,6 @@ from t2m_jax.files import (
     atomic_folder,
     check_folder,
     fingerprint,
-    has_manifest,
     load_arrays,
     read_manifest,
     save_arrays,
@@ -95,8 +94,7 @@ def load_trained_evaluator(folder: str | Path) -> TrainedEvaluator:
     path = folder / EVALUATOR_CONFIG
     if not path.is_file():
         raise UserError(f"{folder}: not an evaluator (it has no {path.name}); train one with `t2m train evaluator`")
-    if has_manifest(folder):
-        check_folder(folder)
+    check_folder(folder, required=False)
     found = load_versioned(path, {1: _EvaluatorFolderConfigV1, 2: EvaluatorFolderConfig})
     if found.format_version > 1 and not is_run(folder):
         read_manifest(folder)

@@ -15,7 +15,7 @@ import jax
 from t2m_jax.config import load_versioned, save_config
 from t2m_jax.distributed import is_writer, wait_for_all
 from t2m_jax.errors import UserError
-from t2m_jax.files import PARTIAL, check_folder, commit_folder, first_line, has_manifest, write_manifest
+from t2m_jax.files import PARTIAL, check_folder, commit_folder, first_line, write_manifest
 
 logger = logging.getLogger(__name__)
 
@@ -29,9 +29,6 @@ RESUMABLE_VERSION = 2
 """Oldest version of runs that can be continued."""
 MANIFEST_VERSION = 3
 """In runs of older versions, a checkpoint without a manifest may be intact."""
-
-_DAMAGED = (OSError, LookupError, ValueError, TypeError, AttributeError, RuntimeError)
-"""What Orbax raises for damaged files. It uses their metadata without checking it."""
 
 
 @runtime_checkable
@@ -138,6 +135,9 @@ class Checkpoints:
     def steps(self) -> list[int]:
         """Returns the steps of all checkpoints, the newest first."""
         self._finish()
+        return self._finished_steps()
+
+    def _finished_steps(self) -> list[int]:
         names = [path.name for path in self._folder.iterdir() if path.is_dir()]
         return sorted((int(name) for name in names if name.isdecimal() and str(int(name)) == name), reverse=True)
 
@@ -146,13 +146,10 @@ class Checkpoints:
         """The step of the newest intact checkpoint, None if there is none."""
         return next((step for step in self.steps() if not self.damage(step)), None)
 
-    def damage(self, step: int) -> str:
-        """Returns what is wrong with a checkpoint, "" if it is as it was written."""
-        folder = self._folder / str(step)
-        if not has_manifest(folder) and not self._needs_manifest:
-            return ""  # it was written by an older version
+    def damage(self, step: int, *, thorough: bool = False) -> str:
+        """Returns what is wrong with a checkpoint, "" if it is as it was written; see `check_folder`."""
         try:
-            check_folder(folder)
+            check_folder(self._folder / str(step), thorough=thorough, required=self._needs_manifest)
         except UserError as error:
             return str(error)
         return ""
@@ -163,12 +160,15 @@ class Checkpoints:
         Raises:
             UserError: There are checkpoints, but all of them are damaged.
         """
-        problems = {step: self.damage(step) for step in self.steps()}
-        if problems and all(problems.values()):
-            raise UserError(f"{next(iter(problems.values()))} (no older checkpoint is intact)")
+        problems: dict[int, str] = {}
+        for step in self.steps():
+            if not (problem := self.damage(step)):
+                break
+            problems[step] = problem
+        else:
+            if problems:
+                raise UserError(f"{next(iter(problems.values()))} (no older checkpoint is intact)")
         for step, problem in problems.items():
-            if not problem:
-                return
             aside = self._folder / f"damaged-{step}-{secrets.token_hex(3)}"
             (self._folder / str(step)).rename(aside)
             logger.warning("%s; checkpoint %d is set aside as %s", problem, step, aside.name)
@@ -204,8 +204,7 @@ class Checkpoints:
                 return
             write_manifest(partial)
             commit_folder(partial, self._folder / str(step))
-        steps = sorted((int(path.name) for path in self._folder.iterdir() if path.name.isdecimal()), reverse=True)
-        for old in steps[self._keep :] if self._keep else ():
+        for old in self._finished_steps()[self._keep :] if self._keep else ():
             shutil.rmtree(self._folder / str(old), ignore_errors=True)
 
     @contextlib.contextmanager
@@ -259,7 +258,7 @@ class Checkpoints:
         items = {name: args.StandardRestore({name: value}) for name, value in shapes.items()}
         try:
             restored = self._checkpointer.restore(self._folder / str(step), args=args.Composite(**items))
-        except _DAMAGED as error:
+        except Exception as error:  # Orbax and TensorStore raise all kinds, also `Exception` itself
             raise UserError(
                 f"{self._run}: checkpoint {step} is damaged or does not fit its config ({first_line(error)})"
             ) from error
@@ -269,7 +268,7 @@ class Checkpoints:
 def has_checkpoint(run: Path) -> bool:
     """Returns whether a run has a checkpoint."""
     with Checkpoints(run) as checkpoints:
-        return checkpoints.latest_step is not None
+        return bool(checkpoints.steps())
 
 
 def restore_latest(run: Path, state: State) -> State:
@@ -281,7 +280,8 @@ def restore_latest(run: Path, state: State) -> State:
         if is_writer():
             checkpoints.set_aside_damaged()
         wait_for_all("checked")
-        return checkpoints.restore(state) if checkpoints.steps() else state
+        steps = checkpoints.steps()
+        return type(state)(**checkpoints.restore_step(steps[0], state._asdict())) if steps else state
 
 
 def _destination(leaf: Any) -> jax.ShapeDtypeStruct:

@@ -10,7 +10,7 @@ from t2m_jax.checkpoints.bundle import CONFIG_FILE, bundle_path, check_statistic
 from t2m_jax.checkpoints.run import is_run, run_info
 from t2m_jax.config import load_config, save_config
 from t2m_jax.errors import UserError
-from t2m_jax.files import check_folder, fingerprint, has_manifest, load_arrays, save_arrays, write_manifest
+from t2m_jax.files import check_folder, fingerprint, load_arrays, save_arrays, write_manifest
 from t2m_jax.models.system import TokenizerConfig, find_part, make_module, variable_shapes
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
 
@@ -63,8 +63,7 @@ def load_tokenizer(path: str | Path) -> TrainedTokenizer:
     shapes = variable_shapes(config)
     if (path / CONFIG_FILE).is_file():
         path /= config.kind
-        if has_manifest(path):
-            check_folder(path)
+        check_folder(path, required=False)
         variables = load_arrays(path / f"{config.kind}.safetensors", shapes)
     else:
         variables = restore_trained(path, shapes)

@@ -7,7 +7,7 @@ damaged.
 import argparse
 import sys
 
-from t2m_jax.errors import UserError
+from t2m_jax.errors import UserError, printable
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,6 +38,6 @@ def run(args: argparse.Namespace) -> None:
     parts = audit_model(path)
     for part in parts:
         without = "" if part.has_manifest else " (it has no checksums, because an older version wrote it)"
-        sys.stdout.write(f"{part.name}: {part.problem or f'intact{without}'}\n")
+        sys.stdout.write(printable(f"{part.name}: {part.problem or f'intact{without}'}") + "\n")
     if any(part.problem for part in parts):
         sys.exit(1)

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from t2m_jax.cli.next_step import show_next
+from t2m_jax.errors import printable
 
 MAX_LINES = 20
 """Number of clips or problems that are printed; `check --json` has all problems."""
@@ -75,11 +76,11 @@ def run(args: argparse.Namespace) -> None:
         options = {name: getattr(args, name) for name in ("captions", "rig", "caption_from_name", "info", "seed")}
         report = importers.import_bvh_folder(args.source, args.destination, **options)
     sizes = ", ".join(f"{split} {size}" for split, size in report.split_sizes.items())
-    print(f"{args.destination}: {report.num_clips} clips ({report.num_frames} frames; with mirrored twins): {sizes}")
+    _show(f"{args.destination}: {report.num_clips} clips ({report.num_frames} frames; with mirrored twins): {sizes}")
     for note in report.notes:
-        print(f"  {note}")
+        _show(f"  {note}")
     if report.left_out:
-        print(f"  {len(report.left_out)} clips left out:")
+        _show(f"  {len(report.left_out)} clips left out:")
         _print_lines([f"{name}: {reason}" for name, reason in report.left_out.items()])
     show_next(f"t2m data check {shlex.quote(str(args.destination))}")
 
@@ -94,27 +95,32 @@ def check_dataset(folder: Path, report_file: Path | None) -> None:
     report = audit_dataset(folder)
     if report_file:
         save_json(report_file, dataclasses.asdict(report))
-    print(f"{report.folder}: {report.name or 'unnamed'}, skeleton {report.skeleton}, {report.fps:g} frames per second")
+    _show(f"{report.folder}: {report.name or 'unnamed'}, skeleton {report.skeleton}, {report.fps:g} frames per second")
     for split, count in report.splits.items():
-        print(
+        _show(
             f"  {split:5} {count.clips:6} clips ({count.mirrored} mirrored), {count.hours:.2f} h, "
             f"{count.captions} captions, {count.shortest} to {count.longest} frames"
         )
     for note in report.notes:
-        print(f"  note: {note}")
+        _show(f"  note: {note}")
     if report.problems:
-        print(f"  {len(report.problems)} problems:")
+        _show(f"  {len(report.problems)} problems:")
         _print_lines(report.problems)
         sys.exit(1)
     recipe = "kit_ml/official" if report.skeleton == "kit_ml" else "official"
     run_folder = shlex.quote(f"runs/{folder.resolve().name}-vqvae")
-    print("  no problems found")
+    _show("  no problems found")
     show_next(f"t2m train vqvae {recipe} --statistics data --data {shlex.quote(str(folder))} --run {run_folder}")
 
 
 def _print_lines(lines: list[str]) -> None:
     """Prints the first lines of a list and the number of the others."""
     for line in lines[:MAX_LINES]:
-        print(f"    {line}")
+        _show(f"    {line}")
     if len(lines) > MAX_LINES:
-        print(f"    ... and {len(lines) - MAX_LINES} more")
+        _show(f"    ... and {len(lines) - MAX_LINES} more")
+
+
+def _show(line: str) -> None:
+    """Prints a line that may quote names in files of strangers."""
+    print(printable(line))

@@ -23,7 +23,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 
-from t2m_jax.errors import Interruption, UserError, printable
+from t2m_jax.errors import Interruption, UserError, one_line, printable
 
 COMMANDS = {
     "generate": "convert text to motion files",
@@ -44,24 +44,32 @@ QUIET_LIBRARIES = ("absl", "etils", "flax", "jax", "orbax", "tensorstore")
 EXIT_OK, EXIT_BUG, EXIT_USER_ERROR, EXIT_BROKEN_PIPE = 0, 1, 2, 141
 EXIT_SIGNAL = 128
 """Added to the number of the signal that ended a command: 130 after Ctrl-C, 143 after SIGTERM."""
+IMPORT_SECONDS = 0.05
+"""After this time, a signal that came during an import comes again."""
 REPORT = "run it again with --debug, and report what that prints"
-MAX_LINE = 400
-"""Longest message in characters; a value that a message quotes may be of any length."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Returns the exit code of one run of `t2m`: 0, or 2 after a user error, which is printed as one line."""
+    """Returns the exit code of one run of `t2m`: 0, 2 after a user error, 1 after a bug, or that of a signal.
+
+    Errors are printed as one line.
+    """
+    for name in ("stdout", "stderr"):  # None if it was closed before the start
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 - until the end of the process
     arguments = list(sys.argv[1:] if argv is None else argv)
     # `--debug` may be anywhere before `--`.
     end = arguments.index("--") if "--" in arguments else len(arguments)
     options = [argument for argument in arguments[:end] if argument != "--debug"]
     debug = len(options) < end
     _configure_logging(debug)
+    if not debug:
+        # Orbax reports one unreadable file with many stack traces from its threads.
+        sys.unraisablehook = lambda _: None
     try:
-        with _ended_by_sigterm():
+        with _ended_by_signals():
             code = _run(options + arguments[end:])
-            if sys.stdout is not None:  # None if it was closed before the start
-                sys.stdout.flush()
+            sys.stdout.flush()
         return code
     except BrokenPipeError:
         # The reader (`| head`) has closed the pipe. Without this, Python would fail again when it flushes at exit.
@@ -71,9 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if debug:
             traceback.print_exc()
         message, code = _explain(error)
-        line = printable(" ".join(message.split()))  # it may quote text of the user
-        line = line if len(line) <= MAX_LINE else f"{line[: MAX_LINE // 2]} ... {line[-MAX_LINE // 2 :]}"
-        sys.stderr.write(f"t2m: error: {line}\n")
+        sys.stderr.write(f"t2m: error: {one_line(message)}\n")
         return code
 
 
@@ -94,21 +100,37 @@ def _explain(error: BaseException) -> tuple[str, int]:
 
 
 @contextlib.contextmanager
-def _ended_by_sigterm() -> Iterator[None]:
-    """Turns SIGTERM into an exception in the block, so that temporary files are removed."""
+def _ended_by_signals() -> Iterator[None]:
+    """Turns SIGTERM into an exception in the block, as Python does with Ctrl-C, so that temporary files are removed."""
 
-    def interrupt(number: int, _: FrameType | None) -> None:
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        if _is_importing(frame):
+            # The C++ code of a module that is being imported would crash. So the signal comes again a little later.
+            threading.Timer(IMPORT_SECONDS, signal.raise_signal, [number]).start()
+            return
+        if number == signal.SIGINT:
+            raise KeyboardInterrupt
         signal.signal(number, signal.SIG_IGN)  # a second one must not interrupt the removal
         raise Interruption(number)
 
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGTERM, interrupt) or signal.SIG_DFL
+    before = {signal.SIGTERM: signal.signal(signal.SIGTERM, interrupt) or signal.SIG_DFL}
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # it is ignored in the background
+        before[signal.SIGINT] = signal.signal(signal.SIGINT, interrupt) or signal.SIG_DFL
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _is_importing(frame: FrameType | None) -> bool:
+    """Returns whether a module is being imported in a frame or in one of its callers."""
+    while frame is not None and frame.f_globals.get("__name__") != "importlib._bootstrap":
+        frame = frame.f_back
+    return frame is not None
 
 
 class _Parser(argparse.ArgumentParser):
@@ -181,13 +203,23 @@ def _run_without_command(arguments: list[str]) -> int:
     return EXIT_OK
 
 
+class _PrintableFormatter(logging.Formatter):
+    """Names in a stranger's file must not change the terminal."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Returns the lines of a record with escapes."""
+        return "\n".join(map(printable, super().format(record).split("\n")))
+
+
 def _configure_logging(debug: bool) -> None:
     """Logs the project's messages to standard error. Unless debugging, hides the warnings of other libraries."""
 
     def is_relevant(record: logging.LogRecord) -> bool:
         return record.levelno >= logging.ERROR or record.name.partition(".")[0] not in QUIET_LIBRARIES
 
-    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    logging.basicConfig(level=logging.INFO, stream=sys.stderr)
+    for handler in logging.getLogger().handlers:
+        handler.setFormatter(_PrintableFormatter("%(message)s"))
     if debug:
         return
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")  # XLA's own log; the variable is read when jax is imported

@@ -16,7 +16,7 @@ import shutil
 import sys
 import time
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -36,8 +36,6 @@ CACHE_FOLDER, CACHE_NAME = ".t2m-cache", "clips"
 FRAMES, INDEX = "frames.npy", "index.json"
 BLOCK = 4 * 2**20
 """Bytes per checksum of the frames."""
-BLOCKS_AT_OPENING = 50
-"""Number of blocks that are compared with their checksums when a cache is opened: 200 MB, a fraction of a second."""
 ABANDONED_SECONDS = 3600.0
 """Age after which an unfinished cache is deleted: the process that wrote it was killed."""
 
@@ -54,8 +52,14 @@ class CachedClips(NamedTuple):
     """Clip name -> why it cannot be used."""
     broken_captions: Mapping[str, int]
     """Clip name -> number of caption lines that cannot be read, for clips that have such lines."""
-    fingerprint: str
-    """Identifies the contents: names, frames and captions of all clips, wherever the folder is."""
+    blocks: list[int]
+    """Checksums of the blocks of `frames`."""
+
+    @property
+    def fingerprint(self) -> str:
+        """Identifies the contents: names, frames and captions of all clips, wherever the folder is."""
+        tables = (self.spans, self.lines, self.left_out, self.broken_captions)
+        return _hash(json.dumps([[list(table.items()) for table in tables], self.blocks]))
 
     def features(self, name: str) -> Float[np.ndarray, "T D"]:
         """Returns the rows of a clip, a view of `frames`."""
@@ -113,8 +117,13 @@ def cache_places(folder: Path) -> tuple[Path, Path]:
     return folder / CACHE_FOLDER / CACHE_NAME, user_folder / CACHE_NAME / _hash(str(folder.resolve()))
 
 
-def open_clips(folder: Path, *, feature_dim: int) -> CachedClips:
+def open_clips(folder: Path, *, feature_dim: int, names: Collection[str] = ()) -> CachedClips:
     """Returns the clips of a folder from its cache. A cache that is missing, stale or damaged is made first.
+
+    Args:
+        folder: The data set.
+        feature_dim: Width of its features.
+        names: Clips whose frames will be read. They are compared with their checksums.
 
     Raises:
         UserError: The cache cannot be written anywhere.
@@ -124,7 +133,7 @@ def open_clips(folder: Path, *, feature_dim: int) -> CachedClips:
     for place in places:
         if place.exists():
             try:
-                return load_cache(place, sources)
+                return load_cache(place, sources, names)
             except _UnusableError as error:
                 logger.warning("%s: %s; the cache is rebuilt", place, error)
     problems = []
@@ -135,21 +144,21 @@ def open_clips(folder: Path, *, feature_dim: int) -> CachedClips:
             problems.append(str(error))
         # Also after a failure: another process may have finished its cache in the meantime.
         try:
-            return load_cache(place, sources)
+            return load_cache(place, sources, names)
         except _UnusableError as error:
             problems.append(f"{place}: {error}")
     raise UserError(
-        f"{folder}: no room for the cache of its clips, neither at {places[0]} nor at {places[1]} ({problems[0]})"
+        f"{folder}: no room for the cache of its clips: it {problems[0].rpartition(': ')[2]}; nor at {places[1]}"
     )
 
 
-def load_cache(path: Path, sources: Sources, *, every_block: bool = False) -> CachedClips:
+def load_cache(path: Path, sources: Sources, names: Collection[str] | None = ()) -> CachedClips:
     """Returns the clips in a cache.
 
     Args:
         path: The cache.
         sources: The files that it must have been made from.
-        every_block: Compare all frames with their checksums. By default only a sample is compared.
+        names: Clips whose frames are compared with their checksums; None for all. A gigabyte takes 0.2 s.
 
     Raises:
         _UnusableError: The cache is damaged, was made from other files, or cannot be read.
@@ -160,11 +169,12 @@ def load_cache(path: Path, sources: Sources, *, every_block: bool = False) -> Ca
             raise _UnusableError("its index is damaged")
         if index["fingerprint"] != sources.fingerprint:
             raise _StaleError("the data set has changed since")
+        clips = _clips_from_index(index, np.asarray(load_array(path / FRAMES, mmap=True)))
         with (path / FRAMES).open("rb") as file:
-            for block, checksum in _block_checksums(file, limit=None if every_block else BLOCKS_AT_OPENING):
-                if checksum != index["blocks"][block]:
+            for block in _blocks_of(clips, names, file.seek(0, os.SEEK_END)):
+                if _block_checksum(file, block) != clips.blocks[block]:
                     raise _UnusableError(f"its frames are damaged at byte {block * BLOCK} or later")
-        return _clips_from_index(index, np.asarray(load_array(path / FRAMES, mmap=True)))
+        return clips
     except OSError as error:
         raise _UnusableError(f"cannot be read ({error.strerror})") from error
     except (ValueError, AttributeError, LookupError, TypeError, RecursionError) as error:
@@ -177,7 +187,7 @@ def damage(path: Path, sources: Sources) -> str:
     A stale cache is never used, so damage in it does no harm and is not reported.
     """
     try:
-        load_cache(path, sources, every_block=True)
+        load_cache(path, sources, None)
     except _StaleError:
         return ""
     except _UnusableError as error:
@@ -190,15 +200,19 @@ def _checksum(index: Mapping[str, Any]) -> int:
     return zlib.crc32(json.dumps(index).encode())
 
 
-def _block_checksums(file: BinaryIO, *, limit: int | None = None) -> Iterator[tuple[int, int]]:
-    """Yields block number and checksum of a file: of all blocks, or of `limit` blocks from the first to the last.
+def _block_checksum(file: BinaryIO, block: int) -> int:
+    file.seek(block * BLOCK)
+    return zlib.crc32(file.read(BLOCK))
 
-    The header of the `.npy` file is part of the first block.
-    """
-    count = -(-file.seek(0, os.SEEK_END) // BLOCK)
-    for block in np.linspace(0, count - 1, min(count, limit or count)).astype(int).tolist():
-        file.seek(block * BLOCK)
-        yield block, zlib.crc32(file.read(BLOCK))
+
+def _blocks_of(clips: CachedClips, names: Collection[str] | None, size: int) -> list[int]:
+    """Returns the blocks of a file of `size` bytes that contain its header or the frames of some clips (None: all)."""
+    if names is None:
+        return list(range(-(-size // BLOCK)))
+    row, header = clips.frames.strides[0], size - clips.frames.nbytes
+    spans = [clips.spans[name] for name in names if name in clips.spans]
+    edges = ((header + first * row, header + end * row - 1) for first, end in spans)
+    return sorted({0}.union(*(range(first // BLOCK, last // BLOCK + 1) for first, last in edges)))
 
 
 def _clips_from_index(index: dict[str, Any], frames: Float[np.ndarray, "F D"]) -> CachedClips:
@@ -215,8 +229,7 @@ def _clips_from_index(index: dict[str, Any], frames: Float[np.ndarray, "F D"]) -
     names = [name for name, _, _ in index["clips"]]
     lines = {name: clip_lines for name, _, clip_lines in index["clips"]}
     spans = dict(zip(names, itertools.pairwise(ends), strict=True))
-    contents = _hash(json.dumps([index[name] for name in ("clips", "left_out", "broken_captions", "blocks")]))
-    return CachedClips(frames, spans, lines, index["left_out"], index["broken_captions"], contents)
+    return CachedClips(frames, spans, lines, index["left_out"], index["broken_captions"], index["blocks"])
 
 
 def _build(path: Path, folder: Path, sources: Sources, *, feature_dim: int) -> None:
@@ -234,7 +247,8 @@ def _build(path: Path, folder: Path, sources: Sources, *, feature_dim: int) -> N
     with atomic_folder(path) as partial, (partial / FRAMES).open("w+b") as file:
         index = _write_clips(file, folder, sources.names, feature_dim=feature_dim)
         index |= {"fingerprint": sources.fingerprint}
-        index |= {"blocks": [checksum for _, checksum in _block_checksums(file)]}
+        count = -(-file.seek(0, os.SEEK_END) // BLOCK)
+        index |= {"blocks": [_block_checksum(file, block) for block in range(count)]}
         save_text(partial / INDEX, json.dumps(index | {"checksum": _checksum(index)}))
     with contextlib.suppress(OSError):
         path.with_suffix(".cache").unlink()  # the cache in the format before this one

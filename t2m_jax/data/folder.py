@@ -50,6 +50,7 @@ class DatasetInfo:
     """Text that must be shown wherever something derived from the data is shown."""
 
     def __post_init__(self) -> None:
+        skeleton_from_name(self.skeleton)
         if not 0 < self.fps <= MAX_FPS:
             raise ValueError(f"fps: {self.fps} is not a number of frames per second above 0 and up to {MAX_FPS:g}")
         if not 1 <= self.min_frames <= self.max_frames:
@@ -142,7 +143,7 @@ class Dataset:
         """
         names = [name for name in self.names(split) if mirrored or not name.startswith(MIRROR_PREFIX)]
         names = nested_choice(names, fraction=fraction, seed=seed)
-        cached = open_clips(self.folder, feature_dim=self.skeleton.feature_dim)
+        cached = open_clips(self.folder, feature_dim=self.skeleton.feature_dim, names=names)
         usable = [name for name in names if name in cached.spans]
         if len(usable) < len(names):
             unusable = (name for name in names if name not in cached.spans)

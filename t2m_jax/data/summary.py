@@ -20,7 +20,7 @@ class TrainingData:
     num_clips: int
     """Number of clips, including mirrored twins."""
     clips_per_action: dict[str, int]
-    """Number of clips per label of `index.csv`; empty if the data set has no labels."""
+    """Number of clips per label of `index.csv`, of composed clips per number of their actions; empty without labels."""
     words: dict[str, int]
     """Number of uses per lower-case word of the captions, in the basic form if the caption files have tokens."""
 
@@ -28,7 +28,7 @@ class TrainingData:
 def summarize_training_data(dataset: Dataset, clips: Sequence[Clip]) -> TrainingData:
     """Returns the record of some clips of a data set. The most frequent actions and words come first."""
     index = load_index(dataset.folder)
-    labels = Counter(label for clip in clips if index and (label := index.label(clip.name)))
+    labels = Counter(_action(label) for clip in clips if index and (label := index.label(clip.name)))
     words = Counter(token.partition("/")[0].lower() for tokens in all_tokens(clips) for token in tokens)
     return TrainingData(
         data=dataset.info.name,
@@ -36,6 +36,12 @@ def summarize_training_data(dataset: Dataset, clips: Sequence[Clip]) -> Training
         clips_per_action=dict(labels.most_common()),
         words=dict(words.most_common()),
     )
+
+
+def _action(label: str) -> str:
+    """Returns a label, or for one such as `walk + wave`, of which there are hundreds, how many actions it has."""
+    count = label.count(" + ") + 1
+    return label if count == 1 else f"{count} actions in turn"
 
 
 def save_training_data(path: Path, data: TrainingData) -> None:

@@ -1,5 +1,6 @@
 """NumPy archives, which keep everything that a `Motion` has."""
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -61,6 +62,10 @@ def load_npz(path: str | Path) -> Motion:
         kinds, ndims, description = ENTRIES[key]
         if value.dtype.kind not in kinds or value.ndim not in ndims:
             raise UserError(f"{path}: entry {key!r} should hold {description}, not {value.dtype} {value.shape}")
+    for key, value in archive.items():
+        # NumPy makes texts of numbers that are no characters; CPython fails when it uses them.
+        if value.dtype.kind == "U" and _largest_character(value) > sys.maxunicode:
+            raise UserError(f"{path}: entry {key!r} has numbers that are no characters")
     fields: dict[str, Any] = {key: value if value.ndim else value.item() for key, value in archive.items()}
     if "codes" in archive and archive["codes"].ndim == 1:
         fields["codes"] = archive["codes"][:, None]
@@ -68,3 +73,8 @@ def load_npz(path: str | Path) -> Motion:
         return Motion(**fields | {"skeleton": skeleton_from_name(fields.get("skeleton", HUMANML3D.name))})
     except UserError as error:
         raise UserError(f"{path}: {error}") from error
+
+
+def _largest_character(texts: np.ndarray) -> int:
+    native = texts.astype(texts.dtype.newbyteorder("="))
+    return int(np.frombuffer(native.tobytes(), np.uint32).max(initial=0))

@@ -1,13 +1,20 @@
 """Locks: one process at a time writes a destination."""
 
 import contextlib
-import logging
-from collections.abc import Iterable, Iterator
+import zlib
+from collections.abc import Iterator
 from pathlib import Path
 
 from t2m_jax.errors import UserError
 
-logger = logging.getLogger(__name__)
+MAX_NAME = 60
+"""Longest name that is repeated in the names of locks and unfinished files. File systems limit names to 255 bytes."""
+
+
+def short_name(path: Path) -> str:
+    """Returns the name of a destination, or a shorter one that stands for it."""
+    name = path.name
+    return name if len(name) <= MAX_NAME else f"{name[: MAX_NAME // 2]}-{zlib.crc32(name.encode(errors='replace')):08x}"
 
 
 @contextlib.contextmanager
@@ -23,7 +30,7 @@ def lock(path: Path) -> Iterator[None]:
     """
     from filelock import SoftFileLock, Timeout  # here, because reading needs no locks
 
-    place = path.absolute().with_name(f".{path.name[:60]}.lock")
+    place = path.absolute().with_name(f".{short_name(path)}.lock")
     holder = SoftFileLock(place, timeout=0, is_singleton=True, thread_local=False)
     try:
         holder.acquire()
@@ -34,23 +41,3 @@ def lock(path: Path) -> Iterator[None]:
         yield
     finally:
         holder.release()
-
-
-@contextlib.contextmanager
-def claim(outputs: Iterable[Path]) -> Iterator[None]:
-    """Holds the locks of files that a command is going to write, and says which of them will be replaced.
-
-    Raises:
-        UserError: Another process is writing one of them, or its folder cannot be written.
-    """
-    with contextlib.ExitStack() as held:
-        for path in outputs:
-            try:
-                held.enter_context(lock(path))
-            except OSError as error:
-                raise UserError(
-                    f"{path}: cannot be written ({error.strerror or error}); choose another place"
-                ) from error
-            if path.exists():
-                logger.info("%s: exists and will be replaced", path)
-        yield

@@ -103,6 +103,7 @@ def load_archive(path: Path) -> dict[str, np.ndarray]:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
                 for key in archive.files:
                     arrays[key] = archive[key]
+                    arrays[key].dtype  # noqa: B018 - something else than an array is given as its bytes
         except (*DAMAGED_ARRAY, zlib.error, AttributeError, NotImplementedError) as error:
             where = f"entry {key!r} is damaged or holds Python objects" if key else "this is not a complete .npz file"
             raise UserError(f"{path}: {where} ({first_line(error)})") from None

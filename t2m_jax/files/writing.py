@@ -8,16 +8,19 @@ import concurrent.futures
 import contextlib
 import errno
 import json
+import logging
 import os
 import secrets
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from t2m_jax.errors import UserError
-from t2m_jax.files.locks import lock
+from t2m_jax.files.locks import lock, short_name
+
+logger = logging.getLogger(__name__)
 
 ABANDONED_SECONDS = 3600.0
 """Age after which the unfinished contents of a file or folder are deleted: the process that wrote them was killed."""
@@ -36,12 +39,6 @@ def check_output(path: str | os.PathLike[str]) -> Path:
         UserError: The path is a folder or a device, or its folder does not exist or is not writable.
     """
     path = Path(path)
-    _check_place(path)
-    _delete_abandoned(path)
-    return path
-
-
-def _check_place(path: Path) -> None:
     folder = path.absolute().parent
     try:
         if path.is_dir():
@@ -54,6 +51,28 @@ def _check_place(path: Path) -> None:
             raise UserError(f"{path}: cannot be written (no permission); choose another place")
     except OSError as error:  # such as a name that is too long
         raise UserError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
+    return path
+
+
+@contextlib.contextmanager
+def claim(outputs: Iterable[Path]) -> Iterator[None]:
+    """Holds the locks of files that a command is going to write, and says which of them will be replaced.
+
+    Deletes what killed processes left of their attempts.
+
+    Raises:
+        UserError: Another process is writing one of them, or its folder cannot be written.
+    """
+    with contextlib.ExitStack() as held:
+        for path in outputs:
+            try:
+                held.enter_context(lock(path))
+            except OSError as error:
+                raise _unwritable(path, error) from error
+            _delete_abandoned(path)
+            if path.exists():
+                logger.info("%s: exists and will be replaced", path)
+        yield
 
 
 def check_new(path: Path) -> None:
@@ -72,8 +91,7 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     Raises:
         UserError: `path` cannot be written, or the disk is full.
     """
-    path = Path(path)
-    _check_place(path)
+    path = check_output(path)
     target = path.resolve() if path.is_symlink() else path
     # The suffix is kept because encoders choose the container by it.
     partial = _partial(target, path.suffix)
@@ -136,12 +154,11 @@ def _unwritable(path: Path, error: OSError) -> UserError:
 
 
 def _partial(path: Path, suffix: str) -> Path:
-    # The start of the name is enough to find it again, and file systems limit the length.
     return path.with_name(f"{_partial_start(path)}{secrets.token_hex(8)}{PARTIAL}{suffix}")
 
 
 def _partial_start(path: Path) -> str:
-    return f".{path.name[:60]}."
+    return f".{short_name(path)}."
 
 
 def _delete_abandoned(path: Path) -> None:

@@ -18,9 +18,9 @@ from t2m_jax.motion.features import gaussian_kernel
 from t2m_jax.motion.rotations import cross_product, unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 
-SIGMA = 0.045
+SIGMA = 0.035
 """Standard deviation of the Gaussian that smooths; seconds."""
-TORSO_SIGMA = 0.17
+TORSO_SIGMA = 0.07
 """The same for the shape of the torso, which changes slowly; seconds."""
 BONE_ROUNDS = 10
 """Rounds of moving joints towards the lengths of their bones."""

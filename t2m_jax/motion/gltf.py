@@ -73,7 +73,8 @@ def load_gltf(path: Path | str, *, fps: float = 20.0) -> dict[str, BvhClip]:
         room = MAX_POSES
         for number, animation in enumerate(glb.tree.get("animations", [])):
             name = str(animation.get("name") or f"animation_{number}")
-            clip = _sample(glb, nodes, animation, fps=fps, room=room)
+            with np.errstate(over="ignore", invalid="ignore"):  # what is too large is then found not to be finite
+                clip = _sample(glb, nodes, animation, fps=fps, room=room)
             room -= clip.num_frames * len(nodes.names)
             clips[name if name not in clips else f"{name}_{number}"] = clip
     except UserError as error:

@@ -20,6 +20,8 @@ logger = logging.getLogger(__name__)
 START, END, UNKNOWN = "sos", "eos", "unk"
 MAX_WORDS = 20
 """Words of a caption that are read; the rest is cut."""
+MAX_VALUE = 1e6
+"""Size of a number in a word vector from which on it must be a mistake; those of GloVe are below 10."""
 MIN_COUNT = 3
 """Default number of uses in training captions that a word needs to be in the vocabulary."""
 TEXT_LENGTH = MAX_WORDS + 2
@@ -176,11 +178,11 @@ def _glove_vectors(path: Path, words: frozenset[str]) -> dict[str, Float[np.ndar
             if word not in words or word in found:
                 continue
             try:
-                vector = np.array(rest.split(), np.float32)
+                vector = np.array(rest.split(), np.float64)
             except ValueError as error:
                 raise UserError(f"{path}:{number}: expected a word and numbers; give a GloVe text file") from error
             width = width or len(vector)
-            if len(vector) != width or not width or not np.isfinite(vector).all():
-                raise UserError(f"{path}:{number}: expected a word and {width or 'some'} finite numbers")
-            found[word] = vector
+            if len(vector) != width or not width or not (np.abs(vector) < MAX_VALUE).all():
+                raise UserError(f"{path}:{number}: expected a word and {width or 'some'} numbers below {MAX_VALUE:g}")
+            found[word] = vector.astype(np.float32)
     return found

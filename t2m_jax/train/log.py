@@ -114,7 +114,7 @@ def _keep_rows(path: Path, last_step: int) -> list[str]:
         return []
     lines = load_text(path).splitlines(keepends=True)
     rows = [(line.split(",")[0], line) for line in lines[1:] if line.endswith("\n")]
-    kept = [line for step, line in rows if step.isdecimal() and int(step) <= last_step]
+    kept = [line for step, line in rows if step.isdecimal() and len(step) < 20 and int(step) <= last_step]
     if not kept:
         path.unlink()
         return []

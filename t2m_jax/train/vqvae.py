@@ -280,7 +280,7 @@ def prepare(config: TrainVqVaeConfig, resume: bool) -> Setup:
         UserError: The data do not fit the model, or a decoder is to be trained without a tokenizer in `init`.
     """
     dataset, normalizer = open_training_data(config, reader="the VQ-VAE", resume=resume)
-    if config.trained == "decoder":
+    if config.trained == "decoder" and not resume:
         _check_codes_stay(config.init, normalizer)
     compiled, is_padded = compiled_config(config), config.short_clips == "pad"
     # The original takes every clip that is as long as a window, also those that its other stages find too short.

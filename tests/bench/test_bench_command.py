@@ -132,7 +132,7 @@ def test_a_report_of_another_machine_or_of_other_rows_is_refused(stored, capsys)
         ("train --steps-per-call 0", "--steps-per-call 0"),
         ("train --kind gpt --size demo --batch 4 --num-parts 3", "num_parts: 3 does not divide"),
         ("sample --repeats 0", "--repeats 0"),
-        ("sample --codes 1000", "--codes 1000 is more than the model's 20"),
+        ("sample --codes 1000", "--codes 1000 is more than the model's 25"),
         ("evaluate --devices 0", "--devices 0"),
         ("data --devices 100", "--devices 100, but there are"),
         ("data --data no-such-folder --batch 2", "no-such-folder"),

@@ -62,6 +62,12 @@ def test_each_damaged_part_of_a_run_is_named(copy, capsys):
     assert f"checkpoint {oldest.name}: intact\n" in capsys.readouterr().out
 
 
+def test_a_run_whose_description_is_damaged_is_read_no_further(copy):
+    (copy / "run" / "run.yaml").write_text("kind: [")
+    (part,) = audit_model(copy / "run")
+    assert part.name == "run.yaml" and "cannot read this YAML" in part.problem
+
+
 def test_damage_of_a_bundle_shows(copy):
     flip(copy / "bundle" / "README.md")
     assert "README.md: has changed since it was written" in problems(copy / "bundle")["bundle"]

@@ -1,5 +1,6 @@
 """Bundles: what was saved comes back, and what is broken is refused by name."""
 
+import functools
 import shutil
 
 import jax
@@ -12,7 +13,7 @@ from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.errors import UserError
 from t2m_jax.files import load_arrays, read_arrays, read_manifest, save_arrays, unflatten_tree
-from tests.tiny import BUNDLE, drop_manifest, random_bundle
+from tests.tiny import BUNDLE, HIFIGPT_BUNDLE, drop_manifest, random_bundle
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +51,8 @@ def refused(folder) -> str:
 
 def test_round_trip(saved):
     original, loaded = random_bundle(), load_bundle(saved)
+    codebook = original.variables["tokenizer"]["codebook"]["quantizer"]
+    codebook["ema_sum"] = codebook["codebook"] * codebook["ema_count"][:, None]
     assert loaded.config == BUNDLE
     jax.tree.map(
         lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-4),
@@ -64,6 +67,20 @@ def test_round_trip(saved):
 def test_weights_take_two_bytes_a_number(saved):
     count = sum(leaf.size for leaf in jax.tree.leaves(random_bundle().variables))
     assert (saved / WEIGHTS_FILE).stat().st_size < 2 * count + 20_000
+
+
+@pytest.mark.parametrize("half", [True, False])
+def test_small_bundles_leave_out_sums_and_copies_of_codes(tmp_path, half):
+    bundle = random_bundle(HIFIGPT_BUNDLE)
+    codebook = bundle.variables["tokenizer"]["codebook"]["quantizer"]
+    if half:
+        codebook["ema_sum"] = codebook["codebook"] * codebook["ema_count"][:, None]
+    bundle.variables["generator"]["codebook"]["codebook"] = codebook["codebook"]
+    save_bundle(tmp_path / "small", bundle, card="", half=half)
+    left_out = {"rvqvae/codebook/quantizer/ema_sum", "hifigpt/codebook/codebook"}
+    assert left_out.isdisjoint(read_arrays(tmp_path / "small" / WEIGHTS_FILE)) == half
+    loaded = load_bundle(tmp_path / "small").variables
+    jax.tree.map(functools.partial(np.testing.assert_allclose, rtol=2e-3, atol=1e-4), bundle.variables, loaded)
 
 
 def test_everybody_may_read_it(saved):
@@ -109,6 +126,7 @@ def test_a_bundle_of_an_older_version_gets_a_manifest_when_it_is_saved(copy, tmp
     assert old.config.format_version == 2
     save_bundle(tmp_path / "new", old, card="")
     assert load_bundle(tmp_path / "new").config.format_version == 3
+    assert load_bundle(tmp_path / "new").fingerprint == old.fingerprint != random_bundle(seed=11).fingerprint
     assert list(read_manifest(tmp_path / "new")) == sorted({path.name for path in copy.iterdir()})
 
 

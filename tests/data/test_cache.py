@@ -236,7 +236,7 @@ def test_a_damaged_cache_is_rebuilt(folder, file, spoil, caplog):
 def test_another_array_is_refused_whatever_its_checksums_say(folder, change, monkeypatch):
     read(folder)
     (place(folder) / FRAMES).write_bytes(change(contents(folder)[FRAMES]))
-    monkeypatch.setattr(cache, "_block_checksums", lambda *_, **__: [])
+    monkeypatch.setattr(cache, "_blocks_of", lambda *_: [])
     with pytest.raises(cache._UnusableError):
         cache.load_cache(place(folder), cache.scan_sources(folder, feature_dim=WIDTH))
 
@@ -253,21 +253,25 @@ def test_every_bit_counts(folder):
         assert cache.damage(place(folder), sources) == ""
 
 
-def test_opening_looks_at_a_sample_and_the_audit_at_everything(folder, monkeypatch):
+def test_the_frames_that_are_read_are_checked_and_the_audit_checks_all(folder, monkeypatch):
     monkeypatch.setattr(cache, "BLOCK", 4096)
-    monkeypatch.setattr(cache, "BLOCKS_AT_OPENING", 3)
-    read(folder)
+    first, end = read(folder).spans["b"]
     content = contents(folder)[FRAMES]
+    for row in (first, end - 1):
+        before_the_end = (len(read(folder).frames) - row) * 4 * WIDTH
+        (place(folder) / FRAMES).write_bytes(flipped(content, len(content) - before_the_end))
+        (clip,) = open_dataset(folder).clips("val")
+        np.testing.assert_array_equal(clip.features, np.load(folder / FEATURES / "b.npy"))
+        assert contents(folder)[FRAMES] == content
     (place(folder) / FRAMES).write_bytes(flipped(content, 3 * 4096))
     read(folder)
     (problem,) = [problem for problem in audit_dataset(folder).problems if CACHE_FOLDER in problem]
     assert problem == (
         f"{place(folder)}: its frames are damaged at byte 12288 or later; delete it, and it will be rebuilt"
     )
-    for position in (0, len(content) - 1):
-        (place(folder) / FRAMES).write_bytes(flipped(content, position))
-        read(folder)
-        assert contents(folder)[FRAMES] == content
+    (place(folder) / FRAMES).write_bytes(flipped(content, 0))
+    read(folder)
+    assert contents(folder)[FRAMES] == content
 
 
 def test_a_stale_cache_is_no_problem(folder):
@@ -324,7 +328,7 @@ def test_without_room_beside_the_data_the_users_cache_folder_serves(folder, tmp_
     check_whole(folder)
     shutil.rmtree(own.parent)
     own.parent.write_text("and here as well")
-    with pytest.raises(UserError, match=r"no room for the cache .*clips nor at"):
+    with pytest.raises(UserError, match=r"no room for the cache of its clips: it cannot be written .*; nor at .*clips"):
         read(folder)
 
 

@@ -38,6 +38,13 @@ def test_clips_are_counted_by_label_and_words_by_use(tmp_path):
     assert found.words == {"he": 3, "turn": 2, "left": 2, "turns": 1, "right": 1}
 
 
+def test_composed_clips_are_counted_by_their_number_of_actions(tmp_path):
+    labels = ("walk + wave", "wave + walk", "walk + wave + run", "walk")
+    save_index(tmp_path, [IndexRow(f"{number}", "", label) for number, label in enumerate(labels)])
+    found = summarize_training_data(dataset_in(tmp_path), [clip(f"{number}") for number in range(4)])
+    assert found.clips_per_action == {"2 actions in turn": 2, "3 actions in turn": 1, "walk": 1}
+
+
 def test_without_labels_no_action_is_counted(tmp_path):
     found = summarize_training_data(dataset_in(tmp_path), [clip("a", Caption("walk"))])
     assert found.clips_per_action == {} and found.words == {"walk": 1}

@@ -149,10 +149,10 @@ def test_unknown_rigs_and_joints_are_named(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("- a\n", "one line per joint"),
-        ("a: [\n", "is not YAML"),
+        ("- a\n", "expected .field: value. lines"),
+        ("a: [\n", "cannot read this YAML"),
         ("pelvis: 3\n", "pelvis needs a joint name"),
-        (None, "no such file"),
+        (None, "no such config file"),
     ],
 )
 def test_bad_rig_files_are_named(tmp_path, text, message):

@@ -160,9 +160,9 @@ def test_vectors_of_a_table(tmp_path):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ("a 1 2\nb 1\n", ":2: expected a word and 2 finite numbers"),
-        ("a\n", ":1: expected a word and some finite numbers"),
-        ("a 1 nan\n", ":1: expected a word and 2 finite"),
+        ("a 1 2\nb 1\n", ":2: expected a word and 2 numbers below 1e+06"),
+        ("a\n", ":1: expected a word and some numbers below 1e+06"),
+        ("a 1 nan\n", ":1: expected a word and 2 numbers below 1e+06"),
         ("a 1 x\n", ":1: expected a word and numbers"),
         ("c 1 2\n", "has none of the 2 words"),
         (None, "there is no such file"),

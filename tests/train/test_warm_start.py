@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 
 import jax
@@ -45,9 +46,13 @@ def test_a_tokenizer_starts_from_a_model(runs, bundle, tmp_path, source):
 
 def test_a_decoder_is_trained_alone_and_all_motion_keeps_its_codes(runs, tmp_path):
     optimizer = dataclasses.replace(OPTIMIZER, weight_decay=0.1, warmup_steps=0)
-    fields = {"init": runs.vqvae, "trained": "decoder", "optimizer": optimizer}
+    init = shutil.copytree(runs.vqvae, tmp_path / "init")
+    fields = {"init": init, "trained": "decoder", "optimizer": optimizer}
     config = dataclasses.replace(vqvae_training(runs.data, tmp_path / "run", loop=SHORT), **fields)
     train(config)
+    longer = dataclasses.replace(config, loop=dataclasses.replace(SHORT, num_steps=2))
+    shutil.rmtree(init)
+    train(longer, resume=True)
     before, after = load_tokenizer(runs.vqvae).variables, load_tokenizer(config.run).variables
     for part in ("encoder", "quantizer"):
         assert_same(after["params"].get(part, {}), before["params"].get(part, {}), rtol=0)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
+from t2m_jax.motion.bvh.hierarchy import MAX_VALUE
 
 _NUMBER_BYTES = np.zeros(256, dtype=bool)
 _NUMBER_BYTES[list(b"0123456789+-.eE \t\r\n\f\v")] = True
@@ -49,9 +50,9 @@ def parse_motion(text: bytes, path: Path, *, first_line: int, num_channels: int)
     if values.size != num_frames * num_channels:  # NumPy reads "1-2" as two numbers, but it is one word
         raise _bad_word(text, path, first_row)
     values = values.reshape(num_frames, num_channels)
-    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    bad = np.flatnonzero(~(np.abs(values) < MAX_VALUE).all(axis=1))
     if bad.size:
-        raise UserError(f"{path}:{first_row + row_lines[bad[0]]}: a value is too large to be a finite number")
+        raise UserError(f"{path}:{first_row + row_lines[bad[0]]}: a value is not a finite number below {MAX_VALUE:g}")
     return MotionTable(values=values, fps=fps)
 
 

@@ -1,6 +1,5 @@
 """The HIERARCHY section of a BVH file: names, parents, offsets and channels of the joints."""
 
-import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,6 +11,8 @@ from jaxtyping import Float
 from t2m_jax.errors import UserError
 
 AXES = "XYZ"
+MAX_VALUE = 1e9
+"""Size of an offset or a channel from which on it must be a mistake: a thousand kilometers in millimeters."""
 MAX_JOINTS = 2000
 """Most joints of a figure. Those with fingers, face and clothes have up to some hundred."""
 POSITION_CHANNELS = tuple(f"{axis}position" for axis in AXES)
@@ -84,8 +85,8 @@ class _Tokens:
             value = float(token.text)
         except ValueError:
             raise self.error(f'{field}: "{token.text}" is not a number') from None
-        if not math.isfinite(value):
-            raise self.error(f"{field}: {token.text} is not finite")
+        if not abs(value) < MAX_VALUE:
+            raise self.error(f"{field}: {token.text} is not a finite number below {MAX_VALUE:g}")
         return value
 
     def take_name(self, keyword: _Token) -> str:

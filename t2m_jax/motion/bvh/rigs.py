@@ -4,11 +4,9 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import yaml
-
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_text
 from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.yaml_file import load_yaml
 
 # A rig may lack these joints. They are placed between their neighbors.
 OPTIONAL_JOINTS = ("spine1", "spine2", "spine3", "left_collar", "right_collar", "head")
@@ -54,13 +52,12 @@ def make_rig(table: Mapping[str, str | Sequence[str]], *, name: str) -> Rig:
 
 
 def load_rig(path: Path | str) -> Rig:
-    """Returns the rig of a YAML file with one line per joint, such as `pelvis: Hips`."""
-    try:
-        table = yaml.safe_load(load_text(Path(path)))
-    except yaml.YAMLError as error:
-        raise UserError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(table, dict):
-        raise UserError(f"{path}: needs one line per joint, such as `pelvis: Hips`")
+    """Returns the rig of a YAML file with one line per joint, such as `pelvis: Hips`.
+
+    Raises:
+        UserError: The file cannot be read, or has no such lines.
+    """
+    table = load_yaml(path).data
     for joint, names in table.items():
         spellings = names if isinstance(names, list) else [names]
         if not isinstance(joint, str) or not spellings or not all(isinstance(one, str) for one in spellings):

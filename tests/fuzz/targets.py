@@ -1,0 +1,153 @@
+"""What is attacked: intact files, and the functions that read them."""
+
+import csv
+import dataclasses
+import json
+import shutil
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from t2m_jax.bench import load_report as load_bench_report
+from t2m_jax.bench import save_report as save_bench_report
+from t2m_jax.checkpoints.bundle import load_bundle, load_bundle_config, save_bundle
+from t2m_jax.checkpoints.clip_files import read_clip_config
+from t2m_jax.checkpoints.evaluator import load_trained_evaluator, save_evaluator
+from t2m_jax.checkpoints.run import run_info
+from t2m_jax.checkpoints.tokenizer import load_tokenizer
+from t2m_jax.checkpoints.torch_file import load_torch_file
+from t2m_jax.data import open_dataset
+from t2m_jax.data.audit import audit_dataset
+from t2m_jax.data.files import read_names
+from t2m_jax.data.importers.caption_files import load_caption_table
+from t2m_jax.data.importers.synthetic import make_motion, write_synthetic_dataset
+from t2m_jax.data.index import IndexRow, load_index, save_index
+from t2m_jax.data.texts import load_captions
+from t2m_jax.evaluation.report import Header, load_report
+from t2m_jax.evaluation.run import load_partial
+from t2m_jax.export.formats import load_motion
+from t2m_jax.files import read_arrays, read_manifest
+from t2m_jax.motion.bvh.rigs import load_rig
+from t2m_jax.motion.gltf import load_gltf
+from t2m_jax.motion.normalizer import load_normalizer
+from t2m_jax.motion.record import Motion
+from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.text.bpe import load_bpe
+from t2m_jax.text.clip_bpe import load_clip_bpe
+from t2m_jax.text.word_vectors import load_vocabulary, load_word_vectors
+from t2m_jax.train import train
+from t2m_jax.train.experiment import load_run_config
+from t2m_jax.train.log import _keep_rows
+from tests.bench.conftest import report as bench_report
+from tests.data.bvh_files import write_bvh
+from tests.motion.glb_files import write_person
+from tests.tiny import LOOP, random_bundle, random_evaluator, vqvae_training
+
+GOLDEN = Path(__file__).parents[1] / "golden"
+GLB_ARM = {"Root": (None, (0.0, 100.0, 0.0)), "Arm": ("Root", (50.0, 0.0, 0.0)), "Hand": ("Arm", (0.0, 0.0, 20.0))}
+HEADER = {"protocol": "strict", "data": "d_1", "split": "test", "num_samples": 64, "evaluator": "ab%c", "seed": 0}
+METRIC = {"mean": 1.5, "interval": 0.5, "repeats": [1.0, 2.0]}
+CAPTIONS = "a man waves.#a/DET man/NOUN wave/VERB#0.0#0.0\nhe turns left#he/PRON turn/VERB left/ADV#0.5#2.5\n"
+
+
+def make_files(root: Path) -> None:
+    """Writes one intact file or folder for each target."""
+    save_bundle(root / "bundle", random_bundle(), card="# tiny\n")
+    save_evaluator(root / "evaluator", random_evaluator())
+    write_synthetic_dataset(root / "data", num_clips=20, seed=3)
+    audit_dataset(root / "data")
+    train(vqvae_training(root / "data", root / "run", loop=LOOP))
+    shutil.copytree(root / "run", root / "checkpoint", ignore=shutil.ignore_patterns("best", "best.yaml", "4"))
+    _make_motions(root)
+    _make_texts(root)
+    for name in ("full", "text_only"):
+        shutil.copytree(GOLDEN / "clip" / name, root / "clip" / name)
+    for path in (GOLDEN / "torch").iterdir():
+        shutil.copy(path, root / path.name)
+
+
+def _make_motions(root: Path) -> None:
+    write_bvh(root / "motion.bvh", num_frames=4)
+    write_person(root / "motion.glb", GLB_ARM, {"quarter": 90.0})
+    Motion(positions=make_motion("walk", seed=1, num_frames=8), fps=20.0).save(root / "motion.npz")
+    np.save(root / "joints.npy", make_motion("walk", seed=1, num_frames=4).astype(np.float32))
+
+
+def _make_texts(root: Path) -> None:
+    (root / "captions.txt").write_text(CAPTIONS)
+    (root / "table.txt").write_text("walk: a person walks\nwave\ta man waves twice\n")
+    with (root / "table.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([["file", "caption", "start", "end"], ["walk.bvh", "a person walks", "0", "1.5"]])
+    save_index(root, [IndexRow("a", "one, two.bvh", "turn-left, happy"), IndexRow("b", "b.bvh", "")])
+    (root / "rig.yaml").write_text("".join(f"{joint}: [{joint}, a {joint}]\n" for joint in HUMANML3D.joint_names))
+    (root / "glove.txt").write_text("walk 0.1 0.2 -0.3\nman 1e-3 0 4\n")
+    rows = {"real": {"fid": METRIC}, "generated": {"fid": METRIC}}
+    (root / "report.json").write_text(json.dumps(HEADER | {"rows": rows}))
+    save_bench_report(root / "bench.json", bench_report())
+    (root / "partial.json").write_text(
+        json.dumps({"header": dataclasses.asdict(Header(**HEADER)), "repeats": [[{"fid": 1.0}, {"fid": 2.0}]] * 2})
+    )
+
+
+def read_partial(path: Path) -> object:
+    return load_partial(path, Header(**HEADER))
+
+
+FILES: Mapping[str, Callable[[Path], object]] = {
+    "motion.bvh": lambda root: load_motion(root / "motion.bvh"),
+    "motion.glb": lambda root: load_gltf(root / "motion.glb"),
+    "motion.npz": lambda root: load_motion(root / "motion.npz"),
+    "joints.npy": lambda root: load_motion(root / "joints.npy"),
+    "captions.txt": lambda root: load_captions(root / "captions.txt"),
+    "table.txt": lambda root: load_caption_table(root, root / "table.txt"),
+    "table.csv": lambda root: load_caption_table(root, root / "table.csv"),
+    "index.csv": load_index,
+    "rig.yaml": lambda root: load_rig(root / "rig.yaml"),
+    "glove.txt": lambda root: load_word_vectors(root / "glove.txt", ("walk", "man", "she")),
+    "report.json": lambda root: load_report(root / "report.json"),
+    "partial.json": lambda root: read_partial(root / "partial.json"),
+    "bench.json": lambda root: load_bench_report(root / "bench.json"),
+    "zip.pth": lambda root: load_torch_file(root / "zip.pth"),
+    "legacy.tar": lambda root: load_torch_file(root / "legacy.tar"),
+    "protocol4.pth": lambda root: load_torch_file(root / "protocol4.pth"),
+    "bundle/bundle.yaml": lambda root: load_bundle_config(root / "bundle"),
+    "bundle/Mean.npy": lambda root: load_normalizer(root / "bundle"),
+    "bundle/tokenizer.json": lambda root: load_bpe(root / "bundle"),
+    "bundle/weights.safetensors": lambda root: read_arrays(root / "bundle" / "weights.safetensors"),
+    "bundle/manifest.txt": lambda root: read_manifest(root / "bundle"),
+    "evaluator/words.txt": lambda root: load_vocabulary(root / "evaluator" / "words.txt"),
+    "data/train.txt": lambda root: read_names(root / "data" / "train.txt"),
+    "data/dataset.yaml": lambda root: open_dataset(root / "data"),
+    "run/config.yaml": lambda root: load_run_config(root / "run"),
+    "run/run.yaml": lambda root: run_info(root / "run"),
+    "run/train.csv": lambda root: _keep_rows(root / "run" / "train.csv", 4),
+    "clip/full/config.json": lambda root: read_clip_config(root / "clip" / "full"),
+    "clip/full/tokenizer.json": lambda root: load_clip_bpe(root / "clip" / "full"),
+}
+"""Files that are read into memory, below the folder that `make_files` fills -> what reads them."""
+
+
+def read_bundle(root: Path) -> dict[str, Any]:
+    bundle = load_bundle(root / "bundle")
+    return dict(bundle.variables) | bundle.normalizer._asdict()
+
+
+def read_evaluator(root: Path) -> dict[str, Any]:
+    evaluator = load_trained_evaluator(root / "evaluator")
+    return evaluator.variables | evaluator.normalizer._asdict()
+
+
+def read_clips(root: Path) -> dict[str, Any]:
+    return {clip.name: clip.features for clip in open_dataset(root / "data").clips("train")}
+
+
+FOLDERS: Mapping[str, Callable[[Path], dict[str, Any]]] = {
+    "bundle": read_bundle,
+    "evaluator": read_evaluator,
+    "run/best/8": lambda root: load_tokenizer(root / "run").variables,
+    "checkpoint/checkpoints/8": lambda root: load_tokenizer(root / "checkpoint").variables,
+    "data/.t2m-cache": read_clips,
+}
+"""Folders of several files -> what returns the arrays in them."""
