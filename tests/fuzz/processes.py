@@ -163,6 +163,7 @@ def kill_often(folder: Path, group: str, *, seed: int, count: int) -> Iterator[s
         if command.resume is not None and (folder / command.result).exists():
             finish(command.resume, folder)
             _check_same(command, folder / command.result, right[command.result])
+        _remove(folder / command.result)
 
 
 def race_often(folder: Path, *, count: int) -> Iterator[str]:
