@@ -3,6 +3,7 @@
 import contextlib
 import json
 import math
+import struct
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -25,6 +26,8 @@ DAMAGED_ARRAY = (
     zipfile.BadZipFile,
 )
 """What `np.load` raises for damaged files. It parses the header as Python source and trusts the sizes in it."""
+DAMAGED_ARCHIVE = (zlib.error, struct.error, AttributeError, LookupError, RuntimeError)
+"""What it also raises for damaged archives; `RuntimeError` for encrypted ones and unknown compression."""
 
 
 def first_line(error: BaseException) -> str:
@@ -104,7 +107,7 @@ def load_archive(path: Path) -> dict[str, np.ndarray]:
                 for key in archive.files:
                     arrays[key] = archive[key]
                     arrays[key].dtype  # noqa: B018 - something else than an array is given as its bytes
-        except (*DAMAGED_ARRAY, zlib.error, AttributeError, NotImplementedError) as error:
+        except (*DAMAGED_ARRAY, *DAMAGED_ARCHIVE) as error:
             where = f"entry {key!r} is damaged or holds Python objects" if key else "this is not a complete .npz file"
             raise UserError(f"{path}: {where} ({first_line(error)})") from None
     return arrays
