@@ -211,6 +211,7 @@ from t2m_jax.cli import main as program
 def run(args):
     import absl.logging
     absl.logging.warning("hidden")
+    absl.logging.error("hidden, because Orbax raises it, too")
     for name in ("jax._src.xla_bridge", "orbax.checkpoint"):
         logging.getLogger(name).warning("hidden")
         logging.getLogger(name).error("shown %s", name)

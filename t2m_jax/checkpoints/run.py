@@ -3,9 +3,12 @@
 import concurrent.futures
 import contextlib
 import dataclasses
+import errno
 import logging
+import os
 import secrets
 import shutil
+import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Protocol, TypeVar, runtime_checkable
@@ -29,6 +32,10 @@ RESUMABLE_VERSION = 2
 """Oldest version of runs that can be continued."""
 MANIFEST_VERSION = 3
 """In runs of older versions, a checkpoint without a manifest may be intact."""
+
+
+DELETE_TRIES, DELETE_SECONDS = 20, 0.1
+"""After Orbax has failed, its threads write for a moment. So their files are deleted again, after this time."""
 
 
 @runtime_checkable
@@ -121,6 +128,7 @@ class Checkpoints:
         # Saving goes on while training does; the next save and closing wait for it.
         self._thread = concurrent.futures.ThreadPoolExecutor(1)
         self._unfinished: concurrent.futures.Future[None] | None = None
+        self._saves = False
 
     def __enter__(self) -> "Checkpoints":
         return self
@@ -131,6 +139,8 @@ class Checkpoints:
         finally:
             self._thread.shutdown()
             self._checkpointer.close()
+            if self._saves:  # what is unfinished may be another process's
+                self._delete_unfinished()
 
     def steps(self) -> list[int]:
         """Returns the steps of all checkpoints, the newest first."""
@@ -185,9 +195,8 @@ class Checkpoints:
         fields = {name: value for name, value in state._asdict().items() if jax.tree.leaves(value)}
         items = {name: args.StandardSave({name: value}) for name, value in fields.items()}
         partial = self._folder / f".{step}{PARTIAL}"
-        if is_writer():
-            for leftover in self._folder.glob(f".*{PARTIAL}*"):
-                shutil.rmtree(leftover)
+        self._saves = True
+        self._delete_unfinished()
         wait_for_all("save")
         with self._writing(step):
             self._checkpointer.save(partial, args=args.Composite(**items))
@@ -212,10 +221,20 @@ class Checkpoints:
         try:
             yield
         except (OSError, ValueError, RuntimeError) as error:  # what Orbax raises for a full disk
-            raise UserError(
-                f"{self._folder / str(step)}: the checkpoint cannot be written ({first_line(error)}); make room, then "
-                "resume the run"
-            ) from error
+            no_space = os.strerror(errno.ENOSPC)
+            reason = no_space if no_space in str(error) else first_line(error)
+            path = self._folder / str(step)
+            raise UserError(f"{path}: the checkpoint cannot be written ({reason}); make room, then resume") from error
+
+    def _delete_unfinished(self) -> None:
+        """Deletes what could not be written, or what a killed process left."""
+        for _ in range(DELETE_TRIES if is_writer() else 0):
+            leftovers = list(self._folder.glob(f".*{PARTIAL}*"))
+            for leftover in leftovers:
+                shutil.rmtree(leftover, ignore_errors=True)
+            if not any(leftover.exists() for leftover in leftovers):
+                break
+            time.sleep(DELETE_SECONDS)
 
     def _finish(self) -> None:
         """Waits for the save in progress."""

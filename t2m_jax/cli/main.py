@@ -38,8 +38,10 @@ COMMANDS = {
 }
 """Commands in the order of use, with their help. The module of a command has its name."""
 
-QUIET_LIBRARIES = ("absl", "etils", "flax", "jax", "orbax", "tensorstore")
+QUIET_LIBRARIES = ("absl", "asyncio", "etils", "flax", "jax", "orbax", "tensorstore")
 """Libraries whose warnings do not concern the user. Only their errors are shown."""
+REPEATING_LOGGERS = ("absl", "asyncio")
+"""Loggers of errors that Orbax raises, too: hundreds of lines for a full disk."""
 
 EXIT_OK, EXIT_BUG, EXIT_USER_ERROR, EXIT_BROKEN_PIPE = 0, 1, 2, 141
 EXIT_SIGNAL = 128
@@ -215,7 +217,9 @@ def _configure_logging(debug: bool) -> None:
     """Logs the project's messages to standard error. Unless debugging, hides the warnings of other libraries."""
 
     def is_relevant(record: logging.LogRecord) -> bool:
-        return record.levelno >= logging.ERROR or record.name.partition(".")[0] not in QUIET_LIBRARIES
+        library = record.name.partition(".")[0]
+        shown_from = logging.CRITICAL if library in REPEATING_LOGGERS else logging.ERROR
+        return record.levelno >= shown_from or library not in QUIET_LIBRARIES
 
     logging.basicConfig(level=logging.INFO, stream=sys.stderr)
     for handler in logging.getLogger().handlers:

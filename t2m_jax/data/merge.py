@@ -1,6 +1,5 @@
 """Putting several data sets into one folder."""
 
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -49,7 +48,8 @@ def _copy_clip(name: str, dataset: Dataset, folder: Path) -> int:
     """Copies the files of a clip and returns its number of frames."""
     for part in (f"{FEATURES}/{name}.npy", f"{POSITIONS}/{name}.npy", f"{TEXTS}/{name}.txt"):
         with reading(dataset.folder / part):
-            shutil.copyfile(dataset.folder / part, folder / part)
+            contents = (dataset.folder / part).read_bytes()
+        (folder / part).write_bytes(contents)
     return len(load_array(folder / FEATURES / f"{name}.npy", mmap=True))
 
 

@@ -23,6 +23,7 @@ from t2m_jax.files.writing import (
     commit_folder,
     save_json,
     save_text,
+    writing,
 )
 
 __all__ = [
@@ -55,4 +56,5 @@ __all__ = [
     "save_weights",
     "unflatten_tree",
     "write_manifest",
+    "writing",
 ]

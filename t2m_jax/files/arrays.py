@@ -1,6 +1,7 @@
 """Nested dictionaries of arrays as safetensors files."""
 
 import hashlib
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -50,7 +51,11 @@ def fingerprint(text: str, arrays: Mapping[str, Any], *others: Mapping[str, Any]
 def save_weights(path: Path, arrays: Mapping[str, np.ndarray], *, metadata: dict[str, str] | None = None) -> None:
     """Writes arrays by name as a safetensors file that everybody may read."""
     with atomic_file(path) as partial:
-        save_file(dict(arrays), partial, metadata=metadata)
+        try:
+            save_file(dict(arrays), partial, metadata=metadata)
+        except SafetensorError as error:  # it has the system's number of the error in its text
+            number = re.search(r"os error (\d+)", str(error))
+            raise OSError(int(number[1]) if number else None, str(error).partition(" (os")[0]) from error
         partial.chmod(0o644)  # safetensors makes its files private, but models are made to be shared
 
 

@@ -26,6 +26,10 @@ ABANDONED_SECONDS = 3600.0
 """Age after which the unfinished contents of a file or folder are deleted: the process that wrote them was killed."""
 PARTIAL = ".partial"
 """Part of the names of files and folders that are not finished."""
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Numbers of the errors for a full disk, a used up quota and the limit on the size of a file."""
+SHORT_WRITE = "requested and"
+"""What NumPy writes in its error in place of a number if there was no room for an array."""
 SYNC_THREADS = 16
 """Files of a folder that are brought to the disk at once. Each waits for the disk."""
 
@@ -55,6 +59,19 @@ def check_output(path: str | os.PathLike[str]) -> Path:
 
 
 @contextlib.contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turns the errors of a full disk, and of a path that cannot be written, into a `UserError`."""
+    try:
+        yield
+    except OSError as error:
+        reason, is_full = error.strerror or str(error), error.errno in FULL
+        if SHORT_WRITE in reason:
+            reason, is_full = os.strerror(errno.ENOSPC), True
+        advice = "make room, then try again" if is_full else "choose another place"
+        raise UserError(f"{path}: cannot be written ({reason}); {advice}") from error
+
+
+@contextlib.contextmanager
 def claim(outputs: Iterable[Path]) -> Iterator[None]:
     """Holds the locks of files that a command is going to write, and says which of them will be replaced.
 
@@ -65,10 +82,8 @@ def claim(outputs: Iterable[Path]) -> Iterator[None]:
     """
     with contextlib.ExitStack() as held:
         for path in outputs:
-            try:
+            with writing(path):
                 held.enter_context(lock(path))
-            except OSError as error:
-                raise _unwritable(path, error) from error
             _delete_abandoned(path)
             if path.exists():
                 logger.info("%s: exists and will be replaced", path)
@@ -95,19 +110,18 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     target = path.resolve() if path.is_symlink() else path
     # The suffix is kept because encoders choose the container by it.
     partial = _partial(target, path.suffix)
+    # What is in an unfinished folder is brought to the disk with it, thousands of files at once; so are its errors.
+    is_inside = any(part.endswith(PARTIAL) for part in target.parts)
     try:
-        yield partial
-        if target.exists():
-            partial.chmod(target.stat().st_mode & 0o777)
-        # What is in an unfinished folder is brought to the disk with it, thousands of files at once.
-        is_inside = any(part.endswith(PARTIAL) for part in target.parts)
-        if not is_inside:
-            _sync(partial)
-        partial.replace(target)
-        if not is_inside:
-            _sync(target.absolute().parent)
-    except OSError as error:
-        raise _unwritable(path, error) from error
+        with contextlib.nullcontext() if is_inside else writing(path):
+            yield partial
+            if target.exists():
+                partial.chmod(target.stat().st_mode & 0o777)
+            if not is_inside:
+                _sync(partial)
+            partial.replace(target)
+            if not is_inside:
+                _sync(target.absolute().parent)
     finally:
         partial.unlink(missing_ok=True)
 
@@ -122,7 +136,7 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         UserError: `path` exists already, cannot be written, or another process is making it.
     """
     check_new(path)
-    try:
+    with writing(path):
         path.absolute().parent.mkdir(parents=True, exist_ok=True)
         with lock(path):
             check_new(path)
@@ -134,8 +148,6 @@ def atomic_folder(path: Path) -> Iterator[Path]:
                 commit_folder(partial, path)
             finally:
                 shutil.rmtree(partial, ignore_errors=True)
-    except OSError as error:
-        raise _unwritable(path, error) from error
 
 
 def commit_folder(partial: Path, path: Path) -> None:
@@ -145,12 +157,6 @@ def commit_folder(partial: Path, path: Path) -> None:
             pass
     partial.replace(path)
     _sync(path.absolute().parent)
-
-
-def _unwritable(path: Path, error: OSError) -> UserError:
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return UserError(f"{path}: cannot be written ({error.strerror}); make room, then try again")
-    return UserError(f"{path}: cannot be written ({error.strerror or error}); choose another place")
 
 
 def _partial(path: Path, suffix: str) -> Path:

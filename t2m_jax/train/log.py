@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 from PIL import Image
-from tensorboardX import SummaryWriter
 
 from t2m_jax.distributed import is_writer
-from t2m_jax.files import load_text, save_text
+from t2m_jax.files import atomic_file, load_text, save_text, writing
+from t2m_jax.train.tensorboard import Board
 
 logger = logging.getLogger(__name__)
 
@@ -31,11 +31,10 @@ class MetricLog:
 
     def __init__(self, run: Path, *, first_step: int):
         """Opens the log of a run; rows after `first_step` are removed when a file is first written to."""
-        run.mkdir(parents=True, exist_ok=True)
         self._run = run
         self._first_step = first_step
         self._columns: dict[str, list[str]] = {}
-        self._board = SummaryWriter(str(run / "tensorboard"), purge_step=first_step + 1 if first_step else None)
+        self._board = Board(run / "tensorboard", first_step=first_step)
         self._last_row = time.perf_counter()
 
     def __enter__(self) -> "MetricLog":
@@ -50,7 +49,7 @@ class MetricLog:
         if split not in self._columns:
             self._columns[split] = _keep_rows(path, self._first_step) or ["step", *metrics]
         is_new = not path.exists()
-        with path.open("a", newline="", encoding="utf-8") as file:
+        with writing(path), path.open("a", newline="", encoding="utf-8") as file:
             # A run of an earlier version may lack columns of today. Its files keep their own columns.
             writer = csv.DictWriter(file, self._columns[split], extrasaction="ignore", lineterminator="\n")
             if is_new:
@@ -73,12 +72,12 @@ class MetricLog:
         """Adds a picture of motions to TensorBoard, and a PNG file to the run."""
         folder = self._run / PICTURES
         folder.mkdir(exist_ok=True)
-        Image.fromarray(picture).save(folder / f"{step}.png")
-        self._board.add_image("motion", picture, step, dataformats="HWC")
+        with atomic_file(folder / f"{step}.png") as partial:
+            Image.fromarray(picture).save(partial)
+        self._board.add_picture(step, "motion", picture)
 
     def _show(self, split: str, step: int, metrics: Mapping[str, float], *, title: str) -> None:
-        for name, value in metrics.items():
-            self._board.add_scalar(f"{split}/{name}", value, step)
+        self._board.add_values(step, {f"{split}/{name}": value for name, value in metrics.items()})
         # There are too many metrics of single depths for a line.
         words = ", ".join(f"{name} {value:.4g}" for name, value in metrics.items() if "/" not in name)
         logger.info("step %d, %s: %s", step, title, words)

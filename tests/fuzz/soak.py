@@ -1,8 +1,8 @@
-"""Attacks all readers with many inputs, then kills and races commands: `make soak`. Prints a line for each target.
+"""Attacks all readers with many inputs, then kills commands, races them and fills their disk: `make soak`.
 
-Exits with 1 if an input was neither read nor refused in one line, or took too long or too much memory, or if a command
-that was killed left something that is not whole. Such inputs are kept in the folder `soak`, and their bugs get a
-regression test by a file in `corpus`.
+Prints a line for each target. Exits with 1 if an input was neither read nor refused in one line, or took too long or
+too much memory, or if a command that was interrupted left something that is not whole. Such inputs are kept in the
+folder `soak`, and their bugs get a regression test by a file in `corpus`.
 """
 
 import argparse
@@ -72,6 +72,7 @@ def main() -> int:
     parser.add_argument("--flips", type=int, default=2000, help="flipped bits of each folder")
     parser.add_argument("--kills", type=int, default=100, help="signals to each group of commands")
     parser.add_argument("--races", type=int, default=100, help="pairs of processes with one destination")
+    parser.add_argument("--full-disks", type=int, default=50, help="commands whose disk becomes full")
     parser.add_argument("--seed", type=int, default=int(time.time()), help="start of all random choices")
     parser.add_argument("--only", nargs="*", help="names of targets")
     options = parser.parse_args()
@@ -101,15 +102,19 @@ def main() -> int:
 
 
 def interrupt(options: argparse.Namespace) -> bool:
-    """Kills and races commands, prints what they returned, and returns whether anything was broken."""
+    """Kills commands, races them and fills their disk; returns whether anything was broken."""
     from tests.fuzz.attack import Broken
+    from tests.fuzz.full_disk import fill_often
     from tests.fuzz.processes import COMMANDS, kill_often, prepare, race_often
 
     broken = False
     with tempfile.TemporaryDirectory() as folder:
         prepare(Path(folder))
-        attacks = {group: kill_often(Path(folder), group, seed=options.seed, count=options.kills) for group in COMMANDS}
-        for name, results in (attacks | {"races": race_often(Path(folder), count=options.races)}).items():
+        root, seed = Path(folder), options.seed
+        attacks = {group: kill_often(root, group, seed=seed, count=options.kills) for group in COMMANDS}
+        attacks["races"] = race_often(root, count=options.races)
+        attacks["full disks"] = fill_often(root, seed=seed, count=options.full_disks)
+        for name, results in attacks.items():
             seen: Counter[str] = Counter()
             try:
                 seen.update(results)
