@@ -14,12 +14,15 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 CORPUS, KEPT = Path(__file__).parent / "corpus", Path("soak")
 SLICE = 2000
 """Inputs of one task, after which it is somebody else's turn."""
+BATCH = 40
+"""Tasks of one set of processes."""
 
 
 def run(kind: str, name: str, seed: int, count: int, intact: Path) -> tuple[str, str, int, int, str]:
@@ -64,6 +67,16 @@ def tasks(options: argparse.Namespace, files: list[str], folders: list[str]) -> 
     return sorted(found, key=lambda task: task[2])
 
 
+def results(plan: list[tuple[str, str, int, int]], intact: Path) -> Iterator[tuple[str, str, int, int, str]]:
+    """Yields what `run` returns of each task. Processes are new after some tasks, since what fails may leak memory."""
+    for first in range(0, len(plan), BATCH):
+        print(f"{first} of {len(plan)} tasks", file=sys.stderr, flush=True)
+        # Not `max_tasks_per_child`, with which the executor of Python 3.11 may wait forever.
+        with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn"), initializer=start_worker) as pool:
+            running = [pool.submit(run, *task, intact) for task in plan[first : first + BATCH]]
+            yield from (done.result() for done in as_completed(running))
+
+
 def main() -> int:
     """Returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -83,13 +96,9 @@ def main() -> int:
     files, folders = ([name for name in names if name in (options.only or names)] for names in (FILES, FOLDERS))
     totals: dict[tuple[str, str], list[int]] = {}
     broken: dict[str, str] = {}
-    context = multiprocessing.get_context("spawn")
-    pool_options = {"mp_context": context, "initializer": start_worker, "max_tasks_per_child": 20}
-    with tempfile.TemporaryDirectory() as intact, ProcessPoolExecutor(**pool_options) as pool:
+    with tempfile.TemporaryDirectory() as intact:
         make_files(Path(intact))
-        running = [pool.submit(run, *task, Path(intact)) for task in tasks(options, files, folders)]
-        for done in as_completed(running):
-            kind, name, count, refused, problem = done.result()
+        for kind, name, count, refused, problem in results(tasks(options, files, folders), Path(intact)):
             row = totals.setdefault((kind, name), [0, 0])
             row[:] = row[0] + count, row[1] + refused
             if problem and problem[:80] not in broken:
