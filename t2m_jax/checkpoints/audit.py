@@ -51,6 +51,7 @@ def _audit_run(path: Path) -> Iterator[Part]:
     yield Part("run.yaml", problem)
     if problem:
         return  # it says how the rest is to be read
+    yield _audit_folder(path, "statistics, sizes and words")
     with Checkpoints(path) as checkpoints:
         for step in checkpoints.steps():
             listed = has_manifest(path / CHECKPOINTS / f"{step}")

@@ -18,7 +18,7 @@ from t2m_jax.checkpoints.bundle import (
     load_training_data,
     part_kinds,
 )
-from t2m_jax.checkpoints.run import is_run, run_info
+from t2m_jax.checkpoints.run import check_run_files, is_run, run_info
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.errors import UserError
 
@@ -40,6 +40,7 @@ def load_generator_run(path: Path) -> Bundle:
         UserError: The folder is not such a run, or has no checkpoint.
     """
     kind = run_info(path).kind
+    check_run_files(path)
     if not (path / CONFIG_FILE).is_file():
         raise UserError(f"{path}: is the run of a {kind} only; generation needs the run of a generator, such as a GPT")
     config = load_bundle_config(path)

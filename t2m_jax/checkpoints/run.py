@@ -38,6 +38,10 @@ DELETE_TRIES, DELETE_SECONDS = 20, 0.1
 """After Orbax has failed, its threads write for a moment. So their files are deleted again, after this time."""
 
 
+CONSTANT_FILES = ("*.npy", "*.yaml", "*.json", "words.txt")
+"""Statistics, sizes and words, which a run keeps as they were at its start."""
+
+
 @runtime_checkable
 class NamedFields(Protocol):
     """Any `NamedTuple`."""
@@ -94,6 +98,11 @@ def check_resumable(path: Path) -> None:
         )
 
 
+def check_run_files(path: Path) -> None:
+    """Raises `UserError` if a file that a run was started with has changed, such as its statistics or its words."""
+    check_folder(path, required=False)  # runs of older versions have no manifest
+
+
 def is_run(path: Path) -> bool:
     """Returns whether a folder was written by training."""
     return (path / INFO_FILE).is_file()
@@ -104,6 +113,8 @@ def create_run(path: Path, kind: str, config: Any, *, data: str | None = None) -
 
     `data` is the fingerprint of the data set.
     """
+    (path / CONFIG_FILE).unlink(missing_ok=True)  # of an interrupted start; it changes when a run is extended
+    write_manifest(path, CONSTANT_FILES)
     save_config(path / CONFIG_FILE, config)
     # Last, because a folder without this file is not a run: an interrupted start can simply be repeated.
     save_config(path / INFO_FILE, RunInfo(kind=kind, data=data))
@@ -124,7 +135,8 @@ class Checkpoints:
         self._folder = (run / CHECKPOINTS).resolve()
         self._folder.mkdir(parents=True, exist_ok=True)
         self._checkpointer = ocp.AsyncCheckpointer(ocp.CompositeCheckpointHandler())
-        self._needs_manifest = is_run(run) and run_info(run).format_version >= MANIFEST_VERSION
+        owner = run if is_run(run) else run.parent  # the first stage of an evaluator is a folder in its run
+        self._needs_manifest = is_run(owner) and run_info(owner).format_version >= MANIFEST_VERSION
         # Saving goes on while training does; the next save and closing wait for it.
         self._thread = concurrent.futures.ThreadPoolExecutor(1)
         self._unfinished: concurrent.futures.Future[None] | None = None

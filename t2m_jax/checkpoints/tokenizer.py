@@ -7,7 +7,7 @@ import jax
 
 from t2m_jax.checkpoints.best import restore_trained
 from t2m_jax.checkpoints.bundle import CONFIG_FILE, bundle_path, check_statistics_width, load_bundle, load_bundle_config
-from t2m_jax.checkpoints.run import is_run, run_info
+from t2m_jax.checkpoints.run import check_run_files, is_run, run_info
 from t2m_jax.config import load_config, save_config
 from t2m_jax.errors import UserError
 from t2m_jax.files import check_folder, fingerprint, load_arrays, save_arrays, write_manifest
@@ -40,6 +40,8 @@ def load_tokenizer_config(path: str | Path) -> TokenizerConfig:
         UserError: There is no tokenizer, or its config is damaged.
     """
     path = bundle_path(path)
+    if is_run(path):
+        check_run_files(path)
     if (path / CONFIG_FILE).is_file():
         return load_bundle_config(path).tokenizer
     if not is_run(path):

@@ -15,6 +15,7 @@ from t2m_jax.data.index import load_index
 from t2m_jax.devices import put_everywhere
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.protocols import Plan, Protocol, make_plan
+from t2m_jax.files import fingerprint
 from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT
 
 
@@ -77,7 +78,9 @@ def make_task(
     samples = load_samples(dataset, split, min_frames=unit, source_disjoint=protocol.source_disjoint)
     # Weights from a file are on the host; without this they would be copied to the device with every batch.
     evaluator = evaluator._replace(variables=put_everywhere(evaluator.variables))
-    facts = (dataset.info.max_frames, seed, unit, dataset.info.name, split, dataset.fingerprint)
+    index = load_index(dataset.folder)  # its labels are not in the fingerprint of the data, which training compares
+    contents = fingerprint(f"{dataset.fingerprint} {index}", {})
+    facts = (dataset.info.max_frames, seed, unit, dataset.info.name, split, contents)
     task = EvaluationTask(evaluator, samples, protocol, *facts)
     try:
         task.plan(repeat=0)

@@ -7,7 +7,7 @@ manifest of a folder, so that any change of a byte shows.
 
 import hashlib
 import zlib
-from collections.abc import Container, Iterator
+from collections.abc import Container, Iterable
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
@@ -28,9 +28,11 @@ class Entry(NamedTuple):
     size: int
 
 
-def write_manifest(folder: Path) -> None:
-    """Writes the manifest of all files in a folder and in the folders in it."""
-    save_text(folder / MANIFEST, _render({name: _measure(folder / name) for name in _names(folder)}))
+def write_manifest(folder: Path, patterns: Iterable[str] = ("**/*",)) -> None:
+    """Writes the manifest of the files in a folder whose names fit a pattern, by default also in the folders in it."""
+    found = {path for pattern in patterns for path in folder.glob(pattern) if path.is_file()} - {folder / MANIFEST}
+    names = (path.relative_to(folder).as_posix() for path in found)
+    save_text(folder / MANIFEST, _render({name: _measure(folder / name) for name in names}))
 
 
 def has_manifest(folder: Path) -> bool:
@@ -80,12 +82,6 @@ def check_folder(
         found = _measure(folder / name, sha256=thorough)
         if found != (expected if thorough else expected._replace(sha256="")):
             raise UserError(f"{folder / name}: has changed since it was written, or is damaged; copy the folder again")
-
-
-def _names(folder: Path) -> Iterator[str]:
-    for path in sorted(folder.rglob("*")):
-        if path.is_file() and path != folder / MANIFEST:
-            yield path.relative_to(folder).as_posix()
 
 
 def _stays_inside(name: str) -> bool:

@@ -1,5 +1,6 @@
 """From sentences to motions: text encoder, generator, tokenizer and skeleton in one object."""
 
+import dataclasses
 import functools
 import itertools
 import zlib
@@ -12,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from t2m_jax.checkpoints.bundle import Bundle
+from t2m_jax.checkpoints.bundle import Bundle, ClipReference
 from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.config import check_seed
@@ -93,7 +94,10 @@ class TextToMotion:
     @property
     def fingerprint(self) -> str:
         """Identifies the model: a digest of sizes, weights, statistics and subwords."""
-        return Bundle(self.config, self.variables, self._normalizer, self._bpe).fingerprint
+        config, clip = self.config, getattr(self.text_encoder, "fingerprint", None)
+        if clip is not None:  # where CLIP is does not matter
+            config = dataclasses.replace(config, text_encoder=ClipReference(name=clip))
+        return Bundle(config, self.variables, self._normalizer, self._bpe).fingerprint
 
     @property
     def tokenizer(self) -> TrainedTokenizer:

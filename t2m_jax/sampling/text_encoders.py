@@ -60,21 +60,21 @@ class ClipTextEncoder:
 
     def __init__(self, clip: TrainedClip, *, cache: EmbeddingCache | None = None):
         """Puts the weights on the default device."""
-        self._config, self._tokenizer, self._fingerprint = clip.config, clip.tokenizer, clip.fingerprint
+        self._config, self._tokenizer, self.fingerprint = clip.config, clip.tokenizer, clip.fingerprint
         self._variables = jax.device_put(clip.variables)
         self._cache = cache
 
     def __call__(self, captions: Sequence[str]) -> Float[Array, "B E"]:
         """Returns one embedding per caption; captions that are too long for CLIP are cut."""
         wanted = list(dict.fromkeys(captions))
-        known = self._cache.load(self._fingerprint, wanted) if self._cache else {}
+        known = self._cache.load(self.fingerprint, wanted) if self._cache else {}
         missing = [caption for caption in wanted if caption not in known]
         for first in range(0, len(missing), MAX_BATCH):
             batch = missing[first : first + MAX_BATCH]
             embedded = dict(zip(batch, self._embed(batch), strict=True))
             known |= embedded
             if self._cache:  # after each batch, so that an interruption loses little
-                self._cache.save(self._fingerprint, embedded)
+                self._cache.save(self.fingerprint, embedded)
         embeddings = np.zeros((len(captions), self._config.text_dim), np.float32)
         for row, caption in enumerate(captions):
             embeddings[row] = known[caption]

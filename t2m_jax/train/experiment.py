@@ -20,6 +20,7 @@ from t2m_jax.checkpoints.run import (
     CONFIG_FILE,
     DATA_FILE,
     check_resumable,
+    check_run_files,
     create_run,
     has_checkpoint,
     restore_latest,
@@ -163,6 +164,7 @@ def _train(config: ExperimentConfig, *, resume: bool) -> Any:
     trainer = find_trainer(config.kind)
     if resume:
         check_resumable(config.run)
+        check_run_files(config.run)
     else:
         check_new_run(config.run)
     wait_for_all("checked")

@@ -265,6 +265,13 @@ def test_a_run_does_not_start_over_because_all_its_checkpoints_are_damaged(copy)
             restore_latest(copy, state_at(0))
 
 
+def test_checkpoints_of_a_stage_in_a_run_need_manifests(copy):
+    shutil.copytree(copy / CHECKPOINTS, copy / "movement" / CHECKPOINTS)
+    (copy / "movement" / CHECKPOINTS / "6" / "manifest.txt").unlink()
+    with Checkpoints(copy / "movement") as checkpoints:
+        assert "manifest.txt" in checkpoints.damage(6) and not checkpoints.damage(3)
+
+
 @pytest.mark.parametrize("version", ["", "format_version: 2\n"])
 def test_checkpoints_of_older_versions_have_no_manifest(copy, version):
     (copy / CHECKPOINTS / "6" / "manifest.txt").unlink()

@@ -14,6 +14,7 @@ from t2m_jax.checkpoints.evaluator import load_trained_evaluator, make_trained_e
 from t2m_jax.cli.main import main
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.synthetic import write_synthetic_dataset
+from t2m_jax.data.index import IndexRow, load_index, save_index
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation import run as repeats
 from t2m_jax.evaluation.codes import encode_pieces, generate_many
@@ -117,6 +118,34 @@ def test_an_evaluation_does_not_go_on_with_another_model_or_other_data(task, gen
         evaluate(task._replace(contents="abc"), generation, num_repeats=2, partial=partial)
     moved = load_partial(partial, make_header(task._replace(data="moved"), generation, model="elsewhere"))
     assert len(moved) == 1, "what only moved is the same"
+
+
+def change_a_clip(folder):
+    path = min((folder / "new_joint_vecs").iterdir())
+    features = np.load(path)
+    features[0, 4] += 1e-3
+    np.save(path, features)
+
+
+def change_a_label(folder):
+    rows = load_index(folder)
+    save_index(folder, [IndexRow(name, "", f"{label}!") for name, label in rows.labels.items()])
+
+
+@pytest.mark.parametrize("change", [change_a_clip, change_a_label])
+def test_the_contents_of_the_data_are_in_the_task_and_the_report(synthetic_folder, evaluator, tmp_path, change):
+    def header(folder):
+        task = make_task(open_dataset(folder), evaluator, protocol, split="train", seed=0, unit=4)
+        generation = make_generation(TextToMotion(random_bundle()), Temperature(), task.samples.clips)
+        return make_header(task, generation, model="")
+
+    protocol = find_protocol("t2m-gpt")
+    evaluator = evaluator._replace(normalizer=open_dataset(synthetic_folder).normalizer)
+    save_index(synthetic_folder, [IndexRow("synthetic_00000", "", "walk")])
+    folder = shutil.copytree(synthetic_folder, tmp_path / "moved")
+    assert header(folder) == header(synthetic_folder) and header(folder).weights
+    change(folder)
+    assert header(folder).contents != header(synthetic_folder).contents
 
 
 @pytest.mark.parametrize("content", ['{"header": {"seed": 4}, "repeats": [{}]}', "{", '{"repeats": 3}', "[]"])

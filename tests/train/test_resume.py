@@ -8,6 +8,7 @@ import jax
 import numpy as np
 import pytest
 
+from t2m_jax.checkpoints import audit_model, load_model, load_tokenizer
 from t2m_jax.errors import UserError
 from t2m_jax.train import train
 from tests.tiny import LOOP, gpt_training, vqvae_training
@@ -147,6 +148,25 @@ def test_data_that_changed_are_refused(stage, runs, tmp_path, change):
     with pytest.raises(UserError, match=r"data: .* is not what .* was started with \(fingerprint \w+, not \w+\)"):
         stage.train(resume=True)
     assert {path: path.read_bytes() for path in stage.config.run.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.parametrize("stage", STAGES, indirect=True)
+def test_a_damaged_file_of_the_start_is_found_wherever_a_run_is_read(stage):
+    shutil.copytree(stage.finished, stage.config.run)
+    (stage.config.run / "notes.txt").write_text("the user's own")
+    names = {path.name for path in stage.config.run.iterdir() if path.suffix in (".npy", ".yaml", ".json")}
+    names -= {"config.yaml", "run.yaml"}
+    assert {"vqvae": {"Mean.npy", "vqvae.yaml"}, "gpt": {"bundle.yaml", "tokenizer.json"}}[stage.config.kind] < names
+    load = {"vqvae": load_tokenizer, "gpt": load_model}[stage.config.kind]
+    for name in names:
+        whole = (stage.config.run / name).read_bytes()
+        (stage.config.run / name).write_bytes(whole[:-3] + bytes([whole[-3] ^ 1]) + whole[-2:])
+        for read in (load, lambda run: stage.train(resume=True, num_steps=20)):
+            with pytest.raises(UserError, match=rf"{name}: has changed since it was written"):
+                read(stage.config.run)
+        assert [part.problem for part in audit_model(stage.config.run) if name in part.problem]
+        (stage.config.run / name).write_bytes(whole)
+    load(stage.config.run)
 
 
 @pytest.mark.parametrize(
