@@ -28,6 +28,8 @@ DAMAGED_ARRAY = (
 """What `np.load` raises for damaged files. It parses the header as Python source and trusts the sizes in it."""
 DAMAGED_ARCHIVE = (zlib.error, struct.error, AttributeError, LookupError, RuntimeError)
 """What it also raises for damaged archives; `RuntimeError` for encrypted ones and unknown compression."""
+MAX_UNPACKED = 2**28
+"""The largest archive of arrays in bytes, unpacked: two hours of motion. A file of 300 kB can claim as much."""
 
 
 def first_line(error: BaseException) -> str:
@@ -94,19 +96,29 @@ def load_array(path: Path, *, mmap: bool = False) -> np.ndarray:  # any shape: t
     return array
 
 
+def _check_unpacked_size(path: Path) -> None:
+    with zipfile.ZipFile(path) as archive:
+        size = sum(entry.file_size for entry in archive.infolist())
+    if size > MAX_UNPACKED:
+        raise UserError(f"{path}: unpacks to {size:,} bytes; at most {MAX_UNPACKED:,} are read")
+
+
 def load_archive(path: Path) -> dict[str, np.ndarray]:
     """Returns the arrays of a `.npz` file by name.
 
     Raises:
-        UserError: The file is missing or damaged, or an entry holds Python objects.
+        UserError: The file is missing or damaged, is too large when it is unpacked, or an entry holds Python objects.
     """
     key, arrays = "", {}
     with reading(path):
         try:
+            _check_unpacked_size(path)
             with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
                 for key in archive.files:
                     arrays[key] = archive[key]
                     arrays[key].dtype  # noqa: B018 - something else than an array is given as its bytes
+        except UserError:
+            raise
         except (*DAMAGED_ARRAY, *DAMAGED_ARCHIVE) as error:
             where = f"entry {key!r} is damaged or holds Python objects" if key else "this is not a complete .npz file"
             raise UserError(f"{path}: {where} ({first_line(error)})") from None

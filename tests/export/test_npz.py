@@ -1,10 +1,14 @@
+import zipfile
+
 import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
 from t2m_jax.export import load_npz, save_npz
+from t2m_jax.files.reading import MAX_UNPACKED
 from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
+from tests.fuzz.attack import peak_memory
 
 
 def test_everything_comes_back(tmp_path, walk):
@@ -44,6 +48,16 @@ def test_one_motion_a_file(tmp_path, walk):
         with pytest.raises(UserError, match="exactly one motion"):
             save_npz(tmp_path / "a.npz", motions)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_small_file_that_unpacks_to_much_is_refused_before_it_is_unpacked(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        for number in range(3):
+            archive.writestr(f"{number}.npy", bytes(MAX_UNPACKED // 2))
+    before = peak_memory()
+    with pytest.raises(UserError, match=r"a\.npz: unpacks to 402,653,184 bytes; at most 268,435,456 are read"):
+        load_npz(tmp_path / "a.npz")
+    assert peak_memory() - before < 2**24
 
 
 GOOD = {"positions": np.zeros((2, 22, 3), np.float32), "fps": np.float64(20)}

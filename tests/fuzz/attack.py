@@ -21,6 +21,8 @@ MAX_SECONDS = 5
 """The longest that one input may take, in processor time."""
 MAX_MEMORY = 10**9
 """The most memory in bytes that one input may need."""
+MAX_RESERVED = 8 * 10**9
+"""The most memory in bytes that may be reserved, used or not."""
 MAX_MESSAGE = 450
 """Characters of a refusal, without the folder of the file."""
 
@@ -52,30 +54,50 @@ def check(read: Callable[[], object], folder: Path) -> bool:
 
 @contextlib.contextmanager
 def limited() -> Iterator[None]:
-    """Raises `TimeoutError` if the body takes too long, where the system has alarms."""
-    if not hasattr(signal, "SIGPROF"):
-        yield
-        return
+    """Lets the body use `MAX_SECONDS` and `MAX_MEMORY`. The time is stopped where the system has alarms.
+
+    Raises:
+        Broken: It used more, also if it refused the input in the end.
+    """
+    late, memory = [], peak_memory()
 
     def stop(*_: Any) -> None:
-        raise TimeoutError(f"takes more than {MAX_SECONDS} s")
+        late.append(True)
+        raise TimeoutError
 
-    before = signal.signal(signal.SIGPROF, stop)
-    signal.setitimer(signal.ITIMER_PROF, MAX_SECONDS)
+    before = signal.signal(signal.SIGPROF, stop) if hasattr(signal, "SIGPROF") else None
     try:
-        yield
+        if before is not None:
+            signal.setitimer(signal.ITIMER_PROF, MAX_SECONDS)
+        with contextlib.suppress(TimeoutError):
+            yield
     finally:
-        signal.setitimer(signal.ITIMER_PROF, 0)
-        signal.signal(signal.SIGPROF, before)
+        if before is not None:
+            signal.setitimer(signal.ITIMER_PROF, 0)
+            signal.signal(signal.SIGPROF, before)
+        # Raised here, because code may take a `TimeoutError` for a file that cannot be read.
+        if late:
+            raise Broken(f"takes more than {MAX_SECONDS} s")
+        if peak_memory() - memory > MAX_MEMORY:
+            raise Broken(f"takes {(peak_memory() - memory) / 1e9:.1f} GB")
+
+
+def peak_memory() -> int:
+    """Returns the most memory in bytes that this process ever had; 0 where the system does not say."""
+    if sys.platform != "linux":
+        return 0
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def limit_memory() -> None:
-    """Lets the rest of this process use `MAX_MEMORY` more than now; more is a `MemoryError`. For Linux."""
+    """Protects the machine: the rest of this process can reserve `MAX_RESERVED` more than now. For Linux."""
     if sys.platform == "linux":
         import resource
 
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-        limit = pages * resource.getpagesize() + MAX_MEMORY
+        limit = pages * resource.getpagesize() + MAX_RESERVED
         resource.setrlimit(resource.RLIMIT_AS, (limit, resource.RLIM_INFINITY))
 
 
@@ -145,7 +167,8 @@ def flip_bits(root: Path, name: str, read: Callable[[Path], dict[str, Any]], *, 
         try:
             path.write_bytes(whole[:place] + bytes([whole[place] ^ 1 << bit]) + whole[place + 1 :])
             found: list[Any] = []
-            was_refused = check(lambda found=found: found.extend(jax.tree.leaves(read(root))), root)
+            with limited():
+                was_refused = check(lambda found=found: found.extend(jax.tree.leaves(read(root))), root)
             if not was_refused and not all(np.array_equal(*pair) for pair in zip(found, right, strict=True)):
                 raise Broken("other arrays were returned")
             refused += was_refused

@@ -82,10 +82,8 @@ def small_disk(folder: Path) -> Iterator[Disk]:
 
 
 def all_commands() -> list[Command]:
-    """Returns the commands that are interrupted, too, and one that writes several folders."""
-    export = ["convert", "official", "--export-official", "model", "theirs"]
-    commands = [command for group in COMMANDS.values() for command in group]
-    return [*commands, Command(export, "theirs", lambda path: [file.stat() for file in path.rglob("*")])]
+    """Returns the commands that are interrupted, too."""
+    return [command for group in COMMANDS.values() for command in group]
 
 
 def fill(folder: Path, disk: Disk, command: Command, share: float) -> str:

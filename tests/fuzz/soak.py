@@ -57,8 +57,8 @@ def start_worker() -> None:
 
 def tasks(options: argparse.Namespace, files: list[str], folders: list[str]) -> list[tuple[str, str, int, int]]:
     """Returns kind, target, seed and number of inputs of all tasks, the targets in turn."""
-    plan = [("file", name, options.inputs // len(files), SLICE) for name in files]
-    plan += [("folder", name, options.folder_inputs // len(folders), SLICE // 10) for name in folders]
+    plan = [("file", name, -(-options.inputs // len(files)), SLICE) for name in files]
+    plan += [("folder", name, -(-options.folder_inputs // len(folders)), SLICE // 10) for name in folders]
     plan += [("bits", name, options.flips, SLICE // 10) for name in folders]
     found = []
     for kind, name, total, size in plan:
