@@ -2,8 +2,10 @@
 
 import signal
 
-MAX_LINE = 430
-"""Characters of the longest message; a longer one quotes a long text of a file, or a long list."""
+MAX_LINE = 380
+"""Characters of the longest message, so that a line with `t2m: error:` has at most 400; a longer one quotes a long text of a file, or a long list."""
+
+GAP = " ... "
 
 
 def printable(text: str) -> str:
@@ -14,8 +16,8 @@ def printable(text: str) -> str:
 def one_line(text: str) -> str:
     """Returns a text as one printable line; if it is too long, its middle is left out."""
     line = printable(" ".join(text.splitlines()))
-    half = MAX_LINE // 2
-    return line if len(line) <= MAX_LINE else f"{line[:half]} ... {line[-half:]}"
+    half = (MAX_LINE - len(GAP)) // 2
+    return line if len(line) <= MAX_LINE else f"{line[:half]}{GAP}{line[-half:]}"
 
 
 class UserError(ValueError):

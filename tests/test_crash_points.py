@@ -5,6 +5,7 @@ import errno
 import functools
 import os
 import shutil
+import sys
 
 import numpy as np
 import pytest
@@ -96,3 +97,18 @@ def test_a_failed_call_leaves_the_old_contents(start, tmp_path, write, name):
         if contents(folder) == contents(start):
             write(folder)  # trying again works
     assert not failed, "it never came to an end"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_contents_are_on_the_disk_before_they_get_their_name(tmp_path, monkeypatch):
+    done = []
+
+    def watch(name, describe):
+        original = getattr(os, name)
+        monkeypatch.setattr(os, name, lambda *args: done.append(describe(*args)) or original(*args))
+
+    watch("fsync", lambda number: f"fsync {os.path.basename(os.readlink(f'/proc/self/fd/{number}'))}")
+    watch("replace", lambda source, path: f"replace {os.path.basename(path)}")
+    save_json(tmp_path / "report.json", {})
+    assert [step.split()[0] for step in done] == ["fsync", "replace", "fsync"]
+    assert "partial" in done[0] and done[1:] == ["replace report.json", f"fsync {tmp_path.name}"]

@@ -1,5 +1,6 @@
 import ast
 import importlib
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -77,3 +78,24 @@ def test_files_and_functions_stay_short_enough_to_read(path):
     assert len(text.splitlines()) <= 340
     lines, name = longest_function(ast.parse(text))
     assert lines <= 40, name
+
+
+WRITERS = {
+    "t2m_jax.checkpoints.official.export",
+    "t2m_jax.data.cache",
+    "t2m_jax.data.importers.synthetic_scale",
+    "t2m_jax.data.merge",
+    "t2m_jax.data.writer",
+    "t2m_jax.export.npz",
+    "t2m_jax.files.writing",
+    "t2m_jax.motion.normalizer",
+    "t2m_jax.train.log",
+}
+"""Modules that open files to write. All do so inside of `atomic_file` or `atomic_folder`, but for rows of the log."""
+WRITES = re.compile(r"\.write_(text|bytes)\(|np\.save\w*\(|open\([^)]*[\"'][wax]b?\+?b?[\"']")
+
+
+@pytest.mark.parametrize(("path", "name"), list(zip(FILES, MODULES, strict=True)), ids=MODULES)
+def test_files_are_written_in_one_way(path, name):
+    text = path.read_text(encoding="utf-8").replace("open(os.devnull", "")
+    assert (WRITES.search(text) is not None) == (name in WRITERS)

@@ -46,6 +46,8 @@ REPEATING_LOGGERS = ("absl", "asyncio")
 EXIT_OK, EXIT_BUG, EXIT_USER_ERROR, EXIT_BROKEN_PIPE = 0, 1, 2, 141
 EXIT_SIGNAL = 128
 """Added to the number of the signal that ended a command: 130 after Ctrl-C, 143 after SIGTERM."""
+ENDING_SIGNALS = ("SIGTERM", "SIGUSR1")
+"""The end of a cluster's job, and its notice that a machine is taken away; Windows has no SIGUSR1."""
 IMPORT_SECONDS = 0.05
 """After this time, a signal that came during an import comes again."""
 REPORT = "run it again with --debug, and report what that prints"
@@ -103,7 +105,7 @@ def _explain(error: BaseException) -> tuple[str, int]:
 
 @contextlib.contextmanager
 def _ended_by_signals() -> Iterator[None]:
-    """Turns SIGTERM into an exception in the block, as Python does with Ctrl-C, so that temporary files are removed."""
+    """Turns signals into an exception in the block, as Python does with Ctrl-C, so that temporary files are removed."""
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         if _is_importing(frame):
@@ -118,7 +120,8 @@ def _ended_by_signals() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = {signal.SIGTERM: signal.signal(signal.SIGTERM, interrupt) or signal.SIG_DFL}
+    numbers = [getattr(signal, name) for name in ENDING_SIGNALS if hasattr(signal, name)]
+    before = {number: signal.signal(number, interrupt) or signal.SIG_DFL for number in numbers}
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # it is ignored in the background
         before[signal.SIGINT] = signal.signal(signal.SIGINT, interrupt) or signal.SIG_DFL
     try:

@@ -23,7 +23,7 @@ MAX_MEMORY = 10**9
 """The most memory in bytes that one input may need."""
 MAX_RESERVED = 8 * 10**9
 """The most memory in bytes that may be reserved, used or not."""
-MAX_MESSAGE = 450
+MAX_MESSAGE = 400
 """Characters of a refusal, without the folder of the file."""
 
 
