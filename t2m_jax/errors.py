@@ -3,8 +3,8 @@
 import signal
 
 MAX_LINE = 380
-"""Characters of the longest message, so that a line with `t2m: error:` has at most 400; a longer one quotes a long text of a file, or a long list."""
-
+"""Characters of the longest message; a longer one quotes a long text of a file, or a long list. A line that begins with
+`t2m: error:` has at most 400."""
 GAP = " ... "
 
 
