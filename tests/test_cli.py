@@ -150,17 +150,20 @@ def test_an_interrupt_is_no_traceback(command, capsys, error, code, line):
     assert capsys.readouterr().err == f"t2m: error: {line}\n"
 
 
-def test_sigterm_removes_what_is_unfinished(command, capsys, tmp_path):
+@pytest.mark.skipif(os.name != "posix", reason="Windows has other signals")
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGUSR1"])
+def test_signals_remove_what_is_unfinished(command, capsys, tmp_path, name):
     def write(args):
         with atomic_file(tmp_path / "a.txt") as partial:
             partial.write_text("half")
-            os.kill(os.getpid(), signal.SIGTERM)
+            os.kill(os.getpid(), number)
 
+    number = getattr(signal, name)
     command(write)
-    before = signal.getsignal(signal.SIGTERM)
-    assert main(["fake"]) == 143
-    assert capsys.readouterr().err == "t2m: error: interrupted by SIGTERM\n"
-    assert not list(tmp_path.iterdir()) and signal.getsignal(signal.SIGTERM) == before
+    before = signal.getsignal(number)
+    assert main(["fake"]) == 128 + number
+    assert capsys.readouterr().err == f"t2m: error: interrupted by {name}\n"
+    assert not list(tmp_path.iterdir()) and signal.getsignal(number) == before
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
@@ -271,6 +274,18 @@ def test_view_refuses_in_one_line(tmp_path, monkeypatch, capsys, arguments, name
     assert printed.count("\n") == 1
 
 
+@pytest.mark.skipif(os.name == "nt", reason="uses pipes of POSIX")
+@pytest.mark.parametrize("suffix", ["npz", "html", "bvh"])
+def test_view_refuses_a_pipe_and_keeps_it(tmp_path, capsys, suffix):
+    pipe = tmp_path / f"out.{suffix}"
+    os.mkfifo(pipe)
+    np.savez(tmp_path / "in.npz", positions=np.zeros((3, 22, 3), np.float32), fps=20.0)
+    assert main(["view", f"{tmp_path / 'in.npz'}", "-o", f"{pipe}"]) == 2
+    said = f"{pipe}: cannot be written, it is a pipe or device; give the name of a file"
+    assert capsys.readouterr().err == f"t2m: error: {said}\n"
+    assert pipe.is_fifo() and sorted(tmp_path.iterdir()) == [tmp_path / "in.npz", pipe]
+
+
 def test_names_of_files_do_not_reach_the_terminal_as_they_are(capsys):
     show_next("t2m view 'a\x1b[31m.npz'")
     assert capsys.readouterr().err == "next: t2m view 'a\\x1b[31m.npz'\n"
@@ -294,7 +309,8 @@ def test_the_log_is_printable():
 
 
 @pytest.mark.skipif(os.name == "nt", reason="uses a shell of POSIX")
-def test_a_closed_standard_output_is_no_error():
-    command = f"{sys.executable} -m t2m_jax.cli evaluate --help >&-"
+@pytest.mark.parametrize("arguments", ["evaluate --help", "check demo"])
+def test_a_closed_standard_output_is_no_error(arguments):
+    command = f"{sys.executable} -m t2m_jax.cli {arguments} >&-"
     result = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
     assert (result.returncode, result.stderr) == (0, "")

@@ -1,5 +1,6 @@
 """`t2m generate`: files for sentences, one line for mistakes."""
 
+import os
 import shutil
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from t2m_jax.cli.main import main
 from t2m_jax.export.formats import load_motion
+from t2m_jax.sampling import TextToMotion
 
 
 @pytest.mark.parametrize(
@@ -37,11 +39,13 @@ def test_prompts_that_are_refused(refusal, bundle_folder, tmp_path, prompt, said
         (["--top-p", "2", "-o", "out.npz"], "top-p"),
         (["--top-k", "3", "--top-p", "0.5", "-o", "out.npz"], "exclude"),
         (["--num-samples", "0", "-o", "out.npz"], "num-samples"),
+        (["--num-samples", "300000000", "-o", "out.npz"], "num-samples: 300000000 is not a whole number from 1 to"),
         (["--seed", "-1", "-o", "out.npz"], "seed"),
     ],
 )
 def test_options_that_are_refused(refusal, bundle_folder, tmp_path, monkeypatch, options, said):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(TextToMotion, "sample_codes", lambda *_, **__: pytest.fail("began to generate"))
     assert said in refusal("generate", "a person walks", "--model", bundle_folder, *options)
     assert list(tmp_path.iterdir()) == []
 
@@ -50,6 +54,15 @@ def test_a_folder_in_the_place_of_the_file_is_refused(refusal, bundle_folder, tm
     (tmp_path / "out.npz").mkdir()
     line = refusal("generate", "a person walks", "--model", bundle_folder, "-o", tmp_path / "out.npz")
     assert "cannot be written" in line
+
+
+@pytest.mark.skipif(os.name == "nt", reason="uses pipes of POSIX")
+def test_a_pipe_in_the_place_of_the_file_is_refused_and_kept(refusal, bundle_folder, tmp_path):
+    pipe = tmp_path / "out.npz"
+    os.mkfifo(pipe)
+    line = refusal("generate", "a person walks", "--model", bundle_folder, "-o", pipe)
+    assert f"{pipe}: cannot be written, it is a pipe or device" in line
+    assert list(tmp_path.iterdir()) == [pipe] and pipe.is_fifo()
 
 
 def test_models_that_are_refused(refusal, bundle_folder, tmp_path):
@@ -87,6 +100,20 @@ def test_several_motions_are_numbered(bundle_folder, tmp_path, capsys):
     captions = [str(np.load(tmp_path / name)["caption"]) for name in names]
     assert captions == [texts[0], texts[0], texts[1], texts[1]]
     capsys.readouterr()
+
+
+def test_files_are_written_before_the_next_motions_are_generated(bundle_folder, tmp_path, monkeypatch):
+    counts, sample_codes = [], TextToMotion.sample_codes
+
+    def record(*args, **kwargs):
+        counts.append(len(list(tmp_path.glob("*.npz"))))
+        return sample_codes(*args, **kwargs)
+
+    monkeypatch.setattr(TextToMotion, "sample_codes", record)
+    monkeypatch.setattr("t2m_jax.sampling.pipeline.MAX_BATCH", 2)
+    options = ["--model", f"{bundle_folder}", "--num-samples", "5", "-o", f"{tmp_path / 'walk.npz'}"]
+    assert main(["generate", "a person walks", *options]) == 0
+    assert counts == [0, 2, 4] and len(list(tmp_path.glob("*.npz"))) == 5
 
 
 def test_same_seed_same_files(bundle_folder, tmp_path):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.cli import data as cli
+from t2m_jax.cli.main import main
 from t2m_jax.data.audit import audit_dataset
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.humanml3d import import_humanml3d
@@ -179,3 +180,10 @@ def test_synthetic_from_the_command_line(tmp_path, capsys):
     assert "40 clips" in printed.out
     assert printed.err.splitlines()[-1] == f"next: t2m data check '{tmp_path / 'my data'}'"
     assert audit_dataset(tmp_path / "my data").problems == []
+
+
+@pytest.mark.parametrize("options", [[], ["--like-humanml3d"]])
+def test_seeds_that_synthetic_does_not_take_are_refused_in_one_line(tmp_path, capsys, options):
+    assert main(["data", "synthetic", f"{tmp_path / 'data'}", "--num-clips", "20", "--seed", "-1", *options]) == 2
+    assert capsys.readouterr().err == "t2m: error: seed: -1 is not between 0 and 4294967295\n"
+    assert list(tmp_path.iterdir()) == []

@@ -92,12 +92,14 @@ def test_the_seed_decides_the_split(tmp_path):
         ("name,text\na,b\n", r"captions\.csv:1: .*file,caption"),
         ("file,caption\na,\n", r"captions\.csv:2: .*empty"),
         ("file,caption\na,he # waves\n", r"captions\.csv:2: .*'#'"),
+        ("file,caption\na,123\n", r"captions\.csv:2: the caption '123' has no words"),
+        ("file,caption\na,sie läuft\n", r"captions\.csv: is not UTF-8 text \(byte 20\)"),
         ("file,caption,start,end\na,he waves,one,2\n", r"captions\.csv:2: .*'one'"),
     ],
 )
 def test_broken_tables_name_the_line(tmp_path, content, words):
     source = write_clips(tmp_path / "source", ["a"])
-    (source / "captions.csv").write_text(content)
+    (source / "captions.csv").write_text(content, encoding="latin-1")
     with pytest.raises(UserError, match=words):
         import_bvh_folder(source, tmp_path / "data")
     assert not (tmp_path / "data").exists()
@@ -130,6 +132,24 @@ def test_a_caption_file_in_another_encoding_is_named(tmp_path):
     (source / "a.txt").write_bytes("sie läuft".encode("latin-1"))
     with pytest.raises(UserError, match=r"a\.txt: is not UTF-8"):
         import_bvh_folder(source, tmp_path / "data")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("sie läuft".encode("latin-1"), "b.txt: is not UTF-8 text (byte 5)"),
+        (b"123\n", "b.txt:1: the caption '123' has no words"),
+        (b"a man walks\n?!\n", "b.txt:2: the caption '?!' has no words"),
+    ],
+)
+def test_a_broken_text_beside_a_file_costs_one_clip(tmp_path, text, says):
+    source = write_clips(tmp_path / "source", ["a", "b", "c"])
+    (source / "b.txt").write_bytes(text)
+    report = import_bvh_folder(source, tmp_path / "data", caption_from_name=True)
+    assert list(report.left_out) == ["b"] and f"{source / says}" in report.left_out["b"]
+    assert set(all_captions(tmp_path / "data")) == {"a", "Ma", "c", "Mc"} and report.num_clips == 4
+    assert audit_dataset(tmp_path / "data").problems == []
+    assert (source / "b.txt").read_bytes() == text
 
 
 def test_each_animation_of_a_glb_file_is_a_clip(tmp_path):

@@ -1,9 +1,11 @@
 import logging
+import re
 import shutil
 
 import numpy as np
 import pytest
 
+from t2m_jax.cli.main import main
 from t2m_jax.data.files import FEATURES
 from t2m_jax.data.folder import Clip, DatasetInfo, open_dataset, samples_from_clip
 from t2m_jax.data.texts import Caption, parse_caption
@@ -147,6 +149,20 @@ def test_no_folder_no_list_and_strange_names_are_user_errors(folder, tmp_path):
     (folder / "dev.txt").write_text("../../etc/passwd\n")
     with pytest.raises(UserError, match=r"dev\.txt:1"):
         open_dataset(folder).clips("dev")
+
+
+@pytest.mark.parametrize(("fps", "shown"), [("-5", "-5.0"), ("0.0", "0.0"), (".inf", "inf"), ("1000.5", "1000.5")])
+def test_impossible_rates_are_refused_in_one_line(folder, capsys, fps, shown):
+    info = folder / "dataset.yaml"
+    text, count = re.subn(r"(?m)^fps: .*$", f"fps: {fps}", info.read_text())
+    info.write_text(text)
+    assert count == 1
+    with pytest.raises(UserError, match=rf"dataset\.yaml: fps: {shown} is not a number of frames per second"):
+        open_dataset(folder)
+    assert main(["data", "check", f"{folder}"]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == "" and printed.err.startswith(f"t2m: error: {info}: fps: {shown} is not a number")
+    assert printed.err.count("\n") == 1
 
 
 def numbered(num_frames):

@@ -1,5 +1,6 @@
 import itertools
 import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -366,17 +367,29 @@ def test_a_published_clip_comes_closer_than_the_published_export(tmp_path, share
     assert INDEX["pelvis"] == 0
 
 
+SECONDS = 10.0
+"""Most processor time for one of these files. Each takes less than four, mostly because tests check all types."""
+ROOT = "HIERARCHY\nROOT j0\n{\nOFFSET 0 0 0\nCHANNELS 3 Xposition Yposition Zposition\n"
+FRAME = "}\nMOTION\nFrames: 1\nFrame Time: 0.05\n0 0 0\n"
+
+
 def nested(count):
     """A chain of joints."""
     joints = "".join(f"JOINT j{n}\n{{\nOFFSET 0 1 0\nCHANNELS 0\n" for n in range(1, count))
-    root = "HIERARCHY\nROOT j0\n{\nOFFSET 0 0 0\nCHANNELS 3 Xposition Yposition Zposition\n"
-    return f"{root}{joints}{'}' * count}\nMOTION\nFrames: 1\nFrame Time: 0.05\n0 0 0\n"
+    return f"{ROOT}{joints}{'}' * (count - 1)}{FRAME}"
+
+
+def flat(count, *, prefix="j"):
+    """A root whose children are all other joints."""
+    joints = "".join(f"JOINT {prefix}{n}\n{{\nOFFSET 0 1 0\nCHANNELS 0\n}}\n" for n in range(1, count))
+    return f"{ROOT}{joints}{FRAME}"
 
 
 @pytest.mark.parametrize(
     ("text", "says"),
     [
         (nested(20_000), "more than 2,000 joints"),
+        (flat(50_000), "more than 2,000 joints"),
         (
             nested(3).replace("MOTION\n", "MOTION\n" + "\n" * 20_000_000).replace("Frames", "Frame"),
             ':20000016: expected "Frames: <count>"',
@@ -386,10 +399,28 @@ def nested(count):
         (nested(3).replace("0.05", "10"), 'bad frame time "10"'),
         ("\n" * 50_000_000, "the file is empty"),
     ],
-    ids=["joints", "lines", "braces", "words", "frame time", "empty"],
+    ids=["joints", "flat joints", "lines", "braces", "words", "frame time", "empty"],
 )
 def test_files_that_would_take_long_are_refused_at_once(tmp_path, text, says):
     path = tmp_path / "a.bvh"
     path.write_text(text)
+    start = time.process_time()
     with pytest.raises(UserError, match=re.escape(says)):
         load_bvh(path)
+    assert time.process_time() - start < SECONDS
+
+
+@pytest.mark.parametrize(
+    ("text", "num_joints"),
+    [
+        (flat(2000, prefix="j" * 1000), 2000),
+        (f"{ROOT}{'End Site { OFFSET 0 1 0 }' * 20_000}{FRAME}", 1),
+        (f"{ROOT}JOINT {'j ' * 1_000_000}{{ OFFSET 0 1 0 }}{FRAME}", 2),
+    ],
+    ids=["flat joints", "end sites", "name of many words"],
+)
+def test_wide_figures_are_read_at_once(tmp_path, text, num_joints):
+    path, start = write(tmp_path, text), time.process_time()
+    clip = load_bvh(path)
+    assert time.process_time() - start < SECONDS
+    assert len(clip.joint_names) == num_joints

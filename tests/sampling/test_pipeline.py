@@ -1,13 +1,16 @@
 """`TextToMotion`: a sample is a function of seed, sentence and its number, and of nothing beside it."""
 
+import dataclasses
+import itertools
+
 import jax
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints.bundle import BUNDLED
+from t2m_jax.checkpoints.bundle import BUNDLED, ClipReference
 from t2m_jax.errors import UserError
 from t2m_jax.sampling import Greedy, TextToMotion, sample_key
-from t2m_jax.sampling.pipeline import MAX_BATCH
+from t2m_jax.sampling.pipeline import MAX_BATCH, MAX_SAMPLES
 from t2m_jax.text.encoder import TextEncoder
 from tests.jit import optimized
 from tests.tiny import BUNDLE, CAPTIONS, random_bundle
@@ -21,6 +24,23 @@ def bundle():
 @pytest.fixture(scope="module")
 def model(bundle):
     return TextToMotion(bundle)
+
+
+def test_a_model_is_identified_by_the_weights_of_clip_wherever_they_are(bundle):
+    class Clip:
+        def __init__(self, fingerprint):
+            self.fingerprint = fingerprint
+
+        def __call__(self, captions):
+            return jax.numpy.zeros((len(captions), bundle.config.generator.text_dim))
+
+    def fingerprint(name, weights):
+        config = dataclasses.replace(bundle.config, text_encoder=ClipReference(name=name))
+        variables = {role: bundle.variables[role] for role in ("tokenizer", "generator")}
+        model = bundle._replace(config=config, variables=variables, bpe=None)
+        return TextToMotion(model, text_encoder=Clip(weights)).fingerprint
+
+    assert fingerprint("a", "1") == fingerprint("/b", "1") != fingerprint("a", "2")
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +91,22 @@ def test_more_than_one_batch(model):
     assert_same(many[0], model.generate(CAPTIONS[0], seed=1)[0])
 
 
+def test_motions_are_generated_a_batch_at_a_time_as_they_are_taken(model, monkeypatch):
+    sizes, sample_codes = [], TextToMotion.sample_codes
+
+    def record(self, text_embedding, *args, **kwargs):
+        sizes.append(len(text_embedding))
+        return sample_codes(self, text_embedding, *args, **kwargs)
+
+    monkeypatch.setattr(TextToMotion, "sample_codes", record)
+    motions = model.generate_each(CAPTIONS[0], seed=1, num_samples=3 * MAX_BATCH)
+    assert sizes == []
+    taken = list(itertools.islice(motions, MAX_BATCH))
+    assert len(taken) == MAX_BATCH and sizes == [MAX_BATCH]
+    next(motions)
+    assert sizes == [MAX_BATCH, MAX_BATCH]
+
+
 def test_white_space_is_folded(model, eight):
     assert_same(model.generate(f"  {CAPTIONS[0]}\n", seed=3)[0], eight[0])
 
@@ -100,19 +136,23 @@ def test_decode_gives_the_generated_motion_again(model, eight):
     np.testing.assert_allclose(again.positions, eight[0].positions, atol=1e-4)
 
 
+@pytest.mark.parametrize("method", ["generate", "generate_each"])
 @pytest.mark.parametrize(
     ("options", "name"),
     [
         ({"seed": -1}, "seed"),
         ({"seed": 2**32}, "seed"),
         ({"num_samples": 0}, "num-samples"),
+        ({"num_samples": MAX_SAMPLES + 1}, "num-samples: 1000001 is not a whole number from 1 to 1,000,000"),
+        ({"num_samples": 300_000_000}, "num-samples"),
         ({"max_codes": 0}, "max-codes"),
         ({"max_codes": 1000}, "max-codes"),
     ],
 )
-def test_numbers_out_of_range_are_refused(model, options, name):
+def test_numbers_out_of_range_are_refused_before_the_first_motion(model, monkeypatch, method, options, name):
+    monkeypatch.setattr(TextToMotion, "sample_codes", lambda *_, **__: pytest.fail("began to generate"))
     with pytest.raises(UserError, match=name):
-        model.generate(CAPTIONS[0], **options)
+        getattr(model, method)(CAPTIONS[0], **options)
 
 
 @pytest.mark.parametrize("codes", [[], [-1], [BUNDLE.tokenizer.num_codes], [[1, 2]]])

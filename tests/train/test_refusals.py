@@ -1,5 +1,6 @@
 """What training does not take: sizes that describe nothing, data that hold nothing, data of another width."""
 
+import math
 import shutil
 from pathlib import Path
 
@@ -10,7 +11,14 @@ from t2m_jax.cli.main import main
 from t2m_jax.config import config_from_dict, save_config
 from t2m_jax.data.files import FEATURES
 from t2m_jax.errors import UserError
-from t2m_jax.train import TrainGptConfig, TrainVqVaeConfig, train
+from t2m_jax.train import (
+    TrainEvaluatorConfig,
+    TrainGptConfig,
+    TrainHiFiGptConfig,
+    TrainRvqVaeConfig,
+    TrainVqVaeConfig,
+    train,
+)
 from tests.tiny import gpt_training, vqvae_training
 
 
@@ -29,6 +37,15 @@ from tests.tiny import gpt_training, vqvae_training
         (TrainGptConfig, {"loop": {"log_every": -1}}, "loop: log_every: -1 is below 0"),
         (TrainVqVaeConfig, {"root_weight": 0.0}, "root_weight: 0.0 is not above 0"),
         (TrainVqVaeConfig, {"optimizer": {"milestones": [2**31]}}, "optimizer: warmup_steps, milestones: 2147483648"),
+        (TrainVqVaeConfig, {"optimizer": {"warmup_steps": -5}}, "optimizer: warmup_steps, milestones: -5 is not a"),
+        (TrainVqVaeConfig, {"optimizer": {"learning_rate": -1}}, "optimizer: learning_rate: -1.0 is not a number from"),
+        (TrainGptConfig, {"optimizer": {"learning_rate": math.inf}}, "optimizer: learning_rate: inf is not a number"),
+        (TrainVqVaeConfig, {"velocity_weight": -0.5}, "velocity_weight: -0.5 is not a number from 0 up"),
+        (TrainRvqVaeConfig, {"bone_weight": math.inf}, "bone_weight: inf is not a number from 0 up"),
+        (TrainHiFiGptConfig, {"stop_positive_weight": -1.0}, "stop_positive_weight: -1.0 is not a number from 0 up"),
+        (TrainEvaluatorConfig, {"sparsity_weight": -0.001}, "sparsity_weight: -0.001 is not a number from 0 up"),
+        (TrainVqVaeConfig, {"window": 10**9}, "window: 1000000000 frames are more than 10000"),
+        (TrainEvaluatorConfig, {"window": 10**9}, "window: 1000000000 frames are more than 10000"),
         (TrainGptConfig, {"model": {"block_size": 1}}, "model: block_size: 1 leaves no position"),
         (TrainGptConfig, {"model": {"num_heads": 0}}, "model: num_heads: 0"),
         (TrainGptConfig, {"model": {"num_heads": 7}}, "model: num_heads: 7 does not divide"),
