@@ -139,6 +139,7 @@ def test_a_caption_file_in_another_encoding_is_named(tmp_path):
     [
         ("sie läuft".encode("latin-1"), "b.txt: is not UTF-8 text (byte 5)"),
         (b"123\n", "b.txt:1: the caption '123' has no words"),
+        (b"123##0.0#0.0\n", "b.txt:1: the caption '123' has no words"),
         (b"a man walks\n?!\n", "b.txt:2: the caption '?!' has no words"),
     ],
 )

@@ -43,11 +43,16 @@ def _tagged_caption(text: str, *, source: str, start: str = "", end: str = "") -
     if "#" in text:
         raise UserError(f"{source}: the caption has a '#', which the text format cannot store; remove it")
     text = " ".join(text.split())
+    line = f"{text}#{' '.join(_tokens(text, source=source))}#{start.strip() or 0.0}#{end.strip() or 0.0}"
+    return parse_caption(line, source=source)
+
+
+def _tokens(text: str, *, source: str) -> tuple[str, ...]:
+    """Returns the tokens of a caption, of which there must be some."""
     tokens = tag_words(text)
     if not tokens:
         raise UserError(f"{source}: the caption {text[:40]!r} has no words; say what the motion shows")
-    line = f"{text}#{' '.join(tokens)}#{start.strip() or 0.0}#{end.strip() or 0.0}"
-    return parse_caption(line, source=source)
+    return tokens
 
 
 def load_caption_table(source: Path, captions: Path | None) -> dict[str, list[Caption]]:
@@ -109,7 +114,7 @@ def find_captions(
         place = f"{beside}:{number}"
         if line.count("#") == 3:
             caption = parse_caption(line, source=place)
-            captions.append(caption if caption.tokens else caption._replace(tokens=tag_words(caption.text)))
+            captions.append(caption._replace(tokens=caption.tokens or _tokens(caption.text, source=place)))
         elif line.strip():
             captions.append(_tagged_caption(line, source=place))
     words = re.sub(r"[\W\d_]+", " ", motion.short_keys()[-1]).strip().lower()
