@@ -28,8 +28,8 @@ from t2m_jax.data.importers.bandai_namco.wordings import load_composition, load_
 from t2m_jax.data.index import load_index
 from t2m_jax.data.texts import Caption, load_captions
 from t2m_jax.data.writer import new_folder, write_twins
-from t2m_jax.motion.bvh.kinematics import forward_kinematics
 from t2m_jax.motion.features import features_from_positions
+from t2m_jax.motion.kinematics import forward_kinematics
 from t2m_jax.motion.skeleton import HUMANML3D
 from tests.data.bvh_files import write_bvh
 from tests.motion.figures import INDEX, standing_offsets, walking_positions

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from t2m_jax.motion.bvh.kinematics import forward_kinematics
+from t2m_jax.motion.kinematics import forward_kinematics
 from t2m_jax.motion.rotations import matrix_from_euler
 from t2m_jax.motion.skeleton import HUMANML3D
 

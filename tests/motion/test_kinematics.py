@@ -3,11 +3,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from t2m_jax.motion.bvh.inverse_kinematics import fit_rig
-from t2m_jax.motion.bvh.kinematics import forward_kinematics, rigid_rotations
-from t2m_jax.motion.bvh.twist import limb_rotations
+from t2m_jax.motion.inverse_kinematics import fit_rig
+from t2m_jax.motion.kinematics import forward_kinematics, rigid_rotations
 from t2m_jax.motion.rotations import matrix_from_euler, matrix_from_quaternion
 from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.motion.twist import limb_rotations
 
 from .figures import INDEX, standing_offsets, turn_angles, walking_positions
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.motion.bvh.kinematics import forward_kinematics
+from t2m_jax.motion.kinematics import forward_kinematics
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

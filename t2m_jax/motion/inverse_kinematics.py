@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.motion.bvh.kinematics import rigid_rotations
-from t2m_jax.motion.bvh.twist import limb_rotations
+from t2m_jax.motion.kinematics import rigid_rotations
 from t2m_jax.motion.rotations import (
     matrix_from_quaternion,
     quaternion_between,
@@ -18,6 +17,7 @@ from t2m_jax.motion.rotations import (
     slerp,
 )
 from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.motion.twist import limb_rotations
 
 _INDEX = {name: i for i, name in enumerate(HUMANML3D.joint_names)}
 _PARENTS = HUMANML3D.parents
