@@ -114,10 +114,15 @@ def ground_positions(positions: Float[AnyArray, "*batch T J 3"], skeleton: Skele
     start = positions[..., 0, 0, :]
     origin = xp.stack([start[..., 0], floor, start[..., 2]], axis=-1)
     positions = positions - origin[..., None, None, :]
-    right_hip, left_hip, right_shoulder, left_shoulder = (positions[..., 0, j, :] for j in skeleton.face_joints)
-    across = (right_hip - left_hip) + (right_shoulder - left_shoulder)
-    turn = quaternion_between(_forward(across), _constant(_AHEAD, across, across.ndim))
+    forward = facing(positions[..., 0, :, :], skeleton)
+    turn = quaternion_between(forward, _constant(_AHEAD, forward, forward.ndim))
     return rotate_vectors(turn[..., None, None, :], positions)
+
+
+def facing(pose: Float[AnyArray, "*batch J 3"], skeleton: Skeleton) -> Float[AnyArray, "*batch 3"]:
+    """Returns the horizontal direction in which a figure faces, of any length."""
+    right_hip, left_hip, right_shoulder, left_shoulder = (pose[..., j, :] for j in skeleton.face_joints)
+    return _forward((right_hip - left_hip) + (right_shoulder - left_shoulder))
 
 
 def _forward(across: Float[AnyArray, "*batch 3"]) -> Float[AnyArray, "*batch 3"]:

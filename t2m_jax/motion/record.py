@@ -2,20 +2,25 @@
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from t2m_jax import files
 from t2m_jax.errors import UserError
+from t2m_jax.motion.editing import join_positions, resample_positions
+from t2m_jax.motion.inverse_kinematics import fit_rig
+from t2m_jax.motion.mirroring import mirror_caption, mirror_positions
 from t2m_jax.motion.skeleton import HUMANML3D, Skeleton
 
-# Writers and viewers are entry points of these groups: this module does not import them (see pyproject.toml).
+# Readers, writers and viewers are entry points of these groups: this module does not import them (see pyproject.toml).
 _FORMATS = "t2m_jax.motion_formats"
 _VIEWERS = "t2m_jax.motion_viewers"
+_READERS = "t2m_jax.motion_readers"
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -79,6 +84,80 @@ class Motion:
     def seconds(self) -> float:
         """Duration in seconds."""
         return self.num_frames / self.fps
+
+    @property
+    def rotations(self) -> Float[np.ndarray, "T J 3 3"]:
+        """Rotation of each joint relative to its parent, whose rest pose is a T-pose, as BVH files have them.
+
+        Raises:
+            UserError: The skeleton is not HumanML3D's.
+        """
+        if self.skeleton.joint_names != HUMANML3D.joint_names:
+            raise UserError(f"rotations: there are some for the skeleton {HUMANML3D.name}, not {self.skeleton.name}")
+        return fit_rig(self.positions, fps=self.fps).rotations
+
+    def __len__(self) -> int:
+        return self.num_frames
+
+    def __getitem__(self, frames: Any) -> "Motion":
+        """Returns some frames, such as `motion[20:60]`, without codes: these stand for several frames each."""
+        if not isinstance(frames, slice) or frames.step not in (None, 1):
+            raise UserError(f"motion[{frames}]: give a range of frames, such as motion[20:60]")
+        parts = {name: getattr(self, name) for name in ("positions", "positions_raw", "features")}
+        cut = {name: part[frames] for name, part in parts.items() if part is not None}
+        if not len(cut["positions"]):
+            raise UserError(f"motion[{frames.start}:{frames.stop}]: has no frames; the motion has {self.num_frames}")
+        return dataclasses.replace(self, **cut, codes=None)
+
+    def resampled(self, fps: float | int) -> "Motion":
+        """Returns the same motion at another frame rate, without features and codes (see `resample_positions`).
+
+        Raises:
+            UserError: The rate is not a number above 0, or is too large.
+        """
+        new_fps = float(fps)
+        return self._edited(lambda old: resample_positions(old, fps=self.fps, new_fps=new_fps), fps=new_fps)
+
+    def mirrored(self) -> "Motion":
+        """Returns the motion with left and right exchanged, also in its caption, without features and codes."""
+        caption = mirror_caption(self.caption)
+        return self._edited(lambda positions: mirror_positions(positions, self.skeleton), caption=caption)
+
+    def __add__(self, other: "Motion") -> "Motion":
+        """Returns this motion and then another, which is turned and moved to where this one ends; see `join_positions`.
+
+        Raises:
+            UserError: They have different skeletons or frame rates.
+        """
+        if not isinstance(other, Motion):
+            return NotImplemented
+        if (other.skeleton, other.fps) != (self.skeleton, self.fps):
+            raise UserError(
+                f"a motion of {self.skeleton.name} at {self.fps:g} frames a second and one of {other.skeleton.name} at "
+                f"{other.fps:g} cannot be joined; use `resampled` for the same rate"
+            )
+        options: Any = {"fps": self.fps, "skeleton": self.skeleton}
+        positions, raw = join_positions(self.positions, other.positions, **options), None
+        if self.positions_raw is not None and other.positions_raw is not None:
+            raw = join_positions(self.positions_raw, other.positions_raw, **options)
+        caption = ", then ".join(filter(None, (self.caption, other.caption)))
+        return Motion(positions, self.fps, positions_raw=raw, skeleton=self.skeleton, caption=caption)
+
+    def _edited(self, edit: Callable[[np.ndarray], np.ndarray], **fields: Any) -> "Motion":
+        """Returns the motion with other positions, without what does not fit them."""
+        raw = None if self.positions_raw is None else edit(self.positions_raw)
+        return dataclasses.replace(
+            self, positions=edit(self.positions), positions_raw=raw, features=None, codes=None, **fields
+        )
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Motion":
+        """Returns the motion of a file in any readable format: `.npz`, `.bvh`, `.glb`, or `.npy` of a data set.
+
+        Raises:
+            UserError: The file does not contain one motion.
+        """
+        return _entry_points(_READERS)["motion"].load()(path)
 
     def save(self, path: str | Path) -> None:
         """Writes the motion. The suffix selects the format (see `motion_formats`).
