@@ -12,11 +12,12 @@ from tqdm import tqdm
 
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.devices import put_everywhere, put_rows
+from t2m_jax.errors import UserError
 from t2m_jax.masks import mask_from_lengths
 from t2m_jax.models.projection import transpose_kernels
 from t2m_jax.models.system import GeneratorConfig
 from t2m_jax.motion.cleanup import clean_positions
-from t2m_jax.motion.features import positions_from_features
+from t2m_jax.motion.features import features_from_positions, positions_from_features
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import Skeleton
@@ -137,6 +138,24 @@ def encode_motions(
         for row, index in enumerate(chosen):
             codes[index] = found[row, : batch.lengths[row] // downsample]
     return codes
+
+
+def encode_motion(tokenizer: TrainedTokenizer, motion: Motion, skeleton: Skeleton) -> Int[np.ndarray, "N R"]:
+    """Returns the codes of a motion: of its features, or of those that follow from its positions.
+
+    Raises:
+        UserError: The motion has another skeleton than the tokenizer's, or is too short for a code.
+    """
+    if motion.skeleton != skeleton:
+        raise UserError(f"motion: has skeleton {motion.skeleton.name}; the model reads {skeleton.name}")
+    features = motion.features
+    if features is None:
+        positions = motion.resampled(skeleton.fps).positions / skeleton.metres_per_unit
+        features = features_from_positions(positions, skeleton)
+    if len(features) < tokenizer.config.downsample:
+        frames = tokenizer.config.downsample
+        raise UserError(f"motion: {len(features)} frames at {skeleton.fps:g} a second; a code needs {frames}")
+    return encode_motions(tokenizer, [features], progress=False)[0]
 
 
 def motions_from_codes(

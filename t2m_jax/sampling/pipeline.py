@@ -27,6 +27,7 @@ from t2m_jax.motion.skeleton import skeleton_from_name
 from t2m_jax.sampling.batches import padded_batch_size
 from t2m_jax.sampling.codec import (
     begin_motions,
+    encode_motion,
     generate_codes,
     generate_row,
     motions_from_codes,
@@ -302,6 +303,14 @@ class TextToMotion:
             seed=seed,
             clean=clean,
         )
+
+    def encode(self, motion: Motion) -> Int[np.ndarray, "N R"]:
+        """Returns the codes of a motion. Frames at its end that do not fill a code are left out.
+
+        Raises:
+            UserError: It has another skeleton than the model's, or is too short for a code.
+        """
+        return encode_motion(self.tokenizer, motion, self.skeleton)
 
     def decode(self, codes: Int[np.ndarray, "N ..."], *, caption: str = "", raw: bool = False) -> Motion:
         """Returns the motion of codes [N, R]; the last axis may be left out if there is one code per row.

@@ -123,7 +123,7 @@ def fill(folder: Path, disk: Disk, command: Command, share: float) -> str:
     if code != 2 or place not in line or not any(reason in line for reason in REASONS) or "Traceback" in output:
         raise Broken(f"{command.arguments}: returns {code} when the disk is full: {output[-1000:]}")
     if old.read_text() != "older contents\n" or (left := unfinished(disk.folder)):
-        raise Broken(f"{command.arguments}: leaves {left} when the disk is full")
+        raise Broken(f"{command.arguments}: leaves {sorted(left)[:5]} when the disk is full")
     if path.exists():
         command.check(path)
     disk.limit(LARGE)

@@ -8,8 +8,12 @@ import numpy as np
 import pytest
 
 from t2m_jax.checkpoints.bundle import BUNDLED, ClipReference
+from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
-from t2m_jax.sampling import Greedy, TextToMotion, sample_key
+from t2m_jax.motion.features import features_from_positions
+from t2m_jax.motion.record import Motion
+from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
+from t2m_jax.sampling import Greedy, TextToMotion, encode_motions, sample_key
 from t2m_jax.sampling.pipeline import MAX_BATCH, MAX_SAMPLES
 from t2m_jax.text.encoder import TextEncoder
 from tests.jit import optimized
@@ -129,6 +133,25 @@ def test_motion_is_cleaned_unless_it_is_wanted_as_decoded(model, eight):
     np.testing.assert_allclose(bones, model.skeleton.bone_lengths[4], rtol=1e-3)
     assert np.abs(raw.positions - eight[0].positions).max() > 1e-3
     np.testing.assert_allclose(model.decode(raw.codes, raw=True).positions, raw.positions, atol=1e-4)
+
+
+def test_a_motion_is_encoded_from_its_features_or_its_positions(model):
+    walk = Motion(make_motion("walk", seed=1, num_frames=60), 20.0)
+    again = model.encode(walk)
+    (expected,) = encode_motions(model.tokenizer, [features_from_positions(walk.positions, HUMANML3D)], progress=False)
+    np.testing.assert_array_equal(again, expected)
+    assert again.shape == ((walk.num_frames - 1) // model.config.tokenizer.downsample, 1)
+    np.testing.assert_array_equal(model.encode(walk.resampled(40))[2:-2], expected[2:-2])
+    generated = model.generate(CAPTIONS[0], raw=True)[0]
+    (expected,) = encode_motions(model.tokenizer, [generated.features], progress=False)
+    np.testing.assert_array_equal(model.encode(generated), expected)
+
+
+def test_motions_that_cannot_be_encoded_are_refused(model):
+    with pytest.raises(UserError, match="skeleton"):
+        model.encode(Motion(np.zeros((40, 21, 3)), 12.5, skeleton=KIT_ML))
+    with pytest.raises(UserError, match="a code needs"):
+        model.encode(Motion(make_motion("walk", seed=1, num_frames=60), 20.0)[:3])
 
 
 def test_decode_gives_the_generated_motion_again(model, eight):
