@@ -7,6 +7,7 @@ import pytest
 
 from t2m_jax.cli.main import main
 from t2m_jax.errors import UserError
+from t2m_jax.evaluation.report.comparison import compare_reports
 from t2m_jax.evaluation.report.formats import format_table, heading
 from t2m_jax.evaluation.report.record import COMPARABLE, Header, Metric, Report, save_report
 from t2m_jax.evaluation.report.tables import make_table
@@ -166,6 +167,16 @@ def test_reports_of_different_kinds_are_not_put_into_one_table(name):
     other = report(fid=(0.2, 0.0), header=dataclasses.replace(HEADER, **{name: OTHERS[type(getattr(HEADER, name))]}))
     with pytest.raises(UserError, match=f"^{name}: .* in a, (-1|other) in b; make a table for each"):
         make_table([report(fid=(0.2, 0.0)), other], ["a", "b"])
+
+
+def test_reports_of_other_contents_are_not_put_into_one_table():
+    headers = [dataclasses.replace(HEADER, contents=contents) for contents in ("abc", None, "abd")]
+    first, older, other = (report(fid=(0.2, 0.0), header=header) for header in headers)
+    make_table([first, older], ["a", "b"])
+    with pytest.raises(UserError, match=r"^contents: abc in a, abd in b; make a table for each"):
+        make_table([first, other], ["a", "b"])
+    with pytest.raises(UserError, match=r"^contents: abc in one report, abd in the other"):
+        compare_reports(first, other)
 
 
 def test_tokenizers_with_other_units_can_be_in_one_table():

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError, printable
-from t2m_jax.evaluation.report.record import COMPARABLE, Report
+from t2m_jax.evaluation.report.record import COMPARABLE, Report, first_difference
 
 PAIRED = (*COMPARABLE, "unit")
 """Fields of the header that two reports must share, so that their repeats use the same pieces of the same motions."""
@@ -45,10 +45,9 @@ def compare_reports(first: Report, second: Report) -> list[Difference]:
     Raises:
         UserError: Their repeats do not belong together.
     """
-    for name in PAIRED:
+    if name := first_difference(first.header, second.header, PAIRED):
         one, other = (getattr(report.header, name) for report in (first, second))
-        if one != other:
-            raise UserError(f"{name}: {one} in one report, {other} in the other; evaluate both in the same way")
+        raise UserError(f"{name}: {one} in one report, {other} in the other; evaluate both in the same way")
     rows = []
     for metric in (name for name in first.measured if name in second.measured):
         one, other = (np.asarray(report.measured[metric].repeats) for report in (first, second))

@@ -65,6 +65,18 @@ class Header:
     """Rule that ended motions; None for reconstructions, and in reports of version 0.1, whose models end at End."""
 
 
+def first_difference(one: Header, other: Header, names: Sequence[str]) -> str | None:
+    """Returns the first of some fields, and then `contents`, in which two headers differ; None if there is none.
+
+    Older reports do not know the contents of their data. These may be the same.
+    """
+    for name in (*names, "contents"):
+        values = getattr(one, name), getattr(other, name)
+        if values[0] != values[1] and not (name == "contents" and None in values):
+            return name
+    return None
+
+
 @dataclasses.dataclass(frozen=True)
 class Metric:
     """One metric of one set of motions."""

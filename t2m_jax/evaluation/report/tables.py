@@ -5,7 +5,7 @@ from typing import Any, Literal, NamedTuple
 
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.quality import CLEANED
-from t2m_jax.evaluation.report.record import COMPARABLE, REAL, Metric, Report
+from t2m_jax.evaluation.report.record import COMPARABLE, REAL, Metric, Report, first_difference
 
 DIGITS = 3
 """Digits after the point, of means and intervals."""
@@ -99,10 +99,9 @@ def make_table(reports: Sequence[Report], names: Sequence[str], *, measures: Mea
         raise UserError(f"names: {', '.join(names)} are not all different; give others with --names")
     facts = {name: getattr(reports[0].header, name) for name in COMPARABLE}
     for report, title in zip(reports, names, strict=True):
-        for name, value in facts.items():
-            found = getattr(report.header, name)
-            if found != value:
-                raise UserError(f"{name}: {value} in {names[0]}, {found} in {title}; make a table for each")
+        if name := first_difference(reports[0].header, report.header, COMPARABLE):
+            values = [getattr(one.header, name) for one in (reports[0], report)]
+            raise UserError(f"{name}: {values[0]} in {names[0]}, {values[1]} in {title}; make a table for each")
     # Real motion of the report with the most repeats; the others' repeats are its first ones.
     real = max((_row("real motion", REAL, report.real) for report in reports), key=lambda row: row.num_repeats)
     titles = [" ".join(title.split()) for title in names]
