@@ -28,7 +28,8 @@ def add_derived(arrays: Mapping[str, np.ndarray], expected: Set[str]) -> dict[st
     counts = codebook.removesuffix(CODEBOOK) + COUNTS
     for name in expected - arrays.keys():
         if name.endswith(SUMS) and counts in arrays and arrays[counts].shape == arrays[codebook].shape[:-1]:
-            result[name] = arrays[codebook].astype(np.float32) * arrays[counts].astype(np.float32)[..., None]
+            with np.errstate(all="ignore"):  # what is not finite is refused by `fit_arrays`
+                result[name] = arrays[codebook].astype(np.float32) * arrays[counts].astype(np.float32)[..., None]
         elif name.endswith(COPY) and codebook:
             result[name] = arrays[codebook]
     return result

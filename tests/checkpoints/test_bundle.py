@@ -12,7 +12,15 @@ from t2m_jax.checkpoints.bundle import CONFIG_FILE, WEIGHTS_FILE, bundle_path, l
 from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_arrays, read_arrays, read_manifest, save_arrays, unflatten_tree
+from t2m_jax.files import (
+    load_arrays,
+    read_arrays,
+    read_manifest,
+    save_arrays,
+    save_weights,
+    unflatten_tree,
+    write_manifest,
+)
 from tests.tiny import BUNDLE, HIFIGPT_BUNDLE, drop_manifest, random_bundle
 
 
@@ -81,6 +89,16 @@ def test_small_bundles_leave_out_sums_and_copies_of_codes(tmp_path, half):
     assert left_out.isdisjoint(read_arrays(tmp_path / "small" / WEIGHTS_FILE)) == half
     loaded = load_bundle(tmp_path / "small").variables
     jax.tree.map(functools.partial(np.testing.assert_allclose, rtol=2e-3, atol=1e-4), bundle.variables, loaded)
+
+
+def test_codes_that_are_not_finite_are_refused_before_anything_follows_from_them(saved, tmp_path):
+    folder = shutil.copytree(saved, tmp_path / "copy")
+    arrays = read_arrays(folder / WEIGHTS_FILE)
+    arrays["vqvae/codebook/quantizer/codebook"][:] = np.inf
+    arrays["vqvae/codebook/quantizer/ema_count"][:] = 0.0
+    save_weights(folder / WEIGHTS_FILE, arrays)
+    write_manifest(folder)
+    assert "has values that are not finite" in refused(folder)
 
 
 def test_everybody_may_read_it(saved):
