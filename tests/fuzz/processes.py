@@ -101,7 +101,12 @@ TRAIN = ["train", "vqvae", "official", "--statistics", "data", "--data", "data",
 COMMANDS: Mapping[str, tuple[Command, ...]] = {
     "train": (
         Command(TRAIN, "run", _check_run, ["train", "vqvae", "--run", "run", "--resume"]),
-        Command(["train", "gpt", "gpt.yaml"], "gpt", _check_run, ["train", "gpt", "--run", "gpt", "--resume"]),
+        Command(
+            ["train", "gpt", "gpt.yaml", "--run", "gpt-run"],
+            "gpt-run",
+            _check_run,
+            ["train", "gpt", "--run", "gpt-run", "--resume"],
+        ),
     ),
     "data": (
         Command(["data", "synthetic", "made", "--num-clips", "20"], "made", _check_data),
@@ -129,7 +134,7 @@ def prepare(folder: Path) -> None:
     train(vqvae_training(folder / "data", folder / "tokenizer"))
     train(gpt_training(folder / "data", folder / "tokenizer", folder / "model"))
     loop = dataclasses.replace(LOOP_OF_TESTS, num_steps=16, checkpoint_every=2, validate_every=0)
-    save_config(folder / "gpt.yaml", gpt_training(Path("data"), Path("tokenizer"), Path("gpt"), loop=loop))
+    save_config(folder / "gpt.yaml", gpt_training(Path("data"), Path("tokenizer"), Path("gpt-run"), loop=loop))
     (folder / "motions").mkdir()
     for number in range(4):
         write_bvh(folder / "motions" / f"walk {number}.bvh", num_frames=40, seed=number)
