@@ -23,6 +23,7 @@ from t2m_jax.files import (
     read_manifest,
     write_manifest,
 )
+from t2m_jax.files.locks import OWNERLESS_SECONDS
 from t2m_jax.files.writing import ABANDONED_SECONDS
 
 
@@ -97,7 +98,12 @@ def test_one_process_writes_and_the_others_are_told(tmp_path):
     path = tmp_path / "out"
     with subprocess.Popen([sys.executable, "-c", HOLD, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
         assert other.stdout.readline() == b"held\n"
-        with pytest.raises(UserError, match=f"out: is being written by process {other.pid}"), atomic_folder(path):
+        with pytest.raises(UserError, match=f"out: is being written by process {other.pid} on ") as error, lock(path):
+            pass
+        place = tmp_path / ".out.lock"
+        host = place.read_text().splitlines()[1]
+        assert f"on {host}; wait for it, or delete {place} if that process is gone" in str(error.value)
+        with pytest.raises(UserError, match="is being written by"), atomic_folder(path):
             pass
         other.kill()
         other.wait()
@@ -105,6 +111,64 @@ def test_one_process_writes_and_the_others_are_told(tmp_path):
     with atomic_folder(path), lock(path):  # taken over from the killed process, and taken again inside
         pass
     assert names(tmp_path) == ["out"]
+
+
+def leave_lock(path, contents, *, age=2 * OWNERLESS_SECONDS):
+    """Writes the lock file of a destination as another process may have left it, and returns its place."""
+    place = path.with_name(f".{path.name}.lock")
+    place.write_bytes(contents)
+    os.utime(place, (time.time() - age,) * 2)
+    return place
+
+
+@pytest.mark.parametrize("contents", [b"", b"\0" * 30, b"12", b"123\nho", b"\xff\xfe\n", b"x" * 5000, b"who\nhost\n"])
+def test_a_lock_file_without_an_owner_is_taken_over_later(tmp_path, contents):
+    leave_lock(tmp_path / "out", contents, age=0)
+    with pytest.raises(UserError, match=r"written by another process; wait for it, or delete .*\.out\.lock if that"):
+        lock(tmp_path / "out").__enter__()
+    assert leave_lock(tmp_path / "out", contents).read_bytes() == contents
+    with lock(tmp_path / "out"):
+        assert names(tmp_path) == [".out.lock"]
+        assert (tmp_path / ".out.lock").read_text().startswith(f"{os.getpid()}\n")
+    assert names(tmp_path) == []
+
+
+def test_the_lock_of_another_host_is_kept(tmp_path):
+    place = leave_lock(tmp_path / "out", b"123\nelsewhere\x1b[31m\n456\n", age=10**6)
+    with pytest.raises(UserError) as error, lock(tmp_path / "out"):
+        pass
+    assert str(error.value) == (
+        f"{tmp_path / 'out'}: is being written by process 123 on elsewhere\\x1b[31m; "
+        f"wait for it, or delete {place} if that process is gone"
+    )
+    assert names(tmp_path) == [".out.lock"]
+
+
+def test_a_pipe_in_the_place_of_the_lock_file_is_kept(tmp_path):
+    os.mkfifo(tmp_path / ".out.lock")
+    with pytest.raises(UserError, match="is being written by another process"), lock(tmp_path / "out"):
+        pass
+    assert names(tmp_path) == [".out.lock"]
+
+
+@pytest.mark.parametrize("is_replaced", [True, False])
+def test_a_lock_that_was_taken_over_in_the_meantime_is_kept(tmp_path, monkeypatch, is_replaced):
+    """Another process is faster: it has the lock already, or is about to delete the file."""
+    place, link = leave_lock(tmp_path / "out", b""), os.link
+
+    def late_link(source, target):
+        if is_replaced:
+            place.unlink()
+            place.write_text("123\nelsewhere\n")
+        else:
+            link(source, target)
+        link(source, target)
+
+    monkeypatch.setattr(os, "link", late_link)
+    with pytest.raises(UserError, match="is being written by"), lock(tmp_path / "out"):
+        pass
+    assert place.read_text() == ("123\nelsewhere\n" if is_replaced else "")
+    assert len(names(tmp_path)) == (1 if is_replaced else 2)
 
 
 def test_long_names_do_not_share_a_lock(tmp_path):

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from t2m_jax.cli.next_step import show_next
 from t2m_jax.cli.subcommands import subcommand_adder
 from t2m_jax.errors import UserError
-from t2m_jax.files import check_output
+from t2m_jax.files import check_output, claim
 
 if TYPE_CHECKING:
     from t2m_jax.bench import Peaks, Report, Row
@@ -197,13 +197,13 @@ def _report(args: argparse.Namespace, measure: "Callable[[Peaks], Sequence[Row]]
     before = None if args.compare is None else bench.load_report(args.compare)
     if before is not None:
         bench.check_same_machine(before.machine, bench.describe_machine(()))
-    if args.json is not None:
-        check_output(args.json)
-    report = bench.make_report(measure, devices=args.devices, probe=bench.measure_peaks)
-    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-    sys.stdout.write(f"{bench.report_text(report, width=width)}\n")
-    if args.json is not None:
-        bench.save_report(args.json, report)
+    outputs = [] if args.json is None else [check_output(args.json)]
+    with claim(outputs):
+        report = bench.make_report(measure, devices=args.devices, probe=bench.measure_peaks)
+        width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+        sys.stdout.write(f"{bench.report_text(report, width=width)}\n")
+        for output in outputs:
+            bench.save_report(output, report)
     if before is not None:
         _show_regressions(before, report, args.tolerance)
 

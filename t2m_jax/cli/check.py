@@ -1,11 +1,12 @@
 """Say what is intact: `t2m check PATH` compares files with their checksums, and reads them.
 
-PATH is a run, a bundle, an evaluator, a data set, or the report of an evaluation. The exit code is 1 if something is
-damaged.
+PATH is a run, a bundle, an evaluator, a data set, or a report of `t2m evaluate --json` or `t2m bench --json`. The exit
+code is not 0 if something is damaged.
 """
 
 import argparse
 import sys
+from pathlib import Path
 
 from t2m_jax.errors import UserError, printable
 
@@ -21,10 +22,7 @@ def run(args: argparse.Namespace) -> None:
 
     path = bundle_path(args.path)
     if path.is_file():
-        from t2m_jax.evaluation.report import load_report
-
-        load_report(path)
-        sys.stdout.write(f"{path}: the report is intact\n")
+        sys.stdout.write(printable(f"{path}: intact, {_describe_report(path)}") + "\n")
         return
     if not path.is_dir():
         raise UserError(f"{path}: there is no such file or folder")
@@ -41,3 +39,30 @@ def run(args: argparse.Namespace) -> None:
         sys.stdout.write(printable(f"{part.name}: {part.problem or f'intact{without}'}") + "\n")
     if any(part.problem for part in parts):
         sys.exit(1)
+
+
+def _describe_report(path: Path) -> str:
+    """Returns which command wrote a report and what is in it, after all of it has been read.
+
+    Raises:
+        UserError: It is damaged, or is not a report.
+    """
+    from t2m_jax.evaluation.report import load_prompt_report, load_reconstruction, load_report
+    from t2m_jax.files import load_json
+
+    data = load_json(path)
+    found = set(data) if isinstance(data, dict) else set()
+    if found & {"machine", "format_version"}:
+        from t2m_jax import bench
+
+        return f"a report of `t2m bench` (rows: {len(bench.load_report(path).rows)})"
+    if found & {"prompt_following", "contents"}:
+        prompts = load_prompt_report(path)
+        return f"a report of `t2m evaluate prompts --group {prompts.group}` on {prompts.num_samples} motions"
+    if "rows" in found:
+        report = load_report(path)
+        command = "generation`" if report.kind == "generated" else "reconstruction` with an evaluator,"
+        return f"a report of `t2m evaluate {command} on {report.header.num_samples} motions"
+    if "mpjpe_mm" in found:
+        return f"a report of `t2m evaluate reconstruction` on {load_reconstruction(path).num_clips} clips"
+    raise UserError(f"{path}: is not a report; give a file that `t2m evaluate --json` or `t2m bench --json` wrote")

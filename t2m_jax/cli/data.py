@@ -88,13 +88,13 @@ def run(args: argparse.Namespace) -> None:
 def check_dataset(folder: Path, report_file: Path | None) -> None:
     """Prints the audit of a folder and exits with code 1 if something is wrong."""
     from t2m_jax.data.audit import audit_dataset
-    from t2m_jax.files import check_output, save_json
+    from t2m_jax.files import check_output, claim, save_json
 
-    if report_file:
-        check_output(report_file)
-    report = audit_dataset(folder)
-    if report_file:
-        save_json(report_file, dataclasses.asdict(report))
+    outputs = [] if report_file is None else [check_output(report_file)]
+    with claim(outputs):
+        report = audit_dataset(folder)
+        for output in outputs:
+            save_json(output, dataclasses.asdict(report))
     _show(f"{report.folder}: {report.name or 'unnamed'}, skeleton {report.skeleton}, {report.fps:g} frames per second")
     for split, count in report.splits.items():
         _show(

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from t2m_jax.cli.generate import add_raw_argument, add_sampling_arguments
 from t2m_jax.cli.next_step import show_next
 from t2m_jax.cli.subcommands import subcommand_adder
-from t2m_jax.errors import UserError
+from t2m_jax.errors import UserError, printable
 from t2m_jax.files import check_output, claim, save_json
 
 if TYPE_CHECKING:
@@ -180,7 +180,8 @@ def _measure(
     report = evaluate(task, source, num_repeats=args.num_repeats, model=args.model, partial=partial)
     report = dataclasses.replace(report, reconstruction=figures)
     header = dataclasses.asdict(report.header)
-    sys.stdout.write(", ".join(f"{name} {value}" for name, value in header.items() if value is not None) + "\n\n")
+    facts = ", ".join(f"{name} {value}" for name, value in header.items() if value is not None)
+    sys.stdout.write(f"{printable(facts)}\n\n")
     for measures in ("captions", "quality"):
         table = make_table([report], [source.kind], measures=measures)._replace(facts={})
         sys.stdout.write(format_table(table, style="terminal") + "\n\n")
@@ -217,6 +218,7 @@ def run_prompts(args: argparse.Namespace) -> None:
     """Prints how often generated motion does what was asked."""
     from t2m_jax.evaluation import evaluate_prompt_following
     from t2m_jax.evaluation.prompt_following import markdown_table
+    from t2m_jax.evaluation.report import PromptCounts, make_prompt_report, save_prompt_report
     from t2m_jax.sampling import TextToMotion, make_strategy
 
     tests = _prompt_tests(args.group, args.data)
@@ -228,20 +230,19 @@ def run_prompts(args: argparse.Namespace) -> None:
         tests, lambda sentence, seed: model.generate(sentence, seed=seed, **options)[0], num_seeds=args.num_seeds
     )
     sys.stdout.write(markdown_table(results) + "\n")
-    right, total = sum(row.num_right for row in results), sum(row.num_samples for row in results)
-    contents = {
-        row.name: {
-            "right": row.num_right,
-            "samples": row.num_samples,
-            "failures": list(row.failures),
-            "instead": row.instead,
-        }
-        for row in results
-    }
     if args.json:
-        measured = {"group": args.group, "motion": "decoded" if args.raw else "cleaned"}
-        measured |= {"prompt_following": right / total, "num_samples": total, "contents": contents}
-        save_json(args.json, measured)
+        contents = tuple(
+            PromptCounts(
+                name=row.name,
+                right=row.num_right,
+                samples=row.num_samples,
+                failures=row.failures,
+                instead=tuple(row.instead.items()),
+            )
+            for row in results
+        )
+        motion = "decoded" if args.raw else "cleaned"
+        save_prompt_report(args.json, make_prompt_report(contents, group=args.group, motion=motion))
     show_next(shlex.join(["t2m", "generate", "a person walks forward", "--model", args.model]))
 
 

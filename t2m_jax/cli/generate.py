@@ -1,6 +1,7 @@
 """Turn sentences into motion files: `t2m generate "a person waves" -o wave.html -o wave.bvh`."""
 
 import argparse
+import contextlib
 import shlex
 import sys
 from pathlib import Path
@@ -41,12 +42,13 @@ def run(args: argparse.Namespace) -> None:
     from t2m_jax.motion.record import check_motion_output
     from t2m_jax.text.prompts import check_prompt
 
-    outputs = [Path(output) for output in args.output or ["motion.html"]]
     for text in args.text:
         check_prompt(text)
-    for output in outputs:
-        check_motion_output(output)
-    with claim(outputs):
+    outputs = [check_motion_output(output) for output in args.output or ["motion.html"]]
+    first = [check_motion_output(_numbered(args, output, 0)) for output in outputs]
+    # The first files are claimed from the start, so that two commands do not mix their motions. The others are claimed
+    # one by one, because there may be more of them than a process can have open files.
+    with claim(first):
         written = _generate(args, outputs)
     pages = [path for path in written if path.suffix == ".html"]
     convertible = [path for path in written if path.suffix in (".npz", ".bvh")]
@@ -58,8 +60,14 @@ def run(args: argparse.Namespace) -> None:
         show_next(f"open {shlex.quote(str(written[0]))}")
 
 
+def _numbered(args: argparse.Namespace, output: Path, number: int) -> Path:
+    """Returns the file of one motion: `output` if there is only one, else `output` with a number in its name."""
+    return output if len(args.text) * args.num_samples == 1 else output.with_stem(f"{output.stem}-{number}")
+
+
 def _generate(args: argparse.Namespace, outputs: list[Path]) -> list[Path]:
     """Writes the files and returns their names."""
+    from t2m_jax.files import claim
     from t2m_jax.sampling import TextToMotion
     from t2m_jax.sampling.strategies import make_strategy
 
@@ -67,11 +75,12 @@ def _generate(args: argparse.Namespace, outputs: list[Path]) -> list[Path]:
     model = TextToMotion.load(args.model)
     options = {"guidance_scale": args.guidance_scale, "stop_rule": args.stop_rule, "raw": args.raw}
     options |= {"seed": args.seed, "num_samples": args.num_samples, "strategy": strategy}
-    is_alone, written = len(args.text) * args.num_samples == 1, []
+    written = []
     for number, motion in enumerate(model.generate_each(args.text, **options)):
         for output in outputs:
-            path = output if is_alone else output.with_stem(f"{output.stem}-{number}")
-            motion.save(path)
+            path = _numbered(args, output, number)
+            with claim([path]) if number else contextlib.nullcontext():  # `run` has claimed the first
+                motion.save(path)
             sys.stdout.write(f"{path}\n")
             written.append(path)
     return written

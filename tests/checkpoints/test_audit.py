@@ -1,16 +1,21 @@
 """What is intact in the folder of a model, and what is not."""
 
+import json
 import shutil
 
 import pytest
 
+from t2m_jax.bench import save_report as save_bench_report
 from t2m_jax.checkpoints.audit import audit_model, is_model_folder
 from t2m_jax.checkpoints.bundle import save_bundle
 from t2m_jax.checkpoints.evaluator import save_evaluator
 from t2m_jax.cli.main import main
 from t2m_jax.data.importers.synthetic import write_synthetic_dataset
 from t2m_jax.errors import UserError
+from t2m_jax.files import load_json, save_json
 from t2m_jax.train import train
+from tests.bench.conftest import report as bench_report
+from tests.conftest import REPOSITORY
 from tests.tiny import LOOP, drop_manifest, random_bundle, random_evaluator, vqvae_training
 
 
@@ -88,3 +93,75 @@ def test_data_sets_and_other_paths(models, capsys):
     assert main(["check", "demo"]) == 0
     with pytest.raises(UserError, match="neither a run, a bundle nor an evaluator"):
         audit_model(models)
+
+
+LEGACY = REPOSITORY / "tests" / "legacy" / "reports"
+"""Reports of version 0.1."""
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("generation", "a report of `t2m evaluate generation` on 32 motions"),
+        ("reconstruction", "a report of `t2m evaluate reconstruction` on 32 clips"),
+        ("prompts", "a report of `t2m evaluate prompts --group actions` on 10 motions"),
+    ],
+)
+def test_reports_are_recognized(name, said, tmp_path, capsys):
+    assert main(["check", f"{LEGACY / f'{name}.json'}"]) == 0
+    assert capsys.readouterr().out == f"{LEGACY / f'{name}.json'}: intact, {said}\n"
+
+
+def test_reports_of_benchmarks_and_with_an_evaluator_are_recognized(tmp_path, capsys):
+    path = tmp_path / "report.json"
+    save_bench_report(path, bench_report())
+    assert main(["check", f"{path}"]) == 0
+    assert capsys.readouterr().out == f"{path}: intact, a report of `t2m bench` (rows: 1)\n"
+    found = load_json(LEGACY / "generation.json")
+    save_json(path, found | {"rows": {"real": found["rows"]["real"], "reconstruction": found["rows"]["generated"]}})
+    assert main(["check", f"{path}"]) == 0
+    assert "a report of `t2m evaluate reconstruction` with an evaluator, on " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "said"),
+    [
+        ("generation", {"rows": {"real": {}}}, "is not a report with the metrics of an evaluator"),
+        ("reconstruction", {"num_clips": "4"}, "num_clips: expected a whole number"),
+        ("reconstruction", {"mpjpe_mm": None}, "is not a report with the figures of a tokenizer"),
+        ("prompts", {"contents": 3}, "is not a report with the counts of prompts"),
+        ("prompts", {"contents": {}}, "do not fit the contents"),
+        ("prompts", {"contents": {"run": 3}}, "is not a report with the counts of prompts"),
+        ("prompts", {"contents": {"run": {"right": 2, "samples": 1, "failures": []}}}, "2 of 1 are right"),
+        (
+            "prompts",
+            {"contents": {"run": {"right": 1, "samples": 1, "failures": [], "instead": 3}}},
+            "counts of prompts",
+        ),
+        ("prompts", {"num_samples": 9}, "num_samples, prompt_following: do not fit the contents"),
+        ("prompts", {"prompt_following": 0.5}, "num_samples, prompt_following: do not fit the contents"),
+        ("prompts", {"group": "\x1b[31m"}, "cannot be printed"),
+        ("bench", {"rows": 3}, "rows: expected a list"),
+        ("bench", {"format_version": 2}, "is not a benchmark report of format_version 1"),
+    ],
+)
+def test_damaged_reports_are_one_line(name, change, said, tmp_path, capsys):
+    path = tmp_path / "report.json"
+    if name == "bench":
+        save_bench_report(path, bench_report())
+    else:
+        shutil.copy(LEGACY / f"{name}.json", path)
+    path.write_text(json.dumps(load_json(path) | change))
+    assert main(["check", f"{path}"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"t2m: error: {path}: ") and said in line and line.isprintable()
+
+
+@pytest.mark.parametrize(
+    ("content", "said"), [("{}", "is not a report; give"), ("[]", "is not a report; give"), ('{"rows": ', "as JSON")]
+)
+def test_other_files_are_one_line(content, said, tmp_path, capsys):
+    (tmp_path / "report.json").write_text(content)
+    assert main(["check", f"{tmp_path / 'report.json'}"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line

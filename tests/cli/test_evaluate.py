@@ -1,11 +1,16 @@
 """`t2m evaluate`: tables, JSON, and one line for mistakes."""
 
+import argparse
 import json
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 
+from t2m_jax import evaluation
+from t2m_jax.cli.evaluate import _measure
 from t2m_jax.cli.main import main
+from t2m_jax.evaluation.report import Header, Metric, Report
 
 
 def test_reconstruction_writes_json(bundle_folder, data_folder, tmp_path, capsys):
@@ -17,6 +22,9 @@ def test_reconstruction_writes_json(bundle_folder, data_folder, tmp_path, capsys
     assert 0 < figures["codebook_usage"] <= 1
     assert figures["split"] == "test"
     assert f"{figures['mpjpe_mm']:,.3f}" in capsys.readouterr().out
+    assert main(["check", f"{output}"]) == 0
+    said = f"intact, a report of `t2m evaluate reconstruction` on {figures['num_clips']} clips"
+    assert capsys.readouterr().out == f"{output}: {said}\n"
 
 
 def test_prompts_writes_json(bundle_folder, tmp_path, capsys):
@@ -31,6 +39,24 @@ def test_prompts_writes_json(bundle_folder, tmp_path, capsys):
     assert main(["evaluate", "prompts", *arguments, "--group", "composed", "--raw"]) == 0
     figures = json.loads(output.read_text())
     assert (figures["group"], figures["motion"], figures["num_samples"]) == ("composed", "decoded", 10)
+    capsys.readouterr()
+    assert main(["check", f"{output}"]) == 0
+    said = "intact, a report of `t2m evaluate prompts --group composed` on 10 motions"
+    assert capsys.readouterr().out == f"{output}: {said}\n"
+
+
+def test_names_in_data_do_not_change_the_terminal(monkeypatch, capsys):
+    """The data set, its split and the model may come from strangers."""
+    names = {"data": "\x1b[31mred", "split": "\x9b31m", "model": "\x1b]0;title\x07"}
+    header = Header(**names, protocol="strict", num_samples=64, evaluator="ab", seed=0)
+    metrics = {name: Metric.from_repeats([1.0, 2.0]) for name in ("fid", "bone_variation")}
+    report = Report(header=header, kind="generated", real=metrics, measured=metrics)
+    monkeypatch.setattr(evaluation, "evaluate", lambda *_, **__: report)
+    arguments = argparse.Namespace(json=None, html=None, num_repeats=2, model="m")
+    _measure(arguments, None, SimpleNamespace(kind="generated"))
+    lines = capsys.readouterr().out.splitlines()
+    assert "data \\x1b[31mred, split \\x9b31m" in lines[0]
+    assert all(line.isprintable() for line in lines)
 
 
 def test_a_model_of_another_width_is_refused(refusal, bundle_folder, data_folder, tmp_path):

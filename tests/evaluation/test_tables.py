@@ -193,6 +193,18 @@ def test_a_name_stays_in_its_cell(style):
     assert any(expected[style] in line for line in lines)
 
 
+@pytest.mark.parametrize("style", ["terminal", "markdown", "latex", "json"])
+def test_no_line_can_change_the_terminal(style):
+    names = ["\x1b[31mred", "\x9b31m\x7f\u202e", "Ä \U000e0001 走る \udc80"]
+    header = dataclasses.replace(HEADER, data="\x1b[31m\x9b31m")
+    text = format_table(make_table([report(fid=(0.2, 0.0), header=header)] * 3, names), style=style)
+    assert all(line.isprintable() for line in text.split("\n"))
+    assert "Ä" in text and "走る" in text
+    if style == "json":
+        assert [row["name"] for row in json.loads(text)["rows"]] == ["real motion", *names]
+        assert json.loads(text)["data"] == header.data
+
+
 def command(*words):
     return main(["evaluate", "table", *(str(word) for word in words)])
 

@@ -36,7 +36,7 @@ def repeats_text(table: Table) -> str:
 
 def facts_text(table: Table) -> str:
     """Returns a sentence that says what the figures are and what all rows share."""
-    shared = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in table.facts.items())
+    shared = printable(", ".join(f"{name.replace('_', ' ')} {value}" for name, value in table.facts.items()))
     return f"{repeats_text(table)}; {shared}." if shared else f"{repeats_text(table)}."
 
 
@@ -56,7 +56,9 @@ def format_table(table: Table, *, style: Literal["terminal", "markdown", "latex"
         for row in table.rows
     ]
     columns = [column._asdict() for column in table.columns]
-    return json.dumps({**table.facts, "columns": columns, "rows": rows}, indent=2, ensure_ascii=False)
+    text = json.dumps({**table.facts, "columns": columns, "rows": rows}, indent=2, ensure_ascii=False)
+    # JSON allows control characters from 0x7f to 0x9f, but terminals obey them. Letters of all languages are kept.
+    return "".join(c if c.isprintable() or c == "\n" else json.dumps(c)[1:-1] for c in text)
 
 
 def _plain(cell: Cell | None) -> str:
@@ -83,7 +85,7 @@ def _terminal(table: Table, *, color: bool) -> str:
 
 def _markdown(table: Table) -> str:
     def escaped(text: str) -> str:
-        return re.sub(r"([\\`*_\[\]<>|])", r"\\\1", text)
+        return re.sub(r"([\\`*_\[\]<>|])", r"\\\1", printable(text))
 
     lines = ["| | " + " | ".join(map(heading, table.columns)) + " |", "| --- |" + " ---: |" * len(table.columns)]
     for row in table.rows:
@@ -106,7 +108,7 @@ LATEX_ARROWS = {"higher": r" $\uparrow$", "lower": r" $\downarrow$", "real": r" 
 
 def _latex(table: Table) -> str:
     def escaped(text: str) -> str:
-        return "".join(LATEX.get(character, character) for character in text)
+        return "".join(LATEX.get(character, character) for character in printable(text))
 
     def figure(cell: Cell | None) -> str:
         if cell is None:

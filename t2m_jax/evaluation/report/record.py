@@ -1,7 +1,8 @@
 """Reports: the typed results of an evaluation, and their JSON files."""
 
+import contextlib
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -183,30 +184,50 @@ def save_report(path: Path, report: Report) -> None:
     save_json(path, report_as_json(report))
 
 
+@contextlib.contextmanager
+def reading_report(path: Path, contents: str, *, command: str) -> Iterator[None]:
+    """Turns what damaged data raise in the block into a `UserError`, which says what was expected in the file."""
+    try:
+        yield
+    except (LookupError, TypeError, AttributeError, ValueError) as error:
+        reason = f" ({error})" if isinstance(error, UserError) else ""
+        raise UserError(f"{path}: is not a report {contents}{reason}; write one with `{command}`") from None
+
+
 def load_report(path: Path) -> Report:
     """Returns a report of `t2m evaluate generation`, or of `reconstruction` with an evaluator.
 
     Raises:
         UserError: The file is missing, or is something else.
     """
-    data, hint = load_json(path), "write one with `t2m evaluate generation --json`"
-    try:
+    data = load_json(path)
+    with reading_report(path, "with the metrics of an evaluator", command="t2m evaluate generation --json"):
         rows = data["rows"]
         (kind,) = rows.keys() & set(KINDS)
         if rows.keys() != {REAL, kind}:
             raise ValueError("rows of an unknown kind")
-        header = _fields_of(Header, data)
-        figures = _fields_of(ReconstructionFigures, data) if "mpjpe_mm" in data else None
+        header = fields_of(Header, data)
+        figures = fields_of(ReconstructionFigures, data) if "mpjpe_mm" in data else None
         real, measured = (_metrics(rows[row]) for row in (REAL, kind))
         if not measured:
             raise ValueError("no metrics")
-        return Report(header=header, kind=kind, real=real, measured=measured, reconstruction=figures)
-    except (LookupError, TypeError, AttributeError, ValueError) as error:
-        reason = f" ({error})" if isinstance(error, UserError) else ""
-        raise UserError(f"{path}: is not a report with the metrics of an evaluator{reason}; {hint}") from None
+        report = Report(header=header, kind=kind, real=real, measured=measured, reconstruction=figures)
+    return report  # noqa: RET504 - for mypy, a `return` inside `with` may not be reached
 
 
-def _fields_of(schema: type[T], data: Mapping[str, Any]) -> T:
+def load_reconstruction(path: Path) -> ReconstructionFigures:
+    """Returns the figures that `t2m evaluate reconstruction` wrote without an evaluator.
+
+    Raises:
+        UserError: The file is missing, or is something else.
+    """
+    data = load_json(path)
+    with reading_report(path, "with the figures of a tokenizer", command="t2m evaluate reconstruction --json"):
+        figures = fields_of(ReconstructionFigures, data)
+    return figures  # noqa: RET504 - for mypy, a `return` inside `with` may not be reached
+
+
+def fields_of(schema: type[T], data: Mapping[str, Any]) -> T:
     """Returns the fields of one dataclass among the entries of a report.
 
     Raises:
@@ -216,7 +237,7 @@ def _fields_of(schema: type[T], data: Mapping[str, Any]) -> T:
     for name, value in found.items():
         if isinstance(value, str) and not value.isprintable():
             raise UserError(f"{name}: {value!r} has characters that cannot be printed")
-    return config_from_dict(schema, found, source="header")
+    return config_from_dict(schema, found, source="fields")
 
 
 def _metrics(row: Mapping[str, Mapping[str, Any]]) -> dict[str, Metric]:
