@@ -171,6 +171,7 @@ def test_a_signal_during_an_import_comes_after_it(command, capsys, tmp_path, mon
     """An exception in the middle of it would end the process without a message: C++ code cannot pass it on."""
     (tmp_path / "interrupted.py").write_text(f"import os\nos.kill(os.getpid(), {int(number)})\nfinished = True\n")
     monkeypatch.syspath_prepend(tmp_path)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it in the background
 
     def wait(args):
         assert importlib.import_module("interrupted").finished
@@ -180,6 +181,7 @@ def test_a_signal_during_an_import_comes_after_it(command, capsys, tmp_path, mon
     assert main(["fake"]) == code
     assert capsys.readouterr().err.startswith("t2m: error: interrupted")
     sys.modules.pop("interrupted")
+    signal.signal(signal.SIGINT, before)
 
 
 def test_config_options_reach_the_commands_that_take_them(command):

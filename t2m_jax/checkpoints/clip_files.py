@@ -68,8 +68,8 @@ def _hub_snapshot(name: str) -> Path:
                 return Path(folder)
             reason = f"it has no {weights} or no tokenizer"
     raise UserError(
-        f"{name}: no such folder, and not on the Hugging Face hub ({shorten(reason, 40)}); download {CONFIG_FILE}, "
-        f"tokenizer.json (or vocab.json and merges.txt) and {' or '.join(WEIGHT_FILES)} "
+        f"{name}: no folder, and not on the hub ({shorten(reason, 30)}); copy {CONFIG_FILE}, tokenizer.json "
+        f"(or vocab.json and merges.txt) and {' or '.join(WEIGHT_FILES)} "
         f"from https://huggingface.co/{name}/tree/main into {user_folder(name)}"
     )
 

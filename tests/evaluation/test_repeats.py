@@ -141,11 +141,12 @@ def test_the_contents_of_the_data_are_in_the_task_and_the_report(synthetic_folde
 
     protocol = find_protocol("t2m-gpt")
     evaluator = evaluator._replace(normalizer=open_dataset(synthetic_folder).normalizer)
-    save_index(synthetic_folder, [IndexRow("synthetic_00000", "", "walk")])
-    folder = shutil.copytree(synthetic_folder, tmp_path / "moved")
-    assert header(folder) == header(synthetic_folder) and header(folder).weights
+    original = shutil.copytree(synthetic_folder, tmp_path / "data")
+    save_index(original, [IndexRow("synthetic_00000", "", "walk")])
+    folder = shutil.copytree(original, tmp_path / "moved")
+    assert header(folder) == header(original) and header(folder).weights
     change(folder)
-    assert header(folder).contents != header(synthetic_folder).contents
+    assert header(folder).contents != header(original).contents
 
 
 @pytest.mark.parametrize("content", ['{"header": {"seed": 4}, "repeats": [{}]}', "{", '{"repeats": 3}', "[]"])
