@@ -19,7 +19,6 @@ from t2m_jax.errors import UserError
 from t2m_jax.files import (
     atomic_folder,
     check_folder,
-    check_new,
     fingerprint,
     fit_arrays,
     flatten_tree,
@@ -262,21 +261,27 @@ def save_bundle(path: Path, bundle: Bundle, *, card: str, half: bool = True, cli
     Raises:
         UserError: `path` exists already.
     """
-    check_new(path)
-    kinds = part_kinds(bundle.config)
     with atomic_folder(path) as folder:
-        save_config(folder / CONFIG_FILE, dataclasses.replace(bundle.config, format_version=MANIFEST_VERSION))
-        arrays = flatten_tree({kinds[role]: tree for role, tree in bundle.variables.items()})
-        save_arrays(folder / WEIGHTS_FILE, drop_derived(arrays) if half else arrays, half=half)
-        save_normalizer(folder, bundle.normalizer)
-        if bundle.bpe is not None:
-            save_bpe(folder, bundle.bpe)
-        if bundle.training_data is not None:
-            save_json(folder / DATA_FILE, bundle.training_data)
-        if clip is not None:
-            save_clip(folder / CLIP_FOLDER, clip)
-        save_text(folder / CARD_FILE, card)
-        write_manifest(folder)
+        write_bundle(folder, bundle, card=card, half=half, clip=clip)
+
+
+def write_bundle(
+    folder: Path, bundle: Bundle, *, card: str, half: bool = True, clip: TrainedClip | None = None
+) -> None:
+    """Writes the files of a bundle into a folder that its caller makes; the other arguments are `save_bundle`'s."""
+    kinds = part_kinds(bundle.config)
+    save_config(folder / CONFIG_FILE, dataclasses.replace(bundle.config, format_version=MANIFEST_VERSION))
+    arrays = flatten_tree({kinds[role]: tree for role, tree in bundle.variables.items()})
+    save_arrays(folder / WEIGHTS_FILE, drop_derived(arrays) if half else arrays, half=half)
+    save_normalizer(folder, bundle.normalizer)
+    if bundle.bpe is not None:
+        save_bpe(folder, bundle.bpe)
+    if bundle.training_data is not None:
+        save_json(folder / DATA_FILE, bundle.training_data)
+    if clip is not None:
+        save_clip(folder / CLIP_FOLDER, clip)
+    save_text(folder / CARD_FILE, card)
+    write_manifest(folder)
 
 
 def default_card(run: Path) -> str:

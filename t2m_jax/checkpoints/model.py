@@ -18,7 +18,7 @@ from t2m_jax.checkpoints.bundle import (
     load_training_data,
     part_kinds,
 )
-from t2m_jax.checkpoints.run import check_run_files, is_run, run_info
+from t2m_jax.checkpoints.run import is_run, run_info
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.errors import UserError
 
@@ -40,10 +40,9 @@ def load_generator_run(path: Path) -> Bundle:
         UserError: The folder is not such a run, or has no checkpoint.
     """
     kind = run_info(path).kind
-    check_run_files(path)
     if not (path / CONFIG_FILE).is_file():
         raise UserError(f"{path}: is the run of a {kind} only; generation needs the run of a generator, such as a GPT")
-    config = load_bundle_config(path)
+    tokenizer, config = load_tokenizer(path), load_bundle_config(path)
     kinds = {role: kind for role, kind in part_kinds(config).items() if role != "tokenizer"}
     expected = expected_variables(config)
     # A training state has one field per collection, and in it one entry per kind of part.
@@ -53,7 +52,6 @@ def load_generator_run(path: Path) -> Bundle:
         for name in collections
     }
     found = jax.device_get(restore_trained(path, fields))
-    tokenizer = load_tokenizer(path)
     variables = {"tokenizer": tokenizer.variables} | {
         role: {name: found[name][kind] for name in expected[role]} for role, kind in kinds.items()
     }

@@ -218,7 +218,7 @@ def run_prompts(args: argparse.Namespace) -> None:
     """Prints how often generated motion does what was asked."""
     from t2m_jax.evaluation import evaluate_prompt_following
     from t2m_jax.evaluation.prompt_following import markdown_table
-    from t2m_jax.evaluation.report import PromptCounts, make_prompt_report, save_prompt_report
+    from t2m_jax.evaluation.report import PromptCounts, PromptReport, save_prompt_report
     from t2m_jax.sampling import TextToMotion, make_strategy
 
     tests = _prompt_tests(args.group, args.data)
@@ -242,7 +242,7 @@ def run_prompts(args: argparse.Namespace) -> None:
             for row in results
         )
         motion = "decoded" if args.raw else "cleaned"
-        save_prompt_report(args.json, make_prompt_report(contents, group=args.group, motion=motion))
+        save_prompt_report(args.json, PromptReport(group=args.group, motion=motion, contents=contents))
     show_next(shlex.join(["t2m", "generate", "a person walks forward", "--model", args.model]))
 
 

@@ -17,6 +17,7 @@ from t2m_jax.data.splits import nested_choice
 from t2m_jax.data.texts import Caption, load_captions
 from t2m_jax.errors import UserError
 from t2m_jax.files import fingerprint, load_array
+from t2m_jax.motion.editing import MAX_FPS
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer
 from t2m_jax.motion.skeleton import Skeleton, skeleton_from_feature_dim, skeleton_from_name
 
@@ -24,8 +25,6 @@ logger = logging.getLogger(__name__)
 
 MAX_NAMED = 5
 """Number of clips that a warning names per reason."""
-MAX_FPS = 1000.0
-"""Highest rate of a data set; no motion capture is faster."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

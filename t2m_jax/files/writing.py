@@ -60,10 +60,15 @@ def check_output(path: str | os.PathLike[str]) -> Path:
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turns the errors of a full disk, and of a path that cannot be written, into a `UserError`."""
+    """Turns the errors of a full disk, and of a path that cannot be written, into a `UserError`.
+
+    In an unfinished folder, they are left to the writer of the folder, who knows its name.
+    """
     try:
         yield
     except OSError as error:
+        if _is_unfinished(path):
+            raise
         reason, is_full = error.strerror or str(error), error.errno in FULL
         if SHORT_WRITE in reason:
             reason, is_full = os.strerror(errno.ENOSPC), True
@@ -110,17 +115,16 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     target = path.resolve() if path.is_symlink() else path
     # The suffix is kept because encoders choose the container by it.
     partial = _partial(target, path.suffix)
-    # What is in an unfinished folder is brought to the disk with it, thousands of files at once; so are its errors.
-    is_inside = any(part.endswith(PARTIAL) for part in target.parts)
     try:
-        with contextlib.nullcontext() if is_inside else writing(path):
+        with writing(path):
             yield partial
             if target.exists():
                 partial.chmod(target.stat().st_mode & 0o777)
-            if not is_inside:
+            # What is in an unfinished folder is brought to the disk with it, thousands of files at once.
+            if not _is_unfinished(target):
                 _sync(partial)
             partial.replace(target)
-            if not is_inside:
+            if not _is_unfinished(target):
                 _sync(target.absolute().parent)
     finally:
         partial.unlink(missing_ok=True)
@@ -161,6 +165,11 @@ def commit_folder(partial: Path, path: Path) -> None:
 
 def _partial(path: Path, suffix: str) -> Path:
     return path.with_name(f"{_partial_start(path)}{secrets.token_hex(8)}{PARTIAL}{suffix}")
+
+
+def _is_unfinished(path: Path) -> bool:
+    """Returns whether a path is in an unfinished folder."""
+    return any(part.endswith(PARTIAL) for part in path.parts[:-1])
 
 
 def _partial_start(path: Path) -> str:

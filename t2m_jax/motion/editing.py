@@ -9,7 +9,7 @@ from t2m_jax.motion.rotations import quaternion_between, rotate_vectors
 from t2m_jax.motion.skeleton import Skeleton
 
 MAX_FPS = 1000.0
-"""Frames per second; no program shows more, and a larger number is probably a mistake."""
+"""Highest rate of motion; no motion capture is faster, and a larger number is probably a mistake."""
 BLEND_SECONDS = 0.4
 """Time in which the pose at the end of a motion fades into the one that follows."""
 ANTI_ALIASING = 0.4

@@ -25,7 +25,7 @@ class Board:
             folder.mkdir(parents=True, exist_ok=True)
             self._events = EventsWriter(str(folder / "events"))
         if first_step:
-            self._write(first_step + 1, session_log=SessionLog(status=SessionLog.START))
+            self._write(Event(step=first_step + 1, session_log=SessionLog(status=SessionLog.START)))
 
     def close(self) -> None:
         """Closes the file. All events are in it already."""
@@ -34,14 +34,15 @@ class Board:
 
     def add_values(self, step: int, values: Mapping[str, float]) -> None:
         """Adds values by their names."""
-        for name, value in values.items():
-            self._write(step, summary=summary.scalar(name, value))
+        self._write(*(Event(step=step, summary=summary.scalar(name, value)) for name, value in values.items()))
 
     def add_picture(self, step: int, name: str, picture: UInt8[np.ndarray, "H W 3"]) -> None:
         """Adds a picture."""
-        self._write(step, summary=summary.image(name, picture, dataformats="HWC"))
+        self._write(Event(step=step, summary=summary.image(name, picture, dataformats="HWC")))
 
-    def _write(self, step: int, **fields: Any) -> None:
+    def _write(self, *events: Any) -> None:
         with writing(self._folder):
-            self._events.write_event(Event(wall_time=time.time(), step=step, **fields))
+            for event in events:
+                event.wall_time = time.time()
+                self._events.write_event(event)
             self._events.flush()

@@ -6,7 +6,7 @@ import os
 import random
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from tests.fuzz.attack import Broken
@@ -98,27 +98,21 @@ def fill(folder: Path, disk: Disk, command: Command, share: float) -> str:
     path = disk.folder / command.result
     place = f"{disk.folder.name}/{command.result}"
 
-    def run(arguments: Callable[[], list[str]]) -> tuple[int, str]:
-        process = start([place if argument == command.result else argument for argument in arguments()], folder)
+    def run(arguments: Sequence[str]) -> tuple[int, str]:
+        process = start([place if argument == command.result else argument for argument in arguments], folder)
         output, _ = process.communicate()
         return process.returncode, output
-
-    def first() -> list[str]:
-        return list(command.arguments)
-
-    def again() -> list[str]:
-        return list((has_checkpoints(path) and command.resume) or command.arguments)
 
     disk.limit(LARGE)
     old = disk.folder / "old.txt"
     old.write_text("older contents\n")
-    code, output = run(first)
+    code, output = run(command.arguments)
     if code:
         raise Broken(f"{command.arguments}: returns {code}: {output[-300:]}")
     needed = disk.used()
     _clear(path)
     disk.limit(int(needed * share))
-    code, output = run(first)
+    code, output = run(command.arguments)
     line = output.splitlines()[-1]
     if code != 2 or place not in line or not any(reason in line for reason in REASONS) or "Traceback" in output:
         raise Broken(f"{command.arguments}: returns {code} when the disk is full: {output[-1000:]}")
@@ -129,7 +123,7 @@ def fill(folder: Path, disk: Disk, command: Command, share: float) -> str:
     disk.limit(LARGE)
     if command.resume is not None and not has_checkpoints(path):
         _clear(path)
-    code, output_again = run(again)
+    code, output_again = run(command.resume if has_checkpoints(path) and command.resume else command.arguments)
     if code:
         raise Broken(f"{command.arguments}: returns {code} after the disk was full: {output_again[-300:]}")
     command.check(path)

@@ -210,12 +210,16 @@ def race_often(folder: Path, *, count: int) -> Iterator[str]:
         yield f"{' '.join(command.arguments[:2])} {codes}"
 
 
+KEPT = (".npy", ".txt", ".safetensors")
+"""Suffixes of files that are the same each time; others have the time in them."""
+
+
 def _contents(path: Path) -> bytes:
     """Returns what must be the same in every result: the weights of a run, and the bytes of anything else."""
     if (path / "checkpoints").is_dir():
         load = load_model if (path / "bundle.yaml").exists() else load_tokenizer
         return load(path).fingerprint.encode()
-    files = [path] if path.is_file() else sorted(file for file in path.rglob("*") if file.suffix in (".npy", ".txt"))
+    files = [path] if path.is_file() else sorted(file for file in path.rglob("*") if file.suffix in KEPT)
     if path.suffix == ".npz":
         return np.asarray(load_motion(path).positions).tobytes()
     return b"".join(file.read_bytes() for file in files if file.is_file() and ".t2m-cache" not in file.parts)

@@ -123,10 +123,10 @@ def interrupt(options: argparse.Namespace) -> bool:
         attacks = {group: kill_often(root, group, seed=seed, count=options.kills) for group in COMMANDS}
         attacks["races"] = race_often(root, count=options.races)
         attacks["full disks"] = fill_often(root, seed=seed, count=options.full_disks)
-        for name, results in attacks.items():
+        for name, attack in attacks.items():
             seen: Counter[str] = Counter()
             try:
-                seen.update(results)
+                seen.update(attack)
             except Broken as error:
                 broken = True
                 print(f"broken: {name}: {error}", flush=True)

@@ -7,7 +7,7 @@ from t2m_jax.checkpoints.official.bundle import (
     load_official_evaluator,
     official_card,
 )
-from t2m_jax.checkpoints.official.export import export_official, official_state_dicts
+from t2m_jax.checkpoints.official.export import export_official
 from t2m_jax.checkpoints.official.load import (
     evaluator_variables,
     gpt_variables,
@@ -29,6 +29,5 @@ __all__ = [
     "load_official_evaluator",
     "load_vqvae",
     "official_card",
-    "official_state_dicts",
     "vqvae_variables",
 ]

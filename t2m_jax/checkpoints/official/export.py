@@ -66,22 +66,6 @@ def _state_dict(
     return arrays | {key: constant(key, shape) for key, shape in constants.items()}
 
 
-def official_state_dicts(bundle: Bundle) -> dict[str, dict[str, np.ndarray]]:
-    """Returns the state dicts of the VQ-VAE and the GPT by the names of their files.
-
-    Raises:
-        UserError: The original has no such model.
-    """
-    tokenizer, generator = bundle.config.tokenizer, bundle.config.generator
-    if not isinstance(tokenizer, VqVaeConfig) or not isinstance(generator, MotionGptConfig):
-        kinds = f"{tokenizer.kind!r} and {generator.kind!r}"
-        raise UserError(f"the original code has no model of {kinds}; only a T2M-GPT can be exported for it")
-    return {
-        "vqvae": vqvae_state_dict(bundle.variables["tokenizer"], tokenizer),
-        "gpt": gpt_state_dict(bundle.variables["generator"], generator),
-    }
-
-
 def export_official(path: Path, bundle: Bundle) -> None:
     """Writes VQ-VAE, GPT and statistics into a new folder, with the original's names and order of axes.
 
@@ -89,7 +73,14 @@ def export_official(path: Path, bundle: Bundle) -> None:
         UserError: The folder exists already, or the original has no such model.
     """
     check_new(path)
-    state_dicts = official_state_dicts(bundle)
+    tokenizer, generator = bundle.config.tokenizer, bundle.config.generator
+    if not isinstance(tokenizer, VqVaeConfig) or not isinstance(generator, MotionGptConfig):
+        kinds = f"{tokenizer.kind!r} and {generator.kind!r}"
+        raise UserError(f"the original code has no model of {kinds}; only a T2M-GPT can be exported for it")
+    state_dicts = {
+        "vqvae": vqvae_state_dict(bundle.variables["tokenizer"], tokenizer),
+        "gpt": gpt_state_dict(bundle.variables["generator"], generator),
+    }
     with atomic_folder(path) as folder:
         for name, arrays in state_dicts.items():
             save_weights(folder / f"{name}.safetensors", arrays, metadata={"format": "pt"})

@@ -8,7 +8,6 @@ from t2m_jax.evaluation.report.prompts import (
     PromptCounts,
     PromptReport,
     load_prompt_report,
-    make_prompt_report,
     save_prompt_report,
 )
 from t2m_jax.evaluation.report.record import (
@@ -40,7 +39,6 @@ __all__ = [
     "load_prompt_report",
     "load_reconstruction",
     "load_report",
-    "make_prompt_report",
     "make_table",
     "report_page",
     "save_page",

@@ -3,8 +3,12 @@
 import dataclasses
 from pathlib import Path
 
+from t2m_jax.errors import UserError
 from t2m_jax.evaluation.report.record import fields_of, reading_report
 from t2m_jax.files import load_json, save_json
+
+DERIVED = ("num_samples", "prompt_following")
+"""Entries of the file that follow from the contents."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -40,28 +44,25 @@ class PromptReport:
     """`cleaned` or `decoded`; None in reports of version 0.1."""
     contents: tuple[PromptCounts, ...]
     """What was counted."""
-    num_samples: int
-    """Motions of all contents."""
-    prompt_following: float
-    """Share of these motions that did what was asked."""
 
     def __post_init__(self) -> None:
-        right, total = (sum(getattr(row, name) for row in self.contents) for name in ("right", "samples"))
-        if total < 1 or total != self.num_samples or right / total != self.prompt_following:
-            raise ValueError(f"num_samples, prompt_following: do not fit the contents, {right} of {total}")
+        if self.num_samples < 1:
+            raise ValueError("contents: there are no motions")
 
+    @property
+    def num_samples(self) -> int:
+        """Motions of all contents."""
+        return sum(row.samples for row in self.contents)
 
-def make_prompt_report(contents: tuple[PromptCounts, ...], *, group: str, motion: str) -> PromptReport:
-    """Returns the report of some contents with at least one motion."""
-    right, total = (sum(getattr(row, name) for row in contents) for name in ("right", "samples"))
-    return PromptReport(
-        group=group, motion=motion, contents=contents, num_samples=total, prompt_following=right / total
-    )
+    @property
+    def prompt_following(self) -> float:
+        """Share of these motions that did what was asked."""
+        return sum(row.right for row in self.contents) / self.num_samples
 
 
 def save_prompt_report(path: Path, report: PromptReport) -> None:
     """Writes a report as JSON, with the contents by name."""
-    data = dataclasses.asdict(report)
+    data = dataclasses.asdict(report) | {name: getattr(report, name) for name in DERIVED}
     data["contents"] = {row.pop("name"): row | {"instead": dict(row["instead"])} for row in data["contents"]}
     save_json(path, data)
 
@@ -79,4 +80,7 @@ def load_prompt_report(path: Path) -> PromptReport:
             for name, row in data["contents"].items()
         ]
         report = fields_of(PromptReport, data | {"contents": rows})
-    return report  # noqa: RET504 - for mypy, a `return` inside `with` may not be reached
+        for name in DERIVED:
+            if data[name] != getattr(report, name):
+                raise UserError(f"{name}: does not fit the contents")
+    return report
