@@ -96,9 +96,7 @@ class Motion:
             raise UserError(f"rotations: there are some for the skeleton {HUMANML3D.name}, not {self.skeleton.name}")
         return fit_rig(self.positions, fps=self.fps).rotations
 
-    def __len__(self) -> int:
-        return self.num_frames
-
+    # Motions have no `__len__`: with one, `np.array(motions, dtype=object)` asks each for `motion[0]`.
     def __getitem__(self, frames: Any) -> "Motion":
         """Returns some frames, such as `motion[20:60]`, without codes: these stand for several frames each."""
         if not isinstance(frames, slice) or frames.step not in (None, 1):

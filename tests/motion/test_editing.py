@@ -29,11 +29,12 @@ def test_some_frames_of_a_motion():
         motion.positions, 20.0, positions_raw=motion.positions + 1, features=features, caption="walks", seed=3
     )
     part = motion[20:50]
-    assert len(part) == 30 and part.codes is None and (part.caption, part.seed) == ("walks", 3)
+    assert part.num_frames == 30 and part.codes is None and (part.caption, part.seed) == ("walks", 3)
     np.testing.assert_array_equal(part.positions, motion.positions[20:50])
     np.testing.assert_array_equal(part.positions_raw, motion.positions_raw[20:50])
     np.testing.assert_array_equal(part.features, features[20:50])
-    assert len(motion[-10:]) == 10 and len(motion[:]) == 60
+    assert motion[-10:].num_frames == 10 and motion[:].num_frames == 60
+    assert np.array([motion, motion], dtype=object).shape == (2,)
 
 
 @pytest.mark.parametrize("frames", [3, slice(None, None, 2), slice(60, None), slice(5, 5), "a"])
