@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib.resources
+import re
 import reprlib
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, NamedTuple
@@ -141,6 +142,15 @@ class Bundle(NamedTuple):
     """Subwords of the caption encoder; None with CLIP."""
     training_data: dict[str, Any] | None = None
     """What the model was trained on: words, actions and their numbers of clips; None if it is not recorded."""
+    card: str = ""
+    """Markdown that describes the model, of its README.md."""
+
+    @property
+    def license(self) -> str:
+        """The license of the weights, of the card's metadata (as on the Hugging Face hub); `unknown` if it has none."""
+        start, _, metadata = self.card.partition("---\n")
+        found = re.search(r"^license: *([\w.-]+)$", metadata.partition("\n---\n")[0], re.MULTILINE)
+        return found[1] if found and not start else "unknown"
 
     @property
     def fingerprint(self) -> str:
@@ -212,7 +222,8 @@ def load_bundle(path: Path) -> Bundle:
         config = dataclasses.replace(config, text_encoder=ClipReference(name=str(path / CLIP_FOLDER)))
     data = load_training_data(path)
     variables = {role: arrays[kind] for role, kind in kinds.items()}
-    return Bundle(config, variables, normalizer, load_text_tokenizer(path, config), data)
+    card = load_text(path / CARD_FILE) if (path / CARD_FILE).is_file() else ""
+    return Bundle(config, variables, normalizer, load_text_tokenizer(path, config), data, card)
 
 
 def load_training_data(folder: Path) -> dict[str, Any] | None:
@@ -225,6 +236,11 @@ def load_training_data(folder: Path) -> dict[str, Any] | None:
     data = load_json(path) if path.is_file() else None
     if data is not None and not isinstance(data, dict):
         raise UserError(f"{path}: expected an object, got {reprlib.repr(data)}")
+    for name, kind in {"num_clips": int, "words": dict, "actions": dict}.items():
+        found = (data or {}).get(name, kind())
+        numbers = found.values() if isinstance(found, dict) else [found]
+        if type(found) is not kind or not all(type(number) is int and number >= 0 for number in numbers):
+            raise UserError(f"{path}: {name}: expected numbers from 0, got {reprlib.repr(found)}")
     return data
 
 
@@ -288,7 +304,7 @@ def default_card(run: Path) -> str:
     """Returns the Markdown card of a model whose maker wrote none: the training config, and what is unknown."""
     config = load_text(run / RUN_CONFIG_FILE).strip()
     return (
-        f"# {run.name}\n\n"
+        f"---\nlicense: unknown\n---\n# {run.name}\n\n"
         "A text-to-motion model trained with t2m_jax. Its makers did not say which data it was trained on, which\n"
         "license it has, or how good it is. Ask them before you use it or share it.\n\n"
         f"## Training config\n\n```yaml\n{config}\n```\n"

@@ -4,9 +4,11 @@ import argparse
 import contextlib
 import shlex
 import sys
+import warnings
 from pathlib import Path
 
 from t2m_jax.cli.next_step import show_next
+from t2m_jax.errors import UserError, one_line
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,15 +42,19 @@ def run(args: argparse.Namespace) -> None:
     """Generates, writes the files, and prints their names and the next command."""
     from t2m_jax.files import claim
     from t2m_jax.motion.record import check_motion_output
+    from t2m_jax.text.coverage import PromptWarning
     from t2m_jax.text.prompts import check_prompt
 
     for text in args.text:
         check_prompt(text)
+    _check_quotes(args.text)
     outputs = [check_motion_output(output) for output in args.output or ["motion.html"]]
     first = [check_motion_output(_numbered(args, output, 0)) for output in outputs]
     # The first files are claimed from the start, so that two commands do not mix their motions. The others are claimed
     # one by one, because there may be more of them than a process can have open files.
-    with claim(first):
+    with claim(first), warnings.catch_warnings():
+        warnings.simplefilter("always", PromptWarning)
+        warnings.showwarning = _show_warning  # type: ignore[assignment]  # it needs the message only
         written = _generate(args, outputs)
     pages = [path for path in written if path.suffix == ".html"]
     convertible = [path for path in written if path.suffix in (".npz", ".bvh")]
@@ -58,6 +64,20 @@ def run(args: argparse.Namespace) -> None:
         show_next(f"t2m view {shlex.quote(str(convertible[0]))} -o motion.html")
     else:
         show_next(f"open {shlex.quote(str(written[0]))}")
+
+
+def _check_quotes(texts: list[str]) -> None:
+    """Raises `UserError` if the texts are probably the words of one sentence, without its quotes."""
+    if len(texts) > 1 and all(len(text.split()) == 1 for text in texts) and not all(text[-1] in ".!" for text in texts):
+        sentence = shlex.quote(" ".join(texts))
+        raise UserError(
+            f"{len(texts)} sentences of one word each; for one sentence, use quotes: t2m generate {sentence}; for "
+            "several, end them with a period"
+        )
+
+
+def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
+    sys.stderr.write(f"t2m: warning: {one_line(str(message))}\n")
 
 
 def _numbered(args: argparse.Namespace, output: Path, number: int) -> Path:

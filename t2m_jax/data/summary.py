@@ -9,6 +9,7 @@ from t2m_jax.data.banks.captions import all_tokens
 from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.data.index import load_index
 from t2m_jax.files import save_json
+from t2m_jax.text.coverage import count_actions
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -23,6 +24,8 @@ class TrainingData:
     """Number of clips per label of `index.csv`, of composed clips per number of their actions; empty without labels."""
     words: dict[str, int]
     """Number of uses per lower-case word of the captions, in the basic form if the caption files have tokens."""
+    actions: dict[str, int]
+    """Number of clips per verb of the captions, in its basic form (`t2m_jax.text.coverage.count_actions`)."""
 
 
 def summarize_training_data(dataset: Dataset, clips: Sequence[Clip]) -> TrainingData:
@@ -35,6 +38,7 @@ def summarize_training_data(dataset: Dataset, clips: Sequence[Clip]) -> Training
         num_clips=len(clips),
         clips_per_action=dict(labels.most_common()),
         words=dict(words.most_common()),
+        actions=count_actions([caption.text for caption in clip.captions] for clip in clips),
     )
 
 

@@ -32,13 +32,16 @@ ENTRIES = {
     "caption": _Entry("U", (0,), "one text"),
     "seed": _Entry("iu", (0,), "one whole number"),
     "skeleton": _Entry("U", (0,), "one text"),
+    "warning": _Entry("U", (0,), "one text"),
+    "unknown_words": _Entry("U", (1,), "texts"),
 }
 
 
 def save_npz(path: Path, motions: Sequence[Motion]) -> None:
-    """Writes one motion as an archive with the keys of `ENTRIES`. Fields that are None are left out."""
+    """Writes one motion as an archive with the keys of `ENTRIES`. None and empty warnings are left out."""
     motion = only_motion(path, motions)
     values = {key: getattr(motion, key) for key in ENTRIES} | {"skeleton": motion.skeleton.name}
+    values |= {key: values[key] or None for key in ("warning", "unknown_words")}
     if motion.codes is not None and motion.codes.shape[1:] == (1,):
         values["codes"] = motion.codes[:, 0]  # other programs expect the codes of T2M-GPT without a layer axis
     with atomic_file(path) as partial, partial.open("wb") as file:
@@ -67,6 +70,8 @@ def load_npz(path: str | Path) -> Motion:
         if value.dtype.kind == "U" and _largest_character(value) > sys.maxunicode:
             raise UserError(f"{path}: entry {key!r} has numbers that are no characters")
     fields: dict[str, Any] = {key: value if value.ndim else value.item() for key, value in archive.items()}
+    if "unknown_words" in archive:
+        fields["unknown_words"] = tuple(archive["unknown_words"].tolist())
     if "codes" in archive and archive["codes"].ndim == 1:
         fields["codes"] = archive["codes"][:, None]
     try:

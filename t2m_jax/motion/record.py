@@ -44,6 +44,10 @@ class Motion:
     """What the motion shows, or the text that it was generated from."""
     seed: int | None = None
     """The seed that it was sampled with."""
+    warning: str = ""
+    """Why the motion cannot be what the caption says, if the model that made it warned."""
+    unknown_words: tuple[str, ...] = ()
+    """Words of the caption that the model had not learned."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", np.asarray(self.positions, np.float32))

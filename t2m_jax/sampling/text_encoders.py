@@ -15,7 +15,7 @@ from t2m_jax.checkpoints.clip import TrainedClip, load_clip
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
 from t2m_jax.models.clip_text import ClipText, ClipTextConfig
 from t2m_jax.sampling.batches import padded_batch_size
-from t2m_jax.text.bpe import tokenize_captions
+from t2m_jax.text.bpe import read_part, tokenize_captions
 from t2m_jax.text.clip_bpe import clip_tokens
 from t2m_jax.text.embedding_cache import EmbeddingCache
 from t2m_jax.text.encoder import TextEncoder
@@ -45,6 +45,10 @@ class CaptionTextEncoder:
         """Returns one embedding per caption; long captions are cut."""
         tokens, mask = tokenize_captions(self._bpe, captions, max_length=self._config.max_length)
         return encode_captions(self._variables, jnp.asarray(tokens), jnp.asarray(mask), config=self._config)
+
+    def read_part(self, caption: str) -> str:
+        """Returns the caption up to its last subword that is read."""
+        return read_part(self._bpe, caption, max_length=self._config.max_length)
 
 
 @functools.partial(jax.jit, static_argnames="config")
@@ -79,6 +83,10 @@ class ClipTextEncoder:
         for row, caption in enumerate(captions):
             embeddings[row] = known[caption]
         return jnp.asarray(embeddings)
+
+    def read_part(self, caption: str) -> str:
+        """Returns the caption up to its last subword that is read, between CLIP's marks of start and end."""
+        return read_part(self._tokenizer, caption, max_length=self._config.max_length - 2)
 
     def _embed(self, captions: Sequence[str]) -> Float[np.ndarray, "B E"]:
         tokens = clip_tokens(self._tokenizer, captions, max_length=self._config.max_length)

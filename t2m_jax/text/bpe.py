@@ -47,6 +47,12 @@ def tokenize_captions(tokenizer: Tokenizer, captions: Sequence[str], *, max_leng
     return CaptionTokens(tokens, mask)
 
 
+def read_part(tokenizer: Tokenizer, caption: str, *, max_length: int) -> str:
+    """Returns a caption up to the subword number `max_length`, or all of a shorter one."""
+    offsets = tokenizer.encode(caption, add_special_tokens=False).offsets
+    return caption if len(offsets) <= max_length else caption[: offsets[max_length - 1][1]]
+
+
 def save_bpe(folder: Path, tokenizer: Tokenizer) -> None:
     """Writes `tokenizer.json` into `folder`."""
     save_text(folder / TOKENIZER_FILE, tokenizer.to_str())

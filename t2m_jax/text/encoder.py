@@ -12,3 +12,11 @@ class TextEncoder(Protocol):
 
     def __call__(self, captions: Sequence[str]) -> Float[Array, "B E"]:
         """Returns one embedding per caption."""
+
+
+@runtime_checkable
+class CuttingTextEncoder(TextEncoder, Protocol):
+    """A text encoder that can say which part of a long caption it reads."""
+
+    def read_part(self, caption: str) -> str:
+        """Returns the caption up to its last subword that is read."""

@@ -7,6 +7,12 @@ from t2m_jax.errors import UserError
 MAX_PROMPT_LENGTH = 1000
 """Characters. The captions of the published data sets are far shorter."""
 
+_QUOTES = dict.fromkeys("\u02bc\u2018\u2019\u201a\u201b", "'") | dict.fromkeys("\u201c\u201d\u201e\u201f", '"')
+_STRAIGHT_QUOTES = str.maketrans(_QUOTES)
+# Marks that are typed for an apostrophe, the sign of degrees, and characters that cannot be seen and say nothing.
+_INVISIBLE = dict.fromkeys("\u00ad\u200b\u200c\u200d\u2060\ufeff", "")
+_CLEANED = str.maketrans({"`": "'", "\u00b4": "'", "\u00b0": " degrees "} | _INVISIBLE)
+
 _REFUSED_CATEGORIES = {
     "Cc": "a control character",
     "Cf": "an invisible formatting character",
@@ -18,8 +24,13 @@ _REFUSED_CATEGORIES = {
 }
 
 
+def straighten_quotes(text: str) -> str:
+    """Returns a text with straight quotes in place of curly ones, as the original's `ftfy.fix_text` does for CLIP."""
+    return text.translate(_STRAIGHT_QUOTES)
+
+
 def check_prompt(prompt: str) -> str:
-    """Returns the prompt, with each run of white space replaced by one space.
+    """Returns the prompt with straight quotes and single spaces, `degrees` for `°`, and no zero-width characters.
 
     Raises:
         UserError: The prompt has no words, is longer than `MAX_PROMPT_LENGTH`, or contains characters that captions
@@ -27,6 +38,7 @@ def check_prompt(prompt: str) -> str:
     """
     if len(prompt) > MAX_PROMPT_LENGTH:
         raise UserError(f"prompt: {len(prompt):,} characters; describe the motion in at most {MAX_PROMPT_LENGTH:,}")
+    prompt = straighten_quotes(prompt).translate(_CLEANED)
     for character in prompt:
         category = unicodedata.category(character)
         if category in _REFUSED_CATEGORIES and character not in "\t\n\r":

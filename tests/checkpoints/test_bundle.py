@@ -198,11 +198,41 @@ def test_weights_that_are_not_finite_are_refused(copy):
     assert "gpt/params/head/kernel" in refused(copy)
 
 
-@pytest.mark.parametrize("content", ['{"a": NaN}', '{"a": 1e999}', "[1]", "{"])
-def test_training_data_that_cannot_be_written_again_are_refused(copy, content):
+@pytest.mark.parametrize(
+    "content",
+    [
+        '{"a": NaN}',
+        '{"a": 1e999}',
+        "[1]",
+        "{",
+        '{"words": 3}',
+        '{"words": {"a": -1}}',
+        '{"actions": {"walk": "2"}}',
+        '{"actions": {"walk": true}}',
+        '{"num_clips": 1.5}',
+        '{"num_clips": {}}',
+    ],
+)
+def test_training_data_that_are_damaged_are_refused(copy, content):
     (copy / "training_data.json").write_text(content)
     with pytest.raises(UserError, match=r"training_data\.json: "):
         load_bundle(copy)
+
+
+@pytest.mark.parametrize(
+    ("card", "license_"),
+    [
+        ("---\nlicense: cc-by-nc-4.0\n---\n# mine\n", "cc-by-nc-4.0"),
+        ("---\ntags:\n- motion\nlicense: mit\nlanguage: en\n---\n", "mit"),
+        ("# mine\n---\nlicense: mit\n---\n", "unknown"),
+        ("---\ntags: []\n---\nlicense: mit\n---\n", "unknown"),
+        ("", "unknown"),
+        ("---\n" + "a\n" * 100_000, "unknown"),
+    ],
+)
+def test_the_license_is_that_of_the_metadata_of_the_card(copy, card, license_):
+    (copy / "README.md").write_text(card)
+    assert load_bundle(copy).license == license_
 
 
 def test_statistics_of_another_width_are_refused(copy):

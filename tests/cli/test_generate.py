@@ -91,6 +91,30 @@ def test_every_format_is_written(bundle_folder, tmp_path, capsys):
     assert read_back.num_frames == len(arrays["positions"])
 
 
+@pytest.mark.parametrize("words", [["a", "person", "walks"], ["walk.", "run"], ["a", "person's", "4", "steps."]])
+def test_sentences_of_one_word_each_may_lack_their_quotes(refusal, bundle_folder, tmp_path, words):
+    line = refusal("generate", *words, "--model", bundle_folder, "-o", tmp_path / "out.npz")
+    assert f"{len(words)} sentences of one word each; for one sentence, use quotes: t2m generate" in line
+    assert not list(tmp_path.iterdir())
+
+
+def test_sentences_of_one_word_each_may_end_with_periods(bundle_folder, tmp_path, capsys):
+    assert main(["generate", "walk.", "run!", "--model", f"{bundle_folder}", "-o", f"{tmp_path / 'out.npz'}"]) == 0
+    assert len(capsys.readouterr().out.split()) == 2
+
+
+def test_what_the_model_does_not_know_is_one_line_and_in_the_file(tmp_path, capsys):
+    output = tmp_path / "out.npz"
+    sentences = ["a robot swims to the north", "a person walks"]
+    assert main(["generate", *sentences, "--num-samples", "2", "-o", f"{output}"]) == 0
+    warnings = [line for line in capsys.readouterr().err.splitlines() if line.startswith("t2m: warning: ")]
+    (line,) = warnings
+    assert line.startswith("t2m: warning: 'a robot swims to the north': not learned, so without effect: swims, north;")
+    for number, (warning, words) in enumerate([(line[14:], ("robot", "swims", "north"))] * 2 + [("", ())] * 2):
+        motion = load_motion(tmp_path / f"out-{number}.npz")
+        assert (motion.warning, motion.unknown_words) == (warning, words)
+
+
 def test_several_motions_are_numbered(bundle_folder, tmp_path, capsys):
     output = tmp_path / "many.npz"
     texts = ["a person walks", "someone waves"]

@@ -50,12 +50,17 @@ def test_without_labels_no_action_is_counted(tmp_path):
     assert found.clips_per_action == {} and found.words == {"walk": 1}
 
 
+def test_actions_are_counted_by_the_text_of_captions(tmp_path):
+    clips = [clip("a", Caption("He waves."), Caption("he is waving")), clip("b", Caption("he walks", ("he/PRON",)))]
+    assert summarize_training_data(dataset_in(tmp_path), clips).actions == {"wave": 1, "walk": 1}
+
+
 def test_a_data_set_on_disk(synthetic_folder, tmp_path):
     dataset = open_dataset(synthetic_folder)
     clips = dataset.clips("train")
     found = summarize_training_data(dataset, clips)
     assert found.data == "synthetic" and found.num_clips == len(clips) == sum(found.clips_per_action.values())
     assert found.clips_per_action.keys() <= KINDS.keys()
-    assert found.words["walk"] > 0
+    assert found.words["walk"] > 0 and 0 < found.actions["walk"] < found.num_clips
     save_training_data(tmp_path / "training_data.json", found)
     assert load_json(tmp_path / "training_data.json") == dataclasses.asdict(found)

@@ -2,6 +2,8 @@
 
 import dataclasses
 import itertools
+import subprocess
+import sys
 
 import jax
 import numpy as np
@@ -13,8 +15,9 @@ from t2m_jax.errors import UserError
 from t2m_jax.motion.features import features_from_positions
 from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
-from t2m_jax.sampling import Greedy, TextToMotion, encode_motions, sample_key
+from t2m_jax.sampling import Greedy, TextToMotion, TopK, encode_motions, sample_key
 from t2m_jax.sampling.pipeline import MAX_BATCH, MAX_SAMPLES
+from t2m_jax.text.coverage import PromptWarning
 from t2m_jax.text.encoder import TextEncoder
 from tests.jit import optimized
 from tests.tiny import BUNDLE, CAPTIONS, random_bundle
@@ -205,6 +208,55 @@ def test_sampling_does_not_change_the_variables(bundle):
         model.generate(CAPTIONS[0])
 
 
+def test_numbers_are_a_strategy(model):
+    expected = model.generate(CAPTIONS[0], strategy=TopK(k=3, temperature=0.7))[0]
+    np.testing.assert_array_equal(model.generate(CAPTIONS[0], temperature=0.7, top_k=3)[0].codes, expected.codes)
+    greedy = model.generate(CAPTIONS[0], strategy=Greedy())[0]
+    np.testing.assert_array_equal(model.generate(CAPTIONS[0], temperature=0)[0].codes, greedy.codes)
+    with pytest.raises(UserError, match=r"strategy: excludes temperature"):
+        model.generate(CAPTIONS[0], strategy=Greedy(), top_p=0.5)
+
+
+def test_progress_is_told_after_each_batch(model, monkeypatch):
+    monkeypatch.setattr("t2m_jax.sampling.pipeline.MAX_BATCH", 3)
+    told = []
+    model.generate(CAPTIONS[:2], num_samples=4, on_progress=lambda *counts: told.append(counts))
+    assert told == [(3, 8), (6, 8), (8, 8)]
+
+
+def test_a_model_warns_of_what_it_does_not_know(bundle):
+    words = {word: 9 for caption in CAPTIONS for word in caption.split()}
+    data = {"data": "mine", "num_clips": 24, "words": words, "actions": {"walk": 9, "wave": 3}}
+    model = TextToMotion(bundle._replace(training_data=data))
+    with pytest.warns(
+        PromptWarning, match=r"'a person jumps': not learned, so without effect: jumps; .* knows walk, wave"
+    ):
+        jump, walk = model.generate(["a person jumps", "a gorilla walks forward"])
+    assert jump.unknown_words == ("jumps",) and "jumps" in jump.warning
+    assert walk.unknown_words == ("gorilla",) and walk.warning == ""
+    with pytest.warns(PromptWarning, match="jumps"):
+        next(model.stream("a person jumps"))
+    limit = bundle.config.text_encoder.max_length
+    with pytest.warns(PromptWarning, match=r"too long, so cut after '.*person wal"):
+        model.generate("a person walks " * limit)
+    assert jump[:4].warning == jump.warning and jump.mirrored().warning == jump.warning
+
+
+def test_a_model_says_what_it_is(bundle):
+    data = {"data": "mine", "num_clips": 1200, "words": {"walk": 9}, "actions": {"wave": 7, "walk": 9}}
+    text = repr(TextToMotion(bundle._replace(training_data=data, card="---\nlicense: mit\n---\n")))
+    assert text.startswith("TextToMotion:\n  parts: ")
+    for part in ("gpt (0.0", "vqvae (0.0", "humanml3d, 20 frames", "mine (1,200 clips)", "license: mit", "walk, wave"):
+        assert part in text
+    assert "data: unknown (0 clips)\n  license: unknown\n  actions: unknown" in repr(TextToMotion(bundle))
+
+
+def test_a_name_in_place_of_a_bundle_gets_a_hint():
+    program = "from t2m_jax.sampling import TextToMotion; TextToMotion('demo')"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert "UserError: 'demo' is not a loaded bundle; use t2m_jax.load('demo')" in done.stderr
+
+
 def test_weights_are_rearranged_once_and_held_once(bundle):
     model = TextToMotion(bundle)
     model.generate(CAPTIONS[0])
@@ -220,8 +272,8 @@ def test_weights_are_rearranged_once_and_held_once(bundle):
 @pytest.mark.parametrize("name", BUNDLED)
 def test_the_batch_size_hardly_changes_a_code(name, monkeypatch):
     """Another batch size changes the last bits of the logits. The promise is one changed code in 100,000."""
-    actions = ("walks", "runs", "jumps", "waves", "kicks", "bows", "turns around", "dances")
-    captions = [f"a person {action} {how}" for action in actions for how in ("", "slowly", "happily", "and stops")]
+    actions = ("walks", "runs", "jogs", "waves", "strolls", "lifts both arms", "turns around", "raises both hands")
+    captions = [f"a person {action} {how}" for action in actions for how in ("", "slowly", "quickly", "and again")]
     codes = {}
     with optimized():
         for size in (1, 8, 32):

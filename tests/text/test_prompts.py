@@ -20,6 +20,11 @@ from t2m_jax.text.prompts import MAX_PROMPT_LENGTH, check_prompt
         ("人が歩く", "人が歩く"),
         ("a person's 2 steps (left, then right) - 50% faster", "a person's 2 steps (left, then right) - 50% faster"),
         ("a" * MAX_PROMPT_LENGTH, "a" * MAX_PROMPT_LENGTH),
+        ("turns 90° left", "turns 90 degrees left"),
+        ("turns 90 °", "turns 90 degrees"),
+        ("a person`s \u00b4step\u00b4", "a person's 'step'"),
+        ("you\u2019re \u201cwalking\u201d \u2018on\u2018", "you're \"walking\" 'on'"),
+        ("\ufeffa per\u200bson\u2060 walks\u200d for\u00adward", "a person walks forward"),
     ],
 )
 def test_words_pass_with_their_spaces_folded(prompt, expected):
@@ -39,12 +44,12 @@ def test_words_pass_with_their_spaces_folded(prompt, expected):
         ("a person \x85walks", "U+0085"),
         ("a person walks 🙂", "a symbol or emoji"),
         ("❤ walks", "a symbol or emoji"),
-        ("a\u200bperson", "an invisible formatting character"),
+        ("\u200b\u2060", "no words"),
         ("a \u202eperson", "an invisible formatting character"),
         ("a \ue000 person", "a private-use character"),
         ("a \ud800 person", "a lone surrogate"),
         ("a \U000e0fff person", "an unassigned character"),
-        ("a person`s ^ step", "a modifier symbol"),
+        ("a person ^ step", "a modifier symbol"),
     ],
 )
 def test_what_no_caption_has_is_refused_in_one_line(prompt, says):
@@ -65,5 +70,5 @@ def test_every_prompt_is_refused_or_folded(prompt):
         assert str(error).isprintable()
         return
     assert check_prompt(folded) == folded
-    assert folded.split() == prompt.split()
+    assert folded == " ".join(folded.split())
     assert not {unicodedata.category(character) for character in folded} & {"Cc", "Cf", "Cs", "Co", "Cn", "So"}

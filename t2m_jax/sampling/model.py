@@ -1,0 +1,179 @@
+"""A loaded model: from text embeddings to codes, and from codes to motions and back."""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, Key
+
+from t2m_jax.checkpoints.bundle import Bundle, ClipReference, part_kinds
+from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
+from t2m_jax.devices import put_everywhere, put_rows
+from t2m_jax.errors import UserError
+from t2m_jax.models.projection import restore_kernels
+from t2m_jax.models.system import make_module
+from t2m_jax.motion.normalizer import Normalizer
+from t2m_jax.motion.record import Motion
+from t2m_jax.motion.skeleton import skeleton_from_name
+from t2m_jax.sampling.codec import encode_motion, generate_codes, motions_from_codes, sampling_variables
+from t2m_jax.sampling.decoding import SampledCodes, Sampling
+from t2m_jax.sampling.stopping import find_stop_rule
+from t2m_jax.sampling.strategies import Strategy, Temperature
+from t2m_jax.sampling.text_encoders import make_text_encoder
+from t2m_jax.text.coverage import make_knowledge
+from t2m_jax.text.encoder import TextEncoder
+
+
+class MotionModel:
+    """The parts of a model on the devices of this process, and what they do with codes."""
+
+    def __init__(self, bundle: Bundle, *, text_encoder: TextEncoder | None = None):
+        """Puts the weights on all devices of this process.
+
+        Args:
+            bundle: The model.
+            text_encoder: Used instead of the model's own; it must give the same embeddings.
+
+        Raises:
+            UserError: The model reads text with CLIP, and CLIP cannot be found; or `bundle` is a name or a path.
+        """
+        if not isinstance(bundle, Bundle):
+            raise UserError(f"{bundle!r} is not a loaded bundle; use t2m_jax.load({str(bundle)!r})")
+        self.config = bundle.config
+        self.skeleton = skeleton_from_name(bundle.config.skeleton)
+        self.training_data = bundle.training_data
+        self.license = bundle.license
+        self.knowledge = make_knowledge(bundle.training_data)
+        self.text_encoder = text_encoder or make_text_encoder(bundle)
+        self._bpe = bundle.bpe
+        self._variables = put_everywhere(bundle.variables)
+        self._ready_to_sample = False
+        self._normalizer = Normalizer(*map(jnp.asarray, bundle.normalizer))
+        self._generator = make_module(self.config.generator)
+
+    def __repr__(self) -> str:
+        """Returns sizes, data, license and what the model knows, in some lines."""
+        kinds = part_kinds(self.config)
+        sizes = {kinds[role]: sum(leaf.size for leaf in jax.tree.leaves(tree)) for role, tree in self.variables.items()}
+        data = self.training_data or {}
+        lines = {
+            "parts": ", ".join(f"{kind} ({size / 1e6:.2f} M numbers)" for kind, size in sizes.items()),
+            "motion": f"{self.skeleton.name}, {self.skeleton.fps:g} frames a second",
+            "data": f"{data.get('data', 'unknown')} ({data.get('num_clips', 0):,} clips)",
+            "license": self.license,
+            "actions": ", ".join(self.knowledge.actions) or "unknown",
+        }
+        return "\n".join([f"{type(self).__name__}:", *(f"  {name}: {line}" for name, line in lines.items())])
+
+    @property
+    def variables(self) -> dict[str, Any]:
+        """The weights of `tokenizer`, `generator` and (if trained with the model) `text_encoder` for `apply`."""
+        return self._variables | {"generator": restore_kernels(self._variables["generator"])}
+
+    @property
+    def fingerprint(self) -> str:
+        """Identifies the model: a digest of sizes, weights, statistics and subwords."""
+        config, clip = self.config, getattr(self.text_encoder, "fingerprint", None)
+        if clip is not None:  # where CLIP is does not matter
+            config = dataclasses.replace(config, text_encoder=ClipReference(name=clip))
+        return Bundle(config, self.variables, self._normalizer, self._bpe).fingerprint
+
+    @property
+    def tokenizer(self) -> TrainedTokenizer:
+        """The tokenizer with its statistics."""
+        return TrainedTokenizer(self.config.tokenizer, self._variables["tokenizer"], self._normalizer)
+
+    def sampling(
+        self,
+        strategy: Strategy | None = None,
+        *,
+        max_codes: int | None = None,
+        min_codes: int = 1,
+        stop_rule: str | None = None,
+    ) -> Sampling:
+        """Returns how codes are sampled; what is not given is the model's own.
+
+        Raises:
+            UserError: The length or the stop rule does not fit the model.
+        """
+        longest = self.config.generator.max_codes
+        if max_codes is not None and not 1 <= max_codes <= longest:
+            raise UserError(f"max-codes: {max_codes} is not between 1 and {longest}")
+        rule = find_stop_rule(self.config.generator, stop_rule)
+        return Sampling(strategy or Temperature(), rule, max_codes or longest, min_codes)
+
+    def guidance_scale(self, given: float | None = None) -> float | None:
+        """Returns the strength of the guidance: as given, or the model's own; None for none.
+
+        Raises:
+            UserError: It is not a number from 0.
+        """
+        scale = self.config.generator.guidance_scale if given is None else given
+        if scale is not None and not 0 <= scale < float("inf"):
+            raise UserError(f"guidance-scale: {scale} is not a number from 0")
+        return scale
+
+    def _guidance(self, given: float | None) -> Float[Array, ""] | None:
+        """Returns the scale for the generator. A scale of 1 changes nothing, so only half of the work is needed."""
+        scale = self.guidance_scale(given)
+        return None if scale is None or scale == 1 else jnp.asarray(scale, jnp.float32)
+
+    def sample_codes(
+        self,
+        text_embedding: Float[Array, "B E"],
+        keys: Key[Array, " B"],
+        sampling: Sampling,
+        *,
+        guidance_scale: float | None = None,
+    ) -> SampledCodes:
+        """Returns codes for text embeddings of `text_encoder`, one key per motion (consumed)."""
+        scale = self._guidance(guidance_scale)
+        text_embedding, keys = put_rows((text_embedding, keys))
+        variables = self._variables_for_sampling()
+        return generate_codes(variables, text_embedding, keys, scale, generator=self._generator, sampling=sampling)
+
+    def _variables_for_sampling(self) -> dict[str, Any]:
+        """Returns the generator's variables, rearranged at the first call; the old arrangement is not kept."""
+        if not self._ready_to_sample:
+            generator = sampling_variables(self._variables["generator"], self.config.generator)
+            # A new dictionary, because another thread may be in this function, too. Both make the same variables.
+            self._variables = self._variables | {"generator": generator}
+            self._ready_to_sample = True
+        return self._variables["generator"]
+
+    def encode(self, motion: Motion) -> Int[np.ndarray, "N R"]:
+        """Returns the codes of a motion. Frames at its end that do not fill a code are left out.
+
+        Raises:
+            UserError: It has another skeleton than the model's, or is too short for a code.
+        """
+        return encode_motion(self.tokenizer, motion, self.skeleton)
+
+    def decode(self, codes: Int[np.ndarray, "N ..."], *, caption: str = "", raw: bool = False) -> Motion:
+        """Returns the motion of codes [N, R]; the last axis may be left out if there is one code per row.
+
+        With fewer than R codes per row, those of the first depths, the motion is coarser. It is cleaned as by
+        `generate`, unless `raw`.
+
+        Raises:
+            UserError: There are no codes, too many per row, or one that is not in the codebook.
+        """
+        config, codes = self.config.tokenizer, np.asarray(codes, np.int32)
+        if codes.ndim == 1:
+            codes = codes[:, None]
+        if codes.ndim != 2 or not len(codes) or not 1 <= codes.shape[1] <= config.num_quantizers:
+            raise UserError(f"codes: expected rows of {config.num_quantizers} codes (or fewer), at least one row")
+        if codes.min() < 0 or codes.max() >= config.num_codes:
+            raise UserError(f"codes: must be between 0 and {config.num_codes - 1}")
+        return self._decode_padded(codes, size=len(codes), caption=caption, seed=0, clean=not raw)
+
+    def _decode_padded(
+        self, codes: Int[np.ndarray, "N R"], *, size: int, caption: str, seed: int, clean: bool
+    ) -> Motion:
+        """Returns the motion of codes, decoded by a program for `size` rows."""
+        lengths = np.array([len(codes)], np.int32)
+        padded = np.pad(codes, ((0, size - len(codes)), (0, 0)))[None]
+        options: Any = {"skeleton": self.skeleton, "captions": [caption], "seed": seed, "clean": clean}
+        return motions_from_codes(self.tokenizer, padded, lengths, **options)[0]

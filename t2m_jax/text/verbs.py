@@ -1,0 +1,142 @@
+"""The words of English captions, and which of them are actions: by a dictionary of word forms and rules of order.
+
+A general tagger is a heavy dependency and confuses nouns and verbs where captions need it: in "a person jumps".
+"""
+
+import functools
+import itertools
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from t2m_jax.text.prompts import straighten_quotes
+
+
+def word_set(words: str) -> frozenset[str]:
+    """Returns the words of a text."""
+    return frozenset(words.split())
+
+
+DETERMINERS = word_set(
+    """
+    a an the his her its their my your our this that these those some any each every both no another other few
+    several many multiple one two three four five six seven eight nine ten
+    """
+)
+PREPOSITIONS = word_set(
+    """
+    in on at to from with of by for over under around into onto through toward towards along across near behind
+    beside between like above below against off inside outside as than
+    """
+)
+CLAUSE_STARTS = word_set("and then while before after when or but who that until so if because")
+SUBJECTS = word_set("he she it they we you i somebody someone everybody everyone nobody people")
+BEFORE_BASE_FORM = word_set("they we you i people not can will would should must could may let to")
+"""Words after which a verb is in its basic form. After `to`, only if it cannot be a noun: "to school"."""
+BODY_PARTS = word_set(
+    """
+    ankle arm back chest chin elbow eye face finger foot hand head heel hip knee leg mouth shoulder thigh toe
+    waist wrist
+    """
+)
+SIDES = frozenset({"left", "right"})
+"""Words that are sides in captions, never forms of `leave` or `right`."""
+AUXILIARIES = word_set("am is are was were be been being has have had does did")
+LIGHT_VERBS = word_set(
+    """
+    be begin come continue do end finish get have keep let make perform seem start take try use
+    """
+)
+"""Verbs that say nothing about the motion; another word does."""
+PERFORMING_VERBS = word_set("do execute get give make perform take")
+"""Verbs whose object is the action: "makes a jump"."""
+GENERIC_NOUNS = word_set("action exercise gesture motion move movement pose position sequence")
+"""Nouns that say nothing about the motion."""
+
+_TOKENS = re.compile(r"[^\W\d_]+(?:-[^\W\d_]+)*|\d+(?:[.,]\d+)?|[^\w\s'-]")
+
+
+class Word(NamedTuple):
+    """A word or a number of a caption."""
+
+    text: str
+    """In lower case."""
+    bases: frozenset[str]
+    """The word and its basic forms: `waves` and `wave`."""
+    action: str
+    """Basic form, if the word is a verb here or a noun for what somebody does; otherwise empty."""
+
+
+@functools.cache
+def readings(word: str) -> dict[str, tuple[str, ...]]:
+    """Returns the basic forms of an English word by part of speech; none for a word that is not in the dictionary."""
+    from lemminflect import getAllLemmas  # imported when it is used: its dictionary takes a while to load
+
+    return {} if word in SIDES else dict(getAllLemmas(word))
+
+
+def words_of(caption: str) -> list[Word]:
+    """Returns the words and numbers of a caption, without punctuation."""
+    tokens = _TOKENS.findall(re.sub(r"'(s|t|re|ve|m|ll|d)\b", " ", straighten_quotes(caption.lower())))
+    starts = itertools.accumulate(token in CLAUSE_STARTS or not token[0].isalnum() for token in tokens)
+    clauses = itertools.groupby(zip(starts, tokens, strict=True), key=lambda pair: pair[0])
+    found: list[Word] = []
+    for _, clause in clauses:
+        words = [token for _, token in clause if token[0].isalnum()]
+        found += map(_word, words, _actions(words))
+    return found
+
+
+def _word(text: str, action: str) -> Word:
+    return Word(text, frozenset({text, *itertools.chain.from_iterable(readings(text).values())}), action)
+
+
+def _actions(clause: Sequence[str]) -> list[str]:
+    """Returns the basic form of each word of a clause that is an action, and empty texts for the others."""
+    words = [word for word in clause if word not in CLAUSE_STARTS]
+    actions = [""] * (len(clause) - len(words))  # a word that starts a clause is its first
+    has_verb, is_object = False, False
+    for index, word in enumerate(words):
+        before, after = words[index - 1] if index else "", words[index + 1 :]
+        has_verb = has_verb and word not in SUBJECTS
+        is_verb = _is_verb(word, before, after, has_verb=has_verb)
+        is_object = is_object and not is_verb and word not in PREPOSITIONS
+        is_action = is_verb or (is_object and _is_action_noun(word, after))
+        actions.append(readings(word)["VERB"][0] if is_action else "")
+        is_object = is_object or (is_verb and actions[-1] in PERFORMING_VERBS) or word in ("does", "did")
+        has_verb = has_verb or is_verb or word in AUXILIARIES
+    return actions
+
+
+def _is_verb(word: str, before: str, after: Sequence[str], *, has_verb: bool) -> bool:
+    """Returns whether a word is a verb, by the word before it, those after it in its clause, and its own ending."""
+    found = readings(word)
+    bases = found.get("VERB", ())
+    if not bases or word in AUXILIARIES or before in DETERMINERS or before[:1].isdigit():
+        return False
+    if word in bases:
+        if not before:  # "jump forward", but not "drunk man walks" or "back to the wall"
+            return "ADV" not in found and not any(map(_is_inflected, after))
+        return before in BEFORE_BASE_FORM and not (before == "to" and "NOUN" in found)
+    if word.endswith("ing"):
+        return True
+    if word.endswith("s"):  # the verb of the clause, or a noun
+        return not has_verb and before not in PREPOSITIONS and BODY_PARTS.isdisjoint(bases)
+    # A past form, or a word such as "tired" that only looks like one.
+    return not ({"ADJ", "NOUN"} & found.keys() and (has_verb or not before))
+
+
+def _is_action_noun(word: str, after: Sequence[str]) -> bool:
+    """Returns whether a word in the object of a performing verb is the action: `wiping` or `jump`, but not `motion`."""
+    found = readings(word)
+    bases = {base for part in ("VERB", "NOUN") for base in found.get(part, ())}
+    if "VERB" not in found or "ADV" in found or not bases.isdisjoint(BODY_PARTS | GENERIC_NOUNS):
+        return False
+    next_readings = readings(after[0]) if after else {}
+    is_last = not after or after[0] in PREPOSITIONS or "NOUN" not in next_readings or "ADV" in next_readings
+    return word.endswith("ing") or ("NOUN" in found and is_last)
+
+
+def _is_inflected(word: str) -> bool:
+    bases = readings(word).get("VERB", ())
+    return word in AUXILIARIES or (bool(bases) and word not in bases and BODY_PARTS.isdisjoint(bases))

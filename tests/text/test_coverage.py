@@ -1,0 +1,92 @@
+"""What a model can know of a prompt: warnings for what it cannot, none for what it can."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from t2m_jax.checkpoints.bundle import bundle_path, load_training_data
+from t2m_jax.text.coverage import MIN_CLIPS, MIN_USES, Knowledge, check_coverage, count_actions, make_knowledge
+
+PROMPTS = yaml.safe_load((Path(__file__).parent / "prompts.yaml").read_text())
+
+
+@pytest.fixture(scope="module")
+def demo():
+    return make_knowledge(load_training_data(bundle_path("demo")))
+
+
+def warned(prompts, knowledge, limit=200):
+    return [prompt for prompt in prompts if check_coverage(prompt, knowledge, read_part=prompt[:limit]).warning]
+
+
+def test_the_demo_knows_what_it_can_show(demo):
+    assert len(PROMPTS["knows"]) == len(PROMPTS["warn"]) == 30
+    assert len(warned(PROMPTS["knows"], demo)) <= 1
+    assert len(warned(PROMPTS["warn"], demo)) >= 27
+
+
+@pytest.mark.parametrize(
+    ("prompt", "said"),
+    [
+        ("a person swims north", "not learned, so without effect: swims, north; it has no action that the model knows"),
+        ("a person walks four steps", "not learned, so without effect: four"),
+        ("a person walks 90 degrees left", "not learned, so without effect: 90"),
+        ("a man does a backflip", "it has no action that the model knows"),
+        ("asdf qwer", "not learned, so without effect: asdf, qwer; write it in the language and style of the training"),
+        ("une personne marche lentement", "not learned, so without effect: une, personne, marche, lentement; write it"),
+        (
+            "b c d e f g h i j k l m n o",
+            "not learned, so without effect: b, c, d, e, f, g, h, i, j, k, l, m, ...; write it",
+        ),
+    ],
+)
+def test_a_warning_names_what_has_no_effect_and_what_the_model_knows(demo, prompt, said):
+    warning = check_coverage(prompt, demo, read_part=prompt).warning
+    assert warning.startswith(f"{prompt!r}: {said}")
+    assert warning.endswith(f"; the model knows {', '.join(demo.actions[:12])}") and "walk" in demo.actions[:12]
+    assert warning.isprintable() and len(warning) < 380
+
+
+def test_words_that_matter_little_are_only_listed(demo):
+    prompt = "My robot walks forward in the park, robot"
+    assert check_coverage(prompt, demo, read_part=prompt) == ("", ("my", "robot", "park"))
+
+
+def test_a_prompt_that_is_cut_says_where(demo):
+    warning = check_coverage("a person walks and waves", demo, read_part="a person walks").warning
+    assert warning.startswith("'a person walks and waves': too long, so cut after 'a person walks'; the model knows")
+
+
+def test_what_a_large_data_set_has_rarely_is_not_known():
+    many = {"walk": 10**6, "wave": MIN_USES, "jump": MIN_USES - 1}
+    actions = {"jump": MIN_CLIPS - 1, "wave": MIN_CLIPS, "walk": 9000}
+    knowledge = make_knowledge({"num_clips": 10**5, "words": many, "actions": actions})
+    assert knowledge == ({"walk", "wave"}, ("walk", "wave"))
+
+
+def test_a_small_data_set_teaches_what_it_has():
+    data = {"num_clips": 24, "words": {"he": 24, "walk": 23, "jump": 1}, "actions": {"walk": 23, "jump": 1}}
+    knowledge = make_knowledge(data)
+    assert knowledge == ({"he", "walk", "jump"}, ("walk", "jump"))
+    assert warned(["he jumps", "he walks left", "he swims"], knowledge) == ["he walks left", "he swims"]
+
+
+@pytest.mark.parametrize("data", [None, {}, {"num_clips": 3}])
+def test_without_a_record_only_a_cut_is_told(data):
+    knowledge = make_knowledge(data)
+    assert knowledge == Knowledge(frozenset(), ())
+    assert check_coverage("asdf", knowledge, read_part="asdf") == ("", ())
+    assert (
+        check_coverage("asdf qwer", knowledge, read_part="asdf").warning == "'asdf qwer': too long, so cut after 'asdf'"
+    )
+
+
+def test_words_without_actions_still_warn_of_verbs():
+    knowledge = make_knowledge({"num_clips": 9, "words": {"a": 5, "person": 5, "walk": 5}})
+    assert warned(["a person walks", "a person swims"], knowledge) == ["a person swims"]
+
+
+def test_actions_are_counted_by_clip():
+    captions = [["a person walks", "someone walks and waves"], ["a person makes a jump", "he walks"], []]
+    assert count_actions(captions) == {"walk": 2, "jump": 1, "wave": 1}
