@@ -5,11 +5,13 @@ import shlex
 
 import pytest
 
+from t2m_jax.cli.main import main
 from t2m_jax.cli.train import _config
 from t2m_jax.config import load_config, override_config
 from t2m_jax.data.folder import DatasetInfo
 from t2m_jax.data.importers.caption_files import load_caption_table
 from t2m_jax.train import TrainGptConfig, TrainVqVaeConfig
+from t2m_jax.train.shipped import find_config, shipped_configs
 from tests.conftest import REPOSITORY
 
 FREE = REPOSITORY / "configs" / "free"
@@ -95,3 +97,47 @@ def test_the_defaults_are_the_published_models():
     counts = {name: sum(leaf.size for leaf in jax.tree.leaves(shapes[name]["params"])) for name in shapes}
     assert counts["tokenizer"] == 19_436_807
     assert counts["generator"] == 228_311_040
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: f"{path.parent.name}-{path.stem}")
+def test_configs_are_found_by_name_from_everywhere(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    name = f"{path.parent.name}/{path.stem}"
+    shipped = shipped_configs()[name]
+    assert shipped.path == path and shipped.summary and len(shipped.summary) < 250
+    assert find_config(shipped.kind, name) == find_config(shipped.kind, f"configs/{name}.yaml") == path
+    assert _config(shipped.kind, name) == config_of(shipped.kind, str(path), [])
+
+
+def test_a_file_comes_before_a_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "t2m-gpt").mkdir()
+    (tmp_path / "t2m-gpt" / "vqvae").write_text("window: 48\n")
+    assert _config("vqvae", "t2m-gpt/vqvae").window == 48
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "said"),
+    [
+        ("vqvae", "t2m-gtp/vqvae", "did you mean 't2m-gpt/vqvae'"),
+        ("gpt", "configs/t2m-gpt/gtp.yaml", "did you mean 't2m-gpt/gpt'"),
+        ("gpt", "oficial", "did you mean 'official'"),
+        ("hifigpt", "hifigpt/papr", "did you mean 'hifigpt/paper'"),
+        (
+            "gpt",
+            "nothing.yaml",
+            "nothing.yaml: there is no such file, config or preset; `t2m train --list` shows all names",
+        ),
+    ],
+)
+def test_names_that_do_not_exist_get_similar_ones(capsys, kind, name, said):
+    assert main(["train", kind, name]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_all_names_are_listed(capsys):
+    assert main(["train", "--list"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    rows = {tuple(line.split()[:2]) for line in lines}
+    assert {("vqvae", "t2m-gpt/vqvae"), ("gpt", "official"), ("evaluator", "evaluator/bandai-namco")} <= rows
+    assert len(rows) == len(lines) > len(CONFIGS)

@@ -1,8 +1,7 @@
 """Train a model: `t2m train KIND CONFIG [--field value]...`; fields are those of the config, with dots.
 
-CONFIG is a YAML file or a recipe by name: for vqvae and gpt (T2M-GPT) `official` or `paper`, for rvqvae and hifigpt
-(T2M-HiFiGPT) `hifigpt/paper`; with `kit_ml/` before it, for KIT-ML. `t2m train KIND --run RUN --resume` continues a
-run.
+CONFIG is a YAML file, or the name of a config or preset that comes with the package: `t2m train --list` shows them.
+`t2m train KIND --run RUN --resume` continues a run.
 `t2m train gpt --diff paper official` shows how two configs differ.
 """
 
@@ -35,11 +34,29 @@ class _Help(argparse.Action):
         parser.exit()
 
 
+class _List(argparse.Action):
+    """Shows the configs and presets that come with the package."""
+
+    def __call__(self, parser: argparse.ArgumentParser, namespace: Any, values: Any, option_string: Any = None) -> None:
+        from t2m_jax.train.presets import preset_names
+        from t2m_jax.train.shipped import shipped_configs
+
+        configs = shipped_configs()
+        rows = [(config.kind, name, config.summary) for name, config in configs.items()]
+        for kind in dict.fromkeys(config.kind for config in configs.values()):
+            rows += [(kind, name, "preset") for name in preset_names(kind)]
+        widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
+        for kind, name, summary in sorted(rows):
+            sys.stdout.write(f"{kind:{widths[0]}}  {name:{widths[1]}}  {summary}\n")
+        parser.exit()
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the options of the command; unknown options are fields of the config."""
     kinds = sorted(importlib.metadata.entry_points(group="t2m_jax.trainers").names)
     parser.add_argument("kind", choices=kinds, help="what to train")
-    parser.add_argument("config", nargs="?", help="YAML file with what differs from the defaults, or name of a recipe")
+    parser.add_argument("config", nargs="?", help="YAML file with what differs from the defaults, or a name of --list")
+    parser.add_argument("--list", nargs=0, action=_List, help="show the configs and presets of the package and exit")
     parser.add_argument("--resume", action="store_true", help="continue from the newest checkpoint of the run")
     parser.add_argument(
         "--diff",
@@ -113,7 +130,7 @@ def _start_config(args: argparse.Namespace) -> Any:
     found = parser.parse_known_args(args.config_options)[0].run
     if not args.resume or found is None:
         raise UserError(
-            f"train {args.kind}: CONFIG is missing; give a YAML file or the name of a recipe such as 'official', or "
+            f"train {args.kind}: CONFIG is missing; give a YAML file, give a name that `t2m train --list` shows, or "
             "continue a run with `--run RUN --resume`"
         )
     config = load_run_config(found)
@@ -123,15 +140,17 @@ def _start_config(args: argparse.Namespace) -> Any:
 
 
 def _config(kind: str, name: str) -> Any:
-    """Returns the config of a file or, if there is no such file, of a recipe."""
+    """Returns the config of a file or, if there is no such file, of a name."""
     from t2m_jax.config import load_config
     from t2m_jax.train.experiment import find_trainer
     from t2m_jax.train.presets import load_preset, preset_names
+    from t2m_jax.train.shipped import find_config
 
-    if name in preset_names() and not Path(name).is_file():
+    is_file = Path(name).exists()
+    if name in preset_names() and not is_file:
         return load_preset(kind, name)
     schema: Any = find_trainer(kind).config
-    return load_config(name, schema)
+    return load_config(name if is_file else find_config(kind, name), schema)
 
 
 def _show_differences(args: argparse.Namespace) -> None:
