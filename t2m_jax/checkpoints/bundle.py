@@ -147,10 +147,8 @@ class Bundle(NamedTuple):
 
     @property
     def license(self) -> str:
-        """The license of the weights, of the card's metadata (as on the Hugging Face hub); `unknown` if it has none."""
-        start, _, metadata = self.card.partition("---\n")
-        found = re.search(r"^license: *([\w.-]+)$", metadata.partition("\n---\n")[0], re.MULTILINE)
-        return found[1] if found and not start else "unknown"
+        """The license of the weights (see `card_license`)."""
+        return card_license(self.card)
 
     @property
     def fingerprint(self) -> str:
@@ -166,6 +164,22 @@ def bundle_path(name_or_path: str | Path) -> Path:
     if str(name_or_path) in BUNDLED:
         return Path(str(importlib.resources.files("t2m_jax") / "bundles" / str(name_or_path)))
     return Path(name_or_path)
+
+
+def load_card(name_or_path: str | Path) -> str:
+    """Returns the card of a bundle.
+
+    Raises:
+        UserError: There is no such bundle, or it has no card.
+    """
+    return load_text(bundle_path(name_or_path) / CARD_FILE)
+
+
+def card_license(card: str) -> str:
+    """Returns the license in the metadata of a card, as on the Hugging Face hub; `unknown` if it has none."""
+    start, _, metadata = card.partition("---\n")
+    found = re.search(r"^license: *([\w.-]+)$", metadata.partition("\n---\n")[0], re.MULTILINE)
+    return found[1] if found and not start else "unknown"
 
 
 def load_bundle_config(folder: Path) -> BundleConfig:

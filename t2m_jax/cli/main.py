@@ -31,6 +31,7 @@ COMMANDS = {
     "train": "train a model from a config file",
     "evaluate": "measure the quality of a model on data",
     "bundle": "combine runs to one model that can be shared",
+    "models": "list the packaged models and show their cards",
     "convert": "convert published weights to a model, and back",
     "view": "convert a motion file to other formats",
     "check": "say what is intact in a model, a data set or a report",

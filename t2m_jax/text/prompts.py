@@ -36,9 +36,9 @@ def check_prompt(prompt: str) -> str:
         UserError: The prompt has no words, is longer than `MAX_PROMPT_LENGTH`, or contains characters that captions
             never have (control characters, emoji and other symbols).
     """
+    prompt = straighten_quotes(prompt).translate(_CLEANED)
     if len(prompt) > MAX_PROMPT_LENGTH:
         raise UserError(f"prompt: {len(prompt):,} characters; describe the motion in at most {MAX_PROMPT_LENGTH:,}")
-    prompt = straighten_quotes(prompt).translate(_CLEANED)
     for character in prompt:
         category = unicodedata.category(character)
         if category in _REFUSED_CATEGORIES and character not in "\t\n\r":
