@@ -61,7 +61,7 @@ class RunInfo:
     format_version: int = FORMAT_VERSION
     """Layout of the directory, and the random streams of its updates."""
     data: str | None = None
-    """Fingerprint of the data set; null in runs of version 2 and older."""
+    """Fingerprints of the parts of the data set; null in runs of version 2 and older."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -111,7 +111,7 @@ def is_run(path: Path) -> bool:
 def create_run(path: Path, kind: str, config: Any, *, data: str | None = None) -> None:
     """Makes a folder a run directory; call this when everything else that a run needs is in the folder.
 
-    `data` is the fingerprint of the data set.
+    `data` are the fingerprints of the data set.
     """
     (path / CONFIG_FILE).unlink(missing_ok=True)  # of an interrupted start; it changes when a run is extended
     write_manifest(path, CONSTANT_FILES)

@@ -5,7 +5,7 @@ import logging
 import string
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -102,11 +102,24 @@ class Dataset:
     @property
     def fingerprint(self) -> str:
         """Identifies the contents: clips, captions, splits and statistics, wherever the folder is."""
+        clips, lists, limits, statistics = self._contents()
+        return fingerprint(f"{clips} {lists} {limits}", statistics)
+
+    @property
+    def fingerprints(self) -> dict[str, str]:
+        """Identifies each part of the contents."""
+        clips, lists, limits, statistics = self._contents()
+        texts = {"splits": f"{lists}", "skeleton and lengths": f"{limits}"}
+        found = {"clips and captions": clips} | {name: fingerprint(text, {}) for name, text in texts.items()}
+        return found | {"statistics": fingerprint("", statistics)}
+
+    def _contents(self) -> tuple[str, dict[str, tuple[str, ...]], tuple[Any, ...], dict[str, Any]]:
+        """Returns the fingerprint of clips and captions, the splits, the limits and the statistics."""
         lists = {split: self.names(split) for split in SPLITS if (self.folder / f"{split}.txt").exists()}
         cached = open_clips(self.folder, feature_dim=self.skeleton.feature_dim)
         limits = (self.skeleton.name, self.info.fps, self.info.min_frames, self.info.max_frames)
         statistics = self.normalizer._asdict() if (self.folder / "Mean.npy").exists() else {}
-        return fingerprint(f"{cached.fingerprint} {lists} {limits}", statistics)
+        return cached.fingerprint, lists, limits, statistics
 
     def names(self, split: str) -> tuple[str, ...]:
         """Returns the clip names of a split in the order of its list."""

@@ -5,15 +5,21 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from t2m_jax.checkpoints.bundle import BUNDLED, WEIGHTS_FILE
+import numpy as np
+
+from t2m_jax.checkpoints.bundle import BUNDLED, WEIGHTS_FILE, bundle_path
+from t2m_jax.checkpoints.bundle import CONFIG_FILE as BUNDLE_FILE
+from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.run import CONFIG_FILE, is_run, run_info
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.config import flat_fields, load_config
-from t2m_jax.data.folder import Dataset
+from t2m_jax.data.folder import Dataset, open_dataset
 from t2m_jax.distributed import is_writer
 from t2m_jax.errors import UserError
 from t2m_jax.files import lock
+from t2m_jax.motion.normalizer import load_normalizer
 from t2m_jax.train.config import ExperimentConfig
+from t2m_jax.train.statistics import load_statistics
 
 MAY_CHANGE = (
     "run",
@@ -72,17 +78,43 @@ def _is_same(config: ExperimentConfig, name: str, saved: Any, value: Any) -> boo
         return True
     if name == "data":
         return run_info(config.run).data is not None  # its contents are compared by `check_same_data`
-    if name == "vqvae":
-        with contextlib.suppress(UserError):  # there is nothing
+    if None in (saved, value):
+        return False
+    with contextlib.suppress(UserError):  # there is nothing
+        if name == "vqvae":
             return load_tokenizer(value).fingerprint == load_tokenizer(config.run).fingerprint
-    return False
+        if name == "init":
+            return _fingerprint(saved) == _fingerprint(value)
+        if name == "statistics":
+            return _same_statistics(config)
+    return name == "evaluation.evaluator"  # `BestWeights` compares the contents with those that chose the best weights
+
+
+def _fingerprint(model: str) -> str:
+    """Returns the fingerprint of a bundle, or of the run of a generator or a tokenizer."""
+    path = bundle_path(model)
+    return load_model(path).fingerprint if (path / BUNDLE_FILE).is_file() else load_tokenizer(path).fingerprint
+
+
+def _same_statistics(config: Any) -> bool:
+    """Returns whether the statistics that a config names are those of its run."""
+    found = load_statistics(config.statistics, open_dataset(config.data), root_weight=config.root_weight)
+    return all(map(np.array_equal, found, load_normalizer(config.run)))
+
+
+def data_record(dataset: Dataset) -> str:
+    """Returns what a run keeps of its data set: the fingerprint of each part."""
+    return "; ".join(f"{name} {digest}" for name, digest in dataset.fingerprints.items())
 
 
 def check_same_data(config: ExperimentConfig, dataset: Dataset) -> None:
     """Raises `UserError` if a run was started with other clips, captions, splits or statistics."""
     known = run_info(config.run).data
-    if known not in (None, dataset.fingerprint):
-        raise UserError(
-            f"data: {dataset.folder} is not what {config.run} was started with (fingerprint {dataset.fingerprint}, "
-            f"not {known}); resume with the old data, or start a new run with `--init {config.run}`"
-        )
+    if known is None or known in (dataset.fingerprint, data_record(dataset)):
+        return
+    parts = dict(part.rpartition(" ")[::2] for part in known.split("; "))
+    changed = [name for name, digest in dataset.fingerprints.items() if parts.get(name) != digest]
+    raise UserError(
+        f"data: {dataset.folder} is not what {config.run} was started with (changed: {', '.join(changed)}); resume "
+        f"with the old data, or start a new run with `--init {config.run}`"
+    )

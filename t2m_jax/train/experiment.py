@@ -39,7 +39,7 @@ from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.export.render import render_poster
 from t2m_jax.files import flatten_tree
 from t2m_jax.train.best import BestWeights
-from t2m_jax.train.checks import check_new_run, check_same_config, check_same_data, claim_run
+from t2m_jax.train.checks import check_new_run, check_same_config, check_same_data, claim_run, data_record
 from t2m_jax.train.config import EvaluationConfig, ExperimentConfig, LoopConfig
 from t2m_jax.train.loop import Measured, Measurement, Metrics, Speed, mean_over_batches, run_loop
 from t2m_jax.train.optimizer import OptimizerConfig, learning_rate_at
@@ -195,7 +195,7 @@ def write_run(config: ExperimentConfig, setup: Setup, *, resume: bool) -> None:
     forget_best(config.run)
     setup.write_parts(config.run)
     save_training_data(config.run / DATA_FILE, summarize_training_data(setup.dataset, setup.clips))
-    create_run(config.run, config.kind, config, data=setup.dataset.fingerprint)
+    create_run(config.run, config.kind, config, data=data_record(setup.dataset))
 
 
 def with_weights(setup: Setup, state: Any, init: Path) -> Any:
