@@ -10,6 +10,7 @@ import numpy as np
 from t2m_jax import evaluation
 from t2m_jax.cli.evaluate import _measure
 from t2m_jax.cli.main import main
+from t2m_jax.evaluation import evaluate_prompt_following
 from t2m_jax.evaluation.report import Header, Metric, Report
 
 
@@ -43,6 +44,16 @@ def test_prompts_writes_json(bundle_folder, tmp_path, capsys):
     assert main(["check", f"{output}"]) == 0
     said = "intact, a report of `t2m evaluate prompts --group composed` on 10 motions"
     assert capsys.readouterr().out == f"{output}: {said}\n"
+
+
+def test_prompts_are_measured_without_warnings(monkeypatch, capsys):
+    def measure(tests, generate, *, num_seeds):
+        generate("a person swims north", 0)  # of which `demo` warns
+        return evaluate_prompt_following([tests[0]._replace(sentences=tests[0].sentences[:1])], generate, num_seeds=1)
+
+    monkeypatch.setattr(evaluation, "evaluate_prompt_following", measure)
+    assert main(["evaluate", "prompts", "--model", "demo"]) == 0
+    assert "warning" not in capsys.readouterr().err.lower()
 
 
 def test_names_in_data_do_not_change_the_terminal(monkeypatch, capsys):
