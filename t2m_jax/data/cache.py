@@ -28,7 +28,7 @@ from tqdm import tqdm
 from t2m_jax.data.files import FEATURES, SPLITS, TEXTS, clip_or_reason, read_names
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
-from t2m_jax.files import atomic_folder, load_array, load_json, save_text
+from t2m_jax.files import LockedError, atomic_folder, load_array, load_json, save_text
 
 logger = logging.getLogger(__name__)
 
@@ -36,6 +36,9 @@ CACHE_FOLDER, CACHE_NAME = ".t2m-cache", "clips"
 FRAMES, INDEX = "frames.npy", "index.json"
 BLOCK = 4 * 2**20
 """Bytes per checksum of the frames."""
+WAIT_SECONDS, POLL_SECONDS = 30.0, 0.2
+"""How long a process waits for another one that writes the same cache, and how often it looks. Then it makes its own in
+the user's cache folder: the other one may have been killed on another host, which cannot be seen from here."""
 ABANDONED_SECONDS = 3600.0
 """Age after which an unfinished cache is deleted: the process that wrote it was killed."""
 
@@ -139,7 +142,7 @@ def open_clips(folder: Path, *, feature_dim: int, names: Collection[str] = ()) -
     problems = []
     for place in places:
         try:
-            _build(place, folder, sources, feature_dim=feature_dim)
+            _build_or_wait(place, folder, sources, feature_dim=feature_dim)
         except UserError as error:
             problems.append(str(error))
         # Also after a failure: another process may have finished its cache in the meantime.
@@ -230,6 +233,25 @@ def _clips_from_index(index: dict[str, Any], frames: Float[np.ndarray, "F D"]) -
     lines = {name: clip_lines for name, _, clip_lines in index["clips"]}
     spans = dict(zip(names, itertools.pairwise(ends), strict=True))
     return CachedClips(frames, spans, lines, index["left_out"], index["broken_captions"], index["blocks"])
+
+
+def _build_or_wait(path: Path, folder: Path, sources: Sources, *, feature_dim: int) -> None:
+    """Writes the cache of a folder, or waits until another process that writes it has finished.
+
+    Raises:
+        UserError: The cache cannot be written here, or the other process takes longer than `WAIT_SECONDS`.
+    """
+    deadline = time.monotonic() + WAIT_SECONDS
+    while True:
+        try:
+            return _build(path, folder, sources, feature_dim=feature_dim)
+        except LockedError:
+            if time.monotonic() > deadline:
+                raise
+        time.sleep(POLL_SECONDS)
+        with contextlib.suppress(_UnusableError):
+            load_cache(path, sources)
+            return None
 
 
 def _build(path: Path, folder: Path, sources: Sources, *, feature_dim: int) -> None:

@@ -10,7 +10,7 @@ from t2m_jax.files.arrays import (
     save_weights,
     unflatten_tree,
 )
-from t2m_jax.files.locks import lock
+from t2m_jax.files.locks import LockedError, lock
 from t2m_jax.files.manifest import MANIFEST, check_folder, has_manifest, read_manifest, write_manifest
 from t2m_jax.files.reading import first_line, load_archive, load_array, load_json, load_text, reading
 from t2m_jax.files.writing import (
@@ -29,6 +29,7 @@ from t2m_jax.files.writing import (
 __all__ = [
     "MANIFEST",
     "PARTIAL",
+    "LockedError",
     "atomic_file",
     "atomic_folder",
     "check_folder",

@@ -20,6 +20,10 @@ MAX_LOCK_FILE = 1024
 """Bytes of a lock file that are read: its owner is in the first 300, and a damaged file may have any size."""
 
 
+class LockedError(UserError):
+    """Another process writes the destination."""
+
+
 def short_name(path: Path) -> str:
     """Returns the name of a destination, or a shorter one that stands for it."""
     name = path.name
@@ -34,7 +38,7 @@ def lock(path: Path) -> Iterator[None]:
     over, unless it ran on another host, where this host cannot see whether it still runs.
 
     Raises:
-        UserError: Another process holds it.
+        LockedError: Another process holds it.
         OSError: The file cannot be written.
     """
     from filelock import SoftFileLock, Timeout  # here, because reading needs no locks
@@ -52,7 +56,7 @@ def lock(path: Path) -> Iterator[None]:
         with contextlib.suppress(OSError):
             owner = _owner(place) or owner
         advice = f"wait for it, or delete {place} if that process is gone"
-        raise UserError(f"{path}: is being written by {owner}; {advice}") from None
+        raise LockedError(f"{path}: is being written by {owner}; {advice}") from None
     try:
         yield
     finally:

@@ -303,6 +303,35 @@ def test_what_a_killed_build_left_is_deleted_and_a_running_one_is_not(folder):
     assert files(folder) == [running.name, CACHE_NAME]
 
 
+def test_a_reader_waits_for_the_process_that_writes_the_cache(folder, monkeypatch):
+    read(folder)
+    finished, hidden = folder / CACHE_FOLDER / CACHE_NAME, folder / "hidden"
+    finished.rename(hidden)
+    lock_file = finished.with_name(f".{CACHE_NAME}.lock")
+    lock_file.write_text("123\nsomewhere-else\n")
+    naps = []
+
+    def finish_at_the_third(seconds):
+        naps.append(seconds)
+        if len(naps) == 3:
+            hidden.rename(finished)
+            lock_file.unlink()
+
+    monkeypatch.setattr(cache.time, "sleep", finish_at_the_third)
+    made = hidden.stat().st_ino
+    check_whole(folder)
+    assert len(naps) == 3 and finished.stat().st_ino == made, "the reader made its own"
+
+
+def test_a_reader_does_not_wait_forever(folder, monkeypatch):
+    monkeypatch.setattr(cache, "WAIT_SECONDS", 0.0)
+    (folder / CACHE_FOLDER).mkdir()
+    (folder / CACHE_FOLDER / f".{CACHE_NAME}.lock").write_text("123\nsomewhere-else\n")
+    monkeypatch.setattr(cache, "cache_places", lambda folder: [folder / CACHE_FOLDER / CACHE_NAME] * 2)
+    with pytest.raises(UserError, match="is being written by process 123 on somewhere-else"):
+        read(folder)
+
+
 def test_many_readers_at_once_all_get_the_clips(folder):
     with concurrent.futures.ThreadPoolExecutor(4) as pool:
         for future in [pool.submit(check_whole, folder) for _ in range(8)]:
