@@ -1,10 +1,12 @@
 """Changes of whole motions: another frame rate, and one motion after another."""
 
+from fractions import Fraction
+
 import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.features import facing, smooth_over_time
+from t2m_jax.motion.features import facing
 from t2m_jax.motion.rotations import quaternion_between, rotate_vectors
 from t2m_jax.motion.skeleton import Skeleton
 
@@ -12,34 +14,32 @@ MAX_FPS = 1000.0
 """Highest rate of motion; no motion capture is faster, and a larger number is probably a mistake."""
 BLEND_SECONDS = 0.4
 """Time in which the pose at the end of a motion fades into the one that follows."""
-ANTI_ALIASING = 0.4
-"""Standard deviation of the smoothing before frames are left out, in frames that are kept."""
+FILTER_WINDOW = ("kaiser", 10.0)
+"""Window of the low-pass filter. It damps what is too fast for the new rate by 100 dB, and what stands still by none."""
 
 
-def resample_positions(
-    positions: Float[np.ndarray, "T J 3"], *, fps: float, new_fps: float
-) -> Float[np.ndarray, "U J 3"]:
-    """Returns the same motion at another frame rate. Frame k is the pose at k / `new_fps` seconds.
+def resample(values: Float[np.ndarray, "T *C"], *, fps: float, new_fps: float) -> Float[np.ndarray, "U *C"]:
+    """Returns a signal at another frame rate. Frame k is the value at k / `new_fps` seconds, none is after the end.
 
-    Joints move on cubic splines. Before frames are left out, the motion is smoothed, so that no fast vibration becomes
-    a slow one. No frame is after the motion's end.
+    A filter without delay removes what is too fast for the lower of the two rates, so that no vibration becomes a slow
+    one, and new frames between two old ones are as lively as those that coincide with an old one.
 
     Raises:
         UserError: The new rate is not between 0 and `MAX_FPS`.
     """
     if not 0 < new_fps <= MAX_FPS:
-        raise UserError(f"fps: {new_fps} is not a number above 0, up to {MAX_FPS:.0f}")
-    if new_fps == fps or len(positions) == 1:
-        return positions
-    from scipy.interpolate import CubicSpline  # here, because it takes long to import
+        raise UserError(f"fps: {new_fps} is not a number above 0, up to {MAX_FPS:.0f} frames per second")
+    count = int((len(values) - 1) * new_fps / fps + 1e-6) + 1
+    if new_fps == fps or count == 1:
+        return values[:count]
+    from scipy.signal import resample_poly  # here, because it takes long to import
 
-    flat = positions.reshape(len(positions), -1)
-    if new_fps < fps:
-        flat = smooth_over_time(flat, sigma=ANTI_ALIASING * fps / new_fps)
-    count = int((len(flat) - 1) * new_fps / fps + 1e-6) + 1
-    times = np.minimum(np.arange(count) * fps / new_fps, len(flat) - 1)
-    resampled = CubicSpline(np.arange(len(flat)), flat)(times)
-    return resampled.reshape(count, *positions.shape[1:]).astype(np.float32)
+    ratio = Fraction(new_fps / fps).limit_denominator(max(10_000, len(values)))
+    start = values[:1].astype(np.float64)
+    moved = resample_poly(
+        values - start, ratio.numerator, ratio.denominator, axis=0, window=FILTER_WINDOW, padtype="antireflect"
+    )
+    return (start + moved[:count]).astype(np.float32)
 
 
 def join_positions(

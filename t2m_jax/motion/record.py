@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from t2m_jax import files
 from t2m_jax.errors import UserError
-from t2m_jax.motion.editing import join_positions, resample_positions
+from t2m_jax.motion.editing import join_positions, resample
 from t2m_jax.motion.inverse_kinematics import fit_rig
 from t2m_jax.motion.mirroring import mirror_caption, mirror_positions
 from t2m_jax.motion.skeleton import HUMANML3D, Skeleton
@@ -112,13 +112,13 @@ class Motion:
         return dataclasses.replace(self, **cut, codes=None)
 
     def resampled(self, fps: float | int) -> "Motion":
-        """Returns the same motion at another frame rate, without features and codes (see `resample_positions`).
+        """Returns the same motion at another frame rate, without features and codes (see `editing.resample`).
 
         Raises:
             UserError: The rate is not a number above 0, or is too large.
         """
         new_fps = float(fps)
-        return self._edited(lambda old: resample_positions(old, fps=self.fps, new_fps=new_fps), fps=new_fps)
+        return self._edited(lambda old: resample(old, fps=self.fps, new_fps=new_fps), fps=new_fps)
 
     def mirrored(self) -> "Motion":
         """Returns the motion with left and right exchanged, also in its caption, without features and codes."""
