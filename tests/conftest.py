@@ -1,9 +1,11 @@
 """Settings and fixtures of all tests: CPU, quick compilation, strict broadcasting, reference data, bounded memory."""
 
 import ctypes
+import functools
 import gc
 import os
 import sys
+import tarfile
 from pathlib import Path
 
 # Set before the first import of jax, and inherited by the programs that tests start.
@@ -67,3 +69,17 @@ def shared_dir() -> Path:
     if not path.is_dir():
         pytest.skip(f"{path} with reference data that may not be in the repository does not exist")
     return path
+
+
+@pytest.fixture(scope="session")
+def shared_data(shared_dir, tmp_path_factory):
+    """Returns a function that unpacks an archive of recordings once and returns its folder."""
+
+    @functools.cache
+    def unpack(name: str) -> Path:
+        folder = tmp_path_factory.mktemp(name)
+        with tarfile.open(shared_dir / "data" / f"{name}.tar.xz") as archive:
+            archive.extractall(folder, filter="data")
+        return folder
+
+    return unpack

@@ -9,7 +9,7 @@ from t2m_jax.cli.main import main
 from t2m_jax.cli.train import _config
 from t2m_jax.config import load_config, override_config
 from t2m_jax.data.folder import DatasetInfo
-from t2m_jax.data.importers.caption_files import load_caption_table
+from t2m_jax.data.importers.caption_files import find_table
 from t2m_jax.train import TrainGptConfig, TrainVqVaeConfig
 from t2m_jax.train.shipped import find_config, shipped_configs
 from tests.conftest import REPOSITORY
@@ -81,9 +81,12 @@ def test_the_script_of_the_demo_fits_its_configs():
 
 
 def test_the_free_motions_have_captions_and_a_license():
-    info, captions = load_config(FREE / "dataset.yaml", DatasetInfo), load_caption_table(FREE, None)
+    info, table = load_config(FREE / "dataset.yaml", DatasetInfo), find_table(FREE, None, files=())
+    rows = [row for same in table.rows.values() for row in same]
+    captions = {row.file: [other for other in rows if other.file == row.file] for row in rows}
     assert "CMU" in info.licence and "mocap.cs.cmu.edu" in info.attribution
     assert len(captions) > 150 and all(len(said) >= 4 for said in captions.values())
+    assert not [row.problem for row in rows if row.problem] and not table.notes
 
 
 def test_the_defaults_are_the_published_models():

@@ -4,42 +4,37 @@ import argparse
 import dataclasses
 import shlex
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from t2m_jax.cli.next_step import show_next
 from t2m_jax.errors import printable
 
 MAX_LINES = 20
-"""Number of clips or problems that are printed; `check --json` has all problems."""
+"""Number of clips or problems that are printed; `check --json` has all problems, a contact sheet all of an import."""
+SHEET = "contact-sheet.html"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Adds the sub-commands `import`, `merge`, `synthetic` and `check`."""
-    commands = parser.add_subparsers(dest="data_command", required=True, metavar="{import,merge,synthetic,check}")
+    """Adds the sub-commands `import`, `rig`, `sheet`, `merge`, `synthetic` and `check`."""
+    names = "{import,rig,sheet,merge,synthetic,check}"
+    commands = parser.add_subparsers(dest="data_command", required=True, metavar=names)
     importer = commands.add_parser("import", help="convert motion files into a data-set folder")
     synthetic = commands.add_parser("synthetic", help="make a data-set folder of computed motions, without a download")
     merge = commands.add_parser("merge", help="put several data sets into one folder")
     merge.add_argument("sources", nargs="+", type=Path, metavar="SRC", help="folders to read")
     merge.add_argument("destination", type=Path, metavar="DEST", help="folder to make")
+    rig = commands.add_parser("rig", help="guess which joints of a file are HumanML3D's, as a table for --rig")
+    rig.add_argument("file", type=Path, metavar="FILE", help="a .bvh, .glb or .amc file")
+    rig.add_argument("-o", "--output", type=Path, metavar="FILE", help="table to write (default: print it)")
+    sheet = commands.add_parser("sheet", help="draw some poses of each clip of a data-set folder on one page")
+    sheet.add_argument("folder", type=Path, metavar="DIR")
+    sheet.add_argument("-o", "--output", type=Path, metavar="FILE", help=f"page to write (default: DIR/{SHEET})")
     check = commands.add_parser("check", help="count the contents of a data-set folder and find its faults")
     check.add_argument("folder", type=Path, metavar="DIR")
     check.add_argument("--json", type=Path, metavar="FILE", help="write the report to this file, too")
-    sources = importer.add_subparsers(dest="source_kind", required=True, metavar="{bandai-namco,bvh,humanml3d}")
-    bandai = sources.add_parser("bandai-namco", help="the Bandai-Namco-Research-Motiondataset (CC BY-NC 4.0)")
-    bvh = sources.add_parser("bvh", help="a folder of BVH and GLB files with captions")
-    humanml3d = sources.add_parser("humanml3d", help="a folder with the layout of HumanML3D or KIT-ML")
-    for command in (bandai, bvh, humanml3d):
-        command.add_argument("source", type=Path, metavar="SRC", help="folder to read")
-    for command in (bandai, bvh, humanml3d, synthetic):
-        command.add_argument("destination", type=Path, metavar="DEST", help="folder to make")
-    bandai.add_argument("--splits", type=Path, metavar="DIR", help="folder with train.txt, val.txt and test.txt")
-    bandai.add_argument("--composed", type=int, default=0, help="motions of several actions to add")
-    bandai.add_argument("--workers", type=int, help="number of processes (default: one per processor)")
-    bvh.add_argument("--captions", type=Path, metavar="FILE", help="file,caption[,start,end] or 'file: caption' lines")
-    bvh.add_argument("--rig", help="name of a rig or a YAML file (default: detected from the joint names)")
-    bvh.add_argument("--caption-from-name", action="store_true", help="caption clips without captions by file name")
-    bvh.add_argument("--info", type=Path, metavar="FILE", help="YAML with name, licence, source and attribution")
-    bvh.add_argument("--seed", type=int, default=0, help="seed of the split into train, val and test")
+    _add_importers(importer)
+    synthetic.add_argument("destination", type=Path, metavar="DEST", help="folder to make")
     synthetic.add_argument("--num-clips", type=int, help="clips before mirroring (default: 200, or 14614 as HumanML3D)")
     synthetic.add_argument(
         "--like-humanml3d",
@@ -50,10 +45,42 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     synthetic.add_argument("--seed", type=int, default=0)
 
 
+def _add_importers(importer: argparse.ArgumentParser) -> None:
+    """Adds a sub-command for each kind of motion files."""
+    sources = importer.add_subparsers(dest="source_kind", required=True, metavar="{bandai-namco,bvh,humanml3d}")
+    bandai = sources.add_parser("bandai-namco", help="the Bandai-Namco-Research-Motiondataset (CC BY-NC 4.0)")
+    bvh = sources.add_parser("bvh", help="a folder of BVH, GLB and AMC files with captions")
+    humanml3d = sources.add_parser("humanml3d", help="a folder with the layout of HumanML3D or KIT-ML")
+    for command in (bandai, bvh, humanml3d):
+        command.add_argument("source", type=Path, metavar="SRC", help="folder to read")
+        command.add_argument("destination", type=Path, metavar="DEST", help="folder to make")
+    bandai.add_argument("--splits", type=Path, metavar="DIR", help="folder with train.txt, val.txt and test.txt")
+    bandai.add_argument("--composed", type=int, default=0, help="motions of several actions to add")
+    bandai.add_argument("--workers", type=int, help="number of processes (default: one per processor)")
+    bvh.add_argument("--captions", type=Path, metavar="FILE", help="file,caption[,start,end] or 'file: caption' lines")
+    bvh.add_argument("--up", choices=("auto", "y", "z"), default="auto", help="axis that points up (default: found)")
+    bvh.add_argument("--amc-fps", type=float, default=120.0, help="frames per second of AMC files (default: 120)")
+    bvh.add_argument(
+        "--split", default="80/5/15", help="shares of train, val and test (default: 80/5/15), or a folder of lists"
+    )
+    bvh.add_argument(
+        "--split-by", metavar="COLUMN", help="keep clips together: 'folder', or a column of the table such as actor"
+    )
+    bvh.add_argument("--rig", help="name of a rig or a YAML file (default: detected from the joint names)")
+    bvh.add_argument("--caption-from-name", action="store_true", help="caption clips without captions by file name")
+    bvh.add_argument("--info", type=Path, metavar="FILE", help="YAML with name, licence, source and attribution")
+    bvh.add_argument("--seed", type=int, default=0, help="seed of the split into train, val and test")
+
+
 def run(args: argparse.Namespace) -> None:
     """Runs the chosen sub-command and prints the next command; `check` exits with code 1 if it finds problems."""
-    if args.data_command == "check":
-        check_dataset(args.folder, args.json)
+    commands = {
+        "check": lambda: check_dataset(args.folder, args.json),
+        "rig": lambda: guess_table(args.file, args.output),
+        "sheet": lambda: draw_sheet(args.folder, args.output or args.folder / SHEET),
+    }
+    if args.data_command in commands:
+        commands[args.data_command]()
         return
     from t2m_jax.data import importers
     from t2m_jax.data.importers import synthetic, synthetic_scale
@@ -73,16 +100,48 @@ def run(args: argparse.Namespace) -> None:
     elif args.source_kind == "humanml3d":
         report = importers.import_humanml3d(args.source, args.destination)
     else:
-        options = {name: getattr(args, name) for name in ("captions", "rig", "caption_from_name", "info", "seed")}
+        names = "captions rig caption_from_name info up amc_fps split split_by seed"
+        options = {name: getattr(args, name) for name in names.split()}
         report = importers.import_bvh_folder(args.source, args.destination, **options)
     sizes = ", ".join(f"{split} {size}" for split, size in report.split_sizes.items())
     _show(f"{args.destination}: {report.num_clips} clips ({report.num_frames} frames; with mirrored twins): {sizes}")
-    for note in report.notes:
-        _show(f"  {note}")
+    _print_lines(report.notes, indent="  ")
     if report.left_out:
         _show(f"  {len(report.left_out)} clips left out:")
         _print_lines([f"{name}: {reason}" for name, reason in report.left_out.items()])
+    if args.data_command == "import" and args.source_kind == "bvh":
+        draw_sheet(args.destination, args.destination / SHEET, notes=report.notes, left_out=report.left_out)
     show_next(f"t2m data check {shlex.quote(str(args.destination))}")
+
+
+def guess_table(file: Path, output: Path | None) -> None:
+    """Prints or writes the best guess of a rig's table."""
+    from t2m_jax.data.importers.bvh import open_motion_file
+    from t2m_jax.files import check_output, save_text
+    from t2m_jax.motion.bvh.rig_guess import rig_table_text
+
+    place = None if output is None else check_output(output)
+    clip = next(iter(open_motion_file(file).values()))
+    text = rig_table_text(clip, source=file.name)
+    if place is None:
+        for line in text.splitlines():
+            _show(line)
+        return
+    save_text(place, text)
+    _show(f"{place}")
+    show_next(f"t2m data import bvh {shlex.quote(str(file.parent))} data/mine --rig {shlex.quote(str(place))}")
+
+
+def draw_sheet(
+    folder: Path, output: Path, *, notes: Sequence[str] = (), left_out: Mapping[str, str] | None = None
+) -> None:
+    """Writes a contact sheet and prints its name."""
+    from t2m_jax.data.folder import open_dataset
+    from t2m_jax.export.contact_sheet import save_contact_sheet
+    from t2m_jax.files import check_output
+
+    save_contact_sheet(check_output(output), open_dataset(folder), notes=notes, left_out=left_out)
+    _show(f"  poses of the clips: {output}")
 
 
 def check_dataset(folder: Path, report_file: Path | None) -> None:
@@ -113,12 +172,12 @@ def check_dataset(folder: Path, report_file: Path | None) -> None:
     show_next(f"t2m train vqvae {recipe} --statistics data --data {shlex.quote(str(folder))} --run {run_folder}")
 
 
-def _print_lines(lines: list[str]) -> None:
+def _print_lines(lines: Sequence[str], *, indent: str = "    ") -> None:
     """Prints the first lines of a list and the number of the others."""
     for line in lines[:MAX_LINES]:
-        _show(f"    {line}")
+        _show(f"{indent}{line}")
     if len(lines) > MAX_LINES:
-        _show(f"    ... and {len(lines) - MAX_LINES} more")
+        _show(f"{indent}... and {len(lines) - MAX_LINES} more")
 
 
 def _show(line: str) -> None:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from t2m_jax.data.cache import cache_places, damage, scan_sources
 from t2m_jax.data.caption_notes import caption_notes
 from t2m_jax.data.checks import compare_statistics
-from t2m_jax.data.files import FEATURES, MIN_ROWS, MIRROR_PREFIX, POSITIONS, SPLITS, TEXTS
+from t2m_jax.data.files import FEATURES, INFO, MIN_ROWS, MIRROR_PREFIX, POSITIONS, SPLITS, TEXTS
 from t2m_jax.data.folder import Dataset, DatasetInfo, open_dataset
 from t2m_jax.data.index import load_index
 from t2m_jax.data.texts import Caption, read_captions
@@ -32,6 +32,9 @@ MAX_OVERRUN = 0.5
 """Seconds by which a caption may end after its clip; annotators round."""
 QUOTED = 60
 """Characters of a caption that a message repeats."""
+MANY_MISSING = 20
+"""If more files are missing, they are counted; otherwise each one is named."""
+HUMANML3D_PAGE = "https://github.com/EricGuo5513/HumanML3D"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -111,6 +114,24 @@ def check_captions(captions: Iterable[Caption], *, seconds: float) -> list[str]:
         elif caption.end > seconds + MAX_OVERRUN:
             problems.append(f"{quoted} ends at {caption.end} s, the clip at {seconds:.2f} s")
     return problems
+
+
+def missing_files(dataset: Dataset, names: Iterable[str]) -> tuple[str, set[str]]:
+    """Returns a line about clips without features or captions, if they are many, and the names of these clips.
+
+    The line says where the files of HumanML3D come from, which may not be passed on complete.
+    """
+    lost = {
+        kind: [name for name in names if not (dataset.folder / folder / f"{name}{suffix}").exists()]
+        for kind, folder, suffix in (("motions", FEATURES, ".npy"), ("captions", TEXTS, ".txt"))
+    }
+    told = {kind: missing for kind, missing in lost.items() if len(missing) > MANY_MISSING}
+    if not told:
+        return "", set()
+    counts = " and ".join(f"{len(missing):,} {kind}" for kind, missing in told.items())
+    published = not (dataset.folder / INFO).exists()
+    where = f"{HUMANML3D_PAGE} says how to make or get them" if published else "import again"
+    return f"{counts} missing (such as {next(iter(told.values()))[0]}); {where}", set().union(*told.values())
 
 
 def _check_clip(dataset: Dataset, name: str) -> tuple[list[str], int, tuple[Caption, ...]]:
@@ -241,15 +262,17 @@ def audit_dataset(folder: str | Path) -> AuditReport:
     notes: list[str] = []
     for split in SPLITS:
         try:
-            splits[split] = names = dataset.names(split)
+            splits[split] = dataset.names(split)
         except UserError as error:
             problems.append(str(error))
-            continue
+    line, absent = missing_files(dataset, list(itertools.chain(*splits.values())))
+    problems += [line] * bool(line)
+    for split, names in splits.items():
         lengths = {}
-        for name in names:
+        for name in (name for name in names if name not in absent):
             found, lengths[name], captions[name] = _check_clip(dataset, name)
             problems += found
-        counts[split] = _count_clips(lengths, info, num_captions=sum(len(captions[name]) for name in names))
+        counts[split] = _count_clips(lengths, info, num_captions=sum(len(captions[name]) for name in lengths))
     problems += check_overlap(splits) + check_stored_statistics(dataset, splits)
     problems += _check_folder(dataset, set(itertools.chain(*splits.values())))
     outside = sum(count.out_of_range for count in counts.values())

@@ -9,6 +9,7 @@ import numpy as np
 from t2m_jax.errors import UserError
 from t2m_jax.export.npz import load_npz
 from t2m_jax.files import load_array
+from t2m_jax.motion.amc import load_amc
 from t2m_jax.motion.bvh import load_bvh, retarget
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.gltf import load_gltf
@@ -19,7 +20,7 @@ SKELETONS = (HUMANML3D, KIT_ML)
 
 
 def load_motion(path: str | Path, *, animation: str | None = None) -> Motion:
-    """Returns the motion of a file: `.npz`, `.bvh`, `.glb`, or a `.npy` file of a data set with joints or features.
+    """Returns the motion of a file: `.npz`, `.bvh`, `.glb`, `.amc`, or a data set's `.npy` with joints or features.
 
     Args:
         path: The file.
@@ -34,6 +35,7 @@ def load_motion(path: str | Path, *, animation: str | None = None) -> Motion:
         ".npz": load_npz,
         ".bvh": lambda path: retarget(load_bvh(path)),
         ".glb": lambda path: load_animation(path, animation),
+        ".amc": lambda path: retarget(load_amc(path)),
         ".npy": load_npy,
     }
     suffix = path.suffix.lower()
@@ -56,7 +58,7 @@ def load_animation(path: Path, name: str | None) -> Motion:
     if len(chosen) != 1:
         wanted = "several animations" if name is None else f"no animation {name!r}"
         raise UserError(f"{path}: has {wanted}; choose one of {shorten(', '.join(clips), 200, placeholder=' ...')}")
-    return retarget(chosen[0])
+    return retarget(chosen[0], up="y")
 
 
 def load_npy(path: Path) -> Motion:

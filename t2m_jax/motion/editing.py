@@ -15,10 +15,10 @@ MAX_FPS = 1000.0
 BLEND_SECONDS = 0.4
 """Time in which the pose at the end of a motion fades into the one that follows."""
 FILTER_WINDOW = ("kaiser", 10.0)
-"""Window of the low-pass filter. It damps what is too fast for the new rate by 100 dB, and what stands still by none."""
+"""Window of the low-pass filter. It damps what is too fast for the new rate by 100 dB, and what stands still not."""
 
 
-def resample(values: Float[np.ndarray, "T *C"], *, fps: float, new_fps: float) -> Float[np.ndarray, "U *C"]:
+def resample(values: Float[np.ndarray, "T ..."], *, fps: float, new_fps: float) -> Float[np.ndarray, "U ..."]:
     """Returns a signal at another frame rate. Frame k is the value at k / `new_fps` seconds, none is after the end.
 
     A filter without delay removes what is too fast for the lower of the two rates, so that no vibration becomes a slow

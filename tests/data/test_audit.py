@@ -121,6 +121,21 @@ def test_names_twice_orphans_and_missing_files(folder):
     assert f"{train[2]}.npy: there is no such file" in problems
 
 
+def test_an_incomplete_humanml3d_is_one_line(shared_data):
+    sample = shared_data("humanml3d-sample") / "humanml3d-sample" / "HumanML3D"
+    report = audit_dataset(sample)
+    (line,) = [problem for problem in report.problems if "missing" in problem]
+    assert line.startswith("29,227 motions and 29,228 captions missing (such as ") and "github.com" in line
+    assert len(line) < 200 and len(report.problems) < 5
+
+
+def test_many_missing_files_of_own_data_are_counted(folder):
+    names = open_dataset(folder).names("train")[:30]
+    for name in names:
+        (folder / "texts" / f"{name}.txt").unlink()
+    assert f"30 captions missing (such as {names[0]}); import again" in audit_dataset(folder).problems
+
+
 def test_foreign_statistics_are_found(folder):
     np.save(folder / "Mean.npy", np.load(folder / "Mean.npy") + 1)
     assert any("Mean.npy" in problem for problem in audit_dataset(folder).problems)

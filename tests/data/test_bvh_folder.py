@@ -89,7 +89,7 @@ def test_the_seed_decides_the_split(tmp_path):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("name,text\na,b\n", r"captions\.csv:1: .*file,caption"),
+        ("x,y\nz,b\n", r"captions\.csv:1: .*file,caption"),
         ("file,caption\na,\n", r"captions\.csv:2: .*empty"),
         ("file,caption\na,he # waves\n", r"captions\.csv:2: .*'#'"),
         ("file,caption\na,123\n", r"captions\.csv:2: the caption '123' has no words"),
@@ -106,7 +106,7 @@ def test_broken_tables_name_the_line(tmp_path, content, words):
 
 
 def test_refusals(tmp_path):
-    with pytest.raises(UserError, match=r"no .bvh or .glb files"):
+    with pytest.raises(UserError, match=r"no \.bvh, \.glb or \.amc files"):
         import_bvh_folder(tmp_path, tmp_path / "data")
     source = write_clips(tmp_path / "source", ["a"])
     with pytest.raises(UserError, match="none of 1 clips"):

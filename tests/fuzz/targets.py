@@ -21,7 +21,7 @@ from t2m_jax.checkpoints.torch_file import load_torch_file
 from t2m_jax.data import open_dataset
 from t2m_jax.data.audit import audit_dataset
 from t2m_jax.data.files import read_names
-from t2m_jax.data.importers.caption_files import load_caption_table
+from t2m_jax.data.importers.caption_table import load_caption_table
 from t2m_jax.data.importers.synthetic import make_motion, write_synthetic_dataset
 from t2m_jax.data.index import IndexRow, load_index, save_index
 from t2m_jax.data.texts import load_captions
@@ -101,8 +101,8 @@ FILES: Mapping[str, Callable[[Path], object]] = {
     "motion.npz": lambda root: load_motion(root / "motion.npz"),
     "joints.npy": lambda root: load_motion(root / "joints.npy"),
     "captions.txt": lambda root: load_captions(root / "captions.txt"),
-    "table.txt": lambda root: load_caption_table(root, root / "table.txt"),
-    "table.csv": lambda root: load_caption_table(root, root / "table.csv"),
+    "table.txt": lambda root: load_caption_table(root / "table.txt"),
+    "table.csv": lambda root: load_caption_table(root / "table.csv"),
     "index.csv": load_index,
     "rig.yaml": lambda root: load_rig(root / "rig.yaml"),
     "glove.txt": lambda root: load_word_vectors(root / "glove.txt", ("walk", "man", "she")),

@@ -6,7 +6,7 @@ import pytest
 from t2m_jax.errors import UserError
 from t2m_jax.motion import gltf
 from t2m_jax.motion.bvh import retarget
-from t2m_jax.motion.bvh.rigs import detect_rig
+from t2m_jax.motion.bvh.rig_tables import detect_rig
 from t2m_jax.motion.gltf import load_gltf
 
 from .glb_files import GlbWriter, about_y, write_person

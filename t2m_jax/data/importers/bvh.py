@@ -1,8 +1,11 @@
-"""Importing a folder of BVH and GLB files of any known rig, with captions from a table, from text files or names."""
+"""Importing a folder of BVH, GLB and AMC files of any known rig, with captions from a table, text files or names."""
 
+import contextlib
 import dataclasses
-import re
+from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import tqdm
@@ -10,60 +13,89 @@ from jaxtyping import Float
 
 from t2m_jax.config import load_config
 from t2m_jax.data.folder import DatasetInfo
-from t2m_jax.data.importers.caption_files import Source, find_captions, load_caption_table
-from t2m_jax.data.splits import split_by_hash
+from t2m_jax.data.importers.caption_files import Source, clip_name, find_captions, find_table, unused_rows
+from t2m_jax.data.importers.caption_table import CaptionTable
+from t2m_jax.data.importers.division import EIGHTY, Division
 from t2m_jax.data.writer import ImportReport, finish_folder, new_folder, with_twins, write_twins
 from t2m_jax.errors import UserError
+from t2m_jax.motion.amc import AMC_FPS, load_amc
 from t2m_jax.motion.bvh import BvhClip, load_bvh
+from t2m_jax.motion.bvh.orientation import Up, left_is_left, rest_frames
 from t2m_jax.motion.bvh.resample import resample
-from t2m_jax.motion.bvh.retarget import retarget
+from t2m_jax.motion.bvh.retarget import clip_up, find_rig, retarget
 from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.motion.skeleton import HUMANML3D
 
-POP_SPEED, POP_RATIO = 3.0, 5.0
-"""Frame 0 is a rest pose before the motion if the joints then move faster than this (meters per second, on average) and
-this many times as fast as in the next frames."""
-NEXT_FRAMES = 5
-
-
-def clip_name(key: str) -> str:
-    """Returns the clip name of a motion by its key, without a leading M, which marks mirrored twins."""
-    name = re.sub(r"[^\w-]+", "_", key).strip("_")
-    return f"m{name[1:]}" if name.startswith("M") else name
+SUFFIXES = (".bvh", ".glb", ".amc")
+SHOWN = 5
+"""Number of clips that a note names."""
 
 
 def find_motion_files(source: Path) -> list[Path]:
-    """Returns all BVH and GLB files below `source`, sorted.
+    """Returns all BVH, GLB and AMC files below `source`, sorted.
 
     Raises:
         UserError: There are none.
     """
-    files = sorted(path for path in source.rglob("*") if path.suffix.lower() in (".bvh", ".glb"))
+    files = sorted(path for path in source.rglob("*") if path.suffix.lower() in SUFFIXES)
     if not files:
-        raise UserError(f"{source}: no .bvh or .glb files below it")
+        raise UserError(f"{source}: no {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]} files below it")
     return files
 
 
-def _open_file(path: Path) -> dict[Source, BvhClip]:
-    """Returns the motions of a file."""
-    if path.suffix.lower() == ".bvh":
-        return {Source(path, None): load_bvh(path)}
-    # Blender writes "armature|action".
-    return {Source(path, name.rpartition("|")[2]): clip for name, clip in load_gltf(path, fps=HUMANML3D.fps).items()}
+def open_motion_file(path: Path, *, amc_fps: float = AMC_FPS) -> dict[Source, BvhClip]:
+    """Returns the motions of a file.
+
+    Raises:
+        UserError: The file is damaged.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".glb":  # Blender writes "armature|action"
+        clips = load_gltf(path, fps=HUMANML3D.fps)
+        return {Source(path, name.rpartition("|")[2]): clip for name, clip in clips.items()}
+    return {Source(path, None): load_bvh(path) if suffix == ".bvh" else load_amc(path, fps=amc_fps)}
 
 
-def _load_positions(clip: BvhClip, rig: str | None) -> Float[np.ndarray, "T J 3"]:
-    """Returns the 22 joints of a clip at 20 frames per second, without a rest pose at the beginning."""
-    if _begins_with_rest_pose(retarget(clip, rig=rig).positions, fps=clip.fps):
-        clip = dataclasses.replace(clip, rotations=clip.rotations[1:], translations=clip.translations[1:])
-    return retarget(resample(clip, HUMANML3D.fps), rig=rig).positions
+@contextlib.contextmanager
+def naming(motion: Source) -> Iterator[None]:
+    """Adds the name of a motion to the errors of a block."""
+    try:
+        yield
+    except UserError as error:
+        raise UserError(f"{motion}: {error}") from error
 
 
-def _begins_with_rest_pose(positions: Float[np.ndarray, "T J 3"], *, fps: float) -> bool:
-    """Returns whether the figure jumps from frame 0 to frame 1."""
-    steps = np.diff(positions[: NEXT_FRAMES + 2], axis=0)
-    speeds = np.linalg.norm(steps, axis=-1).mean(axis=1) * fps
-    return len(speeds) > 1 and bool(speeds[0] > max(POP_SPEED, POP_RATIO * speeds[1:].max()))
+class _Prepared(NamedTuple):
+    """A motion as it is written, and what was done to it."""
+
+    positions: Float[np.ndarray, "T 22 3"]
+    rig: str
+    left_is_left: bool
+    steps: tuple[str, ...]
+    """What the report says, each with the names of all clips of which it holds."""
+
+
+def _prepare(motion: Source, clip: BvhClip, *, rig: str | None, up: Up) -> _Prepared:
+    """Returns the 22 joints of a clip at 20 frames per second with Y up, without a rest pose at the beginning."""
+    steps = []
+    if motion.path.suffix.lower() == ".amc":
+        steps.append(f"AMC files do not say their rate; {clip.fps:g} frames per second were assumed (--amc-fps)")
+    table = find_rig(clip, rig)
+    if not table.was_tried:
+        steps.append(f"rig {table.name}: its table is from documentation, never tried on a real file; see the sheet")
+    if up == "auto":
+        up = "y" if motion.path.suffix.lower() == ".glb" else clip_up(clip, table)  # glTF demands Y up
+        if up == "z":
+            steps.append("Z was up; turned")
+    rest = rest_frames(retarget(clip, rig=table, up=up).positions, fps=clip.fps)
+    if rest:
+        clip = clip.from_frame(rest)
+        steps.append("a rest pose before the motion was cut")
+    positions = retarget(resample(clip, HUMANML3D.fps), rig=table, up=up).positions
+    right = bool(left_is_left(positions).mean() > 0.5)
+    if not right:
+        steps.append("LEFT AND RIGHT may be exchanged, as the knees bend and the feet point; see the sheet")
+    return _Prepared(positions, table.name, right, tuple(steps))
 
 
 def _load_info(source: Path, info: str | Path | None) -> DatasetInfo:
@@ -76,6 +108,81 @@ def _load_info(source: Path, info: str | Path | None) -> DatasetInfo:
     return about
 
 
+@dataclasses.dataclass
+class _Converter:
+    """Writes clips, and remembers what was done to them."""
+
+    source: Path
+    table: CaptionTable
+    division: Division
+    caption_from_name: bool
+    rig: str | None
+    up: Up
+    amc_fps: float
+    motions: dict[str, Source] = dataclasses.field(default_factory=dict)
+    """All motions by the names of their clips."""
+    groups: dict[str, str] = dataclasses.field(default_factory=dict)
+    """Names of the clips that were written -> their groups (see `Division`)."""
+    left_out: dict[str, str] = dataclasses.field(default_factory=dict)
+    """Clip name -> why it was not written."""
+    steps: dict[str, list[str]] = dataclasses.field(default_factory=lambda: defaultdict(list))
+    """What was done -> names of clips."""
+    sides: dict[str, list[bool]] = dataclasses.field(default_factory=lambda: defaultdict(list))
+    """Rig -> whether left is left, in each of its clips."""
+    num_frames: int = 0
+
+    def file(self, path: Path, folder: Path) -> None:
+        """Writes the clips of a file."""
+        try:
+            motions = open_motion_file(path, amc_fps=self.amc_fps)
+        except UserError as error:
+            self.left_out[self._add(Source(path, None))] = str(error)
+            return
+        for motion, clip in motions.items():
+            name = self._add(motion)
+            try:
+                said = find_captions(motion, self.source, table=self.table, from_name=self.caption_from_name)
+                group = self.division.group(motion)
+                with naming(motion):
+                    ready = _prepare(motion, clip, rig=self.rig, up=self.up)
+                self.num_frames += 2 * write_twins(folder, name, ready.positions, captions=said, skeleton=HUMANML3D)
+            except UserError as error:
+                self.left_out[name] = str(error)
+                continue
+            self.groups[name] = group
+            self.sides[ready.rig].append(ready.left_is_left)
+            for step in ready.steps:
+                self.steps[step].append(name)
+
+    def _add(self, motion: Source) -> str:
+        """Returns the name of a motion's clip, which must be new."""
+        name = clip_name(motion.key(self.source))
+        if name in self.motions:
+            raise UserError(f"{motion}: would be named {name} like {self.motions[name]}; rename one of them")
+        self.motions[name] = motion
+        return name
+
+    def check(self) -> None:
+        """Raises `UserError` if there is no clip, or if a rig has left and right exchanged."""
+        if len(self.left_out) == len(self.motions):
+            first = next(iter(self.left_out.values()))
+            raise UserError(f"{self.source}: none of {len(self.left_out)} clips could be imported; the first: {first}")
+        for rig, sides in self.sides.items():
+            wrong = len(sides) - sum(sides)
+            if wrong > len(sides) / 2:
+                raise UserError(
+                    f"{self.source}: left and right are exchanged in {wrong} of {len(sides)} clips of rig {rig}, "
+                    "as the knees bend and the feet point; correct the table of the rig"
+                )
+
+    def notes(self) -> list[str]:
+        """Returns a line for each thing that was done, with some clips."""
+        return [
+            f"{len(names)} clips: {step} ({', '.join(names[:SHOWN])}{', ...' * (len(names) > SHOWN)})"
+            for step, names in self.steps.items()
+        ]
+
+
 def import_bvh_folder(
     source: str | Path,
     destination: str | Path,
@@ -84,54 +191,50 @@ def import_bvh_folder(
     rig: str | None = None,
     caption_from_name: bool = False,
     info: str | Path | None = None,
+    up: Up = "auto",
+    amc_fps: float = AMC_FPS,
+    split: str | Path = EIGHTY,
+    split_by: str | None = None,
     seed: int = 0,
 ) -> ImportReport:
-    """Converts a folder of BVH and GLB files into a new data-set folder and returns a report of what was written.
+    """Converts a folder of BVH, GLB and AMC files into a new data-set folder and returns a report of what was written.
 
-    Clips are resampled to 20 frames per second, retargeted, encoded and mirrored, and split 80/5/15 %. Each animation
-    of a GLB file is a clip. A clip without a caption or with a broken file is left out, and the report names it.
+    Clips are resampled to 20 frames per second, retargeted, encoded and mirrored. Each animation of a GLB file is a
+    clip. A clip without a caption or with a broken file is left out, and the report names it, as it names all rows of
+    a table that gave no caption.
 
     Args:
-        source: Folder that is searched for `*.bvh` and `*.glb` at any depth.
+        source: Folder that is searched for `*.bvh`, `*.glb` and `*.amc` at any depth.
         destination: Folder to make.
-        captions: `.csv` (file,caption[,start,end]) or `.txt` (`file: caption` lines); by default `captions.csv` or
-            `captions.txt` in the folder. An animation of a GLB file is called `file/animation`. A `.txt` beside a BVH
-            file is always read.
+        captions: Table of files and captions (see `caption_table`); by default `captions.csv` or `captions.txt` in the
+            folder. An animation of a GLB file is called `file/animation`. A `.txt` beside a BVH or AMC file is always
+            read.
         rig: Name of a rig, or a YAML table such as `pelvis: Hips`; by default detected from the joint names.
         caption_from_name: A clip without captions gets the words of its file's or its animation's name.
         info: YAML file with the name, license, source and attribution of the data, as in `dataset.yaml`.
+        up: The axis that points up; by default the one along which the figure stands.
+        amc_fps: Frames per second of AMC files, which do not say it.
+        split: Shares of train, val and test, or a folder with lists of clip names (train.txt, val.txt, test.txt).
+        split_by: Clips that have this in common stay in one split: `folder`, or a column of the table of captions.
         seed: Seed of the split.
 
     Raises:
-        UserError: No clip can be imported, a table or `info` is broken, or the destination exists.
+        UserError: No clip can be imported, a table or `info` is broken, left and right are exchanged, the clips cannot
+            be divided, or the destination exists.
     """
     source = Path(source)
     files, about = find_motion_files(source), _load_info(source, info)
-    table = load_caption_table(source, Path(captions) if captions else None)
-    seen: dict[str, Source] = {}
-    left_out, frames = {}, 0
+    table = find_table(source, Path(captions) if captions else None, files=files)
+    division = Division(split, split_by, source, table, seed)
+    division.check()
+    convert = _Converter(source, table, division, caption_from_name, rig, up, amc_fps)
     with new_folder(destination) as folder:
         for path in tqdm.tqdm(files, unit="file", desc="converting"):
-            try:
-                motions = _open_file(path)
-            except UserError as error:
-                left_out[clip_name(Source(path, None).key(source))] = str(error)
-                continue
-            for motion, clip in motions.items():
-                name = clip_name(motion.key(source))
-                if name in seen:
-                    raise UserError(f"{motion}: would be named {name} like {seen[name]}; rename one of them")
-                seen[name] = motion
-                try:
-                    said = find_captions(motion, source, table=table, from_name=caption_from_name)
-                    positions = _load_positions(clip, rig)
-                    frames += 2 * write_twins(folder, name, positions, captions=said, skeleton=HUMANML3D)
-                except UserError as error:
-                    left_out[name] = str(error)
-        names = [name for name in seen if name not in left_out]
-        if not names:
-            first = next(iter(left_out.values()))
-            raise UserError(f"{source}: none of {len(left_out)} clips could be imported; the first: {first}")
-        twins = {split: with_twins(members) for split, members in split_by_hash([names], seed=str(seed)).items()}
-        sizes = finish_folder(folder, twins, info=about, skeleton=HUMANML3D)
-    return ImportReport(2 * len(names), frames, sizes, left_out, ())
+            convert.file(path, folder)
+        convert.check()
+        splits = {part: with_twins(members) for part, members in division.divide(convert.groups).items()}
+        sizes = finish_folder(folder, splits, info=about, skeleton=HUMANML3D)
+    told = set(convert.left_out.values())
+    rows = [line for line in unused_rows(table, convert.motions.values(), source) if line not in told]
+    notes = (*table.notes, *convert.notes(), *rows)
+    return ImportReport(2 * len(convert.groups), convert.num_frames, sizes, convert.left_out, notes)

@@ -40,6 +40,16 @@ class BvhClip:
         """World positions of all joints in meters."""
         return forward_kinematics(self.rotations, self.translations, self.parents).positions
 
+    def from_frame(self, frame: int) -> "BvhClip":
+        """Returns the clip without the frames before `frame`."""
+        return dataclasses.replace(self, rotations=self.rotations[frame:], translations=self.translations[frame:])
+
+    @property
+    def rest_positions(self) -> Float[np.ndarray, "J 3"]:
+        """World positions of all joints without any rotation, in meters."""
+        still = np.broadcast_to(np.eye(3, dtype=np.float32), (1, len(self.offsets), 3, 3))
+        return forward_kinematics(still, self.offsets[None], self.parents).positions[0]
+
     def with_end_sites(self) -> "BvhClip":
         """Returns the clip with a joint at each End Site, named "<joint> End Site"."""
         joints, offsets = list(self.end_sites), np.array(list(self.end_sites.values()), np.float32).reshape(-1, 3)

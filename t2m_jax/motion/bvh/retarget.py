@@ -2,13 +2,16 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
 from t2m_jax.motion.bvh.clip import BvhClip
-from t2m_jax.motion.bvh.rigs import RIGS, Rig, detect_rig, load_rig, make_rig, match_rig
+from t2m_jax.motion.bvh.orientation import Up, find_up, to_y_up
+from t2m_jax.motion.bvh.rig_tables import RIGS, detect_rig
+from t2m_jax.motion.bvh.rigs import Rig, load_rig, make_rig, match_rig
 from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import HUMANML3D
 
@@ -20,35 +23,86 @@ _SPINE = ("pelvis", "spine1", "spine2", "spine3", "neck")
 _COLLAR_UP, _COLLAR_OUT = 0.5, 0.45
 
 
-def retarget(clip: BvhClip, *, rig: RigLike | None = None) -> Motion:
-    """Returns the clip as a motion of the 22 joints, with its own size, place and frame rate.
+def retarget(clip: BvhClip, *, rig: RigLike | None = None, up: Up = "auto") -> Motion:
+    """Returns the clip as a motion of the 22 joints with Y up, with its own size, place and frame rate.
 
     The result keeps the bone lengths of the file. `features_from_positions` converts them to the template's.
 
     Args:
-        clip: A clip with Y up.
+        clip: A clip.
         rig: A rig, the name of one, the path of a YAML file (`*.yaml`) or a table `{"pelvis": "Hips", …}`.
             By default the named rig whose joints the clip has.
+        up: The axis of the clip that points up; by default the one along which the figure stands.
+
+    Raises:
+        UserError: The clip does not have the joints of the rig, or it cannot be told which axis points up.
     """
     clip = clip.with_end_sites()
+    index = match_clip(clip, find_rig(clip, rig))
+    positions = _retarget(clip.positions, clip.parents, index)
+    if up == "auto":
+        up = _find_up(clip, positions, index)
+    return Motion(positions=to_y_up(positions) if up == "z" else positions, fps=clip.fps)
+
+
+def clip_up(clip: BvhClip, rig: Rig) -> Literal["y", "z"]:
+    """Returns the axis of a clip that points up, as `retarget` finds it.
+
+    Raises:
+        UserError: The clip does not have the joints of the rig, or it cannot be told which axis points up.
+    """
+    clip = clip.with_end_sites()
+    index = match_clip(clip, rig)
+    return _find_up(clip, _retarget(clip.positions, clip.parents, index), index)
+
+
+def _find_up(clip: BvhClip, positions: Float[np.ndarray, "T 22 3"], index: Mapping[str, int]) -> Literal["y", "z"]:
+    """Returns the axis that points up, from the joints of a clip with end sites."""
+    up = find_up(positions, _retarget(clip.rest_positions[None], clip.parents, index)[0])
+    if up is None:
+        raise UserError("the figure may stand with Z up, or lie with Y up; say which with --up z or --up y")
+    return up
+
+
+def find_rig(clip: BvhClip, rig: RigLike | None) -> Rig:
+    """Returns the rig that `retarget` uses for a clip.
+
+    Raises:
+        UserError: The rig is unknown, or no known rig has the joints of the clip.
+    """
     if rig is None:
-        rig = detect_rig(clip.joint_names)
-    elif isinstance(rig, Mapping):
-        rig = make_rig(rig, name="the given rig")
-    elif isinstance(rig, str) and rig in RIGS:
-        rig = RIGS[rig]
-    elif isinstance(rig, str):
-        if not rig.endswith((".yaml", ".yml")):
-            raise UserError(f'unknown rig "{rig}"; known are {", ".join(RIGS)}, or give a .yaml file')
-        rig = load_rig(rig)
+        return detect_rig(clip.with_end_sites().joint_names)
+    if isinstance(rig, Rig):
+        return rig
+    if isinstance(rig, Mapping):
+        return make_rig(rig, name="the given rig")
+    if rig in RIGS:
+        return RIGS[rig]
+    if not rig.endswith((".yaml", ".yml")):
+        raise UserError(f'unknown rig "{rig}"; known are {", ".join(RIGS)}, or give a .yaml file')
+    return load_rig(rig)
+
+
+def match_clip(clip: BvhClip, rig: Rig) -> dict[str, int]:
+    """Returns the joint of the clip for each joint of the rig.
+
+    Raises:
+        UserError: The clip does not have one of them.
+    """
     index = match_rig(rig, clip.joint_names)
     for joint, spellings in rig.sources:
         if joint not in index:
             wanted = " or ".join(f'"{spelling}"' for spelling in spellings)
             raise UserError(f"rig {rig.name}: the file has no joint {wanted} for {joint}; choose another rig")
-    world = clip.positions
+    return index
+
+
+def _retarget(
+    world: Float[np.ndarray, "T S 3"], parents: Sequence[int], index: Mapping[str, int]
+) -> Float[np.ndarray, "T 22 3"]:
+    """Returns the joints of HumanML3D; those that the rig does not have are placed between their neighbors."""
     joints = {joint: world[:, source] for joint, source in index.items()}
-    _place_spine(joints, index, world, clip.parents)
+    _place_spine(joints, index, world, parents)
     chest, neck = joints["spine3"], joints["neck"]
     for side in ("left", "right"):
         if f"{side}_collar" not in joints:
@@ -56,8 +110,7 @@ def retarget(clip: BvhClip, *, rig: RigLike | None = None) -> Motion:
             joints[f"{side}_collar"] = base + _COLLAR_OUT * (joints[f"{side}_shoulder"] - base)
     if "head" not in joints:
         joints["head"] = neck + 0.5 * (neck - chest)
-    positions = np.stack([joints[name] for name in HUMANML3D.joint_names], axis=1)
-    return Motion(positions=positions.astype(np.float32), fps=clip.fps)
+    return np.stack([joints[name] for name in HUMANML3D.joint_names], axis=1).astype(np.float32)
 
 
 def _place_spine(

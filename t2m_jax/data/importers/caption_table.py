@@ -1,0 +1,273 @@
+"""Tables of captions as people write them: with commas, semicolons or tabs, other names of columns, or no header.
+
+Each line of a file is one row. A row that cannot be used costs no other row: it keeps its problem, for the report.
+"""
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from t2m_jax.data.importers.lexicon import tag_words
+from t2m_jax.data.texts import Caption, parse_caption
+from t2m_jax.errors import UserError
+from t2m_jax.files import load_text
+
+BYTE_ORDER_MARK = "\ufeff"
+"""Some editors and spreadsheets write it at the beginning of a UTF-8 file."""
+DELIMITERS = (",", ";", "\t", "|")
+NAMES = {
+    "caption": ("caption", "captions", "text", "description", "sentence", "annotation", "prompt", "label"),
+    "start": ("start", "from", "begin"),
+    "end": ("end", "to", "stop"),
+    "file": ("file", "filename", "path", "filepath", "bvh", "clip", "motion", "take", "name", "id"),
+}
+"""Names of columns by what is in them, the best ones first. One word of several is enough: `Clip name`, `Start (s)`."""
+MOTION_SUFFIXES = re.compile(r"\.(bvh|glb|amc|fbx|npy|npz|c3d)$", re.IGNORECASE)
+
+
+class Row(NamedTuple):
+    """A row of a table."""
+
+    place: str
+    """`file:line`."""
+    file: str
+    """What it calls the motion, without a suffix and with forward slashes."""
+    captions: tuple[Caption, ...]
+    problem: str
+    """Why the row cannot be used; empty if it can."""
+    cells: Mapping[str, str]
+    """The other cells by the names of their columns."""
+
+
+class CaptionTable(NamedTuple):
+    """The rows of a table by the last part of what they call their motion, in lower case."""
+
+    rows: Mapping[str, Sequence[Row]]
+    columns: tuple[str, ...] = ()
+    """Names of the columns that have neither a file, nor a caption, nor a time."""
+    keys: frozenset[str] = frozenset()
+    """What tables call the motion files of the folder: their paths below it."""
+    notes: tuple[str, ...] = ()
+    """What was guessed."""
+
+
+def tagged_caption(text: str, *, source: str, start: str = "", end: str = "") -> Caption:
+    """Returns a caption with tokens from plain text.
+
+    Raises:
+        UserError: The text has a `#` or no words, or a time is not a number.
+    """
+    if "#" in text:
+        raise UserError(f"{source}: the caption has a '#', which the text format cannot store; remove it")
+    text = " ".join(text.split())
+    line = f"{text}#{' '.join(caption_tokens(text, source=source))}#{start.strip() or 0.0}#{end.strip() or 0.0}"
+    return parse_caption(line, source=source)
+
+
+def caption_tokens(text: str, *, source: str) -> tuple[str, ...]:
+    """Returns the tokens of a caption.
+
+    Raises:
+        UserError: It has no words.
+    """
+    tokens = tag_words(text)
+    if not tokens:
+        raise UserError(f"{source}: the caption {text[:40]!r} has no words; say what the motion shows")
+    return tokens
+
+
+def load_caption_table(path: Path, *, keys: Collection[str] = ()) -> CaptionTable:
+    """Returns the rows of a `.csv` file, or of lines `file: caption` (or with a tab in place of the colon).
+
+    Args:
+        path: A file in UTF-8.
+        keys: What tables call the motion files of the folder. A first row that begins with one of them is no header.
+
+    Raises:
+        UserError: The file is missing, is not UTF-8, or has no columns of files and captions.
+    """
+    if not path.is_file():
+        raise UserError(f"{path}: no such file; give a .csv with file,caption or a .txt with 'file: caption' lines")
+    lines = load_text(path).removeprefix(BYTE_ORDER_MARK).split("\n")
+    numbered = [(number, line) for number, line in enumerate(lines, start=1) if line.strip()]
+    columns, notes = tuple[str, ...](), tuple[str, ...]()
+    if path.suffix.lower() == ".csv":
+        layout = _find_layout(path, numbered[0][1] if numbered else "", keys)
+        rows = [_read_row(f"{path}:{number}", line, layout) for number, line in numbered[layout.has_header :]]
+        columns, notes = tuple(layout.others), layout.notes
+        joined = [row.place.rpartition(":")[2] for row, count in rows if count]
+        if joined:
+            shown = ", ".join(joined[:5]) + ", ..." * (len(joined) > 5)
+            notes += (
+                f"{path}: the captions of {len(joined)} lines ({shown}) have commas without quotes; all was kept",
+            )
+        found = [row for row, _ in rows]
+    else:
+        found = [_read_pair(f"{path}:{number}", line) for number, line in numbered]
+    by_name: dict[str, list[Row]] = {}
+    for row in found:
+        by_name.setdefault(_last_part(row.file), []).append(row)
+    by_last = Counter(map(_last_part, keys))
+    for name, same in by_name.items():
+        by_name[name] = [_refuse_if_ambiguous(row, by_last[name]) for row in same]
+    return CaptionTable(by_name, columns, frozenset(keys), notes)
+
+
+def find_rows(table: CaptionTable, candidates: Sequence[str]) -> list[Row]:
+    """Returns the rows of a motion.
+
+    Args:
+        table: The table.
+        candidates: What it may call the motion. The first one is its path below the folder, which a longer path may
+            end with, too.
+    """
+    near = [row for last in dict.fromkeys(map(_last_part, candidates)) for row in table.rows.get(last, ())]
+    names, tail = {candidate.casefold() for candidate in candidates}, f"/{candidates[0].casefold()}"
+    return [
+        row
+        for row in near
+        if row.file == candidates[0]
+        or (row.file not in table.keys and (row.file.casefold() in names or row.file.casefold().endswith(tail)))
+    ]
+
+
+def _refuse_if_ambiguous(row: Row, num_files: int) -> Row:
+    """Returns the row, with a problem if it names only the last part of the paths of several files."""
+    if num_files < 2 or "/" in row.file or row.problem:
+        return row
+    return row._replace(captions=(), problem=f"{row.place}: {num_files} files are called {row.file}; write the folder")
+
+
+class _Layout(NamedTuple):
+    """What is where in the rows of a table."""
+
+    delimiter: str
+    has_header: bool
+    file: int
+    captions: tuple[int, ...]
+    times: Mapping[str, int]
+    """Columns of `start` and `end`, as far as there are any."""
+    others: Mapping[str, int]
+    width: int
+    notes: tuple[str, ...] = ()
+
+
+def _last_part(key: str) -> str:
+    return key.rpartition("/")[2].casefold()
+
+
+def _motion_key(cell: str) -> str:
+    """Returns what a cell calls a motion: without a suffix, quotes or `./`, with forward slashes."""
+    return MOTION_SUFFIXES.sub("", cell.strip().strip("\"'").replace("\\", "/").removeprefix("./"))
+
+
+def _split_line(line: str, delimiter: str) -> list[str]:
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
+
+
+def _find_layout(path: Path, header: str, keys: Collection[str]) -> _Layout:
+    """Returns the layout that fits the first line of a table: its header, or the row of a motion that exists."""
+    try:
+        candidates = {delimiter: _split_line(header, delimiter) for delimiter in DELIMITERS}
+    except csv.Error as error:
+        raise UserError(f"{path}:1: is not a table ({error}); save it as CSV") from error
+    for delimiter, cells in candidates.items():
+        layout = _read_header(path, cells, delimiter)
+        if layout:
+            return layout
+    known = {key.casefold() for key in keys} | {_last_part(key) for key in keys}
+    for delimiter, cells in candidates.items():
+        if len(cells) > 1 and {_motion_key(cells[0]).casefold(), _last_part(_motion_key(cells[0]))} & known:
+            note = f"{path}: has no header; read as file, caption, start, end"
+            return _Layout(delimiter, False, 0, (1,), {"start": 2, "end": 3}, {}, 4, (note,))
+    raise UserError(f"{path}:1: expected the columns file,caption[,start,end]; the first line is {header[:60]!r}")
+
+
+def _read_header(path: Path, cells: Sequence[str], delimiter: str) -> _Layout | None:
+    """Returns the layout that a header describes, None if it does not name files and captions."""
+    names = [re.sub(r"[\W_]+", "_", cell.strip().lower()).strip("_") for cell in cells]
+    found = _find_columns(names)
+    # Several captions may be in several columns: caption_1, caption_2.
+    numbered = tuple(place for place, name in enumerate(names) if re.sub(r"_?\d+$", "", name) in NAMES["caption"])
+    first = () if found["caption"] is None else (found["caption"],)
+    captions = tuple(place for place in numbered if names[place][-1:].isdigit()) or first
+    if found["file"] is None:
+        return None
+    times = {role: place for role in ("start", "end") if (place := found[role]) is not None}
+    used = (found["file"], *captions, *times.values())
+    others = {cell: place for place, cell in enumerate(cells) if place not in used}
+    if not captions:
+        return None
+    notes = (f"{path}: captions are read from {', '.join(repr(cells[place]) for place in captions)}",)
+    is_plain = [names[place] for place in captions] == ["caption"] and names[found["file"]] == "file"
+    return _Layout(delimiter, True, found["file"], captions, times, others, len(cells), () if is_plain else notes)
+
+
+def _find_columns(names: Sequence[str]) -> dict[str, int | None]:
+    """Returns the column of each role: the one with the best name, or else with a word that is one."""
+    found: dict[str, int | None] = {}
+    for role, known in NAMES.items():
+        free = {place: name for place, name in enumerate(names) if place not in found.values()}
+        exact = [place for name in known for place, own in free.items() if own == name]
+        partly = [place for name in known for place, own in free.items() if name in own.split("_")]
+        found[role] = next(iter([*exact, *partly]), None)
+    return found
+
+
+def _is_time(cell: str) -> bool:
+    return re.fullmatch(r"[+-]?\d+([.,]\d*)?|[+-]?[.,]\d+|nan|", cell, re.IGNORECASE) is not None
+
+
+def _join_commas(cells: list[str], layout: _Layout) -> tuple[list[str], int]:
+    """Returns the cells of a row in which commas of the caption that have no quotes are put back, and their number.
+
+    The times must then be all there or all missing; otherwise the row may have a wrong time, and is left as it is.
+    """
+    caption, fewest = layout.captions[0], max(len(cells) - layout.width, 0)
+    most = len(cells) - caption if layout.file < caption else fewest + 1
+    for extra in range(fewest, most):
+        end = caption + extra + 1
+        joined = [*cells[:caption], f"{layout.delimiter} ".join(cells[caption:end]), *cells[end:]]
+        joined += [""] * (layout.width - len(joined))
+        times = [joined[place] for place in layout.times.values()]
+        complete = sum(map(bool, times)) in (0, len(times)) and not _is_time(cells[end - 1])
+        if all(map(_is_time, times)) and (extra == 0 or complete):
+            return joined, extra
+    return cells, 0
+
+
+def _read_row(place: str, line: str, layout: _Layout) -> tuple[Row, int]:
+    """Returns a row and the number of commas without quotes in its caption."""
+    try:
+        cells, joined = _split_line(line, layout.delimiter), 0
+    except csv.Error as error:
+        return Row(place, "", (), f"{place}: is not a row of a table ({error})", {}), 0
+    if len(layout.captions) == 1:
+        cells, joined = _join_commas(cells, layout)
+    elif len(cells) > layout.width:
+        return Row(place, "", (), f"{place}: has {len(cells)} cells, the header {layout.width}; quote commas", {}), 0
+    cells += [""] * (layout.width - len(cells))
+    times = {role: cells[column].replace(",", ".") for role, column in layout.times.items()}
+    said = [cells[column] for column in layout.captions if cells[column]]
+    others = {name: cells[column] for name, column in layout.others.items()}
+    return _make_row(place, cells[layout.file], said, times, others), joined
+
+
+def _read_pair(place: str, line: str) -> Row:
+    """Returns the row of a line `file: caption`."""
+    file, _, said = line.partition("\t" if "\t" in line else ":")
+    return _make_row(place, file, [said] * bool(said.strip()), {}, {})
+
+
+def _make_row(place: str, file: str, said: Sequence[str], times: Mapping[str, str], others: Mapping[str, str]) -> Row:
+    """Returns a row with its captions, or with what is wrong with it."""
+    key = _motion_key(file)
+    if not key or not said:
+        return Row(place, key, (), f"{place}: file or caption is empty; fill in both or remove the line", others)
+    try:
+        return Row(place, key, tuple(tagged_caption(text, source=place, **times) for text in said), "", others)
+    except UserError as error:
+        return Row(place, key, (), str(error), others)

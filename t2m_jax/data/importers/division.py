@@ -1,0 +1,91 @@
+"""How imported clips are divided into train, val and test."""
+
+import dataclasses
+import functools
+from collections import Counter, defaultdict
+from collections.abc import Mapping
+from pathlib import Path
+
+from t2m_jax.data.files import SPLITS, read_names
+from t2m_jax.data.importers.caption_files import Source, clip_name
+from t2m_jax.data.importers.caption_table import CaptionTable, find_rows
+from t2m_jax.data.splits import parse_shares, split_by_hash, split_groups
+from t2m_jax.errors import UserError
+
+EIGHTY = "80/5/15"
+"""The shares of HumanML3D."""
+BY_FOLDER = "folder"
+"""Clips of one folder stay together."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Division:
+    """A way to divide clips."""
+
+    split: str | Path
+    """Shares of train, val and test, or a folder with lists of clip names."""
+    split_by: str | None
+    """What clips have in common that stay in one split: `folder`, or a column of the table of captions."""
+    source: Path
+    """Folder of the motion files."""
+    table: CaptionTable
+    seed: int
+
+    def check(self) -> None:
+        """Raises `UserError` if the shares are wrong, a list is missing, or the table has no such column."""
+        if Path(self.split).is_dir():
+            if self.split_by is not None:
+                raise UserError(f"split_by {self.split_by!r}: {self.split} has lists already; give one of both")
+            _ = self._homes
+        else:
+            parse_shares(str(self.split))
+        columns = (BY_FOLDER, *self.table.columns)
+        if self.split_by is not None and self.split_by not in columns:
+            known = ", ".join(columns)
+            raise UserError(f"split_by {self.split_by!r}: the table of captions has no such column; known: {known}")
+
+    def divide(self, groups: Mapping[str, str]) -> dict[str, list[str]]:
+        """Returns split -> names of clips.
+
+        Args:
+            groups: Clip name -> its group.
+
+        Raises:
+            UserError: There are fewer groups than splits.
+        """
+        if Path(self.split).is_dir():
+            return {split: [name for name, group in groups.items() if group == split] for split in SPLITS}
+        shares = parse_shares(str(self.split))
+        if self.split_by is None:
+            return split_by_hash([list(groups)], seed=str(self.seed), shares=shares)
+        members: dict[str, list[str]] = defaultdict(list)
+        for name, group in groups.items():
+            members[group].append(name)
+        return split_groups(members, shares=shares, seed=str(self.seed))
+
+    @functools.cached_property
+    def _homes(self) -> dict[str, str]:
+        """Returns clip name -> split."""
+        listed = [(split, name) for split in SPLITS for name in read_names(Path(self.split) / f"{split}.txt")]
+        twice = [name for name, count in Counter(name for _, name in listed).items() if count > 1]
+        if twice:
+            raise UserError(f"{self.split}: {twice[0]} is in two lists or twice in one; name each clip once")
+        return {clip_name(name): split for split, name in listed}
+
+    def group(self, motion: Source) -> str:
+        """Returns what the clips that stay together with a motion have in common with it, or its split in the lists.
+
+        Raises:
+            UserError: The clip is in no list, or its rows have several values or none.
+        """
+        if Path(self.split).is_dir():
+            name = clip_name(motion.key(self.source))
+            if name not in self._homes:
+                raise UserError(f"{motion}: {name} is in no list of {self.split}")
+            return self._homes[name]
+        if self.split_by is None or self.split_by == BY_FOLDER:
+            return motion.path.parent.relative_to(self.source).as_posix()
+        values = {row.cells[self.split_by] for row in find_rows(self.table, motion.keys(self.source))}
+        if len(values) != 1 or not all(values):
+            raise UserError(f"{motion}: its rows have {len(values)} values of {self.split_by}; write one into all")
+        return values.pop()

@@ -1,0 +1,101 @@
+"""A contact sheet: one HTML page with some poses of each clip of a data set, to see at a glance what is in it."""
+
+import html
+import importlib.resources
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from t2m_jax.data.files import MIRROR_PREFIX, SPLITS
+from t2m_jax.data.folder import Dataset
+from t2m_jax.errors import UserError
+from t2m_jax.export.render.figure import Roles, is_mirrored, roles_from_skeleton
+from t2m_jax.files import save_text
+from t2m_jax.motion.features import positions_from_features
+from t2m_jax.motion.skeleton import Skeleton
+
+MAX_CLIPS = 200
+"""Most clips on a sheet; browsers are slow with more. Of a larger data set, they are evenly spread over the names."""
+NUM_POSES = 7
+CAMERA_TURN, CAMERA_DROP = np.deg2rad(30.0), 0.22
+"""The camera stands in front of the first pose, turned to its left side, and looks down a little."""
+
+
+def save_contact_sheet(
+    path: Path, dataset: Dataset, *, notes: Sequence[str] = (), left_out: Mapping[str, str] | None = None
+) -> None:
+    """Writes the page.
+
+    Args:
+        path: The page.
+        dataset: The data set; mirrored twins are not shown.
+        notes: What an import reported.
+        left_out: Clip name -> why an import left it out.
+
+    Raises:
+        UserError: A list of clips or a clip cannot be read, or the page cannot be written.
+    """
+    homes = {name: split for split in SPLITS for name in dataset.names(split) if not name.startswith(MIRROR_PREFIX)}
+    roles = roles_from_skeleton(dataset.skeleton)
+    if roles is None:
+        raise UserError(f"{dataset.folder}: skeleton {dataset.skeleton.name} has no arms and legs to draw")
+    names = sorted(homes)
+    count = min(len(names), MAX_CLIPS)
+    shown = [names[place] for place in np.linspace(0, len(names) - 1, count).round().astype(int)]
+    lines = [*notes, *(f"{name}: left out: {reason}" for name, reason in (left_out or {}).items())]
+    parts = {
+        "title": html.escape(f"{dataset.info.name or dataset.folder.name}: {len(names)} clips"),
+        "shown": "" if count == len(names) else f"{count} of them are shown.",
+        "notes": "".join(f"<li>{html.escape(line)}</li>" for line in lines),
+        "clips": "".join(_card(dataset, name, split=homes[name], roles=roles) for name in shown),
+    }
+    page = (importlib.resources.files("t2m_jax.export") / "contact_sheet.html").read_text(encoding="utf-8")
+    save_text(path, re.sub(r"\{\{(\w+)\}\}", lambda mark: parts[mark[1]], page))
+
+
+def _card(dataset: Dataset, name: str, *, split: str, roles: Roles) -> str:
+    """Returns the poses, the name and the captions of a clip."""
+    features = dataset.features(name)
+    seconds = len(features) / dataset.info.fps
+    captions = "".join(f"<li>{html.escape(caption.text)}</li>" for caption in dataset.captions(name)[:3])
+    frames = np.linspace(0, len(features) - 1, NUM_POSES).round().astype(int)
+    positions = positions_from_features(features, dataset.skeleton)[frames] * dataset.skeleton.metres_per_unit
+    return (
+        f"<article><h2>{html.escape(name)}</h2><p>{split}, {seconds:.1f} s</p>"
+        f"{_drawing(_on_screen(positions, dataset.skeleton), roles)}<ul>{captions}</ul></article>"
+    )
+
+
+def _on_screen(positions: Float[np.ndarray, "P J 3"], skeleton: Skeleton) -> Float[np.ndarray, "P J 2"]:
+    """Returns poses side by side in centimeters, x to the right and y down, the floor at 0."""
+    x, y, z = np.moveaxis(positions - positions[:, :1] * np.array([1.0, 0.0, 1.0], np.float32), -1, 0)
+    if is_mirrored(skeleton):
+        x = -x
+    across = x * np.cos(CAMERA_TURN) - z * np.sin(CAMERA_TURN)
+    depth = x * np.sin(CAMERA_TURN) + z * np.cos(CAMERA_TURN)
+    places = 100 * np.arange(len(positions))[:, None]
+    return np.stack([100 * across + places, -100 * (y - CAMERA_DROP * depth)], axis=-1)
+
+
+def _drawing(points: Float[np.ndarray, "P J 2"], roles: Roles) -> str:
+    """Returns a drawing in which left and right limbs have their own colors."""
+    limbs = {
+        "spine": [roles.spine],
+        "right": [roles.right_arm, roles.right_leg],
+        "left": [roles.left_arm, roles.left_leg],
+    }
+    lines = []
+    for pose in points:
+        girdle = (roles.left_arm[0], roles.right_arm[0]), (roles.left_leg[0], roles.right_leg[0])
+        for kind, chains in (("spine", girdle), *limbs.items()):
+            for chain in chains:
+                path = " ".join(f"{x:.0f},{y:.0f}" for x, y in pose[list(chain)])
+                lines.append(f'<polyline class="{kind}" points="{path}"/>')
+        x, y = pose[roles.spine[-1]]
+        lines.append(f'<circle class="spine" cx="{x:.0f}" cy="{y - 6:.0f}" r="8"/>')
+    low, high = points.min(axis=(0, 1)) - 25, points.max(axis=(0, 1)) + 15
+    box = f"{low[0]:.0f} {low[1]:.0f} {high[0] - low[0]:.0f} {high[1] - low[1]:.0f}"
+    return f'<svg viewBox="{box}" role="img" aria-label="{len(points)} poses">{"".join(lines)}</svg>'

@@ -1,0 +1,236 @@
+"""Reading Acclaim motion files: a skeleton (`.asf`) and a motion of it (`.amc`), as in the CMU database."""
+
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple, cast
+
+import numpy as np
+from jaxtyping import Float
+
+from t2m_jax.errors import UserError
+from t2m_jax.files import load_text
+from t2m_jax.motion.bvh.clip import BvhClip
+from t2m_jax.motion.bvh.hierarchy import MAX_JOINTS, MAX_VALUE
+from t2m_jax.motion.rotations import EulerOrder, matrix_from_euler
+
+AMC_FPS = 120.0
+"""Frames per second of the CMU database. The files do not say it."""
+METRES_PER_INCH = 0.0254
+"""An ASF file divides inches by its `length`."""
+ROOT = "root"
+_AXES = "xyz"
+
+
+class _Bone(NamedTuple):
+    """A bone, which begins where its parent ends."""
+
+    offset: Float[np.ndarray, " 3"]
+    """From its beginning to its end, in meters."""
+    axis: Float[np.ndarray, "3 3"]
+    """The frame in which it turns."""
+    freedoms: tuple[str, ...]
+    """Its columns in the motion: rx, ry, rz, tx, ty or tz."""
+
+
+class _Skeleton(NamedTuple):
+    bones: Mapping[str, _Bone]
+    parents: Mapping[str, str]
+    """Parent of each bone but the root; parents come first."""
+    radians_per_unit: float
+    metres_per_unit: float
+
+
+def load_amc(path: Path | str, *, skeleton: Path | str | None = None, fps: float = AMC_FPS) -> BvhClip:
+    """Returns the clip of an AMC file. Joint j of the clip is the beginning of bone j.
+
+    Args:
+        path: The motion.
+        skeleton: The ASF file; by default the only one in the folder, or `02.asf` for `02_01.amc`.
+        fps: Frames per second, which the files do not say.
+
+    Raises:
+        UserError: A file is missing or damaged, or they do not fit each other. The message names the line.
+    """
+    path = Path(path)
+    asf = Path(skeleton) if skeleton else find_skeleton(path)
+    figure = _read_skeleton(asf)
+    names = (ROOT, *figure.parents)
+    parents = (-1, *(names.index(parent) for parent in figure.parents.values()))
+    values = _read_motion(path, figure)
+    num_frames = len(values[ROOT])
+    rotations = np.tile(np.eye(3, dtype=np.float32), (num_frames, len(names), 1, 1))
+    offsets = np.array([figure.bones[names[max(parent, 0)]].offset for parent in parents], np.float32)
+    offsets[0] = 0.0
+    translations = np.tile(offsets, (num_frames, 1, 1))
+    for joint, name in enumerate(names):
+        bone = figure.bones[name]
+        turn, move = _transform(bone, values.get(name), figure)
+        rotations[:, joint] = turn
+        translations[:, joint] += move
+    ends = [joint for joint in range(len(names)) if joint not in parents]
+    return BvhClip(
+        joint_names=names,
+        parents=parents,
+        offsets=offsets,
+        rotations=rotations,
+        translations=translations,
+        fps=fps,
+        metres_per_unit=figure.metres_per_unit,
+        end_sites={joint: figure.bones[names[joint]].offset.astype(np.float32) for joint in ends},
+    )
+
+
+def find_skeleton(path: Path) -> Path:
+    """Returns the ASF file of an AMC file: the only one in its folder, or the one whose name its name begins with.
+
+    Raises:
+        UserError: There is none, or there are several.
+    """
+    found = sorted(file for file in path.parent.glob("*") if file.suffix.lower() == ".asf")
+    named = [file for file in found if path.stem.lower().startswith(file.stem.lower())]
+    if len(found) != 1 and len(named) != 1:
+        problem = "there is no .asf file beside it" if not found else f"no one of {len(found)} .asf files has its name"
+        raise UserError(f"{path}: {problem}; put the skeleton into its folder, as 02.asf for 02_01.amc")
+    return (named if len(named) == 1 else found)[0]
+
+
+def _transform(
+    bone: _Bone, values: Float[np.ndarray, "T F"] | None, figure: _Skeleton
+) -> tuple[Float[np.ndarray, "#T 3 3"], Float[np.ndarray, "#T 3"]]:
+    """Returns how a bone turns and moves in its parent's frame."""
+    if values is None:
+        return np.eye(3, dtype=np.float32)[None], np.zeros((1, 3), np.float32)
+    turns = [(column, name[1]) for column, name in enumerate(bone.freedoms) if name[0] == "r"]
+    angles = np.zeros((len(values), 3))
+    # The first angle of the list turns first, so that it is the last factor of the product.
+    order = [axis for _, axis in turns][::-1] + [axis for axis in _AXES if axis not in {axis for _, axis in turns}]
+    for column, axis in turns:
+        angles[:, order.index(axis)] = values[:, column] * figure.radians_per_unit
+    turn = bone.axis @ matrix_from_euler(angles, cast(EulerOrder, "".join(order).upper())) @ bone.axis.T
+    moves = np.zeros((len(values), 3))
+    for column, name in enumerate(bone.freedoms):
+        if name[0] == "t":
+            moves[:, _AXES.index(name[1])] = values[:, column] * figure.metres_per_unit
+    return turn.astype(np.float32), moves.astype(np.float32)
+
+
+def _numbered_words(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Returns the number and the words of each line that has some, without comments."""
+    for number, line in enumerate(load_text(path).split("\n"), start=1):
+        words = line.partition("#")[0].split()
+        if words:
+            yield number, words
+
+
+def _numbers(words: list[str], place: str) -> list[float]:
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        values = [MAX_VALUE]
+    if not all(abs(value) < MAX_VALUE for value in values):
+        raise UserError(f"{place}: {' '.join(words)[:60]!r} are not numbers below {MAX_VALUE:g}")
+    return values
+
+
+def _read_skeleton(path: Path) -> _Skeleton:
+    """Returns the figure of an ASF file."""
+    sections: dict[str, list[tuple[str, list[str]]]] = {}
+    section = ""
+    for number, words in _numbered_words(path):
+        if words[0].startswith(":"):
+            section = words[0].lower()
+        sections.setdefault(section, []).append((f"{path}:{number}", words))
+    missing = [name for name in (":root", ":bonedata", ":hierarchy") if name not in sections]
+    if missing:
+        raise UserError(f"{path}: is not an ASF file; it has no {' and no '.join(missing)}")
+    units = {words[0].lower(): (place, words) for place, words in sections.get(":units", [])}
+    length = _field(units, "length", 1, ["1.0"])[0]
+    if not length > 0:
+        raise UserError(f"{units['length'][0]}: length is {length:g}; expected a number above 0")
+    metres = METRES_PER_INCH / length
+    degrees = units.get("angle", ("", ["angle", "deg"]))[1][1:2] != ["rad"]
+    radians = float(np.deg2rad(1.0)) if degrees else 1.0
+    root = {words[0].lower(): (place, words) for place, words in sections[":root"]}
+    bones = {ROOT: _make_bone(root, metres=metres, radians=radians, is_root=True)}
+    fields: dict[str, tuple[str, list[str]]] = {}
+    for place, words in sections[":bonedata"][1:]:
+        if words[0].lower() == "begin":
+            fields = {}
+        elif words[0].lower() == "end":
+            name = " ".join(fields.get("name", (place, ["name"]))[1][1:])
+            if not name or name in bones or len(bones) == MAX_JOINTS:
+                raise UserError(f"{place}: bone {name!r} has no name, is there twice, or is one of over {MAX_JOINTS:,}")
+            bones[name] = _make_bone(fields | {"place": (place, [])}, metres=metres, radians=radians)
+        else:
+            fields[words[0].lower()] = (place, words)
+    return _Skeleton(bones, _read_hierarchy(sections[":hierarchy"][1:], bones), radians, metres)
+
+
+def _field(fields: Mapping[str, tuple[str, list[str]]], name: str, count: int, default: list[str]) -> list[float]:
+    """Returns the numbers of a field."""
+    place, words = fields.get(name, (fields.get("place", ("", []))[0], [name, *default]))
+    numbers = _numbers(words[1 : count + 1], place)
+    if len(numbers) != count:
+        raise UserError(f"{place}: {name} needs {count} numbers, has {len(numbers)}")
+    return numbers
+
+
+def _make_bone(
+    fields: Mapping[str, tuple[str, list[str]]], *, metres: float, radians: float, is_root: bool = False
+) -> _Bone:
+    """Returns the bone that the fields of its section describe."""
+    place, words = fields.get("axis", ("", ["axis", "0", "0", "0", "XYZ"]))
+    order = words[-1].upper()
+    if sorted(order) != ["X", "Y", "Z"]:
+        raise UserError(f"{place}: the order of the axes is {words[-1]!r}; expected such as XYZ")
+    # As in the motion, the first axis of the order turns first. The root has its angles in another field.
+    angles = np.array(_field(fields, "orientation" if is_root else "axis", 3, ["0", "0", "0"])) * radians
+    axis = matrix_from_euler(angles[::-1].copy(), cast(EulerOrder, order[::-1]))
+    direction = [0.0, 0.0, 0.0] if is_root else _field(fields, "direction", 3, [])
+    length = 0.0 if is_root else _field(fields, "length", 1, [])[0]
+    place, words = fields.get("order" if is_root else "dof", (place, [""]))
+    freedoms = tuple(word.lower() for word in words[1:] if word.lower() != "l")
+    if not set(freedoms) <= {kind + name for kind in "rt" for name in _AXES} or len(set(freedoms)) < len(freedoms):
+        raise UserError(f"{place}: {' '.join(words)[:60]!r}: expected rx, ry, rz, tx, ty, tz, each at most once")
+    return _Bone(np.array(direction) * length * metres, axis.astype(np.float64), freedoms)
+
+
+def _read_hierarchy(lines: list[tuple[str, list[str]]], bones: Mapping[str, _Bone]) -> dict[str, str]:
+    """Returns the parent of each bone, parents first."""
+    parents: dict[str, str] = {}
+    for place, words in lines:
+        if len(words) == 1 and words[0].lower() in ("begin", "end"):
+            continue
+        for child in words[1:]:
+            if words[0] not in (ROOT, *parents) or child not in bones or child in (ROOT, *parents):
+                raise UserError(f"{place}: {words[0]} {child}: a bone is unknown, has two parents, or comes too early")
+            parents[child] = words[0]
+    return parents
+
+
+def _read_motion(path: Path, figure: _Skeleton) -> dict[str, Float[np.ndarray, "T F"]]:
+    """Returns the values of each bone that moves."""
+    names = {ROOT, *figure.parents}
+    frames: list[dict[str, list[float]]] = []
+    for number, words in _numbered_words(path):
+        place = f"{path}:{number}"
+        if words[0].startswith(":"):
+            continue
+        if len(words) == 1 and re.fullmatch(r"\d+", words[0]):
+            frames.append({})
+            continue
+        if not frames or words[0] not in names or words[0] in frames[-1]:
+            raise UserError(
+                f"{place}: expected the number of a frame or a bone that the skeleton has, not {words[0]!r}"
+            )
+        frames[-1][words[0]] = _numbers(words[1:], place)
+        if len(words) - 1 != len(figure.bones[words[0]].freedoms):
+            wanted = len(figure.bones[words[0]].freedoms)
+            raise UserError(f"{place}: {words[0]} has {len(words) - 1} values, its skeleton says {wanted}")
+    if not frames or ROOT not in frames[0]:
+        raise UserError(f"{path}: has no frames with a root; is it an AMC file?")
+    for number, frame in enumerate(frames, start=1):
+        if frame.keys() != frames[0].keys():
+            raise UserError(f"{path}: frame {number} has other bones than the first one; is the file cut?")
+    return {name: np.array([frame[name] for frame in frames]) for name in frames[0]}

@@ -1,0 +1,110 @@
+"""What the joints of a clip say about it: which axis is up, whether left is left, and where a rest pose ends."""
+
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from t2m_jax.motion.skeleton import HUMANML3D
+
+Up = Literal["auto", "y", "z"]
+"""The axis that points up: found from the figure, or given."""
+
+UPRIGHT = 0.8
+"""A figure stands along an axis if the line from its feet to its neck is this much along it (cosine)."""
+POP_SPEED, POP_RATIO = 3.0, 5.0
+"""A frame is a rest pose before the motion if the joints then move faster than this (meters per second) and this many
+times as fast as in the next frames."""
+T_POSE_RATIO = 2.0
+"""The same after a T-pose, for the fastest joint. Somebody who lowers the arms begins slowly."""
+NEXT_FRAMES = 5
+T_POSE = 0.9
+"""Arms are spread and legs are straight if they are this much along their axes (cosine)."""
+MAX_REST_SECONDS = 2.0
+"""Longest T-pose before a motion."""
+
+
+def _joint(positions: Float[np.ndarray, "T 22 3"], name: str) -> Float[np.ndarray, "T 3"]:
+    return positions[:, HUMANML3D.joint_names.index(name)]
+
+
+def _unit(vectors: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
+
+
+def _upward(positions: Float[np.ndarray, "T 22 3"]) -> Float[np.ndarray, "T 3"]:
+    """Returns the direction from the feet to the neck."""
+    feet = (_joint(positions, "left_ankle") + _joint(positions, "right_ankle")) / 2
+    return _unit(_joint(positions, "neck") - feet)
+
+
+def find_up(positions: Float[np.ndarray, "T 22 3"], rest: Float[np.ndarray, "22 3"]) -> Literal["y", "z"] | None:
+    """Returns the axis that points up, None if the figure may stand along Z or lie along it.
+
+    Args:
+        positions: The motion.
+        rest: The pose without rotations, in which most figures stand.
+    """
+    stands_y, stands_z = (float(np.mean(_upward(positions)[:, axis] > UPRIGHT)) for axis in (1, 2))
+    rests_y, rests_z = (bool(_upward(rest[None])[0, axis] > UPRIGHT) for axis in (1, 2))
+    if rests_y or (stands_y > 0 and stands_y >= stands_z):
+        return "y"
+    if rests_z and stands_z > 0:
+        return "z"
+    return None if rests_z or stands_z > 0 else "y"
+
+
+def to_y_up(positions: Float[np.ndarray, "T 22 3"]) -> Float[np.ndarray, "T 22 3"]:
+    """Returns motion in which Z is up, turned so that Y is up."""
+    return positions[..., [0, 2, 1]] * np.array([1, 1, -1], positions.dtype)
+
+
+def left_is_left(positions: Float[np.ndarray, "T 22 3"]) -> Bool[np.ndarray, " T"]:
+    """Returns for each frame whether the joints that are called left are on the left.
+
+    Knees bend backwards and feet point ahead, so both turn about an axis that points to the left of the body. This does
+    not depend on where the figure stands or lies.
+    """
+    left = np.zeros_like(positions[:, 0])
+    for side in ("left", "right"):
+        hip, knee, ankle, foot = (_joint(positions, f"{side}_{name}") for name in ("hip", "knee", "ankle", "foot"))
+        thigh, shin, sole = _unit(knee - hip), _unit(ankle - knee), _unit(foot - ankle)
+        left += np.cross(thigh, shin) + np.cross(sole, shin)
+    across = _joint(positions, "left_hip") - _joint(positions, "right_hip")
+    return np.sum(across * left, axis=-1) > 0
+
+
+def rest_frames(positions: Float[np.ndarray, "T 22 3"], *, fps: float) -> int:
+    """Returns the number of frames of a rest pose before the motion.
+
+    It is one frame from which the whole figure jumps, or some frames of a T-pose from which at least one joint does.
+    """
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=-1) * fps
+    if len(steps) < 2:
+        return 0
+    if _jumps(steps.mean(axis=1), 0, ratio=POP_RATIO):
+        return 1
+    held = _in_t_pose(positions[: int(MAX_REST_SECONDS * fps) + 1])
+    count = len(held) if held.all() else int(np.argmin(held))
+    still = count > 0 and bool(np.all(steps[: count - 1].max(axis=1, initial=0.0) < POP_SPEED))
+    return count if still and count < len(steps) and _jumps(steps.max(axis=1), count - 1, ratio=T_POSE_RATIO) else 0
+
+
+def _jumps(speeds: Float[np.ndarray, " S"], step: int, *, ratio: float) -> bool:
+    """Returns whether a step is much faster than those after it."""
+    following = speeds[step + 1 : step + 1 + NEXT_FRAMES].max(initial=0.0)
+    return bool(speeds[step] > max(POP_SPEED, ratio * following))
+
+
+def _in_t_pose(positions: Float[np.ndarray, "T 22 3"]) -> Bool[np.ndarray, " T"]:
+    """Returns for each frame whether the arms are spread and the legs are straight."""
+    across = _unit(_joint(positions, "left_shoulder") - _joint(positions, "right_shoulder"))
+    up = _upward(positions)
+    found = np.ones(len(positions), bool)
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        hip, ankle, shoulder, wrist = (
+            _joint(positions, f"{side}_{name}") for name in ("hip", "ankle", "shoulder", "wrist")
+        )
+        found &= np.sum(_unit(wrist - shoulder) * across, axis=-1) * sign > T_POSE
+        found &= np.sum(_unit(hip - ankle) * up, axis=-1) > T_POSE
+    return found

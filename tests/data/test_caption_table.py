@@ -1,0 +1,199 @@
+"""Tables of captions as people write them: each row gives its caption or is reported."""
+
+import numpy as np
+import pytest
+
+from t2m_jax.data.importers.bvh import import_bvh_folder
+from t2m_jax.data.importers.caption_table import find_rows, load_caption_table
+from t2m_jax.errors import UserError
+from tests.data.bvh_files import write_bvh
+from tests.data.test_bvh_folder import all_captions, write_clips
+
+WALK, TURN = "a man walks", "he walks, then turns, and stops"
+
+
+def read(tmp_path, text, *, name="captions.csv", keys=("a", "b")):
+    """Returns what each of the motions a and b is said to do, the problems of all rows, and the notes."""
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    table = load_caption_table(path, keys=keys)
+    said = {key: [c.text for row in find_rows(table, (key,)) for c in row.captions] for key in ("a", "b")}
+    problems = [row.problem for rows in table.rows.values() for row in rows if row.problem]
+    return said, problems, table.notes
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"file,caption\na,{WALK}\nb,{TURN}\n",
+        f'file,caption\na,{WALK}\nb,"{TURN}"\n',
+        f"file;caption\na;{WALK}\nb;{TURN}\n",
+        f"file\tcaption\na\t{WALK}\nb\t{TURN}\n",
+        f"file|caption\r\na|{WALK}\r\nb|{TURN}\r\n",
+        f"Clip Name,Description\na.bvh,{WALK}\nb.BVH,{TURN}\n",
+        f"caption,file\n{WALK},a\n{TURN},b\n",
+        f"id,text,start,end\na,{WALK},,\nb,{TURN},,\n",
+        f"id,text,start,end\na,{WALK}\nb,{TURN}\n",
+        f"file,caption,actor\na,{WALK},Ann\nb,{TURN},Bob\n",
+        f"a,{WALK}\nb,{TURN}\n",
+        f"\n\nfile,what is said: text\n\na,{WALK}\n\nb,{TURN}\n\n",
+        f"path,caption\n/home/ann/mocap/a.fbx,{WALK}\n.\\b.bvh,{TURN}\n",
+        f"FILE,CAPTION\nA,{WALK}\nB,{TURN}\n",
+    ],
+)
+def test_many_forms_of_one_table_give_the_same_captions(tmp_path, text):
+    said, problems, _ = read(tmp_path, text)
+    assert said == {"a": [WALK], "b": [TURN]} and not problems
+
+
+def test_what_was_guessed_is_noted(tmp_path):
+    _, _, notes = read(tmp_path, f"clip,text\na,{WALK}\nb,{TURN}\n")
+    assert any("read from 'text'" in note for note in notes)
+    assert any("1 lines (3) have commas without quotes" in note for note in notes)
+    _, _, notes = read(tmp_path, f"a,{WALK}\n")
+    assert any("has no header" in note for note in notes)
+    _, _, notes = read(tmp_path, f'file,caption\na,"{TURN}"\n')
+    assert not notes
+
+
+@pytest.mark.parametrize(
+    ("row", "times"),
+    [("a,he walks, and turns,0.5,2", (0.5, 2.0)), ('a,"he walks, and turns",0.5,2', (0.5, 2.0))],
+)
+def test_times_after_a_caption_with_commas(tmp_path, row, times):
+    (tmp_path / "captions.csv").write_text(f"file,caption,start,end\n{row}\n")
+    (found,) = find_rows(load_caption_table(tmp_path / "captions.csv"), ("a",))
+    assert found.captions[0].text == "he walks, and turns"
+    assert (found.captions[0].start, found.captions[0].end) == times
+
+
+def test_decimal_commas_of_spreadsheets(tmp_path):
+    (tmp_path / "captions.csv").write_text("file;caption;from (s);to (s)\na;he walks;0,5;2,25\n")
+    (found,) = find_rows(load_caption_table(tmp_path / "captions.csv"), ("a",))
+    assert (found.captions[0].start, found.captions[0].end) == (0.5, 2.25)
+
+
+def test_several_captions_in_a_row(tmp_path):
+    said, _, _ = read(tmp_path, "file,caption_1,caption_2\na,he walks,a man walks\nb,she waves,\n")
+    assert said == {"a": ["he walks", "a man walks"], "b": ["she waves"]}
+    _, problems, _ = read(tmp_path, "file,caption_1,caption_2\na,he walks, and turns,a man walks\n")
+    assert len(problems) == 1 and "captions.csv:2: has 4 cells, the header 3" in problems[0]
+
+
+@pytest.mark.parametrize(
+    ("row", "says"),
+    [
+        ("b,", "captions.csv:3: file or caption is empty"),
+        (",he walks", "captions.csv:3: file or caption is empty"),
+        ("b", "captions.csv:3: file or caption is empty"),
+        ("b,he # walks", "captions.csv:3: the caption has a '#'"),
+        ("b,?!", "captions.csv:3: the caption '?!' has no words"),
+        ("b,he waves,one,2", "captions.csv:3: 'one' is not a time"),
+        ("b,he waves,1e999,2", "captions.csv:3: '1e999' is not a time"),
+    ],
+)
+def test_a_broken_row_costs_no_other_row(tmp_path, row, says):
+    said, problems, _ = read(tmp_path, f"file,caption,start,end\na,{WALK},,\n{row}\n")
+    assert said["a"] == [WALK] and len(problems) == 1 and says in problems[0]
+
+
+def test_an_open_quote_does_not_swallow_the_next_rows(tmp_path):
+    said, problems, _ = read(tmp_path, f'file,caption\na,"{WALK}\nb,{TURN}\n')
+    assert said == {"a": [WALK], "b": [TURN]} and not problems
+
+
+def test_short_names_of_several_files_are_refused(tmp_path):
+    path = tmp_path / "captions.csv"
+    path.write_text("file,caption\nwalk,he walks\nx/walk,she walks\n")
+    table = load_caption_table(path, keys=("x/walk", "y/walk"))
+    assert [c.text for row in find_rows(table, ("x/walk", "walk")) for c in row.captions] == ["she walks"]
+    assert "captions.csv:2: 2 files are called walk; write the folder" in table.rows["walk"][0].problem
+
+
+def test_a_row_of_one_file_is_not_taken_for_another(tmp_path):
+    path = tmp_path / "captions.csv"
+    path.write_text("file,caption\nwalk,he walks\n")
+    table = load_caption_table(path, keys=("walk", "old/run"))
+    assert find_rows(table, ("walk",)) and not find_rows(table, ("old/walk", "walk"))
+
+
+@pytest.mark.parametrize("text", ["", "\n", "actor,take\nx,y\n", "one column\na\n", "x,y\n1,2\n"])
+def test_no_table_at_all(tmp_path, text):
+    with pytest.raises(UserError, match=r"captions\.csv:1: expected the columns file,caption"):
+        read(tmp_path, text)
+
+
+def test_an_import_loses_nothing_silently(tmp_path):
+    source = write_clips(tmp_path / "source", ["a", "b", "c", "d"])
+    (source / "captions.csv").write_text(
+        "clip;text\na;he walks, slowly\nb;\nc;she waves\nghost;nobody\nc;it # is\n", encoding="utf-8"
+    )
+    report = import_bvh_folder(source, tmp_path / "data")
+    assert all_captions(tmp_path / "data")["a"] == ["he walks, slowly"]
+    assert set(report.left_out) == {"b", "d"} and "captions.csv:3: file or caption is empty" in report.left_out["b"]
+    notes = "\n".join(report.notes)
+    assert "captions.csv:5: there is no motion ghost" in notes and "captions.csv:6: the caption has a '#'" in notes
+    assert "captions.csv:3" not in notes  # said with the clip
+
+
+def test_groups_stay_in_one_split(tmp_path):
+    actors = {f"{actor}{take}": actor for actor in ("ann", "bob", "cy", "di") for take in range(3)}
+    source = write_clips(tmp_path / "source", list(actors))
+    rows = "".join(f"{name},he moves,{actor}\n" for name, actor in actors.items())
+    (source / "captions.csv").write_text("file,caption,actor\n" + rows)
+    report = import_bvh_folder(source, tmp_path / "data", split_by="actor", split="50/25/25")
+    assert report.split_sizes == {"train": 12, "val": 6, "test": 6}
+    for split in ("train", "val", "test"):
+        names = (tmp_path / "data" / f"{split}.txt").read_text().split()
+        assert len({actors[name.removeprefix("M")] for name in names}) == (2 if split == "train" else 1)
+
+
+def test_groups_may_be_folders(tmp_path):
+    source = tmp_path / "source"
+    for folder in "xyz":
+        for take in range(2):
+            write_bvh(source / folder / f"{take}.bvh", seed=take)
+    (source / "x" / "captions.csv").write_text("")  # only the one of the whole folder is read
+    names = "".join(f"{folder}/{take},he moves\n" for folder in "xyz" for take in range(2))
+    (source / "captions.csv").write_text("file,caption\n" + names)
+    report = import_bvh_folder(source, tmp_path / "data", split_by="folder")
+    assert report.split_sizes == {"train": 4, "val": 4, "test": 4}
+
+
+def test_splits_may_be_given(tmp_path):
+    source, lists = write_clips(tmp_path / "source", ["a", "b", "c"]), tmp_path / "lists"
+    lists.mkdir()
+    for split, names in (("train", "a\n"), ("val", "b\n"), ("test", "")):
+        (lists / f"{split}.txt").write_text(names)
+    report = import_bvh_folder(source, tmp_path / "data", caption_from_name=True, split=lists)
+    assert report.split_sizes == {"train": 2, "val": 2, "test": 0}
+    assert "c is in no list" in report.left_out["c"]
+    (lists / "test.txt").write_text("a\n")
+    with pytest.raises(UserError, match="a is in two lists"):
+        import_bvh_folder(source, tmp_path / "again", caption_from_name=True, split=lists)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"split": "80/20"}, "split '80/20': give the shares"),
+        ({"split": "0/50/50"}, "split '0/50/50'"),
+        ({"split": "a/b/c"}, "split 'a/b/c'"),
+        ({"split": "nan/1/1"}, "split 'nan/1/1'"),
+        ({"split": "-1/1/1"}, "split '-1/1/1'"),
+        ({"split_by": "actor"}, "split_by 'actor': the table of captions has no such column; known: folder"),
+        ({"split_by": "folder"}, "there are 1 groups"),
+    ],
+)
+def test_divisions_that_cannot_be(tmp_path, options, says):
+    source = write_clips(tmp_path / "source", ["a"])
+    with pytest.raises(UserError, match=says):
+        import_bvh_folder(source, tmp_path / "data", caption_from_name=True, **options)
+    assert not (tmp_path / "data").exists()
+
+
+def test_all_of_a_split_may_go_to_training(tmp_path):
+    source = write_clips(tmp_path / "source", ["a", "b", "c"])
+    report = import_bvh_folder(source, tmp_path / "data", caption_from_name=True, split="1/0/0")
+    assert report.split_sizes == {"train": 6, "val": 0, "test": 0}
+    assert np.isfinite(np.load(tmp_path / "data" / "Mean.npy")).all()
