@@ -19,8 +19,11 @@ __version__: str
 def load(name_or_path: "str | Path") -> "TextToMotion":
     """Returns a model by the name of a packaged one (`demo`), or from the folder of a bundle or of a generator's run.
 
+    A text such as `user/name` that is not a folder is a model on the Hugging Face hub, which is downloaded once.
+    `user/name@revision` is a branch, a tag or a commit of it.
+
     Raises:
-        UserError: There is no such model, or it is damaged.
+        UserError: There is no such model, it is damaged, or it has no license.
     """
     from t2m_jax.sampling.pipeline import TextToMotion
 

@@ -13,10 +13,14 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 # Tiny models run for milliseconds and compile for seconds, so the suite takes a quarter of the time without XLA's
 # optimizations. The tests in user_settings/ turn them on again.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
+# A path that does not exist may look like a name on the hub. No test asks the real one.
+os.environ["HF_HUB_OFFLINE"] = "1"
 
 import jax
 import pytest
 from hypothesis import settings
+
+from tests.hub_server import running_hub
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
@@ -48,6 +52,13 @@ def bounded_memory():
         if sys.platform == "linux":
             # glibc would keep the freed memory for later use.
             ctypes.CDLL(None).malloc_trim(0)
+
+
+@pytest.fixture
+def hub(monkeypatch, tmp_path):
+    """Yields an empty stand-in for the Hugging Face hub, to which the hub's client is connected."""
+    with running_hub(monkeypatch, tmp_path / "home") as hub:
+        yield hub
 
 
 @pytest.fixture(scope="session")

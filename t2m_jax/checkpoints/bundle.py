@@ -42,6 +42,8 @@ from t2m_jax.text.bpe import load_bpe, save_bpe
 CONFIG_FILE = "bundle.yaml"
 WEIGHTS_FILE = "weights.safetensors"
 CARD_FILE = "README.md"
+NO_LICENSE = "unknown"
+"""The license of a model whose card does not have one. It cannot be shared on the hub."""
 CLIP_FOLDER = "clip"
 """Folder of a bundle that may contain its CLIP."""
 CLIP_NAME = "openai/clip-vit-base-patch32"
@@ -144,6 +146,8 @@ class Bundle(NamedTuple):
     """What the model was trained on: words, actions and their numbers of clips; None if it is not recorded."""
     card: str = ""
     """Markdown that describes the model, of its README.md."""
+    source: str = ""
+    """Where it was loaded from: a name, a path, or a name on the hub with its commit."""
 
     @property
     def license(self) -> str:
@@ -166,20 +170,11 @@ def bundle_path(name_or_path: str | Path) -> Path:
     return Path(name_or_path)
 
 
-def load_card(name_or_path: str | Path) -> str:
-    """Returns the card of a bundle.
-
-    Raises:
-        UserError: There is no such bundle, or it has no card.
-    """
-    return load_text(bundle_path(name_or_path) / CARD_FILE)
-
-
 def card_license(card: str) -> str:
-    """Returns the license in the metadata of a card, as on the Hugging Face hub; `unknown` if it has none."""
+    """Returns the license in the metadata of a card, as on the Hugging Face hub; `NO_LICENSE` if it has none."""
     start, _, metadata = card.partition("---\n")
     found = re.search(r"^license: *([\w.-]+)$", metadata.partition("\n---\n")[0], re.MULTILINE)
-    return found[1] if found and not start else "unknown"
+    return found[1] if found and not start else NO_LICENSE
 
 
 def load_bundle_config(folder: Path) -> BundleConfig:
@@ -318,7 +313,7 @@ def default_card(run: Path) -> str:
     """Returns the Markdown card of a model whose maker wrote none: the training config, and what is unknown."""
     config = load_text(run / RUN_CONFIG_FILE).strip()
     return (
-        f"---\nlicense: unknown\n---\n# {run.name}\n\n"
+        f"---\nlicense: {NO_LICENSE}\n---\n# {run.name}\n\n"
         "A text-to-motion model trained with t2m_jax. Its makers did not say which data it was trained on, which\n"
         "license it has, or how good it is. Ask them before you use it or share it.\n\n"
         f"## Training config\n\n```yaml\n{config}\n```\n"

@@ -1,6 +1,5 @@
 """Files of a CLIP in the Hugging Face layout: where they are, and the arrays of the text tower in them."""
 
-import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from textwrap import shorten
@@ -11,6 +10,7 @@ import platformdirs
 from flax import serialization, traverse_util
 from safetensors import safe_open
 
+from t2m_jax.checkpoints.hub import HubName, hub_snapshot, parse_hub_name
 from t2m_jax.checkpoints.torch_file import load_torch_file
 from t2m_jax.errors import UserError
 from t2m_jax.files import first_line, load_json
@@ -21,7 +21,6 @@ TOKENIZER_FILES = ("tokenizer.json", "vocab.json", "merges.txt")
 """The first file, or the other two, contain the tokenizer."""
 TEXT_PREFIX = "text_model."
 _TEXT_PARTS = ("embeddings.", "encoder.", "final_layer_norm.", "text_projection.")
-_HUB_NAME = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+")
 
 
 def find_clip(name_or_folder: str | Path) -> Path:
@@ -36,10 +35,11 @@ def find_clip(name_or_folder: str | Path) -> Path:
     if Path(name_or_folder).is_dir():
         return Path(name_or_folder)
     name = str(name_or_folder)
-    if isinstance(name_or_folder, Path) or not _HUB_NAME.fullmatch(name):
+    hub_name = parse_hub_name(name_or_folder)
+    if hub_name is None or hub_name.revision is not None:
         raise UserError(f"{name}: no such folder; give the folder of a CLIP or a hub name such as openai/clip-…")
     folder = user_folder(name)
-    return folder if folder.is_dir() else _hub_snapshot(name)
+    return folder if folder.is_dir() else _hub_snapshot(hub_name)
 
 
 def user_folder(name: str) -> Path:
@@ -47,30 +47,28 @@ def user_folder(name: str) -> Path:
     return Path(platformdirs.user_data_dir("t2m_jax")) / "clip" / name.replace("/", "--")
 
 
-def _hub_snapshot(name: str) -> Path:
+def _hub_snapshot(name: HubName) -> Path:
     """Returns the folder in which the hub's client keeps a CLIP; downloads one weight format if necessary."""
-    import huggingface_hub  # slow to import, and only a hub name needs it
-
     reason = ""
     for offline in (True, False):
         for weights in WEIGHT_FILES:
             files = [CONFIG_FILE, *TOKENIZER_FILES, weights]
             try:
-                folder = huggingface_hub.snapshot_download(name, allow_patterns=files, local_files_only=offline)
-            except Exception as error:  # noqa: BLE001 - the client passes on whatever its HTTP library raises
-                reason = first_line(error)
+                folder = hub_snapshot(name, files, offline=offline)
+            except UserError as error:
+                reason = str(error)
                 if offline:
                     continue
                 break
             # The snapshot may be partial.
-            config, tokenizer, vocabulary, merges, weight_file = (Path(folder, file).is_file() for file in files)
+            config, tokenizer, vocabulary, merges, weight_file = ((folder / file).is_file() for file in files)
             if config and weight_file and (tokenizer or (vocabulary and merges)):
-                return Path(folder)
+                return folder
             reason = f"it has no {weights} or no tokenizer"
     raise UserError(
         f"{name}: no folder, and not on the hub ({shorten(reason, 30)}); copy {CONFIG_FILE}, tokenizer.json "
         f"(or vocab.json and merges.txt) and {' or '.join(WEIGHT_FILES)} "
-        f"from https://huggingface.co/{name}/tree/main into {user_folder(name)}"
+        f"from https://huggingface.co/{name}/tree/main into {user_folder(name.repository)}"
     )
 
 

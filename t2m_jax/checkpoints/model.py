@@ -1,4 +1,4 @@
-"""A complete model from a bundled name, a bundle folder, or the run of a generator."""
+"""A complete model from a bundled name, a bundle folder, the run of a generator, or the Hugging Face hub."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,7 +10,6 @@ from t2m_jax.checkpoints.best import restore_trained
 from t2m_jax.checkpoints.bundle import (
     CONFIG_FILE,
     Bundle,
-    bundle_path,
     expected_variables,
     load_bundle,
     load_bundle_config,
@@ -18,19 +17,21 @@ from t2m_jax.checkpoints.bundle import (
     load_training_data,
     part_kinds,
 )
+from t2m_jax.checkpoints.hub_models import find_model
 from t2m_jax.checkpoints.run import is_run, run_info
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.errors import UserError
 
 
 def load_model(name_or_path: str | Path) -> Bundle:
-    """Returns a model by a bundled name, a bundle folder, or a generator's run.
+    """Returns a model by a bundled name, a bundle folder, a generator's run, or a name on the hub (see `find_model`).
 
     Raises:
         UserError: There is none, or it is damaged.
     """
-    path = bundle_path(name_or_path)
-    return load_generator_run(path) if is_run(path) else load_bundle(path)
+    path, source = find_model(name_or_path)
+    bundle = load_generator_run(path) if is_run(path) else load_bundle(path)
+    return bundle._replace(source=source)
 
 
 def load_generator_run(path: Path) -> Bundle:

@@ -7,6 +7,7 @@ import jax
 
 from t2m_jax.checkpoints.best import restore_trained
 from t2m_jax.checkpoints.bundle import CONFIG_FILE, bundle_path, check_statistics_width, load_bundle, load_bundle_config
+from t2m_jax.checkpoints.hub_models import find_model
 from t2m_jax.checkpoints.run import check_run_files, is_run, run_info
 from t2m_jax.config import load_config, save_config
 from t2m_jax.errors import UserError
@@ -34,7 +35,7 @@ class TrainedTokenizer(NamedTuple):
 
 
 def load_tokenizer_config(path: str | Path) -> TokenizerConfig:
-    """Returns the sizes of a tokenizer; the arguments are those of `load_tokenizer`.
+    """Returns the sizes of the tokenizer of a bundle or a run.
 
     Raises:
         UserError: There is no tokenizer, or its config is damaged.
@@ -51,14 +52,15 @@ def load_tokenizer_config(path: str | Path) -> TokenizerConfig:
 
 
 def load_tokenizer(path: str | Path) -> TrainedTokenizer:
-    """Returns the tokenizer of a bundle, of its own run, or of a generator's run.
+    """Returns the tokenizer of a bundle, of its own run, of a generator's run, or of a model on the hub.
 
     The tokenizer of its own run has the best weights if any were chosen, else the newest.
 
     Raises:
         UserError: There is none, or it is damaged.
     """
-    path, config = bundle_path(path), load_tokenizer_config(path)
+    path = find_model(path).folder
+    config = load_tokenizer_config(path)
     if not is_run(path):
         bundle = load_bundle(path)
         return TrainedTokenizer(config, bundle.variables["tokenizer"], bundle.normalizer)

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from t2m_jax.cli.generate import add_model_argument
 from t2m_jax.cli.next_step import show_next
 from t2m_jax.cli.subcommands import subcommand_adder
 from t2m_jax.errors import UserError
@@ -39,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "--size", choices=("full", "demo"), default="full", help="published or demo (default: full)"
         )
     _add_train_arguments(train)
-    sample.add_argument("--model", default="demo", help="bundled name, bundle folder or run folder (default: demo)")
+    add_model_argument(sample)
     full = "instead of a model: random weights of the published sizes (see --kind)"
     sample.add_argument("--full-size", action="store_true", help=full)
     kinds = ("gpt", "hifigpt")

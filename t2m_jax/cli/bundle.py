@@ -1,36 +1,76 @@
-"""Pack run folders into one model to share: `t2m bundle RUN... DIR`."""
+"""Pack run folders into one model to share: `t2m bundle RUN... DIR`.
+
+With `--push user/name`, the bundle is also uploaded to the Hugging Face hub. `t2m bundle DIR --push user/name` uploads
+a bundle that was packed before. The card must have a license in its metadata, such as `license: mit`.
+"""
 
 import argparse
 import shlex
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from t2m_jax.cli.next_step import show_next
+from t2m_jax.errors import UserError
+
+if TYPE_CHECKING:
+    from t2m_jax.checkpoints.hub import HubName
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the options of the command."""
-    parser.add_argument("runs", nargs="+", help="run folder of a generator, which contains its tokenizer")
-    parser.add_argument("destination", help="folder to write")
+    paths = "run folder of a generator, which contains its tokenizer; at last, the folder to write"
+    parser.add_argument("paths", nargs="+", metavar="PATH", help=paths)
     parser.add_argument("--card", default=None, metavar="FILE", help="model card (Markdown) to include")
     parser.add_argument("--export-official", action="store_true", help="also write files for the original code")
+    name = "upload the bundle to this repository of the hub; with user/name@branch, to this branch"
+    parser.add_argument("--push", default=None, metavar="user/name", help=name)
+    parser.add_argument("--private", action="store_true", help="with --push: only you can see the repository")
 
 
 def run(args: argparse.Namespace) -> None:
-    """Writes the bundle, and prints its name and the next command."""
+    """Writes or pushes the bundle, and prints its name and the next command."""
+    from t2m_jax.checkpoints.hub import parse_hub_name
+
+    *runs, folder = args.paths
+    name = None if args.push is None else parse_hub_name(args.push)
+    if name is None and args.push is not None:
+        raise UserError(f"--push: {args.push} is not a name on the hub; give user/name or user/name@branch")
+    if name is None and args.private:
+        raise UserError("--private: is for --push; without it, nothing is uploaded")
+    if not runs and (name is None or args.card or args.export_official):
+        raise UserError("bundle: give the runs and then the folder to write; only --push takes a bundle alone")
+    if runs:
+        _pack(args, runs, Path(folder), name)
+    model = folder
+    if name is not None:
+        from t2m_jax.checkpoints.hub_models import push_bundle
+
+        sys.stdout.write(f"{push_bundle(Path(folder), name, private=args.private)}\n")
+        model = f"{name}"
+    show_next(shlex.join(["t2m", "generate", "a person walks forward", "--model", model]))
+
+
+def _pack(args: argparse.Namespace, runs: list[str], destination: Path, name: "HubName | None") -> None:
+    """Writes the folder; nothing is written if it is to be pushed to `name` and is not complete enough."""
     from t2m_jax.checkpoints.bundle import ClipReference, default_card, write_bundle
     from t2m_jax.checkpoints.clip import load_clip
+    from t2m_jax.checkpoints.hub_models import check_shareable
     from t2m_jax.checkpoints.model import load_runs
     from t2m_jax.checkpoints.official import export_official
     from t2m_jax.files import atomic_folder, load_text
 
-    with atomic_folder(Path(args.destination)) as folder:
-        run_folder, bundle = load_runs([Path(path) for path in args.runs])
+    with atomic_folder(destination) as folder:
+        run_folder, bundle = load_runs([Path(path) for path in runs])
         card = load_text(Path(args.card)) if args.card else default_card(run_folder)
         text_encoder = bundle.config.text_encoder
         clip = load_clip(text_encoder.name) if isinstance(text_encoder, ClipReference) else None
         write_bundle(folder, bundle, card=card, clip=clip)
+        if name is not None:
+            try:
+                check_shareable(folder)
+            except UserError as error:
+                raise UserError(f"{destination}: {error}") from None
         if args.export_official:
             export_official(folder / "official", bundle)
-    sys.stdout.write(f"{args.destination}\n")
-    show_next(f't2m generate "a person walks forward" --model {shlex.quote(args.destination)}')
+    sys.stdout.write(f"{destination}\n")

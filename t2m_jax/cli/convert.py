@@ -49,7 +49,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--clip", metavar="NAME_OR_FOLDER", help="text encoder; a folder is copied (default: ViT-B/32 by its hub name)"
     )
     parser.add_argument("--card", type=Path, metavar="FILE", help="model card (Markdown) to use instead of a plain one")
-    parser.add_argument("--export-official", metavar="MODEL", help="bundle, run or bundled name to write as such files")
+    parser.add_argument(
+        "--export-official", metavar="MODEL", help="model to write as such files (as `t2m generate --model`)"
+    )
 
 
 def run(args: argparse.Namespace) -> None:

@@ -17,7 +17,7 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from t2m_jax.cli.generate import add_raw_argument, add_sampling_arguments
+from t2m_jax.cli.generate import add_model_argument, add_raw_argument, add_sampling_arguments
 from t2m_jax.cli.next_step import show_next
 from t2m_jax.cli.subcommands import subcommand_adder
 from t2m_jax.errors import UserError, printable
@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     prompts = add(run_prompts, "count how often generated motion does what held-out sentences ask for")
     compare, table = add(run_compare, "test two reports for differences"), add(run_table, "print a table of reports")
     for command in (reconstruction, generation, prompts):
-        command.add_argument("--model", default="demo", help="bundled name, bundle or run folder (default: demo)")
+        add_model_argument(command)
         command.add_argument("--json", type=Path, metavar="F", help="also write the figures to this file")
     _add_protocol_arguments(reconstruction, needs_evaluator=False)
     _add_protocol_arguments(generation, needs_evaluator=True)

@@ -14,13 +14,19 @@ from t2m_jax.errors import UserError, one_line
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the options of the command."""
     parser.add_argument("text", nargs="+", help="sentences in quotes; each gives one motion (or --num-samples)")
-    parser.add_argument("--model", default="demo", help="bundled name, bundle or run folder (default: demo)")
+    add_model_argument(parser)
     parser.add_argument("--seed", type=int, default=0, help="same seed, same motion (default: 0)")
     parser.add_argument("--num-samples", type=int, default=1, help="motions per sentence (default: 1)")
     add_sampling_arguments(parser)
     add_raw_argument(parser)
     files = ".npz .bvh .gif .mp4 or .html; can be repeated; several motions get -0, -1, ... (default: motion.html)"
     parser.add_argument("-o", "--output", action="append", metavar="FILE", help=files)
+
+
+def add_model_argument(parser: argparse.ArgumentParser) -> None:
+    """Declares which model is used; other commands have the same option."""
+    text = "bundled name, bundle or run folder, or name on the Hugging Face hub: user/name or user/name@revision"
+    parser.add_argument("--model", default="demo", help=f"{text} (default: demo)")
 
 
 def add_sampling_arguments(parser: argparse.ArgumentParser) -> None:

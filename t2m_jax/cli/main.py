@@ -30,8 +30,8 @@ COMMANDS = {
     "data": "import data sets and check them",
     "train": "train a model from a config file",
     "evaluate": "measure the quality of a model on data",
-    "bundle": "combine runs to one model that can be shared",
-    "models": "list the packaged models and show their cards",
+    "bundle": "combine runs to one model that can be shared, and push it to the hub",
+    "models": "list packaged and downloaded models, and show their cards",
     "convert": "convert published weights to a model, and back",
     "view": "convert a motion file to other formats",
     "check": "say what is intact in a model, a data set or a report",
@@ -39,7 +39,18 @@ COMMANDS = {
 }
 """Commands in the order of use, with their help. The module of a command has its name."""
 
-QUIET_LIBRARIES = ("absl", "asyncio", "etils", "flax", "jax", "orbax", "tensorstore")
+QUIET_LIBRARIES = (
+    "absl",
+    "asyncio",
+    "etils",
+    "flax",
+    "httpx",
+    "httpx2",
+    "huggingface_hub",
+    "jax",
+    "orbax",
+    "tensorstore",
+)
 """Libraries whose warnings do not concern the user. Only their errors are shown."""
 REPEATING_LOGGERS = ("absl", "asyncio")
 """Loggers of errors that Orbax raises, too: hundreds of lines for a full disk."""

@@ -12,7 +12,7 @@ from t2m_jax.files import atomic_file, load_array
 from t2m_jax.motion.layout import FeatureLayout
 from t2m_jax.motion.namespace import AnyArray, EitherArray, namespace_of
 
-_MEAN_FILE, _STD_FILE = "Mean.npy", "Std.npy"
+MEAN_FILE, STD_FILE = "Mean.npy", "Std.npy"
 
 
 class Normalizer(NamedTuple):
@@ -91,7 +91,7 @@ def load_normalizer(folder: str | Path) -> Normalizer:
     Raises:
         UserError: See `normalizer_from_files`.
     """
-    return normalizer_from_files(Path(folder) / _MEAN_FILE, Path(folder) / _STD_FILE)
+    return normalizer_from_files(Path(folder) / MEAN_FILE, Path(folder) / STD_FILE)
 
 
 def normalizer_from_files(mean_file: Path, std_file: Path) -> Normalizer:
@@ -128,6 +128,6 @@ def save_normalizer(folder: str | Path, normalizer: Normalizer) -> None:
         Path(folder).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"{folder}: cannot be created ({error.strerror}); choose another folder") from error
-    for name, row in ((_MEAN_FILE, normalizer.mean), (_STD_FILE, normalizer.std)):
+    for name, row in ((MEAN_FILE, normalizer.mean), (STD_FILE, normalizer.std)):
         with atomic_file(Path(folder) / name) as partial:
             np.save(partial, np.asarray(row, np.float32))

@@ -45,6 +45,7 @@ class MotionModel:
         self.skeleton = skeleton_from_name(bundle.config.skeleton)
         self.training_data = bundle.training_data
         self.license = bundle.license
+        self.source = bundle.source
         self.knowledge = make_knowledge(bundle.training_data)
         self.text_encoder = text_encoder or make_text_encoder(bundle)
         self._bpe = bundle.bpe
@@ -54,7 +55,7 @@ class MotionModel:
         self._generator = make_module(self.config.generator)
 
     def __repr__(self) -> str:
-        """Returns sizes, data, license and what the model knows, in some lines."""
+        """Returns sizes, data, license, source and what the model knows, in some lines."""
         kinds = part_kinds(self.config)
         sizes = {kinds[role]: sum(leaf.size for leaf in jax.tree.leaves(tree)) for role, tree in self.variables.items()}
         data = self.training_data or {}
@@ -63,6 +64,7 @@ class MotionModel:
             "motion": f"{self.skeleton.name}, {self.skeleton.fps:g} frames a second",
             "data": f"{data.get('data', 'unknown')} ({data.get('num_clips', 0):,} clips)",
             "license": self.license,
+            "source": self.source or "unknown",
             "actions": ", ".join(self.knowledge.actions) or "unknown",
         }
         return "\n".join([f"{type(self).__name__}:", *(f"  {name}: {line}" for name, line in lines.items())])

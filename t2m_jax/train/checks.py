@@ -82,7 +82,7 @@ def _is_same(config: ExperimentConfig, name: str, saved: Any, value: Any) -> boo
         return False
     with contextlib.suppress(UserError):  # there is nothing
         if name == "vqvae":
-            return load_tokenizer(value).fingerprint == load_tokenizer(config.run).fingerprint
+            return load_tokenizer(Path(value)).fingerprint == load_tokenizer(config.run).fingerprint
         if name == "init":
             return _fingerprint(saved) == _fingerprint(value)
         if name == "statistics":

@@ -100,7 +100,7 @@ def hub(monkeypatch, tmp_path):
     """Returns what is downloaded from a hub that has a CLIP in two of the formats, and each time it is asked."""
     downloads = []
 
-    def download(name, *, allow_patterns, local_files_only):
+    def download(name, *, allow_patterns, local_files_only, **options):
         folder = tmp_path / "downloaded"
         if local_files_only and not folder.exists():
             raise FileNotFoundError("nothing is kept here")

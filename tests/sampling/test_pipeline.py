@@ -248,7 +248,9 @@ def test_a_model_says_what_it_is(bundle):
     assert text.startswith("TextToMotion:\n  parts: ")
     for part in ("gpt (0.0", "vqvae (0.0", "humanml3d, 20 frames", "mine (1,200 clips)", "license: mit", "walk, wave"):
         assert part in text
-    assert "data: unknown (0 clips)\n  license: unknown\n  actions: unknown" in repr(TextToMotion(bundle))
+    assert "data: unknown (0 clips)\n  license: unknown\n  source: unknown\n  actions: unknown" in repr(
+        TextToMotion(bundle)
+    )
 
 
 def test_a_name_in_place_of_a_bundle_gets_a_hint():

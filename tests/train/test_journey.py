@@ -23,6 +23,7 @@ from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
 from t2m_jax.export.formats import load_motion
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.train import TrainGptConfig, TrainVqVaeConfig, train
+from tests.hub_server import TOKEN
 from tests.tiny import BUNDLE, LOOP, gpt_training, vqvae_training
 
 PROMPTS = ["a person walks forward", "a person waves with the left hand"]
@@ -124,6 +125,20 @@ def test_a_bundle_is_complete_and_small(runs, bundle_folder):
     checkpoint = sum(path.stat().st_size for path in (runs.gpt / "checkpoints").rglob("*") if path.is_file())
     assert (bundle_folder / WEIGHTS_FILE).stat().st_size < checkpoint
     assert load_bundle(bundle_folder).config == BUNDLE
+
+
+@pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")
+def test_a_run_is_packed_and_pushed_if_its_card_has_a_license(runs, hub, monkeypatch, tmp_path, capsys):
+    monkeypatch.setenv("HF_TOKEN", TOKEN)
+    arguments = ["bundle", f"{runs.gpt}", f"{tmp_path / 'mine'}", "--push", "someone/mine"]
+    assert main(arguments) == 2
+    assert f"{tmp_path / 'mine'}: refused, because it has no license" in capsys.readouterr().err
+    assert hub.asked == [] and not (tmp_path / "mine").exists()
+    (tmp_path / "card.md").write_text("---\nlicense: mit\n---\n# Mine\n")
+    assert main([*arguments, "--card", f"{tmp_path / 'card.md'}"]) == 0
+    assert hub.files("someone/mine").keys() - {".gitattributes"} == {
+        path.name for path in (tmp_path / "mine").iterdir()
+    }
 
 
 def test_users_of_the_original_can_check_a_run(runs, tmp_path):

@@ -1,0 +1,239 @@
+"""Models on the Hugging Face hub: found by a name such as `user/name@v1`, refused if they are not complete, pushed.
+
+A repository of the hub contains the files of a bundle. Of all its files, only those that a bundle can have are
+downloaded, so that none of them can run code.
+"""
+
+import contextlib
+import logging
+import tempfile
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from t2m_jax.checkpoints.bundle import (
+    CARD_FILE,
+    CLIP_FOLDER,
+    CONFIG_FILE,
+    NO_LICENSE,
+    WEIGHTS_FILE,
+    bundle_path,
+    card_license,
+    load_bundle_config,
+)
+from t2m_jax.checkpoints.clip_files import CONFIG_FILE as CLIP_CONFIG_FILE
+from t2m_jax.checkpoints.clip_files import WEIGHT_FILES as CLIP_WEIGHT_FILES
+from t2m_jax.checkpoints.hub import HubFiles, HubName, hub_reason, hub_snapshot, list_hub_files, parse_hub_name
+from t2m_jax.checkpoints.run import DATA_FILE, is_run
+from t2m_jax.errors import UserError
+from t2m_jax.files import MANIFEST, check_folder, has_manifest, load_text, read_manifest
+from t2m_jax.motion.normalizer import MEAN_FILE, STD_FILE
+from t2m_jax.text.bpe import TOKENIZER_FILE
+from t2m_jax.yaml_file import load_yaml
+
+logger = logging.getLogger(__name__)
+
+DESCRIPTION_FILES = (MANIFEST, CONFIG_FILE, CARD_FILE)
+"""The small files that say what a bundle is. They are checked before the others are downloaded."""
+_CLIP_FILES = (CLIP_CONFIG_FILE, CLIP_WEIGHT_FILES[0], TOKENIZER_FILE)
+BUNDLE_FILES = frozenset(
+    {CONFIG_FILE, CARD_FILE, WEIGHTS_FILE, DATA_FILE, MEAN_FILE, STD_FILE, TOKENIZER_FILE}
+    | {f"{CLIP_FOLDER}/{name}" for name in _CLIP_FILES}
+)
+"""What the manifest of a bundle may list."""
+MAX_DESCRIPTION_BYTES = 5_000_000
+MAX_BYTES = 20 * 10**9
+"""Largest bundle that is downloaded: several times the largest text-to-motion model that was published."""
+
+
+class FoundModel(NamedTuple):
+    """The folder of a model, and where it comes from."""
+
+    folder: Path
+    source: str
+    """The name or path as given; for a model of the hub, its name with the commit: `user/name@0123…`."""
+
+
+def find_model(name_or_path: str | Path) -> FoundModel:
+    """Returns the folder of a packaged name, of a path, or of a name on the hub, which is downloaded if necessary.
+
+    A folder comes before the repository of the hub that has the same name. Without network, the newest copy on this
+    machine is used.
+
+    Raises:
+        UserError: The hub has no such model, or cannot be reached; or the model is damaged or lacks what all models of
+            the hub must have.
+    """
+    folder, name = bundle_path(name_or_path), parse_hub_name(name_or_path)
+    if name is None or folder.exists():
+        return FoundModel(folder, f"{name_or_path}")
+    copy = _find_copy(name)
+    if copy is None or copy.name != name.revision:  # a commit never changes
+        copy = _ask_hub(name, copy)
+    try:
+        _check_copy(name, copy)
+    except UserError as error:
+        raise UserError(f"{error} (its copy is in {copy.parents[1]})") from None
+    return FoundModel(copy, f"{name.repository}@{copy.name}")
+
+
+def load_card(name_or_path: str | Path) -> str:
+    """Returns the card of a bundle; if it is on the hub, nothing else is downloaded.
+
+    Raises:
+        UserError: There is no such bundle, or it has no card.
+    """
+    folder, name = bundle_path(name_or_path), parse_hub_name(name_or_path)
+    if name is None or folder.exists():
+        return load_text(folder / CARD_FILE)
+    copy = _find_copy(name)
+    try:
+        files = list_hub_files(name)
+    except UserError as error:
+        if copy is None:
+            raise _not_found(name, error) from None
+        return load_text(copy / CARD_FILE)
+    with _description(name, files) as folder:
+        return load_text(folder / CARD_FILE)
+
+
+def cached_models() -> Iterator[FoundModel]:
+    """Yields the complete models of the hub that are on this machine."""
+    import huggingface_hub
+    from huggingface_hub import constants, errors
+
+    try:
+        repositories = huggingface_hub.scan_cache_dir(constants.HF_HUB_CACHE).repos
+    except (errors.CacheNotFound, ValueError):  # `ValueError`: it is not a folder
+        return
+    for repository in sorted(repositories, key=lambda repository: repository.repo_id):
+        for revision in sorted(repository.revisions, key=lambda revision: -revision.last_modified):
+            ref = None if "main" in revision.refs else min(revision.refs, default=revision.commit_hash)
+            with contextlib.suppress(UserError):
+                check_shareable(revision.snapshot_path)
+                if repository.repo_type == "model" and _is_complete(revision.snapshot_path):
+                    yield FoundModel(revision.snapshot_path, f"{HubName(repository.repo_id, ref)}")
+
+
+def check_shareable(folder: Path) -> None:
+    """Raises `UserError` if a bundle lacks what users of the hub need: checksums, a version, a card with a license."""
+    if not (folder / CONFIG_FILE).is_file() or is_run(folder):
+        raise UserError(f"is not a bundle of t2m_jax (a bundle has {CONFIG_FILE} and is not a run)")
+    card = load_text(folder / CARD_FILE) if (folder / CARD_FILE).is_file() else None
+    lacks = {
+        f"checksums ({MANIFEST})": not has_manifest(folder),
+        f"format_version in {CONFIG_FILE}": "format_version" not in load_yaml(folder / CONFIG_FILE).data,
+        f"card ({CARD_FILE})": card is None,
+        f"license in the metadata of {CARD_FILE}": card is not None and card_license(card) == NO_LICENSE,
+    }
+    if any(lacks.values()):
+        missing = ", ".join(name for name, is_missing in lacks.items() if is_missing)
+        raise UserError(f"refused, because it has no {missing}; its authors can add this with `t2m bundle --card FILE`")
+    load_bundle_config(folder)
+    listed = read_manifest(folder).keys()
+    if wrong := listed - BUNDLE_FILES or {CONFIG_FILE, CARD_FILE, WEIGHTS_FILE} - listed:
+        raise UserError(f"refused, because {MANIFEST} must list the files of a bundle and no others: {min(wrong)}")
+
+
+def push_bundle(folder: Path, name: HubName, *, private: bool = False) -> str:
+    """Uploads a bundle to a repository of the hub, which is created if it does not exist. Returns the address.
+
+    Only the bundle's own files are uploaded, in one commit. With a revision, they go to the branch of this name.
+
+    Raises:
+        UserError: The bundle is damaged or lacks a license; or the hub refuses it.
+    """
+    import huggingface_hub
+
+    try:
+        check_shareable(folder)
+    except UserError as error:
+        raise UserError(f"{folder}: {error}") from None
+    check_folder(folder, thorough=True)
+    api, files = huggingface_hub.HfApi(), [MANIFEST, *read_manifest(folder)]
+    try:
+        url = api.create_repo(name.repository, private=private or None, exist_ok=True)
+        if private and not api.model_info(name.repository).private:
+            raise UserError(f"it exists already and is public; make it private on {url} first")
+        if name.revision is not None:
+            api.create_branch(name.repository, branch=name.revision, exist_ok=True)
+        commit = api.upload_folder(
+            repo_id=name.repository,
+            folder_path=folder,
+            allow_patterns=files,
+            revision=name.revision,
+            commit_message="Upload a bundle of t2m_jax",
+        )
+    except Exception as error:  # noqa: BLE001 - see `list_hub_files`
+        again = f"to try again: t2m bundle {folder} --push {name}"
+        raise UserError(f"{name}: was not pushed ({hub_reason(error)}); {again}") from None
+    return f"{url}/tree/{commit.oid}"
+
+
+def _not_found(name: HubName, reason: UserError) -> UserError:
+    return UserError(f"{name}: there is no such folder, and it cannot be loaded from the hub: {reason}")
+
+
+def _find_copy(name: HubName) -> Path | None:
+    """Returns the newest copy on this machine; None if there is none, or not all of its files."""
+    with contextlib.suppress(UserError):
+        folder = hub_snapshot(name, [MANIFEST], offline=True)
+        if _is_complete(folder):
+            return folder
+    return None
+
+
+def _is_complete(folder: Path) -> bool:
+    """Returns whether all files of a bundle are there, which is not so if a download was interrupted."""
+    return all((folder / name).is_file() for name in read_manifest(folder))
+
+
+def _check_copy(name: HubName, folder: Path, *, only: tuple[str, ...] | None = None) -> None:
+    """Raises `UserError` if files of a bundle (by default all) are damaged, or it lacks what it must have."""
+    try:
+        check_shareable(folder)
+        check_folder(folder, only=only, thorough=True)
+    except UserError as error:
+        raise UserError(f"{name}: {error}".replace(f"{folder}/", "")) from None
+
+
+def _ask_hub(name: HubName, copy: Path | None) -> Path:
+    """Returns the folder with the commit that the hub has now, or `copy` if the hub cannot be asked."""
+    try:
+        files = list_hub_files(name)
+    except UserError as error:
+        if copy is None:
+            raise _not_found(name, error) from None
+        logger.info("%s: the hub was not asked (%s); using the copy of commit %s", name, error, copy.name)
+        return copy
+    if copy is not None and copy.name == files.commit:
+        return copy
+    with _description(name, files) as folder:
+        _check_copy(name, folder, only=DESCRIPTION_FILES)
+        wanted = [MANIFEST, *read_manifest(folder)]
+    _check_size(name, files, wanted, MAX_BYTES)
+    logger.info("%s: downloading commit %s from the hub", name, files.commit)
+    try:
+        return hub_snapshot(name, wanted)
+    except UserError as error:
+        raise UserError(f"{name}: cannot be downloaded ({error})") from None
+
+
+@contextlib.contextmanager
+def _description(name: HubName, files: HubFiles) -> Iterator[Path]:
+    """Yields a temporary folder with the small files of a bundle. Refused bundles do not fill the client's folder."""
+    _check_size(name, files, DESCRIPTION_FILES, MAX_DESCRIPTION_BYTES)
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            snapshot = hub_snapshot(name._replace(revision=files.commit), DESCRIPTION_FILES, cache_dir=Path(folder))
+        except UserError as error:
+            raise UserError(f"{name}: cannot be downloaded ({error})") from None
+        yield snapshot
+
+
+def _check_size(name: HubName, files: HubFiles, wanted: Iterable[str], most: int) -> None:
+    size = sum(files.sizes.get(file, 0) for file in wanted)
+    if size > most:
+        raise UserError(
+            f"{name}: {', '.join(sorted(wanted))} have {size:,} bytes on the hub; at most {most:,} are loaded"
+        )
