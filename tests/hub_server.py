@@ -54,6 +54,11 @@ class Hub:
         """Files whose size is said to be another one."""
         self.url, self.cache = "", Path()
 
+    def settings(self, home: Path) -> dict[str, str]:
+        """Returns the environment variables that connect the client of another process, which has the token."""
+        settings = {"HF_ENDPOINT": self.url, "HF_HOME": f"{home}", "HF_HUB_OFFLINE": "0"}
+        return settings | {"HF_TOKEN": TOKEN, "HF_HUB_DISABLE_XET": "1"}
+
     def add(self, name: str, folder: Path, *, ref: str = "main", private: bool = False) -> str:
         """Puts the files of a folder into a repository, and returns the commit."""
         repository = self.repositories.setdefault(name, Repository(private=private))

@@ -74,6 +74,7 @@ def folder(tmp_path_factory, golden_dir):
     (folder / "my-bvh" / "captions.csv").write_text("\n".join(rows) + "\n")
     for name, published in {"net_last": "ckpt_vqvae_small", "net_best_fid": "ckpt_gpt_small"}.items():
         (folder / f"{name}.pth").write_bytes((golden_dir / "t2m_gpt" / f"{published}.pth").read_bytes())
+    (folder / "card.md").write_text("---\nlicense: cc0-1.0\n---\n# Mine\n")
     for name in ("mean", "std"):
         np.save(folder / f"{name}.npy", np.ones(263))
     return folder
@@ -89,9 +90,10 @@ def test_the_wheel_has_what_is_not_python(wheel):
 
 
 @pytest.mark.slow
-def test_the_commands_of_the_readme_run(programs, folder):
+def test_the_commands_of_the_readme_run(programs, folder, hub):
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     environment |= {"PATH": f"{programs}{os.pathsep}{environment['PATH']}", "JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}
+    environment |= hub.settings(folder / "home")
     commands = [command for command in readme_commands() if not all(part in command for part in NEEDS_CLIP)]
     assert len(commands) > 15
     for command in commands:
@@ -100,6 +102,7 @@ def test_the_commands_of_the_readme_run(programs, folder):
             f"{command} {options}", shell=True, cwd=folder, env=environment, capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, f"{command} {options}: {done.stderr[-2000:]}"
+    assert set(hub.repositories) == {"user/my-model"}
     assert {"turn.html", "turn.gif", "many-7.gif", "my-model", "it.html", "mine.json"} <= {
         path.name for path in folder.iterdir()
     }

@@ -89,6 +89,8 @@ def hub_reason(error: Exception) -> str:
     from huggingface_hub import errors
 
     login = "log in with `hf auth login` or set HF_TOKEN"
+    if isinstance(error, errors.OfflineModeIsEnabled):
+        return "HF_HUB_OFFLINE is set"
     if isinstance(error, errors.GatedRepoError):
         return f"its authors must give you access to it; ask on its page, then {login}"
     if isinstance(error, errors.RepositoryNotFoundError):

@@ -93,7 +93,7 @@ def load_card(name_or_path: str | Path) -> str:
         if copy is None:
             raise _not_found(name, error) from None
         return load_text(copy / CARD_FILE)
-    with _description(name, files) as folder:
+    with _description(name, files, needs=CARD_FILE) as folder:
         return load_text(folder / CARD_FILE)
 
 
@@ -204,11 +204,11 @@ def _ask_hub(name: HubName, copy: Path | None) -> Path:
     except UserError as error:
         if copy is None:
             raise _not_found(name, error) from None
-        logger.info("%s: the hub was not asked (%s); using the copy of commit %s", name, error, copy.name)
+        logger.info("%s: the hub cannot be asked (%s); using the copy of commit %s", name, error, copy.name)
         return copy
     if copy is not None and copy.name == files.commit:
         return copy
-    with _description(name, files) as folder:
+    with _description(name, files, needs=CONFIG_FILE) as folder:
         _check_copy(name, folder, only=DESCRIPTION_FILES)
         wanted = [MANIFEST, *read_manifest(folder)]
     _check_size(name, files, wanted, MAX_BYTES)
@@ -220,8 +220,10 @@ def _ask_hub(name: HubName, copy: Path | None) -> Path:
 
 
 @contextlib.contextmanager
-def _description(name: HubName, files: HubFiles) -> Iterator[Path]:
+def _description(name: HubName, files: HubFiles, *, needs: str) -> Iterator[Path]:
     """Yields a temporary folder with the small files of a bundle. Refused bundles do not fill the client's folder."""
+    if needs not in files.sizes:
+        raise UserError(f"{name}: is not a bundle of t2m_jax, because it has no {needs} on the hub")
     _check_size(name, files, DESCRIPTION_FILES, MAX_DESCRIPTION_BYTES)
     with tempfile.TemporaryDirectory() as folder:
         try:

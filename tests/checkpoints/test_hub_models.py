@@ -262,6 +262,8 @@ def test_a_card_is_shown_without_downloading_the_model(hub, copy):
     assert load_card(NAME) == "# no license\n"
     assert "weights.safetensors" not in hub.downloaded()
     assert not hub.cache.exists()
+    hub.repositories[NAME].commits[hub.repositories[NAME].refs["main"]].pop("README.md")
+    assert "it has no README.md on the hub" in refused(load=load_card)
 
 
 def test_models_that_are_kept_are_listed(hub, saved, tmp_path):

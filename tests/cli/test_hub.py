@@ -57,9 +57,10 @@ def test_a_wrong_path_is_one_line_about_the_folder_and_the_hub(hub, refusal, com
 
 def test_the_address_of_a_hub_is_that_of_the_environment(hub, shared, tmp_path):
     hub.add(NAME, shared)
-    settings = {"HF_ENDPOINT": hub.url, "HF_HOME": f"{tmp_path / 'home'}", "HF_HUB_OFFLINE": "0"}
     command = [sys.executable, "-m", "t2m_jax", "models", NAME]
-    done = subprocess.run(command, env=os.environ | settings, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, env=os.environ | hub.settings(tmp_path / "home"), capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout.endswith("# A tiny \\x1b[31mmodel\n")
     assert "HTTP" not in done.stderr  # the client logs its requests
