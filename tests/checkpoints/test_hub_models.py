@@ -71,6 +71,7 @@ def test_names_of_the_hub_have_a_user_and_maybe_a_revision(text, name):
         "a/b/c",
         "a/b@",
         "a/b@../c",
+        "a/b@v1/../../c",
         "a/b@/etc",
         "a/b@-x",
         "-a/b",
