@@ -173,7 +173,7 @@ def bundle_path(name_or_path: str | Path) -> Path:
 def card_license(card: str) -> str:
     """Returns the license in the metadata of a card, as on the Hugging Face hub; `NO_LICENSE` if it has none."""
     start, _, metadata = card.partition("---\n")
-    found = re.search(r"^license: *([\w.-]+)$", metadata.partition("\n---\n")[0], re.MULTILINE)
+    found = re.search(r"^license: *[\"']?([\w.-]+)[\"']? *$", metadata.partition("\n---\n")[0], re.MULTILINE)
     return found[1] if found and not start else NO_LICENSE
 
 

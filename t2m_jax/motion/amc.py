@@ -18,6 +18,8 @@ AMC_FPS = 120.0
 """Frames per second of the CMU database. The files do not say it."""
 METRES_PER_INCH = 0.0254
 """An ASF file divides inches by its `length`."""
+MIN_UNIT = 1e-4
+"""Smallest `length`, with which a bone of length 1 is 254 meters long."""
 ROOT = "root"
 _AXES = "xyz"
 
@@ -146,8 +148,8 @@ def _read_skeleton(path: Path) -> _Skeleton:
         raise UserError(f"{path}: is not an ASF file; it has no {' and no '.join(missing)}")
     units = {words[0].lower(): (place, words) for place, words in sections.get(":units", [])}
     length = _field(units, "length", 1, ["1.0"])[0]
-    if not length > 0:
-        raise UserError(f"{units['length'][0]}: length is {length:g}; expected a number above 0")
+    if not MIN_UNIT <= length <= 1 / MIN_UNIT:
+        raise UserError(f"{units['length'][0]}: length is {length:g}; expected {MIN_UNIT:g} to {1 / MIN_UNIT:g}")
     metres = METRES_PER_INCH / length
     degrees = units.get("angle", ("", ["angle", "deg"]))[1][1:2] != ["rad"]
     radians = float(np.deg2rad(1.0)) if degrees else 1.0

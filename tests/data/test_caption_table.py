@@ -86,6 +86,7 @@ def test_several_captions_in_a_row(tmp_path):
         ("b,", "captions.csv:3: file or caption is empty"),
         (",he walks", "captions.csv:3: file or caption is empty"),
         ("b", "captions.csv:3: file or caption is empty"),
+        (",,", "captions.csv:3: file or caption is empty"),
         ("b,he # walks", "captions.csv:3: the caption has a '#'"),
         ("b,?!", "captions.csv:3: the caption '?!' has no words"),
         ("b,he waves,one,2", "captions.csv:3: 'one' is not a time"),
@@ -95,6 +96,11 @@ def test_several_captions_in_a_row(tmp_path):
 def test_a_broken_row_costs_no_other_row(tmp_path, row, says):
     said, problems, _ = read(tmp_path, f"file,caption,start,end\na,{WALK},,\n{row}\n")
     assert said["a"] == [WALK] and len(problems) == 1 and says in problems[0]
+
+
+def test_short_rows_of_a_table_whose_files_come_last(tmp_path):
+    said, problems, _ = read(tmp_path, f"actor,caption,file\nx,{WALK},a\ny\n")
+    assert said["a"] == [WALK] and "captions.csv:3: file or caption is empty" in problems[0]
 
 
 def test_an_open_quote_does_not_swallow_the_next_rows(tmp_path):
@@ -121,6 +127,13 @@ def test_a_row_of_one_file_is_not_taken_for_another(tmp_path):
 def test_no_table_at_all(tmp_path, text):
     with pytest.raises(UserError, match=r"captions\.csv:1: expected the columns file,caption"):
         read(tmp_path, text)
+
+
+def test_headers_that_would_take_long_are_refused_at_once(tmp_path):
+    with pytest.raises(UserError, match="expected the columns"):
+        read(tmp_path, f"file,captionn{'9' * 100_000}\n")
+    with pytest.raises(UserError, match=r"captions\.csv:1: has more than 1000 columns"):
+        read(tmp_path, f"file,caption{',' * 2000}\n")
 
 
 def test_an_import_loses_nothing_silently(tmp_path):

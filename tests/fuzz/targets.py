@@ -29,6 +29,7 @@ from t2m_jax.evaluation.report import Header, load_report
 from t2m_jax.evaluation.run import load_partial
 from t2m_jax.export.formats import load_motion
 from t2m_jax.files import read_arrays, read_manifest
+from t2m_jax.motion.amc import load_amc
 from t2m_jax.motion.bvh.rigs import load_rig
 from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.motion.normalizer import load_normalizer
@@ -42,6 +43,7 @@ from t2m_jax.train.experiment import load_run_config
 from t2m_jax.train.log import _keep_rows
 from tests.bench.conftest import report as bench_report
 from tests.data.bvh_files import write_bvh
+from tests.motion.acclaim_files import write_acclaim
 from tests.motion.glb_files import write_person
 from tests.tiny import LOOP, random_bundle, random_evaluator, vqvae_training
 
@@ -71,6 +73,9 @@ def make_files(root: Path) -> None:
 def _make_motions(root: Path) -> None:
     write_bvh(root / "motion.bvh", num_frames=4)
     write_person(root / "motion.glb", GLB_ARM, {"quarter": 90.0})
+    for folder in ("amc", "asf"):
+        (root / folder).mkdir()
+        write_acclaim(root / folder)
     Motion(positions=make_motion("walk", seed=1, num_frames=8), fps=20.0).save(root / "motion.npz")
     np.save(root / "joints.npy", make_motion("walk", seed=1, num_frames=4).astype(np.float32))
 
@@ -98,6 +103,8 @@ def read_partial(path: Path) -> object:
 FILES: Mapping[str, Callable[[Path], object]] = {
     "motion.bvh": lambda root: load_motion(root / "motion.bvh"),
     "motion.glb": lambda root: load_gltf(root / "motion.glb"),
+    "amc/02_01.amc": lambda root: load_amc(root / "amc" / "02_01.amc"),
+    "asf/02.asf": lambda root: load_amc(root / "asf" / "02_01.amc"),
     "motion.npz": lambda root: load_motion(root / "motion.npz"),
     "joints.npy": lambda root: load_motion(root / "joints.npy"),
     "captions.txt": lambda root: load_captions(root / "captions.txt"),

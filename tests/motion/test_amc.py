@@ -9,60 +9,14 @@ from t2m_jax.motion.amc import load_amc
 from t2m_jax.motion.bvh import retarget
 from t2m_jax.motion.bvh.orientation import left_is_left
 
-ASF = """:version 1.10
-:units
-  mass 1.0
-  length 0.45
-  angle deg
-:root
-   order TX TY TZ RX RY RZ
-   axis XYZ
-   position 0 0 0
-   orientation 0 0 0
-:bonedata
-  begin
-     name thigh
-     direction 0 -1 0
-     length 7.0
-     axis 0 0 90 XYZ
-     dof rx ry
-     limits (-160.0 20.0)
-            (-70.0 70.0)
-  end
-  begin
-     name shin
-     direction 0 -1 0
-     length 8.0
-     axis 0 0 0 XYZ
-  end
-:hierarchy
-  begin
-    root thigh
-    thigh shin
-  end
-"""
-AMC = """# a comment
-:FULLY-SPECIFIED
-:DEGREES
-1
-root 0 18 9 0 0 0
-thigh 30 0
-2
-root 0 18 9 0 90 0
-thigh 0 0
-"""
+from .acclaim_files import AMC, ASF, write_acclaim
+
 UNIT = 0.0254 / 0.45
 KNEES = ["left_knee", "right_knee", "left_ankle", "right_ankle", "left_elbow", "right_elbow", "left_wrist"]
 
 
-def write(folder, *, asf=ASF, amc=AMC):
-    (folder / "02.asf").write_text(asf)
-    (folder / "02_01.amc").write_text(amc)
-    return folder / "02_01.amc"
-
-
 def test_lengths_places_and_angles(tmp_path):
-    clip = load_amc(write(tmp_path))
+    clip = load_amc(write_acclaim(tmp_path))
     assert clip.joint_names == ("root", "thigh", "shin") and clip.parents == (-1, 0, 1) and clip.fps == 120.0
     positions = clip.with_end_sites().positions
     np.testing.assert_allclose(positions[0, 0], [0, 18 * UNIT, 9 * UNIT], atol=1e-6)
@@ -73,7 +27,7 @@ def test_lengths_places_and_angles(tmp_path):
 
 def test_the_first_angle_turns_first(tmp_path):
     asf = ASF.replace("axis 0 0 90 XYZ", "axis 0 0 0 XYZ").replace("dof rx ry", "dof rx rz")
-    clip = load_amc(write(tmp_path, asf=asf, amc=AMC.replace("thigh 30 0", "thigh 90 90")))
+    clip = load_amc(write_acclaim(tmp_path, asf=asf, amc=AMC.replace("thigh 30 0", "thigh 90 90")))
     # About x, down (-y) goes to -z, which a turn about z leaves where it is.
     np.testing.assert_allclose(clip.positions[0, 2] - clip.positions[0, 1], [0, 0, -7 * UNIT], atol=1e-6)
 
@@ -97,6 +51,7 @@ def test_real_recordings_stand_on_the_floor_and_left_is_left(shared_data):
         (("\nthigh 0 0", ""), r"02_01\.amc: frame 2 has other bones"),
         ((AMC, "# nothing\n"), r"02_01\.amc: has no frames"),
         (("length 0.45", "length 0"), r"02\.asf:4: length is 0"),
+        (("length 0.45", "length 1e-300"), r"02\.asf:4: length is 1e-300; expected 0\.0001 to 10000"),
         (("length 7.0", "length"), r"02\.asf:\d+: length needs 1 numbers, has 0"),
         (("direction 0 -1 0\n     length 7", "length 7"), r"02\.asf:\d+: direction needs 3 numbers"),
         (("dof rx ry", "dof rx rx"), r"02\.asf:\d+: 'dof rx rx': expected"),
@@ -107,13 +62,13 @@ def test_real_recordings_stand_on_the_floor_and_left_is_left(shared_data):
     ],
 )
 def test_damage_is_named(tmp_path, change, says):
-    path = write(tmp_path, asf=ASF.replace(*change), amc=AMC.replace(*change))
+    path = write_acclaim(tmp_path, asf=ASF.replace(*change), amc=AMC.replace(*change))
     with pytest.raises(UserError, match=says):
         load_amc(path)
 
 
 def test_the_skeleton_is_found_by_its_name(tmp_path):
-    path = write(tmp_path)
+    path = write_acclaim(tmp_path)
     (tmp_path / "03.asf").write_text("another")
     assert load_amc(path).num_frames == 2
     (tmp_path / "02.asf").rename(tmp_path / "04.asf")

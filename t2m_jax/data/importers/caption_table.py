@@ -17,6 +17,8 @@ from t2m_jax.files import load_text
 
 BYTE_ORDER_MARK = "\ufeff"
 """Some editors and spreadsheets write it at the beginning of a UTF-8 file."""
+MAX_COLUMNS = 1000
+"""Most columns of a table; a spreadsheet of captions has some tens."""
 DELIMITERS = (",", ";", "\t", "|")
 NAMES = {
     "caption": ("caption", "captions", "text", "description", "sentence", "annotation", "prompt", "label"),
@@ -174,6 +176,8 @@ def _find_layout(path: Path, header: str, keys: Collection[str]) -> _Layout:
         candidates = {delimiter: _split_line(header, delimiter) for delimiter in DELIMITERS}
     except csv.Error as error:
         raise UserError(f"{path}:1: is not a table ({error}); save it as CSV") from error
+    if max(map(len, candidates.values())) > MAX_COLUMNS:
+        raise UserError(f"{path}:1: has more than {MAX_COLUMNS} columns")
     for delimiter, cells in candidates.items():
         layout = _read_header(path, cells, delimiter)
         if layout:
@@ -191,7 +195,9 @@ def _read_header(path: Path, cells: Sequence[str], delimiter: str) -> _Layout | 
     names = [re.sub(r"[\W_]+", "_", cell.strip().lower()).strip("_") for cell in cells]
     found = _find_columns(names)
     # Several captions may be in several columns: caption_1, caption_2.
-    numbered = tuple(place for place, name in enumerate(names) if re.sub(r"_?\d+$", "", name) in NAMES["caption"])
+    numbered = tuple(
+        place for place, name in enumerate(names) if name.rstrip("0123456789").rstrip("_") in NAMES["caption"]
+    )
     first = () if found["caption"] is None else (found["caption"],)
     captions = tuple(place for place in numbered if names[place][-1:].isdigit()) or first
     if found["file"] is None:
@@ -245,11 +251,11 @@ def _read_row(place: str, line: str, layout: _Layout) -> tuple[Row, int]:
         cells, joined = _split_line(line, layout.delimiter), 0
     except csv.Error as error:
         return Row(place, "", (), f"{place}: is not a row of a table ({error})", {}), 0
+    cells += [""] * (layout.width - len(cells))
     if len(layout.captions) == 1:
         cells, joined = _join_commas(cells, layout)
     elif len(cells) > layout.width:
         return Row(place, "", (), f"{place}: has {len(cells)} cells, the header {layout.width}; quote commas", {}), 0
-    cells += [""] * (layout.width - len(cells))
     times = {role: cells[column].replace(",", ".") for role, column in layout.times.items()}
     said = [cells[column] for column in layout.captions if cells[column]]
     others = {name: cells[column] for name, column in layout.others.items()}
