@@ -30,9 +30,11 @@ def _float32(*arrays: AnyArray) -> tuple[AnyArray, ...]:
 def unit_vectors(vectors: Float[AnyArray, "*batch C"]) -> Float[AnyArray, "*batch C"]:
     """Returns `vectors` with unit length, in the precision of the input. Zero vectors stay zero."""
     xp = namespace_of(vectors)
-    # Dividing by the largest entry first prevents underflow in the square of a short vector.
-    scaled = vectors / xp.maximum(xp.max(xp.abs(vectors), axis=-1, keepdims=True), _TINY)
-    return scaled / xp.sqrt(xp.maximum(_dot(scaled, scaled), _TINY))
+    # Dividing by the largest entry first prevents underflow in the square of a short vector. The divisors of a zero
+    # vector are not tiny, because XLA of JAX 0.8 to 0.10 divides once by the product of several divisors, here 0.
+    largest = xp.max(xp.abs(vectors), axis=-1, keepdims=True)
+    scaled = vectors / xp.where(largest > 0, largest, 1)
+    return scaled / xp.sqrt(xp.maximum(_dot(scaled, scaled), 0.5))
 
 
 def cross_product(a: Float[AnyArray, "*#batch 3"], b: Float[AnyArray, "*#batch 3"]) -> Float[AnyArray, "*batch 3"]:
