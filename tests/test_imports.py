@@ -99,3 +99,11 @@ WRITES = re.compile(r"\.write_(text|bytes)\(|np\.save\w*\(|open\([^)]*[\"'][wax]
 def test_files_are_written_in_one_way(path, name):
     text = path.read_text(encoding="utf-8").replace("open(os.devnull", "")
     assert (WRITES.search(text) is not None) == (name in WRITERS)
+
+
+@pytest.mark.parametrize("path", FILES, ids=MODULES)
+def test_texts_are_read_and_written_in_a_stated_encoding(path):
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        call = ast.unparse(node) if isinstance(node, ast.Call) else ""
+        if re.fullmatch(r"(.*\.)?(open|fdopen|read_text|write_text)", call.partition("(")[0]):
+            assert re.search(r"encoding=|'[rwax]\+?b\+?'|os\.open", call), call

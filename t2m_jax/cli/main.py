@@ -11,6 +11,7 @@ import contextlib
 import difflib
 import importlib
 import importlib.metadata
+import io
 import logging
 import os
 import signal
@@ -72,7 +73,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     for name in ("stdout", "stderr"):  # None if it was closed before the start
         if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 - until the end of the process
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 - until the end of the process
+    if isinstance(sys.stdout, io.TextIOWrapper):  # its encoding, that of the system, may lack characters
+        sys.stdout.reconfigure(errors="backslashreplace")
     arguments = list(sys.argv[1:] if argv is None else argv)
     # `--debug` may be anywhere before `--`.
     end = arguments.index("--") if "--" in arguments else len(arguments)

@@ -71,5 +71,5 @@ def write_bvh(path: Path, *, num_frames: int = 45, speed: float = 120.0, seed: i
         rows.append(" ".join(f"{value:.6g}" for value in row))
     motion = ["MOTION", f"Frames:\t{num_frames}", "Frame Time:\t0.0333333", *rows]
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join(["HIERARCHY", *_hierarchy("joint_Root"), *motion]) + "\n")
+    path.write_text("\n".join(["HIERARCHY", *_hierarchy("joint_Root"), *motion]) + "\n", encoding="utf-8")
     return path

@@ -118,7 +118,8 @@ def test_a_new_run_starts_from_the_weights_of_an_old_one(samples_with_data, stag
 
 def test_a_run_reconstructs_as_its_report_says(samples_with_data):
     run_command("evaluate", "reconstruction", "--model", "vqvae", "--data", "data", "--json", "new.json")
-    old, new = (json.loads(Path(path).read_text()) for path in ("reports/reconstruction.json", "new.json"))
+    paths = (Path("reports/reconstruction.json"), Path("new.json"))
+    old, new = (json.loads(path.read_text(encoding="utf-8")) for path in paths)
     assert old.pop("split") == new["split"] == "test"
     assert {name: new[name] for name in old} == pytest.approx(old, rel=1e-3)
 

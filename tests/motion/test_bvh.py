@@ -33,7 +33,7 @@ def axis_rotation(axis: str, degrees: float) -> np.ndarray:
 
 def read_bvh_independently(path: Path) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray]:
     """Returns names, OFFSETs, world positions in the rest pose and in all frames, adding positions to OFFSETs."""
-    head, motion = path.read_text().split("MOTION\n")
+    head, motion = path.read_text(encoding="utf-8").split("MOTION\n")
     names, offsets, parents, channels, stack = [], [], [], [], []
     words = iter(head.split())
     for word in words:
