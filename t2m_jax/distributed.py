@@ -148,7 +148,7 @@ def supervised(processes: Processes | None) -> Iterator[None]:
     import jax
 
     jax.distributed.shutdown()
-    ctypes.CDLL(None).signal(int(signal.SIGABRT), None)
+    _handle_abort(None)
 
 
 def start_processes(processes: Processes) -> None:
@@ -169,8 +169,7 @@ def start_processes(processes: Processes) -> None:
     timer.start()
     # JAX beats twice per limit, so it may notice a dead process after half of it. This module should be first.
     reserve = 2 * (processes.heartbeat + START)
-    # A handler of Python's `signal` module would run too late: `abort` ends the process when the C handler returns.
-    ctypes.CDLL(None).signal(int(signal.SIGABRT), _explain_abort)
+    _handle_abort(_explain_abort)
     try:
         jax.distributed.initialize(
             processes.coordinator,
@@ -188,6 +187,13 @@ def start_processes(processes: Processes) -> None:
         raise UserError(f"{processes.coordinator}: cannot start process {processes.process_id}: {error}") from error
     finally:
         timer.cancel()
+
+
+def _handle_abort(handler: Any) -> None:
+    """Sets the handler of SIGABRT; None stands for the system's. On Windows, an abort shows what JAX says of it."""
+    # A handler of Python's `signal` module would run too late: `abort` ends the process when the C handler returns.
+    if os.name == "posix":
+        ctypes.CDLL(None).signal(int(signal.SIGABRT), handler)
 
 
 def _missing(processes: Processes, seconds: int) -> str:

@@ -101,8 +101,8 @@ class Report:
     """Where they were measured."""
     rows: tuple[Row, ...]
     """Measurements."""
-    peak_memory: float
-    """Most memory that the process used, in bytes: of its first device, or on a CPU of the process."""
+    peak_memory: float | None
+    """Most memory that the process used, in bytes: of its first device, or on a CPU of the process. None if unknown."""
     date: str = dataclasses.field(default_factory=lambda: datetime.date.today().isoformat())
     """Day of the measurement."""
     format_version: int = FORMAT_VERSION

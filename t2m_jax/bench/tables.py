@@ -44,7 +44,8 @@ def report_text(report: Report, *, width: int | None = None) -> str:
             cells.append([row.name, *(found.get(heading, MISSING) for heading in headings)])
         if rows:
             parts += [f"## {title}", markdown_table([benchmark, *headings], cells, width=width)]
-    parts.append(f"Peak memory of the whole command: {report.peak_memory / 1e9:.2f} GB.")
+    if report.peak_memory is not None:
+        parts.append(f"Peak memory of the whole command: {report.peak_memory / 1e9:.2f} GB.")
     return "\n\n".join(parts)
 
 

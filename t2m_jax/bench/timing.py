@@ -1,6 +1,5 @@
 """Times and memory of compiled programs."""
 
-import resource
 import sys
 import time
 from collections.abc import Callable
@@ -71,10 +70,17 @@ def share(name: str, rate: float, peak: float) -> Figure:
     return Figure(name=f"of {name} peak", value=100 * rate / peak, unit="%")
 
 
-def peak_memory() -> float:
-    """Returns the most bytes that the first device had in use, or on a CPU the largest resident size of the process."""
+def peak_memory() -> float | None:
+    """Returns the most bytes that the first device had in use, or on a CPU the largest resident size of the process.
+
+    Windows does not tell the latter, so it is None there.
+    """
     found = jax.devices()[0].memory_stats()
     if found is not None:
         return float(found["peak_bytes_in_use"])
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
     unit = 1 if sys.platform == "darwin" else 1024
     return float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit)

@@ -159,6 +159,8 @@ def commit_folder(partial: Path, path: Path) -> None:
     with concurrent.futures.ThreadPoolExecutor(SYNC_THREADS) as threads:
         for _ in threads.map(_sync, (partial, *partial.rglob("*"))):
             pass
+    if path.is_dir():
+        path.rmdir()  # it is empty; Windows does not replace folders
     partial.replace(path)
     _sync(path.absolute().parent)
 
