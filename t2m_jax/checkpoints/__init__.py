@@ -2,11 +2,13 @@
 
 from t2m_jax.checkpoints.audit import Part, audit_model
 from t2m_jax.checkpoints.best import Best, find_best
-from t2m_jax.checkpoints.bundle import Bundle, BundleConfig, ClipReference, load_bundle, save_bundle
+from t2m_jax.checkpoints.bundle import Bundle, BundleConfig, load_bundle, save_bundle
 from t2m_jax.checkpoints.clip import TrainedClip, load_clip, save_clip
 from t2m_jax.checkpoints.evaluator import TrainedEvaluator, load_trained_evaluator, save_evaluator
 from t2m_jax.checkpoints.model import load_generator_run, load_model, load_runs
 from t2m_jax.checkpoints.run import Checkpoints, RunInfo, run_info
+from t2m_jax.checkpoints.sentence import TrainedSentenceEncoder, load_sentence_encoder
+from t2m_jax.checkpoints.text_encoder import ClipReference, SentenceReference
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer
 
 __all__ = [
@@ -17,8 +19,10 @@ __all__ = [
     "ClipReference",
     "Part",
     "RunInfo",
+    "SentenceReference",
     "TrainedClip",
     "TrainedEvaluator",
+    "TrainedSentenceEncoder",
     "TrainedTokenizer",
     "audit_model",
     "find_best",
@@ -27,6 +31,7 @@ __all__ = [
     "load_generator_run",
     "load_model",
     "load_runs",
+    "load_sentence_encoder",
     "load_tokenizer",
     "load_trained_evaluator",
     "run_info",

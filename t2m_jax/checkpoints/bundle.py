@@ -5,16 +5,23 @@ import importlib.resources
 import re
 import reprlib
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from tokenizers import Tokenizer
 
-from t2m_jax.checkpoints.clip import TrainedClip, save_clip
 from t2m_jax.checkpoints.derived import add_derived, drop_derived
 from t2m_jax.checkpoints.run import CONFIG_FILE as RUN_CONFIG_FILE
 from t2m_jax.checkpoints.run import DATA_FILE
+from t2m_jax.checkpoints.text_encoder import (
+    CLIP_NAME,
+    ClipReference,
+    PretrainedEncoder,
+    Reference,
+    SentenceReference,
+    save_pretrained,
+)
 from t2m_jax.config import Tagged, load_versioned, save_config
 from t2m_jax.errors import UserError
 from t2m_jax.files import (
@@ -44,24 +51,10 @@ WEIGHTS_FILE = "weights.safetensors"
 CARD_FILE = "README.md"
 NO_LICENSE = "unknown"
 """The license of a model whose card does not have one. It cannot be shared on the hub."""
-CLIP_FOLDER = "clip"
-"""Folder of a bundle that may contain its CLIP."""
-CLIP_NAME = "openai/clip-vit-base-patch32"
-"""The CLIP of T2M-GPT on the Hugging Face hub."""
 MANIFEST_VERSION = 3
 """Bundles have a manifest since this format version."""
 BUNDLED = ("demo", "demo-t2m-gpt")
 """Names of the bundles that are part of the package."""
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class ClipReference:
-    """A CLIP that reads the captions of a model and is not trained with it."""
-
-    kind: ClassVar[str] = "clip"
-
-    name: str = CLIP_NAME
-    """Folder, or name on the Hugging Face hub. A folder `clip` in the bundle is used first."""
 
 
 def find_text_encoder_config(kind: str) -> type:
@@ -70,7 +63,7 @@ def find_text_encoder_config(kind: str) -> type:
     Raises:
         UserError: The kind is unknown.
     """
-    schemas = {schema.kind: schema for schema in (CaptionEncoderConfig, ClipReference)}
+    schemas = {schema.kind: schema for schema in (CaptionEncoderConfig, ClipReference, SentenceReference)}
     if kind not in schemas:
         raise UserError(f"{kind!r} is not a text encoder; known: {', '.join(schemas)}")
     return schemas[kind]
@@ -89,7 +82,7 @@ class BundleConfig:
     generator: Annotated[Any, Tagged(find_generator_config)]
     """Sizes of the generator."""
     text_encoder: Annotated[Any, Tagged(find_text_encoder_config)] = CaptionEncoderConfig()
-    """Sizes of the caption encoder, or the name of a CLIP."""
+    """Sizes of the caption encoder, or the name of a pretrained encoder."""
 
     def __post_init__(self) -> None:
         fits = [
@@ -141,7 +134,7 @@ class Bundle(NamedTuple):
     """The collections of `tokenizer`, `generator` and, if it was trained with the model, `text_encoder`."""
     normalizer: Normalizer
     bpe: Tokenizer | None
-    """Subwords of the caption encoder; None with CLIP."""
+    """Subwords of the caption encoder; None with a pretrained encoder."""
     training_data: dict[str, Any] | None = None
     """What the model was trained on: words, actions and their numbers of clips; None if it is not recorded."""
     card: str = ""
@@ -227,8 +220,8 @@ def load_bundle(path: Path) -> Bundle:
     arrays = unflatten_tree(fit_arrays(path / WEIGHTS_FILE, found, leaves))
     normalizer = load_normalizer(path)
     check_statistics_width(path, normalizer, config.tokenizer.feature_dim)
-    if (path / CLIP_FOLDER).is_dir() and isinstance(config.text_encoder, ClipReference):
-        config = dataclasses.replace(config, text_encoder=ClipReference(name=str(path / CLIP_FOLDER)))
+    if isinstance(config.text_encoder, Reference) and (included := path / config.text_encoder.kind).is_dir():
+        config = dataclasses.replace(config, text_encoder=dataclasses.replace(config.text_encoder, name=str(included)))
     data = load_training_data(path)
     variables = {role: arrays[kind] for role, kind in kinds.items()}
     card = load_text(path / CARD_FILE) if (path / CARD_FILE).is_file() else ""
@@ -260,7 +253,7 @@ def check_statistics_width(path: Path, normalizer: Normalizer, feature_dim: int)
 
 
 def load_text_tokenizer(path: Path, config: BundleConfig) -> Tokenizer | None:
-    """Returns the subwords of a model's caption encoder, None with CLIP.
+    """Returns the subwords of a model's caption encoder, None with a pretrained encoder.
 
     Raises:
         UserError: The file is missing or damaged, or has more tokens than the caption encoder.
@@ -273,7 +266,9 @@ def load_text_tokenizer(path: Path, config: BundleConfig) -> Tokenizer | None:
     return bpe
 
 
-def save_bundle(path: Path, bundle: Bundle, *, card: str, half: bool = True, clip: TrainedClip | None = None) -> None:
+def save_bundle(
+    path: Path, bundle: Bundle, *, card: str, half: bool = True, encoder: PretrainedEncoder | None = None
+) -> None:
     """Writes a bundle folder; it appears complete or not at all.
 
     Args:
@@ -281,17 +276,17 @@ def save_bundle(path: Path, bundle: Bundle, *, card: str, half: bool = True, cli
         bundle: The model.
         card: Markdown that describes the model.
         half: Whether the bundle is small: weights have 16 bits, and some follow from others (see `derived`).
-        clip: The CLIP to include, if it is the text encoder. Without it, users of the bundle need it by its name.
+        encoder: The pretrained text encoder to include. Without it, users of the bundle need it by its name.
 
     Raises:
         UserError: `path` exists already.
     """
     with atomic_folder(path) as folder:
-        write_bundle(folder, bundle, card=card, half=half, clip=clip)
+        write_bundle(folder, bundle, card=card, half=half, encoder=encoder)
 
 
 def write_bundle(
-    folder: Path, bundle: Bundle, *, card: str, half: bool = True, clip: TrainedClip | None = None
+    folder: Path, bundle: Bundle, *, card: str, half: bool = True, encoder: PretrainedEncoder | None = None
 ) -> None:
     """Writes the files of a bundle into a folder that its caller makes; the other arguments are `save_bundle`'s."""
     kinds = part_kinds(bundle.config)
@@ -303,8 +298,8 @@ def write_bundle(
         save_bpe(folder, bundle.bpe)
     if bundle.training_data is not None:
         save_json(folder / DATA_FILE, bundle.training_data)
-    if clip is not None:
-        save_clip(folder / CLIP_FOLDER, clip)
+    if encoder is not None:
+        save_pretrained(folder / bundle.config.text_encoder.kind, encoder)
     save_text(folder / CARD_FILE, card)
     write_manifest(folder)
 

@@ -1,7 +1,6 @@
 """A trained CLIP text tower: loaded from, and saved in, the Hugging Face layout."""
 
 import dataclasses
-import hashlib
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,9 +18,10 @@ from t2m_jax.checkpoints.clip_files import (
     read_clip_config,
     read_text_arrays,
 )
+from t2m_jax.checkpoints.pretrained import encoder_fingerprint, params_from_torch
 from t2m_jax.config import config_from_dict
 from t2m_jax.errors import UserError
-from t2m_jax.files import fit_arrays, flatten_tree, save_json, save_weights
+from t2m_jax.files import save_json, save_weights
 from t2m_jax.models.clip_text import ClipText, ClipTextConfig
 from t2m_jax.text.bpe import save_bpe
 from t2m_jax.text.clip_bpe import END, START, load_clip_bpe
@@ -100,7 +100,7 @@ def load_clip(name_or_folder: str | Path, *, text_dim: int | None = None) -> Tra
         raise UserError(f"{folder}: {END!r} is token {end}, but {CONFIG_FILE} says {_END_FIELD} {config.end_token}")
     path, arrays = read_text_arrays(folder)
     variables = {"params": _params_from_arrays(path, arrays, config)}
-    return TrainedClip(config, variables, tokenizer, clip_fingerprint(config, variables, tokenizer))
+    return TrainedClip(config, variables, tokenizer, encoder_fingerprint(config, variables, tokenizer))
 
 
 def save_clip(folder: Path, clip: TrainedClip, *, half: bool = False) -> None:
@@ -123,15 +123,6 @@ def save_clip(folder: Path, clip: TrainedClip, *, half: bool = False) -> None:
     save_weights(folder / WEIGHT_FILES[0], arrays, metadata={"format": "pt"})
 
 
-def clip_fingerprint(config: ClipTextConfig, variables: dict[str, Any], tokenizer: Tokenizer) -> str:
-    """Returns a hash of everything that an embedding depends on."""
-    digest = hashlib.sha256(f"{config}\n{tokenizer.to_str()}\n".encode())
-    for name, leaf in sorted(flatten_tree(variables).items()):
-        array = np.ascontiguousarray(leaf, "<f4")
-        digest.update(f"{name} {array.shape}\n".encode() + array.tobytes())
-    return digest.hexdigest()
-
-
 def param_shapes(config: ClipTextConfig) -> dict[tuple[str, ...], tuple[int, ...]]:
     """Returns the shape of every parameter of `ClipText` by its path."""
     tokens = jnp.zeros((1, config.max_length), jnp.int32)
@@ -143,12 +134,7 @@ def _params_from_arrays(path: Path, arrays: dict[str, np.ndarray], config: ClipT
     """Returns the parameters of `ClipText`, after checking names, shapes and values."""
     if "text_projection.weight" not in arrays:
         raise UserError(f"{path}: array 'text_projection.weight' is missing; give a CLIP saved with its projection")
-    shapes = {names: shape[::-1] if names[-1] == "kernel" else shape for names, shape in param_shapes(config).items()}
-    expected = {_key_from_path(names): (shape, np.float32) for names, shape in shapes.items()}
-    fitted = fit_arrays(path, arrays, expected)
-    leaves = {names: fitted[_key_from_path(names)] for names in shapes}
-    flat = {names: leaf.T if names[-1] == "kernel" else leaf for names, leaf in leaves.items()}
-    return traverse_util.unflatten_dict(flat)
+    return params_from_torch(path, arrays, param_shapes(config), _key_from_path)
 
 
 def _key_from_path(names: tuple[str, ...]) -> str:

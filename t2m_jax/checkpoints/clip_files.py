@@ -2,74 +2,30 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from textwrap import shorten
 from typing import Any
 
 import numpy as np
-import platformdirs
 from flax import serialization, traverse_util
 from safetensors import safe_open
 
-from t2m_jax.checkpoints.hub import HubName, hub_snapshot, parse_hub_name
+from t2m_jax.checkpoints.encoder_files import EncoderFiles, find_encoder
 from t2m_jax.checkpoints.torch_file import load_torch_file
 from t2m_jax.errors import UserError
 from t2m_jax.files import first_line, load_json
 from t2m_jax.files.arrays import DAMAGED_WEIGHTS
 
 CONFIG_FILE = "config.json"
-TOKENIZER_FILES = ("tokenizer.json", "vocab.json", "merges.txt")
-"""The first file, or the other two, contain the tokenizer."""
 TEXT_PREFIX = "text_model."
 _TEXT_PARTS = ("embeddings.", "encoder.", "final_layer_norm.", "text_projection.")
 
 
 def find_clip(name_or_folder: str | Path) -> Path:
-    """Returns the folder of a CLIP.
-
-    The first of these is used: the folder with this path; the user's copy in `user_folder`; the hub's cache on this
-    machine; a download from the hub.
+    """Returns the folder of a CLIP, see `find_encoder`.
 
     Raises:
         UserError: There is no such folder, and the hub name cannot be downloaded.
     """
-    if Path(name_or_folder).is_dir():
-        return Path(name_or_folder)
-    name = str(name_or_folder)
-    hub_name = parse_hub_name(name_or_folder)
-    if hub_name is None or hub_name.revision is not None:
-        raise UserError(f"{name}: no such folder; give the folder of a CLIP or a hub name such as openai/clip-…")
-    folder = user_folder(name)
-    return folder if folder.is_dir() else _hub_snapshot(hub_name)
-
-
-def user_folder(name: str) -> Path:
-    """Returns the folder into which a user may put the files of a hub name by hand."""
-    return Path(platformdirs.user_data_dir("t2m_jax")) / "clip" / name.replace("/", "--")
-
-
-def _hub_snapshot(name: HubName) -> Path:
-    """Returns the folder in which the hub's client keeps a CLIP; downloads one weight format if necessary."""
-    reason = ""
-    for offline in (True, False):
-        for weights in WEIGHT_FILES:
-            files = [CONFIG_FILE, *TOKENIZER_FILES, weights]
-            try:
-                folder = hub_snapshot(name, files, offline=offline)
-            except UserError as error:
-                reason = str(error)
-                if offline:
-                    continue
-                break
-            # The snapshot may be partial.
-            config, tokenizer, vocabulary, merges, weight_file = ((folder / file).is_file() for file in files)
-            if config and weight_file and (tokenizer or (vocabulary and merges)):
-                return folder
-            reason = f"it has no {weights} or no tokenizer"
-    raise UserError(
-        f"{name}: no folder, and not on the hub ({shorten(reason, 30)}); copy {CONFIG_FILE}, tokenizer.json "
-        f"(or vocab.json and merges.txt) and {' or '.join(WEIGHT_FILES)} "
-        f"from https://huggingface.co/{name}/tree/main into {user_folder(name.repository)}"
-    )
+    return find_encoder(name_or_folder, CLIP_FILES)
 
 
 def read_clip_config(folder: Path) -> dict[str, Any]:
@@ -152,3 +108,10 @@ _READERS: dict[str, Callable[[Path], Mapping[Any, Any]]] = {
 }
 WEIGHT_FILES = tuple(_READERS)
 """In the order in which they are tried."""
+CLIP_FILES = EncoderFiles(
+    kind="clip",
+    wanted="the folder of a CLIP or a hub name such as openai/clip-…",
+    required=(CONFIG_FILE,),
+    tokenizers=(("tokenizer.json",), ("vocab.json", "merges.txt")),
+    weights=WEIGHT_FILES,
+)

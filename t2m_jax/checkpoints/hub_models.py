@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 from t2m_jax.checkpoints.bundle import (
     CARD_FILE,
-    CLIP_FOLDER,
     CONFIG_FILE,
     NO_LICENSE,
     WEIGHTS_FILE,
@@ -21,10 +20,10 @@ from t2m_jax.checkpoints.bundle import (
     card_license,
     load_bundle_config,
 )
-from t2m_jax.checkpoints.clip_files import CONFIG_FILE as CLIP_CONFIG_FILE
-from t2m_jax.checkpoints.clip_files import WEIGHT_FILES as CLIP_WEIGHT_FILES
+from t2m_jax.checkpoints.clip_files import CLIP_FILES
 from t2m_jax.checkpoints.hub import HubFiles, HubName, hub_reason, hub_snapshot, list_hub_files, parse_hub_name
 from t2m_jax.checkpoints.run import DATA_FILE, is_run
+from t2m_jax.checkpoints.sentence import SENTENCE_FILES
 from t2m_jax.errors import UserError
 from t2m_jax.files import MANIFEST, check_folder, has_manifest, load_text, read_manifest
 from t2m_jax.motion.normalizer import MEAN_FILE, STD_FILE
@@ -35,10 +34,13 @@ logger = logging.getLogger(__name__)
 
 DESCRIPTION_FILES = (MANIFEST, CONFIG_FILE, CARD_FILE)
 """The small files that say what a bundle is. They are checked before the others are downloaded."""
-_CLIP_FILES = (CLIP_CONFIG_FILE, CLIP_WEIGHT_FILES[0], TOKENIZER_FILE)
 BUNDLE_FILES = frozenset(
     {CONFIG_FILE, CARD_FILE, WEIGHTS_FILE, DATA_FILE, MEAN_FILE, STD_FILE, TOKENIZER_FILE}
-    | {f"{CLIP_FOLDER}/{name}" for name in _CLIP_FILES}
+    | {
+        f"{files.kind}/{name}"
+        for files in (CLIP_FILES, SENTENCE_FILES)
+        for name in (*files.required, *files.tokenizers[0], files.weights[0], *files.optional)
+    }
 )
 """What the manifest of a bundle may list."""
 MAX_DESCRIPTION_BYTES = 5_000_000

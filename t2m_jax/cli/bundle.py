@@ -53,19 +53,19 @@ def run(args: argparse.Namespace) -> None:
 
 def _pack(args: argparse.Namespace, runs: list[str], destination: Path, name: "HubName | None") -> None:
     """Writes the folder; nothing is written if it is to be pushed to `name` and is not complete enough."""
-    from t2m_jax.checkpoints.bundle import ClipReference, default_card, write_bundle
-    from t2m_jax.checkpoints.clip import load_clip
+    from t2m_jax.checkpoints.bundle import default_card, write_bundle
     from t2m_jax.checkpoints.hub_models import check_shareable
     from t2m_jax.checkpoints.model import load_runs
     from t2m_jax.checkpoints.official import export_official
+    from t2m_jax.checkpoints.text_encoder import Reference, load_pretrained
     from t2m_jax.files import atomic_folder, load_text
 
     with atomic_folder(destination) as folder:
         run_folder, bundle = load_runs([Path(path) for path in runs])
         card = load_text(Path(args.card)) if args.card else default_card(run_folder)
         text_encoder = bundle.config.text_encoder
-        clip = load_clip(text_encoder.name) if isinstance(text_encoder, ClipReference) else None
-        write_bundle(folder, bundle, card=card, clip=clip)
+        encoder = load_pretrained(text_encoder) if isinstance(text_encoder, Reference) else None
+        write_bundle(folder, bundle, card=card, encoder=encoder)
         if name is not None:
             try:
                 check_shareable(folder)

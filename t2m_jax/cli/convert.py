@@ -91,9 +91,10 @@ def _export(args: argparse.Namespace) -> None:
 
 
 def _convert_model(args: argparse.Namespace) -> None:
-    from t2m_jax.checkpoints.bundle import ClipReference, save_bundle
+    from t2m_jax.checkpoints.bundle import save_bundle
     from t2m_jax.checkpoints.clip import load_clip
     from t2m_jax.checkpoints.official import OfficialFiles, load_official, official_card
+    from t2m_jax.checkpoints.text_encoder import ClipReference
     from t2m_jax.files import check_new, load_text
 
     check_new(args.destination)
@@ -106,7 +107,7 @@ def _convert_model(args: argparse.Namespace) -> None:
         config = dataclasses.replace(bundle.config, text_encoder=ClipReference(name=args.clip))
         bundle = bundle._replace(config=config)
     card = official_card(files, bundle) if args.card is None else load_text(args.card)
-    save_bundle(args.destination, bundle, card=card, half=False, clip=clip)
+    save_bundle(args.destination, bundle, card=card, half=False, encoder=clip)
 
 
 def _convert_evaluator(args: argparse.Namespace) -> None:

@@ -5,6 +5,7 @@ from t2m_jax.models.clip_text import ClipText, ClipTextConfig
 from t2m_jax.models.evaluator import Evaluator, EvaluatorConfig
 from t2m_jax.models.hifigpt import HiFiGpt, HiFiGptConfig
 from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
+from t2m_jax.models.sentence_encoder import SentenceEncoder, SentenceEncoderConfig
 from t2m_jax.models.system import Generator, GeneratorConfig, Part, Tokenizer, TokenizerConfig, find_part, make_module
 from t2m_jax.models.vqvae import RvqVaeConfig, VqVae, VqVaeConfig
 
@@ -23,6 +24,8 @@ __all__ = [
     "MotionGptConfig",
     "Part",
     "RvqVaeConfig",
+    "SentenceEncoder",
+    "SentenceEncoderConfig",
     "Tokenizer",
     "TokenizerConfig",
     "VqVae",

@@ -41,8 +41,12 @@ class Attention(nn.Module):
         train: bool,
         cache: LayerCache | None = None,
         position: Int[Array, ""] | None = None,
+        bias: Float[Array, "1 H L S"] | None = None,
     ) -> tuple[Float[Array, "B L E"], LayerCache | None]:
-        """Returns the sequence after attention and, if a cache is given, the cache with this step at `position`."""
+        """Returns the sequence after attention and, if a cache is given, the cache with this step at `position`.
+
+        A `bias` is added to the scores of all sequences.
+        """
         embed_dim = hidden.shape[-1]
 
         def project(name: str) -> Float[Array, "B H L F"]:
@@ -56,7 +60,9 @@ class Attention(nn.Module):
             values = jax.lax.dynamic_update_slice_in_dim(cache.values, values, position, axis=2)
             cache = LayerCache(keys, values)
         scores = jnp.einsum("bhqf,bhkf->bhqk", queries, keys, preferred_element_type=jnp.float32)
-        weights = nn.softmax(jnp.where(mask, scores * queries.shape[-1] ** -0.5, -jnp.inf)).astype(hidden.dtype)
+        scores *= queries.shape[-1] ** -0.5
+        scores = scores if bias is None else scores + bias
+        weights = nn.softmax(jnp.where(mask, scores, -jnp.inf)).astype(hidden.dtype)
         weights = nn.Dropout(self.dropout)(weights, deterministic=not train)
         attended = jnp.einsum("bhqk,bhkf->bhqf", weights, values).transpose(0, 2, 1, 3).reshape(hidden.shape)
         output = Projection(embed_dim, name="proj")(attended)

@@ -13,12 +13,12 @@ from t2m_jax.sampling.stopping import (
     make_stop_rule,
 )
 from t2m_jax.sampling.strategies import Greedy, Strategy, Temperature, TopK, TopP, make_strategy
-from t2m_jax.sampling.text_encoders import CaptionTextEncoder, ClipTextEncoder, make_text_encoder
+from t2m_jax.sampling.text_encoders import CaptionTextEncoder, PretrainedTextEncoder, make_text_encoder
 
 __all__ = [
     "CaptionTextEncoder",
-    "ClipTextEncoder",
     "Greedy",
+    "PretrainedTextEncoder",
     "SampledCodes",
     "Sampling",
     "StopAtEnd",

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from t2m_jax.checkpoints.bundle import Bundle, ClipReference, part_kinds
+from t2m_jax.checkpoints.bundle import Bundle, part_kinds
+from t2m_jax.checkpoints.text_encoder import Reference
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.devices import put_everywhere, put_rows
 from t2m_jax.errors import UserError
@@ -37,7 +38,7 @@ class MotionModel:
             text_encoder: Used instead of the model's own; it must give the same embeddings.
 
         Raises:
-            UserError: The model reads text with CLIP, and CLIP cannot be found; or `bundle` is a name or a path.
+            UserError: The model's pretrained text encoder cannot be found; or `bundle` is a name or a path.
         """
         if not isinstance(bundle, Bundle):
             raise UserError(f"{bundle!r} is not a loaded bundle; use t2m_jax.load({str(bundle)!r})")
@@ -77,9 +78,9 @@ class MotionModel:
     @property
     def fingerprint(self) -> str:
         """Identifies the model: a digest of sizes, weights, statistics and subwords."""
-        config, clip = self.config, getattr(self.text_encoder, "fingerprint", None)
-        if clip is not None:  # where CLIP is does not matter
-            config = dataclasses.replace(config, text_encoder=ClipReference(name=clip))
+        config, encoder = self.config, getattr(self.text_encoder, "fingerprint", None)
+        if encoder is not None and isinstance(config.text_encoder, Reference):  # where the encoder is does not matter
+            config = dataclasses.replace(config, text_encoder=dataclasses.replace(config.text_encoder, name=encoder))
         return Bundle(config, self.variables, self._normalizer, self._bpe).fingerprint
 
     @property

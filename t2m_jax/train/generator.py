@@ -12,9 +12,17 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from tokenizers import Tokenizer
 
-from t2m_jax.checkpoints.bundle import CLIP_NAME, CONFIG_FILE, Bundle, BundleConfig, ClipReference, part_kinds
-from t2m_jax.checkpoints.clip import load_clip
+from t2m_jax.checkpoints.bundle import CONFIG_FILE, Bundle, BundleConfig, load_bundle_config, part_kinds
 from t2m_jax.checkpoints.model import load_model
+from t2m_jax.checkpoints.text_encoder import (
+    CLIP_NAME,
+    SENTENCE_NAME,
+    ClipReference,
+    Reference,
+    SentenceReference,
+    encoder_identity,
+    load_pretrained,
+)
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer, load_tokenizer_config, save_tokenizer_copy
 from t2m_jax.config import check_sizes, save_config
 from t2m_jax.data.banks.codes import Captions, CodeBank, CodeBatch, code_batch_at
@@ -27,7 +35,7 @@ from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
 from t2m_jax.models.rows import Precision, apply_rows
 from t2m_jax.sampling.pipeline import TextToMotion
 from t2m_jax.sampling.strategies import Greedy, Temperature
-from t2m_jax.sampling.text_encoders import ClipTextEncoder
+from t2m_jax.sampling.text_encoders import PretrainedTextEncoder
 from t2m_jax.text.bpe import load_bpe, save_bpe, tokenize_captions, train_bpe
 from t2m_jax.text.embedding_cache import EmbeddingCache
 from t2m_jax.text.encoder import TextEncoder
@@ -48,7 +56,7 @@ SAME_WEIGHTS = 2e-3
 class TrainGeneratorConfig(ExperimentConfig):
     """Fields of the training of every generator."""
 
-    not_compiled: ClassVar[tuple[str, ...]] = (*ExperimentConfig.not_compiled, "vqvae", "clip")
+    not_compiled: ClassVar[tuple[str, ...]] = (*ExperimentConfig.not_compiled, "vqvae", "clip", "sentence")
 
     model: Any
     """Sizes of the generator."""
@@ -57,10 +65,14 @@ class TrainGeneratorConfig(ExperimentConfig):
     vqvae: Path = Path("runs/vqvae")
     """Run or bundle of the tokenizer that makes the codes. The sizes that the model shares with it, such as
     `model.num_codes`, are taken from it."""
-    text_encoder: Literal["caption_encoder", "clip"] = "caption_encoder"
-    """What reads the captions: a small transformer that is trained with the generator, or CLIP, which is not."""
+    text_encoder: Literal["caption_encoder", "clip", "sentence"] = "caption_encoder"
+    """What reads the captions: a small transformer that is trained with the generator, or a pretrained encoder, which
+    is not: CLIP or a sentence encoder."""
     clip: str = CLIP_NAME
-    """CLIP model with `text_encoder: clip`: a folder or a name on the Hugging Face hub."""
+    """CLIP model with `text_encoder: clip`: a folder or a name on the Hugging Face hub (`owner/name@revision`)."""
+    sentence: str = SENTENCE_NAME
+    """Sentence encoder with `text_encoder: sentence`: a folder or a name on the Hugging Face hub. Its network is one
+    of the BERT family, as of `sentence-transformers`, and `model.text_dim` is the width of its embeddings."""
     caption_encoder: CaptionEncoderConfig = CaptionEncoderConfig(text_dim=512)
     """Sizes of the caption encoder."""
     offsets: OffsetKind = "all"
@@ -108,8 +120,8 @@ class GeneratorSteps(NamedTuple):
 
 
 def init_caption_encoder(config: TrainGeneratorConfig, key: Key[Array, ""]) -> dict[str, Any]:
-    """Returns the parameters of the caption encoder by its kind, nothing with CLIP; `key` is consumed."""
-    if config.text_encoder == "clip":
+    """Returns the parameters of the caption encoder by its kind, if it is trained; `key` is consumed."""
+    if config.text_encoder != "caption_encoder":
         return {}
     tokens = jnp.zeros((1, config.caption_encoder.max_length), jnp.int32)
     module = CaptionEncoder(config.caption_encoder)
@@ -164,21 +176,37 @@ class CaptionReader(NamedTuple):
     """How captions are read for training."""
 
     read: Callable[[Sequence[str]], Captions]
-    """From captions to tokens of the caption encoder, or to embeddings of CLIP."""
+    """From captions to tokens of the caption encoder, or to embeddings of a pretrained encoder."""
     bpe: Tokenizer | None
-    """Subwords of the caption encoder; None with CLIP."""
+    """Subwords of the caption encoder; None with a pretrained encoder."""
     encoder: TextEncoder | None
-    """CLIP; None with a caption encoder, whose weights change."""
+    """The pretrained encoder; None with a caption encoder, whose weights change."""
 
 
-def make_caption_reader(config: TrainGeneratorConfig, motions: Sequence[CodedMotion], *, resume: bool) -> CaptionReader:
-    """Returns what reads the captions: with the subwords of the run or of `init`, or with new ones.
+def open_text_encoder(
+    config: TrainGeneratorConfig, *, resume: bool
+) -> tuple[CaptionEncoderConfig | Reference, PretrainedTextEncoder | None]:
+    """Returns the text encoder of a bundle's config and, if it is pretrained, the encoder.
 
     Raises:
-        UserError: CLIP cannot be found, or has another width than the generator reads.
+        UserError: It cannot be found, has another width than the generator reads, or is not the one of the run.
     """
-    if config.text_encoder == "clip":
-        encoder = ClipTextEncoder(load_clip(config.clip, text_dim=config.model.text_dim), cache=EmbeddingCache())
+    if config.text_encoder == "caption_encoder":
+        return config.caption_encoder, None
+    reference: Reference = ClipReference(name=config.clip)
+    if config.text_encoder == "sentence":
+        reference = SentenceReference(name=config.sentence)
+    known = load_bundle_config(config.run).text_encoder.identity if resume else ""
+    encoder = load_pretrained(dataclasses.replace(reference, identity=known), text_dim=config.model.text_dim)
+    reference = dataclasses.replace(reference, identity=encoder_identity(encoder))
+    return reference, PretrainedTextEncoder(encoder, cache=EmbeddingCache())
+
+
+def make_caption_reader(
+    config: TrainGeneratorConfig, motions: Sequence[CodedMotion], *, encoder: TextEncoder | None, resume: bool
+) -> CaptionReader:
+    """Returns what reads the captions: the pretrained encoder, or the subwords of the run or of `init`, or new ones."""
+    if encoder is not None:
         return CaptionReader(encoder, None, encoder)
     sizes = config.caption_encoder
     bpe = load_bpe(config.run) if resume else None if config.init is None else load_model(config.init).bpe
@@ -220,14 +248,15 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
     advice = "train the tokenizer on this data set, or choose another"
     check_statistics(dataset, tokenizer.normalizer, reader="the tokenizer", advice=advice)
     clips = dataset.clips("train", fraction=config.data_fraction)
+    text_encoder, encoder = open_text_encoder(config, resume=resume)  # first, because encoding the clips takes long
     motions = code_motions(config, clips, dataset, tokenizer)
-    reader = make_caption_reader(config, motions, resume=resume)
+    reader = make_caption_reader(config, motions, encoder=encoder, resume=resume)
     bank, compiled = make_code_bank(motions, reader.read), compiled_config(config)
     parts = BundleConfig(
         skeleton=dataset.skeleton.name,
         tokenizer=tokenizer.config,
         generator=config.model,
-        text_encoder=ClipReference(name=config.clip) if reader.bpe is None else config.caption_encoder,
+        text_encoder=text_encoder,
     )
 
     def write_parts(run: Path) -> None:

@@ -12,7 +12,8 @@ import pytest
 from flax import serialization
 from safetensors.numpy import load_file, save_file
 
-from t2m_jax.checkpoints.clip import TrainedClip, clip_fingerprint, load_clip, param_shapes, save_clip
+from t2m_jax.checkpoints.clip import TrainedClip, load_clip, param_shapes, save_clip
+from t2m_jax.checkpoints.pretrained import encoder_fingerprint
 from t2m_jax.errors import UserError
 from t2m_jax.models.clip_text import ClipTextConfig
 from t2m_jax.sampling.text_encoders import encode_clip_tokens
@@ -163,12 +164,12 @@ def test_the_fingerprint_is_that_of_all_an_embedding_depends_on(full):
     other_tokenizer = load_clip(TEXT_ONLY).tokenizer
     fingerprints = {
         full.fingerprint,
-        clip_fingerprint(config, full.variables, full.tokenizer),
-        clip_fingerprint(full.config, moved, full.tokenizer),
-        clip_fingerprint(full.config, full.variables, other_tokenizer),
+        encoder_fingerprint(config, full.variables, full.tokenizer),
+        encoder_fingerprint(full.config, moved, full.tokenizer),
+        encoder_fingerprint(full.config, full.variables, other_tokenizer),
     }
     assert len(fingerprints) == 4
-    assert clip_fingerprint(full.config, full.variables, full.tokenizer) == full.fingerprint
+    assert encoder_fingerprint(full.config, full.variables, full.tokenizer) == full.fingerprint
 
 
 @pytest.mark.parametrize("weights", [SAFETENSORS, MSGPACK, TORCH])

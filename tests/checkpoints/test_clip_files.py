@@ -9,9 +9,10 @@ import pytest
 from huggingface_hub import constants
 
 from t2m_jax.checkpoints.clip import load_clip
-from t2m_jax.checkpoints.clip_files import WEIGHT_FILES, find_clip, user_folder
+from t2m_jax.checkpoints.clip_files import WEIGHT_FILES, find_clip
+from t2m_jax.checkpoints.encoder_files import user_folder
 from t2m_jax.errors import UserError
-from tests.clip_golden import FULL, MSGPACK, ONE_FILE, SAFETENSORS, TORCH, TWO_FILES, copy_files
+from tests.clip_golden import FULL, MSGPACK, ONE_FILE, SAFETENSORS, TEXT_ONLY, TORCH, TWO_FILES, copy_files
 
 NAME = "someone/tiny-clip"
 
@@ -30,12 +31,12 @@ def places(monkeypatch, tmp_path):
     monkeypatch.setattr(socket, "create_connection", refuse)
 
 
-def cached_snapshot(tmp_path, **files):
+def cached_snapshot(tmp_path, *, source=FULL, revision="main", **files):
     """Returns a folder as the hub's client leaves it."""
-    repository = tmp_path / "hub" / f"models--{NAME.replace('/', '--')}"
-    (repository / "refs").mkdir(parents=True)
-    (repository / "refs" / "main").write_text("a" * 40)
-    return copy_files(FULL, repository / "snapshots" / ("a" * 40), **files)
+    repository, commit = tmp_path / "hub" / f"models--{NAME.replace('/', '--')}", f"{len(revision):040x}"
+    (repository / "refs").mkdir(parents=True, exist_ok=True)
+    (repository / "refs" / revision).write_text(commit)
+    return copy_files(source, repository / "snapshots" / commit, **files)
 
 
 def refused(name) -> str:
@@ -72,14 +73,14 @@ def test_offline_the_error_says_what_to_download_and_where_to_put_it():
     for part in (NAME, "config.json", "tokenizer.json", "vocab.json and merges.txt", *WEIGHT_FILES):
         assert part in message
     assert f"https://huggingface.co/{NAME}/tree/main" in message
-    assert str(user_folder(NAME)) in message
+    assert str(user_folder(NAME, "clip")) in message
 
 
 def test_what_the_user_put_there_is_found():
-    copy_files(FULL, user_folder(NAME), weights=MSGPACK, tokenizer=TWO_FILES)
+    copy_files(FULL, user_folder(NAME, "clip"), weights=MSGPACK, tokenizer=TWO_FILES)
     assert load_clip(NAME).fingerprint
-    (user_folder(NAME) / MSGPACK).unlink()
-    assert str(user_folder(NAME)) in refused(NAME)
+    (user_folder(NAME, "clip") / MSGPACK).unlink()
+    assert str(user_folder(NAME, "clip")) in refused(NAME)
 
 
 @pytest.mark.parametrize("weights", [SAFETENSORS, MSGPACK, TORCH])
@@ -87,6 +88,13 @@ def test_what_the_hubs_client_has_kept_is_found(weights, tmp_path):
     snapshot = cached_snapshot(tmp_path, weights=weights)
     assert find_clip(NAME) == snapshot
     assert load_clip(NAME).fingerprint == load_clip(FULL).fingerprint
+
+
+def test_a_name_may_have_a_revision(tmp_path):
+    newest = cached_snapshot(tmp_path)
+    older = cached_snapshot(tmp_path, source=TEXT_ONLY, revision="v1")
+    assert (find_clip(NAME), find_clip(f"{NAME}@v1")) == (newest, older)
+    assert f"https://huggingface.co/{NAME}/tree/v2 into" in refused(f"{NAME}@v2")
 
 
 @pytest.mark.parametrize("missing", ["config.json", SAFETENSORS, "merges.txt"])

@@ -16,6 +16,7 @@ from t2m_jax.checkpoints.bundle import load_bundle, load_bundle_config, save_bun
 from t2m_jax.checkpoints.clip_files import read_clip_config
 from t2m_jax.checkpoints.evaluator import load_trained_evaluator, save_evaluator
 from t2m_jax.checkpoints.run import run_info
+from t2m_jax.checkpoints.sentence import load_sentence_tokenizer, read_sentence_config
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.checkpoints.torch_file import load_torch_file
 from t2m_jax.data import open_dataset
@@ -66,6 +67,7 @@ def make_files(root: Path) -> None:
     _make_texts(root)
     for name in ("full", "text_only"):
         shutil.copytree(GOLDEN / "clip" / name, root / "clip" / name)
+    shutil.copytree(GOLDEN / "sentence" / "bert", root / "sentence")
     for path in (GOLDEN / "torch").iterdir():
         shutil.copy(path, root / path.name)
 
@@ -100,6 +102,10 @@ def read_partial(path: Path) -> object:
     return load_partial(path, Header(**HEADER))
 
 
+def read_sentence_tokens(folder: Path) -> object:
+    return load_sentence_tokenizer(folder, read_sentence_config(folder)).encode("a man waves").ids
+
+
 FILES: Mapping[str, Callable[[Path], object]] = {
     "motion.bvh": lambda root: load_motion(root / "motion.bvh"),
     "motion.glb": lambda root: load_gltf(root / "motion.glb"),
@@ -132,6 +138,10 @@ FILES: Mapping[str, Callable[[Path], object]] = {
     "run/train.csv": lambda root: _keep_rows(root / "run" / "train.csv", 4),
     "clip/full/config.json": lambda root: read_clip_config(root / "clip" / "full"),
     "clip/full/tokenizer.json": lambda root: load_clip_bpe(root / "clip" / "full"),
+    "sentence/config.json": lambda root: read_sentence_config(root / "sentence"),
+    "sentence/modules.json": lambda root: read_sentence_config(root / "sentence"),
+    "sentence/1_Pooling/config.json": lambda root: read_sentence_config(root / "sentence"),
+    "sentence/tokenizer.json": lambda root: read_sentence_tokens(root / "sentence"),
 }
 """Files that are read into memory, below the folder that `make_files` fills -> what reads them."""
 

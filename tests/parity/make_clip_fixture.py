@@ -34,9 +34,10 @@ from transformers import (
 
 from t2m_jax.checkpoints.clip import load_clip, save_clip
 from t2m_jax.models.clip_text import ClipText
-from t2m_jax.sampling.text_encoders import ClipTextEncoder
+from t2m_jax.sampling.text_encoders import PretrainedTextEncoder
 from t2m_jax.text.clip_bpe import clip_tokens
 from tests.parity.clip_captions import CAPTIONS, training_captions
+from tests.parity.randomize import randomize
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "clip"
 WEIGHTS = ("model.safetensors", "flax_model.msgpack", "pytorch_model.bin")
@@ -77,22 +78,6 @@ def save_vocabulary(folder: Path) -> dict[str, int]:
     tokenizer = CLIPTokenizerFast.from_pretrained(folder, model_max_length=MAX_LENGTH)
     tokenizer.save_pretrained(folder)
     return vocabulary
-
-
-def randomize(model: torch.nn.Module, seed: int) -> None:
-    """Fills the weights so that every part of a caption matters to its embedding."""
-    generator = torch.Generator().manual_seed(seed)
-    with torch.no_grad():
-        for name, parameter in sorted(model.named_parameters()):
-            noise = torch.randn(parameter.shape, generator=generator)
-            if "norm" in name and name.endswith("weight"):
-                parameter.copy_(1 + 0.2 * noise)
-            elif parameter.ndim < 2:
-                parameter.copy_(0.2 * noise)
-            elif "embedding" in name:
-                parameter.copy_(noise)
-            else:
-                parameter.copy_(1.5 * noise / parameter[0].numel() ** 0.5)
 
 
 def text_config(vocabulary_size: int, **changes: object) -> CLIPTextConfig:
@@ -186,7 +171,7 @@ def ours(folder: Path) -> tuple[np.ndarray, np.ndarray]:
     """Returns tokens and embeddings of the captions by t2m_jax."""
     clip = load_clip(folder)
     tokens = clip_tokens(clip.tokenizer, CAPTIONS, max_length=clip.config.max_length)
-    return tokens, np.asarray(ClipTextEncoder(clip)(CAPTIONS))
+    return tokens, np.asarray(PretrainedTextEncoder(clip)(CAPTIONS))
 
 
 def report(what: str, found: tuple, wanted: tuple, tolerance: float) -> bool:

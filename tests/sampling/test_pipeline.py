@@ -9,7 +9,8 @@ import jax
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints.bundle import BUNDLED, ClipReference
+from t2m_jax.checkpoints import ClipReference
+from t2m_jax.checkpoints.bundle import BUNDLED
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
 from t2m_jax.motion.features import features_from_positions

@@ -23,6 +23,7 @@ from t2m_jax.devices import make_data_mesh
 from t2m_jax.masks import mask_from_lengths
 from t2m_jax.models.clip_text import ClipText, ClipTextConfig
 from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
+from t2m_jax.models.sentence_encoder import SentenceEncoder, SentenceEncoderConfig
 from t2m_jax.models.system import make_module, variable_shapes
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import HUMANML3D
@@ -241,6 +242,17 @@ def _() -> Case:
     tokens = jnp.array([[1, 5, 19, 0, 0, 0], [1, 7, 3, 2, 4, 19]])
     shapes = jax.eval_shape(ClipText(CLIP).init, jax.random.key(0), tokens)
     return Case((weights(shapes), tokens), {"config": CLIP})
+
+
+@case("sampling.text_encoders.encode_sentence_tokens")
+def _() -> Case:
+    tokens = jnp.array([[1, 5, 19, 2, 0, 0], [1, 7, 3, 2, 4, 19]])
+    mask = jnp.arange(6)[None] < jnp.array([[4], [6]])
+    config = SentenceEncoderConfig(
+        vocabulary_size=20, max_length=6, embed_dim=16, num_layers=1, num_heads=2, mlp_dim=32, num_buckets=8
+    )
+    shapes = jax.eval_shape(SentenceEncoder(config).init, jax.random.key(0), tokens, mask)
+    return Case((weights(shapes), tokens, mask), {"config": config})
 
 
 def evaluator_variables() -> Any:

@@ -4,9 +4,10 @@ import hashlib
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from t2m_jax.checkpoints.bundle import Bundle, BundleConfig, ClipReference, check_statistics_width
+from t2m_jax.checkpoints.bundle import Bundle, BundleConfig, check_statistics_width
 from t2m_jax.checkpoints.evaluator import TrainedEvaluator, make_trained_evaluator
 from t2m_jax.checkpoints.official.load import load_evaluator, load_gpt, load_vqvae
+from t2m_jax.checkpoints.text_encoder import ClipReference
 from t2m_jax.errors import UserError
 from t2m_jax.motion.normalizer import normalizer_from_files
 from t2m_jax.motion.skeleton import skeleton_from_feature_dim

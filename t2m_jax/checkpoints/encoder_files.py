@@ -1,0 +1,92 @@
+"""Pretrained text encoders by a folder or by their name on the Hugging Face hub.
+
+Only files with known names are downloaded, and none of them can run code.
+"""
+
+from pathlib import Path
+from textwrap import shorten
+from typing import NamedTuple
+
+import platformdirs
+
+from t2m_jax.checkpoints.hub import HubName, hub_snapshot, parse_hub_name
+from t2m_jax.errors import UserError
+
+
+class EncoderFiles(NamedTuple):
+    """The files of one kind of text encoder."""
+
+    kind: str
+    """Name of the folder with the user's own copies."""
+    wanted: str
+    """What the user may give, for messages."""
+    required: tuple[str, ...]
+    """Files that each model has."""
+    tokenizers: tuple[tuple[str, ...], ...]
+    """Files of the tokenizer: all of one row."""
+    weights: tuple[str, ...]
+    """Files of the weights: one of them, in the order in which they are tried."""
+    optional: tuple[str, ...] = ()
+    """Files that a model may have."""
+
+
+def find_encoder(name_or_folder: str | Path, files: EncoderFiles) -> Path:
+    """Returns the folder of a text encoder.
+
+    The first of these is used: the folder with this path; the user's copy in `user_folder`; the hub's cache on this
+    machine; a download from the hub. A name may end with a revision: `owner/name@revision`.
+
+    Raises:
+        UserError: There is no such folder, and the hub name cannot be downloaded.
+    """
+    if Path(name_or_folder).is_dir():
+        return Path(name_or_folder)
+    name = str(name_or_folder)
+    hub_name = parse_hub_name(name_or_folder)
+    if hub_name is None:
+        raise UserError(f"{name}: no such folder; give {files.wanted}")
+    folder = user_folder(name, files.kind)
+    return folder if folder.is_dir() else _hub_snapshot(hub_name, files)
+
+
+def user_folder(name: str, kind: str) -> Path:
+    """Returns the folder into which a user may put the files of a hub name by hand."""
+    return Path(platformdirs.user_data_dir("t2m_jax")) / kind / name.replace("/", "--")
+
+
+def _hub_snapshot(name: HubName, files: EncoderFiles) -> Path:
+    """Returns the folder in which the hub's client keeps an encoder; downloads one weight format if necessary."""
+    reason = ""
+    others = [*files.required, *(file for row in files.tokenizers for file in row), *files.optional]
+    for offline in (True, False):
+        for weights in files.weights:
+            try:
+                folder = hub_snapshot(name, [*others, weights], offline=offline)
+            except UserError as error:
+                reason = str(error)
+                if offline:
+                    continue
+                break
+            # The snapshot may be partial.
+            if _is_complete(folder, files, weights):
+                return folder
+            reason = f"it has no {weights} or no tokenizer"
+    page = f"https://huggingface.co/{name.repository}/tree/{name.revision or 'main'}"
+    raise UserError(
+        f"{name}: no folder, and not on the hub ({shorten(reason, 30)}); copy {_listed(files)} from {page} "
+        f"into {user_folder(str(name), files.kind)}"
+    )
+
+
+def _is_complete(folder: Path, files: EncoderFiles, weights: str) -> bool:
+    def has(names: tuple[str, ...]) -> bool:
+        return all((folder / name).is_file() for name in names)
+
+    return has((*files.required, weights)) and any(map(has, files.tokenizers))
+
+
+def _listed(files: EncoderFiles) -> str:
+    """Returns the names of the files as a part of a sentence."""
+    first, *others = (" and ".join(row) for row in files.tokenizers)
+    tokenizer = f"{first} (or {' or '.join(others)})" if others else first
+    return f"{', '.join(files.required)}, {tokenizer} and {' or '.join(files.weights)}"

@@ -1,0 +1,45 @@
+"""What pretrained text encoders share: parameters from arrays in PyTorch's layout, and a digest of an encoder."""
+
+import hashlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from flax import traverse_util
+from tokenizers import Tokenizer
+
+from t2m_jax.files import fit_arrays, flatten_tree
+
+
+def params_from_torch(
+    path: Path,
+    arrays: Mapping[str, np.ndarray],
+    shapes: Mapping[tuple[str, ...], tuple[int, ...]],
+    key_from_path: Callable[[tuple[str, ...]], str],
+) -> dict[str, Any]:
+    """Returns the parameters of a network from arrays in PyTorch's layout, in which kernels are transposed.
+
+    Args:
+        path: The file, for error messages.
+        arrays: Its arrays by PyTorch's names.
+        shapes: Shape of each of our parameters by its path.
+        key_from_path: From a path to PyTorch's name.
+
+    Raises:
+        UserError: Names, shapes or values are not as expected.
+    """
+    shapes = {names: shape[::-1] if names[-1] == "kernel" else shape for names, shape in shapes.items()}
+    fitted = fit_arrays(path, arrays, {key_from_path(names): (shape, np.float32) for names, shape in shapes.items()})
+    leaves = {names: fitted[key_from_path(names)] for names in shapes}
+    flat = {names: leaf.T if names[-1] == "kernel" else leaf for names, leaf in leaves.items()}
+    return traverse_util.unflatten_dict(flat)
+
+
+def encoder_fingerprint(config: Any, variables: dict[str, Any], tokenizer: Tokenizer) -> str:
+    """Returns a hash of everything that an embedding depends on."""
+    digest = hashlib.sha256(f"{config}\n{tokenizer.to_str()}\n".encode())
+    for name, leaf in sorted(flatten_tree(variables).items()):
+        array = np.ascontiguousarray(leaf, "<f4")
+        digest.update(f"{name} {array.shape}\n".encode() + array.tobytes())
+    return digest.hexdigest()
