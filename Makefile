@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 PROMPT ?= a person waves with the left hand
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow soak lint format notebooks clean
+.PHONY: help demo test test-slow soak lint format docs notebooks clean
 
 help:
 	@echo "make demo       generate a motion and print where it was saved"
@@ -19,6 +19,7 @@ help:
 	@echo "make soak       attack the readers of files with a million inputs (SOAK_ARGS=\"--inputs 10000\" for fewer)"
 	@echo "make lint       check style, imports and types"
 	@echo "make format     format the code"
+	@echo "make docs       write the documentation to site/index.html, and check its links"
 	@echo "make notebooks  run the notebooks and save their outputs"
 	@echo "make clean      remove .venv, caches and generated files"
 
@@ -38,6 +39,10 @@ $(VENV)/.dev: pyproject.toml | $(BIN)/python
 
 $(VENV)/.notebooks: pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[notebooks]'
+	@touch $(VENV)/.base $@
+
+$(VENV)/.docs: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	@touch $(VENV)/.base $@
 
 demo: $(VENV)/.base
@@ -63,9 +68,12 @@ format: $(VENV)/.dev
 	$(BIN)/ruff check --fix-only .
 	$(BIN)/ruff format .
 
+docs: $(VENV)/.docs
+	$(BIN)/sphinx-build --quiet --fresh-env --fail-on-warning --keep-going --conf-dir docs . site
+
 notebooks: $(VENV)/.notebooks
 	$(BIN)/python notebooks/run.py
 
 clean:
-	rm -rf $(VENV) demo build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) demo build dist site .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
