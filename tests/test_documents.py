@@ -1,0 +1,64 @@
+"""What the pages say is there: links lead somewhere, and `t2m` accepts each command (test_wheel.py runs them)."""
+
+import functools
+import importlib
+import itertools
+import re
+import shlex
+from pathlib import Path
+from urllib.parse import unquote
+
+import pytest
+from markdown_it import MarkdownIt
+from mdit_py_plugins.anchors import anchors_plugin
+
+from t2m_jax.cli.main import COMMANDS, main
+from t2m_jax.cli.train import _start_config
+from t2m_jax.config import override_config
+from t2m_jax.train import find_trainer
+from tests.conftest import REPOSITORY
+from tests.documents import PAGES, code_blocks, commands, name_of
+
+LINKING = [*PAGES, *sorted((REPOSITORY / "docs" / "api").glob("*.md"))]
+LINKING += [path for path in sorted(REPOSITORY.glob("*.md")) if path not in PAGES]
+
+
+@functools.cache
+def attributes(page: Path, name: str) -> set[str]:
+    """Returns the values of an attribute (`href`, `src`, `id`) of all elements of a page."""
+    tokens = MarkdownIt("gfm-like", {"linkify": False}).use(anchors_plugin, max_level=4).parse(page.read_text("utf-8"))
+    elements = itertools.chain(tokens, *(token.children or () for token in tokens))
+    return {str(token.attrs[name]) for token in elements if name in token.attrs}
+
+
+@pytest.mark.parametrize("page", LINKING, ids=name_of)
+def test_links_lead_somewhere(page):
+    broken = []
+    for link in attributes(page, "href") | attributes(page, "src"):
+        place, _, anchor = unquote(link).partition("#")
+        target = page.parent / place if place else page
+        if re.match(r"https?:", link):
+            continue
+        if not target.exists() or (anchor and anchor not in attributes(target.resolve(), "id")):
+            broken.append(link)
+    assert broken == []
+
+
+def check_config(args):
+    """Reads the config and the options of a training instead of training."""
+    if args.diff is None:
+        start = find_trainer(args.kind).config() if args.resume else _start_config(args)
+        override_config(start, args.config_options, prog=f"t2m train {args.kind}")
+
+
+# Kinds of systems.md come from a package that is not installed; tests/third_system runs its commands.
+@pytest.mark.parametrize("page", [page for page in PAGES if page.name != "systems.md"], ids=name_of)
+def test_commands_and_their_options_exist(page, monkeypatch, capsys):
+    monkeypatch.chdir(REPOSITORY)
+    for name in COMMANDS:
+        monkeypatch.setattr(importlib.import_module(f"t2m_jax.cli.{name}"), "run", lambda args: None)
+    monkeypatch.setattr("t2m_jax.cli.train.run", check_config)
+    text = "".join(block for _, block in code_blocks(page, "sh"))
+    for command in commands(text):
+        arguments = shlex.split(command.partition("t2m ")[2].removesuffix("&").replace("$i", "0"))
+        assert main(arguments) == 0, f"{command}: {capsys.readouterr().err}"
