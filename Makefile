@@ -17,7 +17,7 @@ help:
 	@echo "make test       run the tests that take a short time (PYTEST_ARGS=\"...\" for other options of pytest)"
 	@echo "make test-slow  run the other tests"
 	@echo "make soak       attack the readers of files with a million inputs (SOAK_ARGS=\"--inputs 10000\" for fewer)"
-	@echo "make lint       check style, imports and types"
+	@echo "make lint       check style, imports, types and the Dockerfile"
 	@echo "make format     format the code"
 	@echo "make docs       write the documentation to site/index.html, and check its links"
 	@echo "make notebooks  run the notebooks and save their outputs"
@@ -63,6 +63,7 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
 	$(BIN)/mypy
+	$(BIN)/hadolint Dockerfile
 
 format: $(VENV)/.dev
 	$(BIN)/ruff check --fix-only .

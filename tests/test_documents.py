@@ -5,10 +5,12 @@ import importlib
 import itertools
 import re
 import shlex
+import tomllib
 from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
+import yaml
 from markdown_it import MarkdownIt
 from mdit_py_plugins.anchors import anchors_plugin
 
@@ -62,3 +64,15 @@ def test_commands_and_their_options_exist(page, monkeypatch, capsys):
     for command in commands(text):
         arguments = shlex.split(command.partition("t2m ")[2].removesuffix("&").replace("$i", "0"))
         assert main(arguments) == 0, f"{command}: {capsys.readouterr().err}"
+
+
+def test_the_citation_has_what_its_format_requires():
+    citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text(encoding="utf-8"))
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert citation["cff-version"] == "1.2.0"
+    assert citation["license"] == project["license"]
+    assert citation["type"] == "software"
+    assert citation["message"]
+    for work in (citation, *citation["references"]):
+        assert work["title"]
+        assert all("name" in author or {"family-names", "given-names"} == set(author) for author in work["authors"])
