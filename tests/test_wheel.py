@@ -1,7 +1,8 @@
-"""The package as users get it: a wheel in a new environment, in which the commands of the README run as written."""
+"""The package as users get it: a wheel in a new environment, in which the commands of the pages run as written."""
 
 import os
 import re
+import shlex
 import subprocess
 import sys
 import venv
@@ -13,22 +14,55 @@ import pytest
 from t2m_jax.data.importers.synthetic import KINDS, make_motion
 from t2m_jax.motion.record import Motion
 from tests.conftest import REPOSITORY
+from tests.documents import PAGES, code_blocks, commands, name_of
 
-# Options that make the long commands short.
+TRAINING = "--loop.num_steps 2 --loop.batch_size 4 --loop.validate_every 0"
+# Parts of commands with options that make them short. Options of all parts are added.
 SHORTENED = {
-    "t2m train": "--loop.num_steps 2 --loop.batch_size 4 --loop.validate_every 0",
-    "t2m train evaluator": "--movement_steps 2",
-    "t2m evaluate generation": "--num-repeats 1",
+    r"t2m train .* --run (?!.*--resume)": TRAINING,
+    r"--resume .*--loop.num_steps": "--loop.num_steps 3",
+    r"t2m train evaluator": "--movement_steps 2",
+    r"t2m evaluate generation": "--num-repeats 1",
 }
-# CLIP has 600 MB. The conversion of the published weights that is written before this command is tested.
-NEEDS_CLIP = ("t2m generate", "--model t2m-gpt ")
+MEASUREMENT = "hours on a data set that must be downloaded; test_documents.py and test_configs.py check the options"
+# Pages and parts of commands, and why they are not run.
+NOT_RUN = {
+    "docs/ablations.md": MEASUREMENT,
+    "docs/demo_model.md": MEASUREMENT,
+    "docs/evaluation.md": MEASUREMENT,
+    "docs/hifigpt.md": MEASUREMENT,
+    "docs/paper_and_code.md": MEASUREMENT,
+    "docs/results.md": MEASUREMENT,
+    "data/bandai-namco": MEASUREMENT,
+    "demo.json": "the report of such a measurement",
+    "train vqvae official": MEASUREMENT,
+    "train gpt official": MEASUREMENT,
+    "data/humanml3d": "HumanML3D is made from data that need a registration",
+    "finest.tar": "the published evaluator is not part of the repository; tests/checkpoints converts small ones",
+    "--model t2m-gpt ": "CLIP has 600 MB; the conversion before this command is run",
+    "docs/performance.md": "minutes of measurements of the machine; tests/bench runs small ones",
+    "docs/systems.md": "the package that the page describes is not installed; tests/third_system runs the commands",
+    "CUDA_VISIBLE_DEVICES": "needs two GPUs; tests/devices and test_distributed.py have virtual ones",
+    "--distributed": "needs a cluster; test_distributed.py starts processes",
+}
 
 
-def readme_commands():
-    """Returns the `t2m` commands of the README in their order, without comments."""
-    text = (REPOSITORY / "README.md").read_text(encoding="utf-8")
-    blocks = "".join(re.findall(r"```sh\n(.*?)```", text, re.DOTALL)).replace("\\\n", " ")
-    return [line.partition("  #")[0].strip() for line in blocks.splitlines() if line.startswith("t2m ")]
+def is_run(page, command):
+    return not any(part in command or part == name_of(page) for part in NOT_RUN)
+
+
+def steps():
+    """Returns language and code of what is run, in order: each command once, and the Python blocks of how-tos."""
+    found = []
+    for page in PAGES:
+        for language, text in code_blocks(page, "sh|python" if page.parent.name == "howto" else "sh"):
+            parts = [text] if language == "python" else [part for part in commands(text) if is_run(page, part)]
+            found += [(language, part) for part in parts]
+    return list(dict.fromkeys(found))
+
+
+def options_of(command):
+    return " ".join(options for part, options in SHORTENED.items() if re.search(part, command))
 
 
 @pytest.fixture(scope="module")
@@ -56,13 +90,13 @@ def programs(wheel, tmp_path_factory):
     folder = tmp_path_factory.mktemp("environment")
     venv.create(folder, with_pip=True)
     programs = folder / ("Scripts" if os.name == "nt" else "bin")
-    subprocess.run([programs / "python", "-m", "pip", "install", "--quiet", wheel], check=True, cwd=folder)
+    subprocess.run([programs / "python", "-m", "pip", "install", "--quiet", f"{wheel}[video]"], check=True, cwd=folder)
     return programs
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory, golden_dir):
-    """A folder with the files that the README's commands read."""
+    """A folder with the files that the commands of the pages read."""
     folder = tmp_path_factory.mktemp("work")
     (folder / "my-bvh").mkdir()
     rows = ["file,caption"]
@@ -89,20 +123,26 @@ def test_the_wheel_has_what_is_not_python(wheel):
     assert not [name for name in names if name.startswith(("tests/", "configs/"))]
 
 
+def test_commands_are_left_out_for_a_reason():
+    found = [(name_of(page), part) for page in PAGES for _, text in code_blocks(page, "sh") for part in commands(text)]
+    assert [part for part in NOT_RUN if not any(part == page or part in command for page, command in found)] == []
+
+
 @pytest.mark.slow
-def test_the_commands_of_the_readme_run(programs, folder, hub):
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    environment |= {"PATH": f"{programs}{os.pathsep}{environment['PATH']}", "JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}
-    environment |= hub.settings(folder / "home")
-    commands = [command for command in readme_commands() if not all(part in command for part in NEEDS_CLIP)]
-    assert len(commands) > 15
-    for command in commands:
-        options = " ".join(short for start, short in SHORTENED.items() if command.startswith(start))
-        done = subprocess.run(
-            f"{command} {options}", shell=True, cwd=folder, env=environment, capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 0, f"{command} {options}: {done.stderr[-2000:]}"
+def test_the_commands_of_the_pages_run(programs, folder, hub):
+    plain = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    plain |= {"PATH": f"{programs}{os.pathsep}{plain['PATH']}"}
+    plain |= hub.settings(folder / "home")
+    quick = plain | {"JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}
+    plain.pop("JAX_DISABLE_MOST_OPTIMIZATIONS", None)  # sampling takes longer without them
+    assert len(steps()) > 40
+    for language, code in steps():
+        command = shlex.join(["python", "-c", code]) if language == "python" else f"{code} {options_of(code)}"
+        environment = plain if "evaluate generation" in code else quick
+        options = {"cwd": folder, "env": environment, "capture_output": True, "text": True, "check": False}
+        done = subprocess.run(command, shell=True, **options)
+        assert done.returncode == 0, f"{command}: {done.stderr[-2000:]}"
     assert set(hub.repositories) == {"user/my-model"}
-    assert {"turn.html", "turn.gif", "many-7.gif", "my-model", "it.html", "mine.json"} <= {
+    assert {"turn.html", "turn.gif", "many-7.gif", "my-model", "it.html", "mine.json", "take-2.mp4", "scene.bvh"} <= {
         path.name for path in folder.iterdir()
     }
