@@ -2,6 +2,7 @@
 #   make demo                      generates a motion as a page, a GIF and a BVH file
 #   make test PYTEST_ARGS="-x tests/motion"
 #   make lint PYTHON=python3.12    creates .venv with that Python; an existing .venv is kept
+#   make test PYTHON=python3.13 VENV=.venv-3.13    uses an environment of its own
 
 PYTHON ?= python3
 PYTEST_ARGS ?= -n 2
@@ -10,12 +11,14 @@ BIN := $(VENV)/bin
 PROMPT ?= a person waves with the left hand
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow soak lint format docs notebooks clean
+.PHONY: help demo test test-slow test-lowest test-python3.12 test-python3.13 soak lint format docs notebooks clean
 
 help:
 	@echo "make demo       generate a motion and print where it was saved"
 	@echo "make test       run the tests that take a short time (PYTEST_ARGS=\"...\" for other options of pytest)"
 	@echo "make test-slow  run the other tests"
+	@echo "make test-lowest      run the tests with the lowest versions that pyproject.toml allows"
+	@echo "make test-python3.13  run the tests with this Python, also with 3.12"
 	@echo "make soak       attack the readers of files with a million inputs (SOAK_ARGS=\"--inputs 10000\" for fewer)"
 	@echo "make lint       check style, imports, types and the Dockerfile"
 	@echo "make format     format the code"
@@ -45,6 +48,13 @@ $(VENV)/.docs: pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	@touch $(VENV)/.base $@
 
+# Further environments to test in, .venv-lowest and .venv-python3.13. uv can choose the lowest versions, and is quick.
+.venv-lowest/.dev: RESOLUTION := lowest-direct
+.venv-%/.dev: pyproject.toml $(VENV)/.dev
+	$(BIN)/uv venv --quiet --clear --no-python-downloads --python $(if $(RESOLUTION),$(BIN)/python,$*) .venv-$*
+	$(BIN)/uv pip install --quiet --python .venv-$*/bin/python --resolution $(or $(RESOLUTION),highest) --editable '.[dev]'
+	@touch $@
+
 demo: $(VENV)/.base
 	@mkdir -p demo
 	$(BIN)/t2m generate "$(PROMPT)" -o demo/wave.html -o demo/wave.gif -o demo/wave.bvh
@@ -54,6 +64,9 @@ test: $(VENV)/.dev
 
 test-slow: $(VENV)/.dev
 	$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
+
+test-lowest test-python3.12 test-python3.13: test-%: .venv-%/.dev
+	.venv-$*/bin/python -m pytest -m "not slow" $(PYTEST_ARGS)
 
 soak: $(VENV)/.dev
 	$(BIN)/python -m tests.fuzz.soak $(SOAK_ARGS)
@@ -76,5 +89,5 @@ notebooks: $(VENV)/.notebooks
 	$(BIN)/python notebooks/run.py
 
 clean:
-	rm -rf $(VENV) demo build dist site .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) .venv-* demo build dist site .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -35,8 +35,9 @@ def test_pieces_are_the_motion_of_generate(model, strategy):
         assert {piece.num_frames for piece in pieces} == {model.config.tokenizer.downsample}
         np.testing.assert_array_equal(np.concatenate([piece.codes for piece in pieces]), expected.codes)
         for name in ("features", "positions"):
-            found = np.concatenate([getattr(piece, name) for piece in pieces])
-            np.testing.assert_allclose(found, getattr(expected, name), atol=1e-4)
+            found, whole = np.concatenate([getattr(piece, name) for piece in pieces]), getattr(expected, name)
+            # Random weights give features in the hundreds, which are sums of numbers of this size.
+            np.testing.assert_allclose(found, whole, atol=max(1e-4, 2e-6 * np.abs(whole).max()))
         assert pieces[0].caption == expected.caption and pieces[0].seed == seed
         lengths.add(len(pieces))
     assert len(lengths) > 1 or strategy is not None
