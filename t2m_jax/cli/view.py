@@ -10,7 +10,7 @@ from t2m_jax.cli.next_step import show_next
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the arguments of `t2m view`."""
     parser.add_argument(
-        "file", type=Path, metavar="FILE", help="motion to read: .npz, .bvh, .glb, or .npy of a data set"
+        "file", type=Path, metavar="FILE", help="motion to read: .npz, .bvh, .glb, .amc, or .npy of a data set"
     )
     parser.add_argument("--animation", metavar="NAME", help="animation to read from a .glb file that has several")
     files = "file to write: .html, .gif, .mp4, .bvh or .npz; can be repeated"

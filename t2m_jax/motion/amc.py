@@ -12,6 +12,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.files import load_text
 from t2m_jax.motion.bvh.clip import BvhClip
 from t2m_jax.motion.bvh.hierarchy import MAX_JOINTS, MAX_VALUE
+from t2m_jax.motion.editing import MAX_FPS
 from t2m_jax.motion.rotations import EulerOrder, matrix_from_euler
 
 AMC_FPS = 120.0
@@ -55,6 +56,8 @@ def load_amc(path: Path | str, *, skeleton: Path | str | None = None, fps: float
         UserError: A file is missing or damaged, or they do not fit each other. The message names the line.
     """
     path = Path(path)
+    if not 0 < fps <= MAX_FPS:
+        raise UserError(f"{path}: {fps} is not a number of frames per second above 0, up to {MAX_FPS:.0f}")
     asf = Path(skeleton) if skeleton else find_skeleton(path)
     figure = _read_skeleton(asf)
     names = (ROOT, *figure.parents)

@@ -19,6 +19,8 @@ from t2m_jax.motion.rotations import matrix_from_quaternion, quaternion_from_mat
 
 MAX_SECONDS = 3600.0
 """A longer animation is taken as an error in the file."""
+DENSE_FPS = 60.0
+"""Rate to sample keys at, for a filter that makes it lower: lines between keys bend at each key."""
 MAX_POSES = 20_000_000
 """Joints times frames of all animations; an hour of 60 joints at 20 frames per second has 4 million."""
 _MAGIC, _JSON_CHUNK, _BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942

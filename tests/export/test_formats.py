@@ -59,9 +59,9 @@ def test_other_arrays_are_refused(tmp_path, array, message):
 
 
 def test_unknown_and_absent_files_are_refused(tmp_path):
-    with pytest.raises(UserError, match=r"known are \.npz, \.bvh, \.glb, \.npy"):
+    with pytest.raises(UserError, match=r"known are \.npz, \.bvh, \.glb, \.amc, \.npy"):
         load_motion(tmp_path / "a.fbx")
-    for suffix in (".npz", ".bvh", ".glb", ".npy"):
+    for suffix in (".npz", ".bvh", ".glb", ".amc", ".npy"):
         with pytest.raises(UserError, match="no such file"):
             load_motion(tmp_path / f"a{suffix}")
 

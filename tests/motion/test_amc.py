@@ -67,6 +67,12 @@ def test_damage_is_named(tmp_path, change, says):
         load_amc(path)
 
 
+@pytest.mark.parametrize("fps", [0.0, -120.0, float("nan"), float("inf"), 1e9])
+def test_rates_that_cannot_be_are_refused(tmp_path, fps):
+    with pytest.raises(UserError, match=r"02_01\.amc: .* is not a number of frames per second"):
+        load_amc(write_acclaim(tmp_path), fps=fps)
+
+
 def test_the_skeleton_is_found_by_its_name(tmp_path):
     path = write_acclaim(tmp_path)
     (tmp_path / "03.asf").write_text("another")
