@@ -28,7 +28,8 @@ LINKING += [path for path in sorted(REPOSITORY.glob("*.md")) if path not in PAGE
 @functools.cache
 def attributes(page: Path, name: str) -> set[str]:
     """Returns the values of an attribute (`href`, `src`, `id`) of all elements of a page."""
-    tokens = MarkdownIt("gfm-like", {"linkify": False}).use(anchors_plugin, max_level=4).parse(page.read_text("utf-8"))
+    parser = MarkdownIt("commonmark").enable("table").use(anchors_plugin, max_level=4)
+    tokens = parser.parse(page.read_text(encoding="utf-8"))
     elements = itertools.chain(tokens, *(token.children or () for token in tokens))
     return {str(token.attrs[name]) for token in elements if name in token.attrs}
 

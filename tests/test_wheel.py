@@ -22,7 +22,7 @@ SHORTENED = {
     r"t2m train .* --run (?!.*--resume)": TRAINING,
     r"--resume .*--loop.num_steps": "--loop.num_steps 3",
     r"t2m train evaluator": "--movement_steps 2",
-    r"t2m evaluate generation": "--num-repeats 1",
+    r"t2m evaluate generation": "--num-repeats 2",
 }
 MEASUREMENT = "hours on a data set that must be downloaded; test_documents.py and test_configs.py check the options"
 # Pages and parts of commands, and why they are not run.
