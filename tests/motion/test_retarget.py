@@ -135,7 +135,7 @@ def test_a_users_table_is_read_from_yaml(tmp_path):
 
 def test_unknown_rigs_and_joints_are_named(tmp_path):
     clip = load_still(tmp_path, BANDAI)
-    with pytest.raises(UserError, match='unknown rig "kinect"; known are bandai-namco'):
+    with pytest.raises(UserError, match='unknown rig "kinect"; known are humanml3d, bandai-namco'):
         retarget(clip, rig="kinect")
     with pytest.raises(UserError, match='rig cmu-iclone: the file has no joint "CC_Base_Hip" for pelvis'):
         retarget(clip, rig="cmu-iclone")
