@@ -139,7 +139,7 @@ def test_unknown_rigs_and_joints_are_named(tmp_path):
         retarget(clip, rig="kinect")
     with pytest.raises(UserError, match='rig cmu-iclone: the file has no joint "CC_Base_Hip" for pelvis'):
         retarget(clip, rig="cmu-iclone")
-    with pytest.raises(UserError, match=r"no known rig .* has the joints Root, Tip"):
+    with pytest.raises(UserError, match=r"no known rig has its joints \(Root, Tip"):
         detect_rig(["Root", "Tip"])
     with pytest.raises(UserError, match='unknown joint "hips"'):
         make_rig({"hips": "Hips"}, name="mine")
