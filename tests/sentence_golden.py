@@ -5,6 +5,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+from safetensors.numpy import load_file, save_file
 
 GOLDEN = Path(__file__).parent / "golden" / "sentence"
 BERT, MPNET, ROBERTA = GOLDEN / "bert", GOLDEN / "mpnet", GOLDEN / "roberta"
@@ -21,6 +22,21 @@ def golden(folder: Path) -> np.ndarray:
 def copy_encoder(source: Path, target: Path) -> Path:
     """Returns `target`, a copy of an encoder that may be changed."""
     return Path(shutil.copytree(source, target))
+
+
+def wide_encoder(target: Path) -> Path:
+    """Returns `target`, a copy of `BERT` whose embeddings have 384 numbers, as those of the presets' encoders."""
+    copy_encoder(BERT, target)
+    weights = load_file(target / "model.safetensors")
+    for axis in (0, 1):
+        weights = {
+            name: np.repeat(value, 16, axis=axis) if axis < value.ndim and value.shape[axis] == 24 else value
+            for name, value in weights.items()
+        }
+    save_file(weights, target / "model.safetensors")
+    change_json(target / "config.json", hidden_size=384)
+    change_json(target / "1_Pooling" / "config.json", embedding_dimension=384)
+    return target
 
 
 def change_json(path: Path, **changes: object) -> None:

@@ -3,6 +3,7 @@
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import venv
@@ -15,6 +16,7 @@ from t2m_jax.data.importers.synthetic import KINDS, make_motion
 from t2m_jax.motion.record import Motion
 from tests.conftest import REPOSITORY
 from tests.documents import PAGES, code_blocks, commands, name_of
+from tests.sentence_golden import wide_encoder
 
 TRAINING = "--loop.num_steps 2 --loop.batch_size 4 --loop.validate_every 0"
 # Parts of commands with options that make them short. Options of all parts are added.
@@ -25,6 +27,8 @@ SHORTENED = {
     r"t2m evaluate generation": "--num-repeats 2",
 }
 MEASUREMENT = "hours on a data set that must be downloaded; test_documents.py and test_configs.py check the options"
+# Text encoders that the stand-in for the hub has, with the weights of a small one.
+ENCODERS = {f"sentence-transformers/{name}" for name in ("all-MiniLM-L6-v2", "paraphrase-multilingual-MiniLM-L12-v2")}
 # Pages and parts of commands, and why they are not run.
 NOT_RUN = {
     "docs/ablations.md": MEASUREMENT,
@@ -134,6 +138,9 @@ def test_the_commands_of_the_pages_run(programs, folder, hub):
     plain = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     plain |= {"PATH": f"{programs}{os.pathsep}{plain['PATH']}"}
     plain |= hub.settings(folder / "home")
+    for name in ENCODERS:
+        hub.add(name, wide_encoder(folder / name))
+        shutil.rmtree(folder / name)  # a folder would be used instead of the hub
     quick = plain | {"JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}
     plain.pop("JAX_DISABLE_MOST_OPTIMIZATIONS", None)  # sampling takes longer without them
     assert len(steps()) > 40
@@ -143,7 +150,7 @@ def test_the_commands_of_the_pages_run(programs, folder, hub):
         options = {"cwd": folder, "env": environment, "capture_output": True, "text": True, "check": False}
         done = subprocess.run(command, shell=True, **options)
         assert done.returncode == 0, f"{command}: {done.stderr[-2000:]}"
-    assert set(hub.repositories) == {"user/my-model"}
+    assert set(hub.repositories) == {"user/my-model"} | ENCODERS
     assert {"turn.html", "turn.gif", "many-7.gif", "my-model", "it.html", "mine.json", "take-2.mp4", "scene.bvh"} <= {
         path.name for path in folder.iterdir()
     }
