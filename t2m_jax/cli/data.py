@@ -6,9 +6,13 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from t2m_jax.cli.next_step import show_next
-from t2m_jax.errors import printable
+from t2m_jax.errors import UserError, printable
+
+if TYPE_CHECKING:
+    from t2m_jax.data.writer import ImportReport
 
 MAX_LINES = 20
 """Number of clips or problems that are printed; `check --json` has all problems, a contact sheet all of an import."""
@@ -16,14 +20,22 @@ SHEET = "contact-sheet.html"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Adds the sub-commands `import`, `rig`, `sheet`, `merge`, `synthetic` and `check`."""
-    names = "{import,rig,sheet,merge,synthetic,check}"
+    """Adds the sub-commands `import`, `rig`, `sheet`, `merge`, `replay`, `synthetic` and `check`."""
+    names = "{import,rig,sheet,merge,replay,synthetic,check}"
     commands = parser.add_subparsers(dest="data_command", required=True, metavar=names)
     importer = commands.add_parser("import", help="convert motion files into a data-set folder")
     synthetic = commands.add_parser("synthetic", help="make a data-set folder of computed motions, without a download")
     merge = commands.add_parser("merge", help="put several data sets into one folder")
     merge.add_argument("sources", nargs="+", type=Path, metavar="SRC", help="folders to read")
     merge.add_argument("destination", type=Path, metavar="DEST", help="folder to make")
+    replay = commands.add_parser("replay", help="make a data-set folder of motion that a model generates")
+    replay.add_argument("destination", type=Path, metavar="DEST", help="folder to make")
+    replay.add_argument("--model", default="demo", help="folder of a run or bundle, or a name (default: demo)")
+    replay.add_argument(
+        "--sentences", type=Path, metavar="FILE", help="what to generate, a sentence per line (default: some captions)"
+    )
+    replay.add_argument("--num-clips", type=int, default=120, help="number of motions (default: 120)")
+    replay.add_argument("--seed", type=int, default=0)
     rig = commands.add_parser("rig", help="guess which joints of a file are HumanML3D's, as a table for --rig")
     rig.add_argument("file", type=Path, metavar="FILE", help="a .bvh, .glb or .amc file")
     rig.add_argument("-o", "--output", type=Path, metavar="FILE", help="table to write (default: print it)")
@@ -92,6 +104,8 @@ def run(args: argparse.Namespace) -> None:
             default, write = synthetic_scale.NUM_CLIPS, synthetic_scale.write_scaled_dataset
         num_clips = default if args.num_clips is None else args.num_clips
         report = write(args.destination, num_clips=num_clips, seed=args.seed)
+    elif args.data_command == "replay":
+        report = write_replay(args)
     elif args.data_command == "merge":
         report = merge_datasets(args.sources, args.destination)
     elif args.source_kind == "bandai-namco":
@@ -103,15 +117,37 @@ def run(args: argparse.Namespace) -> None:
         names = "captions rig caption_from_name info up amc_fps split split_by seed"
         options = {name: getattr(args, name) for name in names.split()}
         report = importers.import_bvh_folder(args.source, args.destination, **options)
+    _show_report(args, report)
+    if args.data_command == "import" and args.source_kind == "bvh":
+        draw_sheet(args.destination, args.destination / SHEET, notes=report.notes, left_out=report.left_out)
+    show_next(f"t2m data check {shlex.quote(str(args.destination))}")
+
+
+def _show_report(args: argparse.Namespace, report: "ImportReport") -> None:
+    """Prints what a new data set has, and what it lacks."""
     sizes = ", ".join(f"{split} {size}" for split, size in report.split_sizes.items())
-    _show(f"{args.destination}: {report.num_clips} clips ({report.num_frames} frames; with mirrored twins): {sizes}")
+    twins = "" if args.data_command == "replay" else "; with mirrored twins"
+    _show(f"{args.destination}: {report.num_clips} clips ({report.num_frames} frames{twins}): {sizes}")
     _print_lines(report.notes, indent="  ")
     if report.left_out:
         _show(f"  {len(report.left_out)} clips left out:")
         _print_lines([f"{name}: {reason}" for name, reason in report.left_out.items()])
-    if args.data_command == "import" and args.source_kind == "bvh":
-        draw_sheet(args.destination, args.destination / SHEET, notes=report.notes, left_out=report.left_out)
-    show_next(f"t2m data check {shlex.quote(str(args.destination))}")
+
+
+def write_replay(args: argparse.Namespace) -> "ImportReport":
+    """Writes what a model generates, and returns a report."""
+    from t2m_jax.export import replay
+    from t2m_jax.files import load_text
+    from t2m_jax.sampling import TextToMotion
+
+    sentences: list[str] = []
+    if args.sentences is not None:
+        sentences = [line.strip() for line in load_text(args.sentences).splitlines() if line.strip()]
+        if not sentences:
+            raise UserError(f"{args.sentences}: has no sentence")
+    model = TextToMotion.load(args.model)
+    options = {"sentences": sentences, "num_clips": args.num_clips, "seed": args.seed}
+    return replay.write_replay(model, args.destination, **options)
 
 
 def guess_table(file: Path, output: Path | None) -> None:

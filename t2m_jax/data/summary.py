@@ -5,11 +5,16 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from t2m_jax.data.banks.captions import all_tokens
 from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.data.index import load_index
 from t2m_jax.files import save_json
 from t2m_jax.text.coverage import count_actions
+
+NUM_CAPTIONS = 300
+"""Captions that a record has, if there are so many clips."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -26,6 +31,8 @@ class TrainingData:
     """Number of uses per lower-case word of the captions, in the basic form if the caption files have tokens."""
     actions: dict[str, int]
     """Number of clips per verb of the captions, in its basic form (`t2m_jax.text.coverage.count_actions`)."""
+    captions: tuple[str, ...]
+    """Some of the captions, one each of `NUM_CAPTIONS` clips, which `t2m data replay` generates again."""
 
 
 def summarize_training_data(dataset: Dataset, clips: Sequence[Clip]) -> TrainingData:
@@ -39,7 +46,16 @@ def summarize_training_data(dataset: Dataset, clips: Sequence[Clip]) -> Training
         clips_per_action=dict(labels.most_common()),
         words=dict(words.most_common()),
         actions=count_actions([caption.text for caption in clip.captions] for clip in clips),
+        captions=_some_captions(clips),
     )
+
+
+def _some_captions(clips: Sequence[Clip]) -> tuple[str, ...]:
+    """Returns captions of whole clips, one each of some clips, always the same."""
+    whole = [[caption.text for caption in clip.captions if caption.whole_clip] for clip in clips]
+    generator = np.random.default_rng(0)
+    drawn = [captions[generator.integers(len(captions))] for captions in whole if captions]
+    return tuple(drawn[place] for place in generator.permutation(len(drawn))[:NUM_CAPTIONS])
 
 
 def _action(label: str) -> str:

@@ -98,7 +98,7 @@ def _fingerprint(model: str) -> str:
 
 def _same_statistics(config: Any) -> bool:
     """Returns whether the statistics that a config names are those of its run."""
-    found = load_statistics(config.statistics, open_dataset(config.data), root_weight=config.root_weight)
+    found = load_statistics(config, open_dataset(config.data))
     return all(map(np.array_equal, found, load_normalizer(config.run)))
 
 

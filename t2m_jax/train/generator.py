@@ -2,13 +2,12 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from tokenizers import Tokenizer
 
@@ -26,11 +25,9 @@ from t2m_jax.checkpoints.text_encoder import (
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer, load_tokenizer_config, save_tokenizer_copy
 from t2m_jax.config import check_sizes, save_config
 from t2m_jax.data.banks.codes import Captions, CodeBank, CodeBatch, code_batch_at
-from t2m_jax.data.checks import check_statistics
 from t2m_jax.data.folder import Clip, Dataset, open_dataset
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.sources import CodeSource, make_generation
-from t2m_jax.files import flatten_tree
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
 from t2m_jax.models.rows import Precision, apply_rows
 from t2m_jax.sampling.pipeline import TextToMotion
@@ -44,27 +41,42 @@ from t2m_jax.train.experiment import Evaluation, Setup, Validation
 from t2m_jax.train.optimizer import OptimizerConfig
 from t2m_jax.train.program import Update
 from t2m_jax.train.streams import stream_key
-from t2m_jax.train.tokenize import CodedMotion, LongClipKind, OffsetKind, TimedCaptionKind, encode_clips, make_code_bank
+from t2m_jax.train.tokenize import (
+    CodedMotion,
+    LongClipKind,
+    OffsetKind,
+    TimedCaptionKind,
+    add_rewordings,
+    check_tokenizer,
+    encode_clips,
+    make_code_bank,
+)
+from t2m_jax.train.warm_start import start_from_model
 
 SIZES_OF_TOKENIZER = ("num_codes", "num_quantizers", "code_dim")
 """Fields of a generator's config that are taken from its tokenizer."""
-SAME_WEIGHTS = 2e-3
-"""Relative and absolute tolerance for the weights of one tokenizer: bundles store them in 16 bits."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TrainGeneratorConfig(ExperimentConfig):
     """Fields of the training of every generator."""
 
-    not_compiled: ClassVar[tuple[str, ...]] = (*ExperimentConfig.not_compiled, "vqvae", "clip", "sentence")
+    not_compiled: ClassVar[tuple[str, ...]] = (
+        *ExperimentConfig.not_compiled,
+        "vqvae",
+        "clip",
+        "sentence",
+        "rewordings",
+        "patience",
+    )
 
     model: Any
     """Sizes of the generator."""
     optimizer: OptimizerConfig
     """Optimizer and schedule."""
-    vqvae: Path = Path("runs/vqvae")
-    """Run or bundle of the tokenizer that makes the codes. The sizes that the model shares with it, such as
-    `model.num_codes`, are taken from it."""
+    vqvae: Path | None = None
+    """Run or bundle of the tokenizer that makes the codes, by default that of `init`. It stays as it is. The sizes that
+    the model shares with it, such as `model.num_codes`, are taken from it."""
     text_encoder: Literal["caption_encoder", "clip", "sentence"] = "caption_encoder"
     """What reads the captions: a small transformer that is trained with the generator, or a pretrained encoder, which
     is not: CLIP or a sentence encoder."""
@@ -75,6 +87,9 @@ class TrainGeneratorConfig(ExperimentConfig):
     of the BERT family, as of `sentence-transformers`, and `model.text_dim` is the width of its embeddings."""
     caption_encoder: CaptionEncoderConfig = CaptionEncoderConfig(text_dim=512)
     """Sizes of the caption encoder."""
+    rewordings: int = 0
+    """Further wordings of each caption that are learned, made by rules: another subject, form of the verb, or article
+    (`t2m_jax.text.rewording`). They help if there are few captions."""
     offsets: OffsetKind = "all"
     """Frames at which the first code of a clip may start: all that leave the same number of codes or one fewer, drawn
     each time, or one drawn for each clip before training (the original)."""
@@ -91,11 +106,16 @@ class TrainGeneratorConfig(ExperimentConfig):
     XLA's order of computations on a CPU; use `num_parts` there."""
     num_parts: int = 1
     """Parts of a batch, computed one after another, whose gradients are added up. This needs less memory."""
+    patience: int = 0
+    """Validations without a lower loss after which training ends; 0 never ends it. The best weights are kept anyway."""
     evaluation: GenerationEvaluationConfig = GenerationEvaluationConfig()
     """Evaluation of generated motion during training."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        for name in ("patience", "rewordings"):
+            if not 0 <= getattr(self, name) <= 1000:
+                raise ValueError(f"{name}: {getattr(self, name)} is not from 0 to 1000")
         check_sizes(self, "num_parts")
         if self.loop.batch_size % self.num_parts:
             raise ValueError(f"num_parts: {self.num_parts} does not divide loop.batch_size {self.loop.batch_size}")
@@ -139,12 +159,16 @@ def embed_captions(
 
 
 def resolve_generator(config: Any, resume: bool) -> Any:
-    """Returns the config with the sizes of its tokenizer.
+    """Returns the config with its tokenizer, and with the sizes of this.
 
     Raises:
         UserError: There is no tokenizer, or it has several codes per row and the generator does not.
     """
+    if config.vqvae is None:
+        config = dataclasses.replace(config, vqvae=config.init)
     path = config.run if resume else config.vqvae
+    if path is None:
+        raise UserError("vqvae: not given; name the run of a tokenizer, or start from a model with `--init`")
     tokenizer = load_tokenizer_config(path)
     # The sizes that a generator shares with its tokenizer are fields of its config, or they cannot be changed.
     own = {field.name for field in dataclasses.fields(config.model)}
@@ -216,27 +240,6 @@ def make_caption_reader(
     return CaptionReader(lambda captions: tokenize_captions(bpe, captions, max_length=sizes.max_length), bpe, None)
 
 
-def start_from_model(path: Path, tokenizer: TrainedTokenizer) -> Mapping[str, Any]:
-    """Returns the collections of a trained model's generator and text encoder, by name and kind.
-
-    Raises:
-        UserError: There is none, or its codes mean something else because it has another tokenizer.
-    """
-    model = load_model(path)
-    own = flatten_tree({"codes": model.variables["tokenizer"], "statistics": model.normalizer._asdict()})
-    given = flatten_tree({"codes": tokenizer.variables, "statistics": tokenizer.normalizer._asdict()})
-    same = model.config.tokenizer == tokenizer.config and all(
-        np.allclose(own[name], given[name], rtol=SAME_WEIGHTS, atol=SAME_WEIGHTS) for name in given
-    )
-    if not same:
-        raise UserError(f"init: {path} was trained with another tokenizer; use its own with `--vqvae {path}`")
-    weights: dict[str, Any] = {}
-    for role, kind in part_kinds(model.config).items():
-        for name, tree in model.variables[role].items() if role != "tokenizer" else ():
-            weights.setdefault(name, {})[kind] = tree
-    return weights
-
-
 def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Setup:
     """Returns the setup of a generator's training; the run is a complete model that `TextToMotion.load` reads.
 
@@ -245,11 +248,11 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
     """
     dataset = open_dataset(config.data)
     tokenizer = load_tokenizer(config.run if resume else config.vqvae)
-    advice = "train the tokenizer on this data set, or choose another"
-    check_statistics(dataset, tokenizer.normalizer, reader="the tokenizer", advice=advice)
+    check_tokenizer(tokenizer, dataset, may_differ=config.init is not None)
     clips = dataset.clips("train", fraction=config.data_fraction)
     text_encoder, encoder = open_text_encoder(config, resume=resume)  # first, because encoding the clips takes long
     motions = code_motions(config, clips, dataset, tokenizer)
+    motions = add_rewordings(motions, count=config.rewordings, seed=config.loop.seed)
     reader = make_caption_reader(config, motions, encoder=encoder, resume=resume)
     bank, compiled = make_code_bank(motions, reader.read), compiled_config(config)
     parts = BundleConfig(
@@ -278,6 +281,7 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
         start_from=lambda path: start_from_model(path, tokenizer),
         validation=make_validation(config, steps, dataset, tokenizer, reader),
         evaluation=make_evaluation(config, parts, tokenizer, reader),
+        patience=config.patience * config.loop.validate_every,
     )
 
 

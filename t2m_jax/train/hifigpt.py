@@ -44,7 +44,6 @@ class TrainHiFiGptConfig(TrainGeneratorConfig):
 
     run: Path = Path("runs/hifigpt")
     """Run directory to write."""
-    vqvae: Path = Path("runs/rvqvae")
     model: HiFiGptConfig = HiFiGptConfig()
     """Sizes of the double-tier GPT."""
     tau: float = 0.5

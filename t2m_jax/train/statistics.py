@@ -27,17 +27,19 @@ def open_training_data(config: Any, *, reader: str, resume: bool) -> tuple[Datas
     check_feature_dim(dataset, config.model.feature_dim, reader=reader)
     if resume:
         return dataset, load_normalizer(config.run)
-    return dataset, load_statistics(config.statistics, dataset, root_weight=config.root_weight)
+    return dataset, load_statistics(config, dataset)
 
 
-def load_statistics(statistics: str, dataset: Dataset, *, root_weight: float) -> Normalizer:
+def load_statistics(config: Any, dataset: Dataset) -> Normalizer:
     """Returns the statistics that a config names (see `TrainVqVaeConfig.statistics`).
 
     Raises:
-        UserError: They do not exist, or describe motion of another kind than the data.
+        UserError: They do not exist, or describe motion of another kind than the data. With `init`, other motion is
+            expected: some clips of a new kind do not have the statistics of a large data set.
     """
+    statistics = config.statistics
     if statistics == FROM_DATA:
-        return weighted_normalizer(dataset.normalizer, dataset.skeleton.layout, factor=root_weight)
+        return weighted_normalizer(dataset.normalizer, dataset.skeleton.layout, factor=config.root_weight)
     path = bundle_path(statistics)
     if is_run(path) or (path / CONFIG_FILE).is_file():
         normalizer = load_tokenizer(path).normalizer
@@ -50,5 +52,6 @@ def load_statistics(statistics: str, dataset: Dataset, *, root_weight: float) ->
         normalizer = load_normalizer(path)
     else:
         raise UserError(f"statistics: {statistics} does not exist; give a folder with mean.npy, a model, or `data`")
-    check_statistics(dataset, normalizer, reader=statistics, advice=f"choose others, or `--statistics {FROM_DATA}`")
+    if config.init is None:
+        check_statistics(dataset, normalizer, reader=statistics, advice=f"choose others, or `--statistics {FROM_DATA}`")
     return normalizer

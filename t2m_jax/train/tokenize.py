@@ -11,16 +11,21 @@ from jaxtyping import Int
 
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.data.banks.codes import Captions, CodeBank
-from t2m_jax.data.folder import Clip, DatasetInfo, samples_from_clip
+from t2m_jax.data.checks import check_statistics
+from t2m_jax.data.folder import Clip, Dataset, DatasetInfo, samples_from_clip
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
+from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
 from t2m_jax.sampling.codec import encode_motions
+from t2m_jax.text.rewording import reword
 
 logger = logging.getLogger(__name__)
 
 OffsetKind = Literal["all", "one"]
 TimedCaptionKind = Literal["encode", "slice"]
 LongClipKind = Literal["drop", "windows"]
+MAX_JOINT_ERROR = 150
+"""Largest mean joint error, in millimeters, with which a tokenizer may give other motion back than it learned."""
 
 
 class CodedMotion(NamedTuple):
@@ -28,6 +33,28 @@ class CodedMotion(NamedTuple):
 
     variants: tuple[Int[np.ndarray, "_ R"], ...]
     captions: tuple[Caption, ...]
+
+
+def check_tokenizer(tokenizer: TrainedTokenizer, dataset: Dataset, *, may_differ: bool) -> None:
+    """Raises `UserError` if a tokenizer learned another kind of motion than that of a data set.
+
+    Args:
+        tokenizer: Makes the codes.
+        dataset: The motion.
+        may_differ: Whether other statistics are expected, as of some clips of a new kind. Then it counts how exactly
+            the tokenizer gives the clips back.
+    """
+    advice = "train the tokenizer on this data set, or choose another"
+    try:
+        check_statistics(dataset, tokenizer.normalizer, reader="the tokenizer", advice=advice)
+    except UserError:
+        if not may_differ:
+            raise
+        error = evaluate_reconstruction(tokenizer, dataset, split="train").mpjpe_mm
+        text = f"{dataset.folder}: the tokenizer learned other motion, and gives this one back with joint errors of"
+        if error > MAX_JOINT_ERROR:
+            raise UserError(f"{text} {error:.0f} mm (allowed are {MAX_JOINT_ERROR}); {advice}") from None
+        logger.warning("%s %.0f mm on average", text, error)
 
 
 def starting_frames(clip: Clip, *, downsample: int, offsets: OffsetKind, seed: int) -> tuple[int, ...]:
@@ -90,6 +117,19 @@ def encode_clips(
             "`t2m data check`)"
         )
     return motions
+
+
+def add_rewordings(motions: Sequence[CodedMotion], *, count: int, seed: int) -> list[CodedMotion]:
+    """Returns motions with `count` further wordings of each of their captions."""
+    generator = np.random.default_rng([seed, zlib.crc32(b"rewordings")])
+
+    def added(caption: Caption) -> list[Caption]:
+        return [Caption(reword(caption.text, generator)) for _ in range(count)]
+
+    return [
+        motion._replace(captions=(*motion.captions, *(new for old in motion.captions for new in added(old))))
+        for motion in motions
+    ]
 
 
 def cut_windows(clip: Clip, info: DatasetInfo) -> list[Clip]:

@@ -211,6 +211,8 @@ def test_weights_that_are_not_finite_are_refused(copy):
         '{"actions": {"walk": true}}',
         '{"num_clips": 1.5}',
         '{"num_clips": {}}',
+        '{"captions": "a person walks"}',
+        '{"captions": ["a person walks", 3]}',
     ],
 )
 def test_training_data_that_are_damaged_are_refused(copy, content):

@@ -7,7 +7,7 @@ import numpy as np
 from t2m_jax.data.folder import Clip, Dataset, DatasetInfo, open_dataset
 from t2m_jax.data.importers.synthetic import KINDS
 from t2m_jax.data.index import IndexRow, save_index
-from t2m_jax.data.summary import save_training_data, summarize_training_data
+from t2m_jax.data.summary import NUM_CAPTIONS, save_training_data, summarize_training_data
 from t2m_jax.data.texts import Caption
 from t2m_jax.files import load_json
 from t2m_jax.motion.skeleton import HUMANML3D
@@ -62,5 +62,16 @@ def test_a_data_set_on_disk(synthetic_folder, tmp_path):
     assert found.data == "synthetic" and found.num_clips == len(clips) == sum(found.clips_per_action.values())
     assert found.clips_per_action.keys() <= KINDS.keys()
     assert found.words["walk"] > 0 and 0 < found.actions["walk"] < found.num_clips
+    assert len(found.captions) == len(clips) and set(found.captions) <= {
+        caption.text for clip in clips for caption in clip.captions
+    }
     save_training_data(tmp_path / "training_data.json", found)
-    assert load_json(tmp_path / "training_data.json") == dataclasses.asdict(found)
+    assert load_json(tmp_path / "training_data.json") == dataclasses.asdict(found) | {"captions": [*found.captions]}
+
+
+def test_some_captions_are_kept_and_always_the_same(tmp_path):
+    clips = [
+        clip(f"{number}", Caption(f"go {number}"), Caption(f"part {number}", (), 1.0, 2.0)) for number in range(400)
+    ]
+    found, again = (summarize_training_data(dataset_in(tmp_path), clips).captions for _ in range(2))
+    assert len(set(found)) == NUM_CAPTIONS and all(text.startswith("go ") for text in found) and found == again

@@ -12,10 +12,13 @@ import pytest
 from t2m_jax.checkpoints import load_generator_run, load_tokenizer, save_bundle
 from t2m_jax.config import load_config
 from t2m_jax.data import open_dataset
+from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
 from t2m_jax.motion import save_normalizer
+from t2m_jax.text.verbs import words_of
 from t2m_jax.train import TrainVqVaeConfig, train
-from t2m_jax.train.generator import start_from_model
+from t2m_jax.train.tokenize import CodedMotion, add_rewordings
+from t2m_jax.train.warm_start import start_from_model
 from tests.tiny import LOOP, OPTIMIZER, VQVAE, gpt_training, vqvae_training
 
 STILL = dataclasses.replace(OPTIMIZER, learning_rate=0.0, warmup_steps=0)
@@ -111,6 +114,63 @@ def test_a_generator_whose_codes_or_statistics_mean_something_else_is_refused(ru
     ):
         with pytest.raises(UserError, match="was trained with another tokenizer"):
             start_from_model(runs.gpt, other)
+
+
+def test_a_generator_takes_the_tokenizer_of_its_init_and_other_motion_than_this_learned(runs, tmp_path, caplog):
+    other = tmp_path / "other"
+    shutil.copytree(runs.data, other)
+    statistics = open_dataset(other).normalizer
+    save_normalizer(other, statistics._replace(mean=statistics.mean + statistics.std))
+    config = dataclasses.replace(gpt_training(other, runs.vqvae, tmp_path / "run", loop=SHORT), optimizer=STILL)
+    with pytest.raises(UserError, match="differ too much from those of the tokenizer"):
+        train(config)
+    with pytest.raises(UserError, match="vqvae: not given"):
+        train(dataclasses.replace(config, vqvae=None))
+    with caplog.at_level("WARNING"):
+        train(dataclasses.replace(config, vqvae=None, init=runs.gpt))
+    assert "the tokenizer learned other motion, and gives this one back with joint errors of" in caplog.text
+    assert load_tokenizer(config.run).fingerprint == load_tokenizer(runs.gpt).fingerprint
+    assert load_config(config.run / "config.yaml", type(config)).vqvae == runs.gpt
+
+
+def test_motion_that_a_tokenizer_cannot_give_back_is_refused(runs, tmp_path, monkeypatch):
+    statistics = open_dataset(shutil.copytree(runs.data, tmp_path / "other")).normalizer
+    save_normalizer(tmp_path / "other", statistics._replace(mean=statistics.mean + statistics.std))
+    monkeypatch.setattr("t2m_jax.train.tokenize.MAX_JOINT_ERROR", 1)
+    config = gpt_training(tmp_path / "other", runs.vqvae, tmp_path / "run", loop=SHORT)
+    with pytest.raises(UserError, match=r"joint errors of \d+ mm \(allowed are 1\); train the tokenizer on this"):
+        train(dataclasses.replace(config, init=runs.gpt))
+
+
+def test_another_decoder_of_the_same_codes_fits_a_generator(runs):
+    tokenizer = load_tokenizer(runs.vqvae)
+    params = tokenizer.variables["params"]
+    for part, fits in {"decoder": True, "encoder": False}.items():
+        moved = params | {part: jax.tree.map(lambda leaf: leaf + 1, params[part])}
+        other = tokenizer._replace(variables=tokenizer.variables | {"params": moved})
+        if fits:
+            assert "params" in start_from_model(runs.gpt, other)
+        else:
+            with pytest.raises(UserError, match="was trained with another tokenizer"):
+                start_from_model(runs.gpt, other)
+
+
+def test_training_ends_when_the_loss_was_not_lower_for_some_validations(runs, tmp_path):
+    loop = dataclasses.replace(LOOP, num_steps=40, validate_every=2)
+    still = dataclasses.replace(gpt_training(runs.data, runs.vqvae, tmp_path / "run", loop=loop), optimizer=STILL)
+    state = train(dataclasses.replace(still, patience=3))
+    assert int(state.step) == 2 + 3 * 2
+    with pytest.raises(ValueError, match="patience: -1 is not from 0 to 1000"):
+        dataclasses.replace(still, patience=-1)
+
+
+def test_captions_are_also_learned_in_other_words(runs, tmp_path):
+    motions = [CodedMotion((np.zeros((2, 1), np.int32),), (Caption("a person waves"), Caption("a wave", (), 1.0, 2.0)))]
+    (found,) = add_rewordings(motions, count=5, seed=0)
+    assert found.captions[:2] == motions[0].captions and len(found.captions) == 12
+    assert all("wave" in word.bases for caption in found.captions for word in words_of(caption.text)[-1:])
+    assert len({caption.text for caption in found.captions}) > 4
+    assert add_rewordings(motions, count=5, seed=0) == [found] != add_rewordings(motions, count=5, seed=1)
 
 
 def test_a_generator_of_another_tokenizer_is_refused(runs, tmp_path):

@@ -189,12 +189,16 @@ def make_motion(kind: str, *, seed: int, num_frames: int | None = None) -> Float
     generator = np.random.default_rng([seed, *kind.encode()])
     frames = num_frames or int(generator.integers(40, 121))
     pose = KINDS[kind](np.arange(frames) / FPS, generator)
-    heading = pose.heading + generator.uniform(-np.pi, np.pi)
-    directions, local = _directions(pose), np.zeros((frames, HUMANML3D.num_joints, 3))
+    return positions_from_pose(pose._replace(heading=pose.heading + generator.uniform(-np.pi, np.pi)))
+
+
+def positions_from_pose(pose: Pose) -> Float[np.ndarray, "T J 3"]:
+    """Returns the joint positions of a procedural motion in meters, Y up, the lowest joint on the floor."""
+    directions, local = _directions(pose), np.zeros((len(pose.heading), HUMANML3D.num_joints, 3))
     for joint in range(1, HUMANML3D.num_joints):
         bone = HUMANML3D.bone_lengths[joint] * directions[HUMANML3D.joint_names[joint]]
         local[:, joint] = local[:, HUMANML3D.parents[joint]] + bone
-    sine, cosine = np.sin(heading)[:, None], np.cos(heading)[:, None]
+    sine, cosine = np.sin(pose.heading)[:, None], np.cos(pose.heading)[:, None]
     x, z = local[:, :, 0], local[:, :, 2]
     world = np.stack([cosine * x + sine * z, local[:, :, 1], -sine * x + cosine * z], axis=-1)
     steps = pose.speed[:, None] / FPS * np.concatenate([sine, cosine], axis=1)
