@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> None:
         num_clips = default if args.num_clips is None else args.num_clips
         report = write(args.destination, num_clips=num_clips, seed=args.seed)
     elif args.data_command == "replay":
-        report = write_replay(args)
+        report = generate_replay(args)
     elif args.data_command == "merge":
         report = merge_datasets(args.sources, args.destination)
     elif args.source_kind == "bandai-namco":
@@ -134,9 +134,9 @@ def _show_report(args: argparse.Namespace, report: "ImportReport") -> None:
         _print_lines([f"{name}: {reason}" for name, reason in report.left_out.items()])
 
 
-def write_replay(args: argparse.Namespace) -> "ImportReport":
+def generate_replay(args: argparse.Namespace) -> "ImportReport":
     """Writes what a model generates, and returns a report."""
-    from t2m_jax.export import replay
+    from t2m_jax.export.replay import write_replay
     from t2m_jax.files import load_text
     from t2m_jax.sampling import TextToMotion
 
@@ -147,7 +147,7 @@ def write_replay(args: argparse.Namespace) -> "ImportReport":
             raise UserError(f"{args.sentences}: has no sentence")
     model = TextToMotion.load(args.model)
     options = {"sentences": sentences, "num_clips": args.num_clips, "seed": args.seed}
-    return replay.write_replay(model, args.destination, **options)
+    return write_replay(model, args.destination, **options)
 
 
 def guess_table(file: Path, output: Path | None) -> None:

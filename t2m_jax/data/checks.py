@@ -50,8 +50,8 @@ def check_feature_dim(dataset: Dataset, feature_dim: int, *, reader: str) -> Non
         )
 
 
-def check_statistics(dataset: Dataset, normalizer: Normalizer, *, reader: str, advice: str) -> None:
-    """Raises `UserError` if a model was trained with statistics of a different kind of motion.
+def find_difference(dataset: Dataset, normalizer: Normalizer, *, reader: str) -> str | None:
+    """Returns a sentence about how the statistics of a data set and of a model differ, or None if they are alike.
 
     Small differences are allowed (`STATISTICS_TOLERANCE`). The root's columns and the contacts are not compared,
     because training weights them.
@@ -59,16 +59,32 @@ def check_statistics(dataset: Dataset, normalizer: Normalizer, *, reader: str, a
     Args:
         dataset: The data.
         normalizer: The statistics of the model.
-        reader: The model in the error message, such as "the evaluator".
-        advice: What the user can do about it.
+        reader: The model in the sentence, such as "the evaluator".
+
+    Raises:
+        UserError: The model reads another feature width.
     """
     check_feature_dim(dataset, len(normalizer.mean), reader=reader)
     layout = dataset.skeleton.layout
     compared = np.r_[layout.positions, layout.rotations, layout.velocities]
     difference = compare_statistics(dataset.normalizer, normalizer, compared)
-    if max(difference) > STATISTICS_TOLERANCE:
-        raise UserError(
-            f"{dataset.folder}: its statistics (Mean.npy, Std.npy) differ too much from those of {reader} (means by up "
-            f"to {difference.shift:.2g} deviations, deviations by a factor of up to {np.exp(difference.ratio):.2g}); "
-            f"{advice}"
-        )
+    if max(difference) <= STATISTICS_TOLERANCE:
+        return None
+    return (
+        f"{dataset.folder}: its statistics (Mean.npy, Std.npy) differ too much from those of {reader} (means by up "
+        f"to {difference.shift:.2g} deviations, deviations by a factor of up to {np.exp(difference.ratio):.2g})"
+    )
+
+
+def check_statistics(dataset: Dataset, normalizer: Normalizer, *, reader: str, advice: str) -> None:
+    """Raises `UserError` if a model was trained with statistics of a different kind of motion (`find_difference`).
+
+    Args:
+        dataset: The data.
+        normalizer: The statistics of the model.
+        reader: The model in the error message, such as "the evaluator".
+        advice: What the user can do about it.
+    """
+    difference = find_difference(dataset, normalizer, reader=reader)
+    if difference is not None:
+        raise UserError(f"{difference}; {advice}")

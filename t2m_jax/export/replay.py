@@ -1,6 +1,6 @@
 """A data set of motion that a model generates, to be learned again.
 
-A model that learns new motion alone forgets what it knew. If it also learns what it generated before, it keeps it
+A model that learns new motion alone forgets what it knew. If it also learns what it generated before, it keeps more
 (generative replay, Shin et al. 2017, arXiv:1705.08690), and its training data are not needed.
 """
 
@@ -19,7 +19,6 @@ from t2m_jax.motion.record import Motion
 from t2m_jax.sampling.pipeline import TextToMotion
 from t2m_jax.text.coverage import PromptWarning
 
-NUM_CLIPS = 120
 BATCH = 64
 """Motions that are generated together."""
 
@@ -28,8 +27,8 @@ def write_replay(
     model: TextToMotion,
     destination: str | Path,
     *,
+    num_clips: int,
     sentences: Sequence[str] = (),
-    num_clips: int = NUM_CLIPS,
     seed: int = 0,
 ) -> ImportReport:
     """Makes a data-set folder of motions that a model generates, all in the training split, and returns a report.
@@ -37,8 +36,8 @@ def write_replay(
     Args:
         model: The model.
         destination: Folder to make.
-        sentences: What is generated; by default the captions that the model's record of its training data has.
         num_clips: Number of clips. If there are more sentences, some are drawn; if there are fewer, they are repeated.
+        sentences: What is generated; by default the captions that the model's record of its training data has.
         seed: Draws the sentences, and motion.
 
     Raises:

@@ -9,7 +9,7 @@ import numpy as np
 
 from t2m_jax.text.verbs import AUXILIARIES, BODY_PARTS, PREPOSITIONS, SIDES, Word, words_of
 
-PEOPLE = (
+PEOPLE = [
     "a person",
     "someone",
     "somebody",
@@ -21,7 +21,7 @@ PEOPLE = (
     "she",
     "a human",
     "a figure",
-)
+]
 ARTICLES = ("the", "his", "her", "their")
 """Words that may stand before a part of the body."""
 LONGEST_SUBJECT = 4

@@ -1,15 +1,18 @@
 """The data set of a training, and the statistics that normalize its motion."""
 
+import logging
 from typing import Any
 
 from t2m_jax.checkpoints.bundle import CONFIG_FILE, bundle_path
 from t2m_jax.checkpoints.run import is_run
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
-from t2m_jax.data.checks import check_feature_dim, check_statistics
+from t2m_jax.data.checks import check_feature_dim, find_difference
 from t2m_jax.data.folder import Dataset, open_dataset
 from t2m_jax.errors import UserError
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, normalizer_from_files, weighted_normalizer
 from t2m_jax.train.config import FROM_DATA
+
+logger = logging.getLogger(__name__)
 
 
 def open_training_data(config: Any, *, reader: str, resume: bool) -> tuple[Dataset, Normalizer]:
@@ -34,8 +37,8 @@ def load_statistics(config: Any, dataset: Dataset) -> Normalizer:
     """Returns the statistics that a config names (see `TrainVqVaeConfig.statistics`).
 
     Raises:
-        UserError: They do not exist, or describe motion of another kind than the data. With `init`, other motion is
-            expected: some clips of a new kind do not have the statistics of a large data set.
+        UserError: They do not exist, or describe motion of another kind than the data. With `init`, this is only a
+            warning: some clips of a new kind do not have the statistics of a large data set.
     """
     statistics = config.statistics
     if statistics == FROM_DATA:
@@ -52,6 +55,9 @@ def load_statistics(config: Any, dataset: Dataset) -> Normalizer:
         normalizer = load_normalizer(path)
     else:
         raise UserError(f"statistics: {statistics} does not exist; give a folder with mean.npy, a model, or `data`")
-    if config.init is None:
-        check_statistics(dataset, normalizer, reader=statistics, advice=f"choose others, or `--statistics {FROM_DATA}`")
+    difference = find_difference(dataset, normalizer, reader=statistics)
+    if difference is not None and config.init is None:
+        raise UserError(f"{difference}; choose others, or `--statistics {FROM_DATA}`")
+    if difference is not None:
+        logger.warning("%s; this training goes on from a model with them", difference)
     return normalizer

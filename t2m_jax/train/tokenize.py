@@ -11,7 +11,7 @@ from jaxtyping import Int
 
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.data.banks.codes import Captions, CodeBank
-from t2m_jax.data.checks import check_statistics
+from t2m_jax.data.checks import find_difference
 from t2m_jax.data.folder import Clip, Dataset, DatasetInfo, samples_from_clip
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
@@ -45,16 +45,16 @@ def check_tokenizer(tokenizer: TrainedTokenizer, dataset: Dataset, *, may_differ
             the tokenizer gives the clips back.
     """
     advice = "train the tokenizer on this data set, or choose another"
-    try:
-        check_statistics(dataset, tokenizer.normalizer, reader="the tokenizer", advice=advice)
-    except UserError:
-        if not may_differ:
-            raise
-        error = evaluate_reconstruction(tokenizer, dataset, split="train").mpjpe_mm
-        text = f"{dataset.folder}: the tokenizer learned other motion, and gives this one back with joint errors of"
-        if error > MAX_JOINT_ERROR:
-            raise UserError(f"{text} {error:.0f} mm (allowed are {MAX_JOINT_ERROR}); {advice}") from None
-        logger.warning("%s %.0f mm on average", text, error)
+    difference = find_difference(dataset, tokenizer.normalizer, reader="the tokenizer")
+    if difference is None:
+        return
+    if not may_differ:
+        raise UserError(f"{difference}; {advice}")
+    error = evaluate_reconstruction(tokenizer, dataset, split="train").mpjpe_mm
+    text = f"{dataset.folder}: the tokenizer learned other motion, and gives this one back with joint errors of"
+    if error > MAX_JOINT_ERROR:
+        raise UserError(f"{text} {error:.0f} mm (allowed are {MAX_JOINT_ERROR}); {advice}")
+    logger.warning("%s %.0f mm on average", text, error)
 
 
 def starting_frames(clip: Clip, *, downsample: int, offsets: OffsetKind, seed: int) -> tuple[int, ...]:

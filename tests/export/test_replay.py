@@ -45,7 +45,7 @@ def test_a_sentence_that_comes_twice_gives_two_motions(model, tmp_path):
 
 def test_a_model_without_captions_needs_sentences(tmp_path):
     with pytest.raises(UserError, match="no record of its captions; give sentences"):
-        write_replay(TextToMotion(random_bundle()), tmp_path / "old")
+        write_replay(TextToMotion(random_bundle()), tmp_path / "old", num_clips=4)
     assert not (tmp_path / "old").exists()
 
 

@@ -164,11 +164,11 @@ def test_training_ends_when_the_loss_was_not_lower_for_some_validations(runs, tm
         dataclasses.replace(still, patience=-1)
 
 
-def test_captions_are_also_learned_in_other_words(runs, tmp_path):
+def test_captions_are_also_learned_in_other_words():
     motions = [CodedMotion((np.zeros((2, 1), np.int32),), (Caption("a person waves"), Caption("a wave", (), 1.0, 2.0)))]
     (found,) = add_rewordings(motions, count=5, seed=0)
     assert found.captions[:2] == motions[0].captions and len(found.captions) == 12
-    assert all("wave" in word.bases for caption in found.captions for word in words_of(caption.text)[-1:])
+    assert all("wave" in words_of(caption.text)[-1].bases for caption in found.captions)
     assert len({caption.text for caption in found.captions}) > 4
     assert add_rewordings(motions, count=5, seed=0) == [found] != add_rewordings(motions, count=5, seed=1)
 
@@ -205,6 +205,15 @@ def test_statistics_of_other_motion_are_refused(runs, tmp_path):
         with pytest.raises(UserError, match=said):
             train(config)
         assert not (tmp_path / "run").exists()
+
+
+def test_statistics_of_other_motion_are_a_warning_for_a_training_that_goes_on(runs, tmp_path, caplog):
+    mean, std = open_dataset(runs.data).normalizer
+    save_normalizer(tmp_path / "far", open_dataset(runs.data).normalizer._replace(mean=mean + std))
+    fields = {"statistics": f"{tmp_path / 'far'}", "init": runs.vqvae}
+    with caplog.at_level("WARNING"):
+        train(dataclasses.replace(vqvae_training(runs.data, tmp_path / "run", loop=SHORT), **fields))
+    assert "differ too much from those of" in caplog.text and "goes on from a model with them" in caplog.text
 
 
 def test_a_run_records_what_it_was_trained_on_and_how_far(runs, tmp_path):
