@@ -7,6 +7,7 @@ import sys
 import warnings
 from pathlib import Path
 
+from t2m_jax.cli.changes import add_change_arguments, changed, check_changes
 from t2m_jax.cli.next_step import show_next
 from t2m_jax.errors import UserError, one_line
 
@@ -19,6 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--num-samples", type=int, default=1, help="motions per sentence (default: 1)")
     add_sampling_arguments(parser)
     add_raw_argument(parser)
+    add_change_arguments(parser)
     files = ".npz .bvh .gif .mp4 or .html; can be repeated; several motions get -0, -1, ... (default: motion.html)"
     parser.add_argument("-o", "--output", action="append", metavar="FILE", help=files)
 
@@ -54,6 +56,7 @@ def run(args: argparse.Namespace) -> None:
     for text in args.text:
         check_prompt(text)
     _check_quotes(args.text)
+    check_changes(args)
     outputs = [check_motion_output(output) for output in args.output or ["motion.html"]]
     first = [check_motion_output(_numbered(args, output, 0)) for output in outputs]
     # The first files are claimed from the start, so that two commands do not mix their motions. The others are claimed
@@ -102,7 +105,8 @@ def _generate(args: argparse.Namespace, outputs: list[Path]) -> list[Path]:
     options = {"guidance_scale": args.guidance_scale, "stop_rule": args.stop_rule, "raw": args.raw}
     options |= {"seed": args.seed, "num_samples": args.num_samples, "strategy": strategy}
     written = []
-    for number, motion in enumerate(model.generate_each(args.text, **options)):
+    for number, generated in enumerate(model.generate_each(args.text, **options)):
+        motion = changed(generated, args)
         for output in outputs:
             path = _numbered(args, output, number)
             with claim([path]) if number else contextlib.nullcontext():  # `run` has claimed the first

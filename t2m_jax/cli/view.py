@@ -4,6 +4,7 @@ import argparse
 import shlex
 from pathlib import Path
 
+from t2m_jax.cli.changes import add_change_arguments, changed, check_changes
 from t2m_jax.cli.next_step import show_next
 
 
@@ -13,6 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "file", type=Path, metavar="FILE", help="motion to read: .npz, .bvh, .glb, .amc, or .npy of a data set"
     )
     parser.add_argument("--animation", metavar="NAME", help="animation to read from a .glb file that has several")
+    add_change_arguments(parser)
     files = "file to write: .html, .gif, .mp4, .bvh or .npz; can be repeated"
     parser.add_argument(
         "-o", "--output", dest="outputs", type=Path, action="append", required=True, metavar="FILE", help=files
@@ -25,10 +27,11 @@ def run(args: argparse.Namespace) -> None:
     from t2m_jax.files import claim
     from t2m_jax.motion.record import check_motion_output
 
+    check_changes(args)
     for output in args.outputs:
         check_motion_output(output)
     with claim(args.outputs):
-        motion = load_motion(args.file, animation=args.animation)
+        motion = changed(load_motion(args.file, animation=args.animation), args)
         for output in args.outputs:
             motion.save(output)
             print(output)

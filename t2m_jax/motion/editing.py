@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.features import facing
-from t2m_jax.motion.rotations import quaternion_between, rotate_vectors
+from t2m_jax.motion.features import bone_vectors, facing, positions_from_bones
+from t2m_jax.motion.rotations import quaternion_between, rotate_vectors, unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 
 MAX_FPS = 1000.0
@@ -16,6 +16,12 @@ BLEND_SECONDS = 0.4
 """Time in which the pose at the end of a motion fades into the one that follows."""
 FILTER_WINDOW = ("kaiser", 10.0)
 """Window of the low-pass filter. It damps what is too fast for the new rate by 100 dB, and what stands still not."""
+
+
+def check_fps(fps: float) -> None:
+    """Raises `UserError` if a frame rate is not between 0 and `MAX_FPS`."""
+    if not 0 < fps <= MAX_FPS:
+        raise UserError(f"fps: {fps} is not a number above 0, up to {MAX_FPS:.0f} frames per second")
 
 
 def resample(values: Float[np.ndarray, "T ..."], *, fps: float, new_fps: float) -> Float[np.ndarray, "U ..."]:
@@ -27,8 +33,7 @@ def resample(values: Float[np.ndarray, "T ..."], *, fps: float, new_fps: float) 
     Raises:
         UserError: The new rate is not between 0 and `MAX_FPS`.
     """
-    if not 0 < new_fps <= MAX_FPS:
-        raise UserError(f"fps: {new_fps} is not a number above 0, up to {MAX_FPS:.0f} frames per second")
+    check_fps(new_fps)
     count = int((len(values) - 1) * new_fps / fps + 1e-6) + 1
     if new_fps == fps or count == 1:
         return values[:count]
@@ -40,6 +45,26 @@ def resample(values: Float[np.ndarray, "T ..."], *, fps: float, new_fps: float) 
         values - start, ratio.numerator, ratio.denominator, axis=0, window=FILTER_WINDOW, padtype="antireflect"
     )
     return (start + moved[:count]).astype(np.float32)
+
+
+def resample_positions(
+    positions: Float[np.ndarray, "T J 3"], *, fps: float, new_fps: float, skeleton: Skeleton
+) -> Float[np.ndarray, "U J 3"]:
+    """Returns a motion at another frame rate: the root's path, the directions of the bones and their lengths.
+
+    So bones turn between frames and stay as long as they are.
+
+    Raises:
+        UserError: The new rate is not between 0 and `MAX_FPS`.
+    """
+    if new_fps == fps:
+        return positions
+    bones = bone_vectors(positions, skeleton)
+    lengths = np.linalg.norm(bones, axis=-1, keepdims=True)
+    root, turned, long = (
+        resample(part, fps=fps, new_fps=new_fps) for part in (positions[:, 0], unit_vectors(bones), lengths)
+    )
+    return positions_from_bones(root, unit_vectors(turned) * long, skeleton)
 
 
 def join_positions(

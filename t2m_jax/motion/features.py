@@ -63,8 +63,8 @@ def _constant(values: object, like: AnyArray, ndim: int) -> AnyArray:
     return namespace_of(like).asarray(array.reshape((1,) * (ndim - array.ndim) + array.shape))
 
 
-def _bones(positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton) -> Float[AnyArray, "*batch T J-1 3"]:
-    """Returns the vectors from the parent to the joint, for joints 1 … J−1."""
+def bone_vectors(positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton) -> Float[AnyArray, "*batch T J-1 3"]:
+    """Returns the vectors from the parent to each joint but the root."""
     return positions[..., 1:, :] - positions[..., np.array(skeleton.parents[1:]), :]
 
 
@@ -86,13 +86,22 @@ def retarget_positions(
     """
     positions = _checked_positions(positions, skeleton)
     xp = namespace_of(positions)
-    bones = _bones(positions, skeleton)
+    bones = bone_vectors(positions, skeleton)
     leg = np.array(skeleton.leg_joints)
     source = xp.sqrt((bones[..., 0, leg - 1, :] ** 2).sum(-1)).sum(-1)
     template = sum(skeleton.bone_lengths[joint] for joint in skeleton.leg_joints)
     scale = xp.where(source > 0, template / xp.where(source > 0, source, xp.ones_like(source)), xp.ones_like(source))
     bones = unit_vectors(bones) * _constant(skeleton.bone_lengths[1:], bones, bones.ndim - 1)[..., None]
     root = positions[..., :1, :] * scale[..., None, None, None]
+    return positions_from_bones(root[..., 0, :], bones, skeleton)
+
+
+def positions_from_bones(
+    root: Float[AnyArray, "*batch T 3"], bones: Float[AnyArray, "*batch T S 3"], skeleton: Skeleton
+) -> Float[AnyArray, "*batch T S+1 3"]:
+    """Returns the joints of a root's path and of the vectors from the parent to each joint; inverts `bone_vectors`."""
+    xp = namespace_of(root, bones)
+    root = root[..., None, :]
     bones = xp.concatenate([xp.zeros_like(root), bones], axis=-2)
     # A joint's position is the sum of the bones on its path to the root. All paths have one length after padding with
     # the root, whose bone is zero, so that one sum serves all joints.
@@ -182,7 +191,7 @@ def swing_rotations(
     not swing.
     """
     positions = _checked_positions(positions, skeleton)
-    bones = _bones(positions, skeleton)
+    bones = bone_vectors(positions, skeleton)
     axes = _constant(skeleton.rest_axes[1:], bones, bones.ndim)
     swings = quaternion_between(axes, bones)
     xp = namespace_of(swings)

@@ -12,8 +12,9 @@ from jaxtyping import Float, Int
 
 from t2m_jax import files
 from t2m_jax.errors import UserError
-from t2m_jax.motion.editing import join_positions, resample
+from t2m_jax.motion.editing import join_positions, resample_positions
 from t2m_jax.motion.inverse_kinematics import fit_rig
+from t2m_jax.motion.looping import close_loop, find_loop, keep_in_place
 from t2m_jax.motion.mirroring import mirror_caption, mirror_positions
 from t2m_jax.motion.skeleton import HUMANML3D, Skeleton
 
@@ -112,18 +113,35 @@ class Motion:
         return dataclasses.replace(self, **cut, codes=None)
 
     def resampled(self, fps: float | int) -> "Motion":
-        """Returns the same motion at another frame rate, without features and codes (see `editing.resample`).
+        """Returns the same motion at another frame rate, without features and codes (see `editing.resample_positions`).
 
         Raises:
             UserError: The rate is not a number above 0, or is too large.
         """
         new_fps = float(fps)
-        return self._edited(lambda old: resample(old, fps=self.fps, new_fps=new_fps), fps=new_fps)
+        return self._edited(
+            lambda old: resample_positions(old, fps=self.fps, new_fps=new_fps, skeleton=self.skeleton), fps=new_fps
+        )
 
     def mirrored(self) -> "Motion":
         """Returns the motion with left and right exchanged, also in its caption, without features and codes."""
         caption = mirror_caption(self.caption)
         return self._edited(lambda positions: mirror_positions(positions, self.skeleton), caption=caption)
+
+    def in_place(self) -> "Motion":
+        """Returns the motion without travel: the root stays above the origin. Features and codes are dropped."""
+        return self._edited(keep_in_place)
+
+    def looped(self) -> "Motion":
+        """Returns the best part of the motion to play again and again, without features and codes.
+
+        Its last frame has the pose and the velocities of its first, at the place where the motion has come to.
+
+        Raises:
+            UserError: The motion is too short, or no part of it repeats.
+        """
+        loop = find_loop(self.positions, fps=self.fps)
+        return self._edited(lambda old: close_loop(old, loop, fps=self.fps, skeleton=self.skeleton))
 
     def __add__(self, other: "Motion") -> "Motion":
         """Returns this motion and then another, which is turned and moved to where this one ends; see `join_positions`.

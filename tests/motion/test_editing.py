@@ -53,6 +53,13 @@ def test_rotations_give_the_positions_again(tmp_path):
         Motion(np.zeros((4, 21, 3)), 20.0, skeleton=KIT_ML).rotations  # noqa: B018 - the property is what is tested
 
 
+@pytest.mark.parametrize("fps", [24, 30, 60, 12.5])
+def test_bones_stay_as_long_at_another_frame_rate(fps):
+    motion = make("wave-both-hands")
+    expected = bone_lengths(motion)[0]
+    np.testing.assert_allclose(bone_lengths(motion.resampled(fps)) - expected, 0, atol=1e-5)
+
+
 def test_another_frame_rate_and_back():
     motion = make(caption="walks")
     double = motion.resampled(40)

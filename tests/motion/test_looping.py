@@ -1,0 +1,100 @@
+"""Motion in place, and loops."""
+
+import numpy as np
+import pytest
+
+from t2m_jax import Motion
+from t2m_jax.data.importers.synthetic import make_motion
+from t2m_jax.errors import UserError
+from t2m_jax.motion.features import bone_vectors
+from t2m_jax.motion.looping import close_loop, find_loop, keep_in_place
+from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
+
+ARMS = [16, 17, 18, 19, 20, 21]
+
+
+def make(kind="walk", *, num_frames=100):
+    return Motion(make_motion(kind, seed=3, num_frames=num_frames), 20.0, caption=kind)
+
+
+def periodic(num_frames=60, *, period=16, drift=0.0, speed=0.0):
+    """A figure whose arms go around a circle of 20 cm; `drift` is their rise in meters per frame, `speed` in m/s."""
+    positions = np.repeat(make("wave-left-hand").positions[:1], num_frames, axis=0)
+    frames = np.arange(num_frames)[:, None]
+    angle = 2 * np.pi * frames / period
+    positions[:, ARMS, 1] += 0.2 * np.sin(angle) + drift * frames
+    positions[:, ARMS, 2] += 0.2 * np.cos(angle)
+    positions[:, :, 2] += speed * frames / 20
+    return positions
+
+
+def seam(positions, fps=20.0):
+    """Differences in place, of the poses in millimeters, and of the mean velocities before and after in m/s."""
+    local = keep_in_place(positions)
+    before, after = local[-1] - local[-2], local[1] - local[0]
+    return 1000 * np.abs(local[-1] - local[0]).max(), np.linalg.norm(before - after, axis=-1).mean() * fps
+
+
+def test_in_place_keeps_all_but_the_travel():
+    motion = make()
+    still = motion.in_place()
+    np.testing.assert_array_equal(still.positions[:, 0, [0, 2]], 0)
+    np.testing.assert_array_equal(still.positions[..., 1], motion.positions[..., 1])
+    np.testing.assert_allclose(
+        bone_vectors(still.positions, HUMANML3D), bone_vectors(motion.positions, HUMANML3D), atol=1e-6
+    )
+    assert still.caption == motion.caption and still.features is None
+
+
+@pytest.mark.parametrize("speed", [0.0, 1.2])
+def test_a_loop_is_whole_periods(speed):
+    found = find_loop(periodic(speed=speed), fps=20.0)
+    assert (found.end - found.start) % 16 == 0 and found.difference < 1e-3
+    assert found.end - found.start == 48  # the longest
+
+
+@pytest.mark.parametrize("kind", ["walk", "wave-left-hand", "squat"])
+@pytest.mark.parametrize("fps", [20, 60])
+def test_pose_and_velocities_agree_at_the_seam(kind, fps):
+    loop = make(kind).resampled(fps).looped()
+    apart, faster = seam(loop.positions, fps)
+    assert apart < 1 and faster < 0.2
+    lengths = np.linalg.norm(bone_vectors(loop.positions, HUMANML3D), axis=-1)
+    np.testing.assert_allclose(lengths, lengths[:1].repeat(len(lengths), 0), rtol=2e-3)
+
+
+def test_what_is_missing_at_the_end_comes_in_half_a_second():
+    positions = periodic(drift=0.002, speed=0.5)
+    loop = find_loop(positions, fps=20.0)
+    closed = close_loop(positions, loop, fps=20.0, skeleton=HUMANML3D)
+    part = positions[loop.start : loop.end + 1]
+    assert seam(part)[0] > 20 and seam(closed)[0] < 1
+    np.testing.assert_allclose(closed[:-10], part[:-10], atol=1e-5)
+    np.testing.assert_allclose(closed[-1, 0], part[-1, 0], atol=1e-5)  # where it has come to
+    assert np.linalg.norm(np.diff(closed - part, n=2, axis=0), axis=-1).max() * 400 < 6  # m/s2 that are added
+
+
+def test_the_parts_of_a_motion_are_cut_alike():
+    motion = make()
+    both = Motion(motion.positions, 20.0, positions_raw=motion.positions + 1, caption="walks").looped()
+    np.testing.assert_allclose(both.positions_raw, both.positions + 1, atol=1e-3)
+    assert both.caption == "walks"
+
+
+def test_what_does_not_repeat_is_refused():
+    with pytest.raises(UserError, match=r"no part of the motion repeats; the most alike poses differ by 0\.\d\d m"):
+        find_loop(periodic(drift=0.1), fps=20.0)
+    with pytest.raises(UserError, match=r"the motion has 0.5 s; more than 0.6 s are needed"):
+        make()[:10].looped()
+
+
+def test_a_long_motion_is_searched_in_bounded_memory(monkeypatch):
+    monkeypatch.setattr("t2m_jax.motion.looping.MOST_STARTS", 10)
+    found = find_loop(periodic(), fps=20.0)
+    assert found.start % 6 == 0 and (found.end - found.start) % 16 == 0
+
+
+def test_other_skeletons_loop():
+    positions = np.repeat(make().positions[:1, :21], 60, axis=0)
+    motion = Motion(positions, 12.5, skeleton=KIT_ML)
+    assert motion.looped().num_frames == 60
