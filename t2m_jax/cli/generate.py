@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_sampling_arguments(parser)
     add_raw_argument(parser)
     add_change_arguments(parser)
-    files = ".npz .bvh .gif .mp4 or .html; can be repeated; several motions get -0, -1, ... (default: motion.html)"
+    files = ".npz .bvh .gif .mp4 .png or .html; can be repeated; several motions get -0, -1, ... (default: motion.html)"
     parser.add_argument("-o", "--output", action="append", metavar="FILE", help=files)
 
 

@@ -1,4 +1,4 @@
-"""Converts a motion file to other formats. The suffix of each output selects the format."""
+"""Converts motion files to other formats. The suffix of each output selects the format."""
 
 import argparse
 import shlex
@@ -11,31 +11,35 @@ from t2m_jax.cli.next_step import show_next
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the arguments of `t2m view`."""
     parser.add_argument(
-        "file", type=Path, metavar="FILE", help="motion to read: .npz, .bvh, .glb, .amc, or .npy of a data set"
+        "files",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        help="motions to read: .npz, .bvh, .glb, .amc, or .npy of a data set; several are shown side by side",
     )
     parser.add_argument("--animation", metavar="NAME", help="animation to read from a .glb file that has several")
     add_change_arguments(parser)
-    files = "file to write: .html, .gif, .mp4, .bvh or .npz; can be repeated"
+    files = "file to write: .html, .gif, .mp4, .png, .bvh or .npz; can be repeated"
     parser.add_argument(
         "-o", "--output", dest="outputs", type=Path, action="append", required=True, metavar="FILE", help=files
     )
 
 
 def run(args: argparse.Namespace) -> None:
-    """Reads the motion, writes all outputs, and prints their names and the next command."""
+    """Reads the motions, writes all outputs, and prints their names and the next command."""
     from t2m_jax.export import load_motion
     from t2m_jax.files import claim
-    from t2m_jax.motion.record import check_motion_output
+    from t2m_jax.motion.record import check_motion_output, save_motions
 
     check_changes(args)
     for output in args.outputs:
         check_motion_output(output)
     with claim(args.outputs):
-        motion = changed(load_motion(args.file, animation=args.animation), args)
+        motions = [changed(load_motion(path, animation=args.animation), args) for path in args.files]
         for output in args.outputs:
-            motion.save(output)
+            save_motions(output, motions)
             print(output)
     chosen = [] if args.animation is None else ["--animation", args.animation]
-    again = ["t2m", "view", str(args.file), *chosen]
+    again = ["t2m", "view", *map(str, args.files), *chosen]
     pages = [output for output in args.outputs if output.suffix == ".html"]
     show_next(f"open {pages[0]} in a browser" if pages else f"{shlex.join(again)} -o motion.html")

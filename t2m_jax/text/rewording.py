@@ -9,23 +9,17 @@ import numpy as np
 
 from t2m_jax.text.verbs import AUXILIARIES, BODY_PARTS, PREPOSITIONS, SIDES, Word, words_of
 
-PEOPLE = [
-    "a person",
-    "someone",
-    "somebody",
-    "a man",
-    "a woman",
-    "the man",
-    "the woman",
-    "he",
-    "she",
-    "a human",
-    "a figure",
-]
+# fmt: off
+PEOPLE = (
+    "a person", "someone", "somebody", "a man", "a woman", "the man", "the woman", "he", "she", "a human", "a figure",
+    "a boy", "a girl", "a child", "a guy", "a lady", "an adult", "a teenager", "a friend", "a neighbor", "a player",
+    "a worker", "an athlete", "an actor", "a hero", "a student", "a teacher", "a stranger", "a gentleman", "a host",
+)
+# fmt: on
 ARTICLES = ("the", "his", "her", "their")
 """Words that may stand before a part of the body."""
-LONGEST_SUBJECT = 4
-"""Words before a verb, as in `a tired old man walks`."""
+LONGEST_SUBJECT = 2
+"""Words of a subject that may be exchanged. Longer ones often say how somebody moves, as in `a tired man walks`."""
 
 
 def reword(caption: str, generator: np.random.Generator) -> str:
@@ -50,9 +44,10 @@ def _article(words: Sequence[Word], place: int, generator: np.random.Generator) 
 
 
 def _is_subject(words: Sequence[Word]) -> bool:
-    """Returns whether the words before a verb are its subject and, at most, `is`."""
+    """Returns whether the words before a verb are a short subject and, at most, `is`."""
     others = (AUXILIARIES - {"is"}) | PREPOSITIONS | SIDES | {"not", "they", "we", "you", "i", "people"}
-    return len(words) <= LONGEST_SUBJECT and others.isdisjoint(word.text for word in words)
+    texts = [word.text for word in words if word.text != "is"]
+    return len(texts) <= LONGEST_SUBJECT and others.isdisjoint(texts)
 
 
 def _clause(subject: Sequence[str], verb: str, generator: np.random.Generator) -> str:

@@ -13,7 +13,6 @@ from t2m_jax.export.render.ground import (
     ACCENTS,
     KEY_LIGHT,
     SKY_TOP,
-    Ground,
     add_shadows,
     add_trail,
     draw_ground,
@@ -86,10 +85,13 @@ def render_film(motions: Sequence[Motion], *, height: int, max_fps: float) -> Fi
         tracks.append(_Track(figure, points, path, label))
     views = views_of_scene(scene, np.stack([track.points[:, 0] for track in tracks], axis=1), fps, size)
     ground = make_ground(views[0])
-    tables = _shade_tables(views[0])
+    tables = shade_tables(views[0])
 
     def draw_frame(frame: int) -> Image.Image:
-        picture = _draw_figures(ground, views[frame], tracks, frame, tables)
+        picture = draw_ground(ground, views[frame])
+        for number, track in enumerate(tracks):
+            add_trail(picture, views[frame], track.path[: frame + 1], ACCENTS[number % len(ACCENTS)])
+        picture = draw_figures(picture, views[frame], [(t.figure, t.points[frame]) for t in tracks], tables)
         _draw_labels(picture, views[frame], tracks, frame)
         # The bar along the lower edge shows how much of the film has passed.
         thickness = max(height // 120, 2)
@@ -124,7 +126,7 @@ def render_poster(motions: Sequence[Motion], *, num_poses: int = 6, height: int 
     return np.concatenate(rows)
 
 
-def _shade_tables(view: View) -> ShadeTables:
+def shade_tables(view: View) -> ShadeTables:
     """Returns the colors of all tints, with the light as the camera sees it."""
     up = np.array([0.0, 1.0, 0.0])
     key, fill, sky = (view.axes @ direction for direction in (KEY_LIGHT, FILL_LIGHT, up))
@@ -142,16 +144,15 @@ def _shade_tables(view: View) -> ShadeTables:
     return make_shade_tables(np.array(tints), lighting)
 
 
-def _draw_figures(ground: Ground, view: View, tracks: Sequence[_Track], frame: int, tables: ShadeTables) -> Image.Image:
-    """Returns the scene without text."""
-    picture = draw_ground(ground, view)
-    for number, track in enumerate(tracks):
-        add_trail(picture, view, track.path[: frame + 1], ACCENTS[number % len(ACCENTS)])
-    add_shadows(picture, view, [(track.figure, track.points[frame]) for track in tracks])
+def draw_figures(
+    picture: Image.Image, view: View, figures: Sequence[tuple[Figure, Float[np.ndarray, "_ 3"]]], tables: ShadeTables
+) -> Image.Image:
+    """Returns a picture of the ground with figures at given points, and their shadows."""
+    add_shadows(picture, view, figures)
     capsules = []
-    for track in tracks:
-        spots = project(view, track.points[frame]).tolist()
-        for part in track.figure.parts:
+    for figure, points in figures:
+        spots = project(view, points).tolist()
+        for part in figure.parts:
             ends = []
             for point, radius in ((part.start, part.start_radius), (part.end, part.end_radius)):
                 x, y, depth = spots[point]

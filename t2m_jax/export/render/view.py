@@ -14,6 +14,9 @@ FIELD_OF_VIEW = 0.6
 PITCH = 0.22
 """Downward angle of the camera in radians."""
 
+YAW, YAW_OF_SEVERAL = 0.5, 0.22
+"""Directions from which the camera sees one figure and several, in radians from +Z towards +X."""
+
 STANDSTILL = 1.2
 """Meters. If the figures move less than this, the camera does not move."""
 
@@ -74,7 +77,7 @@ def views_of_scene(scene: Scene, roots: Float[np.ndarray, "T N 3"], fps: float, 
     top = max(float(figure.points[..., 1].max()) for figure in scene.figures)
     strays = np.abs(roots - targets[:, None])[..., [0, 2]].max(axis=(0, 1))
     half = math.tan(FIELD_OF_VIEW / 2)
-    yaw = 0.5 if len(scene.figures) == 1 else 0.22
+    yaw = YAW if len(scene.figures) == 1 else YAW_OF_SEVERAL
     across = float(strays @ [math.cos(yaw), math.sin(yaw)]) + 0.65
     up = max(0.56 * top, 0.95) + 0.12 + 0.1 * float(strays[1])
     distance = max(up / half, across / (half * width / height)) + 0.3

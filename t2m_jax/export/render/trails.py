@@ -1,0 +1,89 @@
+"""One picture of a whole motion: some of its poses, and the paths of hands and feet."""
+
+import math
+
+import numpy as np
+from jaxtyping import Float
+from PIL import Image, ImageDraw
+
+from t2m_jax.export.render.figure import roles_from_skeleton
+from t2m_jax.export.render.ground import ACCENTS, add_trail, draw_ground, make_ground
+from t2m_jax.export.render.labels import make_label
+from t2m_jax.export.render.rendering import draw_figures, picture_size, shade_tables
+from t2m_jax.export.render.scene import Figure, Scene, figure_from_motion
+from t2m_jax.export.render.view import YAW_OF_SEVERAL, View, project, views_of_scene
+from t2m_jax.motion.record import Motion
+from t2m_jax.motion.rotations import matrix_from_euler
+from t2m_jax.motion.skeleton import Skeleton
+
+MOST_POSES = 6
+"""Poses that are drawn if the figure goes far enough."""
+APART = 0.7
+"""Least distance in meters from one pose to the next, so that figures do not hide each other."""
+
+BEND = 0.2
+"""Distance in meters of a path from the straight way, on average, from which it counts as a curve."""
+
+
+def render_trails(motion: Motion, *, height: int = 720) -> Image.Image:
+    """Returns a picture of a motion. A figure that travels is shown several times, and seen from its side.
+
+    Args:
+        motion: The motion.
+        height: Height of the picture in pixels. A figure that stays makes a square picture.
+    """
+    figure = _from_the_side(figure_from_motion(motion))
+    frames = _poses(figure.points[:, 0])
+    size = picture_size(len(frames), height)
+    scene = Scene(tuple(figure._replace(points=figure.points[[frame]]) for frame in frames), 0.0)
+    (view,) = views_of_scene(scene, figure.points[frames, 0][None].astype(np.float64), figure.fps, size)
+    picture = draw_ground(make_ground(view), view)
+    add_trail(picture, view, figure.points[:, 0], ACCENTS[0])
+    _draw_paths(picture, view, figure.points[:, _ends_of_limbs(motion.skeleton)])
+    picture = draw_figures(picture, view, [(figure, figure.points[frame]) for frame in frames], shade_tables(view))
+    label = make_label(motion.caption, size=round(height / 27), width=round(0.94 * size[0]), max_lines=3)
+    if label is not None:
+        picture.paste(label, ((size[0] - label.width) // 2, round(0.97 * height) - label.height), label)
+    return picture
+
+
+def _from_the_side(figure: Figure) -> Figure:
+    """Returns the figure, turned so that it goes across the picture, if it travels. A curve bends away from the eye."""
+    path = figure.points[:, 0]
+    way, middle = path[-1] - path[0], path.mean(axis=0) - path[0]
+    length = math.hypot(way[0], way[2])
+    if length < APART:
+        return figure
+    bends_to_the_eye = way[0] * middle[2] - way[2] * middle[0] > BEND * length
+    angle = math.atan2(way[2], way[0]) + YAW_OF_SEVERAL + math.pi * bends_to_the_eye
+    turn = matrix_from_euler(np.array([angle, 0.0, 0.0]), "YXZ")
+    return figure._replace(points=(figure.points @ turn.T).astype(np.float32))
+
+
+def _poses(path: Float[np.ndarray, "T 3"]) -> list[int]:
+    """Returns the frames to draw: the middle one of a figure that stays, else some at equal parts of its way."""
+    steps = np.linalg.norm(np.diff(path[:, [0, 2]], axis=0), axis=-1)
+    length = float(np.linalg.norm((path[-1] - path[0])[[0, 2]]))
+    count = min(1 + int(length / APART), MOST_POSES)
+    if count == 1:
+        return [len(path) // 2]
+    gone = np.concatenate([[0.0], np.cumsum(steps)])
+    return np.searchsorted(gone, np.linspace(0, gone[-1], count)).clip(0, len(path) - 1).tolist()
+
+
+def _ends_of_limbs(skeleton: Skeleton) -> list[int]:
+    """Returns the joints whose paths are drawn: wrists and ankles, or none of a figure that is no person."""
+    roles = roles_from_skeleton(skeleton)
+    limbs = () if roles is None else (roles.left_arm, roles.right_arm, roles.left_leg, roles.right_leg)
+    return [limb[2] for limb in limbs]
+
+
+def _draw_paths(picture: Image.Image, view: View, paths: Float[np.ndarray, "T K 3"]) -> None:
+    """Draws paths in the air, of left limbs in the first accent color and of right ones in the second."""
+    spots = 2 * project(view, paths)[..., :2]
+    for side in (0, 1):
+        mask = Image.new("L", (2 * picture.width, 2 * picture.height))
+        draw = ImageDraw.Draw(mask)
+        for path in spots[:, side::2].swapaxes(0, 1):
+            draw.line(path.ravel().tolist(), fill=150, width=max(round(view.height / 120), 2), joint="curve")
+        picture.paste(ACCENTS[side], (0, 0), mask.reduce(2))
