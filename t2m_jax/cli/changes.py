@@ -1,7 +1,11 @@
-"""Options that change a motion before it is written: its frame rate, a loop, no travel."""
+"""Options for how a motion is written: its frame rate, a loop, no travel, names of joints, units."""
 
 import argparse
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
+
+from t2m_jax.errors import UserError
 
 if TYPE_CHECKING:
     from t2m_jax.motion import Motion
@@ -12,14 +16,29 @@ def add_change_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--fps", type=float, help="frames per second to write (default: those of the motion)")
     parser.add_argument("--loop", action="store_true", help="write the part that repeats best, closed into a loop")
     parser.add_argument("--in-place", action="store_true", help="without travel: the root stays above the origin")
+    rigs = ("lafan1", "humanml3d", "mixamo", "vrm", "unreal")
+    parser.add_argument("--names", choices=rigs, help="names of the joints in .bvh and .glb files (default: lafan1)")
+    parser.add_argument("--units", choices=("m", "cm"), help="units of .bvh and .glb files (default: m)")
 
 
-def check_changes(args: argparse.Namespace) -> None:
-    """Raises `UserError` if an option has a value that no motion can be changed with."""
+def check_changes(args: argparse.Namespace, outputs: Sequence[Path]) -> None:
+    """Raises `UserError` if an option has a value that no motion can be changed with, or is of none of the outputs."""
     from t2m_jax.motion.editing import check_fps
 
     if args.fps is not None:
         check_fps(args.fps)
+    for name in ("names", "units"):
+        if getattr(args, name) is not None and not any(name in file_options(output, args) for output in outputs):
+            raise UserError(f"--{name}: is for .bvh and .glb files, and none is written; add -o FILE.glb")
+
+
+def file_options(output: Path, args: argparse.Namespace) -> dict[str, str]:
+    """Returns the options that were given for the format of a file."""
+    from t2m_jax.motion.record import format_options
+
+    given = {name: getattr(args, name) for name in ("names", "units") if getattr(args, name) is not None}
+    known = format_options(output) if given else {}
+    return {name: value for name, value in given.items() if name in known}
 
 
 def changed(motion: "Motion", args: argparse.Namespace) -> "Motion":

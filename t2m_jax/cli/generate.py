@@ -7,7 +7,7 @@ import sys
 import warnings
 from pathlib import Path
 
-from t2m_jax.cli.changes import add_change_arguments, changed, check_changes
+from t2m_jax.cli.changes import add_change_arguments, changed, check_changes, file_options
 from t2m_jax.cli.next_step import show_next
 from t2m_jax.errors import UserError, one_line
 
@@ -21,7 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_sampling_arguments(parser)
     add_raw_argument(parser)
     add_change_arguments(parser)
-    files = ".npz .bvh .gif .mp4 .png or .html; can be repeated; several motions get -0, -1, ... (default: motion.html)"
+    formats = ".npz .bvh .glb .gif .mp4 .png or .html"
+    files = f"{formats}; can be repeated; several motions get -0, -1, ... (default: motion.html)"
     parser.add_argument("-o", "--output", action="append", metavar="FILE", help=files)
 
 
@@ -56,8 +57,8 @@ def run(args: argparse.Namespace) -> None:
     for text in args.text:
         check_prompt(text)
     _check_quotes(args.text)
-    check_changes(args)
     outputs = [check_motion_output(output) for output in args.output or ["motion.html"]]
+    check_changes(args, outputs)
     first = [check_motion_output(_numbered(args, output, 0)) for output in outputs]
     # The first files are claimed from the start, so that two commands do not mix their motions. The others are claimed
     # one by one, because there may be more of them than a process can have open files.
@@ -66,7 +67,7 @@ def run(args: argparse.Namespace) -> None:
         warnings.showwarning = _show_warning  # type: ignore[assignment]  # it needs the message only
         written = _generate(args, outputs)
     pages = [path for path in written if path.suffix == ".html"]
-    convertible = [path for path in written if path.suffix in (".npz", ".bvh")]
+    convertible = [path for path in written if path.suffix in (".npz", ".bvh", ".glb")]
     if pages:
         show_next(f"open {shlex.quote(str(pages[0]))} in a browser")
     elif convertible:
@@ -110,7 +111,7 @@ def _generate(args: argparse.Namespace, outputs: list[Path]) -> list[Path]:
         for output in outputs:
             path = _numbered(args, output, number)
             with claim([path]) if number else contextlib.nullcontext():  # `run` has claimed the first
-                motion.save(path)
+                motion.save(path, **file_options(path, args))
             sys.stdout.write(f"{path}\n")
             written.append(path)
     return written

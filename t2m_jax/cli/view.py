@@ -4,7 +4,7 @@ import argparse
 import shlex
 from pathlib import Path
 
-from t2m_jax.cli.changes import add_change_arguments, changed, check_changes
+from t2m_jax.cli.changes import add_change_arguments, changed, check_changes, file_options
 from t2m_jax.cli.next_step import show_next
 
 
@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--animation", metavar="NAME", help="animation to read from a .glb file that has several")
     add_change_arguments(parser)
-    files = "file to write: .html, .gif, .mp4, .png, .bvh or .npz; can be repeated"
+    files = "file to write: .html, .gif, .mp4, .png, .bvh, .glb or .npz; can be repeated"
     parser.add_argument(
         "-o", "--output", dest="outputs", type=Path, action="append", required=True, metavar="FILE", help=files
     )
@@ -31,13 +31,13 @@ def run(args: argparse.Namespace) -> None:
     from t2m_jax.files import claim
     from t2m_jax.motion.record import check_motion_output, save_motions
 
-    check_changes(args)
     for output in args.outputs:
         check_motion_output(output)
+    check_changes(args, args.outputs)
     with claim(args.outputs):
         motions = [changed(load_motion(path, animation=args.animation), args) for path in args.files]
         for output in args.outputs:
-            save_motions(output, motions)
+            save_motions(output, motions, **file_options(output, args))
             print(output)
     chosen = [] if args.animation is None else ["--animation", args.animation]
     again = ["t2m", "view", *map(str, args.files), *chosen]

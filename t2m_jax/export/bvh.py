@@ -5,9 +5,11 @@ from pathlib import Path
 
 from t2m_jax.export.writing import only_motion
 from t2m_jax.motion.bvh import save_bvh
+from t2m_jax.motion.bvh.rig_tables import JointNames
+from t2m_jax.motion.bvh.writer import Units
 from t2m_jax.motion.record import Motion
 
 
-def save_bvh_file(path: Path, motions: Sequence[Motion]) -> None:
-    """Writes one motion as a BVH file."""
-    save_bvh(path, only_motion(path, motions))
+def save_bvh_file(path: Path, motions: Sequence[Motion], *, names: JointNames = "lafan1", units: Units = "m") -> None:
+    """Writes one motion as a BVH file; see `save_bvh`."""
+    save_bvh(path, only_motion(path, motions), names=names, units=units)

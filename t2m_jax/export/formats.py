@@ -1,5 +1,6 @@
 """Reading motions from files of all known formats."""
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from textwrap import shorten
@@ -10,9 +11,9 @@ from t2m_jax.errors import UserError
 from t2m_jax.export.npz import load_npz
 from t2m_jax.files import load_array
 from t2m_jax.motion.amc import load_amc
-from t2m_jax.motion.bvh import load_bvh, resample, retarget
+from t2m_jax.motion.bvh import load_bvh, retarget
 from t2m_jax.motion.features import positions_from_features
-from t2m_jax.motion.gltf import DENSE_FPS, load_gltf
+from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 
@@ -53,12 +54,13 @@ def load_animation(path: Path, name: str | None) -> Motion:
     Raises:
         UserError: The file is damaged, there are several animations, or none has this name.
     """
-    clips = load_gltf(path, fps=DENSE_FPS)
-    chosen = [clip for own, clip in clips.items() if name in (None, own, own.rpartition("|")[2])]
+    clips = load_gltf(path)
+    chosen = [(own, clip) for own, clip in clips.items() if name in (None, own, own.rpartition("|")[2])]
     if len(chosen) != 1:
         wanted = "several animations" if name is None else f"no animation {name!r}"
         raise UserError(f"{path}: has {wanted}; choose one of {shorten(', '.join(clips), 200, placeholder=' ...')}")
-    return retarget(resample(chosen[0], HUMANML3D.fps), up="y")
+    ((own, clip),) = chosen
+    return dataclasses.replace(retarget(clip, up="y"), caption=own.rpartition("|")[2])
 
 
 def load_npy(path: Path) -> Motion:

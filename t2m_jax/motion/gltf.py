@@ -15,7 +15,10 @@ from jaxtyping import Float, Int
 from t2m_jax.errors import UserError
 from t2m_jax.files import first_line, reading
 from t2m_jax.motion.bvh.clip import BvhClip
+from t2m_jax.motion.bvh.resample import resample
+from t2m_jax.motion.editing import MAX_FPS
 from t2m_jax.motion.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
+from t2m_jax.motion.skeleton import HUMANML3D
 
 MAX_SECONDS = 3600.0
 """A longer animation is taken as an error in the file."""
@@ -57,10 +60,15 @@ class _Nodes(NamedTuple):
     """Of each joint's parent and all nodes above it."""
 
 
-def load_gltf(path: Path | str, *, fps: float = 20.0) -> dict[str, BvhClip]:
-    """Returns the animations of a GLB file by name, sampled at `fps` frames per second.
+def load_gltf(path: Path | str, *, fps: float | None = None) -> dict[str, BvhClip]:
+    """Returns the animations of a GLB file by name. Equal names get a number.
 
-    Equal names get a number. Lengths are in meters, as glTF demands.
+    Lengths are in meters, as glTF demands, unless the file says that this package wrote centimeters.
+
+    Args:
+        path: The file.
+        fps: Frames per second to sample the keys at. By default the rate that this package wrote into the file, and for
+            other files 20, after a filter.
 
     Raises:
         UserError: The file cannot be read, is damaged, or has no skin or no animation.
@@ -71,12 +79,15 @@ def load_gltf(path: Path | str, *, fps: float = 20.0) -> dict[str, BvhClip]:
     try:
         glb = _split_chunks(data)
         nodes = _find_nodes(glb.tree)
+        nodes = nodes._replace(scales=nodes.scales * _own_unit(glb.tree))
         clips: dict[str, BvhClip] = {}
         room = MAX_POSES
         for number, animation in enumerate(glb.tree.get("animations", [])):
             name = str(animation.get("name") or f"animation_{number}")
             with np.errstate(over="ignore", invalid="ignore"):  # what is too large is then found not to be finite
-                clip = _sample(glb, nodes, animation, fps=fps, room=room)
+                rate = fps or _own_rate(animation)
+                clip = _sample(glb, nodes, animation, fps=rate or DENSE_FPS, room=room)
+            clip = clip if rate else resample(clip, HUMANML3D.fps)
             room -= clip.num_frames * len(nodes.names)
             clips[name if name not in clips else f"{name}_{number}"] = clip
     except UserError as error:
@@ -86,6 +97,20 @@ def load_gltf(path: Path | str, *, fps: float = 20.0) -> dict[str, BvhClip]:
     if not clips:
         raise UserError(f"{path}: has no animation")
     return clips
+
+
+def _own_rate(animation: Mapping[str, Any]) -> float | None:
+    """Returns the frames per second that an animation says it was made from, if it does."""
+    extras = animation.get("extras")
+    rate = extras.get("fps") if isinstance(extras, dict) else None
+    return float(rate) if isinstance(rate, (int, float)) and 0 < rate <= MAX_FPS else None
+
+
+def _own_unit(tree: Mapping[str, Any]) -> float:
+    """Returns the meters of a length of 1, which only files of this package change."""
+    asset = tree.get("asset")
+    extras = asset.get("extras") if isinstance(asset, dict) else None
+    return 0.01 if isinstance(extras, dict) and extras.get("units") == "cm" else 1.0
 
 
 def _split_chunks(data: bytes) -> _Glb:

@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable, Sequence
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -179,13 +179,17 @@ class Motion:
         """
         return _entry_points(_READERS)["motion"].load()(path)
 
-    def save(self, path: str | Path) -> None:
+    def save(self, path: str | Path, **options: Any) -> None:
         """Writes the motion. The suffix selects the format (see `motion_formats`).
 
+        Args:
+            path: The file.
+            **options: Of the format, such as `names="mixamo"` or `units="cm"` of `.bvh` and `.glb` files.
+
         Raises:
-            UserError: The suffix is unknown or the file cannot be written.
+            UserError: The suffix is unknown, the format has no such option, or the file cannot be written.
         """
-        save_motions(path, [self])
+        save_motions(path, [self], **options)
 
     def __repr__(self) -> str:
         caption = f", {self.caption!r}" if self.caption else ""
@@ -228,15 +232,32 @@ def check_motion_output(path: str | Path) -> Path:
     return files.check_output(path)
 
 
-def save_motions(path: str | Path, motions: Sequence[Motion]) -> None:
+def format_options(path: str | Path) -> dict[str, tuple[str, ...]]:
+    """Returns the options of the format of a file, with the values that each can have."""
+    save = _entry_points(_FORMATS)[Path(path).suffix.lower().removeprefix(".")].load()
+    return {name: get_args(hint) for name, hint in get_type_hints(save).items() if get_origin(hint) is Literal}
+
+
+def save_motions(path: str | Path, motions: Sequence[Motion], **options: Any) -> None:
     """Writes motions into one file. The suffix selects the format. Some formats contain exactly one motion.
 
+    Args:
+        path: The file.
+        motions: What is written.
+        **options: See `Motion.save`.
+
     Raises:
-        UserError: The suffix is unknown, the format cannot contain that many motions, or the file cannot be written.
+        UserError: The suffix is unknown, the format has no such option or cannot contain that many motions, or the file
+            cannot be written.
     """
     path = check_motion_output(path)
+    known = format_options(path) if options else {}
+    for name, value in options.items():
+        if value not in known.get(name, ()):
+            choices = ", ".join(known.get(name, ())) or f"nothing, because {path.suffix} files have no such option"
+            raise UserError(f"{name}: {value!r} is unknown; known is {choices}")
     save = _entry_points(_FORMATS)[path.suffix.lower().removeprefix(".")].load()
     try:
-        save(path, motions)
+        save(path, motions, **options)
     except OSError as error:
         raise UserError(f"{path}: cannot be written ({error})") from error

@@ -36,6 +36,13 @@ def test_a_rate_that_no_motion_has_is_refused_first(refusal, bundle_folder, walk
     assert "fps: " in refusal("generate", "a person walks", "--model", bundle_folder, f"--fps={fps}")
 
 
+def test_options_of_formats_that_are_not_written_are_refused(refusal, bundle_folder, walk, tmp_path):
+    for option in (["--names", "vrm"], ["--units", "cm"]):
+        said = refusal("view", walk, "-o", tmp_path / "a.html", *option)
+        assert f"{option[0]}: is for .bvh and .glb files, and none is written" in said
+        assert "none is written" in refusal("generate", "a person walks", "--model", bundle_folder, *option)
+
+
 def test_generated_motion_is_changed_too(bundle_folder, tmp_path):
     command = ["generate", "a person walks", "--model", f"{bundle_folder}", "-o", f"{tmp_path / 'a.npz'}"]
     assert main([*command, "--fps", "40", "--in-place"]) == 0

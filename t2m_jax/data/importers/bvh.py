@@ -23,7 +23,7 @@ from t2m_jax.motion.bvh import BvhClip, load_bvh
 from t2m_jax.motion.bvh.orientation import Up, left_is_left, rest_frames
 from t2m_jax.motion.bvh.resample import resample
 from t2m_jax.motion.bvh.retarget import clip_up, find_rig, retarget
-from t2m_jax.motion.gltf import DENSE_FPS, load_gltf
+from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.motion.skeleton import HUMANML3D
 
 SUFFIXES = (".bvh", ".glb", ".amc")
@@ -51,7 +51,7 @@ def open_motion_file(path: Path, *, amc_fps: float = AMC_FPS) -> dict[Source, Bv
     """
     suffix = path.suffix.lower()
     if suffix == ".glb":  # Blender writes "armature|action"
-        clips = load_gltf(path, fps=DENSE_FPS)
+        clips = load_gltf(path)
         return {Source(path, name.rpartition("|")[2]): clip for name, clip in clips.items()}
     return {Source(path, None): load_bvh(path) if suffix == ".bvh" else load_amc(path, fps=amc_fps)}
 

@@ -4,6 +4,7 @@ Those that were not tried on real files are made from the documentation of their
 """
 
 from collections.abc import Sequence
+from typing import Literal
 
 from t2m_jax.errors import UserError
 from t2m_jax.motion.bvh.rigs import Rig, make_rig, match_rig
@@ -11,13 +12,19 @@ from t2m_jax.motion.skeleton import HUMANML3D
 
 
 def _sided(**patterns: str) -> dict[str, str]:
-    """Returns a table for both sides. In the patterns, {side} becomes Left or Right, {S} L or R, and {s} l or r."""
+    """Returns a table for both sides.
+
+    In the patterns, {side} becomes Left or Right, {low} left or right, {S} L or R, and {s} l or r.
+    """
     return {
-        f"{side.lower()}_{joint}": pattern.format(side=side, S=side[0], s=side[0].lower())
+        f"{side.lower()}_{joint}": pattern.format(side=side, low=side.lower(), S=side[0], s=side[0].lower())
         for joint, pattern in patterns.items()
         for side in ("Left", "Right")
     }
 
+
+JointNames = Literal["lafan1", "humanml3d", "mixamo", "vrm", "unreal"]
+"""Rigs whose names for all 22 joints can be written."""
 
 _MIXAMO_ARMS = _sided(
     collar="{side}Shoulder", shoulder="{side}Arm", elbow="{side}ForeArm", wrist="{side}Hand", knee="{side}Leg"
@@ -77,12 +84,23 @@ _FROM_DOCUMENTATION = {
     | {"neck": "neck_01", "head": "head"}
     | _sided(hip="thigh_{s}", knee="calf_{s}", ankle="foot_{s}", foot="ball_{s}")
     | _sided(collar="clavicle_{s}", shoulder="upperarm_{s}", elbow="lowerarm_{s}", wrist="hand_{s}"),
+    "vrm": {"pelvis": "hips", "spine1": "spine", "spine2": "chest", "spine3": "upperChest", "neck": "neck"}
+    | {"head": "head"}
+    | _sided(hip="{low}UpperLeg", knee="{low}LowerLeg", ankle="{low}Foot", foot="{low}Toes", collar="{low}Shoulder")
+    | _sided(shoulder="{low}UpperArm", elbow="{low}LowerArm", wrist="{low}Hand"),
 }
 RIGS: dict[str, Rig] = {
     name: make_rig(table, name=name, was_tried=tables is _TRIED)
     for tables in (_TRIED, _FROM_DOCUMENTATION)
     for name, table in tables.items()
 }
+
+
+def rig_joint_names(names: JointNames) -> tuple[str, ...]:
+    """Returns what the joints of HumanML3D are called in a rig, in their order."""
+    table = {joint: spellings[0] for joint, spellings in RIGS[names].sources}
+    prefix = "mixamorig:" if names == "mixamo" else ""
+    return tuple(prefix + table[joint] for joint in HUMANML3D.joint_names)
 
 
 def detect_rig(joint_names: Sequence[str]) -> Rig:

@@ -1,37 +1,36 @@
 """Writing motions of the 22 joints as BVH files with a T-pose as rest pose, as animation programs expect."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
 from t2m_jax.files import save_text
+from t2m_jax.motion.bvh.rig_tables import JointNames, rig_joint_names
 from t2m_jax.motion.inverse_kinematics import fit_rig
 from t2m_jax.motion.kinematics import forward_kinematics
 from t2m_jax.motion.record import Motion
 from t2m_jax.motion.rotations import EulerOrder, euler_from_matrix
 from t2m_jax.motion.skeleton import HUMANML3D
 
-# fmt: off
-BVH_JOINT_NAMES = (
-    "Hips", "LeftUpLeg", "RightUpLeg", "Spine", "LeftLeg", "RightLeg", "Spine1", "LeftFoot", "RightFoot", "Spine2",
-    "LeftToe", "RightToe", "Neck", "LeftShoulder", "RightShoulder", "Head", "LeftArm", "RightArm", "LeftForeArm",
-    "RightForeArm", "LeftHand", "RightHand",
-)
-# fmt: on
-"""Names in the file, in the order of HumanML3D's joints."""
+Units = Literal["m", "cm"]
+UNITS_PER_METER: dict[Units, float] = {"m": 1.0, "cm": 100.0}
 
 # Many readers expect one order for all joints. Y turns first, so that figures can face any direction, and elbows can
 # bend to any angle, without gimbal lock.
 _ORDER: EulerOrder = "ZXY"
 _LOCKED_COSINE = 1e-4
 # Length of each End Site relative to the last bone, up to the crown, the finger tips and the tip of the shoe.
-_END_SITES = {"Head": 1.7, "LeftHand": 0.65, "RightHand": 0.65, "LeftToe": 0.35, "RightToe": 0.35}
+_END_SITES = {"head": 1.7, "left_wrist": 0.65, "right_wrist": 0.65, "left_foot": 0.35, "right_foot": 0.35}
 
 
-def save_bvh(path: Path | str, motion: Motion, *, tpose_frame: bool = False) -> None:
-    """Writes `motion` as a BVH file in meters, Y up.
+def save_bvh(
+    path: Path | str, motion: Motion, *, tpose_frame: bool = False, names: JointNames = "lafan1", units: Units = "m"
+) -> None:
+    """Writes `motion` as a BVH file, Y up.
 
     The OFFSETs are the rest pose, a T-pose. The OFFSET of the root is zero, so that its position channels mean the same
     in programs that add them to OFFSET and in programs that do not.
@@ -40,20 +39,22 @@ def save_bvh(path: Path | str, motion: Motion, *, tpose_frame: bool = False) -> 
         path: The file.
         motion: A motion of the 22 HumanML3D joints.
         tpose_frame: Whether to write a frame in T-pose, with the feet on the floor, before the motion.
+        names: What the joints are called: as in the rig of that name.
+        units: Length of 1 in the file.
     """
     if motion.skeleton.joint_names != HUMANML3D.joint_names:
         raise UserError(f"{path}: BVH files are written for the skeleton {HUMANML3D.name}, not {motion.skeleton.name}")
-    rig = fit_rig(motion.positions, fps=motion.fps)
-    roots = rig.root_positions
+    rig, scale = fit_rig(motion.positions, fps=motion.fps), UNITS_PER_METER[units]
+    roots, offsets = scale * rig.root_positions, scale * rig.offsets
     degrees = np.rad2deg(continuous_euler(rig.rotations))
     if tpose_frame:
-        rest = forward_kinematics(np.tile(np.eye(3), (len(rig.offsets), 1, 1)), rig.offsets, HUMANML3D.parents)
+        rest = forward_kinematics(np.tile(np.eye(3), (len(offsets), 1, 1)), offsets, HUMANML3D.parents)
         stand = np.array([roots[0, 0], -rest.positions[:, 1].min(), roots[0, 2]])
         roots = np.concatenate((stand[None], roots))
         degrees = np.concatenate((np.zeros_like(degrees[:1]), degrees))
     order = _depth_first(0)
     table = np.concatenate((roots, degrees[:, order].reshape(len(degrees), -1)), axis=1)
-    lines = ["HIERARCHY", *_hierarchy_lines(rig.offsets)]
+    lines = ["HIERARCHY", *_hierarchy_lines(offsets, rig_joint_names(names))]
     lines += ["MOTION", f"Frames: {len(table)}", f"Frame Time: {1 / motion.fps:.9f}", *map(_numbers, table)]
     save_text(path, "\n".join(lines) + "\n")
 
@@ -93,17 +94,19 @@ def _depth_first(joint: int) -> list[int]:
     return [joint] + [below for child in HUMANML3D.children(joint) for below in _depth_first(child)]
 
 
-def _hierarchy_lines(offsets: Float[np.ndarray, "J 3"], joint: int = 0, depth: int = 0) -> list[str]:
+def _hierarchy_lines(
+    offsets: Float[np.ndarray, "J 3"], names: Sequence[str], joint: int = 0, depth: int = 0
+) -> list[str]:
     """Returns the lines of `joint` and its descendants."""
-    name, pad, inner = BVH_JOINT_NAMES[joint], "  " * depth, "  " * (depth + 1)
+    role, pad, inner = HUMANML3D.joint_names[joint], "  " * depth, "  " * (depth + 1)
     rotations = " ".join(f"{axis}rotation" for axis in _ORDER)
     channels = f"3 {rotations}" if depth else f"6 Xposition Yposition Zposition {rotations}"
-    lines = [f"{pad}{'JOINT' if depth else 'ROOT'} {name}", pad + "{"]
+    lines = [f"{pad}{'JOINT' if depth else 'ROOT'} {names[joint]}", pad + "{"]
     lines += [f"{inner}OFFSET {_numbers(offsets[joint])}", f"{inner}CHANNELS {channels}"]
     for child in HUMANML3D.children(joint):
-        lines += _hierarchy_lines(offsets, child, depth + 1)
-    if name in _END_SITES:
-        end = _numbers(offsets[joint] * _END_SITES[name])
+        lines += _hierarchy_lines(offsets, names, child, depth + 1)
+    if role in _END_SITES:
+        end = _numbers(offsets[joint] * _END_SITES[role])
         lines += [inner + "End Site", inner + "{", f"{inner}  OFFSET {end}", inner + "}"]
     return [*lines, pad + "}"]
 

@@ -1,0 +1,188 @@
+"""GLB files (binary glTF 2.0): a skinned figure with a T-pose as rest pose, and an animation per motion."""
+
+import json
+import struct
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from t2m_jax.errors import UserError
+from t2m_jax.export.render.rendering import TINT_COLORS
+from t2m_jax.export.skin import SkinPart, make_skin
+from t2m_jax.files import atomic_file
+from t2m_jax.motion.bvh.rig_tables import JointNames, rig_joint_names
+from t2m_jax.motion.bvh.writer import UNITS_PER_METER, Units
+from t2m_jax.motion.features import bone_vectors
+from t2m_jax.motion.inverse_kinematics import FittedRig, fit_rig
+from t2m_jax.motion.kinematics import forward_kinematics
+from t2m_jax.motion.record import Motion
+from t2m_jax.motion.rotations import continuous_quaternions, quaternion_from_matrix
+from t2m_jax.motion.skeleton import HUMANML3D
+
+NEAR = 1e-4
+"""Meters by which a joint may be away from where the figure's rigid bones lead, before its translation is animated."""
+
+_KINDS = {np.dtype("<f4"): 5126, np.dtype("<u2"): 5123, np.dtype("<u4"): 5125, np.dtype("u1"): 5121}
+_TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+_VERTICES, _INDICES = 34962, 34963
+
+
+class _Glb:
+    """Collects the JSON tree and the binary data of a file."""
+
+    def __init__(self) -> None:
+        self.binary = bytearray()
+        self.tree: dict[str, Any] = {"bufferViews": [], "accessors": []}
+
+    def add(self, values: Any, kind: str = "<f4", *, target: int | None = None, **fields: Any) -> int:
+        """Adds an array and returns the number of its accessor. Floats get their extremes, as glTF asks of some."""
+        array = np.ascontiguousarray(values, dtype=np.dtype(kind))
+        view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self.binary), "byteLength": array.nbytes}
+        self.tree["bufferViews"].append(view | ({} if target is None else {"target": target}))
+        self.binary += array.tobytes() + b"\0" * (-array.nbytes % 4)
+        rows = array.reshape(len(array), -1)
+        if kind == "<f4":
+            fields |= {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
+        accessor = {"bufferView": len(self.tree["bufferViews"]) - 1, "componentType": _KINDS[array.dtype]}
+        self.tree["accessors"].append(accessor | {"count": len(rows), "type": _TYPES[rows.shape[1]], **fields})
+        return len(self.tree["accessors"]) - 1
+
+    def data(self) -> bytes:
+        """Returns the bytes of the file."""
+        tree = self.tree | {"buffers": [{"byteLength": len(self.binary)}]}
+        text = json.dumps(tree, ensure_ascii=False, separators=(",", ":")).encode()
+        text += b" " * (-len(text) % 4)
+        chunks = struct.pack("<II", len(text), 0x4E4F534A) + text
+        chunks += struct.pack("<II", len(self.binary), 0x004E4942) + self.binary
+        return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
+
+
+def save_glb(path: Path, motions: Sequence[Motion], *, names: JointNames = "lafan1", units: Units = "m") -> None:
+    """Writes motions as the animations of one figure, Y up, facing +Z.
+
+    The figure has the bone lengths of the first motion. Where its rigid bones do not lead to the joints of a motion,
+    such as at hips and collars, the animation also moves these joints, by millimeters. So all are where the motion has
+    them.
+
+    Args:
+        path: The file.
+        motions: Motions of the 22 HumanML3D joints, at least one.
+        names: What the joints are called: as in the rig of that name.
+        units: Length of 1. glTF asks for meters; some programs expect centimeters.
+
+    Raises:
+        UserError: There is no motion, or one of another skeleton.
+    """
+    if not motions:
+        raise UserError(f"{path}: there is no motion to write; give at least one")
+    other = [motion.skeleton.name for motion in motions if motion.skeleton.joint_names != HUMANML3D.joint_names]
+    if other:
+        raise UserError(f"{path}: GLB files are written for the skeleton {HUMANML3D.name}, not {other[0]}")
+    rigs = [fit_rig(motion.positions, fps=motion.fps) for motion in motions]
+    scale, glb = UNITS_PER_METER[units], _Glb()
+    glb.tree["asset"] = {"version": "2.0", "generator": f"t2m_jax {version('t2m-jax')}"}
+    glb.tree["asset"]["extras"] = {"units": units}
+    _add_figure(glb, rigs[0], rig_joint_names(names), scale)
+    titles = _titles(motions)
+    glb.tree["animations"] = [
+        _animation(glb, rig, motion, title, rigs[0], scale)
+        for rig, motion, title in zip(rigs, motions, titles, strict=True)
+    ]
+    with atomic_file(path) as partial:
+        partial.write_bytes(glb.data())
+
+
+def _add_figure(glb: _Glb, rig: FittedRig, names: Sequence[str], scale: float) -> None:
+    """Adds the joints, which are the first nodes, and the mesh around them."""
+    identity = np.tile(np.eye(3), (len(names), 1, 1))
+    rest = np.asarray(forward_kinematics(identity, rig.offsets, HUMANML3D.parents).positions, np.float64)
+    rest[:, 1] -= rest[:, 1].min()
+    nodes: list[dict[str, Any]] = []
+    for joint, name in enumerate(names):
+        offset = rest[joint] - (rest[HUMANML3D.parents[joint]] if joint else 0)
+        children = HUMANML3D.children(joint)
+        node = {"name": name, "translation": (scale * offset).astype(np.float32).tolist()}
+        nodes.append(node | ({"children": list(children)} if children else {}))
+    nodes.append({"name": "Figure", "mesh": 0, "skin": 0})
+    inverse = np.tile(np.eye(4, dtype=np.float32), (len(names), 1, 1))
+    inverse[:, 3, :3] = -scale * rest  # columns one after another, as glTF stores matrices
+    parts = make_skin(rest, HUMANML3D)
+    glb.tree |= {
+        "scene": 0,
+        "scenes": [{"nodes": [0, len(names)]}],
+        "nodes": nodes,
+        "skins": [{"joints": list(range(len(names))), "skeleton": 0, "inverseBindMatrices": glb.add(inverse)}],
+        "materials": [_material(part.tint) for part in parts],
+        "meshes": [{"name": "Figure", "primitives": [_primitive(glb, part, k, scale) for k, part in enumerate(parts)]}],
+    }
+
+
+def _material(tint: str) -> dict[str, Any]:
+    """Returns the material of a color, decoded with the curve of sRGB."""
+    levels = np.array([int(TINT_COLORS[tint][place : place + 2], 16) for place in (1, 3, 5)]) / 255  # type: ignore[index]
+    linear = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4)
+    surface = {"baseColorFactor": [*linear.round(4).tolist(), 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8}
+    return {"name": tint, "pbrMetallicRoughness": surface}
+
+
+def _primitive(glb: _Glb, part: SkinPart, material: int, scale: float) -> dict[str, Any]:
+    """Adds the arrays of a part of the mesh, and returns its description."""
+    joints, weights = np.zeros((2, len(part.joints), 4), np.uint8)
+    joints[:, 0], weights[:, 0] = part.joints, 255
+    attributes = {
+        "POSITION": glb.add(scale * part.positions, target=_VERTICES),
+        "NORMAL": glb.add(part.normals, target=_VERTICES),
+        "JOINTS_0": glb.add(joints, "u1", target=_VERTICES),
+        "WEIGHTS_0": glb.add(weights, "u1", target=_VERTICES, normalized=True),
+    }
+    kind = "<u2" if len(part.joints) < 2**16 else "<u4"
+    return {
+        "attributes": attributes,
+        "indices": glb.add(part.triangles.ravel(), kind, target=_INDICES),
+        "material": material,
+    }
+
+
+def _titles(motions: Sequence[Motion]) -> list[str]:
+    """Returns a name per motion, all different: its caption, with a number if it is not the first."""
+    titles: list[str] = []
+    for number, motion in enumerate(motions):
+        title = motion.caption or "motion"
+        titles.append(title if title not in titles else f"{title} {number + 1}")
+    return titles
+
+
+def _translations(rig: FittedRig, motion: Motion) -> Float[np.ndarray, "T J 3"]:
+    """Returns the place of each joint in its parent's frame with which all joints are where the motion has them."""
+    turned = np.asarray(forward_kinematics(rig.rotations, rig.translations, HUMANML3D.parents).rotations)
+    parents = np.array(HUMANML3D.parents[1:])
+    bones = bone_vectors(motion.positions, HUMANML3D)
+    local = np.einsum("tjba,tjb->tja", turned[:, parents], bones)
+    return np.concatenate([motion.positions[:, :1], local], axis=1)
+
+
+def _animation(
+    glb: _Glb, rig: FittedRig, motion: Motion, title: str, figure: FittedRig, scale: float
+) -> dict[str, Any]:
+    """Adds the arrays of an animation, and returns its description."""
+    times = glb.add(np.arange(motion.num_frames) / motion.fps)
+    quaternions = continuous_quaternions(quaternion_from_matrix(rig.rotations))[..., [1, 2, 3, 0]]
+    places = _translations(rig, motion)
+    tracks = [(0, "translation", times, glb.add(scale * places[:, 0]))]
+    for joint in range(quaternions.shape[1]):
+        tracks.append((joint, "rotation", times, glb.add(quaternions[:, joint])))
+        if joint and np.abs(places[:, joint] - figure.offsets[joint]).max() > NEAR:
+            tracks.append((joint, "translation", times, glb.add(scale * places[:, joint])))
+    return {
+        "name": title,
+        "channels": [
+            {"sampler": number, "target": {"node": node, "path": path}}
+            for number, (node, path, _, _) in enumerate(tracks)
+        ],
+        "samplers": [{"input": inputs, "output": outputs} for _, _, inputs, outputs in tracks],
+        "extras": {"caption": motion.caption, "fps": motion.fps, "frames": motion.num_frames},
+    }
