@@ -86,6 +86,7 @@ WRITERS = {
     "t2m_jax.data.importers.synthetic_scale",
     "t2m_jax.data.merge",
     "t2m_jax.data.writer",
+    "t2m_jax.export.glb",
     "t2m_jax.export.npz",
     "t2m_jax.files.writing",
     "t2m_jax.motion.normalizer",
