@@ -184,5 +184,6 @@ def _animation(
             for number, (node, path, _, _) in enumerate(tracks)
         ],
         "samplers": [{"input": inputs, "output": outputs} for _, _, inputs, outputs in tracks],
-        "extras": {"caption": motion.caption, "fps": motion.fps, "frames": motion.num_frames},
+        "extras": {"caption": motion.caption, "fps": motion.fps, "frames": motion.num_frames}
+        | ({"part_starts": motion.part_starts, "part_captions": motion.part_captions} if motion.part_starts else {}),
     }

@@ -34,14 +34,17 @@ ENTRIES = {
     "skeleton": _Entry("U", (0,), "one text"),
     "warning": _Entry("U", (0,), "one text"),
     "unknown_words": _Entry("U", (1,), "texts"),
+    "part_starts": _Entry("iu", (1,), "whole numbers"),
+    "part_captions": _Entry("U", (1,), "texts"),
 }
+TUPLES = ("unknown_words", "part_starts", "part_captions")
 
 
 def save_npz(path: Path, motions: Sequence[Motion]) -> None:
     """Writes one motion as an archive with the keys of `ENTRIES`. None and empty warnings are left out."""
     motion = only_motion(path, motions)
     values = {key: getattr(motion, key) for key in ENTRIES} | {"skeleton": motion.skeleton.name}
-    values |= {key: values[key] or None for key in ("warning", "unknown_words")}
+    values |= {key: values[key] or None for key in ("warning", *TUPLES)}
     if motion.codes is not None and motion.codes.shape[1:] == (1,):
         values["codes"] = motion.codes[:, 0]  # other programs expect the codes of T2M-GPT without a layer axis
     with atomic_file(path) as partial, partial.open("wb") as file:
@@ -70,8 +73,7 @@ def load_npz(path: str | Path) -> Motion:
         if value.dtype.kind == "U" and _largest_character(value) > sys.maxunicode:
             raise UserError(f"{path}: entry {key!r} has numbers that are no characters")
     fields: dict[str, Any] = {key: value if value.ndim else value.item() for key, value in archive.items()}
-    if "unknown_words" in archive:
-        fields["unknown_words"] = tuple(archive["unknown_words"].tolist())
+    fields |= {key: tuple(archive[key].tolist()) for key in TUPLES if key in archive}
     if "codes" in archive and archive["codes"].ndim == 1:
         fields["codes"] = archive["codes"][:, None]
     try:

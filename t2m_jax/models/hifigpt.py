@@ -266,7 +266,7 @@ class HiFiGpt(nn.Module):
         return context, Cache(layers, cache.guidance_scale, cache.position + 1)
 
     def draw(
-        self, context: Context, keys: Key[Array, " B"], strategy: Draw, *, may_stop: Bool[Array, ""]
+        self, context: Context, keys: Key[Array, " B"], strategy: Draw, *, may_stop: Bool[Array, "*#B"]
     ) -> Int[Array, "B R"]:
         """Returns the next row, code after code; `keys` are consumed."""
         del may_stop  # rows never end a motion; their stop scores do

@@ -131,11 +131,11 @@ class MotionGpt(nn.Module):
         return self._read(self.text_projection(text_embedding), cache)
 
     def draw(
-        self, context: Float[Array, "B V"], keys: Key[Array, " B"], strategy: Draw, *, may_stop: Bool[Array, ""]
+        self, context: Float[Array, "B V"], keys: Key[Array, " B"], strategy: Draw, *, may_stop: Bool[Array, "*#B"]
     ) -> Int[Array, "B 1"]:
         """Returns the next token, which is a code or (if `may_stop`) End."""
         is_end = jnp.arange(context.shape[1]) == self.config.end_token
-        allowed = jnp.where((is_end & ~may_stop)[None], -jnp.inf, context)
+        allowed = jnp.where(is_end[None] & ~may_stop.reshape(-1, 1), -jnp.inf, context)
         return draw_each(strategy, allowed, keys)[:, None]
 
     def step(

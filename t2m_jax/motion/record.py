@@ -1,6 +1,7 @@
 """`Motion`: one motion with its features, codes and caption. It can save itself in every registered format."""
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from importlib.metadata import EntryPoint, entry_points
@@ -49,6 +50,10 @@ class Motion:
     """Why the motion cannot be what the caption says, if the model that made it warned."""
     unknown_words: tuple[str, ...] = ()
     """Words of the caption that the model had not learned."""
+    part_starts: tuple[int, ...] = ()
+    """First frame of each sentence, of a motion that was generated from several."""
+    part_captions: tuple[str, ...] = ()
+    """These sentences."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", np.asarray(self.positions, np.float32))
@@ -70,6 +75,16 @@ class Motion:
             raise UserError(f"features have shape {self.features.shape}; these positions need {list(expected)}")
         if self.codes is not None and (self.codes.ndim not in (1, 2) or self.codes.dtype.kind not in "iu"):
             raise UserError(f"codes have shape {self.codes.shape} and type {self.codes.dtype}; give whole numbers [N]")
+
+        self._check_parts()
+
+    def _check_parts(self) -> None:
+        starts = [*self.part_starts, self.num_frames]
+        if len(self.part_starts) != len(self.part_captions):
+            counts = f"{len(self.part_starts)} part_starts and {len(self.part_captions)} part_captions"
+            raise UserError(f"there are {counts}")
+        if starts[0] < 0 or any(first >= after for first, after in itertools.pairwise(starts)):
+            raise UserError(f"part_starts {list(self.part_starts)} do not rise from 0 to below {self.num_frames}")
 
     def _check_positions(self, name: str, positions: Float[np.ndarray, "..."]) -> None:
         shape, joints = positions.shape, self.skeleton.num_joints
@@ -110,7 +125,7 @@ class Motion:
         cut = {name: part[frames] for name, part in parts.items() if part is not None}
         if not len(cut["positions"]):
             raise UserError(f"motion[{frames.start}:{frames.stop}]: has no frames; the motion has {self.num_frames}")
-        return dataclasses.replace(self, **cut, codes=None)
+        return dataclasses.replace(self, **cut, codes=None, part_starts=(), part_captions=())
 
     def resampled(self, fps: float | int) -> "Motion":
         """Returns the same motion at another frame rate, without features and codes (see `editing.resample_positions`).
@@ -167,7 +182,10 @@ class Motion:
         """Returns the motion with other positions, without what does not fit them."""
         raw = None if self.positions_raw is None else edit(self.positions_raw)
         return dataclasses.replace(
-            self, positions=edit(self.positions), positions_raw=raw, features=None, codes=None, **fields
+            self,
+            positions=edit(self.positions),
+            positions_raw=raw,
+            **{"features": None, "codes": None, "part_starts": (), "part_captions": ()} | fields,
         )
 
     @classmethod

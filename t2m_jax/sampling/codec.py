@@ -24,6 +24,7 @@ from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.sampling.batches import pad_motions, round_up
 from t2m_jax.sampling.decoding import (
     GeneratorFunctions,
+    Given,
     LoopState,
     SampledCodes,
     Sampling,
@@ -81,6 +82,7 @@ def generate_codes(
     text_embedding: Float[Array, "B E"],
     keys: Key[Array, " B"],
     guidance_scale: Float[Array, ""] | None = None,
+    given: Given | None = None,
     *,
     generator: Any,
     sampling: Sampling,
@@ -90,7 +92,7 @@ def generate_codes(
     The variables may be those that training made, or `sampling_variables` of them, with which it is faster.
     """
     functions = _functions(generator, variables)
-    return sample_codes(functions, text_embedding, keys, sampling=sampling, guidance_scale=guidance_scale)
+    return sample_codes(functions, text_embedding, keys, sampling=sampling, guidance_scale=guidance_scale, given=given)
 
 
 def _functions(generator: Any, variables: Any) -> GeneratorFunctions:

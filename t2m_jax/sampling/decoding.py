@@ -35,6 +35,17 @@ class Sampling(NamedTuple):
     """Rows of the shortest motion."""
 
 
+class Given(NamedTuple):
+    """What is fixed before sampling, for each motion."""
+
+    codes: Int[Array, "B N R"]
+    """The rows that motions begin with; N is the longest length."""
+    num_codes: Int[Array, " B"]
+    """How many of them are known. At least one row is sampled after them."""
+    num_rows: Int[Array, " B"]
+    """Rows of each motion with the known ones; 0 leaves the end to the stop rule."""
+
+
 class SampledCodes(NamedTuple):
     """Codes of a batch of motions."""
 
@@ -64,16 +75,26 @@ def first_state(
 
 
 def sample_row(
-    generator: GeneratorFunctions, state: LoopState, keys: Key[Array, " B"], *, sampling: Sampling
+    generator: GeneratorFunctions,
+    state: LoopState,
+    keys: Key[Array, " B"],
+    *,
+    sampling: Sampling,
+    given: Given | None = None,
 ) -> tuple[LoopState, tuple[Int[Array, "B R"], Float[Array, " B"]]]:
     """Returns the state after one more row, the row, and its stop score: -inf if a motion may not end there."""
-    rule = sampling.stop_rule
+    rule, done = sampling.stop_rule, state.done
     may_stop = state.step >= sampling.min_codes - rule.keeps_last
+    if given is not None:
+        may_stop &= (state.step > given.num_codes - rule.keeps_last) & (given.num_rows == 0)
+        done |= (given.num_rows > 0) & (state.step + 1 >= given.num_rows)
     step_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, state.step)
     rows = generator.draw(state.context, step_keys, sampling.strategy, may_stop=may_stop)
+    if given is not None:
+        rows = jnp.where((state.step < given.num_codes)[:, None], given.codes[:, state.step], rows)
     context, scores, cache = generator.step(state.cache, rows)
     scores = jnp.where(may_stop, rule.draw(scores, _stop_keys(keys, state.step)), -jnp.inf)
-    return LoopState(context, cache, state.done | rule.ends(scores), state.step + 1), (rows, scores)
+    return LoopState(context, cache, done | rule.ends(scores), state.step + 1), (rows, scores)
 
 
 def _stop_keys(keys: Key[Array, " B"], step: Int[Array, ""]) -> Key[Array, " B"]:
@@ -88,6 +109,7 @@ def sample_codes(
     *,
     sampling: Sampling,
     guidance_scale: Float[Array, ""] | None = None,
+    given: Given | None = None,
 ) -> SampledCodes:
     """Returns codes until the stop rule ends each motion, or until there are `sampling.max_codes` rows.
 
@@ -100,11 +122,12 @@ def sample_codes(
         keys: One key per motion [B]; consumed.
         sampling: How to choose codes, and when to stop.
         guidance_scale: Strength of the guidance, None for none.
+        given: Rows that motions begin with, and their lengths; None for neither.
     """
     max_codes, rule = sampling.max_codes, sampling.stop_rule
 
     def one_row(state: LoopState, _: None) -> tuple[LoopState, tuple[Int[Array, "B R"], Float[Array, " B"]]]:
-        return sample_row(generator, state, keys, sampling=sampling)
+        return sample_row(generator, state, keys, sampling=sampling, given=given)
 
     def go_on(carry: tuple[LoopState, Any]) -> Bool[Array, ""]:
         return (carry[0].step < max_codes) & ~jnp.all(carry[0].done)
@@ -123,5 +146,8 @@ def sample_codes(
     state, (codes, scores) = jax.lax.while_loop(go_on, one_chunk, (state, buffers))
     codes = jnp.swapaxes(codes.reshape(-1, *row.shape)[:max_codes], 0, 1)
     code_lengths = rule.count(scores.reshape(-1, batch)[:max_codes].T)
+    if given is not None:
+        fixed = jnp.minimum(given.num_rows, max_codes)
+        code_lengths = jnp.where(fixed > 0, fixed, code_lengths)
     kept = jnp.arange(max_codes)[None] < code_lengths[:, None]
     return SampledCodes(jnp.where(kept[:, :, None], codes, 0), code_lengths, jnp.minimum(state.step, max_codes))

@@ -19,7 +19,7 @@ from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import skeleton_from_name
 from t2m_jax.sampling.codec import encode_motion, generate_codes, motions_from_codes, sampling_variables
-from t2m_jax.sampling.decoding import SampledCodes, Sampling
+from t2m_jax.sampling.decoding import Given, SampledCodes, Sampling
 from t2m_jax.sampling.stopping import find_stop_rule
 from t2m_jax.sampling.strategies import Strategy, Temperature
 from t2m_jax.sampling.text_encoders import make_text_encoder
@@ -130,12 +130,15 @@ class MotionModel:
         sampling: Sampling,
         *,
         guidance_scale: float | None = None,
+        given: Given | None = None,
     ) -> SampledCodes:
         """Returns codes for text embeddings of `text_encoder`, one key per motion (consumed)."""
         scale = self._guidance(guidance_scale)
-        text_embedding, keys = put_rows((text_embedding, keys))
+        text_embedding, keys, given = put_rows((text_embedding, keys, given))
         variables = self._variables_for_sampling()
-        return generate_codes(variables, text_embedding, keys, scale, generator=self._generator, sampling=sampling)
+        return generate_codes(
+            variables, text_embedding, keys, scale, given, generator=self._generator, sampling=sampling
+        )
 
     def _variables_for_sampling(self) -> dict[str, Any]:
         """Returns the generator's variables, rearranged at the first call; the old arrangement is not kept."""

@@ -50,6 +50,31 @@ def test_options_that_are_refused(refusal, bundle_folder, tmp_path, monkeypatch,
     assert list(tmp_path.iterdir()) == []
 
 
+def test_sentences_in_turn_after_a_file(bundle_folder, tmp_path):
+    command = ["generate", "--model", f"{bundle_folder}", "a person walks", "--then", "a person waves"]
+    assert main([*command, "--seconds", "1.2", "--num-samples", "2", "-o", f"{tmp_path / 'a.npz'}"]) == 0
+    first = load_motion(tmp_path / "a-0.npz")
+    assert first.part_captions == ("a person walks", "a person waves") and first.num_frames == 48
+    command = ["generate", "--model", f"{bundle_folder}", "a person runs", "--from", f"{tmp_path / 'a-1.npz'}"]
+    assert main([*command, "-o", f"{tmp_path / 'b.npz'}"]) == 0
+    assert load_motion(tmp_path / "b.npz").part_starts == (48,)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--then", ""], "no words"),
+        (["a person runs", "--then", "a person waves"], "--then: follows one sentence, not 2"),
+        (["--seconds", "-1"], "seconds: -1"),
+        (["--from", "missing.npz"], "missing.npz"),
+    ],
+)
+def test_chains_that_are_refused(refusal, bundle_folder, tmp_path, monkeypatch, options, said):
+    monkeypatch.chdir(tmp_path)
+    assert said in refusal("generate", "a person walks", *options, "--model", bundle_folder, "-o", "out.npz")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_folder_in_the_place_of_the_file_is_refused(refusal, bundle_folder, tmp_path):
     (tmp_path / "out.npz").mkdir()
     line = refusal("generate", "a person walks", "--model", bundle_folder, "-o", tmp_path / "out.npz")

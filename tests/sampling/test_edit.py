@@ -1,0 +1,198 @@
+"""Sentences in turn, given lengths, and motion that goes on from another."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from t2m_jax import Motion
+from t2m_jax.data.importers.synthetic import make_motion
+from t2m_jax.errors import UserError
+from t2m_jax.motion.cleanup import clean_positions
+from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.sampling import TextToMotion
+from t2m_jax.sampling.decoding import Given
+from t2m_jax.sampling.edit import clean_long, context_rows, ease_seams
+from t2m_jax.sampling.pipeline import sample_key
+from tests import tiny
+
+CONFIGS = {"gpt": tiny.BUNDLE, "hifigpt": tiny.HIFIGPT_BUNDLE}
+FIRST, SECOND, THIRD = tiny.CAPTIONS[:3]
+
+
+@pytest.fixture(scope="module", params=CONFIGS)
+def model(request):
+    return TextToMotion(tiny.random_bundle(CONFIGS[request.param]))
+
+
+def sample(model, *, known=None, num_codes=0, num_rows=0, **options):
+    """Codes of four motions, with `num_codes` rows of `known` [4, N, R], and their lengths."""
+    keys = jnp.stack([sample_key(7, FIRST, number) for number in range(4)])
+    sampling = model.sampling(**options)
+    given = None
+    if known is not None:
+        given = Given(jnp.asarray(known), jnp.full(4, num_codes), jnp.full(4, num_rows))
+    sampled = model.sample_codes(model.text_encoder([FIRST] * 4), keys, sampling, given=given)
+    return np.asarray(sampled.codes), np.asarray(sampled.code_lengths)
+
+
+@pytest.mark.parametrize("number", [0, 1, 3])
+def test_what_follows_own_codes_is_what_followed_them(model, number):
+    expected, lengths = sample(model)
+    found, found_lengths = sample(model, known=expected, num_codes=number)
+    kept = lengths > number  # the others ended before
+    assert kept.any()
+    np.testing.assert_array_equal(found[kept], expected[kept])
+    np.testing.assert_array_equal(found_lengths[kept], lengths[kept])
+    assert (found_lengths > number).all()
+
+
+def test_known_rows_are_kept_whatever_is_drawn(model):
+    known = np.random.default_rng(0).integers(0, model.config.tokenizer.num_codes, sample(model)[0].shape, np.int32)
+    found, _ = sample(model, known=known, num_codes=2)
+    np.testing.assert_array_equal(found[:, :2], known[:, :2])
+    assert (found[:, 2:] != known[:, 2:]).any()
+
+
+@pytest.mark.parametrize("rows", [1, 3, 5])
+def test_motions_have_the_length_that_is_asked_for(model, rows):
+    rules = ["end"] if model.config.generator.stop_rule == "end" else ["threshold", "argmax", "sampled"]
+    for rule in rules:
+        found, lengths = sample(model, known=np.zeros_like(sample(model)[0]), num_rows=rows, stop_rule=rule)
+        assert lengths.tolist() == [rows] * 4
+        assert not found[:, rows:].any() and found.max() < model.config.tokenizer.num_codes
+
+
+def test_jit_and_eager_agree_with_known_codes(model):
+    known = np.ones_like(sample(model)[0])
+    expected = sample(model, known=known, num_codes=2)
+    with jax.disable_jit():
+        found = sample(model, known=known, num_codes=2)
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_one_sentence_is_the_motion_of_generate(model):
+    for one, other in zip(
+        model.generate(FIRST, num_samples=3), model.generate_chain([FIRST], num_samples=3), strict=True
+    ):
+        np.testing.assert_array_equal(one.codes, other.codes)
+        for name in ("features", "positions_raw", "positions"):
+            whole = getattr(one, name)
+            np.testing.assert_allclose(getattr(other, name), whole, atol=max(1e-4, 2e-6 * np.abs(whole).max()))
+        assert (other.part_starts, other.part_captions) == ((0,), (FIRST,))
+        assert (other.caption, other.seed) == (one.caption, one.seed)
+
+
+def test_sentences_follow_one_another(model):
+    motions = model.generate_chain([FIRST, SECOND, THIRD], seed=3, num_samples=3)
+    downsample = model.config.tokenizer.downsample
+    for number, motion in enumerate(motions):
+        assert (
+            motion.part_captions == (FIRST, SECOND, THIRD) and motion.caption == f"{FIRST}, then {SECOND}, then {THIRD}"
+        )
+        assert motion.part_starts[0] == 0 and len(motion.part_starts) == 3
+        assert motion.num_frames == downsample * len(motion.codes)
+        alone = model.generate(FIRST, seed=3, num_samples=3)[number]
+        np.testing.assert_array_equal(motion.codes[: len(alone.codes)], alone.codes)
+        assert motion.part_starts[1] == alone.num_frames
+        np.testing.assert_array_equal(model.decode(motion.codes, raw=True).codes, motion.codes)
+    (again,) = model.generate_chain([FIRST, SECOND, THIRD], seed=3)
+    np.testing.assert_array_equal(again.codes, motions[0].codes)
+    assert any(len(one.codes) != len(motions[0].codes) or (one.codes != motions[0].codes).any() for one in motions[1:])
+    other = model.generate_chain([FIRST, SECOND, SECOND], seed=3)[0]
+    shared = motions[0].part_starts[2] // downsample
+    np.testing.assert_array_equal(other.codes[:shared], motions[0].codes[:shared])
+
+
+def test_a_motion_may_be_longer_than_the_generator_can_read(model):
+    longest = model.config.generator.max_codes
+    seconds = 3 * longest * model.config.tokenizer.downsample / model.skeleton.fps
+    (motion,) = model.generate_chain([FIRST, SECOND], seconds=seconds)
+    assert len(motion.codes) == 6 * longest and motion.part_starts == (0, motion.num_frames // 2)
+    assert context_rows(model) < longest
+
+
+def test_a_motion_goes_on_from_another(model):
+    start = Motion(make_motion("walk", seed=1, num_frames=60), 20.0)
+    (motion,) = model.generate_chain([FIRST, SECOND], start=start, raw=True)
+    known = model.encode(start)
+    np.testing.assert_array_equal(motion.codes[: len(known)], known)
+    assert motion.part_starts[0] == len(known) * model.config.tokenizer.downsample and len(motion.part_starts) == 2
+    assert motion.positions_raw is None
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan"), 1e9])
+def test_lengths_that_no_motion_has_are_refused(model, seconds):
+    with pytest.raises(UserError, match=r"seconds: .* is not a number above 0, up to 3600"):
+        model.generate_chain([FIRST], seconds=seconds)
+
+
+def test_what_cannot_be_continued_is_refused(model):
+    with pytest.raises(UserError, match="a code needs"):
+        model.generate_chain([FIRST], start=Motion(make_motion("walk", seed=1, num_frames=40)[:2], 20.0))
+    with pytest.raises(UserError, match="captions: give at least one"):
+        model.generate_chain([])
+    with pytest.raises(UserError, match="num-samples: 0"):
+        model.generate_chain([FIRST], num_samples=0)
+
+
+def test_a_long_motion_is_cleaned_as_a_short_one():
+    positions = make_motion("walk", seed=2, num_frames=400)
+    positions += np.random.default_rng(0).normal(size=positions.shape).astype(np.float32) * 0.004
+    lengths = jnp.array([len(positions)])
+    whole = np.asarray(clean_positions(jnp.asarray(positions[None]), lengths, skeleton=HUMANML3D))[0]
+    found = clean_long(positions, skeleton=HUMANML3D, size=200)
+    assert found.shape == whole.shape
+    assert np.linalg.norm(found - whole, axis=-1).mean() < 1e-3
+    np.testing.assert_allclose(clean_long(positions, skeleton=HUMANML3D, size=400), whole, atol=1e-6)
+
+
+@pytest.mark.parametrize("count", [1, 40, 199, 200, 201, 361, 1000])
+def test_windows_cover_motions_of_all_lengths(count):
+    positions = np.resize(make_motion("walk", seed=2, num_frames=100), (count, 22, 3))
+    assert clean_long(positions, skeleton=HUMANML3D, size=200).shape == (count, 22, 3)
+
+
+def test_only_seams_are_smoothed():
+    positions = make_motion("walk", seed=2, num_frames=100)
+    positions[50:] += 0.2
+    eased = ease_seams(positions, [50], fps=20.0)
+    np.testing.assert_array_equal(eased[:40], positions[:40])
+    np.testing.assert_array_equal(eased[60:], positions[60:])
+
+    def roughness(motion):
+        return np.abs(np.diff(motion[40:60], n=2, axis=0)).max()
+
+    assert roughness(eased) < roughness(positions) / 2
+    assert ease_seams(positions, [], fps=20.0) is positions
+
+
+def test_parts_are_saved(tmp_path):
+    motion = Motion(
+        make_motion("walk", seed=1, num_frames=60),
+        20.0,
+        caption="a, then b",
+        part_starts=(0, 20),
+        part_captions=("a", "b"),
+    )
+    motion.save(tmp_path / "a.npz")
+    again = Motion.load(tmp_path / "a.npz")
+    assert (again.part_starts, again.part_captions) == ((0, 20), ("a", "b"))
+    assert motion[10:].part_starts == () == motion.resampled(30).part_captions
+    motion.save(tmp_path / "a.glb")
+    assert b'"part_starts":[0,20],"part_captions":["a","b"]' in (tmp_path / "a.glb").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("starts", "captions", "said"),
+    [
+        ((0,), (), "1 part_starts and 0"),
+        ((-1,), ("a",), "do not rise"),
+        ((3, 3), ("a", "b"), "do not rise"),
+        ((60,), ("a",), r"\[60\] do not rise from 0 to below 60"),
+    ],
+)
+def test_parts_that_are_not_in_the_motion_are_refused(starts, captions, said):
+    with pytest.raises(UserError, match=said):
+        Motion(make_motion("walk", seed=1, num_frames=60), 20.0, part_starts=starts, part_captions=captions)
