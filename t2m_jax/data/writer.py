@@ -19,6 +19,9 @@ from t2m_jax.motion.mirroring import mirror_caption, mirror_positions
 from t2m_jax.motion.normalizer import normalizer_from_clips, save_normalizer
 from t2m_jax.motion.skeleton import Skeleton
 
+MAX_NEW_CLIPS = 100_000
+"""Most clips that are made at once, seven times those of HumanML3D; a larger number is probably a mistake."""
+
 
 class ImportReport(NamedTuple):
     """The result of an import."""
@@ -33,6 +36,12 @@ class ImportReport(NamedTuple):
     """Clip name -> why it was not written."""
     notes: tuple[str, ...]
     """Further information for the user, one sentence each."""
+
+
+def check_count(name: str, count: int, *, least: int) -> None:
+    """Raises `UserError` if a number of clips to make is below `least`, or above `MAX_NEW_CLIPS`."""
+    if not least <= count <= MAX_NEW_CLIPS:
+        raise UserError(f"{name}: {count} is not a whole number from {least} to {MAX_NEW_CLIPS:,}")
 
 
 @contextlib.contextmanager

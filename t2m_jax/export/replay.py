@@ -12,7 +12,7 @@ import numpy as np
 
 from t2m_jax.data.folder import DatasetInfo
 from t2m_jax.data.texts import Caption
-from t2m_jax.data.writer import ImportReport, finish_folder, new_folder, write_clip
+from t2m_jax.data.writer import ImportReport, check_count, finish_folder, new_folder, write_clip
 from t2m_jax.errors import UserError
 from t2m_jax.motion.features import features_from_positions
 from t2m_jax.motion.record import Motion
@@ -41,13 +41,12 @@ def write_replay(
         seed: Draws the sentences, and motion.
 
     Raises:
-        UserError: There are no sentences, the number is below 1, or the destination exists.
+        UserError: There are no sentences, the number is not from 1 to `MAX_NEW_CLIPS`, or the destination exists.
     """
     known = list(dict.fromkeys(sentences or (model.training_data or {}).get("captions", ())))
     if not known:
-        raise UserError("the model has no record of its captions; give sentences (--sentences FILE)")
-    if num_clips < 1:
-        raise UserError(f"--num-clips: {num_clips} is below 1")
+        raise UserError("the model has no record of its captions; give sentences (`--sentences FILE`)")
+    check_count("num-clips", num_clips, least=1)
     known = [known[place] for place in np.random.default_rng(seed).permutation(len(known))]
     info = DatasetInfo(
         name="replay", skeleton=model.skeleton.name, fps=model.skeleton.fps, licence=model.license, source=model.source

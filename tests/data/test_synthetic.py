@@ -72,7 +72,7 @@ def test_refusals(tmp_path, synthetic_folder):
         make_motion("somersault", seed=0)
     with pytest.raises(UserError, match="exists already"):
         write_synthetic_dataset(synthetic_folder)
-    with pytest.raises(UserError, match="at least 20"):
+    with pytest.raises(UserError, match="is not a whole number from 20 to 100,000"):
         write_synthetic_dataset(tmp_path / "few", num_clips=3)
     assert not (tmp_path / "few").exists()
     (tmp_path / "taken").mkdir()

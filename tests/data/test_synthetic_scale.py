@@ -106,7 +106,7 @@ def test_the_command_line_asks_for_as_many_clips_as_humanml3d(tmp_path, monkeypa
 
 
 def test_too_few_clips_are_refused(tmp_path):
-    with pytest.raises(UserError, match="at least 20"):
+    with pytest.raises(UserError, match="is not a whole number from 20 to 100,000"):
         write_scaled_dataset(tmp_path / "few", num_clips=5)
     assert list(tmp_path.iterdir()) == []
 

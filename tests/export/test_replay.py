@@ -62,4 +62,6 @@ def test_the_command(tmp_path, capsys):
     assert main(["data", "replay", f"{tmp_path / 'b'}", "--sentences", f"{tmp_path / 'sentences.txt'}"]) == 2
     assert "has no sentence" in capsys.readouterr().err
     assert main(["data", "replay", f"{tmp_path / 'b'}", "--num-clips", "0"]) == 2
-    assert "--num-clips: 0 is below 1" in capsys.readouterr().err
+    assert "num-clips: 0 is not a whole number from 1 to 100,000" in capsys.readouterr().err
+    assert main(["data", "replay", f"{tmp_path / 'b'}", "--num-clips", "300000000"]) == 2
+    assert "num-clips: 300000000 is not" in capsys.readouterr().err

@@ -18,7 +18,7 @@ from t2m_jax.data.importers.bandai_namco.captions import Labels, write_captions
 from t2m_jax.data.importers.bandai_namco.measure import measure
 from t2m_jax.data.index import IndexRow, save_index
 from t2m_jax.data.splits import split_by_hash
-from t2m_jax.data.writer import ImportReport, finish_folder, new_folder, with_twins, write_twins
+from t2m_jax.data.writer import ImportReport, check_count, finish_folder, new_folder, with_twins, write_twins
 from t2m_jax.errors import UserError
 from t2m_jax.motion.skeleton import HUMANML3D
 
@@ -209,8 +209,7 @@ def positions_from_pose(pose: Pose) -> Float[np.ndarray, "T J 3"]:
 
 def check_num_clips(num_clips: int) -> None:
     """Raises `UserError` if there are too few clips to fill all splits."""
-    if num_clips < 20:
-        raise UserError(f"--num-clips {num_clips}: at least 20 are needed to fill train, val and test")
+    check_count("num-clips", num_clips, least=20)
 
 
 def write_synthetic_dataset(destination: str | Path, *, num_clips: int = NUM_CLIPS, seed: int = 0) -> ImportReport:

@@ -25,7 +25,7 @@ from t2m_jax.data.importers.bandai_namco.measure import measure
 from t2m_jax.data.importers.bandai_namco.wordings import load_wordings
 from t2m_jax.data.index import IndexRow, save_index
 from t2m_jax.data.splits import split_by_hash
-from t2m_jax.data.writer import ImportReport, finish_folder, new_folder, with_twins, write_twins
+from t2m_jax.data.writer import ImportReport, check_count, finish_folder, new_folder, with_twins, write_twins
 from t2m_jax.errors import UserError
 from t2m_jax.motion.bvh import load_bvh
 from t2m_jax.motion.bvh.resample import resample
@@ -207,8 +207,7 @@ def import_bandai_namco(
         UserError: There are no clips, a BVH file or a list is broken, `composed` is negative, no clips are short
             enough to be joined, or the destination exists.
     """
-    if composed < 0:
-        raise UserError(f"composed: {composed} is negative")
+    check_count("composed", composed, least=0)
     source = Path(source)
     files = find_clips(source)
     lists = _find_lists(source, splits)
