@@ -78,7 +78,10 @@ def _make_motions(root: Path) -> None:
     for folder in ("amc", "asf"):
         (root / folder).mkdir()
         write_acclaim(root / folder)
-    Motion(positions=make_motion("walk", seed=1, num_frames=8), fps=20.0).save(root / "motion.npz")
+    parts = {"part_starts": (0, 4), "part_captions": ("a person walks", "somebody waves")}
+    walk = Motion(positions=make_motion("walk", seed=1, num_frames=8), fps=20.0, **parts)
+    walk.save(root / "motion.npz")
+    walk.save(root / "own.glb")
     np.save(root / "joints.npy", make_motion("walk", seed=1, num_frames=4).astype(np.float32))
 
 
@@ -111,6 +114,7 @@ FILES: Mapping[str, Callable[[Path], object]] = {
     "motion.glb": lambda root: load_gltf(root / "motion.glb"),
     "amc/02_01.amc": lambda root: load_amc(root / "amc" / "02_01.amc"),
     "asf/02.asf": lambda root: load_amc(root / "asf" / "02_01.amc"),
+    "own.glb": lambda root: load_motion(root / "own.glb"),
     "motion.npz": lambda root: load_motion(root / "motion.npz"),
     "joints.npy": lambda root: load_motion(root / "joints.npy"),
     "captions.txt": lambda root: load_captions(root / "captions.txt"),
