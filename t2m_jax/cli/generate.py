@@ -21,7 +21,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--from", dest="start", type=Path, metavar="FILE", help="a motion to go on from, as .bvh or .npz"
     )
-    parser.add_argument("--seconds", type=float, help="length for each sentence (default: the model decides)")
+    parser.add_argument(
+        "--seconds", type=float, help="length for each sentence, in whole codes (default: the model decides)"
+    )
     parser.add_argument("--seed", type=int, default=0, help="same seed, same motion (default: 0)")
     parser.add_argument("--num-samples", type=int, default=1, help="motions per sentence (default: 1)")
     add_sampling_arguments(parser)

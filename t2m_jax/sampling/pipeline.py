@@ -178,7 +178,7 @@ class TextToMotion(MotionModel):
             captions: Sentences in turn.
             start: A motion that the first sentence goes on from. It is part of the result, as the tokenizer gives it
                 back.
-            seconds: Length of the motion for each sentence; by default the model decides.
+            seconds: Length for each sentence, rounded to whole rows of codes; by default the model decides.
             seed: From 0 to 2**32 - 1.
             num_samples: Motions to return.
             strategy: How codes are chosen; by default from the model's own probabilities.
