@@ -1,6 +1,5 @@
 """Sentences in turn, given lengths, and motion that goes on from another."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -8,13 +7,16 @@ import pytest
 from t2m_jax import Motion
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
+from t2m_jax.models.system import make_module
 from t2m_jax.motion.cleanup import clean_positions
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.sampling import TextToMotion
+from t2m_jax.sampling.codec import generate_codes
 from t2m_jax.sampling.decoding import Given
 from t2m_jax.sampling.edit import clean_long, context_rows, ease_seams
 from t2m_jax.sampling.pipeline import sample_key
 from tests import tiny
+from tests.jit import assert_jit_equals_eager
 
 CONFIGS = {"gpt": tiny.BUNDLE, "hifigpt": tiny.HIFIGPT_BUNDLE}
 FIRST, SECOND, THIRD = tiny.CAPTIONS[:3]
@@ -64,12 +66,13 @@ def test_motions_have_the_length_that_is_asked_for(model, rows):
 
 
 def test_jit_and_eager_agree_with_known_codes(model):
-    known = np.ones_like(sample(model)[0])
-    expected = sample(model, known=known, num_codes=2)
-    with jax.disable_jit():
-        found = sample(model, known=known, num_codes=2)
-    for one, other in zip(found, expected, strict=True):
-        np.testing.assert_array_equal(one, other)
+    keys = jnp.stack([sample_key(7, FIRST, number) for number in range(2)])
+    shape = (2, model.config.generator.max_codes, model.config.tokenizer.num_quantizers)
+    given = Given(jnp.ones(shape, jnp.int32), jnp.array([2, 0]), jnp.array([0, 4]))
+    arguments = model.variables["generator"], model.text_encoder([FIRST] * 2), keys, None, given
+    options = {"generator": make_module(model.config.generator), "sampling": model.sampling()}
+    sampled = assert_jit_equals_eager(generate_codes, *arguments, **options)
+    assert sampled.codes[0, :2].tolist() == given.codes[0, :2].tolist() and sampled.code_lengths[1] == 4
 
 
 def test_one_sentence_is_the_motion_of_generate(model):
