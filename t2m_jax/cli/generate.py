@@ -2,13 +2,13 @@
 
 import argparse
 import contextlib
-import itertools
 import shlex
 import sys
 import warnings
 from pathlib import Path
 
 from t2m_jax.cli.changes import add_change_arguments, changed, check_changes, file_options
+from t2m_jax.cli.edits import add_edit_arguments, check_edits, edited_motions
 from t2m_jax.cli.next_step import show_next
 from t2m_jax.errors import UserError, one_line
 
@@ -17,13 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the options of the command."""
     parser.add_argument("text", nargs="+", help="sentences in quotes; each gives one motion (or --num-samples)")
     add_model_argument(parser)
-    parser.add_argument("--then", action="append", metavar="TEXT", help="a sentence that follows; can be repeated")
-    parser.add_argument(
-        "--from", dest="start", type=Path, metavar="FILE", help="a motion to go on from, as .bvh or .npz"
-    )
-    parser.add_argument(
-        "--seconds", type=float, help="length for each sentence, in whole codes (default: the model decides)"
-    )
+    add_edit_arguments(parser)
     parser.add_argument("--seed", type=int, default=0, help="same seed, same motion (default: 0)")
     parser.add_argument("--num-samples", type=int, default=1, help="motions per sentence (default: 1)")
     add_sampling_arguments(parser)
@@ -65,7 +59,7 @@ def run(args: argparse.Namespace) -> None:
     for text in [*args.text, *(args.then or [])]:
         check_prompt(text)
     _check_quotes(args.text)
-    _check_chain(args)
+    check_edits(args)
     outputs = [check_motion_output(output) for output in args.output or ["motion.html"]]
     check_changes(args, outputs)
     first = [check_motion_output(_numbered(args, output, 0)) for output in outputs]
@@ -95,12 +89,6 @@ def _check_quotes(texts: list[str]) -> None:
         )
 
 
-def _check_chain(args: argparse.Namespace) -> None:
-    """Raises `UserError` if `--then` follows several sentences."""
-    if args.then and len(args.text) > 1:
-        raise UserError(f"--then: follows one sentence, not {len(args.text)}; use it for each further sentence")
-
-
 def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
     sys.stderr.write(f"t2m: warning: {one_line(str(message))}\n")
 
@@ -117,16 +105,15 @@ def _generate(args: argparse.Namespace, outputs: list[Path]) -> list[Path]:
     from t2m_jax.sampling import TextToMotion
     from t2m_jax.sampling.strategies import make_strategy
 
-    strategy = make_strategy(args.temperature, args.top_k, top_p=args.top_p)
+    options = {"guidance_scale": args.guidance_scale, "raw": args.raw, "seed": args.seed}
+    options |= {"num_samples": args.num_samples}
+    options |= {"strategy": make_strategy(args.temperature, args.top_k, top_p=args.top_p)}
+    given = None if args.start is None else Motion.load(args.start)
     model = TextToMotion.load(args.model)
-    options = {"guidance_scale": args.guidance_scale, "stop_rule": args.stop_rule, "raw": args.raw}
-    options |= {"seed": args.seed, "num_samples": args.num_samples, "strategy": strategy}
-    motions = model.generate_each(args.text, **options)
-    if args.then or args.start is not None or args.seconds is not None:
-        start = None if args.start is None else Motion.load(args.start)
-        chains = [[text, *(args.then or [])] for text in args.text]
-        options |= {"start": start, "seconds": args.seconds}
-        motions = itertools.chain.from_iterable(model.generate_chain(chain, **options) for chain in chains)
+    if args.then or given is not None or args.seconds is not None:
+        motions = edited_motions(model, given, args, **options)
+    else:
+        motions = model.generate_each(args.text, stop_rule=args.stop_rule, **options)
     written = []
     for number, generated in enumerate(motions):
         motion = changed(generated, args)

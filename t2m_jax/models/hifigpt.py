@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from t2m_jax.config import check_limits, check_sizes
 from t2m_jax.models.projection import WEIGHT_INIT, Projection
-from t2m_jax.models.system import Draw, Part, draw_each
+from t2m_jax.models.system import Draw, Part, draw_each, log_probabilities
 from t2m_jax.models.transformer import LAYER_NORM_EPSILON, Block, LayerCache, empty_cache, read_causal, read_one
 
 
@@ -225,6 +225,11 @@ class HiFiGpt(nn.Module):
         text = self.text_projection(text_embedding)[:, None]
         rows = self.temporal.embed(self._vectors(codes).sum(axis=2))
         return self.temporal(jnp.concatenate([text, rows], axis=1), train=train)
+
+    def log_likelihood(self, codes: Int[Array, "B N R"], text_embedding: Float[Array, "B E"]) -> Float[Array, "B N"]:
+        """Returns the logarithm of the probability of each row after the text and the rows before it."""
+        logits = self(codes, text_embedding, train=False).code_logits
+        return log_probabilities(logits, codes).sum(axis=-1)
 
     def _code_logits(
         self, contexts: Float[Array, "B N W"], codes: Int[Array, "B N R"], *, train: bool

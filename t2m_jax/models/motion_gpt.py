@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from t2m_jax.config import check_limits, check_sizes
 from t2m_jax.errors import UserError
 from t2m_jax.models.projection import WEIGHT_INIT, Projection
-from t2m_jax.models.system import Draw, Part, draw_each
+from t2m_jax.models.system import Draw, Part, draw_each, log_probabilities
 from t2m_jax.models.transformer import LAYER_NORM_EPSILON, Block, LayerCache, empty_cache, read_causal, read_one
 
 
@@ -144,6 +144,11 @@ class MotionGpt(nn.Module):
         """Returns the logits after `rows`, 1 for each End in them and 0 for codes, and the cache."""
         logits, cache = self._read(self.token_embedding(rows[:, 0]), cache)
         return logits, (rows[:, 0] == self.config.end_token).astype(jnp.float32), cache
+
+    def log_likelihood(self, codes: Int[Array, "B N 1"], text_embedding: Float[Array, "B E"]) -> Float[Array, "B N"]:
+        """Returns the logarithm of the probability of each code after the text and the codes before it."""
+        logits = self(codes[:, :-1, 0], text_embedding, train=False)
+        return log_probabilities(logits, codes[:, :, 0])
 
     def _read(self, inputs: Float[Array, "B W"], cache: "GptCache") -> tuple[Float[Array, "B V"], "GptCache"]:
         """Returns the logits after one more input, and the cache with it."""

@@ -115,6 +115,9 @@ class Generator(Protocol):
     def step(self, cache: Any, rows: Int[Array, "B R"]) -> tuple[Any, Float[Array, " B"], Any]:
         """Returns the context of the following row, the stop score of the row that was read, and the cache."""
 
+    def log_likelihood(self, codes: Int[Array, "B N R"], text_embedding: Float[Array, "B E"]) -> Float[Array, "B N"]:
+        """Returns the logarithm of the probability of each row after the text and the rows before it."""
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Part:
@@ -169,3 +172,8 @@ def variable_shapes(config: PartConfig) -> dict[str, Any]:
 def draw_each(strategy: Draw, logits: Float[Array, "B V"], keys: Key[Array, " B"]) -> Int[Array, " B"]:
     """Returns one choice for each row of logits, each with its own key, so that no row depends on the others."""
     return jax.vmap(lambda row, key: strategy(row[None], key)[0])(logits, keys).astype(jnp.int32)
+
+
+def log_probabilities(logits: Float[Array, "*B V"], codes: Int[Array, "*B"]) -> Float[Array, "*B"]:
+    """Returns the logarithm of the probability of each code."""
+    return jnp.take_along_axis(jax.nn.log_softmax(logits), codes[..., None], axis=-1)[..., 0]

@@ -16,6 +16,8 @@ BLEND_SECONDS = 0.4
 """Time in which the pose at the end of a motion fades into the one that follows."""
 FILTER_WINDOW = ("kaiser", 10.0)
 """Window of the low-pass filter. It damps what is too fast for the new rate by 100 dB, and what stands still not."""
+HORIZONTAL = np.array([1.0, 0.0, 1.0], np.float32)
+"""Leaves out heights."""
 
 
 def check_fps(fps: float) -> None:
@@ -67,6 +69,73 @@ def resample_positions(
     return positions_from_bones(root, unit_vectors(turned) * long, skeleton)
 
 
+def place_positions(
+    positions: Float[np.ndarray, "T J 3"],
+    pose: Float[np.ndarray, "J 3"],
+    target: Float[np.ndarray, "J 3"],
+    *,
+    skeleton: Skeleton,
+) -> Float[np.ndarray, "T J 3"]:
+    """Returns a motion turned and moved on the ground, so that `pose` gets the place and the heading of `target`."""
+    turn = quaternion_between(facing(pose, skeleton), facing(target, skeleton))
+    return rotate_vectors(turn[None, None], positions - pose[0] * HORIZONTAL) + target[0] * HORIZONTAL
+
+
+def fading_change(differences: Float[np.ndarray, "_ J 3"], count: int) -> Float[np.ndarray, "U J 3"]:
+    """Returns what to add to the `count` frames after a join, so that they go on smoothly from the frames before it.
+
+    Args:
+        differences: What the last one or two frames before the join differ by from those that lead to the frames after
+            it; the last frame comes first.
+        count: Frames in which a cubic curve goes from this difference and its velocity to zero.
+    """
+    change = differences[0]
+    speed = change - differences[1] if len(differences) > 1 else 0 * change
+    time = (np.arange(1, count + 1) / (count + 1))[:, None, None]
+    return (1 - time) ** 2 * (change * (1 + 2 * time) + (count + 1) * speed * time)
+
+
+def replace_middle(
+    head: Float[np.ndarray, "_ J 3"],
+    generated: Float[np.ndarray, "T J 3"],
+    tail: Float[np.ndarray, "_ J 3"],
+    *,
+    first: int,
+    last: int,
+    fps: float,
+    skeleton: Skeleton,
+) -> Float[np.ndarray, "U J 3"]:
+    """Returns `head`, frames `first` to `last` of a generated motion, and `tail`, moved to where these have come.
+
+    The generated motion has frames for head and tail, too. What they differ by at the joins, in pose and in velocity,
+    is added to the middle and fades in it. Head and tail stay as they are. Bones have the lengths of the head's,
+    or of the tail's if there is no head.
+
+    Args:
+        head: Frames before the join; may have none.
+        generated: A motion whose frames before `first` are like the head's, and those from `last` like the tail's.
+        tail: Frames after the middle; may have none.
+        first: First frame of the middle.
+        last: Frame after the middle.
+        fps: Of all three.
+        skeleton: Of all three.
+    """
+    kept = next(part for part in (head, tail, generated) if len(part))
+    if len(head):
+        generated = place_positions(generated, generated[first - 1], head[-1], skeleton=skeleton)
+    if len(tail):
+        tail = place_positions(tail, tail[0], generated[last], skeleton=skeleton)
+    middle, count = generated[first:last].astype(np.float64), min(round(BLEND_SECONDS * fps), last - first)
+    if len(head):
+        differences = (head[-2:] - generated[max(0, first - 2) : first])[::-1]
+        middle[:count] += fading_change(differences, count)
+    if len(tail):
+        middle[-count:] += fading_change(tail[:2] - generated[last : last + 2], count)[::-1]
+    lengths = np.linalg.norm(bone_vectors(kept, skeleton), axis=-1, keepdims=True)[:1]
+    middle = positions_from_bones(middle[:, 0], unit_vectors(bone_vectors(middle, skeleton)) * lengths, skeleton)
+    return np.concatenate([head, middle, tail]).astype(np.float32)
+
+
 def join_positions(
     first: Float[np.ndarray, "T J 3"], second: Float[np.ndarray, "U J 3"], *, fps: float, skeleton: Skeleton
 ) -> Float[np.ndarray, "V J 3"]:
@@ -75,9 +144,7 @@ def join_positions(
     The second one is turned and moved, so that its first frame has the place and the heading of the last frame of the
     first one, which it replaces. What remains of the difference of these two poses fades out.
     """
-    turn = quaternion_between(facing(second[0], skeleton), facing(first[-1], skeleton))
-    horizontal = np.array([1.0, 0.0, 1.0], np.float32)
-    moved = rotate_vectors(turn[None, None], second - second[0, 0] * horizontal) + first[-1, 0] * horizontal
+    moved = place_positions(second, second[0], first[-1], skeleton=skeleton)
     time = np.minimum(np.arange(len(second)) / (BLEND_SECONDS * fps), 1.0)[:, None, None]
     fading = (1 - time) ** 2 * (1 + 2 * time)
     blended = moved + fading * (first[-1] - moved[0])

@@ -102,6 +102,14 @@ def _functions(generator: Any, variables: Any) -> GeneratorFunctions:
 
 
 @functools.partial(jax.jit, static_argnames="generator")
+def row_likelihoods(
+    variables: Any, codes: Int[Array, "B N R"], text_embedding: Float[Array, "B E"], *, generator: Any
+) -> Float[Array, "B N"]:
+    """Returns the logarithm of the probability of each row after the rows before it; `generator` is the module."""
+    return generator.apply(variables, codes, text_embedding, method="log_likelihood")
+
+
+@functools.partial(jax.jit, static_argnames="generator")
 def begin_motions(
     variables: Any, text_embedding: Float[Array, "B E"], guidance_scale: Float[Array, ""] | None, *, generator: Any
 ) -> LoopState:

@@ -39,11 +39,11 @@ class Given(NamedTuple):
     """What is fixed before sampling, for each motion."""
 
     codes: Int[Array, "B N R"]
-    """The rows that motions begin with; N is the longest length."""
-    num_codes: Int[Array, " B"]
-    """How many of them are known. At least one row is sampled after them."""
+    """Rows of each motion; N is the longest length."""
+    known: Bool[Array, "B N"]
+    """Which of them are known. The others are sampled, at least one after the last known row if `num_rows` is 0."""
     num_rows: Int[Array, " B"]
-    """Rows of each motion with the known ones; 0 leaves the end to the stop rule."""
+    """Rows of each motion with the known ones; 0 leaves the end to the stop rule, after known rows at the beginning."""
 
 
 class SampledCodes(NamedTuple):
@@ -86,12 +86,12 @@ def sample_row(
     rule, done = sampling.stop_rule, state.done
     may_stop = state.step >= sampling.min_codes - rule.keeps_last
     if given is not None:
-        may_stop &= (state.step > given.num_codes - rule.keeps_last) & (given.num_rows == 0)
+        may_stop &= (state.step > given.known.sum(axis=1) - rule.keeps_last) & (given.num_rows == 0)
         done |= (given.num_rows > 0) & (state.step + 1 >= given.num_rows)
     step_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, state.step)
     rows = generator.draw(state.context, step_keys, sampling.strategy, may_stop=may_stop)
     if given is not None:
-        rows = jnp.where((state.step < given.num_codes)[:, None], given.codes[:, state.step], rows)
+        rows = jnp.where(given.known[:, state.step, None], given.codes[:, state.step], rows)
     context, scores, cache = generator.step(state.cache, rows)
     scores = jnp.where(may_stop, rule.draw(scores, _stop_keys(keys, state.step)), -jnp.inf)
     return LoopState(context, cache, done | rule.ends(scores), state.step + 1), (rows, scores)

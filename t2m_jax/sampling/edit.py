@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int, Key
+from jaxtyping import Bool, Float, Int, Key
 
 from t2m_jax.errors import UserError
 from t2m_jax.motion.cleanup import clean_positions
@@ -46,6 +46,10 @@ class Part(NamedTuple):
     """0 leaves the end to the stop rule."""
     begins: bool
     """Whether the sentence begins here, and does not only go on."""
+    draft: Codes | None = None
+    """The codes that stand where `kept` is True."""
+    kept: Bool[np.ndarray, "B N"] | None = None
+    """For each motion; the others are sampled."""
 
 
 def split_parts(prompts: Sequence[Prompt], num_rows: int, *, limit: int) -> list[Part]:
@@ -56,14 +60,19 @@ def split_parts(prompts: Sequence[Prompt], num_rows: int, *, limit: int) -> list
     return [Part(prompt, rows, not number) for prompt in prompts for number, rows in enumerate(lengths)]
 
 
+def check_seconds(seconds: float) -> None:
+    """Raises `UserError` if a length is not a number of seconds up to `MAX_SECONDS`."""
+    if not 0 < seconds <= MAX_SECONDS:
+        raise UserError(f"seconds: {seconds:g} is not a number above 0, up to {MAX_SECONDS:g}")
+
+
 def rows_of_seconds(model: MotionModel, seconds: float) -> int:
     """Returns the rows of codes that a motion of this length has, at least 1.
 
     Raises:
         UserError: The length is not a number of seconds up to `MAX_SECONDS`.
     """
-    if not 0 < seconds <= MAX_SECONDS:
-        raise UserError(f"seconds: {seconds:g} is not a number above 0, up to {MAX_SECONDS:g}")
+    check_seconds(seconds)
     return max(1, round(seconds * model.skeleton.fps / model.config.tokenizer.downsample))
 
 
@@ -97,13 +106,9 @@ def sample_parts(
     so_far: list[Codes] = [nothing] * batch
     found: list[list[Codes]] = [[] for _ in range(batch)]
     for part, part_keys in zip(parts, keys, strict=True):
-        known = [codes[-context_rows(model) :] for codes in so_far]
-        lengths = np.array([len(codes) for codes in known], np.int32)
-        padded = np.zeros((batch, sampling.max_codes, depth), np.int32)
-        for row, codes in enumerate(known):
-            padded[row, : len(codes)] = codes
-        wanted = np.where(part.num_rows, lengths + part.num_rows, 0).astype(np.int32)
-        given = Given(*map(jnp.asarray, (padded, lengths, wanted)))
+        context = [codes[-context_rows(model) :] for codes in so_far]
+        lengths = np.array([len(codes) for codes in context], np.int32)
+        given = _given(part, context, max_codes=sampling.max_codes)
         texts = model.text_encoder([part.prompt.text] * batch)
         sampled = model.sample_codes(texts, part_keys, sampling, guidance_scale=guidance_scale, given=given)
         rows, ends = np.asarray(sampled.codes), np.asarray(sampled.code_lengths)
@@ -112,6 +117,21 @@ def sample_parts(
             found[row].append(new)
             so_far[row] = np.concatenate([so_far[row], new])
     return found
+
+
+def _given(part: Part, context: Sequence[Codes], *, max_codes: int) -> Given:
+    """Returns what is fixed of a part: the codes before it, the kept ones of its draft, and its length."""
+    codes = np.zeros((len(context), max_codes, context[0].shape[1]), np.int32)
+    known = np.zeros(codes.shape[:2], bool)
+    wanted = np.zeros(len(context), np.int32)
+    for row, before in enumerate(context):
+        first, last = len(before), len(before) + part.num_rows
+        codes[row, :first], known[row, :first] = before, True
+        if part.num_rows:
+            wanted[row] = last
+        if part.draft is not None and part.kept is not None:
+            codes[row, first:last], known[row, first:last] = part.draft, part.kept[row]
+    return Given(*map(jnp.asarray, (codes, known, wanted)))
 
 
 def part_keys(keys: Key[jax.Array, " B"], count: int) -> list[Key[jax.Array, " B"]]:

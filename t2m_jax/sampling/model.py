@@ -18,7 +18,13 @@ from t2m_jax.models.system import make_module
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import skeleton_from_name
-from t2m_jax.sampling.codec import encode_motion, generate_codes, motions_from_codes, sampling_variables
+from t2m_jax.sampling.codec import (
+    encode_motion,
+    generate_codes,
+    motions_from_codes,
+    row_likelihoods,
+    sampling_variables,
+)
 from t2m_jax.sampling.decoding import Given, SampledCodes, Sampling
 from t2m_jax.sampling.stopping import find_stop_rule
 from t2m_jax.sampling.strategies import Strategy, Temperature
@@ -139,6 +145,14 @@ class MotionModel:
         return generate_codes(
             variables, text_embedding, keys, scale, given, generator=self._generator, sampling=sampling
         )
+
+    def log_likelihood(self, codes: Int[Array, "B N R"], text_embedding: Float[Array, "B E"]) -> Float[Array, "B N"]:
+        """Returns the logarithm of the probability of each row of codes after its text and the rows before it.
+
+        Guidance is not used.
+        """
+        variables = self._variables_for_sampling()
+        return row_likelihoods(variables, *put_rows((codes, text_embedding)), generator=self._generator)
 
     def _variables_for_sampling(self) -> dict[str, Any]:
         """Returns the generator's variables, rearranged at the first call; the old arrangement is not kept."""

@@ -3,14 +3,11 @@
 import dataclasses
 import functools
 import itertools
-import zlib
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Key
 
 from t2m_jax.checkpoints.model import load_model
 from t2m_jax.config import check_seed
@@ -21,26 +18,14 @@ from t2m_jax.sampling.batches import padded_batch_size
 from t2m_jax.sampling.codec import begin_motions, generate_row, motions_from_codes
 from t2m_jax.sampling.compilation import use_compilation_cache
 from t2m_jax.sampling.decoding import Sampling
-from t2m_jax.sampling.edit import context_rows, join_parts, part_keys, rows_of_seconds, sample_parts, split_parts
-from t2m_jax.sampling.model import MotionModel
-from t2m_jax.sampling.prompts import Prompt, read_prompts
+from t2m_jax.sampling.editor import MotionEditor
+from t2m_jax.sampling.prompts import MAX_BATCH, Prompt, check_num_samples, read_prompts, sample_key
 from t2m_jax.sampling.stopping import find_stop_rule
 from t2m_jax.sampling.strategies import Strategy, make_strategy
 from t2m_jax.sampling.streaming import stream_pieces
 
-MAX_SAMPLES = 1_000_000
-"""Most motions of a caption in one call. A larger number is probably a mistake: they would take weeks and 100 GB."""
-MAX_BATCH = 32
-"""Motions that are generated together."""
 
-
-def sample_key(seed: int, caption: str, sample: int) -> Key[Array, ""]:
-    """Returns the key of one sample: a function of seed, caption and number, independent of the batch."""
-    key = jax.random.fold_in(jax.random.key(seed), zlib.crc32(caption.encode()))
-    return jax.random.fold_in(key, sample)
-
-
-class TextToMotion(MotionModel):
+class TextToMotion(MotionEditor):
     """A loaded model: `TextToMotion.load("demo").generate(["a person walks forward"])`."""
 
     @classmethod
@@ -133,8 +118,7 @@ class TextToMotion(MotionModel):
         Arguments and errors are those of `generate`.
         """
         check_seed(seed)
-        if not 1 <= num_samples <= MAX_SAMPLES:
-            raise UserError(f"num-samples: {num_samples} is not a whole number from 1 to {MAX_SAMPLES:,}")
+        check_num_samples(num_samples)
         if strategy is None:
             strategy = make_strategy(float(temperature), top_k, top_p=top_p)
         elif (temperature, top_k, top_p) != (1.0, None, None):
@@ -155,70 +139,6 @@ class TextToMotion(MotionModel):
                 yield from motions
 
         return generate_batches()
-
-    def generate_chain(
-        self,
-        captions: Sequence[str],
-        *,
-        start: Motion | None = None,
-        seconds: float | None = None,
-        seed: int = 0,
-        num_samples: int = 1,
-        strategy: Strategy | None = None,
-        guidance_scale: float | None = None,
-        stop_rule: str | None = None,
-        raw: bool = False,
-    ) -> list[Motion]:
-        """Returns motions that show sentences in turn, without a seam and of any length.
-
-        Each sentence goes on from the last codes of what was before it. The motions say where each begins
-        (`part_starts`, `part_captions`).
-
-        Args:
-            captions: Sentences in turn.
-            start: A motion that the first sentence goes on from. It is part of the result, as the tokenizer gives it
-                back.
-            seconds: Length for each sentence, rounded to whole rows of codes; by default the model decides.
-            seed: From 0 to 2**32 - 1.
-            num_samples: Motions to return.
-            strategy: How codes are chosen; by default from the model's own probabilities.
-            guidance_scale: As in `generate`.
-            stop_rule: As in `generate`.
-            raw: As in `generate`.
-
-        Warns:
-            PromptWarning: The model cannot know what a sentence asks for.
-
-        Raises:
-            UserError: A sentence or a number cannot be used, or `start` is too short or has another skeleton.
-        """
-        check_seed(seed)
-        if not 1 <= num_samples <= MAX_SAMPLES:
-            raise UserError(f"num-samples: {num_samples} is not a whole number from 1 to {MAX_SAMPLES:,}")
-        sampling = self.sampling(strategy, stop_rule=stop_rule)
-        rows = 0 if seconds is None else rows_of_seconds(self, seconds)
-        if not captions:
-            raise UserError("captions: give at least one sentence")
-        prompts = read_prompts(captions, self.knowledge, self.text_encoder)
-        parts = split_parts(prompts, rows, limit=sampling.max_codes - context_rows(self))
-        known = None if start is None else self.encode(start)
-        motions: list[Motion] = []
-        for first in range(0, num_samples, MAX_BATCH):
-            samples = range(first, min(first + MAX_BATCH, num_samples))
-            keys = [sample_key(seed, prompts[0].text, sample) for sample in samples]
-            filled = jnp.stack([*keys, *[keys[0]] * (padded_batch_size(len(keys)) - len(keys))])
-            found = sample_parts(
-                self,
-                parts,
-                part_keys(filled, len(parts)),
-                start=known,
-                sampling=sampling,
-                guidance_scale=guidance_scale,
-            )
-            motions += [
-                join_parts(self, parts, found[row], start=known, seed=seed, raw=raw) for row in range(len(samples))
-            ]
-        return motions
 
     def stream(
         self,

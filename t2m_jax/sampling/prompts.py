@@ -1,12 +1,22 @@
-"""Prompts, with what the model knows of them."""
+"""Prompts, with what the model knows of them, and the keys of their samples."""
 
 import warnings
+import zlib
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
+from jaxtyping import Array, Key
+
+from t2m_jax.errors import UserError
 from t2m_jax.text.coverage import Knowledge, PromptWarning, check_coverage
 from t2m_jax.text.encoder import CuttingTextEncoder, TextEncoder
 from t2m_jax.text.prompts import check_prompt
+
+MAX_SAMPLES = 1_000_000
+"""Most motions of a caption in one call. A larger number is probably a mistake: they would take weeks and 100 GB."""
+MAX_BATCH = 32
+"""Motions that are generated together."""
 
 
 class Prompt(NamedTuple):
@@ -38,3 +48,15 @@ def read_prompts(captions: Sequence[str] | str, knowledge: Knowledge, encoder: T
         if warning:
             warnings.warn(warning, PromptWarning, stacklevel=4)
     return prompts
+
+
+def sample_key(seed: int, caption: str, sample: int) -> Key[Array, ""]:
+    """Returns the key of one sample: a function of seed, caption and number, independent of the batch."""
+    key = jax.random.fold_in(jax.random.key(seed), zlib.crc32(caption.encode()))
+    return jax.random.fold_in(key, sample)
+
+
+def check_num_samples(num_samples: int) -> None:
+    """Raises `UserError` if a number of motions for a caption is not from 1 to `MAX_SAMPLES`."""
+    if not 1 <= num_samples <= MAX_SAMPLES:
+        raise UserError(f"num-samples: {num_samples} is not a whole number from 1 to {MAX_SAMPLES:,}")

@@ -6,7 +6,9 @@ import shutil
 import numpy as np
 import pytest
 
+from t2m_jax import Motion
 from t2m_jax.cli.main import main
+from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.export.formats import load_motion
 from t2m_jax.sampling import TextToMotion
 
@@ -60,6 +62,21 @@ def test_sentences_in_turn_after_a_file(bundle_folder, tmp_path):
     assert load_motion(tmp_path / "b.npz").part_starts == (48,)
 
 
+def test_a_middle_and_variations_of_a_file(refusal, bundle_folder, tmp_path, capsys):
+    start = tmp_path / "start.npz"
+    Motion(make_motion("walk", seed=1, num_frames=60), 20.0, caption="a person walks").save(start)
+    command = ["generate", "--model", f"{bundle_folder}", "a person waves", "--from", f"{start}"]
+    assert main([*command, "--redo", "0.8:1.6", "--num-samples", "2", "-o", f"{tmp_path / 'redo.npz'}"]) == 0
+    best = load_motion(tmp_path / "redo-0.npz")
+    assert best.part_captions == ("a person walks", "a person waves", "a person walks") and best.num_frames == 60
+    assert main([*command, "--vary", "0.5", "-o", f"{tmp_path / 'vary.npz'}"]) == 0
+    assert load_motion(tmp_path / "vary.npz").caption == "a person waves"
+    capsys.readouterr()
+    said = "span: 1 to 9 s is not a part of the time from 0 to 2.8 s, where the motion ends"
+    assert said in refusal(*command, "--redo", "1:9", "-o", f"{tmp_path / 'x.npz'}")
+    assert not (tmp_path / "x.npz").exists()
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -67,6 +84,13 @@ def test_sentences_in_turn_after_a_file(bundle_folder, tmp_path):
         (["a person runs", "--then", "a person waves"], "--then: follows one sentence, not 2"),
         (["--seconds", "-1"], "seconds: -1"),
         (["--from", "missing.npz"], "missing.npz"),
+        (["--redo", "1:2"], "--redo: changes a motion; give its file with --from"),
+        (["--vary", "0.3"], "--vary: changes a motion; give its file with --from"),
+        (["--redo", "1-2"], "'1-2' is not BEGIN:END in seconds"),
+        (["--redo", "1:2", "--from", "missing.npz"], "missing.npz"),
+        (["--redo", "1:2", "--from", "x.npz", "--then", "a person waves"], "--redo: does not go together with --then"),
+        (["--vary", "1.5", "--from", "x.npz"], "vary: 1.5 is not a number from 0 to 1"),
+        (["--vary", "0.5", "--from", "x.npz", "--stop-rule", "argmax"], "does not go together with --stop-rule"),
     ],
 )
 def test_chains_that_are_refused(refusal, bundle_folder, tmp_path, monkeypatch, options, said):

@@ -14,7 +14,7 @@ from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.codec import generate_codes
 from t2m_jax.sampling.decoding import Given
 from t2m_jax.sampling.edit import clean_long, context_rows, ease_seams
-from t2m_jax.sampling.pipeline import sample_key
+from t2m_jax.sampling.prompts import sample_key
 from tests import tiny
 from tests.jit import assert_jit_equals_eager
 
@@ -33,7 +33,8 @@ def sample(model, *, known=None, num_codes=0, num_rows=0, **options):
     sampling = model.sampling(**options)
     given = None
     if known is not None:
-        given = Given(jnp.asarray(known), jnp.full(4, num_codes), jnp.full(4, num_rows))
+        is_known = jnp.arange(known.shape[1])[None] < jnp.full((4, 1), num_codes)
+        given = Given(jnp.asarray(known), is_known, jnp.full(4, num_rows))
     sampled = model.sample_codes(model.text_encoder([FIRST] * 4), keys, sampling, given=given)
     return np.asarray(sampled.codes), np.asarray(sampled.code_lengths)
 
@@ -68,7 +69,8 @@ def test_motions_have_the_length_that_is_asked_for(model, rows):
 def test_jit_and_eager_agree_with_known_codes(model):
     keys = jnp.stack([sample_key(7, FIRST, number) for number in range(2)])
     shape = (2, model.config.generator.max_codes, model.config.tokenizer.num_quantizers)
-    given = Given(jnp.ones(shape, jnp.int32), jnp.array([2, 0]), jnp.array([0, 4]))
+    is_known = jnp.arange(shape[1])[None] < jnp.array([[2], [0]])
+    given = Given(jnp.ones(shape, jnp.int32), is_known, jnp.array([0, 4]))
     arguments = model.variables["generator"], model.text_encoder([FIRST] * 2), keys, None, given
     options = {"generator": make_module(model.config.generator), "sampling": model.sampling()}
     sampled = assert_jit_equals_eager(generate_codes, *arguments, **options)

@@ -7,7 +7,7 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 
-from t2m_jax.models.system import Part, draw_each
+from t2m_jax.models.system import Part, draw_each, log_probabilities
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -115,6 +115,10 @@ class Bigram(nn.Module):
     def step(self, cache, rows):
         """Returns the logits of the next row, the stop logit of this one, and the text."""
         return self._logits(rows[:, 0], cache), self.stop[rows[:, 0]], cache
+
+    def log_likelihood(self, codes, text_embedding):
+        """Returns the logarithm of the probability of each row."""
+        return log_probabilities(self(codes, text_embedding, train=False)[0], codes).sum(axis=-1)
 
 
 TOKENIZER = Part(

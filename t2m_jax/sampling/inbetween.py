@@ -1,0 +1,208 @@
+"""Other codes for a part of a motion: a new middle between head and tail, and variations of the whole."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Key
+
+from t2m_jax.errors import UserError
+from t2m_jax.motion.editing import place_positions, replace_middle
+from t2m_jax.motion.joining import VELOCITY_SECONDS
+from t2m_jax.motion.record import Motion
+from t2m_jax.motion.skeleton import Skeleton
+from t2m_jax.sampling.batches import round_up
+from t2m_jax.sampling.codec import motions_from_codes, pad_codes
+from t2m_jax.sampling.decoding import Sampling
+from t2m_jax.sampling.edit import (
+    ROW_BUCKET,
+    Codes,
+    Part,
+    context_rows,
+    part_keys,
+    sample_parts,
+    split_parts,
+)
+from t2m_jax.sampling.model import MotionModel
+from t2m_jax.sampling.prompts import Prompt
+
+TAIL_SECONDS = 1.0
+"""Motion after a middle whose likelihood says how well the middle leads to it."""
+AROUND_SECONDS = 2.0
+"""Motion on each side that is decoded with a middle; codes that are further away do not change it."""
+_KEPT_STREAM = 2**30 + 1
+"""In place of a sample's number, in keys for the rows that a variation keeps."""
+
+
+class Span(NamedTuple):
+    """Rows of codes, or frames."""
+
+    first: int
+    last: int
+    """The one after them."""
+
+
+class Middle(NamedTuple):
+    """A candidate for the middle of a motion."""
+
+    positions: Float[np.ndarray, "T J 3"]
+    """Its frames, between some of the head's and the tail's, in meters."""
+    first: int
+    """First frame of the middle."""
+    last: int
+    """Frame after the middle."""
+    likelihood: float
+    """Mean logarithm of the probabilities of the rows after it."""
+
+
+def find_span(model: MotionModel, seconds: tuple[float, float], num_rows: int) -> Span:
+    """Returns the rows that a span of seconds covers, at least one.
+
+    Raises:
+        UserError: The span does not lie in the motion.
+    """
+    begin, end = seconds
+    rate = model.skeleton.fps / model.config.tokenizer.downsample
+    if not 0 <= begin < end < (num_rows + 1) / rate:
+        longest = f"{num_rows / rate:.1f} s, where the motion ends"
+        raise UserError(f"span: {begin:g} to {end:g} s is not a part of the time from 0 to {longest}")
+    first = min(round(begin * rate), num_rows - 1)
+    return Span(first, max(first + 1, min(round(end * rate), num_rows)))
+
+
+def replace_span(
+    model: MotionModel,
+    motion: Motion,
+    seconds: tuple[float, float],
+    prompt: Prompt,
+    keys: Key[jax.Array, " B"],
+    *,
+    sampling: Sampling,
+    guidance_scale: float | None,
+    raw: bool,
+) -> list[Motion]:
+    """Returns a motion with each of B new middles, those first that lead best to what follows (`rank_middles`)."""
+    motion = motion if motion.fps == model.skeleton.fps else motion.resampled(model.skeleton.fps)
+    codes = model.encode(motion)
+    span = find_span(model, seconds, len(codes))
+    parts = split_parts([prompt], span.last - span.first, limit=sampling.max_codes - context_rows(model))
+    found = sample_parts(
+        model,
+        parts,
+        part_keys(keys, len(parts)),
+        start=codes[: span.first],
+        sampling=sampling,
+        guidance_scale=guidance_scale,
+    )
+    rows = round(AROUND_SECONDS * model.skeleton.fps / model.config.tokenizer.downsample)
+    around = codes[max(0, span.first - rows) : span.first], codes[span.last : span.last + rows]
+    candidates = decode_middles(model, around, [np.concatenate(pieces) for pieces in found], prompt=prompt, raw=raw)
+    downsample = model.config.tokenizer.downsample
+    # Frames at the end that do not fill a code belong to the last one.
+    end = motion.num_frames if span.last == len(codes) else downsample * span.last
+    frames = Span(downsample * span.first, end)
+    order = rank_middles(motion.positions[frames.last :], candidates, skeleton=motion.skeleton)
+    return [_with_middle(motion, candidates[number], frames, prompt) for number in order]
+
+
+def decode_middles(
+    model: MotionModel, around: tuple[Codes, Codes], middles: Sequence[Codes], *, prompt: Prompt, raw: bool
+) -> list[Middle]:
+    """Returns the candidates of some middles, which are decoded between the rows around them."""
+    head, tail = around
+    whole = [np.concatenate([head, middle, tail]) for middle in middles]
+    codes, lengths = pad_codes(whole)
+    codes = np.pad(codes, ((0, 0), (0, round_up(codes.shape[1], ROW_BUCKET) - codes.shape[1]), (0, 0)))
+    captions = [prompt.text] * len(whole)
+    motions = motions_from_codes(
+        model.tokenizer, codes, lengths, skeleton=model.skeleton, captions=captions, clean=not raw
+    )
+    likelihoods = tail_likelihoods(model, whole, len(tail), prompt=prompt)
+    downsample = model.config.tokenizer.downsample
+    first, last = downsample * len(head), downsample * (len(whole[0]) - len(tail))
+    return [Middle(motion.positions, first, last, value) for motion, value in zip(motions, likelihoods, strict=True)]
+
+
+def tail_likelihoods(
+    model: MotionModel, codes: Sequence[Codes], num_tail: int, *, prompt: Prompt
+) -> Float[np.ndarray, " B"]:
+    """Returns the mean logarithm of the probabilities of the first rows of the tails, 0 without one."""
+    rows = round(TAIL_SECONDS * model.skeleton.fps / model.config.tokenizer.downsample)
+    size = model.config.generator.max_codes
+    scored = min(num_tail, rows, size - 1)
+    if not scored:
+        return np.zeros(len(codes), np.float32)
+    read = np.stack([own[: len(own) - num_tail + scored][-size:] for own in codes])
+    padded = np.pad(read, ((0, 0), (0, size - read.shape[1]), (0, 0)))
+    texts = model.text_encoder([prompt.text] * len(codes))
+    likelihoods = np.asarray(model.log_likelihood(jnp.asarray(padded), texts))
+    return likelihoods[:, read.shape[1] - scored : read.shape[1]].mean(axis=1)
+
+
+def rank_middles(tail: Float[np.ndarray, "T J 3"], candidates: Sequence[Middle], *, skeleton: Skeleton) -> list[int]:
+    """Returns the numbers of candidates, the best one first: the one with the least sum of two places.
+
+    One place is by the likelihood of the tail. The other is by the jump at the join: how far the candidate's joints
+    are from the tail's (root mean square) and, scaled, how different their velocities are.
+    """
+    if not len(tail):
+        return list(range(len(candidates)))
+    jumps = [_jump(tail[:2], candidate, skeleton) for candidate in candidates]
+    costs = np.array(jumps), -np.array([candidate.likelihood for candidate in candidates])
+    places = [np.argsort(np.argsort(cost, kind="stable")) for cost in costs]
+    return np.argsort(places[0] + places[1], kind="stable").tolist()
+
+
+def _jump(tail: Float[np.ndarray, "T J 3"], candidate: Middle, skeleton: Skeleton) -> float:
+    """Returns how much a tail differs from the candidate's own frames there, after it was moved to them."""
+    own = candidate.positions[candidate.last :][: len(tail)]
+    frames = [place_positions(part, part[0], own[0], skeleton=skeleton) for part in (own, tail)]
+    difference = frames[1] - frames[0]
+    jumps = [difference[0], *np.diff(difference, axis=0) * (skeleton.fps * VELOCITY_SECONDS)]
+    return float(np.sqrt(np.mean(np.square(np.concatenate(jumps, axis=-1)).sum(axis=-1))))
+
+
+def _with_middle(motion: Motion, middle: Middle, frames: Span, prompt: Prompt) -> Motion:
+    """Returns a motion with another middle, and says where its sentence begins and ends."""
+    positions = replace_middle(
+        motion.positions[: frames.first],
+        middle.positions,
+        motion.positions[frames.last :],
+        first=middle.first,
+        last=middle.last,
+        fps=motion.fps,
+        skeleton=motion.skeleton,
+    )
+    old = list(zip(motion.part_starts, motion.part_captions, strict=True)) or [(0, motion.caption)]
+    parts = {start: caption for start, caption in old if start < frames.first} | {frames.first: prompt.text}
+    if frames.last < motion.num_frames:
+        parts |= {frames.last: [caption for start, caption in old if start <= frames.last][-1]}
+        parts |= {start: caption for start, caption in old if start > frames.last}
+    return Motion(
+        positions,
+        motion.fps,
+        skeleton=motion.skeleton,
+        caption=", then ".join(filter(None, parts.values())),
+        part_starts=tuple(parts),
+        part_captions=tuple(parts.values()),
+        warning=prompt.warning,
+        unknown_words=prompt.unknown_words,
+    )
+
+
+def check_strength(strength: float) -> None:
+    """Raises `UserError` if the strength of variations is not from 0 to 1."""
+    if not 0 <= strength <= 1:
+        raise UserError(f"vary: {strength:g} is not a number from 0 to 1")
+
+
+def variation_parts(
+    codes: Codes, prompt: Prompt, keys: Key[jax.Array, " B"], *, strength: float, limit: int
+) -> list[Part]:
+    """Returns the parts of variations of a motion: each row is sampled with a probability, and kept otherwise."""
+    chosen = jax.vmap(lambda key: jax.random.uniform(jax.random.fold_in(key, _KEPT_STREAM), (len(codes),)))(keys)
+    kept = np.asarray(chosen) >= strength
+    pieces = [slice(first, first + limit) for first in range(0, len(codes), limit)]
+    return [Part(prompt, len(codes[rows]), rows.start == 0, codes[rows], kept[:, rows]) for rows in pieces]

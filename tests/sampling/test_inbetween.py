@@ -1,0 +1,179 @@
+"""A new middle for a motion, and variations of it."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from t2m_jax import Motion
+from t2m_jax.data.importers.synthetic import make_motion
+from t2m_jax.errors import UserError
+from t2m_jax.models.system import make_module
+from t2m_jax.motion.features import bone_vectors
+from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.sampling import TextToMotion
+from t2m_jax.sampling.codec import row_likelihoods
+from t2m_jax.sampling.inbetween import Middle, rank_middles
+from tests import tiny
+from tests.jit import assert_jit_equals_eager
+
+CONFIGS = {"gpt": tiny.BUNDLE, "hifigpt": tiny.HIFIGPT_BUNDLE}
+CAPTION = tiny.CAPTIONS[1]
+
+
+@pytest.fixture(scope="module", params=CONFIGS)
+def model(request):
+    return TextToMotion(tiny.random_bundle(CONFIGS[request.param]))
+
+
+@pytest.fixture(scope="module")
+def walk():
+    return Motion(make_motion("walk", seed=1, num_frames=83), 20.0, caption="a person walks")
+
+
+def likelihoods(model, codes):
+    codes = jnp.asarray(codes, jnp.int32)
+    return np.asarray(model.log_likelihood(codes, model.text_encoder([CAPTION] * len(codes))))
+
+
+def test_probabilities_of_all_rows_add_up_to_one(model):
+    config = model.config.tokenizer
+    rows = np.array(list(itertools.product(range(config.num_codes), repeat=config.num_quantizers)), np.int32)
+    codes = np.stack([np.broadcast_to(rows[5], rows.shape), rows], axis=1)
+    total = np.exp(likelihoods(model, codes)[:, 1].astype(np.float64)).sum()
+    if model.config.generator.stop_rule == "end":
+        module = make_module(model.config.generator)
+        logits = module.apply(
+            model.variables["generator"], jnp.full((1, 1), 5), model.text_encoder([CAPTION]), train=False
+        )
+        total += float(jax.nn.softmax(logits[0, 1])[module.config.end_token])
+    np.testing.assert_allclose(total, 1, rtol=1e-5)
+
+
+def test_rows_are_as_likely_as_they_are_often_sampled(model):
+    (first,) = model.generate(CAPTION, temperature=0)
+    likely = likelihoods(model, first.codes[None])[0]
+    changed = first.codes.copy()
+    changed[2] = (changed[2] + 1) % model.config.tokenizer.num_codes
+    other = likelihoods(model, changed[None])[0]
+    np.testing.assert_allclose(other[:2], likely[:2], rtol=1e-5)
+    assert other[2] < likely[2] < 0
+
+
+def test_jit_and_eager_agree(model):
+    shape = (2, 4, model.config.tokenizer.num_quantizers)
+    arguments = model.variables["generator"], jnp.ones(shape, jnp.int32), model.text_encoder([CAPTION] * 2)
+    found = assert_jit_equals_eager(row_likelihoods, *arguments, generator=make_module(model.config.generator))
+    assert found.shape == (2, 4)
+
+
+def shape_of(positions):
+    """Distances of all pairs of joints in each frame and the next one, which turns and moves do not change."""
+    both = np.concatenate([positions[:-1], positions[1:]], axis=1).astype(np.float64)
+    return np.linalg.norm(both[:, :, None] - both[:, None], axis=-1)
+
+
+@pytest.mark.parametrize("raw", [False, True])
+@pytest.mark.parametrize("span", [(1.2, 2.4), (0.0, 1.2), (2.4, 4.0), (0.0, 4.0), (1.21, 1.22)])
+def test_head_and_tail_stay_as_they_are(model, walk, span, raw):
+    (redone,) = model.redo(walk, span, CAPTION, raw=raw, num_candidates=2)
+    downsample = model.config.tokenizer.downsample
+    expected = walk.num_frames if span[1] < 4 else walk.num_frames // downsample * downsample
+    assert redone.num_frames == expected and redone.fps == 20
+    number = redone.part_captions.index(CAPTION)
+    first, last = (*redone.part_starts, expected)[number : number + 2]
+    assert abs(first / 20 - span[0]) <= downsample / 40 and abs(last / 20 - span[1]) <= downsample / 20 + 0.2
+    np.testing.assert_array_equal(redone.positions[:first], walk.positions[:first])
+    np.testing.assert_allclose(redone.positions[last:, :, 1], walk.positions[last:expected, :, 1], atol=1e-5)
+    if last < expected:
+        np.testing.assert_allclose(shape_of(redone.positions[last:]), shape_of(walk.positions[last:]), atol=1e-4)
+    lengths = np.linalg.norm(bone_vectors(redone.positions, HUMANML3D), axis=-1)
+    np.testing.assert_allclose(lengths, np.broadcast_to(lengths[:1], lengths.shape), atol=1e-3)
+
+
+def test_the_sentence_of_a_middle_has_its_place(model, walk):
+    (redone,) = model.redo(walk, (1.2, 2.4), CAPTION, seed=4, num_candidates=2)
+    assert redone.part_captions == ("a person walks", CAPTION, "a person walks")
+    assert redone.caption == f"a person walks, then {CAPTION}, then a person walks" and redone.seed == 4
+    (again,) = model.redo(redone, (1.6, 2.0), "a man turns", num_candidates=2)
+    assert again.part_captions == ("a person walks", CAPTION, "a man turns", CAPTION, "a person walks")
+    assert list(again.part_starts) == sorted(again.part_starts)
+
+
+def test_the_best_middles_come_first(model, walk):
+    best, second = model.redo(walk, (1.2, 2.4), CAPTION, num_samples=2, num_candidates=4)
+    (alone,) = model.redo(walk, (1.2, 2.4), CAPTION, num_candidates=4)
+    np.testing.assert_array_equal(best.positions, alone.positions)
+    assert (best.positions != second.positions).any()
+    (other,) = model.redo(walk, (1.2, 2.4), CAPTION, num_candidates=4, seed=1)
+    assert (best.positions != other.positions).any()
+
+
+def test_a_middle_may_be_longer_than_the_generator_can_read(model):
+    rows = model.config.generator.max_codes + 5
+    frames = model.config.tokenizer.downsample * (rows + 4)
+    motion = Motion(make_motion("walk", seed=1, num_frames=frames), 20.0)
+    row_seconds = model.config.tokenizer.downsample / 20
+    (redone,) = model.redo(motion, (2 * row_seconds, (rows + 2) * row_seconds), CAPTION, num_candidates=2)
+    assert redone.num_frames == frames and redone.part_starts[1] == 2 * model.config.tokenizer.downsample
+
+
+def test_motion_of_another_frame_rate_gets_the_model_s(model, walk):
+    (redone,) = model.redo(walk.resampled(60), (1.2, 2.4), CAPTION, num_candidates=2)
+    assert redone.fps == 20 and abs(redone.num_frames - walk.num_frames) <= 1
+
+
+@pytest.mark.parametrize("span", [(2.0, 1.0), (-1.0, 1.0), (1.0, 1.0), (1.0, 9.0), (float("nan"), 2.0), (0, np.inf)])
+def test_spans_that_are_not_in_the_motion_are_refused(model, walk, span):
+    with pytest.raises(UserError, match=r"span: .* is not a part of the time from 0 to 4\.0 s"):
+        model.redo(walk, tuple(map(float, span)), CAPTION)
+
+
+def test_more_motions_than_candidates_are_refused(model, walk):
+    with pytest.raises(UserError, match="17 motions cannot be chosen from 16 candidates"):
+        model.redo(walk, (1.2, 2.4), CAPTION, num_samples=17)
+
+
+def middle_with(tail, *, shift, likelihood):
+    """Returns a candidate whose frames after a middle of 4 frames are the tail, with raised arms."""
+    positions = np.concatenate([tail[:4], tail]).copy()
+    positions[4:, 16:] += [0, shift, 0]
+    return Middle(positions, 0, 4, likelihood)
+
+
+def test_candidates_are_ranked_by_likelihood_and_jump(walk):
+    tail = walk.positions[40:]
+    candidates = [
+        middle_with(tail, shift=0.3, likelihood=-9.0),
+        middle_with(tail, shift=0.1, likelihood=-5.0),
+        middle_with(tail, shift=0.0, likelihood=-4.0),
+        middle_with(tail, shift=0.2, likelihood=-6.0),
+    ]
+    assert rank_middles(tail, candidates, skeleton=HUMANML3D) == [2, 1, 3, 0]
+    assert rank_middles(tail[:0], candidates, skeleton=HUMANML3D) == [0, 1, 2, 3]
+
+
+def test_variations_keep_a_share_of_the_codes(model, walk):
+    codes = model.encode(walk)
+    shares = []
+    for strength in (0.0, 0.3, 1.0):
+        variations = model.vary(walk, strength, CAPTION, num_samples=4)
+        assert all(one.codes.shape == codes.shape and one.caption == CAPTION for one in variations)
+        shares.append(np.mean([(one.codes != codes).any(axis=1).mean() for one in variations]))
+    assert shares[0] == 0 and 0.1 < shares[1] < 0.5 and shares[2] > 0.8
+
+
+def test_a_variation_depends_on_its_number_only(model, walk):
+    (alone,) = model.vary(walk, 0.5, seed=2)
+    first, second, third = model.vary(walk, 0.5, seed=2, num_samples=3)
+    np.testing.assert_array_equal(alone.codes, first.codes)
+    assert alone.caption == "a person walks"
+    assert (first.codes != second.codes).any() and (second.codes != third.codes).any()
+
+
+@pytest.mark.parametrize("strength", [-0.1, 1.01, float("nan")])
+def test_strengths_that_are_not_shares_are_refused(model, walk, strength):
+    with pytest.raises(UserError, match=r"vary: .* is not a number from 0 to 1"):
+        model.vary(walk, strength)
