@@ -85,7 +85,7 @@ def load_gltf(path: Path | str, *, fps: float | None = None) -> dict[str, BvhCli
         for number, animation in enumerate(glb.tree.get("animations", [])):
             name = str(animation.get("name") or f"animation_{number}")
             with np.errstate(over="ignore", invalid="ignore"):  # what is too large is then found not to be finite
-                rate = fps or _own_rate(animation)
+                rate = fps or _own_rate(glb.tree, animation)
                 clip = _sample(glb, nodes, animation, fps=rate or DENSE_FPS, room=room)
             clip = clip if rate else resample(clip, HUMANML3D.fps)
             room -= clip.num_frames * len(nodes.names)
@@ -99,18 +99,22 @@ def load_gltf(path: Path | str, *, fps: float | None = None) -> dict[str, BvhCli
     return clips
 
 
-def _own_rate(animation: Mapping[str, Any]) -> float | None:
-    """Returns the frames per second that an animation says it was made from, if it does."""
-    extras = animation.get("extras")
-    rate = extras.get("fps") if isinstance(extras, dict) else None
+def _own_extra(tree: Mapping[str, Any], part: Mapping[str, Any], name: str) -> Any:
+    """Returns what this package noted at a part of a file; None in files of other programs, whose notes may differ."""
+    extras = part.get("extras")
+    is_own = str(tree.get("asset", {}).get("generator")).startswith("t2m_jax ") and isinstance(extras, dict)
+    return extras.get(name) if is_own else None
+
+
+def _own_rate(tree: Mapping[str, Any], animation: Mapping[str, Any]) -> float | None:
+    """Returns the frames per second that this package wrote an animation with."""
+    rate = _own_extra(tree, animation, "fps")
     return float(rate) if isinstance(rate, (int, float)) and 0 < rate <= MAX_FPS else None
 
 
 def _own_unit(tree: Mapping[str, Any]) -> float:
     """Returns the meters of a length of 1, which only files of this package change."""
-    asset = tree.get("asset")
-    extras = asset.get("extras") if isinstance(asset, dict) else None
-    return 0.01 if isinstance(extras, dict) and extras.get("units") == "cm" else 1.0
+    return 0.01 if _own_extra(tree, tree.get("asset", {}), "units") == "cm" else 1.0
 
 
 def _split_chunks(data: bytes) -> _Glb:

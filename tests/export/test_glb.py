@@ -187,6 +187,16 @@ def test_one_frame_and_any_caption(tmp_path, caption):
     assert Motion.load(tmp_path / "a.glb").num_frames == 1
 
 
+def test_notes_of_other_programs_are_not_taken_for_own(tmp_path):
+    path = tmp_path / "a.glb"
+    make().resampled(30).save(path, units="cm")
+    (own,) = load_gltf(path).values()
+    path.write_bytes(path.read_bytes().replace(b'"t2m_jax ', b'"blender '))
+    (foreign,) = load_gltf(path).values()
+    assert (own.fps, foreign.fps) == (30, 20)
+    np.testing.assert_allclose(foreign.offsets, 100 * own.offsets, rtol=1e-5)
+
+
 def test_what_cannot_be_written_is_refused(tmp_path, kit_walk):
     with pytest.raises(UserError, match="GLB files are written for the skeleton humanml3d, not kit_ml"):
         kit_walk.save(tmp_path / "a.glb")
