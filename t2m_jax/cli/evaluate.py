@@ -3,8 +3,9 @@
 `reconstruction` encodes and decodes every clip of a split with a model's tokenizer. `generation` compares motion that a
 model generates from the captions of a split with real motion, in the space of an evaluator and by a named protocol.
 `prompts` generates from sentences that were held out from training and tests each motion against a kinematic rule.
-`compare` tests whether two reports differ by more than chance, and `table` puts reports into one table.
-`t2m evaluate COMMAND --help` describes the options of each.
+`inbetween` fills gaps in real motion and measures the joins. `compare` tests whether two reports differ by more than
+chance, and `table` puts reports into one table. `t2m evaluate COMMAND --help` describes the options
+of each.
 """
 
 import argparse
@@ -58,6 +59,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     reconstruction = add(run_reconstruction, "measure how well a tokenizer gives back real motion")
     generation = add(run_generation, "measure how well generated motion fits captions and real motion")
     prompts = add(run_prompts, "count how often generated motion does what held-out sentences ask for")
+    inbetween = add(run_inbetween, "measure how well a model fills gaps in real motion")
+    add_model_argument(inbetween)
+    _add_data_arguments(inbetween)
+    inbetween.add_argument("--seconds", type=float, default=1.6, help="length of the gaps (default: 1.6)")
+    inbetween.add_argument("--num-clips", type=int, default=100, help="clips to use (default: 100)")
     compare, table = add(run_compare, "test two reports for differences"), add(run_table, "print a table of reports")
     for command in (reconstruction, generation, prompts):
         add_model_argument(command)
@@ -85,20 +91,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_protocol_arguments(parser: argparse.ArgumentParser, *, needs_evaluator: bool) -> None:
-    parser.add_argument("--data", required=True, metavar="DIR", help="data-set folder")
-    parser.add_argument("--split", default="test", help="split to measure on (default: test)")
+    _add_data_arguments(parser)
     evaluator = "folder of an evaluator, or run of `t2m train evaluator`" + ("" if needs_evaluator else " (optional)")
     parser.add_argument("--evaluator", required=needs_evaluator, metavar="E", help=evaluator)
     parser.add_argument("--protocol", default="t2m-gpt", help="t2m-gpt (default), text-to-motion, momask or strict")
     parser.add_argument("--num-repeats", type=int, default=20, help="repeats (default: 20)")
-    parser.add_argument("--seed", type=int, default=0, help="start of every random choice (default: 0)")
     parser.add_argument("--batch", type=int, default=32, help="pairs ranked together, for small splits (default: 32)")
     parser.add_argument("--html", type=Path, metavar="F", help="also write a page with plots and motions")
 
 
+def _add_data_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--data", required=True, metavar="DIR", help="data-set folder")
+    parser.add_argument("--split", default="test", help="split to measure on (default: test)")
+    parser.add_argument("--seed", type=int, default=0, help="start of every random choice (default: 0)")
+
+
 def run(args: argparse.Namespace) -> None:
     """Checks the options that commands share and runs the command."""
-    for name in ("num_repeats", "num_seeds"):
+    for name in ("num_repeats", "num_seeds", "num_clips"):
         if getattr(args, name, 1) < 1:
             raise UserError(f"--{name.replace('_', '-')}: {getattr(args, name)} is not a whole number above 0")
     if getattr(args, "json", None):
@@ -248,6 +258,26 @@ def run_prompts(args: argparse.Namespace) -> None:
         motion = "decoded" if args.raw else "cleaned"
         save_prompt_report(args.json, PromptReport(group=args.group, motion=motion, contents=contents))
     show_next(shlex.join(["t2m", "generate", "a person walks forward", "--model", args.model]))
+
+
+def run_inbetween(args: argparse.Namespace) -> None:
+    """Prints how well a model fills gaps in real motion, beside an interpolation."""
+    from t2m_jax.data import open_dataset
+    from t2m_jax.evaluation import evaluate_inbetween
+    from t2m_jax.evaluation.inbetween import format_inbetween
+    from t2m_jax.sampling import TextToMotion
+    from t2m_jax.sampling.edit import check_seconds
+    from t2m_jax.text.coverage import PromptWarning
+
+    check_seconds(args.seconds)
+    model, dataset = TextToMotion.load(args.model), open_dataset(args.data)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PromptWarning)
+        figures = evaluate_inbetween(
+            model, dataset, split=args.split, seconds=args.seconds, num_clips=args.num_clips, seed=args.seed
+        )
+    sys.stdout.write(format_inbetween(figures) + "\n")
+    show_next(shlex.join(["t2m", "generate", "a person walks", "--from", "FILE", "--redo", "2.0:4.0"]))
 
 
 def run_compare(args: argparse.Namespace) -> None:

@@ -1,6 +1,7 @@
 """Protocols that measure the motion of a model: tasks, sources of motion, metrics over repeats."""
 
 from t2m_jax.evaluation.embedding import embed_plan_captions, embed_plan_motions
+from t2m_jax.evaluation.inbetween import evaluate_inbetween
 from t2m_jax.evaluation.manners import manner_tests
 from t2m_jax.evaluation.monitor import held_out_metrics, open_held_out
 from t2m_jax.evaluation.prompt_following import action_tests, evaluate_prompt_following
@@ -24,6 +25,7 @@ __all__ = [
     "embed_plan_captions",
     "embed_plan_motions",
     "evaluate",
+    "evaluate_inbetween",
     "evaluate_prompt_following",
     "evaluate_reconstruction",
     "find_protocol",

@@ -101,9 +101,10 @@ def load_gltf(path: Path | str, *, fps: float | None = None) -> dict[str, BvhCli
 
 def _own_extra(tree: Mapping[str, Any], part: Mapping[str, Any], name: str) -> Any:
     """Returns what this package noted at a part of a file; None in files of other programs, whose notes may differ."""
-    extras = part.get("extras")
-    is_own = str(tree.get("asset", {}).get("generator")).startswith("t2m_jax ") and isinstance(extras, dict)
-    return extras.get(name) if is_own else None
+    extras, generator = part.get("extras"), tree.get("asset", {}).get("generator")
+    if not (isinstance(extras, dict) and isinstance(generator, str) and generator.startswith("t2m_jax ")):
+        return None
+    return extras.get(name)
 
 
 def _own_rate(tree: Mapping[str, Any], animation: Mapping[str, Any]) -> float | None:
