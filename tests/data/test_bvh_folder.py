@@ -56,6 +56,13 @@ def test_captions_from_a_list_or_from_names(tmp_path):
     assert captions["b"] == ["a person stands"]
 
 
+def test_a_name_without_words_is_no_caption(tmp_path):
+    source = write_clips(tmp_path / "source", ["001_01", "a person waves"])
+    report = import_bvh_folder(source, tmp_path / "data", caption_from_name=True)
+    assert report.num_clips == 2  # with the mirrored twin
+    assert "no caption; its name has no words; add it to captions.csv" in report.left_out["001_01"]
+
+
 def test_broken_clips_are_named_and_the_rest_is_kept(tmp_path):
     source = write_clips(tmp_path / "source", ["good", "broken"])
     (source / "broken.bvh").write_text("HIERARCHY\n")

@@ -86,7 +86,9 @@ def find_captions(motion: Source, folder: Path, *, table: CaptionTable, from_nam
         captions = [tagged_caption(words, source=str(motion))]
     if not captions:
         problem = next((row.problem for row in rows if row.problem), "")
-        raise UserError(problem or f"{motion}: no caption; add it to captions.csv or use --caption-from-name")
+        add = "add it to captions.csv"
+        advice = f"its name has no words; {add}" if from_name else f"{add} or use --caption-from-name"
+        raise UserError(problem or f"{motion}: no caption; {advice}")
     return tuple(dict.fromkeys(captions))
 
 
