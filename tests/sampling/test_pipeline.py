@@ -17,7 +17,7 @@ from t2m_jax.motion.features import features_from_positions
 from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 from t2m_jax.sampling import Greedy, TextToMotion, TopK, encode_motions, sample_key
-from t2m_jax.sampling.pipeline import MAX_BATCH, MAX_SAMPLES
+from t2m_jax.sampling.prompts import MAX_BATCH, MAX_SAMPLES
 from t2m_jax.text.coverage import PromptWarning
 from t2m_jax.text.encoder import TextEncoder
 from tests.jit import optimized

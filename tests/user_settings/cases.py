@@ -230,6 +230,13 @@ def _() -> Case:
     return Case((arguments[0], state, keys), options | {"sampling": sampling})
 
 
+@case("sampling.codec.row_likelihoods")
+def _() -> Case:
+    variables, text, _ = row_arguments()[0]
+    codes = jnp.ones((2, 3, HIFIGPT.num_quantizers), jnp.int32)
+    return Case((variables, codes, text), {"generator": make_module(HIFIGPT)})
+
+
 @case("sampling.text_encoders.encode_captions")
 def _() -> Case:
     bank, config = code_bank(), TEXT_ENCODER
