@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
+from t2m_jax.motion.editing import HORIZONTAL
 from t2m_jax.motion.features import bone_vectors, positions_from_bones
 from t2m_jax.motion.joining import VELOCITY_SECONDS
 from t2m_jax.motion.rotations import unit_vectors
@@ -22,8 +23,6 @@ LARGEST_DIFFERENCE = 0.25
 MOST_STARTS = 1000
 """Frames that are tried as the start of a loop, evenly spaced if there are more, so that memory is bounded."""
 
-_HORIZONTAL = np.array([1.0, 0.0, 1.0], np.float32)
-
 
 class Loop(NamedTuple):
     """The part of a motion that is played again and again."""
@@ -38,7 +37,7 @@ class Loop(NamedTuple):
 
 def keep_in_place(positions: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, "T J 3"]:
     """Returns a motion whose root stays above the origin. Heights and heading, and so contacts, keep their timing."""
-    return positions - positions[:, :1] * _HORIZONTAL
+    return positions - positions[:, :1] * HORIZONTAL
 
 
 def find_loop(positions: Float[np.ndarray, "T J 3"], *, fps: float) -> Loop:

@@ -1,7 +1,8 @@
 """What a model does with motions that exist: it goes on from them, and replaces or varies a part."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -70,18 +71,12 @@ class MotionEditor(MotionModel):
         parts = split_parts(prompts, rows, limit=sampling.max_codes - context_rows(self))
         known = None if start is None else self.encode(start)
 
-        def sample(keys: Key[jax.Array, " B"], count: int) -> list[Motion]:
-            found = sample_parts(
-                self,
-                parts,
-                part_keys(keys, len(parts)),
-                start=known,
-                sampling=sampling,
-                guidance_scale=guidance_scale,
-            )
-            return [join_parts(self, parts, codes, start=known, seed=seed, raw=raw) for codes in found[:count]]
-
-        return _in_batches(sample, prompts[0], seed=seed, num_samples=num_samples)
+        motions: list[Motion] = []
+        for keys, count in _batches_of_keys(seed, prompts[0], num_samples):
+            options: Any = {"start": known, "sampling": sampling, "guidance_scale": guidance_scale}
+            found = sample_parts(self, parts, part_keys(keys, len(parts)), **options)
+            motions += [join_parts(self, parts, own, start=known, seed=seed, raw=raw) for own in found[:count]]
+        return motions
 
     def redo(
         self,
@@ -121,7 +116,9 @@ class MotionEditor(MotionModel):
         """
         check_seed(seed)
         check_num_samples(num_samples)
-        if not num_samples <= num_candidates <= MAX_BATCH:
+        if not 1 <= num_candidates <= MAX_BATCH:
+            raise UserError(f"num-candidates: {num_candidates} is not a whole number from 1 to {MAX_BATCH}")
+        if num_samples > num_candidates:
             raise UserError(f"num-samples: {num_samples} motions cannot be chosen from {num_candidates} candidates")
         (prompt,) = read_prompts(caption, self.knowledge, self.text_encoder)
         keys = jnp.stack([sample_key(seed, prompt.text, number) for number in range(num_candidates)])
@@ -169,29 +166,18 @@ class MotionEditor(MotionModel):
         codes, sampling = self.encode(motion), self.sampling(strategy)
         limit = sampling.max_codes - context_rows(self)
 
-        def sample(keys: Key[jax.Array, " B"], count: int) -> list[Motion]:
+        motions: list[Motion] = []
+        for keys, count in _batches_of_keys(seed, prompt, num_samples):
             parts = variation_parts(codes, prompt, keys, strength=strength, limit=limit)
-            found = sample_parts(
-                self,
-                parts,
-                part_keys(keys, len(parts)),
-                start=None,
-                sampling=sampling,
-                guidance_scale=guidance_scale,
-            )
-            return [join_parts(self, parts, own, start=None, seed=seed, raw=raw) for own in found[:count]]
-
-        return _in_batches(sample, prompt, seed=seed, num_samples=num_samples)
+            options: Any = {"start": None, "sampling": sampling, "guidance_scale": guidance_scale}
+            found = sample_parts(self, parts, part_keys(keys, len(parts)), **options)
+            motions += [join_parts(self, parts, own, start=None, seed=seed, raw=raw) for own in found[:count]]
+        return motions
 
 
-def _in_batches(
-    sample: Callable[[Key[jax.Array, " B"], int], list[Motion]], prompt: Prompt, *, seed: int, num_samples: int
-) -> list[Motion]:
-    """Returns the motions of all samples; `sample` gets keys of a batch, and how many of its motions are needed."""
-    motions: list[Motion] = []
+def _batches_of_keys(seed: int, prompt: Prompt, num_samples: int) -> Iterator[tuple[Key[jax.Array, " B"], int]]:
+    """Yields the keys of each batch of samples, filled up with the first one, and how many samples it has."""
     for first in range(0, num_samples, MAX_BATCH):
         samples = range(first, min(first + MAX_BATCH, num_samples))
         keys = [sample_key(seed, prompt.text, number) for number in samples]
-        filled = jnp.stack([*keys, *[keys[0]] * (padded_batch_size(len(keys)) - len(keys))])
-        motions += sample(filled, len(samples))
-    return motions
+        yield jnp.stack([*keys, *[keys[0]] * (padded_batch_size(len(keys)) - len(keys))]), len(samples)

@@ -31,7 +31,7 @@ from t2m_jax.sampling.prompts import Prompt
 TAIL_SECONDS = 1.0
 """Motion after a middle whose likelihood says how well the middle leads to it."""
 AROUND_SECONDS = 2.0
-"""Motion on each side that is decoded with a middle; codes that are further away do not change it."""
+"""Motion on each side that is decoded with a middle, so that decoding does not take longer for a longer motion."""
 _KEPT_STREAM = 2**30 + 1
 """In place of a sample's number, in keys for the rows that a variation keeps."""
 
