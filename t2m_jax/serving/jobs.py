@@ -1,6 +1,7 @@
 """The queue of requests, and the process that works on it."""
 
 import asyncio
+import contextlib
 import dataclasses
 import itertools
 import json
@@ -18,8 +19,8 @@ from t2m_jax.serving.measures import Measures
 from t2m_jax.serving.messages import NO_JOB, Batch, Task
 from t2m_jax.serving.requests import MotionRequest
 
-BATCH_SIZE = 32
-"""Motions that are generated together."""
+BATCH_SIZE = 16
+"""Motions that are generated together. Two batches are worked on at a time."""
 MAX_WAITING = 64
 """Requests that wait; further ones are refused."""
 BATCH_SECONDS = 120.0
@@ -71,6 +72,14 @@ class Job:
         return (request.variety, request.guidance_scale) if request.is_plain else (self.number,)
 
 
+class _Running(NamedTuple):
+    """A batch that the process works on."""
+
+    num_motions: int
+    started: float
+    timer: asyncio.TimerHandle
+
+
 def _work(*args: Any) -> None:
     """Runs in the process that generates. Only it imports JAX."""
     from t2m_jax.serving.worker import work
@@ -93,10 +102,9 @@ class Jobs:
         self._process: SpawnProcess | None = None
         self.is_alive = False
         """Whether the process can generate."""
-        self._idle = False
+        self._batches: dict[int, _Running] = {}
+        self._free_slots = 0
         self._seconds_per_motion = 0.1
-        self._timer: asyncio.TimerHandle | None = None
-        self._started = 0.0
 
     async def start(self) -> None:
         """Starts the process, and waits until it is ready.
@@ -170,30 +178,30 @@ class Jobs:
                 del self.running[number]
 
     def _on_state(self, name: str, data: Any) -> None:
-        """Notes that the process is ready, idle, or cannot load the model."""
-        if name == "refused":
-            if not self._ready.done():
-                self._ready.set_exception(UserError(data))
-            return
-        if name == "ready":
-            self.model, self.is_alive = data, True
+        """Notes that the process is ready, has finished a batch, or cannot load the model."""
+        if name == "refused" and not self._ready.done():
+            self._ready.set_exception(UserError(data))
+        elif name == "ready":
+            self.is_alive, self.model, self._free_slots = True, data["model"], data["slots"]
             if not self._ready.done():
                 self._ready.set_result(None)
-        if name == "idle" and self._timer is not None:
-            self._timer.cancel()
-            seconds = self._loop.time() - self._started
+        elif name == "finished":
+            batch = self._batches.pop(data)
+            batch.timer.cancel()
+            seconds = self._loop.time() - batch.started
             self.measures.batch_seconds.observe(seconds)
-            self._seconds_per_motion = 0.8 * self._seconds_per_motion + 0.2 * seconds / self._motions
-        self._idle = True
+            self._seconds_per_motion = 0.8 * self._seconds_per_motion + 0.2 * seconds / batch.num_motions
+            self._free_slots += 1
         self._dispatch_soon()
 
     def _on_death(self) -> None:
         """Replaces the process. Its requests come first, unless they had their chances."""
+        self.is_alive, self._free_slots = False, 0
+        for batch in self._batches.values():
+            batch.timer.cancel()
+        self._batches.clear()
         if self._process is None:  # `stop` ended it
             return
-        self.is_alive = self._idle = False
-        if self._timer is not None:
-            self._timer.cancel()
         if not self._ready.done():
             self._ready.set_exception(UserError(f"{self.model_name}: the process that loads it has died"))
             return
@@ -206,39 +214,37 @@ class Jobs:
         self.running.clear()
         self._loop.call_later(RESTART_SECONDS, self._start_process)
 
-    def _on_timeout(self) -> None:
-        for job in self.running.values():
-            job.tell("failed", {"error": f"it took longer than {BATCH_SECONDS:g} s; ask for less", "seed": job.seed})
-        self.running.clear()
+    def _on_timeout(self, jobs: list[Job]) -> None:
+        for job in jobs:
+            if self.running.pop(job.number, None) is not None:
+                error = f"it took longer than {BATCH_SECONDS:g} s; ask for less"
+                job.tell("failed", {"error": error, "seed": job.seed})
         if self._process is not None:
             self._process.kill()
 
     def _dispatch_soon(self) -> None:
         """Gives the process a batch: at once if it is full, or a little later."""
-        if not self._idle or not self.waiting:
-            return
         if sum(job.request.num_samples for job in self.waiting) >= self.batch_size:
             self._dispatch()
-        else:
+        elif self.waiting and self._free_slots:
             self._loop.call_later(GATHER_SECONDS, self._dispatch)
 
     def _dispatch(self) -> None:
-        if not self._idle or not self.waiting:
+        if not self._free_slots or not self.waiting:
             return
-        self._idle = False
         chosen = self._next_jobs()
         for job in chosen:
             job.tries += 1
-        self.running = {job.number: job for job in chosen}
-        self._motions = sum(job.request.num_samples for job in chosen)
-        self._started = self._loop.time()
-        self._timer = self._loop.call_later(BATCH_SECONDS, self._on_timeout)
+            self.running[job.number] = job
+        number, motions = next(self._numbers), sum(job.request.num_samples for job in chosen)
+        timer = self._loop.call_later(BATCH_SECONDS, self._on_timeout, chosen)
+        self._batches[number] = _Running(motions, self._loop.time(), timer)
+        self._free_slots -= 1
         tasks = tuple(Task(job.number, job.request, job.seed) for job in chosen)
-        try:
-            self._connection.send(Batch(tasks, live=not self.waiting))
-        except OSError:  # it has just died; `_on_death` follows
-            return
+        with contextlib.suppress(OSError):  # it has just died; `_on_death` follows
+            self._connection.send(Batch(number, tasks, live=not self.waiting))
         self._tell_positions()
+        self._dispatch_soon()
 
     def _next_jobs(self) -> list[Job]:
         """Removes and returns the first waiting job, and those that can be generated with it."""

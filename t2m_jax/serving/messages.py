@@ -19,6 +19,7 @@ class Task(NamedTuple):
 class Batch(NamedTuple):
     """Requests that are generated together: plain ones with equal options, or a single other one."""
 
+    number: int
     tasks: tuple[Task, ...]
     live: bool
     """Whether frames are sent while codes are sampled. It takes time, so it is only done if nobody waits."""

@@ -1,16 +1,24 @@
 """The process that generates motions: it gets requests, and sends events of them as JSON texts."""
 
+import contextlib
 import json
+import os
 import signal
+import threading
+import traceback
 import warnings
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from multiprocessing.connection import Connection
 from typing import Any
+
+import jax
 
 from t2m_jax.errors import UserError
 from t2m_jax.export import load_motion, scene_record
 from t2m_jax.motion.record import Motion
 from t2m_jax.sampling import TextToMotion
+from t2m_jax.sampling.batches import CONCURRENT_BATCHES
 from t2m_jax.sampling.prompts import read_prompts
 from t2m_jax.sampling.strategies import Strategy, make_strategy
 from t2m_jax.sampling.together import NewRows, Sample, generate_together
@@ -30,15 +38,21 @@ def work(connection: Connection, model_name: str, batch_size: int) -> None:
     """Generates until the connection is closed.
 
     Args:
-        connection: Gets `Batch`es. Sends (job, event, JSON text): `ready` once, and `idle` after each batch.
+        connection: Gets `Batch`es. Sends (job, event, JSON text): `ready` once, and `finished` after each batch.
         model_name: See `t2m_jax.load`.
         batch_size: Motions that are generated together, whatever the number of requests is, so that a motion does not
             depend on it.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which closes the connection
 
+    # Here, because filters of warnings belong to the process, not to a thread. Motions have their warnings, too.
+    warnings.simplefilter("ignore", PromptWarning)
+    lock = threading.Lock()
+
     def send(job: int, event: str, data: Any) -> None:
-        connection.send((job, event, json.dumps(data, separators=(",", ":"))))
+        text = json.dumps(data, separators=(",", ":"))
+        with lock:
+            connection.send((job, event, text))
 
     try:
         maker = Maker(TextToMotion.load(model_name), batch_size, send)
@@ -46,14 +60,21 @@ def work(connection: Connection, model_name: str, batch_size: int) -> None:
     except UserError as error:
         send(NO_JOB, "refused", str(error))
         return
-    send(NO_JOB, "ready", describe_model(maker.model, model_name))
-    while True:
+    # On several devices, each batch is divided among all of them. They could wait for each other forever.
+    slots = CONCURRENT_BATCHES if jax.local_device_count() == 1 else 1
+    send(NO_JOB, "ready", {"slots": slots, "model": describe_model(maker.model, model_name)})
+
+    def make(batch: Batch) -> None:
         try:
-            batch = connection.recv()
-        except EOFError:  # the server has ended
-            return
-        maker.make(batch)
-        send(NO_JOB, "idle", None)
+            maker.make(batch)
+            send(NO_JOB, "finished", batch.number)
+        except BaseException:  # noqa: BLE001 - a bug, or too little memory: the server replaces the process, as after a crash
+            traceback.print_exc()
+            os._exit(1)
+
+    with ThreadPoolExecutor(slots) as threads, contextlib.suppress(EOFError):  # the server has ended
+        while True:
+            threads.submit(make, connection.recv())
 
 
 class Maker:
@@ -67,22 +88,20 @@ class Maker:
         """Compiles what most requests need."""
         request = MotionRequest(captions=(EXAMPLE_PROMPT,))
         nothing = Maker(self.model, self.batch_size, lambda *_: None)
-        nothing.make(Batch((Task(NO_JOB, request, 0),), live=True))
+        nothing.make(Batch(NO_JOB, (Task(NO_JOB, request, 0),), live=True))
 
     def make(self, batch: Batch) -> None:
         """Sends the events of each request, the last of which is `done` or `failed`."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", PromptWarning)  # motions have them, too
-            try:
-                for task in batch.tasks:
-                    self.send(task.job, "started", {"seed": task.seed})
-                if batch.tasks[0].request.is_plain:
-                    self._make_plain(batch)
-                else:
-                    self._finish(batch.tasks[0], self._edited(batch.tasks[0]))
-            except UserError as error:
-                for task in batch.tasks:
-                    self.send(task.job, "failed", {"error": str(error), "seed": task.seed})
+        try:
+            for task in batch.tasks:
+                self.send(task.job, "started", {"seed": task.seed})
+            if batch.tasks[0].request.is_plain:
+                self._make_plain(batch)
+            else:
+                self._finish(batch.tasks[0], self._edited(batch.tasks[0]))
+        except UserError as error:
+            for task in batch.tasks:
+                self.send(task.job, "failed", {"error": str(error), "seed": task.seed})
 
     def _make_plain(self, batch: Batch) -> None:
         """Makes one sentence per request, all in one batch of the fixed size."""
