@@ -96,7 +96,7 @@ def generate_together(
         final = np.where(ended, rows, np.maximum(rows - context, 0)) if decode_early else sent[1]
         motions = batch_motions(model, sampled, samples, clean=False) if (final > sent[1]).any() else None
         for number in np.flatnonzero(rows > sent[0]):
-            first, last = sent[1, number], final[number]
+            first, last = int(sent[1, number]), int(final[number])
             piece = None if motions is None or last <= first else part_of_rows(motions[number], first, last)
             on_rows(NewRows(int(number), np.asarray(sampled.codes[number, sent[0, number] : rows[number]]), piece))
         sent = np.stack([rows, final])
