@@ -83,7 +83,7 @@ def generate_together(
         guidance_scale: Strength of the guidance by the text.
         on_rows: Called for each motion when there are new rows. With a stop rule that does not end early, these may be
             more than the motion keeps.
-        decode_early: Whether frames are reported, too. It takes time.
+        decode_early: Whether frames are reported, too, if the stop rule ends early. It takes time.
     """
     context, sent = model.config.tokenizer.decoder_context, np.zeros((2, len(samples)), int)
     for sampled in model.sample_chunks(
@@ -93,7 +93,7 @@ def generate_together(
             continue
         rows, steps = np.asarray(sampled.code_lengths)[: len(samples)], int(sampled.steps)
         ended = (rows < steps) | (steps >= sampling.max_codes)  # then no rows follow on which frames depend
-        final = np.where(ended, rows, np.maximum(rows - context, 0)) if decode_early else sent[1]
+        final = np.where(ended, rows, np.maximum(rows - context, 0)) if early else sent[1]
         motions = batch_motions(model, sampled, samples, clean=False) if (final > sent[1]).any() else None
         for number in np.flatnonzero(rows > sent[0]):
             first, last = int(sent[1, number]), int(final[number])

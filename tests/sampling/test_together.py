@@ -38,14 +38,16 @@ def test_motions_are_those_of_generate(made):
 
 
 def test_reports_are_the_codes_and_frames_in_turn(made):
-    _, _, motions, reports, _ = made
-    assert len(reports) > len(motions)
+    _, _, motions, reports, options = made
     for number, motion in enumerate(motions):
         own = [report for report in reports if report.sample == number]
         codes = np.concatenate([report.codes for report in own])
         np.testing.assert_array_equal(codes[: len(motion.codes)], motion.codes)
-        frames = np.concatenate([report.motion.positions for report in own if report.motion is not None])
-        np.testing.assert_allclose(frames[: motion.num_frames], motion.positions_raw[: len(frames)], atol=1e-4)
+        frames = [report.motion.positions for report in own if report.motion is not None]
+        if options["sampling"].stop_rule.ends_early:
+            np.testing.assert_allclose(np.concatenate(frames), motion.positions_raw, atol=1e-4)
+        else:  # frames depend on the rows after them, and which of these are kept is only known at the end
+            assert frames == []
 
 
 def test_a_motion_does_not_depend_on_its_batch(made):

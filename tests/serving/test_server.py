@@ -52,8 +52,6 @@ def test_the_events_tell_the_codes_in_turn(server):
     told = [row for name, data in events if name == "codes" for row in data["codes"]]
     done = events[-1][1]["motions"][0]
     assert told[: len(done["codes"])] == done["codes"]  # with its stop rule, the end is only known at the end
-    frames = sum(len(data["codes"]) > 0 and data["scene"] is not None for name, data in events if name == "codes")
-    assert frames  # nobody else waits, so frames come before the end
 
 
 def test_a_seed_gives_the_same_motion_under_any_load(server):
