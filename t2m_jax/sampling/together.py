@@ -86,9 +86,9 @@ def generate_together(
         decode_early: Whether frames are reported, too, if the stop rule ends early. It takes time.
     """
     context, sent = model.config.tokenizer.decoder_context, np.zeros((2, len(samples)), int)
-    for sampled in model.sample_chunks(
-        *batch_inputs(model, samples, batch_size), sampling, guidance_scale=guidance_scale
-    ):
+    early = decode_early and sampling.stop_rule.ends_early
+    embedding, keys = batch_inputs(model, samples, batch_size)
+    for sampled in model.sample_chunks(embedding, keys, sampling, guidance_scale=guidance_scale):
         if on_rows is None:
             continue
         rows, steps = np.asarray(sampled.code_lengths)[: len(samples)], int(sampled.steps)
