@@ -11,7 +11,7 @@ BIN := $(VENV)/bin
 PROMPT ?= a person waves with the left hand
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-lowest test-python3.12 test-python3.13 soak lint format docs notebooks clean
+.PHONY: help demo test test-slow test-lowest test-python3.12 test-python3.13 soak lint three format docs notebooks clean
 
 help:
 	@echo "make demo       generate a motion and print where it was saved"
@@ -21,6 +21,7 @@ help:
 	@echo "make test-python3.13  run the tests with this Python, also with 3.12"
 	@echo "make soak       attack the readers of files with a million inputs (SOAK_ARGS=\"--inputs 10000\" for fewer)"
 	@echo "make lint       check style, imports, types and the Dockerfile"
+	@echo "make three      build the part of three.js that the pages use (needs npm)"
 	@echo "make format     format the code"
 	@echo "make docs       write the documentation to site/index.html, and check its links"
 	@echo "make notebooks  run the notebooks and save their outputs"
@@ -77,6 +78,10 @@ lint: $(VENV)/.dev
 	$(BIN)/lint-imports
 	$(BIN)/mypy
 	$(BIN)/hadolint Dockerfile
+
+# Only needed for another version of three.js, the renderer of the pages; the result is part of the package.
+three:
+	cd t2m_jax/export/viewer/vendor && npm ci && npm run build
 
 format: $(VENV)/.dev
 	$(BIN)/ruff check --fix-only .

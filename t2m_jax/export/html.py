@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from t2m_jax.errors import UserError
 from t2m_jax.export.render.figure import TINTS
-from t2m_jax.export.render.scene import Figure, scene_from_motions
+from t2m_jax.export.render.scene import Figure, figure_from_motion
 from t2m_jax.files import save_text
 from t2m_jax.motion.record import Motion
 
-SCRIPTS = ("algebra.js", "figures.js", "camera.js", "shaders.js", "webgl.js", "canvas2d.js", "viewer.js")
-ASSETS = (*SCRIPTS, "viewer.html", "viewer.css")
+VIEWER_SCRIPTS = ("vendor/three.min.js", "figures.js", "camera.js", "body.js", "ground.js", "stage.js")
+"""The renderer, in this order; other pages use it, too."""
 FINEST_STEP = 1e-4
 """Meters. Points are stored in steps of this size, or in larger steps if a figure travels beyond 3 m."""
 
@@ -28,23 +29,30 @@ def save_html(path: Path, motions: Sequence[Motion]) -> None:
 
 def scene_record(motions: Sequence[Motion]) -> dict[str, Any]:
     """Returns what the viewer shows as plain data: figures of the motions, and the seconds of the longest."""
-    scene = scene_from_motions(motions)
-    return {"seconds": scene.seconds, "figures": [_figure_record(figure) for figure in scene.figures]}
+    if not motions:
+        raise UserError("there is no motion to draw; give at least one")
+    figures = [figure_from_motion(motion) for motion in motions]
+    seconds = max(len(figure.points) / figure.fps for figure in figures)
+    return {"seconds": seconds, "figures": [_figure_record(figure) for figure in figures]}
 
 
-def viewer_script() -> str:
-    """Returns the program of the viewer."""
-    return ""
+def viewer_script(*more: str) -> str:
+    """Returns the renderer, which defines `window.T2M`, and more scripts of the viewer as one program."""
+    files = [_asset(name) for name in (*VIEWER_SCRIPTS, *more)]
+    return "(() => {\n" + "\n".join(['"use strict";', *files]) + "\n})();"
+
+
+def _asset(name: str) -> str:
+    folder = importlib.resources.files("t2m_jax.export") / "viewer"
+    return (folder / name).read_text(encoding="utf-8").rstrip("\n")
 
 
 def viewer_html(motions: Sequence[Motion], *, embed: bool = True) -> str:
     """Returns the viewer as an HTML page or, with `embed`, as an iframe that contains the page, for notebooks."""
     # In a script element only `<` can do harm. ASCII avoids problems with U+2028 and lone surrogates.
     data = json.dumps(scene_record(motions), ensure_ascii=True, separators=(",", ":")).replace("<", "\\u003c")
-    assets = importlib.resources.files("t2m_jax.export") / "viewer"
-    files = {name: (assets / name).read_text(encoding="utf-8").rstrip("\n") for name in ASSETS}
-    script = "(() => {\n" + "\n".join(['"use strict";', *(files[name] for name in SCRIPTS)]) + "\n})();"
-    page = files["viewer.html"].replace("/*{{style}}*/", files["viewer.css"]).replace("/*{{script}}*/", script)
+    style, script = f"{_asset('viewer.css')}\n{_asset('stage.css')}", viewer_script("viewer.js")
+    page = _asset("viewer.html").replace("/*{{style}}*/", style).replace("/*{{script}}*/", script)
     page = page.replace("/*{{data}}*/", data) + "\n"  # last, because captions could contain the other marks
     if not embed:
         return page
@@ -70,7 +78,7 @@ def _figure_record(figure: Figure) -> dict[str, Any]:
         "fps": figure.fps,
         "frames": num_frames,
         "points": num_points,
-        "head": figure.head,
+        "contacts": [[one.first, one.last, round(one.x, 3), round(one.z, 3)] for one in figure.contacts],
         "step": step,
         "origin": [float(value) for value in origin],
         "parts": parts,

@@ -95,7 +95,7 @@ def generate_together(
         ended = (rows < steps) | (steps >= sampling.max_codes)  # then no rows follow on which frames depend
         final = np.where(ended, rows, np.maximum(rows - context, 0)) if early else sent[1]
         motions = batch_motions(model, sampled, samples, clean=False) if (final > sent[1]).any() else None
-        for number in np.flatnonzero(rows > sent[0]):
+        for number in np.flatnonzero((rows > sent[0]) | (final > sent[1])):
             first, last = int(sent[1, number]), int(final[number])
             piece = None if motions is None or last <= first else part_of_rows(motions[number], first, last)
             on_rows(NewRows(int(number), np.asarray(sampled.codes[number, sent[0, number] : rows[number]]), piece))

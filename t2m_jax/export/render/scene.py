@@ -20,8 +20,22 @@ FLOOR_TOLERANCE = 0.1
 HUMAN_SCALES = (0.7, 1.4)
 """Figures outside this range, relative to the reference figure, are scaled to its size (KIT-ML's is 1 m tall)."""
 
+CONTACT_HEIGHT, CONTACT_SPEED, CONTACT_SECONDS = 0.09, 0.35, 0.1
+"""A foot stands if its toes are below this height in meters, and slower than this in m/s, for this time."""
+
 LANE_WIDTHS = (1.3, 3.0)
 """Smallest and largest width of one figure's lane along X, in meters."""
+
+
+class Contact(NamedTuple):
+    """A foot that stands."""
+
+    first: int
+    """Frame."""
+    last: int
+    x: float
+    """Place on the ground in meters."""
+    z: float
 
 
 class Figure(NamedTuple):
@@ -32,6 +46,7 @@ class Figure(NamedTuple):
     head: int
     fps: float
     caption: str
+    contacts: tuple[Contact, ...]
 
 
 class Scene(NamedTuple):
@@ -86,4 +101,15 @@ def figure_from_motion(motion: Motion) -> Figure:
     parts = tuple(
         part._replace(start_radius=part.start_radius * scale, end_radius=part.end_radius * scale) for part in body.parts
     )
-    return Figure(points, parts, body.head, float(motion.fps), motion.caption)
+    feet = [foot[-1] for foot in (motion.skeleton.left_foot, motion.skeleton.right_foot)]
+    contacts = [contact for foot in feet for contact in _contacts(points[:, foot], float(motion.fps), scale)]
+    return Figure(points, parts, body.head, float(motion.fps), motion.caption, tuple(contacts))
+
+
+def _contacts(foot: Float[np.ndarray, "T 3"], fps: float, scale: float) -> list[Contact]:
+    """Returns when and where the toes of a foot are low and still."""
+    speed = np.linalg.norm(np.gradient(foot, axis=0), axis=1) * fps if len(foot) > 1 else np.zeros(len(foot))
+    stands = (foot[:, 1] < CONTACT_HEIGHT * scale) & (speed < CONTACT_SPEED * scale)
+    edges = np.flatnonzero(np.diff(np.pad(stands.astype(int), 1)))
+    spans = [(int(first), int(end)) for first, end in edges.reshape(-1, 2) if end - first >= CONTACT_SECONDS * fps]
+    return [Contact(first, end - 1, *map(float, foot[first:end, [0, 2]].mean(axis=0))) for first, end in spans]

@@ -1,67 +1,18 @@
-// An orbiting camera and the gestures that move it.
+// The camera that all cells share: its direction and zoom, and what each cell looks at; and the gestures that move it.
 
-const FIELD_OF_VIEW = 0.6;
+const FIELD_OF_VIEW = 34;  // degrees
 
-class Camera {
-  constructor(figures, seconds) {
-    this.rate = 20;
-    this.path = followPath(figures, seconds, this.rate);
-    this.figures = figures;
-    this.box = bounds(figures);
+class View {
+  constructor() {
     this.follow = true;
-    // Largest distance of the roots from the followed path along x, y and z, and half of the visible height.
-    this.strays = [0, 0, 0];
-    this.path.forEach((spot, i) => {
-      for (const figure of figures) {
-        const away = subtract(rootAt(figure, Math.round((i / this.rate) * figure.fps)), spot);
-        this.strays = this.strays.map((stray, axis) => Math.max(stray, Math.abs(away[axis])));
-      }
-    });
-    this.standing = Math.max(0.5 * this.box.high[1] + 0.33, 1.0);
     this.reset();
   }
 
   reset() {
-    this.yaw = this.figures.length > 1 ? 0.25 : 0.55;
-    this.pitch = 0.24;
+    this.yaw = 0.55;
+    this.pitch = 0.2;
     this.zoom = 1;
-    this.offset = [0, 0, 0];
-  }
-
-  // The point on the path at a time, interpolated between samples.
-  onPath(seconds) {
-    const moment = clamp(seconds * this.rate, 0, this.path.length - 1);
-    const before = Math.floor(moment);
-    const after = Math.min(before + 1, this.path.length - 1);
-    return add(scale(this.path[before], 1 - (moment - before)), scale(this.path[after], moment - before));
-  }
-
-  // Horizontal and vertical radius of what must be visible.
-  extent() {
-    if (!this.follow) {
-      const size = subtract(this.box.high, this.box.low);
-      return { across: Math.max(Math.hypot(size[0], size[2]) / 2, 0.7), up: Math.max(size[1] / 2 + 0.35, 0.95) };
-    }
-    return { across: Math.hypot(this.strays[0], 0.5 * this.strays[2]) + 0.8, up: this.standing + 0.12 * this.strays[2] };
-  }
-
-  update(seconds, aspect) {
-    const middle = scale(add(this.box.low, this.box.high), 0.5);
-    const target = this.follow ? this.onPath(seconds) : middle;
-    const height = 0.5 * Math.max(this.box.high[1], 1.2) - 0.02;
-    this.target = add([target[0], height, target[2]], this.offset);
-    const { across, up } = this.extent();
-    const half = Math.tan(FIELD_OF_VIEW / 2);
-    this.distance = (Math.max(up / half, across / (half * aspect)) + 0.4) / this.zoom;
-    const flat = Math.cos(this.pitch) * this.distance;
-    this.eye = add(this.target, [
-      Math.sin(this.yaw) * flat, Math.sin(this.pitch) * this.distance, Math.cos(this.yaw) * flat,
-    ]);
-    this.eye[1] = Math.max(this.eye[1], 0.05);
-    const view = lookAt(this.eye, this.target, [0, 1, 0]);
-    this.matrix = multiply(perspective(FIELD_OF_VIEW, aspect, 0.05 * this.distance, this.distance + 80), view);
-    this.right = [view[0], view[4], view[8]];
-    this.up = [view[1], view[5], view[9]];
+    this.offset = new THREE.Vector3();
   }
 
   orbit(dx, dy) {
@@ -70,8 +21,10 @@ class Camera {
   }
 
   pan(dx, dy, height) {
-    const metres = (2 * Math.tan(FIELD_OF_VIEW / 2) * this.distance) / height;
-    this.offset = add(this.offset, add(scale(this.right, -dx * metres), scale(this.up, dy * metres)));
+    const meters = (2 * Math.tan((FIELD_OF_VIEW * Math.PI) / 360) * (this.distance || 4)) / height;
+    this.offset.x -= meters * dx * Math.cos(this.yaw) + meters * dy * Math.sin(this.yaw) * Math.sin(this.pitch);
+    this.offset.z += meters * dx * Math.sin(this.yaw) - meters * dy * Math.cos(this.yaw) * Math.sin(this.pitch);
+    this.offset.y += meters * dy * Math.cos(this.pitch);
   }
 
   zoomBy(factor) {
@@ -79,50 +32,99 @@ class Camera {
   }
 }
 
+// What the camera of one figure needs: the smoothed path of the root, how far the root strays from it, and the bounds.
+class Framing {
+  constructor(figure) {
+    const path = rootPath(figure);
+    const reach = Math.max(1, Math.round(0.5 * figure.fps));
+    this.fps = figure.fps;
+    this.path = smoothPath(smoothPath(path, reach), reach);
+    this.strays = path.reduce((most, place, i) => Math.max(most, Math.hypot(place[0] - this.path[i][0], place[2] - this.path[i][2])), 0);
+    this.box = boundsOf(figure);
+    this.camera = new THREE.PerspectiveCamera(FIELD_OF_VIEW, 1, 0.1, 200);
+  }
+
+  // The point on the path at a time, interpolated between frames.
+  onPath(seconds) {
+    const moment = clamp(seconds * this.fps, 0, this.path.length - 1);
+    const before = Math.floor(moment);
+    const after = this.path[Math.min(before + 1, this.path.length - 1)];
+    return this.path[before].map((value, axis) => value + (moment - before) * (after[axis] - value));
+  }
+
+  // Puts the camera where the view says, so that what matters is visible at this ratio of width to height.
+  update(view, seconds, aspect) {
+    const { low, high } = this.box;
+    const middle = view.follow ? this.onPath(seconds) : low.map((value, axis) => (value + high[axis]) / 2);
+    const top = Math.max(high[1], 1.2);
+    const across = view.follow ? this.strays + 0.75 : Math.max(Math.hypot(high[0] - low[0], high[2] - low[2]) / 2 + 0.4, 0.75);
+    const up = 0.5 * top + 0.2 + (view.follow ? 0.3 * this.strays : 0.12 * across);
+    const half = Math.tan((FIELD_OF_VIEW * Math.PI) / 360);
+    const distance = (Math.max(up / half, across / (half * aspect)) + 0.4) / view.zoom;
+    view.distance = distance;
+    const target = new THREE.Vector3(middle[0], 0.5 * top - 0.04, middle[2]).add(view.offset);
+    const flat = Math.cos(view.pitch) * distance;
+    const { camera } = this;
+    camera.position.set(Math.sin(view.yaw) * flat, Math.sin(view.pitch) * distance, Math.cos(view.yaw) * flat).add(target);
+    camera.position.y = Math.max(camera.position.y, 0.05);
+    camera.lookAt(target);
+    camera.aspect = aspect;
+    camera.near = 0.05 * distance;
+    camera.far = distance + 80;
+    camera.updateProjectionMatrix();
+  }
+}
+
 // Mouse: drag orbits, shift or another button pans, the wheel zooms. Touch: one finger orbits, two pan and pinch.
-function listenForGestures(canvas, camera, changed) {
+// `onTap` gets the element that was pressed without a movement.
+function listenForGestures(element, view, { changed, onTap }) {
   const pointers = new Map();
+  let moved = 0;
   const spread = () => {
     const [a, b] = [...pointers.values()];
     return { x: (a.x + b.x) / 2, y: (a.y + b.y) / 2, size: Math.max(Math.hypot(a.x - b.x, a.y - b.y), 1) };
   };
-  canvas.addEventListener("pointerdown", (event) => {
-    canvas.focus({ preventScroll: true });
-    canvas.setPointerCapture(event.pointerId);
-    pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+  element.addEventListener("pointerdown", (event) => {
+    if (!pointers.size) moved = 0;
+    element.setPointerCapture(event.pointerId);
+    pointers.set(event.pointerId, { x: event.clientX, y: event.clientY, target: event.target });
   });
-  canvas.addEventListener("pointermove", (event) => {
+  element.addEventListener("pointermove", (event) => {
     const pointer = pointers.get(event.pointerId);
     if (!pointer || pointers.size > 2) return;
     const two = pointers.size === 2 ? spread() : null;
     const [dx, dy] = [event.clientX - pointer.x, event.clientY - pointer.y];
-    pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    moved += Math.abs(dx) + Math.abs(dy);
+    pointers.set(event.pointerId, { ...pointer, x: event.clientX, y: event.clientY });
     if (two) {
       const now = spread();
-      camera.zoomBy(now.size / two.size);
-      camera.pan(now.x - two.x, now.y - two.y, canvas.clientHeight);
+      view.zoomBy(now.size / two.size);
+      view.pan(now.x - two.x, now.y - two.y, element.clientHeight);
     } else if (event.shiftKey || event.buttons > 1) {
-      camera.pan(dx, dy, canvas.clientHeight);
+      view.pan(dx, dy, element.clientHeight);
     } else {
-      camera.orbit(dx, dy);
+      view.orbit(dx, dy);
     }
     changed();
   });
+  element.addEventListener("pointerup", (event) => {
+    if (moved < 6 && pointers.has(event.pointerId)) onTap(pointers.get(event.pointerId).target);
+  });
   for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) {
-    canvas.addEventListener(name, (event) => pointers.delete(event.pointerId));
+    element.addEventListener(name, (event) => pointers.delete(event.pointerId));
   }
-  canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-  canvas.addEventListener("dblclick", () => {
-    camera.reset();
+  element.addEventListener("contextmenu", (event) => event.preventDefault());
+  element.addEventListener("dblclick", () => {
+    view.reset();
     changed();
   });
-  const wheel = (event) => {
-    // In an iframe, the wheel scrolls the outer page until the figure is clicked.
-    if (window.self !== window.top && document.activeElement !== canvas) return;
+  element.addEventListener("wheel", (event) => {
+    // In an iframe, the wheel scrolls the outer page until the figure is clicked; a grid that is too high scrolls, too.
+    const scrolls = element.scrollHeight > element.clientHeight + 1;
+    if (!event.ctrlKey && (scrolls || (window.self !== window.top && !document.hasFocus()))) return;
     event.preventDefault();
     const pixels = event.deltaMode === 1 ? 16 * event.deltaY : event.deltaY;
-    camera.zoomBy(Math.exp(clamp(-pixels, -240, 240) * (event.ctrlKey ? 0.008 : 0.0015)));
+    view.zoomBy(Math.exp(clamp(-pixels, -240, 240) * (event.ctrlKey ? 0.008 : 0.0015)));
     changed();
-  };
-  canvas.addEventListener("wheel", wheel, { passive: false });
+  }, { passive: false });
 }

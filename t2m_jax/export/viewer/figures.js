@@ -1,5 +1,8 @@
 // The recorded figures: unpacking, and the positions of their points at any time.
 
+const clamp = (x, low, high) => Math.min(Math.max(x, low), high);
+
+// Returns a figure with its points as numbers: x, y and z of each point of each frame.
 function unpackFigure(record) {
   const bytes = Uint8Array.from(atob(record.data), (character) => character.charCodeAt(0));
   const view = new DataView(bytes.buffer);
@@ -7,7 +10,16 @@ function unpackFigure(record) {
   for (let i = 0; i < values.length; i++) {
     values[i] = view.getInt16(2 * i, true) * record.step + record.origin[i % 3];
   }
-  return { ...record, values, current: new Float32Array(3 * record.points) };
+  return { ...record, data: null, values, current: new Float32Array(3 * record.points) };
+}
+
+// Returns a figure with the frames of another after its own.
+function joinFigures(figure, next) {
+  const values = new Float32Array(figure.values.length + next.values.length);
+  values.set(figure.values);
+  values.set(next.values, figure.values.length);
+  const shifted = next.contacts.map(([first, last, ...place]) => [first + figure.frames, last + figure.frames, ...place]);
+  return { ...figure, values, frames: figure.frames + next.frames, contacts: [...figure.contacts, ...shifted] };
 }
 
 // Cubic interpolation between the neighboring frames, exact on whole frames. Writes to figure.current.
@@ -29,44 +41,32 @@ function poseAt(figure, seconds) {
   }
 }
 
-const rootAt = (figure, frame) => {
+function rootAt(figure, frame) {
   const i = clamp(frame, 0, figure.frames - 1) * 3 * figure.points;
   return [figure.values[i], figure.values[i + 1], figure.values[i + 2]];
-};
-
-// The trail on the ground is smoothed, without the sway of single steps.
-function trailAt(figure, frame) {
-  let sum = [0, 0, 0];
-  for (let k = -4; k <= 4; k++) sum = add(sum, rootAt(figure, clamp(frame, 0, figure.frames - 1) + k));
-  return scale(sum, 1 / 9);
 }
 
-// The target of a following camera: the mean of all roots, smoothed over about a second, `rate` samples per second.
-function followPath(figures, seconds, rate) {
-  const count = Math.max(Math.ceil(seconds * rate) + 1, 1);
-  const reach = Math.round(0.6 * rate);
-  const middle = [];
-  for (let i = 0; i < count; i++) {
-    const roots = figures.map((figure) => rootAt(figure, Math.round((i / rate) * figure.fps)));
-    middle.push(scale(roots.reduce(add), 1 / roots.length));
-  }
-  const smooth = (path) =>
-    path.map((_, i) => {
-      let sum = [0, 0, 0];
-      for (let k = -reach; k <= reach; k++) sum = add(sum, path[clamp(i + k, 0, count - 1)]);
-      return scale(sum, 1 / (2 * reach + 1));
-    });
-  return smooth(smooth(middle));
+// Returns the mean of a list of points within `reach` places of each, which takes the sway of single steps away.
+function smoothPath(path, reach) {
+  return path.map((_, i) => {
+    const sum = [0, 0, 0];
+    for (let k = -reach; k <= reach; k++) {
+      path[clamp(i + k, 0, path.length - 1)].forEach((value, axis) => { sum[axis] += value; });
+    }
+    return sum.map((value) => value / (2 * reach + 1));
+  });
 }
 
-function bounds(figures) {
+// Returns where the root is in each frame.
+const rootPath = (figure) => Array.from({ length: figure.frames }, (_, frame) => rootAt(figure, frame));
+
+// Returns the smallest box around all points of all frames.
+function boundsOf(figure) {
   const low = [Infinity, Infinity, Infinity];
   const high = [-Infinity, -Infinity, -Infinity];
-  for (const figure of figures) {
-    for (let i = 0; i < figure.values.length; i++) {
-      low[i % 3] = Math.min(low[i % 3], figure.values[i]);
-      high[i % 3] = Math.max(high[i % 3], figure.values[i]);
-    }
-  }
+  figure.values.forEach((value, i) => {
+    low[i % 3] = Math.min(low[i % 3], value);
+    high[i % 3] = Math.max(high[i % 3], value);
+  });
   return { low, high };
 }

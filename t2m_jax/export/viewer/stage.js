@@ -1,0 +1,288 @@
+// The stage: figures in the cells of a grid, which play in sync. `window.T2M.Stage` is its public face.
+
+const THEMES = {
+  light: {
+    tints: ["#e9e1d5", "#7fb9d0", "#eda47c", "#27303c"], accents: ["#1f7f9c", "#c0622f", "#5b7f2b", "#7a4fa3"],
+    page: "#f1f4f7", lines: "#ccd4dd", shadow: 0.3, sky: "#ffffff", floor: "#c9c2b8", ambient: 1.5, sun: 1.9,
+  },
+  dark: {
+    tints: ["#e2dacd", "#6fb0c8", "#e2905f", "#11161d"], accents: ["#6cc3df", "#f0a070", "#a6d267", "#c39be8"],
+    page: "#171d25", lines: "#36414e", shadow: 0.5, sky: "#aebfd2", floor: "#2a2d31", ambient: 1.1, sun: 1.7,
+  },
+};
+const MAX_PIXEL_RATIO = 2;
+const SMALLEST_CELL = 150;  // pixels; a grid with smaller cells scrolls
+const PORTRAIT = 0.8;       // ratio of width to height at which a standing figure fills a cell
+const CAPTION_HEIGHT = 44;  // pixels
+
+const darkness = window.matchMedia("(prefers-color-scheme: dark)");
+const themeNow = () => {
+  const chosen = document.documentElement.dataset.theme;
+  return THEMES[chosen === "dark" || (chosen !== "light" && darkness.matches) ? "dark" : "light"];
+};
+
+// Returns an element of a class inside another.
+function addElement(parent, tag, className) {
+  const element = document.createElement(tag);
+  element.className = className;
+  parent.append(element);
+  return element;
+}
+
+// Returns how many columns make the pictures of a grid largest.
+function columnsFor(count, width, height) {
+  const size = (columns) => {
+    const rows = Math.ceil(count / columns);
+    return Math.min(width / columns / PORTRAIT, Math.max(height / rows, SMALLEST_CELL + CAPTION_HEIGHT) - CAPTION_HEIGHT);
+  };
+  let best = 1;
+  for (let columns = 2; columns <= count; columns++) if (size(columns) > size(best) + 1) best = columns;
+  return best;
+}
+
+// One figure with its ground, light and camera, in an element of the page.
+class Cell {
+  constructor(parent, figure, number) {
+    this.element = addElement(parent, "div", "stage-cell");
+    this.element.dataset.number = number;
+    this.picture = addElement(this.element, "div", "stage-picture");
+    const caption = addElement(this.element, "p", "stage-caption");
+    caption.dir = "auto";
+    caption.textContent = caption.title = figure.caption;
+    caption.hidden = !figure.caption.trim();
+    this.number = number;
+    this.build(figure);
+  }
+
+  build(figure) {
+    this.figure = figure;
+    this.scene = new THREE.Scene();
+    this.body = new Body(figure);
+    this.ground = new Ground(figure);
+    this.framing = new Framing(figure);
+    this.sky = new THREE.HemisphereLight();
+    this.sun = new THREE.DirectionalLight();
+    this.sun.castShadow = true;
+    this.sun.shadow.mapSize.set(1024, 1024);
+    this.sun.shadow.radius = 5;
+    this.sun.shadow.bias = -0.002;
+    this.sun.shadow.normalBias = 0.02;
+    Object.assign(this.sun.shadow.camera, { left: -1.8, right: 1.8, top: 2.2, bottom: -1.8, near: 1, far: 12 });
+    this.scene.add(this.sky, this.sun, this.sun.target, this.body.mesh, ...this.ground.layers);
+    this.theme = null;
+  }
+
+  paint(theme) {
+    if (this.theme === theme) return;
+    this.theme = theme;
+    this.body.paint(theme.tints);
+    this.ground.paint(theme, theme.accents[this.number % theme.accents.length]);
+    this.sky.color.set(theme.sky);
+    this.sky.groundColor.set(theme.floor);
+    this.sky.intensity = theme.ambient;
+    this.sun.intensity = theme.sun;
+  }
+
+  pose(seconds, view, aspect) {
+    this.body.pose(seconds);
+    this.ground.pose(seconds);
+    this.framing.update(view, seconds, aspect);
+    const [x, , z] = this.figure.current;
+    this.sun.position.set(x + 1.6, 5, z + 2.4);
+    this.sun.target.position.set(x, 0.6, z);
+  }
+
+  dispose() {
+    this.body.dispose();
+    this.ground.dispose();
+    this.sun.dispose();
+  }
+}
+
+class Stage {
+  constructor(container) {
+    this.container = container;
+    container.classList.add("stage-box");
+    this.canvas = addElement(container, "canvas", "stage-canvas");
+    this.canvas.setAttribute("role", "img");
+    this.grid = addElement(container, "div", "stage-grid");
+    Object.assign(this, { cells: [], seconds: 0, onchange: () => {}, onselect: () => {} });
+    Object.assign(this, { moment: 0, rate: 1, running: false, span: null, dirty: true, last: null, ended: false });
+    this.view = new View();
+    this.cleanups = [];
+    try {
+      this.renderer = new THREE.WebGLRenderer({ canvas: this.canvas, antialias: true, alpha: true });
+    } catch {
+      const message = addElement(container, "p", "stage-message");
+      message.setAttribute("role", "alert");
+      message.textContent = "This browser does not offer WebGL 2, so the figure cannot be drawn.";
+      this.canvas.hidden = true;
+      return;
+    }
+    this.renderer.shadowMap.enabled = true;
+    this.renderer.setScissorTest(true);
+    this.listen();
+    this.tick = this.tick.bind(this);
+    requestAnimationFrame(this.tick);
+  }
+
+  // Replaces all figures. Direction and zoom of the camera stay.
+  show(scene) {
+    this.clear();
+    this.seconds = scene.seconds;
+    if (this.renderer) this.cells = scene.figures.map((record, k) => new Cell(this.grid, unpackFigure(record), k));
+    this.grid.classList.toggle("alone", this.cells.length === 1);
+    const captions = scene.figures.map((record) => record.caption).filter(Boolean);
+    this.canvas.setAttribute("aria-label", `Animated figure: ${captions.join("; ") || "no caption"}`);
+    this.time = this.moment;
+    this.resize();
+  }
+
+  // Adds frames to a figure that is still generated.
+  extend(k, record) {
+    const cell = this.cells[k];
+    if (!cell) return;
+    const figure = joinFigures(cell.figure, unpackFigure(record));
+    cell.dispose();
+    cell.build(figure);
+    this.seconds = Math.max(this.seconds, figure.frames / figure.fps);
+    this.changed();
+  }
+
+  get time() { return this.moment; }
+  set time(value) {
+    this.moment = clamp(Number(value) || 0, 0, Math.max(this.seconds - 1 / this.fps, 0));
+    this.changed();
+  }
+
+  // Frames per second of the longest figure.
+  get fps() {
+    const figures = this.cells.map((cell) => cell.figure);
+    return figures.reduce((a, b) => (b.frames / b.fps > a.frames / a.fps ? b : a), { frames: 0, fps: 20 }).fps;
+  }
+
+  get playing() { return this.running; }
+  set playing(value) {
+    this.running = Boolean(value) && this.seconds > 1 / this.fps;
+    this.last = null;
+    this.changed();
+  }
+
+  get speed() { return this.rate; }
+  set speed(value) {
+    this.rate = clamp(Number(value) || 1, 0.05, 10);
+    this.changed();
+  }
+
+  get follow() { return this.view.follow; }
+  set follow(value) {
+    this.view.follow = Boolean(value);
+    this.changed();
+  }
+
+  // The part in seconds that is played, [begin, end], or null for all.
+  get range() { return this.span; }
+  set range(value) {
+    this.span = value;
+    this.changed();
+  }
+
+  resetView() {
+    this.view.reset();
+    this.changed();
+  }
+
+  select(chosen) {
+    for (const cell of this.cells) cell.element.classList.toggle("selected", cell.number === chosen);
+  }
+
+  changed() { this.dirty = true; }
+
+  tick(now) {
+    if (this.ended) return;
+    requestAnimationFrame(this.tick);
+    if (this.running) {
+      // A tab that was suspended continues at the same frame.
+      const passed = this.last === null ? 0 : Math.min((now - this.last) / 1000, 0.25);
+      this.last = now;
+      const [begin, end] = this.span || [0, this.seconds];
+      const next = this.moment + passed * this.rate;
+      this.moment = next >= end || next < begin ? begin : next;
+      this.dirty = true;
+    }
+    if (!this.dirty) return;
+    this.dirty = false;
+    this.draw();
+    this.onchange();
+  }
+
+  draw() {
+    const theme = themeNow();
+    const { renderer } = this;
+    const frame = this.canvas.getBoundingClientRect();
+    renderer.setScissor(0, 0, frame.width, frame.height);
+    renderer.setViewport(0, 0, frame.width, frame.height);
+    renderer.setClearColor(theme.page, 1);
+    renderer.clear();
+    for (const cell of this.cells) {
+      const box = cell.picture.getBoundingClientRect();
+      if (box.bottom < frame.top || box.top > frame.bottom || box.width < 2 || box.height < 2) continue;
+      cell.paint(theme);
+      cell.pose(this.moment, this.view, box.width / box.height);
+      const place = [box.left - frame.left, frame.bottom - box.bottom, box.width, box.height];
+      renderer.setViewport(...place);
+      renderer.setScissor(...place);
+      renderer.render(cell.scene, cell.framing.camera);
+    }
+  }
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.container;
+    if (!this.renderer || !width || !height) return;
+    const columns = columnsFor(this.cells.length, width, height);
+    this.grid.style.gridTemplateColumns = `repeat(${columns}, minmax(0, 1fr))`;
+    this.canvas.style.height = `${height}px`;
+    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, this.cells.length > 6 ? 1 : MAX_PIXEL_RATIO));
+    this.renderer.setSize(width, height, false);
+    this.changed();
+  }
+
+  listen() {
+    const on = (target, name, action) => {
+      target.addEventListener(name, action);
+      this.cleanups.push(() => target.removeEventListener(name, action));
+    };
+    const changed = () => this.changed();
+    listenForGestures(this.container, this.view, {
+      changed,
+      onTap: (target) => {
+        const cell = target.closest(".stage-cell");
+        if (cell) this.onselect(Number(cell.dataset.number));
+      },
+    });
+    const sizes = new ResizeObserver(() => this.resize());
+    sizes.observe(this.container);
+    const themes = new MutationObserver(changed);
+    themes.observe(document.documentElement, { attributes: true, attributeFilter: ["data-theme"] });
+    this.cleanups.push(() => sizes.disconnect(), () => themes.disconnect());
+    on(darkness, "change", changed);
+    on(this.container, "scroll", changed);
+    on(this.canvas, "webglcontextrestored", changed);
+  }
+
+  clear() {
+    for (const cell of this.cells) cell.dispose();
+    this.cells = [];
+    this.grid.replaceChildren();
+  }
+
+  dispose() {
+    this.ended = true;
+    this.clear();
+    for (const cleanup of this.cleanups) cleanup();
+    if (this.renderer) this.renderer.dispose();
+    this.container.replaceChildren();
+  }
+}
+
+window.T2M = { Stage };
