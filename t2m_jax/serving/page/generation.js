@@ -1,0 +1,112 @@
+// One request at a time: its place in the queue, its progress with live frames, and its result.
+
+import { clearMessage, find, seconds, showMessage } from "./dom.js";
+import { requestMotions, ServerError } from "./server.js";
+import { makeTake } from "./session.js";
+
+export class Generation {
+  #abort = null;
+
+  constructor({ session, stage, model, onDone }) {
+    Object.assign(this, { session, stage, model, onDone });
+    find("cancel").addEventListener("click", () => this.cancel());
+  }
+
+  get isRunning() {
+    return this.#abort !== null;
+  }
+
+  cancel() {
+    this.#abort?.abort();
+  }
+
+  async run(request, kind) {
+    if (this.isRunning) return;
+    this.#begin();
+    try {
+      const take = await this.#receive(request, kind);
+      this.#status(`Ready, with seed ${take.request.seed}.`);
+      this.#end();
+      this.onDone(take);
+    } catch (error) {
+      const cancelled = this.#abort.signal.aborted;
+      this.#end();
+      this.#status(cancelled ? "Cancelled." : "");
+      if (!cancelled) showMessage(error instanceof ServerError ? error.message : `The page has failed: ${error.message}`);
+      this.session.show(this.session.take, this.session.selected);
+    }
+  }
+
+  #begin() {
+    clearMessage();
+    this.#abort = new AbortController();
+    this.live = new Map();
+    this.#showRunning(true);
+    this.#status("Sent.");
+    find("stage-frame").scrollIntoView({ block: "nearest" });
+  }
+
+  #end() {
+    this.#abort = null;
+    this.#showRunning(false);
+  }
+
+  #showRunning(running) {
+    // The button that has the focus must not vanish under it.
+    const focused = document.activeElement;
+    find("generate").hidden = running;
+    find("cancel").hidden = !running;
+    find("stage-progress").hidden = !running;
+    find("stage-frame").classList.toggle("busy", running);
+    if (focused === find("generate")) find("cancel").focus();
+    if (focused === find("cancel")) find("generate").focus();
+  }
+
+  #status(text) {
+    find("status").textContent = text;
+  }
+
+  async #receive(request, kind) {
+    const onWait = (wait) => this.#status(`The server is busy. Trying again in ${wait} s.`);
+    const warnings = [];
+    for await (const { name, data } of requestMotions(request, { signal: this.#abort.signal, onWait })) {
+      if (name === "queued") this.#status(data.position === 0 ? "Next in the queue." : `${data.position} before you in the queue.`);
+      if (name === "started") this.#status("Generating …");
+      if (name === "codes") this.#showRows(data);
+      if (name === "warning") warnings.push(data.message);
+      if (name === "failed") throw new ServerError(data.error);
+      if (name === "done") return this.#takeFrom(data, request, kind, warnings);
+    }
+    throw new ServerError("The connection ended before the motion was ready.");
+  }
+
+  #takeFrom(data, request, kind, warnings) {
+    const { motion, ...options } = request; // the motion that was changed is a take of its own
+    const { scene, motions, seed } = data;
+    return makeTake({ kind, request: { ...options, seed }, scene, motions, warning: warnings.join(" ") });
+  }
+
+  // Adds the new frames of a sample to the stage, which shows the newest one.
+  #showRows({ sample, codes, scene }) {
+    const sampleLive = this.live.get(sample) ?? { rows: 0, place: null };
+    this.live.set(sample, sampleLive);
+    sampleLive.rows += codes.length;
+    const rows = Math.max(...[...this.live.values()].map((one) => one.rows));
+    this.#status(`Generating … ${seconds((rows * this.model.downsample) / this.model.fps)} made`);
+    if (scene === null) return;
+    if (sampleLive.place === null) this.#addFigure(sampleLive, scene);
+    else this.stage.extend(sampleLive.place, scene.figures[0]);
+    this.stage.time = this.stage.seconds;
+  }
+
+  // All samples have their first frames before any has its second ones, so this discards no frames.
+  #addFigure(sampleLive, scene) {
+    sampleLive.figure = scene.figures[0];
+    const shown = [...this.live.values()].filter((one) => one.figure);
+    sampleLive.place = shown.length - 1;
+    this.stage.show({ seconds: scene.seconds, figures: shown.map((one) => one.figure) });
+    this.stage.playing = false;
+    this.stage.range = null;
+    find("empty").hidden = true;
+  }
+}
