@@ -35,6 +35,7 @@ COMMANDS = {
     "models": "list packaged and downloaded models, and show their cards",
     "convert": "convert published weights to a model, and back",
     "view": "convert a motion file to other formats",
+    "serve": "open the studio: a page and an HTTP interface",
     "check": "say what is intact in a model, a data set or a report",
     "bench": "measure the speed",
 }

@@ -4,7 +4,7 @@ from t2m_jax.export.bvh import save_bvh_file
 from t2m_jax.export.formats import load_motion
 from t2m_jax.export.gif import save_gif
 from t2m_jax.export.glb import save_glb
-from t2m_jax.export.html import save_html, viewer_html
+from t2m_jax.export.html import save_html, scene_record, viewer_html
 from t2m_jax.export.mp4 import save_mp4
 from t2m_jax.export.npz import load_npz, save_npz
 from t2m_jax.export.png import save_png
@@ -21,5 +21,6 @@ __all__ = [
     "save_mp4",
     "save_npz",
     "save_png",
+    "scene_record",
     "viewer_html",
 ]

@@ -26,12 +26,21 @@ def save_html(path: Path, motions: Sequence[Motion]) -> None:
     save_text(path, viewer_html(motions, embed=False))
 
 
+def scene_record(motions: Sequence[Motion]) -> dict[str, Any]:
+    """Returns what the viewer shows as plain data: figures of the motions, and the seconds of the longest."""
+    scene = scene_from_motions(motions)
+    return {"seconds": scene.seconds, "figures": [_figure_record(figure) for figure in scene.figures]}
+
+
+def viewer_script() -> str:
+    """Returns the program of the viewer."""
+    return ""
+
+
 def viewer_html(motions: Sequence[Motion], *, embed: bool = True) -> str:
     """Returns the viewer as an HTML page or, with `embed`, as an iframe that contains the page, for notebooks."""
-    scene = scene_from_motions(motions)
-    document = {"seconds": scene.seconds, "figures": [_figure_record(figure) for figure in scene.figures]}
     # In a script element only `<` can do harm. ASCII avoids problems with U+2028 and lone surrogates.
-    data = json.dumps(document, ensure_ascii=True, separators=(",", ":")).replace("<", "\\u003c")
+    data = json.dumps(scene_record(motions), ensure_ascii=True, separators=(",", ":")).replace("<", "\\u003c")
     assets = importlib.resources.files("t2m_jax.export") / "viewer"
     files = {name: (assets / name).read_text(encoding="utf-8").rstrip("\n") for name in ASSETS}
     script = "(() => {\n" + "\n".join(['"use strict";', *(files[name] for name in SCRIPTS)]) + "\n})();"

@@ -29,6 +29,7 @@ from t2m_jax.sampling.decoding import (
     SampledCodes,
     Sampling,
     first_state,
+    sample_chunk,
     sample_codes,
     sample_row,
 )
@@ -124,6 +125,14 @@ def generate_row(
     """Returns the state after one more row, and the row; `generator` is the module."""
     state, (rows, _) = sample_row(_functions(generator, variables), state, keys, sampling=sampling)
     return state, rows
+
+
+@functools.partial(jax.jit, static_argnames=("generator", "sampling"))
+def generate_chunk(
+    variables: Any, state: LoopState, keys: Key[Array, " B"], *, generator: Any, sampling: Sampling
+) -> tuple[LoopState, tuple[Int[Array, "_ B R"], Float[Array, "_ B"]]]:
+    """Returns the state after `CHUNK` more rows, the rows, and their stop scores; `generator` is the module."""
+    return sample_chunk(_functions(generator, variables), state, keys, sampling=sampling)
 
 
 def sampling_variables(variables: dict[str, Any], config: GeneratorConfig) -> dict[str, Any]:

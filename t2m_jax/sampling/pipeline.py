@@ -1,13 +1,9 @@
 """From sentences to motions: text encoder, generator, tokenizer and skeleton in one object."""
 
-import dataclasses
 import functools
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-
-import jax.numpy as jnp
-import numpy as np
 
 from t2m_jax.checkpoints.model import load_model
 from t2m_jax.config import check_seed
@@ -15,7 +11,7 @@ from t2m_jax.devices import put_everywhere
 from t2m_jax.errors import UserError
 from t2m_jax.motion.record import Motion
 from t2m_jax.sampling.batches import padded_batch_size
-from t2m_jax.sampling.codec import begin_motions, generate_row, motions_from_codes
+from t2m_jax.sampling.codec import begin_motions, generate_row
 from t2m_jax.sampling.compilation import use_compilation_cache
 from t2m_jax.sampling.decoding import Sampling
 from t2m_jax.sampling.editor import MotionEditor
@@ -23,6 +19,7 @@ from t2m_jax.sampling.prompts import MAX_BATCH, Prompt, check_num_samples, read_
 from t2m_jax.sampling.stopping import find_stop_rule
 from t2m_jax.sampling.strategies import Strategy, make_strategy
 from t2m_jax.sampling.streaming import stream_pieces
+from t2m_jax.sampling.together import Sample, batch_inputs, batch_motions
 
 
 class TextToMotion(MotionEditor):
@@ -192,23 +189,7 @@ class TextToMotion(MotionEditor):
         guidance_scale: float | None,
         clean: bool,
     ) -> list[Motion]:
-        filled = [*requests, *[requests[0]] * (padded_batch_size(len(requests)) - len(requests))]
-        sampled = self.sample_codes(
-            self.text_encoder([prompt.text for prompt, _ in filled]),
-            jnp.stack([sample_key(seed, prompt.text, sample) for prompt, sample in filled]),
-            sampling,
-            guidance_scale=guidance_scale,
-        )
-        motions = motions_from_codes(
-            self.tokenizer,
-            np.asarray(sampled.codes),
-            np.asarray(sampled.code_lengths),
-            skeleton=self.skeleton,
-            captions=[prompt.text for prompt, _ in requests],
-            seed=seed,
-            clean=clean,
-        )
-        return [
-            dataclasses.replace(motion, warning=prompt.warning, unknown_words=prompt.unknown_words)
-            for motion, (prompt, _) in zip(motions, requests, strict=True)
-        ]
+        samples = [Sample(prompt, seed, number) for prompt, number in requests]
+        embedding, keys = batch_inputs(self, samples, padded_batch_size(len(samples)))
+        sampled = self.sample_codes(embedding, keys, sampling, guidance_scale=guidance_scale)
+        return batch_motions(self, sampled, samples, clean=clean)

@@ -40,14 +40,14 @@ def stream_pieces(
         if final <= sent:
             continue
         motion = decode(np.stack(rows))
-        yield from (_frames_of_row(motion, row) for row in range(sent, final))
+        yield from (part_of_rows(motion, row, row + 1) for row in range(sent, final))
         sent = final
 
 
-def _frames_of_row(motion: Motion, row: int) -> Motion:
-    """Returns the part of a motion that one row of codes stands for."""
+def part_of_rows(motion: Motion, first: int, last: int) -> Motion:
+    """Returns the part of a motion as decoded that rows of codes stand for, up to before the last."""
     assert motion.features is not None and motion.codes is not None
     size = motion.num_frames // len(motion.codes)
-    frames = slice(row * size, (row + 1) * size)
-    features, codes = motion.features[frames], motion.codes[row : row + 1]
+    frames = slice(first * size, last * size)
+    features, codes = motion.features[frames], motion.codes[first:last]
     return dataclasses.replace(motion, positions=motion.positions[frames], features=features, codes=codes)

@@ -230,6 +230,14 @@ def _() -> Case:
     return Case((arguments[0], state, keys), options | {"sampling": sampling})
 
 
+@case("sampling.codec.generate_chunk")
+def _() -> Case:
+    arguments, options = row_arguments()
+    state, keys = begin_motions(*arguments, **options), jax.random.split(jax.random.key(4), 2)
+    sampling = Sampling(Temperature(), StopAtThreshold(), max_codes=12)
+    return Case((arguments[0], state, keys), options | {"sampling": sampling})
+
+
 @case("sampling.codec.row_likelihoods")
 def _() -> Case:
     variables, text, _ = row_arguments()[0]

@@ -1,0 +1,331 @@
+"""The HTTP interface: the page, motions as server-sent events, and files. `docs/serving.md` describes it."""
+
+import asyncio
+import hmac
+import importlib.resources
+import json
+from collections.abc import AsyncIterator, Callable
+from typing import Any
+
+import anyio
+from anyio import BrokenWorkerProcess, CapacityLimiter, to_process
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from t2m_jax.errors import UserError
+from t2m_jax.serving.files import FORMATS, FPS_CHOICES, JOINT_NAMES, SEVERAL, make_file, options_from_query, read_scene
+from t2m_jax.serving.jobs import FINAL_EVENTS, Event, Job, Jobs, QueueFullError
+from t2m_jax.serving.requests import (
+    INPUT_FORMATS,
+    MAX_BODY,
+    MAX_CAPTIONS,
+    MAX_SAMPLES,
+    MAX_SECONDS,
+    decode_base64,
+    request_from_json,
+)
+
+LOOPBACK = ("127.0.0.1", "localhost", "::1", "[::1]")
+BODY_SECONDS = 20.0
+"""Time in which the body of a request must come."""
+SEND_SECONDS = 20.0
+"""Time in which a reader must take what was sent."""
+ANSWER_SECONDS = 600.0
+"""Longest time in the queue and in generation together."""
+ALIVE_SECONDS = 10.0
+"""After this time without an event, a comment is sent: proxies close silent connections."""
+FILE_SECONDS = 120.0
+"""Longest time to make a file."""
+MAX_FILES = 16
+"""Requests for files that may wait; one is worked on."""
+EXAMPLES = (
+    "a person walks forward",
+    "a person waves with the left hand",
+    "a person runs in a circle",
+    "a person dances happily",
+    "a person bows politely",
+)
+HEADERS = {
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' data: blob:; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+MEDIA_TYPES = {
+    "html": "text/html; charset=utf-8",
+    "css": "text/css",
+    "js": "text/javascript",
+    "json": "application/json",
+}
+
+
+def make_app(jobs: Jobs, *, token: str | None = None, hosts: tuple[str, ...] = LOOPBACK) -> ASGIApp:
+    """Returns the application.
+
+    Args:
+        jobs: The queue, started.
+        token: What requests must bring in `Authorization: Bearer TOKEN`; None if everybody may ask.
+        hosts: Names that the server may be called; `*` for any. With others, a strange page could reach a server on
+            this machine through a name of its own.
+    """
+    server = _Server(jobs)
+    routes = [
+        Route("/", _static("index.html")),
+        *[Route(f"/assets/{name}", _static(name)) for name in page_files() if name != "index.html"],
+        Route("/assets/viewer.js", _viewer),
+        Route("/openapi.json", _static("openapi.json")),
+        Route("/health", server.health),
+        Route("/metrics", server.metrics),
+        Route("/model", server.model),
+        Route("/motions", server.motions, methods=["POST"]),
+        Route("/files", server.files, methods=["POST"]),
+        Route("/scene", server.scene, methods=["POST"]),
+    ]
+    middleware = [
+        Middleware(_Guard, token=token),
+        Middleware(TrustedHostMiddleware, allowed_hosts=list(hosts), www_redirect=False),
+    ]
+    handlers: dict[Any, Callable[..., Response]] = {
+        UserError: lambda _, error: _error(400, str(error)),
+        HTTPException: lambda _, error: _error(error.status_code, error.detail, error.headers),
+        QueueFullError: lambda _, error: _error(429, str(error), {"Retry-After": str(error.retry_after)}),
+        ClientDisconnect: lambda *_: Response(status_code=499),
+    }
+    return Starlette(routes=routes, middleware=middleware, exception_handlers=handlers)
+
+
+def page_files() -> list[str]:
+    """Returns the names of the files of the page."""
+    folder = importlib.resources.files("t2m_jax.serving") / "page"
+    return sorted(file.name for file in folder.iterdir() if file.name.rpartition(".")[2] in MEDIA_TYPES)
+
+
+def _static(name: str) -> Callable[[Request], Response]:
+    """Returns what answers with a file of the page. It is read once, so no path comes from a request."""
+    content = (importlib.resources.files("t2m_jax.serving") / "page" / name).read_bytes()
+    media_type = MEDIA_TYPES[name.rpartition(".")[2]]
+    return lambda _: Response(content, media_type=media_type)
+
+
+def _viewer(_: Request) -> Response:
+    from t2m_jax.export.html import viewer_script
+
+    return Response(viewer_script(), media_type=MEDIA_TYPES["js"])
+
+
+def _error(status: int, message: str, headers: Any = None) -> Response:
+    return JSONResponse({"error": message} | _retry(headers), status, headers)
+
+
+def _retry(headers: Any) -> dict[str, int]:
+    return {"retry_after": int(headers["Retry-After"])} if headers and "Retry-After" in headers else {}
+
+
+class _Guard:
+    """Refuses requests without the token and from pages of other servers, and adds headers to all answers."""
+
+    OPEN = ("/", "/assets/", "/health", "/openapi.json")
+
+    def __init__(self, app: ASGIApp, token: str | None):
+        self.app, self.token = app, token
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        request = Request(scope)
+
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                message["headers"] += [(key.lower().encode(), value.encode()) for key, value in HEADERS.items()]
+            await send(message)
+
+        answer = self._refusal(request)
+        await (answer or self.app)(scope, receive, send_with_headers)
+
+    def _refusal(self, request: Request) -> Response | None:
+        origin = request.headers.get("origin")
+        if origin is not None and origin.partition("://")[2] != request.headers.get("host"):
+            return _error(403, "requests from other pages are refused")
+        path = request.url.path
+        if self.token is None or path in self.OPEN or path.startswith("/assets/"):
+            return None
+        given = request.headers.get("authorization", "").removeprefix("Bearer ")
+        if hmac.compare_digest(given.encode(), self.token.encode()):
+            return None
+        return _error(401, "a token is needed: Authorization: Bearer TOKEN", {"WWW-Authenticate": "Bearer"})
+
+
+class _Server:
+    """The answers that need the queue."""
+
+    def __init__(self, jobs: Jobs):
+        self.jobs = jobs
+        self.file_limit, self.files_waiting = CapacityLimiter(1), 0
+
+    def health(self, _: Request) -> Response:
+        """Answers whether motions can be made."""
+        alive = self.jobs.is_alive
+        status = {"status": "ok" if alive else "restarting", "model": self.jobs.model_name}
+        return JSONResponse(status | {"waiting": len(self.jobs.waiting)}, 200 if alive else 503)
+
+    def metrics(self, _: Request) -> Response:
+        """Answers with the counters."""
+        return Response(self.jobs.measures.text(), media_type="text/plain; version=0.0.4; charset=utf-8")
+
+    def model(self, _: Request) -> Response:
+        """Answers with what the page needs to know."""
+        limits = {"captions": MAX_CAPTIONS, "num_samples": MAX_SAMPLES, "seconds": MAX_SECONDS, "body_bytes": MAX_BODY}
+        choices: dict[str, Any] = {"formats": FORMATS, "formats_of_several": SEVERAL, "joint_names": JOINT_NAMES}
+        choices |= {"fps_choices": FPS_CHOICES, "input_formats": INPUT_FORMATS}
+        guided = self.jobs.model["guidance_scale"] is not None
+        return JSONResponse(self.jobs.model | choices | {"examples": EXAMPLES, "guided": guided, "limits": limits})
+
+    async def motions(self, request: Request) -> Response:
+        """Generates: answers with server-sent events, or with one JSON object to who asks for it."""
+        asked = request_from_json(await _json(request))
+        job = self.jobs.submit(asked)
+        if "application/json" in request.headers.get("accept", ""):
+            return await self._final_answer(job)
+        return _EventResponse(self._events(job))
+
+    async def _events(self, job: Job) -> AsyncIterator[Event | None]:
+        """Yields the events of a job up to the last, and None after a time without one."""
+        start, result = anyio.current_time(), "cancelled"
+        try:
+            while True:
+                event = None
+                try:
+                    event = await asyncio.wait_for(job.events.get(), ALIVE_SECONDS)
+                except TimeoutError:
+                    if anyio.current_time() - start > ANSWER_SECONDS:
+                        error = {"error": f"no motion after {ANSWER_SECONDS:g} s; try again later", "seed": job.seed}
+                        event = Event("failed", json.dumps(error))
+                if event is not None and event.name in FINAL_EVENTS:
+                    result = event.name
+                yield event
+                if result in FINAL_EVENTS:
+                    return
+        finally:
+            self.jobs.cancel(job)
+            self.jobs.measures.answers.labels(result).inc()
+            self.jobs.measures.seconds.observe(anyio.current_time() - start)
+            if result == "done":
+                self.jobs.measures.motions.inc(job.request.num_samples)
+
+    async def _final_answer(self, job: Job) -> Response:
+        async for event in self._events(job):
+            last = event
+        assert last is not None
+        return Response(last.data, 200 if last.name == "done" else 422, media_type="application/json")
+
+    async def files(self, request: Request) -> Response:
+        """Answers with a file for download."""
+        options = options_from_query(dict(request.query_params))
+        body = await _body(request)
+        inputs = [body]
+        if _is_json(request):
+            data = _parsed(body)
+            if not isinstance(data, dict) or not isinstance(data.get("motions"), list):
+                raise UserError('body: expected {"motions": [base64, ...]}')
+            inputs = [decode_base64(str(one)) for one in data["motions"]]
+        content = await self._in_process(make_file, inputs, options)
+        disposition = f'attachment; filename="motion.{options.format}"'
+        return Response(content, headers={"Content-Disposition": disposition}, media_type="application/octet-stream")
+
+    async def scene(self, request: Request) -> Response:
+        """Answers with what the page shows of a motion file."""
+        query = dict(request.query_params)
+        suffix = query.pop("format", "npz")
+        if suffix not in INPUT_FORMATS:
+            raise UserError(f"format: {suffix!r} is unknown; known are {', '.join(INPUT_FORMATS)}")
+        data = await _body(request)
+        return JSONResponse(await self._in_process(read_scene, data, suffix, options_from_query(query)))
+
+    async def _in_process(self, function: Callable[..., Any], *args: Any) -> Any:
+        """Returns what a function returns in a process of its own, which is killed if it takes too long."""
+        if self.files_waiting >= MAX_FILES:
+            raise HTTPException(429, "too many files are waiting; try again in 5 s", {"Retry-After": "5"})
+        self.files_waiting += 1
+        try:
+            with anyio.fail_after(FILE_SECONDS):
+                return await to_process.run_sync(function, *args, cancellable=True, limiter=self.file_limit)
+        except BrokenWorkerProcess:
+            raise HTTPException(503, "the process that makes files has died; try again", {"Retry-After": "1"}) from None
+        except TimeoutError:
+            raise HTTPException(503, f"it took longer than {FILE_SECONDS:g} s", {"Retry-After": "60"}) from None
+        finally:
+            self.files_waiting -= 1
+
+
+class _EventResponse(Response):
+    """Server-sent events. A reader that disconnects, or is too slow, ends them."""
+
+    def __init__(self, events: AsyncIterator[Event | None]):
+        super().__init__(media_type="text/event-stream")
+        del self.headers["content-length"]
+        self.events = events
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def end_on_disconnect() -> None:
+            while (await receive())["type"] != "http.disconnect":
+                pass
+            tasks.cancel_scope.cancel()
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(end_on_disconnect)
+            with anyio.CancelScope() as sending:
+                sending.deadline = anyio.current_time() + SEND_SECONDS
+                await send({"type": "http.response.start", "status": 200, "headers": self.raw_headers})
+                async for event in self.events:
+                    sending.deadline = anyio.current_time() + SEND_SECONDS
+                    text = ": waiting\n\n" if event is None else f"event: {event.name}\ndata: {event.data}\n\n"
+                    await send({"type": "http.response.body", "body": text.encode(), "more_body": True})
+                    sending.deadline = anyio.current_time() + SEND_SECONDS
+                await send({"type": "http.response.body", "body": b"", "more_body": False})
+            tasks.cancel_scope.cancel()
+
+
+async def _body(request: Request) -> bytes:
+    """Returns the body of a request.
+
+    Raises:
+        HTTPException: It is too large or too slow.
+    """
+    parts, size = [], 0
+    try:
+        with anyio.fail_after(BODY_SECONDS):
+            async for part in request.stream():
+                size += len(part)
+                if size > MAX_BODY:
+                    raise HTTPException(413, f"the body has more than {MAX_BODY:,} bytes")
+                parts.append(part)
+    except TimeoutError:
+        raise HTTPException(408, f"the body did not come in {BODY_SECONDS:g} s") from None
+    return b"".join(parts)
+
+
+def _is_json(request: Request) -> bool:
+    return request.headers.get("content-type", "").partition(";")[0].strip() == "application/json"
+
+
+async def _json(request: Request) -> Any:
+    """Returns the data of a JSON body. A page of another server could only send other types of bodies unasked."""
+    if not _is_json(request):
+        raise HTTPException(415, "the body must be application/json")
+    return _parsed(await _body(request))
+
+
+def _parsed(body: bytes) -> Any:
+    try:
+        return json.loads(body)
+    except (ValueError, RecursionError):
+        raise UserError("body: is not JSON") from None

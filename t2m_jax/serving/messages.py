@@ -1,0 +1,25 @@
+"""What the server and the process that generates send each other; light, because the server does not need JAX."""
+
+from typing import NamedTuple
+
+from t2m_jax.serving.requests import MotionRequest
+
+NO_JOB = -1
+"""In place of a job's number, in messages about the process."""
+
+
+class Task(NamedTuple):
+    """A request that is worked on."""
+
+    job: int
+    request: MotionRequest
+    seed: int
+
+
+class Batch(NamedTuple):
+    """Requests that are generated together: plain ones with equal options, or a single other one."""
+
+    number: int
+    tasks: tuple[Task, ...]
+    live: bool
+    """Whether frames are sent while codes are sampled. It takes time, so it is only done if nobody waits."""

@@ -1,0 +1,25 @@
+"""Motions as plain data for the page."""
+
+import base64
+import io
+from typing import Any
+
+from t2m_jax.export.npz import write_npz
+from t2m_jax.motion.record import Motion
+
+
+def motion_record(motion: Motion) -> dict[str, Any]:
+    """Returns a motion as plain data for the page, with the bytes of its `.npz` file in base64."""
+    data = io.BytesIO()
+    write_npz(data, motion, compress=False)
+    return {
+        "caption": motion.caption,
+        "seed": motion.seed,
+        "fps": motion.fps,
+        "frames": motion.num_frames,
+        "seconds": motion.seconds,
+        "codes": None if motion.codes is None else motion.codes.tolist(),
+        "part_starts": list(motion.part_starts),
+        "part_captions": list(motion.part_captions),
+        "npz": base64.b64encode(data.getvalue()).decode("ascii"),
+    }
