@@ -25,7 +25,7 @@ export class Generation {
     this.#begin();
     try {
       const take = await this.#receive(request, kind);
-      this.#status(`Ready, with seed ${take.request.seed}.`);
+      this.#status(`Ready. Seed ${take.request.seed}.`);
       this.#end();
       this.onDone(take);
     } catch (error) {

@@ -14,23 +14,19 @@ const HINTS = {
 const LARGEST_SEED = 2 ** 32 - 1;
 
 export class MakePanel {
-  // What was written for each mode; only "new" takes over what the user has typed when another take is shown.
-  #drafts = { new: [""], continue: [""], redo: [""], vary: [""] };
   #mode = "new";
-  #untouched = true;
+  #drafts = {}; // what the user has written for each mode; without a draft, there is a suggestion
 
   constructor(session, model, generate) {
     Object.assign(this, { session, model });
     this.submit = () => {
       const request = this.#read();
-      if (request === null) return;
-      this.#untouched = true;
-      generate(request, this.#mode);
+      if (request !== null) generate(request, this.#mode);
     };
     this.sentences = new SentenceList(find("sentences"), find("add-sentence"), {
       limit: model.limits.captions,
       onSubmit: this.submit,
-      onInput: () => { this.#untouched = false; },
+      onInput: () => { this.#drafts[this.#mode] = this.sentences.values; },
     });
     this.#fillOptions();
     this.#listen();
@@ -38,15 +34,18 @@ export class MakePanel {
   }
 
   setMode(mode) {
-    this.#drafts[this.#mode] = this.sentences.values;
     this.#mode = mode;
     const single = mode === "redo" || mode === "vary";
-    this.sentences.values = single ? this.#drafts[mode].slice(0, 1) : this.#drafts[mode];
     this.sentences.single = single;
+    this.#showSentences();
     find("strength-field").hidden = mode !== "vary";
     find("seconds-field").hidden = single;
     document.querySelector(`#modes [value=${mode}]`).checked = true;
-    this.#showHint();
+  }
+
+  // What was written has become a motion.
+  forgetDraft(mode) {
+    delete this.#drafts[mode];
   }
 
   // Begins what follows the selected motion: one more sentence.
@@ -68,8 +67,8 @@ export class MakePanel {
     if (model.guided) find("guidance").value = model.guidance_scale ?? 2;
     find("examples").append(...model.examples.map((text) => {
       const choose = () => {
+        this.#drafts.new = [text];
         this.setMode("new");
-        this.sentences.values = [text];
         this.sentences.focus();
       };
       return create("button", { type: "button", className: "chip", textContent: text, onclick: choose });
@@ -90,7 +89,7 @@ export class MakePanel {
     find("make").addEventListener("input", () => this.#showValues());
     find("modes").addEventListener("change", (event) => this.setMode(event.target.value));
     this.session.onChange(["take", "select"], () => this.#followTake());
-    this.session.onChange(["span"], () => this.#followSpan());
+    this.session.onChange(["span"], () => (this.#mode === "redo" ? this.#showSentences() : this.#showHint()));
     this.#enableModes();
   }
 
@@ -101,23 +100,23 @@ export class MakePanel {
   }
 
   #followTake() {
-    const { motion, take } = this.session;
     this.#enableModes();
-    if (motion === null || take.kind === "comparison") return;
-    this.#drafts[this.#mode] = this.sentences.values;
-    if (this.#untouched) this.#drafts.new = sentencesOf(motion);
-    Object.assign(this.#drafts, { vary: [motion.caption], redo: [motion.caption], continue: [""] });
-    this.sentences.values = this.#drafts[this.#mode];
+    if (!this.session.motion || this.session.take.kind === "comparison") return;
+    this.#showSentences();
+  }
+
+  #showSentences() {
+    this.sentences.values = this.#drafts[this.#mode] ?? this.#suggestion();
     this.#showHint();
   }
 
-  #followSpan() {
+  #suggestion() {
     const { motion, span } = this.session;
-    if (this.#mode === "redo" && span && this.#untouched && motion.part_captions.length) {
-      const frame = ((span[0] + span[1]) / 2) * motion.fps;
-      this.sentences.values = [motion.part_captions[motion.part_starts.findLastIndex((start) => start <= frame)]];
-    }
-    this.#showHint();
+    if (!motion || this.#mode === "continue") return [""];
+    if (this.#mode === "new") return sentencesOf(motion);
+    if (this.#mode === "vary" || !span || !motion.part_starts.length) return [motion.caption];
+    const middle = ((span[0] + span[1]) / 2) * motion.fps;
+    return [motion.part_captions[motion.part_starts.findLastIndex((start) => start <= middle)]];
   }
 
   #showHint() {

@@ -31,7 +31,10 @@ async function start() {
     session.show(take);
     history.add(take);
   };
-  const generation = new Generation({ session, stage, model, onDone: showNew });
+  const generation = new Generation({ session, stage, model, onDone: (take) => {
+    make.forgetDraft(take.kind);
+    showNew(take);
+  } });
   const make = new MakePanel(session, model, (request, kind) => generation.run(request, kind));
   new TakeBar(session, { onReuseSeed: (seed) => make.reuseSeed(seed), onKeep: showNew });
   new DownloadPanel(session, model);

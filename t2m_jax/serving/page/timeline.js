@@ -78,7 +78,7 @@ export class Timeline {
     this.length = this.stage.seconds;
     find("timeline").classList.toggle("idle", !this.session.motion);
     for (const element of find("timeline").querySelectorAll("button, input, select")) element.disabled = !this.session.motion;
-    this.scrub.max = this.player.lastFrame;
+    this.scrub.max = this.player.lastFrame + 1; // the end of the last frame, so that the thumb agrees with the ruler
     this.#drawRuler();
     this.#drawBlocks();
     this.#drawSpan();
