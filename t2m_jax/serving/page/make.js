@@ -77,8 +77,8 @@ export class MakePanel {
   }
 
   #showValues() {
-    find("guidance-value").value = Number(find("guidance").value).toFixed(2);
-    find("strength-value").value = `${Math.round(100 * find("strength").value)} %`;
+    find("guidance-value").textContent = Number(find("guidance").value).toFixed(2);
+    find("strength-value").textContent = `${Math.round(100 * find("strength").value)} %`;
   }
 
   #listen() {
