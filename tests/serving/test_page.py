@@ -224,6 +224,40 @@ def test_nothing_is_lost_if_something_fails(open_studio):
     expect(alert).to_be_empty()
 
 
+def test_full_storage_is_told(open_studio):
+    page = open_studio()
+    page.evaluate("""() => {
+      IDBObjectStore.prototype.put = () => { throw new DOMException("", "QuotaExceededError"); };
+    }""")
+    generate(page, WALK)
+    expect(page.get_by_role("alert")).to_contain_text("storage is full")
+    generate(page, WAVE, takes=2)
+    page.locator(".take-open").nth(1).click()
+    expect(page.locator("#take-title")).to_have_text(WALK)
+
+
+def test_a_token_is_asked_for(open_studio):
+    page = open_studio(may_fail=["401"])
+
+    def answer(route):
+        if route.request.headers.get("authorization") == "Bearer secret":
+            route.continue_()
+        else:
+            route.fulfill(status=401, json={"error": "a token is needed"})
+
+    page.route("**/model", answer)
+    page.reload()
+    page.locator("#token").fill("wrong")
+    page.keyboard.press("Enter")
+    expect(page.locator("#token")).to_have_value("")
+    page.locator("#token").fill("secret")
+    page.keyboard.press("Enter")
+    expect(page.locator("#examples button").first).to_be_visible()
+    page.goto(page.url + "?token=secret")
+    expect(page.locator("#examples button").first).to_be_visible()
+    assert "secret" not in page.url
+
+
 def test_a_request_can_be_cancelled(open_studio):
     page = open_studio()
     page.route("**/motions", lambda route: None)

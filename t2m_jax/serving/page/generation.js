@@ -33,8 +33,15 @@ export class Generation {
       this.#end();
       this.#status(cancelled ? "Cancelled." : "");
       if (!cancelled) showMessage(error instanceof ServerError ? error.message : `The page has failed: ${error.message}`);
-      this.session.show(this.session.take, this.session.selected);
+      if (this.live.size > 0) this.#showFormerTake();
     }
+  }
+
+  // The stage has shown frames of a motion that does not come.
+  #showFormerTake() {
+    const { take, selected, span } = this.session;
+    this.session.show(take, selected);
+    this.session.setSpan(span);
   }
 
   #begin() {

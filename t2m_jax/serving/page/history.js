@@ -13,7 +13,7 @@ export class History {
   constructor(session, onPin) {
     Object.assign(this, { session, onPin });
     find("delete-all").addEventListener("click", () => this.#deleteAll());
-    session.onChange(["take"], () => this.#draw());
+    session.onChange(["take"], () => this.#markCurrent());
   }
 
   async open() {
@@ -83,6 +83,13 @@ export class History {
     find("history-empty").hidden = this.#entries.length > 0;
     find("delete-all").hidden = this.#entries.length === 0;
     find("takes").replaceChildren(...this.#entries.map((entry) => this.#row(entry)));
+    this.#markCurrent();
+  }
+
+  #markCurrent() {
+    for (const row of find("takes").children) {
+      row.firstElementChild.ariaCurrent = row.dataset.id === this.session.take?.id ? "true" : null;
+    }
   }
 
   #row(entry) {
@@ -92,15 +99,12 @@ export class History {
       create("span", { className: "take-caption", dir: "auto", textContent: entry.caption }),
       create("span", { className: "take-meta", textContent: describe(entry) }),
     );
-    if (this.session.take?.id === entry.id) open.setAttribute("aria-current", "true");
     const name = entry.caption.slice(0, 60);
-    return create(
-      "li",
-      { className: "take" },
-      open,
-      iconButton("compare", `Compare ${name}`, () => this.onPin(entry)),
-      iconButton("remove", `Delete ${name}`, () => this.#delete(entry)),
-    );
+    const compare = iconButton("compare", `Compare ${name}`, () => this.onPin(entry));
+    const remove = iconButton("remove", `Delete ${name}`, () => this.#delete(entry));
+    const row = create("li", { className: "take" }, open, compare, remove);
+    row.dataset.id = entry.id;
+    return row;
   }
 }
 
@@ -109,6 +113,6 @@ function describe({ created, kind, seed, numSamples, seconds }) {
   const today = time.toDateString() === new Date().toDateString();
   const when = today ? time.toLocaleTimeString([], { timeStyle: "short" }) : time.toLocaleDateString();
   const count = numSamples > 1 ? `${numSamples} samples` : `${seconds.toFixed(1)} s`;
-  const facts = [when, KINDS[kind], count, seed === null || seed === undefined ? "" : `seed ${seed}`];
+  const facts = [when, KINDS[kind], count, seed === null || seed === undefined ? "" : `seed\u00a0${seed}`];
   return facts.filter(Boolean).join(" · ");
 }

@@ -1,7 +1,7 @@
 // Puts the parts of the page together.
 
 import { Comparison } from "./compare.js";
-import { find, showMessage } from "./dom.js";
+import { clearMessage, find, showMessage } from "./dom.js";
 import { DownloadPanel } from "./download.js";
 import { Generation } from "./generation.js";
 import { History } from "./history.js";
@@ -43,6 +43,7 @@ async function start() {
   listenForKeys({ player, timeline, session, stage, make, generation, comparison });
   find("then").addEventListener("click", () => make.continueMotion());
   find("help-button").addEventListener("click", () => find("help").showModal());
+  session.onChange(["take"], clearMessage);
   stage.onchange = () => {
     player.update();
     timeline.update();
