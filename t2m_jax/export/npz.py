@@ -2,8 +2,9 @@
 
 import sys
 from collections.abc import Sequence
+from io import BufferedIOBase
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -47,7 +48,7 @@ def save_npz(path: Path, motions: Sequence[Motion]) -> None:
         write_npz(file, motion)
 
 
-def write_npz(file: BinaryIO, motion: Motion, *, compress: bool = True) -> None:
+def write_npz(file: BufferedIOBase, motion: Motion, *, compress: bool = True) -> None:
     """Writes the archive of one motion; without compression it is faster and has twice the size."""
     values = {key: getattr(motion, key) for key in ENTRIES} | {"skeleton": motion.skeleton.name}
     values |= {key: values[key] or None for key in ("warning", *TUPLES)}

@@ -159,14 +159,14 @@ class MotionModel:
     ) -> Iterator[SampledCodes]:
         """Yields the codes of a batch so far, after every few rows; at the end, what `sample_codes` returns.
 
-        Motions that have not ended have all rows so far. Where they end is known early only if the stop rule
-        `ends_early`.
+        Motions that have not ended have all rows so far. With a stop rule that does not end early, none has ended
+        before the last codes.
         """
         scale = self._guidance(guidance_scale)
         text_embedding, keys = put_rows((text_embedding, keys))
         variables = self._variables_for_sampling()
         state = begin_motions(variables, text_embedding, scale, generator=self._generator)
-        size, most = len(keys), sampling.max_codes
+        rule, size, most = sampling.stop_rule, len(keys), sampling.max_codes
         codes = np.zeros((size, most, self.config.tokenizer.num_quantizers), np.int32)
         scores, steps = np.full((size, most), -np.inf, np.float32), 0
         while steps < most and not (steps and bool(state.done.all())):
@@ -175,7 +175,9 @@ class MotionModel:
             codes[:, steps : steps + len(new)] = np.swapaxes(new, 0, 1)
             scores[:, steps : steps + len(new)] = new_scores.T
             steps += len(new)
-            lengths = np.minimum(np.asarray(sampling.stop_rule.count(jnp.asarray(scores))), steps)
+            lengths = np.full(size, steps)
+            if rule.ends_early or steps >= most:
+                lengths = np.minimum(np.asarray(rule.count(jnp.asarray(scores))), steps)
             kept = np.arange(most) < lengths[:, None]
             yield SampledCodes(*map(jnp.asarray, (np.where(kept[:, :, None], codes, 0), lengths, np.int32(steps))))
 

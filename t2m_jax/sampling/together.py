@@ -81,21 +81,22 @@ def generate_together(
         batch_size: Motions of the batch. With the same size, a motion does not depend on the others to the last bit.
         sampling: How to choose codes, and when to stop.
         guidance_scale: Strength of the guidance by the text.
-        on_rows: Called for each motion when there are new rows, if the stop rule `ends_early`.
-        decode_early: Whether frames are reported, too. It takes time.
+        on_rows: Called for each motion when there are new rows. With a stop rule that does not end early, these may be
+            more than the motion keeps.
+        decode_early: Whether frames are reported, too, if the stop rule ends early. It takes time.
     """
     context, sent = model.config.tokenizer.decoder_context, np.zeros((2, len(samples)), int)
-    for sampled in model.sample_chunks(
-        *batch_inputs(model, samples, batch_size), sampling, guidance_scale=guidance_scale
-    ):
-        if on_rows is None or not sampling.stop_rule.ends_early:
+    early = decode_early and sampling.stop_rule.ends_early
+    embedding, keys = batch_inputs(model, samples, batch_size)
+    for sampled in model.sample_chunks(embedding, keys, sampling, guidance_scale=guidance_scale):
+        if on_rows is None:
             continue
         rows, steps = np.asarray(sampled.code_lengths)[: len(samples)], int(sampled.steps)
-        ended = (rows < steps) | (steps >= sampling.max_codes)
-        final = np.where(ended, rows, np.maximum(rows - context, 0)) if decode_early else sent[1]
+        ended = (rows < steps) | (steps >= sampling.max_codes)  # then no rows follow on which frames depend
+        final = np.where(ended, rows, np.maximum(rows - context, 0)) if early else sent[1]
         motions = batch_motions(model, sampled, samples, clean=False) if (final > sent[1]).any() else None
         for number in np.flatnonzero(rows > sent[0]):
-            first, last = sent[1, number], final[number]
+            first, last = int(sent[1, number]), int(final[number])
             piece = None if motions is None or last <= first else part_of_rows(motions[number], first, last)
             on_rows(NewRows(int(number), np.asarray(sampled.codes[number, sent[0, number] : rows[number]]), piece))
         sent = np.stack([rows, final])

@@ -73,10 +73,11 @@ def make_file(inputs: Sequence[bytes], options: FileOptions) -> bytes:
         UserError: A motion cannot be read, changed or written in this format.
     """
     from t2m_jax.motion.record import format_options, save_motions
+    from t2m_jax.serving.records import motion_from_data
 
     if not 1 <= len(inputs) <= (MAX_MOTIONS if options.format in SEVERAL else 1):
         raise UserError(f"format: a {options.format} file cannot contain {len(inputs)} motions")
-    motions = [_changed(_load(data, "npz"), options) for data in inputs]
+    motions = [_changed(motion_from_data(data, "npz"), options) for data in inputs]
     if options.format in ("gif", "mp4") and sum(motion.seconds for motion in motions) > LONGEST_PICTURES:
         raise UserError(f"format: a video of more than {LONGEST_PICTURES:g} seconds takes too long; use .glb or .html")
     with motion_file(b"", options.format) as path:
@@ -94,20 +95,10 @@ def read_scene(data: bytes, suffix: str, options: FileOptions) -> dict[str, Any]
         UserError: The file cannot be read or changed.
     """
     from t2m_jax.export import scene_record
-    from t2m_jax.serving.records import motion_record
+    from t2m_jax.serving.records import motion_from_data, motion_record
 
-    motion = _changed(_load(data, suffix), options)
+    motion = _changed(motion_from_data(data, suffix), options)
     return {"scene": scene_record([motion]), "motion": motion_record(motion)}
-
-
-def _load(data: bytes, suffix: str) -> Any:
-    from t2m_jax.export import load_motion
-
-    with motion_file(data, suffix) as path:
-        try:
-            return load_motion(path)
-        except UserError as error:
-            raise UserError(str(error).replace(str(path), path.name)) from None
 
 
 def _changed(motion: Any, options: FileOptions) -> Any:

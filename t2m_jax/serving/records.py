@@ -4,8 +4,24 @@ import base64
 import io
 from typing import Any
 
+from t2m_jax.errors import UserError
+from t2m_jax.export import load_motion
 from t2m_jax.export.npz import write_npz
 from t2m_jax.motion.record import Motion
+from t2m_jax.serving.requests import motion_file
+
+
+def motion_from_data(data: bytes, suffix: str) -> Motion:
+    """Returns the motion in the bytes of a file.
+
+    Raises:
+        UserError: There is none. The message does not say where the file was.
+    """
+    with motion_file(data, suffix) as path:
+        try:
+            return load_motion(path)
+        except UserError as error:
+            raise UserError(str(error).replace(str(path), path.name)) from None
 
 
 def motion_record(motion: Motion) -> dict[str, Any]:

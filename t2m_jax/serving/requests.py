@@ -98,6 +98,8 @@ def request_from_json(data: Any) -> MotionRequest:
     Raises:
         UserError: A field is unknown, missing, or has a value that cannot be used.
     """
+    if not isinstance(data, dict):
+        raise UserError("request: expected an object with captions")
     return config_from_dict(MotionRequest, data, source="request")
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import jax
 
 from t2m_jax.errors import UserError
-from t2m_jax.export import load_motion, scene_record
+from t2m_jax.export import scene_record
 from t2m_jax.motion.record import Motion
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.batches import CONCURRENT_BATCHES
@@ -23,8 +23,8 @@ from t2m_jax.sampling.prompts import read_prompts
 from t2m_jax.sampling.strategies import Strategy, make_strategy
 from t2m_jax.sampling.together import NewRows, Sample, generate_together
 from t2m_jax.serving.messages import NO_JOB, Batch, Task
-from t2m_jax.serving.records import motion_record
-from t2m_jax.serving.requests import TEMPERATURES, MotionRequest, decode_base64, motion_file
+from t2m_jax.serving.records import motion_from_data, motion_record
+from t2m_jax.serving.requests import TEMPERATURES, MotionRequest, decode_base64
 from t2m_jax.text.coverage import PromptWarning
 
 EXAMPLE_PROMPT = "a person walks forward"
@@ -156,8 +156,7 @@ def _strategy(request: MotionRequest) -> Strategy:
 def _given_motion(request: MotionRequest) -> Motion | None:
     if request.motion is None:
         return None
-    with motion_file(decode_base64(request.motion), request.motion_format) as path:
-        return load_motion(path)
+    return motion_from_data(decode_base64(request.motion), request.motion_format)
 
 
 def describe_model(model: TextToMotion, name: str) -> dict[str, Any]:

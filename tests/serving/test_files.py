@@ -1,0 +1,123 @@
+"""Files for download, and files that users bring."""
+
+import io
+
+import numpy as np
+import pytest
+
+from t2m_jax.errors import UserError
+from t2m_jax.export import load_motion
+from t2m_jax.export.npz import write_npz
+from t2m_jax.motion.bvh import load_bvh
+from t2m_jax.serving.files import FORMATS, SEVERAL, FileOptions, make_file, options_from_query, read_scene
+from t2m_jax.serving.requests import motion_file
+from tests.export.conftest import nasty, walk  # noqa: F401 - fixtures
+
+SIGNATURES = {
+    "npz": b"PK",
+    "bvh": b"HIERARCHY",
+    "glb": b"glTF",
+    "gif": b"GIF8",
+    "png": b"\x89PNG",
+    "html": b"<!doctype",
+}
+
+
+def data_of(motion) -> bytes:
+    file = io.BytesIO()
+    write_npz(file, motion, compress=False)
+    return file.getvalue()
+
+
+def read_back(data: bytes, suffix: str):
+    with motion_file(data, suffix) as path:
+        return load_motion(path)
+
+
+@pytest.mark.parametrize("name", sorted(SIGNATURES))
+def test_every_format_is_made(walk, name):  # noqa: F811
+    data = make_file([data_of(walk[:8])], FileOptions(format=name))
+    assert data[:9].lower().startswith(SIGNATURES[name].lower())
+
+
+def test_a_video_is_made(walk):  # noqa: F811
+    pytest.importorskip("imageio_ffmpeg")
+    assert make_file([data_of(walk[:4])], FileOptions(format="mp4"))[4:8] == b"ftyp"
+
+
+@pytest.mark.parametrize("name", ["npz", "bvh", "glb"])
+def test_motions_can_be_read_back(walk, name):  # noqa: F811
+    found = read_back(make_file([data_of(walk)], FileOptions(format=name)), name)
+    np.testing.assert_allclose(found.positions, walk.positions, atol=5e-3 if name != "npz" else 0)
+
+
+def test_a_part_at_another_rate_in_place(walk):  # noqa: F811
+    options = FileOptions(begin=1.0, end=3.0, fps=60, in_place=True)
+    found = read_back(make_file([data_of(walk)], options), "npz")
+    assert found.fps == 60 and found.num_frames == 39 * 3 + 1
+    assert np.abs(found.positions[:, 0, [0, 2]]).max() == 0
+
+
+def test_names_and_units_are_those_of_the_format(walk):  # noqa: F811
+    options = FileOptions(format="bvh", names="mixamo", units="cm")
+    with motion_file(make_file([data_of(walk)], options), "bvh") as path:
+        assert load_bvh(path).joint_names[0] == "mixamorig:Hips"
+    make_file([data_of(walk[:2])], FileOptions(format="png", names="mixamo"))  # pictures have no joints to name
+
+
+def test_several_motions_need_a_format_for_several(walk):  # noqa: F811
+    data = data_of(walk[:2])
+    for name in FORMATS:
+        if name not in SEVERAL:
+            with pytest.raises(UserError, match="cannot contain 2 motions"):
+                make_file([data, data], FileOptions(format=name))
+    assert make_file([data, data], FileOptions(format="glb"))
+    for count in (0, 33):
+        with pytest.raises(UserError, match=f"cannot contain {count} motions"):
+            make_file([data] * count, FileOptions(format="glb"))
+
+
+def test_a_long_video_is_refused(walk):  # noqa: F811
+    long = walk[:1].resampled(20)
+    positions = np.repeat(long.positions, 20 * 241, axis=0)
+    data = data_of(type(walk)(positions, 20.0))
+    with pytest.raises(UserError, match="takes too long"):
+        make_file([data], FileOptions(format="gif"))
+
+
+@pytest.mark.parametrize("data", [b"", b"PK\x03\x04", b"HIERARCHY", b"x" * 100])
+def test_a_damaged_file_is_named_without_its_place(data):
+    with pytest.raises(UserError, match=r"^motion\.npz: ") as caught:
+        make_file([data], FileOptions())
+    assert "/" not in str(caught.value).partition(":")[0]
+
+
+@pytest.mark.parametrize(
+    ("query", "message"),
+    [
+        ({"format": "exe"}, "format: expected one of"),
+        ({"fps": "25"}, "fps: expected one of"),
+        ({"fps": "x"}, "fps: 'x' is not a number"),
+        ({"loop": "yes"}, "loop: 'yes' is not 0 or 1"),
+        ({"begin": "nan"}, "begin: expected"),
+        ({"path": "/etc/passwd"}, "unknown key 'path'"),
+        ({"names": "../x"}, "names: expected one of"),
+    ],
+)
+def test_parameters_are_checked(query, message):
+    with pytest.raises(UserError) as caught:
+        options_from_query(query)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(("begin", "end"), [(2.0, 1.0), (-1.0, 2.0), (3.0, 3.0), (90.0, 91.0)])
+def test_a_part_without_frames_is_refused(walk, begin, end):  # noqa: F811
+    with pytest.raises(UserError):
+        make_file([data_of(walk)], FileOptions(begin=begin, end=end))
+
+
+def test_the_scene_of_a_file(nasty):  # noqa: F811
+    found = read_scene(data_of(nasty), "npz", FileOptions(begin=0.0, end=1.0))
+    assert found["motion"]["frames"] == 20 and found["motion"]["caption"] == nasty.caption
+    (figure,) = found["scene"]["figures"]
+    assert figure["frames"] == 20 and found["scene"]["seconds"] == 1.0
