@@ -316,11 +316,11 @@ def test_phones_have_room_for_fingers(open_studio):
     assert small == []
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_accessibility(open_studio, scheme):
+@pytest.mark.parametrize(("scheme", "viewport"), [("light", WIDE), ("dark", PHONE)])
+def test_accessibility(open_studio, scheme, viewport):
     if not AXE.exists():
         pytest.skip("axe-core is not installed (npm ci --prefix tests/serving)")
-    page = open_studio()
+    page = open_studio(viewport=viewport)
     page.get_by_role("combobox", name="Colors").select_option(scheme)
     generate(page, WALK, WAVE, samples=2)
     page.locator(".block").nth(1).click()

@@ -103,7 +103,7 @@ export class Generation {
     if (scene === null) return;
     if (sampleLive.place === null) this.#addFigure(sampleLive, scene);
     else this.stage.extend(sampleLive.place, scene.figures[0]);
-    this.stage.time = this.stage.seconds;
+    this.stage.time = Math.max(this.stage.seconds - 1 / this.model.fps, 0);
   }
 
   // All samples have their first frames before any has its second ones, so this discards no frames.

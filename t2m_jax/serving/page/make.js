@@ -144,7 +144,9 @@ export class MakePanel {
     }
     if (mode === "redo" && span === null) return this.#refuse(HINTS.redo(this.session), find("begin-handle"));
     const request = { captions, seed: seed ? Number(seed) : null, num_samples: Number(find("num-samples").value), variety: find("variety").value };
-    if (this.model.guided) request.guidance_scale = Number(find("guidance").value);
+    const strength = Number(find("guidance").value);
+    // Requests with the model's own strength can be generated in one batch with those of others.
+    if (this.model.guided && strength !== this.model.guidance_scale) request.guidance_scale = strength;
     if (find("seconds").value && !find("seconds-field").hidden) request.seconds = Number(find("seconds").value);
     if (mode !== "new") Object.assign(request, { edit: mode, motion: motion.npz, motion_format: "npz" });
     if (mode === "redo") request.span = span;

@@ -32,7 +32,8 @@ export class Session extends EventTarget {
 }
 
 export function makeTake({ kind, request, scene, motions, warning = "" }) {
-  return { id: crypto.randomUUID?.() ?? `${Date.now()}-${Math.random()}`, created: Date.now(), kind, request, scene, motions, warning };
+  const created = Date.now();
+  return { id: `${created}-${Math.random()}`, created, kind, request, scene, motions, warning };
 }
 
 // The sentences that a motion shows in turn.
