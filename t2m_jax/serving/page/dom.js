@@ -36,6 +36,8 @@ export const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
 export const seconds = (value) => `${value.toFixed(1)} s`;
 
+export const wantsMotion = () => !matchMedia("(prefers-reduced-motion: reduce)").matches;
+
 // Shows one line about what went wrong, until the user closes it or the next attempt begins.
 export function showMessage(text) {
   const box = find("message");

@@ -1,6 +1,6 @@
 // One request at a time: its place in the queue, its progress with live frames, and its result.
 
-import { clearMessage, find, seconds, showMessage } from "./dom.js";
+import { clearMessage, find, seconds, showMessage, wantsMotion } from "./dom.js";
 import { requestMotions, ServerError } from "./server.js";
 import { makeTake } from "./session.js";
 
@@ -16,6 +16,11 @@ export class Generation {
     return this.#abort !== null;
   }
 
+  // Whether the stage shows frames of a motion that is not ready.
+  get #isLive() {
+    return [...this.live.values()].some(({ pieces }) => pieces.length > 0);
+  }
+
   cancel() {
     this.#abort?.abort();
   }
@@ -27,13 +32,15 @@ export class Generation {
       const take = await this.#receive(request, kind);
       this.#status(`Ready. Seed ${take.request.seed}.`);
       this.#end();
+      const { time } = this.stage;
       this.onDone(take);
+      if (this.#isLive) this.stage.time = time; // the first frames may have been seen already
     } catch (error) {
       const cancelled = this.#abort.signal.aborted;
       this.#end();
       this.#status(cancelled ? "Cancelled." : "");
       if (!cancelled) showMessage(error instanceof ServerError ? error.message : `The page has failed: ${error.message}`);
-      if (this.live.size > 0) this.#showFormerTake();
+      if (this.#isLive) this.#showFormerTake();
     }
   }
 
@@ -64,7 +71,6 @@ export class Generation {
     find("generate").hidden = running;
     find("cancel").hidden = !running;
     find("stage-progress").hidden = !running;
-    find("stage-frame").classList.toggle("busy", running);
     if (focused === find("generate")) find("cancel").focus();
     if (focused === find("cancel")) find("generate").focus();
   }
@@ -93,27 +99,29 @@ export class Generation {
     return makeTake({ kind, request: { ...options, seed }, scene, motions, warning: warnings.join(" ") });
   }
 
-  // Adds the new frames of a sample to the stage, which shows the newest one.
+  // Adds the new frames of a sample to the stage, which already plays the former ones.
   #showRows({ sample, codes, scene }) {
-    const sampleLive = this.live.get(sample) ?? { rows: 0, place: null };
-    this.live.set(sample, sampleLive);
-    sampleLive.rows += codes.length;
+    const live = this.live.get(sample) ?? { rows: 0, place: null, pieces: [] };
+    this.live.set(sample, live);
+    live.rows += codes.length;
     const rows = Math.max(...[...this.live.values()].map((one) => one.rows));
     this.#status(`Generating … ${seconds((rows * this.model.downsample) / this.model.fps)} made`);
     if (scene === null) return;
-    if (sampleLive.place === null) this.#addFigure(sampleLive, scene);
-    else this.stage.extend(sampleLive.place, scene.figures[0]);
-    this.stage.time = Math.max(this.stage.seconds - 1 / this.model.fps, 0);
+    live.pieces.push(scene.figures[0]);
+    if (live.pieces.length > 1) this.stage.extend(live.place, scene.figures[0]);
+    else this.#showLive(scene.seconds);
   }
 
-  // All samples have their first frames before any has its second ones, so this discards no frames.
-  #addFigure(sampleLive, scene) {
-    sampleLive.figure = scene.figures[0];
-    const shown = [...this.live.values()].filter((one) => one.figure);
-    sampleLive.place = shown.length - 1;
-    this.stage.show({ seconds: scene.seconds, figures: shown.map((one) => one.figure) });
-    this.stage.playing = false;
-    this.stage.range = null;
+  // Shows all samples that have frames, after the first frames of one.
+  #showLive(sceneSeconds) {
+    const shown = [...this.live.values()].filter(({ pieces }) => pieces.length > 0);
+    this.stage.show({ seconds: sceneSeconds, figures: shown.map(({ pieces }) => pieces[0]) });
+    shown.forEach((live, place) => {
+      live.place = place;
+      for (const piece of live.pieces.slice(1)) this.stage.extend(place, piece);
+    });
+    if (shown.length > 1) return;
+    Object.assign(this.stage, { time: 0, range: null, playing: wantsMotion() });
     find("empty").hidden = true;
   }
 }

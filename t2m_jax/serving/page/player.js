@@ -1,6 +1,6 @@
 // The buttons that play the stage, and its clock.
 
-import { clamp, find, setIcon } from "./dom.js";
+import { clamp, find, setIcon, wantsMotion } from "./dom.js";
 
 export class Player {
   constructor(stage, session) {
@@ -61,7 +61,7 @@ export class Player {
     stage.show(session.take.scene);
     stage.select(session.take.motions.length > 1 ? session.selected : null);
     stage.time = 0;
-    stage.playing = stage.seconds > 0 && !matchMedia("(prefers-reduced-motion: reduce)").matches;
+    stage.playing = stage.seconds > 0 && wantsMotion();
     this.update();
   }
 
