@@ -1,0 +1,59 @@
+// Small helpers for elements. Text from users is only ever set as text.
+
+export const find = (id) => document.getElementById(id);
+
+export function create(tag, properties = {}, ...children) {
+  const element = Object.assign(document.createElement(tag), properties);
+  element.append(...children);
+  return element;
+}
+
+export function icon(name) {
+  const space = "http://www.w3.org/2000/svg";
+  const svg = document.createElementNS(space, "svg");
+  const use = document.createElementNS(space, "use");
+  use.setAttribute("href", `#icon-${name}`);
+  svg.setAttribute("aria-hidden", "true");
+  svg.append(use);
+  return svg;
+}
+
+export function iconButton(name, label, action) {
+  const button = create("button", { type: "button", className: "icon", title: label, onclick: action }, icon(name));
+  button.setAttribute("aria-label", label);
+  return button;
+}
+
+export function setIcon(button, name) {
+  button.querySelector("use").setAttribute("href", `#icon-${name}`);
+}
+
+export function fillSelect(select, choices) {
+  select.replaceChildren(...choices.map(([value, text]) => create("option", { value, textContent: text })));
+}
+
+export const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+
+export const seconds = (value) => `${value.toFixed(1)} s`;
+
+export const wantsMotion = () => !matchMedia("(prefers-reduced-motion: reduce)").matches;
+
+// Shows one line about what went wrong, until the user closes it or the next attempt begins.
+export function showMessage(text) {
+  const box = find("message");
+  const close = iconButton("remove", "Close the message", clearMessage);
+  box.replaceChildren(create("p", { textContent: text, dir: "auto" }), close);
+}
+
+export function clearMessage() {
+  find("message").replaceChildren();
+}
+
+// Resolves to the value of the button that closed the dialog; it is empty after Escape.
+export function ask(dialog) {
+  return new Promise((resolve) => {
+    dialog.returnValue = "";
+    dialog.addEventListener("close", () => resolve(dialog.returnValue), { once: true });
+    dialog.showModal();
+  });
+}

@@ -1,0 +1,53 @@
+// Motion files of the user's own, chosen with a button or dropped on the page.
+
+import { clearMessage, find, showMessage } from "./dom.js";
+import { readMotion, ServerError } from "./server.js";
+import { makeTake } from "./session.js";
+
+export function listenForFiles(model, onOpen) {
+  const input = find("file-input");
+  const open = async (file) => {
+    clearMessage();
+    try {
+      onOpen(await readTake(file, model));
+    } catch (error) {
+      showMessage(error instanceof ServerError ? error.message : `${file.name}: ${error.message}`);
+    }
+  };
+  find("open-file").addEventListener("click", () => input.click());
+  input.addEventListener("change", () => {
+    if (input.files[0]) open(input.files[0]);
+    input.value = ""; // so that the same file can be opened again
+  });
+  listenForDrops(open);
+}
+
+async function readTake(file, model) {
+  const formats = model.input_formats ?? ["npz", "bvh", "glb"];
+  const format = file.name.split(".").pop().toLowerCase();
+  if (!formats.includes(format)) throw new ServerError(`${file.name}: is not a motion file; open .${formats.join(", .")}`);
+  if (file.size > model.limits.body_bytes) {
+    throw new ServerError(`${file.name}: has more than ${Math.round(model.limits.body_bytes / 2 ** 20)} MB`);
+  }
+  const { scene, motion } = await readMotion(await file.arrayBuffer(), format);
+  return makeTake({ kind: "file", request: { seed: motion.seed, name: file.name }, scene, motions: [motion] });
+}
+
+function listenForDrops(open) {
+  const hint = find("drop-hint");
+  const hasFile = (event) => event.dataTransfer?.types.includes("Files");
+  addEventListener("dragover", (event) => {
+    if (!hasFile(event)) return;
+    event.preventDefault();
+    hint.hidden = false;
+  });
+  addEventListener("dragleave", (event) => {
+    if (event.relatedTarget === null) hint.hidden = true;
+  });
+  addEventListener("drop", (event) => {
+    if (!hasFile(event)) return;
+    event.preventDefault();
+    hint.hidden = true;
+    open(event.dataTransfer.files[0]);
+  });
+}

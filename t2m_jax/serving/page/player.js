@@ -1,0 +1,79 @@
+// The buttons that play the stage, and its clock.
+
+import { clamp, find, setIcon, wantsMotion } from "./dom.js";
+
+export class Player {
+  constructor(stage, session) {
+    Object.assign(this, { stage, session });
+    find("play").addEventListener("click", () => this.toggle());
+    find("step-back").addEventListener("click", () => this.step(-1));
+    find("step-forward").addEventListener("click", () => this.step(1));
+    find("speed").addEventListener("change", (event) => { stage.speed = Number(event.target.value); });
+    find("follow").addEventListener("click", () => this.toggleFollow());
+    find("reset-view").addEventListener("click", () => stage.resetView());
+    find("scrub").addEventListener("input", (event) => this.seek(Number(event.target.value)));
+    stage.onselect = (number) => session.select(number);
+    session.onChange(["take"], () => this.#showTake());
+    session.onChange(["select"], () => stage.select(session.selected));
+    session.onChange(["span"], () => { stage.range = session.span; });
+    this.update();
+  }
+
+  get fps() {
+    return this.session.motion?.fps ?? 20;
+  }
+
+  get lastFrame() {
+    return Math.max(Math.round(this.stage.seconds * this.fps) - 1, 0);
+  }
+
+  get frame() {
+    return clamp(Math.round(this.stage.time * this.fps), 0, this.lastFrame);
+  }
+
+  toggle() {
+    if (this.session.take) this.stage.playing = !this.stage.playing;
+    this.update();
+  }
+
+  toggleFollow() {
+    this.stage.follow = !this.stage.follow;
+    this.update();
+  }
+
+  step(frames) {
+    this.seek(this.frame + frames);
+  }
+
+  seek(frame) {
+    this.stage.playing = false;
+    this.stage.time = clamp(frame, 0, this.lastFrame) / this.fps;
+    this.update();
+  }
+
+  #showTake() {
+    const { stage, session } = this;
+    if (session.take === null) {
+      stage.show({ seconds: 0, figures: [] });
+      return;
+    }
+    stage.range = null;
+    stage.show(session.take.scene);
+    stage.select(session.take.motions.length > 1 ? session.selected : null);
+    stage.time = 0;
+    stage.playing = stage.seconds > 0 && wantsMotion();
+    this.update();
+  }
+
+  update() {
+    const { stage } = this;
+    const play = find("play");
+    const label = stage.playing ? "Pause" : "Play";
+    if (play.getAttribute("aria-label") !== label) {
+      play.setAttribute("aria-label", label);
+      setIcon(play, label.toLowerCase());
+    }
+    find("follow").setAttribute("aria-pressed", String(stage.follow));
+    find("clock").textContent = `${stage.time.toFixed(2)} / ${stage.seconds.toFixed(2)} s · frame ${this.frame}`;
+  }
+}

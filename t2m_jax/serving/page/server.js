@@ -1,0 +1,114 @@
+// Requests to the server. A busy server (429) is asked again after the time that it names.
+
+import { ask, find } from "./dom.js";
+
+const TOKEN_KEY = "t2m-token";
+const DEFAULT_WAIT = 5;
+
+export class ServerError extends Error {}
+
+// A link can bring the token (`?token=...`). It then leaves the address, so that it is not copied with it.
+export function takeTokenFromAddress() {
+  const address = new URL(location.href);
+  const token = address.searchParams.get("token");
+  if (token === null) return;
+  sessionStorage.setItem(TOKEN_KEY, token);
+  address.searchParams.delete("token");
+  history.replaceState(null, "", address);
+}
+
+async function askForToken() {
+  const input = find("token");
+  const answer = await ask(find("token-dialog"));
+  if (answer !== "yes" || !input.value) return false;
+  sessionStorage.setItem(TOKEN_KEY, input.value);
+  input.value = "";
+  return true;
+}
+
+async function errorText(response) {
+  try {
+    const { error } = await response.json();
+    if (error) return error;
+  } catch {
+    // A proxy answers with pages of its own, whose text would say nothing here.
+  }
+  return `The server answered with status ${response.status}.`;
+}
+
+function pause(seconds, signal) {
+  return new Promise((resolve, reject) => {
+    const timer = setTimeout(resolve, 1000 * seconds);
+    signal?.addEventListener("abort", () => {
+      clearTimeout(timer);
+      reject(signal.reason);
+    });
+  });
+}
+
+async function fetchOnce(path, options) {
+  const token = sessionStorage.getItem(TOKEN_KEY);
+  const headers = token === null ? options.headers : { ...options.headers, Authorization: `Bearer ${token}` };
+  try {
+    return await fetch(path, { ...options, headers });
+  } catch (error) {
+    if (options.signal?.aborted) throw error;
+    throw new ServerError("The server cannot be reached.");
+  }
+}
+
+async function send(path, options = {}, onWait = () => {}) {
+  for (;;) {
+    const response = await fetchOnce(path, options);
+    if (response.ok) return response;
+    if (response.status === 429) {
+      const wait = Number(response.headers.get("Retry-After")) || DEFAULT_WAIT;
+      onWait(wait);
+      await pause(wait, options.signal);
+    } else if (response.status !== 401 || !(await askForToken())) {
+      throw new ServerError(await errorText(response));
+    }
+  }
+}
+
+const asJson = (data) => ({ method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(data) });
+
+export async function fetchModel() {
+  return (await send("model")).json();
+}
+
+function parseEvent(block) {
+  const fields = {};
+  for (const line of block.split("\n")) {
+    const colon = line.indexOf(":");
+    fields[line.slice(0, colon)] = line.slice(colon + 1);
+  }
+  return fields.event ? { name: fields.event.trim(), data: JSON.parse(fields.data) } : null;
+}
+
+// Yields the server-sent events {name, data} of a request for motions, up to the last one.
+export async function* requestMotions(request, { signal, onWait }) {
+  const response = await send("motions", { ...asJson(request), signal }, onWait);
+  const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
+  let text = "";
+  for (;;) {
+    const { value, done } = await reader.read().catch((error) => {
+      throw signal.aborted ? error : new ServerError("The connection to the server was lost.");
+    });
+    if (done) return;
+    const blocks = (text + value).split("\n\n");
+    text = blocks.pop();
+    yield* blocks.map(parseEvent).filter(Boolean);
+  }
+}
+
+// Returns {scene, motion} of a file's bytes.
+export async function readMotion(bytes, format) {
+  const options = { method: "POST", headers: { "Content-Type": "application/octet-stream" }, body: bytes };
+  return (await send(`scene?${new URLSearchParams({ format })}`, options)).json();
+}
+
+// Returns a blob with a file that contains the motions, which are given as base64 of .npz files.
+export async function makeFile(motions, parameters, onWait) {
+  return (await send(`files?${new URLSearchParams(parameters)}`, asJson({ motions }), onWait)).blob();
+}

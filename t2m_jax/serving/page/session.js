@@ -1,0 +1,42 @@
+// What the page shows now. A "take" is the result of one request: the same sentences, one or more motions (samples).
+
+export class Session extends EventTarget {
+  take = null;
+  selected = 0;
+  span = null;
+
+  get motion() {
+    return this.take?.motions[this.selected] ?? null;
+  }
+
+  // Sends "take" to all panels. Their parts of the page are then as if no take was shown before.
+  show(take, selected = 0) {
+    Object.assign(this, { take, selected, span: null });
+    this.dispatchEvent(new Event("take"));
+  }
+
+  select(number) {
+    if (number === this.selected || !this.take?.motions[number]) return;
+    this.selected = number;
+    this.dispatchEvent(new Event("select"));
+  }
+
+  setSpan(span) {
+    this.span = span;
+    this.dispatchEvent(new Event("span"));
+  }
+
+  onChange(names, action) {
+    for (const name of names) this.addEventListener(name, action);
+  }
+}
+
+export function makeTake({ kind, request, scene, motions, warning = "" }) {
+  const created = Date.now();
+  return { id: `${created}-${Math.random()}`, created, kind, request, scene, motions, warning };
+}
+
+// The sentences that a motion shows in turn.
+export function sentencesOf(motion) {
+  return motion.part_captions.length ? motion.part_captions : [motion.caption];
+}

@@ -1,0 +1,56 @@
+// Takes in the browser's IndexedDB: short entries for the list, and apart from them the motions, which are large.
+
+const NAME = "t2m-studio";
+
+function settled(request) {
+  return new Promise((resolve, reject) => {
+    request.onsuccess = () => resolve(request.result);
+    request.onerror = () => reject(request.error);
+  });
+}
+
+function committed(transaction) {
+  return new Promise((resolve, reject) => {
+    transaction.oncomplete = () => resolve();
+    transaction.onabort = () => reject(transaction.error);
+  });
+}
+
+export class Store {
+  static async open() {
+    const request = indexedDB.open(NAME, 1);
+    request.onupgradeneeded = () => {
+      request.result.createObjectStore("entries", { keyPath: "id" });
+      request.result.createObjectStore("takes", { keyPath: "id" });
+    };
+    const store = new Store();
+    store.database = await settled(request);
+    return store;
+  }
+
+  #write(action) {
+    const transaction = this.database.transaction(["entries", "takes"], "readwrite");
+    action(transaction.objectStore("entries"), transaction.objectStore("takes"));
+    return committed(transaction);
+  }
+
+  entries() {
+    return settled(this.database.transaction("entries").objectStore("entries").getAll());
+  }
+
+  take(id) {
+    return settled(this.database.transaction("takes").objectStore("takes").get(id));
+  }
+
+  add(entry, take) {
+    return this.#write((entries, takes) => [entries.put(entry), takes.put(take)]);
+  }
+
+  delete(id) {
+    return this.#write((entries, takes) => [entries.delete(id), takes.delete(id)]);
+  }
+
+  clear() {
+    return this.#write((entries, takes) => [entries.clear(), takes.clear()]);
+  }
+}

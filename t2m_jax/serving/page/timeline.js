@@ -1,0 +1,137 @@
+// The track under the stage: scrub bar, handles of the span, and a block for each sentence.
+
+import { clamp, create, find, seconds } from "./dom.js";
+import { sentencesOf } from "./session.js";
+
+const RULER_STEPS = [0.5, 1, 2, 5, 10, 30, 60];
+const MOST_TICKS = 12;
+
+export class Timeline {
+  constructor(stage, session, player) {
+    Object.assign(this, { stage, session, player, track: find("track"), scrub: find("scrub") });
+    this.handles = [find("begin-handle"), find("end-handle")];
+    this.numbers = [find("begin"), find("end")];
+    this.handles.forEach((handle, side) => this.#listenToHandle(handle, side));
+    this.numbers.forEach((input, side) => {
+      input.addEventListener("change", () => this.setSide(side, Number(input.value)));
+    });
+    find("whole").addEventListener("click", () => session.setSpan(null));
+    session.onChange(["take", "select"], () => this.#draw());
+    session.onChange(["span"], () => this.#drawSpan());
+    this.#draw();
+  }
+
+  // What changes with each frame.
+  update() {
+    const { stage, player, scrub } = this;
+    if (this.length !== stage.seconds) this.#draw(); // frames are still coming
+    scrub.value = player.frame;
+    scrub.setAttribute("aria-valuetext", `Frame ${player.frame} of ${player.lastFrame}, ${seconds(stage.time)}`);
+    this.track.style.setProperty("--now", this.#fraction(player.frame / player.fps));
+  }
+
+  get #shownSpan() {
+    return this.session.span ?? [0, this.length];
+  }
+
+  #fraction(time) {
+    return this.length ? clamp(time / this.length, 0, 1) : 0;
+  }
+
+  // Moves the begin (0) or the end (1) of the span to a time; both are at frames.
+  setSide(side, time) {
+    const { fps } = this.player;
+    if (!this.session.motion || !Number.isFinite(time)) return;
+    const span = [...this.#shownSpan];
+    const frame = 1 / fps;
+    const [low, high] = side === 0 ? [0, span[1] - frame] : [span[0] + frame, this.length];
+    span[side] = clamp(Math.round(time * fps) / fps, low, high);
+    const whole = span[0] < frame / 2 && span[1] > this.length - frame / 2;
+    this.session.setSpan(whole ? null : span);
+  }
+
+  #listenToHandle(handle, side) {
+    const timeAt = (event) => {
+      const { left, width } = this.scrub.getBoundingClientRect();
+      const thumb = parseFloat(getComputedStyle(this.track).getPropertyValue("--thumb"));
+      return ((event.clientX - left - thumb / 2) / (width - thumb)) * this.length;
+    };
+    handle.addEventListener("pointerdown", (event) => {
+      handle.setPointerCapture(event.pointerId);
+      event.preventDefault();
+      handle.focus();
+    });
+    handle.addEventListener("pointermove", (event) => {
+      if (handle.hasPointerCapture(event.pointerId)) this.setSide(side, timeAt(event));
+    });
+    handle.addEventListener("keydown", (event) => {
+      const frames = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1, PageDown: -10, PageUp: 10 }[event.key];
+      const ends = { Home: 0, End: this.length }[event.key];
+      if (frames === undefined && ends === undefined) return;
+      event.preventDefault();
+      event.stopPropagation();
+      this.setSide(side, ends ?? this.#shownSpan[side] + (frames * (event.shiftKey ? 10 : 1)) / this.player.fps);
+    });
+  }
+
+  #draw() {
+    this.length = this.stage.seconds;
+    find("timeline").classList.toggle("idle", !this.session.motion);
+    for (const element of find("timeline").querySelectorAll("button, input, select")) element.disabled = !this.session.motion;
+    this.scrub.max = this.player.lastFrame + 1; // the end of the last frame, so that the thumb agrees with the ruler
+    this.#drawRuler();
+    this.#drawBlocks();
+    this.#drawSpan();
+  }
+
+  #drawRuler() {
+    const step = RULER_STEPS.find((one) => this.length / one <= MOST_TICKS) ?? this.length;
+    const count = this.length ? Math.floor(this.length / step) + 1 : 0;
+    find("ruler").replaceChildren(...Array.from({ length: count }, (_, index) => {
+      const tick = create("span", { className: "tick", textContent: `${index * step}` });
+      tick.style.setProperty("--at", this.#fraction(index * step));
+      return tick;
+    }));
+  }
+
+  #drawBlocks() {
+    const { motion } = this.session;
+    const starts = motion?.part_starts.length ? motion.part_starts : [0];
+    const blocks = motion ? sentencesOf(motion).map((caption, index) => {
+      const span = [starts[index] / motion.fps, (starts[index + 1] ?? motion.frames) / motion.fps];
+      return this.#makeBlock(caption, span, starts.length > 1);
+    }) : [];
+    find("blocks").replaceChildren(...blocks);
+  }
+
+  #makeBlock(caption, span, isPart) {
+    const choose = () => {
+      this.session.setSpan(isPart ? span : null);
+      this.player.seek(Math.round(span[0] * this.player.fps));
+    };
+    const block = create("button", { type: "button", className: "block", textContent: caption || "Motion", dir: "auto", onclick: choose });
+    block.title = `${caption} (${seconds(span[0])} to ${seconds(span[1])})`;
+    block.style.setProperty("--from", this.#fraction(span[0]));
+    block.style.setProperty("--to", this.#fraction(span[1]));
+    return block;
+  }
+
+  #drawSpan() {
+    const span = this.#shownSpan;
+    this.track.classList.toggle("trimmed", this.session.span !== null);
+    find("whole").disabled = this.session.span === null;
+    this.track.style.setProperty("--begin", this.#fraction(span[0]));
+    this.track.style.setProperty("--end", this.#fraction(span[1]));
+    this.handles.forEach((handle, side) => {
+      handle.setAttribute("aria-valuemin", "0");
+      handle.setAttribute("aria-valuemax", this.length.toFixed(2));
+      handle.setAttribute("aria-valuenow", span[side].toFixed(2));
+      handle.setAttribute("aria-valuetext", seconds(span[side]));
+      handle.setAttribute("aria-disabled", String(!this.session.motion));
+    });
+    this.numbers.forEach((input, side) => {
+      input.max = this.length.toFixed(2);
+      if (document.activeElement !== input) input.value = this.session.motion ? span[side].toFixed(2) : "";
+    });
+  }
+}

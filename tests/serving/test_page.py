@@ -1,0 +1,331 @@
+"""The page of the studio in a browser that shows nothing on a screen, with a real server and the demo model."""
+
+import io
+import subprocess
+import sys
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from PIL import Image
+
+from t2m_jax.export import load_motion
+from t2m_jax.motion.record import Motion
+from tests.export.conftest import NASTY_CAPTION, walk  # noqa: F401 - a fixture
+from tests.export.test_viewer import browser, wait_until  # noqa: F401 - a fixture
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+expect = playwright.expect
+
+pytestmark = pytest.mark.slow
+AXE = Path(__file__).parent / "node_modules" / "axe-core" / "axe.min.js"
+WIDE, PHONE = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
+WALK, WAVE = "a person walks forward", "a person waves with the left hand"
+
+
+@pytest.fixture(scope="module")
+def address():
+    command = [sys.executable, "-m", "t2m_jax", "serve", "--port", "0", "--batch", "4"]
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    yield server.stdout.readline().strip()
+    server.terminate()
+    assert server.wait(30) == 0
+
+
+@pytest.fixture
+def open_studio(browser, address):  # noqa: F811
+    """Returns a function that opens the page; afterwards nothing may have gone wrong in it."""
+    contexts, troubles, expected = [], [], []
+
+    def open_page(*, viewport=WIDE, may_fail=(), **options):
+        context = browser.new_context(viewport=viewport, **({"reduced_motion": "reduce"} | options))
+        contexts.append(context)
+        expected.extend(may_fail)
+        context.set_default_timeout(10_000)
+        page = context.new_page()
+        page.on("console", lambda message: troubles.append(message.text) if message.type == "error" else None)
+        page.on("pageerror", lambda error: troubles.append(str(error)))
+        page.on("request", lambda request: troubles.append(request.url) if not is_own(request.url) else None)
+        page.goto(address)
+        expect(page.locator("#examples button").first).to_be_visible()
+        return page
+
+    def is_own(url):
+        return url.startswith((address, "data:", f"blob:{address}"))
+
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert [trouble for trouble in troubles if not any(part in trouble for part in expected)] == []
+
+
+def generate(page, *sentences, samples=1, takes=1):
+    """Makes a motion, and waits until the history has so many takes."""
+    page.get_by_role("combobox", name="Samples").select_option(str(samples))
+    page.get_by_role("textbox", name="Seed").fill("7")
+    page.get_by_role("textbox", name="Sentence").first.fill(sentences[0])
+    for number, sentence in enumerate(sentences[1:], start=2):
+        page.locator("#add-sentence").click()
+        page.get_by_role("textbox", name=f"Sentence {number}").fill(sentence)
+    page.keyboard.press("Enter") if len(sentences) > 1 else page.get_by_role("button", name="Generate").click()
+    expect(page.locator(".take")).to_have_count(takes, timeout=60_000)
+
+
+def stage_picture(page) -> np.ndarray:
+    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    return np.asarray(Image.open(io.BytesIO(page.locator("#stage").screenshot())).convert("RGB"), int)
+
+
+def download(page, format_name, tmp_path) -> Path:
+    page.get_by_role("radio", name=format_name).check(force=True)
+    with page.expect_download(timeout=90_000) as info:
+        page.get_by_role("button", name=f"Download {format_name}").click()
+    path = tmp_path / info.value.suggested_filename
+    info.value.save_as(path)
+    return path
+
+
+def num_frames(page) -> int:
+    """Returns the number of frames of the selected motion, as the page tells it."""
+    facts = page.locator("#take-facts").text_content()
+    return int(facts.split(" frames")[0].split(" ")[-1])
+
+
+def test_a_sentence_becomes_a_figure_that_moves(open_studio):
+    page = open_studio(reduced_motion="no-preference")
+    page.get_by_role("textbox", name="Sentence").fill(WALK)
+    page.keyboard.press("Enter")
+    expect(page.locator("#take-title")).to_have_text(WALK, timeout=60_000)
+    expect(page.locator("#take-facts")).to_contain_text("seed")
+    before = stage_picture(page)
+    wait_until(page, "Number(document.getElementById('scrub').value) > 4")
+    assert np.mean(np.abs(before - stage_picture(page)).max(axis=-1) > 16) > 0.002
+    page.get_by_role("button", name="Reuse seed").click()
+    assert page.get_by_role("textbox", name="Seed").input_value() in page.locator("#status").text_content()
+
+
+def test_the_timeline_scrubs_and_trims(open_studio, tmp_path):
+    page = open_studio()
+    generate(page, WALK)
+    expect(page.get_by_role("button", name="Play")).to_be_visible()  # the user asked for less motion
+    frames = num_frames(page)
+    first = stage_picture(page)
+    page.get_by_role("slider", name="Frame", exact=True).fill("8")
+    expect(page.locator("#clock")).to_contain_text("frame 8")
+    assert np.any(first != stage_picture(page))
+    page.locator("#stage-frame").click(position={"x": 5, "y": 5})
+    page.keyboard.press("[")
+    page.get_by_role("slider", name="End of the span").focus()
+    page.keyboard.press("ArrowLeft")
+    page.keyboard.press("ArrowLeft")
+    expect(page.locator("#begin")).to_have_value("0.40")
+    assert load_motion(download(page, "NPZ", tmp_path)).num_frames == frames - 8 - 2
+    page.get_by_role("spinbutton", name="Begin").fill("0.2")
+    page.keyboard.press("Tab")
+    expect(page.get_by_role("slider", name="Begin of the span")).to_have_attribute("aria-valuenow", "0.20")
+    page.get_by_role("button", name="Whole motion").click()
+    expect(page.locator("#begin")).to_have_value("0.00")
+    handle = page.locator("#begin-handle").bounding_box()
+    page.mouse.move(handle["x"] + 6, handle["y"] + 8)
+    page.mouse.down()
+    page.mouse.move(handle["x"] + 150, handle["y"] + 8)
+    page.mouse.up()
+    assert float(page.locator("#begin").input_value()) > 0
+
+
+def test_sentences_follow_each_other_and_a_part_is_made_again(open_studio):
+    page = open_studio()
+    generate(page, WALK, WAVE)
+    blocks = page.locator(".block")
+    expect(blocks).to_have_text([WALK, WAVE])
+    frames = num_frames(page)
+    blocks.nth(1).click()
+    page.get_by_role("radio", name="Redo part").check(force=True)
+    expect(page.get_by_role("textbox", name="Sentence")).to_have_value(WAVE)
+    generate(page, "a person bows politely", samples=2, takes=2)
+    assert num_frames(page) == frames and "1 of 2" in page.locator("#take-facts").text_content()
+    page.keyboard.press("Tab")
+    page.locator("h1").click()
+    page.keyboard.press("2")
+    expect(page.locator("#take-facts")).to_contain_text("2 of 2")
+    page.get_by_role("button", name="Keep only this one").click()
+    expect(page.locator(".take")).to_have_count(3)
+    page.locator("#then").click()
+    generate(page, WALK, takes=4)
+    assert num_frames(page) > frames
+    page.get_by_role("radio", name="Vary").check(force=True)
+    page.get_by_role("button", name="Generate").click()
+    expect(page.locator(".take")).to_have_count(5, timeout=60_000)
+
+
+def test_files_for_download_can_be_read(open_studio, tmp_path):
+    page = open_studio()
+    generate(page, WAVE)
+    frames = num_frames(page)
+    for name in ("GLB", "BVH"):
+        motion = load_motion(download(page, name, tmp_path))
+        assert motion.num_frames == frames and motion.positions.shape[1] == 22
+    video = download(page, "MP4", tmp_path)
+    assert imageio_ffmpeg.count_frames_and_secs(str(video))[0] >= frames
+    page.locator("#file-input").set_input_files(next(tmp_path.glob("*.bvh")))
+    expect(page.locator(".take")).to_have_count(2)
+    expect(page.locator(".take-meta").first).to_contain_text("file")
+
+
+def test_the_history_survives(open_studio):
+    page = open_studio()
+    generate(page, WALK)
+    generate(page, WAVE, samples=2, takes=2)
+    page.reload()
+    expect(page.locator(".take-caption")).to_have_text([WAVE, WALK])
+    page.locator(".take-open").nth(1).click()
+    expect(page.locator("#take-title")).to_have_text(WALK)
+    page.get_by_role("button", name=f"Compare {WAVE}").click()
+    expect(page.locator("#compare-hint")).to_contain_text(WAVE)
+    page.get_by_role("button", name="Compare", exact=True).click()
+    expect(page.locator("#take-title")).to_have_text("Comparison")
+    expect(page.locator("#stage")).to_contain_text(f"A: {WAVE}")
+    expect(page.locator("#stage")).to_contain_text(f"B: {WALK}")
+    page.get_by_role("button", name=f"Delete {WALK}").click()
+    expect(page.locator(".take")).to_have_count(1)
+    page.get_by_role("button", name="Delete all").click()
+    page.get_by_role("button", name="Delete", exact=True).click()
+    expect(page.locator(".take")).to_have_count(0)
+    page.reload()
+    expect(page.locator("#history-empty")).to_be_visible()
+
+
+def test_nothing_is_lost_if_something_fails(open_studio):
+    page = open_studio(may_fail=["429", "503"])
+    sentence, alert = page.get_by_role("textbox", name="Sentence"), page.get_by_role("alert")
+    page.get_by_role("button", name="Generate").click()
+    expect(alert).to_have_text("Write a sentence first.")
+    expect(sentence).to_be_focused()
+    generate(page, WALK)
+    sentence.fill(WAVE)
+    answers = [(503, "the model restarts", "1"), (429, "too many requests", "1")]
+
+    def answer(route):
+        if not answers:
+            route.continue_()
+            return
+        status, error, wait = answers.pop(0)
+        route.fulfill(status=status, json={"error": error}, headers={"Retry-After": wait})
+
+    page.route("**/motions", answer)
+    sentence.press("Enter")
+    expect(alert).to_have_text("the model restarts")
+    expect(sentence).to_have_value(WAVE)
+    expect(page.locator("#take-title")).to_have_text(WALK)
+    sentence.press("Enter")
+    expect(page.locator("#status")).to_have_text("The server is busy. Trying again in 1 s.")
+    expect(page.locator("#take-title")).to_have_text(WAVE, timeout=60_000)
+    expect(alert).to_be_empty()
+
+
+def test_full_storage_is_told(open_studio):
+    page = open_studio()
+    page.evaluate("""() => {
+      IDBObjectStore.prototype.put = () => { throw new DOMException("", "QuotaExceededError"); };
+    }""")
+    generate(page, WALK)
+    expect(page.get_by_role("alert")).to_contain_text("storage is full")
+    generate(page, WAVE, takes=2)
+    page.locator(".take-open").nth(1).click()
+    expect(page.locator("#take-title")).to_have_text(WALK)
+
+
+def test_a_token_is_asked_for(open_studio):
+    page = open_studio(may_fail=["401"])
+
+    def answer(route):
+        if route.request.headers.get("authorization") == "Bearer secret":
+            route.continue_()
+        else:
+            route.fulfill(status=401, json={"error": "a token is needed"})
+
+    page.route("**/model", answer)
+    page.reload()
+    page.locator("#token").fill("wrong")
+    page.keyboard.press("Enter")
+    expect(page.locator("#token")).to_have_value("")
+    page.locator("#token").fill("secret")
+    page.keyboard.press("Enter")
+    expect(page.locator("#examples button").first).to_be_visible()
+    page.goto(page.url + "?token=secret")
+    expect(page.locator("#examples button").first).to_be_visible()
+    assert "secret" not in page.url
+
+
+def test_a_request_can_be_cancelled(open_studio):
+    page = open_studio()
+    page.route("**/motions", lambda route: None)
+    sentence = page.get_by_role("textbox", name="Sentence")
+    sentence.fill(WALK)
+    page.get_by_role("button", name="Generate").click()
+    expect(page.get_by_role("button", name="Cancel")).to_be_focused()
+    page.keyboard.press("Escape")
+    expect(page.locator("#status")).to_have_text("Cancelled.")
+    expect(page.get_by_role("button", name="Generate")).to_be_focused()
+    expect(sentence).to_have_value(WALK)
+
+
+def test_keys_and_help(open_studio):
+    page = open_studio()
+    generate(page, WALK, samples=2)
+    page.locator("h1").click()
+    page.keyboard.press("End")
+    page.keyboard.press("ArrowLeft")
+    page.keyboard.press("Shift+ArrowLeft")
+    expect(page.locator("#clock")).to_contain_text(f"frame {max(num_frames(page), 1) - 12}")
+    page.keyboard.press("Space")
+    expect(page.get_by_role("button", name="Pause")).to_be_visible()
+    page.keyboard.press("f")
+    expect(page.get_by_role("button", name="Camera follows")).to_have_attribute("aria-pressed", "false")
+    page.keyboard.press("?")
+    expect(page.get_by_role("dialog", name="Keys")).to_be_visible()
+    page.keyboard.press("Escape")
+    expect(page.get_by_role("dialog", name="Keys")).to_be_hidden()
+    page.keyboard.press("/")
+    expect(page.get_by_role("textbox", name="Sentence")).to_be_focused()
+    page.get_by_text("Words that the model knows").click()
+    page.get_by_role("searchbox", name="Filter words").fill("wav")
+    page.get_by_role("group", name="Words").get_by_role("button", name="wave", exact=True).click()
+    expect(page.get_by_role("textbox", name="Sentence")).to_have_value(f"{WALK} wave")
+
+
+def test_captions_are_only_text(open_studio, walk, tmp_path):  # noqa: F811
+    page = open_studio(viewport=PHONE)
+    Motion(walk.positions, 20.0, caption=NASTY_CAPTION + " 😀" + "x" * 300).save(tmp_path / "nasty.npz")
+    page.locator("#file-input").set_input_files(tmp_path / "nasty.npz")
+    expect(page.locator(".take")).to_have_count(1)
+    expect(page.locator("#take-title")).to_contain_text("😀")
+    assert page.locator("img, main script").count() == 0
+    assert page.evaluate("document.documentElement.scrollWidth") == PHONE["width"]
+
+
+def test_phones_have_room_for_fingers(open_studio):
+    page = open_studio(viewport=PHONE, has_touch=True, is_mobile=True)
+    generate(page, WALK, WAVE)
+    assert page.evaluate("document.documentElement.scrollWidth") == PHONE["width"]
+    assert page.locator("#stage").bounding_box()["y"] < page.locator("#make").bounding_box()["y"]
+    small = page.locator("button:visible:not(.chip), select:visible").evaluate_all(
+        "(all) => all.filter((e) => e.getBoundingClientRect().height < 38).map((e) => e.id || e.textContent)"
+    )
+    assert small == []
+
+
+@pytest.mark.parametrize(("scheme", "viewport"), [("light", WIDE), ("dark", PHONE)])
+def test_accessibility(open_studio, scheme, viewport):
+    if not AXE.exists():
+        pytest.skip("axe-core is not installed (npm ci --prefix tests/serving)")
+    page = open_studio(viewport=viewport)
+    page.get_by_role("combobox", name="Colors").select_option(scheme)
+    generate(page, WALK, WAVE, samples=2)
+    page.locator(".block").nth(1).click()
+    page.get_by_text("Words that the model knows").click()
+    page.evaluate(AXE.read_text(encoding="utf-8") + "; 0")
+    found = page.evaluate("axe.run()")["violations"]
+    serious = [fault for fault in found if fault["impact"] in ("serious", "critical")]
+    assert [(fault["id"], [node["target"] for node in fault["nodes"]]) for fault in serious] == []
