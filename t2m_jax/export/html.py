@@ -42,6 +42,11 @@ def viewer_script(*more: str) -> str:
     return "(() => {\n" + "\n".join(['"use strict";', *files]) + "\n})();"
 
 
+def stage_style() -> str:
+    """Returns the style sheet of the renderer."""
+    return _asset("stage.css")
+
+
 def _asset(name: str) -> str:
     folder = importlib.resources.files("t2m_jax.export") / "viewer"
     return (folder / name).read_text(encoding="utf-8").rstrip("\n")
@@ -51,7 +56,7 @@ def viewer_html(motions: Sequence[Motion], *, embed: bool = True) -> str:
     """Returns the viewer as an HTML page or, with `embed`, as an iframe that contains the page, for notebooks."""
     # In a script element only `<` can do harm. ASCII avoids problems with U+2028 and lone surrogates.
     data = json.dumps(scene_record(motions), ensure_ascii=True, separators=(",", ":")).replace("<", "\\u003c")
-    style, script = f"{_asset('viewer.css')}\n{_asset('stage.css')}", viewer_script("viewer.js")
+    style, script = f"{_asset('viewer.css')}\n{stage_style()}", viewer_script("viewer.js")
     page = _asset("viewer.html").replace("/*{{style}}*/", style).replace("/*{{script}}*/", script)
     page = page.replace("/*{{data}}*/", data) + "\n"  # last, because captions could contain the other marks
     if not embed:

@@ -19,8 +19,10 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from t2m_jax.errors import UserError
+from t2m_jax.export.html import stage_style, viewer_script
 from t2m_jax.serving.files import FORMATS, FPS_CHOICES, JOINT_NAMES, SEVERAL, make_file, options_from_query, read_scene
 from t2m_jax.serving.jobs import FINAL_EVENTS, Event, Job, Jobs, QueueFullError
+from t2m_jax.serving.openapi import openapi
 from t2m_jax.serving.requests import (
     INPUT_FORMATS,
     MAX_BODY,
@@ -59,12 +61,7 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
-MEDIA_TYPES = {
-    "html": "text/html; charset=utf-8",
-    "css": "text/css",
-    "js": "text/javascript",
-    "json": "application/json",
-}
+MEDIA_TYPES = {"html": "text/html; charset=utf-8", "css": "text/css", "js": "text/javascript"}
 
 
 def make_app(jobs: Jobs, *, token: str | None = None, hosts: tuple[str, ...] = LOOPBACK) -> ASGIApp:
@@ -80,8 +77,9 @@ def make_app(jobs: Jobs, *, token: str | None = None, hosts: tuple[str, ...] = L
     routes = [
         Route("/", _static("index.html")),
         *[Route(f"/assets/{name}", _static(name)) for name in page_files() if name != "index.html"],
-        Route("/assets/viewer.js", _viewer),
-        Route("/openapi.json", _static("openapi.json")),
+        Route("/assets/stage.css", lambda _: Response(stage_style(), media_type=MEDIA_TYPES["css"])),
+        Route("/assets/viewer.js", lambda _: Response(viewer_script(), media_type=MEDIA_TYPES["js"])),
+        Route("/openapi.json", lambda _: JSONResponse(openapi())),
         Route("/health", server.health),
         Route("/metrics", server.metrics),
         Route("/model", server.model),
@@ -113,12 +111,6 @@ def _static(name: str) -> Callable[[Request], Response]:
     content = (importlib.resources.files("t2m_jax.serving") / "page" / name).read_bytes()
     media_type = MEDIA_TYPES[name.rpartition(".")[2]]
     return lambda _: Response(content, media_type=media_type)
-
-
-def _viewer(_: Request) -> Response:
-    from t2m_jax.export.html import viewer_script
-
-    return Response(viewer_script(), media_type=MEDIA_TYPES["js"])
 
 
 def _error(status: int, message: str, headers: Any = None) -> Response:

@@ -24,6 +24,8 @@ MAX_TOTAL_SECONDS = 600.0
 MAX_BODY = 16 * 2**20
 """Bytes of a request: a motion of ten minutes."""
 
+MAX_GUIDANCE_SCALE = 20.0
+
 Variety = Literal["normal", "low", "greedy"]
 TEMPERATURES: Mapping[str, float] = {"normal": 1.0, "low": 0.7, "greedy": 0.0}
 """A few, because each is a program of its own."""
@@ -65,8 +67,10 @@ class MotionRequest:
             check_seed(self.seed)
         if not 1 <= self.num_samples <= MAX_SAMPLES:
             raise UserError(f"num_samples: {self.num_samples} is not a whole number from 1 to {MAX_SAMPLES}")
-        if self.guidance_scale is not None and not 0 <= self.guidance_scale <= 20:
-            raise UserError(f"guidance_scale: {self.guidance_scale:g} is not a number from 0 to 20")
+        if self.guidance_scale is not None and not 0 <= self.guidance_scale <= MAX_GUIDANCE_SCALE:
+            raise UserError(f"guidance_scale: {self.guidance_scale:g} is not a number from 0 to {MAX_GUIDANCE_SCALE:g}")
+        if not 0 <= self.strength <= 1:
+            raise UserError(f"strength: {self.strength:g} is not a number from 0 to 1")
         self._check_length()
         self._check_edit()
 

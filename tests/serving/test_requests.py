@@ -45,6 +45,7 @@ def test_chains_lengths_and_edits_are_not_plain(fields):
         ({"seconds": float("nan")}, "seconds: expected"),
         ({"captions": ["a person walks"] * 11, "seconds": 60}, "seconds: all motions together"),
         ({"guidance_scale": -1}, "guidance_scale: -1 is not a number from 0 to 20"),
+        ({"strength": 1.5}, "strength: 1.5 is not a number from 0 to 1"),
         ({"variety": "wild"}, "variety: expected one of"),
         ({"edit": "redo"}, "edit: goes together with motion"),
         ({"motion": "AAAA"}, "edit: goes together with motion"),

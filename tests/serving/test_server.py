@@ -147,9 +147,9 @@ def test_a_large_body_is_refused_before_it_is_read(server):
 def test_the_page_and_its_parts(server):
     page = server.ask("GET", "/")
     assert page.status == 200 and page.headers["content-type"].startswith("text/html")
-    for name in [*page_files(), "viewer.js"]:
+    for name in [*page_files(), "stage.css", "viewer.js"]:
         if name != "index.html":
-            assert server.ask("GET", "/openapi.json" if name == "openapi.json" else f"/assets/{name}").status == 200
+            assert server.ask("GET", f"/assets/{name}").status == 200
     for name, value in HEADERS.items():
         assert page.headers[name.lower()] == value
 
