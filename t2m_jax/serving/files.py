@@ -25,6 +25,7 @@ class FileOptions:
     """How motions are written: the parameters of `POST /files`."""
 
     format: Literal["npz", "bvh", "glb", "gif", "mp4", "png", "html"] = "npz"
+    """The format of the file."""
     fps: Literal[20, 24, 30, 60] | None = None
     """Frames per second; by default those of the motion."""
     names: Literal["lafan1", "humanml3d", "mixamo", "vrm", "unreal"] | None = None

@@ -29,6 +29,8 @@ GATHER_SECONDS = 0.02
 """Time that the process waits for a batch to fill: the users of the last one have just got their motions."""
 RESTART_SECONDS = 1.0
 """Time before a process that has died is replaced."""
+END_SECONDS = 5.0
+"""Time for the process to end by itself."""
 MAX_TRIES = 2
 """How often a request is given to a process that then dies. It may be the reason."""
 FINAL_EVENTS = ("done", "failed")
@@ -120,6 +122,8 @@ class Jobs:
         """Ends the process."""
         process, self._process = self._process, None
         if process is not None:
+            process.terminate()
+            process.join(END_SECONDS)
             process.kill()
             process.join()
 

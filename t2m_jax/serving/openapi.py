@@ -16,6 +16,7 @@ from t2m_jax.serving.requests import (
     MAX_BODY,
     MAX_CAPTIONS,
     MAX_GUIDANCE_SCALE,
+    MAX_SAMPLES,
     MAX_SECONDS,
     MotionRequest,
 )
@@ -25,7 +26,7 @@ Schema = dict[str, Any]
 LIMITS: dict[str, Schema] = {
     "captions": {"minItems": 1, "maxItems": MAX_CAPTIONS},
     "seed": {"minimum": 0, "maximum": 2**32 - 1},
-    "num_samples": {"minimum": 1, "maximum": 9},
+    "num_samples": {"minimum": 1, "maximum": MAX_SAMPLES},
     "seconds": {"exclusiveMinimum": 0, "maximum": MAX_SECONDS},
     "guidance_scale": {"minimum": 0, "maximum": MAX_GUIDANCE_SCALE},
     "strength": {"minimum": 0, "maximum": 1},

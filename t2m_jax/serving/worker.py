@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import signal
+import sys
 import threading
 import traceback
 import warnings
@@ -28,8 +29,6 @@ from t2m_jax.serving.requests import TEMPERATURES, MotionRequest, decode_base64
 from t2m_jax.text.coverage import PromptWarning
 
 EXAMPLE_PROMPT = "a person walks forward"
-
-
 Send = Callable[[int, str, Any], None]
 """From a job, the name of an event and its data."""
 
@@ -43,8 +42,8 @@ def work(connection: Connection, model_name: str, batch_size: int) -> None:
         batch_size: Motions that are generated together, whatever the number of requests is, so that a motion does not
             depend on it.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which closes the connection
-
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which then ends this process
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     # Here, because filters of warnings belong to the process, not to a thread. Motions have their warnings, too.
     warnings.simplefilter("ignore", PromptWarning)
     lock = threading.Lock()

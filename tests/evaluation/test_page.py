@@ -183,6 +183,6 @@ def test_viewers_live_while_they_are_near_the_screen(open_in_browser, details, t
     stages.first.scroll_into_view_if_needed()
     inside = stages.first.frame_locator("iframe")
     inside.locator("canvas").wait_for()
-    assert inside.locator(".caption").all_text_contents() == ["1", "2, its own"]
+    assert inside.locator(".stage-caption").all_text_contents() == ["1", "2, its own"]
     page.evaluate("window.scrollTo(0, 0)")
     frames.first.wait_for(state="detached")

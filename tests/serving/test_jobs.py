@@ -23,7 +23,10 @@ class FakeProcess:
     def kill(self):
         self.killed = True
 
-    def join(self):
+    def terminate(self):
+        pass
+
+    def join(self, timeout=None):
         pass
 
 

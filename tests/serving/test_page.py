@@ -1,8 +1,6 @@
 """The page of the studio in a browser that shows nothing on a screen, with a real server and the demo model."""
 
 import io
-import subprocess
-import sys
 from pathlib import Path
 
 import imageio_ffmpeg
@@ -15,6 +13,7 @@ from t2m_jax.export import load_motion
 from t2m_jax.motion.record import Motion
 from tests.export.conftest import NASTY_CAPTION, walk  # noqa: F401 - a fixture
 from tests.export.test_viewer import browser, wait_until  # noqa: F401 - a fixture
+from tests.serving.conftest import running_server
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 expect = playwright.expect
@@ -26,11 +25,8 @@ WALK, WAVE = "a person walks forward", "a person waves with the left hand"
 
 @pytest.fixture(scope="module")
 def address():
-    command = [sys.executable, "-m", "t2m_jax", "serve", "--port", "0", "--batch", "4"]
-    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    yield server.stdout.readline().strip()
-    server.terminate()
-    assert server.wait(30) == 0
+    with running_server("--batch", "4") as client:
+        yield f"http://127.0.0.1:{client.port}/"
 
 
 @pytest.fixture

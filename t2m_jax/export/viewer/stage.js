@@ -29,14 +29,16 @@ function addElement(parent, tag, className) {
   return element;
 }
 
-// Returns how many columns make the pictures of a grid largest.
+// Returns how many columns make the pictures of a grid largest; of similar sizes, those with fewer rows, to scroll less.
 function columnsFor(count, width, height) {
-  const size = (columns) => {
-    const rows = Math.ceil(count / columns);
-    return Math.min(width / columns / PORTRAIT, Math.max(height / rows, SMALLEST_CELL + CAPTION_HEIGHT) - CAPTION_HEIGHT);
-  };
+  const rows = (columns) => Math.ceil(count / columns);
+  const size = (columns) =>
+    Math.min(width / columns / PORTRAIT, Math.max(height / rows(columns), SMALLEST_CELL + CAPTION_HEIGHT) - CAPTION_HEIGHT);
   let best = 1;
-  for (let columns = 2; columns <= count; columns++) if (size(columns) > size(best) + 1) best = columns;
+  for (let columns = 2; columns <= count; columns++) {
+    const larger = size(columns) / size(best);
+    if (larger > 1.01 || (larger > 0.95 && rows(columns) < rows(best))) best = columns;
+  }
   return best;
 }
 
