@@ -11,7 +11,7 @@ BIN := $(VENV)/bin
 PROMPT ?= a person waves with the left hand
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-lowest test-python3.12 test-python3.13 soak lint three format docs notebooks clean
+.PHONY: help demo test test-slow test-lowest test-python3.12 test-python3.13 soak soak-serve lint three format docs notebooks clean
 
 help:
 	@echo "make demo       generate a motion and print where it was saved"
@@ -20,6 +20,7 @@ help:
 	@echo "make test-lowest      run the tests with the lowest versions that pyproject.toml allows"
 	@echo "make test-python3.13  run the tests with this Python, also with 3.12"
 	@echo "make soak       attack the readers of files with a million inputs (SOAK_ARGS=\"--inputs 10000\" for fewer)"
+	@echo "make soak-serve  load the server with many clients, and kill its process (SOAK_ARGS=\"--clients 10\" for fewer)"
 	@echo "make lint       check style, imports, types and the Dockerfile"
 	@echo "make three      build the part of three.js that the pages use (needs npm)"
 	@echo "make format     format the code"
@@ -71,6 +72,9 @@ test-lowest test-python3.12 test-python3.13: test-%: .venv-%/.dev
 
 soak: $(VENV)/.dev
 	$(BIN)/python -m tests.fuzz.soak $(SOAK_ARGS)
+
+soak-serve: $(VENV)/.dev
+	$(BIN)/python -m tests.serving.soak $(SOAK_ARGS)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

@@ -2,6 +2,7 @@
 
 import dataclasses
 import html
+import json
 import os
 import re
 import shutil
@@ -107,14 +108,25 @@ def test_it_says_what_was_measured(page):
 
 
 def test_viewers_show_whose_motion_is_whose(page):
-    shown = [html.unescape(found) for found in re.findall(r'data-page="([^"]*)"', page)]
+    (text,) = re.findall(r'id="pages">(.*?)</script>', page)
+    pages = json.loads(text)
+    numbers = [int(number) for number in re.findall(r'data-page="(\d+)"', page)]
+    shown = [pages["head"] + pages["middles"][number] + pages["tail"] for number in numbers]
     assert shown == ["1|2, its own", "generated|real"]
+
+
+def test_viewers_are_stored_once(details, motion):
+    def viewer(motions):
+        return viewer_html(motions, embed=False)
+
+    page = report_page(REPORT, details, viewer=viewer)
+    assert len(page) < 1.2 * len(viewer([motion])) + 100_000
 
 
 def test_texts_of_the_user_stay_text(page):
     assert "<img" not in page and "<b>mine" not in page
     assert page.count(html.escape(NASTY)) == 3, "the failure, its viewer's label, and where it was found"
-    assert page.count("</script>") == 1
+    assert page.count("</script>") == 2
     assert page.count("<table>") == 2, "a caption was taken for a place in the page"
 
 

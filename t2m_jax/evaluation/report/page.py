@@ -3,6 +3,8 @@
 import dataclasses
 import html
 import importlib.resources
+import json
+import os
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -44,6 +46,7 @@ def report_page(report: Report, details: RepeatDetails, *, viewer: Viewer) -> st
         details: The report's first repeat.
         viewer: Plays the motions. Its pages are shown in frames that may run scripts and nothing else.
     """
+    stages = _Stages(viewer)
     table = make_table([report], [report.kind])
     facts = (
         f"<div><dt>{_text(name.replace('_', ' '))}</dt><dd>{_text(value)}</dd></div>"
@@ -64,12 +67,13 @@ def report_page(report: Report, details: RepeatDetails, *, viewer: Viewer) -> st
             f"{first:.1f} % find their own motion nearest; the median rank is {np.median(details.ranks):g}. "
             f"{len(details.examples)} captions, drawn by the seed, with their nearest motions from left to right:"
         ),
-        "examples": "\n".join(_example(example, viewer) for example in details.examples),
+        "examples": "\n".join(_example(example, stages) for example in details.examples),
         "failures_note": _text(
             f"Captions whose own motion has the worst rank in its batch of {report.header.batch}; if ranks are equal, "
             f"the farthest first. Left: {report.kind}; right: the real motion. Distances are in the evaluator's space."
         ),
-        "failures": "\n".join(_failure(failure, report.kind, viewer) for failure in details.failures),
+        "failures": "\n".join(_failure(failure, report.kind, stages) for failure in details.failures),
+        "pages": stages.pages_json(),
     }
     assets = importlib.resources.files("t2m_jax.evaluation.report") / "assets"
     template = (assets / "report.html").read_text(encoding="utf-8")
@@ -130,13 +134,29 @@ def _detail_plots(details: RepeatDetails) -> dict[str, str]:
     return {"lengths_plot": lengths, "codes_plot": codes}
 
 
-def _stage(motions: Sequence[Motion], labels: Sequence[str], label: str, viewer: Viewer) -> str:
-    """Returns the place of a viewer; its page is loaded when it is near the visible part of the page."""
-    named = [dataclasses.replace(motion, caption=name) for motion, name in zip(motions, labels, strict=True)]
-    return f'<div class="stage" role="group" aria-label="{_text(label)}" data-page="{_text(viewer(named))}"></div>'
+class _Stages:
+    """The places of viewers. The page of a viewer is loaded when its place is near the visible part of the page."""
+
+    def __init__(self, viewer: Viewer):
+        self.viewer = viewer
+        self.pages: list[str] = []
+
+    def add(self, motions: Sequence[Motion], labels: Sequence[str], label: str) -> str:
+        """Returns the element of a viewer."""
+        named = [dataclasses.replace(motion, caption=name) for motion, name in zip(motions, labels, strict=True)]
+        self.pages.append(self.viewer(named))
+        return f'<div class="stage" role="group" aria-label="{_text(label)}" data-page="{len(self.pages) - 1}"></div>'
+
+    def pages_json(self) -> str:
+        """Returns the middle of each page and, because viewers are large, what all begin and end with only once."""
+        head = os.path.commonprefix(self.pages)  # noqa: RUF071 - texts, not paths
+        rests = [page[len(head) :] for page in self.pages]
+        tail = os.path.commonprefix([rest[::-1] for rest in rests])[::-1]  # noqa: RUF071
+        data = {"head": head, "tail": tail, "middles": [rest[: len(rest) - len(tail)] for rest in rests]}
+        return json.dumps(data).replace("<", "\\u003c")  # in a script element only `<` can do harm
 
 
-def _example(example: Example, viewer: Viewer) -> str:
+def _example(example: Example, stages: _Stages) -> str:
     labels, items = [], []
     for number, candidate in enumerate(example.nearest, start=1):
         labels.append(f"{number}, its own" if candidate.own else f"{number}")
@@ -147,15 +167,15 @@ def _example(example: Example, viewer: Viewer) -> str:
     return (
         f'<article class="card"><h3>{_text(example.caption)}</h3>'
         f'<div class="note">own motion: rank {example.rank}, distance {example.distance:.2f}</div>'
-        f"{_stage(motions, labels, label, viewer)}<ol>{''.join(items)}</ol></article>"
+        f"{stages.add(motions, labels, label)}<ol>{''.join(items)}</ol></article>"
     )
 
 
-def _failure(failure: Failure, kind: str, viewer: Viewer) -> str:
+def _failure(failure: Failure, kind: str, stages: _Stages) -> str:
     label = f"Motion, {kind} and real, of: {failure.caption}"
     return (
         f'<article class="card"><h3>{_text(failure.caption)}</h3>'
         f'<div class="note">rank {failure.rank}, distance {failure.distance:.2f}; '
         f"the real motion's distance is {failure.real_distance:.2f}</div>"
-        f"{_stage([failure.measured, failure.real], [kind, 'real'], label, viewer)}</article>"
+        f"{stages.add([failure.measured, failure.real], [kind, 'real'], label)}</article>"
     )
