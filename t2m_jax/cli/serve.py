@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--token", help=f"what requests must bring (default: ${TOKEN_VARIABLE}, which other users cannot see)"
     )
-    parser.add_argument("--batch", type=int, default=16, help="motions that are generated together (default: 16)")
+    parser.add_argument("--batch", type=int, default=32, help="motions that are generated together (default: 32)")
     parser.add_argument("--queue", type=int, default=64, help="requests that may wait (default: 64)")
 
 

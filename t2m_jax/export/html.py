@@ -70,7 +70,8 @@ def viewer_html(motions: Sequence[Motion], *, embed: bool = True) -> str:
 def _figure_record(figure: Figure) -> dict[str, Any]:
     """Returns one figure as plain data. Its points are base64 of little-endian 16-bit steps from their center."""
     num_frames, num_points, _ = figure.points.shape
-    low, high = figure.points.min(axis=(0, 1)), figure.points.max(axis=(0, 1))
+    axes = np.ascontiguousarray(figure.points.reshape(-1, 3).T)  # along contiguous values NumPy is much faster
+    low, high = axes.min(axis=1), axes.max(axis=1)
     origin = (low + high).astype(np.float64) / 2
     step = max(float((high - low).max()) / 2 / 32767, FINEST_STEP)
     steps = np.rint((figure.points - origin) / step).clip(-32767, 32767).astype("<i2")

@@ -29,7 +29,6 @@ from t2m_jax.sampling.decoding import (
     SampledCodes,
     Sampling,
     first_state,
-    sample_chunk,
     sample_codes,
     sample_row,
 )
@@ -38,6 +37,8 @@ BATCH = 64
 """Motions that are encoded together."""
 FRAME_BUCKET = 64
 """Batches of motion are padded to a multiple of this many frames."""
+SLOT_ROWS = 4
+"""Rows that are sampled in slots before others can begin, which costs the time of about half a row."""
 
 
 @functools.partial(jax.jit, static_argnames="tokenizer")
@@ -127,12 +128,39 @@ def generate_row(
     return state, rows
 
 
+@functools.partial(jax.jit, static_argnames="generator")
+def begin_slots(
+    variables: Any,
+    state: LoopState | None,
+    text_embedding: Float[Array, "B E"],
+    guidance_scale: Float[Array, ""] | None,
+    is_new: Bool[Array, " B"],
+    *,
+    generator: Any,
+) -> LoopState:
+    """Returns the state of slots in which motions begin if they are new, and go on if not; `generator` is the module.
+
+    It is the state of a batch of one, with an axis for the slots: each slot has its own step. None stands for no state.
+    """
+    functions = _functions(generator, variables)
+    fresh = jax.vmap(lambda text: first_state(functions, text[None], guidance_scale))(text_embedding)
+    if state is None:
+        return fresh
+    return jax.tree.map(lambda new, old: jax.vmap(jnp.where)(is_new, new, old), fresh, state)
+
+
 @functools.partial(jax.jit, static_argnames=("generator", "sampling"))
-def generate_chunk(
+def generate_in_slots(
     variables: Any, state: LoopState, keys: Key[Array, " B"], *, generator: Any, sampling: Sampling
 ) -> tuple[LoopState, tuple[Int[Array, "_ B R"], Float[Array, "_ B"]]]:
-    """Returns the state after `CHUNK` more rows, the rows, and their stop scores; `generator` is the module."""
-    return sample_chunk(_functions(generator, variables), state, keys, sampling=sampling)
+    """Returns the state of slots after `SLOT_ROWS` more rows, the rows, and their scores; `generator` is the module."""
+    functions = _functions(generator, variables)
+
+    def one_slot(state: LoopState, key: Key[Array, ""]) -> tuple[LoopState, tuple[Int[Array, " R"], Float[Array, ""]]]:
+        state, (rows, scores) = sample_row(functions, state, key[None], sampling=sampling)
+        return state, (rows[0], scores[0])
+
+    return jax.lax.scan(lambda state, _: jax.vmap(one_slot)(state, keys), state, None, length=SLOT_ROWS)
 
 
 def sampling_variables(variables: dict[str, Any], config: GeneratorConfig) -> dict[str, Any]:

@@ -97,22 +97,6 @@ def sample_row(
     return LoopState(context, cache, done | rule.ends(scores), state.step + 1), (rows, scores)
 
 
-def sample_chunk(
-    generator: GeneratorFunctions,
-    state: LoopState,
-    keys: Key[Array, " B"],
-    *,
-    sampling: Sampling,
-    given: Given | None = None,
-) -> tuple[LoopState, tuple[Int[Array, "_ B R"], Float[Array, "_ B"]]]:
-    """Returns the state after `CHUNK` more rows, the rows, and their stop scores."""
-
-    def one_row(state: LoopState, _: None) -> tuple[LoopState, tuple[Int[Array, "B R"], Float[Array, " B"]]]:
-        return sample_row(generator, state, keys, sampling=sampling, given=given)
-
-    return jax.lax.scan(one_row, state, None, length=CHUNK)
-
-
 def _stop_keys(keys: Key[Array, " B"], step: Int[Array, ""]) -> Key[Array, " B"]:
     """Returns keys for the stop rule at a step; no row is drawn with them."""
     return jax.vmap(lambda key: jax.random.fold_in(jax.random.fold_in(key, STOP_STREAM), step))(keys)
@@ -142,8 +126,8 @@ def sample_codes(
     """
     max_codes, rule = sampling.max_codes, sampling.stop_rule
 
-    def next_chunk(state: LoopState) -> tuple[LoopState, tuple[Int[Array, "_ B R"], Float[Array, "_ B"]]]:
-        return sample_chunk(generator, state, keys, sampling=sampling, given=given)
+    def one_row(state: LoopState, _: None) -> tuple[LoopState, tuple[Int[Array, "B R"], Float[Array, " B"]]]:
+        return sample_row(generator, state, keys, sampling=sampling, given=given)
 
     def go_on(carry: tuple[LoopState, Any]) -> Bool[Array, ""]:
         return (carry[0].step < max_codes) & ~jnp.all(carry[0].done)
@@ -151,16 +135,16 @@ def sample_codes(
     def one_chunk(carry: tuple[LoopState, Any]) -> tuple[LoopState, Any]:
         state, buffers = carry
         chunk = state.step // CHUNK
-        state, sampled = next_chunk(state)
+        state, sampled = jax.lax.scan(one_row, state, None, length=CHUNK)
         return state, jax.tree.map(lambda buffer, values: buffer.at[chunk].set(values), buffers, sampled)
 
     batch = text_embedding.shape[0]
     state = first_state(generator, text_embedding, guidance_scale)
-    _, (rows, _) = jax.eval_shape(next_chunk, state)
+    _, (row, _) = jax.eval_shape(one_row, state, None)
     chunks = (-(-max_codes // CHUNK), CHUNK)
-    buffers = (jnp.zeros((*chunks, *rows.shape[1:]), jnp.int32), jnp.full((*chunks, batch), -jnp.inf))
+    buffers = (jnp.zeros((*chunks, *row.shape), jnp.int32), jnp.full((*chunks, batch), -jnp.inf))
     state, (codes, scores) = jax.lax.while_loop(go_on, one_chunk, (state, buffers))
-    codes = jnp.swapaxes(codes.reshape(-1, *rows.shape[1:])[:max_codes], 0, 1)
+    codes = jnp.swapaxes(codes.reshape(-1, *row.shape)[:max_codes], 0, 1)
     code_lengths = rule.count(scores.reshape(-1, batch)[:max_codes].T)
     if given is not None:
         fixed = jnp.minimum(given.num_rows, max_codes)

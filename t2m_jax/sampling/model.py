@@ -1,7 +1,6 @@
 """A loaded model: from text embeddings to codes, and from codes to motions and back."""
 
 import dataclasses
-from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -20,15 +19,14 @@ from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import skeleton_from_name
 from t2m_jax.sampling.codec import (
-    begin_motions,
     encode_motion,
-    generate_chunk,
     generate_codes,
     motions_from_codes,
     row_likelihoods,
     sampling_variables,
 )
 from t2m_jax.sampling.decoding import Given, SampledCodes, Sampling
+from t2m_jax.sampling.slots import Slots
 from t2m_jax.sampling.stopping import find_stop_rule
 from t2m_jax.sampling.strategies import Strategy, Temperature
 from t2m_jax.sampling.text_encoders import make_text_encoder
@@ -149,37 +147,16 @@ class MotionModel:
             variables, text_embedding, keys, scale, given, generator=self._generator, sampling=sampling
         )
 
-    def sample_chunks(
-        self,
-        text_embedding: Float[Array, "B E"],
-        keys: Key[Array, " B"],
-        sampling: Sampling,
-        *,
-        guidance_scale: float | None = None,
-    ) -> Iterator[SampledCodes]:
-        """Yields the codes of a batch so far, after every few rows; at the end, what `sample_codes` returns.
-
-        Motions that have not ended have all rows so far. With a stop rule that does not end early, none has ended
-        before the last codes.
-        """
-        scale = self._guidance(guidance_scale)
-        text_embedding, keys = put_rows((text_embedding, keys))
-        variables = self._variables_for_sampling()
-        state = begin_motions(variables, text_embedding, scale, generator=self._generator)
-        rule, size, most = sampling.stop_rule, len(keys), sampling.max_codes
-        codes = np.zeros((size, most, self.config.tokenizer.num_quantizers), np.int32)
-        scores, steps = np.full((size, most), -np.inf, np.float32), 0
-        while steps < most and not (steps and bool(state.done.all())):
-            state, chunk = generate_chunk(variables, state, keys, generator=self._generator, sampling=sampling)
-            new, new_scores = (np.asarray(values)[: most - steps] for values in chunk)
-            codes[:, steps : steps + len(new)] = np.swapaxes(new, 0, 1)
-            scores[:, steps : steps + len(new)] = new_scores.T
-            steps += len(new)
-            lengths = np.full(size, steps)
-            if rule.ends_early or steps >= most:
-                lengths = np.minimum(np.asarray(rule.count(jnp.asarray(scores))), steps)
-            kept = np.arange(most) < lengths[:, None]
-            yield SampledCodes(*map(jnp.asarray, (np.where(kept[:, :, None], codes, 0), lengths, np.int32(steps))))
+    def slots(self, num_slots: int, sampling: Sampling, *, guidance_scale: float | None = None) -> Slots:
+        """Returns slots, for motions that begin and end at any time."""
+        return Slots(
+            self._variables_for_sampling(),
+            self._generator,
+            num_slots=num_slots,
+            num_quantizers=self.config.tokenizer.num_quantizers,
+            sampling=sampling,
+            guidance_scale=self._guidance(guidance_scale),
+        )
 
     def log_likelihood(self, codes: Int[Array, "B N R"], text_embedding: Float[Array, "B E"]) -> Float[Array, "B N"]:
         """Returns the logarithm of the probability of each row of codes after its text and the rows before it.

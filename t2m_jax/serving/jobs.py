@@ -16,17 +16,17 @@ from typing import Any, NamedTuple
 
 from t2m_jax.errors import UserError
 from t2m_jax.serving.measures import Measures
-from t2m_jax.serving.messages import NO_JOB, Batch, Task
+from t2m_jax.serving.messages import NO_JOB, Cancel, Task
 from t2m_jax.serving.requests import MotionRequest
 
-BATCH_SIZE = 16
-"""Motions that are generated together. Two batches are worked on at a time."""
+BATCH_SIZE = 32
+"""Motions that are generated together."""
+AHEAD = 1.5
+"""Motions that the process knows of, as a multiple of those that it generates, so that it never waits for the next."""
 MAX_WAITING = 64
 """Requests that wait; further ones are refused."""
-BATCH_SECONDS = 120.0
-"""Longest time for a batch. After it, the process is replaced, and its requests fail."""
-GATHER_SECONDS = 0.02
-"""Time that the process waits for a batch to fill: the users of the last one have just got their motions."""
+WORK_SECONDS = 120.0
+"""Longest time for a request without the queue. After it, the request fails, and the process is replaced."""
 RESTART_SECONDS = 1.0
 """Time before a process that has died is replaced."""
 END_SECONDS = 5.0
@@ -67,18 +67,12 @@ class Job:
         """Adds an event."""
         self.events.put_nowait(Event(name, json.dumps(data)))
 
-    @property
-    def group(self) -> tuple[Any, ...]:
-        """Requests with the same group can be generated together; a request that is not plain has its own."""
-        request = self.request
-        return (request.variety, request.guidance_scale) if request.is_plain else (self.number,)
 
-
-class _Running(NamedTuple):
-    """A batch that the process works on."""
+class _Sent(NamedTuple):
+    """A request that the process knows of."""
 
     num_motions: int
-    started: float
+    start: float
     timer: asyncio.TimerHandle
 
 
@@ -104,8 +98,8 @@ class Jobs:
         self._process: SpawnProcess | None = None
         self.is_alive = False
         """Whether the process can generate."""
-        self._batches: dict[int, _Running] = {}
-        self._free_slots = 0
+        self._sent: dict[int, _Sent] = {}
+        self._last_end = 0.0
         self._seconds_per_motion = 0.1
 
     async def start(self) -> None:
@@ -140,15 +134,16 @@ class Jobs:
         job = Job(next(self._numbers), request, seed)
         self.waiting.append(job)
         self._tell_positions()
-        self._dispatch_soon()
+        self._dispatch()
         return job
 
     def cancel(self, job: Job) -> None:
-        """Forgets a job. What is already being generated is not interrupted, because others share its batch."""
+        """Forgets a job."""
         if job in self.waiting:
             self.waiting.remove(job)
             self._tell_positions()
-        self.running.pop(job.number, None)
+        if self.running.pop(job.number, None) is not None:
+            self._send(Cancel(job.number))
 
     def _tell_positions(self) -> None:
         for position, job in enumerate(self.waiting):
@@ -176,34 +171,39 @@ class Jobs:
     def _on_message(self, number: int, name: str, data: str) -> None:
         if number == NO_JOB:
             self._on_state(name, json.loads(data))
-        elif number in self.running:
+            return
+        if number in self.running:
             self.running[number].events.put_nowait(Event(name, data))
-            if name in FINAL_EVENTS:
-                del self.running[number]
+        if name in (*FINAL_EVENTS, "dropped"):
+            self.running.pop(number, None)
+            self._forget(number)
+            self._dispatch()
+
+    def _forget(self, number: int) -> None:
+        """Notes that the process has finished a request."""
+        sent, now = self._sent.pop(number), self._loop.time()
+        sent.timer.cancel()
+        self.measures.work_seconds.observe(now - sent.start)
+        seconds = (now - max(self._last_end, sent.start)) / sent.num_motions
+        self._seconds_per_motion = 0.9 * self._seconds_per_motion + 0.1 * seconds
+        self._last_end = now
 
     def _on_state(self, name: str, data: Any) -> None:
-        """Notes that the process is ready, has finished a batch, or cannot load the model."""
+        """Notes that the process is ready, or cannot load the model."""
         if name == "refused" and not self._ready.done():
             self._ready.set_exception(UserError(data))
         elif name == "ready":
-            self.is_alive, self.model, self._free_slots = True, data["model"], data["slots"]
+            self.is_alive, self.model = True, data
             if not self._ready.done():
                 self._ready.set_result(None)
-        elif name == "finished":
-            batch = self._batches.pop(data)
-            batch.timer.cancel()
-            seconds = self._loop.time() - batch.started
-            self.measures.batch_seconds.observe(seconds)
-            self._seconds_per_motion = 0.8 * self._seconds_per_motion + 0.2 * seconds / batch.num_motions
-            self._free_slots += 1
-        self._dispatch_soon()
+            self._dispatch()
 
     def _on_death(self) -> None:
         """Replaces the process. Its requests come first, unless they had their chances."""
-        self.is_alive, self._free_slots = False, 0
-        for batch in self._batches.values():
-            batch.timer.cancel()
-        self._batches.clear()
+        self.is_alive = False
+        for sent in self._sent.values():
+            sent.timer.cancel()
+        self._sent.clear()
         if self._process is None:  # `stop` ended it
             return
         if not self._ready.done():
@@ -218,45 +218,31 @@ class Jobs:
         self.running.clear()
         self._loop.call_later(RESTART_SECONDS, self._start_process)
 
-    def _on_timeout(self, jobs: list[Job]) -> None:
-        for job in jobs:
-            if self.running.pop(job.number, None) is not None:
-                error = f"it took longer than {BATCH_SECONDS:g} s; ask for less"
-                job.tell("failed", {"error": error, "seed": job.seed})
+    def _on_timeout(self, job: Job) -> None:
+        if self.running.pop(job.number, None) is not None:
+            error = f"it took longer than {WORK_SECONDS:g} s; ask for less"
+            job.tell("failed", {"error": error, "seed": job.seed})
         if self._process is not None:
             self._process.kill()
 
-    def _dispatch_soon(self) -> None:
-        """Gives the process a batch: at once if it is full, or a little later."""
-        if sum(job.request.num_samples for job in self.waiting) >= self.batch_size:
-            self._dispatch()
-        elif self.waiting and self._free_slots:
-            self._loop.call_later(GATHER_SECONDS, self._dispatch)
-
     def _dispatch(self) -> None:
-        if not self._free_slots or not self.waiting:
-            return
-        chosen = self._next_jobs()
-        for job in chosen:
+        """Gives the process the next requests, as many as it should know of."""
+        num_before = len(self.waiting)
+        while self.is_alive and self.waiting and self._has_room(self.waiting[0]):
+            job = self.waiting.popleft()
             job.tries += 1
             self.running[job.number] = job
-        number, motions = next(self._numbers), sum(job.request.num_samples for job in chosen)
-        timer = self._loop.call_later(BATCH_SECONDS, self._on_timeout, chosen)
-        self._batches[number] = _Running(motions, self._loop.time(), timer)
-        self._free_slots -= 1
-        tasks = tuple(Task(job.number, job.request, job.seed) for job in chosen)
-        with contextlib.suppress(OSError):  # it has just died; `_on_death` follows
-            self._connection.send(Batch(number, tasks, live=not self.waiting))
-        self._tell_positions()
-        self._dispatch_soon()
+            timer = self._loop.call_later(WORK_SECONDS, self._on_timeout, job)
+            self._sent[job.number] = _Sent(job.request.num_samples, self._loop.time(), timer)
+            self._send(Task(job.number, job.request, job.seed))
+        if len(self.waiting) < num_before:
+            self._tell_positions()
 
-    def _next_jobs(self) -> list[Job]:
-        """Removes and returns the first waiting job, and those that can be generated with it."""
-        chosen: list[Job] = []
-        room, group = self.batch_size, self.waiting[0].group
-        for job in list(self.waiting):
-            if job.group == group and job.request.num_samples <= room:
-                chosen.append(job)
-                room -= job.request.num_samples
-                self.waiting.remove(job)
-        return chosen
+    def _has_room(self, job: Job) -> bool:
+        """Returns whether the process can take a job. A large job has room if there is no other one."""
+        known = sum(sent.num_motions for sent in self._sent.values())
+        return known == 0 or known + job.request.num_samples <= AHEAD * self.batch_size
+
+    def _send(self, message: Task | Cancel) -> None:
+        with contextlib.suppress(OSError):  # the process has just died; `_on_death` follows
+            self._connection.send(message)

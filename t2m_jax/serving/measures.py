@@ -20,7 +20,7 @@ class Measures:
         self.seconds = Histogram(
             "t2m_request_seconds", "From a request to its motions", buckets=SECONDS, registry=registry
         )
-        self.batch_seconds = Histogram("t2m_batch_seconds", "Time of a batch", buckets=SECONDS, registry=registry)
+        self.work_seconds = Histogram("t2m_work_seconds", "Time without the queue", buckets=SECONDS, registry=registry)
         for name, count in (("waiting", waiting), ("running", running)):
             Gauge(f"t2m_{name}_requests", f"Requests that are {name}", registry=registry).set_function(count)
 

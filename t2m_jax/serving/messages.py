@@ -16,10 +16,7 @@ class Task(NamedTuple):
     seed: int
 
 
-class Batch(NamedTuple):
-    """Requests that are generated together: plain ones with equal options, or a single other one."""
+class Cancel(NamedTuple):
+    """The motions of a request are not needed any more."""
 
-    number: int
-    tasks: tuple[Task, ...]
-    live: bool
-    """Whether frames are sent while codes are sampled. It takes time, so it is only done if nobody waits."""
+    job: int

@@ -8,12 +8,11 @@ import pytest
 from t2m_jax.errors import UserError
 from t2m_jax.serving import jobs as module
 from t2m_jax.serving.jobs import Jobs, QueueFullError
-from t2m_jax.serving.messages import NO_JOB
+from t2m_jax.serving.messages import NO_JOB, Cancel
 from t2m_jax.serving.requests import MotionRequest
 
 PLAIN = MotionRequest(captions=("a person walks",))
 TWO = MotionRequest(captions=("a person walks",), num_samples=2)
-CAREFUL = MotionRequest(captions=("a person walks",), variety="low")
 CHAIN = MotionRequest(captions=("a person walks", "a person waves"))
 
 
@@ -34,23 +33,21 @@ class QueueOnly(Jobs):
     """Jobs whose process is the test."""
 
     def _start_process(self):
-        self._process, self._connection, self.batches = FakeProcess(), self, []
-        self.say("ready", {"slots": 1, "model": {"name": "none"}})
+        self._process, self._connection, self.sent = FakeProcess(), self, []
+        self.say("ready", {"name": "none"})
 
-    def send(self, batch):
-        self.batches.append(batch)
+    def send(self, message):
+        self.sent.append(message)
 
     def say(self, name, data, job=NO_JOB):
         self._on_message(job, name, json.dumps(data))
 
-    def finish(self, batch):
-        for task in batch.tasks:
-            self.say("done", {"seed": task.seed}, task.job)
-        self.say("finished", batch.number)
+    def finish(self, task):
+        self.say("done", {"seed": task.seed}, task.job)
 
 
 def with_queue(test, **options):
-    """Runs a test in an event loop, with a queue for batches of 4 motions."""
+    """Runs a test in an event loop, with a process that takes 6 motions at a time."""
 
     async def run():
         jobs = QueueOnly("none", **{"batch_size": 4, "max_waiting": 5} | options)
@@ -65,55 +62,50 @@ def names(job) -> list[str]:
     return [job.events.get_nowait().name for _ in range(job.events.qsize())]
 
 
-def sizes(jobs) -> list[int]:
-    return [len(batch.tasks) for batch in jobs.batches]
-
-
-async def gathered():
-    await asyncio.sleep(3 * module.GATHER_SECONDS)
-
-
-def test_a_single_request_is_worked_on_at_once():
+def test_a_request_is_given_to_the_process_at_once():
     async def test(jobs):
         job = jobs.submit(PLAIN)
-        await gathered()
-        (batch,) = jobs.batches
-        assert batch.live and batch.tasks[0].request is PLAIN
-        jobs.finish(batch)
+        (task,) = jobs.sent
+        assert task.request is PLAIN and task.seed == job.seed
+        jobs.finish(task)
         assert names(job) == ["queued", "done"] and not jobs.running
 
     with_queue(test)
 
 
-def test_requests_share_a_batch_up_to_its_size():
+def test_the_process_gets_as_much_as_it_can_use_in_the_order_of_the_queue():
     async def test(jobs):
-        for request in (PLAIN, TWO, TWO, PLAIN, PLAIN):
+        for request in (TWO, TWO, PLAIN, TWO, PLAIN):
             jobs.submit(request)
-        assert [task.request for task in jobs.batches[0].tasks] == [PLAIN, TWO]  # the second pair has no room
-        jobs.finish(jobs.batches[0])
-        await gathered()
-        assert [task.request for task in jobs.batches[1].tasks] == [TWO, PLAIN, PLAIN]
+        assert [task.request for task in jobs.sent] == [TWO, TWO, PLAIN]  # the next pair has no room, and is the next
+        jobs.finish(jobs.sent[0])
+        assert [task.request for task in jobs.sent[3:]] == [TWO, PLAIN]
 
     with_queue(test)
 
 
-def test_only_plain_requests_with_equal_options_share_a_batch():
+def test_a_request_larger_than_all_room_is_made_alone():
     async def test(jobs):
-        for request in (PLAIN, CAREFUL, CHAIN, CHAIN):
-            jobs.submit(request)
-        for _ in range(4):
-            await gathered()
-            jobs.finish(jobs.batches[-1])
-        assert sizes(jobs) == [1, 1, 1, 1] and not jobs.waiting
+        large = MotionRequest(captions=("a",), num_samples=8)
+        jobs.submit(large)
+        jobs.submit(PLAIN)
+        assert [task.request for task in jobs.sent] == [large]
+        jobs.finish(jobs.sent[0])
+        assert len(jobs.sent) == 2
 
     with_queue(test)
+
+
+def fill(jobs) -> list:
+    """Returns jobs that fill the process."""
+    return [jobs.submit(PLAIN) for _ in range(6)]
 
 
 def test_a_full_queue_refuses_and_says_when_to_come_again():
     async def test(jobs):
-        for _ in range(6):
+        fill(jobs)
+        for _ in range(5):
             jobs.submit(CHAIN)
-            await gathered()
         with pytest.raises(QueueFullError) as caught:
             jobs.submit(CHAIN)
         assert caught.value.retry_after >= 1 and len(jobs.waiting) == 5
@@ -123,11 +115,9 @@ def test_a_full_queue_refuses_and_says_when_to_come_again():
 
 def test_positions_are_told_when_they_change():
     async def test(jobs):
-        first = jobs.submit(CHAIN)
-        await gathered()
+        first, *_ = fill(jobs)
         others = [jobs.submit(CHAIN) for _ in range(2)]
-        jobs.finish(jobs.batches[0])
-        await gathered()
+        jobs.finish(jobs.sent[0])
         assert names(first)[-1] == "done"
         told = [json.loads(others[1].events.get_nowait().data)["position"] for _ in range(others[1].events.qsize())]
         assert told == [1, 0]
@@ -137,14 +127,16 @@ def test_positions_are_told_when_they_change():
 
 def test_a_cancelled_request_is_forgotten():
     async def test(jobs):
-        jobs.submit(CHAIN)
-        await gathered()
-        waiting, running = jobs.submit(PLAIN), next(iter(jobs.running.values()))
+        running, *_ = fill(jobs)
+        waiting = jobs.submit(PLAIN)
         jobs.cancel(waiting)
         jobs.cancel(running)
-        jobs.finish(jobs.batches[0])
-        await gathered()
-        assert sizes(jobs) == [1] and names(running) == ["queued"]
+        assert jobs.sent[-1] == Cancel(running.number) and not jobs.waiting
+        last = jobs.submit(PLAIN)
+        assert last in jobs.waiting
+        jobs.say("codes", {}, running.number)
+        jobs.say("dropped", {}, running.number)
+        assert names(running) == ["queued"] and jobs.sent[-1].job == last.number
 
     with_queue(test)
 
@@ -154,25 +146,36 @@ def test_after_a_death_requests_are_tried_once_more(monkeypatch):
 
     async def test(jobs):
         job = jobs.submit(PLAIN)
-        await gathered()
         for alive in (True, False):
             assert len(jobs.running) == 1
             jobs._on_death()
             assert not jobs.is_alive
-            await gathered()
-            assert len(jobs.batches) == alive
+            await asyncio.sleep(0.05)
+            assert len(jobs.sent) == alive
         assert names(job)[-1] == "failed" and jobs.is_alive
         assert b"t2m_worker_restarts_total 2.0" in jobs.measures.text()
 
     with_queue(test)
 
 
-def test_a_batch_that_takes_too_long_fails_and_the_process_is_killed(monkeypatch):
-    monkeypatch.setattr(module, "BATCH_SECONDS", 0.01)
+def test_requests_keep_their_order_after_a_death(monkeypatch):
+    monkeypatch.setattr(module, "RESTART_SECONDS", 0.0)
+
+    async def test(jobs):
+        numbers = [job.number for job in [*fill(jobs), jobs.submit(PLAIN)]]
+        jobs._on_death()
+        await asyncio.sleep(0.05)
+        assert [task.job for task in jobs.sent] + [job.number for job in jobs.waiting] == numbers
+
+    with_queue(test)
+
+
+def test_a_request_that_takes_too_long_fails_and_the_process_is_killed(monkeypatch):
+    monkeypatch.setattr(module, "WORK_SECONDS", 0.01)
 
     async def test(jobs):
         job, process = jobs.submit(PLAIN), jobs._process
-        await gathered()
+        await asyncio.sleep(0.05)
         assert names(job)[-1] == "failed" and process.killed
 
     with_queue(test)

@@ -68,6 +68,19 @@ def test_a_seed_gives_the_same_motion_under_any_load(server):
         np.testing.assert_array_equal(first.positions, second.positions)
 
 
+def test_requests_with_other_options_are_made_at_the_same_time(server, model):
+    def ask(number: int) -> dict:
+        fields = ({}, {"variety": "low"}, {"guidance_scale": 3.0}, {"num_samples": 8})[number % 4]
+        return server.motions(CAPTIONS[number % 5], seed=number, **fields)
+
+    with ThreadPoolExecutor(8) as threads:
+        found = list(threads.map(ask, range(8)))
+    assert [len(data["motions"]) for data in found] == [1, 1, 1, 8] * 2
+    for number, options in ((0, {}), (2, {"guidance_scale": 3.0}), (5, {"temperature": 0.7})):
+        (expected,) = model.generate(CAPTIONS[number % 5], seed=number, **options)
+        np.testing.assert_array_equal(motion_of(found[number]).codes, expected.codes)
+
+
 def test_a_chain_says_where_sentences_begin(server, model):
     data = server.motions(*CAPTIONS[:2], seconds=1.0, seed=1)
     (expected,) = model.generate_chain(CAPTIONS[:2], seconds=1.0, seed=1)

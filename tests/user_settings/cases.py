@@ -27,7 +27,7 @@ from t2m_jax.models.sentence_encoder import SentenceEncoder, SentenceEncoderConf
 from t2m_jax.models.system import make_module, variable_shapes
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import HUMANML3D
-from t2m_jax.sampling.codec import begin_motions
+from t2m_jax.sampling.codec import begin_motions, begin_slots
 from t2m_jax.sampling.decoding import Sampling
 from t2m_jax.sampling.stopping import StopAtEnd, StopAtThreshold
 from t2m_jax.sampling.strategies import Temperature
@@ -230,12 +230,19 @@ def _() -> Case:
     return Case((arguments[0], state, keys), options | {"sampling": sampling})
 
 
-@case("sampling.codec.generate_chunk")
+@case("sampling.codec.begin_slots")
 def _() -> Case:
-    arguments, options = row_arguments()
-    state, keys = begin_motions(*arguments, **options), jax.random.split(jax.random.key(4), 2)
+    (variables, text, scale), options = row_arguments()
+    state = begin_slots(variables, None, text, scale, jnp.ones(2, bool), **options)
+    return Case((variables, state, 2 * text, scale, jnp.array([False, True])), options)
+
+
+@case("sampling.codec.generate_in_slots")
+def _() -> Case:
+    (variables, text, scale), options = row_arguments()
+    state = begin_slots(variables, None, text, scale, jnp.ones(2, bool), **options)
     sampling = Sampling(Temperature(), StopAtThreshold(), max_codes=12)
-    return Case((arguments[0], state, keys), options | {"sampling": sampling})
+    return Case((variables, state, jax.random.split(jax.random.key(4), 2)), options | {"sampling": sampling})
 
 
 @case("sampling.codec.row_likelihoods")

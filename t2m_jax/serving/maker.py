@@ -1,0 +1,257 @@
+"""Makes the motions of tasks in the process that generates."""
+
+import contextlib
+import functools
+import os
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Int
+
+from t2m_jax.errors import UserError
+from t2m_jax.export import scene_record
+from t2m_jax.motion.record import Motion
+from t2m_jax.sampling import TextToMotion
+from t2m_jax.sampling.codec import pad_codes
+from t2m_jax.sampling.decoding import SampledCodes
+from t2m_jax.sampling.prompts import read_prompts, sample_key
+from t2m_jax.sampling.slots import Progress, Slots
+from t2m_jax.sampling.strategies import Strategy, make_strategy
+from t2m_jax.sampling.streaming import part_of_rows
+from t2m_jax.sampling.together import Sample, batch_motions
+from t2m_jax.serving.messages import NO_JOB, Task
+from t2m_jax.serving.records import motion_from_data, motion_record
+from t2m_jax.serving.requests import TEMPERATURES, MotionRequest, decode_base64
+
+EXAMPLE_PROMPT = "a person walks forward"
+DECODED_TOGETHER = 4
+"""Motions that are decoded together. The batch is always full, so that a motion does not depend on the others."""
+MAX_LIVE = 4
+"""Most motions at a time whose frames are sent before they are whole; it takes time."""
+CACHED_TEXTS = 1024
+"""Sentences whose embeddings are kept."""
+Codes = Int[np.ndarray, "N R"]
+Send = Callable[[int, str, Any], None]
+"""From a job, the name of an event and its data."""
+
+
+class _Part(NamedTuple):
+    """One motion of a task."""
+
+    task: Task
+    sample: Sample
+
+
+class Maker:
+    """Makes the motions of tasks, and sends their events. Plain tasks share the slots of one batch."""
+
+    def __init__(self, model: TextToMotion, num_slots: int, send: Send):
+        """Takes the model, the number of slots, and what sends an event."""
+        self.model, self.num_slots, self.send = model, num_slots, send
+        self.waiting: deque[_Part] = deque()
+        self.active: dict[int, _Part] = {}
+        """The motions in the slots."""
+        self.ended: dict[int, dict[int, Codes]] = {}
+        """Codes of the motions of jobs that have further motions, by their numbers."""
+        self.slots: Slots | None = None
+        self.group: Any = None
+        self.embed = functools.lru_cache(CACHED_TEXTS)(lambda text: model.text_encoder([text])[0])
+        self.finishing: Executor | None = None
+        self.editing: Executor | None = None
+
+    @contextlib.contextmanager
+    def threads(self) -> Iterator[None]:
+        """Works on what needs no slots in other threads."""
+        if jax.local_device_count() > 1:  # programs on several devices could wait for each other forever
+            yield
+            return
+        with ThreadPoolExecutor(1) as self.finishing, ThreadPoolExecutor(1) as self.editing:
+            yield
+
+    def warm_up(self) -> None:
+        """Compiles what most requests need."""
+        nothing = Maker(self.model, self.num_slots, lambda *_: None)
+        nothing.add(Task(NO_JOB, MotionRequest(captions=(EXAMPLE_PROMPT,)), 0))
+        while nothing.is_busy:
+            nothing.step()
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether `step` has something to do."""
+        return bool(self.waiting or self.active)
+
+    def add(self, task: Task) -> None:
+        """Begins a task, or lets it wait."""
+        if not task.request.is_plain:
+            _call(self.editing, self._edit, task)
+            return
+        try:
+            (prompt,) = read_prompts(task.request.captions, self.model.knowledge, self.model.text_encoder)
+        except UserError as error:
+            self._fail(task, error)
+            return
+        for number in range(task.request.num_samples):
+            self.waiting.append(_Part(task, Sample(prompt, task.seed, number)))
+
+    def cancel(self, job: int) -> None:
+        """Forgets a plain task if it has not ended."""
+        slots = [slot for slot, part in self.active.items() if part.task.job == job]
+        waiting = [part for part in self.waiting if part.task.job != job]
+        if not slots and len(waiting) == len(self.waiting):
+            return
+        self.waiting = deque(waiting)
+        self.ended.pop(job, None)
+        for slot in slots:
+            del self.active[slot]
+        if self.slots is not None:
+            self.slots.release(slots)
+        self.send(job, "dropped", {})
+
+    def step(self) -> None:
+        """Samples some rows of all motions in slots, and sends what is new."""
+        self._begin()
+        if self.slots is None or not self.active:
+            return
+        live = self.slots.sampling.stop_rule.ends_early and len(self.active) <= MAX_LIVE
+        whole = []
+        for progress in self.slots.step():
+            part = self.active[progress.slot]
+            self._send_rows(part, progress, live=live and not progress.ended)
+            if progress.ended:
+                del self.active[progress.slot]
+                found = self.ended.setdefault(part.task.job, {})
+                found[part.sample.number] = progress.codes
+                if len(found) == part.task.request.num_samples:
+                    whole.append((part, self.ended.pop(part.task.job)))
+        if whole:
+            _call(self.finishing, self._finish_plain, whole)
+
+    def _begin(self) -> None:
+        """Puts waiting motions into free slots. All motions in slots have the same options."""
+        if self.waiting and not self.active:
+            request = self.waiting[0].task.request
+            self.slots, self.group = self._make_slots(request), _group(request)
+        if self.slots is None:
+            return
+        begun: list[tuple[int, _Part]] = []
+        for slot in self.slots.free:
+            if self.waiting and _group(self.waiting[0].task.request) == self.group:
+                begun.append((slot, self.waiting.popleft()))
+        if not begun:
+            return
+        for slot, (task, sample) in begun:
+            self.active[slot] = _Part(task, sample)
+            if sample.number == 0:
+                self.send(task.job, "started", {"seed": task.seed})
+        samples = [part.sample for _, part in begun]
+        self.slots.begin(
+            [slot for slot, _ in begun],
+            [self.embed(sample.prompt.text) for sample in samples],
+            [sample_key(sample.seed, sample.prompt.text, sample.number) for sample in samples],
+        )
+
+    def _make_slots(self, request: MotionRequest) -> Slots:
+        sampling = self.model.sampling(_strategy(request))
+        return self.model.slots(self.num_slots, sampling, guidance_scale=request.guidance_scale)
+
+    def _send_rows(self, part: _Part, progress: Progress, *, live: bool) -> None:
+        """Sends new codes and, if `live`, the frames that they make final."""
+        codes, context = progress.codes, self.model.config.tokenizer.decoder_context
+        first, last = (max(count - context, 0) for count in (len(codes) - progress.num_new, len(codes)))
+        scene = None
+        if live and last > first:
+            (motion,) = self._decode([(part.sample, codes)], clean=False)
+            scene = scene_record([part_of_rows(motion, first, last)])
+        if progress.num_new:
+            new = codes[len(codes) - progress.num_new :].tolist()
+            self.send(part.task.job, "codes", {"sample": part.sample.number, "codes": new, "scene": scene})
+
+    def _decode(self, rows: Sequence[tuple[Sample, Codes]], *, clean: bool) -> list[Motion]:
+        """Returns the motions of codes, in batches that are always full."""
+        longest, motions = self.model.config.generator.max_codes, []
+        for first in range(0, len(rows), DECODED_TOGETHER):
+            chosen = rows[first : first + DECODED_TOGETHER]
+            padded, lengths = pad_codes([codes for _, codes in chosen])
+            size = ((0, DECODED_TOGETHER - len(chosen)), (0, longest - padded.shape[1]), (0, 0))
+            arrays = np.pad(padded, size), np.pad(lengths, size[0], constant_values=1), longest
+            sampled = SampledCodes(*map(jnp.asarray, arrays))
+            motions += batch_motions(self.model, sampled, [sample for sample, _ in chosen], clean=clean)
+        return motions
+
+    def _finish_plain(self, whole: Sequence[tuple[_Part, Mapping[int, Codes]]]) -> None:
+        """Sends the motions of plain tasks, each with its last part."""
+        rows = [
+            (part.sample._replace(number=number), codes)
+            for part, found in whole
+            for number, codes in sorted(found.items())
+        ]
+        motions = self._decode(rows, clean=True)
+        for part, found in whole:
+            self._finish(part.task, motions[: len(found)])
+            motions = motions[len(found) :]
+
+    def _edit(self, task: Task) -> None:
+        """Makes the motions of a task that is not plain."""
+        self.send(task.job, "started", {"seed": task.seed})
+        try:
+            self._finish(task, self._edited(task))
+        except UserError as error:
+            self._fail(task, error)
+
+    def _edited(self, task: Task) -> list[Motion]:
+        """Returns the motions of a request that is not plain."""
+        request, given = task.request, _given_motion(task.request)
+        options: Any = {"seed": task.seed, "num_samples": request.num_samples}
+        options |= {"strategy": _strategy(request), "guidance_scale": request.guidance_scale}
+        if given is not None and request.span is not None:
+            return self.model.redo(given, request.span, request.captions[0], **options)
+        if given is not None and request.edit == "vary":
+            return self.model.vary(given, request.strength, request.captions[0], **options)
+        return self.model.generate_chain(request.captions, start=given, seconds=request.seconds, **options)
+
+    def _finish(self, task: Task, motions: Sequence[Motion]) -> None:
+        """Sends the motions of a request."""
+        for warning in dict.fromkeys(motion.warning for motion in motions if motion.warning):
+            self.send(task.job, "warning", {"message": warning})
+        records = [motion_record(motion) for motion in motions]
+        self.send(task.job, "done", {"seed": task.seed, "scene": scene_record(motions), "motions": records})
+
+    def _fail(self, task: Task, error: UserError) -> None:
+        self.send(task.job, "failed", {"error": str(error), "seed": task.seed})
+
+
+def _call(executor: Executor | None, function: Callable[..., None], *args: Any) -> None:
+    """Calls a function, in a thread if there is one for it."""
+
+    def guarded() -> None:
+        try:
+            function(*args)
+        except BaseException:  # noqa: BLE001 - a bug, or too little memory: the server replaces the process, as after a crash
+            traceback.print_exc()
+            os._exit(1)
+
+    if executor is None:
+        function(*args)
+    else:
+        executor.submit(guarded)
+
+
+def _group(request: MotionRequest) -> tuple[Any, ...]:
+    """Returns what must be equal in requests that share slots."""
+    return request.variety, request.guidance_scale
+
+
+def _strategy(request: MotionRequest) -> Strategy:
+    return make_strategy(TEMPERATURES[request.variety], None)
+
+
+def _given_motion(request: MotionRequest) -> Motion | None:
+    if request.motion is None:
+        return None
+    return motion_from_data(decode_base64(request.motion), request.motion_format)
