@@ -48,6 +48,7 @@ NOT_RUN = {
     "docs/performance.md": "minutes of measurements of the machine; tests/bench runs small ones",
     "docs/systems.md": "the package that the page describes is not installed; tests/third_system runs the commands",
     "CUDA_VISIBLE_DEVICES": "needs two GPUs; tests/devices and test_distributed.py have virtual ones",
+    "t2m serve": "it serves until it is stopped; tests/serving starts servers",
     "--distributed": "needs a cluster; test_distributed.py starts processes",
 }
 
@@ -124,7 +125,9 @@ def test_the_wheel_has_what_is_not_python(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
     configs = REPOSITORY / "configs"
     expected = {f"t2m_jax/configs/{path.relative_to(configs).as_posix()}" for path in configs.rglob("*.yaml")}
+    expected |= {"t2m_jax/serving/page/index.html", "t2m_jax/export/viewer/vendor/three.min.js"}
     assert expected | {"t2m_jax/py.typed", "t2m_jax/bundles/demo/weights.safetensors"} <= names
+    assert not [name for name in names if "node_modules" in name]
     assert not [name for name in names if name.startswith(("tests/", "configs/"))]
 
 

@@ -5,12 +5,16 @@ import contextlib
 import shlex
 import sys
 import warnings
+from collections import deque
 from pathlib import Path
 
 from t2m_jax.cli.changes import add_change_arguments, changed, check_changes, file_options
 from t2m_jax.cli.edits import add_edit_arguments, check_edits, edited_motions
 from t2m_jax.cli.next_step import show_next
 from t2m_jax.errors import UserError, one_line
+
+MAX_ON_PAGE = 24
+"""Motions in one .html file: more would be too small to see, and take long to open."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,8 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_raw_argument(parser)
     add_change_arguments(parser)
     formats = ".npz .bvh .glb .gif .mp4 .png or .html"
-    files = f"{formats}; can be repeated; several motions get -0, -1, ... (default: motion.html)"
-    parser.add_argument("-o", "--output", action="append", metavar="FILE", help=files)
+    files = f"{formats}; can be repeated; several motions share a .html file; other files get -0, -1, ..."
+    parser.add_argument("-o", "--output", action="append", metavar="FILE", help=f"{files} (default: motion.html)")
 
 
 def add_model_argument(parser: argparse.ArgumentParser) -> None:
@@ -93,15 +97,21 @@ def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
     sys.stderr.write(f"t2m: warning: {one_line(str(message))}\n")
 
 
+def _motions_per_file(output: Path) -> int:
+    return MAX_ON_PAGE if output.suffix.lower() == ".html" else 1
+
+
 def _numbered(args: argparse.Namespace, output: Path, number: int) -> Path:
-    """Returns the file of one motion: `output` if there is only one, else `output` with a number in its name."""
-    return output if len(args.text) * args.num_samples == 1 else output.with_stem(f"{output.stem}-{number}")
+    """Returns the file of a motion: `output` if there is only one file, else `output` with a number in its name."""
+    size = _motions_per_file(output)
+    return output if len(args.text) * args.num_samples <= size else output.with_stem(f"{output.stem}-{number // size}")
 
 
 def _generate(args: argparse.Namespace, outputs: list[Path]) -> list[Path]:
     """Writes the files and returns their names."""
     from t2m_jax.files import claim
     from t2m_jax.motion import Motion
+    from t2m_jax.motion.record import save_motions
     from t2m_jax.sampling import TextToMotion
     from t2m_jax.sampling.strategies import make_strategy
 
@@ -114,13 +124,16 @@ def _generate(args: argparse.Namespace, outputs: list[Path]) -> list[Path]:
         motions = edited_motions(model, given, args, **options)
     else:
         motions = model.generate_each(args.text, stop_rule=args.stop_rule, **options)
-    written = []
+    written, count, recent = [], len(args.text) * args.num_samples, deque[Motion](maxlen=MAX_ON_PAGE)
     for number, generated in enumerate(motions):
-        motion = changed(generated, args)
+        recent.append(changed(generated, args))
         for output in outputs:
+            size = _motions_per_file(output)
+            if (number + 1) % size and number + 1 < count:  # the file gets further motions
+                continue
             path = _numbered(args, output, number)
-            with claim([path]) if number else contextlib.nullcontext():  # `run` has claimed the first
-                motion.save(path, **file_options(path, args))
+            with claim([path]) if number >= size else contextlib.nullcontext():  # `run` has claimed the first
+                save_motions(path, list(recent)[-(number % size + 1) :], **file_options(path, args))
             sys.stdout.write(f"{path}\n")
             written.append(path)
     return written

@@ -175,6 +175,16 @@ def test_several_motions_are_numbered(bundle_folder, tmp_path, capsys):
     capsys.readouterr()
 
 
+def test_several_motions_share_a_page(bundle_folder, tmp_path, monkeypatch):
+    options = ["--model", f"{bundle_folder}", "--num-samples", "3", "-o", f"{tmp_path / 'many.html'}"]
+    assert main(["generate", "a person walks", *options, "-o", f"{tmp_path / 'many.bvh'}"]) == 0
+    assert (tmp_path / "many.html").read_text().count('"caption":') == 3
+    monkeypatch.setattr("t2m_jax.cli.generate.MAX_ON_PAGE", 2)
+    assert main(["generate", "a person walks", *options]) == 0
+    counts = [path.read_text().count('"caption":') for path in sorted(tmp_path.glob("many-*.html"))]
+    assert counts == [2, 1]
+
+
 def test_files_are_written_before_the_next_motions_are_generated(bundle_folder, tmp_path, monkeypatch):
     counts, sample_codes = [], TextToMotion.sample_codes
 

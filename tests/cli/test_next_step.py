@@ -38,7 +38,7 @@ def test_a_page_is_opened(bundle_folder, tmp_path, capsys):
     options = ["--model", f"{bundle_folder}", "--num-samples", "2", *outputs]
     assert main(["generate", "a person walks", *options]) == 0
     _, page, *_ = next_step(capsys)
-    assert page == f"{tmp_path / 'walk-0.html'}" and (tmp_path / "walk-0.html").is_file()
+    assert page == f"{tmp_path / 'walk.html'}" and (tmp_path / "walk.html").is_file()
 
 
 def test_a_video_is_opened(bundle_folder, tmp_path, capsys):
