@@ -27,11 +27,11 @@ MAX_WAITING = 64
 """Requests that wait; further ones are refused."""
 WORK_SECONDS = 120.0
 """Longest time for a request without the queue. After it, the request fails, and the process is replaced."""
-RESTART_SECONDS = 1.0
+RESTART_SECONDS = 0.2
 """Time before a process that has died is replaced."""
 END_SECONDS = 5.0
 """Time for the process to end by itself."""
-MAX_TRIES = 2
+MAX_TRIES = 3
 """How often a request is given to a process that then dies. It may be the reason."""
 FINAL_EVENTS = ("done", "failed")
 
@@ -212,7 +212,9 @@ class Jobs:
         self.measures.restarts.inc()
         for job in reversed(self.running.values()):
             if job.tries >= MAX_TRIES:
-                job.tell("failed", {"error": "the process that generates has died twice; try again", "seed": job.seed})
+                job.tell(
+                    "failed", {"error": "the process that generates has died each time; try again", "seed": job.seed}
+                )
             else:
                 self.waiting.appendleft(job)
         self.running.clear()

@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import itertools
 import os
 import traceback
 from collections import deque
@@ -78,8 +79,14 @@ class Maker:
         """Compiles what most requests need."""
         nothing = Maker(self.model, self.num_slots, lambda *_: None)
         nothing.add(Task(NO_JOB, MotionRequest(captions=(EXAMPLE_PROMPT,)), 0))
+        sample = nothing.waiting[0].sample
         while nothing.is_busy:
             nothing.step()
+        longest = np.zeros(
+            (self.model.config.generator.max_codes, self.model.config.tokenizer.num_quantizers), np.int32
+        )
+        for codes, clean in itertools.product((longest[:1], longest), (True, False)):
+            nothing._decode([(sample, codes)], clean=clean)
 
     @property
     def is_busy(self) -> bool:
@@ -173,16 +180,24 @@ class Maker:
             self.send(part.task.job, "codes", {"sample": part.sample.number, "codes": new, "scene": scene})
 
     def _decode(self, rows: Sequence[tuple[Sample, Codes]], *, clean: bool) -> list[Motion]:
-        """Returns the motions of codes, in batches that are always full."""
-        longest, motions = self.model.config.generator.max_codes, []
-        for first in range(0, len(rows), DECODED_TOGETHER):
-            chosen = rows[first : first + DECODED_TOGETHER]
-            padded, lengths = pad_codes([codes for _, codes in chosen])
-            size = ((0, DECODED_TOGETHER - len(chosen)), (0, longest - padded.shape[1]), (0, 0))
-            arrays = np.pad(padded, size), np.pad(lengths, size[0], constant_values=1), longest
-            sampled = SampledCodes(*map(jnp.asarray, arrays))
-            motions += batch_motions(self.model, sampled, [sample for sample, _ in chosen], clean=clean)
-        return motions
+        """Returns the motions of codes, decoded in full batches. Short motions have batches of their own."""
+        longest, motions = self.model.config.generator.max_codes, dict[int, Motion]()
+        limits = (0, -(-longest // 2), longest)
+        for shorter, limit in itertools.pairwise(limits):
+            places = [place for place, (_, codes) in enumerate(rows) if shorter < len(codes) <= limit]
+            for first in range(0, len(places), DECODED_TOGETHER):
+                chosen = places[first : first + DECODED_TOGETHER]
+                found = self._decode_batch([rows[place] for place in chosen], limit, clean=clean)
+                motions |= zip(chosen, found, strict=True)
+        return [motions[place] for place in range(len(rows))]
+
+    def _decode_batch(self, rows: Sequence[tuple[Sample, Codes]], limit: int, *, clean: bool) -> list[Motion]:
+        """Returns the motions of codes, filled up to `DECODED_TOGETHER` motions of `limit` rows."""
+        padded, lengths = pad_codes([codes for _, codes in rows])
+        size = ((0, DECODED_TOGETHER - len(rows)), (0, limit - padded.shape[1]), (0, 0))
+        arrays = np.pad(padded, size), np.pad(lengths, size[0], constant_values=1), limit
+        sampled = SampledCodes(*map(jnp.asarray, arrays))
+        return batch_motions(self.model, sampled, [sample for sample, _ in rows], clean=clean)
 
     def _finish_plain(self, whole: Sequence[tuple[_Part, Mapping[int, Codes]]]) -> None:
         """Sends the motions of plain tasks, each with its last part."""

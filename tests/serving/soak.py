@@ -321,7 +321,7 @@ async def measure(client: Client, options: argparse.Namespace, table: Table) -> 
         soak.broken.append(f"memory grew from {first_memory:,} to {last_memory:,} bytes")
 
     await crowd(soak, ["one"] * 3 * options.clients, 3 * options.clients)  # more than the queue takes
-    killing = asyncio.create_task(kill_workers(client.pid, options.kills, every=8))
+    killing = asyncio.create_task(kill_workers(client.pid, options.kills, every=10))
     while not killing.done():
         await crowd(soak, ["one"] * options.clients, options.clients)
     await crowd(soak, ["one"] * options.clients, options.clients)

@@ -141,19 +141,19 @@ def test_a_cancelled_request_is_forgotten():
     with_queue(test)
 
 
-def test_after_a_death_requests_are_tried_once_more(monkeypatch):
+def test_after_a_death_requests_are_tried_again(monkeypatch):
     monkeypatch.setattr(module, "RESTART_SECONDS", 0.0)
 
     async def test(jobs):
         job = jobs.submit(PLAIN)
-        for alive in (True, False):
+        for alive in (True, True, False):
             assert len(jobs.running) == 1
             jobs._on_death()
             assert not jobs.is_alive
             await asyncio.sleep(0.05)
             assert len(jobs.sent) == alive
         assert names(job)[-1] == "failed" and jobs.is_alive
-        assert b"t2m_worker_restarts_total 2.0" in jobs.measures.text()
+        assert b"t2m_worker_restarts_total 3.0" in jobs.measures.text()
 
     with_queue(test)
 
