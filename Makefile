@@ -5,7 +5,8 @@
 #   make test PYTHON=python3.13 VENV=.venv-3.13    uses an environment of its own
 
 PYTHON ?= python3
-PYTEST_ARGS ?= -n 2
+# The tests of a file share what they compile, so they run in one process.
+BY_FILE := -n 2 --dist loadfile
 VENV ?= .venv
 BIN := $(VENV)/bin
 PROMPT ?= a person waves with the left hand
@@ -62,13 +63,13 @@ demo: $(VENV)/.base
 	$(BIN)/t2m generate "$(PROMPT)" -o demo/wave.html -o demo/wave.gif -o demo/wave.bvh
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest -m "not slow" $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m "not slow" $(or $(PYTEST_ARGS),$(BY_FILE))
 
 test-slow: $(VENV)/.dev
-	$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m slow $(or $(PYTEST_ARGS),-n 2)
 
 test-lowest test-python3.12 test-python3.13: test-%: .venv-%/.dev
-	.venv-$*/bin/python -m pytest -m "not slow" $(PYTEST_ARGS)
+	.venv-$*/bin/python -m pytest -m "not slow" $(or $(PYTEST_ARGS),$(BY_FILE))
 
 soak: $(VENV)/.dev
 	$(BIN)/python -m tests.fuzz.soak $(SOAK_ARGS)
