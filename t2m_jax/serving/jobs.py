@@ -23,6 +23,8 @@ BATCH_SIZE = 32
 """Motions that are generated together."""
 AHEAD = 1.5
 """Motions that the process knows of, as a multiple of those that it generates, so that it never waits for the next."""
+MAX_EDITS = 2
+"""Requests that are not plain and that the process knows of. It works on one at a time."""
 MAX_WAITING = 64
 """Requests that wait; further ones are refused."""
 WORK_SECONDS = 120.0
@@ -71,7 +73,7 @@ class Job:
 class _Sent(NamedTuple):
     """A request that the process knows of."""
 
-    num_motions: int
+    job: Job
     start: float
     timer: asyncio.TimerHandle
 
@@ -184,7 +186,7 @@ class Jobs:
         sent, now = self._sent.pop(number), self._loop.time()
         sent.timer.cancel()
         self.measures.work_seconds.observe(now - sent.start)
-        seconds = (now - max(self._last_end, sent.start)) / sent.num_motions
+        seconds = (now - max(self._last_end, sent.start)) / sent.job.request.num_samples
         self._seconds_per_motion = 0.9 * self._seconds_per_motion + 0.1 * seconds
         self._last_end = now
 
@@ -230,20 +232,27 @@ class Jobs:
     def _dispatch(self) -> None:
         """Gives the process the next requests, as many as it should know of."""
         num_before = len(self.waiting)
-        while self.is_alive and self.waiting and self._has_room(self.waiting[0]):
-            job = self.waiting.popleft()
+        while self.is_alive and (job := self._next_job()) is not None:
+            self.waiting.remove(job)
             job.tries += 1
             self.running[job.number] = job
             timer = self._loop.call_later(WORK_SECONDS, self._on_timeout, job)
-            self._sent[job.number] = _Sent(job.request.num_samples, self._loop.time(), timer)
+            self._sent[job.number] = _Sent(job, self._loop.time(), timer)
             self._send(Task(job.number, job.request, job.seed))
         if len(self.waiting) < num_before:
             self._tell_positions()
 
-    def _has_room(self, job: Job) -> bool:
-        """Returns whether the process can take a job. A large job has room if there is no other one."""
-        known = sum(sent.num_motions for sent in self._sent.values())
-        return known == 0 or known + job.request.num_samples <= AHEAD * self.batch_size
+    def _next_job(self) -> Job | None:
+        """Returns what the process should get next, if it has room. Plain jobs and others pass each other."""
+        sent = [one.job.request for one in self._sent.values()]
+        known = sum(request.num_samples for request in sent if request.is_plain)
+        num_edits = sum(not request.is_plain for request in sent)
+        plain = next((job for job in self.waiting if job.request.is_plain), None)
+        # A request with more motions than there is room for at all is made alone.
+        if plain is not None and (known == 0 or known + plain.request.num_samples <= AHEAD * self.batch_size):
+            return plain
+        edit = next((job for job in self.waiting if not job.request.is_plain), None)
+        return edit if num_edits < MAX_EDITS else None
 
     def _send(self, message: Task | Cancel) -> None:
         with contextlib.suppress(OSError):  # the process has just died; `_on_death` follows

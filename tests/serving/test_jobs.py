@@ -96,6 +96,19 @@ def test_a_request_larger_than_all_room_is_made_alone():
     with_queue(test)
 
 
+def test_chains_do_not_wait_in_the_process_and_let_others_pass():
+    async def test(jobs):
+        for request in (CHAIN, CHAIN, CHAIN, PLAIN):
+            jobs.submit(request)
+        assert [task.request for task in jobs.sent] == [CHAIN, CHAIN, PLAIN]
+        jobs.finish(jobs.sent[2])
+        assert len(jobs.sent) == 3
+        jobs.finish(jobs.sent[0])
+        assert jobs.sent[3].request is CHAIN
+
+    with_queue(test)
+
+
 def fill(jobs) -> list:
     """Returns jobs that fill the process."""
     return [jobs.submit(PLAIN) for _ in range(6)]
@@ -105,9 +118,9 @@ def test_a_full_queue_refuses_and_says_when_to_come_again():
     async def test(jobs):
         fill(jobs)
         for _ in range(5):
-            jobs.submit(CHAIN)
+            jobs.submit(PLAIN)
         with pytest.raises(QueueFullError) as caught:
-            jobs.submit(CHAIN)
+            jobs.submit(PLAIN)
         assert caught.value.retry_after >= 1 and len(jobs.waiting) == 5
 
     with_queue(test)
@@ -116,7 +129,7 @@ def test_a_full_queue_refuses_and_says_when_to_come_again():
 def test_positions_are_told_when_they_change():
     async def test(jobs):
         first, *_ = fill(jobs)
-        others = [jobs.submit(CHAIN) for _ in range(2)]
+        others = [jobs.submit(PLAIN) for _ in range(2)]
         jobs.finish(jobs.sent[0])
         assert names(first)[-1] == "done"
         told = [json.loads(others[1].events.get_nowait().data)["position"] for _ in range(others[1].events.qsize())]
