@@ -84,18 +84,20 @@ def _best_path(evidence: Complex[np.ndarray, "T L"], stiffness: float, fps: floa
     move_costs = stiffness * (moves * step) ** 2
     angles = np.arange(_NUM_ANGLES) * step
     sources = (np.arange(_NUM_ANGLES)[:, None] - moves) % _NUM_ANGLES
-    costs = -np.real(evidence[..., None] * np.exp(-1j * angles))
-    total = costs[0]
-    origins = np.zeros(costs.shape, dtype=np.int64)
-    for frame in range(1, len(costs)):
+    grid = np.exp(-1j * angles)
+    total = -np.real(evidence[0][:, None] * grid)
+    # The only array of frames and angles, so that a long motion needs little memory.
+    origins = np.zeros((*evidence.shape, _NUM_ANGLES), np.min_scalar_type(_NUM_ANGLES))
+    for frame in range(1, len(evidence)):
         candidates = total[:, sources] + move_costs
         best = np.argmin(candidates, axis=-1)
         origins[frame] = sources[np.arange(_NUM_ANGLES), best]
-        total = np.take_along_axis(candidates, best[..., None], axis=-1)[..., 0] + costs[frame]
-    limbs = np.arange(costs.shape[1])
-    choice = np.empty(costs.shape[:2], dtype=np.int64)
+        costs = -np.real(evidence[frame][:, None] * grid)
+        total = np.take_along_axis(candidates, best[..., None], axis=-1)[..., 0] + costs
+    limbs = np.arange(evidence.shape[1])
+    choice = np.empty(evidence.shape, dtype=np.int64)
     choice[-1] = np.argmin(total, axis=-1)
-    for frame in range(len(costs) - 1, 0, -1):
+    for frame in range(len(evidence) - 1, 0, -1):
         choice[frame - 1] = origins[frame, limbs, choice[frame]]
     return angles[choice]
 

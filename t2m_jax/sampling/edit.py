@@ -1,41 +1,27 @@
 """Motion from several sentences, or after a given motion: known codes are read, and sampling goes on from them."""
 
-import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int, Key
+from jaxtyping import Bool, Key
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.cleanup import clean_positions
-from t2m_jax.motion.features import smooth_over_time
 from t2m_jax.motion.record import Motion
-from t2m_jax.motion.skeleton import Skeleton
-from t2m_jax.sampling.batches import padded_batch_size, round_up
-from t2m_jax.sampling.codec import motions_from_codes, pad_codes
 from t2m_jax.sampling.decoding import Given, Sampling
 from t2m_jax.sampling.model import MotionModel
 from t2m_jax.sampling.prompts import Prompt
+from t2m_jax.sampling.windows import Codes, clean_long, decode_in_windows, ease_seams
 
 CONTEXT_SECONDS = 0.4
 """Motion before a sentence that the generator reads as the beginning of the sentence's own. With more, a sentence is
 followed less often."""
 MAX_SECONDS = 3600.0
 """Longest motion for a sentence. A larger number is probably a mistake."""
-ROW_BUCKET = 32
-"""Codes are padded to a multiple of this many rows, so that few programs are compiled."""
-OVERLAP_SECONDS = 2.0
-"""Frames that two windows of the clean-up share. In the middle half of them, one fades into the other."""
-EASE_SIGMA, EASE_SECONDS = 0.1, 0.5
-"""Standard deviation of the filter at the seam of two sentences, and the time on each side in which it fades, in
-seconds. Without it, joints accelerate 1.8 times as much there as elsewhere; with it, 1.3 times."""
 _PART_STREAM = 2**30
 """In place of a sample's number, in keys for the parts of a chain."""
-
-Codes = Int[np.ndarray, "_ R"]
 
 
 class Part(NamedTuple):
@@ -90,8 +76,8 @@ def sample_parts(
     start: Codes | None,
     sampling: Sampling,
     guidance_scale: float | None,
-) -> list[list[Codes]]:
-    """Returns the codes of each part of each motion.
+) -> Iterator[list[Codes]]:
+    """Yields the new codes of each part: those of each motion.
 
     Args:
         model: The model.
@@ -103,20 +89,17 @@ def sample_parts(
     """
     batch, depth = len(keys[0]), model.config.tokenizer.num_quantizers
     nothing = np.zeros((0, depth), np.int32) if start is None else np.asarray(start, np.int32)
-    so_far: list[Codes] = [nothing] * batch
-    found: list[list[Codes]] = [[] for _ in range(batch)]
+    before: list[Codes] = [nothing] * batch
     for part, part_keys in zip(parts, keys, strict=True):
-        context = [codes[-context_rows(model) :] for codes in so_far]
+        context = [codes[-context_rows(model) :] for codes in before]
         lengths = np.array([len(codes) for codes in context], np.int32)
         given = _given(part, context, max_codes=sampling.max_codes)
         texts = model.text_encoder([part.prompt.text] * batch)
         sampled = model.sample_codes(texts, part_keys, sampling, guidance_scale=guidance_scale, given=given)
         rows, ends = np.asarray(sampled.codes), np.asarray(sampled.code_lengths)
-        for row in range(batch):
-            new = rows[row, lengths[row] : ends[row]]
-            found[row].append(new)
-            so_far[row] = np.concatenate([so_far[row], new])
-    return found
+        new = [own[first:last] for own, first, last in zip(rows, lengths, ends, strict=True)]
+        before = [np.concatenate(codes) for codes in zip(context, new, strict=True)]
+        yield new
 
 
 def _given(part: Part, context: Sequence[Codes], *, max_codes: int) -> Given:
@@ -143,63 +126,68 @@ def part_keys(keys: Key[jax.Array, " B"], count: int) -> list[Key[jax.Array, " B
 def join_parts(
     model: MotionModel, parts: Sequence[Part], codes: Sequence[Codes], *, start: Codes | None, seed: int, raw: bool
 ) -> Motion:
-    """Returns the motion of the parts of one sample. All codes are decoded together, so there is no seam."""
+    """Returns the motion of the parts of one sample. Codes are decoded with those around them, so there is no seam."""
     pieces = [*([] if start is None else [np.asarray(start, np.int32)]), *codes]
-    sentences = [part.prompt.text for part in parts if part.begins]
     ends = model.config.tokenizer.downsample * np.cumsum([len(piece) for piece in pieces])
     starts = [0, *ends[:-1].tolist()][-len(parts) :]
-    rows, lengths = pad_codes([np.concatenate(pieces)])
-    rows = np.pad(rows, ((0, 0), (0, round_up(rows.shape[1], ROW_BUCKET) - rows.shape[1]), (0, 0)))
-    caption = ", then ".join(sentences)
-    (motion,) = motions_from_codes(
-        model.tokenizer, rows, lengths, skeleton=model.skeleton, captions=[caption], seed=seed
-    )
+    decoded = list(decode_in_windows(model.tokenizer, pieces, skeleton=model.skeleton))
+    rows, features, positions = map(np.concatenate, zip(*decoded, strict=True))
+    cleaned = None
     if not raw:
         size = model.config.generator.max_codes * model.config.tokenizer.downsample
-        eased = ease_seams(motion.positions, [first for first in starts if first], fps=motion.fps)
+        eased = ease_seams(positions, [first for first in starts if first], fps=model.skeleton.fps)
         cleaned = clean_long(eased, skeleton=model.skeleton, size=size)
-        motion = dataclasses.replace(motion, positions=cleaned, positions_raw=motion.positions)
-    return dataclasses.replace(
-        motion,
+    return Motion(
+        positions if cleaned is None else cleaned,
+        model.skeleton.fps,
+        positions_raw=None if cleaned is None else positions,
+        skeleton=model.skeleton,
+        features=features,
+        codes=rows,
+        caption=chain_caption(parts),
+        seed=seed,
         part_starts=tuple(first for first, part in zip(starts, parts, strict=True) if part.begins),
-        part_captions=tuple(sentences),
+        part_captions=tuple(part.prompt.text for part in parts if part.begins),
         warning=" ".join(dict.fromkeys(part.prompt.warning for part in parts if part.prompt.warning)),
         unknown_words=tuple(dict.fromkeys(word for part in parts for word in part.prompt.unknown_words)),
     )
 
 
-def ease_seams(
-    positions: Float[np.ndarray, "T J 3"], seams: Sequence[int], *, fps: float
-) -> Float[np.ndarray, "T J 3"]:
-    """Returns a motion that is smoothed near the given frames, so that one action goes over into the next."""
-    if not seams:
-        return positions
-    count = len(positions)
-    smooth = np.asarray(smooth_over_time(positions.reshape(count, -1), sigma=EASE_SIGMA * fps)).reshape(positions.shape)
-    distance = np.abs(np.arange(count)[:, None] - (np.array(seams)[None] - 0.5)).min(axis=1)
-    near = np.clip(1 - distance / (EASE_SECONDS * fps), 0, 1)
-    share = (near**2 * (3 - 2 * near))[:, None, None].astype(np.float32)
-    return (1 - share) * positions + share * smooth
+def chain_caption(parts: Sequence[Part]) -> str:
+    """Returns the sentences of parts as one."""
+    return ", then ".join(part.prompt.text for part in parts if part.begins)
 
 
-def clean_long(positions: Float[np.ndarray, "T J 3"], *, skeleton: Skeleton, size: int) -> Float[np.ndarray, "T J 3"]:
-    """Returns a cleaned motion of any length, by windows of `size` frames that fade into each other.
+def stream_parts(
+    model: MotionModel, parts: Sequence[Part], codes: Iterator[Codes], *, start: Codes | None, seed: int
+) -> Iterator[Motion]:
+    """Yields the motion of the parts of one sample, as decoded, while their codes are sampled."""
+    begun: list[tuple[int, str]] = []
+    downsample, caption, frames = model.config.tokenizer.downsample, chain_caption(parts), 0
 
-    A motion that fits into one window is cleaned as `generate` does it.
-    """
-    count, overlap = len(positions), min(round(OVERLAP_SECONDS * skeleton.fps), size // 2)
-    firsts = range(0, max(1, count - overlap), size - overlap)
-    windows = np.zeros((padded_batch_size(len(firsts)), size, *positions.shape[1:]), np.float32)
-    lengths = np.ones(len(windows), np.int32)
-    for number, first in enumerate(firsts):
-        window = positions[first : first + size]
-        windows[number, : len(window)], lengths[number] = window, len(window)
-    cleaned = np.asarray(clean_positions(windows, lengths, skeleton=skeleton))
-    # The weight of the later window: 0 in the first quarter of the overlap, 1 in the last.
-    fade = np.clip(2 * np.arange(overlap) / overlap - 0.5, 0, 1)[:, None, None].astype(np.float32)
-    result = cleaned[0][:count]
-    for number, first in enumerate(firsts[1:], start=1):
-        window = cleaned[number, : lengths[number]]
-        both = (1 - fade) * result[first : first + overlap] + fade * window[:overlap]
-        result = np.concatenate([result[:first], both, window[overlap:]])
-    return result
+    def rows() -> Iterator[Codes]:
+        count = 0 if start is None else len(start)
+        if start is not None:
+            yield np.asarray(start, np.int32)
+        for part, new in zip(parts, codes, strict=True):
+            if part.begins:
+                begun.append((count * downsample, part.prompt.text))
+            count += len(new)
+            yield new
+
+    for piece in decode_in_windows(model.tokenizer, rows(), skeleton=model.skeleton):
+        last = frames + len(piece.positions)
+        own = [(first - frames, text) for first, text in begun if frames <= first < last]
+        yield Motion(
+            piece.positions,
+            model.skeleton.fps,
+            skeleton=model.skeleton,
+            features=piece.features,
+            codes=piece.codes,
+            caption=caption,
+            seed=seed,
+            part_starts=tuple(first for first, _ in own),
+            part_captions=tuple(text for _, text in own),
+        )
+        frames = last
+        begun[:] = [(first, text) for first, text in begun if first >= frames]

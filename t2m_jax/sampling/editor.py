@@ -1,6 +1,7 @@
 """What a model does with motions that exist: it goes on from them, and replaces or varies a part."""
 
 import dataclasses
+import itertools
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -12,7 +13,17 @@ from t2m_jax.config import check_seed
 from t2m_jax.errors import UserError
 from t2m_jax.motion.record import Motion
 from t2m_jax.sampling.batches import padded_batch_size
-from t2m_jax.sampling.edit import context_rows, join_parts, part_keys, rows_of_seconds, sample_parts, split_parts
+from t2m_jax.sampling.decoding import Sampling
+from t2m_jax.sampling.edit import (
+    Part,
+    context_rows,
+    join_parts,
+    part_keys,
+    rows_of_seconds,
+    sample_parts,
+    split_parts,
+    stream_parts,
+)
 from t2m_jax.sampling.inbetween import check_strength, replace_span, variation_parts
 from t2m_jax.sampling.model import MotionModel
 from t2m_jax.sampling.prompts import MAX_BATCH, Prompt, check_num_samples, read_prompts, sample_key
@@ -64,19 +75,54 @@ class MotionEditor(MotionModel):
         check_seed(seed)
         check_num_samples(num_samples)
         sampling = self.sampling(strategy, stop_rule=stop_rule)
+        parts = self._parts(captions, seconds, sampling)
+        known = None if start is None else self.encode(start)
+
+        motions: list[Motion] = []
+        for keys, count in _batches_of_keys(seed, parts[0].prompt, num_samples):
+            options: Any = {"start": known, "sampling": sampling, "guidance_scale": guidance_scale}
+            found = zip(*sample_parts(self, parts, part_keys(keys, len(parts)), **options), strict=True)
+            samples = itertools.islice(found, count)
+            motions += [join_parts(self, parts, own, start=known, seed=seed, raw=raw) for own in samples]
+        return motions
+
+    def stream_chain(
+        self,
+        captions: Sequence[str],
+        *,
+        start: Motion | None = None,
+        seconds: float | None = None,
+        seed: int = 0,
+        strategy: Strategy | None = None,
+        guidance_scale: float | None = None,
+        stop_rule: str | None = None,
+    ) -> Iterator[Motion]:
+        """Returns an iterator over the motion of `generate_chain` while it is generated, in pieces of some seconds.
+
+        It needs the same memory for a motion of any length. Each piece goes on where the one before it ends, and says
+        which sentences begin in it. Pieces are as decoded: together they are the motion that `generate_chain` returns
+        with `raw=True`. Arguments, warnings and errors are those of `generate_chain`.
+        """
+        check_seed(seed)
+        sampling = self.sampling(strategy, stop_rule=stop_rule)
+        parts = self._parts(captions, seconds, sampling)
+        known = None if start is None else self.encode(start)
+        ((keys, _),) = _batches_of_keys(seed, parts[0].prompt, 1)
+        options: Any = {"start": known, "sampling": sampling, "guidance_scale": guidance_scale}
+        found = sample_parts(self, parts, part_keys(keys, len(parts)), **options)
+        return stream_parts(self, parts, (own for own, *_ in found), start=known, seed=seed)
+
+    def _parts(self, captions: Sequence[str], seconds: float | None, sampling: Sampling) -> list[Part]:
+        """Returns the parts of sentences in turn, each of the given length.
+
+        Raises:
+            UserError: There are no sentences, or a sentence or the length cannot be used.
+        """
         rows = 0 if seconds is None else rows_of_seconds(self, seconds)
         if not captions:
             raise UserError("captions: give at least one sentence")
         prompts = read_prompts(captions, self.knowledge, self.text_encoder)
-        parts = split_parts(prompts, rows, limit=sampling.max_codes - context_rows(self))
-        known = None if start is None else self.encode(start)
-
-        motions: list[Motion] = []
-        for keys, count in _batches_of_keys(seed, prompts[0], num_samples):
-            options: Any = {"start": known, "sampling": sampling, "guidance_scale": guidance_scale}
-            found = sample_parts(self, parts, part_keys(keys, len(parts)), **options)
-            motions += [join_parts(self, parts, own, start=known, seed=seed, raw=raw) for own in found[:count]]
-        return motions
+        return split_parts(prompts, rows, limit=sampling.max_codes - context_rows(self))
 
     def redo(
         self,
@@ -170,8 +216,9 @@ class MotionEditor(MotionModel):
         for keys, count in _batches_of_keys(seed, prompt, num_samples):
             parts = variation_parts(codes, prompt, keys, strength=strength, limit=limit)
             options: Any = {"start": None, "sampling": sampling, "guidance_scale": guidance_scale}
-            found = sample_parts(self, parts, part_keys(keys, len(parts)), **options)
-            motions += [join_parts(self, parts, own, start=None, seed=seed, raw=raw) for own in found[:count]]
+            found = zip(*sample_parts(self, parts, part_keys(keys, len(parts)), **options), strict=True)
+            samples = itertools.islice(found, count)
+            motions += [join_parts(self, parts, own, start=None, seed=seed, raw=raw) for own in samples]
         return motions
 
 

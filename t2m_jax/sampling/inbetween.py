@@ -16,17 +16,10 @@ from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.sampling.batches import round_up
 from t2m_jax.sampling.codec import motions_from_codes, pad_codes
 from t2m_jax.sampling.decoding import Sampling
-from t2m_jax.sampling.edit import (
-    ROW_BUCKET,
-    Codes,
-    Part,
-    context_rows,
-    part_keys,
-    sample_parts,
-    split_parts,
-)
+from t2m_jax.sampling.edit import Part, context_rows, part_keys, sample_parts, split_parts
 from t2m_jax.sampling.model import MotionModel
 from t2m_jax.sampling.prompts import Prompt
+from t2m_jax.sampling.windows import ROW_BUCKET, Codes
 
 TAIL_SECONDS = 1.0
 """Motion after a middle whose likelihood says how well the middle leads to it."""
@@ -98,7 +91,9 @@ def replace_span(
     )
     rows = round(AROUND_SECONDS * model.skeleton.fps / model.config.tokenizer.downsample)
     around = codes[max(0, span.first - rows) : span.first], codes[span.last : span.last + rows]
-    candidates = decode_middles(model, around, [np.concatenate(pieces) for pieces in found], prompt=prompt, raw=raw)
+    candidates = decode_middles(
+        model, around, [np.concatenate(pieces) for pieces in zip(*found, strict=True)], prompt=prompt, raw=raw
+    )
     downsample = model.config.tokenizer.downsample
     # Frames at the end that do not fill a code belong to the last one.
     end = motion.num_frames if span.last == len(codes) else downsample * span.last

@@ -8,12 +8,10 @@ from t2m_jax import Motion
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
 from t2m_jax.models.system import make_module
-from t2m_jax.motion.cleanup import clean_positions
-from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.codec import generate_codes
 from t2m_jax.sampling.decoding import Given
-from t2m_jax.sampling.edit import clean_long, context_rows, ease_seams
+from t2m_jax.sampling.edit import context_rows
 from t2m_jax.sampling.prompts import sample_key
 from tests import tiny
 from tests.jit import assert_jit_equals_eager
@@ -142,35 +140,34 @@ def test_what_cannot_be_continued_is_refused(model):
         model.generate_chain([FIRST], num_samples=0)
 
 
-def test_a_long_motion_is_cleaned_as_a_short_one():
-    positions = make_motion("walk", seed=2, num_frames=400)
-    positions += np.random.default_rng(0).normal(size=positions.shape).astype(np.float32) * 0.004
-    lengths = jnp.array([len(positions)])
-    whole = np.asarray(clean_positions(jnp.asarray(positions[None]), lengths, skeleton=HUMANML3D))[0]
-    found = clean_long(positions, skeleton=HUMANML3D, size=200)
-    assert found.shape == whole.shape
-    assert np.linalg.norm(found - whole, axis=-1).mean() < 1e-3
-    np.testing.assert_allclose(clean_long(positions, skeleton=HUMANML3D, size=400), whole, atol=1e-6)
+def test_a_stream_is_the_motion_as_decoded(model):
+    options = {"start": Motion(make_motion("walk", seed=1, num_frames=60), 20.0), "seconds": 4.0, "seed": 5}
+    pieces = list(model.stream_chain([FIRST, SECOND, THIRD], **options))
+    (whole,) = model.generate_chain([FIRST, SECOND, THIRD], raw=True, **options)
+    assert len(pieces) > 2
+    for name in ("positions", "features", "codes"):
+        np.testing.assert_array_equal(np.concatenate([getattr(piece, name) for piece in pieces]), getattr(whole, name))
+    firsts = np.cumsum([0] + [piece.num_frames for piece in pieces])
+    starts = [first + own for first, piece in zip(firsts, pieces, strict=False) for own in piece.part_starts]
+    captions = [text for piece in pieces for text in piece.part_captions]
+    assert (tuple(starts), tuple(captions)) == (whole.part_starts, whole.part_captions)
+    assert {(piece.caption, piece.seed, piece.fps) for piece in pieces} == {(whole.caption, 5, 20.0)}
 
 
-@pytest.mark.parametrize("count", [1, 40, 199, 200, 201, 361, 1000])
-def test_windows_cover_motions_of_all_lengths(count):
-    positions = np.resize(make_motion("walk", seed=2, num_frames=100), (count, 22, 3))
-    assert clean_long(positions, skeleton=HUMANML3D, size=200).shape == (count, 22, 3)
+def test_a_stream_begins_before_all_is_sampled(model, monkeypatch):
+    sampled = []
+    sample_codes = model.sample_codes
+    monkeypatch.setattr(model, "sample_codes", lambda *args, **kw: sampled.append(1) or sample_codes(*args, **kw))
+    pieces = model.stream_chain([FIRST], seconds=60.0)
+    assert not sampled
+    next(pieces)
+    first = len(sampled)
+    assert sum(1 for _ in pieces) > 2 and 0 < first <= len(sampled) / 2
 
 
-def test_only_seams_are_smoothed():
-    positions = make_motion("walk", seed=2, num_frames=100)
-    positions[50:] += 0.2
-    eased = ease_seams(positions, [50], fps=20.0)
-    np.testing.assert_array_equal(eased[:40], positions[:40])
-    np.testing.assert_array_equal(eased[60:], positions[60:])
-
-    def roughness(motion):
-        return np.abs(np.diff(motion[40:60], n=2, axis=0)).max()
-
-    assert roughness(eased) < roughness(positions) / 2
-    assert ease_seams(positions, [], fps=20.0) is positions
+def test_what_cannot_be_streamed_is_refused_at_once(model):
+    with pytest.raises(UserError, match="seconds: 0"):
+        model.stream_chain([FIRST], seconds=0.0)
 
 
 def test_parts_are_saved(tmp_path):
