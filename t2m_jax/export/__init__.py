@@ -7,6 +7,7 @@ from t2m_jax.export.glb import save_glb
 from t2m_jax.export.html import save_html, scene_record, viewer_html
 from t2m_jax.export.mp4 import save_mp4
 from t2m_jax.export.npz import load_npz, save_npz
+from t2m_jax.export.pieces import save_pieces
 from t2m_jax.export.png import save_png
 from t2m_jax.export.render import render_poster
 
@@ -20,6 +21,7 @@ __all__ = [
     "save_html",
     "save_mp4",
     "save_npz",
+    "save_pieces",
     "save_png",
     "scene_record",
     "viewer_html",

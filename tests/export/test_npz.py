@@ -1,10 +1,12 @@
+import itertools
+import tracemalloc
 import zipfile
 
 import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.export import load_npz, save_npz
+from t2m_jax.export import load_npz, save_npz, save_pieces
 from t2m_jax.files.reading import MAX_UNPACKED
 from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
@@ -103,3 +105,64 @@ def test_broken_files_are_refused(tmp_path, walk):
         load_npz(path)
     with pytest.raises(UserError, match="no such file"):
         load_npz(tmp_path / "absent.npz")
+
+
+@pytest.mark.parametrize("depth", [1, 3])
+def test_pieces_are_the_file_of_the_whole(tmp_path, walk, depth):
+    features = np.arange(walk.num_frames * HUMANML3D.feature_dim, dtype=np.float32).reshape(walk.num_frames, -1)
+    codes = np.arange(walk.num_frames * depth, dtype=np.int32).reshape(-1, depth)
+    fields = {"caption": "walks, then 👋", "seed": 2**32 - 1}
+    whole = Motion(
+        walk.positions,
+        20.0,
+        features=features,
+        codes=codes,
+        part_starts=(0, 9),
+        part_captions=("walks", "👋"),
+        **fields,
+    )
+    parts = {0: ((0,), ("walks",)), 4: ((5,), ("👋",)), 20: ((), ())}
+    cuts = [*parts, walk.num_frames]
+    pieces = [
+        Motion(
+            walk.positions[first:last],
+            20.0,
+            features=features[first:last],
+            codes=codes[first:last],
+            part_starts=parts[first][0],
+            part_captions=parts[first][1],
+            **fields,
+        )
+        for first, last in itertools.pairwise(cuts)
+    ]
+    assert save_pieces(tmp_path / "pieces.npz", iter(pieces)) == walk.num_frames
+    save_npz(tmp_path / "whole.npz", [whole])
+    with np.load(tmp_path / "pieces.npz") as found, np.load(tmp_path / "whole.npz") as expected:
+        assert set(found.files) == set(expected.files)
+        for key in expected.files:
+            assert found[key].dtype == expected[key].dtype
+            np.testing.assert_array_equal(found[key], expected[key])
+    assert load_npz(tmp_path / "pieces.npz").part_captions == ("walks", "👋")
+
+
+def test_pieces_of_nothing_are_refused_and_nothing_is_left(tmp_path, walk):
+    with pytest.raises(UserError, match="no pieces"):
+        save_pieces(tmp_path / "a.npz", [])
+    with pytest.raises(UserError, match=r"\.npz files only"):
+        save_pieces(tmp_path / "a.bvh", [walk])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_pieces_need_the_memory_of_one(tmp_path, walk):
+    piece = Motion(np.resize(walk.positions, (1000, 22, 3)), 20.0)
+
+    def most_memory(count):
+        tracemalloc.start()
+        save_pieces(tmp_path / "a.npz", itertools.repeat(piece, count))
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return most
+
+    few = most_memory(80)  # NumPy compresses 16 MB at a time
+    assert most_memory(200) < few + piece.positions.nbytes
+    assert load_npz(tmp_path / "a.npz").num_frames == 200_000
