@@ -1,8 +1,9 @@
 """Subword tokens of captions (byte-pair encoding), by the `tokenizers` library."""
 
+import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Bool, Int
@@ -67,6 +68,20 @@ def load_bpe(folder: Path) -> Tokenizer:
     path = folder / TOKENIZER_FILE
     text = load_text(path)
     try:
-        return Tokenizer.from_str(text)
+        tokenizer = Tokenizer.from_str(text)
     except Exception as error:  # noqa: BLE001 - the library raises nothing narrower for content it cannot read
         raise UserError(f"{path}: not a tokenizer file ({first_line(error)}); copy it again") from None
+    if missing := _undefined_tokens(json.loads(tokenizer.to_str())["post_processor"]):
+        raise UserError(f"{path}: adds a token {min(missing)[:80]!r}, which it does not define; copy it again")
+    return tokenizer
+
+
+def _undefined_tokens(processor: dict[str, Any] | None) -> set[str]:
+    """Returns the tokens that a tokenizer adds and does not define. With one, the library would end the process."""
+    if processor is None:
+        return set()
+    if processor["type"] == "Sequence":
+        return set().union(*map(_undefined_tokens, processor["processors"]))
+    pieces = [*processor.get("single", []), *processor.get("pair", [])]
+    added = {piece["SpecialToken"]["id"] for piece in pieces if "SpecialToken" in piece}
+    return added - processor.get("special_tokens", {}).keys()

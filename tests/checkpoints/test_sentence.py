@@ -108,6 +108,14 @@ def test_captions_can_be_lowered_first(copy):
     assert load_sentence_encoder(copy).tokenizer.encode("A Person WALKS").ids == wanted
 
 
+NO_SEP = {
+    "type": "TemplateProcessing",
+    "single": [{"Sequence": {"id": "A", "type_id": 0}}, {"SpecialToken": {"id": "[SEP]", "type_id": 0}}],
+    "pair": [{"Sequence": {"id": "A", "type_id": 0}}, {"Sequence": {"id": "B", "type_id": 1}}],
+    "special_tokens": {},
+}
+
+
 @pytest.mark.parametrize(
     ("file", "changes", "reason"),
     [
@@ -128,6 +136,12 @@ def test_captions_can_be_lowered_first(copy):
         (POOLING, {"pooling_mode": "max"}, "the kind of pooling must be mean or cls, not 'max'"),
         (POOLING, {"pooling_mode": ["mean", "max"]}, "the kind of pooling must be mean or cls, not ['mean', 'max']"),
         ("tokenizer.json", {"post_processor": None}, "adds 0 special tokens"),
+        ("tokenizer.json", {"post_processor": NO_SEP}, "adds a token '[SEP]', which it does not define"),
+        (
+            "tokenizer.json",
+            {"post_processor": {"type": "Sequence", "processors": [NO_SEP]}},
+            "adds a token '[SEP]', which it does not define",
+        ),
     ],
 )
 def test_files_that_do_not_fit_are_named(file, changes, reason, copy):

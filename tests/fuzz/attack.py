@@ -47,7 +47,9 @@ def check(read: Callable[[], object], folder: Path) -> bool:
         if "\n" in message or len(message) > MAX_MESSAGE:
             raise Broken(f"a message of {len(message)} characters: {message[:300]!r}") from error
         return True
-    except Exception as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # libraries written in Rust raise a `PanicException`, which is no `Exception`
         raise Broken(f"{type(error).__name__}: {str(error)[:300]}") from error
     return False
 
