@@ -97,7 +97,8 @@ def test_the_path_that_a_motion_has_changes_little():
 
 def test_feet_that_stand_do_not_turn_with_the_body():
     motion = make()
-    assert foot_slide(motion.turned(120).positions) <= foot_slide(motion.positions) + 0.01
+    # The feet of the synthetic walk slide, too: they are locked as in the clean-up.
+    assert foot_slide(motion.turned(120).positions) < 0.9 * foot_slide(motion.positions)
 
 
 def test_raw_positions_go_along():
