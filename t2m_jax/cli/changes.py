@@ -1,4 +1,4 @@
-"""Options for how a motion is written: its frame rate, a loop, no travel, names of joints, units."""
+"""Options for how a motion is written: its speed, path and frame rate, a loop, no travel, names of joints, units."""
 
 import argparse
 from collections.abc import Sequence
@@ -13,6 +13,11 @@ if TYPE_CHECKING:
 
 def add_change_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the options; `t2m generate` and `t2m view` have the same."""
+    parser.add_argument("--speed", type=float, metavar="FACTOR", help="play this much faster; below 1 is slower")
+    paths = parser.add_mutually_exclusive_group()
+    paths.add_argument("--turn", type=float, metavar="DEGREES", help="bend the path evenly to the left; below 0: right")
+    points = "walk through points on the ground: x and z in meters; +x is at the left of a figure that faces +z"
+    paths.add_argument("--path", metavar='"X,Z X,Z ..."', help=points)
     parser.add_argument("--fps", type=float, help="frames per second to write (default: those of the motion)")
     parser.add_argument("--loop", action="store_true", help="write the part that repeats best, closed into a loop")
     parser.add_argument("--in-place", action="store_true", help="without travel: the root stays above the origin")
@@ -23,8 +28,15 @@ def add_change_arguments(parser: argparse.ArgumentParser) -> None:
 
 def check_changes(args: argparse.Namespace, outputs: Sequence[Path]) -> None:
     """Raises `UserError` if an option has a value that no motion can be changed with, or is of none of the outputs."""
-    from t2m_jax.motion.editing import check_fps
+    from t2m_jax.motion.editing import check_fps, check_speed
+    from t2m_jax.motion.paths import check_turn, check_waypoints
 
+    if args.speed is not None:
+        check_speed(args.speed)
+    if args.turn is not None:
+        check_turn(args.turn)
+    if args.path is not None:
+        check_waypoints(_waypoints(args.path))
     if args.fps is not None:
         check_fps(args.fps)
     for name in ("names", "units"):
@@ -42,9 +54,30 @@ def file_options(output: Path, args: argparse.Namespace) -> dict[str, str]:
 
 
 def changed(motion: "Motion", args: argparse.Namespace) -> "Motion":
-    """Returns a motion as the options ask for. A loop is found in the frames that are written, so that it closes."""
+    """Returns a motion as the options ask for: speed, path, frame rate, loop, no travel, in this order.
+
+    A loop is found in the frames that are written, so that it closes.
+    """
+    if args.speed is not None and args.speed != 1:
+        motion = motion.at_speed(args.speed)
+    if args.turn is not None:
+        motion = motion.turned(args.turn)
+    if args.path is not None:
+        motion = motion.along(_waypoints(args.path))
     if args.fps is not None and args.fps != motion.fps:
         motion = motion.resampled(args.fps)
     if args.loop:
         motion = motion.looped()
     return motion.in_place() if args.in_place else motion
+
+
+def _waypoints(text: str) -> list[list[float]]:
+    """Returns the points of `--path`.
+
+    Raises:
+        UserError: The text is not pairs of numbers.
+    """
+    try:
+        return [[float(number) for number in point.split(",")] for point in text.split()]
+    except ValueError:
+        raise UserError(f'path: {text!r} is not points of two numbers, such as "0,0 1,2 3,2"') from None

@@ -33,7 +33,7 @@ CONTACT_SPEED = 1.0
 TRIMS = 3
 """Times that frames too far from the middle of a stand are left out of it."""
 FADE = 4
-"""Frames in which a lock begins and ends."""
+"""Frames in which a lock begins and ends, at up to 20 frames a second; at higher rates, more in the same time."""
 LARGEST_SHIFT = 0.06
 """A foot is not moved further than this; meters."""
 LARGEST_STRETCH = 0.999
@@ -148,8 +148,17 @@ def _bone_matrices(skeleton: Skeleton) -> tuple[np.ndarray, np.ndarray]:
     return ends, chains
 
 
-def lock_feet(positions: Clip, length: Int[Array, ""], skeleton: Skeleton) -> Clip:
-    """Returns positions in which a toe that stands does not move over the ground; the legs bend as needed."""
+def lock_feet(positions: Clip, length: Int[Array, ""], skeleton: Skeleton, *, fps: float | None = None) -> Clip:
+    """Returns positions in which a toe that stands does not move over the ground; the legs bend as needed.
+
+    Args:
+        positions: One clip and padding.
+        length: Frames of the clip.
+        skeleton: Of the clip.
+        fps: Frames per second; by default the skeleton's.
+    """
+    fps = skeleton.fps if fps is None else fps
+    fade = max(FADE, round(FADE * fps / 20))
     mask = mask_from_lengths(length[None], len(positions))[0]
     feet = np.array(skeleton.left_foot + skeleton.right_foot)
     heights = jnp.where(mask[:, None], positions[:, feet, 1], jnp.nan)
@@ -157,7 +166,7 @@ def lock_feet(positions: Clip, length: Int[Array, ""], skeleton: Skeleton) -> Cl
 
     def moved_joints(leg: Int[Array, " 4"]) -> Float[Array, "T 3 3"]:
         hip, knee, ankle, toe = jnp.moveaxis(positions[:, leg], 1, 0)
-        shift = lock_shift(toe, _standing(toe, mask, low, fps=skeleton.fps))
+        shift = lock_shift(toe, _standing(toe, mask, low, fps=fps), fade=fade)
         return jnp.stack(move_foot(hip, knee, ankle, toe, shift), axis=1)
 
     legs = np.array([_leg(skeleton, *foot) for foot in (skeleton.left_foot, skeleton.right_foot)])
@@ -189,11 +198,11 @@ def _narrowed(frames: Frames) -> Frames:
     return ~_widened(~frames)
 
 
-def lock_shift(toe: Float[Array, "T 3"], standing: Frames) -> Float[Array, "T 3"]:
+def lock_shift(toe: Float[Array, "T 3"], standing: Frames, *, fade: int = FADE) -> Float[Array, "T 3"]:
     """Returns how far to move a foot over the ground, so that it rests at one point while it stands.
 
     The point is the mean of the toe over one stand. Frames that are too far from it do not belong to the stand. The
-    shift fades in before a stand and out after it.
+    shift fades in during `fade` frames before a stand and out after it.
     """
 
     def trimmed(_: Any, standing: Frames) -> Frames:
@@ -202,9 +211,9 @@ def lock_shift(toe: Float[Array, "T 3"], standing: Frames) -> Float[Array, "T 3"
     standing = jax.lax.fori_loop(0, TRIMS, trimmed, standing)
     shift, frames = _to_rest(toe, standing), jnp.arange(len(standing))
     shift = jnp.where(_length(shift) > LARGEST_SHIFT, 0.0, shift)
-    before = jax.lax.cummax(jnp.where(standing, frames, -FADE - 1))
-    after = jax.lax.cummin(jnp.where(standing, frames, len(frames) + FADE), reverse=True)
-    weights = _fade(frames - before), _fade(after - frames)
+    before = jax.lax.cummax(jnp.where(standing, frames, -fade - 1))
+    after = jax.lax.cummin(jnp.where(standing, frames, len(frames) + fade), reverse=True)
+    weights = _fade(frames - before, fade), _fade(after - frames, fade)
     faded = weights[0] * shift[before] + weights[1] * shift[jnp.minimum(after, len(frames) - 1)]
     return jnp.where(standing[:, None], shift, faded / jnp.maximum(weights[0] + weights[1], 1.0))
 
@@ -218,9 +227,9 @@ def _to_rest(toe: Float[Array, "T 3"], standing: Frames) -> Float[Array, "T 3"]:
     return jnp.where(standing[:, None], mean[stand] - toe, 0.0) * jnp.array([[1.0, 0.0, 1.0]])
 
 
-def _fade(distance: Int[Array, " T"]) -> Float[Array, "T 1"]:
-    """Returns a factor that falls from 1 to 0 over `FADE` frames."""
-    return (0.5 + 0.5 * jnp.cos(jnp.pi * jnp.minimum(distance / (FADE + 1), 1.0)))[:, None]
+def _fade(distance: Int[Array, " T"], fade: int) -> Float[Array, "T 1"]:
+    """Returns a factor that falls from 1 to 0 over `fade` frames."""
+    return (0.5 + 0.5 * jnp.cos(jnp.pi * jnp.minimum(distance / (fade + 1), 1.0)))[:, None]
 
 
 def move_foot(

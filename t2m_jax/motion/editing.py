@@ -12,6 +12,8 @@ from t2m_jax.motion.skeleton import Skeleton
 
 MAX_FPS = 1000.0
 """Highest rate of motion; no motion capture is faster, and a larger number is probably a mistake."""
+MAX_SPEED = 10.0
+"""Highest factor of speed; the lowest is its inverse. A body that moves ten times faster or slower is not a body's."""
 BLEND_SECONDS = 0.4
 """Time in which the pose at the end of a motion fades into the one that follows."""
 FILTER_WINDOW = ("kaiser", 10.0)
@@ -24,6 +26,12 @@ def check_fps(fps: float) -> None:
     """Raises `UserError` if a frame rate is not between 0 and `MAX_FPS`."""
     if not 0 < fps <= MAX_FPS:
         raise UserError(f"fps: {fps} is not a number above 0, up to {MAX_FPS:.0f} frames per second")
+
+
+def check_speed(factor: float | int) -> None:
+    """Raises `UserError` if a factor of speed is not between 1 / `MAX_SPEED` and `MAX_SPEED`."""
+    if not 1 / MAX_SPEED <= factor <= MAX_SPEED:
+        raise UserError(f"speed: {factor} is not a number from {1 / MAX_SPEED:g} to {MAX_SPEED:g}; 2 is twice as fast")
 
 
 def resample(values: Float[np.ndarray, "T ..."], *, fps: float, new_fps: float) -> Float[np.ndarray, "U ..."]:

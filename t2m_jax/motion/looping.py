@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.editing import HORIZONTAL
+from t2m_jax.motion.editing import HORIZONTAL, fading_change
 from t2m_jax.motion.features import bone_vectors, positions_from_bones
 from t2m_jax.motion.joining import VELOCITY_SECONDS
 from t2m_jax.motion.rotations import unit_vectors
@@ -15,11 +15,15 @@ from t2m_jax.motion.skeleton import Skeleton
 SHORTEST_SECONDS = 0.6
 """Least duration of a loop; a quick runner takes two steps in this time."""
 BLEND_SECONDS = 0.5
-"""Time before the end in which a loop approaches its first pose."""
+"""Time at either end in which a loop approaches the pose of its seam."""
+STILL_SPEED = 0.05
+"""A joint that is slower stands still; meters per second."""
 TOLERANCE = 0.01
 """Loops whose costs are within this of the best are as good. The longest of them is taken."""
 LARGEST_DIFFERENCE = 0.25
 """Largest difference between the ends of a loop. With less alike poses, the blend would be another motion."""
+ACCELERATION_SECONDS_2 = 0.01
+"""A difference of 1 m/s² counts as much as a difference of this many meters."""
 MOST_STARTS = 1000
 """Frames that are tried as the start of a loop, evenly spaced if there are more, so that memory is bounded."""
 
@@ -51,17 +55,19 @@ def find_loop(positions: Float[np.ndarray, "T J 3"], *, fps: float) -> Loop:
         raise UserError(f"loop: the motion has {count / fps:.1f} s; more than {SHORTEST_SECONDS} s are needed")
     from scipy.spatial.distance import cdist  # here, because it takes long to import
 
+    poses = keep_in_place(positions)
     velocities = np.gradient(positions, axis=0) * fps
-    frames = np.concatenate([keep_in_place(positions), velocities * VELOCITY_SECONDS], axis=-1).reshape(count, -1)
+    accelerations = np.gradient(velocities, axis=0) * fps
+    moments = np.concatenate([poses, velocities * VELOCITY_SECONDS, accelerations * ACCELERATION_SECONDS_2], axis=-1)
+    moments = moments.reshape(count, -1) / np.sqrt(positions.shape[1])
     starts = np.arange(0, count - shortest, max(1, count // MOST_STARTS))
     # Where joints hardly accelerate, a seam shows least.
-    jumps = np.linalg.norm(np.gradient(velocities, axis=0).reshape(count, -1), axis=-1) * VELOCITY_SECONDS
-    differences = cdist(frames[starts], frames) / np.sqrt(positions.shape[1])
-    costs = differences + jumps[starts, None] / np.sqrt(positions.shape[1])
+    jumps = np.sqrt(np.mean(np.sum(accelerations[starts] ** 2, axis=-1), axis=-1)) * VELOCITY_SECONDS / fps
+    costs = cdist(moments[starts], moments) + jumps[:, None]
     lengths = np.arange(count) - starts[:, None]
     costs[lengths < shortest] = np.inf
     row, end = np.unravel_index(np.where(costs <= costs.min() + TOLERANCE, lengths, -1).argmax(), costs.shape)
-    difference = float(differences[row, end])
+    difference = float(np.linalg.norm((moments[starts[row]] - moments[end]).reshape(-1, 9)[:, :6]))
     if difference > LARGEST_DIFFERENCE:
         raise UserError(f"loop: no part of the motion repeats; the most alike poses differ by {difference:.2f} m")
     return Loop(int(starts[row]), int(end), difference)
@@ -72,18 +78,36 @@ def close_loop(
 ) -> Float[np.ndarray, "U J 3"]:
     """Returns the frames of a loop. The last one has the pose and the velocities of the first, at another place.
 
-    In the time before it, a cubic correction of position and velocity grows. Bones keep their lengths.
+    Both ends approach the pose and the velocities between theirs with cubic curves. Bones keep their lengths.
     """
     part = positions[loop.start : loop.end + 1].astype(np.float64)
     velocities = np.gradient(positions, axis=0)
-    count = min(round(BLEND_SECONDS * fps), len(part) - 1)
-    shift = keep_in_place(part[:1])[0] - keep_in_place(part[-1:])[0]
-    faster = (velocities[loop.start] - velocities[loop.end]) * count
-    time = (np.arange(1, count + 1) / count)[:, None, None]
+    speeds = np.linalg.norm(velocities[[loop.start, loop.end]], axis=-1).mean(axis=0) * fps
+    travel = _travel(part, speeds, skeleton)
+    shift = (part[0] + travel - part[-1]) / 2
+    faster = (velocities[loop.start] - velocities[loop.end]) / 2
+    count = min(round(BLEND_SECONDS * fps), len(part) - 2)
     closed = part.copy()
-    closed[-count:] += shift * time**2 * (3 - 2 * time) + faster * time**2 * (time - 1)
+    closed[0] -= shift
+    closed[1 : count + 1] += fading_change(np.stack([-shift, faster - shift]), count)
+    closed[-count - 1 : -1] += fading_change(np.stack([shift, shift + faster]), count)[::-1]
+    closed[-1] += shift
+    return _with_bones_of(part, closed, skeleton).astype(np.float32)
+
+
+def _travel(
+    part: Float[np.ndarray, "T J 3"], speeds: Float[np.ndarray, " J"], skeleton: Skeleton
+) -> Float[np.ndarray, "3"]:
+    """Returns how far a loop moves over the ground: as far as a foot that stands at the seam, so that it stays."""
+    joints = [0, *skeleton.left_foot, *skeleton.right_foot]
+    weights = 1 / (speeds[joints] ** 2 + STILL_SPEED**2)
+    return np.average((part[-1] - part[0])[joints], axis=0, weights=weights) * HORIZONTAL
+
+
+def _with_bones_of(
+    part: Float[np.ndarray, "T J 3"], closed: Float[np.ndarray, "T J 3"], skeleton: Skeleton
+) -> Float[np.ndarray, "T J 3"]:
+    """Returns `closed` with the bone lengths of `part`, which drift evenly so that both ends have the same ones."""
     lengths = np.linalg.norm(bone_vectors(part, skeleton), axis=-1, keepdims=True)
-    # At the end, the bones are those of the first frame, so that the pose is the same.
-    lengths[-count:] += (lengths[0] - lengths[-1]) * time
-    bones = unit_vectors(bone_vectors(closed, skeleton)) * lengths
-    return positions_from_bones(closed[:, 0], bones, skeleton).astype(np.float32)
+    lengths += (lengths[0] - lengths[-1]) * np.linspace(0, 1, len(part))[:, None, None]
+    return positions_from_bones(closed[:, 0], unit_vectors(bone_vectors(closed, skeleton)) * lengths, skeleton)

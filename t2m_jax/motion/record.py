@@ -13,10 +13,11 @@ from jaxtyping import Float, Int
 
 from t2m_jax import files
 from t2m_jax.errors import UserError
-from t2m_jax.motion.editing import join_positions, resample_positions
+from t2m_jax.motion.editing import check_speed, join_positions, resample_positions
 from t2m_jax.motion.inverse_kinematics import fit_rig
 from t2m_jax.motion.looping import close_loop, find_loop, keep_in_place
 from t2m_jax.motion.mirroring import mirror_caption, mirror_positions
+from t2m_jax.motion.paths import Route, follow, route_along, turned_route
 from t2m_jax.motion.skeleton import HUMANML3D, Skeleton
 
 # Readers, writers and viewers are entry points of these groups: this module does not import them (see pyproject.toml).
@@ -138,6 +139,40 @@ class Motion:
             lambda old: resample_positions(old, fps=self.fps, new_fps=new_fps, skeleton=self.skeleton), fps=new_fps
         )
 
+    def at_speed(self, factor: float | int) -> "Motion":
+        """Returns the motion faster (or slower, below 1) at the same frame rate, without features and codes.
+
+        Raises:
+            UserError: The factor is not a number from 0.1 to 10.
+        """
+        check_speed(factor)
+        starts = [round(start / factor) for start in self.part_starts]
+        fast = self._edited(lambda old: resample_positions(old, fps=float(factor), new_fps=1.0, skeleton=self.skeleton))
+        if any(first >= after for first, after in itertools.pairwise([*starts, fast.num_frames])):
+            return fast  # a part would have no frame
+        return dataclasses.replace(fast, part_starts=tuple(starts), part_captions=self.part_captions)
+
+    def turned(self, degrees: float | int) -> "Motion":
+        """Returns the motion on a path that turns evenly by an angle to the left, without features and codes.
+
+        Raises:
+            UserError: The angle is too large, or the motion hardly travels.
+        """
+        return self._moved(turned_route(self.positions, degrees, fps=self.fps))
+
+    def along(self, waypoints: Sequence[Sequence[float | int]]) -> "Motion":
+        """Returns the motion on a smooth path through points on the ground, without features and codes.
+
+        It begins at the first point and travels as far as before: after the last point, it goes straight on.
+
+        Args:
+            waypoints: Two or more, each x and z in meters. A generated motion faces +z at first, with +x at its left.
+
+        Raises:
+            UserError: The points are too few, too far, at one place or turn back, or the motion hardly travels.
+        """
+        return self._moved(route_along(self.positions, waypoints, fps=self.fps))
+
     def mirrored(self) -> "Motion":
         """Returns the motion with left and right exchanged, also in its caption, without features and codes."""
         caption = mirror_caption(self.caption)
@@ -177,6 +212,10 @@ class Motion:
             raw = join_positions(self.positions_raw, other.positions_raw, **options)
         caption = ", then ".join(filter(None, (self.caption, other.caption)))
         return Motion(positions, self.fps, positions_raw=raw, skeleton=self.skeleton, caption=caption)
+
+    def _moved(self, route: Route) -> "Motion":
+        parts = {"part_starts": self.part_starts, "part_captions": self.part_captions}
+        return self._edited(lambda old: follow(old, route, fps=self.fps, skeleton=self.skeleton), **parts)
 
     def _edited(self, edit: Callable[[np.ndarray], np.ndarray], **fields: Any) -> "Motion":
         """Returns the motion with other positions, without what does not fit them."""

@@ -1,4 +1,4 @@
-"""`--fps`, `--loop` and `--in-place` of `t2m generate` and `t2m view`."""
+"""`--speed`, `--turn`, `--path`, `--fps`, `--loop` and `--in-place` of `t2m generate` and `t2m view`."""
 
 import numpy as np
 import pytest
@@ -41,6 +41,40 @@ def test_options_of_formats_that_are_not_written_are_refused(refusal, bundle_fol
         said = refusal("view", walk, "-o", tmp_path / "a.html", *option)
         assert f"{option[0]}: is for .bvh and .glb files, and none is written" in said
         assert "none is written" in refusal("generate", "a person walks", "--model", bundle_folder, *option)
+
+
+def test_speed_and_path_change_before_the_rate(walk, tmp_path):
+    motion, written = Motion.load(walk), tmp_path / "b.npz"
+    assert main(["view", f"{walk}", "-o", f"{written}", "--speed", "2", "--turn", "-90", "--fps", "40"]) == 0
+    expected = motion.at_speed(2).turned(-90).resampled(40)
+    np.testing.assert_allclose(Motion.load(written).positions, expected.positions, atol=1e-5)
+    assert main(["view", f"{walk}", "-o", f"{written}", "--path", "-1,0 1,2 3,2"]) == 0
+    np.testing.assert_allclose(
+        Motion.load(written).positions, motion.along([(-1, 0), (1, 2), (3, 2)]).positions, atol=1e-5
+    )
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        *((f"--speed={value}", "speed: ") for value in ("0", "-1", "nan", "inf", "1e9")),
+        *((f"--turn={value}", "turn: ") for value in ("nan", "inf", "1e9")),
+        ("--path=", "path: 0 points"),
+        ("--path=0,0", "path: 1 points"),
+        ("--path=0,0 1,1 1,1", "path: points 2 and 3 are at the same place"),
+        ("--path=0,0 1,1,1", "path: 2 points; give two or more of two numbers"),
+        ("--path=0,0 inf,1", "path: point 2 is not within"),
+        ("--path=0,0;1,1", "path: '0,0;1,1' is not points of two numbers"),
+    ],
+)
+def test_speeds_and_paths_that_no_motion_has_are_refused_first(refusal, bundle_folder, tmp_path, option, message):
+    assert message in refusal("view", tmp_path / "no-such-file.npz", "-o", tmp_path / "a.npz", option)
+    assert message in refusal("generate", "a person walks", "--model", bundle_folder, option)
+
+
+def test_a_path_and_a_turn_exclude_each_other(refusal, walk, tmp_path):
+    said = refusal("view", walk, "-o", tmp_path / "a.npz", "--turn", "90", "--path", "0,0 1,1")
+    assert "not allowed with argument" in said
 
 
 def test_generated_motion_is_changed_too(bundle_folder, tmp_path):

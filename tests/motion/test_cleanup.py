@@ -21,6 +21,7 @@ from t2m_jax.motion.cleanup import (
     move_foot,
     smooth_over_clip,
 )
+from t2m_jax.motion.editing import resample_positions
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 
 FRAMES = 60
@@ -181,6 +182,16 @@ def test_a_lock_fades_in_and_out():
     np.testing.assert_allclose((toe[:, 0] + shift)[20:30], 0, atol=1e-6)
     assert (np.diff(np.abs(shift[29:36])) <= 0).all() and shift[35] == 0 == shift[14]
     assert np.abs(np.diff(shift[29:40])).max() < 0.02
+
+
+def test_a_lock_is_as_gentle_at_a_higher_rate():
+    """In a step of the walk, the foot changes its speed by no more than with three times fewer frames."""
+    slow = walk(seed=1)
+    fast = resample_positions(slow, fps=20.0, new_fps=60.0, skeleton=HUMANML3D)
+    moved = np.asarray(lock_feet(jnp.asarray(fast), jnp.asarray(len(fast)), HUMANML3D, fps=60.0)) - fast
+    expected = np.asarray(lock(slow, ALL)) - slow
+    faster, slower = (np.abs(np.diff(shift[:, LEFT_FOOT], axis=0)).max() for shift in (moved[::3], expected))
+    assert faster < 1.1 * slower
 
 
 def test_between_two_stands_the_shift_is_between_theirs():

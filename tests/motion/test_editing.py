@@ -53,6 +53,40 @@ def test_rotations_give_the_positions_again(tmp_path):
         Motion(np.zeros((4, 21, 3)), 20.0, skeleton=KIT_ML).rotations  # noqa: B018 - the property is what is tested
 
 
+def test_speed_1_changes_nothing():
+    motion = make()
+    np.testing.assert_array_equal(motion.at_speed(1).positions, motion.positions)
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.8, 2.0])
+def test_a_motion_at_another_speed_has_its_poses_at_other_times(factor):
+    motion = make("wave-both-hands").resampled(60)
+    fast = motion.at_speed(factor)
+    assert fast.fps == 60 and abs(fast.num_frames - motion.num_frames / factor) <= 2
+    np.testing.assert_allclose(bone_lengths(fast) - bone_lengths(motion)[0], 0, atol=1e-5)
+    sources = np.arange(fast.num_frames) * factor
+    whole = np.isclose(sources, np.round(sources))
+    np.testing.assert_allclose(fast.positions[whole], motion.positions[np.round(sources[whole]).astype(int)], atol=0.02)
+    back = fast.at_speed(1 / factor)
+    shared = min(back.num_frames, motion.num_frames)
+    np.testing.assert_allclose(back.positions[:shared], motion.positions[:shared], atol=0.02)
+
+
+def test_parts_of_a_motion_keep_their_sentences_at_another_speed():
+    motion = make(part_starts=(0, 30), part_captions=("walks", "waves"), positions_raw=make().positions)
+    slow = motion.at_speed(0.5)
+    assert (slow.part_starts, slow.part_captions) == ((0, 60), ("walks", "waves"))
+    assert slow.positions_raw.shape == slow.positions.shape
+    short = make(part_starts=(0, 58), part_captions=("walks", "waves")).at_speed(10)  # the second part has no frame
+    assert (short.part_starts, short.part_captions) == ((), ())
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, 0.05, 11, float("nan"), float("inf")])
+def test_impossible_speeds_are_refused(factor):
+    with pytest.raises(UserError, match=r"speed: .* is not a number from 0\.1 to 10"):
+        make().at_speed(factor)
+
+
 @pytest.mark.parametrize("fps", [24, 30, 60, 12.5])
 def test_bones_stay_as_long_at_another_frame_rate(fps):
     motion = make("wave-both-hands")

@@ -1,0 +1,169 @@
+"""Other paths over the ground for a motion: each frame is turned and moved as a whole, so its pose stays as it is."""
+
+import functools
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from t2m_jax.errors import UserError
+from t2m_jax.motion.cleanup import lock_feet
+from t2m_jax.motion.editing import HORIZONTAL
+from t2m_jax.motion.features import gaussian_kernel
+from t2m_jax.motion.skeleton import Skeleton
+
+SWAY_SECONDS = 0.4
+"""Standard deviation of the Gaussian that smooths the path of the root, so that the sway of a step is not a turn."""
+LOOK_AHEAD = 0.25
+"""The direction of a path is taken from this far before a place to this far after it; meters."""
+SHORTEST_PATH = 0.5
+"""A motion that travels less has no path to change; meters."""
+LARGEST_TURN = 720.0
+"""Degrees. With more, a figure would spin."""
+SHARPEST_CORNER = 135.0
+"""Degrees by which a path may turn at one point; a figure cannot turn back on the spot while it walks."""
+FARTHEST = 1000.0
+"""Meters. A waypoint that is farther away is probably a mistake."""
+SPLINE_STEP = 0.01
+"""Length of the pieces of a curve through waypoints; meters."""
+
+
+class Route(NamedTuple):
+    """Where each frame of a motion goes, over the ground."""
+
+    old: Float[np.ndarray, "T 3"]
+    """The smooth path of the motion as it is."""
+    new: Float[np.ndarray, "T 3"]
+    """The place of each frame on the new path."""
+    turns: Float[np.ndarray, " T"]
+    """Turn of each frame to the left, in radians."""
+
+
+def check_turn(degrees: float | int) -> None:
+    """Raises `UserError` if an angle is not between -`LARGEST_TURN` and `LARGEST_TURN`."""
+    if not abs(degrees) <= LARGEST_TURN:
+        raise UserError(f"turn: {degrees} is not a number from -{LARGEST_TURN:.0f} to {LARGEST_TURN:.0f} degrees")
+
+
+def check_waypoints(waypoints: Sequence[Sequence[float | int]]) -> Float[np.ndarray, "N 2"]:
+    """Returns waypoints as an array.
+
+    Raises:
+        UserError: They are not at least two points of two finite numbers, or two in a row are the same, or the path
+            turns back at one.
+    """
+    if len(waypoints) < 2 or any(len(point) != 2 for point in waypoints):
+        raise UserError(f"path: {len(waypoints)} points; give two or more of two numbers, x and z in meters")
+    points = np.array(waypoints, np.float64)
+    if not (np.abs(points) <= FARTHEST).all():
+        row = int(np.argmin((np.abs(points) <= FARTHEST).all(axis=1)))
+        raise UserError(f"path: point {row + 1} is not within {FARTHEST:.0f} m of the origin")
+    steps = np.diff(points, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    if (lengths < SPLINE_STEP).any():
+        row = int(lengths.argmin())
+        raise UserError(f"path: points {row + 1} and {row + 2} are at the same place; leave one of them out")
+    cosines = np.sum(steps[1:] * steps[:-1], axis=1) / (lengths[1:] * lengths[:-1])
+    if (cosines < math.cos(math.radians(SHARPEST_CORNER))).any():
+        row = int(cosines.argmin())
+        raise UserError(f"path: it turns back at point {row + 2}; add points around this corner, so that it is wider")
+    return points
+
+
+def turned_route(positions: Float[np.ndarray, "T J 3"], degrees: float | int, *, fps: float) -> Route:
+    """Returns the path of a motion, bent evenly over its length, so that its end is turned by an angle to the left.
+
+    Raises:
+        UserError: The angle is too large, or the motion does not travel.
+    """
+    check_turn(degrees)
+    old, way = _smooth_path(positions, fps)
+    turns = math.radians(degrees) * way / way[-1]
+    steps = _rotated(np.diff(old, axis=0), (turns[1:] + turns[:-1]) / 2)
+    return Route(old, np.concatenate([old[:1], old[0] + np.cumsum(steps, axis=0)]), turns)
+
+
+def route_along(
+    positions: Float[np.ndarray, "T J 3"], waypoints: Sequence[Sequence[float | int]], *, fps: float
+) -> Route:
+    """Returns a path through waypoints, as far as the motion travels. After the last one, it goes straight on.
+
+    Raises:
+        UserError: The waypoints are not a path, or the motion does not travel.
+    """
+    points = check_waypoints(waypoints)
+    old, way = _smooth_path(positions, fps)
+    curve, curve_way = _curve(points, way[-1] + LOOK_AHEAD)
+    new, headings = _at(curve, curve_way, way), _headings(curve, curve_way, way)
+    return Route(old, new, np.unwrap(headings - _headings(old, way, way)))
+
+
+def follow(
+    positions: Float[np.ndarray, "T J 3"], route: Route, *, fps: float, skeleton: Skeleton
+) -> Float[np.ndarray, "T J 3"]:
+    """Returns a motion on its new path. A foot that stands does not turn with the body: the legs bend instead."""
+    moved = _rotated(positions - route.old[:, None], route.turns[:, None]) + route.new[:, None]
+    locked = _locked(jnp.asarray(moved, jnp.float32), fps=fps, skeleton=skeleton)
+    return np.asarray(locked)
+
+
+@functools.partial(jax.jit, static_argnames=("fps", "skeleton"))
+def _locked(positions: Float[jax.Array, "T J 3"], *, fps: float, skeleton: Skeleton) -> Float[jax.Array, "T J 3"]:
+    return lock_feet(positions, jnp.asarray(len(positions)), skeleton, fps=fps)
+
+
+def _smooth_path(
+    positions: Float[np.ndarray, "T J 3"], fps: float
+) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, " T"]]:
+    """Returns the path of the root over the ground without its sway, and the way from the start to each frame."""
+    kernel = gaussian_kernel(SWAY_SECONDS * fps)
+    roots, reach = positions[:, 0].astype(np.float64) * HORIZONTAL, len(kernel) // 2
+    # Beyond its ends, the path goes on as it was, mirrored at the end point.
+    longer = np.pad(roots, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd") if len(roots) > 1 else roots
+    smooth = np.stack([np.convolve(axis, kernel, mode="valid") for axis in longer.T], axis=1)
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(smooth, axis=0), axis=1)))
+    if way[-1] < SHORTEST_PATH:
+        raise UserError(f"path: the motion travels {way[-1]:.2f} m; {SHORTEST_PATH} m or more are needed")
+    return smooth, way
+
+
+def _curve(points: Float[np.ndarray, "N 2"], length: float) -> tuple[Float[np.ndarray, "U 3"], Float[np.ndarray, " U"]]:
+    """Returns a smooth curve through points on the ground, extended to a length, and the way to each of its points."""
+    from scipy.interpolate import CubicSpline  # here, because it takes long to import
+
+    knots = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    spline = CubicSpline(knots, points, bc_type="natural")
+    parameters = np.linspace(0, knots[-1], max(2, round(knots[-1] / SPLINE_STEP)))
+    flat = spline(parameters)
+    end = spline(knots[-1], 1)
+    flat = np.append(flat, flat[-1:] + end / np.linalg.norm(end) * length, axis=0)
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(flat, axis=0), axis=1)))
+    return np.stack([flat[:, 0], 0 * way, flat[:, 1]], axis=1), way
+
+
+def _at(
+    path: Float[np.ndarray, "U 3"], way: Float[np.ndarray, " U"], wanted: Float[np.ndarray, " T"]
+) -> Float[np.ndarray, "T 3"]:
+    """Returns places on a path by their way from its start."""
+    return np.stack([np.interp(wanted, way, axis) for axis in path.T], axis=1)
+
+
+def _headings(
+    path: Float[np.ndarray, "U 3"], way: Float[np.ndarray, " U"], wanted: Float[np.ndarray, " T"]
+) -> Float[np.ndarray, " T"]:
+    """Returns the direction of a path at some places, as an angle from +Z to +X in radians."""
+    chords = _at(path, way, wanted + LOOK_AHEAD) - _at(path, way, wanted - LOOK_AHEAD)
+    return np.unwrap(np.arctan2(chords[:, 0], chords[:, 2]))
+
+
+def _rotated(
+    vectors: Float[np.ndarray, "*batch 3"], turns: Float[np.ndarray, "*#batch"]
+) -> Float[np.ndarray, "*batch 3"]:
+    """Returns vectors turned about Y, by radians from +Z to +X."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    cosine, sine = np.cos(turns), np.sin(turns)
+    return np.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=-1)
