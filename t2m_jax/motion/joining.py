@@ -1,5 +1,7 @@
 """Joining clips of motion features at poses that match."""
 
+import itertools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -75,3 +77,21 @@ def join_features(
     before, after = first[: cut.end], second[cut.start :]
     mixed = (1 - share) * before[cut.end - overlap :] + share * after[:overlap]
     return np.concatenate([before[: cut.end - overlap], mixed, after[overlap:]])
+
+
+def join_clips(clips: Sequence[Float[np.ndarray, "_ D"]], *, overlap: int) -> Float[np.ndarray, "S D"]:
+    """Returns raw features of clips one after another, with all of their frames, as many as they have together.
+
+    In the `overlap` frames around each join, all features go smoothly from the first clip's to the second's. The first
+    clip goes on with its last frame there, and the second one begins with its first frame.
+    """
+    result, place = np.concatenate(clips), 0
+    for first, second in itertools.pairwise(clips):
+        place += len(first)
+        half = min(overlap, len(first), len(second)) // 2
+        if half:
+            before = np.pad(first[-half:], ((0, half), (0, 0)), mode="edge")
+            after = np.pad(second[:half], ((half, 0), (0, 0)), mode="edge")
+            mixed = join_features(before, after, Cut(2 * half, 0, 0.0), overlap=2 * half)
+            result[place - half : place + half] = mixed
+    return result

@@ -11,18 +11,22 @@ from jaxtyping import Bool, Float, Int, Key
 
 from t2m_jax.errors import UserError
 from t2m_jax.motion.cleanup import clean_positions
-from t2m_jax.motion.features import smooth_over_time
+from t2m_jax.motion.features import positions_from_features, smooth_over_time
+from t2m_jax.motion.joining import join_clips
 from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.sampling.batches import padded_batch_size, round_up
-from t2m_jax.sampling.codec import motions_from_codes, pad_codes
+from t2m_jax.sampling.codec import motions_from_codes
 from t2m_jax.sampling.decoding import Given, Sampling
 from t2m_jax.sampling.model import MotionModel
 from t2m_jax.sampling.prompts import Prompt
 
 CONTEXT_SECONDS = 0.4
-"""Motion before a sentence that the generator reads as the beginning of the sentence's own. With more, a sentence is
-followed less often."""
+"""Motion before what goes on, which the generator reads as its beginning. With more, a sentence is followed less
+often."""
+FADE_SECONDS = 0.4
+"""Time in which one sentence of a chain fades into the next. Sentences are sampled and decoded as if they were alone:
+after rows of another action, a generator obeys less often, and a decoder mixes the two."""
 MAX_SECONDS = 3600.0
 """Longest motion for a sentence. A larger number is probably a mistake."""
 ROW_BUCKET = 32
@@ -91,13 +95,13 @@ def sample_parts(
     sampling: Sampling,
     guidance_scale: float | None,
 ) -> list[list[Codes]]:
-    """Returns the codes of each part of each motion.
+    """Returns the codes of each part of each motion. A sentence after another one is sampled as if it were alone.
 
     Args:
         model: The model.
         parts: Sentences in turn.
         keys: Keys of the motions, for each part (consumed).
-        start: Codes that all motions go on from.
+        start: Codes that the first parts go on from.
         sampling: How to choose codes, and when to stop.
         guidance_scale: Strength of the guidance by the text.
     """
@@ -106,6 +110,8 @@ def sample_parts(
     so_far: list[Codes] = [nothing] * batch
     found: list[list[Codes]] = [[] for _ in range(batch)]
     for part, part_keys in zip(parts, keys, strict=True):
+        if part.begins and found[0]:
+            so_far = [codes[:0] for codes in so_far]
         context = [codes[-context_rows(model) :] for codes in so_far]
         lengths = np.array([len(codes) for codes in context], np.int32)
         given = _given(part, context, max_codes=sampling.max_codes)
@@ -143,17 +149,14 @@ def part_keys(keys: Key[jax.Array, " B"], count: int) -> list[Key[jax.Array, " B
 def join_parts(
     model: MotionModel, parts: Sequence[Part], codes: Sequence[Codes], *, start: Codes | None, seed: int, raw: bool
 ) -> Motion:
-    """Returns the motion of the parts of one sample. All codes are decoded together, so there is no seam."""
+    """Returns the motion of the parts of one sample, in which each sentence fades into the next."""
     pieces = [*([] if start is None else [np.asarray(start, np.int32)]), *codes]
     sentences = [part.prompt.text for part in parts if part.begins]
     ends = model.config.tokenizer.downsample * np.cumsum([len(piece) for piece in pieces])
     starts = [0, *ends[:-1].tolist()][-len(parts) :]
-    rows, lengths = pad_codes([np.concatenate(pieces)])
-    rows = np.pad(rows, ((0, 0), (0, round_up(rows.shape[1], ROW_BUCKET) - rows.shape[1]), (0, 0)))
-    caption = ", then ".join(sentences)
-    (motion,) = motions_from_codes(
-        model.tokenizer, rows, lengths, skeleton=model.skeleton, captions=[caption], seed=seed
-    )
+    begins = [0, *[first for first, part in zip(starts[1:], parts[1:], strict=True) if part.begins]]
+    whole = np.split(np.concatenate(pieces), np.array(begins[1:], int) // model.config.tokenizer.downsample)
+    motion = join_sentences(model, whole, caption=", then ".join(sentences), seed=seed)
     if not raw:
         size = model.config.generator.max_codes * model.config.tokenizer.downsample
         eased = ease_seams(motion.positions, [first for first in starts if first], fps=motion.fps)
@@ -166,6 +169,24 @@ def join_parts(
         warning=" ".join(dict.fromkeys(part.prompt.warning for part in parts if part.prompt.warning)),
         unknown_words=tuple(dict.fromkeys(word for part in parts for word in part.prompt.unknown_words)),
     )
+
+
+def join_sentences(model: MotionModel, sentences: Sequence[Codes], *, caption: str, seed: int) -> Motion:
+    """Returns the motion of the codes of sentences, each decoded alone. Their features fade into each other."""
+    motions = []
+    for codes in sentences:
+        rows = np.pad(codes, ((0, round_up(len(codes), ROW_BUCKET) - len(codes)), (0, 0)))[None]
+        lengths = np.array([len(codes)], np.int32)
+        motions += motions_from_codes(
+            model.tokenizer, rows, lengths, skeleton=model.skeleton, captions=[caption], seed=seed
+        )
+    if len(motions) == 1:
+        return motions[0]
+    clips = [motion.features for motion in motions if motion.features is not None]
+    features = join_clips(clips, overlap=round(FADE_SECONDS * model.skeleton.fps))
+    positions = np.asarray(positions_from_features(features, model.skeleton)) * model.skeleton.metres_per_unit
+    codes = np.concatenate(sentences)
+    return dataclasses.replace(motions[0], positions=positions, features=features, codes=codes)
 
 
 def ease_seams(
