@@ -17,6 +17,7 @@ from t2m_jax.files import first_line, reading
 from t2m_jax.motion.bvh.clip import BvhClip
 from t2m_jax.motion.bvh.resample import resample
 from t2m_jax.motion.editing import MAX_FPS
+from t2m_jax.motion.parts import checked_parts
 from t2m_jax.motion.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
 from t2m_jax.motion.skeleton import HUMANML3D
 
@@ -194,6 +195,8 @@ def _sample(glb: _Glb, nodes: _Nodes, animation: Mapping[str, Any], *, fps: floa
         (rotations if kind == "rotation" else translations)[:, joint] = _interpolate(track, times, kind)
     if not (np.isfinite(translations).all() and np.isfinite(rotations).all()):
         raise ValueError("an animation has values that are not finite")
+    own = fps == _own_rate(glb.tree, animation)  # at another rate, sentences begin at other frames
+    said = [_own_extra(glb.tree, animation, name) if own else () for name in ("part_starts", "part_captions")]
     return BvhClip(
         joint_names=nodes.names,
         parents=nodes.parents,
@@ -202,6 +205,7 @@ def _sample(glb: _Glb, nodes: _Nodes, animation: Mapping[str, Any], *, fps: floa
         translations=(translations * nodes.scales[:, None]).astype(np.float32),
         fps=fps,
         metres_per_unit=1.0,
+        parts=checked_parts(*said, num_frames=len(times)),
     )
 
 

@@ -75,3 +75,20 @@ def join_features(
     before, after = first[: cut.end], second[cut.start :]
     mixed = (1 - share) * before[cut.end - overlap :] + share * after[:overlap]
     return np.concatenate([before[: cut.end - overlap], mixed, after[overlap:]])
+
+
+def fade_features(
+    first: Float[np.ndarray, "T D"], second: Float[np.ndarray, "U D"], *, overlap: int
+) -> tuple[Float[np.ndarray, "T D"], Float[np.ndarray, "U D"]]:
+    """Returns raw features of two clips, the second of which follows the first, with all of their frames.
+
+    In the `overlap` frames around the join, fewer if a clip is shorter, all features go smoothly from the first clip's
+    to the second's. The first clip goes on with its last frame there, and the second one begins with its first frame.
+    """
+    half = min(overlap, len(first), len(second)) // 2
+    if not half:
+        return first, second
+    before = np.pad(first[-half:], ((0, half), (0, 0)), mode="edge")
+    after = np.pad(second[:half], ((half, 0), (0, 0)), mode="edge")
+    mixed = join_features(before, after, Cut(2 * half, 0, 0.0), overlap=2 * half)
+    return np.concatenate([first[:-half], mixed[:half]]), np.concatenate([mixed[half:], second[half:]])

@@ -135,9 +135,15 @@ class Motion:
             UserError: The rate is not a number above 0, or is too large.
         """
         new_fps = float(fps)
-        return self._edited(
+        result = self._edited(
             lambda old: resample_positions(old, fps=self.fps, new_fps=new_fps, skeleton=self.skeleton), fps=new_fps
         )
+        starts = [round(first * new_fps / self.fps) for first in self.part_starts]
+        # Of sentences that begin at the same frame of a slow rate, the last one stays.
+        parts = {
+            first: text for first, text in zip(starts, self.part_captions, strict=True) if first < len(result.positions)
+        }
+        return dataclasses.replace(result, part_starts=tuple(parts), part_captions=tuple(parts.values()))
 
     def at_speed(self, factor: float | int) -> "Motion":
         """Returns the motion faster (or slower, below 1) at the same frame rate, without features and codes.
@@ -175,12 +181,13 @@ class Motion:
 
     def mirrored(self) -> "Motion":
         """Returns the motion with left and right exchanged, also in its caption, without features and codes."""
-        caption = mirror_caption(self.caption)
-        return self._edited(lambda positions: mirror_positions(positions, self.skeleton), caption=caption)
+        texts: Any = {"caption": mirror_caption(self.caption), "part_starts": self.part_starts}
+        texts["part_captions"] = tuple(map(mirror_caption, self.part_captions))
+        return self._edited(lambda positions: mirror_positions(positions, self.skeleton), **texts)
 
     def in_place(self) -> "Motion":
         """Returns the motion without travel: the root stays above the origin. Features and codes are dropped."""
-        return self._edited(keep_in_place)
+        return self._edited(keep_in_place, part_starts=self.part_starts, part_captions=self.part_captions)
 
     def looped(self) -> "Motion":
         """Returns the best part of the motion to play again and again, without features and codes.

@@ -1,5 +1,6 @@
 """Motion from several sentences, or after a given motion: known codes are read, and sampling goes on from them."""
 
+import itertools
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -13,11 +14,11 @@ from t2m_jax.motion.record import Motion
 from t2m_jax.sampling.decoding import Given, Sampling
 from t2m_jax.sampling.model import MotionModel
 from t2m_jax.sampling.prompts import Prompt
-from t2m_jax.sampling.windows import Codes, clean_long, decode_in_windows, ease_seams
+from t2m_jax.sampling.windows import Codes, clean_long, decode_sentences, ease_seams
 
 CONTEXT_SECONDS = 0.4
-"""Motion before a sentence that the generator reads as the beginning of the sentence's own. With more, a sentence is
-followed less often."""
+"""Motion before what goes on, which the generator reads as its beginning. With more, a sentence is followed less
+often."""
 MAX_SECONDS = 3600.0
 """Longest motion for a sentence. A larger number is probably a mistake."""
 _PART_STREAM = 2**30
@@ -79,11 +80,13 @@ def sample_parts(
 ) -> Iterator[list[Codes]]:
     """Yields the new codes of each part: those of each motion.
 
+    A sentence after another one is sampled as if it were alone.
+
     Args:
         model: The model.
         parts: Sentences in turn.
         keys: Keys of the motions, for each part (consumed).
-        start: Codes that all motions go on from.
+        start: Codes that the first parts go on from.
         sampling: How to choose codes, and when to stop.
         guidance_scale: Strength of the guidance by the text.
     """
@@ -91,6 +94,8 @@ def sample_parts(
     nothing = np.zeros((0, depth), np.int32) if start is None else np.asarray(start, np.int32)
     before: list[Codes] = [nothing] * batch
     for part, part_keys in zip(parts, keys, strict=True):
+        if part.begins and part is not parts[0]:
+            before = [codes[:0] for codes in before]
         context = [codes[-context_rows(model) :] for codes in before]
         lengths = np.array([len(codes) for codes in context], np.int32)
         given = _given(part, context, max_codes=sampling.max_codes)
@@ -126,11 +131,14 @@ def part_keys(keys: Key[jax.Array, " B"], count: int) -> list[Key[jax.Array, " B
 def join_parts(
     model: MotionModel, parts: Sequence[Part], codes: Sequence[Codes], *, start: Codes | None, seed: int, raw: bool
 ) -> Motion:
-    """Returns the motion of the parts of one sample. Codes are decoded with those around them, so there is no seam."""
+    """Returns the motion of the parts of one sample, in which each sentence fades into the next."""
     pieces = [*([] if start is None else [np.asarray(start, np.int32)]), *codes]
     ends = model.config.tokenizer.downsample * np.cumsum([len(piece) for piece in pieces])
     starts = [0, *ends[:-1].tolist()][-len(parts) :]
-    decoded = list(decode_in_windows(model.tokenizer, pieces, skeleton=model.skeleton))
+    numbered = list(zip(sentence_numbers(parts), codes, strict=True))
+    if start is not None:
+        numbered.insert(0, (numbered[0][0], np.asarray(start, np.int32)))
+    decoded = list(decode_sentences(model.tokenizer, numbered, skeleton=model.skeleton))
     rows, features, positions = map(np.concatenate, zip(*decoded, strict=True))
     cleaned = None
     if not raw:
@@ -153,6 +161,11 @@ def join_parts(
     )
 
 
+def sentence_numbers(parts: Sequence[Part]) -> list[int]:
+    """Returns the number of the sentence that each part belongs to."""
+    return list(itertools.accumulate(int(part.begins) for part in parts))
+
+
 def chain_caption(parts: Sequence[Part]) -> str:
     """Returns the sentences of parts as one."""
     return ", then ".join(part.prompt.text for part in parts if part.begins)
@@ -165,17 +178,18 @@ def stream_parts(
     begun: list[tuple[int, str]] = []
     downsample, caption, frames = model.config.tokenizer.downsample, chain_caption(parts), 0
 
-    def rows() -> Iterator[Codes]:
+    def numbered() -> Iterator[tuple[int, Codes]]:
+        numbers = sentence_numbers(parts)
         count = 0 if start is None else len(start)
         if start is not None:
-            yield np.asarray(start, np.int32)
-        for part, new in zip(parts, codes, strict=True):
+            yield numbers[0], np.asarray(start, np.int32)
+        for number, part, new in zip(numbers, parts, codes, strict=True):
             if part.begins:
                 begun.append((count * downsample, part.prompt.text))
             count += len(new)
-            yield new
+            yield number, new
 
-    for piece in decode_in_windows(model.tokenizer, rows(), skeleton=model.skeleton):
+    for piece in decode_sentences(model.tokenizer, numbered(), skeleton=model.skeleton):
         last = frames + len(piece.positions)
         own = [(first - frames, text) for first, text in begun if frames <= first < last]
         yield Motion(

@@ -49,10 +49,10 @@ class MotionEditor(MotionModel):
         stop_rule: str | None = None,
         raw: bool = False,
     ) -> list[Motion]:
-        """Returns motions that show sentences in turn, without a seam and of any length.
+        """Returns motions that show sentences in turn, of any length.
 
-        Each sentence goes on from the last codes of what was before it. The motions say where each begins
-        (`part_starts`, `part_captions`).
+        Each sentence is sampled as if it were alone, and fades into the next. Only the first one goes on from the last
+        codes of `start`. The motions say where each begins (`part_starts`, `part_captions`).
 
         Args:
             captions: Sentences in turn.

@@ -1,5 +1,6 @@
 """Long motion in windows: what takes memory is done for some seconds at a time, whatever the length of the motion."""
 
+import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
@@ -16,6 +17,7 @@ from t2m_jax.motion.features import (
     root_from_features,
     smooth_over_time,
 )
+from t2m_jax.motion.joining import fade_features
 from t2m_jax.motion.rotations import rotate_vectors
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.sampling.batches import round_up
@@ -24,6 +26,9 @@ from t2m_jax.sampling.codec import decode_batch
 WINDOW_ROWS = 16
 """Rows of codes that are decoded together, beside those that their frames depend on. With fewer, these are decoded more
 often; with more, a stream waits longer."""
+FADE_SECONDS = 0.4
+"""Time in which one sentence of a chain fades into the next. Sentences are sampled and decoded as if they were alone:
+after rows of another action, a generator obeys less often, and a decoder mixes the two."""
 MAX_CONTEXT = 1000
 """Rows that frames may depend on, for windows. Decoders that read more get the whole motion."""
 ROW_BUCKET = 32
@@ -49,6 +54,13 @@ class Place(NamedTuple):
     """The root's place on the ground, in the skeleton's unit."""
 
 
+class Piece(NamedTuple):
+    """Some rows of codes, and the raw features that they stand for."""
+
+    codes: Int[np.ndarray, "N R"]
+    features: Float[np.ndarray, "T D"]
+
+
 class Decoded(NamedTuple):
     """A piece of a motion as decoded."""
 
@@ -58,21 +70,48 @@ class Decoded(NamedTuple):
     """In meters."""
 
 
-def decode_in_windows(tokenizer: TrainedTokenizer, rows: Iterable[Codes], *, skeleton: Skeleton) -> Iterator[Decoded]:
-    """Yields the motion of codes in pieces of `WINDOW_ROWS` rows, each when the rows that it depends on are known.
+def decode_sentences(
+    tokenizer: TrainedTokenizer, codes: Iterable[tuple[int, Codes]], *, skeleton: Skeleton
+) -> Iterator[Decoded]:
+    """Yields the motion of sentences in turn, in pieces of at most `WINDOW_ROWS` rows, as soon as they are final.
 
-    The pieces do not depend on how the rows are divided. Together they are the motion of all rows, up to rounding.
+    Each sentence is decoded alone. Features fade from one sentence to the next. The pieces do not depend on how the
+    codes of a sentence are divided.
 
     Args:
         tokenizer: The tokenizer of the codes.
-        rows: Codes in turn, at least one row in all.
+        codes: Number of a sentence, and some of its codes, in turn; at least one row for each sentence.
         skeleton: The skeleton of the motion.
     """
-    place, downsample = Place(0.0, 0.0, 0.0), tokenizer.config.downsample
+    groups = itertools.groupby(codes, key=lambda part: part[0])
+    sentences = (_decode_sentence(tokenizer, (rows for _, rows in group)) for _, group in groups)
+    place = Place(0.0, 0.0, 0.0)
+    for piece in _faded(sentences, overlap=round(FADE_SECONDS * skeleton.fps)):
+        positions, place = place_features(piece.features, place, skeleton=skeleton)
+        yield Decoded(piece.codes, piece.features, positions * np.float32(skeleton.metres_per_unit))
+
+
+def _decode_sentence(tokenizer: TrainedTokenizer, rows: Iterable[Codes]) -> Iterator[Piece]:
+    """Yields the features of a sentence in pieces, each when the rows that it depends on are known."""
+    downsample = tokenizer.config.downsample
     for window, before, count in _windows(rows, tokenizer.config.decoder_context):
         features = _decode(tokenizer, window)[before * downsample : (before + count) * downsample]
-        positions, place = place_features(features, place, skeleton=skeleton)
-        yield Decoded(window[before : before + count], features, positions * np.float32(skeleton.metres_per_unit))
+        yield Piece(window[before : before + count], features)
+
+
+def _faded(sentences: Iterable[Iterable[Piece]], *, overlap: int) -> Iterator[Piece]:
+    """Yields the pieces of all sentences, in which the end of each sentence fades into the beginning of the next."""
+    last: Piece | None = None
+    for sentence in sentences:
+        for number, piece in enumerate(sentence):
+            if last is not None:
+                ends = (last.features, piece.features)
+                before, after = ends if number else fade_features(*ends, overlap=overlap)
+                yield last._replace(features=before)
+                piece = piece._replace(features=after)
+            last = piece
+    if last is not None:
+        yield last
 
 
 def _windows(rows: Iterable[Codes], context: int) -> Iterator[tuple[Codes, int, int]]:
@@ -88,7 +127,9 @@ def _windows(rows: Iterable[Codes], context: int) -> Iterator[tuple[Codes, int, 
             yield pending[: before + WINDOW_ROWS + context], before, WINDOW_ROWS
             pending, before = _advance(pending, before + WINDOW_ROWS, context)
     while pending is not None and len(pending) > before:
-        count = min(WINDOW_ROWS, len(pending) - before)
+        left = len(pending) - before
+        # The last piece is not short, because it may fade into the next sentence.
+        count = left // 2 if WINDOW_ROWS < left < 2 * WINDOW_ROWS else min(WINDOW_ROWS, left)
         yield pending[: before + count + context], before, count
         pending, before = _advance(pending, before + count, context)
 

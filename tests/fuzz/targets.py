@@ -82,6 +82,7 @@ def _make_motions(root: Path) -> None:
     walk = Motion(positions=make_motion("walk", seed=1, num_frames=8), fps=20.0, **parts)
     walk.save(root / "motion.npz")
     walk.save(root / "own.glb")
+    walk.save(root / "own.bvh")
     np.save(root / "joints.npy", make_motion("walk", seed=1, num_frames=4).astype(np.float32))
 
 
@@ -115,6 +116,7 @@ FILES: Mapping[str, Callable[[Path], object]] = {
     "amc/02_01.amc": lambda root: load_amc(root / "amc" / "02_01.amc"),
     "asf/02.asf": lambda root: load_amc(root / "asf" / "02_01.amc"),
     "own.glb": lambda root: load_motion(root / "own.glb"),
+    "own.bvh": lambda root: load_motion(root / "own.bvh"),
     "motion.npz": lambda root: load_motion(root / "motion.npz"),
     "joints.npy": lambda root: load_motion(root / "joints.npy"),
     "captions.txt": lambda root: load_captions(root / "captions.txt"),

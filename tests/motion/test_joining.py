@@ -1,7 +1,7 @@
 import numpy as np
 
 from t2m_jax.motion.features import features_from_positions, positions_from_features
-from t2m_jax.motion.joining import OVERLAP, Cut, find_cut, join_features
+from t2m_jax.motion.joining import OVERLAP, Cut, fade_features, find_cut, join_features
 from t2m_jax.motion.skeleton import HUMANML3D
 
 from .figures import walking_positions
@@ -36,3 +36,24 @@ def test_a_join_is_as_smooth_as_the_clips():
     around = slice(cut.end - OVERLAP - 3, cut.end)
     assert jerk[around].max() < 1.5 * np.median(jerk)
     assert np.linalg.norm(np.diff(joined[:, 0], axis=0), axis=-1).max() < 1.3 / 20 * 1.2
+
+
+def test_clips_fade_into_each_other_and_keep_their_frames():
+    first, second = (np.full((length, 3), value, np.float32) for length, value in ((20, 0.0), (30, 1.0)))
+    faded = fade_features(first, second, overlap=8)
+    assert [len(part) for part in faded] == [20, 30]
+    joined, whole = np.concatenate(faded), np.concatenate([first, second])
+    np.testing.assert_array_equal(np.delete(joined, range(16, 24), axis=0), np.delete(whole, range(16, 24), axis=0))
+    middle = joined[15:25, 0]
+    assert np.all(np.diff(middle) > 0) and np.diff(middle).max() < 0.2
+    np.testing.assert_allclose(middle + middle[::-1], 1, atol=1e-6)
+
+
+def test_short_clips_fade_in_fewer_frames():
+    first, second = np.zeros((20, 3), np.float32), np.ones((5, 3), np.float32)
+    before, after = fade_features(first, second, overlap=8)
+    np.testing.assert_array_equal(before[:-2], first[:-2])
+    np.testing.assert_array_equal(after[2:], second[2:])
+    assert (before[-2:] > 0).all() and (after[:2] < 1).all()
+    for one, other in zip(fade_features(first, second[:1], overlap=8), (first, second[:1]), strict=True):
+        np.testing.assert_array_equal(one, other)

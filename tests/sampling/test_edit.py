@@ -8,11 +8,14 @@ from t2m_jax import Motion
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
 from t2m_jax.models.system import make_module
+from t2m_jax.motion.features import positions_from_features
+from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.codec import generate_codes
 from t2m_jax.sampling.decoding import Given
 from t2m_jax.sampling.edit import context_rows
 from t2m_jax.sampling.prompts import sample_key
+from t2m_jax.sampling.windows import FADE_SECONDS
 from tests import tiny
 from tests.jit import assert_jit_equals_eager
 
@@ -108,6 +111,22 @@ def test_sentences_follow_one_another(model):
     np.testing.assert_array_equal(other.codes[:shared], motions[0].codes[:shared])
 
 
+def test_a_sentence_is_sampled_and_decoded_as_if_it_were_alone(model):
+    downsample = model.config.tokenizer.downsample
+    seconds = 8 * downsample / model.skeleton.fps
+    first, second = (
+        model.generate_chain([FIRST, other, THIRD], seconds=seconds, raw=True)[0] for other in (SECOND, THIRD)
+    )
+    assert (first.codes[8:16] != second.codes[8:16]).any()
+    np.testing.assert_array_equal(first.codes[16:], second.codes[16:])
+    alone = model.decode(first.codes[8:16], raw=True)
+    half = round(FADE_SECONDS * model.skeleton.fps) // 2
+    inner = slice(half, 8 * downsample - half)
+    np.testing.assert_allclose(first.features[8 * downsample :][inner], alone.features[inner], rtol=1e-4, atol=1e-4)
+    positions = positions_from_features(first.features, model.skeleton) * model.skeleton.metres_per_unit
+    np.testing.assert_allclose(first.positions, positions, rtol=1e-5, atol=1e-4)
+
+
 def test_a_motion_may_be_longer_than_the_generator_can_read(model):
     longest = model.config.generator.max_codes
     seconds = 3 * longest * model.config.tokenizer.downsample / model.skeleton.fps
@@ -181,9 +200,14 @@ def test_parts_are_saved(tmp_path):
     motion.save(tmp_path / "a.npz")
     again = Motion.load(tmp_path / "a.npz")
     assert (again.part_starts, again.part_captions) == ((0, 20), ("a", "b"))
-    assert motion[10:].part_starts == () == motion.resampled(30).part_captions
-    motion.save(tmp_path / "a.glb")
+    assert motion[10:].part_starts == ()
+    for name in ("a.glb", "a.bvh"):
+        motion.save(tmp_path / name)
+        again = Motion.load(tmp_path / name)
+        assert (again.part_starts, again.part_captions) == ((0, 20), ("a", "b"))
     assert b'"part_starts":[0,20],"part_captions":["a","b"]' in (tmp_path / "a.glb").read_bytes()
+    (clip,) = load_gltf(tmp_path / "a.glb", fps=30.0).values()
+    assert clip.parts == ()
 
 
 @pytest.mark.parametrize(

@@ -9,15 +9,17 @@ import pytest
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.motion.cleanup import clean_positions
 from t2m_jax.motion.features import features_from_positions, positions_from_features
+from t2m_jax.motion.joining import fade_features
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.codec import decode_batch
 from t2m_jax.sampling.windows import (
+    FADE_SECONDS,
     MAX_CONTEXT,
     WINDOW_ROWS,
     Place,
     clean_long,
-    decode_in_windows,
+    decode_sentences,
     ease_seams,
     place_features,
 )
@@ -41,7 +43,7 @@ def random_codes(tokenizer, count):
 
 
 def in_windows(tokenizer, pieces):
-    found = list(decode_in_windows(tokenizer, pieces, skeleton=HUMANML3D))
+    found = list(decode_sentences(tokenizer, ((0, rows) for rows in pieces), skeleton=HUMANML3D))
     return found, [np.concatenate(parts) for parts in zip(*found, strict=True)]
 
 
@@ -51,7 +53,8 @@ def test_windows_are_the_whole_motion(tokenizer, count):
     pieces, (rows, features, positions) = in_windows(tokenizer, [codes])
     np.testing.assert_array_equal(rows, codes)
     bounded = tokenizer.config.decoder_context <= MAX_CONTEXT
-    assert max(len(piece.codes) for piece in pieces) == (min(count, WINDOW_ROWS) if bounded else count)
+    sizes = [len(piece.codes) for piece in pieces]
+    assert max(sizes) == (min(count, WINDOW_ROWS) if bounded else count) and min(sizes) >= min(count, WINDOW_ROWS // 2)
     lengths = jnp.array([count], np.int32)
     whole = decode_batch(tokenizer.variables, tokenizer.normalizer, codes[None], lengths, tokenizer=tokenizer.module)
     expected = np.asarray(whole)[0]
@@ -68,6 +71,16 @@ def test_windows_do_not_depend_on_how_rows_arrive(tokenizer):
         _, found = in_windows(tokenizer, iter(parts))
         for one, other in zip(found, expected, strict=True):
             np.testing.assert_array_equal(one, other)
+
+
+def test_sentences_are_decoded_alone_and_fade(tokenizer):
+    first, second = random_codes(tokenizer, 2 * WINDOW_ROWS + 1), random_codes(tokenizer, 3)
+    _, (_, alone, _) = in_windows(tokenizer, [first])
+    _, (_, other, _) = in_windows(tokenizer, [second])
+    pieces = [(1, first[:5]), (1, first[5:]), (2, second)]
+    joined = [piece.features for piece in decode_sentences(tokenizer, pieces, skeleton=HUMANML3D)]
+    expected = fade_features(alone, other, overlap=round(FADE_SECONDS * HUMANML3D.fps))
+    np.testing.assert_array_equal(np.concatenate(joined), np.concatenate(expected))
 
 
 @pytest.mark.parametrize("cuts", [[], [1], [30, 31, 90]])

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.motion.kinematics import forward_kinematics
+from t2m_jax.motion.parts import Parts
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -29,6 +30,8 @@ class BvhClip:
     """Factor by which the numbers of the file were multiplied."""
     end_sites: Mapping[int, Float[np.ndarray, " 3"]] = dataclasses.field(default_factory=dict)
     """Joint -> place of its End Site in its frame: the tip of a toe, a hand or the head."""
+    parts: Parts = ()
+    """Where each sentence begins, in files of this package."""
 
     @property
     def num_frames(self) -> int:
@@ -42,7 +45,8 @@ class BvhClip:
 
     def from_frame(self, frame: int) -> "BvhClip":
         """Returns the clip without the frames before `frame`."""
-        return dataclasses.replace(self, rotations=self.rotations[frame:], translations=self.translations[frame:])
+        rotations, translations = self.rotations[frame:], self.translations[frame:]
+        return dataclasses.replace(self, rotations=rotations, translations=translations, parts=())
 
     @property
     def rest_positions(self) -> Float[np.ndarray, "J 3"]:

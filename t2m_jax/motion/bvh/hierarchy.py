@@ -29,6 +29,8 @@ class Hierarchy(NamedTuple):
     channels: tuple[tuple[str, ...], ...]
     end_sites: dict[int, tuple[float, ...]]
     """Joint -> OFFSET of its first End Site."""
+    note: str = ""
+    """What follows the words `End Site` on the first of their lines where something does."""
 
     @property
     def num_channels(self) -> int:
@@ -126,14 +128,15 @@ def parse_hierarchy(lines: Sequence[str], path: Path) -> Hierarchy:
     root = tokens.take('"ROOT"')
     if root.text.upper() != "ROOT":
         raise tokens.error(f'expected "ROOT", found "{root.text}"')
-    stack = [_open_joint(tokens, draft, keyword=root, parent=-1)]
+    stack, note = [_open_joint(tokens, draft, keyword=root, parent=-1)], ""
     while stack:  # no recursion, because a chain can be longer than Python's stack
         token = tokens.take('"JOINT", "End Site" or "}"')
         match token.text.upper():
             case "JOINT":
                 stack.append(_open_joint(tokens, draft, keyword=token, parent=stack[-1]))
             case "END":
-                tokens.take_name(token)
+                name = tokens.take_name(token)
+                note = note or name.partition(" ")[2]
                 tokens.take_word("{")
                 draft.end_sites.setdefault(stack[-1], _read_offset(tokens, "OFFSET of End Site"))
                 tokens.take_word("}")
@@ -147,7 +150,7 @@ def parse_hierarchy(lines: Sequence[str], path: Path) -> Hierarchy:
         kind = "a second ROOT; one figure per file" if found.text.upper() == "ROOT" else f'"{found.text}"'
         raise tokens.error(f"after the closing brace of the root follows {kind}")
     offsets = np.array(draft.offsets, dtype=np.float64)
-    return Hierarchy(tuple(draft.names), tuple(draft.parents), offsets, tuple(draft.channels), draft.end_sites)
+    return Hierarchy(tuple(draft.names), tuple(draft.parents), offsets, tuple(draft.channels), draft.end_sites, note)
 
 
 def _open_joint(tokens: _Tokens, draft: _Draft, *, keyword: _Token, parent: int) -> int:

@@ -12,6 +12,7 @@ from t2m_jax.files import reading
 from t2m_jax.motion.bvh.channels import parse_motion
 from t2m_jax.motion.bvh.clip import BvhClip
 from t2m_jax.motion.bvh.hierarchy import AXES, POSITION_CHANNELS, ROTATION_CHANNELS, Hierarchy, parse_hierarchy
+from t2m_jax.motion.parts import parts_from_note
 from t2m_jax.motion.rotations import EulerOrder, matrix_from_euler
 
 PositionRule = Literal["auto", "absolute", "add"]
@@ -72,6 +73,7 @@ def load_bvh(
         end_sites={
             joint: np.array(offset, np.float32) * metres_per_unit for joint, offset in hierarchy.end_sites.items()
         },
+        parts=parts_from_note(hierarchy.note, num_frames=len(table.values)),
     )
 
 

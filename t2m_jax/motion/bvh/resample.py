@@ -23,4 +23,5 @@ def resample(clip: BvhClip, fps: float) -> BvhClip:
         rotations=matrix_from_quaternion(editing.resample(quaternions, fps=clip.fps, new_fps=fps)),
         translations=editing.resample(clip.translations, fps=clip.fps, new_fps=fps),
         fps=float(fps),
+        parts=(),
     )

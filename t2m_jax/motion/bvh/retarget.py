@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -42,7 +42,9 @@ def retarget(clip: BvhClip, *, rig: RigLike | None = None, up: Up = "auto") -> M
     positions = _retarget(clip.positions, clip.parents, index)
     if up == "auto":
         up = _find_up(clip, positions, index)
-    return Motion(positions=to_y_up(positions) if up == "z" else positions, fps=clip.fps)
+    starts, captions = [first for first, _ in clip.parts], [text for _, text in clip.parts]
+    parts: Any = {"part_starts": tuple(starts), "part_captions": tuple(captions)}
+    return Motion(positions=to_y_up(positions) if up == "z" else positions, fps=clip.fps, **parts)
 
 
 def clip_up(clip: BvhClip, rig: Rig) -> Literal["y", "z"]:

@@ -12,6 +12,7 @@ from t2m_jax.files import save_text
 from t2m_jax.motion.bvh.rig_tables import JointNames, rig_joint_names
 from t2m_jax.motion.inverse_kinematics import fit_rig
 from t2m_jax.motion.kinematics import forward_kinematics
+from t2m_jax.motion.parts import parts_note
 from t2m_jax.motion.record import Motion
 from t2m_jax.motion.rotations import EulerOrder, euler_from_matrix
 from t2m_jax.motion.skeleton import HUMANML3D
@@ -33,7 +34,8 @@ def save_bvh(
     """Writes `motion` as a BVH file, Y up.
 
     The OFFSETs are the rest pose, a T-pose. The OFFSET of the root is zero, so that its position channels mean the same
-    in programs that add them to OFFSET and in programs that do not.
+    in programs that add them to OFFSET and in programs that do not. The line of the first End Site says where each
+    sentence begins, of a motion of several: there is no comment in BVH, but programs read over a name there.
 
     Args:
         path: The file.
@@ -55,6 +57,10 @@ def save_bvh(
     order = _depth_first(0)
     table = np.concatenate((roots, degrees[:, order].reshape(len(degrees), -1)), axis=1)
     lines = ["HIERARCHY", *_hierarchy_lines(offsets, rig_joint_names(names))]
+    if motion.part_starts:
+        first = next(number for number, line in enumerate(lines) if line.endswith("End Site"))
+        starts = [start + tpose_frame for start in motion.part_starts]
+        lines[first] += " " + parts_note(tuple(zip(starts, motion.part_captions, strict=True)), fps=motion.fps)
     lines += ["MOTION", f"Frames: {len(table)}", f"Frame Time: {1 / motion.fps:.9f}", *map(_numbers, table)]
     save_text(path, "\n".join(lines) + "\n")
 

@@ -1,0 +1,53 @@
+"""Where sentences begin in a motion, as files say it: what is read is checked, because a file may say anything."""
+
+import json
+import re
+from collections.abc import Sequence
+from typing import Any
+
+MAX_PARTS = 1000
+"""Sentences of a motion that are read from a file. A motion of this many would take an hour."""
+MAX_CAPTION = 1000
+"""Characters of a sentence that are read from a file, as many as a prompt can have."""
+
+Parts = tuple[tuple[int, str], ...]
+"""First frame and text of each sentence."""
+
+_MARK = re.compile(r'[;#] frame (\d{1,9}) \(\d{1,9}\.\d\d s\): ("(?:[^"\\]|\\.)*")')
+_BRACES = str.maketrans({"{": r"\u007b", "}": r"\u007d"})
+
+
+def parts_note(parts: Parts, *, fps: float) -> str:
+    """Returns a line of printable ASCII without braces, such as `# frame 0 (0.00 s): "a"; frame 40 (2.00 s): "b"`."""
+    marks = [f"frame {first} ({first / fps:.2f} s): {json.dumps(text).translate(_BRACES)}" for first, text in parts]
+    return "# " + "; ".join(marks)
+
+
+def parts_from_note(note: str, *, num_frames: int) -> Parts:
+    """Returns the parts of `parts_note`; none if a note says something else."""
+    starts, captions, place = [], [], 0
+    while found := _MARK.match(note, place):
+        try:
+            captions.append(json.loads(found[2]))
+        except ValueError:  # an escape that JSON does not have
+            return ()
+        starts.append(int(found[1]))
+        place = found.end()
+    return checked_parts(starts, captions, num_frames=num_frames)
+
+
+def checked_parts(starts: Any, captions: Any, *, num_frames: int) -> Parts:
+    """Returns the parts that a file says a motion of some frames has; none if it cannot have them.
+
+    Of captions, what cannot be printed becomes a space. Captions and their number are cut.
+    """
+    if not (isinstance(starts, Sequence) and isinstance(captions, Sequence) and len(starts) == len(captions)):
+        return ()
+    last, parts = -1, []
+    for first, text in zip(starts[:MAX_PARTS], captions, strict=False):
+        if type(first) is not int or not isinstance(text, str) or not last < first < num_frames:
+            return ()
+        shown = "".join(letter if letter.isprintable() else " " for letter in text[:MAX_CAPTION])
+        parts.append((first, " ".join(shown.split())))
+        last = first
+    return tuple(parts)
