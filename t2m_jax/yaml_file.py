@@ -15,6 +15,8 @@ MAX_DEPTH = 32
 """Deepest nesting that is read. It bounds every recursion over a file."""
 MAX_BITS = 10_000
 """Largest size of a whole number, about 3000 digits."""
+GIVEN = ("/dev/", "/proc/")
+"""Folders of pipes that somebody gave on purpose, as with `<(command)` in a shell. Reading others may never end."""
 
 
 class YamlFile(NamedTuple):
@@ -37,6 +39,8 @@ def load_yaml(path: str | Path) -> YamlFile:
         raise UserError(f"{path}: no such config file")
     if path.is_dir():
         raise UserError(f"{path}: is a folder; give a YAML file")
+    if not path.is_file() and not str(path).startswith(GIVEN):
+        raise UserError(f"{path}: is a pipe or device; give a YAML file")
     if path.stat().st_size > MAX_FILE_BYTES:
         raise UserError(f"{path}: is larger than {MAX_FILE_BYTES // 1000} kB; give a config file")
     try:

@@ -7,6 +7,7 @@ import stat
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,11 +15,14 @@ import pytest
 from t2m_jax.errors import UserError
 from t2m_jax.files import (
     MANIFEST,
+    MAX_TEXT,
     atomic_file,
     atomic_folder,
     check_folder,
     check_output,
     claim,
+    load_json,
+    load_text,
     lock,
     read_manifest,
     write_manifest,
@@ -227,6 +231,23 @@ def test_missing_and_changed_files_show(listed, change):
     change(listed)
     with pytest.raises(UserError):
         check_folder(listed)
+
+
+def test_texts_that_would_fill_the_memory_are_refused(listed, tmp_path):
+    for path, read in ((tmp_path / "a.json", load_json), (tmp_path / "a.txt", load_text), (listed / MANIFEST, None)):
+        with path.open("wb") as file:
+            file.truncate(MAX_TEXT + 1)  # takes no room on the disk
+        with pytest.raises(UserError, match=rf"{path.name}: has 67,108,865 bytes; at most 67,108,864 are read"):
+            check_folder(listed) if read is None else read(path)
+
+
+@pytest.mark.skipif(not os.path.isdir("/dev/fd"), reason="pipes have no names")
+def test_pipes_that_somebody_gave_are_read():
+    end, start = os.pipe()
+    os.write(start, b"a man walks")
+    os.close(start)
+    assert load_text(Path(f"/dev/fd/{end}")) == "a man walks"
+    os.close(end)
 
 
 def test_a_manifest_does_not_lead_out_of_its_folder(listed):

@@ -18,7 +18,7 @@ import jax
 from t2m_jax.config import load_versioned, save_config
 from t2m_jax.distributed import is_writer, wait_for_all
 from t2m_jax.errors import UserError
-from t2m_jax.files import PARTIAL, check_folder, commit_folder, first_line, write_manifest
+from t2m_jax.files import MANIFEST, PARTIAL, check_folder, commit_folder, first_line, write_manifest
 
 logger = logging.getLogger(__name__)
 
@@ -38,8 +38,9 @@ DELETE_TRIES, DELETE_SECONDS = 20, 0.1
 """After Orbax has failed, its threads write for a moment. So their files are deleted again, after this time."""
 
 
-CONSTANT_FILES = ("*.npy", "*.yaml", "*.json", "words.txt")
-"""Statistics, sizes and words, which a run keeps as they were at its start."""
+CONSTANT_FILES = ("*.npy", "*.yaml", "*.json", "words.txt", f"*/{MANIFEST}")
+"""What a run keeps as it was at its start: statistics, sizes, words, and the manifest of the copy of its tokenizer, by
+which it knows that copy."""
 
 
 @runtime_checkable

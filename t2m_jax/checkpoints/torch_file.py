@@ -17,6 +17,7 @@ import numpy as np
 
 from t2m_jax.checkpoints.torch_pickle import MAX_PICKLE_BYTES, Name, Pickle, Storage, Tensor, read_pickle
 from t2m_jax.errors import UserError
+from t2m_jax.files import check_input
 
 MAX_DEPTH = 32
 """Deepest nesting of dictionaries and lists that is read; it bounds the recursion below."""
@@ -47,6 +48,7 @@ def load_torch_file(path: str | Path) -> dict[str | int, Any]:
         UserError: The file is not of `torch.save`, is damaged, or contains anything else; the message names it.
     """
     path = Path(path)
+    check_input(path)
     try:
         with path.open("rb") as file:
             start = file.read(len(_LEGACY_START))

@@ -39,6 +39,8 @@ BLOCK = 4 * 2**20
 WAIT_SECONDS, POLL_SECONDS = 30.0, 0.2
 """How long a process waits for another one that writes the same cache, and how often it looks. Then it makes its own in
 the user's cache folder: the other one may have been killed on another host, which cannot be seen from here."""
+MAX_INDEX = 2**31
+"""The largest index in bytes. It has the captions of all clips, so it grows with the data."""
 ABANDONED_SECONDS = 3600.0
 """Age after which an unfinished cache is deleted: the process that wrote it was killed."""
 
@@ -103,7 +105,10 @@ def scan_sources(folder: Path, *, feature_dim: int) -> Sources:
         with os.scandir(folder / part) as entries:
             for entry in entries:
                 if entry.name.endswith(suffix) and not entry.name.startswith("."):
-                    status = entry.stat()
+                    try:
+                        status = entry.stat()
+                    except OSError:  # a link to nothing, of which reading the clip says so
+                        status = entry.stat(follow_symlinks=False)
                     names.add(entry.name.removesuffix(suffix))
                     lines.append(f"{part}/{entry.name} {status.st_size} {status.st_mtime_ns}")
     return Sources(frozenset(names), _hash("\n".join([f"width {feature_dim}", *sorted(lines)])))
@@ -167,7 +172,7 @@ def load_cache(path: Path, sources: Sources, names: Collection[str] | None = ())
         _UnusableError: The cache is damaged, was made from other files, or cannot be read.
     """
     try:
-        index = load_json(path / INDEX)
+        index = load_json(path / INDEX, max_bytes=MAX_INDEX)
         if index.pop("checksum") != _checksum(index):
             raise _UnusableError("its index is damaged")
         if index["fingerprint"] != sources.fingerprint:

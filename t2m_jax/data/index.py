@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from t2m_jax.data.files import MIRROR_PREFIX
 from t2m_jax.errors import UserError
-from t2m_jax.files import save_text
+from t2m_jax.files import reading, save_text
 from t2m_jax.motion.mirroring import mirror_caption
 
 INDEX = "index.csv"
@@ -60,9 +60,9 @@ def load_index(folder: Path) -> ClipIndex | None:
     if not path.exists():
         return None
     try:
-        with path.open(encoding="utf-8", newline="") as lines:
+        with reading(path), path.open(encoding="utf-8", newline="") as lines:
             rows = list(csv.DictReader(lines))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except csv.Error as error:
         raise UserError(f"{path}: cannot be read ({error}); expected a table with the column {NAME}") from error
     if rows and NAME not in rows[0]:
         raise UserError(f"{path}: has no column {NAME}; its columns are {', '.join(map(str, rows[0]))}")

@@ -20,7 +20,7 @@ from t2m_jax.evaluation.embedding import (
 )
 from t2m_jax.evaluation.protocols import SAMPLES_PER_CAPTION, Plan
 from t2m_jax.evaluation.quality import CLEANED
-from t2m_jax.evaluation.report.record import Header, Metric, Report
+from t2m_jax.evaluation.report.record import MAX_REPORT, Header, Metric, Report
 from t2m_jax.evaluation.sources import CodeSource
 from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.files import load_json, save_json
@@ -99,7 +99,7 @@ def load_partial(path: Path | None, header: Header) -> list[RepeatMetrics]:
     if path is None or not path.exists():
         return []
     try:
-        found = load_json(path)
+        found = load_json(path, max_bytes=MAX_REPORT)
         started = found["header"]
         # What the user called model and data may change; the fingerprints tell what they are.
         current = dataclasses.asdict(header) | {name: started[name] for name in ("model", "data")}

@@ -12,7 +12,16 @@ from t2m_jax.files.arrays import (
 )
 from t2m_jax.files.locks import LockedError, lock
 from t2m_jax.files.manifest import MANIFEST, check_folder, has_manifest, read_manifest, write_manifest
-from t2m_jax.files.reading import first_line, load_archive, load_array, load_json, load_text, reading
+from t2m_jax.files.reading import (
+    MAX_TEXT,
+    check_input,
+    first_line,
+    load_archive,
+    load_array,
+    load_json,
+    load_text,
+    reading,
+)
 from t2m_jax.files.writing import (
     PARTIAL,
     atomic_file,
@@ -28,11 +37,13 @@ from t2m_jax.files.writing import (
 
 __all__ = [
     "MANIFEST",
+    "MAX_TEXT",
     "PARTIAL",
     "LockedError",
     "atomic_file",
     "atomic_folder",
     "check_folder",
+    "check_input",
     "check_new",
     "check_output",
     "claim",

@@ -11,7 +11,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 from t2m_jax.errors import UserError
-from t2m_jax.files.reading import first_line
+from t2m_jax.files.reading import check_input, first_line
 from t2m_jax.files.writing import atomic_file
 
 DAMAGED_WEIGHTS = (SafetensorError, OSError, ValueError, LookupError, TypeError, AttributeError)
@@ -73,6 +73,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
     Raises:
         UserError: The file is missing or damaged.
     """
+    check_input(path)
     try:
         return load_file(path)
     except FileNotFoundError:

@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from t2m_jax.errors import UserError
-from t2m_jax.files.reading import reading
+from t2m_jax.files.reading import MAX_TEXT, check_input, reading
 from t2m_jax.files.writing import save_text
 
 MANIFEST = "manifest.txt"
@@ -47,6 +47,7 @@ def read_manifest(folder: Path) -> dict[str, Entry]:
         UserError: The manifest is missing or damaged.
     """
     path = folder / MANIFEST
+    check_input(path, max_bytes=MAX_TEXT)
     with reading(path):
         found = path.read_bytes()
     try:

@@ -3,7 +3,9 @@
 import contextlib
 import json
 import math
+import stat
 import struct
+import sys
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -30,6 +32,10 @@ DAMAGED_ARCHIVE = (zlib.error, struct.error, AttributeError, LookupError, Runtim
 """What it also raises for damaged archives; `RuntimeError` for encrypted ones and unknown compression."""
 MAX_UNPACKED = 2**28
 """The largest archive of arrays in bytes, unpacked: two hours of motion. A file of 300 kB can claim as much."""
+MAX_TEXT = 2**26
+"""The largest text or JSON file in bytes that is read whole. In memory, it may take ten times as much."""
+GIVEN = ("/dev/", "/proc/")
+"""Folders of pipes and devices that somebody gave on purpose, as with `<(command)` in a shell."""
 
 
 def first_line(error: BaseException) -> str:
@@ -37,9 +43,28 @@ def first_line(error: BaseException) -> str:
     return next(iter(str(error).splitlines()), type(error).__name__)
 
 
+def check_input(path: Path, *, max_bytes: int = sys.maxsize) -> None:
+    """Raises `UserError` for a pipe or device in a folder, which may never end, and for a file that is too large.
+
+    What is missing or cannot be read is left to the reader, which says more.
+    """
+    try:
+        found = path.stat()
+    except OSError:
+        return
+    if not stat.S_ISREG(found.st_mode) and not stat.S_ISDIR(found.st_mode) and not str(path).startswith(GIVEN):
+        raise UserError(f"{path}: is a pipe or device, not a file; is the copy complete?")
+    if found.st_size > max_bytes:
+        raise UserError(f"{path}: has {found.st_size:,} bytes; at most {max_bytes:,} are read")
+
+
 @contextlib.contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Turns the errors of a missing or unreadable file, or of text that is not UTF-8, into a `UserError`."""
+    """Turns the errors of a missing or unreadable file, or of text that is not UTF-8, into a `UserError`.
+
+    Pipes and devices are refused (see `check_input`).
+    """
+    check_input(path)
     try:
         yield
     except FileNotFoundError:
@@ -50,12 +75,13 @@ def reading(path: Path) -> Iterator[None]:
         raise UserError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from None
 
 
-def load_text(path: Path) -> str:
+def load_text(path: Path, *, max_bytes: int = MAX_TEXT) -> str:
     """Returns the text of a UTF-8 file.
 
     Raises:
-        UserError: The file is missing, cannot be read or is not UTF-8.
+        UserError: The file is missing, cannot be read, is not UTF-8 or is larger than `max_bytes`.
     """
+    check_input(path, max_bytes=max_bytes)
     with reading(path):
         text = path.read_text(encoding="utf-8")
     return text  # noqa: RET504 - for mypy, a `return` inside `with` may not be reached
@@ -67,13 +93,13 @@ def _finite(number: str) -> float:
     return value
 
 
-def load_json(path: Path) -> Any:
+def load_json(path: Path, *, max_bytes: int = MAX_TEXT) -> Any:
     """Returns the data of a JSON file.
 
     Raises:
-        UserError: The file is missing or is not JSON, or a number in it is not finite.
+        UserError: The file is missing, is not JSON or is larger than `max_bytes`, or a number in it is not finite.
     """
-    text = load_text(path)
+    text = load_text(path, max_bytes=max_bytes)
     try:
         return json.loads(text, parse_float=_finite, parse_constant=_finite)
     except (ValueError, RecursionError) as error:

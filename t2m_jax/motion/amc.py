@@ -21,6 +21,8 @@ METRES_PER_INCH = 0.0254
 """An ASF file divides inches by its `length`."""
 MIN_UNIT = 1e-4
 """Smallest `length`, with which a bone of length 1 is 254 meters long."""
+MAX_BYTES = 2**28
+"""The largest file. A frame of 30 bones has about 1 kB, so this is half an hour at 120 frames per second."""
 ROOT = "root"
 _AXES = "xyz"
 
@@ -122,7 +124,7 @@ def _transform(
 
 def _numbered_words(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Returns the number and the words of each line that has some, without comments."""
-    for number, line in enumerate(load_text(path).split("\n"), start=1):
+    for number, line in enumerate(load_text(path, max_bytes=MAX_BYTES).split("\n"), start=1):
         words = line.partition("#")[0].split()
         if words:
             yield number, words

@@ -16,6 +16,10 @@ FROM_DATA = "data"
 """The value of `statistics` that means the data set's own."""
 
 
+MAX_BATCH = 65_536
+"""Most clips of an update, 256 times the default: more would only fill the memory."""
+MAX_STEPS_PER_CALL = 10_000
+"""Most updates of a call. More save nothing, and their metrics and rows of data would fill the memory."""
 MAX_WINDOW = 10_000
 """Longest training window in frames, eight minutes: a window beyond all motions would only fill the memory."""
 
@@ -44,9 +48,10 @@ class LoopConfig:
 
     def __post_init__(self) -> None:
         check_sizes(self, "num_steps", "batch_size", "keep_checkpoints", "steps_per_call")
-        for name in ("num_steps", "batch_size"):
-            if getattr(self, name) >= 2**31:
-                raise ValueError(f"{name}: {getattr(self, name)} is more than {2**31 - 1}")
+        limits = {"num_steps": 2**31 - 1, "batch_size": MAX_BATCH, "steps_per_call": MAX_STEPS_PER_CALL}
+        for name, limit in limits.items():
+            if getattr(self, name) > limit:
+                raise ValueError(f"{name}: {getattr(self, name)} is more than {limit}")
         check_seed(self.seed)
         for name in ("log_every", "validate_every", "checkpoint_every"):
             if getattr(self, name) < 0:

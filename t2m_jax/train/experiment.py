@@ -44,7 +44,7 @@ from t2m_jax.train.config import EvaluationConfig, ExperimentConfig, LoopConfig
 from t2m_jax.train.loop import Measured, Measurement, Metrics, Speed, mean_over_batches, run_loop
 from t2m_jax.train.optimizer import OptimizerConfig, learning_rate_at
 from t2m_jax.train.placement import DataOnDevices, DataOnHost, place_data
-from t2m_jax.train.program import Devices, Update
+from t2m_jax.train.program import Devices, Update, choose_devices
 from t2m_jax.train.signals import stop_requests
 
 logger = logging.getLogger(__name__)
@@ -175,6 +175,8 @@ def _train(config: ExperimentConfig, *, resume: bool) -> Any:
     if resume:
         check_same_data(config, setup.dataset)
     held_out = open_evaluation(setup)
+    if config.sharding.devices != "auto":  # what does not fit is refused here, before anything is written
+        choose_devices(config.sharding, batch_size=config.loop.batch_size)
     state = None
     if config.init is not None and not (resume and has_checkpoint(config.run)):
         # What cannot start from `init` is refused here, before anything is written.

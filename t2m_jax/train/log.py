@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, UInt8
 from PIL import Image
 
 from t2m_jax.distributed import is_writer
-from t2m_jax.files import atomic_file, load_text, save_text, writing
+from t2m_jax.files import atomic_file, reading, save_text, writing
 from t2m_jax.train.tensorboard import Board
 
 logger = logging.getLogger(__name__)
@@ -108,11 +108,21 @@ def open_log(run: Path, *, first_step: int) -> MetricLog:
 
 
 def _keep_rows(path: Path, last_step: int) -> list[str]:
-    """Removes rows after `last_step` and rows that are cut off; returns the columns, none for a new file."""
+    """Removes rows after `last_step` and damaged ones; returns the columns, none for a new file.
+
+    A file without a header that can be read is set aside: it must not keep a run from going on.
+    """
     if not path.exists():
         return []
-    lines = load_text(path).splitlines(keepends=True)
-    rows = [(line.split(",")[0], line) for line in lines[1:] if line.endswith("\n")]
+    with reading(path):
+        lines = path.read_bytes().decode(errors="replace").splitlines(keepends=True)
+    if lines and not (lines[0].startswith("step,") and lines[0].isascii()):
+        aside = path.with_name(f"{path.name}.damaged")
+        logger.warning("%s: its header is damaged; it is set aside as %s", path, aside.name)
+        path.replace(aside)
+        return []
+    whole = [line for line in lines[1:] if line.isascii() and line.endswith("\n")]
+    rows = [(line.split(",")[0], line) for line in whole if line.count(",") == lines[0].count(",")]
     kept = [line for step, line in rows if step.isdecimal() and len(step) < 20 and int(step) <= last_step]
     if not kept:
         path.unlink()

@@ -89,6 +89,21 @@ def test_files_that_end_early(saved, copy, loaders, name):
         assert is_refused(loaders[name], copy) or name == CONFIG_FILE
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes")
+@pytest.mark.parametrize("name", [CONFIG_FILE, WEIGHTS_FILE, MEAN, TOKENIZER])
+def test_pipes_and_devices_in_the_place_of_files(saved, copy, loaders, tmp_path, name):
+    listed = shutil.copytree(saved, tmp_path / "listed")
+    for folder, load in ((copy, loaders[name]), (listed, load_bundle)):
+        (folder / name).unlink()
+        os.mkfifo(folder / name)
+        with pytest.raises(UserError, match=rf"{name}: is a pipe or device"):
+            load(folder)
+    (copy / name).unlink()
+    (copy / name).symlink_to("/dev/zero")
+    with pytest.raises(UserError, match=rf"{name}: is a pipe or device"):
+        loaders[name](copy)
+
+
 @pytest.mark.parametrize(
     ("section", "field"),
     [

@@ -65,6 +65,11 @@ def with_nan(path):
     np.save(path, features)
 
 
+def replaced_by_link_to_itself(path):
+    path.unlink()
+    path.symlink_to(path)
+
+
 @pytest.mark.parametrize(
     ("spoil", "reason"),
     [
@@ -78,6 +83,7 @@ def with_nan(path):
         (lambda path: np.save(path, np.full((50, 263), 1e300)), "with NaN or infinite values"),
         (lambda path: np.save(path, np.zeros((50, 263), np.int64)), "with a damaged motion file"),
         (lambda path: np.save(path, np.array([{"a": 1}], object), allow_pickle=True), "with a damaged motion file"),
+        (replaced_by_link_to_itself, "without motion file"),
         (lambda path: text_of(path).unlink(), "without caption file"),
         (lambda path: text_of(path).write_bytes(b"\xff"), "with a damaged caption file"),
         (lambda path: [path.unlink(), text_of(path).unlink()], "without motion and caption file"),

@@ -7,6 +7,7 @@ import pytest
 
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.report import Header, Metric, ReconstructionFigures, Report, load_report, save_report
+from t2m_jax.evaluation.report.record import MAX_REPORT
 
 HEADER = {"protocol": "strict", "data": "d_1", "split": "test", "num_samples": 64, "evaluator": "ab%c", "seed": 0}
 METRIC = {"mean": 1.5, "interval": 0.5, "repeats": [1.0, 2.0]}
@@ -77,4 +78,10 @@ def test_a_report_of_version_0_1_has_its_unit_and_batch(tmp_path):
 def test_other_files_are_refused(content, tmp_path):
     (tmp_path / "report.json").write_text(content)
     with pytest.raises(UserError, match=r"report\.json: (is not a report|cannot be read as JSON)"):
+        load_report(tmp_path / "report.json")
+
+
+def test_a_report_that_is_too_large_is_refused_before_it_is_read(tmp_path):
+    (tmp_path / "report.json").write_text(json.dumps(HEADER | {"rows": ROWS}) + " " * MAX_REPORT)
+    with pytest.raises(UserError, match=r"report\.json: has [\d,]+ bytes; at most 2,000,000 are read"):
         load_report(tmp_path / "report.json")

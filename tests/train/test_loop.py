@@ -272,17 +272,28 @@ TABLE = "step,loss\n2,0.5\n4,0.25\n6,0.125\n"
         ("step,lo", 6, "step,loss\n"),
         ("", 6, "step,loss\n"),
         (None, 6, "step,loss\n"),
+        (TABLE.encode().replace(b"0.25", b"0.2\xff") + b"\xfe\xff\n8\n", 8, TABLE.replace("4,0.25\n", "")),
     ],
 )
 def test_a_table_that_a_crash_left_is_mended(tmp_path, left, first_step, kept):
     if left is not None:
-        (tmp_path / "train.csv").write_bytes(left.encode())
+        (tmp_path / "train.csv").write_bytes(left if isinstance(left, bytes) else left.encode())
     with MetricLog(tmp_path, first_step=first_step) as log:
         log.write("train", 10, {"loss": 0.1}, title="training")
         log.write("train", 12, {"loss": 1 / 3}, title="training")
     expected = kept + f"10,0.1\n12,{1 / 3!r}\n"
     assert (tmp_path / "train.csv").read_bytes().decode() == expected
     assert {path.name for path in tmp_path.iterdir()} == {"train.csv", "tensorboard"}
+
+
+def test_a_table_without_a_header_is_set_aside(tmp_path, caplog):
+    damaged = TABLE.encode().replace(b"step", b"st\xffp")
+    (tmp_path / "train.csv").write_bytes(damaged)
+    with MetricLog(tmp_path, first_step=6) as log:
+        log.write("train", 8, {"loss": 0.1}, title="training")
+    assert (tmp_path / "train.csv").read_text() == "step,loss\n8,0.1\n"
+    assert (tmp_path / "train.csv.damaged").read_bytes() == damaged
+    assert "train.csv: its header is damaged; it is set aside as train.csv.damaged" in caplog.text
 
 
 def test_a_table_of_an_earlier_version_keeps_its_columns(tmp_path):

@@ -1,5 +1,6 @@
 """What training does not take: sizes that describe nothing, data that hold nothing, data of another width."""
 
+import dataclasses
 import math
 import shutil
 from pathlib import Path
@@ -19,6 +20,7 @@ from t2m_jax.train import (
     TrainVqVaeConfig,
     train,
 )
+from t2m_jax.train.config import ShardingConfig
 from tests.tiny import gpt_training, vqvae_training
 
 
@@ -30,6 +32,8 @@ from tests.tiny import gpt_training, vqvae_training
         (TrainVqVaeConfig, {"window": 3}, "window: 3 is shorter than one code, 4 frames"),
         (TrainVqVaeConfig, {"window": 7, "model": {"num_stages": 3}}, "window: 7 is shorter than one code, 8 frames"),
         (TrainVqVaeConfig, {"loop": {"batch_size": 0}}, "loop: batch_size: 0"),
+        (TrainVqVaeConfig, {"loop": {"batch_size": 10**9}}, "loop: batch_size: 1000000000 is more than 65536"),
+        (TrainGptConfig, {"loop": {"steps_per_call": 10**9}}, "loop: steps_per_call: 1000000000 is more than 10000"),
         (TrainGptConfig, {"loop": {"keep_checkpoints": 0}}, "loop: keep_checkpoints: 0"),
         (TrainGptConfig, {"loop": {"num_steps": -5}}, "loop: num_steps: -5"),
         (TrainGptConfig, {"loop": {"seed": -1}}, "loop: seed: -1 is not between 0 and 4294967295"),
@@ -113,6 +117,13 @@ def test_data_of_another_width(refusal, copy):
 
 def test_data_that_are_not_there(refusal, tmp_path):
     assert f"{tmp_path / 'nowhere'}: no data set here" in refusal(tmp_path / "nowhere")
+
+
+def test_devices_that_are_not_there(runs, tmp_path):
+    config = dataclasses.replace(vqvae_training(runs.data, tmp_path / "run"), sharding=ShardingConfig(devices=1000))
+    with pytest.raises(UserError, match=r"sharding\.devices: 1000, but there are"):
+        train(config)
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(("run", "says"), [("demo", "packaged model"), ("folder", "contains a model already")])

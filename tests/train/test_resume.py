@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.checkpoints import audit_model, load_model, load_tokenizer
+from t2m_jax.checkpoints.tokenizer import save_tokenizer_copy
 from t2m_jax.errors import UserError
 from t2m_jax.train import train
 from tests.tiny import LOOP, gpt_training, vqvae_training
@@ -197,6 +198,19 @@ def test_a_damaged_file_of_the_start_is_found_wherever_a_run_is_read(stage):
         assert [part.problem for part in audit_model(stage.config.run) if name in part.problem]
         (stage.config.run / name).write_bytes(whole)
     load(stage.config.run)
+
+
+@pytest.mark.parametrize("stage", ["gpt"], indirect=True)
+def test_a_run_knows_the_copy_of_its_tokenizer(stage, runs):
+    run = shutil.copytree(stage.finished, stage.config.run)
+    tokenizer = load_tokenizer(run)
+    other = jax.tree.map(lambda leaf: 2 * leaf, tokenizer.variables["params"])
+    shutil.rmtree(run / "vqvae")
+    save_tokenizer_copy(run, tokenizer._replace(variables=tokenizer.variables | {"params": other}))
+    for read in (load_model, load_tokenizer, lambda _: stage.train(resume=True, num_steps=20)):
+        with pytest.raises(UserError, match=r"vqvae/manifest\.txt: has changed since it was written"):
+            read(run)
+    assert "vqvae/manifest.txt" in "".join(part.problem for part in audit_model(run))
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation.report.record import fields_of, reading_report
+from t2m_jax.evaluation.report.record import MAX_REPORT, fields_of, reading_report
 from t2m_jax.files import load_json, save_json
 
 DERIVED = ("num_samples", "prompt_following")
@@ -73,7 +73,7 @@ def load_prompt_report(path: Path) -> PromptReport:
     Raises:
         UserError: The file is missing, or is something else.
     """
-    data = load_json(path)
+    data = load_json(path, max_bytes=MAX_REPORT)
     with reading_report(path, "with the counts of prompts", command="t2m evaluate prompts --json"):
         rows = [
             {"name": name, **row, "instead": list(row.get("instead", {}).items())}
