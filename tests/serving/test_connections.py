@@ -45,7 +45,13 @@ def test_a_bug_is_told_as_json_with_the_usual_headers(monkeypatch):
     async def send(message):
         sent.append(message)
 
-    scope = {"type": "http", "method": "GET", "path": "/metrics", "query_string": b"", "headers": [(b"host", b"localhost")]}
+    scope = {
+        "type": "http",
+        "method": "GET",
+        "path": "/metrics",
+        "query_string": b"",
+        "headers": [(b"host", b"localhost")],
+    }
     with pytest.raises(AttributeError):
         asyncio.run(make_app(jobs)(scope, receive, send))
     start, body = sent
