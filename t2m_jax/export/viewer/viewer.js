@@ -96,5 +96,5 @@ class Viewer {
   }
 }
 
-const viewer = new Viewer(JSON.parse(find("#motion-data").textContent));
+const viewer = new Viewer(window.t2mScene);
 Object.defineProperty(window, "t2mViewer", { value: viewer });
