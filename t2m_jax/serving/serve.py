@@ -83,7 +83,7 @@ class Protocol(H11Protocol):
 
     def _close_if_idle(self) -> None:
         """Closes the connection if there was no new request since the last time, and none is worked on."""
-        is_idle = self.cycle is None or self.cycle.response_complete
+        is_idle = getattr(self.cycle, "response_complete", True)  # before the first request, there is no cycle
         if is_idle and self.cycle is self._last_cycle:
             self.transport.close()
         elif not self.transport.is_closing():

@@ -12,7 +12,6 @@ from t2m_jax.export.render.scene import figure_from_motion
 from t2m_jax.motion.record import Motion
 from tests.export.conftest import NASTY_CAPTION
 
-
 EMPTY = base64.b64encode(zlib.compress(b"")).decode()
 
 
@@ -44,7 +43,8 @@ def test_the_page_is_small_and_whole(tmp_path, walk):
     page = (tmp_path / "a.html").read_text(encoding="utf-8")
     assert len(page.encode()) < 1_200_000
     assert "{{" not in page
-    page += Elements(page).program.replace("http://www.w3.org/1999/xhtml", "")  # a name that three.js gives to elements, not an address
+    page += Elements(page).program
+    page = page.replace("http://www.w3.org/1999/xhtml", "")  # a name that three.js gives to elements, not an address
     assert not re.search(r"""(src|href)\s*=\s*["'](?!data:)|@import|url\(|https?://""", page)
     assert "default-src 'none'" in page
 
