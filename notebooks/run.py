@@ -1,6 +1,6 @@
 """Runs notebooks and saves them with small outputs: `python notebooks/run.py [NOTEBOOK...]`, by default all.
 
-Interactive viewers are removed, because each has 600 kB and code hosts do not show them. Plots are stored with fewer
+Interactive viewers are removed, because each has 200 kB and code hosts do not show them. Plots are stored with fewer
 colors.
 """
 

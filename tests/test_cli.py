@@ -18,6 +18,7 @@ from t2m_jax.cli.next_step import show_next
 from t2m_jax.errors import Interruption, UserError
 from t2m_jax.evaluation.report import comparison_table
 from t2m_jax.files import atomic_file
+from tests.export.test_html import Elements
 
 
 @pytest.fixture
@@ -246,7 +247,7 @@ def test_view_turns_a_file_into_others(tmp_path, capsys):
     assert main(["view", f"{tmp_path}/in.npz", "-o", f"{outputs[0]}", "-o", f"{outputs[1]}"]) == 0
     assert capsys.readouterr().out.split() == [f"{output}" for output in outputs]
     np.testing.assert_array_equal(np.load(outputs[0])["positions"], positions)
-    assert "a person waves" in outputs[1].read_text(encoding="utf-8")
+    assert "a person waves" in Elements(outputs[1].read_text(encoding="utf-8")).data
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import base64
 import html
 import importlib.resources
 import json
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from t2m_jax.motion.record import Motion
 
 VIEWER_SCRIPTS = ("vendor/three.min.js", "figures.js", "camera.js", "body.js", "ground.js", "stage.js")
 """The renderer, in this order; other pages use it, too."""
-FINEST_STEP = 1e-4
+FINEST_STEP = 4e-4
 """Meters. Points are stored in steps of this size, or in larger steps if a figure travels beyond 3 m."""
 
 
@@ -54,11 +55,10 @@ def _asset(name: str) -> str:
 
 def viewer_html(motions: Sequence[Motion], *, embed: bool = True) -> str:
     """Returns the viewer as an HTML page or, with `embed`, as an iframe that contains the page, for notebooks."""
-    # In a script element only `<` can do harm. ASCII avoids problems with U+2028 and lone surrogates.
-    data = json.dumps(scene_record(motions), ensure_ascii=True, separators=(",", ":")).replace("<", "\\u003c")
+    data = json.dumps(scene_record(motions), ensure_ascii=True, separators=(",", ":"))  # keeps lone surrogates
     style, script = f"{_asset('viewer.css')}\n{stage_style()}", viewer_script("viewer.js")
-    page = _asset("viewer.html").replace("/*{{style}}*/", style).replace("/*{{script}}*/", script)
-    page = page.replace("/*{{data}}*/", data) + "\n"  # last, because captions could contain the other marks
+    page = _asset("viewer.html").replace("/*{{style}}*/", style)
+    page = page.replace("{{script}}", _compressed(script)).replace("{{data}}", _compressed(data)) + "\n"
     if not embed:
         return page
     return (
@@ -67,14 +67,25 @@ def viewer_html(motions: Sequence[Motion], *, embed: bool = True) -> str:
     )
 
 
+def _compressed(text: str) -> str:
+    """Returns a text as the pages hold it, so that they are small: deflated, in base64."""
+    return base64.b64encode(zlib.compress(text.encode(), 9)).decode("ascii")
+
+
 def _figure_record(figure: Figure) -> dict[str, Any]:
-    """Returns one figure as plain data. Its points are base64 of little-endian 16-bit steps from their center."""
+    """Returns one figure as plain data.
+
+    Its points are steps from their center. For each coordinate, one after another, `data` has the second differences of
+    the steps over time, which compress well: base64 of little-endian 16-bit numbers, modulo 2**16.
+    """
     num_frames, num_points, _ = figure.points.shape
     axes = np.ascontiguousarray(figure.points.reshape(-1, 3).T)  # along contiguous values NumPy is much faster
     low, high = axes.min(axis=1), axes.max(axis=1)
     origin = (low + high).astype(np.float64) / 2
     step = max(float((high - low).max()) / 2 / 32767, FINEST_STEP)
-    steps = np.rint((figure.points - origin) / step).clip(-32767, 32767).astype("<i2")
+    steps = np.rint((figure.points - origin) / step).clip(-32767, 32767).astype("<i2").reshape(num_frames, -1).T
+    for _ in range(2):
+        steps = np.diff(steps, prepend=np.zeros_like(steps[:, :1]))
     parts = [
         [part.start, part.end, round(part.start_radius, 4), round(part.end_radius, 4), TINTS.index(part.tint)]
         for part in figure.parts

@@ -5,6 +5,7 @@ import hmac
 import importlib.resources
 import json
 from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from typing import Any
 
 import anyio
@@ -96,6 +97,7 @@ def make_app(jobs: Jobs, *, token: str | None = None, hosts: tuple[str, ...] = L
         HTTPException: lambda _, error: _error(error.status_code, error.detail, error.headers),
         QueueFullError: lambda _, error: _error(429, str(error), {"Retry-After": str(error.retry_after)}),
         ClientDisconnect: lambda *_: Response(status_code=499),
+        Exception: lambda *_: _error(500, "the server has failed; its log says why", HEADERS),
     }
     return Starlette(routes=routes, middleware=middleware, exception_handlers=handlers)
 
@@ -186,7 +188,7 @@ class _Server:
         asked = request_from_json(await _json(request))
         job = self.jobs.submit(asked)
         if "application/json" in request.headers.get("accept", ""):
-            return await self._final_answer(job)
+            return await self._final_answer(job, request.receive)
         return _EventResponse(self._events(job))
 
     async def _events(self, job: Job) -> AsyncIterator[Event | None]:
@@ -213,10 +215,13 @@ class _Server:
             if result == "done":
                 self.jobs.measures.motions.inc(job.request.num_samples)
 
-    async def _final_answer(self, job: Job) -> Response:
-        async for event in self._events(job):
-            last = event
-        assert last is not None
+    async def _final_answer(self, job: Job, receive: Receive) -> Response:
+        last = None
+        async with _while_connected(receive):
+            async for event in self._events(job):
+                last = event
+        if last is None or last.name not in FINAL_EVENTS:
+            raise ClientDisconnect
         return Response(last.data, 200 if last.name == "done" else 422, media_type="application/json")
 
     async def files(self, request: Request) -> Response:
@@ -267,13 +272,7 @@ class _EventResponse(Response):
         self.events = events
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        async def end_on_disconnect() -> None:
-            while (await receive())["type"] != "http.disconnect":
-                pass
-            tasks.cancel_scope.cancel()
-
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(end_on_disconnect)
+        async with _while_connected(receive):
             with anyio.CancelScope() as sending:
                 sending.deadline = anyio.current_time() + SEND_SECONDS
                 await send({"type": "http.response.start", "status": 200, "headers": self.raw_headers})
@@ -283,7 +282,21 @@ class _EventResponse(Response):
                     await send({"type": "http.response.body", "body": text.encode(), "more_body": True})
                     sending.deadline = anyio.current_time() + SEND_SECONDS
                 await send({"type": "http.response.body", "body": b"", "more_body": False})
-            tasks.cancel_scope.cancel()
+
+
+@asynccontextmanager
+async def _while_connected(receive: Receive) -> AsyncIterator[None]:
+    """Ends its block when the client closes the connection. The body of the request must have been read."""
+
+    async def end_on_disconnect() -> None:
+        while (await receive())["type"] != "http.disconnect":
+            pass
+        tasks.cancel_scope.cancel()
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(end_on_disconnect)
+        yield
+        tasks.cancel_scope.cancel()
 
 
 async def _body(request: Request) -> bytes:

@@ -108,7 +108,7 @@ def _changed(motion: Any, options: FileOptions) -> Any:
         begin, end = options.begin or 0.0, motion.seconds if options.end is None else options.end
         if not 0 <= begin < end:
             raise UserError(f"begin: {begin:g} is not between 0 and end, {end:g}")
-        motion = motion[round(begin * motion.fps) : round(min(end, motion.seconds) * motion.fps)]
+        motion = motion[slice(*(round(min(time, motion.seconds) * motion.fps) for time in (begin, end)))]
     if options.fps is not None and options.fps != motion.fps:
         motion = motion.resampled(options.fps)
     if options.loop:

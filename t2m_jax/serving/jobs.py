@@ -49,9 +49,9 @@ class Event(NamedTuple):
 class QueueFullError(Exception):
     """Too many requests are waiting."""
 
-    def __init__(self, retry_after: int):
-        """Takes the seconds after which there is probably a place."""
-        super().__init__(f"{MAX_WAITING} requests are waiting; try again in {retry_after} s")
+    def __init__(self, num_waiting: int, retry_after: int):
+        """Takes how many wait, and the seconds after which there is probably a place."""
+        super().__init__(f"{num_waiting} requests are waiting; try again in {retry_after} s")
         self.retry_after = retry_after
 
 
@@ -131,7 +131,7 @@ class Jobs:
         """
         if len(self.waiting) >= self.max_waiting:
             motions = sum(job.request.num_samples for job in self.waiting)
-            raise QueueFullError(max(1, math.ceil(motions * self._seconds_per_motion)))
+            raise QueueFullError(len(self.waiting), max(1, math.ceil(motions * self._seconds_per_motion)))
         seed = secrets.randbelow(2**32) if request.seed is None else request.seed
         job = Job(next(self._numbers), request, seed)
         self.waiting.append(job)

@@ -8,20 +8,23 @@ from t2m_jax.errors import UserError
 from t2m_jax.export import load_motion
 from t2m_jax.export.npz import write_npz
 from t2m_jax.motion.record import Motion
-from t2m_jax.serving.requests import motion_file
+from t2m_jax.serving.requests import MAX_TOTAL_SECONDS, motion_file
 
 
 def motion_from_data(data: bytes, suffix: str) -> Motion:
     """Returns the motion in the bytes of a file.
 
     Raises:
-        UserError: There is none. The message does not say where the file was.
+        UserError: There is none, or it is too long. The message does not say where the file was.
     """
     with motion_file(data, suffix) as path:
         try:
-            return load_motion(path)
+            motion = load_motion(path)
         except UserError as error:
             raise UserError(str(error).replace(str(path), path.name)) from None
+    if motion.seconds > MAX_TOTAL_SECONDS:  # at another frame rate, it could fill the memory
+        raise UserError(f"motion.{suffix}: has {motion.seconds:g} seconds; at most {MAX_TOTAL_SECONDS:g} are read")
+    return motion
 
 
 def motion_record(motion: Motion) -> dict[str, Any]:

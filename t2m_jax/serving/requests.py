@@ -20,7 +20,7 @@ MAX_SAMPLES = 8
 MAX_SECONDS = 60.0
 """For a sentence."""
 MAX_TOTAL_SECONDS = 600.0
-"""Of all samples of a request, if it says how long they are."""
+"""Of all samples of a request, if it says how long they are, and of a file."""
 MAX_BODY = 16 * 2**20
 """Bytes of a request: a motion of ten minutes."""
 

@@ -5,6 +5,7 @@ import socket
 from collections.abc import Callable
 
 import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from t2m_jax.errors import UserError
 from t2m_jax.serving.app import LOOPBACK, make_app
@@ -14,6 +15,8 @@ MAX_CONNECTIONS = 512
 """Further ones are answered with 503."""
 CLOSE_SECONDS = 5
 """Time for answers that are being sent when the server ends."""
+IDLE_SECONDS = 20.0
+"""A connection without a whole request is closed after this time, or after twice of it if it had requests before."""
 
 
 def serve(
@@ -51,6 +54,7 @@ async def _serve(jobs: Jobs, listener: socket.socket, token: str | None, on_read
         app = make_app(jobs, token=token, hosts=("*",) if token else LOOPBACK)
         config = uvicorn.Config(
             app,
+            http=Protocol,
             lifespan="off",
             log_level="warning",
             server_header=False,
@@ -62,6 +66,29 @@ async def _serve(jobs: Jobs, listener: socket.socket, token: str | None, on_read
         await uvicorn.Server(config).serve(sockets=[listener])
     finally:
         jobs.stop()
+
+
+class Protocol(H11Protocol):
+    """HTTP without connections that wait forever: they would take the places of others."""
+
+    _last_cycle: object = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begins to watch the connection."""
+        super().connection_made(transport)
+        self._watch()
+
+    def _watch(self) -> None:
+        self.loop.call_later(IDLE_SECONDS, self._close_if_idle)
+
+    def _close_if_idle(self) -> None:
+        """Closes the connection if there was no new request since the last time, and none is worked on."""
+        is_idle = getattr(self.cycle, "response_complete", True)  # before the first request, there is no cycle
+        if is_idle and self.cycle is self._last_cycle:
+            self.transport.close()
+        elif not self.transport.is_closing():
+            self._last_cycle = self.cycle if is_idle else self
+            self._watch()
 
 
 def _listen(host: str, port: int) -> socket.socket:

@@ -2,6 +2,7 @@ import base64
 import html.parser
 import json
 import re
+import zlib
 
 import numpy as np
 import pytest
@@ -11,23 +12,29 @@ from t2m_jax.export.render.scene import figure_from_motion
 from t2m_jax.motion.record import Motion
 from tests.export.conftest import NASTY_CAPTION
 
+EMPTY = base64.b64encode(zlib.compress(b"")).decode()
+
 
 class Elements(html.parser.HTMLParser):
-    """Collects the start tags of a page and what its data element holds."""
+    """Collects the start tags of a page and what its data element and its program hold."""
 
     def __init__(self, page: str):
         super().__init__()
         self.tags: list[tuple[str, dict]] = []
-        self.data = ""
+        self.texts: dict[str, str] = {}
         self.feed(page)
         self.close()
+        self.data, self.program = (
+            zlib.decompress(base64.b64decode(self.texts.get(name, EMPTY))).decode()
+            for name in ("motion-data", "program")
+        )
 
     def handle_starttag(self, tag, attrs):
         self.tags.append((tag, dict(attrs)))
 
     def handle_data(self, data):
-        if self.tags and self.tags[-1][1].get("id") == "motion-data":
-            self.data = self.data or data
+        if self.tags and self.tags[-1][0] == "script":
+            self.texts.setdefault(self.tags[-1][1].get("id"), data)
 
 
 def test_the_page_is_small_and_whole(tmp_path, walk):
@@ -36,17 +43,29 @@ def test_the_page_is_small_and_whole(tmp_path, walk):
     page = (tmp_path / "a.html").read_text(encoding="utf-8")
     assert len(page.encode()) < 1_200_000
     assert "{{" not in page
+    page += Elements(page).program
     page = page.replace("http://www.w3.org/1999/xhtml", "")  # a name that three.js gives to elements, not an address
     assert not re.search(r"""(src|href)\s*=\s*["'](?!data:)|@import|url\(|https?://""", page)
     assert "default-src 'none'" in page
+
+
+def test_a_page_with_many_motions_is_small(walk):
+    rng = np.random.default_rng(0)
+    motions = [
+        Motion(np.tile(walk.positions, (3, 1, 1))[:196] * np.float32(scale), 20.0, caption="walks")
+        for scale in rng.uniform(0.8, 1.2, 24)
+    ]
+    assert len(viewer_html(motions, embed=False)) < 1_200_000
 
 
 def test_positions_come_back_from_the_page(walk, kit_walk):
     document = json.loads(Elements(viewer_html([walk, kit_walk], embed=False)).data)
     figures = [figure_from_motion(motion) for motion in (walk, kit_walk)]
     for record, figure in zip(document["figures"], figures, strict=True):
-        steps = np.frombuffer(base64.b64decode(record["data"]), "<i2").reshape(record["frames"], record["points"], 3)
-        np.testing.assert_allclose(steps * record["step"] + record["origin"], figure.points, atol=1e-4)
+        differences = np.frombuffer(base64.b64decode(record["data"]), "<i2").reshape(-1, record["frames"])
+        steps = np.cumsum(np.cumsum(differences, axis=1, dtype="<i2"), axis=1, dtype="<i2").T
+        steps = steps.reshape(record["frames"], record["points"], 3)
+        np.testing.assert_allclose(steps * record["step"] + record["origin"], figure.points, atol=2.1e-4)
         assert record["fps"] == figure.fps and len(record["parts"]) == len(figure.parts)
     assert document["seconds"] == pytest.approx(kit_walk.seconds)
 

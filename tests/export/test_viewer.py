@@ -330,6 +330,38 @@ def test_many_can_be_read_on_a_phone(open_viewer, walk, count):
     assert np.sum(shot[..., 2] - shot[..., 0] > 40) > 200
 
 
+def test_fingers_scroll_a_grid_that_is_too_high(open_viewer, walk):
+    phone = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
+    page = open_viewer([walk] * 24, **phone)
+    scroll(page, 600, 200)
+    wait_until(page, "document.querySelector('.stage').scrollTop > 100")
+    page = open_viewer([walk] * 6, **phone)
+    before = viewer(page, "camera.pitch")
+    scroll(page, 600, 400)
+    assert viewer(page, "camera.pitch") < before  # there is nothing to scroll, so the camera moves
+
+
+def scroll(page, begin: int, end: int) -> None:
+    """Moves a finger up."""
+    session = page.context.new_cdp_session(page)
+    for place in range(begin, end, -20):
+        kind = "touchStart" if place == begin else "touchMove"
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [{"x": 200, "y": place}]})
+    session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+
+
+def test_keys_move_the_camera(open_viewer, walk):
+    page = open_viewer([walk])
+    start = viewer(page, "camera")
+    page.keyboard.press(".")
+    page.keyboard.press("+")
+    moved = viewer(page, "camera")
+    assert moved["yaw"] != start["yaw"] and moved["zoom"] > start["zoom"]
+    page.keyboard.press(",")
+    page.keyboard.press("-")
+    assert viewer(page, "camera.yaw") == pytest.approx(start["yaw"])
+
+
 def test_one_frame_stands_still(open_viewer, walk):
     page = open_viewer([Motion(walk.positions[:1], 20.0)], animate=True)
     assert viewer(page, "numFrames") == 1 and viewer(page, "playing") is False

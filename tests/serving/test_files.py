@@ -85,6 +85,17 @@ def test_a_long_video_is_refused(walk):  # noqa: F811
         make_file([data], FileOptions(format="gif"))
 
 
+def test_a_motion_that_lasts_for_days_is_refused(walk):  # noqa: F811
+    slow = data_of(type(walk)(walk.positions, 1e-6))
+    for action in (make_file, read_scene_of_one):
+        with pytest.raises(UserError, match=r"^motion\.npz: has 8e\+07 seconds; at most 600 are read"):
+            action([slow], FileOptions(fps=60))
+
+
+def read_scene_of_one(inputs, options):
+    return read_scene(inputs[0], "npz", options)
+
+
 @pytest.mark.parametrize("data", [b"", b"PK\x03\x04", b"HIERARCHY", b"x" * 100])
 def test_a_damaged_file_is_named_without_its_place(data):
     with pytest.raises(UserError, match=r"^motion\.npz: ") as caught:
@@ -110,7 +121,7 @@ def test_parameters_are_checked(query, message):
     assert message in str(caught.value)
 
 
-@pytest.mark.parametrize(("begin", "end"), [(2.0, 1.0), (-1.0, 2.0), (3.0, 3.0), (90.0, 91.0)])
+@pytest.mark.parametrize(("begin", "end"), [(2.0, 1.0), (-1.0, 2.0), (3.0, 3.0), (90.0, 91.0), (1e308, 1.7e308)])
 def test_a_part_without_frames_is_refused(walk, begin, end):  # noqa: F811
     with pytest.raises(UserError):
         make_file([data_of(walk)], FileOptions(begin=begin, end=end))

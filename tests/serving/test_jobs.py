@@ -122,6 +122,7 @@ def test_a_full_queue_refuses_and_says_when_to_come_again():
         with pytest.raises(QueueFullError) as caught:
             jobs.submit(PLAIN)
         assert caught.value.retry_after >= 1 and len(jobs.waiting) == 5
+        assert str(caught.value).startswith("5 requests are waiting")
 
     with_queue(test)
 

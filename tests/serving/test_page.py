@@ -243,9 +243,13 @@ def test_a_token_is_asked_for(open_studio):
 
     page.route("**/model", answer)
     page.reload()
+    refused = page.get_by_text("The server has refused this token.")
+    expect(refused).to_be_hidden()
     page.locator("#token").fill("wrong")
     page.keyboard.press("Enter")
     expect(page.locator("#token")).to_have_value("")
+    expect(refused).to_be_visible()
+    assert serious_faults(page) == []
     page.locator("#token").fill("secret")
     page.keyboard.press("Enter")
     expect(page.locator("#examples button").first).to_be_visible()
@@ -319,6 +323,14 @@ def test_accessibility(open_studio, scheme, viewport):
     generate(page, WALK, WAVE, samples=2)
     page.locator(".block").nth(1).click()
     page.get_by_text("Words that the model knows").click()
+    assert serious_faults(page) == []
+    page.get_by_role("combobox", name="Samples").select_option("8")
+    page.get_by_role("button", name="Generate").click()
+    expect(page.locator("#take-facts")).to_contain_text("of 8", timeout=60_000)
+    assert serious_faults(page) == []
+
+
+def serious_faults(page) -> list:
     found = axe.Axe().run(page).response["violations"]
     serious = [fault for fault in found if fault["impact"] in ("serious", "critical")]
-    assert [(fault["id"], [node["target"] for node in fault["nodes"]]) for fault in serious] == []
+    return [(fault["id"], [node["target"] for node in fault["nodes"]]) for fault in serious]

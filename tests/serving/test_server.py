@@ -3,6 +3,7 @@
 import base64
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -11,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from prometheus_client.parser import text_string_to_metric_families
 
 import t2m_jax
 from t2m_jax.serving.app import HEADERS, page_files
@@ -143,6 +145,7 @@ def test_files_are_made(server):
         ("POST", "/files", {"motions": "x"}, {}, 400),
         ("POST", "/files", {"motions": ["%"]}, {}, 400),
         ("POST", "/scene?format=amc", b"", {}, 400),
+        ("GET", "/model", None, {"Origin": "null"}, 403),
     ],
 )
 def test_what_cannot_be_answered_is_refused_in_one_line(server, method, path, body, headers, status):
@@ -174,15 +177,26 @@ def test_what_the_server_says_of_itself(server):
     server.motions(CAPTIONS[0])
     text = server.ask("GET", "/metrics").body.decode()
     assert 't2m_answers_total{result="done"}' in text and "t2m_request_seconds_bucket" in text
+    assert {family.name for family in text_string_to_metric_families(text)} >= {"t2m_answers", "t2m_waiting_requests"}
 
 
-def test_a_request_ends_when_its_client_leaves(server):
-    connections = [server.open("POST", "/motions", {"captions": [*CAPTIONS] * 4, "seconds": 5.0}) for _ in range(3)]
+@pytest.mark.parametrize("headers", [{}, {"Accept": "application/json"}])
+def test_a_request_ends_when_its_client_leaves(server, headers):
+    before = num_answers(server, "cancelled")
+    chain = {"captions": [*CAPTIONS] * 4, "seconds": 5.0}
+    connections = [server.open("POST", "/motions", chain, headers) for _ in range(3)]
+    wait_until(lambda: server.ask("GET", "/health").json["waiting"] == 1)
     for connection in connections:
         connection.sock.shutdown(socket.SHUT_RDWR)
         connection.close()
-    wait_until(lambda: server.ask("GET", "/health").json["waiting"] == 0)
-    wait_until(lambda: 't2m_answers_total{result="cancelled"}' in server.ask("GET", "/metrics").body.decode())
+    wait_until(lambda: num_answers(server, "cancelled") == before + 3)
+    assert server.ask("GET", "/health").json["waiting"] == 0
+
+
+def num_answers(server, result: str) -> float:
+    text = server.ask("GET", "/metrics").body.decode()
+    values = {name: float(value) for name, value in re.findall(r"^(t2m_answers_total\S+) (\S+)$", text, re.MULTILINE)}
+    return values.get(f't2m_answers_total{{result="{result}"}}', 0.0)
 
 
 def test_a_full_queue_answers_429(server):

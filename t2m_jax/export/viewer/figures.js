@@ -6,9 +6,16 @@ const clamp = (x, low, high) => Math.min(Math.max(x, low), high);
 function unpackFigure(record) {
   const bytes = Uint8Array.from(atob(record.data), (character) => character.charCodeAt(0));
   const view = new DataView(bytes.buffer);
+  const stride = 3 * record.points;
   const values = new Float32Array(bytes.length / 2);
-  for (let i = 0; i < values.length; i++) {
-    values[i] = view.getInt16(2 * i, true) * record.step + record.origin[i % 3];
+  for (let axis = 0; axis < stride; axis++) {
+    // The data are second differences over time, modulo 2 ** 16.
+    let [change, value] = [0, 0];
+    for (let frame = 0; frame < record.frames; frame++) {
+      change += view.getInt16(2 * (axis * record.frames + frame), true);
+      value += change;
+      values[frame * stride + axis] = ((value << 16) >> 16) * record.step + record.origin[axis % 3];
+    }
   }
   return { ...record, data: null, values, current: new Float32Array(3 * record.points) };
 }

@@ -107,6 +107,7 @@ class Stage {
     container.classList.add("stage-box");
     this.canvas = addElement(container, "canvas", "stage-canvas");
     this.canvas.setAttribute("role", "img");
+    this.canvas.setAttribute("aria-label", "No figure");
     this.grid = addElement(container, "div", "stage-grid");
     Object.assign(this, { cells: [], seconds: 0, onchange: () => {}, onselect: () => {} });
     Object.assign(this, { moment: 0, rate: 1, running: false, span: null, dirty: true, last: null, ended: false });
@@ -135,7 +136,8 @@ class Stage {
     if (this.renderer) this.cells = scene.figures.map((record, k) => new Cell(this.grid, unpackFigure(record), k));
     this.grid.classList.toggle("alone", this.cells.length === 1);
     const captions = scene.figures.map((record) => record.caption).filter(Boolean);
-    this.canvas.setAttribute("aria-label", `Animated figure: ${captions.join("; ") || "no caption"}`);
+    const label = `Animated figure: ${captions.join("; ") || "no caption"}`;
+    this.canvas.setAttribute("aria-label", scene.figures.length ? label : "No figure");
     this.time = this.moment;
     this.resize();
   }
@@ -194,6 +196,16 @@ class Stage {
     this.changed();
   }
 
+  turn(pixels) {
+    this.view.orbit(pixels, 0);
+    this.changed();
+  }
+
+  zoom(factor) {
+    this.view.zoomBy(factor);
+    this.changed();
+  }
+
   select(chosen) {
     for (const cell of this.cells) cell.element.classList.toggle("selected", cell.number === chosen);
   }
@@ -244,6 +256,9 @@ class Stage {
     const columns = columnsFor(this.cells.length, width, height);
     this.grid.style.gridTemplateColumns = `repeat(${columns}, minmax(0, 1fr))`;
     this.canvas.style.height = `${height}px`;
+    // In a grid that is too high, a finger that moves up or down scrolls; without figures, it scrolls the page.
+    const scrolls = this.cells.length === 0 || this.container.scrollHeight > height + 1;
+    this.container.style.touchAction = scrolls ? "pan-y" : "none";
     this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, this.cells.length > 6 ? 1 : MAX_PIXEL_RATIO));
     this.renderer.setSize(width, height, false);
     this.changed();

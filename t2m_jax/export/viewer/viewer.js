@@ -82,8 +82,10 @@ class Viewer {
       ArrowDown: () => this.changeSpeed(-1),
       Home: () => this.step(-this.numFrames),
       End: () => this.step(this.numFrames),
-      "+": () => this.zoom(1.2),
-      "-": () => this.zoom(1 / 1.2),
+      "+": () => this.stage.zoom(1.2),
+      "-": () => this.stage.zoom(1 / 1.2),
+      ",": () => this.stage.turn(-25),
+      ".": () => this.stage.turn(25),
       f: () => { this.follow = !this.follow; },
       r: () => this.resetView(),
     };
@@ -92,12 +94,7 @@ class Viewer {
     event.preventDefault();
     action();
   }
-
-  zoom(factor) {
-    this.stage.view.zoomBy(factor);
-    this.stage.changed();
-  }
 }
 
-const viewer = new Viewer(JSON.parse(find("#motion-data").textContent));
+const viewer = new Viewer(window.t2mScene);
 Object.defineProperty(window, "t2mViewer", { value: viewer });

@@ -24,6 +24,9 @@ export function iconButton(name, label, action) {
   return button;
 }
 
+// Returns an action that ignores the second click of a double click, which may hit what has just come under the pointer.
+export const once = (action) => (event) => { if (event.detail < 2) action(); };
+
 export function setIcon(button, name) {
   button.querySelector("use").setAttribute("href", `#icon-${name}`);
 }

@@ -1,6 +1,6 @@
 // One request at a time: its place in the queue, its progress with live frames, and its result.
 
-import { clearMessage, find, seconds, showMessage, wantsMotion } from "./dom.js";
+import { clearMessage, find, once, seconds, showMessage, wantsMotion } from "./dom.js";
 import { requestMotions, ServerError } from "./server.js";
 import { makeTake } from "./session.js";
 
@@ -9,7 +9,8 @@ export class Generation {
 
   constructor({ session, stage, model, onDone }) {
     Object.assign(this, { session, stage, model, onDone });
-    find("cancel").addEventListener("click", () => this.cancel());
+    find("cancel").addEventListener("click", once(() => this.cancel()));
+    session.onChange(["take"], () => { this.isWatched = false; });
   }
 
   get isRunning() {
@@ -18,7 +19,7 @@ export class Generation {
 
   // Whether the stage shows frames of a motion that is not ready.
   get #isLive() {
-    return [...this.live.values()].some(({ pieces }) => pieces.length > 0);
+    return this.isWatched && [...this.live.values()].some(({ pieces }) => pieces.length > 0);
   }
 
   cancel() {
@@ -32,9 +33,9 @@ export class Generation {
       const take = await this.#receive(request, kind);
       this.#status(`Ready. Seed ${take.request.seed}.`);
       this.#end();
-      const { time } = this.stage;
+      const seen = this.#isLive ? this.stage.time : null; // the first frames may have been seen already
       this.onDone(take);
-      if (this.#isLive) this.stage.time = time; // the first frames may have been seen already
+      if (seen !== null) this.stage.time = seen;
     } catch (error) {
       const cancelled = this.#abort.signal.aborted;
       this.#end();
@@ -55,6 +56,7 @@ export class Generation {
     clearMessage();
     this.#abort = new AbortController();
     this.live = new Map();
+    this.isWatched = true; // until the user looks at another motion
     this.#showRunning(true);
     this.#status("Sent.");
     find("stage-frame").scrollIntoView({ block: "nearest" });
@@ -106,7 +108,7 @@ export class Generation {
     live.rows += codes.length;
     const rows = Math.max(...[...this.live.values()].map((one) => one.rows));
     this.#status(`Generating … ${seconds((rows * this.model.downsample) / this.model.fps)} made`);
-    if (scene === null) return;
+    if (scene === null || !this.isWatched) return;
     live.pieces.push(scene.figures[0]);
     if (live.pieces.length > 1) this.stage.extend(live.place, scene.figures[0]);
     else this.#showLive(scene.seconds);

@@ -1,6 +1,6 @@
 // The list of all takes. It is kept in the browser; without storage, it lasts until the page is closed.
 
-import { ask, create, find, iconButton, showMessage } from "./dom.js";
+import { ask, create, find, iconButton, once, showMessage } from "./dom.js";
 import { sentencesOf } from "./session.js";
 import { Store } from "./store.js";
 
@@ -101,7 +101,7 @@ export class History {
     );
     const name = entry.caption.slice(0, 60);
     const compare = iconButton("compare", `Compare ${name}`, () => this.onPin(entry));
-    const remove = iconButton("remove", `Delete ${name}`, () => this.#delete(entry));
+    const remove = iconButton("remove", `Delete ${name}`, once(() => this.#delete(entry)));
     const row = create("li", { className: "take" }, open, compare, remove);
     row.dataset.id = entry.id;
     return row;

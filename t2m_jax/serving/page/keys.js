@@ -2,6 +2,8 @@
 
 import { find } from "./dom.js";
 
+const TURN = 25; // pixels of a drag with the mouse
+const ZOOM = 1.2;
 const isWriting = (element) => element.matches("textarea, select, input:not([type=range], [type=checkbox], [type=radio])");
 
 export function listenForKeys({ player, timeline, session, stage, make, generation, comparison }) {
@@ -16,6 +18,10 @@ export function listenForKeys({ player, timeline, session, stage, make, generati
     "]": () => timeline.setSide(1, here() + 1 / player.fps), // the frame that is shown belongs to the span
     "\\": () => session.setSpan(null),
     f: () => player.toggleFollow(),
+    ",": () => stage.turn(-TURN),
+    ".": () => stage.turn(TURN),
+    "+": () => stage.zoom(ZOOM),
+    "-": () => stage.zoom(1 / ZOOM),
     r: () => stage.resetView(),
     c: () => comparison.toggleSelected(),
     "/": () => make.sentences.focus(),

@@ -1,6 +1,6 @@
 // The list of sentences of a request; several follow each other on one timeline.
 
-import { create, iconButton } from "./dom.js";
+import { create, iconButton, once } from "./dom.js";
 
 export class SentenceList {
   #single = false;
@@ -64,7 +64,7 @@ export class SentenceList {
       { className: "sentence-tools" },
       iconButton("up", "Move up", () => this.#move(item, -1)),
       iconButton("down", "Move down", () => this.#move(item, 1)),
-      iconButton("remove", "Remove", () => this.#remove(item)),
+      iconButton("remove", "Remove", once(() => this.#remove(item))),
     );
     item.append(tools);
     this.list.append(item);

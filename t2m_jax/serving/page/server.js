@@ -19,6 +19,7 @@ export function takeTokenFromAddress() {
 
 async function askForToken() {
   const input = find("token");
+  find("token-refused").hidden = sessionStorage.getItem(TOKEN_KEY) === null;
   const answer = await ask(find("token-dialog"));
   if (answer !== "yes" || !input.value) return false;
   sessionStorage.setItem(TOKEN_KEY, input.value);

@@ -1,6 +1,7 @@
 // Takes in the browser's IndexedDB: short entries for the list, and apart from them the motions, which are large.
 
 const NAME = "t2m-studio";
+const VERSION = 2; // of what a take has; takes of another version cannot be shown, and are deleted
 
 function settled(request) {
   return new Promise((resolve, reject) => {
@@ -18,8 +19,9 @@ function committed(transaction) {
 
 export class Store {
   static async open() {
-    const request = indexedDB.open(NAME, 1);
+    const request = indexedDB.open(NAME, VERSION);
     request.onupgradeneeded = () => {
+      for (const name of [...request.result.objectStoreNames]) request.result.deleteObjectStore(name);
       request.result.createObjectStore("entries", { keyPath: "id" });
       request.result.createObjectStore("takes", { keyPath: "id" });
     };
