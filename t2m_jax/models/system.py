@@ -38,6 +38,8 @@ class PartConfig(Protocol):
     kind: ClassVar[str]
     """The name of the part's entry point."""
 
+    def __hash__(self) -> int: ...
+
     @property
     def num_codes(self) -> int:
         """Codes in the codebook (K)."""
