@@ -2,6 +2,7 @@
 
 import contextlib
 import copy
+import functools
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -11,6 +12,8 @@ import jax.numpy as jnp
 
 SETTING = "jax_disable_most_optimizations"
 """Set in tests/conftest.py, because the suite mostly compiles. Users have XLA's optimizations."""
+AS_USERS = {"xla_cpu_use_fusion_emitters": True}
+"""Options of a compilation that undo `XLA_FLAGS` of tests/conftest.py; `optimized` cannot."""
 
 
 @contextlib.contextmanager
@@ -20,6 +23,12 @@ def optimized() -> Iterator[None]:
     jax.config.update(SETTING, False)
     yield
     jax.config.update(SETTING, before)
+
+
+@functools.partial(jax.jit, static_argnums=0, static_argnames=("method", "train", "capture_intermediates"))
+def compiled_apply(module: Any, variables: Any, *arguments: Any, **options: Any) -> Any:
+    """Returns the result of `module.apply` as one program; without jit, every operation is compiled for every shape."""
+    return module.apply(variables, *arguments, **options)
 
 
 def without_keys(tree: Any) -> Any:
@@ -48,7 +57,7 @@ def compiled_and_eager(function: Callable, *arguments: Any, **options: Any) -> t
         # Static options are part of the program.
         dynamic = {name: value for name, value in options.items() if name in lowered.args_info[1]}
         # Copies, because the program may write into donated arguments, which may be part of the other result.
-        compiled = lowered.compile()(*copy.deepcopy(arguments), **dynamic)
+        compiled = lowered.compile(AS_USERS)(*copy.deepcopy(arguments), **dynamic)
     return without_keys(compiled), without_keys(eager)
 
 

@@ -1,6 +1,7 @@
 """A bundle: one folder that contains a complete text-to-motion model and can be shared."""
 
 import dataclasses
+import functools
 import importlib.resources
 import re
 import reprlib
@@ -188,8 +189,9 @@ def part_kinds(config: BundleConfig) -> dict[str, str]:
     return kinds
 
 
+@functools.cache
 def expected_variables(config: BundleConfig) -> dict[str, Any]:
-    """Returns the shapes of all variables of a model by role."""
+    """Returns the shapes of all variables of a model by role; callers must not change them."""
     shapes = {"tokenizer": variable_shapes(config.tokenizer), "generator": variable_shapes(config.generator)}
     if isinstance(config.text_encoder, CaptionEncoderConfig):
         module = CaptionEncoder(config.text_encoder)

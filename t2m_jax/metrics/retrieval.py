@@ -31,6 +31,14 @@ def partner_ranks(
     return PartnerRanks(jnp.sum((distances < own) & others, axis=1), jnp.sum((distances == own) & others, axis=1))
 
 
+@jax.jit
+def _ranks_of_batches(
+    queries: Float[Array, "M B E"], candidates: Float[Array, "M B E"], labels: Int[Array, "M B"]
+) -> tuple[Int[Array, "M B"], Int[Array, "M B"]]:
+    """Returns the fields of `PartnerRanks` of each batch; one program for all calls with these shapes."""
+    return tuple(jax.lax.map(lambda arguments: partner_ranks(*arguments), (queries, candidates, labels)))
+
+
 def _mean_hits(ranks: PartnerRanks, top_k: int, counted: Bool[Array, " N"] | None) -> Float[Array, " K"]:
     """Returns the mean chance that a partner is among the 1, 2, ... nearest if ties are ordered at random."""
     places = jnp.arange(1, top_k + 1)[None, :] - ranks.nearer[:, None]
@@ -73,7 +81,7 @@ def r_precision(
     queries, candidates = (text, motion) if direction == "motions_per_text" else (motion, text)
     owners = jnp.arange(len(text)) if labels is None else labels
     batches = tuple(rows.reshape(-1, batch, *rows.shape[1:]) for rows in (queries, candidates, owners))
-    ranks = jax.lax.map(lambda arguments: partner_ranks(*arguments), batches)
+    ranks = _ranks_of_batches(*batches)
     return _mean_hits(PartnerRanks(*(column.reshape(-1) for column in ranks)), top_k, counted)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.metrics import diversity, label_bound, matching_score, multimodality, r_precision
+from t2m_jax.metrics.retrieval import _ranks_of_batches
 from tests.jit import assert_jit_equals_eager
 
 
@@ -161,3 +162,11 @@ def test_equal_captions_share_their_place():
     motion = text.at[:4].add(embeddings(1, 4))
     found = r_precision(text, motion, direction="texts_per_motion")
     np.testing.assert_allclose(found, (28 + 4 * np.array([1 / 4, 2 / 4, 3 / 4])) / 32, rtol=1e-6)
+
+
+def test_batches_are_ranked_by_one_program_in_every_repeat():
+    text, motion = (jax.random.normal(jax.random.key(seed), (12, 7)) for seed in (1, 2))
+    r_precision(text, motion, batch=6)
+    compiled = _ranks_of_batches._cache_size()
+    r_precision(motion, text, batch=6, direction="texts_per_motion")
+    assert _ranks_of_batches._cache_size() == compiled > 0

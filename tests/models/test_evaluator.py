@@ -12,7 +12,7 @@ from t2m_jax.checkpoints.official.load import evaluator_variables
 from t2m_jax.losses import movement_loss
 from t2m_jax.models.evaluator import Evaluator, EvaluatorConfig, MovementDecoder, MovementEncoder, evaluator_shapes
 from tests.golden_files import evaluator_config, evaluator_state_dict, plain_variables
-from tests.jit import assert_jit_equals_eager
+from tests.jit import assert_jit_equals_eager, compiled_apply
 
 TOLERANCE = 5e-6
 """Of |a - b| / (1 + |b|), as the reference's README suggests."""
@@ -41,14 +41,16 @@ class Golden:
 
     def embed_motion(self, motion, lengths):
         arguments = (jnp.asarray(motion), jnp.asarray(lengths))
-        return Evaluator(self.config).apply(self.variables, *arguments, method="embed_motion")
+        return compiled_apply(Evaluator(self.config), self.variables, *arguments, method="embed_motion")
 
     def embed_text(self):
         rows = map(jnp.asarray, (self.words, self["pos_ids"], self["cap_lens"]))
-        return Evaluator(self.config).apply(self.variables, *rows, method="embed_text")
+        return compiled_apply(Evaluator(self.config), self.variables, *rows, method="embed_text")
 
     def movements(self, motion):
-        return Evaluator(self.config).apply(self.variables, jnp.asarray(motion), train=False, method="movements")
+        return compiled_apply(
+            Evaluator(self.config), self.variables, jnp.asarray(motion), train=False, method="movements"
+        )
 
 
 @pytest.fixture(scope="module", params=["nets_small", "nets_pose263"])
@@ -99,7 +101,7 @@ def test_three_frames_past_the_end_are_seen_and_no_fourth(small):
     def embed(motion):
         return jnp.sum(small.embed_motion(motion, lengths))
 
-    reach = np.abs(jax.grad(embed)(small["motions"][:1])).max(axis=(0, 2))
+    reach = np.abs(jax.jit(jax.grad(embed))(small["motions"][:1])).max(axis=(0, 2))
     assert (reach[:23] > 0).all()
     assert (reach[23:] == 0).all()
 
@@ -147,7 +149,7 @@ def test_the_autoencoder_is_the_reference_s(golden_dir):
         return terms["loss"], (terms, movements, reconstruction)
 
     params = {part: plain_variables(arrays, part) for part in ("movement_enc", "movement_dec")}
-    (_, (terms, movements, reconstruction)), gradient = jax.value_and_grad(losses, has_aux=True)(params)
+    (_, (terms, movements, reconstruction)), gradient = jax.jit(jax.value_and_grad(losses, has_aux=True))(params)
     assert_close(movements, arrays["latents"])
     assert_close(reconstruction, arrays["recon"])
     assert_close(terms["reconstruction"], arrays["loss_rec"])
@@ -165,8 +167,9 @@ def test_the_autoencoder_is_the_reference_s(golden_dir):
 def test_dropout_belongs_to_the_training_of_movements(small):
     def movements(seed):
         key = {"dropout": jax.random.key(seed)}
-        return Evaluator(small.config).apply(
-            small.variables, jnp.asarray(small["motions"]), train=True, method="movements", rngs=key
+        motion = jnp.asarray(small["motions"])
+        return compiled_apply(
+            Evaluator(small.config), small.variables, motion, train=True, method="movements", rngs=key
         )
 
     assert np.abs(movements(0) - movements(1)).max() > 0.1

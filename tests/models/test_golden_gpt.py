@@ -11,6 +11,7 @@ from t2m_jax.checkpoints.official.load import gpt_variables
 from t2m_jax.losses import token_accuracy, token_loss, token_weights
 from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
 from tests.golden_files import state_dict
+from tests.jit import compiled_apply
 
 
 @pytest.fixture(scope="module", params=("gpt_l2", "gpt_l3"))
@@ -35,7 +36,7 @@ def test_logits(case):
     text = jnp.asarray(arrays["clip_feat"])
     tokens = jnp.asarray(arrays["input_tokens"])
     for length, expected in ((tokens.shape[1], "logits"), (0, "logits_empty"), (4, "logits_prefix4")):
-        logits = model.apply(variables, tokens[:, :length], text, train=False)
+        logits = compiled_apply(model, variables, tokens[:, :length], text, train=False)
         np.testing.assert_allclose(logits, arrays[expected], atol=1e-4, rtol=1e-4)
 
 
@@ -49,7 +50,7 @@ def test_loss_and_gradient(case):
         weights = [token_weights(lengths, targets.shape[1], mean_over=kind) for kind in ("motions", "tokens")]
         return token_loss(logits, targets, weights[0]), token_accuracy(logits, targets, weights[1])
 
-    (loss, right), gradient = jax.value_and_grad(loss_function, has_aux=True)(variables["params"])
+    (loss, right), gradient = jax.jit(jax.value_and_grad(loss_function, has_aux=True))(variables["params"])
     np.testing.assert_allclose(loss, arrays["loss"], rtol=1e-5)
     counted = np.sum(arrays["n_tokens"] + 1)
     np.testing.assert_allclose(right * counted, arrays["argmax_right"], rtol=1e-5)
@@ -64,10 +65,10 @@ def test_loss_and_gradient(case):
 def test_cached_steps_equal_the_whole_sequence(case):
     arrays, model, variables = case
     text, tokens = jnp.asarray(arrays["clip_feat"]), jnp.asarray(arrays["input_tokens"])
-    whole = model.apply(variables, tokens, text, train=False)
-    logits, cache = model.apply(variables, text, method="begin")
+    whole = compiled_apply(model, variables, tokens, text, train=False)
+    logits, cache = compiled_apply(model, variables, text, method="begin")
     np.testing.assert_allclose(logits, whole[:, 0], atol=1e-5)
     for position in range(1, tokens.shape[1] + 1):
-        logits, stops, cache = model.apply(variables, cache, tokens[:, position - 1, None], method="step")
+        logits, stops, cache = compiled_apply(model, variables, cache, tokens[:, position - 1, None], method="step")
         np.testing.assert_array_equal(stops, tokens[:, position - 1] == model.config.end_token)
         np.testing.assert_allclose(logits, whole[:, position], atol=1e-5)

@@ -21,6 +21,7 @@ from t2m_jax.train.hifigpt import HiFiGptState, TrainHiFiGptConfig, hifigpt_metr
 from t2m_jax.train.hifigpt import make_hifigpt_batch as make_batch
 from t2m_jax.train.optimizer import OptimizerConfig, make_optimizer
 from tests.golden_files import hifigpt_config, hifigpt_params
+from tests.jit import compiled_apply
 from tests.models.test_golden_rvqvae import assert_final_weights
 
 CASES = ("default", "cumulative_depth", "frozen", "learned", "per_depth", "corrupted", "corrupt_residual")
@@ -53,7 +54,7 @@ def test_forward(golden_dir, case):
     module, variables, sizes = make_model(arrays, case)
     clean, text = jnp.asarray(arrays["codes"]), jnp.asarray(arrays["text"])
     read = jnp.asarray(arrays["corrupted_codes"]) if case.startswith("corrupt") else clean
-    output = module.apply(variables, read, text, read if sizes["corrupt_residual"] else clean, train=False)
+    output = compiled_apply(module, variables, read, text, read if sizes["corrupt_residual"] else clean, train=False)
     expected = [arrays[f"{case}/{part}_logits"] for part in ("code", "stop")]
     assert_rows(output, expected, arrays["code_lengths"])
 
@@ -62,11 +63,11 @@ def test_contexts_and_no_text(golden_dir):
     arrays = load(golden_dir, "forward")
     module, variables, _ = make_model(arrays, "default")
     codes, text = jnp.asarray(arrays["codes"]), jnp.asarray(arrays["text"])
-    contexts = module.apply(variables, codes, text, train=False, method="contexts")
+    contexts = compiled_apply(module, variables, codes, text, train=False, method="contexts")
     for row, length in enumerate(arrays["code_lengths"]):
         expected = arrays["default/contexts"][row, : length + 1]
         np.testing.assert_allclose(contexts[row, : length + 1], expected, atol=5e-5)
-    output = module.apply(variables, codes, jnp.zeros_like(text), train=False)
+    output = compiled_apply(module, variables, codes, jnp.zeros_like(text), train=False)
     assert_rows(output, [arrays[f"zero_text/{part}_logits"] for part in ("code", "stop")], arrays["code_lengths"])
 
 
@@ -75,8 +76,8 @@ def test_what_a_code_changes(golden_dir):
     arrays = load(golden_dir, "forward")
     module, variables, _ = make_model(arrays, "default")
     text = jnp.asarray(arrays["text"])
-    before = module.apply(variables, jnp.asarray(arrays["codes"]), text, train=False)
-    after = module.apply(variables, jnp.asarray(arrays["altered/codes"]), text, train=False)
+    before = compiled_apply(module, variables, jnp.asarray(arrays["codes"]), text, train=False)
+    after = compiled_apply(module, variables, jnp.asarray(arrays["altered/codes"]), text, train=False)
     for name in ("code_logits", "stop_logits"):
         unchanged = arrays[f"altered/{name}_unchanged"] == 1
         length = arrays["code_lengths"][0]
@@ -129,11 +130,10 @@ def test_gradients(golden_dir):
     setup = LossCase(arrays, "default")
     batch = setup.batch()
 
-    @jax.jit
     def loss(params):
         return hifigpt_metrics(params, setup.codebook, batch, config=setup.config)["loss"]
 
-    gradient = jax.grad(loss)(setup.params)["hifigpt"]
+    gradient = jax.jit(jax.grad(loss))(setup.params)["hifigpt"]
     for prefix, compare in (("grad/", compare_arrays), ("grad_norm/", compare_norms)):
         expected = hifigpt_params(arrays, prefix)
         assert len(jax.tree.leaves(expected)) > 3
@@ -218,7 +218,9 @@ def test_cached_steps_equal_the_whole_sequence(golden_dir, scale):
     expected = arrays[f"guidance{scale}/stop_logits"]
     found = jax.jit(functools.partial(module.apply, method=read))(variables)
     np.testing.assert_allclose(found, expected, atol=2e-4)
-    with_text, without = (module.apply(variables, codes, given, train=False) for given in (text, jnp.zeros_like(text)))
+    with_text, without = (
+        compiled_apply(module, variables, codes, given, train=False) for given in (text, jnp.zeros_like(text))
+    )
     halves = jnp.stack([output.code_logits.reshape(len(text), -1) for output in (with_text, without)], axis=1)
     found = guided(halves, jnp.full(len(text), float(scale))).reshape(with_text.code_logits.shape)
     np.testing.assert_allclose(found, arrays[f"guidance{scale}/code_logits"], atol=2e-4)

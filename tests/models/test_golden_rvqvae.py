@@ -15,6 +15,7 @@ from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.train.optimizer import OptimizerConfig, make_optimizer
 from t2m_jax.train.vqvae import TrainRvqVaeConfig, VqVaeState, vqvae_losses, vqvae_train_step
 from tests.golden_files import rvqvae_config, rvqvae_params
+from tests.jit import compiled_apply
 
 LOSSES = {name: name for name in ("reconstruction", "velocity", "acceleration", "commitment")} | {
     "bones": "bone_metres"
@@ -36,7 +37,8 @@ class Case:
         self.normalizer = Normalizer(self.arrays["mean"], self.arrays["std"])
 
     def apply(self, *arguments, **options):
-        return self.module.apply({"params": self.params, "codebook": self.codebook}, *arguments, **options)
+        variables = {"params": self.params, "codebook": self.codebook}
+        return compiled_apply(self.module, variables, *arguments, **options)
 
 
 @pytest.fixture(scope="module", params=[263, 251])
@@ -90,20 +92,20 @@ def test_losses_and_gradients(case):
     motion = jnp.asarray(arrays["motion"])
     windows = Windows(motion, jnp.ones(motion.shape[:2], bool))
 
-    @jax.jit
     def total(params):
         output = case.module.apply({"params": params, "codebook": case.codebook}, motion, train=False)
         losses = vqvae_losses(output, windows, training_config(case), case.normalizer)
         return losses["loss"], (losses, output)
 
-    (loss, (losses, output)), gradient = jax.value_and_grad(total, has_aux=True)(case.params)
+    (loss, (losses, output)), gradient = jax.jit(jax.value_and_grad(total, has_aux=True))(case.params)
     for ours, theirs in LOSSES.items():
         np.testing.assert_allclose(losses[ours], arrays[f"loss/{theirs}"], rtol=1e-5, atol=1e-6, err_msg=ours)
     np.testing.assert_allclose(loss, arrays["loss/total"], rtol=1e-5)
-    losses = vqvae_losses(output, windows, training_config(case, bone_space="normalized"), case.normalizer)
+    measure = jax.jit(vqvae_losses, static_argnums=2)
+    losses = measure(output, windows, training_config(case, bone_space="normalized"), case.normalizer)
     np.testing.assert_allclose(losses["bones"], arrays["loss/bone_normalized"], rtol=1e-5)
     summed = case.module.clone(config=rvqvae_config(case.sizes, commitment="sum"))
-    output = summed.apply({"params": case.params, "codebook": case.codebook}, motion, train=False)
+    output = compiled_apply(summed, {"params": case.params, "codebook": case.codebook}, motion, train=False)
     np.testing.assert_allclose(output.commitment_loss, arrays["loss/commitment_sum"], rtol=1e-5)
 
     def compare_norm(ours, theirs):
@@ -136,7 +138,7 @@ def test_losses_of_given_motion(golden_dir, joints, part, space):
         losses = vqvae_losses(output, windows, config, normalizer)
         return losses["loss"], losses
 
-    (_, losses), gradient = jax.value_and_grad(measure, has_aux=True)(reconstruction)
+    (_, losses), gradient = jax.jit(jax.value_and_grad(measure, has_aux=True))(reconstruction)
     expected = {name: arrays[f"{part}/{name}"] for name in ("reconstruction", "velocity", "acceleration")}
     expected |= {"bones": arrays[f"{part}/bone_{space}"], "loss": arrays[f"{part}/total_{space}"]}
     for name, value in expected.items():

@@ -13,6 +13,7 @@ from t2m_jax.metrics import perplexity
 from t2m_jax.models.vqvae import VqVae, VqVaeConfig
 from t2m_jax.motion.layout import make_layout
 from tests.golden_files import state_dict
+from tests.jit import compiled_apply
 
 NAMES = (
     "vqvae_d2_dim263_relu_ema_reset",
@@ -45,24 +46,24 @@ def case(request, golden_dir):
 def test_encoder_and_codes(case):
     arrays, model, variables = case
     for motion, latents, codes in (("x", "z_nct", "code_idx"), ("x_odd", "z_odd_nct", "code_idx_odd")):
-        found = model.apply(variables, jnp.asarray(arrays[motion]), method="encode_latents")
+        found = compiled_apply(model, variables, jnp.asarray(arrays[motion]), method="encode_latents")
         np.testing.assert_allclose(found, arrays[latents].transpose(0, 2, 1), atol=1e-4, rtol=1e-4)
         np.testing.assert_array_equal(
-            model.apply(variables, jnp.asarray(arrays[motion]), method="encode")[:, :, 0], arrays[codes]
+            compiled_apply(model, variables, jnp.asarray(arrays[motion]), method="encode")[:, :, 0], arrays[codes]
         )
 
 
 def test_reconstruction(case):
     arrays, model, variables = case
     for motion, reconstruction in (("x", "y"), ("x_odd", "y_odd")):
-        output = model.apply(variables, jnp.asarray(arrays[motion]), train=False)
+        output = compiled_apply(model, variables, jnp.asarray(arrays[motion]), train=False)
         np.testing.assert_allclose(output.reconstruction, arrays[reconstruction], atol=1e-4, rtol=1e-4)
 
 
 def test_decoding_of_given_codes(case):
     arrays, model, variables = case
     for codes, motion in ((arrays["probe_idx"], "dec_probe"), (arrays["code_idx"][:1], "dec_sample0")):
-        decoded = model.apply(variables, jnp.asarray(codes), method="decode")
+        decoded = compiled_apply(model, variables, jnp.asarray(codes), method="decode")
         np.testing.assert_allclose(decoded, arrays[motion], atol=1e-4, rtol=1e-4)
 
 
@@ -78,7 +79,7 @@ def test_losses_and_gradient_norms(case):
         velocity = reconstruction_loss(output.reconstruction, motion, mask, kind="l1_smooth", features=positions)
         return recon + 0.02 * output.commitment_loss + 0.5 * velocity, (recon, velocity, output)
 
-    (loss, (recon, velocity, output)), gradient = jax.value_and_grad(total, has_aux=True)(variables["params"])
+    (loss, (recon, velocity, output)), gradient = jax.jit(jax.value_and_grad(total, has_aux=True))(variables["params"])
     np.testing.assert_allclose(recon, arrays["recon_loss"], rtol=1e-5)
     np.testing.assert_allclose(velocity, arrays["vel_loss"], rtol=1e-5)
     np.testing.assert_allclose(perplexity(output.code_counts), arrays["perplexity"], rtol=1e-5)

@@ -313,6 +313,11 @@ def _() -> Case:
     return Case((jax.random.key(1), jnp.arange(3), jnp.array([0, 5, 0])), {})
 
 
+@case("metrics.retrieval._ranks_of_batches")
+def _() -> Case:
+    return Case((normal(1, 2, 4, 3), normal(2, 2, 4, 3), jnp.arange(8).reshape(2, 4) // 2), {})
+
+
 @case("evaluation.reconstruction.reconstruct_batch")
 def _() -> Case:
     features = jnp.asarray(walking_normalizer().denormalize(np.asarray(normal(1, 2, 16, 263))))
