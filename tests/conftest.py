@@ -35,7 +35,7 @@ settings.load_profile("suite")
 REPOSITORY = Path(__file__).parents[1]
 PROGRAMS = "T2M_JAX_TEST_PROGRAMS"
 """The environment variable that tells the processes of a test run where compiled programs are."""
-MEMORY_LIMIT = 3_000_000_000
+MEMORY_LIMIT = 1_500_000_000
 """Bytes of a test process after which compiled programs are dropped; single tests need up to 0.5 GB more."""
 
 
