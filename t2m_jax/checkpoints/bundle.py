@@ -1,7 +1,6 @@
 """A bundle: one folder that contains a complete text-to-motion model and can be shared."""
 
 import dataclasses
-import functools
 import importlib.resources
 import re
 import reprlib
@@ -189,9 +188,8 @@ def part_kinds(config: BundleConfig) -> dict[str, str]:
     return kinds
 
 
-@functools.cache
 def expected_variables(config: BundleConfig) -> dict[str, Any]:
-    """Returns the shapes of all variables of a model by role; callers must not change them."""
+    """Returns the shapes of all variables of a model by role."""
     shapes = {"tokenizer": variable_shapes(config.tokenizer), "generator": variable_shapes(config.generator)}
     if isinstance(config.text_encoder, CaptionEncoderConfig):
         module = CaptionEncoder(config.text_encoder)

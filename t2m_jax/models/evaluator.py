@@ -5,7 +5,6 @@ movement of a clip reads three frames past it.
 """
 
 import dataclasses
-import functools
 
 import flax.linen as nn
 import jax
@@ -211,9 +210,8 @@ class Evaluator(nn.Module):
             return self.text_encoder(inputs, text_lengths)
 
 
-@functools.cache
 def evaluator_shapes(config: EvaluatorConfig) -> dict[str, dict]:
-    """Returns the shapes and dtypes of an evaluator's variables; callers must not change them."""
+    """Returns the shapes and dtypes of an evaluator's variables."""
     motion = jnp.zeros((1, FRAMES_PER_MOVEMENT, config.feature_dim))
     words, length = jnp.zeros((1, 1), jnp.int32), jnp.ones(1, jnp.int32)
     return jax.eval_shape(lambda: Evaluator(config).init(jax.random.key(0), motion, 4 * length, words, words, length))

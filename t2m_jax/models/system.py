@@ -38,8 +38,6 @@ class PartConfig(Protocol):
     kind: ClassVar[str]
     """The name of the part's entry point."""
 
-    def __hash__(self) -> int: ...
-
     @property
     def num_codes(self) -> int:
         """Codes in the codebook (K)."""
@@ -165,9 +163,8 @@ def make_module(config: PartConfig) -> Any:
     return find_part(config.kind).module(config)
 
 
-@functools.cache
 def variable_shapes(config: PartConfig) -> dict[str, Any]:
-    """Returns the shapes of a part's variables by collection; callers must not change them."""
+    """Returns the shapes of a part's variables by collection."""
     module, example = make_module(config), find_part(config.kind).example
     return jax.eval_shape(lambda: module.init(jax.random.key(0), *example(config), train=False))
 
