@@ -21,6 +21,12 @@ MOST_POSES = 6
 APART = 0.7
 """Least distance in meters from one pose to the next, so that figures do not hide each other."""
 
+MARGIN = 0.06
+"""Least distance of joints and paths from the edges, relative to the height of the picture."""
+
+MOST_STEPS = 100
+"""Steps of the camera away from a motion, each by 3 % of the distance."""
+
 BEND = 0.2
 """Distance in meters of a path from the straight way, on average, from which it counts as a curve."""
 
@@ -37,14 +43,30 @@ def render_trails(motion: Motion, *, height: int = 720) -> Image.Image:
     size = picture_size(len(frames), height)
     scene = Scene(tuple(figure._replace(points=figure.points[[frame]]) for frame in frames), 0.0)
     (view,) = views_of_scene(scene, figure.points[frames, 0][None].astype(np.float64), figure.fps, size)
+    paths = figure.points[:, _ends_of_limbs(motion.skeleton)]
+    view = _with_all(view, np.concatenate([part.reshape(-1, 3) for part in (figure.points[frames], paths)]))
     picture = draw_ground(make_ground(view), view)
     add_trail(picture, view, figure.points[:, 0], ACCENTS[0])
-    _draw_paths(picture, view, figure.points[:, _ends_of_limbs(motion.skeleton)])
+    _draw_paths(picture, view, paths)
     picture = draw_figures(picture, view, [(figure, figure.points[frame]) for frame in frames], shade_tables(view))
     label = make_label(motion.caption, size=round(height / 27), width=round(0.94 * size[0]), max_lines=3)
     if label is not None:
         picture.paste(label, ((size[0] - label.width) // 2, round(0.97 * height) - label.height), label)
     return picture
+
+
+def _with_all(view: View, points: Float[np.ndarray, "N 3"]) -> View:
+    """Returns a view that is moved sideways, and away, until all points are in the picture."""
+    margin = MARGIN * view.height
+    for _ in range(MOST_STEPS):
+        spots = project(view, points)
+        (left, top, depth), (right, bottom, _) = spots.min(axis=0), spots.max(axis=0)
+        aside = (left + right - view.width) / 2 * spots[:, 2].mean() / view.focal
+        view = view._replace(eye=view.eye + aside * view.axes[0])
+        if right - left <= view.width - 2 * margin and top >= margin and bottom <= view.height - margin:
+            break
+        view = view._replace(eye=view.eye + 0.03 * depth * view.axes[2])
+    return view
 
 
 def _from_the_side(figure: Figure) -> Figure:
