@@ -3,12 +3,15 @@
 import contextlib
 import copy
 import functools
+import multiprocessing
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 import chex
 import jax
 import jax.numpy as jnp
+import pytest
 
 SETTING = "jax_disable_most_optimizations"
 """Set in tests/conftest.py, because the suite mostly compiles. Users have XLA's optimizations."""
@@ -23,6 +26,15 @@ def optimized() -> Iterator[None]:
     jax.config.update(SETTING, False)
     yield
     jax.config.update(SETTING, before)
+
+
+@contextlib.contextmanager
+def process_of_user(monkeypatch: pytest.MonkeyPatch) -> Iterator[ProcessPoolExecutor]:
+    """Gives the body a process that compiles with the settings of users, for programs whose last bits matter."""
+    for setting in (SETTING.upper(), "XLA_FLAGS"):
+        monkeypatch.delenv(setting)
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as process:
+        yield process
 
 
 @functools.partial(jax.jit, static_argnums=0, static_argnames=("method", "train", "capture_intermediates"))

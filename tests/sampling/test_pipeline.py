@@ -2,10 +2,8 @@
 
 import dataclasses
 import itertools
-import multiprocessing
 import subprocess
 import sys
-from concurrent.futures import ProcessPoolExecutor
 
 import jax
 import numpy as np
@@ -22,7 +20,7 @@ from t2m_jax.sampling import Greedy, TextToMotion, TopK, encode_motions, sample_
 from t2m_jax.sampling.prompts import MAX_BATCH, MAX_SAMPLES
 from t2m_jax.text.coverage import PromptWarning
 from t2m_jax.text.encoder import TextEncoder
-from tests.jit import SETTING
+from tests.jit import process_of_user
 from tests.tiny import BUNDLE, CAPTIONS, random_bundle
 
 
@@ -290,13 +288,8 @@ def codes_by_batch_size(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BUNDLED)
 def test_the_batch_size_hardly_changes_a_code(name, monkeypatch):
-    """Another batch size changes the last bits of the logits. The promise is one changed code in 100,000.
-
-    A process of its own has the settings of users.
-    """
-    for setting in (SETTING.upper(), "XLA_FLAGS"):
-        monkeypatch.delenv(setting)
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as process:
+    """Another batch size changes the last bits of the logits. The promise is one changed code in 100,000."""
+    with process_of_user(monkeypatch) as process:
         codes = process.submit(codes_by_batch_size, name).result()
     assert sum(np.size(one) for one in codes[1]) > 5000
     assert codes[1] == codes[8] == codes[32]

@@ -23,6 +23,7 @@ from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
 from t2m_jax.export.formats import load_motion
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.train import TrainGptConfig, TrainVqVaeConfig, train
+from tests.export.test_html import Elements
 from tests.hub_server import TOKEN
 from tests.tiny import BUNDLE, LOOP, gpt_training, vqvae_training
 
@@ -186,9 +187,11 @@ def test_motions_of_a_bundle_are_saved(bundle_folder, tmp_path, capsys, suffix):
     assert capsys.readouterr().out == f"{path}\n"
     expected = TextToMotion.load(bundle_folder).generate(PROMPTS[0], seed=1)[0]
     if suffix == "html":
-        text = path.read_text(encoding="utf-8")
-        assert PROMPTS[0] in text
-        assert "http://" not in text.replace("http://www.w3.org", "")
+        page = path.read_text(encoding="utf-8")
+        elements = Elements(page)
+        assert PROMPTS[0] in elements.data
+        for text in (page, elements.program, elements.data):
+            assert "http://" not in text.replace("http://www.w3.org", "")
         return
     motion = load_motion(path)
     assert motion.num_frames == expected.num_frames

@@ -204,6 +204,12 @@ def _() -> Case:
     return Case((positions, jnp.array([40, 31])), {"skeleton": HUMANML3D}, rtol=1e-4, atol=1e-4)
 
 
+@case("motion.paths._locked")
+def _() -> Case:
+    positions = jnp.asarray(make_motion("walk", seed=0, num_frames=40), jnp.float32)
+    return Case((positions,), {"fps": 20.0, "skeleton": HUMANML3D}, rtol=1e-4, atol=1e-4)
+
+
 @case("sampling.codec.generate_codes")
 def _() -> Case:
     variables, keys = weights(variable_shapes(GENERATOR)), jax.random.split(jax.random.key(4), 2)
