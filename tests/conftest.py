@@ -35,6 +35,8 @@ settings.load_profile("suite")
 REPOSITORY = Path(__file__).parents[1]
 PROGRAMS = "T2M_JAX_TEST_PROGRAMS"
 """The environment variable that tells the processes of a test run where compiled programs are."""
+LONGEST = ("test_wheel.py", "test_processes.py")
+"""Files of slow tests that take several minutes."""
 MEMORY_LIMIT = 1_500_000_000
 """Bytes of a test process after which compiled programs are dropped; single tests need up to 0.5 GB more."""
 
@@ -50,6 +52,11 @@ def pytest_configure(config):
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     jax.config.update("jax_compilation_cache_max_size", 10**10)  # with a limit, JAX locks the folder
+
+
+def pytest_collection_modifyitems(items):
+    """Begins with what takes longest, so that no process has to wait for another at the end."""
+    items.sort(key=lambda item: item.path.name not in LONGEST)
 
 
 def pytest_unconfigure(config):
