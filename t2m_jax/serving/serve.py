@@ -1,6 +1,7 @@
 """Runs the server until it is asked to end."""
 
 import asyncio
+import os
 import socket
 from collections.abc import Callable
 
@@ -43,6 +44,8 @@ def serve(
     Raises:
         UserError: The model cannot be loaded, or the address cannot be used.
     """
+    # NumPy's products are small here, and its threads would wait for each other by spinning. All processes inherit it.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     listener = _listen(host, port)
     jobs = Jobs(model_name, batch_size=batch_size, max_waiting=max_waiting)
     asyncio.run(_serve(jobs, listener, token, on_ready))
