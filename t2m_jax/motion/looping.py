@@ -98,7 +98,7 @@ def close_loop(
 def _travel(
     part: Float[np.ndarray, "T J 3"], speeds: Float[np.ndarray, " J"], skeleton: Skeleton
 ) -> Float[np.ndarray, "3"]:
-    """Returns how far a loop moves over the ground: as far as a foot that stands at the seam, so that it stays."""
+    """Returns how far a loop moves over the ground, so that a foot that does not move at the seam stays in place."""
     joints = [0, *skeleton.left_foot, *skeleton.right_foot]
     weights = 1 / (speeds[joints] ** 2 + STILL_SPEED**2)
     return np.average((part[-1] - part[0])[joints], axis=0, weights=weights) * HORIZONTAL

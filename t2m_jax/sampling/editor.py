@@ -99,7 +99,7 @@ class MotionEditor(MotionModel):
     ) -> Iterator[Motion]:
         """Returns an iterator over the motion of `generate_chain` while it is generated, in pieces of some seconds.
 
-        It needs the same memory for a motion of any length. Each piece goes on where the one before it ends, and says
+        It needs hardly more memory for a longer motion. Each piece goes on where the one before it ends, and says
         which sentences begin in it. Pieces are as decoded: together they are the motion that `generate_chain` returns
         with `raw=True`. Arguments, warnings and errors are those of `generate_chain`.
         """

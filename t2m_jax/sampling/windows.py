@@ -38,8 +38,8 @@ OVERLAP_SECONDS = 2.0
 CLEANED_WINDOWS = 8
 """Windows that are cleaned together."""
 EASE_SIGMA, EASE_SECONDS = 0.1, 0.5
-"""Standard deviation of the filter at the seam of two sentences, and the time on each side in which it fades, in
-seconds. Without it, joints accelerate 1.8 times as much there as elsewhere; with it, 1.3 times."""
+"""Standard deviation of the filter where two parts meet, and the time on each side in which it fades, in seconds.
+docs/howto/animator.md says how much joints accelerate there with it."""
 
 Codes = Int[np.ndarray, "_ R"]
 
@@ -55,7 +55,7 @@ class Place(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """Some rows of codes, and the raw features that they stand for."""
+    """Some rows of codes, and their raw features."""
 
     codes: Int[np.ndarray, "N R"]
     features: Float[np.ndarray, "T D"]

@@ -34,8 +34,8 @@ def save_bvh(
     """Writes `motion` as a BVH file, Y up.
 
     The OFFSETs are the rest pose, a T-pose. The OFFSET of the root is zero, so that its position channels mean the same
-    in programs that add them to OFFSET and in programs that do not. The line of the first End Site says where each
-    sentence begins, of a motion of several: there is no comment in BVH, but programs read over a name there.
+    in programs that add them to OFFSET and in programs that do not. If a motion has several sentences, the line of the
+    first End Site says where each begins: BVH has no comments, but the programs that were tried ignore text there.
 
     Args:
         path: The file.
