@@ -117,9 +117,18 @@ def save_config(path: str | Path, config: Any) -> None:
     """
     from t2m_jax.files import save_text
 
+    save_text(path, config_text(config, source=f"{path}"))
+
+
+def config_text(config: Any, *, source: str = "config") -> str:
+    """Returns every field of a config as YAML, defaults included.
+
+    Raises:
+        UserError: `load_config` could not read the values back.
+    """
     data = config_to_dict(config)
-    config_from_dict(type(config), data, source=f"{path}")
-    save_text(path, yaml_text(data))
+    config_from_dict(type(config), data, source=source)
+    return yaml_text(data)
 
 
 def override_config(config: T, args: Sequence[str], *, prog: str) -> T:

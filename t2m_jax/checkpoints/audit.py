@@ -9,7 +9,7 @@ from t2m_jax.checkpoints.best import BEST_FOLDER, find_best
 from t2m_jax.checkpoints.bundle import CONFIG_FILE, load_bundle
 from t2m_jax.checkpoints.evaluator import EVALUATOR_CONFIG, load_trained_evaluator
 from t2m_jax.checkpoints.model import load_generator_run
-from t2m_jax.checkpoints.run import CHECKPOINTS, Checkpoints, is_run, run_info
+from t2m_jax.checkpoints.run import CHECKPOINTS, Checkpoints, is_run, run_config_text, run_info
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.errors import UserError
 from t2m_jax.files import check_folder, has_manifest
@@ -51,6 +51,7 @@ def _audit_run(path: Path) -> Iterator[Part]:
     yield Part("run.yaml", problem)
     if problem:
         return  # it says how the rest is to be read
+    yield Part("config.yaml", _problem(run_config_text, path))
     yield _audit_folder(path, "statistics, sizes and words")
     with Checkpoints(path) as checkpoints:
         for step in checkpoints.steps():

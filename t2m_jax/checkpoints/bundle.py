@@ -12,8 +12,7 @@ import jax.numpy as jnp
 from tokenizers import Tokenizer
 
 from t2m_jax.checkpoints.derived import add_derived, drop_derived
-from t2m_jax.checkpoints.run import CONFIG_FILE as RUN_CONFIG_FILE
-from t2m_jax.checkpoints.run import DATA_FILE
+from t2m_jax.checkpoints.run import DATA_FILE, run_config_text
 from t2m_jax.checkpoints.text_encoder import (
     CLIP_NAME,
     ClipReference,
@@ -309,7 +308,7 @@ def write_bundle(
 
 def default_card(run: Path) -> str:
     """Returns the Markdown card of a model whose maker wrote none: the training config, and what is unknown."""
-    config = load_text(run / RUN_CONFIG_FILE).strip()
+    config = run_config_text(run).strip()
     return (
         f"---\nlicense: {NO_LICENSE}\n---\n# {run.name}\n\n"
         "A text-to-motion model trained with t2m_jax. Its makers did not say which data it was trained on, which\n"

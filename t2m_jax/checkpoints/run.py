@@ -4,6 +4,7 @@ import concurrent.futures
 import contextlib
 import dataclasses
 import errno
+import hashlib
 import logging
 import os
 import secrets
@@ -15,24 +16,36 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import jax
 
-from t2m_jax.config import load_versioned, save_config
+from t2m_jax.config import config_text, load_config, load_versioned, save_config
 from t2m_jax.distributed import is_writer, wait_for_all
 from t2m_jax.errors import UserError
-from t2m_jax.files import MANIFEST, PARTIAL, check_folder, commit_folder, first_line, write_manifest
+from t2m_jax.files import (
+    MANIFEST,
+    PARTIAL,
+    check_folder,
+    commit_folder,
+    first_line,
+    load_text,
+    save_text,
+    write_manifest,
+)
 
 logger = logging.getLogger(__name__)
 
 CONFIG_FILE, INFO_FILE, DATA_FILE = "config.yaml", "run.yaml", "training_data.json"
 CHECKPOINTS = "checkpoints"
 
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 """Version of new runs. Since version 2, every row of a batch has its own random keys, and the order of the data is
-another one. Runs of version 1 can be used, but not continued. Since version 3, checkpoints have manifests."""
+another one. Runs of version 1 can be used, but not continued. Since version 3, checkpoints have manifests. Since
+version 4, `config.yaml` has a checksum."""
 RESUMABLE_VERSION = 2
 """Oldest version of runs that can be continued."""
 MANIFEST_VERSION = 3
 """In runs of older versions, a checkpoint without a manifest may be intact."""
-
+SEALED_VERSION = 4
+"""In runs of older versions, a config without a checksum may be intact."""
+_SEAL = "# SHA-256 of the lines above: "
 
 DELETE_TRIES, DELETE_SECONDS = 20, 0.1
 """After Orbax has failed, its threads write for a moment. So their files are deleted again, after this time."""
@@ -51,6 +64,7 @@ class NamedFields(Protocol):
 
 
 State = TypeVar("State", bound=NamedFields)
+T = TypeVar("T")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -79,6 +93,13 @@ class _RunInfoV2(RunInfo):
     format_version: int = 2
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _RunInfoV3(RunInfo):
+    """The file in runs of version 3."""
+
+    format_version: int = 3
+
+
 def run_info(path: Path) -> RunInfo:
     """Returns what a run directory contains.
 
@@ -87,7 +108,7 @@ def run_info(path: Path) -> RunInfo:
     """
     if not is_run(path):
         raise UserError(f"{path}: not a run directory (it has no {INFO_FILE})")
-    return load_versioned(path / INFO_FILE, {1: _RunInfoV1, 2: _RunInfoV2, FORMAT_VERSION: RunInfo})
+    return load_versioned(path / INFO_FILE, {1: _RunInfoV1, 2: _RunInfoV2, 3: _RunInfoV3, FORMAT_VERSION: RunInfo})
 
 
 def check_resumable(path: Path) -> None:
@@ -116,9 +137,47 @@ def create_run(path: Path, kind: str, config: Any, *, data: str | None = None) -
     """
     (path / CONFIG_FILE).unlink(missing_ok=True)  # of an interrupted start; it changes when a run is extended
     write_manifest(path, CONSTANT_FILES)
-    save_config(path / CONFIG_FILE, config)
+    save_run_config(path, config)
     # Last, because a folder without this file is not a run: an interrupted start can simply be repeated.
     save_config(path / INFO_FILE, RunInfo(kind=kind, data=data))
+
+
+def save_run_config(path: Path, config: Any) -> None:
+    """Writes the config of a run. It ends with its own checksum, because a resumed run writes it again."""
+    text = config_text(config, source=f"{path / CONFIG_FILE}")
+    save_text(path / CONFIG_FILE, f"{text}{_seal(text)}")
+
+
+def run_config_text(path: Path) -> str:
+    """Returns the config of a run as it was written, without its checksum.
+
+    Raises:
+        UserError: It has changed since the run wrote it.
+    """
+    found = load_text(path / CONFIG_FILE)
+    text, mark, _ = found.rpartition(_SEAL)
+    if not mark and run_info(path).format_version < SEALED_VERSION:
+        return found
+    if found != f"{text}{_seal(text)}":
+        raise UserError(
+            f"{path / CONFIG_FILE}: has changed since the run wrote it, or is damaged; put the old file back, and give "
+            "what may change, such as loop.num_steps, as an option"
+        )
+    return text
+
+
+def read_run_config(path: Path, schema: type[T]) -> T:
+    """Returns the config of a run.
+
+    Raises:
+        UserError: It has changed since the run wrote it, or does not fit the schema.
+    """
+    run_config_text(path)
+    return load_config(path / CONFIG_FILE, schema)
+
+
+def _seal(text: str) -> str:
+    return f"{_SEAL}{hashlib.sha256(text.encode()).hexdigest()}\n"
 
 
 class Checkpoints:

@@ -10,9 +10,9 @@ import numpy as np
 from t2m_jax.checkpoints.bundle import BUNDLED, WEIGHTS_FILE, bundle_path
 from t2m_jax.checkpoints.bundle import CONFIG_FILE as BUNDLE_FILE
 from t2m_jax.checkpoints.model import load_model
-from t2m_jax.checkpoints.run import CONFIG_FILE, is_run, run_info
+from t2m_jax.checkpoints.run import is_run, read_run_config, run_info
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
-from t2m_jax.config import flat_fields, load_config
+from t2m_jax.config import flat_fields
 from t2m_jax.data.folder import Dataset, open_dataset
 from t2m_jax.distributed import is_writer
 from t2m_jax.errors import UserError
@@ -63,7 +63,7 @@ def check_new_run(run: Path) -> None:
 
 def check_same_config(config: ExperimentConfig) -> None:
     """Raises `UserError` if a run was started with other values of fields that must not change."""
-    saved = flat_fields(load_config(config.run / CONFIG_FILE, type(config)))
+    saved = flat_fields(read_run_config(config.run, type(config)))
     for name, value in flat_fields(config).items():
         if not {name, name.partition(".")[0]} & set(MAY_CHANGE) and not _is_same(config, name, saved[name], value):
             raise UserError(

@@ -17,16 +17,16 @@ import jax
 
 from t2m_jax.checkpoints.best import forget_best
 from t2m_jax.checkpoints.run import (
-    CONFIG_FILE,
     DATA_FILE,
     check_resumable,
     check_run_files,
     create_run,
     has_checkpoint,
+    read_run_config,
     restore_latest,
     run_info,
+    save_run_config,
 )
-from t2m_jax.config import load_config, save_config
 from t2m_jax.data.banks.host import FeedPlan
 from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.data.summary import save_training_data, summarize_training_data
@@ -143,7 +143,7 @@ def load_run_config(run: Path) -> Any:
         UserError: The folder is not a run, or its config is damaged.
     """
     schema: Any = find_trainer(run_info(run).kind).config
-    return load_config(run / CONFIG_FILE, schema)
+    return read_run_config(run, schema)
 
 
 def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
@@ -192,7 +192,7 @@ def _train(config: ExperimentConfig, *, resume: bool) -> Any:
 def write_run(config: ExperimentConfig, setup: Setup, *, resume: bool) -> None:
     """Makes a folder a run, or writes the config of a run that is resumed."""
     if resume:
-        save_config(config.run / CONFIG_FILE, config)  # so that a run that is extended says so
+        save_run_config(config.run, config)  # so that a run that is extended says so
         return
     forget_best(config.run)
     setup.write_parts(config.run)

@@ -1,5 +1,6 @@
 """Run directories: what is written comes back, and what is broken is refused by name."""
 
+import contextlib
 import dataclasses
 import random
 import shutil
@@ -12,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from t2m_jax.checkpoints import audit_model
 from t2m_jax.checkpoints.run import (
     CHECKPOINTS,
     CONFIG_FILE,
@@ -21,6 +23,7 @@ from t2m_jax.checkpoints.run import (
     check_resumable,
     create_run,
     is_run,
+    read_run_config,
     restore_latest,
     run_info,
 )
@@ -86,6 +89,25 @@ def test_a_run_says_what_it_is(saved):
     assert is_run(saved)
     assert run_info(saved).kind == "vqvae"
     assert load_config(saved / CONFIG_FILE, Config) == Config(width=7)
+
+
+def test_a_changed_byte_of_the_config_shows(copy):
+    path = copy / CONFIG_FILE
+    whole = path.read_bytes()
+    assert read_run_config(copy, Config) == Config(width=7)
+    for place in range(len(whole)):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        with pytest.raises(UserError, match=rf"{CONFIG_FILE}: has changed since the run wrote it, or is damaged"):
+            read_run_config(copy, Config)
+    assert [part.name for part in audit_model(copy) if CONFIG_FILE in part.problem] == [CONFIG_FILE]
+
+
+@pytest.mark.parametrize(("version", "is_accepted"), [(3, True), (4, False)])
+def test_the_config_of_an_older_version_has_no_checksum(copy, version, is_accepted):
+    (copy / INFO_FILE).write_text(f"kind: vqvae\nformat_version: {version}", encoding="utf-8")
+    (copy / CONFIG_FILE).write_text("width: 8", encoding="utf-8")
+    with contextlib.nullcontext() if is_accepted else pytest.raises(UserError, match="has changed since the run"):
+        assert read_run_config(copy, Config) == Config(width=8)
 
 
 def test_an_interrupted_start_can_be_repeated(tmp_path):
@@ -169,8 +191,8 @@ def test_runs_of_the_first_format_are_read_but_not_continued(copy, content):
 
 
 def test_new_runs_have_todays_format_and_can_be_resumed(saved, tmp_path):
-    assert run_info(saved).format_version == FORMAT_VERSION == 3
-    assert "format_version: 3" in (saved / INFO_FILE).read_text(encoding="utf-8")
+    assert run_info(saved).format_version == FORMAT_VERSION == 4
+    assert "format_version: 4" in (saved / INFO_FILE).read_text(encoding="utf-8")
     check_resumable(saved)
     with pytest.raises(UserError, match="not a run directory"):
         check_resumable(tmp_path)

@@ -19,6 +19,7 @@ from t2m_jax.checkpoints.run import run_info
 from t2m_jax.checkpoints.sentence import load_sentence_tokenizer, read_sentence_config
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.checkpoints.torch_file import load_torch_file
+from t2m_jax.config import load_config
 from t2m_jax.data import open_dataset
 from t2m_jax.data.audit import audit_dataset
 from t2m_jax.data.files import read_names
@@ -39,8 +40,7 @@ from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.text.bpe import load_bpe
 from t2m_jax.text.clip_bpe import load_clip_bpe
 from t2m_jax.text.word_vectors import load_vocabulary, load_word_vectors
-from t2m_jax.train import train
-from t2m_jax.train.experiment import load_run_config
+from t2m_jax.train import TrainVqVaeConfig, train
 from t2m_jax.train.log import _keep_rows
 from tests.bench.conftest import report as bench_report
 from tests.data.bvh_files import write_bvh
@@ -139,7 +139,7 @@ FILES: Mapping[str, Callable[[Path], object]] = {
     "evaluator/words.txt": lambda root: load_vocabulary(root / "evaluator" / "words.txt"),
     "data/train.txt": lambda root: read_names(root / "data" / "train.txt"),
     "data/dataset.yaml": lambda root: open_dataset(root / "data"),
-    "run/config.yaml": lambda root: load_run_config(root / "run"),
+    "run/config.yaml": lambda root: load_config(root / "run" / "config.yaml", TrainVqVaeConfig),
     "run/run.yaml": lambda root: run_info(root / "run"),
     "run/train.csv": lambda root: _keep_rows(root / "run" / "train.csv", 4),
     "clip/full/config.json": lambda root: read_clip_config(root / "clip" / "full"),

@@ -10,6 +10,7 @@ import pytest
 
 from t2m_jax.checkpoints import audit_model, load_model, load_tokenizer
 from t2m_jax.checkpoints.tokenizer import save_tokenizer_copy
+from t2m_jax.cli.main import main
 from t2m_jax.errors import UserError
 from t2m_jax.train import train
 from tests.tiny import LOOP, gpt_training, vqvae_training
@@ -179,6 +180,15 @@ def test_weights_and_statistics_of_the_start_may_move_but_not_change(stage, runs
             resume(**fields)
     moved = {"init": copied(runs.vqvae, "init-2"), "statistics": f"{copied(statistics, 'statistics-2')}"}
     resume(**moved)
+
+
+@pytest.mark.parametrize("stage", ["vqvae"], indirect=True)
+def test_a_seed_that_was_edited_in_a_run_is_not_taken(stage, capsys):
+    run = shutil.copytree(stage.finished, stage.config.run)
+    path = run / "config.yaml"
+    path.write_text(path.read_text().replace("seed: 0", "seed: 1"))
+    assert main(["train", "vqvae", "--run", f"{run}", "--resume"]) == 2
+    assert "config.yaml: has changed since the run wrote it" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("stage", STAGES, indirect=True)
