@@ -26,8 +26,10 @@ DAMAGED_ARRAY = (
     MemoryError,
     OverflowError,
     zipfile.BadZipFile,
+    Warning,
 )
-"""What `np.load` raises for damaged files. It parses the header as Python source and trusts the sizes in it."""
+"""What `np.load` raises for damaged files. It parses the header as Python source, trusts the sizes in it, and warns of
+headers that old versions wrote. These warnings may have been made errors."""
 DAMAGED_ARCHIVE = (zlib.error, struct.error, AttributeError, LookupError, RuntimeError)
 """What it also raises for damaged archives; `RuntimeError` for encrypted ones and unknown compression."""
 MAX_UNPACKED = 2**28

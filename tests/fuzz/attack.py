@@ -40,7 +40,6 @@ def check(read: Callable[[], object], folder: Path) -> bool:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            warnings.filterwarnings("ignore", ".*created on Python 2")  # NumPy reads its header and says so
             read()
     except UserError as error:
         message = str(error).replace(str(folder), "")
