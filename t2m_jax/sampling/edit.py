@@ -1,7 +1,6 @@
 """Motion from several sentences, or after a given motion: known codes are read, and sampling goes on from them."""
 
-import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import jax
@@ -132,18 +131,16 @@ def join_parts(
     model: MotionModel, parts: Sequence[Part], codes: Sequence[Codes], *, start: Codes | None, seed: int, raw: bool
 ) -> Motion:
     """Returns the motion of the parts of one sample, in which each sentence fades into the next."""
-    pieces = [*([] if start is None else [np.asarray(start, np.int32)]), *codes]
-    ends = model.config.tokenizer.downsample * np.cumsum([len(piece) for piece in pieces])
-    starts = [0, *ends[:-1].tolist()][-len(parts) :]
-    numbered = list(zip(sentence_numbers(parts), codes, strict=True))
-    if start is not None:
-        numbered.insert(0, (numbered[0][0], np.asarray(start, np.int32)))
+    downsample = model.config.tokenizer.downsample
+    placed = list(place_codes(parts, codes, start=start))
+    numbered = [(piece.number, piece.codes) for piece in placed]
     decoded = list(decode_sentences(model.tokenizer, numbered, skeleton=model.skeleton))
     rows, features, positions = map(np.concatenate, zip(*decoded, strict=True))
     cleaned = None
     if not raw:
-        size = model.config.generator.max_codes * model.config.tokenizer.downsample
-        eased = ease_seams(positions, [first for first in starts if first], fps=model.skeleton.fps)
+        size = model.config.generator.max_codes * downsample
+        seams = [piece.first * downsample for piece in placed if piece.first]
+        eased = ease_seams(positions, seams, fps=model.skeleton.fps)
         cleaned = clean_long(eased, skeleton=model.skeleton, size=size)
     return Motion(
         positions if cleaned is None else cleaned,
@@ -154,16 +151,35 @@ def join_parts(
         codes=rows,
         caption=chain_caption(parts),
         seed=seed,
-        part_starts=tuple(first for first, part in zip(starts, parts, strict=True) if part.begins),
-        part_captions=tuple(part.prompt.text for part in parts if part.begins),
+        part_starts=tuple(piece.first * downsample for piece in placed if piece.sentence is not None),
+        part_captions=tuple(piece.sentence for piece in placed if piece.sentence is not None),
         warning=" ".join(dict.fromkeys(part.prompt.warning for part in parts if part.prompt.warning)),
         unknown_words=tuple(dict.fromkeys(word for part in parts for word in part.prompt.unknown_words)),
     )
 
 
-def sentence_numbers(parts: Sequence[Part]) -> list[int]:
-    """Returns the number of the sentence that each part belongs to."""
-    return list(itertools.accumulate(int(part.begins) for part in parts))
+class PlacedCodes(NamedTuple):
+    """New codes of a motion, and where they stand in it."""
+
+    number: int
+    """Of the sentence that they belong to."""
+    first: int
+    """Rows before them."""
+    sentence: str | None
+    """The sentence, if it begins here."""
+    codes: Codes
+
+
+def place_codes(parts: Sequence[Part], codes: Iterable[Codes], *, start: Codes | None) -> Iterator[PlacedCodes]:
+    """Yields the codes of the parts of one sample; those of `start` come first and belong to the first sentence."""
+    number = count = 0
+    if start is not None:
+        yield PlacedCodes(1, 0, None, np.asarray(start, np.int32))
+        count = len(start)
+    for part, new in zip(parts, codes, strict=True):
+        number += part.begins
+        yield PlacedCodes(number, count, part.prompt.text if part.begins else None, new)
+        count += len(new)
 
 
 def chain_caption(parts: Sequence[Part]) -> str:
@@ -179,15 +195,10 @@ def stream_parts(
     downsample, caption, frames = model.config.tokenizer.downsample, chain_caption(parts), 0
 
     def numbered() -> Iterator[tuple[int, Codes]]:
-        numbers = sentence_numbers(parts)
-        count = 0 if start is None else len(start)
-        if start is not None:
-            yield numbers[0], np.asarray(start, np.int32)
-        for number, part, new in zip(numbers, parts, codes, strict=True):
-            if part.begins:
-                begun.append((count * downsample, part.prompt.text))
-            count += len(new)
-            yield number, new
+        for piece in place_codes(parts, codes, start=start):
+            if piece.sentence is not None:
+                begun.append((piece.first * downsample, piece.sentence))
+            yield piece.number, piece.codes
 
     for piece in decode_sentences(model.tokenizer, numbered(), skeleton=model.skeleton):
         last = frames + len(piece.positions)
