@@ -191,9 +191,13 @@ def codes_at(bank: CodeBank, stream: str, step: Int[Array, ""], *, config: Train
     return code_batch_at(bank, key, step, batch_size=config.loop.batch_size, max_codes=config.model.max_codes)
 
 
+TRAINING_FIELDS = ("step", "opt_state", "head")
+"""Fields of a training state that are no part of the model."""
+
+
 def weights_of(state: Any) -> dict[str, Any]:
     """Returns the fields of a training state that are the model: its collections, each with one entry per kind."""
-    return {name: tree for name, tree in state._asdict().items() if name not in ("step", "opt_state")}
+    return {name: tree for name, tree in state._asdict().items() if name not in TRAINING_FIELDS}
 
 
 class CaptionReader(NamedTuple):

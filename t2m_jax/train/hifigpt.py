@@ -13,11 +13,13 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.data.banks.codes import Captions, CodeBank, CodeBatch
 from t2m_jax.data.banks.order import row_keys, split_each
-from t2m_jax.devices import own_rows, split_rows
+from t2m_jax.devices import global_rows, global_sum, own_rows, split_rows
 from t2m_jax.errors import UserError
-from t2m_jax.losses import TokenMean, mean_weights, stop_loss, token_accuracy, token_loss
+from t2m_jax.losses import TokenMean, infonce_loss, mean_weights, stop_loss, token_accuracy, token_loss
+from t2m_jax.models.contrastive import ContrastiveHead
 from t2m_jax.models.hifigpt import HiFiGpt, HiFiGptConfig
 from t2m_jax.models.rows import Precision, apply_rows, in_precision
+from t2m_jax.text.bpe import CaptionTokens
 from t2m_jax.train.config import LoopConfig
 from t2m_jax.train.experiment import Setup, Trainer
 from t2m_jax.train.generator import (
@@ -34,6 +36,10 @@ from t2m_jax.train.optimizer import Metrics, OptimizerConfig, descend_in_parts, 
 from t2m_jax.train.streams import stream_key
 
 CorruptionKind = Literal["rows", "codes", "none"]
+HEAD = "contrastive_head"
+"""Name of the module."""
+TEMPERATURE = 0.1
+"""Of the contrastive loss, for squared distances of unit vectors."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -60,6 +66,9 @@ class TrainHiFiGptConfig(TrainGeneratorConfig):
     """Weight of the stop loss."""
     stop_positive_weight: float = 1.0
     """Weight of the last row of a motion in the stop loss."""
+    contrastive_weight: float = 0.0
+    """Weight of a loss by which the caption encoder learns which motion of a batch each caption is about. It is not in
+    the paper; manners and paces are learned much faster with it (`docs/ablations.md`)."""
     optimizer: OptimizerConfig = OptimizerConfig(
         learning_rate=1e-4, betas=(0.9, 0.95), weight_decay=1e-6, clip_norm=1.0, cosine=(37_500, 300_000)
     )
@@ -74,6 +83,10 @@ class TrainHiFiGptConfig(TrainGeneratorConfig):
                 raise ValueError(f"{name}: {getattr(self, name)} is not a probability between 0 and 1")
         if self.condition_dropout == 0 and self.model.guidance_scale != 1:
             raise ValueError("condition_dropout: without it, guidance means nothing; set model.guidance_scale to 1")
+        if self.contrastive_weight and self.text_encoder != "caption_encoder":
+            raise ValueError(f"contrastive_weight: the {self.text_encoder} encoder is not trained; set the weight to 0")
+        if self.contrastive_weight and self.model.code_embedding == "learned":
+            raise ValueError("contrastive_weight: needs the tokenizer's codes; model.code_embedding learned has none")
 
 
 class HiFiGptState(NamedTuple):
@@ -84,6 +97,8 @@ class HiFiGptState(NamedTuple):
     codebook: Any
     """The tokenizer's codebook, as a collection of the `hifigpt`; empty if the model learns its own table."""
     opt_state: optax.OptState
+    head: Any = {}  # noqa: RUF012 - nothing changes it
+    """Parameters of the `contrastive_head`, which is no part of the model; empty without its loss."""
 
 
 class HiFiGptBatch(NamedTuple):
@@ -113,7 +128,18 @@ def init_hifigpt_state(config: TrainHiFiGptConfig, key: Key[Array, ""]) -> HiFiG
     variables = HiFiGpt(config.model).init(gpt_key, codes, jnp.zeros((1, config.model.text_dim)), train=False)
     params = {"hifigpt": variables["params"]} | init_caption_encoder(config, caption_key)
     codebook = {"hifigpt": variables["codebook"]} if "codebook" in variables else {}
-    return HiFiGptState(jnp.array(0, jnp.int32), params, codebook, make_optimizer(config.optimizer).init(params))
+    head = init_head(config)
+    opt_state = make_optimizer(config.optimizer).init(params | head)
+    return HiFiGptState(jnp.array(0, jnp.int32), params, codebook, opt_state, head)
+
+
+def init_head(config: TrainHiFiGptConfig) -> dict[str, Any]:
+    """Returns the parameters of the `contrastive_head`, if its loss has a weight."""
+    if not config.contrastive_weight:
+        return {}
+    text, rows = jnp.zeros((1, config.model.text_dim)), jnp.zeros((1, 1, config.model.code_dim))
+    variables = ContrastiveHead().init(stream_key(config.loop.seed, HEAD), text, rows, jnp.ones((1, 1), bool))
+    return {HEAD: variables["params"]}
 
 
 def with_codebook(state: HiFiGptState, tokenizer: TrainedTokenizer) -> HiFiGptState:
@@ -182,6 +208,7 @@ def hifigpt_metrics(
     params, codebook, captions = in_precision((params, codebook, batch.captions), precision)
     keys = (None, None) if batch.dropout_keys is None else (batch.dropout_keys[:, 0], batch.dropout_keys[:, 1])
     text = embed_captions(params, captions, keys[0], config=config)
+    contrastive = contrastive_loss(params[HEAD], codebook, batch, text) if config.contrastive_weight else None
     text = jnp.where(batch.dropped[:, None], jnp.zeros_like(text), text)
     variables = {"params": params["hifigpt"]} | ({"codebook": codebook["hifigpt"]} if codebook else {})
     model = HiFiGpt(config.model, remat=config.remat)
@@ -193,7 +220,24 @@ def hifigpt_metrics(
     stop = stop_loss(output.stop_logits, batch.is_last, batch.weights, positive_weight=config.stop_positive_weight)
     loss = jnp.mean(nll) + config.stop_weight * stop
     metrics = {"loss": loss, "nll": jnp.mean(nll), "stop": stop, "accuracy": jnp.mean(accuracy)}
+    if contrastive is not None:
+        metrics |= {"loss": loss + config.contrastive_weight * contrastive, "contrastive": contrastive}
     return metrics | by_depth("nll", nll) | by_depth("accuracy", accuracy)
+
+
+def contrastive_loss(
+    params: Any, codebook: Any, batch: HiFiGptBatch, text_embedding: Float[Array, "B E"]
+) -> Float[Array, ""]:
+    """Returns the share of a part of a batch in the InfoNCE loss of captions and motions; `params` are the head's.
+
+    The other motions of the part, on all devices, are the negatives.
+    """
+    assert isinstance(batch.captions, CaptionTokens), "the config needs a caption encoder"
+    rows = codebook["hifigpt"]["codebook"][batch.codes].sum(axis=2)
+    embedded = ContrastiveHead().apply({"params": params}, text_embedding, rows, batch.weights > 0)
+    (text, motion), tokens = global_rows((embedded, batch.captions.tokens))
+    same = jnp.all(tokens[:, None] == tokens[None, :], axis=-1)
+    return infonce_loss(text, motion, same, temperature=TEMPERATURE) * global_sum(jnp.sum(batch.weights))
 
 
 def hifigpt_train_step(
@@ -204,7 +248,10 @@ def hifigpt_train_step(
     def measure(params: Any, part: HiFiGptBatch) -> Metrics:
         return hifigpt_metrics(params, state.codebook, part, config=config, precision=config.precision)
 
-    return descend_in_parts(state, measure, batch, config.optimizer, num_parts=config.num_parts)
+    together = state._replace(params=state.params | state.head)
+    after, metrics = descend_in_parts(together, measure, batch, config.optimizer, num_parts=config.num_parts)
+    params, head = ({name: after.params[name] for name in part} for part in (state.params, state.head))
+    return after._replace(params=params, head=head), metrics
 
 
 def training_batch(bank: CodeBank, step: Int[Array, ""], *, config: TrainHiFiGptConfig) -> HiFiGptBatch:
@@ -230,6 +277,8 @@ def update(state: HiFiGptState, bank: CodeBank, *, config: TrainHiFiGptConfig) -
 def validate(state: HiFiGptState, bank: CodeBank, step: Int[Array, ""], *, config: TrainHiFiGptConfig) -> Metrics:
     """Returns the metrics of a batch of held-out motions, with clean codes and all texts."""
     batch = make_hifigpt_batch(codes_at(bank, "validation", step, config=config), config=config)
+    # The best weights are those of the best generator, whatever else it learns from.
+    config = dataclasses.replace(config, contrastive_weight=0.0)
     return hifigpt_metrics(state.params, state.codebook, batch, config=config)
 
 

@@ -41,6 +41,7 @@ def configs(folder: Path) -> dict[str, ExperimentConfig]:
     """Returns one training of each kind; the batch norm of the VQ-VAE sees all devices, too."""
     vqvae = tiny.vqvae_training(folder / "data", folder / "none", loop=LOOP)
     gpt = tiny.gpt_training(folder / "data", folder / "vqvae", folder / "none", loop=LOOP)
+    hifigpt = tiny.hifigpt_training(folder / "data", folder / "rvqvae", folder / "none", loop=LOOP)
     model = dataclasses.replace(vqvae.model, norm="BN", num_stages=1)
     return {
         "vqvae": dataclasses.replace(vqvae, model=model, window=16),
@@ -49,7 +50,7 @@ def configs(folder: Path) -> dict[str, ExperimentConfig]:
             data=folder / "data", run=folder / "none", init=folder / "evaluator", model=tiny.EVALUATOR, loop=LOOP
         ),
         "rvqvae": tiny.rvqvae_training(folder / "data", folder / "none", loop=LOOP),
-        "hifigpt": tiny.hifigpt_training(folder / "data", folder / "rvqvae", folder / "none", loop=LOOP),
+        "hifigpt": dataclasses.replace(hifigpt, contrastive_weight=0.5),
     }
 
 

@@ -15,6 +15,7 @@ from t2m_jax.cli.main import main
 from t2m_jax.data import open_dataset
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.report.record import load_report
+from t2m_jax.models.hifigpt import HiFiGptConfig
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.train import train
 from t2m_jax.train.hifigpt import TrainHiFiGptConfig, corrupt_codes
@@ -27,14 +28,14 @@ def both(data, tmp_path_factory):
     """The runs of both stages."""
     folder = tmp_path_factory.mktemp("hifigpt")
     train(tiny.rvqvae_training(data, folder / "rvqvae"))
-    train(tiny.hifigpt_training(data, folder / "rvqvae", folder / "hifigpt"))
+    train(config_of("hifigpt", data, folder, folder / "hifigpt"))
     return folder
 
 
 def config_of(kind, data, both, run):
     if kind == "rvqvae":
         return tiny.rvqvae_training(data, run)
-    return tiny.hifigpt_training(data, both / "rvqvae", run)
+    return dataclasses.replace(tiny.hifigpt_training(data, both / "rvqvae", run), contrastive_weight=0.5)
 
 
 @pytest.mark.parametrize("kind", ["rvqvae", "hifigpt"])
@@ -61,6 +62,10 @@ def test_the_log_shows_every_depth(both, capsys):
         last = list(csv.DictReader(file))[-1]
     depths = [float(last[f"nll/{w}"]) for w in (1, 2, 3)]
     np.testing.assert_allclose(np.mean(depths), float(last["nll"]), rtol=1e-5)
+    terms = float(last["nll"]) + float(last["stop"]) + 0.5 * float(last["contrastive"])
+    np.testing.assert_allclose(float(last["loss"]), terms, rtol=1e-5)
+    with (both / "hifigpt" / "val.csv").open(encoding="utf-8") as file:  # what chooses the best weights
+        last = list(csv.DictReader(file))[-1]
     np.testing.assert_allclose(float(last["loss"]), float(last["nll"]) + float(last["stop"]), rtol=1e-5)
 
 
@@ -167,6 +172,8 @@ def test_corruption_replaces_rows_or_codes(kind):
         ({"tau": 1.5}, "tau: 1.5 is not a probability"),
         ({"condition_dropout": 0.0}, "condition_dropout: without it, guidance means nothing"),
         ({"num_parts": 3}, "num_parts: 3 does not divide"),
+        ({"contrastive_weight": 0.5, "text_encoder": "clip"}, "contrastive_weight: the clip encoder is not trained"),
+        ({"contrastive_weight": 0.5, "model": HiFiGptConfig(code_embedding="learned")}, "contrastive_weight: needs"),
     ],
 )
 def test_impossible_configs_are_refused(options, message):
