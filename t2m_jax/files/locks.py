@@ -3,13 +3,19 @@
 import contextlib
 import os
 import re
+import signal
 import stat
+import threading
 import time
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from t2m_jax.errors import UserError
+
+if TYPE_CHECKING:
+    from filelock import SoftFileLock
 
 MAX_NAME = 60
 """Longest name that is repeated in the names of locks and unfinished files. File systems limit names to 255 bytes."""
@@ -18,6 +24,10 @@ OWNERLESS_SECONDS = 10.0
 writing its own name, which takes milliseconds; the rest is for network file systems whose clocks differ."""
 MAX_LOCK_FILE = 1024
 """Bytes of a lock file that are read: its owner is in the first 300, and a damaged file may have any size."""
+
+
+ENDING_SIGNALS = ("SIGINT", "SIGTERM", "SIGUSR1")
+"""Ctrl-C, the end of a cluster's job, and the notice that a machine is taken away; Windows has no SIGUSR1."""
 
 
 class LockedError(UserError):
@@ -41,10 +51,26 @@ def lock(path: Path) -> Iterator[None]:
         LockedError: Another process holds it.
         OSError: The file cannot be written.
     """
-    from filelock import SoftFileLock, Timeout  # here, because reading needs no locks
+    from filelock import SoftFileLock  # here, because reading needs no locks
 
     place = path.absolute().with_name(f".{short_name(path)}.lock")
     holder = SoftFileLock(place, timeout=0, is_singleton=True, thread_local=False)
+    is_held = False
+    try:
+        with _signals_later():
+            _acquire(holder, path, place)
+            is_held = True
+        yield
+    finally:
+        if is_held:
+            with _signals_later():
+                holder.release()
+
+
+def _acquire(holder: "SoftFileLock", path: Path, place: Path) -> None:
+    """Takes the lock of a destination, or raises `LockedError`."""
+    from filelock import Timeout
+
     try:
         try:
             holder.acquire()
@@ -57,10 +83,30 @@ def lock(path: Path) -> Iterator[None]:
             owner = _owner(place) or owner
         advice = f"wait for it, or delete {place} if that process is gone"
         raise LockedError(f"{path}: is being written by {owner}; {advice}") from None
+
+
+@contextlib.contextmanager
+def _signals_later() -> Iterator[None]:
+    """Keeps signals that would raise an exception until the end of the block, which must be short.
+
+    Otherwise, an exception right after the file was created would leave a file that nobody knows.
+    """
+    if threading.current_thread() is not threading.main_thread():  # signals raise nothing in other threads
+        yield
+        return
+    came: list[int] = []
+    numbers = [getattr(signal, name) for name in ENDING_SIGNALS if hasattr(signal, name)]
+    handlers = {number: signal.getsignal(number) for number in numbers}
+    handlers = {number: handler for number, handler in handlers.items() if callable(handler)}
     try:
+        for number in handlers:
+            signal.signal(number, lambda number, _: came.append(number))
         yield
     finally:
-        holder.release()
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for number in came:
+            signal.raise_signal(number)
 
 
 def _owner(place: Path) -> str | None:

@@ -10,8 +10,7 @@ from types import FrameType
 import jax
 from jax.experimental import multihost_utils
 
-SIGNALS = ("SIGINT", "SIGTERM", "SIGUSR1")
-"""Ctrl-C, the end of a cluster's job, and the notice that a machine is taken away; Windows has no SIGUSR1."""
+from t2m_jax.files.locks import ENDING_SIGNALS
 
 
 @contextlib.contextmanager
@@ -33,7 +32,7 @@ def stop_requests() -> Iterator[Callable[[int], int | None]]:
 
     several = jax.process_count() > 1
     # With several processes, JAX has a handler of SIGTERM of its own, through which they agree on a step.
-    handlers = {"SIGUSR1": pass_on} if several else dict.fromkeys(SIGNALS, remember)
+    handlers = {"SIGUSR1": pass_on} if several else dict.fromkeys(ENDING_SIGNALS, remember)
     if threading.current_thread() is not threading.main_thread():
         handlers = {}  # only the main thread may have handlers
     numbers = {getattr(signal, name): handler for name, handler in handlers.items() if hasattr(signal, name)}
