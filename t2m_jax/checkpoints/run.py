@@ -47,8 +47,9 @@ SEALED_VERSION = 4
 """In runs of older versions, a config without a checksum may be intact."""
 _SEAL = "# SHA-256 of the lines above: "
 
-DELETE_TRIES, DELETE_SECONDS = 20, 0.1
-"""After Orbax has failed, its threads write for a moment. So their files are deleted again, after this time."""
+DELETE_TRIES, QUIET_TRIES, DELETE_SECONDS = 50, 5, 0.1
+"""After Orbax has failed, its threads write for a moment. So their files are deleted again and again, until none has
+come for some tries."""
 
 
 CONSTANT_FILES = ("*.npy", "*.yaml", "*.json", "words.txt", f"*/{MANIFEST}")
@@ -300,11 +301,13 @@ class Checkpoints:
 
     def _delete_unfinished(self) -> None:
         """Deletes what could not be written, or what a killed process left."""
+        quiet = QUIET_TRIES  # nothing has failed: one look is enough
         for _ in range(DELETE_TRIES if is_writer() else 0):
             leftovers = list(self._folder.glob(f".*{PARTIAL}*"))
             for leftover in leftovers:
                 shutil.rmtree(leftover, ignore_errors=True)
-            if not any(leftover.exists() for leftover in leftovers):
+            quiet = 0 if leftovers else quiet + 1
+            if quiet > QUIET_TRIES:
                 break
             time.sleep(DELETE_SECONDS)
 

@@ -6,6 +6,8 @@ import random
 import shutil
 import subprocess
 import sys
+import threading
+import time
 from typing import NamedTuple
 
 import jax
@@ -29,6 +31,7 @@ from t2m_jax.checkpoints.run import (
 )
 from t2m_jax.config import load_config
 from t2m_jax.errors import UserError
+from t2m_jax.files import PARTIAL
 
 
 class State(NamedTuple):
@@ -285,6 +288,24 @@ def test_a_run_does_not_start_over_because_all_its_checkpoints_are_damaged(copy)
     for _ in range(2):
         with pytest.raises(UserError, match=r"6/manifest\.txt: damaged; .* \(no older checkpoint is intact\)"):
             restore_latest(copy, state_at(0))
+
+
+def test_what_is_written_late_after_a_failure_is_deleted_too(copy):
+    late = copy / CHECKPOINTS / f".9{PARTIAL}"
+
+    def write_again():
+        while late.exists():
+            time.sleep(0.01)
+        time.sleep(0.15)
+        late.mkdir()
+
+    with Checkpoints(copy) as checkpoints:
+        checkpoints.save(8, state_at(8))
+        late.mkdir()
+        thread = threading.Thread(target=write_again)
+        thread.start()
+    thread.join()
+    assert not late.exists()
 
 
 def test_checkpoints_of_a_stage_in_a_run_need_manifests(copy):
