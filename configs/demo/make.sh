@@ -1,5 +1,5 @@
 #!/bin/sh
-# Makes the packaged model `demo` again, from the data to the bundle. About three hours on two CPU cores.
+# Makes the packaged model `demo` again, from the data to the bundle. About four hours on two CPU cores.
 #   sh configs/demo/make.sh BANDAI FREE
 # BANDAI is the folder of the Bandai-Namco-Research-Motiondataset, with the lists of its splits. configs/free/dataset.yaml says what FREE has.
 # A training that was interrupted goes on with `t2m train rvqvae --run runs/demo-rvqvae --resume` (hifigpt: runs/demo).
@@ -13,5 +13,6 @@ t2m train rvqvae configs/demo/decoder.yaml
 t2m train hifigpt configs/demo/hifigpt_single.yaml
 t2m train hifigpt configs/demo/hifigpt_composed.yaml
 t2m train hifigpt configs/demo/hifigpt.yaml
+t2m train hifigpt configs/demo/hifigpt_contrastive.yaml
 rm -rf t2m_jax/bundles/demo
 t2m bundle runs/demo t2m_jax/bundles/demo --card configs/demo/card.md
