@@ -4,7 +4,6 @@ import concurrent.futures
 import contextlib
 import dataclasses
 import errno
-import hashlib
 import logging
 import os
 import secrets
@@ -16,7 +15,7 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import jax
 
-from t2m_jax.config import config_text, load_config, load_versioned, save_config
+from t2m_jax.config import config_text, load_versioned, save_config
 from t2m_jax.distributed import is_writer, wait_for_all
 from t2m_jax.errors import UserError
 from t2m_jax.files import (
@@ -25,8 +24,8 @@ from t2m_jax.files import (
     check_folder,
     commit_folder,
     first_line,
-    load_text,
-    save_text,
+    load_sealed,
+    save_sealed,
     write_manifest,
 )
 
@@ -41,16 +40,12 @@ another one. Runs of version 1 can be used, but not continued. Since version 3, 
 version 4, `config.yaml` has a checksum."""
 RESUMABLE_VERSION = 2
 """Oldest version of runs that can be continued."""
-MANIFEST_VERSION = 3
-"""In runs of older versions, a checkpoint without a manifest may be intact."""
-SEALED_VERSION = 4
-"""In runs of older versions, a config without a checksum may be intact."""
-_SEAL = "# SHA-256 of the lines above: "
+MANIFEST_VERSION, SEALED_VERSION = 3, 4
+"""In runs of older versions, a checkpoint without a manifest and a config without a checksum may be intact."""
 
 DELETE_TRIES, QUIET_TRIES, DELETE_SECONDS = 50, 5, 0.1
 """After Orbax has failed, its threads write for a moment. So their files are deleted again and again, until none has
 come for some tries."""
-
 
 CONSTANT_FILES = ("*.npy", "*.yaml", "*.json", "words.txt", f"*/{MANIFEST}")
 """What a run keeps as it was at its start: statistics, sizes, words, and the manifest of the copy of its tokenizer, by
@@ -65,7 +60,6 @@ class NamedFields(Protocol):
 
 
 State = TypeVar("State", bound=NamedFields)
-T = TypeVar("T")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -87,20 +81,6 @@ class _RunInfoV1(RunInfo):
     format_version: int = 1
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class _RunInfoV2(RunInfo):
-    """The file in runs of version 2."""
-
-    format_version: int = 2
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class _RunInfoV3(RunInfo):
-    """The file in runs of version 3."""
-
-    format_version: int = 3
-
-
 def run_info(path: Path) -> RunInfo:
     """Returns what a run directory contains.
 
@@ -109,7 +89,7 @@ def run_info(path: Path) -> RunInfo:
     """
     if not is_run(path):
         raise UserError(f"{path}: not a run directory (it has no {INFO_FILE})")
-    return load_versioned(path / INFO_FILE, {1: _RunInfoV1, 2: _RunInfoV2, 3: _RunInfoV3, FORMAT_VERSION: RunInfo})
+    return load_versioned(path / INFO_FILE, {1: _RunInfoV1} | dict.fromkeys(range(2, FORMAT_VERSION + 1), RunInfo))
 
 
 def check_resumable(path: Path) -> None:
@@ -145,8 +125,7 @@ def create_run(path: Path, kind: str, config: Any, *, data: str | None = None) -
 
 def save_run_config(path: Path, config: Any) -> None:
     """Writes the config of a run. It ends with its own checksum, because a resumed run writes it again."""
-    text = config_text(config, source=f"{path / CONFIG_FILE}")
-    save_text(path / CONFIG_FILE, f"{text}{_seal(text)}")
+    save_sealed(path / CONFIG_FILE, config_text(config, source=f"{path / CONFIG_FILE}"))
 
 
 def run_config_text(path: Path) -> str:
@@ -155,30 +134,7 @@ def run_config_text(path: Path) -> str:
     Raises:
         UserError: It has changed since the run wrote it.
     """
-    found = load_text(path / CONFIG_FILE)
-    text, mark, _ = found.rpartition(_SEAL)
-    if not mark and run_info(path).format_version < SEALED_VERSION:
-        return found
-    if found != f"{text}{_seal(text)}":
-        raise UserError(
-            f"{path / CONFIG_FILE}: has changed since the run wrote it, or is damaged; put the old file back, and give "
-            "what may change, such as loop.num_steps, as an option"
-        )
-    return text
-
-
-def read_run_config(path: Path, schema: type[T]) -> T:
-    """Returns the config of a run.
-
-    Raises:
-        UserError: It has changed since the run wrote it, or does not fit the schema.
-    """
-    run_config_text(path)
-    return load_config(path / CONFIG_FILE, schema)
-
-
-def _seal(text: str) -> str:
-    return f"{_SEAL}{hashlib.sha256(text.encode()).hexdigest()}\n"
+    return load_sealed(path / CONFIG_FILE, required=run_info(path).format_version >= SEALED_VERSION)
 
 
 class Checkpoints:

@@ -22,6 +22,7 @@ from t2m_jax.files.reading import (
     load_text,
     reading,
 )
+from t2m_jax.files.sealed import load_sealed, save_sealed
 from t2m_jax.files.writing import (
     PARTIAL,
     atomic_file,
@@ -57,6 +58,7 @@ __all__ = [
     "load_array",
     "load_arrays",
     "load_json",
+    "load_sealed",
     "load_text",
     "lock",
     "read_arrays",
@@ -64,6 +66,7 @@ __all__ = [
     "reading",
     "save_arrays",
     "save_json",
+    "save_sealed",
     "save_text",
     "save_weights",
     "unflatten_tree",

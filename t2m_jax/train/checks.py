@@ -3,16 +3,16 @@
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from t2m_jax.checkpoints.bundle import BUNDLED, WEIGHTS_FILE, bundle_path
 from t2m_jax.checkpoints.bundle import CONFIG_FILE as BUNDLE_FILE
 from t2m_jax.checkpoints.model import load_model
-from t2m_jax.checkpoints.run import is_run, read_run_config, run_info
+from t2m_jax.checkpoints.run import CONFIG_FILE, is_run, run_config_text, run_info
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
-from t2m_jax.config import flat_fields
+from t2m_jax.config import flat_fields, load_config
 from t2m_jax.data.folder import Dataset, open_dataset
 from t2m_jax.distributed import is_writer
 from t2m_jax.errors import UserError
@@ -20,6 +20,8 @@ from t2m_jax.files import lock
 from t2m_jax.motion.normalizer import load_normalizer
 from t2m_jax.train.config import ExperimentConfig
 from t2m_jax.train.statistics import load_statistics
+
+T = TypeVar("T")
 
 MAY_CHANGE = (
     "run",
@@ -59,6 +61,16 @@ def check_new_run(run: Path) -> None:
         raise UserError(f"{run}: contains a model already; choose another --run")
     if str(run) in BUNDLED:
         raise UserError(f"run: {run} is the name of a packaged model; choose another --run")
+
+
+def read_run_config(run: Path, schema: type[T]) -> T:
+    """Returns the config of a run.
+
+    Raises:
+        UserError: It has changed since the run wrote it, or does not fit the schema.
+    """
+    run_config_text(run)
+    return load_config(run / CONFIG_FILE, schema)
 
 
 def check_same_config(config: ExperimentConfig) -> None:

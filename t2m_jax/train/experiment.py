@@ -22,7 +22,6 @@ from t2m_jax.checkpoints.run import (
     check_run_files,
     create_run,
     has_checkpoint,
-    read_run_config,
     restore_latest,
     run_info,
     save_run_config,
@@ -39,7 +38,14 @@ from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.export.render import render_poster
 from t2m_jax.files import flatten_tree
 from t2m_jax.train.best import BestWeights
-from t2m_jax.train.checks import check_new_run, check_same_config, check_same_data, claim_run, data_record
+from t2m_jax.train.checks import (
+    check_new_run,
+    check_same_config,
+    check_same_data,
+    claim_run,
+    data_record,
+    read_run_config,
+)
 from t2m_jax.train.config import EvaluationConfig, ExperimentConfig, LoopConfig
 from t2m_jax.train.loop import Measured, Measurement, Metrics, Speed, mean_over_batches, run_loop
 from t2m_jax.train.optimizer import OptimizerConfig, learning_rate_at

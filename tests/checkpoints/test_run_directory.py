@@ -25,13 +25,13 @@ from t2m_jax.checkpoints.run import (
     check_resumable,
     create_run,
     is_run,
-    read_run_config,
     restore_latest,
     run_info,
 )
 from t2m_jax.config import load_config
 from t2m_jax.errors import UserError
 from t2m_jax.files import PARTIAL
+from t2m_jax.train.checks import read_run_config
 
 
 class State(NamedTuple):
@@ -100,7 +100,7 @@ def test_a_changed_byte_of_the_config_shows(copy):
     assert read_run_config(copy, Config) == Config(width=7)
     for place in range(len(whole)):
         path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
-        with pytest.raises(UserError, match=rf"{CONFIG_FILE}: has changed since the run wrote it, or is damaged"):
+        with pytest.raises(UserError, match=rf"{CONFIG_FILE}: has changed since it was written, or is damaged"):
             read_run_config(copy, Config)
     assert [part.name for part in audit_model(copy) if CONFIG_FILE in part.problem] == [CONFIG_FILE]
 
@@ -109,7 +109,7 @@ def test_a_changed_byte_of_the_config_shows(copy):
 def test_the_config_of_an_older_version_has_no_checksum(copy, version, is_accepted):
     (copy / INFO_FILE).write_text(f"kind: vqvae\nformat_version: {version}", encoding="utf-8")
     (copy / CONFIG_FILE).write_text("width: 8", encoding="utf-8")
-    with contextlib.nullcontext() if is_accepted else pytest.raises(UserError, match="has changed since the run"):
+    with contextlib.nullcontext() if is_accepted else pytest.raises(UserError, match="has changed since"):
         assert read_run_config(copy, Config) == Config(width=8)
 
 

@@ -188,7 +188,7 @@ def test_a_seed_that_was_edited_in_a_run_is_not_taken(stage, capsys):
     path = run / "config.yaml"
     path.write_text(path.read_text().replace("seed: 0", "seed: 1"))
     assert main(["train", "vqvae", "--run", f"{run}", "--resume"]) == 2
-    assert "config.yaml: has changed since the run wrote it" in capsys.readouterr().err
+    assert "config.yaml: has changed since it was written" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("stage", STAGES, indirect=True)
