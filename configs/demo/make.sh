@@ -14,7 +14,6 @@ t2m train hifigpt configs/demo/hifigpt_single.yaml
 t2m train hifigpt configs/demo/hifigpt_composed.yaml
 t2m train hifigpt configs/demo/hifigpt.yaml
 t2m train hifigpt configs/demo/hifigpt_contrastive.yaml
-t2m train hifigpt configs/demo/hifigpt_contrastive.yaml --init runs/demo-contrastive --run runs/demo \
-    --loop.seed 1 --loop.num_steps 2000 --optimizer.learning_rate 4e-4 --optimizer.cosine 200 2000
+t2m train hifigpt configs/demo/hifigpt_last.yaml
 rm -rf t2m_jax/bundles/demo
 t2m bundle runs/demo t2m_jax/bundles/demo --card configs/demo/card.md

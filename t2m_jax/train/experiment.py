@@ -37,15 +37,8 @@ from t2m_jax.evaluation.sources import CodeSource
 from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.export.render import render_poster
 from t2m_jax.files import flatten_tree
+from t2m_jax.train import checks
 from t2m_jax.train.best import BestWeights
-from t2m_jax.train.checks import (
-    check_new_run,
-    check_same_config,
-    check_same_data,
-    claim_run,
-    data_record,
-    read_run_config,
-)
 from t2m_jax.train.config import EvaluationConfig, ExperimentConfig, LoopConfig
 from t2m_jax.train.loop import Measured, Measurement, Metrics, Speed, mean_over_batches, run_loop
 from t2m_jax.train.optimizer import OptimizerConfig, learning_rate_at
@@ -149,7 +142,7 @@ def load_run_config(run: Path) -> Any:
         UserError: The folder is not a run, or its config is damaged.
     """
     schema: Any = find_trainer(run_info(run).kind).config
-    return read_run_config(run, schema)
+    return checks.read_run_config(run, schema)
 
 
 def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
@@ -162,7 +155,7 @@ def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
     Raises:
         UserError: Data and model do not fit, the run exists (or, to resume, does not), or a loss is not finite.
     """
-    with claim_run(config.run):
+    with checks.claim_run(config.run):
         return _train(config, resume=resume)
 
 
@@ -172,14 +165,14 @@ def _train(config: ExperimentConfig, *, resume: bool) -> Any:
         check_resumable(config.run)
         check_run_files(config.run)
     else:
-        check_new_run(config.run)
+        checks.check_new_run(config.run)
     wait_for_all("checked")
     config = trainer.resolve(config, resume)
     if resume:
-        check_same_config(config)
+        checks.check_same_config(config)
     setup = trainer.prepare(config, resume)
     if resume:
-        check_same_data(config, setup.dataset)
+        checks.check_same_data(config, setup.dataset)
     held_out = open_evaluation(setup)
     if config.sharding.devices != "auto":  # what does not fit is refused here, before anything is written
         choose_devices(config.sharding, batch_size=config.loop.batch_size)
@@ -203,7 +196,7 @@ def write_run(config: ExperimentConfig, setup: Setup, *, resume: bool) -> None:
     forget_best(config.run)
     setup.write_parts(config.run)
     save_training_data(config.run / DATA_FILE, summarize_training_data(setup.dataset, setup.clips))
-    create_run(config.run, config.kind, config, data=data_record(setup.dataset))
+    create_run(config.run, config.kind, config, data=checks.data_record(setup.dataset))
 
 
 def with_weights(setup: Setup, state: Any, init: Path) -> Any:

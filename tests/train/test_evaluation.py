@@ -13,7 +13,7 @@ from t2m_jax.checkpoints import best as best_files
 from t2m_jax.checkpoints.best import BEST_FOLDER, Best, find_best, forget_best, restore_trained, save_best
 from t2m_jax.checkpoints.evaluator import load_trained_evaluator, save_evaluator
 from t2m_jax.checkpoints.model import load_generator_run
-from t2m_jax.checkpoints.run import Checkpoints
+from t2m_jax.checkpoints.run import Checkpoints, save_run_config
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.cli.main import main
 from t2m_jax.config import config_from_dict, save_config
@@ -191,7 +191,7 @@ def test_another_evaluator_is_refused_on_the_way(finished, training, held_out, t
     run, other = tmp_path / "run", tmp_path / "evaluator"
     shutil.copytree(finished["vqvae"], run)
     config = training("vqvae", run, evaluator=other)
-    save_config(run / "config.yaml", config)
+    save_run_config(run, config)
     save_evaluator(other, random_evaluator(seed=11)._replace(normalizer=open_dataset(held_out).normalizer))
     with pytest.raises(UserError, match="figures of two evaluators cannot be compared"):
         train(config, resume=True)
