@@ -159,7 +159,7 @@ def join_parts(
 
 
 class PlacedCodes(NamedTuple):
-    """New codes of a motion, and where they stand in it."""
+    """Codes of one part of a motion, and their position in it."""
 
     number: int
     """Of the sentence that they belong to."""

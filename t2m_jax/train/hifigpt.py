@@ -98,7 +98,7 @@ class HiFiGptState(NamedTuple):
     """The tokenizer's codebook, as a collection of the `hifigpt`; empty if the model learns its own table."""
     opt_state: optax.OptState
     head: Any = {}  # noqa: RUF012 - nothing changes it
-    """Parameters of the `contrastive_head`, which is no part of the model; empty without its loss."""
+    """Parameters of the `contrastive_head`, which only training uses; empty without its loss."""
 
 
 class HiFiGptBatch(NamedTuple):
