@@ -6,6 +6,8 @@ MAX_LINE = 380
 """Characters of the longest message; a longer one quotes a long text of a file, or a long list. A line that begins with
 `t2m: error:` has at most 400."""
 GAP = " ... "
+ENDING_SIGNALS = ("SIGINT", "SIGTERM", "SIGUSR1")
+"""Ctrl-C, the end of a cluster's job, and the notice that a machine is taken away; Windows has no SIGUSR1."""
 
 
 def printable(text: str) -> str:

@@ -17,7 +17,7 @@ from t2m_jax.cli.main import COMMANDS, _PrintableFormatter, main
 from t2m_jax.cli.next_step import show_next
 from t2m_jax.errors import Interruption, UserError
 from t2m_jax.evaluation.report import comparison_table
-from t2m_jax.files import atomic_file
+from t2m_jax.files import atomic_file, lock
 from tests.export.test_html import Elements
 
 
@@ -183,6 +183,28 @@ def test_a_signal_during_an_import_comes_after_it(command, capsys, tmp_path, mon
     assert capsys.readouterr().err.startswith("t2m: error: interrupted")
     sys.modules.pop("interrupted")
     signal.signal(signal.SIGINT, before)
+
+
+def test_a_signal_while_a_lock_file_is_created_leaves_no_file(command, capsys, tmp_path, monkeypatch):
+    """Python raises the exception as soon as the system call returns."""
+
+    def interrupted(path, *args, create=os.open, **kwargs):
+        descriptor = create(path, *args, **kwargs)
+        if str(path).endswith(".lock"):
+            signal.raise_signal(signal.SIGTERM)
+        return descriptor
+
+    def write(args):
+        with monkeypatch.context() as patched:
+            patched.setattr(os, "open", interrupted)
+            with lock(tmp_path / "out"):
+                time.sleep(10)
+
+    command(write)
+    handler = signal.getsignal(signal.SIGTERM)
+    assert main(["fake"]) == 143
+    assert capsys.readouterr().err == "t2m: error: interrupted by SIGTERM\n"
+    assert not list(tmp_path.iterdir()) and signal.getsignal(signal.SIGTERM) == handler
 
 
 def test_config_options_reach_the_commands_that_take_them(command):

@@ -3,7 +3,6 @@
 import errno
 import hashlib
 import os
-import signal
 import stat
 import subprocess
 import sys
@@ -116,29 +115,6 @@ def test_one_process_writes_and_the_others_are_told(tmp_path):
     with atomic_folder(path), lock(path):  # taken over from the killed process, and taken again inside
         pass
     assert names(tmp_path) == ["out"]
-
-
-def test_a_signal_while_the_lock_file_is_created_leaves_no_file(tmp_path, monkeypatch):
-    """Python raises the exception as soon as the system call returns."""
-
-    def interrupt(*_):
-        raise KeyboardInterrupt
-
-    def interrupted(path, *args, create=os.open, **kwargs):
-        descriptor = create(path, *args, **kwargs)
-        if str(path).endswith(".lock"):
-            signal.raise_signal(signal.SIGTERM)
-        return descriptor
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    monkeypatch.setattr(os, "open", interrupted)
-    try:
-        with pytest.raises(KeyboardInterrupt), lock(tmp_path / "out"):
-            pytest.fail("the signal is lost")
-    finally:
-        monkeypatch.undo()
-        signal.signal(signal.SIGTERM, before)
-    assert names(tmp_path) == []
 
 
 def leave_lock(path, contents, *, age=2 * OWNERLESS_SECONDS):

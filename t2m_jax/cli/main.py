@@ -24,7 +24,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 
-from t2m_jax.errors import Interruption, UserError, one_line, printable
+from t2m_jax.errors import ENDING_SIGNALS, Interruption, UserError, one_line, printable
 
 COMMANDS = {
     "generate": "convert text to motion files",
@@ -60,10 +60,11 @@ REPEATING_LOGGERS = ("absl", "asyncio")
 EXIT_OK, EXIT_BUG, EXIT_USER_ERROR, EXIT_BROKEN_PIPE = 0, 1, 2, 141
 EXIT_SIGNAL = 128
 """Added to the number of the signal that ended a command: 130 after Ctrl-C, 143 after SIGTERM."""
-ENDING_SIGNALS = ("SIGTERM", "SIGUSR1")
-"""The end of a cluster's job, and its notice that a machine is taken away; Windows has no SIGUSR1."""
-IMPORT_SECONDS = 0.05
-"""After this time, a signal that came during an import comes again."""
+UNINTERRUPTED = ("importlib._bootstrap", "t2m_jax.files.locks")
+"""Modules in which a signal raises no exception: the C++ code of a module that is being imported would crash, and a
+lock file would stay. Locks cannot delay signals themselves: their handler would replace that of JAX for SIGTERM."""
+LATER_SECONDS = 0.05
+"""After this time, a signal that has to wait comes again."""
 REPORT = "run it again with --debug, and report what that prints"
 
 
@@ -124,9 +125,8 @@ def _ended_by_signals() -> Iterator[None]:
     """Turns signals into an exception in the block, as Python does with Ctrl-C, so that temporary files are removed."""
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        if _is_importing(frame):
-            # The C++ code of a module that is being imported would crash. So the signal comes again a little later.
-            threading.Timer(IMPORT_SECONDS, signal.raise_signal, [number]).start()
+        if _is_uninterrupted(frame):
+            threading.Timer(LATER_SECONDS, signal.raise_signal, [number]).start()
             return
         if number == signal.SIGINT:
             raise KeyboardInterrupt
@@ -137,9 +137,9 @@ def _ended_by_signals() -> Iterator[None]:
         yield
         return
     numbers = [getattr(signal, name) for name in ENDING_SIGNALS if hasattr(signal, name)]
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:  # it is ignored in the background
+        numbers.remove(signal.SIGINT)
     before = {number: signal.signal(number, interrupt) or signal.SIG_DFL for number in numbers}
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # it is ignored in the background
-        before[signal.SIGINT] = signal.signal(signal.SIGINT, interrupt) or signal.SIG_DFL
     try:
         yield
     finally:
@@ -147,9 +147,9 @@ def _ended_by_signals() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _is_importing(frame: FrameType | None) -> bool:
-    """Returns whether a module is being imported in a frame or in one of its callers."""
-    while frame is not None and frame.f_globals.get("__name__") != "importlib._bootstrap":
+def _is_uninterrupted(frame: FrameType | None) -> bool:
+    """Returns whether a frame or one of its callers is of a module that must not be interrupted."""
+    while frame is not None and frame.f_globals.get("__name__") not in UNINTERRUPTED:
         frame = frame.f_back
     return frame is not None
 

@@ -3,9 +3,7 @@
 import contextlib
 import os
 import re
-import signal
 import stat
-import threading
 import time
 import zlib
 from collections.abc import Iterator
@@ -26,10 +24,6 @@ MAX_LOCK_FILE = 1024
 """Bytes of a lock file that are read: its owner is in the first 300, and a damaged file may have any size."""
 
 
-ENDING_SIGNALS = ("SIGINT", "SIGTERM", "SIGUSR1")
-"""Ctrl-C, the end of a cluster's job, and the notice that a machine is taken away; Windows has no SIGUSR1."""
-
-
 class LockedError(UserError):
     """Another process writes the destination."""
 
@@ -45,7 +39,8 @@ def lock(path: Path) -> Iterator[None]:
     """Holds the lock of a destination, which is a file `.NAME.lock` beside it with process and host of the owner.
 
     In one process, the lock can be taken again by what is called inside. The lock of a process that was killed is taken
-    over, unless it ran on another host, where this host cannot see whether it still runs.
+    over, unless it ran on another host, where this host cannot see whether it still runs. The command line lets no
+    signal interrupt the code of this module, so that no lock file is left that nobody knows.
 
     Raises:
         LockedError: Another process holds it.
@@ -55,16 +50,11 @@ def lock(path: Path) -> Iterator[None]:
 
     place = path.absolute().with_name(f".{short_name(path)}.lock")
     holder = SoftFileLock(place, timeout=0, is_singleton=True, thread_local=False)
-    is_held = False
+    _acquire(holder, path, place)
     try:
-        with _signals_later():
-            _acquire(holder, path, place)
-            is_held = True
         yield
     finally:
-        if is_held:
-            with _signals_later():
-                holder.release()
+        holder.release()
 
 
 def _acquire(holder: "SoftFileLock", path: Path, place: Path) -> None:
@@ -83,30 +73,6 @@ def _acquire(holder: "SoftFileLock", path: Path, place: Path) -> None:
             owner = _owner(place) or owner
         advice = f"wait for it, or delete {place} if that process is gone"
         raise LockedError(f"{path}: is being written by {owner}; {advice}") from None
-
-
-@contextlib.contextmanager
-def _signals_later() -> Iterator[None]:
-    """Keeps signals that would raise an exception until the end of the block, which must be short.
-
-    Otherwise, an exception right after the file was created would leave a file that nobody knows.
-    """
-    if threading.current_thread() is not threading.main_thread():  # signals raise nothing in other threads
-        yield
-        return
-    came: list[int] = []
-    numbers = [getattr(signal, name) for name in ENDING_SIGNALS if hasattr(signal, name)]
-    handlers = {number: signal.getsignal(number) for number in numbers}
-    handlers = {number: handler for number, handler in handlers.items() if callable(handler)}
-    try:
-        for number in handlers:
-            signal.signal(number, lambda number, _: came.append(number))
-        yield
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-        for number in came:
-            signal.raise_signal(number)
 
 
 def _owner(place: Path) -> str | None:

@@ -10,7 +10,7 @@ from types import FrameType
 import jax
 from jax.experimental import multihost_utils
 
-from t2m_jax.files.locks import ENDING_SIGNALS
+from t2m_jax.errors import ENDING_SIGNALS
 
 
 @contextlib.contextmanager

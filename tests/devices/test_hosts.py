@@ -86,8 +86,8 @@ def test_two_processes_are_killed_and_go_on_as_two_and_as_one(folder):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGUSR1])
-def test_a_signal_to_one_process_ends_both_after_the_same_update(folder, number):
+@pytest.mark.parametrize(("process", "number"), [(0, signal.SIGTERM), (1, signal.SIGUSR1)])
+def test_a_signal_to_one_process_ends_both_after_the_same_update(folder, process, number):
     run = folder / f"stopped-{number}"
     options = ("--run", run, "--loop.num_steps", 10_000, "--loop.checkpoint_every", 0, "--loop.validate_every", 0)
     pair = start_pair(folder, *options)
@@ -95,7 +95,7 @@ def test_a_signal_to_one_process_ends_both_after_the_same_update(folder, number)
     while not (run / "train.csv").exists() or len(losses(run)) < 10:
         assert time.monotonic() < end and all(process.poll() is None for process in pair)
         time.sleep(0.05)
-    pair[1].send_signal(number)
+    pair[process].send_signal(number)
     for _, errors, status in finish(*pair):
         assert status == 128 + signal.SIGTERM, errors[-3000:]
     (kept,) = (run / "checkpoints").iterdir()
