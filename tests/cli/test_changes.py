@@ -25,6 +25,16 @@ def test_a_loop_in_place_at_another_rate(walk, tmp_path):
     assert loop.caption == "a person walks"
 
 
+def test_a_loop_has_at_least_60_frames_a_second_without_a_rate(walk, tmp_path):
+    fast = tmp_path / "fast.npz"
+    Motion.load(walk).resampled(120).save(fast)
+    for path, fps in ((walk, 60), (fast, 120)):
+        assert main(["view", f"{path}", "-o", f"{tmp_path / 'loop.npz'}", "--loop"]) == 0
+        loop = Motion.load(tmp_path / "loop.npz")
+        assert loop.fps == fps
+        np.testing.assert_allclose(loop.positions, Motion.load(path).resampled(fps).looped().positions, atol=1e-5)
+
+
 def test_without_options_nothing_changes(walk, tmp_path):
     assert main(["view", f"{walk}", "-o", f"{tmp_path / 'same.npz'}"]) == 0
     np.testing.assert_array_equal(Motion.load(tmp_path / "same.npz").positions, Motion.load(walk).positions)
