@@ -67,9 +67,9 @@ def test_the_stages_of_a_folder_fit(folder, tokenizer, generator):
 def test_the_script_of_the_demo_fits_its_configs():
     script = (REPOSITORY / "configs" / "demo" / "make.sh").read_text(encoding="utf-8").splitlines()
     single, _, _, merge, *trainings, bundle = (shlex.split(line)[1:] for line in script if line.startswith("t2m "))
-    configs = [config_of(kind, str(REPOSITORY / path), []) for _, kind, path in trainings]
+    configs = [config_of(kind, str(REPOSITORY / path), options) for _, kind, path, *options in trainings]
     tokenizer, decoder, first, *later = configs
-    assert [f"{config.data}" for config in configs] == [merge[-1], merge[-1], single[-1], *[merge[-1]] * 4]
+    assert [f"{config.data}" for config in configs] == [merge[-1], merge[-1], single[-1], *[merge[-1]] * 6]
     assert (decoder.init, decoder.model) == (tokenizer.run, tokenizer.model)
     for before, config in zip((first, *later), later, strict=False):
         assert config.init == before.run
