@@ -10,10 +10,6 @@ from t2m_jax.errors import UserError
 if TYPE_CHECKING:
     from t2m_jax.motion import Motion
 
-LOOP_FPS = 60
-"""Least frame rate of a loop without `--fps`. At 20 frames a second, the feet of a runner change their velocity by more
-than 1 m/s from each frame to the next, and so they do at the seam."""
-
 
 def add_change_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the options; `t2m generate` and `t2m view` have the same."""
@@ -23,7 +19,7 @@ def add_change_arguments(parser: argparse.ArgumentParser) -> None:
     points = "walk through points on the ground: x and z in meters; +x is at the left of a figure that faces +z"
     paths.add_argument("--path", metavar='"X,Z X,Z ..."', help=points)
     parser.add_argument("--fps", type=float, help="frames per second to write (default: those of the motion)")
-    loop = f"write the part that repeats best, closed into a loop; at {LOOP_FPS} frames per second without --fps"
+    loop = "write the part that repeats best, closed into a loop; at 60 frames per second without --fps"
     parser.add_argument("--loop", action="store_true", help=loop)
     parser.add_argument("--in-place", action="store_true", help="without travel: the root stays above the origin")
     rigs = ("lafan1", "humanml3d", "mixamo", "vrm", "unreal")
@@ -63,6 +59,8 @@ def changed(motion: "Motion", args: argparse.Namespace) -> "Motion":
 
     A loop is found in the frames that are written, so that it closes.
     """
+    from t2m_jax.motion.looping import LOOP_FPS
+
     if args.speed is not None and args.speed != 1:
         motion = motion.at_speed(args.speed)
     if args.turn is not None:

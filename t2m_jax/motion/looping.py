@@ -12,6 +12,9 @@ from t2m_jax.motion.joining import VELOCITY_SECONDS
 from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 
+LOOP_FPS = 60
+"""Frame rate of a loop for which no other was asked, or more if the motion has more. At 20 frames a second, the feet of
+a runner change their velocity by more than 1 m/s from each frame to the next, and so they do at the seam."""
 SHORTEST_SECONDS = 0.6
 """Least duration of a loop; a quick runner takes two steps in this time."""
 BLEND_SECONDS = 0.5

@@ -27,7 +27,7 @@ class FileOptions:
     format: Literal["npz", "bvh", "glb", "gif", "mp4", "png", "html"] = "npz"
     """The format of the file."""
     fps: Literal[20, 24, 30, 60] | None = None
-    """Frames per second; by default those of the motion."""
+    """Frames per second; by default those of the motion, and 60 or more for a loop."""
     names: Literal["lafan1", "humanml3d", "mixamo", "vrm", "unreal"] | None = None
     """Names of the joints in BVH and GLB files."""
     units: Literal["m", "cm"] | None = None
@@ -104,13 +104,16 @@ def read_scene(data: bytes, suffix: str, options: FileOptions) -> dict[str, Any]
 
 def _changed(motion: Any, options: FileOptions) -> Any:
     """Returns a motion as the options ask for, in the order of `t2m view`."""
+    from t2m_jax.motion.looping import LOOP_FPS
+
     if options.begin is not None or options.end is not None:
         begin, end = options.begin or 0.0, motion.seconds if options.end is None else options.end
         if not 0 <= begin < end:
             raise UserError(f"begin: {begin:g} is not between 0 and end, {end:g}")
         motion = motion[slice(*(round(min(time, motion.seconds) * motion.fps) for time in (begin, end)))]
-    if options.fps is not None and options.fps != motion.fps:
-        motion = motion.resampled(options.fps)
+    fps = options.fps or (max(motion.fps, LOOP_FPS) if options.loop else motion.fps)
+    if fps != motion.fps:
+        motion = motion.resampled(fps)
     if options.loop:
         motion = motion.looped()
     return motion.in_place() if options.in_place else motion
