@@ -126,14 +126,15 @@ def _ended_by_signals() -> Iterator[None]:
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         if _is_uninterrupted(frame):
-            threading.Timer(LATER_SECONDS, signal.raise_signal, [number]).start()
+            threading.Timer(LATER_SECONDS, _signal_thread, [thread, number]).start()
             return
         if number == signal.SIGINT:
             raise KeyboardInterrupt
         signal.signal(number, signal.SIG_IGN)  # a second one must not interrupt the removal
         raise Interruption(number)
 
-    if threading.current_thread() is not threading.main_thread():
+    thread = threading.get_ident()
+    if thread != threading.main_thread().ident:
         yield
         return
     numbers = [getattr(signal, name) for name in ENDING_SIGNALS if hasattr(signal, name)]
@@ -145,6 +146,14 @@ def _ended_by_signals() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _signal_thread(thread: int, number: int) -> None:
+    """Sends a signal to a thread, so that it does not wait any longer; Windows has only the thread of the caller."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(thread, number)
+    else:
+        signal.raise_signal(number)
 
 
 def _is_uninterrupted(frame: FrameType | None) -> bool:
