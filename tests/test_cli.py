@@ -151,6 +151,21 @@ def test_an_interrupt_is_no_traceback(command, capsys, error, code, line):
     assert capsys.readouterr().err == f"t2m: error: {line}\n"
 
 
+def test_an_interrupt_that_a_library_turns_into_an_error_is_one(command, capsys):
+    def restore(args):
+        try:
+            try:
+                raise Interruption(signal.SIGTERM)
+            except BaseException as error:
+                raise RuntimeError("cannot read index 0") from error
+        except RuntimeError:
+            raise UserError("the checkpoint is damaged")  # noqa: B904 - Python keeps what was handled
+
+    command(restore)
+    assert main(["fake"]) == 143
+    assert capsys.readouterr().err == "t2m: error: interrupted by SIGTERM\n"
+
+
 @pytest.mark.skipif(os.name != "posix", reason="Windows has other signals")
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGUSR1"])
 def test_signals_remove_what_is_unfinished(command, capsys, tmp_path, name):

@@ -106,6 +106,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _explain(error: BaseException) -> tuple[str, int]:
     """Returns the message and the exit code for what ended a command."""
+    cause: BaseException | None = error
+    while cause is not None and not isinstance(cause, KeyboardInterrupt):
+        cause = cause.__cause__ or cause.__context__
+    error = cause or error  # Orbax turns an interruption into an error of its own
     if isinstance(error, KeyboardInterrupt):
         return str(error) or "interrupted", EXIT_SIGNAL + getattr(error, "number", signal.SIGINT)
     if isinstance(error, UserError):
