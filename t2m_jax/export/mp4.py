@@ -1,5 +1,6 @@
 """MP4 (H.264) by imageio-ffmpeg, which the extra `video` installs."""
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -41,7 +42,10 @@ def save_mp4(path: Path, motions: Sequence[Motion], *, height: int = 720) -> Non
             ffmpeg_log_level="error",
             output_params=["-crf", "20", "-preset", "veryfast", "-movflags", "+faststart", "-f", "mp4"],
         )
-        writer.send(None)  # starts the encoder
+        with warnings.catch_warnings():
+            # JAX warns because its threads may hold locks. The child of this fork only becomes the encoder.
+            warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called")
+            writer.send(None)  # starts the encoder
         try:
             for frame in range(film.num_frames):
                 writer.send(np.ascontiguousarray(film.draw_frame(frame)))
