@@ -2,7 +2,7 @@
 
     python docs/measure/paces.py data/bandai-namco [--model demo]
 
-No generator that learned from such clips, and speaks in such codes, can be expected to keep them more often.
+The second figure is about what a generator of the model's codes can reach.
 """
 
 import argparse

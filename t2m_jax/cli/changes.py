@@ -59,7 +59,7 @@ def changed(motion: "Motion", args: argparse.Namespace) -> "Motion":
 
     A loop is found in the frames that are written, so that it closes.
     """
-    from t2m_jax.motion.looping import LOOP_FPS
+    from t2m_jax.motion.looping import output_fps
 
     if args.speed is not None and args.speed != 1:
         motion = motion.at_speed(args.speed)
@@ -67,7 +67,7 @@ def changed(motion: "Motion", args: argparse.Namespace) -> "Motion":
         motion = motion.turned(args.turn)
     if args.path is not None:
         motion = motion.along(_waypoints(args.path))
-    fps = args.fps or (max(motion.fps, LOOP_FPS) if args.loop else motion.fps)
+    fps = output_fps(motion.fps, asked=args.fps, loop=args.loop)
     if fps != motion.fps:
         motion = motion.resampled(fps)
     if args.loop:

@@ -12,7 +12,7 @@ from t2m_jax.motion.joining import VELOCITY_SECONDS
 from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 
-LOOP_FPS = 60
+LOOP_FPS = 60.0
 """Frame rate of a loop for which no other was asked, or more if the motion has more. At 20 frames a second, the feet of
 a runner change their velocity by more than 1 m/s from each frame to the next, and so they do at the seam."""
 SHORTEST_SECONDS = 0.6
@@ -40,6 +40,11 @@ class Loop(NamedTuple):
     """Last frame, in which pose and velocity are like those of the first."""
     difference: float
     """Root mean square over the joints, of their distance in meters and of the scaled difference of velocities."""
+
+
+def output_fps(fps: float | int, *, asked: float | int | None, loop: bool) -> float | int:
+    """Returns the rate at which a motion of `fps` is written: what was asked for, or its own, for a loop `LOOP_FPS`."""
+    return asked or (max(fps, LOOP_FPS) if loop else fps)
 
 
 def keep_in_place(positions: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, "T J 3"]:

@@ -104,14 +104,14 @@ def read_scene(data: bytes, suffix: str, options: FileOptions) -> dict[str, Any]
 
 def _changed(motion: Any, options: FileOptions) -> Any:
     """Returns a motion as the options ask for, in the order of `t2m view`."""
-    from t2m_jax.motion.looping import LOOP_FPS
+    from t2m_jax.motion.looping import output_fps
 
     if options.begin is not None or options.end is not None:
         begin, end = options.begin or 0.0, motion.seconds if options.end is None else options.end
         if not 0 <= begin < end:
             raise UserError(f"begin: {begin:g} is not between 0 and end, {end:g}")
         motion = motion[slice(*(round(min(time, motion.seconds) * motion.fps) for time in (begin, end)))]
-    fps = options.fps or (max(motion.fps, LOOP_FPS) if options.loop else motion.fps)
+    fps = output_fps(motion.fps, asked=options.fps, loop=options.loop)
     if fps != motion.fps:
         motion = motion.resampled(fps)
     if options.loop:

@@ -58,6 +58,13 @@ def test_a_part_at_another_rate_in_place(walk):  # noqa: F811
     assert np.abs(found.positions[:, 0, [0, 2]]).max() == 0
 
 
+@pytest.mark.parametrize(("asked", "expected"), [(None, 60), (24, 24)])
+def test_a_loop_has_60_frames_a_second_without_a_rate(walk, asked, expected):  # noqa: F811
+    found = read_back(make_file([data_of(walk)], FileOptions(loop=True, in_place=True, fps=asked)), "npz")
+    assert found.fps == expected
+    np.testing.assert_allclose(found.positions[-1], found.positions[0], atol=1e-3)
+
+
 def test_names_and_units_are_those_of_the_format(walk):  # noqa: F811
     options = FileOptions(format="bvh", names="mixamo", units="cm")
     with motion_file(make_file([data_of(walk)], options), "bvh") as path:
