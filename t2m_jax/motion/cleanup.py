@@ -18,9 +18,9 @@ from t2m_jax.motion.features import gaussian_kernel
 from t2m_jax.motion.rotations import cross_product, unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 
-SIGMA = 0.035
+SIGMA = 0.04
 """Standard deviation of the Gaussian that smooths; seconds."""
-TORSO_SIGMA = 0.07
+TORSO_SIGMA = 0.05
 """The same for the shape of the torso, which changes slowly; seconds."""
 BONE_ROUNDS = 10
 """Rounds of moving joints towards the lengths of their bones."""
@@ -60,17 +60,19 @@ def _clean_clip(positions: Clip, length: Int[Array, ""], *, skeleton: Skeleton) 
 def smooth_over_clip(positions: Clip, length: Int[Array, ""], *, sigma: float) -> Clip:
     """Returns positions without movement that is faster than bodies move.
 
-    The kernel is 2 g - g * g with a Gaussian g, which leaves slow movement as it is. A clip continues beyond its
-    ends as it was before, mirrored at the end point, so that its speed remains.
+    The kernel is 1 - (1 - g) * (1 - g) * (1 - g) with a Gaussian g, which leaves slow movement as it is. A clip
+    continues beyond its ends as it was before, mirrored at the end point, so that its speed remains.
 
     Args:
         positions: One clip and padding.
         length: Frames of the clip.
         sigma: Standard deviation of the Gaussian in frames.
     """
-    gaussian = gaussian_kernel(sigma)
-    reach = len(gaussian) - 1
-    kernel = 2 * np.pad(gaussian, reach // 2) - np.convolve(gaussian, gaussian)
+    rest = -gaussian_kernel(sigma)
+    rest[len(rest) // 2] += 1.0
+    kernel = -np.convolve(np.convolve(rest, rest), rest)
+    reach = len(kernel) // 2
+    kernel[reach] += 1.0
     wanted = jnp.arange(-reach, len(positions) + reach)
     inside = jnp.clip(wanted, 0, length - 1)
     mirrored = jnp.clip(2 * inside - wanted, 0, length - 1)

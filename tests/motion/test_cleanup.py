@@ -13,6 +13,7 @@ from t2m_jax.data import make_motion
 from t2m_jax.metrics import measure_quality
 from t2m_jax.motion import cleanup
 from t2m_jax.motion.cleanup import (
+    SIGMA,
     calm_torso,
     clean_positions,
     fix_bones,
@@ -63,6 +64,13 @@ def trembling(positions, size, seed=0):
 def test_straight_movement_is_not_smoothed_not_even_at_the_ends():
     line = np.linspace(0, 3, FRAMES, dtype=np.float32)[:, None, None] * np.array([1, -0.5, 2], np.float32)
     np.testing.assert_allclose(smooth(line, ALL), line, atol=1e-5)
+
+
+def test_the_swing_of_a_runner_stays():
+    """Two and a half times a second, and 40 cm wide."""
+    swing = 0.2 * np.sin(2 * np.pi * 2.5 * np.arange(FRAMES) / 20)[:, None, None] * np.ones((1, 1, 3))
+    smoothed = np.asarray(smooth_over_clip(jnp.asarray(swing, jnp.float32), jnp.array(FRAMES), sigma=SIGMA * 20))
+    assert np.abs(smoothed - swing)[10:-10].max() < 0.0015
 
 
 def test_slow_movement_stays_and_trembling_goes():
@@ -124,7 +132,7 @@ def test_a_trembling_spine_becomes_calm_and_limbs_keep_their_directions():
     turns = [
         np.linalg.norm(np.diff(bones(one), axis=0), axis=-1)[:, np.array(SPINE) - 1].mean() for one in (shaken, calmed)
     ]
-    assert turns[1] < 0.4 * turns[0]
+    assert turns[1] < 0.5 * turns[0]
     np.testing.assert_allclose(bone_lengths(calmed), bone_lengths(shaken), atol=1e-5)
     limbs = [joint - 1 for joint in (4, 5, 7, 8, 10, 11, 18, 19, 20, 21)]
     np.testing.assert_allclose(bones(calmed)[:, limbs], bones(shaken)[:, limbs], atol=1e-5)
