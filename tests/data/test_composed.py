@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.data.audit import audit_dataset
-from t2m_jax.data.files import FEATURES
+from t2m_jax.data.files import FEATURES, POSITIONS
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.bandai_namco import compose, extra
 from t2m_jax.data.importers.bandai_namco.captions import Labels
@@ -22,8 +22,15 @@ from t2m_jax.data.importers.bandai_namco.compose import (
     stand_still,
     write_composed_captions,
 )
-from t2m_jax.data.importers.bandai_namco.extra import MORE_CAPTIONS, VARIANTS, write_more_captions, write_stand_clips
+from t2m_jax.data.importers.bandai_namco.extra import (
+    MORE_CAPTIONS,
+    VARIANTS,
+    write_more_captions,
+    write_slow_clips,
+    write_stand_clips,
+)
 from t2m_jax.data.importers.bandai_namco.importer import import_bandai_namco, labels_from_name
+from t2m_jax.data.importers.bandai_namco.measure import measure
 from t2m_jax.data.importers.bandai_namco.wordings import load_composition, load_wordings
 from t2m_jax.data.index import load_index
 from t2m_jax.data.texts import Caption, load_captions
@@ -149,17 +156,28 @@ def test_every_content_of_compositions_has_words():
         assert load_wordings().contents[content].wordings
 
 
-def test_the_slowest_clips_are_called_slow(tmp_path):
+def write_walks(folder):
+    """Writes 60 clips, each of which walks faster than the one before, and returns their names."""
     names = [f"dataset-2_walk_elderly_{number:03d}" for number in range(60)]
     captions = (Caption("walks", ("walk/VERB",)), Caption("walks slowly", ("walk/VERB", "slowly/ADV")))
+    for number, name in enumerate(names):
+        positions = walking_positions(40)
+        positions[:, :, 2] += positions[:, :1, 2] * (number - 30) / 40
+        write_twins(folder, name, positions, captions=captions, skeleton=HUMANML3D)
+    return names
+
+
+def speed_of(folder, name):
+    return measure(np.load(folder / POSITIONS / f"{name}.npy"), fps=20.0).speed
+
+
+def test_the_slowest_clips_are_called_slow(tmp_path):
     with new_folder(tmp_path / "data") as folder:
-        for number, name in enumerate(names):
-            positions = walking_positions(40)
-            positions[:, :, 2] += positions[:, :1, 2] * (number - 30) / 40  # each walks faster than the one before
-            write_twins(folder, name, positions, captions=captions, skeleton=HUMANML3D)
+        names = write_walks(folder)
         write_more_captions(folder, names, labels_from_name)
         texts = {name: [one.text for one in load_captions(folder / "texts" / f"{name}.txt")] for name in names}
         twin = [one.text for one in load_captions(folder / "texts" / f"M{names[0]}.txt")]
+        speeds = [speed_of(folder, name) for name in names]
     assert len(twin) == len(texts[names[0]])
 
     def share(name, words):
@@ -170,6 +188,64 @@ def test_the_slowest_clips_are_called_slow(tmp_path):
     assert texts[names[59]][:2] != ["walks", "walks slowly"] == texts[names[0]][:2], "it is the fastest"
     assert texts[names[30]][0] == "walks" and 2 <= len(texts[names[30]]) <= 1 + MORE_CAPTIONS
     assert not share(names[30], ("slow", "fast", "quick"))
+    called_slow = [speed for name, speed in zip(names, speeds, strict=True) if share(name, ("slow", "unhurried"))]
+    assert 6 <= len(called_slow) < 12 and max(called_slow) < 0.95 * np.quantile(speeds, 0.2)
+
+
+def test_slow_clips_are_written_again_more_slowly(tmp_path):
+    with new_folder(tmp_path / "data") as folder:
+        names = write_walks(folder)
+        made = write_slow_clips(folder, names, labels_from_name)
+        limit = np.quantile([speed_of(folder, name) for name in names], 0.1)
+        speeds = {clip.name: speed_of(folder, clip.name) / limit for clip in made}
+        texts = [one.text for clip in made for one in load_captions(folder / "texts" / f"{clip.name}.txt")]
+        twins = [(folder / FEATURES / f"M{clip.name}.npy").is_file() for clip in made]
+    assert 8 <= len(made) < 40 and all(twins) and {clip.label for clip in made} == {"walk, elderly"}
+    assert all(0.74 < speed < 0.94 for speed in speeds.values()), speeds
+    assert all("slow" in text or "unhurried" in text for text in texts)
+    assert sum("very slow" in text or "extremely" in text or "as slowly" in text for text in texts) > len(texts) / 2
+
+
+def test_nothing_is_called_slow_among_few_clips(tmp_path):
+    with new_folder(tmp_path / "data") as folder:
+        names = write_walks(folder)[:49]
+        assert write_slow_clips(folder, names, labels_from_name) == []
+        write_more_captions(folder, names, labels_from_name)
+        texts = [one.text for one in load_captions(folder / "texts" / f"{names[0]}.txt")]
+    assert not any("very" in text for text in texts) and texts[1] == "walks slowly", "what it had is not judged"
+
+
+def test_one_wave_is_not_called_slow(tmp_path):
+    names = [f"dataset-2_wave-left-hand_elderly_{number:03d}" for number in range(60)]
+    with new_folder(tmp_path / "data") as folder:
+        for number, name in enumerate(names):
+            positions, waves = standing(80, raised=range(10, 70)), 1 if number == 1 else 3
+            sway = np.sin(np.linspace(0, 2 * np.pi * waves, 60)) * (0.12 if number > 1 else 0.08)
+            positions[10:70, INDEX["left_wrist"], 0] += sway
+            write_twins(folder, name, positions, captions=(Caption("waves", ("wave/VERB",)),), skeleton=HUMANML3D)
+        write_more_captions(folder, names, labels_from_name)
+        assert speed_of(folder, names[1]) < speed_of(folder, names[0]) < 0.9 * speed_of(folder, names[2])
+        texts = [[one.text for one in load_captions(folder / "texts" / f"{name}.txt")] for name in names[:2]]
+        made = {clip.name for clip in write_slow_clips(folder, names, labels_from_name)}
+    assert made and f"slow1_{names[1]}" not in made
+    assert [sum("slow" in text or "unhurried" in text for text in one) for one in texts] == [2 * MORE_CAPTIONS, 0]
+
+
+def test_parts_with_low_hands_are_called_low_and_no_part_is_called_slow():
+    positions = standing(80, raised=range(30, 60))
+    positions[:, INDEX["left_wrist"], 1] = np.minimum(
+        positions[:, INDEX["left_wrist"], 1], positions[:, INDEX["left_shoulder"], 1]
+    )
+    low = part("wave-left-hand", positions, "elderly")
+    for parts, is_low in (([low], True), ([part("wave-left-hand", standing(80, raised=range(30, 60)))], False)):
+        walk = part("walk", walking_positions(60), "elderly")
+        texts = [one.text for one in write_composed_captions([walk, *parts], count=40, generator=random.Random(2))]
+        assert all(any(mark in text for mark in LOW) for text in texts) == is_low
+        assert not any(word in text for text in texts for word in ("slow", "quick", "fast"))
+    assert any("old" in text or "elder" in text for text in texts), "manners are still said"
+
+
+LOW = ("chest", "shoulder", "front of the body", "small wave", "a little")
 
 
 def test_an_import_with_compositions(tmp_path):

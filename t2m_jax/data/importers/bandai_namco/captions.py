@@ -28,6 +28,8 @@ LOW_SHARE = 0.7
 """Share of the captions of a clip with low hands that mention it. The others name the style."""
 CLAUSE_MARKS = (",", "while", "as if", "before")
 """Words that open a clause of their own: a manner at the end would be read as part of that clause."""
+SLOW_WORDS, FAST_WORDS = ("slow", "unhurried"), ("quick", "fast", "rapid", "swift")
+"""Parts of words that call a motion slow or fast."""
 
 
 class Labels(NamedTuple):

@@ -10,7 +10,13 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.data.files import FEATURES
-from t2m_jax.data.importers.bandai_namco.captions import CLAUSE_MARKS, Labels, true_wordings
+from t2m_jax.data.importers.bandai_namco.captions import (
+    CLAUSE_MARKS,
+    FAST_WORDS,
+    SLOW_WORDS,
+    Labels,
+    true_wordings,
+)
 from t2m_jax.data.importers.bandai_namco.grammar import Form, Manner, Wording, clause, opening
 from t2m_jax.data.importers.bandai_namco.measure import WALKING_SPEED, measure
 from t2m_jax.data.importers.bandai_namco.wordings import held_out_compositions, load_composition, load_wordings
@@ -187,12 +193,15 @@ def _compose(parts: Sequence[Part], generator: random.Random) -> str:
 
 
 def _choose_wording(part: Part, generator: random.Random) -> Wording:
-    """Returns a wording that holds for a part and has no clause of its own."""
+    """Returns a wording that holds for a part and has no clause of its own; one for low hands, if they stay low."""
     facts = measure(np.asarray(positions_from_features(part.features, HUMANML3D)), fps=HUMANML3D.fps)
     marks, wordings = (*CLAUSE_MARKS, " and then "), true_wordings(part.labels, facts)
-    return generator.choice([one for one in wordings if not any(mark in one.predicate for mark in marks)])
+    short = [one for one in wordings if not any(mark in one.predicate for mark in marks)]
+    return generator.choice([one for one in short if one.needs == "low"] or short)
 
 
 def _choose_manner(part: Part, generator: random.Random) -> Manner | None:
     manners = [one for one in load_wordings().styles[part.labels.style].manners if one.place == "end"]
+    # A part of some style is not always slow or fast.
+    manners = [one for one in manners if not any(word in one.text for word in (*SLOW_WORDS, *FAST_WORDS))]
     return generator.choice(manners) if generator.random() < MANNER_SHARE else None

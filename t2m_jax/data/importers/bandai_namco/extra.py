@@ -1,5 +1,6 @@
-"""More for training than the recordings: captions of extremes, standing still, and actions in turn."""
+"""More for training than the recordings: captions of extremes, motion that is slower or still, and actions in turn."""
 
+import itertools
 import random
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -21,24 +22,29 @@ from t2m_jax.data.importers.bandai_namco.compose import (
     stand_still,
     write_composed_captions,
 )
+from t2m_jax.data.importers.bandai_namco.extremes import (
+    find_extremes,
+    is_true_pace,
+    measure_clips,
+    shows_pace,
+    speed_limits,
+)
 from t2m_jax.data.importers.bandai_namco.grammar import Manner
 from t2m_jax.data.importers.bandai_namco.measure import Facts, measure
 from t2m_jax.data.importers.bandai_namco.wordings import load_extremes, load_wordings
 from t2m_jax.data.importers.lexicon import tag_words
 from t2m_jax.data.texts import Caption, load_captions, save_captions
 from t2m_jax.data.writer import mirror, write_twins
+from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import HUMANML3D
 
-EXTREMES = {"very_slow": (0.0, 0.08), "slow": (0.0, 0.17), "fast": (0.83, 1.0), "very_fast": (0.92, 1.0)}
-"""Shares of a content's clips by speed. They are narrower than those that a model is tested with, so that what it
-learns lies inside."""
 PACE_MARKS = ("pace", "steady", "quick", "fast", "speed", "stroll", "march", "stride", "wander")
 """Parts of wordings that say how fast already."""
-SLOW_WORDS, FAST_WORDS = ("slow", "unhurried"), ("quick", "fast", "rapid", "swift")
-SLOW_UP_TO, FAST_FROM = 0.35, 0.65
-"""Shares of a content's clips by speed that may be called slow or fast."""
-FEWEST = 50
-"""Clips of a content that can be compared by speed."""
+SLOWED_TO, SLOWED_BY = (0.75, 0.93), 0.75
+"""Speed of a clip that is played more slowly, as a part of the limit of "very slow", drawn between two values; and the
+smallest factor that its speed is multiplied with."""
+SLOW_VARIANTS, SLOW_CAPTIONS = 2, {"very_slow": 4, "slow": 2}
+"""Motions that are made of a clip by playing it more slowly, and captions of each."""
 MORE_CAPTIONS = 3
 """Captions of each extreme, and of the style, that a training clip gets besides its own."""
 MOST_OF_A_STYLE, VARIANTS = 12, 4
@@ -60,34 +66,22 @@ def write_more_captions(folder: Path, names: Sequence[str], labels: Callable[[st
 
     Captions that call a clip slow or fast, as those of some styles do, are removed if it is not.
     """
-    facts = {name: measure(np.load(folder / POSITIONS / f"{name}.npy"), fps=HUMANML3D.fps) for name in names}
-    by_content = defaultdict(list)
+    facts = measure_clips(folder, names)
+    limits = speed_limits(facts, {name: labels(name).content for name in names})
     for name in names:
-        by_content[labels(name).content].append(facts[name].speed)
-    for name in names:
-        speeds = np.sort(by_content[labels(name).content])
-        # Few clips cannot be compared.
-        rank = np.searchsorted(speeds, facts[name].speed, side="right") / len(speeds) if len(speeds) >= FEWEST else None
-        texts = _extreme_captions(name, labels(name), facts[name], rank)
+        extremes = find_extremes(facts[name], limits.get(labels(name).content))
+        texts = _extreme_captions(name, labels(name), facts[name], extremes or [])
         if labels(name).style != "normal":
             texts += _style_captions(name, labels(name), facts[name])
         said = _captions(dict.fromkeys(texts))
         for twin, more in ((name, said), (MIRROR_PREFIX + name, [mirror(caption) for caption in said])):
             path = folder / TEXTS / f"{twin}.txt"
-            save_captions(path, [one for one in (*load_captions(path), *more) if _is_true(one.text, rank)])
+            save_captions(path, [one for one in (*load_captions(path), *more) if is_true_pace(one.text, extremes)])
 
 
-def _is_true(text: str, rank: float | None) -> bool:
-    """Returns whether a caption does not call a clip slow or fast against its rank among the clips of its content."""
-    if rank is None:
-        return True
-    slow, fast = (any(word in text for word in words) for words in (SLOW_WORDS, FAST_WORDS))
-    return not (slow and rank > SLOW_UP_TO) and not (fast and rank <= FAST_FROM)
-
-
-def _extreme_captions(name: str, labels: Labels, facts: Facts, rank: float | None) -> list[str]:
+def _extreme_captions(name: str, labels: Labels, facts: Facts, extremes: Sequence[str]) -> list[str]:
     generator = random.Random(f"speed of {name}")
-    found = [extreme for extreme, (above, below) in EXTREMES.items() if rank is not None and above < rank <= below]
+    found = extremes if shows_pace(labels.content, facts) else []
     manners = [load_extremes()[extreme] for extreme in found for _ in range(MORE_CAPTIONS)]
     return [_say(labels, facts, generator, manners=one) for one in manners]
 
@@ -133,6 +127,32 @@ def _write_stand_clip(folder: Path, name: str, number: int, still: slice, style:
         for _ in range(CAPTIONS_OF_NEW)
     ]
     return _write(folder, f"{STAND}{number}_{name}", ", ".join(label), motion, _captions(dict.fromkeys(texts)))
+
+
+def write_slow_clips(folder: Path, names: Sequence[str], labels: Callable[[str], Labels]) -> list[NewClip]:
+    """Writes training clips that are slow already once more, played so slowly that they are clearly very slow.
+
+    A content's very slow clips are few, and many of them are just below its limit.
+    """
+    facts = measure_clips(folder, names)
+    limits = speed_limits(facts, {name: labels(name).content for name in names})
+    new = []
+    for name, number in itertools.product(names, range(1, SLOW_VARIANTS + 1)):
+        content, generator = labels(name).content, random.Random(f"slowness {number} of {name}")
+        if content in limits and shows_pace(content, facts[name]):
+            factor = generator.uniform(*SLOWED_TO) * limits[content]["very_slow"] / facts[name].speed
+            if SLOWED_BY <= factor < 1:
+                new.append(_write_slow_clip(folder, name, labels(name), number=number, factor=factor))
+    return new
+
+
+def _write_slow_clip(folder: Path, name: str, labels: Labels, *, number: int, factor: float) -> NewClip:
+    generator = random.Random(f"slow captions {number} of {name}")
+    motion = Motion(np.load(folder / POSITIONS / f"{name}.npy"), HUMANML3D.fps).at_speed(factor).positions
+    facts = measure(motion, fps=HUMANML3D.fps)
+    manners = [load_extremes()[extreme] for extreme, count in SLOW_CAPTIONS.items() for _ in range(count)]
+    texts = [_say(labels, facts, generator, manners=one) for one in manners]
+    return _write(folder, f"slow{number}_{name}", ", ".join(labels), motion, _captions(dict.fromkeys(texts)))
 
 
 def write_composition(number: int, *, library: Library) -> NewClip:

@@ -19,6 +19,7 @@ from t2m_jax.data.importers.bandai_namco.extra import (
     make_library,
     write_composition,
     write_more_captions,
+    write_slow_clips,
     write_stand_clips,
 )
 from t2m_jax.data.importers.bandai_namco.measure import measure
@@ -173,11 +174,12 @@ def _map_in_processes(workers: int) -> Iterator[Mapper]:
 def _write_new_clips(folder: Path, names: Sequence[str], composed: int, run_all: Mapper) -> list[NewClip]:
     """Writes motions that are made of training clips, and returns them."""
     still = write_stand_clips(folder, names, labels_from_name)
+    slow = write_slow_clips(folder, names, labels_from_name)
     labels = {name: labels_from_name(name) for name in names}
     labels |= {clip.name: Labels(*clip.label.split(", ")) for clip in still}
     library = make_library(folder, labels)
     made = run_all(functools.partial(write_composition, library=library), range(composed))
-    return [*still, *tqdm.tqdm(made, total=composed, unit="clip", desc="composing")]
+    return [*slow, *still, *tqdm.tqdm(made, total=composed, unit="clip", desc="composing")]
 
 
 def import_bandai_namco(
@@ -200,7 +202,7 @@ def import_bandai_namco(
         splits: Folder with train.txt, val.txt and test.txt (clip names). By default, it is searched near the data.
             Without lists, clips are split 80/5/15 % by a hash of the names, within every content and style.
         composed: Number of motions to add for training that show two or three actions in turn. They are made of
-            training clips. If it is above 0, motions of standing still are added, too.
+            training clips. If it is above 0, very slow and still motions are added, too.
         workers: Number of processes; by default one per processor.
 
     Raises:
@@ -232,7 +234,7 @@ def import_bandai_namco(
         f"split lists: {lists}" if lists else NO_LISTS,
         f"{len(flagged & files.keys())} flagged clips left out (by {flags_from})",
     ]
-    added = f"{len(new) - composed} motions of standing still and {composed} composed ones added to train"
+    added = f"{len(new) - composed} very slow or still motions and {composed} composed ones added to train"
     notes += [added] if new else []
     frames += sum(clip.num_frames for clip in new)
     return ImportReport(2 * (len(wanted) + len(new)), 2 * frames, sizes, left_out, tuple(notes))
