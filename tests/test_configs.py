@@ -69,7 +69,7 @@ def test_the_script_of_the_demo_fits_its_configs():
     single, _, _, merge, *trainings, bundle = (shlex.split(line)[1:] for line in script if line.startswith("t2m "))
     configs = [config_of(kind, str(REPOSITORY / path), options) for _, kind, path, *options in trainings]
     tokenizer, decoder, first, *later = configs
-    assert [f"{config.data}" for config in configs] == [merge[-1], merge[-1], single[-1], *[merge[-1]] * 6]
+    assert [f"{config.data}" for config in configs] == [merge[-1], merge[-1], single[-1], *[merge[-1]] * 9]
     assert (decoder.init, decoder.model) == (tokenizer.run, tokenizer.model)
     for before, config in zip((first, *later), later, strict=False):
         assert config.init == before.run
