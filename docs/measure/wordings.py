@@ -1,4 +1,4 @@
-"""Counts how often a model does what sentences ask for that were written without a look at its captions.
+"""Counts how often a model does what sentences ask for that were written without regard to its captions.
 
     python docs/measure/wordings.py [--model demo]
 
