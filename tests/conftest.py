@@ -129,7 +129,8 @@ def shared_data(shared_dir, tmp_path_factory):
     def unpack(name: str) -> Path:
         folder = tmp_path_factory.mktemp(name)
         with tarfile.open(shared_dir / "data" / f"{name}.tar.xz") as archive:
-            archive.extractall(folder, filter="data")
+            archive.extraction_filter = getattr(tarfile, "data_filter", None)  # not in Python before 3.11.4
+            archive.extractall(folder)
         return folder
 
     return unpack

@@ -228,7 +228,8 @@ def test_one_wave_is_not_called_slow(tmp_path):
         texts = [[one.text for one in load_captions(folder / "texts" / f"{name}.txt")] for name in names[:2]]
         made = {clip.name for clip in write_slow_clips(folder, names, labels_from_name)}
     assert made and f"slow1_{names[1]}" not in made
-    assert [sum("slow" in text or "unhurried" in text for text in one) for one in texts] == [2 * MORE_CAPTIONS, 0]
+    slow, once = (sum("slow" in text or "unhurried" in text for text in one) for one in texts)
+    assert slow >= 2 * MORE_CAPTIONS and not once
 
 
 def test_parts_with_low_hands_are_called_low_and_no_part_is_called_slow():

@@ -24,7 +24,8 @@ def samples(tmp_path, monkeypatch):
     """Returns a folder with a copy of each sample, which is also the working directory."""
     for name in RUNS:
         with tarfile.open(SAMPLES / f"{name}.tar.gz") as archive:
-            archive.extractall(tmp_path, filter="data")
+            archive.extraction_filter = getattr(tarfile, "data_filter", None)  # not in Python before 3.11.4
+            archive.extractall(tmp_path)
     shutil.copytree(SAMPLES / "bundle", tmp_path / "bundle")
     shutil.copytree(SAMPLES / "reports", tmp_path / "reports")
     monkeypatch.chdir(tmp_path)
@@ -37,6 +38,9 @@ def dataset(tmp_path_factory):
     """The data the samples were trained on."""
     folder = tmp_path_factory.mktemp("legacy") / "data"
     write_synthetic_dataset(folder, num_clips=20, seed=3)
+    # Captions are written in more ways today.
+    for name, text in json.loads((SAMPLES / "texts.json").read_text(encoding="utf-8")).items():
+        (folder / "texts" / name).write_text(text, encoding="utf-8")
     for split in ("val", "test"):
         shutil.copyfile(folder / "train.txt", folder / f"{split}.txt")
     return folder
