@@ -194,7 +194,9 @@ def test_the_slowest_clips_are_called_slow(tmp_path):
 
 def test_slow_clips_are_written_again_more_slowly(tmp_path):
     with new_folder(tmp_path / "data") as folder:
-        names = write_walks(folder)
+        names = [*write_walks(folder), "dataset-2_walk_elderly_060"]
+        frozen = np.repeat(walking_positions(40)[:1], 40, axis=0)
+        write_twins(folder, names[-1], frozen, captions=(Caption("walks", ("walk/VERB",)),), skeleton=HUMANML3D)
         made = write_slow_clips(folder, names, labels_from_name)
         limit = np.quantile([speed_of(folder, name) for name in names], 0.1)
         speeds = {clip.name: speed_of(folder, clip.name) / limit for clip in made}

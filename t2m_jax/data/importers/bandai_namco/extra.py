@@ -139,7 +139,7 @@ def write_slow_clips(folder: Path, names: Sequence[str], labels: Callable[[str],
     new = []
     for name, number in itertools.product(names, range(1, SLOW_VARIANTS + 1)):
         content, generator = labels(name).content, random.Random(f"slowness {number} of {name}")
-        if content in limits and shows_pace(content, facts[name]):
+        if content in limits and shows_pace(content, facts[name]) and facts[name].speed > 0:
             factor = generator.uniform(*SLOWED_TO) * limits[content]["very_slow"] / facts[name].speed
             if SLOWED_BY <= factor < 1:
                 new.append(_write_slow_clip(folder, name, labels(name), number=number, factor=factor))
