@@ -8,7 +8,7 @@ TYPE_CHECKING = False  # type checkers know this name; importing it would take a
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from t2m_jax.motion.record import Motion as Motion
+    from t2m_jax.motion.motion import Motion as Motion
     from t2m_jax.sampling.pipeline import TextToMotion
 
 __all__ = ["Motion", "__version__", "load"]
@@ -32,7 +32,7 @@ def load(name_or_path: "str | Path") -> "TextToMotion":
 
 def __getattr__(name: str) -> object:
     if name == "Motion":
-        from t2m_jax.motion.record import Motion
+        from t2m_jax.motion.motion import Motion
 
         return Motion
     if name == "__version__":

@@ -8,7 +8,7 @@ import pytest
 
 import t2m_jax
 from t2m_jax.errors import UserError
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling import TextToMotion
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.data.importers.synthetic import KINDS, make_motion
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from tests.conftest import REPOSITORY
 from tests.documents import PAGES, code_blocks, commands, name_of
 from tests.sentence_golden import wide_encoder

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.evaluation import action_tests
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling import TextToMotion
 
 SEAM_SECONDS = 0.25

@@ -22,7 +22,7 @@ from t2m_jax.export import save_bvh_file
 from t2m_jax.metrics.quality import measure_quality
 from t2m_jax.motion.cleanup import clean_positions
 from t2m_jax.motion.features import positions_from_features
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling import TextToMotion
 
 SPINE = ("spine1", "spine2", "spine3")

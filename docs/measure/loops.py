@@ -20,7 +20,7 @@ from t2m_jax.evaluation import action_tests
 from t2m_jax.metrics.quality import measure_quality
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.looping import keep_in_place
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling import TextToMotion
 
 CONTENTS = ("walk", "run", "wave-left-hand", "wave-right-hand", "wave-both-hands")

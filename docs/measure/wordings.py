@@ -9,7 +9,7 @@ import argparse
 import functools
 import warnings
 
-from t2m_jax.evaluation.prompt_following import (
+from t2m_jax.evaluation.prompts.following import (
     RULES,
     PromptTest,
     evaluate_prompt_following,

@@ -14,8 +14,8 @@ from t2m_jax.bench.record import Figure, Peaks, Row
 from t2m_jax.bench.timing import compile_program, program_figures, share, time_calls
 from t2m_jax.errors import UserError
 from t2m_jax.models.system import GeneratorConfig, find_part, make_module
-from t2m_jax.sampling.codec import generate_codes, sampling_variables
-from t2m_jax.sampling.decoding import CHUNK, Sampling
+from t2m_jax.sampling.loop import CHUNK, Sampling
+from t2m_jax.sampling.programs import generate_codes, sampling_variables
 from t2m_jax.sampling.stopping import find_stop_rule
 from t2m_jax.sampling.strategies import Temperature
 

@@ -154,7 +154,7 @@ def guess_table(file: Path, output: Path | None) -> None:
     """Prints or writes the best guess of a rig's table."""
     from t2m_jax.data.importers.bvh import open_motion_file
     from t2m_jax.files import check_output, save_text
-    from t2m_jax.motion.bvh.rig_guess import rig_table_text
+    from t2m_jax.motion.rig.guess import rig_table_text
 
     place = None if output is None else check_output(output)
     clip = next(iter(open_motion_file(file).values()))

@@ -38,8 +38,8 @@ def _span(text: str) -> tuple[float, float]:
 
 def check_edits(args: argparse.Namespace) -> None:
     """Raises `UserError` if options do not go together, or a value cannot be used with any model."""
-    from t2m_jax.sampling.edit import check_seconds
     from t2m_jax.sampling.inbetween import check_strength
+    from t2m_jax.sampling.timeline import check_seconds
 
     if args.then and len(args.text) > 1:
         raise UserError(f"--then: follows one sentence, not {len(args.text)}; use it for each further sentence")

@@ -27,7 +27,7 @@ from t2m_jax.files import check_output, claim, save_json
 if TYPE_CHECKING:
     from t2m_jax.data import Dataset
     from t2m_jax.evaluation import CodeSource, EvaluationTask
-    from t2m_jax.evaluation.prompt_following import PromptTest
+    from t2m_jax.evaluation.prompts.following import PromptTest
     from t2m_jax.evaluation.report import ReconstructionFigures
 
 FORMATS = ("terminal", "markdown", "latex", "json")
@@ -228,7 +228,7 @@ def _prompt_tests(group: str, data: str | None) -> "list[PromptTest]":
 def run_prompts(args: argparse.Namespace) -> None:
     """Prints how often generated motion does what was asked."""
     from t2m_jax.evaluation import evaluate_prompt_following
-    from t2m_jax.evaluation.prompt_following import markdown_table
+    from t2m_jax.evaluation.prompts.following import markdown_table
     from t2m_jax.evaluation.report import PromptCounts, PromptReport, save_prompt_report
     from t2m_jax.sampling import TextToMotion, make_strategy
     from t2m_jax.text.coverage import PromptWarning
@@ -266,7 +266,7 @@ def run_inbetween(args: argparse.Namespace) -> None:
     from t2m_jax.evaluation import evaluate_inbetween
     from t2m_jax.evaluation.inbetween import format_inbetween
     from t2m_jax.sampling import TextToMotion
-    from t2m_jax.sampling.edit import check_seconds
+    from t2m_jax.sampling.timeline import check_seconds
     from t2m_jax.text.coverage import PromptWarning
 
     check_seconds(args.seconds)

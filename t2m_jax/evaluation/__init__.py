@@ -2,10 +2,10 @@
 
 from t2m_jax.evaluation.embedding import embed_plan_captions, embed_plan_motions
 from t2m_jax.evaluation.inbetween import evaluate_inbetween
-from t2m_jax.evaluation.manners import manner_tests
 from t2m_jax.evaluation.monitor import held_out_metrics, open_held_out
-from t2m_jax.evaluation.prompt_following import action_tests, evaluate_prompt_following
-from t2m_jax.evaluation.prompt_groups import composed_tests, pace_tests
+from t2m_jax.evaluation.prompts.following import action_tests, evaluate_prompt_following
+from t2m_jax.evaluation.prompts.groups import composed_tests, pace_tests
+from t2m_jax.evaluation.prompts.manners import manner_tests
 from t2m_jax.evaluation.protocols import PROTOCOLS, Plan, Protocol, find_protocol, make_plan
 from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
 from t2m_jax.evaluation.run import evaluate

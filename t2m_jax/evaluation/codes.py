@@ -10,9 +10,9 @@ from jaxtyping import Array, Float, Int, Key
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.data.folder import Clip
 from t2m_jax.sampling.batches import batches_of, for_each_batch
-from t2m_jax.sampling.codec import encode_motions, pad_codes
-from t2m_jax.sampling.decoding import CHUNK, Sampling
+from t2m_jax.sampling.loop import CHUNK, Sampling
 from t2m_jax.sampling.pipeline import TextToMotion
+from t2m_jax.sampling.programs import encode_motions, pad_codes
 
 BATCH = 128
 """Motions that are generated together."""

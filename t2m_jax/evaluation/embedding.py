@@ -25,7 +25,7 @@ from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import Skeleton, skeleton_from_feature_dim
 from t2m_jax.sampling.batches import batches_of, for_each_batch, pad_motions, round_up
-from t2m_jax.sampling.codec import decode_batch
+from t2m_jax.sampling.programs import decode_batch
 
 BATCH = 128
 """Motions that are decoded and embedded together."""

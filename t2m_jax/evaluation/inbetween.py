@@ -11,7 +11,7 @@ from t2m_jax.data.checks import check_feature_dim
 from t2m_jax.data.folder import Dataset
 from t2m_jax.errors import UserError
 from t2m_jax.motion.features import bone_vectors, positions_from_bones, positions_from_features
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.sampling.pipeline import TextToMotion

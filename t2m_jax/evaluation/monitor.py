@@ -11,9 +11,9 @@ from t2m_jax.evaluation.protocols import find_protocol
 from t2m_jax.evaluation.run import evaluate_repeat
 from t2m_jax.evaluation.sources import CodeSource
 from t2m_jax.evaluation.task import EvaluationTask, make_task
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import skeleton_from_feature_dim
-from t2m_jax.sampling.codec import motions_from_codes
+from t2m_jax.sampling.programs import motions_from_codes
 
 SPLIT = "val"
 """The test split must not choose anything."""

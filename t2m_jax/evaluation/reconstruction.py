@@ -26,7 +26,7 @@ from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.sampling.batches import pad_motions, round_up
-from t2m_jax.sampling.codec import decode_positions, encode_batch
+from t2m_jax.sampling.programs import decode_positions, encode_batch
 
 BATCH = 32
 """Clips that are encoded and decoded together."""

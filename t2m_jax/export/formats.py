@@ -11,10 +11,11 @@ from t2m_jax.errors import UserError
 from t2m_jax.export.npz import load_npz
 from t2m_jax.files import load_array
 from t2m_jax.motion.amc import load_amc
-from t2m_jax.motion.bvh import load_bvh, retarget
+from t2m_jax.motion.bvh import load_bvh
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.gltf import load_gltf
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.rig import retarget
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 
 SKELETONS = (HUMANML3D, KIT_ML)

@@ -8,7 +8,7 @@ from PIL import Image
 
 from t2m_jax.export.render.rendering import render_film
 from t2m_jax.files import atomic_file
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 
 MAX_FPS = 100 / 3
 """GIF counts in hundredths of a second, and browsers slow down frames that are shorter than two of them."""

@@ -14,12 +14,12 @@ from t2m_jax.errors import UserError
 from t2m_jax.export.render.rendering import TINT_COLORS
 from t2m_jax.export.skin import SkinPart, make_skin
 from t2m_jax.files import atomic_file
-from t2m_jax.motion.bvh.rig_tables import JointNames, rig_joint_names
 from t2m_jax.motion.bvh.writer import UNITS_PER_METER, Units
 from t2m_jax.motion.features import bone_vectors
 from t2m_jax.motion.inverse_kinematics import FittedRig, fit_rig
 from t2m_jax.motion.kinematics import forward_kinematics
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.rig.tables import JointNames, rig_joint_names
 from t2m_jax.motion.rotations import continuous_quaternions, quaternion_from_matrix
 from t2m_jax.motion.skeleton import HUMANML3D
 

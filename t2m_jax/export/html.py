@@ -15,7 +15,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.export.render.figure import TINTS
 from t2m_jax.export.render.scene import Figure, figure_from_motion
 from t2m_jax.files import save_text
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 
 VIEWER_SCRIPTS = ("vendor/three.min.js", "figures.js", "camera.js", "body.js", "ground.js", "stage.js")
 """The renderer, in this order; other pages use it, too."""

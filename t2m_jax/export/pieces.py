@@ -10,7 +10,7 @@ import numpy as np
 
 from t2m_jax.errors import UserError
 from t2m_jax.files import atomic_file
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 
 STREAMED = ("positions", "features", "codes")
 """Entries of the archive that grow with the motion."""

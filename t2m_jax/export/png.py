@@ -9,7 +9,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.export.render.rendering import render_poster
 from t2m_jax.export.render.trails import render_trails
 from t2m_jax.files import atomic_file
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 
 MAX_ROWS = 100
 """Motions that a contact sheet has room for; pictures of more are too high for many viewers."""

@@ -15,7 +15,7 @@ from t2m_jax.data.texts import Caption
 from t2m_jax.data.writer import ImportReport, check_count, finish_folder, new_folder, write_clip
 from t2m_jax.errors import UserError
 from t2m_jax.motion.features import features_from_positions
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling.pipeline import TextToMotion
 from t2m_jax.text.coverage import PromptWarning
 

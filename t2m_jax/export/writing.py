@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 
 
 def only_motion(path: Path, motions: Sequence[Motion]) -> Motion:

@@ -3,6 +3,7 @@
 from t2m_jax.motion.features import features_from_positions, positions_from_features, positions_from_rotations
 from t2m_jax.motion.layout import FeatureLayout
 from t2m_jax.motion.mirroring import mirror_caption, mirror_positions
+from t2m_jax.motion.motion import Motion, motion_formats, save_motions
 from t2m_jax.motion.normalizer import (
     Normalizer,
     load_normalizer,
@@ -10,7 +11,6 @@ from t2m_jax.motion.normalizer import (
     save_normalizer,
     weighted_normalizer,
 )
-from t2m_jax.motion.record import Motion, motion_formats, save_motions
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML, Skeleton, skeleton_from_feature_dim, skeleton_from_name
 
 __all__ = [

@@ -10,9 +10,9 @@ from jaxtyping import Float
 
 from t2m_jax.errors import UserError
 from t2m_jax.files import load_text
-from t2m_jax.motion.bvh.clip import BvhClip
 from t2m_jax.motion.bvh.hierarchy import MAX_JOINTS, MAX_VALUE
 from t2m_jax.motion.editing import MAX_FPS
+from t2m_jax.motion.rig.clip import BvhClip
 from t2m_jax.motion.rotations import EulerOrder, matrix_from_euler
 
 AMC_FPS = 120.0

@@ -14,10 +14,10 @@ from jaxtyping import Float, Int
 
 from t2m_jax.errors import UserError
 from t2m_jax.files import first_line, reading
-from t2m_jax.motion.bvh.clip import BvhClip
-from t2m_jax.motion.bvh.resample import resample
 from t2m_jax.motion.editing import MAX_FPS
 from t2m_jax.motion.parts import checked_parts
+from t2m_jax.motion.rig.clip import BvhClip
+from t2m_jax.motion.rig.resample import resample
 from t2m_jax.motion.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
 from t2m_jax.motion.skeleton import HUMANML3D
 

@@ -1,9 +1,9 @@
 """From text to motion."""
 
-from t2m_jax.sampling.codec import encode_motions
 from t2m_jax.sampling.compilation import use_compilation_cache
-from t2m_jax.sampling.decoding import SampledCodes, Sampling, sample_codes
+from t2m_jax.sampling.loop import SampledCodes, Sampling, sample_codes
 from t2m_jax.sampling.pipeline import TextToMotion
+from t2m_jax.sampling.programs import encode_motions
 from t2m_jax.sampling.prompts import sample_key
 from t2m_jax.sampling.stopping import (
     StopAtEnd,

@@ -11,10 +11,14 @@ from jaxtyping import Key
 
 from t2m_jax.config import check_seed
 from t2m_jax.errors import UserError
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling.batches import padded_batch_size
-from t2m_jax.sampling.decoding import Sampling
-from t2m_jax.sampling.edit import (
+from t2m_jax.sampling.inbetween import check_strength, replace_span, variation_parts
+from t2m_jax.sampling.loop import Sampling
+from t2m_jax.sampling.model import MotionModel
+from t2m_jax.sampling.prompts import MAX_BATCH, Prompt, check_num_samples, read_prompts, sample_key
+from t2m_jax.sampling.strategies import Strategy
+from t2m_jax.sampling.timeline import (
     Part,
     context_rows,
     join_parts,
@@ -24,10 +28,6 @@ from t2m_jax.sampling.edit import (
     split_parts,
     stream_parts,
 )
-from t2m_jax.sampling.inbetween import check_strength, replace_span, variation_parts
-from t2m_jax.sampling.model import MotionModel
-from t2m_jax.sampling.prompts import MAX_BATCH, Prompt, check_num_samples, read_prompts, sample_key
-from t2m_jax.sampling.strategies import Strategy
 
 NUM_CANDIDATES = 16
 """Middles that are sampled to choose from."""

@@ -11,14 +11,14 @@ from jaxtyping import Float, Key
 from t2m_jax.errors import UserError
 from t2m_jax.motion.editing import place_positions, replace_middle
 from t2m_jax.motion.joining import VELOCITY_SECONDS
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.sampling.batches import round_up
-from t2m_jax.sampling.codec import motions_from_codes, pad_codes
-from t2m_jax.sampling.decoding import Sampling
-from t2m_jax.sampling.edit import Part, context_rows, part_keys, sample_parts, split_parts
+from t2m_jax.sampling.loop import Sampling
 from t2m_jax.sampling.model import MotionModel
+from t2m_jax.sampling.programs import motions_from_codes, pad_codes
 from t2m_jax.sampling.prompts import Prompt
+from t2m_jax.sampling.timeline import Part, context_rows, part_keys, sample_parts, split_parts
 from t2m_jax.sampling.windows import ROW_BUCKET, Codes
 
 TAIL_SECONDS = 1.0

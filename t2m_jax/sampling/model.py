@@ -15,17 +15,17 @@ from t2m_jax.devices import put_everywhere, put_rows
 from t2m_jax.errors import UserError
 from t2m_jax.models.projection import restore_kernels
 from t2m_jax.models.system import make_module
+from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.normalizer import Normalizer
-from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import skeleton_from_name
-from t2m_jax.sampling.codec import (
+from t2m_jax.sampling.loop import Given, SampledCodes, Sampling
+from t2m_jax.sampling.programs import (
     encode_motion,
     generate_codes,
     motions_from_codes,
     row_likelihoods,
     sampling_variables,
 )
-from t2m_jax.sampling.decoding import Given, SampledCodes, Sampling
 from t2m_jax.sampling.slots import Slots
 from t2m_jax.sampling.stopping import find_stop_rule
 from t2m_jax.sampling.strategies import Strategy, Temperature

@@ -9,12 +9,12 @@ from t2m_jax.checkpoints.model import load_model
 from t2m_jax.config import check_seed
 from t2m_jax.devices import put_everywhere
 from t2m_jax.errors import UserError
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling.batches import padded_batch_size
-from t2m_jax.sampling.codec import begin_motions, generate_row
 from t2m_jax.sampling.compilation import use_compilation_cache
-from t2m_jax.sampling.decoding import Sampling
 from t2m_jax.sampling.editor import MotionEditor
+from t2m_jax.sampling.loop import Sampling
+from t2m_jax.sampling.programs import begin_motions, generate_row
 from t2m_jax.sampling.prompts import MAX_BATCH, Prompt, check_num_samples, read_prompts, sample_key
 from t2m_jax.sampling.stopping import find_stop_rule
 from t2m_jax.sampling.strategies import Strategy, make_strategy

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from t2m_jax.devices import put_rows
-from t2m_jax.sampling.codec import begin_slots, generate_in_slots
-from t2m_jax.sampling.decoding import LoopState, Sampling
+from t2m_jax.sampling.loop import LoopState, Sampling
+from t2m_jax.sampling.programs import begin_slots, generate_in_slots
 
 
 class Progress(NamedTuple):
@@ -41,7 +41,7 @@ class Slots:
         sampling: Sampling,
         guidance_scale: Float[Array, ""] | None,
     ):
-        """Takes a generator as `t2m_jax.sampling.codec` does; see `MotionModel.slots`."""
+        """Takes a generator as `t2m_jax.sampling.programs` does; see `MotionModel.slots`."""
         self.variables, self.generator = variables, generator
         self.sampling, self.guidance_scale = sampling, guidance_scale
         self.codes = np.zeros((num_slots, sampling.max_codes, num_quantizers), np.int32)

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-from t2m_jax.motion.record import Motion
-from t2m_jax.sampling.decoding import LoopState, Sampling
+from t2m_jax.motion.motion import Motion
+from t2m_jax.sampling.loop import LoopState, Sampling
 
 
 def stream_pieces(

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from t2m_jax.motion.record import Motion
-from t2m_jax.sampling.codec import motions_from_codes
-from t2m_jax.sampling.decoding import SampledCodes
+from t2m_jax.motion.motion import Motion
+from t2m_jax.sampling.loop import SampledCodes
+from t2m_jax.sampling.programs import motions_from_codes
 from t2m_jax.sampling.prompts import Prompt, sample_key
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from t2m_jax.motion.joining import fade_features
 from t2m_jax.motion.rotations import rotate_vectors
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.sampling.batches import round_up
-from t2m_jax.sampling.codec import decode_batch
+from t2m_jax.sampling.programs import decode_batch
 
 WINDOW_ROWS = 16
 """Rows of codes that are decoded together, beside those that their frames depend on. With fewer, these are decoded more

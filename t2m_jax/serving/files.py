@@ -73,7 +73,7 @@ def make_file(inputs: Sequence[bytes], options: FileOptions) -> bytes:
     Raises:
         UserError: A motion cannot be read, changed or written in this format.
     """
-    from t2m_jax.motion.record import format_options, save_motions
+    from t2m_jax.motion.motion import format_options, save_motions
     from t2m_jax.serving.records import motion_from_data
 
     if not 1 <= len(inputs) <= (MAX_MOTIONS if options.format in SEVERAL else 1):

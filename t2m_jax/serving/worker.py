@@ -11,8 +11,8 @@ from typing import Any
 
 from t2m_jax.errors import UserError
 from t2m_jax.sampling import TextToMotion
-from t2m_jax.serving.maker import Maker
 from t2m_jax.serving.messages import NO_JOB, Cancel
+from t2m_jax.serving.scheduler import Scheduler
 from t2m_jax.text.coverage import PromptWarning
 
 
@@ -38,18 +38,18 @@ def work(connection: Connection, model_name: str, num_slots: int) -> None:
             connection.send((job, event, text))
 
     try:
-        maker = Maker(TextToMotion.load(model_name), num_slots, send)
-        maker.warm_up()
+        scheduler = Scheduler(TextToMotion.load(model_name), num_slots, send)
+        scheduler.warm_up()
     except UserError as error:
         send(NO_JOB, "refused", str(error))
         return
-    send(NO_JOB, "ready", describe_model(maker.model, model_name))
-    with maker.threads(), contextlib.suppress(EOFError):  # the server has ended
+    send(NO_JOB, "ready", describe_model(scheduler.model, model_name))
+    with scheduler.threads(), contextlib.suppress(EOFError):  # the server has ended
         while True:
-            while connection.poll(0 if maker.is_busy else None):
+            while connection.poll(0 if scheduler.is_busy else None):
                 message = connection.recv()
-                maker.cancel(message.job) if isinstance(message, Cancel) else maker.add(message)
-            maker.step()
+                scheduler.cancel(message.job) if isinstance(message, Cancel) else scheduler.add(message)
+            scheduler.step()
 
 
 def describe_model(model: TextToMotion, name: str) -> dict[str, Any]:

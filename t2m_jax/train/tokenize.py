@@ -16,7 +16,7 @@ from t2m_jax.data.folder import Clip, Dataset, DatasetInfo, samples_from_clip
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
-from t2m_jax.sampling.codec import encode_motions
+from t2m_jax.sampling.programs import encode_motions
 from t2m_jax.text.rewording import reword
 
 logger = logging.getLogger(__name__)

@@ -14,7 +14,7 @@ from t2m_jax.cli.main import main
 from t2m_jax.models.motion_gpt import MotionGpt
 from t2m_jax.models.vqvae import VqVae
 from t2m_jax.sampling import Greedy, Sampling, StopAtEnd, TextToMotion
-from t2m_jax.sampling.codec import decode_batch, generate_codes
+from t2m_jax.sampling.programs import decode_batch, generate_codes
 from tests.tiny import BUNDLE, random_bundle, random_variables
 
 NAMES = ("vqvae", "gpt", "mean", "std")

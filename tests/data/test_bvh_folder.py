@@ -7,7 +7,7 @@ from t2m_jax.data.importers.bvh import import_bvh_folder
 from t2m_jax.errors import UserError
 from tests.data.bvh_files import write_bvh
 from tests.motion.glb_files import write_person
-from tests.motion.test_retarget import BANDAI
+from tests.motion.rig.test_retarget import BANDAI
 
 
 def write_clips(folder, names):

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from t2m_jax.data.audit import audit_dataset
+from t2m_jax.data.captioning.captions import Labels
+from t2m_jax.data.captioning.wordings import load_composition, load_wordings
 from t2m_jax.data.files import FEATURES, POSITIONS
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.bandai_namco import compose, extra
-from t2m_jax.data.importers.bandai_namco.captions import Labels
 from t2m_jax.data.importers.bandai_namco.compose import (
     LONGEST,
     QUIET_SPEED,
@@ -30,11 +31,10 @@ from t2m_jax.data.importers.bandai_namco.extra import (
     write_stand_clips,
 )
 from t2m_jax.data.importers.bandai_namco.importer import import_bandai_namco, labels_from_name
-from t2m_jax.data.importers.bandai_namco.measure import measure
-from t2m_jax.data.importers.bandai_namco.wordings import load_composition, load_wordings
 from t2m_jax.data.index import load_index
 from t2m_jax.data.texts import Caption, load_captions
 from t2m_jax.data.writer import new_folder, write_twins
+from t2m_jax.motion.facts import measure
 from t2m_jax.motion.features import features_from_positions
 from t2m_jax.motion.kinematics import forward_kinematics
 from t2m_jax.motion.skeleton import HUMANML3D

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from t2m_jax.data.folder import open_dataset
-from t2m_jax.data.importers.bandai_namco.measure import measure
 from t2m_jax.data.importers.synthetic import KINDS, make_motion, write_synthetic_dataset
 from t2m_jax.data.importers.synthetic_scale import write_scaled_dataset
 from t2m_jax.errors import UserError
+from t2m_jax.motion.facts import measure
 from t2m_jax.motion.skeleton import HUMANML3D
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 
 NASTY_CAPTION = (

@@ -10,7 +10,7 @@ from t2m_jax.data.importers.synthetic import write_synthetic_dataset
 from t2m_jax.export import contact_sheet
 from t2m_jax.export.contact_sheet import NUM_POSES, save_contact_sheet
 from t2m_jax.motion.bvh import save_bvh
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from tests.motion.figures import walking_positions
 
 

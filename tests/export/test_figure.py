@@ -6,7 +6,7 @@ import pytest
 from t2m_jax.errors import UserError
 from t2m_jax.export.render.figure import body_from_skeleton, figure_points, figure_scale
 from t2m_jax.export.render.scene import SOLE, figure_from_motion, scene_from_motions
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 
 

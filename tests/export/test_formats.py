@@ -4,10 +4,10 @@ import pytest
 from t2m_jax.errors import UserError
 from t2m_jax.export import load_motion
 from t2m_jax.motion.features import features_from_positions
-from t2m_jax.motion.record import Motion, motion_formats
+from t2m_jax.motion.motion import Motion, motion_formats
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 from tests.motion.glb_files import write_person
-from tests.motion.test_retarget import BANDAI
+from tests.motion.rig.test_retarget import BANDAI
 
 
 def test_every_format_is_registered():

@@ -7,7 +7,7 @@ from PIL import Image, ImageSequence
 from t2m_jax.errors import UserError
 from t2m_jax.export import save_gif, save_mp4
 from t2m_jax.export.gif import frame_durations
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 
 
 def test_gif_has_every_frame_at_its_time(tmp_path, walk):

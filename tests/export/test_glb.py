@@ -14,9 +14,9 @@ from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
 from t2m_jax.export.glb import save_glb
 from t2m_jax.export.skin import make_skin
-from t2m_jax.motion.bvh.rig_tables import rig_joint_names
 from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.motion.kinematics import forward_kinematics
+from t2m_jax.motion.rig.tables import rig_joint_names
 from t2m_jax.motion.skeleton import HUMANML3D
 
 NAMES = ("lafan1", "humanml3d", "mixamo", "vrm", "unreal")

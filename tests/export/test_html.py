@@ -9,7 +9,7 @@ import pytest
 
 from t2m_jax.export import save_html, viewer_html
 from t2m_jax.export.render.scene import figure_from_motion
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from tests.export.conftest import NASTY_CAPTION
 
 EMPTY = base64.b64encode(zlib.compress(b"")).decode()

@@ -8,7 +8,7 @@ import pytest
 from t2m_jax.errors import UserError
 from t2m_jax.export import load_npz, save_npz, save_pieces
 from t2m_jax.files.reading import MAX_UNPACKED
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 from tests.fuzz.attack import peak_memory
 

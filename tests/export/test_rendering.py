@@ -15,7 +15,7 @@ from t2m_jax.export.render.rasterizer import (
 )
 from t2m_jax.export.render.rendering import picture_size, render_film, render_poster
 from t2m_jax.export.render.view import View, project, sample_figure, smooth_path
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 
 FOCAL = 1000.0
 

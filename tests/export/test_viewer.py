@@ -11,7 +11,7 @@ from PIL import Image
 
 from t2m_jax.export import save_html, scene_record, viewer_html
 from t2m_jax.export.render.scene import figure_from_motion
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from tests.export.conftest import NASTY_CAPTION
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")

@@ -32,10 +32,10 @@ from t2m_jax.evaluation.run import load_partial
 from t2m_jax.export.formats import load_motion
 from t2m_jax.files import read_arrays, read_manifest
 from t2m_jax.motion.amc import load_amc
-from t2m_jax.motion.bvh.rigs import load_rig
 from t2m_jax.motion.gltf import load_gltf
+from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.normalizer import load_normalizer
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.rig.rigs import load_rig
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.text.bpe import load_bpe
 from t2m_jax.text.clip_bpe import load_clip_bpe

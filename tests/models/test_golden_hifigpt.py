@@ -13,8 +13,8 @@ from t2m_jax.data.banks.codes import CodeBatch
 from t2m_jax.models.hifigpt import HiFiGpt, HiFiGptConfig, guided
 from t2m_jax.models.projection import transpose_kernels
 from t2m_jax.models.system import variable_shapes
-from t2m_jax.sampling.codec import generate_codes
-from t2m_jax.sampling.decoding import Sampling
+from t2m_jax.sampling.loop import Sampling
+from t2m_jax.sampling.programs import generate_codes
 from t2m_jax.sampling.stopping import make_stop_rule
 from t2m_jax.sampling.strategies import Greedy
 from t2m_jax.train.hifigpt import HiFiGptState, TrainHiFiGptConfig, hifigpt_metrics, hifigpt_train_step

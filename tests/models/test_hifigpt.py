@@ -10,8 +10,8 @@ import pytest
 from t2m_jax.models.hifigpt import HiFiGpt, HiFiGptConfig
 from t2m_jax.models.rows import in_precision
 from t2m_jax.models.system import variable_shapes
-from t2m_jax.sampling.codec import generate_codes
-from t2m_jax.sampling.decoding import Sampling
+from t2m_jax.sampling.loop import Sampling
+from t2m_jax.sampling.programs import generate_codes
 from t2m_jax.sampling.stopping import StopAtHighest, StopAtThreshold
 from t2m_jax.sampling.strategies import Greedy, Temperature, TopK, TopP
 from tests.tiny import HIFIGPT, random_variables

@@ -6,8 +6,8 @@ import pytest
 from t2m_jax.errors import UserError
 from t2m_jax.export.formats import load_motion
 from t2m_jax.motion.amc import load_amc
-from t2m_jax.motion.bvh import retarget
-from t2m_jax.motion.bvh.orientation import left_is_left
+from t2m_jax.motion.rig import retarget
+from t2m_jax.motion.rig.orientation import left_is_left
 
 from .acclaim_files import AMC, ASF, write_acclaim
 

@@ -9,7 +9,7 @@ import pytest
 from t2m_jax.errors import UserError
 from t2m_jax.motion.bvh import load_bvh, save_bvh
 from t2m_jax.motion.bvh.writer import continuous_euler
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rotations import matrix_from_euler
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 

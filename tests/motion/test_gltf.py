@@ -5,12 +5,12 @@ import pytest
 
 from t2m_jax.errors import UserError
 from t2m_jax.motion import gltf
-from t2m_jax.motion.bvh import retarget
-from t2m_jax.motion.bvh.rig_tables import detect_rig
 from t2m_jax.motion.gltf import load_gltf
+from t2m_jax.motion.rig import retarget
+from t2m_jax.motion.rig.tables import detect_rig
 
 from .glb_files import GlbWriter, about_y, write_person
-from .test_retarget import BANDAI
+from .rig.test_retarget import BANDAI
 
 ARM = {"Root": (None, (0.0, 100.0, 0.0)), "Arm": ("Root", (50.0, 0.0, 0.0)), "Hand": ("Arm", (0.0, 0.0, 20.0))}
 

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from t2m_jax.motion.bvh import load_bvh, resample, retarget, save_bvh
+from t2m_jax.motion.bvh import load_bvh, save_bvh
+from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.parts import MAX_CAPTION, MAX_PARTS, checked_parts, parts_from_note, parts_note
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.rig import resample, retarget
 
 from .figures import walking_positions
 

@@ -8,7 +8,7 @@ import pytest
 from t2m_jax.checkpoints import TrainedTokenizer
 from t2m_jax.models.system import variable_shapes
 from t2m_jax.motion.normalizer import Normalizer
-from t2m_jax.sampling.codec import BATCH, encode_batch, encode_motions
+from t2m_jax.sampling.programs import BATCH, encode_batch, encode_motions
 from tests.tiny import VQVAE, random_variables
 
 

@@ -14,8 +14,8 @@ from t2m_jax.models.system import make_module
 from t2m_jax.motion.features import bone_vectors
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.sampling import TextToMotion
-from t2m_jax.sampling.codec import row_likelihoods
 from t2m_jax.sampling.inbetween import Middle, rank_middles
+from t2m_jax.sampling.programs import row_likelihoods
 from tests import tiny
 from tests.jit import assert_jit_equals_eager
 

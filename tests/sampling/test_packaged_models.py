@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.checkpoints.bundle import BUNDLED
-from t2m_jax.evaluation.prompt_following import follows
+from t2m_jax.evaluation.prompts.following import follows
 from t2m_jax.sampling import TextToMotion
 
 FOLDER = Path(str(importlib.resources.files("t2m_jax"))) / "bundles"

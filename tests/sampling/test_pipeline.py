@@ -14,7 +14,7 @@ from t2m_jax.checkpoints.bundle import BUNDLED
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
 from t2m_jax.motion.features import features_from_positions
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 from t2m_jax.sampling import Greedy, TextToMotion, TopK, encode_motions, sample_key
 from t2m_jax.sampling.prompts import MAX_BATCH, MAX_SAMPLES

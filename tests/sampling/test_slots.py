@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.sampling import TextToMotion
-from t2m_jax.sampling.codec import SLOT_ROWS
+from t2m_jax.sampling.programs import SLOT_ROWS
 from t2m_jax.sampling.prompts import read_prompts, sample_key
 from tests.tiny import BUNDLE, CAPTIONS, HIFIGPT, HIFIGPT_BUNDLE, random_bundle
 

@@ -17,7 +17,7 @@ from t2m_jax.sampling import (
     make_stop_rule,
     sample_codes,
 )
-from t2m_jax.sampling.decoding import CHUNK, GeneratorFunctions
+from t2m_jax.sampling.loop import CHUNK, GeneratorFunctions
 from t2m_jax.sampling.stopping import STOP_RULES
 
 ROWS = 3 * CHUNK

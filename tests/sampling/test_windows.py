@@ -12,7 +12,7 @@ from t2m_jax.motion.features import features_from_positions, positions_from_feat
 from t2m_jax.motion.joining import fade_features
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.sampling import TextToMotion
-from t2m_jax.sampling.codec import decode_batch
+from t2m_jax.sampling.programs import decode_batch
 from t2m_jax.sampling.windows import (
     FADE_SECONDS,
     MAX_CONTEXT,

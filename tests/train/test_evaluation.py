@@ -26,7 +26,7 @@ from t2m_jax.evaluation.task import make_task
 from t2m_jax.files import save_arrays
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.sampling import Temperature, TextToMotion, TopK
-from t2m_jax.sampling.codec import generate_codes
+from t2m_jax.sampling.programs import generate_codes
 from t2m_jax.train import (
     EvaluationConfig,
     GenerationEvaluationConfig,

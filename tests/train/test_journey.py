@@ -18,7 +18,7 @@ from t2m_jax.cli.main import main
 from t2m_jax.config import load_config
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation.prompt_following import RULES
+from t2m_jax.evaluation.prompts.following import RULES
 from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
 from t2m_jax.export.formats import load_motion
 from t2m_jax.sampling import TextToMotion

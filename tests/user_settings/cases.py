@@ -27,8 +27,8 @@ from t2m_jax.models.sentence_encoder import SentenceEncoder, SentenceEncoderConf
 from t2m_jax.models.system import make_module, variable_shapes
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import HUMANML3D
-from t2m_jax.sampling.codec import begin_motions, begin_slots
-from t2m_jax.sampling.decoding import Sampling
+from t2m_jax.sampling.loop import Sampling
+from t2m_jax.sampling.programs import begin_motions, begin_slots
 from t2m_jax.sampling.stopping import StopAtEnd, StopAtThreshold
 from t2m_jax.sampling.strategies import Temperature
 from t2m_jax.text.bpe import CaptionTokens

@@ -19,11 +19,12 @@ from t2m_jax.data.importers.division import EIGHTY, Division
 from t2m_jax.data.writer import ImportReport, finish_folder, new_folder, with_twins, write_twins
 from t2m_jax.errors import UserError
 from t2m_jax.motion.amc import AMC_FPS, load_amc
-from t2m_jax.motion.bvh import BvhClip, load_bvh
-from t2m_jax.motion.bvh.orientation import Up, left_is_left, rest_frames
-from t2m_jax.motion.bvh.resample import resample
-from t2m_jax.motion.bvh.retarget import clip_up, find_rig, retarget
+from t2m_jax.motion.bvh import load_bvh
 from t2m_jax.motion.gltf import load_gltf
+from t2m_jax.motion.rig import BvhClip
+from t2m_jax.motion.rig.orientation import Up, left_is_left, rest_frames
+from t2m_jax.motion.rig.resample import resample
+from t2m_jax.motion.rig.retarget import clip_up, find_rig, retarget
 from t2m_jax.motion.skeleton import HUMANML3D
 
 SUFFIXES = (".bvh", ".glb", ".amc")

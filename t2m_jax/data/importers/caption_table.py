@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from t2m_jax.data.importers.lexicon import tag_words
+from t2m_jax.data.captioning.lexicon import tag_words
 from t2m_jax.data.texts import Caption, parse_caption
 from t2m_jax.errors import UserError
 from t2m_jax.files import load_text

@@ -13,13 +13,13 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.config import check_seed
+from t2m_jax.data.captioning.captions import Labels, write_captions
 from t2m_jax.data.folder import DatasetInfo
-from t2m_jax.data.importers.bandai_namco.captions import Labels, write_captions
-from t2m_jax.data.importers.bandai_namco.measure import measure
 from t2m_jax.data.index import IndexRow, save_index
 from t2m_jax.data.splits import split_by_hash
 from t2m_jax.data.writer import ImportReport, check_count, finish_folder, new_folder, with_twins, write_twins
 from t2m_jax.errors import UserError
+from t2m_jax.motion.facts import measure
 from t2m_jax.motion.skeleton import HUMANML3D
 
 FPS = HUMANML3D.fps

@@ -14,13 +14,13 @@ from jaxtyping import Float
 from tqdm import tqdm
 
 from t2m_jax.config import check_seed
+from t2m_jax.data.captioning.captions import Labels, write_captions
 from t2m_jax.data.files import FEATURES, TEXTS
-from t2m_jax.data.importers.bandai_namco.captions import Labels, write_captions
-from t2m_jax.data.importers.bandai_namco.measure import measure
 from t2m_jax.data.importers.synthetic import FPS, KINDS, check_num_clips, make_motion
 from t2m_jax.data.splits import split_by_hash
 from t2m_jax.data.texts import Caption, save_captions
 from t2m_jax.data.writer import ImportReport, mirror, new_folder, save_split, with_twins
+from t2m_jax.motion.facts import measure
 from t2m_jax.motion.features import features_from_positions
 from t2m_jax.motion.mirroring import mirror_positions
 from t2m_jax.motion.normalizer import normalizer_from_clips, save_normalizer

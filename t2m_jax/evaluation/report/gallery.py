@@ -10,9 +10,9 @@ from jaxtyping import Float, Int
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.evaluation.codes import MotionCodes
 from t2m_jax.motion.features import positions_from_features
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import Skeleton, skeleton_from_feature_dim
-from t2m_jax.sampling.codec import motions_from_codes
+from t2m_jax.sampling.programs import motions_from_codes
 
 NUM_EXAMPLES, NUM_NEAREST = 4, 3
 """Captions whose nearest motions are shown, and how many of them."""

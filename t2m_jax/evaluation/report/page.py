@@ -21,7 +21,7 @@ from t2m_jax.evaluation.report.record import Report, report_as_json
 from t2m_jax.evaluation.report.tables import Cell, Table, make_table
 from t2m_jax.files import check_output, save_text
 from t2m_jax.metrics.codes import code_usage, perplexity
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 
 Viewer = Callable[[Sequence[Motion]], str]
 """Returns an HTML page that plays motions, side by side if there are several."""

@@ -30,7 +30,7 @@ from t2m_jax.export.render.rasterizer import (
 )
 from t2m_jax.export.render.scene import Figure, scene_from_motions
 from t2m_jax.export.render.view import View, project, sample_figure, smooth_path, views_of_scene
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 
 TINT_COLORS: dict[Tint, str] = {"body": "#e4ddd2", "left": "#8dbfd2", "right": "#eeb08d", "face": "#27303c"}
 FILL_LIGHT = np.array([-0.6, 0.35, -0.7]) / np.linalg.norm([-0.6, 0.35, -0.7])

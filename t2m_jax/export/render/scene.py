@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from t2m_jax.errors import UserError
 from t2m_jax.export.render.figure import BodyPart, body_from_skeleton, figure_points, figure_scale, is_mirrored
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 
 SOLE = 0.027
 """Meters between the joint centers of a standing foot and the ground."""

@@ -12,7 +12,7 @@ from t2m_jax.export.render.labels import make_label
 from t2m_jax.export.render.rendering import draw_figures, picture_size, shade_tables
 from t2m_jax.export.render.scene import Figure, Scene, figure_from_motion
 from t2m_jax.export.render.view import YAW_OF_SEVERAL, View, project, views_of_scene
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rotations import matrix_from_euler
 from t2m_jax.motion.skeleton import Skeleton
 

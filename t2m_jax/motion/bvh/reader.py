@@ -10,9 +10,9 @@ from jaxtyping import Float
 from t2m_jax.errors import UserError
 from t2m_jax.files import reading
 from t2m_jax.motion.bvh.channels import parse_motion
-from t2m_jax.motion.bvh.clip import BvhClip
 from t2m_jax.motion.bvh.hierarchy import AXES, POSITION_CHANNELS, ROTATION_CHANNELS, Hierarchy, parse_hierarchy
 from t2m_jax.motion.parts import parts_from_note
+from t2m_jax.motion.rig.clip import BvhClip
 from t2m_jax.motion.rotations import EulerOrder, matrix_from_euler
 
 PositionRule = Literal["auto", "absolute", "add"]

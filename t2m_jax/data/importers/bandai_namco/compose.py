@@ -9,20 +9,20 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.data.files import FEATURES
-from t2m_jax.data.importers.bandai_namco.captions import (
+from t2m_jax.data.captioning.captions import (
     CLAUSE_MARKS,
     FAST_WORDS,
     SLOW_WORDS,
     Labels,
     true_wordings,
 )
-from t2m_jax.data.importers.bandai_namco.grammar import Form, Manner, Wording, clause, opening
-from t2m_jax.data.importers.bandai_namco.measure import WALKING_SPEED, measure
-from t2m_jax.data.importers.bandai_namco.wordings import held_out_compositions, load_composition, load_wordings
-from t2m_jax.data.importers.lexicon import tag_words, words_in
+from t2m_jax.data.captioning.grammar import Form, Manner, Wording, clause, opening
+from t2m_jax.data.captioning.lexicon import tag_words, words_in
+from t2m_jax.data.captioning.wordings import held_out_compositions, load_composition, load_wordings
+from t2m_jax.data.files import FEATURES
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
+from t2m_jax.motion.facts import WALKING_SPEED, measure
 from t2m_jax.motion.features import features_from_positions, positions_from_features
 from t2m_jax.motion.joining import OVERLAP, find_cut, join_features
 from t2m_jax.motion.skeleton import HUMANML3D

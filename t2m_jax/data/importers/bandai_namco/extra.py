@@ -10,8 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from t2m_jax.data.captioning.captions import Labels, compose, true_wordings
+from t2m_jax.data.captioning.grammar import Manner
+from t2m_jax.data.captioning.lexicon import tag_words
+from t2m_jax.data.captioning.wordings import load_extremes, load_wordings
 from t2m_jax.data.files import MIRROR_PREFIX, POSITIONS, TEXTS
-from t2m_jax.data.importers.bandai_namco.captions import Labels, compose, true_wordings
 from t2m_jax.data.importers.bandai_namco.compose import (
     STAND,
     STAND_FRAMES,
@@ -29,13 +32,10 @@ from t2m_jax.data.importers.bandai_namco.extremes import (
     shows_pace,
     speed_limits,
 )
-from t2m_jax.data.importers.bandai_namco.grammar import Manner
-from t2m_jax.data.importers.bandai_namco.measure import Facts, measure
-from t2m_jax.data.importers.bandai_namco.wordings import load_extremes, load_wordings
-from t2m_jax.data.importers.lexicon import tag_words
 from t2m_jax.data.texts import Caption, load_captions, save_captions
 from t2m_jax.data.writer import mirror, write_twins
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.facts import Facts, measure
+from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D
 
 PACE_MARKS = ("pace", "steady", "quick", "fast", "speed", "stroll", "march", "stride", "wander")

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from t2m_jax.data.captioning.captions import FAST_WORDS, SLOW_WORDS
 from t2m_jax.data.files import POSITIONS
-from t2m_jax.data.importers.bandai_namco.captions import FAST_WORDS, SLOW_WORDS
-from t2m_jax.data.importers.bandai_namco.measure import Facts, measure
+from t2m_jax.motion.facts import Facts, measure
 from t2m_jax.motion.skeleton import HUMANML3D
 
 EXTREMES = {"very_slow": 0.1, "slow": 0.2, "fast": 0.8, "very_fast": 0.9}

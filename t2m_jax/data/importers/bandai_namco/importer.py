@@ -11,9 +11,10 @@ from typing import Any, TypeAlias
 
 import tqdm
 
+from t2m_jax.data.captioning.captions import Labels, write_captions
+from t2m_jax.data.captioning.wordings import load_wordings
 from t2m_jax.data.files import SPLITS, read_names
 from t2m_jax.data.folder import DatasetInfo
-from t2m_jax.data.importers.bandai_namco.captions import Labels, write_captions
 from t2m_jax.data.importers.bandai_namco.extra import (
     NewClip,
     make_library,
@@ -22,15 +23,14 @@ from t2m_jax.data.importers.bandai_namco.extra import (
     write_slow_clips,
     write_stand_clips,
 )
-from t2m_jax.data.importers.bandai_namco.measure import measure
-from t2m_jax.data.importers.bandai_namco.wordings import load_wordings
 from t2m_jax.data.index import IndexRow, save_index
 from t2m_jax.data.splits import split_by_hash
 from t2m_jax.data.writer import ImportReport, check_count, finish_folder, new_folder, with_twins, write_twins
 from t2m_jax.errors import UserError
 from t2m_jax.motion.bvh import load_bvh
-from t2m_jax.motion.bvh.resample import resample
-from t2m_jax.motion.bvh.retarget import retarget
+from t2m_jax.motion.facts import measure
+from t2m_jax.motion.rig.resample import resample
+from t2m_jax.motion.rig.retarget import retarget
 from t2m_jax.motion.skeleton import HUMANML3D
 
 CLIP_TABLE = "bandai-namco-clips.csv"

@@ -4,14 +4,14 @@ import pytest
 
 from t2m_jax.cli.main import main
 from t2m_jax.errors import UserError
-from t2m_jax.motion.bvh import load_bvh, rig_guess, save_bvh
-from t2m_jax.motion.bvh.retarget import retarget
-from t2m_jax.motion.bvh.rig_guess import guess_rig
-from t2m_jax.motion.bvh.rig_tables import RIGS, detect_rig
-from t2m_jax.motion.bvh.rigs import OPTIONAL_JOINTS
-from t2m_jax.motion.record import Motion
-
-from .figures import walking_positions
+from t2m_jax.motion.bvh import load_bvh, save_bvh
+from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.rig import guess as rig_guess
+from t2m_jax.motion.rig.guess import guess_rig
+from t2m_jax.motion.rig.retarget import retarget
+from t2m_jax.motion.rig.rigs import OPTIONAL_JOINTS
+from t2m_jax.motion.rig.tables import RIGS, detect_rig
+from tests.motion.figures import walking_positions
 
 BIPED = {
     "Hips": "Bip01 Pelvis", "Spine": "Bip01 Spine", "Spine1": "Bip01 Spine1", "Spine2": "Bip01 Spine2",

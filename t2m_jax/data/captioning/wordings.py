@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from t2m_jax.data.importers.bandai_namco.grammar import Manner, Side, Subject, Wording
+from t2m_jax.data.captioning.grammar import Manner, Side, Subject, Wording
 
 
 class Content(NamedTuple):

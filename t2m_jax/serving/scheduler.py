@@ -17,10 +17,10 @@ from jaxtyping import Int
 
 from t2m_jax.errors import UserError
 from t2m_jax.export import scene_record
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling import TextToMotion
-from t2m_jax.sampling.codec import pad_codes
-from t2m_jax.sampling.decoding import SampledCodes
+from t2m_jax.sampling.loop import SampledCodes
+from t2m_jax.sampling.programs import pad_codes
 from t2m_jax.sampling.prompts import read_prompts, sample_key
 from t2m_jax.sampling.slots import Progress, Slots
 from t2m_jax.sampling.strategies import Strategy, make_strategy
@@ -49,7 +49,7 @@ class _Part(NamedTuple):
     sample: Sample
 
 
-class Maker:
+class Scheduler:
     """Makes the motions of tasks, and sends their events. Plain tasks share the slots of one batch."""
 
     def __init__(self, model: TextToMotion, num_slots: int, send: Send):
@@ -77,7 +77,7 @@ class Maker:
 
     def warm_up(self) -> None:
         """Compiles what most requests need."""
-        nothing = Maker(self.model, self.num_slots, lambda *_: None)
+        nothing = Scheduler(self.model, self.num_slots, lambda *_: None)
         nothing.add(Task(NO_JOB, MotionRequest(captions=(EXAMPLE_PROMPT,)), 0))
         sample = nothing.waiting[0].sample
         while nothing.is_busy:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion import record
-from t2m_jax.motion.record import Motion, motion_formats, save_motions
+from t2m_jax.motion import motion as motion_module
+from t2m_jax.motion.motion import Motion, motion_formats, save_motions
 from t2m_jax.motion.skeleton import KIT_ML
 
 
@@ -32,7 +32,7 @@ def viewer(motions, *, embed):
 def register(monkeypatch, **functions):
     """Makes functions of this file what installed packages offer."""
     points = [EntryPoint(name, f"{__name__}:{function}", "") for name, function in functions.items()]
-    monkeypatch.setattr(record, "entry_points", lambda group: points)
+    monkeypatch.setattr(motion_module, "entry_points", lambda group: points)
 
 
 def test_a_motion_takes_what_becomes_an_array(unchecked):

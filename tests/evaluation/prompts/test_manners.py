@@ -5,10 +5,11 @@ import pytest
 
 from t2m_jax.data import make_motion, open_dataset, write_synthetic_dataset
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation import evaluate_prompt_following, manner_tests, manners
-from t2m_jax.evaluation.manners import MANNERS, train_classifier
+from t2m_jax.evaluation import evaluate_prompt_following, manner_tests
+from t2m_jax.evaluation.prompts import manners
+from t2m_jax.evaluation.prompts.manners import MANNERS, train_classifier
 from t2m_jax.motion import HUMANML3D, features_from_positions
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 
 
 def clip(manner, seed, *, frames=40):

@@ -18,11 +18,11 @@ from t2m_jax.models.projection import transpose_kernels
 from t2m_jax.models.system import GeneratorConfig
 from t2m_jax.motion.cleanup import clean_positions
 from t2m_jax.motion.features import features_from_positions, positions_from_features
+from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.normalizer import Normalizer
-from t2m_jax.motion.record import Motion
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.sampling.batches import pad_motions, round_up
-from t2m_jax.sampling.decoding import (
+from t2m_jax.sampling.loop import (
     GeneratorFunctions,
     Given,
     LoopState,

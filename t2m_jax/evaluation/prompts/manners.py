@@ -9,13 +9,13 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Int
 
+from t2m_jax.data.captioning.wordings import held_out_sentences, load_wordings
 from t2m_jax.data.folder import Dataset
-from t2m_jax.data.importers.bandai_namco.wordings import held_out_sentences, load_wordings
 from t2m_jax.data.index import load_index
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation.prompt_following import RULES, PromptTest, check_skeleton
+from t2m_jax.evaluation.prompts.following import RULES, PromptTest, check_skeleton
 from t2m_jax.motion.features import features_from_positions
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D
 
 MANNERS = ("normal", "active", "elderly", "exhausted", "feminine", "masculine", "youthful")

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from t2m_jax.data.importers.bandai_namco.wordings import held_out_sentences
+from t2m_jax.data.captioning.wordings import held_out_sentences
 from t2m_jax.data.importers.synthetic import KINDS, make_motion
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation.prompt_following import (
+from t2m_jax.evaluation.prompts.following import (
     RULES,
     action_tests,
     evaluate_prompt_following,
@@ -14,7 +14,7 @@ from t2m_jax.evaluation.prompt_following import (
     markdown_table,
     requests,
 )
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import KIT_ML
 
 OTHERS = (

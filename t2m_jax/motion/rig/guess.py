@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.bvh.clip import BvhClip
-from t2m_jax.motion.bvh.orientation import left_is_left
-from t2m_jax.motion.bvh.retarget import retarget
-from t2m_jax.motion.bvh.rig_tables import RIGS
-from t2m_jax.motion.bvh.rigs import OPTIONAL_JOINTS, Rig
+from t2m_jax.motion.rig.clip import BvhClip
+from t2m_jax.motion.rig.orientation import left_is_left
+from t2m_jax.motion.rig.retarget import retarget
+from t2m_jax.motion.rig.rigs import OPTIONAL_JOINTS, Rig
+from t2m_jax.motion.rig.tables import RIGS
 from t2m_jax.motion.skeleton import HUMANML3D
 
 ENOUGH = 0.5

@@ -11,10 +11,10 @@ from t2m_jax.models.system import make_module
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.sampling import TextToMotion
-from t2m_jax.sampling.codec import generate_codes
-from t2m_jax.sampling.decoding import Given
-from t2m_jax.sampling.edit import context_rows
+from t2m_jax.sampling.loop import Given
+from t2m_jax.sampling.programs import generate_codes
 from t2m_jax.sampling.prompts import sample_key
+from t2m_jax.sampling.timeline import context_rows
 from t2m_jax.sampling.windows import FADE_SECONDS
 from tests import tiny
 from tests.jit import assert_jit_equals_eager

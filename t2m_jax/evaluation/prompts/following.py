@@ -9,10 +9,10 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from t2m_jax.data.importers.bandai_namco.measure import Facts, measure
-from t2m_jax.data.importers.bandai_namco.wordings import held_out_sentences
+from t2m_jax.data.captioning.wordings import held_out_sentences
 from t2m_jax.errors import UserError
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.facts import Facts, measure
+from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, Skeleton
 
 HAND_UP = -0.05

@@ -8,19 +8,19 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.data.folder import Dataset
-from t2m_jax.data.importers.bandai_namco.measure import Facts, measure
-from t2m_jax.data.importers.bandai_namco.wordings import (
+from t2m_jax.data.captioning.wordings import (
     Pace,
     held_out_compositions,
     held_out_paces,
     held_out_sentences,
 )
+from t2m_jax.data.folder import Dataset
 from t2m_jax.data.index import load_index
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation.prompt_following import RULES, PromptTest, check_skeleton, goes_straight, measure_motion
+from t2m_jax.evaluation.prompts.following import RULES, PromptTest, check_skeleton, goes_straight, measure_motion
+from t2m_jax.motion.facts import Facts, measure
 from t2m_jax.motion.features import positions_from_features
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
 
 PACED = ("walk", "run", "walk-turn-left", "walk-turn-right", "wave-left-hand", "wave-right-hand", "wave-both-hands")
 """Contents that are asked for at each pace."""

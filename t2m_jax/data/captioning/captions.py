@@ -7,11 +7,11 @@ always gives the same folder. Some captions name the style and some do not, beca
 import random
 from typing import NamedTuple
 
-from t2m_jax.data.importers.bandai_namco.grammar import Form, Manner, Subject, Wording, sentence
-from t2m_jax.data.importers.bandai_namco.measure import Facts
-from t2m_jax.data.importers.bandai_namco.wordings import load_wordings
-from t2m_jax.data.importers.lexicon import tag_words
+from t2m_jax.data.captioning.grammar import Form, Manner, Subject, Wording, sentence
+from t2m_jax.data.captioning.lexicon import tag_words
+from t2m_jax.data.captioning.wordings import load_wordings
 from t2m_jax.data.texts import Caption
+from t2m_jax.motion.facts import Facts
 
 FORMS: tuple[Form, ...] = ("present", "progressive", "imperative", "gerund", "begins")
 FORM_WEIGHTS = (58, 18, 11, 9, 4)

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.bvh import BvhClip
-from t2m_jax.motion.bvh.resample import resample
+from t2m_jax.motion.rig import BvhClip
+from t2m_jax.motion.rig.resample import resample
 from t2m_jax.motion.rotations import euler_from_matrix, matrix_from_euler
-
-from .figures import turn_angles
+from tests.motion.figures import turn_angles
 
 
 def turning_clip(num_frames: int, fps: float, *, start: float = 0.0) -> BvhClip:

@@ -7,7 +7,7 @@ her, their, the, your), `{limb}` ("his left hand", "both arms"), `{it}` (it, the
 import re
 from typing import Literal, NamedTuple
 
-from t2m_jax.data.importers.lexicon import gerund, third_person
+from t2m_jax.data.captioning.lexicon import gerund, third_person
 
 Form = Literal["present", "progressive", "imperative", "gerund", "begins"]
 Side = Literal["left", "right", "both", ""]

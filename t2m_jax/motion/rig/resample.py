@@ -3,7 +3,7 @@
 import dataclasses
 
 from t2m_jax.motion import editing
-from t2m_jax.motion.bvh.clip import BvhClip
+from t2m_jax.motion.rig.clip import BvhClip
 from t2m_jax.motion.rotations import continuous_quaternions, matrix_from_quaternion, quaternion_from_matrix
 
 

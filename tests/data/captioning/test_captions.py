@@ -2,11 +2,11 @@ import random
 
 import pytest
 
-from t2m_jax.data.importers.bandai_namco.captions import Labels, clip_pace, true_facts, write_captions
-from t2m_jax.data.importers.bandai_namco.grammar import Manner, Subject, sentence
-from t2m_jax.data.importers.bandai_namco.measure import Facts
-from t2m_jax.data.importers.bandai_namco.wordings import held_out_compositions, held_out_sentences, load_wordings
-from t2m_jax.data.importers.lexicon import gerund, knows, tag_words, third_person, words_in
+from t2m_jax.data.captioning.captions import Labels, clip_pace, true_facts, write_captions
+from t2m_jax.data.captioning.grammar import Manner, Subject, sentence
+from t2m_jax.data.captioning.lexicon import gerund, knows, tag_words, third_person, words_in
+from t2m_jax.data.captioning.wordings import held_out_compositions, held_out_sentences, load_wordings
+from t2m_jax.motion.facts import Facts
 
 CONTENTS, EXCEPTIONS, STYLES, SUBJECTS = load_wordings()
 HELD_OUT = held_out_sentences()

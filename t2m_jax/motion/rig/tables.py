@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.bvh.rigs import Rig, make_rig, match_rig
+from t2m_jax.motion.rig.rigs import Rig, make_rig, match_rig
 from t2m_jax.motion.skeleton import HUMANML3D
 
 

@@ -5,14 +5,13 @@ import pytest
 
 from t2m_jax.errors import UserError
 from t2m_jax.motion.bvh import load_bvh, save_bvh
-from t2m_jax.motion.bvh.retarget import retarget
-from t2m_jax.motion.bvh.rig_tables import RIGS, detect_rig
-from t2m_jax.motion.bvh.rigs import load_rig, make_rig
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.rig.retarget import retarget
+from t2m_jax.motion.rig.rigs import load_rig, make_rig
+from t2m_jax.motion.rig.tables import RIGS, detect_rig
 from t2m_jax.motion.rotations import matrix_from_euler
 from t2m_jax.motion.skeleton import HUMANML3D
-
-from .figures import INDEX, bvh_text, walking_positions
+from tests.motion.figures import INDEX, bvh_text, walking_positions
 
 
 def limbs(thigh: str, shin: str, foot: str, toe: str, *, pelvis: str) -> dict:

@@ -7,16 +7,16 @@ import pytest
 
 from t2m_jax.data.importers.bvh import find_motion_files, import_bvh_folder, open_motion_file
 from t2m_jax.errors import UserError
-from t2m_jax.motion.bvh import load_bvh, retarget, save_bvh
-from t2m_jax.motion.bvh.orientation import find_up, left_is_left, rest_frames, to_y_up
-from t2m_jax.motion.bvh.retarget import clip_up, find_rig
+from t2m_jax.motion.bvh import load_bvh, save_bvh
 from t2m_jax.motion.mirroring import mirror_positions
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.rig import retarget
+from t2m_jax.motion.rig.orientation import find_up, left_is_left, rest_frames, to_y_up
+from t2m_jax.motion.rig.retarget import clip_up, find_rig
 from t2m_jax.motion.rotations import matrix_from_euler
 from t2m_jax.motion.skeleton import HUMANML3D
 from tests.data.bvh_files import write_bvh
-
-from .figures import walking_positions
+from tests.motion.figures import walking_positions
 
 # These two lie in the pose of a skeleton that has fallen apart.
 BROKEN_LEGS = {"Rig_Medium|Skeletons_Death", "Rig_Medium|Skeletons_Death_Pose"}

@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.bvh.clip import BvhClip
-from t2m_jax.motion.bvh.orientation import Up, find_up, to_y_up
-from t2m_jax.motion.bvh.rig_tables import RIGS, detect_rig
-from t2m_jax.motion.bvh.rigs import Rig, load_rig, make_rig, match_rig
-from t2m_jax.motion.record import Motion
+from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.rig.clip import BvhClip
+from t2m_jax.motion.rig.orientation import Up, find_up, to_y_up
+from t2m_jax.motion.rig.rigs import Rig, load_rig, make_rig, match_rig
+from t2m_jax.motion.rig.tables import RIGS, detect_rig
 from t2m_jax.motion.skeleton import HUMANML3D
 
 RigLike = Rig | str | Mapping[str, str | Sequence[str]]

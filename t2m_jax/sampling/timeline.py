@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Key
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.record import Motion
-from t2m_jax.sampling.decoding import Given, Sampling
+from t2m_jax.motion.motion import Motion
+from t2m_jax.sampling.loop import Given, Sampling
 from t2m_jax.sampling.model import MotionModel
 from t2m_jax.sampling.prompts import Prompt
 from t2m_jax.sampling.windows import Codes, clean_long, decode_sentences, ease_seams

@@ -1,0 +1,1 @@
+"""Captions from facts: a grammar, wordings of actions and styles, and a lexicon of their words."""
