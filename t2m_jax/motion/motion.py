@@ -128,6 +128,19 @@ class Motion:
             raise UserError(f"motion[{frames.start}:{frames.stop}]: has no frames; the motion has {self.num_frames}")
         return dataclasses.replace(self, **cut, codes=None, part_starts=(), part_captions=())
 
+    def trimmed(self, begin: float | None = None, end: float | None = None) -> "Motion":
+        """Returns the motion from one time to another in seconds, without codes; None is its own begin or end.
+
+        Raises:
+            UserError: No frame is between these times.
+        """
+        first = round((begin or 0.0) * self.fps)
+        last = self.num_frames if end is None else round(min(end, self.seconds) * self.fps)
+        if not 0 <= first < last:
+            stop = self.seconds if end is None else end
+            raise UserError(f"begin: {begin or 0:g} to {stop:g} s has no frame; the motion has {self.seconds:.2f} s")
+        return self[first:last]
+
     def resampled(self, fps: float | int) -> "Motion":
         """Returns the same motion at another frame rate, without features and codes (see `editing.resample_positions`).
 

@@ -1,0 +1,126 @@
+"""What a user may ask a model for: one record for Python, command line and server."""
+
+import dataclasses
+import math
+from typing import Literal
+
+from t2m_jax.config import check_seed
+from t2m_jax.errors import UserError
+from t2m_jax.motion.motion import Motion
+from t2m_jax.sampling.strategies import Strategy, make_strategy
+from t2m_jax.text.prompts import check_prompt
+
+MAX_SAMPLES = 1_000_000
+"""Most motions of a request. A larger number is probably a mistake: they would take weeks and 100 GB."""
+MAX_SECONDS = 3600.0
+"""Longest motion for a sentence. A larger number is probably a mistake."""
+MAX_CANDIDATES = 32
+"""Most samples to choose a motion from: they are one batch."""
+
+StopRuleName = Literal["argmax", "threshold", "sampled"]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SamplingOptions:
+    """How codes are chosen. The same options can be used for every kind of request."""
+
+    temperature: float = 1.0
+    """Below 1, likely codes are chosen more often; with 0, always the likeliest."""
+    top_k: int | None = None
+    """Number of the likeliest codes to choose among."""
+    top_p: float | None = None
+    """Codes are chosen among the likeliest ones, up to this sum of their probabilities."""
+    strategy: Strategy | None = None
+    """Another way to choose codes, instead of the three numbers; only in Python."""
+    guidance_scale: float | None = None
+    """Strength of the guidance by the text, for models that were trained for it; 1 is none. By default the model's."""
+    stop_rule: StopRuleName | None = None
+    """When a motion ends, for models with a stop head; by default the model's own rule."""
+    max_codes: int | None = None
+    """Longest motion in codes; by default the model's maximum."""
+    raw: bool = False
+    """Whether positions stay as decoded. By default they are cleaned: they tremble less, bones have constant lengths,
+    and feet slide less (`t2m_jax.motion.cleanup`)."""
+
+    def __post_init__(self) -> None:
+        """Checks each field.
+
+        Raises:
+            UserError: A value cannot be used with any model, or two fields exclude each other.
+        """
+        self.make_strategy()
+        if self.guidance_scale is not None and not 0 <= self.guidance_scale < math.inf:
+            raise UserError(f"guidance-scale: {self.guidance_scale} is not a number from 0")
+
+    def make_strategy(self) -> Strategy:
+        """Returns how codes are chosen."""
+        if self.strategy is None:
+            return make_strategy(float(self.temperature), self.top_k, top_p=self.top_p)
+        if (self.temperature, self.top_k, self.top_p) != (1.0, None, None):
+            raise UserError("strategy: excludes temperature, top-k and top-p; give them to the strategy")
+        return self.strategy
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class MotionRequest:
+    """From a user to `TextToMotion.make`: one motion, or several samples of it."""
+
+    captions: tuple[str, ...]
+    """Sentences; several become one motion that shows them in turn."""
+    start: Motion | None = None
+    """A motion to go on from. With `span` or `strength`, it is changed instead."""
+    span: tuple[float, float] | None = None
+    """Begin and end of the seconds of `start` that the sentence replaces."""
+    strength: float | None = None
+    """Share of `start` that is sampled again: 0 changes nothing, and 1 keeps nothing."""
+    seconds: float | None = None
+    """Length for each sentence, rounded to whole rows of codes; by default the model decides."""
+    seed: int = 0
+    """From 0 to 2**32 - 1. The same seed gives the same motion."""
+    num_samples: int = 1
+    """Motions to make."""
+    candidates: int = 16
+    """Samples to choose the motions from; only for `span`."""
+    options: SamplingOptions = SamplingOptions()
+    """How codes are chosen."""
+
+    def __post_init__(self) -> None:
+        """Checks each field, and cleans the sentences.
+
+        Raises:
+            UserError: A value cannot be used with any model, or fields do not go together.
+        """
+        if not self.captions:
+            raise UserError("captions: give at least one sentence")
+        object.__setattr__(self, "captions", tuple(check_prompt(caption) for caption in self.captions))
+        check_seed(self.seed)
+        if not 1 <= self.num_samples <= MAX_SAMPLES:
+            raise UserError(f"num-samples: {self.num_samples} is not a whole number from 1 to {MAX_SAMPLES:,}")
+        if self.seconds is not None and not 0 < self.seconds <= MAX_SECONDS:
+            raise UserError(f"seconds: {self.seconds:g} is not a number above 0, up to {MAX_SECONDS:g}")
+        self._check_change()
+
+    def _check_change(self) -> None:
+        if self.span is None and self.strength is None:
+            return
+        name = "strength" if self.span is None else "span"
+        if self.start is None:
+            raise UserError(f"{name}: changes a motion; give it as start")
+        if self.span is not None and self.strength is not None:
+            raise UserError("span: excludes strength")
+        if len(self.captions) > 1 or self.seconds is not None:
+            raise UserError(f"{name}: takes one sentence and no seconds")
+        if self.strength is not None and not 0 <= self.strength <= 1:
+            raise UserError(f"strength: {self.strength:g} is not a number from 0 to 1")
+        if self.span is not None:
+            self._check_candidates(*self.span)
+
+    def _check_candidates(self, begin: float, end: float) -> None:
+        if not 0 <= begin < end < math.inf:
+            raise UserError(f"span: {begin:g} to {end:g} is not a part of the motion")
+        if not 1 <= self.candidates <= MAX_CANDIDATES:
+            raise UserError(f"candidates: {self.candidates} is not a whole number from 1 to {MAX_CANDIDATES}")
+        if self.num_samples > self.candidates:
+            raise UserError(
+                f"num-samples: {self.num_samples} motions cannot be chosen from {self.candidates} candidates"
+            )
