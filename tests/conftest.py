@@ -4,10 +4,8 @@ import ctypes
 import functools
 import gc
 import os
-import shutil
 import sys
 import tarfile
-import tempfile
 from pathlib import Path
 
 # Set before the first import of jax, and inherited by the programs that tests start.
@@ -34,7 +32,7 @@ settings.load_profile("suite")
 
 REPOSITORY = Path(__file__).parents[1]
 PROGRAMS = "T2M_JAX_TEST_PROGRAMS"
-"""The environment variable that tells the processes of a test run where compiled programs are."""
+"""The environment variable that says where compiled programs are; by default in the cache of pytest."""
 LONGEST = ("test_wheel.py", "test_processes.py")
 """Files of slow tests that take several minutes."""
 MEMORY_LIMIT = 1_500_000_000
@@ -42,12 +40,12 @@ MEMORY_LIMIT = 1_500_000_000
 
 
 def pytest_configure(config):
-    """Lets all processes of a test run share compiled programs, which takes a fifth of the time off.
+    """Lets all processes of this test run and of later ones share compiled programs, which saves most of the time.
 
     The programs that tests start do not share them: some are killed, and could leave half of a file.
     """
     if not hasattr(config, "workerinput"):
-        os.environ[PROGRAMS] = tempfile.mkdtemp(prefix="t2m-jax-programs-")
+        os.environ.setdefault(PROGRAMS, str(config.cache.mkdir("programs")))
     jax.config.update("jax_compilation_cache_dir", os.environ[PROGRAMS])
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
@@ -57,12 +55,6 @@ def pytest_configure(config):
 def pytest_collection_modifyitems(items):
     """Begins with what takes longest, so that no process has to wait for another at the end."""
     items.sort(key=lambda item: item.path.name not in LONGEST)
-
-
-def pytest_unconfigure(config):
-    """Removes the compiled programs."""
-    if not hasattr(config, "workerinput"):
-        shutil.rmtree(os.environ[PROGRAMS], ignore_errors=True)
 
 
 def resident_memory() -> int:
