@@ -13,8 +13,8 @@ from t2m_jax.evaluation.prompts.following import (
     RULES,
     PromptTest,
     evaluate_prompt_following,
+    following_table,
     follows,
-    markdown_table,
 )
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.text.coverage import PromptWarning
@@ -95,7 +95,7 @@ def main() -> None:
     results = evaluate_prompt_following(
         tests(), lambda sentence, seed: model.generate(sentence, seed=seed)[0], num_seeds=options.count
     )
-    print(markdown_table(results))  # noqa: T201
+    print(following_table(results))  # noqa: T201
 
 
 if __name__ == "__main__":

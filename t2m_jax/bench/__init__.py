@@ -9,7 +9,7 @@ from t2m_jax.bench.record import Figure, Machine, Peaks, Report, Row, load_repor
 from t2m_jax.bench.run import make_report, measure_all
 from t2m_jax.bench.sample import Subject, benchmark_sampling, full_size_subjects, random_variables
 from t2m_jax.bench.scaling import Interconnect, Prediction, Recipe, predict, published_recipes, scaling_rows
-from t2m_jax.bench.tables import markdown_table, report_text
+from t2m_jax.bench.tables import fitted_table, report_text
 from t2m_jax.bench.train import Options, benchmark_training, make_training, update_flops
 
 __all__ = [
@@ -35,11 +35,11 @@ __all__ = [
     "count_flops",
     "describe_machine",
     "first_devices",
+    "fitted_table",
     "full_size_subjects",
     "load_report",
     "make_report",
     "make_training",
-    "markdown_table",
     "measure_all",
     "measure_peaks",
     "predict",

@@ -3,32 +3,23 @@
 from collections.abc import Sequence
 
 from t2m_jax.bench.record import Figure, Machine, Report
+from t2m_jax.files.markdown import markdown_table
 
 MISSING = "-"
 """Printed if a row has no such figure."""
 TITLES = {"train": "Training", "sample": "Sampling", "evaluate": "Evaluation", "data": "Data"}
 
 
-def markdown_table(headings: Sequence[str], rows: Sequence[Sequence[str]], *, width: int | None = None) -> str:
-    """Returns a Markdown table, the first column to the left and the others to the right.
+def fitted_table(headings: Sequence[str], rows: Sequence[Sequence[str]], *, width: int | None = None) -> str:
+    """Returns an aligned Markdown table.
 
     If it is wider than `width` characters, columns and rows are exchanged, which is narrower for a few rows.
     """
-    cells = [list(headings), *map(list, rows)]
-    text = _aligned(cells)
+    text = markdown_table(headings, rows, aligned=True)
     if width is None or len(text.partition("\n")[0]) <= width:
         return text
-    return _aligned([list(column) for column in zip(*cells, strict=True)])
-
-
-def _aligned(cells: Sequence[Sequence[str]]) -> str:
-    widths = [max(4, *map(len, column)) for column in zip(*cells, strict=True)]
-    rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
-    lines = []
-    for row in (cells[0], rule, *cells[1:]):
-        padded = [row[0].ljust(widths[0]), *(cell.rjust(size) for cell, size in zip(row[1:], widths[1:], strict=True))]
-        lines.append("| " + " | ".join(padded) + " |")
-    return "\n".join(lines)
+    headings, *rows = zip(headings, *rows, strict=True)
+    return markdown_table(headings, rows, aligned=True)
 
 
 def report_text(report: Report, *, width: int | None = None) -> str:
@@ -43,7 +34,7 @@ def report_text(report: Report, *, width: int | None = None) -> str:
             found = {figure.heading: number_text(figure) for figure in row.figures}
             cells.append([row.name, *(found.get(heading, MISSING) for heading in headings)])
         if rows:
-            parts += [f"## {title}", markdown_table([benchmark, *headings], cells, width=width)]
+            parts += [f"## {title}", fitted_table([benchmark, *headings], cells, width=width)]
     if report.peak_memory is not None:
         parts.append(f"Peak memory of the whole command: {report.peak_memory / 1e9:.2f} GB.")
     return "\n\n".join(parts)
@@ -71,4 +62,4 @@ def _peaks_table(machine: Machine, width: int | None) -> str:
         )
         for peak in machine.peaks
     ]
-    return markdown_table(headings, rows, width=width)
+    return fitted_table(headings, rows, width=width)

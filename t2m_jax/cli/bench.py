@@ -183,11 +183,11 @@ def run_all(args: argparse.Namespace) -> None:
 
 def run_scale(args: argparse.Namespace) -> None:
     """Prints the time of the published recipes on many accelerators, as a model predicts it."""
-    from t2m_jax.bench import load_report, markdown_table, scaling_rows
+    from t2m_jax.bench import fitted_table, load_report, scaling_rows
     from t2m_jax.bench.scaling import HEADINGS, assumed_rates, measured_rates
 
     rates = assumed_rates(args.device) if args.report is None else measured_rates(load_report(args.report))
-    sys.stdout.write(f"{markdown_table(HEADINGS, scaling_rows(rates, interconnect=args.interconnect))}\n")
+    sys.stdout.write(f"{fitted_table(HEADINGS, scaling_rows(rates, interconnect=args.interconnect))}\n")
 
 
 def _report(args: argparse.Namespace, measure: "Callable[[Peaks], Sequence[Row]]") -> None:

@@ -228,7 +228,7 @@ def _prompt_tests(group: str, data: str | None) -> "list[PromptTest]":
 def run_prompts(args: argparse.Namespace) -> None:
     """Prints how often generated motion does what was asked."""
     from t2m_jax.evaluation import evaluate_prompt_following
-    from t2m_jax.evaluation.prompts.following import markdown_table
+    from t2m_jax.evaluation.prompts.following import following_table
     from t2m_jax.evaluation.report import PromptCounts, PromptReport, save_prompt_report
     from t2m_jax.sampling import TextToMotion, make_strategy
     from t2m_jax.text.coverage import PromptWarning
@@ -243,7 +243,7 @@ def run_prompts(args: argparse.Namespace) -> None:
         results = evaluate_prompt_following(
             tests, lambda sentence, seed: model.generate(sentence, seed=seed, **options)[0], num_seeds=args.num_seeds
         )
-    sys.stdout.write(markdown_table(results) + "\n")
+    sys.stdout.write(following_table(results) + "\n")
     if args.json:
         contents = tuple(
             PromptCounts(

@@ -1,6 +1,5 @@
 """How well a model fills a gap in held-out motion, beside the motion that was there and beside an interpolation."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +9,7 @@ from tqdm import tqdm
 from t2m_jax.data.checks import check_feature_dim
 from t2m_jax.data.folder import Dataset
 from t2m_jax.errors import UserError
+from t2m_jax.files.markdown import markdown_table
 from t2m_jax.motion.features import bone_vectors, positions_from_bones, positions_from_features
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rotations import unit_vectors
@@ -105,13 +105,11 @@ def gap_figures(
 
 def format_inbetween(figures: InbetweenFigures) -> str:
     """Returns a table in Markdown."""
-    names: Sequence[str] = (
+    names = (
         "deviation at the joins, mm",
         "change of velocity at the joins, m/s",
         "acceleration in the gap, m/s^2",
         "error of the acceleration, m/s^2",
     )
-    rows = zip(names, *figures[:3], strict=True)
-    lines = [f"| {name} | " + " | ".join(f"{value:.2f}" for value in values) + " |" for name, *values in rows]
-    head = [f"| {figures.num_clips} clips | real | generated | interpolated |", "| --- | ---: | ---: | ---: |"]
-    return "\n".join([*head, *lines])
+    lines = [(name, *(f"{value:.2f}" for value in values)) for name, *values in zip(names, *figures[:3], strict=True)]
+    return markdown_table((f"{figures.num_clips} clips", "real", "generated", "interpolated"), lines)

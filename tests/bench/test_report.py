@@ -3,7 +3,7 @@ import math
 
 import pytest
 
-from t2m_jax.bench import Figure, compare_reports, load_report, markdown_table, report_text, save_report
+from t2m_jax.bench import Figure, compare_reports, fitted_table, load_report, report_text, save_report
 from t2m_jax.errors import UserError
 from tests.bench.conftest import on_another_machine, report
 
@@ -67,7 +67,7 @@ def test_a_report_is_shown_as_aligned_markdown():
 
 def test_a_table_that_is_too_wide_is_turned():
     headings, rows = [f"heading {number}" for number in range(9)], [[f"{number}" for number in range(9)]]
-    wide, narrow = markdown_table(headings, rows), markdown_table(headings, rows, width=40)
+    wide, narrow = fitted_table(headings, rows), fitted_table(headings, rows, width=40)
     assert max(map(len, wide.splitlines())) > 40 >= max(map(len, narrow.splitlines()))
     assert [line.split()[-2] for line in narrow.splitlines()[2:]] == [f"{number}" for number in range(1, 9)]
 

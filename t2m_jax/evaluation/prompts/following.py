@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from t2m_jax.data.captioning.wordings import held_out_sentences
 from t2m_jax.errors import UserError
+from t2m_jax.files.markdown import markdown_table
 from t2m_jax.motion.facts import Facts, measure
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, Skeleton
@@ -196,12 +197,13 @@ def _passes(tests: Sequence[PromptTest], place: int, motion: Motion) -> str:
     return next((tests[other].name for other in near if tests[other].holds(motion)), NOTHING)
 
 
-def markdown_table(results: Sequence[PromptResult]) -> str:
-    """Returns the results as a Markdown table; the last row is the sum."""
-    lines = ["| content | rule | did what was asked | did instead |", "| --- | --- | ---: | --- |"]
-    for row in results:
-        others = ", ".join(f"{name} {count}" for name, count in row.instead.items())
-        lines.append(f"| {row.name} | {row.rule} | {row.num_right} of {row.num_samples} | {others} |")
-    right, total = sum(row.num_right for row in results), sum(row.num_samples for row in results)
-    lines.append(f"| **all** | | **{right} of {total} ({right / total:.0%})** | |")
-    return "\n".join(lines)
+def following_table(results: Sequence[PromptResult]) -> str:
+    """Returns the results as a Markdown table; the last line is the sum."""
+    lines = []
+    for result in results:
+        others = ", ".join(f"{name} {count}" for name, count in result.instead.items())
+        lines.append((result.name, result.rule, f"{result.num_right} of {result.num_samples}", others))
+    right = sum(result.num_right for result in results)
+    total = sum(result.num_samples for result in results)
+    lines.append(("**all**", "", f"**{right} of {total} ({right / total:.0%})**", ""))
+    return markdown_table(("content", "rule", "did what was asked", "did instead"), lines, sides="<<><")

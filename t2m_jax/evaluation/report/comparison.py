@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from t2m_jax.errors import UserError, printable
 from t2m_jax.evaluation.report.record import COMPARABLE, Report, first_difference
+from t2m_jax.files.markdown import markdown_table
 
 PAIRED = (*COMPARABLE, "unit")
 """Fields of the header that two reports must share, so that their repeats use the same pieces of the same motions."""
@@ -63,11 +64,10 @@ def compare_reports(first: Report, second: Report) -> list[Difference]:
 
 def comparison_table(names: Sequence[str], differences: Sequence[Difference]) -> str:
     """Returns the Markdown table of a comparison; differences with p < 0.05 are bold."""
-    first, second = map(printable, names)
-    lines = [f"| metric | {first} | {second} | difference | p |", "| --- | ---: | ---: | ---: | ---: |"]
-    for row in differences:
-        change = f"{row.second - row.first:+.3f} ± {row.interval:.3f}"
-        change = f"**{change}**" if row.p_value < 0.05 else change
-        p_value = f"{row.p_value:.4f}" if row.p_value >= 1e-4 else "< 0.0001"
-        lines.append(f"| {row.metric} | {row.first:.3f} | {row.second:.3f} | {change} | {p_value} |")
-    return "\n".join(lines)
+    lines = []
+    for found in differences:
+        change = f"{found.second - found.first:+.3f} ± {found.interval:.3f}"
+        change = f"**{change}**" if found.p_value < 0.05 else change
+        p_value = f"{found.p_value:.4f}" if found.p_value >= 1e-4 else "< 0.0001"
+        lines.append((found.metric, f"{found.first:.3f}", f"{found.second:.3f}", change, p_value))
+    return markdown_table(("metric", *map(printable, names), "difference", "p"), lines)

@@ -6,6 +6,7 @@ from typing import Literal
 
 from t2m_jax.errors import printable
 from t2m_jax.evaluation.report.tables import DIGITS, Cell, Column, Table
+from t2m_jax.files.markdown import markdown_table
 
 MISSING = "-"
 """Printed if a row has no such figure."""
@@ -87,14 +88,14 @@ def _markdown(table: Table) -> str:
     def escaped(text: str) -> str:
         return re.sub(r"([\\`*_\[\]<>|])", r"\\\1", printable(text))
 
-    lines = ["| | " + " | ".join(map(heading, table.columns)) + " |", "| --- |" + " ---: |" * len(table.columns)]
-    for row in table.rows:
-        cells = [row.cells.get(column.metric) for column in table.columns]
-        texts = [
-            f"**{mean_text(cell)}** ± {interval_text(cell)}" if cell and cell.best else _plain(cell) for cell in cells
-        ]
-        lines.append(f"| {escaped(row.name)} | " + " | ".join(texts) + " |")
-    return "\n".join([*lines, "", escaped(facts_text(table))])
+    def figure(cell: Cell | None) -> str:
+        return f"**{mean_text(cell)}** ± {interval_text(cell)}" if cell and cell.best else _plain(cell)
+
+    lines = [
+        (escaped(row.name), *(figure(row.cells.get(column.metric)) for column in table.columns)) for row in table.rows
+    ]
+    text = markdown_table(("", *map(heading, table.columns)), lines)
+    return f"{text}\n\n{escaped(facts_text(table))}"
 
 
 LATEX = {

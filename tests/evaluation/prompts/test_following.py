@@ -10,8 +10,8 @@ from t2m_jax.evaluation.prompts.following import (
     RULES,
     action_tests,
     evaluate_prompt_following,
+    following_table,
     follows,
-    markdown_table,
     requests,
 )
 from t2m_jax.motion.motion import Motion
@@ -77,7 +77,7 @@ def test_results_count_what_was_done():
     assert row.failures == held_out_sentences()["wave-left-hand"][:3]
     assert sum(row.instead.values()) == 3 and set(row.instead) <= {"walk", "run"}  # whose speeds overlap
     total = sum(right.values())
-    table = markdown_table(results)
+    table = following_table(results)
     assert f"{total} of 33 ({total / 33:.0%})" in table
     assert len(table.splitlines()) == 2 + len(RULES) + 1
     assert "| 0 of 3 | " + ", ".join(f"{name} {count}" for name, count in row.instead.items()) + " |" in table
