@@ -94,7 +94,9 @@ def _add_protocol_arguments(parser: argparse.ArgumentParser, *, needs_evaluator:
     _add_data_arguments(parser)
     evaluator = "folder of an evaluator, or run of `t2m train evaluator`" + ("" if needs_evaluator else " (optional)")
     parser.add_argument("--evaluator", required=needs_evaluator, metavar="E", help=evaluator)
-    parser.add_argument("--protocol", default="t2m-gpt", help="t2m-gpt (default), text-to-motion, momask or strict")
+    parser.add_argument(
+        "--protocol", default="t2m-gpt", help="t2m-gpt (default), t2m-gpt-paper, text-to-motion, momask or strict"
+    )
     parser.add_argument("--num-repeats", type=int, default=20, help="repeats (default: 20)")
     parser.add_argument("--batch", type=int, default=32, help="pairs ranked together, for small splits (default: 32)")
     parser.add_argument("--html", type=Path, metavar="F", help="also write a page with plots and motions")

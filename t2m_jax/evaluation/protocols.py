@@ -1,7 +1,8 @@
 """Evaluation protocols by name: which pieces of which clips a repeat uses, with which captions, in which batches.
 
-Three protocols follow the published codes, which differ from their papers; `strict` is ours. Every random choice is
-made here from a seed, so a repeat is a function of data, protocol, seed and number.
+Three protocols follow the published codes, which differ from their papers. `t2m-gpt-paper` follows the text of T2M-GPT,
+and `strict` is ours. Every random choice is made here from a seed, so a repeat is a function of data,
+protocol, seed and number.
 """
 
 import dataclasses
@@ -20,8 +21,6 @@ BATCH = 32
 """Pairs of a batch in the published codes."""
 MIN_BATCH = 4
 """R-precision ranks up to the third place, so fewer pairs would always be found."""
-SAMPLES_PER_CAPTION = 30
-"""Motions generated for a caption whose variety is measured."""
 MULTIMODALITY_PAIRS = 10
 DIVERSITY_PAIRS, FEW_DIVERSITY_PAIRS = 300, 100
 
@@ -45,6 +44,11 @@ class Protocol:
     follows the end, so what they leave differs from what the published decoders leave."""
     multimodality_captions: int | None = None
     """Captions whose variety is measured; None is all of them, 0 leaves that metric out."""
+    samples_per_caption: int = 30
+    """Motions of a caption among which its variety is measured."""
+    disjoint_pairs: bool = False
+    """Whether a sample is in one pair at most when variety is measured. In the codes, both members of a pair are drawn
+    from all samples, so a sample may be in two pairs, and even form a pair with itself."""
     source_disjoint: bool = False
     """Whether clips are left out if their recording is also in training, as far as the data set's index tells."""
     first_counts: bool = True
@@ -61,6 +65,7 @@ PROTOCOLS = {
     protocol.name: protocol
     for protocol in (
         Protocol(name="t2m-gpt"),
+        Protocol(name="t2m-gpt-paper", samples_per_caption=20, disjoint_pairs=True),
         Protocol(name="text-to-motion", multimodality_captions=100),
         Protocol(
             name="momask",
@@ -146,10 +151,14 @@ def make_plan(samples: Sequence[Clip], protocol: Protocol, *, seed: int, repeat:
         lengths,
         np.sort(generator.choice(count, varied, replace=False)),
         _draw_pairs(generator, count, pairs),
-        _draw_pairs(generator, SAMPLES_PER_CAPTION, MULTIMODALITY_PAIRS),
+        _draw_pairs(generator, protocol.samples_per_caption, MULTIMODALITY_PAIRS, disjoint=protocol.disjoint_pairs),
     )
 
 
-def _draw_pairs(generator: np.random.Generator, count: int, number: int) -> Int[np.ndarray, "P 2"]:
-    """Returns pairs of two draws without replacement, one after the other, so both members of a pair may be equal."""
+def _draw_pairs(
+    generator: np.random.Generator, count: int, number: int, *, disjoint: bool = False
+) -> Int[np.ndarray, "P 2"]:
+    """Returns pairs of `count` things: all different, or the two members of two draws without replacement."""
+    if disjoint:
+        return generator.choice(count, (number, 2), replace=False)
     return np.stack([generator.choice(count, number, replace=False) for _ in range(2)], axis=1)

@@ -18,7 +18,7 @@ from t2m_jax.evaluation.embedding import (
     embed_plan_motions,
     measure_plan_motions,
 )
-from t2m_jax.evaluation.protocols import SAMPLES_PER_CAPTION, Plan
+from t2m_jax.evaluation.protocols import Plan
 from t2m_jax.evaluation.quality import CLEANED
 from t2m_jax.evaluation.report.record import MAX_REPORT, Header, Metric, Report
 from t2m_jax.evaluation.sources import CodeSource
@@ -144,7 +144,7 @@ def evaluate_repeat(task: EvaluationTask, source: CodeSource, *, repeat: int) ->
         place[plan.varied] = np.arange(len(plan.varied))
         chosen = place[found.items] >= 0
         # Samples that no pair uses were not made; they stay zero.
-        varied = np.zeros((len(plan.varied), SAMPLES_PER_CAPTION, embeddings.shape[1]), np.float32)
+        varied = np.zeros((len(plan.varied), task.protocol.samples_per_caption, embeddings.shape[1]), np.float32)
         varied[place[found.items[chosen]], found.numbers[chosen]] = embeddings[chosen]
         variety = multimodality(jnp.asarray(varied), jnp.asarray(plan.multimodality_pairs))
         metrics.measured["multimodality"] = float(variety)

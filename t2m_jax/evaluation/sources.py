@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int, Key
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.data.folder import Clip
 from t2m_jax.evaluation.codes import MotionCodes, encode_pieces, generate_many
-from t2m_jax.evaluation.protocols import SAMPLES_PER_CAPTION, Plan, Protocol
+from t2m_jax.evaluation.protocols import Plan, Protocol
 from t2m_jax.sampling.pipeline import TextToMotion
 from t2m_jax.sampling.strategies import Greedy, Strategy
 
@@ -162,9 +162,9 @@ def make_generation(
 def measured_samples(plan: Plan, protocol: Protocol) -> tuple[Int[np.ndarray, " G"], Int[np.ndarray, " G"]]:
     """Returns which items to generate motions for, and the number of each motion among the samples of its item.
 
-    Only those of the 30 samples of a caption are generated that a metric uses. One does not depend on another.
+    Of the samples of a caption, only those that a metric uses are generated. One does not depend on another.
     """
-    first = 0 if protocol.first_counts else SAMPLES_PER_CAPTION - 1
+    first = 0 if protocol.first_counts else protocol.samples_per_caption - 1
     others = np.setdiff1d(plan.multimodality_pairs, [first])
     items = np.concatenate([np.arange(len(plan.samples)), np.tile(plan.varied, len(others))])
     return items, np.concatenate([np.full(len(plan.samples), first), np.repeat(others, len(plan.varied))])

@@ -31,7 +31,7 @@ def plan(name, *, samples=SAMPLES, seed=1, repeat=0, unit=4, **rules):
     return make_plan(samples, protocol, seed=seed, repeat=repeat, unit=unit)
 
 
-@pytest.mark.parametrize("name", ["t2m-gpt", "text-to-motion", "momask"])
+@pytest.mark.parametrize("name", ["t2m-gpt", "t2m-gpt-paper", "text-to-motion", "momask"])
 def test_the_fields_protocols_drop_the_tail_and_draw(name):
     found = plan(name)
     assert len(found.samples) == 413 // BATCH * BATCH
@@ -65,6 +65,17 @@ def test_whose_variety_is_measured(name, varied):
     assert found.multimodality_pairs.shape == (10, 2)
     for column in found.multimodality_pairs.T:
         assert len(np.unique(column)) == 10 and column.max() < 30
+
+
+def test_the_paper_of_t2m_gpt_has_ten_pairs_of_twenty_motions():
+    paper, code = find_protocol("t2m-gpt-paper"), find_protocol("t2m-gpt")
+    assert dataclasses.replace(paper, name="t2m-gpt", samples_per_caption=30, disjoint_pairs=False) == code
+    for seed in range(20):
+        found, by_code = plan("t2m-gpt-paper", seed=seed), plan("t2m-gpt", seed=seed)
+        np.testing.assert_array_equal(np.sort(found.multimodality_pairs, axis=None), np.arange(20))
+        assert found.multimodality_pairs.shape == (10, 2) and len(found.varied) == 384
+        for one, other in zip(found[:-1], by_code[:-1], strict=True):  # all other choices are those of the code
+            np.testing.assert_array_equal(one, other)
 
 
 def test_a_repeat_is_a_function_of_seed_and_number():
@@ -104,4 +115,4 @@ def test_lengths_are_multiples_of_the_unit(unit):
 def test_an_unknown_protocol_is_one_line():
     with pytest.raises(UserError, match="'strikt' is unknown; known: t2m-gpt"):
         find_protocol("strikt")
-    assert set(PROTOCOLS) == {"t2m-gpt", "text-to-motion", "momask", "strict"}
+    assert set(PROTOCOLS) == {"t2m-gpt", "t2m-gpt-paper", "text-to-motion", "momask", "strict"}

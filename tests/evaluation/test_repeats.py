@@ -19,7 +19,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.evaluation import run as repeats
 from t2m_jax.evaluation.codes import encode_pieces, generate_many
 from t2m_jax.evaluation.embedding import embed_decoded
-from t2m_jax.evaluation.protocols import SAMPLES_PER_CAPTION, Protocol, find_protocol
+from t2m_jax.evaluation.protocols import Protocol, find_protocol
 from t2m_jax.evaluation.report.record import Metric, load_report
 from t2m_jax.evaluation.run import evaluate, load_partial, make_header
 from t2m_jax.evaluation.sources import Reconstruction, make_generation, measured_samples, sample_keys
@@ -182,7 +182,7 @@ def test_only_measured_samples_are_made(task):
     assert len(items) == len(set(zip(items.tolist(), numbers.tolist(), strict=True)))
     np.testing.assert_array_equal(numbers[: len(plan.samples)], 0)
     made = {*plan.multimodality_pairs.ravel().tolist(), 0}
-    assert set(numbers.tolist()) == made and len(items) == 32 * len(made) < 32 * SAMPLES_PER_CAPTION
+    assert set(numbers.tolist()) == made and len(items) == 32 * len(made) < 32 * task.protocol.samples_per_caption
 
 
 def test_variety_can_be_left_out(task, generation, report):
