@@ -88,7 +88,6 @@ WRITERS = {
     "t2m_jax.data.writer",
     "t2m_jax.export.glb",
     "t2m_jax.export.npz",
-    "t2m_jax.export.pieces",
     "t2m_jax.files.writing",
     "t2m_jax.motion.normalizer",
     "t2m_jax.serving.requests",

@@ -18,9 +18,8 @@ from t2m_jax.losses import (
     world_losses,
 )
 from t2m_jax.motion.features import features_from_positions
-from t2m_jax.motion.layout import make_layout
 from t2m_jax.motion.normalizer import Normalizer
-from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.motion.skeleton import HUMANML3D, make_layout
 from tests.jit import assert_jit_equals_eager
 from tests.motion.figures import walking_positions
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from t2m_jax.export import save_gif
+from t2m_jax.export.gif import save_gif
 from t2m_jax.sampling import TextToMotion
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from t2m_jax.data import open_dataset
 from t2m_jax.evaluation import action_tests
-from t2m_jax.export import save_bvh_file
+from t2m_jax.export.formats import save_bvh_file
 from t2m_jax.metrics.quality import measure_quality
 from t2m_jax.motion.cleanup import clean_positions
 from t2m_jax.motion.features import positions_from_features

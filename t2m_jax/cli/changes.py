@@ -47,7 +47,7 @@ def check_changes(args: argparse.Namespace, outputs: Sequence[Path]) -> None:
 
 def file_options(output: Path, args: argparse.Namespace) -> dict[str, str]:
     """Returns the options that were given for the format of a file."""
-    from t2m_jax.motion.motion import format_options
+    from t2m_jax.motion.formats import format_options
 
     given = {name: getattr(args, name) for name in ("names", "units") if getattr(args, name) is not None}
     known = format_options(output) if given else {}

@@ -56,7 +56,7 @@ def add_raw_argument(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Generates, writes the files, and prints their names and the next command."""
     from t2m_jax.files import claim
-    from t2m_jax.motion.motion import check_motion_output
+    from t2m_jax.motion.formats import check_motion_output
     from t2m_jax.text.coverage import PromptWarning
     from t2m_jax.text.prompts import check_prompt
 
@@ -111,7 +111,7 @@ def _generate(args: argparse.Namespace, outputs: list[Path]) -> list[Path]:
     """Writes the files and returns their names."""
     from t2m_jax.files import claim
     from t2m_jax.motion import Motion
-    from t2m_jax.motion.motion import save_motions
+    from t2m_jax.motion.formats import save_motions
     from t2m_jax.sampling import TextToMotion
     from t2m_jax.sampling.strategies import make_strategy
 

@@ -27,9 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Reads the motions, writes all outputs, and prints their names and the next command."""
-    from t2m_jax.export import load_motion
     from t2m_jax.files import claim
-    from t2m_jax.motion.motion import check_motion_output, save_motions
+    from t2m_jax.motion.formats import check_motion_output, load_motion, save_motions
 
     for output in args.outputs:
         check_motion_output(output)

@@ -1,64 +1,63 @@
-"""Reading motions from files of all known formats."""
+"""The formats that need only a few lines here: BVH, and what is only read (AMC, GLB's animations, NumPy arrays)."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Sequence
 from pathlib import Path
 from textwrap import shorten
 
 import numpy as np
 
 from t2m_jax.errors import UserError
-from t2m_jax.export.npz import load_npz
 from t2m_jax.files import load_array
 from t2m_jax.motion.amc import load_amc
-from t2m_jax.motion.bvh import load_bvh
+from t2m_jax.motion.bvh import load_bvh, save_bvh
+from t2m_jax.motion.bvh.writer import Units
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rig import retarget
+from t2m_jax.motion.rig.tables import JointNames
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 
 SKELETONS = (HUMANML3D, KIT_ML)
 
 
-def load_motion(path: str | Path, *, animation: str | None = None) -> Motion:
-    """Returns the motion of a file: `.npz`, `.bvh`, `.glb`, `.amc`, or a data set's `.npy` with joints or features.
-
-    Args:
-        path: The file.
-        animation: Name of the animation in a `.glb` file, with or without the armature's name; needed if there are
-            several.
+def only_motion(path: Path, motions: Sequence[Motion]) -> Motion:
+    """Returns the only motion of `motions`, for formats that contain one.
 
     Raises:
-        UserError: The suffix is unknown, the file does not contain a motion, or it has several and none was chosen.
+        UserError: There is more than one motion, or none.
     """
-    path = Path(path)
-    readers: dict[str, Callable[[Path], Motion]] = {
-        ".npz": load_npz,
-        ".bvh": lambda path: retarget(load_bvh(path)),
-        ".glb": lambda path: load_animation(path, animation),
-        ".amc": lambda path: retarget(load_amc(path)),
-        ".npy": load_npy,
-    }
-    suffix = path.suffix.lower()
-    if suffix not in readers:
-        known = ", ".join(readers)
-        raise UserError(f"{path}: cannot read motions from {suffix or 'no suffix'!r}; known are {known}")
-    if not path.is_file():
-        raise UserError(f"{path}: there is no such file")
-    return readers[suffix](path)
+    if len(motions) != 1:
+        raise UserError(f"{path}: a {path.suffix} file holds exactly one motion, not {len(motions)}; use more files")
+    return motions[0]
 
 
-def load_animation(path: Path, name: str | None) -> Motion:
-    """Returns an animation of a GLB file; without a name, the only one.
+def save_bvh_file(path: Path, motions: Sequence[Motion], *, names: JointNames = "lafan1", units: Units = "m") -> None:
+    """Writes one motion as a BVH file; see `save_bvh`."""
+    save_bvh(path, only_motion(path, motions), names=names, units=units)
+
+
+def load_bvh_file(path: Path) -> Motion:
+    """Returns the motion of a BVH file, whose rig must be known by name; see `load_bvh`."""
+    return retarget(load_bvh(path))
+
+
+def load_amc_file(path: Path) -> Motion:
+    """Returns the motion of an AMC file, whose rig must be known by name; see `load_amc`."""
+    return retarget(load_amc(path))
+
+
+def load_glb_file(path: Path, *, animation: str | None = None) -> Motion:
+    """Returns an animation of a GLB file by its name, with or without the armature's; without a name, the only one.
 
     Raises:
         UserError: The file is damaged, there are several animations, or none has this name.
     """
     clips = load_gltf(path)
-    chosen = [(own, clip) for own, clip in clips.items() if name in (None, own, own.rpartition("|")[2])]
+    chosen = [(own, clip) for own, clip in clips.items() if animation in (None, own, own.rpartition("|")[2])]
     if len(chosen) != 1:
-        wanted = "several animations" if name is None else f"no animation {name!r}"
+        wanted = "several animations" if animation is None else f"no animation {animation!r}"
         raise UserError(f"{path}: has {wanted}; choose one of {shorten(', '.join(clips), 200, placeholder=' ...')}")
     ((own, clip),) = chosen
     return dataclasses.replace(retarget(clip, up="y"), caption=own.rpartition("|")[2])

@@ -31,7 +31,7 @@ _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 _VERTICES, _INDICES = 34962, 34963
 
 
-class _Glb:
+class _GlbWriter:
     """Collects the JSON tree and the binary data of a file."""
 
     def __init__(self) -> None:
@@ -83,7 +83,7 @@ def save_glb(path: Path, motions: Sequence[Motion], *, names: JointNames = "lafa
     if other:
         raise UserError(f"{path}: GLB files are written for the skeleton {HUMANML3D.name}, not {other[0]}")
     rigs = [fit_rig(motion.positions, fps=motion.fps) for motion in motions]
-    scale, glb = UNITS_PER_METER[units], _Glb()
+    scale, glb = UNITS_PER_METER[units], _GlbWriter()
     glb.tree["asset"] = {"version": "2.0", "generator": f"t2m_jax {version('t2m-jax')}"}
     glb.tree["asset"]["extras"] = {"units": units}
     _add_figure(glb, rigs[0], rig_joint_names(names), scale)
@@ -96,7 +96,7 @@ def save_glb(path: Path, motions: Sequence[Motion], *, names: JointNames = "lafa
         partial.write_bytes(glb.data())
 
 
-def _add_figure(glb: _Glb, rig: FittedRig, names: Sequence[str], scale: float) -> None:
+def _add_figure(glb: _GlbWriter, rig: FittedRig, names: Sequence[str], scale: float) -> None:
     """Adds the joints, which are the first nodes, and the mesh around them."""
     identity = np.tile(np.eye(3), (len(names), 1, 1))
     rest = np.asarray(forward_kinematics(identity, rig.offsets, HUMANML3D.parents).positions, np.float64)
@@ -129,7 +129,7 @@ def _material(tint: str) -> dict[str, Any]:
     return {"name": tint, "pbrMetallicRoughness": surface}
 
 
-def _primitive(glb: _Glb, part: SkinPart, material: int, scale: float) -> dict[str, Any]:
+def _primitive(glb: _GlbWriter, part: SkinPart, material: int, scale: float) -> dict[str, Any]:
     """Adds the arrays of a part of the mesh, and returns its description."""
     joints, weights = np.zeros((2, len(part.joints), 4), np.uint8)
     joints[:, 0], weights[:, 0] = part.joints, 255
@@ -166,7 +166,7 @@ def _translations(rig: FittedRig, motion: Motion) -> Float[np.ndarray, "T J 3"]:
 
 
 def _animation(
-    glb: _Glb, rig: FittedRig, motion: Motion, title: str, figure: FittedRig, scale: float
+    glb: _GlbWriter, rig: FittedRig, motion: Motion, title: str, figure: FittedRig, scale: float
 ) -> dict[str, Any]:
     """Adds the arrays of an animation, and returns its description."""
     times = glb.add(np.arange(motion.num_frames) / motion.fps)

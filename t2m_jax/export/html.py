@@ -1,7 +1,6 @@
 """A viewer in one HTML file, which contains the motions and the program that draws them and loads nothing else."""
 
 import base64
-import html
 import importlib.resources
 import json
 import zlib
@@ -15,6 +14,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.export.render.figure import TINTS
 from t2m_jax.export.render.scene import Figure, figure_from_motion
 from t2m_jax.files import save_text
+from t2m_jax.motion.formats import notebook_frame
 from t2m_jax.motion.motion import Motion
 
 VIEWER_SCRIPTS = ("vendor/three.min.js", "figures.js", "camera.js", "body.js", "ground.js", "stage.js")
@@ -59,12 +59,7 @@ def viewer_html(motions: Sequence[Motion], *, embed: bool = True) -> str:
     style, script = f"{_asset('viewer.css')}\n{stage_style()}", viewer_script("viewer.js")
     page = _asset("viewer.html").replace("/*{{style}}*/", style)
     page = page.replace("{{script}}", _compressed(script)).replace("{{data}}", _compressed(data)) + "\n"
-    if not embed:
-        return page
-    return (
-        f'<iframe srcdoc="{html.escape(page)}" title="Motion viewer" sandbox="allow-scripts" allowfullscreen '
-        'style="width: 100%; height: 520px; border: 0; border-radius: 12px"></iframe>'
-    )
+    return notebook_frame(page) if embed else page
 
 
 def _compressed(text: str) -> str:

@@ -1,15 +1,17 @@
-"""NumPy archives, which keep everything that a `Motion` has."""
+"""NumPy archives, which keep everything that a `Motion` has; a motion of any length can be written piece by piece."""
 
+import contextlib
 import sys
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Iterable, Sequence
 from io import BufferedIOBase
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 
 from t2m_jax.errors import UserError
-from t2m_jax.export.writing import only_motion
+from t2m_jax.export.formats import only_motion
 from t2m_jax.files import atomic_file, load_archive
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, skeleton_from_name
@@ -39,6 +41,8 @@ ENTRIES = {
     "part_captions": _Entry("U", (1,), "texts"),
 }
 TUPLES = ("unknown_words", "part_starts", "part_captions")
+GROWING = ("positions", "features", "codes")
+"""Entries that grow with the motion."""
 
 
 def save_npz(path: Path, motions: Sequence[Motion]) -> None:
@@ -92,3 +96,51 @@ def load_npz(path: str | Path) -> Motion:
 def _largest_character(texts: np.ndarray) -> int:
     native = texts.astype(texts.dtype.newbyteorder("="))
     return int(np.frombuffer(native.tobytes(), np.uint32).max(initial=0))
+
+
+def save_pieces(path: str | Path, pieces: Iterable[Motion]) -> int:
+    """Writes the pieces of one motion, such as those of `TextToMotion.stream_chain`, as one `.npz` file.
+
+    It is the file of the whole motion, which is never in memory, with `part_starts` and `part_captions`.
+
+    Returns:
+        The number of frames.
+
+    Raises:
+        UserError: There are no pieces, or the file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix != ".npz":
+        raise UserError(f"{path}: pieces of a motion are written to .npz files only")
+    with atomic_file(path) as partial, contextlib.ExitStack() as stack:
+        # They have no names, so nothing is left of them if the process is killed.
+        grown = {key: stack.enter_context(tempfile.TemporaryFile(dir=path.absolute().parent)) for key in GROWING}
+        first: Motion | None = None
+        starts: list[int] = []
+        captions: list[str] = []
+        frames = 0
+        for piece in pieces:
+            first = first or piece
+            starts += [frames + start for start in piece.part_starts]
+            captions += piece.part_captions
+            frames += piece.num_frames
+            for key in GROWING:
+                if getattr(piece, key) is not None:
+                    grown[key].write(np.ascontiguousarray(getattr(piece, key)).data)
+        if first is None:
+            raise UserError(f"{path}: there are no pieces to write")
+        examples = {key: getattr(first, key) for key in GROWING if getattr(first, key) is not None}
+        values: dict[str, Any] = {key: _grown_array(grown[key], example) for key, example in examples.items()}
+        values |= {"fps": first.fps, "caption": first.caption, "seed": first.seed, "skeleton": first.skeleton.name}
+        values |= {"part_starts": starts or None, "part_captions": captions or None}
+        with partial.open("wb") as file:
+            np.savez_compressed(file, **{key: value for key, value in values.items() if value is not None})
+    return frames
+
+
+def _grown_array(file: IO[bytes], example: np.ndarray) -> np.ndarray:
+    """Returns what was written to a file as an array of the type and the width of an example, without reading it."""
+    file.flush()
+    count = file.tell() // example[0].nbytes
+    width = example.shape[1:] if example.shape[1:] != (1,) else ()  # as in `write_npz`
+    return np.memmap(file, example.dtype, "r", shape=(count, *width))

@@ -10,9 +10,8 @@ from jaxtyping import Float
 
 from t2m_jax.errors import UserError
 from t2m_jax.files import load_text
-from t2m_jax.motion.bvh.hierarchy import MAX_JOINTS, MAX_VALUE
 from t2m_jax.motion.editing import MAX_FPS
-from t2m_jax.motion.rig.clip import BvhClip
+from t2m_jax.motion.rig.clip import MAX_JOINTS, MAX_VALUE, RigClip
 from t2m_jax.motion.rotations import EulerOrder, matrix_from_euler
 
 AMC_FPS = 120.0
@@ -46,7 +45,7 @@ class _Skeleton(NamedTuple):
     metres_per_unit: float
 
 
-def load_amc(path: Path | str, *, skeleton: Path | str | None = None, fps: float = AMC_FPS) -> BvhClip:
+def load_amc(path: Path | str, *, skeleton: Path | str | None = None, fps: float = AMC_FPS) -> RigClip:
     """Returns the clip of an AMC file. Joint j of the clip is the beginning of bone j.
 
     Args:
@@ -76,7 +75,7 @@ def load_amc(path: Path | str, *, skeleton: Path | str | None = None, fps: float
         rotations[:, joint] = turn
         translations[:, joint] += move
     ends = [joint for joint in range(len(names)) if joint not in parents]
-    return BvhClip(
+    return RigClip(
         joint_names=names,
         parents=parents,
         offsets=offsets,

@@ -15,8 +15,8 @@ from jaxtyping import Float, Int
 from t2m_jax.errors import UserError
 from t2m_jax.files import first_line, reading
 from t2m_jax.motion.editing import MAX_FPS
-from t2m_jax.motion.parts import checked_parts
-from t2m_jax.motion.rig.clip import BvhClip
+from t2m_jax.motion.part_captions import checked_parts
+from t2m_jax.motion.rig.clip import RigClip
 from t2m_jax.motion.rig.resample import resample
 from t2m_jax.motion.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
 from t2m_jax.motion.skeleton import HUMANML3D
@@ -34,12 +34,12 @@ _W_FIRST = [3, 0, 1, 2]
 """glTF's quaternions are x, y, z, w."""
 
 
-class _Glb(NamedTuple):
+class _GlbChunks(NamedTuple):
     tree: Mapping[str, Any]
     binary: bytes
 
 
-class _Track(NamedTuple):
+class _Keyframes(NamedTuple):
     """The keys of one property of one node."""
 
     times: Float[np.ndarray, " K"]
@@ -61,7 +61,7 @@ class _Nodes(NamedTuple):
     """Of each joint's parent and all nodes above it."""
 
 
-def load_gltf(path: Path | str, *, fps: float | None = None) -> dict[str, BvhClip]:
+def load_gltf(path: Path | str, *, fps: float | None = None) -> dict[str, RigClip]:
     """Returns the animations of a GLB file by name. Equal names get a number.
 
     Lengths are in meters, as glTF demands, unless the file says that this package wrote centimeters.
@@ -81,7 +81,7 @@ def load_gltf(path: Path | str, *, fps: float | None = None) -> dict[str, BvhCli
         glb = _split_chunks(data)
         nodes = _find_nodes(glb.tree)
         nodes = nodes._replace(scales=nodes.scales * _own_unit(glb.tree))
-        clips: dict[str, BvhClip] = {}
+        clips: dict[str, RigClip] = {}
         room = MAX_POSES
         for number, animation in enumerate(glb.tree.get("animations", [])):
             name = str(animation.get("name") or f"animation_{number}")
@@ -119,7 +119,7 @@ def _own_unit(tree: Mapping[str, Any]) -> float:
     return 0.01 if _own_extra(tree, tree.get("asset", {}), "units") == "cm" else 1.0
 
 
-def _split_chunks(data: bytes) -> _Glb:
+def _split_chunks(data: bytes) -> _GlbChunks:
     """Returns the two chunks of a GLB file."""
     if len(data) < 20 or struct.unpack_from("<I", data)[0] != _MAGIC:
         raise UserError("is not a GLB file; export as glTF binary (.glb)")
@@ -132,7 +132,7 @@ def _split_chunks(data: bytes) -> _Glb:
     tree = json.loads(chunks[_JSON_CHUNK])
     if not isinstance(tree, dict):
         raise ValueError("its JSON is not an object")
-    return _Glb(tree, chunks.get(_BINARY_CHUNK, b""))
+    return _GlbChunks(tree, chunks.get(_BINARY_CHUNK, b""))
 
 
 def _find_nodes(tree: Mapping[str, Any]) -> _Nodes:
@@ -176,9 +176,9 @@ def _rest_pose(node: Mapping[str, Any]) -> tuple[Float[np.ndarray, " 3"], Float[
     return translation, rotation, float(np.mean(np.array(node.get("scale", 1), float)))
 
 
-def _sample(glb: _Glb, nodes: _Nodes, animation: Mapping[str, Any], *, fps: float, room: int) -> BvhClip:
+def _sample(glb: _GlbChunks, nodes: _Nodes, animation: Mapping[str, Any], *, fps: float, room: int) -> RigClip:
     """Returns one animation at `fps` frames per second, if it has at most `room` poses of joints."""
-    tracks: dict[tuple[int, str], _Track] = {}
+    tracks: dict[tuple[int, str], _Keyframes] = {}
     for channel in animation["channels"]:
         target, sampler = channel["target"], animation["samplers"][channel["sampler"]]
         if target.get("node") in nodes.numbers and target["path"] in ("translation", "rotation"):
@@ -197,7 +197,7 @@ def _sample(glb: _Glb, nodes: _Nodes, animation: Mapping[str, Any], *, fps: floa
         raise ValueError("an animation has values that are not finite")
     own = fps == _own_rate(glb.tree, animation)  # at another rate, sentences begin at other frames
     said = [_own_extra(glb.tree, animation, name) if own else () for name in ("part_starts", "part_captions")]
-    return BvhClip(
+    return RigClip(
         joint_names=nodes.names,
         parents=nodes.parents,
         offsets=(nodes.translations * nodes.scales[:, None]).astype(np.float32),
@@ -209,7 +209,7 @@ def _sample(glb: _Glb, nodes: _Nodes, animation: Mapping[str, Any], *, fps: floa
     )
 
 
-def _read_track(glb: _Glb, sampler: Mapping[str, Any]) -> _Track:
+def _read_track(glb: _GlbChunks, sampler: Mapping[str, Any]) -> _Keyframes:
     interpolation = sampler.get("interpolation", "LINEAR")
     times, values = _read_accessor(glb, sampler["input"])[:, 0], _read_accessor(glb, sampler["output"])
     per_key = 3 if interpolation == "CUBICSPLINE" else 1
@@ -217,10 +217,10 @@ def _read_track(glb: _Glb, sampler: Mapping[str, Any]) -> _Track:
         values = values[:, _W_FIRST]
     if not (len(times) and len(values) == per_key * len(times) and np.all(np.diff(times) >= 0)):
         raise ValueError("an animation has as many times as it has no values, or times that go back")
-    return _Track(times, values.reshape(len(times), per_key, -1), interpolation)
+    return _Keyframes(times, values.reshape(len(times), per_key, -1), interpolation)
 
 
-def _read_accessor(glb: _Glb, number: int) -> Float[np.ndarray, "N C"]:
+def _read_accessor(glb: _GlbChunks, number: int) -> Float[np.ndarray, "N C"]:
     """Returns the numbers of an accessor; integers are shares of their largest value, as rotations may be stored."""
     accessor = glb.tree["accessors"][number]
     if "sparse" in accessor:
@@ -237,7 +237,7 @@ def _read_accessor(glb: _Glb, number: int) -> Float[np.ndarray, "N C"]:
     return np.maximum(values * scale, -1.0) if dtype.kind == "i" else values * scale
 
 
-def _interpolate(track: _Track, times: Float[np.ndarray, " T"], kind: str) -> Float[np.ndarray, "T C"]:
+def _interpolate(track: _Keyframes, times: Float[np.ndarray, " T"], kind: str) -> Float[np.ndarray, "T C"]:
     """Returns the values at `times`; before the first key and after the last, theirs (glTF 2.0, appendix C)."""
     keys = track.times
     before = np.clip(np.searchsorted(keys, times, side="right") - 1, 0, len(keys) - 1)

@@ -3,27 +3,22 @@
 import dataclasses
 import itertools
 import math
+import tempfile
 from collections.abc import Callable, Sequence
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from t2m_jax import files
 from t2m_jax.errors import UserError
 from t2m_jax.motion.editing import check_speed, join_positions, resample_positions
+from t2m_jax.motion.formats import load_motion, notebook_frame, save_motions
 from t2m_jax.motion.inverse_kinematics import fit_rig
 from t2m_jax.motion.looping import close_loop, find_loop, keep_in_place
 from t2m_jax.motion.mirroring import mirror_caption, mirror_positions
 from t2m_jax.motion.paths import Route, follow, route_along, turned_route
 from t2m_jax.motion.skeleton import HUMANML3D, Skeleton
-
-# Readers, writers and viewers are entry points of these groups: this module does not import them (see pyproject.toml).
-_FORMATS = "t2m_jax.motion_formats"
-_VIEWERS = "t2m_jax.motion_viewers"
-_READERS = "t2m_jax.motion_readers"
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -254,7 +249,7 @@ class Motion:
         Raises:
             UserError: The file does not contain one motion.
         """
-        return _entry_points(_READERS)["motion"].load()(path)
+        return load_motion(path)
 
     def save(self, path: str | Path, **options: Any) -> None:
         """Writes the motion. The suffix selects the format (see `motion_formats`).
@@ -273,68 +268,8 @@ class Motion:
         return f"Motion({self.num_frames} frames, {self.seconds:.2f} s, {self.skeleton.name}{caption})"
 
     def _repr_html_(self) -> str:
-        """Returns an interactive viewer for notebooks."""
-        return _entry_points(_VIEWERS)["html"].load()([self], embed=True)
-
-
-def _entry_points(group: str) -> dict[str, EntryPoint]:
-    """Returns the entry points of a group by name.
-
-    Raises:
-        UserError: The group is empty, because the package is not installed.
-    """
-    found = {point.name: point for point in entry_points(group=group)}
-    if not found:
-        raise UserError(f"nothing is registered as {group}; install the package (pip install -e . in a source tree)")
-    return found
-
-
-def motion_formats() -> tuple[str, ...]:
-    """Returns the suffixes of the formats that motions can be saved in: sorted, without dots."""
-    return tuple(sorted(_entry_points(_FORMATS)))
-
-
-def check_motion_output(path: str | Path) -> Path:
-    """Returns the path of a motion file to write.
-
-    Call this before long work, so that a wrong path is reported first.
-
-    Raises:
-        UserError: The suffix is unknown, or the file cannot be written.
-    """
-    path, formats = Path(path), motion_formats()
-    if path.suffix.lower().removeprefix(".") not in formats:
-        known = ", ".join(f".{name}" for name in formats)
-        raise UserError(f"{path}: no motion format has the suffix {path.suffix!r}; use one of {known}")
-    return files.check_output(path)
-
-
-def format_options(path: str | Path) -> dict[str, tuple[str, ...]]:
-    """Returns the options of the format of a file, with the values that each can have."""
-    save = _entry_points(_FORMATS)[Path(path).suffix.lower().removeprefix(".")].load()
-    return {name: get_args(hint) for name, hint in get_type_hints(save).items() if get_origin(hint) is Literal}
-
-
-def save_motions(path: str | Path, motions: Sequence[Motion], **options: Any) -> None:
-    """Writes motions into one file. The suffix selects the format. Some formats contain exactly one motion.
-
-    Args:
-        path: The file.
-        motions: What is written.
-        **options: See `Motion.save`.
-
-    Raises:
-        UserError: The suffix is unknown, the format has no such option or cannot contain that many motions, or the file
-            cannot be written.
-    """
-    path = check_motion_output(path)
-    known = format_options(path) if options else {}
-    for name, value in options.items():
-        if value not in known.get(name, ()):
-            choices = ", ".join(known.get(name, ())) or f"nothing, because {path.suffix} files have no such option"
-            raise UserError(f"{name}: {value!r} is unknown; known is {choices}")
-    save = _entry_points(_FORMATS)[path.suffix.lower().removeprefix(".")].load()
-    try:
-        save(path, motions, **options)
-    except OSError as error:
-        raise UserError(f"{path}: cannot be written ({error})") from error
+        """Returns an interactive viewer for notebooks: the page of the format `html` in a frame."""
+        with tempfile.TemporaryDirectory() as folder:
+            page = Path(folder) / "motion.html"
+            self.save(page)
+            return notebook_frame(page.read_text(encoding="utf-8"))

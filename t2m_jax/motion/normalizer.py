@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from t2m_jax.errors import UserError
 from t2m_jax.files import atomic_file, load_array
-from t2m_jax.motion.layout import FeatureLayout
 from t2m_jax.motion.namespace import AnyArray, EitherArray, namespace_of
+from t2m_jax.motion.skeleton import FeatureLayout
 
 MEAN_FILE, STD_FILE = "Mean.npy", "Std.npy"
 

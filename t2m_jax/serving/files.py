@@ -73,7 +73,7 @@ def make_file(inputs: Sequence[bytes], options: FileOptions) -> bytes:
     Raises:
         UserError: A motion cannot be read, changed or written in this format.
     """
-    from t2m_jax.motion.motion import format_options, save_motions
+    from t2m_jax.motion.formats import format_options, save_motions
     from t2m_jax.serving.records import motion_from_data
 
     if not 1 <= len(inputs) <= (MAX_MOTIONS if options.format in SEVERAL else 1):
@@ -95,7 +95,7 @@ def read_scene(data: bytes, suffix: str, options: FileOptions) -> dict[str, Any]
     Raises:
         UserError: The file cannot be read or changed.
     """
-    from t2m_jax.export import scene_record
+    from t2m_jax.export.html import scene_record
     from t2m_jax.serving.records import motion_from_data, motion_record
 
     motion = _changed(motion_from_data(data, suffix), options)

@@ -5,8 +5,8 @@ import io
 from typing import Any
 
 from t2m_jax.errors import UserError
-from t2m_jax.export import load_motion
 from t2m_jax.export.npz import write_npz
+from t2m_jax.motion.formats import load_motion
 from t2m_jax.motion.motion import Motion
 from t2m_jax.serving.requests import MAX_TOTAL_SECONDS, motion_file
 

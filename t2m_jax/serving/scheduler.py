@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Int
 
 from t2m_jax.errors import UserError
-from t2m_jax.export import scene_record
+from t2m_jax.export.html import scene_record
 from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.loop import SampledCodes

@@ -10,7 +10,7 @@ import pytest
 from t2m_jax import Motion
 from t2m_jax.cli.main import main
 from t2m_jax.data.importers.synthetic import make_motion
-from t2m_jax.export.formats import load_motion
+from t2m_jax.motion.formats import load_motion
 from t2m_jax.sampling import TextToMotion
 from tests.export.test_html import Elements
 

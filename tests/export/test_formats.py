@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.export import load_motion
 from t2m_jax.motion.features import features_from_positions
-from t2m_jax.motion.motion import Motion, motion_formats
+from t2m_jax.motion.formats import load_motion, motion_formats
+from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 from tests.motion.glb_files import write_person
 from tests.motion.rig.test_retarget import BANDAI
@@ -59,7 +59,7 @@ def test_other_arrays_are_refused(tmp_path, array, message):
 
 
 def test_unknown_and_absent_files_are_refused(tmp_path):
-    with pytest.raises(UserError, match=r"known are \.npz, \.bvh, \.glb, \.amc, \.npy"):
+    with pytest.raises(UserError, match=r"use one of \.amc, \.bvh, \.glb, \.npy, \.npz"):
         load_motion(tmp_path / "a.fbx")
     for suffix in (".npz", ".bvh", ".glb", ".amc", ".npy"):
         with pytest.raises(UserError, match="no such file"):
@@ -67,7 +67,7 @@ def test_unknown_and_absent_files_are_refused(tmp_path):
 
 
 def test_bvh_holds_one_motion(tmp_path, walk):
-    from t2m_jax.export import save_bvh_file
+    from t2m_jax.export.formats import save_bvh_file
 
     with pytest.raises(UserError, match="exactly one"):
         save_bvh_file(tmp_path / "a.bvh", [walk, walk])

@@ -5,8 +5,8 @@ import pytest
 from PIL import Image, ImageSequence
 
 from t2m_jax.errors import UserError
-from t2m_jax.export import save_gif, save_mp4
-from t2m_jax.export.gif import frame_durations
+from t2m_jax.export.gif import frame_durations, save_gif
+from t2m_jax.export.mp4 import save_mp4
 from t2m_jax.motion.motion import Motion
 
 

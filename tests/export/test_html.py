@@ -7,7 +7,7 @@ import zlib
 import numpy as np
 import pytest
 
-from t2m_jax.export import save_html, viewer_html
+from t2m_jax.export.html import save_html, viewer_html
 from t2m_jax.export.render.scene import figure_from_motion
 from t2m_jax.motion.motion import Motion
 from tests.export.conftest import NASTY_CAPTION

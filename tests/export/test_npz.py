@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.export import load_npz, save_npz, save_pieces
+from t2m_jax.export.npz import load_npz, save_npz, save_pieces
 from t2m_jax.files.reading import MAX_UNPACKED
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML

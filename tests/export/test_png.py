@@ -10,7 +10,7 @@ from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
 from t2m_jax.export.png import save_png
 from t2m_jax.export.render.trails import render_trails
-from t2m_jax.motion.motion import save_motions
+from t2m_jax.motion.formats import save_motions
 
 
 def make(kind, **fields):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from t2m_jax.export import save_html, scene_record, viewer_html
+from t2m_jax.export.html import save_html, scene_record, viewer_html
 from t2m_jax.export.render.scene import figure_from_motion
 from t2m_jax.motion.motion import Motion
 from tests.export.conftest import NASTY_CAPTION

@@ -11,7 +11,7 @@ from t2m_jax.checkpoints.official.load import vqvae_variables
 from t2m_jax.losses import reconstruction_loss
 from t2m_jax.metrics import perplexity
 from t2m_jax.models.vqvae import VqVae, VqVaeConfig
-from t2m_jax.motion.layout import make_layout
+from t2m_jax.motion.skeleton import make_layout
 from tests.golden_files import state_dict
 from tests.jit import compiled_apply
 

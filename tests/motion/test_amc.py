@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.export.formats import load_motion
 from t2m_jax.motion.amc import load_amc
+from t2m_jax.motion.formats import load_motion
 from t2m_jax.motion.rig import retarget
 from t2m_jax.motion.rig.orientation import left_is_left
 

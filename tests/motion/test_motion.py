@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion import motion as motion_module
-from t2m_jax.motion.motion import Motion, motion_formats, save_motions
+from t2m_jax.motion import formats
+from t2m_jax.motion.formats import motion_formats, save_motions
+from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import KIT_ML
 
 
@@ -25,14 +26,22 @@ def write_repr(path, motions):
     path.write_text(repr(motions))
 
 
-def viewer(motions, *, embed):
-    return f"<p>{motions} {embed}</p>"
+def write_page(path, motions):
+    path.write_text(f"<p>{motions[0].num_frames} frames & more</p>")
+
+
+def read_lines(path):
+    return f"motion of {path.read_text()}"
+
+
+def read_chosen(path, *, animation=None):
+    return f"{animation} of {path.read_text()}"
 
 
 def register(monkeypatch, **functions):
     """Makes functions of this file what installed packages offer."""
     points = [EntryPoint(name, f"{__name__}:{function}", "") for name, function in functions.items()]
-    monkeypatch.setattr(motion_module, "entry_points", lambda group: points)
+    monkeypatch.setattr(formats, "entry_points", lambda group: points)
 
 
 def test_a_motion_takes_what_becomes_an_array(unchecked):
@@ -116,6 +125,19 @@ def test_nothing_registered_says_how_to_install(monkeypatch, tmp_path):
         Motion(standing(), 20.0).save(tmp_path / "wave.npz")
 
 
-def test_a_notebook_shows_the_viewer(monkeypatch):
-    register(monkeypatch, html="viewer")
-    assert Motion(standing(), 20.0)._repr_html_() == "<p>[Motion(4 frames, 0.20 s, humanml3d)] True</p>"
+def test_a_notebook_shows_the_page_of_the_html_format(monkeypatch):
+    register(monkeypatch, html="write_page")
+    assert 'srcdoc="&lt;p&gt;4 frames &amp; more&lt;/p&gt;"' in Motion(standing(), 20.0)._repr_html_()
+
+
+def test_loading_goes_by_the_suffix(monkeypatch, tmp_path):
+    register(monkeypatch, txt="read_lines", two="read_chosen")
+    for suffix in ("TXT", "two"):
+        (tmp_path / f"wave.{suffix}").write_text("a file")
+    assert Motion.load(str(tmp_path / "wave.TXT")) == "motion of a file"
+    assert formats.load_motion(tmp_path / "wave.TXT", animation="b") == "motion of a file"
+    assert formats.load_motion(tmp_path / "wave.two", animation="b") == "b of a file"
+    with pytest.raises(
+        UserError, match=r"wave\.npz: cannot read motions with the suffix '\.npz'; use one of \.two, \.txt"
+    ):
+        Motion.load(tmp_path / "wave.npz")

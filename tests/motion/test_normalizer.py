@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.layout import make_layout
 from t2m_jax.motion.normalizer import (
     Normalizer,
     load_normalizer,
@@ -12,6 +11,7 @@ from t2m_jax.motion.normalizer import (
     save_normalizer,
     weighted_normalizer,
 )
+from t2m_jax.motion.skeleton import make_layout
 from tests.jit import assert_jit_equals_eager
 
 LAYOUT = make_layout(3)

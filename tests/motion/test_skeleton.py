@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.layout import make_layout
-from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML, skeleton_from_feature_dim, skeleton_from_name
+from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML, make_layout, skeleton_from_feature_dim, skeleton_from_name
 
 both_skeletons = pytest.mark.parametrize("skeleton", [HUMANML3D, KIT_ML], ids=lambda skeleton: skeleton.name)
 

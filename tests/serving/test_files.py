@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.export import load_motion
 from t2m_jax.export.npz import write_npz
 from t2m_jax.motion.bvh import load_bvh
+from t2m_jax.motion.formats import load_motion
 from t2m_jax.serving.files import FORMATS, SEVERAL, FileOptions, make_file, options_from_query, read_scene
 from t2m_jax.serving.requests import motion_file
 from tests.export.conftest import nasty, walk  # noqa: F401 - fixtures

@@ -9,7 +9,7 @@ import pytest
 from axe_playwright_python import sync_playwright as axe
 from PIL import Image
 
-from t2m_jax.export import load_motion
+from t2m_jax.motion.formats import load_motion
 from t2m_jax.motion.motion import Motion
 from tests.export.conftest import NASTY_CAPTION, walk  # noqa: F401 - a fixture
 from tests.export.test_viewer import browser, wait_until  # noqa: F401 - a fixture

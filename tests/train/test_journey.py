@@ -20,7 +20,7 @@ from t2m_jax.data.folder import open_dataset
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.prompts.following import RULES
 from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
-from t2m_jax.export.formats import load_motion
+from t2m_jax.motion.formats import load_motion
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.train import TrainGptConfig, TrainVqVaeConfig, train
 from tests.export.test_html import Elements

@@ -14,7 +14,7 @@ from t2m_jax.config import load_config
 from t2m_jax.data import open_dataset
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
-from t2m_jax.motion import save_normalizer
+from t2m_jax.motion.normalizer import save_normalizer
 from t2m_jax.text.verbs import words_of
 from t2m_jax.train import TrainVqVaeConfig, train
 from t2m_jax.train.tokenize import CodedMotion, add_rewordings

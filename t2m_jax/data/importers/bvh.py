@@ -21,7 +21,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.motion.amc import AMC_FPS, load_amc
 from t2m_jax.motion.bvh import load_bvh
 from t2m_jax.motion.gltf import load_gltf
-from t2m_jax.motion.rig import BvhClip
+from t2m_jax.motion.rig import RigClip
 from t2m_jax.motion.rig.orientation import Up, left_is_left, rest_frames
 from t2m_jax.motion.rig.resample import resample
 from t2m_jax.motion.rig.retarget import clip_up, find_rig, retarget
@@ -44,7 +44,7 @@ def find_motion_files(source: Path) -> list[Path]:
     return files
 
 
-def open_motion_file(path: Path, *, amc_fps: float = AMC_FPS) -> dict[Source, BvhClip]:
+def open_motion_file(path: Path, *, amc_fps: float = AMC_FPS) -> dict[Source, RigClip]:
     """Returns the motions of a file.
 
     Raises:
@@ -76,7 +76,7 @@ class _Prepared(NamedTuple):
     """What the report says, each with the names of all clips of which it holds."""
 
 
-def _prepare(motion: Source, clip: BvhClip, *, rig: str | None, up: Up) -> _Prepared:
+def _prepare(motion: Source, clip: RigClip, *, rig: str | None, up: Up) -> _Prepared:
     """Returns the 22 joints of a clip at 20 frames per second with Y up, without a rest pose at the beginning."""
     steps = []
     if motion.path.suffix.lower() == ".amc":

@@ -44,7 +44,7 @@ class Film(NamedTuple):
     fps: float
 
 
-class _Track(NamedTuple):
+class _FilmedFigure(NamedTuple):
     """One figure at the times of the film, with its trail and its label."""
 
     figure: Figure
@@ -82,7 +82,7 @@ def render_film(motions: Sequence[Motion], *, height: int, max_fps: float) -> Fi
         points = sample_figure(figure, num_frames, fps)
         path = smooth_path(points[:, 0].astype(np.float64), max(round(0.12 * fps), 1))
         label = make_label(figure.caption, size=letters, width=room, max_lines=lines)
-        tracks.append(_Track(figure, points, path, label))
+        tracks.append(_FilmedFigure(figure, points, path, label))
     views = views_of_scene(scene, np.stack([track.points[:, 0] for track in tracks], axis=1), fps, size)
     ground = make_ground(views[0])
     tables = shade_tables(views[0])
@@ -167,7 +167,7 @@ def draw_figures(
     return Image.fromarray(pixels)
 
 
-def _draw_labels(picture: Image.Image, view: View, tracks: Sequence[_Track], frame: int) -> None:
+def _draw_labels(picture: Image.Image, view: View, tracks: Sequence[_FilmedFigure], frame: int) -> None:
     """Draws a single caption at the foot of the picture, and several captions above their figures without overlap."""
     placed = []
     for track in tracks:

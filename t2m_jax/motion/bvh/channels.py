@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.bvh.hierarchy import MAX_VALUE
+from t2m_jax.motion.rig.clip import MAX_VALUE
 
 _NUMBER_BYTES = np.zeros(256, dtype=bool)
 _NUMBER_BYTES[list(b"0123456789+-.eE \t\r\n\f\v")] = True

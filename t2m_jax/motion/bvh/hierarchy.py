@@ -9,12 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
+from t2m_jax.motion.rig.clip import MAX_JOINTS, MAX_VALUE
 
 AXES = "XYZ"
-MAX_VALUE = 1e9
-"""Size of an offset or a channel from which on it must be a mistake: a thousand kilometers in millimeters."""
-MAX_JOINTS = 2000
-"""Most joints of a figure. Those with fingers, face and clothes have up to some hundred."""
 POSITION_CHANNELS = tuple(f"{axis}position" for axis in AXES)
 ROTATION_CHANNELS = tuple(f"{axis}rotation" for axis in AXES)
 _CHANNEL_SPELLINGS = {name.lower(): name for name in POSITION_CHANNELS + ROTATION_CHANNELS}

@@ -11,8 +11,8 @@ from t2m_jax.errors import UserError
 from t2m_jax.files import reading
 from t2m_jax.motion.bvh.channels import parse_motion
 from t2m_jax.motion.bvh.hierarchy import AXES, POSITION_CHANNELS, ROTATION_CHANNELS, Hierarchy, parse_hierarchy
-from t2m_jax.motion.parts import parts_from_note
-from t2m_jax.motion.rig.clip import BvhClip
+from t2m_jax.motion.part_captions import parts_from_note
+from t2m_jax.motion.rig.clip import RigClip
 from t2m_jax.motion.rotations import EulerOrder, matrix_from_euler
 
 PositionRule = Literal["auto", "absolute", "add"]
@@ -28,7 +28,7 @@ MAX_HIERARCHY_BYTES = 4_000_000
 
 def load_bvh(
     path: Path | str, *, metres_per_unit: float | None = None, root_positions: PositionRule = "auto"
-) -> BvhClip:
+) -> RigClip:
     """Returns the clip of a BVH file.
 
     Args:
@@ -62,7 +62,7 @@ def load_bvh(
     translations = _translations(hierarchy, table.values, rule=root_positions)
     if metres_per_unit is None:
         metres_per_unit = _guess_unit(hierarchy, translations)
-    return BvhClip(
+    return RigClip(
         joint_names=hierarchy.joint_names,
         parents=hierarchy.parents,
         offsets=(hierarchy.offsets * metres_per_unit).astype(np.float32),

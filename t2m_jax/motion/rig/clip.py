@@ -1,4 +1,4 @@
-"""The content of a BVH file: a hierarchy of joints, local rotations and translations."""
+"""A clip of a figure with any joints, as BVH, glTF and AMC files have them: local rotations and translations."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -7,12 +7,17 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.motion.kinematics import forward_kinematics
-from t2m_jax.motion.parts import Parts
+from t2m_jax.motion.part_captions import Parts
+
+MAX_VALUE = 1e9
+"""Size of an offset or a channel from which on it must be a mistake: a thousand kilometers in millimeters."""
+MAX_JOINTS = 2000
+"""Most joints of a figure. Those with fingers, face and clothes have up to some hundred."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class BvhClip:
-    """One clip of one figure, from BVH or glTF. All lengths are in meters, whatever the file's unit was."""
+class RigClip:
+    """From a file to `retarget`: one clip of one figure. All lengths are in meters, whatever the file's unit was."""
 
     joint_names: tuple[str, ...]
     """Names in their order in the file."""
@@ -43,7 +48,7 @@ class BvhClip:
         """World positions of all joints in meters."""
         return forward_kinematics(self.rotations, self.translations, self.parents).positions
 
-    def from_frame(self, frame: int) -> "BvhClip":
+    def from_frame(self, frame: int) -> "RigClip":
         """Returns the clip without the frames before `frame`."""
         rotations, translations = self.rotations[frame:], self.translations[frame:]
         return dataclasses.replace(self, rotations=rotations, translations=translations, parts=())
@@ -54,7 +59,7 @@ class BvhClip:
         still = np.broadcast_to(np.eye(3, dtype=np.float32), (1, len(self.offsets), 3, 3))
         return forward_kinematics(still, self.offsets[None], self.parents).positions[0]
 
-    def with_end_sites(self) -> "BvhClip":
+    def with_end_sites(self) -> "RigClip":
         """Returns the clip with a joint at each End Site, named "<joint> End Site"."""
         joints, offsets = list(self.end_sites), np.array(list(self.end_sites.values()), np.float32).reshape(-1, 3)
         frames, count = self.num_frames, len(joints)

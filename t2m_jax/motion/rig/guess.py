@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.rig.clip import BvhClip
+from t2m_jax.motion.rig.clip import RigClip
 from t2m_jax.motion.rig.orientation import left_is_left
 from t2m_jax.motion.rig.retarget import retarget
 from t2m_jax.motion.rig.rigs import OPTIONAL_JOINTS, Rig
@@ -95,7 +95,7 @@ def _assign(name: str, likeness: Float[np.ndarray, "22 S"], joint_names: Sequenc
     return RigGuess({joint: joint_names[at] for joint, at in found.items()}, name, total / len(HUMANML3D.joint_names))
 
 
-def rig_table_text(clip: BvhClip, *, source: str) -> str:
+def rig_table_text(clip: RigClip, *, source: str) -> str:
     """Returns the guess for a clip as the text of a table with a line for each of the 22 joints, for `--rig`.
 
     Args:
@@ -119,7 +119,7 @@ def rig_table_text(clip: BvhClip, *, source: str) -> str:
     return "\n".join([*lines, f"# Other joints of the file: {', '.join(unused)}"]) + "\n"
 
 
-def _check_sides(clip: BvhClip, guess: RigGuess) -> str:
+def _check_sides(clip: RigClip, guess: RigGuess) -> str:
     """Returns a sentence about left and right."""
     try:
         right = float(np.mean(left_is_left(retarget(clip, rig=guess.table, up="y").positions)))

@@ -3,11 +3,11 @@
 import dataclasses
 
 from t2m_jax.motion import editing
-from t2m_jax.motion.rig.clip import BvhClip
+from t2m_jax.motion.rig.clip import RigClip
 from t2m_jax.motion.rotations import continuous_quaternions, matrix_from_quaternion, quaternion_from_matrix
 
 
-def resample(clip: BvhClip, fps: float) -> BvhClip:
+def resample(clip: RigClip, fps: float) -> RigClip:
     """Returns `clip` at another frame rate. Frame k is the pose at k / `fps` seconds (see `editing.resample`).
 
     Rotations are filtered as quaternions, so that it does not matter how a file writes its angles.

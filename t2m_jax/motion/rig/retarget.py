@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from t2m_jax.errors import UserError
 from t2m_jax.motion.motion import Motion
-from t2m_jax.motion.rig.clip import BvhClip
+from t2m_jax.motion.rig.clip import RigClip
 from t2m_jax.motion.rig.orientation import Up, find_up, to_y_up
 from t2m_jax.motion.rig.rigs import Rig, load_rig, make_rig, match_rig
 from t2m_jax.motion.rig.tables import RIGS, detect_rig
@@ -23,7 +23,7 @@ _SPINE = ("pelvis", "spine1", "spine2", "spine3", "neck")
 _COLLAR_UP, _COLLAR_OUT = 0.5, 0.45
 
 
-def retarget(clip: BvhClip, *, rig: RigLike | None = None, up: Up = "auto") -> Motion:
+def retarget(clip: RigClip, *, rig: RigLike | None = None, up: Up = "auto") -> Motion:
     """Returns the clip as a motion of the 22 joints with Y up, with its own size, place and frame rate.
 
     The result keeps the bone lengths of the file. `features_from_positions` converts them to the template's.
@@ -47,7 +47,7 @@ def retarget(clip: BvhClip, *, rig: RigLike | None = None, up: Up = "auto") -> M
     return Motion(positions=to_y_up(positions) if up == "z" else positions, fps=clip.fps, **parts)
 
 
-def clip_up(clip: BvhClip, rig: Rig) -> Literal["y", "z"]:
+def clip_up(clip: RigClip, rig: Rig) -> Literal["y", "z"]:
     """Returns the axis of a clip that points up, as `retarget` finds it.
 
     Raises:
@@ -58,7 +58,7 @@ def clip_up(clip: BvhClip, rig: Rig) -> Literal["y", "z"]:
     return _find_up(clip, _retarget(clip.positions, clip.parents, index), index)
 
 
-def _find_up(clip: BvhClip, positions: Float[np.ndarray, "T 22 3"], index: Mapping[str, int]) -> Literal["y", "z"]:
+def _find_up(clip: RigClip, positions: Float[np.ndarray, "T 22 3"], index: Mapping[str, int]) -> Literal["y", "z"]:
     """Returns the axis that points up, from the joints of a clip with end sites."""
     up = find_up(positions, _retarget(clip.rest_positions[None], clip.parents, index)[0])
     if up is None:
@@ -66,7 +66,7 @@ def _find_up(clip: BvhClip, positions: Float[np.ndarray, "T 22 3"], index: Mappi
     return up
 
 
-def find_rig(clip: BvhClip, rig: RigLike | None) -> Rig:
+def find_rig(clip: RigClip, rig: RigLike | None) -> Rig:
     """Returns the rig that `retarget` uses for a clip.
 
     Raises:
@@ -85,7 +85,7 @@ def find_rig(clip: BvhClip, rig: RigLike | None) -> Rig:
     return load_rig(rig)
 
 
-def match_clip(clip: BvhClip, rig: Rig) -> dict[str, int]:
+def match_clip(clip: RigClip, rig: Rig) -> dict[str, int]:
     """Returns the joint of the clip for each joint of the rig.
 
     Raises:

@@ -4,20 +4,20 @@ import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.rig import BvhClip
+from t2m_jax.motion.rig import RigClip
 from t2m_jax.motion.rig.resample import resample
 from t2m_jax.motion.rotations import euler_from_matrix, matrix_from_euler
 from tests.motion.figures import turn_angles
 
 
-def turning_clip(num_frames: int, fps: float, *, start: float = 0.0) -> BvhClip:
+def turning_clip(num_frames: int, fps: float, *, start: float = 0.0) -> RigClip:
     """Returns a root that turns by one radian a second about Y and moves by one metre a second along Z."""
     time = np.arange(num_frames) / fps
     angles = np.zeros((num_frames, 1, 3))
     angles[..., 0] = start + time[:, None]
     translations = np.zeros((num_frames, 1, 3), dtype=np.float32)
     translations[:, 0, 2] = time
-    return BvhClip(
+    return RigClip(
         joint_names=("Hips",),
         parents=(-1,),
         offsets=np.zeros((1, 3), dtype=np.float32),

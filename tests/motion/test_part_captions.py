@@ -5,8 +5,9 @@ import pytest
 
 from t2m_jax.motion.bvh import load_bvh, save_bvh
 from t2m_jax.motion.motion import Motion
-from t2m_jax.motion.parts import MAX_CAPTION, MAX_PARTS, checked_parts, parts_from_note, parts_note
-from t2m_jax.motion.rig import resample, retarget
+from t2m_jax.motion.part_captions import MAX_CAPTION, MAX_PARTS, checked_parts, parts_from_note, parts_note
+from t2m_jax.motion.rig import retarget
+from t2m_jax.motion.rig.resample import resample
 
 from .figures import walking_positions
 

@@ -1,0 +1,122 @@
+"""Files of motions by their suffix. Readers and writers are entry points, so that a package can add a format.
+
+`Motion` uses this module, so the record is not imported here: what is read and written is of that class.
+"""
+
+import html
+import inspect
+from collections.abc import Sequence
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+from t2m_jax import files
+from t2m_jax.errors import UserError
+
+READERS = "t2m_jax.motion_readers"
+"""Entry points by suffix: functions of a path that return its motion, and that may take the name of an `animation`."""
+WRITERS = "t2m_jax.motion_writers"
+"""Entry points by suffix: functions of a path, motions and options, each of which has a `Literal` as type."""
+
+
+def motion_formats() -> tuple[str, ...]:
+    """Returns the suffixes of the formats that motions can be saved in: sorted, without dots."""
+    return tuple(sorted(_entry_points(WRITERS)))
+
+
+def load_motion(path: str | Path, *, animation: str | None = None) -> Any:
+    """Returns the `Motion` of a file: `.npz`, `.bvh`, `.glb`, `.amc`, or a data set's `.npy` with joints or features.
+
+    Args:
+        path: The file.
+        animation: Name of the animation in a `.glb` file, with or without the armature's name; needed if there are
+            several.
+
+    Raises:
+        UserError: The suffix is unknown, the file does not contain a motion, or it has several and none was chosen.
+    """
+    path = Path(path)
+    read = _entry_point(READERS, path).load()
+    if not path.is_file():
+        raise UserError(f"{path}: there is no such file")
+    # Only formats with several motions in a file have a choice; the others need not know about it.
+    chosen = {"animation": animation} if "animation" in inspect.signature(read).parameters else {}
+    return read(path, **chosen)
+
+
+def check_motion_output(path: str | Path) -> Path:
+    """Returns the path of a motion file to write.
+
+    Call this before long work, so that a wrong path is reported first.
+
+    Raises:
+        UserError: The suffix is unknown, or the file cannot be written.
+    """
+    _entry_point(WRITERS, Path(path))
+    return files.check_output(Path(path))
+
+
+def format_options(path: str | Path) -> dict[str, tuple[str, ...]]:
+    """Returns the options of the format of a file, with the values that each can have."""
+    hints = get_type_hints(_entry_point(WRITERS, Path(path)).load())
+    return {name: get_args(hint) for name, hint in hints.items() if get_origin(hint) is Literal}
+
+
+def save_motions(path: str | Path, motions: Sequence[Any], **options: Any) -> None:
+    """Writes motions into one file. The suffix selects the format. Some formats contain exactly one motion.
+
+    Args:
+        path: The file.
+        motions: What is written.
+        **options: See `Motion.save`.
+
+    Raises:
+        UserError: The suffix is unknown, the format has no such option or cannot contain that many motions, or the file
+            cannot be written.
+    """
+    path = check_motion_output(path)
+    known = format_options(path) if options else {}
+    for name, value in options.items():
+        if value not in known.get(name, ()):
+            choices = ", ".join(known.get(name, ())) or f"nothing, because {path.suffix} files have no such option"
+            raise UserError(f"{name}: {value!r} is unknown; known is {choices}")
+    write = _entry_point(WRITERS, path).load()
+    try:
+        write(path, motions, **options)
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written ({error})") from error
+
+
+def notebook_frame(page: str) -> str:
+    """Returns an iframe that contains an HTML page, for notebooks."""
+    return (
+        f'<iframe srcdoc="{html.escape(page)}" title="Motion viewer" sandbox="allow-scripts" allowfullscreen '
+        'style="width: 100%; height: 520px; border: 0; border-radius: 12px"></iframe>'
+    )
+
+
+def _entry_point(group: str, path: Path) -> EntryPoint:
+    """Returns the reader or the writer of a file.
+
+    Raises:
+        UserError: The suffix is unknown, or the package is not installed.
+    """
+    found = _entry_points(group)
+    suffix = path.suffix.lower().removeprefix(".")
+    if suffix not in found:
+        known = ", ".join(f".{name}" for name in sorted(found))
+        problem = "cannot read motions with" if group == READERS else "no motion format has"
+        raise UserError(f"{path}: {problem} the suffix {path.suffix!r}; use one of {known}")
+    return found[suffix]
+
+
+def _entry_points(group: str) -> dict[str, EntryPoint]:
+    """Returns the entry points of a group by name.
+
+    Raises:
+        UserError: The group is empty, because the package is not installed.
+    """
+    found = {point.name: point for point in entry_points(group=group)}
+    if not found:
+        raise UserError(f"nothing is registered as {group}; install the package (pip install -e . in a source tree)")
+    return found
