@@ -13,9 +13,9 @@ import numpy as np
 import t2m_jax
 from t2m_jax import Motion
 from t2m_jax.data import open_dataset
-from t2m_jax.data.captioning.wordings import Pace, held_out_paces
 from t2m_jax.data.index import load_index
 from t2m_jax.evaluation.prompts.groups import PACED, pace_tests
+from t2m_jax.evaluation.prompts.sentences import Pace, held_out_paces
 from t2m_jax.motion.facts import measure
 from t2m_jax.motion.features import positions_from_features
 

@@ -8,18 +8,19 @@ import pytest
 
 from t2m_jax.data.audit import audit_dataset
 from t2m_jax.data.captioning.captions import Labels
-from t2m_jax.data.captioning.wordings import load_composition, load_wordings
+from t2m_jax.data.captioning.lexicon import read_words
+from t2m_jax.data.captioning.wordings import load_wordings
 from t2m_jax.data.files import FEATURES, POSITIONS
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.bandai_namco import compose, extra
 from t2m_jax.data.importers.bandai_namco.compose import (
     LONGEST,
     QUIET_SPEED,
+    LabeledPiece,
     Library,
-    Part,
-    draw_parts,
+    draw_pieces,
     find_stillness,
-    join_parts,
+    join_pieces,
     stand_still,
     write_composed_captions,
 )
@@ -52,7 +53,7 @@ def standing(num_frames, *, raised=()):
 
 
 def part(content, positions, style="normal"):
-    return Part(Labels(content, style), features_from_positions(positions, HUMANML3D))
+    return LabeledPiece(Labels(content, style), features_from_positions(positions, HUMANML3D))
 
 
 @pytest.fixture(scope="module")
@@ -87,17 +88,17 @@ def test_standing_still_goes_forward_and_back_at_a_quiet_speed():
 def test_parts_fit_and_differ_and_only_travel_is_cut(library):
     seen = set()
     for number in range(60):
-        parts = draw_parts(library, random.Random(number))
+        parts = draw_pieces(library, random.Random(number))
         contents = [one.labels.content for one in parts]
         seen |= set(contents)
         assert len(parts) in (2, 3) and all(a != b for a, b in itertools.pairwise(contents))
-        assert len(join_parts(parts)) <= LONGEST
+        assert len(join_pieces(parts)) <= LONGEST
         assert all(len(one.features) == 69 for one in parts if one.labels.content == "wave-left-hand")
     assert seen == {"walk", "run", "wave-left-hand"}, "a bow of 189 frames leaves no room"
 
 
 def test_joined_parts_keep_their_bones_and_come_in_order():
-    joints = join_parts(
+    joints = join_pieces(
         [part("walk", walking_positions(80)), part("wave-left-hand", standing(80, raised=range(30, 60)))]
     )
     lengths = np.linalg.norm(joints[:, 1:] - joints[:, list(HUMANML3D.parents[1:])], axis=-1)
@@ -128,8 +129,8 @@ WAVING = ("wav", "hand", "arm")
 def test_held_out_sentences_are_never_written(monkeypatch):
     parts = [part("walk", walking_positions(60)), part("wave-left-hand", standing(60))]
     texts = [caption.text for caption in write_composed_captions(parts, count=8, generator=random.Random(1))]
-    held_out = compose.held_out_compositions()[0]._replace(sentences=(texts[0].upper().rstrip(".") + ".",))
-    monkeypatch.setattr(compose, "held_out_compositions", lambda: (held_out,))
+    held_out = {("walk", "wave-left-hand"): (texts[0].upper().rstrip(".") + ".",)}
+    monkeypatch.setattr(compose, "held_out_compositions", lambda: held_out)
     again = [caption.text for caption in write_composed_captions(parts, count=8, generator=random.Random(1))]
     assert texts[0] not in again and again[:7] == texts[1:]
 
@@ -152,7 +153,7 @@ def test_each_style_stands_still_as_often_as_the_others(tmp_path, monkeypatch):
 
 
 def test_every_content_of_compositions_has_words():
-    for content in load_composition().weights:
+    for content in read_words(compose.__package__, "composed")["weights"]:
         assert load_wordings().contents[content].wordings
 
 

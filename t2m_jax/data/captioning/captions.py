@@ -1,10 +1,11 @@
-"""Captions of Bandai-Namco clips, composed from the labels and from measurements of the motion.
+"""Captions of labeled clips, composed from the labels and from measurements of the motion.
 
 Every clip gets several different sentences. They depend only on the clip's name, labels and measurements, so an import
 always gives the same folder. Some captions name the style and some do not, because people who ask for motion do both.
 """
 
 import random
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from t2m_jax.data.captioning.grammar import Form, Manner, Subject, Wording, sentence
@@ -28,8 +29,6 @@ LOW_SHARE = 0.7
 """Share of the captions of a clip with low hands that mention it. The others name the style."""
 CLAUSE_MARKS = (",", "while", "as if", "before")
 """Words that open a clause of their own: a manner at the end would be read as part of that clause."""
-SLOW_WORDS, FAST_WORDS = ("slow", "unhurried"), ("quick", "fast", "rapid", "swift")
-"""Parts of words that call a motion slow or fast."""
 
 
 class Labels(NamedTuple):
@@ -67,7 +66,8 @@ def true_facts(labels: Labels, facts: Facts) -> frozenset[str]:
 
 def true_wordings(labels: Labels, facts: Facts) -> tuple[Wording, ...]:
     """Returns the wordings of a clip's content that may be said of it."""
-    words, holding = load_wordings(), true_facts(labels, facts)
+    words = load_wordings()
+    holding = true_facts(labels, facts)
     known = words.exceptions.get((labels.content, labels.style), words.contents[labels.content].wordings)
     return tuple(wording for wording in known if wording.needs in holding)
 
@@ -94,7 +94,9 @@ def compose(
         manners: One of these is named, instead of the style or the pace.
     """
     words = load_wordings()
-    content, style, predicate = words.contents[labels.content], words.styles[labels.style], wording.predicate
+    content = words.contents[labels.content]
+    style = words.styles[labels.style]
+    predicate = wording.predicate
     (form,) = generator.choices(FORMS, FORM_WEIGHTS)
     pace = clip_pace(labels, facts)
     if not manners and generator.random() < style_share:
@@ -128,18 +130,27 @@ def write_captions(name: str, labels: Labels, facts: Facts, *, count: int = 6) -
         facts: Measurements of the clip.
         count: Number of captions.
     """
-    generator, wordings = random.Random(f"captions of {name}"), true_wordings(labels, facts)
+    generator = random.Random(f"captions of {name}")
+    wordings = true_wordings(labels, facts)
     low = tuple(wording for wording in wordings if wording.needs == "low")
     styled = tuple(wording for wording in wordings if not any(mark in wording.predicate for mark in CLAUSE_MARKS))
     texts: dict[str, Wording] = {}
     while len(texts) < count:
-        candidates, style_share = wordings, STYLE_SHARE
+        candidates = wordings
+        style_share = STYLE_SHARE
         if low and generator.random() < LOW_SHARE:
             candidates = low
         elif low:
-            candidates, style_share = styled, 1.0
+            candidates = styled
+            style_share = 1.0
         wording = generator.choice(candidates)
+        # The same wording again would say the same with another subject. With few wordings, it cannot be avoided.
         if len(wordings) > count and wording in texts.values():
             continue
         texts[compose(labels, wording, facts=facts, style_share=style_share, generator=generator)] = wording
+    return tagged_captions(texts)
+
+
+def tagged_captions(texts: Iterable[str]) -> tuple[Caption, ...]:
+    """Returns captions with tokens; all their words must be in the vocabulary."""
     return tuple(Caption(text, tag_words(text, strict=True)) for text in texts)

@@ -17,10 +17,9 @@ SIDES = frozenset({"left", "right"})
 
 
 @functools.cache
-def _lexicon() -> dict[str, Any]:
-    """Returns the data of `lexicon.yaml`."""
-    file = importlib.resources.files(__package__) / "lexicon.yaml"
-    return yaml.safe_load(file.read_text(encoding="utf-8"))
+def read_words(package: str, name: str) -> Any:
+    """Returns the data of a YAML file of a package, by its name without the suffix. Do not change them."""
+    return yaml.safe_load((importlib.resources.files(package) / f"{name}.yaml").read_text(encoding="utf-8"))
 
 
 def third_person(base: str) -> str:
@@ -34,7 +33,7 @@ def third_person(base: str) -> str:
 
 def gerund(base: str) -> str:
     """Returns the -ing form of a verb: "waving" for "wave", "running" for "run"."""
-    if base in _lexicon()["doubled"].split():
+    if base in read_words(__package__, "lexicon")["doubled"].split():
         return base + base[-1] + "ing"
     if base.endswith("e") and not base.endswith(("ee", "ye", "oe")):
         return base[:-1] + "ing"
@@ -44,7 +43,7 @@ def gerund(base: str) -> str:
 @functools.cache
 def _readings() -> dict[str, dict[str, str]]:
     """Returns word -> {tag: lemma} for all forms of all words of the vocabulary."""
-    lexicon = _lexicon()
+    lexicon = read_words(__package__, "lexicon")
     vocabulary = {tag: sorted(words.split()) for tag, words in lexicon["vocabulary"].items()}
     table: dict[str, dict[str, str]] = {}
     for base in vocabulary.pop("VERB"):
@@ -64,11 +63,6 @@ def _readings() -> dict[str, dict[str, str]]:
 def words_in(text: str) -> list[str]:
     """Returns the alphabetic words of a sentence in lower case, without hyphens, as HumanML3D does."""
     return [word for word in re.findall(r"[^\W_]+", text.lower().replace("-", "").replace("'", "")) if word.isalpha()]
-
-
-def knows(word: str) -> bool:
-    """Returns whether a lower-case word is in the vocabulary."""
-    return word in _readings() or word in SIDES
 
 
 def _choose(readings: dict[str, str], previous: str, following: str) -> str:
@@ -110,7 +104,8 @@ def tag_words(text: str, *, strict: bool = False) -> tuple[str, ...]:
     Raises:
         KeyError: A word is unknown and `strict` is set.
     """
-    words, table = words_in(text), _readings()
+    words = words_in(text)
+    table = _readings()
     tokens: list[str] = []
     previous = ""
     for word, following in itertools.zip_longest(words, words[1:], fillvalue=""):

@@ -9,8 +9,8 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from t2m_jax.data.captioning.wordings import held_out_sentences
 from t2m_jax.errors import UserError
+from t2m_jax.evaluation.prompts.sentences import held_out_sentences
 from t2m_jax.files.markdown import markdown_table
 from t2m_jax.motion.facts import Facts, measure
 from t2m_jax.motion.motion import Motion

@@ -8,16 +8,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.data.captioning.wordings import (
-    Pace,
-    held_out_compositions,
-    held_out_paces,
-    held_out_sentences,
-)
 from t2m_jax.data.folder import Dataset
+from t2m_jax.data.importers.bandai_namco.compose import held_out_compositions
 from t2m_jax.data.index import load_index
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.prompts.following import RULES, PromptTest, check_skeleton, goes_straight, measure_motion
+from t2m_jax.evaluation.prompts.sentences import Pace, held_out_paces, held_out_sentences
 from t2m_jax.motion.facts import Facts, measure
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.motion import Motion
@@ -82,12 +78,12 @@ def composed_tests() -> list[PromptTest]:
     """Returns a test for each pair of contents: both are shown, one after the other."""
     return [
         PromptTest(
-            " + ".join(request.parts),
+            " + ".join(contents),
             "can be cut so that each part keeps its rule",
-            request.sentences,
-            functools.partial(_shows_in_order, *request.parts),
+            sentences,
+            functools.partial(_shows_in_order, *contents),
         )
-        for request in held_out_compositions()
+        for contents, sentences in held_out_compositions().items()
     ]
 
 

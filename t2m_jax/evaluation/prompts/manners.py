@@ -9,11 +9,12 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Int
 
-from t2m_jax.data.captioning.wordings import held_out_sentences, load_wordings
+from t2m_jax.data.captioning.wordings import load_wordings
 from t2m_jax.data.folder import Dataset
 from t2m_jax.data.index import load_index
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.prompts.following import RULES, PromptTest, check_skeleton
+from t2m_jax.evaluation.prompts.sentences import held_out_sentences
 from t2m_jax.motion.features import features_from_positions
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D

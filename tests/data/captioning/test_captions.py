@@ -4,11 +4,13 @@ import pytest
 
 from t2m_jax.data.captioning.captions import Labels, clip_pace, true_facts, write_captions
 from t2m_jax.data.captioning.grammar import Manner, Subject, sentence
-from t2m_jax.data.captioning.lexicon import gerund, knows, tag_words, third_person, words_in
-from t2m_jax.data.captioning.wordings import held_out_compositions, held_out_sentences, load_wordings
+from t2m_jax.data.captioning.lexicon import gerund, tag_words, third_person, words_in
+from t2m_jax.data.captioning.wordings import load_wordings
+from t2m_jax.data.importers.bandai_namco.compose import held_out_compositions
+from t2m_jax.evaluation.prompts.sentences import held_out_sentences
 from t2m_jax.motion.facts import Facts
 
-CONTENTS, EXCEPTIONS, STYLES, SUBJECTS = load_wordings()
+CONTENTS, EXCEPTIONS, STYLES, SUBJECTS, _ = load_wordings()
 HELD_OUT = held_out_sentences()
 FACTS = ("", "not_fast", "not_slow", "overhead", "low", "not_low", "quarter", "many")
 USUAL = Facts(
@@ -69,7 +71,7 @@ def test_every_word_of_every_wording_has_a_tag():
         for wording in content.wordings:
             for form in ("present", "progressive", "imperative", "gerund", "begins"):
                 text = sentence(wording.predicate, SUBJECTS[0], form=form, side=content.side)
-                assert [word for word in words_in(text) if not knows(word)] == []
+                tag_words(text, strict=True)
                 assert "{" not in text and "[" not in text
     for style in STYLES.values():
         for text, _ in (*style.manners, *style.subjects):
@@ -152,7 +154,7 @@ def test_held_out_sentences_are_new_but_their_words_are_not(many_captions):
 
 def test_no_caption_asks_for_two_actions_as_the_composed_sentences_do(many_captions):
     captions = {normal_form(caption.text) for group in many_captions.values() for caption in group}
-    assert not {normal_form(text) for request in held_out_compositions() for text in request.sentences} & captions
+    assert not {normal_form(text) for sentences in held_out_compositions().values() for text in sentences} & captions
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from t2m_jax.data.captioning.wordings import held_out_sentences
 from t2m_jax.data.importers.synthetic import KINDS, make_motion
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.prompts.following import (
@@ -14,6 +13,7 @@ from t2m_jax.evaluation.prompts.following import (
     follows,
     requests,
 )
+from t2m_jax.evaluation.prompts.sentences import held_out_sentences
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import KIT_ML
 

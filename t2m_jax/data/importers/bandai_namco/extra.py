@@ -3,25 +3,24 @@
 import itertools
 import random
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.data.captioning.captions import Labels, compose, true_wordings
+from t2m_jax.data.captioning.captions import Labels, compose, tagged_captions, true_wordings
 from t2m_jax.data.captioning.grammar import Manner
-from t2m_jax.data.captioning.lexicon import tag_words
-from t2m_jax.data.captioning.wordings import load_extremes, load_wordings
+from t2m_jax.data.captioning.wordings import load_wordings
 from t2m_jax.data.files import MIRROR_PREFIX, POSITIONS, TEXTS
 from t2m_jax.data.importers.bandai_namco.compose import (
     STAND,
     STAND_FRAMES,
     Library,
-    draw_parts,
+    draw_pieces,
     find_stillness,
-    join_parts,
+    join_pieces,
     stand_still,
     write_composed_captions,
 )
@@ -40,15 +39,20 @@ from t2m_jax.motion.skeleton import HUMANML3D
 
 PACE_MARKS = ("pace", "steady", "quick", "fast", "speed", "stroll", "march", "stride", "wander")
 """Parts of wordings that say how fast already."""
-SLOWED_TO, SLOWED_BY = (0.75, 0.93), 0.75
-"""Speed of a clip that is played more slowly, as a part of the limit of "very slow", drawn between two values; and the
-smallest factor that its speed is multiplied with."""
-SLOW_VARIANTS, SLOW_CAPTIONS = 2, {"very_slow": 4, "slow": 2}
-"""Motions that are made of a clip by playing it more slowly, and captions of each."""
+SLOWED_TO = (0.75, 0.93)
+"""Speed of a clip that is played more slowly, as a part of the limit of "very slow", drawn between two values."""
+SLOWED_BY = 0.75
+"""Smallest factor that the speed of a clip is multiplied with."""
+SLOW_VARIANTS = 2
+"""Motions that are made of a clip by playing it more slowly."""
+SLOW_CAPTIONS = {"very_slow": 4, "slow": 2}
+"""Captions of each of them."""
 MORE_CAPTIONS = 3
 """Captions of each extreme, and of the style, that a training clip gets besides its own."""
-MOST_OF_A_STYLE, VARIANTS = 12, 4
-"""Clips of a style from which motions of standing still are made, and motions made of each."""
+MOST_OF_A_STYLE = 12
+"""Clips of a style from which motions of standing still are made."""
+VARIANTS = 4
+"""Motions of standing still that are made of each."""
 CAPTIONS_OF_NEW = 6
 """Captions of a motion that is made of others."""
 
@@ -70,28 +74,21 @@ def write_more_captions(folder: Path, names: Sequence[str], labels: Callable[[st
     limits = speed_limits(facts, {name: labels(name).content for name in names})
     for name in names:
         extremes = find_extremes(facts[name], limits.get(labels(name).content))
-        texts = _extreme_captions(name, labels(name), facts[name], extremes or [])
+        texts = []
+        if shows_pace(labels(name).content, facts[name]):
+            generator = random.Random(f"speed of {name}")
+            manners = [one for extreme in extremes or () for one in [load_wordings().extremes[extreme]] * MORE_CAPTIONS]
+            texts += [_say(labels(name), facts[name], generator, manners=one) for one in manners]
         if labels(name).style != "normal":
-            texts += _style_captions(name, labels(name), facts[name])
-        said = _captions(dict.fromkeys(texts))
+            generator = random.Random(f"style of {name}")
+            texts += [_say(labels(name), facts[name], generator) for _ in range(MORE_CAPTIONS)]
+        said = tagged_captions(dict.fromkeys(texts))
         for twin, more in ((name, said), (MIRROR_PREFIX + name, [mirror(caption) for caption in said])):
             path = folder / TEXTS / f"{twin}.txt"
             save_captions(path, [one for one in (*load_captions(path), *more) if is_true_pace(one.text, extremes)])
 
 
-def _extreme_captions(name: str, labels: Labels, facts: Facts, extremes: Sequence[str]) -> list[str]:
-    generator = random.Random(f"speed of {name}")
-    found = extremes if shows_pace(labels.content, facts) else []
-    manners = [load_extremes()[extreme] for extreme in found for _ in range(MORE_CAPTIONS)]
-    return [_say(labels, facts, generator, manners=one) for one in manners]
-
-
-def _style_captions(name: str, labels: Labels, facts: Facts) -> list[str]:
-    generator = random.Random(f"style of {name}")
-    return [_say(labels, facts, generator, manners=()) for _ in range(MORE_CAPTIONS)]
-
-
-def _say(labels: Labels, facts: Facts, generator: random.Random, *, manners: tuple[Manner, ...]) -> str:
+def _say(labels: Labels, facts: Facts, generator: random.Random, *, manners: tuple[Manner, ...] = ()) -> str:
     """Returns a sentence with one of the given manners; without any, with one of the clip's style."""
     wordings = true_wordings(labels, facts)
     plain = [one for one in wordings if not any(mark in one.predicate for mark in PACE_MARKS)]
@@ -118,15 +115,17 @@ def write_stand_clips(folder: Path, names: Sequence[str], labels: Callable[[str]
 
 
 def _write_stand_clip(folder: Path, name: str, number: int, still: slice, style: str) -> NewClip:
-    generator, label = random.Random(f"stillness {number} of {name}"), Labels(STAND, style)
+    generator = random.Random(f"stillness {number} of {name}")
+    labels = Labels(STAND, style)
     positions = np.load(folder / POSITIONS / f"{name}.npy")[still]
     motion = stand_still(positions, num_frames=generator.randint(*STAND_FRAMES))
-    facts, wordings = measure(motion, fps=HUMANML3D.fps), load_wordings().contents[STAND].wordings
+    facts = measure(motion, fps=HUMANML3D.fps)
+    wordings = load_wordings().contents[STAND].wordings
     texts = [
-        compose(label, generator.choice(wordings), facts=facts, style_share=0.3, generator=generator)
+        compose(labels, generator.choice(wordings), facts=facts, style_share=0.3, generator=generator)
         for _ in range(CAPTIONS_OF_NEW)
     ]
-    return _write(folder, f"{STAND}{number}_{name}", ", ".join(label), motion, _captions(dict.fromkeys(texts)))
+    return _write(folder, f"{STAND}{number}_{name}", ", ".join(labels), motion, tagged_captions(dict.fromkeys(texts)))
 
 
 def write_slow_clips(folder: Path, names: Sequence[str], labels: Callable[[str], Labels]) -> list[NewClip]:
@@ -138,7 +137,8 @@ def write_slow_clips(folder: Path, names: Sequence[str], labels: Callable[[str],
     limits = speed_limits(facts, {name: labels(name).content for name in names})
     new = []
     for name, number in itertools.product(names, range(1, SLOW_VARIANTS + 1)):
-        content, generator = labels(name).content, random.Random(f"slowness {number} of {name}")
+        content = labels(name).content
+        generator = random.Random(f"slowness {number} of {name}")
         if content in limits and shows_pace(content, facts[name]) and facts[name].speed > 0:
             factor = generator.uniform(*SLOWED_TO) * limits[content]["very_slow"] / facts[name].speed
             if SLOWED_BY <= factor < 1:
@@ -150,18 +150,18 @@ def _write_slow_clip(folder: Path, name: str, labels: Labels, *, number: int, fa
     generator = random.Random(f"slow captions {number} of {name}")
     motion = Motion(np.load(folder / POSITIONS / f"{name}.npy"), HUMANML3D.fps).at_speed(factor).positions
     facts = measure(motion, fps=HUMANML3D.fps)
-    manners = [load_extremes()[extreme] for extreme, count in SLOW_CAPTIONS.items() for _ in range(count)]
+    manners = [load_wordings().extremes[extreme] for extreme, count in SLOW_CAPTIONS.items() for _ in range(count)]
     texts = [_say(labels, facts, generator, manners=one) for one in manners]
-    return _write(folder, f"slow{number}_{name}", ", ".join(labels), motion, _captions(dict.fromkeys(texts)))
+    return _write(folder, f"slow{number}_{name}", ", ".join(labels), motion, tagged_captions(dict.fromkeys(texts)))
 
 
 def write_composition(number: int, *, library: Library) -> NewClip:
     """Writes a motion of two or three actions in turn; the number decides which."""
     generator = random.Random(f"composition {number}")
-    parts = draw_parts(library, generator)
-    captions = write_composed_captions(parts, count=CAPTIONS_OF_NEW, generator=generator)
-    label = " + ".join(part.labels.content for part in parts)
-    return _write(library.folder, f"composed_{number:05d}", label, join_parts(parts), captions)
+    pieces = draw_pieces(library, generator)
+    captions = write_composed_captions(pieces, count=CAPTIONS_OF_NEW, generator=generator)
+    label = " + ".join(piece.labels.content for piece in pieces)
+    return _write(library.folder, f"composed_{number:05d}", label, join_pieces(pieces), captions)
 
 
 def make_library(folder: Path, labels: Mapping[str, Labels]) -> Library:
@@ -170,10 +170,6 @@ def make_library(folder: Path, labels: Mapping[str, Labels]) -> Library:
     for name, label in labels.items():
         clips[label.content].append((name, label.style))
     return Library(folder, dict(clips))
-
-
-def _captions(texts: Iterable[str]) -> tuple[Caption, ...]:
-    return tuple(Caption(text, tag_words(text, strict=True)) for text in texts)
 
 
 def _write(

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from t2m_jax.data.captioning.captions import FAST_WORDS, SLOW_WORDS
 from t2m_jax.data.files import POSITIONS
 from t2m_jax.motion.facts import Facts, measure
 from t2m_jax.motion.skeleton import HUMANML3D
@@ -17,6 +16,10 @@ MARGIN = 0.05
 """Part of a limit by which a clip must be slower or faster than it, so that what a model learns lies inside."""
 FEWEST = 50
 """Clips of a content that can be compared by speed."""
+SLOW_WORDS = ("slow", "unhurried")
+"""Parts of words that call a motion slow."""
+FAST_WORDS = ("quick", "fast", "rapid", "swift")
+"""Parts of words that call a motion fast."""
 
 
 def measure_clips(folder: Path, names: Iterable[str]) -> dict[str, Facts]:
@@ -53,8 +56,9 @@ def is_true_pace(text: str, extremes: Sequence[str] | None) -> bool:
     """Returns whether a caption does not call a clip slow or fast that is not."""
     if extremes is None:
         return True
-    slow, fast = (any(word in text for word in words) for words in (SLOW_WORDS, FAST_WORDS))
-    return not (slow and "slow" not in extremes) and not (fast and "fast" not in extremes)
+    is_slow = any(word in text for word in SLOW_WORDS)
+    is_fast = any(word in text for word in FAST_WORDS)
+    return not (is_slow and "slow" not in extremes) and not (is_fast and "fast" not in extremes)
 
 
 def shows_pace(content: str, facts: Facts) -> bool:
