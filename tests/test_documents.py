@@ -7,8 +7,10 @@ import re
 import shlex
 import tomllib
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 
+import numpy as np
 import pytest
 import yaml
 from markdown_it import MarkdownIt
@@ -65,6 +67,26 @@ def test_commands_and_their_options_exist(page, monkeypatch, capsys):
     for command in commands(text):
         arguments = shlex.split(command.partition("t2m ")[2].removesuffix("&").replace("$i", "0"))
         assert main(arguments) == 0, f"{command}: {capsys.readouterr().err}"
+
+
+@pytest.mark.slow
+def test_the_recipe_for_nnx_gives_what_the_linen_modules_give():
+    page = (REPOSITORY / "docs" / "systems.md").read_text(encoding="utf-8")
+    names: dict[str, Any] = {}
+    for block in re.findall(r"```python\n(.*?)```", page.partition("\n## Use the modules from NNX\n")[2], re.DOTALL):
+        exec(block, names)  # noqa: S102 - the page's code is run as it is
+    model, motion, text, codes = (names[name] for name in ("model", "motion", "text", "codes"))
+    tokenizer = functools.partial(names["VqVae"](model.config.tokenizer).apply, model.variables["tokenizer"])
+    gpt = functools.partial(names["MotionGpt"](model.config.generator).apply, model.variables["generator"])
+    np.testing.assert_array_equal(codes, tokenizer(motion, method="encode"))
+    np.testing.assert_allclose(names["decoded"], tokenizer(codes, method="decode"), atol=1e-5)
+    np.testing.assert_allclose(names["logits"], gpt(codes[:, :, 0], text, train=False), atol=1e-5)
+    assert names["losses"][-1] < names["losses"][0]
+    assert np.abs(names["gpt"](codes[:, :, 0], text, train=False) - names["logits"]).max() > 1e-3
+    keys = {"codebook": names["nnx"].Rngs(codebook=0).codebook()}
+    moved = tokenizer(motion, train=True, mutable=["codebook"], rngs=keys)[1]["codebook"]["quantizer"]["codebook"]
+    np.testing.assert_allclose(names["codebook"][...], moved, atol=1e-5)
+    assert np.abs(moved - model.variables["tokenizer"]["codebook"]["quantizer"]["codebook"]).max() > 1e-3
 
 
 def test_the_citation_has_what_its_format_requires():
