@@ -16,6 +16,7 @@ from t2m_jax.export.skin import SkinPart, make_skin
 from t2m_jax.files import atomic_file
 from t2m_jax.motion.bvh.writer import UNITS_PER_METER, Units
 from t2m_jax.motion.features import bone_vectors
+from t2m_jax.motion.gltf import BINARY_CHUNK, JSON_CHUNK, MAGIC
 from t2m_jax.motion.inverse_kinematics import FittedRig, fit_rig
 from t2m_jax.motion.kinematics import forward_kinematics
 from t2m_jax.motion.motion import Motion
@@ -28,7 +29,9 @@ NEAR = 1e-4
 
 _KINDS = {np.dtype("<f4"): 5126, np.dtype("<u2"): 5123, np.dtype("<u4"): 5125, np.dtype("u1"): 5121}
 _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
-_VERTICES, _INDICES = 34962, 34963
+# OpenGL's numbers of an array buffer and an element array buffer.
+_VERTICES = 34962
+_INDICES = 34963
 
 
 class _GlbWriter:
@@ -56,9 +59,9 @@ class _GlbWriter:
         tree = self.tree | {"buffers": [{"byteLength": len(self.binary)}]}
         text = json.dumps(tree, ensure_ascii=False, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)
-        chunks = struct.pack("<II", len(text), 0x4E4F534A) + text
-        chunks += struct.pack("<II", len(self.binary), 0x004E4942) + self.binary
-        return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
+        chunks = struct.pack("<II", len(text), JSON_CHUNK) + text
+        chunks += struct.pack("<II", len(self.binary), BINARY_CHUNK) + self.binary
+        return struct.pack("<III", MAGIC, 2, 12 + len(chunks)) + chunks
 
 
 def save_glb(path: Path, motions: Sequence[Motion], *, names: JointNames = "lafan1", units: Units = "m") -> None:
@@ -83,14 +86,15 @@ def save_glb(path: Path, motions: Sequence[Motion], *, names: JointNames = "lafa
     if other:
         raise UserError(f"{path}: GLB files are written for the skeleton {HUMANML3D.name}, not {other[0]}")
     rigs = [fit_rig(motion.positions, fps=motion.fps) for motion in motions]
-    scale, glb = UNITS_PER_METER[units], _GlbWriter()
-    glb.tree["asset"] = {"version": "2.0", "generator": f"t2m_jax {version('t2m-jax')}"}
-    glb.tree["asset"]["extras"] = {"units": units}
+    scale = UNITS_PER_METER[units]
+    glb = _GlbWriter()
+    # The reader trusts what is in `extras` only of files with this generator.
+    generator = f"t2m_jax {version('t2m-jax')}"
+    glb.tree["asset"] = {"version": "2.0", "generator": generator, "extras": {"units": units}}
     _add_figure(glb, rigs[0], rig_joint_names(names), scale)
-    titles = _titles(motions)
     glb.tree["animations"] = [
-        _animation(glb, rig, motion, title, rigs[0], scale)
-        for rig, motion, title in zip(rigs, motions, titles, strict=True)
+        {"name": title, **_animation(glb, rig, motion, rigs[0], scale)}
+        for rig, motion, title in zip(rigs, motions, _titles(motions), strict=True)
     ]
     with atomic_file(path) as partial:
         partial.write_bytes(glb.data())
@@ -131,8 +135,10 @@ def _material(tint: str) -> dict[str, Any]:
 
 def _primitive(glb: _GlbWriter, part: SkinPart, material: int, scale: float) -> dict[str, Any]:
     """Adds the arrays of a part of the mesh, and returns its description."""
+    # A vertex may follow four joints. Here it follows one, with all of its weight.
     joints, weights = np.zeros((2, len(part.joints), 4), np.uint8)
-    joints[:, 0], weights[:, 0] = part.joints, 255
+    joints[:, 0] = part.joints
+    weights[:, 0] = 255
     attributes = {
         "POSITION": glb.add(scale * part.positions, target=_VERTICES),
         "NORMAL": glb.add(part.normals, target=_VERTICES),
@@ -165,9 +171,7 @@ def _translations(rig: FittedRig, motion: Motion) -> Float[np.ndarray, "T J 3"]:
     return np.concatenate([motion.positions[:, :1], local], axis=1)
 
 
-def _animation(
-    glb: _GlbWriter, rig: FittedRig, motion: Motion, title: str, figure: FittedRig, scale: float
-) -> dict[str, Any]:
+def _animation(glb: _GlbWriter, rig: FittedRig, motion: Motion, figure: FittedRig, scale: float) -> dict[str, Any]:
     """Adds the arrays of an animation, and returns its description."""
     times = glb.add(np.arange(motion.num_frames) / motion.fps)
     quaternions = continuous_quaternions(quaternion_from_matrix(rig.rotations))[..., [1, 2, 3, 0]]
@@ -175,10 +179,10 @@ def _animation(
     tracks = [(0, "translation", times, glb.add(scale * places[:, 0]))]
     for joint in range(quaternions.shape[1]):
         tracks.append((joint, "rotation", times, glb.add(quaternions[:, joint])))
+        # Other joints move only if bones are not rigid; a track of each would add three quarters to the animation.
         if joint and np.abs(places[:, joint] - figure.offsets[joint]).max() > NEAR:
             tracks.append((joint, "translation", times, glb.add(scale * places[:, joint])))
     return {
-        "name": title,
         "channels": [
             {"sampler": number, "target": {"node": node, "path": path}}
             for number, (node, path, _, _) in enumerate(tracks)

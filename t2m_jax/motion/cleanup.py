@@ -8,6 +8,7 @@ function of positions alone and moves most joints by a few millimeters. A foot t
 import functools
 from typing import Any
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -48,10 +49,12 @@ def clean_positions(
     positions: Float[Array, "B T J 3"], lengths: Int[Array, " B"], *, skeleton: Skeleton
 ) -> Float[Array, "B T J 3"]:
     """Returns cleaned clips, in meters at the skeleton's frame rate; frames after the end of a clip have no meaning."""
+    chex.assert_shape([positions, lengths], [(None, None, skeleton.num_joints, 3), (len(positions),)])
     return jax.vmap(functools.partial(_clean_clip, skeleton=skeleton))(positions, lengths)
 
 
 def _clean_clip(positions: Clip, length: Int[Array, ""], *, skeleton: Skeleton) -> Clip:
+    # Feet last: the other steps move joints a little, also those of a foot that must not slide.
     smooth = smooth_over_clip(positions, length, sigma=SIGMA * skeleton.fps)
     calm = calm_torso(fix_bones(smooth, skeleton), length, skeleton)
     return lock_feet(calm, length, skeleton)
@@ -132,7 +135,8 @@ def calm_torso(positions: Clip, length: Int[Array, ""], skeleton: Skeleton) -> C
 @functools.cache
 def _torso(skeleton: Skeleton) -> tuple[np.ndarray, int]:
     """Returns the bones of hips, spine, head and shoulders, and the joint at the upper end of the spine."""
-    hips, shoulders = skeleton.face_joints[:2], skeleton.face_joints[2:]
+    hips = skeleton.face_joints[:2]
+    shoulders = skeleton.face_joints[2:]
     spine = next(chain for chain in skeleton.chains if chain[0] == 0 and chain[1] not in hips)[1:]
     joints = {*hips, *spine, *shoulders, *(skeleton.parents[shoulder] for shoulder in shoulders)}
     return np.array(sorted(joints)) - 1, spine[-2]
@@ -164,6 +168,7 @@ def lock_feet(positions: Clip, length: Int[Array, ""], skeleton: Skeleton, *, fp
     mask = mask_from_lengths(length[None], len(positions))[0]
     feet = np.array(skeleton.left_foot + skeleton.right_foot)
     heights = jnp.where(mask[:, None], positions[:, feet, 1], jnp.nan)
+    # Not the lowest height: with one toe below the floor in one frame, all others would be too high to stand.
     low = jnp.nanpercentile(heights, 1.0) + CONTACT_HEIGHT
 
     def moved_joints(leg: Int[Array, " 4"]) -> Float[Array, "T 3 3"]:
@@ -187,6 +192,7 @@ def _standing(toe: Float[Array, "T 3"], mask: Frames, low: Float[Array, ""], *, 
     steps = _length(jnp.diff(toe[:, ::2], axis=0))[:, 0] * fps
     speed = jnp.minimum(jnp.append(steps, steps[-1:]), jnp.concatenate([steps[:1], steps]))
     standing = (toe[:, 1] < low) & (speed < CONTACT_SPEED) & mask
+    # A closing and an opening, as in image processing, each by one frame on both sides.
     return _widened(_narrowed(_narrowed(_widened(standing)))) & mask
 
 
@@ -211,8 +217,10 @@ def lock_shift(toe: Float[Array, "T 3"], standing: Frames, *, fade: int = FADE) 
         return standing & (_length(_to_rest(toe, standing))[:, 0] <= LARGEST_SHIFT)
 
     standing = jax.lax.fori_loop(0, TRIMS, trimmed, standing)
-    shift, frames = _to_rest(toe, standing), jnp.arange(len(standing))
+    shift = _to_rest(toe, standing)
+    frames = jnp.arange(len(standing))
     shift = jnp.where(_length(shift) > LARGEST_SHIFT, 0.0, shift)
+    # The last frame of a stand at or before each frame, and the first one at or after it.
     before = jax.lax.cummax(jnp.where(standing, frames, -fade - 1))
     after = jax.lax.cummin(jnp.where(standing, frames, len(frames) + fade), reverse=True)
     weights = _fade(frames - before, fade), _fade(after - frames, fade)
@@ -242,7 +250,8 @@ def move_foot(
     shift: Float[Array, "T 3"],
 ) -> tuple[Float[Array, "T 3"], ...]:
     """Returns knee, ankle and toe of a leg whose foot moves by a shift, as far as it reaches."""
-    thigh, shin = _length(knee - hip), _length(ankle - knee)
+    thigh = _length(knee - hip)
+    shin = _length(ankle - knee)
     wanted = ankle + shift - hip
     # A leg that is straighter than the limit may stay so, but not become straighter.
     longest = jnp.maximum(LARGEST_STRETCH * (thigh + shin), _length(ankle - hip))

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import chex
 import numpy as np
 from jaxtyping import Float
 
@@ -44,28 +45,39 @@ def heading_angles(positions: Float[np.ndarray, "T J 3"], skeleton: Skeleton = H
 
 def _count_waves(sway: Float[np.ndarray, " T"]) -> int:
     """Returns the number of times that a coordinate (meters) goes there and back by at least `WAVE_WIDTH`."""
-    turns, rising, low, high = 0, None, sway[0], sway[0]
+    turns = 0
+    rising = None  # until it has moved far enough in one direction
+    low = high = sway[0]
     for value in sway:
-        low, high = min(low, value), max(high, value)
+        low = min(low, value)
+        high = max(high, value)
         if rising is not True and value > low + WAVE_WIDTH:
-            turns, rising, high = turns + (rising is False), True, value
+            turns += rising is False
+            rising = True
+            high = value
         elif rising is not False and value < high - WAVE_WIDTH:
-            turns, rising, low = turns + (rising is True), False, value
+            turns += rising is True
+            rising = False
+            low = value
     return turns // 2
 
 
 def measure(positions: Float[np.ndarray, "T J 3"], *, fps: float, skeleton: Skeleton = HUMANML3D) -> Facts:
     """Returns the measurements of a clip of at least two frames."""
+    chex.assert_shape(positions, (None, skeleton.num_joints, 3))
     names = skeleton.joint_names
-    root, headings = positions[:, 0], heading_angles(positions, skeleton)
+    root = positions[:, 0]
+    headings = heading_angles(positions, skeleton)
     wrists = positions[:, [names.index("left_wrist"), names.index("right_wrist")]]
     shoulders = positions[:, [names.index("left_shoulder"), names.index("right_shoulder")]]
     head = positions[:, [names.index("head")] * 2]
     # Steps of the root in the body's frame: to the left, ahead (meters per frame).
     x, z = np.diff(root[:, [0, 2]], axis=0).T
-    sine, cosine = np.sin(headings[:-1]), np.cos(headings[:-1])
+    sine = np.sin(headings[:-1])
+    cosine = np.cos(headings[:-1])
     steps = np.stack([x * cosine - z * sine, x * sine + z * cosine], axis=1)
     speed = float(np.sum(np.linalg.norm(steps, axis=1))) / len(steps) * fps
+    # Who stays in place may still be fast or slow with the hands.
     if speed <= WALKING_SPEED:
         hand_speed = np.linalg.norm(np.diff(wrists - positions[:, :1], axis=0), axis=-1) * fps
         speed = float(np.percentile(hand_speed.max(axis=1), 95))

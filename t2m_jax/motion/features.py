@@ -12,15 +12,13 @@ All functions accept NumPy or JAX arrays with leading batch axes. They return fl
 
 import itertools
 
+import chex
 import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
 from t2m_jax.motion.namespace import AnyArray, namespace_of
 from t2m_jax.motion.rotations import (
-    matrix_from_quaternion,
-    matrix_from_rotation_6d,
-    matrix_multiply,
     quaternion_between,
     quaternion_inverse,
     quaternion_multiply,
@@ -65,10 +63,11 @@ def _constant(values: object, like: AnyArray, ndim: int) -> AnyArray:
 
 def bone_vectors(positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton) -> Float[AnyArray, "*batch T J-1 3"]:
     """Returns the vectors from the parent to each joint but the root."""
+    chex.assert_shape(positions, (..., skeleton.num_joints, 3))
     return positions[..., 1:, :] - positions[..., np.array(skeleton.parents[1:]), :]
 
 
-def _chain_predecessors(skeleton: Skeleton) -> np.ndarray:
+def chain_predecessors(skeleton: Skeleton) -> np.ndarray:
     """Returns the joint before each joint in its chain. Chains that begin at the chest continue from the root, too."""
     predecessors = np.array(skeleton.parents)
     for chain in skeleton.chains:
@@ -90,6 +89,7 @@ def retarget_positions(
     leg = np.array(skeleton.leg_joints)
     source = xp.sqrt((bones[..., 0, leg - 1, :] ** 2).sum(-1)).sum(-1)
     template = sum(skeleton.bone_lengths[joint] for joint in skeleton.leg_joints)
+    # The inner `where` keeps the gradient finite, because both branches are differentiated.
     scale = xp.where(source > 0, template / xp.where(source > 0, source, xp.ones_like(source)), xp.ones_like(source))
     bones = unit_vectors(bones) * _constant(skeleton.bone_lengths[1:], bones, bones.ndim - 1)[..., None]
     root = positions[..., :1, :] * scale[..., None, None, None]
@@ -100,6 +100,7 @@ def positions_from_bones(
     root: Float[AnyArray, "*batch T 3"], bones: Float[AnyArray, "*batch T S 3"], skeleton: Skeleton
 ) -> Float[AnyArray, "*batch T S+1 3"]:
     """Returns the joints of a root's path and of the vectors from the parent to each joint; inverts `bone_vectors`."""
+    chex.assert_shape([root, bones], [(..., 3), (*root.shape[:-1], skeleton.num_joints - 1, 3)])
     xp = namespace_of(root, bones)
     root = root[..., None, :]
     bones = xp.concatenate([xp.zeros_like(root), bones], axis=-2)
@@ -119,6 +120,7 @@ def ground_positions(positions: Float[AnyArray, "*batch T J 3"], skeleton: Skele
     """Returns the motion with its lowest joint at height 0. It starts above the origin and faces +Z."""
     positions = _checked_positions(positions, skeleton)
     xp = namespace_of(positions)
+    # Of the whole clip, so that a jump stays above the floor.
     floor = positions[..., 1].min(axis=(-2, -1))
     start = positions[..., 0, 0, :]
     origin = xp.stack([start[..., 0], floor, start[..., 2]], axis=-1)
@@ -130,6 +132,7 @@ def ground_positions(positions: Float[AnyArray, "*batch T J 3"], skeleton: Skele
 
 def facing(pose: Float[AnyArray, "*batch J 3"], skeleton: Skeleton) -> Float[AnyArray, "*batch 3"]:
     """Returns the horizontal direction in which a figure faces, of any length."""
+    chex.assert_shape(pose, (..., skeleton.num_joints, 3))
     right_hip, left_hip, right_shoulder, left_shoulder = (pose[..., j, :] for j in skeleton.face_joints)
     return _forward((right_hip - left_hip) + (right_shoulder - left_shoulder))
 
@@ -191,18 +194,20 @@ def swing_rotations(
     not swing.
     """
     positions = _checked_positions(positions, skeleton)
+    chex.assert_shape(headings, (*positions.shape[:-2], 4))
     bones = bone_vectors(positions, skeleton)
     axes = _constant(skeleton.rest_axes[1:], bones, bones.ndim)
     swings = quaternion_between(axes, bones)
     xp = namespace_of(swings)
     swings = xp.concatenate([headings[..., None, :], swings], axis=-2)
-    before = swings[..., _chain_predecessors(skeleton)[1:], :]
+    before = swings[..., chain_predecessors(skeleton)[1:], :]
     local = quaternion_multiply(quaternion_inverse(before), swings[..., 1:, :])
     return xp.concatenate([headings[..., None, :], local], axis=-2)
 
 
 def foot_contacts(positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton) -> Float[AnyArray, "*batch T-1 4"]:
     """Returns 1 for each foot joint (left ankle and toe, right ankle and toe) that hardly moves to the next frame."""
+    chex.assert_shape(positions, (..., None, skeleton.num_joints, 3))
     feet = positions[..., np.array(skeleton.left_foot + skeleton.right_foot), :]
     steps = ((feet[..., 1:, :, :] - feet[..., :-1, :, :]) ** 2).sum(-1)
     return (steps < skeleton.contact_threshold).astype(np.float32)
@@ -230,13 +235,16 @@ def features_from_positions(
     xp = namespace_of(ground)
     headings = heading_quaternions(ground, skeleton)
     rotations = swing_rotations(ground, headings, skeleton)[..., :-1, 1:, :]
-    now, ahead = headings[..., :-1, :], headings[..., 1:, :]
+    now = headings[..., :-1, :]
+    ahead = headings[..., 1:, :]
 
+    # The turn from one heading to the next is about Y, whose component of the quaternion is the sine of half the angle.
     turn = quaternion_multiply(ahead, quaternion_inverse(now))
     half_yaw = xp.arcsin(xp.clip(turn[..., 2:3], -1, 1))
     if repair_sign_flip:
         half_yaw = xp.where(turn[..., :1] < 0, -half_yaw, half_yaw)
 
+    # The original code turns the step of the root by the heading after it, and all other steps by the one before.
     steps = ground[..., 1:, :, :] - ground[..., :-1, :, :]
     root_step = rotate_vectors(ahead, steps[..., 0, :])
     root = ground[..., :-1, :1, :]
@@ -267,7 +275,9 @@ def root_from_features(
     The clip starts above the origin and faces +Z.
     """
     features = _checked_features(features, skeleton)
-    xp, layout = namespace_of(features), skeleton.layout
+    xp = namespace_of(features)
+    layout = skeleton.layout
+    # A frame has the step to the next one, so the first frame has no step before it, and the last one's leads nowhere.
     half_yaw = features[..., layout.root_yaw]
     angle = xp.cumsum(xp.concatenate([xp.zeros_like(half_yaw[..., :1, :]), half_yaw[..., :-1, :]], axis=-2), axis=-2)
     zero = xp.zeros_like(angle)
@@ -299,28 +309,3 @@ def positions_from_features(
     over_origin = xp.concatenate([root[..., :1], xp.zeros_like(root[..., :1]), root[..., 2:]], axis=-1)
     joints = rotate_vectors(quaternion_inverse(headings)[..., None, :], local) + over_origin[..., None, :]
     return xp.concatenate([root[..., None, :], joints], axis=-2)
-
-
-def positions_from_rotations(
-    features: Float[AnyArray, "*batch T D"], skeleton: Skeleton
-) -> Float[AnyArray, "*batch T J 3"]:
-    """Returns the joint positions of raw features, computed from their rotations and the template's bones.
-
-    They are wrong after a frame whose yaw step has the wrong sign (see `features_from_positions`).
-    `positions_from_features` does not have this problem.
-
-    Raises:
-        UserError: The number of features is not the skeleton's.
-    """
-    features = _checked_features(features, skeleton)
-    headings, root = root_from_features(features, skeleton)
-    columns = features[..., skeleton.layout.rotations].reshape((*features.shape[:-1], skeleton.num_joints - 1, 6))
-    local = matrix_from_rotation_6d(columns)
-    before = _chain_predecessors(skeleton)
-    turns, joints = [matrix_from_quaternion(headings)], [root]
-    for joint in range(1, skeleton.num_joints):
-        turns.append(matrix_multiply(turns[before[joint]], local[..., joint - 1, :, :]))
-        offset = _constant(skeleton.offsets[joint], root, root.ndim)
-        bone = (turns[joint] * offset[..., None, :]).sum(-1)
-        joints.append(joints[skeleton.parents[joint]] + bone)
-    return namespace_of(features).stack(joints, axis=-2)

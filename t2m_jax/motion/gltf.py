@@ -17,7 +17,6 @@ from t2m_jax.files import first_line, reading
 from t2m_jax.motion.editing import MAX_FPS
 from t2m_jax.motion.part_captions import checked_parts
 from t2m_jax.motion.rig.clip import RigClip
-from t2m_jax.motion.rig.resample import resample
 from t2m_jax.motion.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
 from t2m_jax.motion.skeleton import HUMANML3D
 
@@ -27,7 +26,11 @@ DENSE_FPS = 60.0
 """Rate to sample keys at, for a filter that makes it lower: lines between keys bend at each key."""
 MAX_POSES = 20_000_000
 """Joints times frames of all animations; an hour of 60 joints at 20 frames per second has 4 million."""
-_MAGIC, _JSON_CHUNK, _BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
+# The bytes "glTF", "JSON" and "BIN" as little-endian numbers.
+MAGIC = 0x46546C67
+JSON_CHUNK = 0x4E4F534A
+BINARY_CHUNK = 0x004E4942
+# Components of a type and NumPy's types of its numbers, by the numbers of OpenGL. Animations have no others.
 _SIZES = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 _TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5126: np.float32}
 _W_FIRST = [3, 0, 1, 2]
@@ -88,7 +91,7 @@ def load_gltf(path: Path | str, *, fps: float | None = None) -> dict[str, RigCli
             with np.errstate(over="ignore", invalid="ignore"):  # what is too large is then found not to be finite
                 rate = fps or _own_rate(glb.tree, animation)
                 clip = _sample(glb, nodes, animation, fps=rate or DENSE_FPS, room=room)
-            clip = clip if rate else resample(clip, HUMANML3D.fps)
+            clip = clip if rate else clip.resampled(HUMANML3D.fps)
             room -= clip.num_frames * len(nodes.names)
             clips[name if name not in clips else f"{name}_{number}"] = clip
     except UserError as error:
@@ -102,7 +105,8 @@ def load_gltf(path: Path | str, *, fps: float | None = None) -> dict[str, RigCli
 
 def _own_extra(tree: Mapping[str, Any], part: Mapping[str, Any], name: str) -> Any:
     """Returns what this package noted at a part of a file; None in files of other programs, whose notes may differ."""
-    extras, generator = part.get("extras"), tree.get("asset", {}).get("generator")
+    extras = part.get("extras")
+    generator = tree.get("asset", {}).get("generator")
     if not (isinstance(extras, dict) and isinstance(generator, str) and generator.startswith("t2m_jax ")):
         return None
     return extras.get(name)
@@ -121,7 +125,7 @@ def _own_unit(tree: Mapping[str, Any]) -> float:
 
 def _split_chunks(data: bytes) -> _GlbChunks:
     """Returns the two chunks of a GLB file."""
-    if len(data) < 20 or struct.unpack_from("<I", data)[0] != _MAGIC:
+    if len(data) < 20 or struct.unpack_from("<I", data)[0] != MAGIC:
         raise UserError("is not a GLB file; export as glTF binary (.glb)")
     chunks: dict[int, bytes] = {}
     start = 12
@@ -129,10 +133,10 @@ def _split_chunks(data: bytes) -> _GlbChunks:
         size, kind = struct.unpack_from("<II", data, start)
         chunks.setdefault(kind, data[start + 8 : start + 8 + size])
         start += 8 + size
-    tree = json.loads(chunks[_JSON_CHUNK])
+    tree = json.loads(chunks[JSON_CHUNK])
     if not isinstance(tree, dict):
         raise ValueError("its JSON is not an object")
-    return _GlbChunks(tree, chunks.get(_BINARY_CHUNK, b""))
+    return _GlbChunks(tree, chunks.get(BINARY_CHUNK, b""))
 
 
 def _find_nodes(tree: Mapping[str, Any]) -> _Nodes:
@@ -142,6 +146,7 @@ def _find_nodes(tree: Mapping[str, Any]) -> _Nodes:
     wanted = {joint for skin in tree.get("skins", []) for joint in skin["joints"]}
     if not wanted:
         raise UserError("has no skin, so it is not known which of its nodes are joints")
+    # From each joint upwards to a node whose depth is known; without recursion, because a file may have any depth.
     depths: dict[int, int] = {}
     for joint in wanted:
         line: list[int] = []
@@ -159,9 +164,10 @@ def _find_nodes(tree: Mapping[str, Any]) -> _Nodes:
     poses = [_rest_pose(nodes[number]) for number in order]
     scales = np.ones(len(order))
     for place, parent in enumerate(parents):
+        # Parents come first in this order, so their scale is known.
         scales[place] = 1.0 if parent < 0 else scales[parent] * poses[parent][2]
     names = tuple(str(nodes[number].get("name", f"node_{number}")) for number in order)
-    translations, rotations = np.stack([pose[0] for pose in poses]), np.stack([pose[1] for pose in poses])
+    translations, rotations, _ = map(np.stack, zip(*poses, strict=True))
     return _Nodes(names, parents, numbers, translations, rotations, scales)
 
 
@@ -180,12 +186,15 @@ def _sample(glb: _GlbChunks, nodes: _Nodes, animation: Mapping[str, Any], *, fps
     """Returns one animation at `fps` frames per second, if it has at most `room` poses of joints."""
     tracks: dict[tuple[int, str], _Keyframes] = {}
     for channel in animation["channels"]:
-        target, sampler = channel["target"], animation["samplers"][channel["sampler"]]
+        target = channel["target"]
+        sampler = animation["samplers"][channel["sampler"]]
         if target.get("node") in nodes.numbers and target["path"] in ("translation", "rotation"):
             tracks[nodes.numbers[target["node"]], target["path"]] = _read_track(glb, sampler)
+    # Tracks may end at different times; those that end earlier keep their last value.
     seconds = max((float(track.times[-1]) for track in tracks.values()), default=0.0)
     if not 0 <= seconds <= MAX_SECONDS:
         raise UserError(f"an animation ends after {seconds:g} seconds; expected at most {MAX_SECONDS:g}")
+    # 1e-4 frames, because the time of the last key is a float32 that may be just below a whole frame.
     times = np.arange(int(np.floor(seconds * fps + 1e-4)) + 1) / fps
     if len(times) * len(nodes.names) > room:
         raise UserError(f"its animations have more than {MAX_POSES} poses of joints; split the file")
@@ -211,7 +220,8 @@ def _sample(glb: _GlbChunks, nodes: _Nodes, animation: Mapping[str, Any], *, fps
 
 def _read_track(glb: _GlbChunks, sampler: Mapping[str, Any]) -> _Keyframes:
     interpolation = sampler.get("interpolation", "LINEAR")
-    times, values = _read_accessor(glb, sampler["input"])[:, 0], _read_accessor(glb, sampler["output"])
+    times = _read_accessor(glb, sampler["input"])[:, 0]
+    values = _read_accessor(glb, sampler["output"])
     per_key = 3 if interpolation == "CUBICSPLINE" else 1
     if values.shape[1] == 4:
         values = values[:, _W_FIRST]
@@ -228,8 +238,11 @@ def _read_accessor(glb: _GlbChunks, number: int) -> Float[np.ndarray, "N C"]:
     view = glb.tree["bufferViews"][accessor["bufferView"]]
     if view["buffer"] or "uri" in glb.tree["buffers"][0]:
         raise UserError("its animations are in another file; export everything into one .glb")
-    dtype, columns = np.dtype(_TYPES[accessor["componentType"]]), _SIZES[accessor["type"]]
-    start, count = view.get("byteOffset", 0) + accessor.get("byteOffset", 0), accessor["count"]
+    dtype = np.dtype(_TYPES[accessor["componentType"]])
+    columns = _SIZES[accessor["type"]]
+    count = accessor["count"]
+    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    # A stride is how vertices are mixed with other data; keys of animations are not. `frombuffer` takes -1 as "all".
     if min(start, count) < 0 or view.get("byteStride", columns * dtype.itemsize) != columns * dtype.itemsize:
         raise ValueError("an accessor's place is not supported")
     values = np.frombuffer(glb.binary, dtype, count=count * columns, offset=start).reshape(count, columns)
@@ -248,7 +261,8 @@ def _interpolate(track: _Keyframes, times: Float[np.ndarray, " T"], kind: str) -
         return track.values[before, 0]
     if track.interpolation == "CUBICSPLINE":
         return _cubic(track.values, before, after, length[:, None], share[:, None])
-    start, end = track.values[before, 0], track.values[after, 0]
+    start = track.values[before, 0]
+    end = track.values[after, 0]
     return slerp(start, end, share) if kind == "rotation" else start + (end - start) * share[:, None]
 
 
@@ -260,8 +274,10 @@ def _cubic(
     t: Float[np.ndarray, "T 1"],
 ) -> Float[np.ndarray, "T C"]:
     """Returns Hermite splines of keys with tangents."""
-    start, leave = values[before, 1], length * values[before, 2]
-    end, arrive = values[after, 1], length * values[after, 0]
+    start = values[before, 1]
+    leave = length * values[before, 2]
+    end = values[after, 1]
+    arrive = length * values[after, 0]
     return (
         (2 * t**3 - 3 * t**2 + 1) * start
         + (t**3 - 2 * t**2 + t) * leave

@@ -3,6 +3,7 @@
 import itertools
 from typing import NamedTuple
 
+import chex
 import numpy as np
 from jaxtyping import Float
 
@@ -84,6 +85,7 @@ def fit_rig(positions: Float[np.ndarray, "T J 3"], *, fps: float) -> FittedRig:
         positions: World positions in meters, Y up.
         fps: Frames per second.
     """
+    chex.assert_shape(positions, (None, HUMANML3D.num_joints, 3))
     targets = np.asarray(positions, dtype=np.float64)
     offsets = _rest_offsets(targets)
     fit = _Fit(_rigid_positions(targets, offsets), offsets)
@@ -92,8 +94,9 @@ def fit_rig(positions: Float[np.ndarray, "T J 3"], *, fps: float) -> FittedRig:
     for joint in spine:
         fit.swing(joint)
     fit.turn_hub(_CHEST)
-    # Each joint of the spine gets a third of the twist between pelvis and chest.
-    pelvis, chest = fit.rotations[:, _PELVIS.joint].copy(), fit.rotations[:, _CHEST.joint].copy()
+    # The swings of the spine have no twist, so all of it is at the chest. Each of its joints gets a third.
+    pelvis = fit.rotations[:, _PELVIS.joint].copy()
+    chest = fit.rotations[:, _CHEST.joint].copy()
     for share, joint in zip((1 / 3, 2 / 3), spine, strict=True):
         fit.swing(joint, start=slerp(pelvis, chest, share))
     fit.set_rotation(_CHEST.joint, chest)

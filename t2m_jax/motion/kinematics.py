@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import chex
 import numpy as np
 from jaxtyping import Float
 
@@ -24,6 +25,7 @@ def forward_kinematics(
         translations: Position of each joint in its parent's frame; the root's is its world position.
         parents: Parent of each joint, which must come before it; -1 for the root.
     """
+    chex.assert_shape([rotations, translations], [(..., len(parents), 3, 3), (..., len(parents), 3)])
     # With the joint axis first, the matrices of a joint are contiguous, which is several times faster.
     local = np.moveaxis(np.asarray(rotations, np.float64), -3, 0)
     steps = np.moveaxis(np.asarray(translations, np.float64), -2, 0)
@@ -31,7 +33,8 @@ def forward_kinematics(
     positions = np.empty(steps.shape)
     for joint, parent in enumerate(parents):
         if parent < 0:
-            world[joint], positions[joint] = local[joint], steps[joint]
+            world[joint] = local[joint]
+            positions[joint] = steps[joint]
             continue
         world[joint] = world[parent] @ local[joint]
         positions[joint] = positions[parent] + np.einsum("...ij,...j->...i", world[parent], steps[joint])
@@ -45,6 +48,7 @@ def rigid_rotations(
     rest: Float[np.ndarray, "N 3"], vectors: Float[np.ndarray, "*batch N 3"]
 ) -> Float[np.ndarray, "*batch 3 3"]:
     """Returns the rotations that bring the vectors `rest` closest to `vectors` by least squares (Kabsch 1976)."""
+    chex.assert_shape(vectors, (..., *rest.shape))
     left, _, right = np.linalg.svd(np.einsum("...na,nb->...ab", np.asarray(vectors, np.float64), rest))
     # A reflection may fit better than any rotation. It is made a rotation by flipping the axis that matters least.
     signs = np.ones(left.shape[:-1])

@@ -26,8 +26,8 @@ def mirror_positions(positions: Float[AnyArray, "*batch J 3"], skeleton: Skeleto
     """
     skeleton.check_joints(positions)
     order = np.arange(skeleton.num_joints)
-    for left, right in skeleton.mirror_pairs:
-        order[left], order[right] = right, left
+    for pair in skeleton.mirror_pairs:
+        order[list(pair)] = pair[::-1]
     xp = namespace_of(positions)
     mirrored = xp.asarray(positions, dtype=xp.float32)[..., order, :]
     return xp.concatenate([-mirrored[..., :1], mirrored[..., 1:]], axis=-1)

@@ -35,7 +35,7 @@ class Motion:
     skeleton: Skeleton = HUMANML3D
     """Names and hierarchy of the joints."""
     features: Float[np.ndarray, "T D"] | None = None
-    """Raw features in the skeleton's unit, one row per frame, as a decoder gave them."""
+    """Raw features in the skeleton's unit, as a decoder gave them."""
     codes: Int[np.ndarray, " N"] | Int[np.ndarray, "N R"] | None = None
     """Codebook indices. Residual codebooks have one column per layer."""
     caption: str = ""
@@ -52,6 +52,7 @@ class Motion:
     """These sentences."""
 
     def __post_init__(self) -> None:
+        # What becomes an array is taken. The record is frozen, so fields are set as dataclasses set them.
         object.__setattr__(self, "positions", np.asarray(self.positions, np.float32))
         object.__setattr__(self, "fps", float(self.fps))
         if self.features is not None:
@@ -71,7 +72,6 @@ class Motion:
             raise UserError(f"features have shape {self.features.shape}; these positions need {list(expected)}")
         if self.codes is not None and (self.codes.ndim not in (1, 2) or self.codes.dtype.kind not in "iu"):
             raise UserError(f"codes have shape {self.codes.shape} and type {self.codes.dtype}; give whole numbers [N]")
-
         self._check_parts()
 
     def _check_parts(self) -> None:
@@ -83,7 +83,8 @@ class Motion:
             raise UserError(f"part_starts {list(self.part_starts)} do not rise from 0 to below {self.num_frames}")
 
     def _check_positions(self, name: str, positions: Float[np.ndarray, "..."]) -> None:
-        shape, joints = positions.shape, self.skeleton.num_joints
+        shape = positions.shape
+        joints = self.skeleton.num_joints
         if len(shape) != 3 or shape[1:] != (joints, 3) or shape[0] == 0:
             skeleton = self.skeleton.name
             raise UserError(f"{name} have shape {shape}; skeleton {skeleton} needs [frames, {joints}, 3] with a frame")
@@ -162,8 +163,9 @@ class Motion:
         check_speed(factor)
         starts = [round(start / factor) for start in self.part_starts]
         fast = self._edited(lambda old: resample_positions(old, fps=float(factor), new_fps=1.0, skeleton=self.skeleton))
+        # Fast short sentences may fall on one frame, and a part without a frame is not allowed.
         if any(first >= after for first, after in itertools.pairwise([*starts, fast.num_frames])):
-            return fast  # a part would have no frame
+            return fast
         return dataclasses.replace(fast, part_starts=tuple(starts), part_captions=self.part_captions)
 
     def turned(self, degrees: float | int) -> "Motion":
@@ -222,7 +224,8 @@ class Motion:
                 f"{other.fps:g} cannot be joined; use `resampled` for the same rate"
             )
         options: Any = {"fps": self.fps, "skeleton": self.skeleton}
-        positions, raw = join_positions(self.positions, other.positions, **options), None
+        positions = join_positions(self.positions, other.positions, **options)
+        raw = None
         if self.positions_raw is not None and other.positions_raw is not None:
             raw = join_positions(self.positions_raw, other.positions_raw, **options)
         caption = ", then ".join(filter(None, (self.caption, other.caption)))

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import chex
 import numpy as np
 from jaxtyping import Float
 
@@ -12,7 +13,8 @@ from t2m_jax.files import atomic_file, load_array
 from t2m_jax.motion.namespace import AnyArray, EitherArray, namespace_of
 from t2m_jax.motion.skeleton import FeatureLayout
 
-MEAN_FILE, STD_FILE = "Mean.npy", "Std.npy"
+MEAN_FILE = "Mean.npy"
+STD_FILE = "Std.npy"
 
 
 class Normalizer(NamedTuple):
@@ -38,7 +40,9 @@ class Normalizer(NamedTuple):
                 f"motion has {motion.shape[-1]} features, but the statistics have {self.mean.shape[-1]}; "
                 "use the statistics of the motion's data set"
             )
+        chex.assert_shape([self.mean, self.std], (motion.shape[-1],))
         xp = namespace_of(self.mean, self.std, motion)
+        # Leading axes are added by hand: tests forbid JAX to add them (`jax_numpy_rank_promotion`).
         shape = (1,) * (motion.ndim - 1) + (-1,)
         mean, std, motion = (xp.asarray(array, dtype=xp.float32) for array in (self.mean, self.std, motion))
         return mean.reshape(shape), std.reshape(shape), motion
@@ -53,7 +57,9 @@ def normalizer_from_clips(clips: Iterable[Float[np.ndarray, "_ D"]], layout: Fea
     Raises:
         UserError: A clip does not have the layout's width, or all clips were skipped.
     """
-    count, mean, squares = 0, np.zeros(layout.feature_dim), np.zeros(layout.feature_dim)
+    count = 0
+    mean = np.zeros(layout.feature_dim)
+    squares = np.zeros(layout.feature_dim)
     for clip in clips:
         if clip.shape[-1] != layout.feature_dim:
             raise UserError(f"a clip has {clip.shape[-1]} features, but {layout.feature_dim} are expected")
@@ -61,7 +67,8 @@ def normalizer_from_clips(clips: Iterable[Float[np.ndarray, "_ D"]], layout: Fea
             continue
         frames = clip.astype(np.float64)
         # Merging means and squared deviations (Chan et al.) stays exact; sums of squares would cancel.
-        clip_mean, total = frames.mean(0), count + len(frames)
+        clip_mean = frames.mean(0)
+        total = count + len(frames)
         shift = clip_mean - mean
         squares += ((frames - clip_mean) ** 2).sum(0) + shift**2 * (count * len(frames) / total)
         mean += shift * (len(frames) / total)
@@ -69,6 +76,7 @@ def normalizer_from_clips(clips: Iterable[Float[np.ndarray, "_ D"]], layout: Fea
     if count == 0:
         raise UserError("there is no clip with finite features, so there are no statistics; check the data set")
     std = np.sqrt(squares / count)
+    # As in the published statistics: else columns that hardly move would be as loud as the others.
     for group in layout:
         std[group] = std[group].mean() or 1.0
     return Normalizer(mean.astype(np.float32), std.astype(np.float32))

@@ -25,7 +25,9 @@ def parts_note(parts: Parts, *, fps: float) -> str:
 
 def parts_from_note(note: str, *, num_frames: int) -> Parts:
     """Returns the parts of `parts_note`; none if a note says something else."""
-    starts, captions, place = [], [], 0
+    starts = []
+    captions = []
+    place = 0
     while found := _MARK.match(note, place):
         try:
             captions.append(json.loads(found[2]))
@@ -43,7 +45,8 @@ def checked_parts(starts: Any, captions: Any, *, num_frames: int) -> Parts:
     """
     if not (isinstance(starts, Sequence) and isinstance(captions, Sequence) and len(starts) == len(captions)):
         return ()
-    last, parts = -1, []
+    last = -1
+    parts = []
     for first, text in zip(starts[:MAX_PARTS], captions, strict=False):
         if type(first) is not int or not isinstance(text, str) or not last < first < num_frames:
             return ()

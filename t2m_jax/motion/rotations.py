@@ -7,6 +7,7 @@ results.
 
 from typing import Literal
 
+import chex
 from jaxtyping import Float
 
 from t2m_jax.motion.namespace import AnyArray, namespace_of
@@ -39,17 +40,20 @@ def unit_vectors(vectors: Float[AnyArray, "*batch C"]) -> Float[AnyArray, "*batc
 
 def cross_product(a: Float[AnyArray, "*#batch 3"], b: Float[AnyArray, "*#batch 3"]) -> Float[AnyArray, "*batch 3"]:
     """Returns the cross products along the last axis, in the precision of the inputs."""
+    chex.assert_shape([a, b], (..., 3))
     xp = namespace_of(a, b)
-    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
-    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    ax, ay, az = (a[..., i] for i in range(3))
+    bx, by, bz = (b[..., i] for i in range(3))
     return xp.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def matrix_multiply(
     a: Float[AnyArray, "*#batch 3 3"], b: Float[AnyArray, "*#batch 3 3"]
 ) -> Float[AnyArray, "*batch 3 3"]:
-    """Returns the matrix products `a @ b` in full float32 precision, which `@` does not have on accelerators."""
+    """Returns the matrix products `a @ b` in full float32 precision."""
+    chex.assert_shape([a, b], (..., 3, 3))
     a, b = _float32(a, b)
+    # A sum of products, because accelerators compute `@` of float32 with fewer bits by default.
     return (a[..., :, :, None] * b[..., None, :, :]).sum(-2)
 
 
@@ -57,6 +61,7 @@ def quaternion_multiply(
     a: Float[AnyArray, "*#batch 4"], b: Float[AnyArray, "*#batch 4"]
 ) -> Float[AnyArray, "*batch 4"]:
     """Returns the Hamilton products `a * b`: the rotation by `b`, then by `a`."""
+    chex.assert_shape([a, b], (..., 4))
     a, b = _float32(a, b)
     xp = namespace_of(a, b)
     aw, ax, ay, az = (a[..., i] for i in range(4))
@@ -74,6 +79,7 @@ def quaternion_multiply(
 
 def quaternion_inverse(quaternions: Float[AnyArray, "*batch 4"]) -> Float[AnyArray, "*batch 4"]:
     """Returns the conjugates, which are the inverses of unit quaternions."""
+    chex.assert_shape(quaternions, (..., 4))
     (quaternions,) = _float32(quaternions)
     xp = namespace_of(quaternions)
     return xp.concatenate([quaternions[..., :1], -quaternions[..., 1:]], axis=-1)
@@ -81,6 +87,7 @@ def quaternion_inverse(quaternions: Float[AnyArray, "*batch 4"]) -> Float[AnyArr
 
 def quaternion_normalize(quaternions: Float[AnyArray, "*batch 4"]) -> Float[AnyArray, "*batch 4"]:
     """Returns `quaternions` with unit length. Zero stays zero."""
+    chex.assert_shape(quaternions, (..., 4))
     return unit_vectors(*_float32(quaternions))
 
 
@@ -88,8 +95,11 @@ def rotate_vectors(
     quaternions: Float[AnyArray, "*#batch 4"], vectors: Float[AnyArray, "*#batch 3"]
 ) -> Float[AnyArray, "*batch 3"]:
     """Returns `vectors` rotated by unit `quaternions`."""
+    chex.assert_shape([quaternions, vectors], [(..., 4), (..., 3)])
     quaternions, vectors = _float32(quaternions, vectors)
-    w, u = quaternions[..., :1], quaternions[..., 1:]
+    w = quaternions[..., :1]
+    u = quaternions[..., 1:]
+    # q v q* without the products that cancel: v + 2 w (u × v) + 2 u × (u × v).
     uv = cross_product(u, vectors)
     return vectors + 2 * (w * uv + cross_product(u, uv))
 
@@ -100,31 +110,34 @@ def quaternion_between(a: Float[AnyArray, "*#batch 3"], b: Float[AnyArray, "*#ba
     Lengths do not matter. Exactly opposite directions give half a turn about an arbitrary axis perpendicular to them. A
     zero vector gives the identity.
     """
-    a, b = _float32(a, b)
+    chex.assert_shape([a, b], (..., 3))
+    a, b = map(unit_vectors, _float32(a, b))
     xp = namespace_of(a, b)
-    a, b = unit_vectors(a), unit_vectors(b)
     cosine = _dot(a, b)
     # Near opposite directions, a × b and 1 + cos cancel. a × (a + b) and sin² / (1 − cos) are equal and do not.
     axis = cross_product(a, xp.where(cosine < 0, a + b, b))
     sine_squared = _dot(axis, axis)
     real = xp.where(cosine < 0, sine_squared / (1 + xp.abs(cosine)), 1 + cosine)
     opposite = (cosine < 0) & (sine_squared < 1e-13)
-    x, y, z = a[..., :1], a[..., 1:2], a[..., 2:]
+    # Crossed with X, or with Y if the direction is nearly X: either is far from parallel.
+    x, y, z = (a[..., i : i + 1] for i in range(3))
     zero = xp.zeros_like(x)
     perpendicular = xp.where(
         xp.abs(x) < 0.8, xp.concatenate([zero, z, -y], axis=-1), xp.concatenate([-z, zero, x], axis=-1)
     )
-    real, axis = xp.where(opposite, xp.zeros_like(real), real), xp.where(opposite, perpendicular, axis)
+    real = xp.where(opposite, xp.zeros_like(real), real)
+    axis = xp.where(opposite, perpendicular, axis)
     return unit_vectors(xp.concatenate([real, axis], axis=-1))
 
 
 def matrix_from_quaternion(quaternions: Float[AnyArray, "*batch 4"]) -> Float[AnyArray, "*batch 3 3"]:
     """Returns rotation matrices. The length of the quaternions does not matter."""
+    chex.assert_shape(quaternions, (..., 4))
     (quaternions,) = _float32(quaternions)
     xp = namespace_of(quaternions)
     scale = 2 / xp.maximum(_dot(quaternions, quaternions)[..., 0], _TINY)
     w, x, y, z = (quaternions[..., i] for i in range(4))
-    xs, ys, zs = x * scale, y * scale, z * scale
+    xs, ys, zs = (part * scale for part in (x, y, z))
     rows = (
         (1 - (y * ys + z * zs), x * ys - w * zs, x * zs + w * ys),
         (x * ys + w * zs, 1 - (x * xs + z * zs), y * zs - w * xs),
@@ -135,11 +148,17 @@ def matrix_from_quaternion(quaternions: Float[AnyArray, "*batch 4"]) -> Float[An
 
 def quaternion_from_matrix(matrices: Float[AnyArray, "*batch 3 3"]) -> Float[AnyArray, "*batch 4"]:
     """Returns the unit quaternions of rotation matrices, with w >= 0."""
+    chex.assert_shape(matrices, (..., 3, 3))
     (matrices,) = _float32(matrices)
     xp = namespace_of(matrices)
     m = [[matrices[..., i, j] for j in range(3)] for i in range(3)]
-    wx, wy, wz = m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]
-    xy, xz, yz = m[0][1] + m[1][0], m[0][2] + m[2][0], m[1][2] + m[2][1]
+    # Each name is four times the product of two components: wx is 4 w x.
+    wx = m[2][1] - m[1][2]
+    wy = m[0][2] - m[2][0]
+    wz = m[1][0] - m[0][1]
+    xy = m[0][1] + m[1][0]
+    xz = m[0][2] + m[2][0]
+    yz = m[1][2] + m[2][1]
     ww = 1 + m[0][0] + m[1][1] + m[2][2]
     xx = 1 + m[0][0] - m[1][1] - m[2][2]
     yy = 1 - m[0][0] + m[1][1] - m[2][2]
@@ -154,6 +173,7 @@ def quaternion_from_matrix(matrices: Float[AnyArray, "*batch 3 3"]) -> Float[Any
 
 def rotation_6d_from_matrix(matrices: Float[AnyArray, "*batch 3 3"]) -> Float[AnyArray, "*batch 6"]:
     """Returns the first and the second column of each matrix."""
+    chex.assert_shape(matrices, (..., 3, 3))
     (matrices,) = _float32(matrices)
     return namespace_of(matrices).concatenate([matrices[..., 0], matrices[..., 1]], axis=-1)
 
@@ -163,23 +183,12 @@ def rotation_6d_from_quaternion(quaternions: Float[AnyArray, "*batch 4"]) -> Flo
     return rotation_6d_from_matrix(matrix_from_quaternion(quaternions))
 
 
-def matrix_from_rotation_6d(rotations_6d: Float[AnyArray, "*batch 6"]) -> Float[AnyArray, "*batch 3 3"]:
-    """Returns rotation matrices. The first vector keeps its direction, the second is made perpendicular to it."""
-    (rotations_6d,) = _float32(rotations_6d)
-    x = unit_vectors(rotations_6d[..., :3])
-    z = unit_vectors(cross_product(x, rotations_6d[..., 3:]))
-    return namespace_of(rotations_6d).stack([x, cross_product(z, x), z], axis=-1)
-
-
-def quaternion_from_rotation_6d(rotations_6d: Float[AnyArray, "*batch 6"]) -> Float[AnyArray, "*batch 4"]:
-    """Returns unit quaternions with w >= 0."""
-    return quaternion_from_matrix(matrix_from_rotation_6d(rotations_6d))
-
-
 def continuous_quaternions(quaternions: Float[AnyArray, "T *batch 4"]) -> Float[AnyArray, "T *batch 4"]:
     """Returns the same rotations, with signs for which consecutive quaternions have inner products >= 0."""
+    chex.assert_shape(quaternions, (..., 4))
     (quaternions,) = _float32(quaternions)
     xp = namespace_of(quaternions)
+    # A sign depends on all flips before it, so the product of the flips so far is the sign.
     flips = xp.where(_dot(quaternions[1:], quaternions[:-1]) < 0, xp.float32(-1), xp.float32(1))
     signs = xp.concatenate([xp.ones_like(quaternions[:1, ..., :1]), xp.cumprod(flips, axis=0)], axis=0)
     return quaternions * signs
@@ -190,14 +199,20 @@ def matrix_from_euler(angles: Float[AnyArray, "*batch 3"], order: EulerOrder) ->
 
     "ZXY" means Rz(angles[0]) @ Rx(angles[1]) @ Ry(angles[2]), so the rotation of the last letter is applied first.
     """
+    chex.assert_shape(angles, (..., 3))
     (angles,) = _float32(angles)
     xp = namespace_of(angles)
-    cosines, sines = xp.cos(angles), xp.sin(angles)
-    zero, one = xp.zeros_like(angles[..., 0]), xp.ones_like(angles[..., 0])
+    cosines = xp.cos(angles)
+    sines = xp.sin(angles)
+    zero = xp.zeros_like(angles[..., 0])
+    one = xp.ones_like(angles[..., 0])
     turns = []
     for i, letter in enumerate(order):
         axis = "XYZ".index(letter)
-        cos, sin, j, k = cosines[..., i], sines[..., i], (axis + 1) % 3, (axis + 2) % 3
+        j = (axis + 1) % 3
+        k = (axis + 2) % 3
+        cos = cosines[..., i]
+        sin = sines[..., i]
         entries = {(axis, axis): one, (j, j): cos, (j, k): -sin, (k, j): sin, (k, k): cos}
         rows = [xp.stack([entries.get((row, column), zero) for column in range(3)], axis=-1) for row in range(3)]
         turns.append(xp.stack(rows, axis=-2))
@@ -209,14 +224,17 @@ def euler_from_matrix(matrices: Float[AnyArray, "*batch 3 3"], order: EulerOrder
 
     The angles always give the same matrix, even if the middle one is ±π/2 and the others are not unique.
     """
+    chex.assert_shape(matrices, (..., 3, 3))
     (matrices,) = _float32(matrices)
     xp = namespace_of(matrices)
     i, j, k = ("XYZ".index(letter) for letter in order)
+    # The formulas are those of a cyclic order; in the others, sines have the other sign.
     sign = 1.0 if (j - i) % 3 == 1 else -1.0
     first = xp.arctan2(-sign * matrices[..., j, k], matrices[..., k, k])
     middle = xp.arctan2(sign * matrices[..., i, k], xp.hypot(matrices[..., i, i], matrices[..., i, j]))
     # The third angle is read after undoing the first rotation. Their sum is then right even if neither is determined.
-    cos, sin = xp.cos(first), sign * xp.sin(first)
+    cos = xp.cos(first)
+    sin = sign * xp.sin(first)
     third = xp.arctan2(
         sign * (cos * matrices[..., j, i] + sin * matrices[..., k, i]),
         cos * matrices[..., j, j] + sin * matrices[..., k, j],
@@ -228,17 +246,18 @@ def slerp(
     a: Float[AnyArray, "*#batch 4"], b: Float[AnyArray, "*#batch 4"], weight: float | Float[AnyArray, "*#batch"]
 ) -> Float[AnyArray, "*batch 4"]:
     """Returns unit quaternions on the shorter arc from `a` to `b`, at the fraction `weight` (0 … 1) of the angle."""
+    chex.assert_shape([a, b], (..., 4))
     a, b = _float32(a, b)
     xp = namespace_of(a, b)
     share = xp.asarray(weight, dtype=xp.float32)
     share = share[..., None] if share.ndim else share
-    cosine = _dot(a, b)
-    b, cosine = xp.where(cosine < 0, -b, b), xp.abs(cosine)
+    # q and -q are one rotation; the arc to the nearer of the two is the shorter one.
+    b = xp.where(_dot(a, b) < 0, -b, b)
     difference = b - a
     # Computed from the chord, because arccos is not accurate for small angles.
     angle = 2 * xp.arctan2(xp.sqrt(_dot(difference, difference)), xp.sqrt(_dot(a + b, a + b)))
     sine = xp.sin(angle)
-    near = sine < 1e-4
+    near = sine < 1e-4  # then sin(share * angle) / sine is the share, and its division would not be accurate
     safe = xp.where(near, xp.ones_like(sine), sine)
     weight_a = xp.where(near, 1 - share, xp.sin((1 - share) * angle) / safe)
     weight_b = xp.where(near, share * xp.ones_like(sine), xp.sin(share * angle) / safe)

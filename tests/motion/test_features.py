@@ -11,7 +11,6 @@ from t2m_jax.motion.features import (
     ground_positions,
     heading_quaternions,
     positions_from_features,
-    positions_from_rotations,
     retarget_positions,
     root_from_features,
     smooth_over_time,
@@ -19,6 +18,7 @@ from t2m_jax.motion.features import (
 )
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 from tests.jit import assert_jit_equals_eager
+from tests.motion.rotation_columns import positions_from_rotations
 
 CLIPS = {"synth22_walk": HUMANML3D, "synth22_spin": HUMANML3D, "synth21_walk": KIT_ML}
 # What float32 allows: metres and millimetres differ by a thousand.

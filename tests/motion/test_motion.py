@@ -1,7 +1,6 @@
 from importlib.metadata import EntryPoint
 
 import jax.numpy as jnp
-import jaxtyping
 import numpy as np
 import pytest
 
@@ -14,12 +13,6 @@ from t2m_jax.motion.skeleton import KIT_ML
 
 def standing(frames=4, joints=22):
     return np.ones((frames, joints, 3), np.float32)
-
-
-@pytest.fixture
-def unchecked(monkeypatch):
-    """Turns the shape checks of test runs off: what users meet is the record's own refusal."""
-    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
 
 
 def write_repr(path, motions):

@@ -7,7 +7,6 @@ from t2m_jax.motion.bvh import load_bvh, save_bvh
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.part_captions import MAX_CAPTION, MAX_PARTS, checked_parts, parts_from_note, parts_note
 from t2m_jax.motion.rig import retarget
-from t2m_jax.motion.rig.resample import resample
 
 from .figures import walking_positions
 
@@ -37,7 +36,7 @@ def test_bvh_files_say_where_sentences_begin(tmp_path, tpose_frame):
     assert clip.joint_names == plain.joint_names and clip.end_sites.keys() == plain.end_sites.keys()
     again = retarget(clip)
     assert (again.part_starts, again.part_captions) == tuple(zip(*clip.parts, strict=True))
-    assert retarget(clip.from_frame(5)).part_starts == () == resample(clip, 30.0).parts
+    assert retarget(clip.from_frame(5)).part_starts == () == clip.resampled(30.0).parts
 
 
 def test_parts_move_with_the_frame_rate():

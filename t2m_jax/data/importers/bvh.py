@@ -23,7 +23,6 @@ from t2m_jax.motion.bvh import load_bvh
 from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.motion.rig import RigClip
 from t2m_jax.motion.rig.orientation import Up, left_is_left, rest_frames
-from t2m_jax.motion.rig.resample import resample
 from t2m_jax.motion.rig.retarget import clip_up, find_rig, retarget
 from t2m_jax.motion.skeleton import HUMANML3D
 
@@ -92,7 +91,7 @@ def _prepare(motion: Source, clip: RigClip, *, rig: str | None, up: Up) -> _Prep
     if rest:
         clip = clip.from_frame(rest)
         steps.append("a rest pose before the motion was cut")
-    positions = retarget(resample(clip, HUMANML3D.fps), rig=table, up=up).positions
+    positions = retarget(clip.resampled(HUMANML3D.fps), rig=table, up=up).positions
     right = bool(left_is_left(positions).mean() > 0.5)
     if not right:
         steps.append("LEFT AND RIGHT may be exchanged, as the knees bend and the feet point; see the sheet")

@@ -125,7 +125,8 @@ def parse_hierarchy(lines: Sequence[str], path: Path) -> Hierarchy:
     root = tokens.take('"ROOT"')
     if root.text.upper() != "ROOT":
         raise tokens.error(f'expected "ROOT", found "{root.text}"')
-    stack, note = [_open_joint(tokens, draft, keyword=root, parent=-1)], ""
+    stack = [_open_joint(tokens, draft, keyword=root, parent=-1)]
+    note = ""
     while stack:  # no recursion, because a chain can be longer than Python's stack
         token = tokens.take('"JOINT", "End Site" or "}"')
         match token.text.upper():

@@ -79,7 +79,8 @@ def load_bvh(
 
 def _columns(hierarchy: Hierarchy) -> list[dict[str, int]]:
     """Returns the table column of each channel, one dictionary per joint."""
-    result, column = [], 0
+    result = []
+    column = 0
     for names in hierarchy.channels:
         result.append({name: column + i for i, name in enumerate(names)})
         column += len(names)

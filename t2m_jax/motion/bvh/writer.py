@@ -46,8 +46,9 @@ def save_bvh(
     """
     if motion.skeleton.joint_names != HUMANML3D.joint_names:
         raise UserError(f"{path}: BVH files are written for the skeleton {HUMANML3D.name}, not {motion.skeleton.name}")
-    rig, scale = fit_rig(motion.positions, fps=motion.fps), UNITS_PER_METER[units]
-    roots, offsets = scale * rig.root_positions, scale * rig.offsets
+    rig = fit_rig(motion.positions, fps=motion.fps)
+    roots = UNITS_PER_METER[units] * rig.root_positions
+    offsets = UNITS_PER_METER[units] * rig.offsets
     degrees = np.rad2deg(continuous_euler(rig.rotations))
     if tpose_frame:
         rest = forward_kinematics(np.tile(np.eye(3), (len(offsets), 1, 1)), offsets, HUMANML3D.parents)
@@ -104,7 +105,9 @@ def _hierarchy_lines(
     offsets: Float[np.ndarray, "J 3"], names: Sequence[str], joint: int = 0, depth: int = 0
 ) -> list[str]:
     """Returns the lines of `joint` and its descendants."""
-    role, pad, inner = HUMANML3D.joint_names[joint], "  " * depth, "  " * (depth + 1)
+    role = HUMANML3D.joint_names[joint]
+    pad = "  " * depth
+    inner = pad + "  "
     rotations = " ".join(f"{axis}rotation" for axis in _ORDER)
     channels = f"3 {rotations}" if depth else f"6 Xposition Yposition Zposition {rotations}"
     lines = [f"{pad}{'JOINT' if depth else 'ROOT'} {names[joint]}", pad + "{"]

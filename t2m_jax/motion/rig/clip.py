@@ -6,8 +6,10 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
+from t2m_jax.motion import editing
 from t2m_jax.motion.kinematics import forward_kinematics
 from t2m_jax.motion.part_captions import Parts
+from t2m_jax.motion.rotations import continuous_quaternions, matrix_from_quaternion, quaternion_from_matrix
 
 MAX_VALUE = 1e9
 """Size of an offset or a channel from which on it must be a mistake: a thousand kilometers in millimeters."""
@@ -50,8 +52,27 @@ class RigClip:
 
     def from_frame(self, frame: int) -> "RigClip":
         """Returns the clip without the frames before `frame`."""
-        rotations, translations = self.rotations[frame:], self.translations[frame:]
-        return dataclasses.replace(self, rotations=rotations, translations=translations, parts=())
+        return dataclasses.replace(
+            self, rotations=self.rotations[frame:], translations=self.translations[frame:], parts=()
+        )
+
+    def resampled(self, fps: float) -> "RigClip":
+        """Returns the clip at another frame rate. Frame k is the pose at k / `fps` seconds (see `editing.resample`).
+
+        Raises:
+            UserError: The rate is not a number above 0.
+        """
+        if fps == self.fps:
+            return self
+        # Quaternions are filtered, so that it does not matter how a file writes its angles.
+        quaternions = continuous_quaternions(quaternion_from_matrix(self.rotations))
+        return dataclasses.replace(
+            self,
+            rotations=matrix_from_quaternion(editing.resample(quaternions, fps=self.fps, new_fps=fps)),
+            translations=editing.resample(self.translations, fps=self.fps, new_fps=fps),
+            fps=float(fps),
+            parts=(),
+        )
 
     @property
     def rest_positions(self) -> Float[np.ndarray, "J 3"]:
@@ -61,15 +82,15 @@ class RigClip:
 
     def with_end_sites(self) -> "RigClip":
         """Returns the clip with a joint at each End Site, named "<joint> End Site"."""
-        joints, offsets = list(self.end_sites), np.array(list(self.end_sites.values()), np.float32).reshape(-1, 3)
-        frames, count = self.num_frames, len(joints)
-        still = np.broadcast_to(np.eye(3, dtype=np.float32), (frames, count, 3, 3))
+        joints = list(self.end_sites)
+        offsets = np.array(list(self.end_sites.values()), np.float32).reshape(-1, 3)
+        still = np.broadcast_to(np.eye(3, dtype=np.float32), (self.num_frames, len(joints), 3, 3))
         return dataclasses.replace(
             self,
             joint_names=(*self.joint_names, *(f"{self.joint_names[joint]} End Site" for joint in joints)),
             parents=(*self.parents, *joints),
             offsets=np.concatenate([self.offsets, offsets]),
             rotations=np.concatenate([self.rotations, still], axis=1),
-            translations=np.concatenate([self.translations, np.tile(offsets, (frames, 1, 1))], axis=1),
+            translations=np.concatenate([self.translations, np.tile(offsets, (self.num_frames, 1, 1))], axis=1),
             end_sites={},
         )

@@ -5,6 +5,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
+from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import HUMANML3D
 
 Up = Literal["auto", "y", "z"]
@@ -12,9 +13,10 @@ Up = Literal["auto", "y", "z"]
 
 UPRIGHT = 0.8
 """A figure stands along an axis if the line from its feet to its neck is this much along it (cosine)."""
-POP_SPEED, POP_RATIO = 3.0, 5.0
-"""A frame is a rest pose before the motion if the joints then move faster than this (meters per second) and this many
-times as fast as in the next frames."""
+POP_SPEED = 3.0
+"""A frame is a rest pose before the motion if the joints then move faster than this; meters per second."""
+POP_RATIO = 5.0
+"""They must also move this many times as fast as in the next frames."""
 T_POSE_RATIO = 2.0
 """The same after a T-pose, for the fastest joint. Somebody who lowers the arms begins slowly."""
 NEXT_FRAMES = 5
@@ -28,14 +30,10 @@ def _joint(positions: Float[np.ndarray, "T 22 3"], name: str) -> Float[np.ndarra
     return positions[:, HUMANML3D.joint_names.index(name)]
 
 
-def _unit(vectors: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
-
-
 def _upward(positions: Float[np.ndarray, "T 22 3"]) -> Float[np.ndarray, "T 3"]:
     """Returns the direction from the feet to the neck."""
     feet = (_joint(positions, "left_ankle") + _joint(positions, "right_ankle")) / 2
-    return _unit(_joint(positions, "neck") - feet)
+    return unit_vectors(_joint(positions, "neck") - feet)
 
 
 def find_up(positions: Float[np.ndarray, "T 22 3"], rest: Float[np.ndarray, "22 3"]) -> Literal["y", "z"] | None:
@@ -68,7 +66,7 @@ def left_is_left(positions: Float[np.ndarray, "T 22 3"]) -> Bool[np.ndarray, " T
     left = np.zeros_like(positions[:, 0])
     for side in ("left", "right"):
         hip, knee, ankle, foot = (_joint(positions, f"{side}_{name}") for name in ("hip", "knee", "ankle", "foot"))
-        thigh, shin, sole = _unit(knee - hip), _unit(ankle - knee), _unit(foot - ankle)
+        thigh, shin, sole = map(unit_vectors, (knee - hip, ankle - knee, foot - ankle))
         left += np.cross(thigh, shin) + np.cross(sole, shin)
     across = _joint(positions, "left_hip") - _joint(positions, "right_hip")
     return np.sum(across * left, axis=-1) > 0
@@ -98,13 +96,13 @@ def _jumps(speeds: Float[np.ndarray, " S"], step: int, *, ratio: float) -> bool:
 
 def _in_t_pose(positions: Float[np.ndarray, "T 22 3"]) -> Bool[np.ndarray, " T"]:
     """Returns for each frame whether the arms are spread and the legs are straight."""
-    across = _unit(_joint(positions, "left_shoulder") - _joint(positions, "right_shoulder"))
+    across = unit_vectors(_joint(positions, "left_shoulder") - _joint(positions, "right_shoulder"))
     up = _upward(positions)
     found = np.ones(len(positions), bool)
     for side, sign in (("left", 1.0), ("right", -1.0)):
         hip, ankle, shoulder, wrist = (
             _joint(positions, f"{side}_{name}") for name in ("hip", "ankle", "shoulder", "wrist")
         )
-        found &= np.sum(_unit(wrist - shoulder) * across, axis=-1) * sign > T_POSE
-        found &= np.sum(_unit(hip - ankle) * up, axis=-1) > T_POSE
+        found &= np.sum(unit_vectors(wrist - shoulder) * across, axis=-1) * sign > T_POSE
+        found &= np.sum(unit_vectors(hip - ankle) * up, axis=-1) > T_POSE
     return found

@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -20,7 +20,8 @@ RigLike = Rig | str | Mapping[str, str | Sequence[str]]
 _SPINE = ("pelvis", "spine1", "spine2", "spine3", "neck")
 # Place of a collar joint that the rig does not have: the part of the way from spine3 to the neck, and from there to
 # the shoulder.
-_COLLAR_UP, _COLLAR_OUT = 0.5, 0.45
+_COLLAR_UP = 0.5
+_COLLAR_OUT = 0.45
 
 
 def retarget(clip: RigClip, *, rig: RigLike | None = None, up: Up = "auto") -> Motion:
@@ -42,9 +43,12 @@ def retarget(clip: RigClip, *, rig: RigLike | None = None, up: Up = "auto") -> M
     positions = _retarget(clip.positions, clip.parents, index)
     if up == "auto":
         up = _find_up(clip, positions, index)
-    starts, captions = [first for first, _ in clip.parts], [text for _, text in clip.parts]
-    parts: Any = {"part_starts": tuple(starts), "part_captions": tuple(captions)}
-    return Motion(positions=to_y_up(positions) if up == "z" else positions, fps=clip.fps, **parts)
+    return Motion(
+        positions=to_y_up(positions) if up == "z" else positions,
+        fps=clip.fps,
+        part_starts=tuple(first for first, _ in clip.parts),
+        part_captions=tuple(text for _, text in clip.parts),
+    )
 
 
 def clip_up(clip: RigClip, rig: Rig) -> Literal["y", "z"]:
@@ -105,7 +109,8 @@ def _retarget(
     """Returns the joints of HumanML3D; those that the rig does not have are placed between their neighbors."""
     joints = {joint: world[:, source] for joint, source in index.items()}
     _place_spine(joints, index, world, parents)
-    chest, neck = joints["spine3"], joints["neck"]
+    chest = joints["spine3"]
+    neck = joints["neck"]
     for side in ("left", "right"):
         if f"{side}_collar" not in joints:
             base = chest + _COLLAR_UP * (neck - chest)

@@ -5,7 +5,6 @@ import pytest
 
 from t2m_jax.errors import UserError
 from t2m_jax.motion.rig import RigClip
-from t2m_jax.motion.rig.resample import resample
 from t2m_jax.motion.rotations import euler_from_matrix, matrix_from_euler
 from tests.motion.figures import turn_angles
 
@@ -36,7 +35,7 @@ def turning_clip(num_frames: int, fps: float, *, start: float = 0.0) -> RigClip:
     ],
 )
 def test_frame_k_is_the_pose_at_its_time(source, target, frames, expected):
-    clip = resample(turning_clip(frames, source), float(target))
+    clip = turning_clip(frames, source).resampled(float(target))
     assert clip.num_frames == expected
     assert clip.fps == target
     time = np.arange(expected) / target
@@ -48,21 +47,21 @@ def test_frame_k_is_the_pose_at_its_time(source, target, frames, expected):
 
 def test_slow_motion_is_kept_where_frames_coincide():
     clip = turning_clip(61, 60)
-    np.testing.assert_allclose(resample(clip, 20.0).rotations, clip.rotations[::3], atol=1e-5)
-    assert resample(clip, 60.0) is clip
+    np.testing.assert_allclose(clip.resampled(20.0).rotations, clip.rotations[::3], atol=1e-5)
+    assert clip.resampled(60.0) is clip
 
 
 def test_new_frames_between_old_ones_are_as_lively_as_those_that_coincide():
     swing = np.zeros((300, 1, 3))
     swing[:, 0, 0] = 0.8 * np.sin(2 * np.pi * 3.7 * np.arange(300) / 30)
     clip = dataclasses.replace(turning_clip(300, 30), rotations=matrix_from_euler(swing, "YXZ"))
-    angles = euler_from_matrix(resample(clip, 20.0).rotations, "YXZ")[5:-5, 0, 0]
+    angles = euler_from_matrix(clip.resampled(20.0).rotations, "YXZ")[5:-5, 0, 0]
     changes = np.abs(np.diff(angles, 2))
     assert changes[0::2].mean() == pytest.approx(changes[1::2].mean(), rel=0.03)  # straight lines between frames: 0.12
 
 
 def test_angles_that_wrap_do_not_pass_through_the_far_side():
-    clip = resample(turning_clip(30, 30, start=np.pi - 0.5), 20.0)
+    clip = turning_clip(30, 30, start=np.pi - 0.5).resampled(20.0)
     assert turn_angles(clip.rotations).max() < np.rad2deg(1 / 20) + 1e-3
 
 
@@ -74,7 +73,7 @@ def test_gimbal_flips_of_the_source_do_not_matter():
     flipped[::2] = flipped[::2] * (1, -1, 1) + np.pi
     base = turning_clip(31, 30)
     smooth, flipping = (
-        resample(dataclasses.replace(base, rotations=matrix_from_euler(a, "ZXY")), 20.0) for a in (angles, flipped)
+        dataclasses.replace(base, rotations=matrix_from_euler(a, "ZXY")).resampled(20.0) for a in (angles, flipped)
     )
     np.testing.assert_allclose(flipping.rotations, smooth.rotations, atol=1e-5)
 
@@ -82,4 +81,4 @@ def test_gimbal_flips_of_the_source_do_not_matter():
 @pytest.mark.parametrize("fps", [0.0, -20.0, float("nan"), float("inf")])
 def test_impossible_rates_are_refused(fps):
     with pytest.raises(UserError, match="frames per second"):
-        resample(turning_clip(5, 30), fps)
+        turning_clip(5, 30).resampled(fps)

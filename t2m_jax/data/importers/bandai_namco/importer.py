@@ -29,7 +29,6 @@ from t2m_jax.data.writer import ImportReport, check_count, finish_folder, new_fo
 from t2m_jax.errors import UserError
 from t2m_jax.motion.bvh import load_bvh
 from t2m_jax.motion.facts import measure
-from t2m_jax.motion.rig.resample import resample
 from t2m_jax.motion.rig.retarget import retarget
 from t2m_jax.motion.skeleton import HUMANML3D
 
@@ -140,7 +139,7 @@ def _divide_clips(names: Sequence[str], lists: Path | None) -> dict[str, list[st
 
 def _convert(file: Path, *, folder: Path) -> int:
     """Writes a clip and its mirrored twin and returns the number of feature rows of each."""
-    motion = retarget(resample(load_bvh(file), HUMANML3D.fps), rig="bandai-namco")
+    motion = retarget(load_bvh(file).resampled(HUMANML3D.fps), rig="bandai-namco")
     captions = write_captions(file.stem, labels_from_name(file.stem), measure(motion.positions, fps=motion.fps))
     return write_twins(folder, file.stem, motion.positions, captions=captions, skeleton=HUMANML3D)
 
