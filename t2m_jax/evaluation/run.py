@@ -24,8 +24,10 @@ from t2m_jax.evaluation.report.record import MAX_REPORT, Header, Metric, Report
 from t2m_jax.evaluation.sources import CodeSource
 from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.files import load_json, save_json
-from t2m_jax.metrics import diversity, fid, label_bound, matching_score, multimodality, r_precision
+from t2m_jax.metrics.frechet import fid
 from t2m_jax.metrics.quality import MotionQuality
+from t2m_jax.metrics.retrieval import label_bound, matching_score, r_precision
+from t2m_jax.metrics.variety import diversity, multimodality
 from t2m_jax.sampling.batches import round_up
 
 logger = logging.getLogger(__name__)

@@ -5,6 +5,7 @@ eigendecomposition its error is about 10 % at 512 dimensions. With S1 = A'A and 
 value of |A - QB|^2 over all rotations and reflections Q (orthogonal Procrustes). Nothing cancels in a sum of squares.
 """
 
+import chex
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -26,10 +27,14 @@ def fid(real: Float[Array, "N D"], generated: Float[Array, "M D"]) -> Float[Arra
     Raises:
         ValueError: A set has fewer than two samples.
     """
+    chex.assert_rank([real, generated], 2)
+    chex.assert_equal_shape_suffix([real, generated], 1)
     if min(len(real), len(generated)) < 2:
         raise ValueError("each set needs at least two samples")
-    ours, theirs = covariance_factor(real), covariance_factor(generated)
+    ours = covariance_factor(real)
+    theirs = covariance_factor(generated)
     left, _, right = jnp.linalg.svd(jnp.matmul(ours, theirs.T, precision=HIGHEST))
+    # The best Q is U V' of the singular vectors of A B': it turns B as near to A as possible.
     turned = jnp.matmul(jnp.matmul(left, right, precision=HIGHEST), theirs, precision=HIGHEST)
     shift = jnp.mean(real, axis=0) - jnp.mean(generated, axis=0)
     return jnp.sum(shift**2) + jnp.sum((ours - turned) ** 2)

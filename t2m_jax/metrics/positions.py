@@ -1,5 +1,6 @@
 """Errors of joint positions."""
 
+import chex
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -13,6 +14,8 @@ def joint_errors(positions: Positions, reference: Positions) -> Float[Array, "B 
 
     The orientation is not aligned. The unit is that of the positions.
     """
+    chex.assert_shape(positions, (None, None, None, 3))
+    chex.assert_equal_shape([positions, reference])
     aligned = positions - positions[:, :, :1]
     aligned_reference = reference - reference[:, :, :1]
     return jnp.mean(jnp.linalg.norm(aligned - aligned_reference, axis=-1), axis=-1)
@@ -23,10 +26,13 @@ def aligned_joint_errors(positions: Positions, reference: Positions) -> Float[Ar
 
     This is the Procrustes alignment without reflection.
     """
+    chex.assert_shape(positions, (None, None, None, 3))
+    chex.assert_equal_shape([positions, reference])
     centered = positions - jnp.mean(positions, axis=2, keepdims=True)
     target = reference - jnp.mean(reference, axis=2, keepdims=True)
     left, strengths, right = jnp.linalg.svd(jnp.einsum("btji,btjk->btik", centered, target))
     signs = jnp.sign(jnp.linalg.det(left) * jnp.linalg.det(right))
+    # Without the sign, the nearest rotation of a pose could be a reflection.
     strengths = strengths.at[..., -1].multiply(signs)
     left = left.at[..., -1].multiply(signs[..., None])
     scale = jnp.sum(strengths, axis=-1) / jnp.maximum(jnp.sum(centered**2, axis=(2, 3)), 1e-12)
@@ -36,9 +42,11 @@ def aligned_joint_errors(positions: Positions, reference: Positions) -> Float[Ar
 
 def mpjpe(positions: Positions, reference: Positions, mask: Bool[Array, "B T"]) -> Float[Array, ""]:
     """Returns the root-aligned mean per-joint position error over the True frames (as MoMask's evaluation does)."""
+    chex.assert_equal_shape_prefix([positions, mask], 2)
     return masked_mean(joint_errors(positions, reference), mask)
 
 
 def pa_mpjpe(positions: Positions, reference: Positions, mask: Bool[Array, "B T"]) -> Float[Array, ""]:
     """Returns the mean per-joint position error over the True frames with every pose aligned by Procrustes."""
+    chex.assert_equal_shape_prefix([positions, mask], 2)
     return masked_mean(aligned_joint_errors(positions, reference), mask)

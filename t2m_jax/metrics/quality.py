@@ -6,6 +6,7 @@ rate; results are in meters, seconds and degrees. What a clip is too short for, 
 
 from typing import NamedTuple
 
+import chex
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -58,6 +59,8 @@ class MotionErrors(NamedTuple):
 
 def measure_quality(positions: Positions, mask: Bool[Array, "B T"], *, skeleton: Skeleton) -> MotionQuality:
     """Returns the quality of clips; `mask` is True in their frames, which come first."""
+    chex.assert_shape(positions, (None, None, skeleton.num_joints, 3))
+    chex.assert_shape(mask, positions.shape[:2])
     positions = positions * skeleton.metres_per_unit
     feet = positions[:, :, jnp.array(skeleton.left_foot + skeleton.right_foot)]
     height = feet[..., 1] - _floor(feet[..., 1], mask)
@@ -79,13 +82,16 @@ def measure_errors(
     positions: Positions, reference: Positions, mask: Bool[Array, "B T"], *, skeleton: Skeleton
 ) -> MotionErrors:
     """Returns how far clips are from their references; `mask` is True in their frames, which come first."""
-    positions, reference = positions * skeleton.metres_per_unit, reference * skeleton.metres_per_unit
+    chex.assert_shape([positions, reference], (*mask.shape, skeleton.num_joints, 3))
+    positions = positions * skeleton.metres_per_unit
+    reference = reference * skeleton.metres_per_unit
     acceleration_error = _mean_difference(positions - reference, mask, order=2)
     apart = _from_first_frame(positions, skeleton) - _from_first_frame(reference, skeleton)
     last = jnp.maximum(jnp.sum(mask, axis=1) - 1, 0)
     drift = jnp.linalg.norm(apart[:, :, 0, ::2], axis=-1)
     headings = _headings(positions, skeleton) - _headings(reference, skeleton)
     turn = headings - headings[:, :1]
+    # From -180 to 180 degrees, so that a turn to the right is not taken for a long one to the left.
     wrapped = jnp.abs((turn + jnp.pi) % (2 * jnp.pi) - jnp.pi)
     return MotionErrors(
         mpjpe=_clip_mean(joint_errors(positions, reference), mask),
@@ -112,7 +118,8 @@ def _mean_difference(positions: Positions, mask: Bool[Array, "B T"], *, order: i
 def _bone_variation(positions: Positions, mask: Bool[Array, "B T"], skeleton: Skeleton) -> Float[Array, " B"]:
     bones = positions[:, :, 1:] - positions[:, :, jnp.array(skeleton.parents[1:])]
     frames = mask[:, :, None]
-    lengths, count = jnp.linalg.norm(bones, axis=-1), jnp.maximum(jnp.sum(frames, axis=1), 1)
+    lengths = jnp.linalg.norm(bones, axis=-1)
+    count = jnp.maximum(jnp.sum(frames, axis=1), 1)
     mean = jnp.sum(jnp.where(frames, lengths, 0.0), axis=1) / count
     squares = jnp.where(frames, (lengths - mean[:, None]) ** 2, 0.0)
     return jnp.mean(jnp.sqrt(jnp.sum(squares, axis=1) / count) / jnp.maximum(mean, 1e-6), axis=1)
@@ -123,7 +130,8 @@ def _floor(heights: Float[Array, "B T F"], mask: Bool[Array, "B T"]) -> Float[Ar
     ordered = jnp.sort(jnp.where(mask[:, :, None], heights, jnp.inf).reshape(len(heights), -1), axis=1)
     place = FLOOR_QUANTILE * jnp.maximum(jnp.sum(mask, axis=1) * heights.shape[2] - 1, 0)
     below, above = (jnp.asarray(rounded(place), jnp.int32)[:, None] for rounded in (jnp.floor, jnp.ceil))
-    low, high = (jnp.take_along_axis(ordered, row, axis=1) for row in (below, above))
+    low, high = (jnp.take_along_axis(ordered, index, axis=1) for index in (below, above))
+    # Padding is infinite, and infinity minus infinity is NaN: equal heights are not interpolated.
     return jnp.where(high > low, low + (place[:, None] - below) * (high - low), low)[:, :, None]
 
 
@@ -138,6 +146,7 @@ def _from_first_frame(positions: Positions, skeleton: Skeleton) -> Positions:
     """Returns clips that start with the root at the origin and the heading +Z."""
     positions = positions - positions[:, :1, :1]
     angle = _headings(positions[:, :1], skeleton)[:, :, None]
-    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    cos = jnp.cos(angle)
+    sin = jnp.sin(angle)
     x, y, z = jnp.moveaxis(positions, -1, 0)
     return jnp.stack([cos * x - sin * z, y, sin * x + cos * z], axis=-1)

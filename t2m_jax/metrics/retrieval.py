@@ -5,6 +5,7 @@ Each item is ranked among the 32 candidates of its batch. The results of all bat
 
 from typing import Literal, NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -24,10 +25,11 @@ class PartnerRanks(NamedTuple):
 def partner_ranks(
     queries: Float[Array, "B E"], candidates: Float[Array, "B E"], labels: Int[Array, " B"]
 ) -> PartnerRanks:
-    """Returns the ranks of the candidates that belong to the queries (same row). Equal labels are not compared."""
+    """Returns the ranks of the candidates that belong to the queries (same index). Equal labels are not compared."""
     differences = queries[:, None, :] - candidates[None, :, :]
     distances = jnp.sqrt(jnp.sum(differences**2, axis=-1))
-    own, others = jnp.diagonal(distances)[:, None], labels[:, None] != labels[None, :]
+    own = jnp.diagonal(distances)[:, None]
+    others = labels[:, None] != labels[None, :]
     return PartnerRanks(jnp.sum((distances < own) & others, axis=1), jnp.sum((distances == own) & others, axis=1))
 
 
@@ -41,6 +43,7 @@ def _ranks_of_batches(
 
 def _mean_hits(ranks: PartnerRanks, top_k: int, counted: Bool[Array, " N"] | None) -> Float[Array, " K"]:
     """Returns the mean chance that a partner is among the 1, 2, ... nearest if ties are ordered at random."""
+    # A tie at the boundary is inside with the chance that a random order gives: places left / candidates tied.
     places = jnp.arange(1, top_k + 1)[None, :] - ranks.nearer[:, None]
     chances = jnp.clip(places / (ranks.tied[:, None] + 1), 0.0, 1.0)
     weights = jnp.ones(len(ranks.nearer)) if counted is None else counted.astype(jnp.float32)
@@ -64,9 +67,9 @@ def r_precision(
 
     Args:
         text: Embeddings of captions.
-        motion: Embeddings of motions. Rows with the same index are partners.
+        motion: Embeddings of motions. Those with the same index are partners.
         top_k: Largest k.
-        batch: Number of candidates, which are consecutive rows. Chance is k / batch.
+        batch: Number of candidates, which are consecutive. Chance is k / batch.
         direction: `motions_per_text` ranks motions for each text, as the published code does. `texts_per_motion` is
             what the papers describe.
         labels: The class of each item. Candidates of the same class are not errors. By default each pair is a class.
@@ -76,11 +79,15 @@ def r_precision(
     Raises:
         ValueError: The number of pairs is not a multiple of `batch`.
     """
-    if len(text) % batch or len(text) != len(motion) or not len(text):
+    chex.assert_rank([text, motion], 2)
+    chex.assert_equal_shape([text, motion])
+    chex.assert_shape([given for given in (labels, counted) if given is not None], (len(text),))
+    chex.assert_scalar_in(top_k, 1, batch)
+    if len(text) % batch or not len(text):
         raise ValueError(f"{len(text)} texts and {len(motion)} motions do not make batches of {batch} pairs")
     queries, candidates = (text, motion) if direction == "motions_per_text" else (motion, text)
     owners = jnp.arange(len(text)) if labels is None else labels
-    batches = tuple(rows.reshape(-1, batch, *rows.shape[1:]) for rows in (queries, candidates, owners))
+    batches = tuple(items.reshape(-1, batch, *items.shape[1:]) for items in (queries, candidates, owners))
     ranks = _ranks_of_batches(*batches)
     return _mean_hits(PartnerRanks(*(column.reshape(-1) for column in ranks)), top_k, counted)
 
@@ -96,6 +103,8 @@ def label_bound(
     Raises:
         ValueError: The number of items is not a multiple of `batch`.
     """
+    chex.assert_shape([labels] if counted is None else [labels, counted], (len(labels),))
+    chex.assert_scalar_in(top_k, 1, batch)
     if len(labels) % batch or not len(labels):
         raise ValueError(f"{len(labels)} labels do not make batches of {batch}")
     batches = labels.reshape(-1, batch)
@@ -105,4 +114,6 @@ def label_bound(
 
 def matching_score(text: Float[Array, "N E"], motion: Float[Array, "N E"]) -> Float[Array, ""]:
     """Returns the mean distance of each text from its motion (MM-Dist)."""
+    chex.assert_rank([text, motion], 2)
+    chex.assert_equal_shape([text, motion])
     return jnp.mean(jnp.sqrt(jnp.sum((text - motion) ** 2, axis=-1)))

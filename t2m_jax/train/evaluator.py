@@ -26,7 +26,7 @@ from t2m_jax.data.folder import Clip, DatasetInfo, samples_from_clip
 from t2m_jax.devices import global_mean, global_rows
 from t2m_jax.errors import UserError
 from t2m_jax.losses import infonce_loss, margin_loss, pair_distances
-from t2m_jax.metrics import r_precision
+from t2m_jax.metrics.retrieval import r_precision
 from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT, Evaluator, evaluator_shapes
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.text.word_vectors import Vocabulary, load_vocabulary, load_word_vectors, vocabulary_from_captions

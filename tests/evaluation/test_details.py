@@ -16,7 +16,7 @@ from t2m_jax.evaluation.report.gallery import NUM_EXAMPLES, NUM_FAILURES, NUM_NE
 from t2m_jax.evaluation.run import evaluate
 from t2m_jax.evaluation.sources import Reconstruction, make_generation
 from t2m_jax.evaluation.task import EvaluationTask, load_samples
-from t2m_jax.metrics import r_precision
+from t2m_jax.metrics.retrieval import r_precision
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.strategies import Temperature
 from tests.tiny import random_bundle, random_evaluator

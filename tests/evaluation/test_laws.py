@@ -18,7 +18,8 @@ from t2m_jax.evaluation.quality import CLEANED
 from t2m_jax.evaluation.run import evaluate
 from t2m_jax.evaluation.sources import make_generation
 from t2m_jax.evaluation.task import EvaluationTask, load_samples, make_task
-from t2m_jax.metrics import MotionQuality, matching_score, r_precision
+from t2m_jax.metrics.quality import MotionQuality
+from t2m_jax.metrics.retrieval import matching_score, r_precision
 from t2m_jax.models.evaluator import evaluator_shapes
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.sampling import Greedy, Temperature, TextToMotion

@@ -20,7 +20,7 @@ from t2m_jax.evaluation.report.plots import codes_plot, lengths_plot, repeats_pl
 from t2m_jax.evaluation.report.record import Header, Metric, Report
 from t2m_jax.evaluation.report.tables import COLUMNS
 from t2m_jax.export import viewer_html
-from t2m_jax.metrics import MotionQuality
+from t2m_jax.metrics.quality import MotionQuality
 from t2m_jax.motion.motion import Motion
 
 NASTY = 'walks </script><img src=x onerror="alert(1)"> {{table}} & "waves" \\1 <!-- é'

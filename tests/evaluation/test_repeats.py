@@ -24,7 +24,7 @@ from t2m_jax.evaluation.report.record import Metric, load_report
 from t2m_jax.evaluation.run import evaluate, load_partial, make_header
 from t2m_jax.evaluation.sources import Reconstruction, make_generation, measured_samples, sample_keys
 from t2m_jax.evaluation.task import EvaluationTask, Samples, load_samples, make_task
-from t2m_jax.metrics import MotionQuality
+from t2m_jax.metrics.quality import MotionQuality
 from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.strategies import Temperature

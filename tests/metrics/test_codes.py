@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from t2m_jax.metrics import code_usage, perplexity
+from t2m_jax.metrics.codes import code_usage, perplexity
 from tests.jit import assert_jit_equals_eager
 
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.metrics import fid
+from t2m_jax.metrics.frechet import fid
 from tests.jit import assert_jit_equals_eager
 
 jitted = jax.jit(fid)

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from t2m_jax.metrics import joint_errors, mpjpe, pa_mpjpe
+from t2m_jax.metrics.positions import joint_errors, mpjpe, pa_mpjpe
 from tests.jit import assert_jit_equals_eager
 
 POSITIONS = jax.random.normal(jax.random.key(0), (2, 5, 4, 3))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.data import make_motion
-from t2m_jax.metrics import MotionErrors, MotionQuality, measure_errors, measure_quality
+from t2m_jax.metrics.quality import MotionErrors, MotionQuality, measure_errors, measure_quality
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 from tests.jit import assert_jit_equals_eager
 

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.metrics import diversity, label_bound, matching_score, multimodality, r_precision
-from t2m_jax.metrics.retrieval import _ranks_of_batches
+from t2m_jax.metrics.retrieval import _ranks_of_batches, label_bound, matching_score, r_precision
+from t2m_jax.metrics.variety import diversity, multimodality
 from tests.jit import assert_jit_equals_eager
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from t2m_jax.checkpoints.official.load import vqvae_variables
 from t2m_jax.losses import reconstruction_loss
-from t2m_jax.metrics import perplexity
+from t2m_jax.metrics.codes import perplexity
 from t2m_jax.models.vqvae import VqVae, VqVaeConfig
 from t2m_jax.motion.skeleton import make_layout
 from tests.golden_files import state_dict

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.metrics import perplexity
+from t2m_jax.metrics.codes import perplexity
 from t2m_jax.models.codebook import (
     CANDIDATE_NOISE,
     RULES,

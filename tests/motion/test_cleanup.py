@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from t2m_jax.data import make_motion
-from t2m_jax.metrics import measure_quality
+from t2m_jax.metrics.quality import measure_quality
 from t2m_jax.motion import cleanup
 from t2m_jax.motion.cleanup import (
     SIGMA,
