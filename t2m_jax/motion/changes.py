@@ -10,6 +10,20 @@ from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.paths import check_turn, check_waypoints
 
 
+def path_from_text(text: str) -> tuple[tuple[float, float], ...]:
+    """Returns the points of `Changes.path` in a text such as "0,0 1,2 3,2".
+
+    Raises:
+        UserError: The text is not two or more points of two numbers.
+    """
+    try:
+        points = [[float(number) for number in point.split(",")] for point in text.split()]
+    except ValueError:
+        raise UserError(f'path: {text!r} is not points of two numbers, such as "0,0 1,2 3,2"') from None
+    check_waypoints(points)
+    return tuple((x, z) for x, z in points)
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Changes:
     """From a motion to the motion that is shown or written. The fields are in the order in which they are applied."""

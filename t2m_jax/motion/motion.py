@@ -130,7 +130,7 @@ class Motion:
         Raises:
             UserError: No frame is between these times.
         """
-        first = round((begin or 0.0) * self.fps)
+        first = round(min(begin or 0.0, self.seconds) * self.fps)
         last = self.num_frames if end is None else round(min(end, self.seconds) * self.fps)
         if not 0 <= first < last:
             stop = self.seconds if end is None else end

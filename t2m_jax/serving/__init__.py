@@ -2,6 +2,5 @@
 
 from t2m_jax.serving.app import make_app
 from t2m_jax.serving.jobs import Jobs
-from t2m_jax.serving.requests import MotionRequest
 
-__all__ = ["Jobs", "MotionRequest", "make_app"]
+__all__ = ["Jobs", "make_app"]

@@ -21,17 +21,23 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from t2m_jax.errors import UserError
 from t2m_jax.export.html import stage_style, viewer_script
-from t2m_jax.serving.files import FORMATS, FPS_CHOICES, JOINT_NAMES, SEVERAL, make_file, options_from_query, read_scene
+from t2m_jax.motion.changes import Changes
+from t2m_jax.records import record_from
+from t2m_jax.serving.files import make_file, open_file, read_motion
 from t2m_jax.serving.jobs import FINAL_EVENTS, Event, Job, Jobs, QueueFullError
 from t2m_jax.serving.openapi import openapi
-from t2m_jax.serving.requests import (
-    INPUT_FORMATS,
+from t2m_jax.serving.schema import (
     MAX_BODY,
-    MAX_CAPTIONS,
-    MAX_SAMPLES,
-    MAX_SECONDS,
-    decode_base64,
-    request_from_json,
+    SEVERAL,
+    FileBody,
+    FileOptions,
+    FileParameters,
+    HealthData,
+    MotionBody,
+    SceneParameters,
+    motion_request,
+    read_body,
+    read_parameters,
 )
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1", "[::1]")
@@ -168,8 +174,12 @@ class _Server:
     def health(self, _: Request) -> Response:
         """Answers whether motions can be made."""
         alive = self.jobs.is_alive
-        status = {"status": "ok" if alive else "restarting", "model": self.jobs.model_name}
-        return JSONResponse(status | {"waiting": len(self.jobs.waiting)}, 200 if alive else 503)
+        health: HealthData = {
+            "status": "ok" if alive else "restarting",
+            "model": self.jobs.model_name,
+            "waiting": len(self.jobs.waiting),
+        }
+        return JSONResponse(health, 200 if alive else 503)
 
     def metrics(self, _: Request) -> Response:
         """Answers with the counters."""
@@ -177,16 +187,24 @@ class _Server:
 
     def model(self, _: Request) -> Response:
         """Answers with what the page needs to know."""
-        limits = {"captions": MAX_CAPTIONS, "num_samples": MAX_SAMPLES, "seconds": MAX_SECONDS, "body_bytes": MAX_BODY}
-        choices: dict[str, Any] = {"formats": FORMATS, "formats_of_several": SEVERAL, "joint_names": JOINT_NAMES}
-        choices |= {"fps_choices": FPS_CHOICES, "input_formats": INPUT_FORMATS}
-        guided = self.jobs.model["guidance_scale"] is not None
-        return JSONResponse(self.jobs.model | choices | {"examples": EXAMPLES, "guided": guided, "limits": limits})
+        bodies = {"motions": MotionBody, "files": FileParameters, "scene": SceneParameters}
+        data = self.jobs.model | {
+            "examples": EXAMPLES,
+            "formats_of_several": SEVERAL,
+            "body_bytes": MAX_BODY,
+            "fields": {name: body.model_json_schema()["properties"] for name, body in bodies.items()},
+        }
+        return JSONResponse(data)
 
     async def motions(self, request: Request) -> Response:
         """Generates: answers with server-sent events, or with one JSON object to who asks for it."""
-        asked = request_from_json(await _json(request))
-        job = self.jobs.submit(asked)
+        if not _is_json(request):  # a page of another server could only send other types of bodies unasked
+            raise HTTPException(415, "the body must be application/json")
+        fields = read_body(MotionBody, await _body(request))
+        start = None
+        if fields.get("start") is not None:
+            start = await self._in_process(read_motion, fields["start"], fields.get("start_format", "npz"))
+        job = self.jobs.submit(motion_request(fields, start))
         if "application/json" in request.headers.get("accept", ""):
             return await self._final_answer(job, request.receive)
         return _EventResponse(self._events(job))
@@ -201,8 +219,8 @@ class _Server:
                     event = await asyncio.wait_for(job.events.get(), ALIVE_SECONDS)
                 except TimeoutError:
                     if anyio.current_time() - start > ANSWER_SECONDS:
-                        error = {"error": f"no motion after {ANSWER_SECONDS:g} s; try again later", "seed": job.seed}
-                        event = Event("failed", json.dumps(error))
+                        error = f"no motion after {ANSWER_SECONDS:g} s; try again later"
+                        event = Event("failed", json.dumps({"error": error, "seed": job.task.request.seed}))
                 if event is not None and event.name in FINAL_EVENTS:
                     result = event.name
                 yield event
@@ -213,7 +231,7 @@ class _Server:
             self.jobs.measures.answers.labels(result).inc()
             self.jobs.measures.seconds.observe(anyio.current_time() - start)
             if result == "done":
-                self.jobs.measures.motions.inc(job.request.num_samples)
+                self.jobs.measures.motions.inc(job.task.request.num_samples)
 
     async def _final_answer(self, job: Job, receive: Receive) -> Response:
         last = None
@@ -226,26 +244,19 @@ class _Server:
 
     async def files(self, request: Request) -> Response:
         """Answers with a file for download."""
-        options = options_from_query(dict(request.query_params))
+        options = record_from(FileOptions, read_parameters(FileParameters, dict(request.query_params)))
         body = await _body(request)
-        inputs = [body]
-        if _is_json(request):
-            data = _parsed(body)
-            if not isinstance(data, dict) or not isinstance(data.get("motions"), list):
-                raise UserError('body: expected {"motions": [base64, ...]}')
-            inputs = [decode_base64(str(one)) for one in data["motions"]]
+        inputs = read_body(FileBody, body)["motions"] if _is_json(request) else [body]
         content = await self._in_process(make_file, inputs, options)
         disposition = f'attachment; filename="motion.{options.format}"'
         return Response(content, headers={"Content-Disposition": disposition}, media_type="application/octet-stream")
 
     async def scene(self, request: Request) -> Response:
         """Answers with what the page shows of a motion file."""
-        query = dict(request.query_params)
-        suffix = query.pop("format", "npz")
-        if suffix not in INPUT_FORMATS:
-            raise UserError(f"format: {suffix!r} is unknown; known are {', '.join(INPUT_FORMATS)}")
-        data = await _body(request)
-        return JSONResponse(await self._in_process(read_scene, data, suffix, options_from_query(query)))
+        fields = read_parameters(SceneParameters, dict(request.query_params))
+        suffix = fields.get("format", "npz")
+        changes = record_from(Changes, fields)
+        return JSONResponse(await self._in_process(open_file, await _body(request), suffix, changes))
 
     async def _in_process(self, function: Callable[..., Any], *args: Any) -> Any:
         """Returns what a function returns in a process of its own, which is killed if it takes too long."""
@@ -320,17 +331,3 @@ async def _body(request: Request) -> bytes:
 
 def _is_json(request: Request) -> bool:
     return request.headers.get("content-type", "").partition(";")[0].strip() == "application/json"
-
-
-async def _json(request: Request) -> Any:
-    """Returns the data of a JSON body. A page of another server could only send other types of bodies unasked."""
-    if not _is_json(request):
-        raise HTTPException(415, "the body must be application/json")
-    return _parsed(await _body(request))
-
-
-def _parsed(body: bytes) -> Any:
-    try:
-        return json.loads(body)
-    except (ValueError, RecursionError):
-        raise UserError("body: is not JSON") from None

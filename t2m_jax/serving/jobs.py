@@ -7,17 +7,18 @@ import itertools
 import json
 import math
 import multiprocessing
-import secrets
 import threading
 from collections import deque
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from typing import Any, NamedTuple
 
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+
 from t2m_jax.errors import UserError
-from t2m_jax.serving.measures import Measures
+from t2m_jax.sampling.request import MotionRequest
 from t2m_jax.serving.messages import NO_JOB, Cancel, Task
-from t2m_jax.serving.requests import MotionRequest
 
 BATCH_SIZE = 32
 """Motions that are generated together."""
@@ -36,6 +37,28 @@ END_SECONDS = 5.0
 MAX_TRIES = 3
 """How often a request is given to a process that then dies. It may be the reason."""
 FINAL_EVENTS = ("done", "failed")
+HISTOGRAM_SECONDS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 60.0)
+
+
+class Measures:
+    """Counters and histograms of a server, in Prometheus's text format."""
+
+    def __init__(self, *, waiting: Callable[[], int], running: Callable[[], int]):
+        """Takes functions that count requests in the queue, and those that are worked on."""
+        registry = self._registry = CollectorRegistry()
+        shared: Any = {"registry": registry}
+        self.answers = Counter("t2m_answers", "Requests for motions by how they ended", ["result"], **shared)
+        self.motions = Counter("t2m_motions", "Motions that were sent", **shared)
+        self.restarts = Counter("t2m_worker_restarts", "Processes that died and were replaced", **shared)
+        shared["buckets"] = HISTOGRAM_SECONDS
+        self.seconds = Histogram("t2m_request_seconds", "From a request to its motions", **shared)
+        self.work_seconds = Histogram("t2m_work_seconds", "Time without the queue", **shared)
+        for name, count in (("waiting", waiting), ("running", running)):
+            Gauge(f"t2m_{name}_requests", f"Requests that are {name}", registry=registry).set_function(count)
+
+    def text(self) -> bytes:
+        """Returns all values."""
+        return generate_latest(self._registry)
 
 
 class Event(NamedTuple):
@@ -57,11 +80,9 @@ class QueueFullError(Exception):
 
 @dataclasses.dataclass(eq=False)
 class Job:
-    """A request with its events."""
+    """A request in the queue with its events."""
 
-    number: int
-    request: MotionRequest
-    seed: int
+    task: Task
     tries: int = 0
     events: "asyncio.Queue[Event]" = dataclasses.field(default_factory=asyncio.Queue)
 
@@ -130,10 +151,9 @@ class Jobs:
             QueueFullError: Too many requests are waiting.
         """
         if len(self.waiting) >= self.max_waiting:
-            motions = sum(job.request.num_samples for job in self.waiting)
+            motions = sum(job.task.request.num_samples for job in self.waiting)
             raise QueueFullError(len(self.waiting), max(1, math.ceil(motions * self._seconds_per_motion)))
-        seed = secrets.randbelow(2**32) if request.seed is None else request.seed
-        job = Job(next(self._numbers), request, seed)
+        job = Job(Task(next(self._numbers), request))
         self.waiting.append(job)
         self._tell_positions()
         self._dispatch()
@@ -144,12 +164,12 @@ class Jobs:
         if job in self.waiting:
             self.waiting.remove(job)
             self._tell_positions()
-        if self.running.pop(job.number, None) is not None:
-            self._send(Cancel(job.number))
+        if self.running.pop(job.task.job, None) is not None:
+            self._send(Cancel(job.task.job))
 
     def _tell_positions(self) -> None:
         for position, job in enumerate(self.waiting):
-            job.tell("queued", {"position": position, "seed": job.seed})
+            job.tell("queued", {"position": position, "seed": job.task.request.seed})
 
     def _start_process(self) -> None:
         context = multiprocessing.get_context("spawn")
@@ -186,7 +206,7 @@ class Jobs:
         sent, now = self._sent.pop(number), self._loop.time()
         sent.timer.cancel()
         self.measures.work_seconds.observe(now - sent.start)
-        seconds = (now - max(self._last_end, sent.start)) / sent.job.request.num_samples
+        seconds = (now - max(self._last_end, sent.start)) / sent.job.task.request.num_samples
         self._seconds_per_motion = 0.9 * self._seconds_per_motion + 0.1 * seconds
         self._last_end = now
 
@@ -214,18 +234,17 @@ class Jobs:
         self.measures.restarts.inc()
         for job in reversed(self.running.values()):
             if job.tries >= MAX_TRIES:
-                job.tell(
-                    "failed", {"error": "the process that generates has died each time; try again", "seed": job.seed}
-                )
+                error = "the process that generates has died each time; try again"
+                job.tell("failed", {"error": error, "seed": job.task.request.seed})
             else:
                 self.waiting.appendleft(job)
         self.running.clear()
         self._loop.call_later(RESTART_SECONDS, self._start_process)
 
     def _on_timeout(self, job: Job) -> None:
-        if self.running.pop(job.number, None) is not None:
+        if self.running.pop(job.task.job, None) is not None:
             error = f"it took longer than {WORK_SECONDS:g} s; ask for less"
-            job.tell("failed", {"error": error, "seed": job.seed})
+            job.tell("failed", {"error": error, "seed": job.task.request.seed})
         if self._process is not None:
             self._process.kill()
 
@@ -235,23 +254,23 @@ class Jobs:
         while self.is_alive and (job := self._next_job()) is not None:
             self.waiting.remove(job)
             job.tries += 1
-            self.running[job.number] = job
+            self.running[job.task.job] = job
             timer = self._loop.call_later(WORK_SECONDS, self._on_timeout, job)
-            self._sent[job.number] = _Sent(job, self._loop.time(), timer)
-            self._send(Task(job.number, job.request, job.seed))
+            self._sent[job.task.job] = _Sent(job, self._loop.time(), timer)
+            self._send(job.task)
         if len(self.waiting) < num_before:
             self._tell_positions()
 
     def _next_job(self) -> Job | None:
         """Returns what the process should get next, if it has room. Plain jobs and others pass each other."""
-        sent = [one.job.request for one in self._sent.values()]
-        known = sum(request.num_samples for request in sent if request.is_plain)
-        num_edits = sum(not request.is_plain for request in sent)
-        plain = next((job for job in self.waiting if job.request.is_plain), None)
+        sent = [one.job.task for one in self._sent.values()]
+        known = sum(task.request.num_samples for task in sent if task.is_plain)
+        num_edits = sum(not task.is_plain for task in sent)
+        plain = next((job for job in self.waiting if job.task.is_plain), None)
         # A request with more motions than there is room for at all is made alone.
-        if plain is not None and (known == 0 or known + plain.request.num_samples <= AHEAD * self.batch_size):
+        if plain is not None and (known == 0 or known + plain.task.request.num_samples <= AHEAD * self.batch_size):
             return plain
-        edit = next((job for job in self.waiting if not job.request.is_plain), None)
+        edit = next((job for job in self.waiting if not job.task.is_plain), None)
         return edit if num_edits < MAX_EDITS else None
 
     def _send(self, message: Task | Cancel) -> None:

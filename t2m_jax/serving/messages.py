@@ -1,22 +1,26 @@
-"""What the server and the process that generates send each other; light, because the server does not need JAX."""
+"""What the queue and the process that generates send each other."""
 
 from typing import NamedTuple
 
-from t2m_jax.serving.requests import MotionRequest
+from t2m_jax.sampling.request import MotionRequest
 
 NO_JOB = -1
 """In place of a job's number, in messages about the process."""
 
 
 class Task(NamedTuple):
-    """A request that is worked on."""
+    """From the queue to the process that generates: a request to work on."""
 
     job: int
     request: MotionRequest
-    seed: int
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it is for one sentence and nothing else, so that it shares a batch with those of other users."""
+        return len(self.request.captions) == 1 and self.request.seconds is None and self.request.start is None
 
 
 class Cancel(NamedTuple):
-    """The motions of a request are not needed any more."""
+    """From the queue to the process that generates: nobody needs the motions of a request any more."""
 
     job: int

@@ -1,6 +1,7 @@
-"""Makes the motions of tasks in the process that generates."""
+"""Continuous batching: the motions of all requests share the slots of one batch, and begin and end at any time."""
 
 import contextlib
+import dataclasses
 import functools
 import itertools
 import os
@@ -22,13 +23,12 @@ from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.loop import SampledCodes
 from t2m_jax.sampling.programs import pad_codes
 from t2m_jax.sampling.prompts import read_prompts, sample_key
+from t2m_jax.sampling.request import MotionRequest, SamplingOptions
 from t2m_jax.sampling.slots import Progress, Slots
-from t2m_jax.sampling.strategies import Strategy, make_strategy
 from t2m_jax.sampling.streaming import part_of_rows
 from t2m_jax.sampling.together import Sample, batch_motions
+from t2m_jax.serving.files import motion_record
 from t2m_jax.serving.messages import NO_JOB, Task
-from t2m_jax.serving.records import motion_from_data, motion_record
-from t2m_jax.serving.requests import TEMPERATURES, MotionRequest, decode_base64
 
 EXAMPLE_PROMPT = "a person walks forward"
 DECODED_TOGETHER = 4
@@ -37,13 +37,15 @@ MAX_LIVE = 4
 """Most motions at a time whose frames are sent before they are whole; it takes time."""
 CACHED_TEXTS = 1024
 """Sentences whose embeddings are kept."""
+MAX_PROGRAMS = 32
+"""Sets of sampling options whose compiled programs are kept: users may ask for more than fit into the memory."""
 Codes = Int[np.ndarray, "N R"]
 Send = Callable[[int, str, Any], None]
 """From a job, the name of an event and its data."""
 
 
-class _Part(NamedTuple):
-    """One motion of a task."""
+class TaskSample(NamedTuple):
+    """From the queue to a slot of the batch: one motion of a task."""
 
     task: Task
     sample: Sample
@@ -55,13 +57,14 @@ class Scheduler:
     def __init__(self, model: TextToMotion, num_slots: int, send: Send):
         """Takes the model, the number of slots, and what sends an event."""
         self.model, self.num_slots, self.send = model, num_slots, send
-        self.waiting: deque[_Part] = deque()
-        self.active: dict[int, _Part] = {}
+        self.waiting: deque[TaskSample] = deque()
+        self.active: dict[int, TaskSample] = {}
         """The motions in the slots."""
         self.ended: dict[int, dict[int, Codes]] = {}
         """Codes of the motions of jobs that have further motions, by their numbers."""
         self.slots: Slots | None = None
-        self.group: Any = None
+        self.group: SamplingOptions | None = None
+        self.programs: set[SamplingOptions] = set()
         self.embed = functools.lru_cache(CACHED_TEXTS)(lambda text: model.text_encoder([text])[0])
         self.finishing: Executor | None = None
         self.editing: Executor | None = None
@@ -78,7 +81,7 @@ class Scheduler:
     def warm_up(self) -> None:
         """Compiles what most requests need."""
         nothing = Scheduler(self.model, self.num_slots, lambda *_: None)
-        nothing.add(Task(NO_JOB, MotionRequest(captions=(EXAMPLE_PROMPT,)), 0))
+        nothing.add(Task(NO_JOB, MotionRequest(captions=(EXAMPLE_PROMPT,))))
         sample = nothing.waiting[0].sample
         while nothing.is_busy:
             nothing.step()
@@ -95,7 +98,8 @@ class Scheduler:
 
     def add(self, task: Task) -> None:
         """Begins a task, or lets it wait."""
-        if not task.request.is_plain:
+        self._limit_programs(task.request.options)
+        if not task.is_plain:
             _call(self.editing, self._edit, task)
             return
         try:
@@ -104,7 +108,7 @@ class Scheduler:
             self._fail(task, error)
             return
         for number in range(task.request.num_samples):
-            self.waiting.append(_Part(task, Sample(prompt, task.seed, number)))
+            self.waiting.append(TaskSample(task, Sample(prompt, task.request.seed, number)))
 
     def cancel(self, job: int) -> None:
         """Forgets a plain task if it has not ended."""
@@ -142,20 +146,21 @@ class Scheduler:
     def _begin(self) -> None:
         """Puts waiting motions into free slots. All motions in slots have the same options."""
         if self.waiting and not self.active:
-            request = self.waiting[0].task.request
-            self.slots, self.group = self._make_slots(request), _group(request)
+            options = self.waiting[0].task.request.options
+            self.slots = self._make_slots(options)
+            self.group = _group(options)
         if self.slots is None:
             return
-        begun: list[tuple[int, _Part]] = []
+        begun: list[tuple[int, TaskSample]] = []
         for slot in self.slots.free:
-            if self.waiting and _group(self.waiting[0].task.request) == self.group:
+            if self.waiting and _group(self.waiting[0].task.request.options) == self.group:
                 begun.append((slot, self.waiting.popleft()))
         if not begun:
             return
         for slot, (task, sample) in begun:
-            self.active[slot] = _Part(task, sample)
+            self.active[slot] = TaskSample(task, sample)
             if sample.number == 0:
-                self.send(task.job, "started", {"seed": task.seed})
+                self.send(task.job, "started", {"seed": task.request.seed})
         samples = [part.sample for _, part in begun]
         self.slots.begin(
             [slot for slot, _ in begun],
@@ -163,11 +168,18 @@ class Scheduler:
             [sample_key(sample.seed, sample.prompt.text, sample.number) for sample in samples],
         )
 
-    def _make_slots(self, request: MotionRequest) -> Slots:
-        sampling = self.model.sampling(_strategy(request))
-        return self.model.slots(self.num_slots, sampling, guidance_scale=request.guidance_scale)
+    def _make_slots(self, options: SamplingOptions) -> Slots:
+        sampling = self.model.sampling(options.make_strategy(), stop_rule=options.stop_rule)
+        return self.model.slots(self.num_slots, sampling, guidance_scale=options.guidance_scale)
 
-    def _send_rows(self, part: _Part, progress: Progress, *, live: bool) -> None:
+    def _limit_programs(self, options: SamplingOptions) -> None:
+        program = dataclasses.replace(options, raw=False, guidance_scale=None)  # these two are not compiled in
+        if program not in self.programs and len(self.programs) == MAX_PROGRAMS:
+            jax.clear_caches()
+            self.programs.clear()
+        self.programs.add(program)
+
+    def _send_rows(self, part: TaskSample, progress: Progress, *, live: bool) -> None:
         """Sends new codes and, if `live`, the frames that they make final."""
         codes, context = progress.codes, self.model.config.tokenizer.decoder_context
         first, last = (max(count - context, 0) for count in (len(codes) - progress.num_new, len(codes)))
@@ -199,21 +211,22 @@ class Scheduler:
         sampled = SampledCodes(*map(jnp.asarray, arrays))
         return batch_motions(self.model, sampled, [sample for sample, _ in rows], clean=clean)
 
-    def _finish_plain(self, whole: Sequence[tuple[_Part, Mapping[int, Codes]]]) -> None:
-        """Sends the motions of plain tasks, each with its last part."""
-        rows = [
-            (part.sample._replace(number=number), codes)
-            for part, found in whole
-            for number, codes in sorted(found.items())
-        ]
-        motions = self._decode(rows, clean=True)
-        for part, found in whole:
-            self._finish(part.task, motions[: len(found)])
-            motions = motions[len(found) :]
+    def _finish_plain(self, whole: Sequence[tuple[TaskSample, Mapping[int, Codes]]]) -> None:
+        """Sends the motions of plain tasks, each with its last motion."""
+        for raw in (False, True):
+            chosen = [(last, found) for last, found in whole if last.task.request.options.raw == raw]
+            rows = [
+                (last.sample._replace(number=number), codes)
+                for last, found in chosen
+                for number, codes in sorted(found.items())
+            ]
+            motions = iter(self._decode(rows, clean=not raw))
+            for last, found in chosen:
+                self._finish(last.task, list(itertools.islice(motions, len(found))))
 
     def _edit(self, task: Task) -> None:
         """Makes the motions of a task that is not plain."""
-        self.send(task.job, "started", {"seed": task.seed})
+        self.send(task.job, "started", {"seed": task.request.seed})
         try:
             self._finish(task, self._edited(task))
         except UserError as error:
@@ -221,24 +234,29 @@ class Scheduler:
 
     def _edited(self, task: Task) -> list[Motion]:
         """Returns the motions of a request that is not plain."""
-        request, given = task.request, _given_motion(task.request)
-        options: Any = {"seed": task.seed, "num_samples": request.num_samples}
-        options |= {"strategy": _strategy(request), "guidance_scale": request.guidance_scale}
-        if given is not None and request.span is not None:
-            return self.model.redo(given, request.span, request.captions[0], **options)
-        if given is not None and request.edit == "vary":
-            return self.model.vary(given, request.strength, request.captions[0], **options)
-        return self.model.generate_chain(request.captions, start=given, seconds=request.seconds, **options)
+        request = task.request
+        shared: Any = {
+            "seed": request.seed,
+            "num_samples": request.num_samples,
+            "strategy": request.options.make_strategy(),
+            "guidance_scale": request.options.guidance_scale,
+            "raw": request.options.raw,
+        }
+        if request.start is not None and request.span is not None:
+            return self.model.redo(request.start, request.span, request.captions[0], **shared)
+        if request.start is not None and request.strength is not None:
+            return self.model.vary(request.start, request.strength, request.captions[0], **shared)
+        return self.model.generate_chain(request.captions, start=request.start, seconds=request.seconds, **shared)
 
     def _finish(self, task: Task, motions: Sequence[Motion]) -> None:
         """Sends the motions of a request."""
         for warning in dict.fromkeys(motion.warning for motion in motions if motion.warning):
             self.send(task.job, "warning", {"message": warning})
         records = [motion_record(motion) for motion in motions]
-        self.send(task.job, "done", {"seed": task.seed, "scene": scene_record(motions), "motions": records})
+        self.send(task.job, "done", {"seed": task.request.seed, "scene": scene_record(motions), "motions": records})
 
     def _fail(self, task: Task, error: UserError) -> None:
-        self.send(task.job, "failed", {"error": str(error), "seed": task.seed})
+        self.send(task.job, "failed", {"error": str(error), "seed": task.request.seed})
 
 
 def _call(executor: Executor | None, function: Callable[..., None], *args: Any) -> None:
@@ -257,16 +275,6 @@ def _call(executor: Executor | None, function: Callable[..., None], *args: Any) 
         executor.submit(guarded)
 
 
-def _group(request: MotionRequest) -> tuple[Any, ...]:
+def _group(options: SamplingOptions) -> SamplingOptions:
     """Returns what must be equal in requests that share slots."""
-    return request.variety, request.guidance_scale
-
-
-def _strategy(request: MotionRequest) -> Strategy:
-    return make_strategy(TEMPERATURES[request.variety], None)
-
-
-def _given_motion(request: MotionRequest) -> Motion | None:
-    if request.motion is None:
-        return None
-    return motion_from_data(decode_base64(request.motion), request.motion_format)
+    return dataclasses.replace(options, raw=False)

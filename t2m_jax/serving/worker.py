@@ -7,12 +7,14 @@ import sys
 import threading
 import warnings
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, get_args
 
 from t2m_jax.errors import UserError
 from t2m_jax.sampling import TextToMotion
+from t2m_jax.sampling.request import StopRuleName
 from t2m_jax.serving.messages import NO_JOB, Cancel
 from t2m_jax.serving.scheduler import Scheduler
+from t2m_jax.serving.schema import ModelData
 from t2m_jax.text.coverage import PromptWarning
 
 
@@ -52,7 +54,7 @@ def work(connection: Connection, model_name: str, num_slots: int) -> None:
             scheduler.step()
 
 
-def describe_model(model: TextToMotion, name: str) -> dict[str, Any]:
+def describe_model(model: TextToMotion, name: str) -> ModelData:
     """Returns what the page says of a model."""
     downsample = model.config.tokenizer.downsample
     return {
@@ -63,6 +65,17 @@ def describe_model(model: TextToMotion, name: str) -> dict[str, Any]:
         "downsample": downsample,
         "longest_seconds": model.config.generator.max_codes * downsample / model.skeleton.fps,
         "guidance_scale": model.guidance_scale(),
+        "stop_rules": _stop_rules(model),
         "actions": list(model.knowledge.actions),
         "words": sorted(model.knowledge.words),
     }
+
+
+def _stop_rules(model: TextToMotion) -> list[str]:
+    """Returns the names of the stop rules that a request may ask for."""
+    found = []
+    for name in get_args(StopRuleName):
+        with contextlib.suppress(UserError):
+            model.sampling(stop_rule=name)
+            found.append(name)
+    return found

@@ -191,8 +191,8 @@ class Soak:
         elif kind == "chain":
             self.done((await self.patient({"captions": [sentence, SENTENCES[0]], "seed": seed}))[0])
         elif kind == "vary":
-            fields = {"captions": [sentence], "seed": seed, "edit": "vary", "strength": 0.3}
-            self.done((await self.patient(fields | {"motion": self.npz}))[0])
+            fields = {"captions": [sentence], "seed": seed, "strength": 0.3}
+            self.done((await self.patient(fields | {"start": self.npz}))[0])
         elif kind == "slow":
             reply, _, _ = await self.patient({"captions": [sentence], "seed": seed}, rate=50_000)
             self.done(reply)

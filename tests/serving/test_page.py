@@ -9,8 +9,10 @@ import pytest
 from axe_playwright_python import sync_playwright as axe
 from PIL import Image
 
+from t2m_jax.motion.changes import Changes
 from t2m_jax.motion.formats import load_motion
 from t2m_jax.motion.motion import Motion
+from t2m_jax.serving.schema import FileParameters, MotionBody
 from tests.export.conftest import NASTY_CAPTION, walk  # noqa: F401 - a fixture
 from tests.export.test_viewer import browser, wait_until  # noqa: F401 - a fixture
 from tests.serving.conftest import running_server
@@ -167,6 +169,47 @@ def test_files_for_download_can_be_read(open_studio, tmp_path):
     page.locator("#file-input").set_input_files(next(tmp_path.glob("*.bvh")))
     expect(page.locator(".take")).to_have_count(2)
     expect(page.locator(".take-meta").first).to_contain_text("file")
+
+
+def test_every_field_of_the_interface_has_a_control(open_studio):
+    page = open_studio()
+    controls = page.locator("[data-field]").evaluate_all("(all) => all.flatMap((e) => e.dataset.field.split(' '))")
+    assert sorted(controls) == sorted({*MotionBody.model_fields, *FileParameters.model_fields})
+    page.get_by_text("More options").click()
+    given = {"Temperature": "0.5", "Top k": "20", "Seconds": "1.5"}
+    for name, value in given.items():
+        page.get_by_role("spinbutton", name=name).fill(value)
+    page.get_by_role("combobox", name="Stop rule").select_option("argmax")
+    page.get_by_role("checkbox", name="Not cleaned").check()
+    sent = []
+    page.on("request", lambda request: sent.append(request.post_data_json) if request.url.endswith("motions") else None)
+    generate(page, WALK)
+    expected = {"temperature": 0.5, "top_k": 20, "seconds": 1.5, "stop_rule": "argmax", "raw": True, "seed": 7}
+    assert sent == [expected | {"captions": [WALK], "num_samples": 1}] and num_frames(page) == 32
+    page.get_by_role("spinbutton", name="Temperature").fill("2.1")
+    page.get_by_role("button", name="Generate").click()
+    expect(page.get_by_role("alert")).to_contain_text("Temperature: ")
+
+
+def test_a_motion_is_changed_in_the_preview_and_in_files(open_studio, tmp_path):
+    page = open_studio(may_fail=["400"])
+    generate(page, WAVE)
+    before = load_motion(download(page, "NPZ", tmp_path))
+    page.get_by_role("checkbox", name="Mirrored").check()
+    page.get_by_role("spinbutton", name="Speed factor").fill("2")
+    written = load_motion(download(page, "NPZ", tmp_path))
+    expected = Changes(mirror=True, speed=2.0).apply(before)
+    assert written.caption == expected.caption == "a person waves with the right hand"
+    np.testing.assert_allclose(written.positions, expected.positions, atol=1e-5)
+    page.get_by_role("button", name="Show the changed motion").click()
+    expect(page.locator("#take-title")).to_have_text(expected.caption)
+    expect(page.locator(".take-meta").first).to_contain_text("changed")
+    assert num_frames(page) == expected.num_frames
+    shown = load_motion(download(page, "NPZ", tmp_path))  # the controls are as before, so nothing is changed twice
+    np.testing.assert_allclose(shown.positions, expected.positions, atol=1e-5)
+    page.get_by_role("textbox", name="Path in meters").fill("0,0")
+    page.get_by_role("button", name="Download NPZ").click()
+    expect(page.get_by_role("alert")).to_contain_text("path: 1 points")
 
 
 def test_the_history_survives(open_studio):

@@ -16,8 +16,8 @@ from prometheus_client.parser import text_string_to_metric_families
 
 import t2m_jax
 from t2m_jax.serving.app import HEADERS, page_files
-from t2m_jax.serving.files import FileOptions, make_file
-from t2m_jax.serving.requests import MAX_BODY, decode_base64
+from t2m_jax.serving.files import make_file
+from t2m_jax.serving.schema import MAX_BODY, FileOptions, decode_base64
 from tests.serving.conftest import running_server, wait_until
 from tests.serving.test_files import read_back
 from tests.tiny import CAPTIONS
@@ -72,15 +72,16 @@ def test_a_seed_gives_the_same_motion_under_any_load(server):
 
 def test_requests_with_other_options_are_made_at_the_same_time(server, model):
     def ask(number: int) -> dict:
-        fields = ({}, {"variety": "low"}, {"guidance_scale": 3.0}, {"num_samples": 8})[number % 4]
+        fields = ({}, {"temperature": 0.7, "raw": True}, {"guidance_scale": 3.0}, {"num_samples": 8})[number % 4]
         return server.motions(CAPTIONS[number % 5], seed=number, **fields)
 
     with ThreadPoolExecutor(8) as threads:
         found = list(threads.map(ask, range(8)))
     assert [len(data["motions"]) for data in found] == [1, 1, 1, 8] * 2
-    for number, options in ((0, {}), (2, {"guidance_scale": 3.0}), (5, {"temperature": 0.7})):
+    for number, options in ((0, {}), (2, {"guidance_scale": 3.0}), (5, {"temperature": 0.7, "raw": True})):
         (expected,) = model.generate(CAPTIONS[number % 5], seed=number, **options)
         np.testing.assert_array_equal(motion_of(found[number]).codes, expected.codes)
+        np.testing.assert_allclose(motion_of(found[number]).positions, expected.positions, atol=1e-4)
 
 
 def test_a_chain_says_where_sentences_begin(server, model):
@@ -92,24 +93,24 @@ def test_a_chain_says_where_sentences_begin(server, model):
 
 def test_a_motion_is_changed(server):
     given = server.motions(CAPTIONS[0], seconds=3.0, seed=1)["motions"][0]
-    longer = server.motions(CAPTIONS[1], edit="continue", motion=given["npz"], seconds=0.8)["motions"][0]
+    longer = server.motions(CAPTIONS[1], start=given["npz"], seconds=0.8)["motions"][0]
     assert longer["frames"] == given["frames"] + 16
-    redone = server.motions(CAPTIONS[1], edit="redo", motion=given["npz"], span=[1.0, 2.0], num_samples=2)
+    redone = server.motions(CAPTIONS[1], start=given["npz"], span=[1.0, 2.0], num_samples=2)
     assert [motion["frames"] for motion in redone["motions"]] == [given["frames"]] * 2
-    varied = server.motions(CAPTIONS[1], edit="vary", motion=given["npz"], strength=0.5)["motions"][0]
+    varied = server.motions(CAPTIONS[1], start=given["npz"], strength=0.5)["motions"][0]
     assert varied["frames"] == given["frames"] and varied["npz"] != given["npz"]
     bvh = make_file([decode_base64(given["npz"])], FileOptions(format="bvh"))
     text = base64.b64encode(bvh).decode()
-    assert server.motions(CAPTIONS[1], edit="vary", motion=text, motion_format="bvh")["motions"][0]["frames"]
+    assert server.motions(CAPTIONS[1], start=text, start_format="bvh", strength=0.3)["motions"][0]["frames"]
 
 
 def test_an_edit_that_cannot_be_made_fails_with_one_line(server):
     given = server.motions(CAPTIONS[0], seconds=2.0)["motions"][0]["npz"]
-    fields = {"captions": [CAPTIONS[0]], "edit": "redo", "motion": given, "span": [5.0, 9.0], "seed": 2}
+    fields = {"captions": [CAPTIONS[0]], "start": given, "span": [5.0, 9.0], "seed": 2}
     name, data = server.ask("POST", "/motions", fields).events[-1]
     assert name == "failed" and data["seed"] == 2 and "span" in data["error"]
-    name, data = server.ask("POST", "/motions", fields | {"motion": "AAAA"}).events[-1]
-    assert name == "failed" and "\n" not in data["error"] and "/" not in data["error"]
+    answer = server.ask("POST", "/motions", fields | {"start": "AAAA"})
+    assert answer.status == 400 and answer.json["error"].startswith("motion.npz: ")
 
 
 def test_a_program_may_ask_for_one_answer(server):
@@ -124,7 +125,7 @@ def test_files_are_made(server):
     assert answer.headers["content-disposition"] == 'attachment; filename="motion.glb"'
     several = {"motions": [base64.b64encode(npz).decode()] * 2}
     assert server.ask("POST", "/files?format=html", several).body.lower().startswith(b"<!doctype")
-    scene = server.ask("POST", "/scene?format=npz&begin=0&end=0.5", npz).json
+    scene = server.ask("POST", "/scene?format=npz&begin=0&end=1&speed=2", npz).json
     assert scene["motion"]["frames"] == 10 and len(scene["scene"]["figures"]) == 1
 
 
@@ -173,7 +174,9 @@ def test_the_page_and_its_parts(server):
 def test_what_the_server_says_of_itself(server):
     assert server.ask("GET", "/health").json["status"] == "ok"
     model = server.ask("GET", "/model").json
-    assert model["fps"] == 20 and "walk" not in model["name"] and model["limits"]["num_samples"] == 8
+    assert (
+        model["fps"] == 20 and "walk" not in model["name"] and model["fields"]["motions"]["num_samples"]["maximum"] == 8
+    )
     server.motions(CAPTIONS[0])
     text = server.ask("GET", "/metrics").body.decode()
     assert 't2m_answers_total{result="done"}' in text and "t2m_request_seconds_bucket" in text

@@ -1,25 +1,25 @@
-// The download panel: the selected motion, or all of a take, as a file in one of several formats.
+// The download panel: the selected motion, or all of a take, changed if need be, as a file in one of several formats.
 
-import { clearMessage, create, fillSelect, find, seconds, showMessage } from "./dom.js";
-import { makeFile, ServerError } from "./server.js";
+import { clearMessage, create, find, seconds, showMessage } from "./dom.js";
+import { clearFields, complaint, makeFields, plain, readFields, wrongField } from "./fields.js";
+import { makeFile, readMotion, ServerError } from "./server.js";
+import { makeTake } from "./session.js";
 
 const TITLES = { npz: "Arrays for Python", bvh: "Skeleton for Blender, Maya …", glb: "Animated figure, glTF", gif: "Picture", mp4: "Video", png: "Poses in one picture", html: "Page with a viewer" };
-const SEVERAL = ["glb", "html", "mp4", "gif", "png"];
 
 export class DownloadPanel {
-  constructor(session, model) {
-    this.session = session;
-    this.several = model.formats_of_several ?? SEVERAL;
-    this.form = find("save");
-    find("formats").append(...model.formats.map((format) => this.#formatChoice(format)));
-    fillSelect(find("save-fps"), [["", "As it is"], ...model.fps_choices.map((fps) => [fps, fps])]);
-    fillSelect(find("save-names"), [["", "Standard"], ...model.joint_names.map((name) => [name, name])]);
-    this.form.elements.format.value = model.formats.includes("glb") ? "glb" : model.formats[0];
+  constructor(session, model, onChanged) {
+    Object.assign(this, { session, onChanged, several: model.formats_of_several, form: find("save") });
+    const formats = plain(model.fields.files.format).enum;
+    makeFields(this.form, model.fields.files, find("more-changes"));
+    find("formats").append(...formats.map((format) => this.#formatChoice(format)));
+    this.form.elements.format.value = formats.includes("glb") ? "glb" : formats[0];
     this.form.addEventListener("change", () => this.#update());
     this.form.addEventListener("submit", (event) => {
       event.preventDefault();
       this.save();
     });
+    find("apply-changes").addEventListener("click", () => this.apply());
     session.onChange(["take", "select", "span"], () => this.#update());
     this.#update();
   }
@@ -41,7 +41,7 @@ export class DownloadPanel {
     this.#offer("save-span", span !== null);
     find("save-span-text").textContent = span ? `(${seconds(span[0])} to ${seconds(span[1])})` : "";
     this.#offer("save-all", (take?.motions.length ?? 0) > 1);
-    find("save-button").disabled = motion === null || this.busy === true;
+    find("save-button").disabled = find("apply-changes").disabled = motion === null || this.busy === true;
     find("save-button").textContent = this.busy ? "Making the file …" : `Download ${this.format.toUpperCase()}`;
   }
 
@@ -53,43 +53,58 @@ export class DownloadPanel {
     input.disabled = !possible;
   }
 
-  #parameters() {
-    const parameters = { format: this.format };
-    for (const [name, id] of [["fps", "save-fps"], ["names", "save-names"], ["units", "save-units"]]) {
-      const field = find(id);
-      if (field.value && !field.closest("label").hidden) parameters[name] = field.value;
-    }
-    for (const [name, id] of [["in_place", "save-in-place"], ["loop", "save-loop"]]) {
-      if (find(id).checked) parameters[name] = "1";
-    }
+  #changes() {
     const { span } = this.session;
-    if (span && find("save-span").checked) Object.assign(parameters, { begin: span[0].toFixed(4), end: span[1].toFixed(4) });
-    return parameters;
+    const changes = readFields(find("changes"));
+    if (span && find("save-span").checked) Object.assign(changes, { begin: span[0].toFixed(4), end: span[1].toFixed(4) });
+    return changes;
   }
 
-  async save() {
-    const { take, motion } = this.session;
-    if (motion === null || this.busy) return;
+  // Does something that asks the server; meanwhile, the buttons are disabled.
+  async #work(action) {
+    const wrong = wrongField(this.form);
+    if (this.session.motion === null || this.busy) return;
     clearMessage();
+    if (wrong) {
+      showMessage(complaint(wrong));
+      wrong.focus();
+      return;
+    }
     this.busy = true;
     this.#update();
-    const chosen = !find("save-all").disabled && find("save-all").checked ? take.motions : [motion];
-    const parameters = this.#parameters();
-    // Formats for one motion become several files.
-    const files = this.several.includes(parameters.format) ? [chosen] : chosen.map((one) => [one]);
     try {
+      await action(this.session);
+    } catch (error) {
+      showMessage(error instanceof ServerError ? error.message : `This could not be done: ${error.message}`);
+    } finally {
+      this.busy = false;
+      this.#update();
+    }
+  }
+
+  // The changed motion becomes a motion of its own, which can be changed again.
+  apply() {
+    return this.#work(async ({ take, motion: { npz, seed } }) => {
+      const bytes = Uint8Array.from(atob(npz), (character) => character.charCodeAt(0));
+      const { scene, motion } = await readMotion(bytes, this.#changes());
+      clearFields(find("changes"));
+      this.onChanged(makeTake({ kind: "changed", request: { ...take.request, seed }, scene, motions: [motion], warning: take.warning }));
+    });
+  }
+
+  save() {
+    return this.#work(async ({ take, motion }) => {
+      const chosen = !find("save-all").disabled && find("save-all").checked ? take.motions : [motion];
+      const parameters = { ...readFields(this.form), ...this.#changes(), format: this.format };
+      // Formats for one motion become several files.
+      const files = this.several.includes(parameters.format) ? [chosen] : chosen.map((one) => [one]);
       for (const [number, motions] of files.entries()) {
         const blob = await makeFile(motions.map(({ npz }) => npz), parameters, (wait) => {
           find("save-button").textContent = `Busy, trying again in ${wait} s`;
         });
         saveBlob(blob, fileName(motions[0], files.length > 1 ? number + 1 : null, parameters.format));
       }
-    } catch (error) {
-      showMessage(error instanceof ServerError ? error.message : `The file could not be saved: ${error.message}`);
-    } finally {
-      this.busy = false;
-      this.#update();
-    }
+    });
   }
 }
 

@@ -4,7 +4,7 @@ import { ask, create, find, iconButton, once, showMessage } from "./dom.js";
 import { sentencesOf } from "./session.js";
 import { Store } from "./store.js";
 
-const KINDS = { new: "", file: "file", continue: "continued", redo: "part redone", vary: "varied", selection: "chosen" };
+const KINDS = { new: "", file: "file", continue: "continued", redo: "part redone", vary: "varied", changed: "changed", selection: "chosen" };
 
 export class History {
   #entries = [];

@@ -1,6 +1,7 @@
 // The panel on the left: what is made (a new motion, or a change of the selected one), and with which options.
 
 import { create, fillSelect, find, seconds, showMessage } from "./dom.js";
+import { complaint, findField, makeFields, plain, readFields, showField, wrongField } from "./fields.js";
 import { SentenceList } from "./sentences.js";
 import { sentencesOf } from "./session.js";
 
@@ -11,7 +12,7 @@ const HINTS = {
     span ? `Replaces ${seconds(span[0])} to ${seconds(span[1])}; the rest is kept.` : "Choose the part on the timeline: drag its two handles, or click a sentence.",
   vary: () => "Other versions of the selected motion.",
 };
-const LARGEST_SEED = 2 ** 32 - 1;
+const START_STRENGTH = 0.3;
 
 export class MakePanel {
   #mode = "new";
@@ -24,7 +25,7 @@ export class MakePanel {
       if (request !== null) generate(request, this.#mode);
     };
     this.sentences = new SentenceList(find("sentences"), find("add-sentence"), {
-      limit: model.limits.captions,
+      limit: model.fields.motions.captions.maxItems,
       onSubmit: this.submit,
       onInput: () => { this.#drafts[this.#mode] = this.sentences.values; },
     });
@@ -39,7 +40,8 @@ export class MakePanel {
     this.sentences.single = single;
     this.#showSentences();
     find("strength-field").hidden = mode !== "vary";
-    find("seconds-field").hidden = single;
+    showField("seconds", !single);
+    showField("candidates", mode === "redo");
     document.querySelector(`#modes [value=${mode}]`).checked = true;
   }
 
@@ -60,11 +62,17 @@ export class MakePanel {
 
   #fillOptions() {
     const { model } = this;
-    const counts = Array.from({ length: model.limits.num_samples }, (_, index) => [index + 1, index + 1]);
+    const fields = model.fields.motions;
+    plain(fields.stop_rule).enum.splice(0, Infinity, ...model.stop_rules);
+    makeFields(find("make"), fields, find("more-options"));
+    showField("stop_rule", model.stop_rules.length > 0);
+    showField("guidance_scale", model.guidance_scale !== null);
+    findField("guidance_scale").placeholder = model.guidance_scale ?? "";
+    const counts = Array.from({ length: fields.num_samples.maximum }, (_, index) => [index + 1, index + 1]);
     fillSelect(find("num-samples"), counts);
-    find("seconds").max = model.limits.seconds;
-    find("guidance-field").hidden = !model.guided;
-    if (model.guided) find("guidance").value = model.guidance_scale ?? 2;
+    const { minimum, maximum } = plain(fields.strength);
+    Object.assign(find("strength"), { min: minimum, max: maximum, value: START_STRENGTH });
+    this.largestSeed = plain(fields.seed).maximum;
     find("examples").append(...model.examples.map((text) => {
       const choose = () => {
         this.#drafts.new = [text];
@@ -77,7 +85,6 @@ export class MakePanel {
   }
 
   #showValues() {
-    find("guidance-value").textContent = Number(find("guidance").value).toFixed(2);
     find("strength-value").textContent = `${Math.round(100 * find("strength").value)} %`;
   }
 
@@ -136,19 +143,14 @@ export class MakePanel {
     const captions = this.sentences.values.map((text) => text.trim()).filter(Boolean);
     if (captions.length === 0) return this.#refuse("Write a sentence first.", this.sentences);
     const seed = find("seed").value.trim();
-    if (seed && !(/^\d+$/.test(seed) && Number(seed) <= LARGEST_SEED)) {
-      return this.#refuse(`The seed must be a whole number from 0 to ${LARGEST_SEED}, or empty.`, find("seed"));
+    if (seed && !(/^\d+$/.test(seed) && Number(seed) <= this.largestSeed)) {
+      return this.#refuse(`The seed must be a whole number from 0 to ${this.largestSeed}, or empty.`, find("seed"));
     }
-    if (!find("seconds").validity.valid) {
-      return this.#refuse(`Seconds must be a number up to ${this.model.limits.seconds}, or empty.`, find("seconds"));
-    }
+    const wrong = wrongField(find("make"));
+    if (wrong) return this.#refuse(complaint(wrong), wrong);
     if (mode === "redo" && span === null) return this.#refuse(HINTS.redo(this.session), find("begin-handle"));
-    const request = { captions, seed: seed ? Number(seed) : null, num_samples: Number(find("num-samples").value), variety: find("variety").value };
-    const strength = Number(find("guidance").value);
-    // Requests with the model's own strength can be generated in one batch with those of others.
-    if (this.model.guided && strength !== this.model.guidance_scale) request.guidance_scale = strength;
-    if (find("seconds").value && !find("seconds-field").hidden) request.seconds = Number(find("seconds").value);
-    if (mode !== "new") Object.assign(request, { edit: mode, motion: motion.npz, motion_format: "npz" });
+    const request = { captions, seed: seed ? Number(seed) : null, num_samples: Number(find("num-samples").value), ...readFields(find("make")) };
+    if (mode !== "new") request.start = motion.npz;
     if (mode === "redo") request.span = span;
     if (mode === "vary") request.strength = Number(find("strength").value);
     return request;

@@ -23,13 +23,13 @@ export function listenForFiles(model, onOpen) {
 }
 
 async function readTake(file, model) {
-  const formats = model.input_formats ?? ["npz", "bvh", "glb"];
+  const formats = model.fields.scene.format.enum;
   const format = file.name.split(".").pop().toLowerCase();
   if (!formats.includes(format)) throw new ServerError(`${file.name}: is not a motion file; open .${formats.join(", .")}`);
-  if (file.size > model.limits.body_bytes) {
-    throw new ServerError(`${file.name}: has more than ${Math.round(model.limits.body_bytes / 2 ** 20)} MB`);
+  if (file.size > model.body_bytes) {
+    throw new ServerError(`${file.name}: has more than ${Math.round(model.body_bytes / 2 ** 20)} MB`);
   }
-  const { scene, motion } = await readMotion(await file.arrayBuffer(), format);
+  const { scene, motion } = await readMotion(await file.arrayBuffer(), { format });
   return makeTake({ kind: "file", request: { seed: motion.seed, name: file.name }, scene, motions: [motion] });
 }
 

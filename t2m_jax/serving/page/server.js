@@ -103,10 +103,10 @@ export async function* requestMotions(request, { signal, onWait }) {
   }
 }
 
-// Returns {scene, motion} of a file's bytes.
-export async function readMotion(bytes, format) {
+// Returns {scene, motion} of a file's bytes; the parameters say its format and what is changed.
+export async function readMotion(bytes, parameters) {
   const options = { method: "POST", headers: { "Content-Type": "application/octet-stream" }, body: bytes };
-  return (await send(`scene?${new URLSearchParams({ format })}`, options)).json();
+  return (await send(`scene?${new URLSearchParams(parameters)}`, options)).json();
 }
 
 // Returns a blob with a file that contains the motions, which are given as base64 of .npz files.

@@ -37,7 +37,7 @@ async function start() {
   } });
   const make = new MakePanel(session, model, (request, kind) => generation.run(request, kind));
   new TakeBar(session, { onReuseSeed: (seed) => make.reuseSeed(seed), onKeep: showNew });
-  new DownloadPanel(session, model);
+  new DownloadPanel(session, model, showNew);
   showWords(model, (word) => make.sentences.insert(word));
   listenForFiles(model, showNew);
   listenForKeys({ player, timeline, session, stage, make, generation, comparison });

@@ -1,0 +1,323 @@
+"""What the HTTP interface takes and gives: pydantic models, made from the records of the library, with limits."""
+
+import base64
+import binascii
+import dataclasses
+import difflib
+import reprlib
+import secrets
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, NotRequired
+
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError, WithJsonSchema, create_model
+from typing_extensions import TypedDict
+
+from t2m_jax.errors import UserError
+from t2m_jax.motion.bvh.writer import Units
+from t2m_jax.motion.changes import Changes, path_from_text
+from t2m_jax.motion.editing import MAX_SPEED
+from t2m_jax.motion.formats import motion_formats
+from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.paths import LARGEST_TURN
+from t2m_jax.motion.rig.tables import JointNames
+from t2m_jax.records import fields_of, record_from
+from t2m_jax.sampling.request import MAX_CANDIDATES, MotionRequest
+
+MAX_TOTAL_SECONDS = 600.0
+"""Of all samples of a request, if it says how long they are, and of a file."""
+MAX_BODY = 16 * 2**20
+"""Bytes of a request: a motion of ten minutes."""
+MAX_MOTIONS = 32
+"""Motions in one file."""
+LIMITS: Mapping[str, Mapping[str, Any]] = {
+    # Tighter than those of the library, so that no user takes the server from the others.
+    "captions": {"min_length": 1, "max_length": 20},
+    "num_samples": {"ge": 1, "le": 8},
+    "seconds": {"gt": 0, "le": 60.0},
+    "guidance_scale": {"ge": 0, "le": 20.0},
+    "fps": {"ge": 1, "le": 120, "multiple_of": 1},
+    # Each set of these three is a program that must be compiled, so they have few values.
+    "temperature": {"ge": 0, "le": 2.0, "multiple_of": 0.1},
+    "top_k": {"ge": 10, "le": 100, "multiple_of": 10},
+    "top_p": {"ge": 0.1, "le": 1.0, "multiple_of": 0.1},
+    # Those of the library, for those who read the description.
+    "seed": {"ge": 0, "le": 2**32 - 1},
+    "candidates": {"ge": 1, "le": MAX_CANDIDATES},
+    "strength": {"ge": 0, "le": 1},
+    "begin": {"ge": 0},
+    "speed": {"ge": 1 / MAX_SPEED, "le": MAX_SPEED},
+    "turn": {"ge": -LARGEST_TURN, "le": LARGEST_TURN},
+}
+"""What is refused beyond the types of the fields, in pydantic's words."""
+PYTHON_ONLY = ("strategy", "max_codes")
+"""Fields that HTTP does not have: an object of Python, and a length of which each is a program of its own."""
+SEVERAL = ("glb", "html", "mp4", "gif", "png")
+"""Formats that can contain several motions."""
+InputFormat = Literal["npz", "bvh", "glb"]
+
+
+def decode_base64(text: object) -> bytes:
+    """Returns the bytes of a text in base64.
+
+    Raises:
+        ValueError: It is not base64.
+    """
+    try:
+        return base64.b64decode(text, validate=True)  # type: ignore[arg-type]
+    except (binascii.Error, ValueError, TypeError):
+        raise ValueError("is not base64") from None
+
+
+Base64 = Annotated[
+    bytes, PlainValidator(decode_base64), WithJsonSchema({"type": "string", "contentEncoding": "base64"})
+]
+PathText = Annotated[
+    tuple[tuple[float, float], ...], PlainValidator(path_from_text), WithJsonSchema({"type": "string"})
+]
+Replacement = tuple[Any, Any, str]
+"""A type, a default and a text."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FileOptions:
+    """From `POST /files` to the process that writes the file."""
+
+    format: str = "npz"
+    """Format of the file."""
+    names: JointNames | None = None
+    """Names of the joints in BVH and GLB files."""
+    units: Units | None = None
+    """Units of BVH and GLB files."""
+    changes: Changes = Changes()
+    """What is changed before."""
+
+
+def make_model(name: str, record: type, replaced: Mapping[str, Replacement]) -> type[BaseModel]:
+    """Returns a model with the fields of a record, but for those that HTTP has in another way, or not at all.
+
+    Unknown fields are refused, and numbers must be finite.
+    """
+    fields = {field.name: (field.annotation, field.default, field.text) for field in fields_of(record)}
+    fields.update(replaced)
+    annotated: dict[str, Any] = {
+        name: (
+            annotation,
+            Field(... if default is dataclasses.MISSING else default, description=text, **LIMITS.get(name, {})),
+        )
+        for name, (annotation, default, text) in fields.items()
+        if name not in PYTHON_ONLY
+    }
+    return create_model(name, __config__=ConfigDict(extra="forbid", allow_inf_nan=False), **annotated)
+
+
+_PATH: Replacement = (
+    PathText | None,
+    None,
+    'Points on the ground to walk through, such as "0,0 1,2 3,2"; meters.',
+)
+MotionBody = make_model(
+    "MotionBody",
+    MotionRequest,
+    {
+        "seed": (int | None, None, "From 0 to 2**32 - 1; by default a random one."),
+        "start": (
+            Base64 | None,
+            None,
+            "A motion to go on from. With `span` or `strength`, it is changed instead.",
+        ),
+        "start_format": (InputFormat, "npz", "Format of `start`."),
+    },
+)
+FileParameters = make_model(
+    "FileParameters", FileOptions, {"format": (Literal[motion_formats()], "npz", "Format of the file."), "path": _PATH}
+)
+SceneParameters = make_model(
+    "SceneParameters", Changes, {"format": (InputFormat, "npz", "Format of the body."), "path": _PATH}
+)
+
+
+class FileBody(BaseModel):
+    """The body of `POST /files` for several motions."""
+
+    model_config = ConfigDict(extra="forbid")
+    motions: list[Base64] = Field(min_length=1, max_length=MAX_MOTIONS, description="`.npz` files.")
+
+
+def read_body(model: type[BaseModel], body: bytes) -> dict[str, Any]:
+    """Returns the fields in a JSON body.
+
+    Raises:
+        UserError: It is not JSON, or a field is unknown, missing or has a value that cannot be used.
+    """
+    try:
+        return _given(model.model_validate_json(body, strict=True))
+    except ValidationError as error:
+        raise _explained(error, model, "request") from None
+
+
+def read_parameters(model: type[BaseModel], query: Mapping[str, str]) -> dict[str, Any]:
+    """Returns the fields in the parameters of an address.
+
+    Raises:
+        UserError: A parameter is unknown, or has a value that cannot be used.
+    """
+    try:
+        return _given(model.model_validate_strings(dict(query)))
+    except ValidationError as error:
+        raise _explained(error, model, "parameters") from None
+
+
+def _given(found: BaseModel) -> dict[str, Any]:
+    """Returns the fields that a user has given; the others have the defaults of the records."""
+    return {name: getattr(found, name) for name in found.model_fields_set}
+
+
+def _explained(error: ValidationError, model: type[BaseModel], source: str) -> UserError:
+    """Returns the first problem in one line that names the field and its value."""
+    first = error.errors()[0]
+    kind, name = first["type"], ".".join(map(str, first["loc"]))
+    if kind == "extra_forbidden":
+        near = difflib.get_close_matches(name, model.model_fields, n=1)
+        hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(model.model_fields)}"
+        return UserError(f"{source}: unknown field '{name[:100]}'; {hint}")
+    if kind == "value_error":  # of a function of ours, which may name the field
+        return UserError(f"{source}: {name}: {str(first['ctx']['error']).removeprefix(f'{name}: ')}")
+    reason = first["msg"][0].lower() + first["msg"][1:]
+    value = "" if kind in ("missing", "json_invalid", "model_type") else f", not {reprlib.repr(first['input'])}"
+    return UserError(": ".join(filter(None, (source, name, reason))) + value)
+
+
+def motion_request(fields: Mapping[str, Any], start: Motion | None) -> MotionRequest:
+    """Returns the request of a `MotionBody`, with a random seed if there is none.
+
+    Args:
+        fields: The fields of the body.
+        start: The motion in `start`.
+
+    Raises:
+        UserError: Fields do not go together, or ask for too much.
+    """
+    values = dict(fields) | {"start": start}
+    # JSON may say 0.7 as 0.7000000000000001, which would be a program of its own.
+    values |= {name: round(fields[name], 2) for name in ("temperature", "top_p") if fields.get(name) is not None}
+    if fields.get("seed") is None:
+        values["seed"] = secrets.randbelow(2**32)
+    request = record_from(MotionRequest, values)
+    if request.seconds and request.seconds * len(request.captions) * request.num_samples > MAX_TOTAL_SECONDS:
+        raise UserError(f"seconds: all motions together would be longer than {MAX_TOTAL_SECONDS:g} seconds")
+    return request
+
+
+class SceneData(TypedDict):
+    """What the viewer draws. Programs read `npz` instead."""
+
+    seconds: float
+    figures: list[dict[str, Any]]
+
+
+class MotionData(TypedDict):
+    """A motion with the bytes of its `.npz` file in base64."""
+
+    caption: str
+    seed: int | None
+    fps: float
+    frames: int
+    seconds: float
+    codes: list[list[int]] | None
+    part_starts: list[int]
+    part_captions: list[str]
+    npz: str
+
+
+class OpenedFile(TypedDict):
+    """What `POST /scene` answers with."""
+
+    scene: SceneData
+    motion: MotionData
+
+
+class ModelData(TypedDict):
+    """What the model knows, and all choices and limits: `fields` has the JSON schema of each field by request."""
+
+    name: str
+    about: str
+    license: str
+    fps: float
+    downsample: int
+    longest_seconds: float
+    guidance_scale: float | None
+    stop_rules: list[str]
+    actions: list[str]
+    words: list[str]
+    examples: NotRequired[list[str]]
+    formats_of_several: NotRequired[list[str]]
+    body_bytes: NotRequired[int]
+    fields: NotRequired[dict[str, dict[str, Any]]]
+
+
+class HealthData(TypedDict):
+    """Whether the server can generate, and how many requests wait."""
+
+    status: Literal["ok", "restarting"]
+    model: str
+    waiting: int
+
+
+class ErrorData(TypedDict):
+    """What is wrong, in one line; and after how many seconds to try again."""
+
+    error: str
+    retry_after: NotRequired[int]
+
+
+class QueuedEvent(TypedDict):
+    """The request waits. It is sent again when its position changes."""
+
+    position: int
+    seed: int
+
+
+class StartedEvent(TypedDict):
+    """The model works on the request. If its process has died, the event comes again, and codes start anew."""
+
+    seed: int
+
+
+class CodesEvent(TypedDict):
+    """Further rows of codes of a sample. `scene` has their frames, or is null while others wait."""
+
+    sample: int
+    codes: list[list[int]]
+    scene: SceneData | None
+
+
+class WarningEvent(TypedDict):
+    """A part of a sentence that the model does not know."""
+
+    message: str
+
+
+class DoneEvent(TypedDict):
+    """The last event: all motions."""
+
+    seed: int
+    scene: SceneData
+    motions: list[MotionData]
+
+
+class FailedEvent(TypedDict):
+    """The last event if there is no motion."""
+
+    error: str
+    seed: int
+
+
+EVENTS = {
+    "queued": QueuedEvent,
+    "started": StartedEvent,
+    "codes": CodesEvent,
+    "warning": WarningEvent,
+    "done": DoneEvent,
+    "failed": FailedEvent,
+}
+"""The data of each server-sent event."""
