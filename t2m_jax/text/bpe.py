@@ -12,7 +12,8 @@ from tokenizers import Tokenizer, models, normalizers, pre_tokenizers, trainers
 from t2m_jax.errors import UserError
 from t2m_jax.files import first_line, load_text, save_text
 
-PAD, UNKNOWN = "[pad]", "[unk]"
+PAD = "[pad]"
+UNKNOWN = "[unk]"
 TOKENIZER_FILE = "tokenizer.json"
 
 
@@ -41,10 +42,10 @@ def tokenize_captions(tokenizer: Tokenizer, captions: Sequence[str], *, max_leng
     """Returns tokens, padded to `max_length`. Longer captions are cut."""
     tokens = np.zeros((len(captions), max_length), np.int32)
     mask = np.zeros((len(captions), max_length), bool)
-    for row, encoding in enumerate(tokenizer.encode_batch(list(captions))):
+    for number, encoding in enumerate(tokenizer.encode_batch(list(captions))):
         ids = encoding.ids[:max_length]
-        tokens[row, : len(ids)] = ids
-        mask[row, : len(ids)] = True
+        tokens[number, : len(ids)] = ids
+        mask[number, : len(ids)] = True
     return CaptionTokens(tokens, mask)
 
 

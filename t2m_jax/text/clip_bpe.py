@@ -11,9 +11,11 @@ from t2m_jax.errors import UserError
 from t2m_jax.files import first_line, load_json, load_text
 from t2m_jax.text.bpe import TOKENIZER_FILE, load_bpe
 
-START, END = "<|startoftext|>", "<|endoftext|>"
+START = "<|startoftext|>"
+END = "<|endoftext|>"
 END_OF_WORD = "</w>"
-VOCABULARY_FILE, MERGES_FILE = "vocab.json", "merges.txt"
+VOCABULARY_FILE = "vocab.json"
+MERGES_FILE = "merges.txt"
 
 # English endings, runs of letters, single digits, and runs of anything else except spaces.
 _WORDS = Regex(r"'s|'t|'re|'ve|'m|'ll|'d|\p{L}+|\p{N}|[^\s\p{L}\p{N}]+")
@@ -45,9 +47,8 @@ def load_clip_bpe(folder: Path) -> Tokenizer:
 def _bpe_from_older_files(vocabulary_path: Path, merges_path: Path) -> Tokenizer:
     """Returns the tokenizer of a list of tokens and a list of merges."""
     vocabulary = load_json(vocabulary_path)
-    if not isinstance(vocabulary, dict) or sorted(map(repr, vocabulary.values())) != sorted(
-        map(repr, range(len(vocabulary)))
-    ):
+    numbers = sorted(map(repr, vocabulary.values())) if isinstance(vocabulary, dict) else None
+    if numbers != sorted(map(repr, range(len(vocabulary)))):
         raise UserError(f"{vocabulary_path}: not a vocabulary; each token needs its own number, from 0 without gaps")
     merges = []
     for number, line in enumerate(load_text(merges_path).split("\n"), start=1):
@@ -80,11 +81,11 @@ def clip_tokens(tokenizer: Tokenizer, captions: Sequence[str], *, max_length: in
     function also repairs HTML entities and broken encodings. This one does not: the captions of the published data
     sets have none.
     """
-    start, end = tokenizer.token_to_id(START), tokenizer.token_to_id(END)
+    start, end = map(tokenizer.token_to_id, (START, END))
     assert start is not None and end is not None, "the tokenizer is not CLIP's"
     tokens = np.full((len(captions), max_length), end, np.int32)
     tokens[:, 0] = start
-    for row, encoding in enumerate(tokenizer.encode_batch(list(captions), add_special_tokens=False)):
+    for number, encoding in enumerate(tokenizer.encode_batch(list(captions), add_special_tokens=False)):
         ids = encoding.ids[: max_length - 2]
-        tokens[row, 1 : 1 + len(ids)] = ids
+        tokens[number, 1 : 1 + len(ids)] = ids
     return tokens

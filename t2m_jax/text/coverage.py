@@ -6,25 +6,25 @@ from typing import Any, NamedTuple
 
 from t2m_jax.text.verbs import GENERIC_NOUNS, LIGHT_VERBS, SIDES, Word, word_set, words_of
 
-MIN_USES, USES_SHARE = 100, 1e-4
-"""A word is known if the captions use it this often, or in small data sets if this share of all words is it."""
-MIN_CLIPS, CLIPS_SHARE = 50, 1 / 200
-"""An action is known if the captions of this many clips have the verb, or in small data sets of this share of clips."""
+MIN_USES = 100
+"""A word is known if the captions use it this often."""
+USES_SHARE = 1e-4
+"""In small data sets, a word is known if this share of all words is it."""
+MIN_CLIPS = 50
+"""An action is known if the captions of this many clips have the verb."""
+CLIPS_SHARE = 1 / 200
+"""In small data sets, an action is known if the captions of this share of the clips have the verb."""
 MAX_NAMED = 12
 """Words that a warning names, and actions."""
 
 DIRECTIONS = word_set(
-    """
-    ahead anticlockwise anti-clockwise back backward backwards clockwise counterclockwise counter-clockwise
+    """ahead anticlockwise anti-clockwise back backward backwards clockwise counterclockwise counter-clockwise
     diagonal diagonally down downstairs downward downwards east forward forwards inward inwards north outward
-    outwards sidewards sideways south up upstairs upward upwards west
-    """
+    outwards sidewards sideways south up upstairs upward upwards west"""
 )
 NUMBERS = word_set(
-    """
-    zero two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen sixteen seventeen
-    eighteen nineteen twenty thirty forty fifty sixty seventy eighty ninety hundred thousand dozen twice thrice
-    """
+    """zero two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen sixteen seventeen
+    eighteen nineteen twenty thirty forty fifty sixty seventy eighty ninety hundred thousand dozen twice thrice"""
 )
 
 
@@ -53,15 +53,16 @@ class Coverage(NamedTuple):
 def count_actions(captions: Iterable[Sequence[str]]) -> dict[str, int]:
     """Returns the number of clips per action of their captions, the most frequent action first."""
     counts: Counter[str] = Counter()
-    for rows in captions:
-        counts.update({word.action for caption in rows for word in words_of(caption)} - LIGHT_VERBS - {""})
+    for of_clip in captions:
+        counts.update({word.action for caption in of_clip for word in words_of(caption)} - LIGHT_VERBS - {""})
     return dict(counts.most_common())
 
 
 def make_knowledge(training_data: Mapping[str, Any] | None) -> Knowledge:
     """Returns what a model knows, from the record of its training data; nothing if there is none."""
     training_data = training_data or {}
-    words, actions = training_data.get("words", {}), training_data.get("actions", {})
+    words = training_data.get("words", {})
+    actions = training_data.get("actions", {})
     uses = min(MIN_USES, USES_SHARE * sum(words.values()))
     clips = min(MIN_CLIPS, CLIPS_SHARE * training_data.get("num_clips", 0))
     return Knowledge(

@@ -38,8 +38,8 @@ def reword(caption: str, generator: np.random.Generator) -> str:
 
 def _article(words: Sequence[Word], place: int, generator: np.random.Generator) -> str:
     """Returns a word, or, before a part of the body, one that means the same there."""
-    text, after = words[place].text, words[place + 1 : place + 3]
-    is_before_part = any(not BODY_PARTS.isdisjoint(word.bases) for word in after)
+    text = words[place].text
+    is_before_part = any(not BODY_PARTS.isdisjoint(word.bases) for word in words[place + 1 : place + 3])
     return str(generator.choice(ARTICLES)) if text in ARTICLES and is_before_part else text
 
 

@@ -18,35 +18,25 @@ def word_set(words: str) -> frozenset[str]:
 
 
 DETERMINERS = word_set(
-    """
-    a an the his her its their my your our this that these those some any each every both no another other few
-    several many multiple one two three four five six seven eight nine ten
-    """
+    """a an the his her its their my your our this that these those some any each every both no another other few
+    several many multiple one two three four five six seven eight nine ten"""
 )
 PREPOSITIONS = word_set(
-    """
-    in on at to from with of by for over under around into onto through toward towards along across near behind
-    beside between like above below against off inside outside as than
-    """
+    """in on at to from with of by for over under around into onto through toward towards along across near behind
+    beside between like above below against off inside outside as than"""
 )
 CLAUSE_STARTS = word_set("and then while before after when or but who that until so if because")
 SUBJECTS = word_set("he she it they we you i somebody someone everybody everyone nobody people")
 BEFORE_BASE_FORM = word_set("they we you i people not can will would should must could may let to")
 """Words after which a verb is in its basic form. After `to`, only if it cannot be a noun: "to school"."""
 BODY_PARTS = word_set(
-    """
-    ankle arm back chest chin elbow eye face finger foot hand head heel hip knee leg mouth shoulder thigh toe
-    waist wrist
-    """
+    """ankle arm back chest chin elbow eye face finger foot hand head heel hip knee leg mouth shoulder thigh toe
+    waist wrist"""
 )
 SIDES = frozenset({"left", "right"})
 """Words that are sides in captions, never forms of `leave` or `right`."""
 AUXILIARIES = word_set("am is are was were be been being has have had does did")
-LIGHT_VERBS = word_set(
-    """
-    be begin come continue do end finish get have keep let make perform seem start take try use
-    """
-)
+LIGHT_VERBS = word_set("be begin come continue do end finish get have keep let make perform seem start take try use")
 """Verbs that say nothing about the motion; another word does."""
 PERFORMING_VERBS = word_set("do execute get give make perform take")
 """Verbs whose object is the action: "makes a jump"."""
@@ -95,9 +85,11 @@ def _actions(clause: Sequence[str]) -> list[str]:
     """Returns the basic form of each word of a clause that is an action, and empty texts for the others."""
     words = [word for word in clause if word not in CLAUSE_STARTS]
     actions = [""] * (len(clause) - len(words))  # a word that starts a clause is its first
-    has_verb, is_object = False, False
+    has_verb = False
+    is_object = False
     for index, word in enumerate(words):
-        before, after = words[index - 1] if index else "", words[index + 1 :]
+        before = words[index - 1] if index else ""
+        after = words[index + 1 :]
         has_verb = has_verb and word not in SUBJECTS
         is_verb = _is_verb(word, before, after, has_verb=has_verb)
         is_object = is_object and not is_verb and word not in PREPOSITIONS

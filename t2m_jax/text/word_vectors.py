@@ -13,11 +13,12 @@ from jaxtyping import Array, Float, Int
 
 from t2m_jax.errors import UserError
 from t2m_jax.files import load_array, load_text, reading, save_text
-from t2m_jax.text.parts_of_speech import OTHER, part_of_speech
 
 logger = logging.getLogger(__name__)
 
-START, END, UNKNOWN = "sos", "eos", "unk"
+START = "sos"
+END = "eos"
+UNKNOWN = "unk"
 MAX_WORDS = 20
 """Words of a caption that are read; the rest is cut."""
 MAX_VALUE = 1e6
@@ -26,6 +27,28 @@ MIN_COUNT = 3
 """Default number of uses in training captions that a word needs to be in the vocabulary."""
 TEXT_LENGTH = MAX_WORDS + 2
 """Width of an array of words: start, caption, end."""
+
+TAGS = ("VERB", "NOUN", "DET", "ADP", "NUM", "AUX", "PRON", "ADJ", "ADV")
+"""Tags of caption files that have a class of their own."""
+SPECIAL_WORDS = {
+    "Loc_VIP": "left right clockwise counterclockwise anticlockwise forward back backward up down straight curve",
+    "Body_VIP": "arm chin foot feet face hand mouth leg waist eye knee shoulder thigh",
+    "Obj_VIP": "stair dumbbell chair window floor car ball handrail baseball basketball",
+    "Act_VIP": """walk run swing pick bring kick put squat throw hop dance jump turn stumble stop sit lift lower raise
+        wash stand kneel stroll rub bend balance flap jog shuffle lean rotate spin spread climb""",
+    "Desc_VIP": "slowly carefully fast careful slow quickly happy angry sad happily angrily sadly",
+}
+"""Words that matter for motion (location, body, object, action, manner). Their class counts more than their tag."""
+PARTS_OF_SPEECH = (*TAGS, *SPECIAL_WORDS, "OTHER")
+"""The fifteen word classes of the evaluator (Guo et al. 2022), in the order of their numbers."""
+OTHER = PARTS_OF_SPEECH.index("OTHER")
+_CLASS_OF_WORD = {word: PARTS_OF_SPEECH.index(name) for name, words in SPECIAL_WORDS.items() for word in words.split()}
+_CLASS_OF_TAG = {tag: number for number, tag in enumerate(TAGS)}
+
+
+def part_of_speech(word: str, tag: str) -> int:
+    """Returns the class number of a word: the class of the word if it is special, else that of its tag, else OTHER."""
+    return _CLASS_OF_WORD.get(word, _CLASS_OF_TAG.get(tag, OTHER))
 
 
 class WordIds(NamedTuple):
@@ -71,20 +94,22 @@ class Vocabulary:
         kept = [token.partition("/")[::2] for token in tokens[:MAX_WORDS]]
         sentence = [(START, ""), *kept, (END, "")]
         padded = sentence + [(UNKNOWN, "")] * (TEXT_LENGTH - len(sentence))
-        words, classes = np.full(TEXT_LENGTH, self._number[UNKNOWN], np.int32), np.full(TEXT_LENGTH, OTHER, np.int32)
+        words = np.full(TEXT_LENGTH, self._number[UNKNOWN], np.int32)
+        classes = np.full(TEXT_LENGTH, OTHER, np.int32)
         for position, (word, tag) in enumerate(padded):
             if word in self._number:
-                words[position], classes[position] = self._number[word], part_of_speech(word, tag)
+                words[position] = self._number[word]
+                classes[position] = part_of_speech(word, tag)
         return WordIds(words, classes, np.array(len(sentence), np.int32))
 
     def vectorize_all(self, captions: Iterable[Sequence[str]]) -> WordIds:
-        """Returns the word numbers of several captions, one row each.
+        """Returns the word numbers of several captions.
 
         Raises:
             ValueError: There are no captions.
         """
-        rows = [self.vectorize(tokens) for tokens in captions]
-        return WordIds(*(np.stack(column) for column in zip(*rows, strict=True)))
+        found = [self.vectorize(tokens) for tokens in captions]
+        return WordIds(*(np.stack(arrays) for arrays in zip(*found, strict=True)))
 
 
 def tokens_from_text(text: str) -> tuple[str, ...]:

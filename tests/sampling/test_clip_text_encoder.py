@@ -7,7 +7,8 @@ import pytest
 from t2m_jax.checkpoints.clip import load_clip
 from t2m_jax.sampling import text_encoders
 from t2m_jax.sampling.text_encoders import MAX_BATCH, PretrainedTextEncoder, encode_clip_tokens
-from t2m_jax.text import EmbeddingCache, TextEncoder
+from t2m_jax.text.embedding_cache import EmbeddingCache
+from t2m_jax.text.encoder import TextEncoder
 from tests.clip_golden import CAPTIONS, FULL, TEXT_ONLY, golden
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from t2m_jax.checkpoints.sentence import load_sentence_encoder
 from t2m_jax.sampling.text_encoders import PretrainedTextEncoder
-from t2m_jax.text import EmbeddingCache
+from t2m_jax.text.embedding_cache import EmbeddingCache
 from t2m_jax.text.encoder import CuttingTextEncoder
 from tests.sentence_golden import BERT, CAPTIONS, FOLDERS, MPNET, ROBERTA, golden
 

@@ -4,14 +4,17 @@ import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.text.parts_of_speech import OTHER, PARTS_OF_SPEECH, SPECIAL_WORDS, part_of_speech
 from t2m_jax.text.word_vectors import (
     MAX_WORDS,
+    OTHER,
+    PARTS_OF_SPEECH,
+    SPECIAL_WORDS,
     TEXT_LENGTH,
     Vocabulary,
     load_vector_table,
     load_vocabulary,
     load_word_vectors,
+    part_of_speech,
     save_vocabulary,
     tokens_from_text,
     vocabulary_from_captions,
@@ -53,7 +56,7 @@ def test_the_rule_holds_with_any_list_that_has_the_words(golden):
 
 def test_classes_are_the_reference_s(golden):
     assert tuple(golden["pos_class_names"]) == PARTS_OF_SPEECH
-    special = {word: name for name, words in SPECIAL_WORDS.items() for word in words}
+    special = {word: name for name, words in SPECIAL_WORDS.items() for word in words.split()}
     pairs = zip(golden["vip_words"], golden["vip_class"], strict=True)
     expected = {str(word): PARTS_OF_SPEECH[number] for word, number in pairs}
     assert special == expected
