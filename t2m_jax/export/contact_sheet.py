@@ -20,8 +20,10 @@ from t2m_jax.motion.skeleton import Skeleton
 MAX_CLIPS = 200
 """Most clips on a sheet; browsers are slow with more. Of a larger data set, they are evenly spread over the names."""
 NUM_POSES = 7
-CAMERA_TURN, CAMERA_DROP = np.deg2rad(30.0), 0.22
-"""The camera stands in front of the first pose, turned to its left side, and looks down a little."""
+CAMERA_TURN = np.deg2rad(30.0)
+"""The camera is in front of the first pose, turned to its left side."""
+CAMERA_DROP = 0.22
+"""It looks down a little: centimeters that a centimeter of depth is lower in the picture."""
 
 
 def save_contact_sheet(
@@ -44,6 +46,7 @@ def save_contact_sheet(
         raise UserError(f"{dataset.folder}: skeleton {dataset.skeleton.name} has no arms and legs to draw")
     names = sorted(homes)
     count = min(len(names), MAX_CLIPS)
+    # Evenly over the sorted names, so that each kind of clip is there.
     shown = [names[place] for place in np.linspace(0, len(names) - 1, count).round().astype(int)]
     lines = [*notes, *(f"{name}: left out: {reason}" for name, reason in (left_out or {}).items())]
     parts = {
@@ -52,6 +55,7 @@ def save_contact_sheet(
         "notes": "".join(f"<li>{html.escape(line)}</li>" for line in lines),
         "clips": "".join(_card(dataset, name, split=homes[name], roles=roles) for name in shown),
     }
+    # All marks are replaced at once, because a caption may look like one.
     page = (importlib.resources.files("t2m_jax.export") / "contact_sheet.html").read_text(encoding="utf-8")
     save_text(path, re.sub(r"\{\{(\w+)\}\}", lambda mark: parts[mark[1]], page))
 
@@ -89,6 +93,7 @@ def _drawing(points: Float[np.ndarray, "P J 2"], roles: Roles) -> str:
     }
     lines = []
     for pose in points:
+        # Shoulders and hips are no chain of the skeleton, so lines across connect the limbs.
         girdle = (roles.left_arm[0], roles.right_arm[0]), (roles.left_leg[0], roles.right_leg[0])
         for kind, chains in (("spine", girdle), *limbs.items()):
             for chain in chains:
@@ -96,6 +101,7 @@ def _drawing(points: Float[np.ndarray, "P J 2"], roles: Roles) -> str:
                 lines.append(f'<polyline class="{kind}" points="{path}"/>')
         x, y = pose[roles.spine[-1]]
         lines.append(f'<circle class="spine" cx="{x:.0f}" cy="{y - 6:.0f}" r="8"/>')
-    low, high = points.min(axis=(0, 1)) - 25, points.max(axis=(0, 1)) + 15
-    box = f"{low[0]:.0f} {low[1]:.0f} {high[0] - low[0]:.0f} {high[1] - low[1]:.0f}"
+    low = points.min(axis=(0, 1)) - 25  # more than below, because the head is above its joint
+    size = points.max(axis=(0, 1)) + 15 - low
+    box = f"{low[0]:.0f} {low[1]:.0f} {size[0]:.0f} {size[1]:.0f}"
     return f'<svg viewBox="{box}" role="img" aria-label="{len(points)} poses">{"".join(lines)}</svg>'

@@ -60,6 +60,7 @@ def load_glb_file(path: Path, *, animation: str | None = None) -> Motion:
         wanted = "several animations" if animation is None else f"no animation {animation!r}"
         raise UserError(f"{path}: has {wanted}; choose one of {shorten(', '.join(clips), 200, placeholder=' ...')}")
     ((own, clip),) = chosen
+    # glTF says that Y is up. Blender's export writes "armature|animation".
     return dataclasses.replace(retarget(clip, up="y"), caption=own.rpartition("|")[2])
 
 
@@ -70,6 +71,7 @@ def load_npy(path: Path) -> Motion:
         UserError: The file is damaged, or its array does not have one of these shapes.
     """
     array = load_array(path)
+    # The widths differ, so they tell the skeleton and whether these are joints or features.
     for skeleton in SKELETONS:
         has_features = array.ndim == 2 and array.shape[1] == skeleton.feature_dim
         if not has_features and array.shape[1:] != (skeleton.num_joints, 3):

@@ -56,9 +56,10 @@ def _asset(name: str) -> str:
 def viewer_html(motions: Sequence[Motion], *, embed: bool = True) -> str:
     """Returns the viewer as an HTML page or, with `embed`, as an iframe that contains the page, for notebooks."""
     data = json.dumps(scene_record(motions), ensure_ascii=True, separators=(",", ":"))  # keeps lone surrogates
-    style, script = f"{_asset('viewer.css')}\n{stage_style()}", viewer_script("viewer.js")
-    page = _asset("viewer.html").replace("/*{{style}}*/", style)
-    page = page.replace("{{script}}", _compressed(script)).replace("{{data}}", _compressed(data)) + "\n"
+    page = _asset("viewer.html").replace("/*{{style}}*/", f"{_asset('viewer.css')}\n{stage_style()}")
+    script = _compressed(viewer_script("viewer.js"))
+    # The data come last, because a caption may contain what is replaced; in base64, it cannot.
+    page = page.replace("{{script}}", script).replace("{{data}}", _compressed(data)) + "\n"
     return notebook_frame(page) if embed else page
 
 
@@ -75,8 +76,10 @@ def _figure_record(figure: Figure) -> dict[str, Any]:
     """
     num_frames, num_points, _ = figure.points.shape
     axes = np.ascontiguousarray(figure.points.reshape(-1, 3).T)  # along contiguous values NumPy is much faster
-    low, high = axes.min(axis=1), axes.max(axis=1)
+    low = axes.min(axis=1)
+    high = axes.max(axis=1)
     origin = (low + high).astype(np.float64) / 2
+    # 16 bits for the largest coordinate, but no finer than anybody can see: small steps compress badly.
     step = max(float((high - low).max()) / 2 / 32767, FINEST_STEP)
     steps = np.rint((figure.points - origin) / step).clip(-32767, 32767).astype("<i2").reshape(num_frames, -1).T
     for _ in range(2):

@@ -124,6 +124,7 @@ def save_pieces(path: str | Path, pieces: Iterable[Motion]) -> int:
             starts += [frames + start for start in piece.part_starts]
             captions += piece.part_captions
             frames += piece.num_frames
+            # Only the bytes: `np.save` would need the final length in its header.
             for key in GROWING:
                 if getattr(piece, key) is not None:
                     grown[key].write(np.ascontiguousarray(getattr(piece, key)).data)

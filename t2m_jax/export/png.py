@@ -26,6 +26,7 @@ def save_png(path: Path, motions: Sequence[Motion]) -> None:
     """
     if len(motions) > MAX_ROWS:
         raise UserError(f"{path}: {len(motions)} motions are too many for a contact sheet; give at most {MAX_ROWS}")
+    # A single motion has room for its paths, which tell more than a row of poses.
     if len(motions) == 1:
         picture = render_trails(motions[0])
     else:

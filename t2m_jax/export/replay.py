@@ -52,7 +52,8 @@ def write_replay(
         name="replay", skeleton=model.skeleton.name, fps=model.skeleton.fps, licence=model.license, source=model.source
     )
     splits: dict[str, list[str]] = {"train": []}
-    left_out, num_frames = {}, 0
+    left_out = {}
+    num_frames = 0
     with new_folder(destination) as folder:
         for number, motion in enumerate(_generate(model, known, num_clips, seed=seed)):
             name = f"replay_{number:05d}"

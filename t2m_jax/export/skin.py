@@ -38,7 +38,8 @@ def make_skin(rest: Float[np.ndarray, "J 3"], skeleton: Skeleton) -> list[SkinPa
     scale = figure_scale(rest[None], skeleton)
     pieces: dict[Tint, list[SkinPart]] = {tint: [] for tint in TINTS}
     for part in body_from_skeleton(skeleton).parts:
-        start, end = points[part.start], points[part.end]
+        start = points[part.start]
+        end = points[part.end]
         joint = _owner((start + end) / 2, rest, skeleton)
         lift = SOLE * scale if joint in (*skeleton.left_foot, *skeleton.right_foot) else 0.0
         positions, normals = _capsule(start, end, part.start_radius * scale, part.end_radius * scale)
@@ -50,7 +51,8 @@ def make_skin(rest: Float[np.ndarray, "J 3"], skeleton: Skeleton) -> list[SkinPa
 
 def _owner(place: Float[np.ndarray, " 3"], rest: Float[np.ndarray, "J 3"], skeleton: Skeleton) -> int:
     """Returns the joint that moves what is at a place: that of the nearest bone from a joint to its child."""
-    best, owner = np.inf, 0
+    best = np.inf
+    owner = 0
     for joint, parent in enumerate(skeleton.parents):
         bones = [(parent, rest[parent], rest[joint])] if parent >= 0 else []
         if parent >= 0 and not skeleton.children(joint):
@@ -59,8 +61,10 @@ def _owner(place: Float[np.ndarray, " 3"], rest: Float[np.ndarray, "J 3"], skele
             along = end - start
             share = np.clip((place - start) @ along / max(along @ along, 1e-12), 0, 1)
             distance = float(np.linalg.norm(place - start - share * along))
+            # Both bones of a joint may be equally near; rounding must not choose between them.
             if distance < best - 1e-9:
-                best, owner = distance, moving
+                best = distance
+                owner = moving
     return owner
 
 
@@ -70,7 +74,9 @@ def _capsule(
     """Returns positions and normals of the rings of a limb with round ends."""
     axis = end - start
     length = np.linalg.norm(axis)
+    # A limb of no length is a ball, whose axis may be any.
     axis = axis / length if length > 1e-9 else np.array([0.0, 1.0, 0.0])
+    # Across the coordinate axis that is the least along the limb.
     side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
     side /= np.linalg.norm(side)
     around = 2 * np.pi * np.arange(SIDES) / SIDES
@@ -80,14 +86,16 @@ def _capsule(
     normals = np.cos(angles) * radial + np.sin(angles) * axis
     half = CAP_RINGS * SIDES
     normals = normals.reshape(-1, 3)
-    centers, radii = np.repeat([start, end], half, axis=0), np.repeat([start_radius, end_radius], half)
+    centers = np.repeat([start, end], half, axis=0)
+    radii = np.repeat([start_radius, end_radius], half)
     return centers + radii[:, None] * normals, normals
 
 
 def _triangles(num_vertices: int) -> Int[np.ndarray, "F 3"]:
     """Returns the triangles between rings, seen from outside against the clock."""
     ring, corner = np.divmod(np.arange(num_vertices - SIDES), SIDES)
-    here, beside = ring * SIDES + corner, ring * SIDES + (corner + 1) % SIDES
+    here = ring * SIDES + corner
+    beside = ring * SIDES + (corner + 1) % SIDES
     lower = np.stack([here, beside, here + SIDES], axis=1)
     return np.concatenate([lower, np.stack([beside, beside + SIDES, here + SIDES], axis=1)])
 

@@ -5,7 +5,7 @@ import pytest
 
 from t2m_jax.errors import UserError
 from t2m_jax.export.render.figure import body_from_skeleton, figure_points, figure_scale
-from t2m_jax.export.render.scene import SOLE, figure_from_motion, scene_from_motions
+from t2m_jax.export.render.scene import SOLE, figure_from_motion, figures_from_motions
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 
@@ -54,17 +54,16 @@ def test_feet_stand_on_the_ground(walk):
 
 
 def test_several_figures_keep_apart_in_order(walk, kit_walk):
-    alone = scene_from_motions([walk]).figures[0]
+    alone = figures_from_motions([walk])[0]
     np.testing.assert_array_equal(alone.points, figure_from_motion(walk).points)
-    scene = scene_from_motions([walk, kit_walk, walk])
-    middles = [np.ptp(f.points[..., 0]) / 2 + f.points[..., 0].min() for f in scene.figures]
+    three = figures_from_motions([walk, kit_walk, walk])
+    middles = [np.ptp(f.points[..., 0]) / 2 + f.points[..., 0].min() for f in three]
     assert np.all(np.diff(middles) > 1.0)
-    assert scene.seconds == max(walk.seconds, kit_walk.seconds)
-    many = scene_from_motions([walk] * 12).figures
+    many = figures_from_motions([walk] * 12)
     starts = np.array([figure.points[0, 0, [0, 2]] for figure in many])
     assert min(np.linalg.norm(a - b) for i, a in enumerate(starts) for b in starts[:i]) > 1.0
     with pytest.raises(UserError, match="at least one"):
-        scene_from_motions([])
+        figures_from_motions([])
 
 
 def test_a_skeleton_without_human_limbs_is_drawn_bone_by_bone(walk):

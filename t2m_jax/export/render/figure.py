@@ -114,13 +114,14 @@ def body_from_skeleton(skeleton: Skeleton) -> Body:
     head = _add_head(builder, roles, skeleton)
     weights = np.stack(builder.rows)
     face = len(weights)
+    # The two points of the face come after all weighted points (see `figure_points`).
     builder.add(face, face + 1, 0.036, 0.036, "face")
     return Body(weights, tuple(builder.parts), head, face)
 
 
 def _add_limbs(builder: _BodyBuilder, arm: tuple[int, ...], leg: tuple[int, ...], tint: Tint) -> None:
     """Adds an arm with a mitten as hand, and a leg with calf, heel and toes."""
-    shoulder, elbow, wrist = arm[0], arm[1], arm[2]
+    shoulder, elbow, wrist = arm[:3]
     swell = builder.between(elbow, wrist, 0.25)
     palm = builder.between(elbow, wrist, 1.22)
     fingers = builder.between(elbow, wrist, 1.5)
@@ -129,7 +130,8 @@ def _add_limbs(builder: _BodyBuilder, arm: tuple[int, ...], leg: tuple[int, ...]
     builder.add(swell, wrist, 0.040, 0.026, tint)
     builder.add(wrist, palm, 0.026, 0.037, tint)
     builder.add(palm, fingers, 0.037, 0.019, tint)
-    hip, knee, ankle, toe = leg[0], leg[1], leg[2], leg[-1]
+    hip, knee, ankle = leg[:3]
+    toe = leg[-1]
     calf = builder.between(knee, ankle, 0.27)
     heel = builder.blend(**{f"p{ankle}": 1.38, f"p{knee}": -0.12, f"p{toe}": -0.26})
     tip = builder.between(heel, toe, 1.28)
@@ -178,11 +180,13 @@ def _add_head(builder: _BodyBuilder, roles: Roles, skeleton: Skeleton) -> int:
 
     def above(distance: float) -> int:
         """Returns the point `distance` meters beyond the last joint, in a direction between those of neck and trunk."""
-        along_trunk, along_neck = 0.6 * distance / trunk_length, 0.4 * distance / neck_length
+        along_trunk = 0.6 * distance / trunk_length
+        along_neck = 0.4 * distance / neck_length
         joints = {f"p{tip}": 1 + along_neck, f"p{neck}": along_trunk - along_neck, f"p{chest}": -along_trunk}
         return builder.blend(**joints)
 
-    jaw, crown = above(0.012), above(0.092)
+    jaw = above(0.012)
+    crown = above(0.092)
     builder.add(neck, tip, 0.055, 0.050, "body")
     builder.add(jaw, crown, 0.070, 0.096, "body")
     return above(0.062)
@@ -196,6 +200,7 @@ def figure_scale(positions: Float[np.ndarray, "T J 3"], skeleton: Skeleton) -> f
         return max(height, 1e-3) / (2 * REFERENCE_LEG)
     bones = [leg[joint : joint + 2] for leg in (roles.left_leg, roles.right_leg) for joint in (0, 1)]
     lengths = [np.linalg.norm(positions[:, end] - positions[:, start], axis=-1) for start, end in bones]
+    # The median, because a decoder stretches bones in single frames.
     return max(float(np.median(np.sum(lengths, axis=0))) / 2, 1e-3) / REFERENCE_LEG
 
 

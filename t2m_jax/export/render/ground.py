@@ -71,13 +71,15 @@ def draw_ground(ground: Ground, view: View) -> Image.Image:
     lines = np.zeros((2, 2, len(offsets), 3))  # along x or z, start or end, line, coordinate
     for family, (along, across) in zip(lines, ((0, 2), (2, 0)), strict=True):
         family[:, :, across] = middle[across] + offsets
-        family[0, :, along], family[1, :, along] = middle[along] - span, middle[along] + span
+        family[0, :, along] = middle[along] - span
+        family[1, :, along] = middle[along] + span
     # Lines are cut half a meter in front of the camera. Those that are completely behind it become points.
     depths = -(lines - view.eye) @ back
     change = depths[:, 1] - depths[:, 0]
     crossing = np.clip((0.5 - depths[:, 0]) / np.where(np.abs(change) < 1e-9, 1e-9, change), 0, 1)[..., None]
     cuts = lines[:, 0] + crossing * (lines[:, 1] - lines[:, 0])
     spots = 2 * project(view, np.where((depths < 0.5)[..., None], cuts[:, None], lines))[..., :2]
+    # Pillow's lines have hard edges; they become smooth when the mask is made smaller by two.
     mask = Image.new("L", (2 * view.width, 2 * view.height))
     draw = ImageDraw.Draw(mask)
     thickness = max(round(view.height / 300), 1)
@@ -92,6 +94,7 @@ def draw_ground(ground: Ground, view: View) -> Image.Image:
 
 def add_shadows(picture: Image.Image, view: View, figures: Sequence[tuple[Figure, Float[np.ndarray, "_ 3"]]]) -> None:
     """Darkens the picture in the shadows of the figures."""
+    # Shadows are soft, so half of the size is enough.
     mask = Image.new("L", (view.width // 2, view.height // 2))
     draw = ImageDraw.Draw(mask)
     for figure, points in figures:

@@ -129,6 +129,7 @@ def draw_capsule(canvas: Canvas, start: Ball, end: Ball, table: int) -> Edge | N
     solid = (cover >= 1) & (depths < flat_depths[places])
     flat_depths[places[solid]] = depths[solid]
     canvas.shades.reshape(-1)[places[solid]] = shades[solid]
+    # Edges are blended after all limbs are drawn, when it is known what is behind them.
     soft = np.flatnonzero(cover < 1)
     return Edge(places[soft], cover[soft], depths[soft], shades[soft])
 
@@ -165,6 +166,7 @@ def _inside(x: Float[np.ndarray, "1 W"], y: Float[np.ndarray, "H 1"], hull: _Hul
     length = max(math.hypot(dx, dy), 1e-3)
     slope = min(max((start_radius - end_radius) / length, -0.999), 0.999)
     lean = slope / math.sqrt(1 - slope * slope)
+    # In place from here on, because it runs for every limb of every frame.
     share = np.abs(x * (dy / length) - y * (dx / length))
     share *= -lean / length
     share += x * (dx / length**2) + y * (dy / length**2)
@@ -188,7 +190,7 @@ def _surface(
     """
     dx, dy, dz, start_radius, end_radius = hull
     span = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-3)
-    ux, uy, uz = dx / span, dy / span, dz / span
+    ux, uy, uz = (length / span for length in (dx, dy, dz))
     slope = min(max((start_radius - end_radius) / span, -0.98), 0.98)
     cosine2 = 1 - slope * slope
     quadratic = 1 - uz * uz / cosine2

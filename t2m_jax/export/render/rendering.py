@@ -28,8 +28,8 @@ from t2m_jax.export.render.rasterizer import (
     empty_canvas,
     make_shade_tables,
 )
-from t2m_jax.export.render.scene import Figure, scene_from_motions
-from t2m_jax.export.render.view import View, project, sample_figure, smooth_path, views_of_scene
+from t2m_jax.export.render.scene import Figure, figures_from_motions
+from t2m_jax.export.render.view import View, project, sample_figure, smooth_path, views_of_figures
 from t2m_jax.motion.motion import Motion
 
 TINT_COLORS: dict[Tint, str] = {"body": "#e4ddd2", "left": "#8dbfd2", "right": "#eeb08d", "face": "#27303c"}
@@ -67,23 +67,23 @@ def render_film(motions: Sequence[Motion], *, height: int, max_fps: float) -> Fi
         height: Height of the pictures in pixels.
         max_fps: Faster motions are shown at 1/2, 1/3, … of their rate.
     """
-    scene = scene_from_motions(motions)
-    longest = max(scene.figures, key=lambda figure: len(figure.points) / figure.fps)
+    figures = figures_from_motions(motions)
+    longest = max(figures, key=lambda figure: len(figure.points) / figure.fps)
     stride = int(np.ceil(longest.fps / max_fps - 1e-6)) if longest.fps > max_fps else 1
     fps = longest.fps / stride
     num_frames = -(-len(longest.points) // stride)
-    count = len(scene.figures)
+    count = len(figures)
     width, height = size = picture_size(count, height)
     # A single caption gets the foot of the picture; several captions share its width.
     letters, lines = (round(height / 27), 3) if count == 1 else (max(round(height / 34), 10), 2)
     room = round((0.94 if count == 1 else 0.86) * width / min(count, 6))
     tracks = []
-    for figure in scene.figures:
+    for figure in figures:
         points = sample_figure(figure, num_frames, fps)
         path = smooth_path(points[:, 0].astype(np.float64), max(round(0.12 * fps), 1))
         label = make_label(figure.caption, size=letters, width=room, max_lines=lines)
         tracks.append(_FilmedFigure(figure, points, path, label))
-    views = views_of_scene(scene, np.stack([track.points[:, 0] for track in tracks], axis=1), fps, size)
+    views = views_of_figures(figures, np.stack([track.points[:, 0] for track in tracks], axis=1), fps, size)
     ground = make_ground(views[0])
     tables = shade_tables(views[0])
 
@@ -175,10 +175,12 @@ def _draw_labels(picture: Image.Image, view: View, tracks: Sequence[_FilmedFigur
         if label is None:
             continue
         if len(tracks) == 1:
-            left, top = (picture.width - label.width) / 2, 0.97 * picture.height - label.height
+            left = (picture.width - label.width) / 2
+            top = 0.97 * picture.height - label.height
         else:
             x, y, _ = project(view, track.path[frame] * [1, 0, 1] + [0, 2.0, 0]).tolist()
-            left, top = x - label.width / 2, y - label.height
+            left = x - label.width / 2
+            top = y - label.height
         placed.append((left, top, label))
     edges: list[tuple[float, float]] = []
     for left, top, label in sorted(placed, key=lambda place: place[0]):

@@ -20,8 +20,12 @@ FLOOR_TOLERANCE = 0.1
 HUMAN_SCALES = (0.7, 1.4)
 """Figures outside this range, relative to the reference figure, are scaled to its size (KIT-ML's is 1 m tall)."""
 
-CONTACT_HEIGHT, CONTACT_SPEED, CONTACT_SECONDS = 0.09, 0.35, 0.1
-"""A foot stands if its toes are below this height in meters, and slower than this in m/s, for this time."""
+CONTACT_HEIGHT = 0.09
+"""A foot stands if its toes are lower than this; meters."""
+CONTACT_SPEED = 0.35
+"""And slower than this; meters per second."""
+CONTACT_SECONDS = 0.1
+"""For at least this time."""
 
 LANE_WIDTHS = (1.3, 3.0)
 """Smallest and largest width of one figure's lane along X, in meters."""
@@ -49,16 +53,8 @@ class Figure(NamedTuple):
     contacts: tuple[Contact, ...]
 
 
-class Scene(NamedTuple):
-    """Figures in a common space, in the order of the samples."""
-
-    figures: tuple[Figure, ...]
-    seconds: float
-    """Duration of the longest figure."""
-
-
-def scene_from_motions(motions: Sequence[Motion]) -> Scene:
-    """Returns the figures of all motions. A single figure keeps its place. Several get a lane each.
+def figures_from_motions(motions: Sequence[Motion]) -> list[Figure]:
+    """Returns the figures of all motions in a common space. A single figure keeps its place. Several get a lane each.
 
     Lanes go from left to right as seen from +Z, in rows of about six.
     """
@@ -66,9 +62,11 @@ def scene_from_motions(motions: Sequence[Motion]) -> Scene:
         raise UserError("there is no motion to draw; give at least one")
     figures = [figure_from_motion(motion) for motion in motions]
     if len(figures) == 1:
-        return Scene((figures[0],), len(figures[0].points) / figures[0].fps)
+        return figures
+    # Rows of 1.6 times as many figures as there are rows, which is about the shape of a picture.
     columns = len(figures) if len(figures) <= 6 else math.ceil(math.sqrt(1.6 * len(figures)))
     starts, ends = (np.array([bound(f.points[..., 0]) for f in figures]) for bound in (np.min, np.max))
+    # A lane has room for the whole way of its figure, but a runner does not push the others out of the picture.
     widths = np.clip(ends - starts + 0.3, *LANE_WIDTHS)
     moved = []
     for row in range(0, len(figures), columns):
@@ -76,13 +74,11 @@ def scene_from_motions(motions: Sequence[Motion]) -> Scene:
         for column, figure in enumerate(figures[row : row + columns]):
             number = row + column
             center = lane_ends[column] - widths[number] / 2 - lane_ends[-1] / 2
-            shift = [
-                center - (starts[number] + ends[number]) / 2,
-                0.0,
-                -2.2 * (row // columns) - figure.points[0, 0, 2],
-            ]
-            moved.append(figure._replace(points=figure.points + np.asarray(shift, np.float32)))
-    return Scene(tuple(moved), max(len(figure.points) / figure.fps for figure in moved))
+            # All begin at the same depth; what they walk after that stays.
+            x = center - (starts[number] + ends[number]) / 2
+            z = -2.2 * (row // columns) - figure.points[0, 0, 2]
+            moved.append(figure._replace(points=figure.points + np.array([x, 0.0, z], np.float32)))
+    return moved
 
 
 def figure_from_motion(motion: Motion) -> Figure:
@@ -92,7 +88,8 @@ def figure_from_motion(motion: Motion) -> Figure:
         positions = positions * [-1.0, 1.0, 1.0]
     scale = figure_scale(positions, motion.skeleton)
     if not HUMAN_SCALES[0] <= scale <= HUMAN_SCALES[1]:
-        positions, scale = positions / scale, 1.0
+        positions = positions / scale
+        scale = 1.0
     lowest = float(positions[..., 1].min())
     floor = lowest if abs(lowest) > FLOOR_TOLERANCE else 0.0
     points = figure_points(positions.astype(np.float32), motion.skeleton)
@@ -109,7 +106,9 @@ def figure_from_motion(motion: Motion) -> Figure:
 def _contacts(foot: Float[np.ndarray, "T 3"], fps: float, scale: float) -> list[Contact]:
     """Returns when and where the toes of a foot are low and still."""
     speed = np.linalg.norm(np.gradient(foot, axis=0), axis=1) * fps if len(foot) > 1 else np.zeros(len(foot))
+    # At the size of a person; a smaller figure has slower and lower feet.
     stands = (foot[:, 1] < CONTACT_HEIGHT * scale) & (speed < CONTACT_SPEED * scale)
+    # Padding with False makes each run of True have a beginning and an end.
     edges = np.flatnonzero(np.diff(np.pad(stands.astype(int), 1)))
     spans = [(int(first), int(end)) for first, end in edges.reshape(-1, 2) if end - first >= CONTACT_SECONDS * fps]
     return [Contact(first, end - 1, *map(float, foot[first:end, [0, 2]].mean(axis=0))) for first, end in spans]

@@ -10,8 +10,8 @@ from t2m_jax.export.render.figure import roles_from_skeleton
 from t2m_jax.export.render.ground import ACCENTS, add_trail, draw_ground, make_ground
 from t2m_jax.export.render.labels import make_label
 from t2m_jax.export.render.rendering import draw_figures, picture_size, shade_tables
-from t2m_jax.export.render.scene import Figure, Scene, figure_from_motion
-from t2m_jax.export.render.view import YAW_OF_SEVERAL, View, project, views_of_scene
+from t2m_jax.export.render.scene import Figure, figure_from_motion
+from t2m_jax.export.render.view import YAW_OF_SEVERAL, View, project, views_of_figures
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rotations import matrix_from_euler
 from t2m_jax.motion.skeleton import Skeleton
@@ -41,8 +41,8 @@ def render_trails(motion: Motion, *, height: int = 720) -> Image.Image:
     figure = _from_the_side(figure_from_motion(motion))
     frames = _poses(figure.points[:, 0])
     size = picture_size(len(frames), height)
-    scene = Scene(tuple(figure._replace(points=figure.points[[frame]]) for frame in frames), 0.0)
-    (view,) = views_of_scene(scene, figure.points[frames, 0][None].astype(np.float64), figure.fps, size)
+    poses = [figure._replace(points=figure.points[[frame]]) for frame in frames]
+    (view,) = views_of_figures(poses, figure.points[frames, 0][None].astype(np.float64), figure.fps, size)
     paths = figure.points[:, _ends_of_limbs(motion.skeleton)]
     view = _with_all(view, np.concatenate([part.reshape(-1, 3) for part in (figure.points[frames], paths)]))
     picture = draw_ground(make_ground(view), view)
@@ -60,7 +60,9 @@ def _with_all(view: View, points: Float[np.ndarray, "N 3"]) -> View:
     margin = MARGIN * view.height
     for _ in range(MOST_STEPS):
         spots = project(view, points)
-        (left, top, depth), (right, bottom, _) = spots.min(axis=0), spots.max(axis=0)
+        left, top, depth = spots.min(axis=0)
+        right, bottom, _ = spots.max(axis=0)
+        # Sideways first: a motion that is not in the middle needs less distance after it.
         aside = (left + right - view.width) / 2 * spots[:, 2].mean() / view.focal
         view = view._replace(eye=view.eye + aside * view.axes[0])
         if right - left <= view.width - 2 * margin and top >= margin and bottom <= view.height - margin:
@@ -72,10 +74,12 @@ def _with_all(view: View, points: Float[np.ndarray, "N 3"]) -> View:
 def _from_the_side(figure: Figure) -> Figure:
     """Returns the figure, turned so that it goes across the picture, if it travels. A curve bends away from the eye."""
     path = figure.points[:, 0]
-    way, middle = path[-1] - path[0], path.mean(axis=0) - path[0]
+    way = path[-1] - path[0]
+    middle = path.mean(axis=0) - path[0]
     length = math.hypot(way[0], way[2])
     if length < APART:
         return figure
+    # The cross product of the way and the mean place: its sign is the side to which the path bends.
     bends_to_the_eye = way[0] * middle[2] - way[2] * middle[0] > BEND * length
     angle = math.atan2(way[2], way[0]) + YAW_OF_SEVERAL + math.pi * bends_to_the_eye
     turn = matrix_from_euler(np.array([angle, 0.0, 0.0]), "YXZ")
@@ -89,6 +93,7 @@ def _poses(path: Float[np.ndarray, "T 3"]) -> list[int]:
     count = min(1 + int(length / APART), MOST_POSES)
     if count == 1:
         return [len(path) // 2]
+    # At equal parts of the path, not of the time, so that figures do not crowd where the motion is slow.
     gone = np.concatenate([[0.0], np.cumsum(steps)])
     return np.searchsorted(gone, np.linspace(0, gone[-1], count)).clip(0, len(path) - 1).tolist()
 

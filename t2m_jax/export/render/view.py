@@ -1,12 +1,13 @@
 """The camera of rendered pictures, which follows the figures smoothly without turning."""
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.export.render.scene import Figure, Scene
+from t2m_jax.export.render.scene import Figure
 
 FIELD_OF_VIEW = 0.6
 """Vertical angle of view in radians."""
@@ -14,8 +15,10 @@ FIELD_OF_VIEW = 0.6
 PITCH = 0.22
 """Downward angle of the camera in radians."""
 
-YAW, YAW_OF_SEVERAL = 0.5, 0.22
-"""Directions from which the camera sees one figure and several, in radians from +Z towards +X."""
+YAW = 0.5
+"""Direction from which the camera sees one figure, in radians from +Z towards +X."""
+YAW_OF_SEVERAL = 0.22
+"""The same for several figures, which hide each other if they are seen from the side."""
 
 STANDSTILL = 1.2
 """Meters. If the figures move less than this, the camera does not move."""
@@ -47,6 +50,7 @@ def project(view: View, points: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, 
 def smooth_path(path: Float[np.ndarray, "T K"], reach: int) -> Float[np.ndarray, "T K"]:
     """Returns the path after two moving averages over `reach` frames on each side. The ends are repeated as padding."""
     window = np.full(2 * reach + 1, 1 / (2 * reach + 1))
+    # Twice the same box is a triangle, after which the velocity has no jumps.
     for _ in range(2):
         padded = np.pad(path, ((reach, reach), (0, 0)), mode="edge")
         path = np.stack([np.convolve(column, window, mode="valid") for column in padded.T], axis=-1)
@@ -58,28 +62,34 @@ def sample_figure(figure: Figure, num_frames: int, fps: float) -> Float[np.ndarr
     moments = np.minimum(np.arange(num_frames) / fps * figure.fps, len(figure.points) - 1)
     before = np.floor(moments + 1e-6).astype(int)
     after = np.minimum(before + 1, len(figure.points) - 1)
+    # 1e-6 above: a moment on a frame may be rounded to just below it.
     weight = np.maximum(moments - before, 0).astype(np.float32)[:, None, None]
     return figure.points[before] * (1 - weight) + figure.points[after] * weight
 
 
-def views_of_scene(scene: Scene, roots: Float[np.ndarray, "T N 3"], fps: float, size: tuple[int, int]) -> list[View]:
+def views_of_figures(
+    figures: Sequence[Figure], roots: Float[np.ndarray, "T N 3"], fps: float, size: tuple[int, int]
+) -> list[View]:
     """Returns one view per frame, which shows all figures and follows the mean of their roots.
 
     The lower 6 % of the picture are left for a caption.
     """
     width, height = size
     middle = roots.mean(axis=1)
-    low, high = middle.min(axis=0), middle.max(axis=0)
+    low = middle.min(axis=0)
+    high = middle.max(axis=0)
     if np.hypot(*(high - low)[[0, 2]]) < STANDSTILL:
         targets = np.broadcast_to((low + high) / 2, middle.shape)
     else:
         targets = smooth_path(middle, max(round(SMOOTHING_SECONDS * fps), 1))
-    top = max(float(figure.points[..., 1].max()) for figure in scene.figures)
+    top = max(float(figure.points[..., 1].max()) for figure in figures)
+    # How far figures get from the point that the camera follows, along X and Z.
     strays = np.abs(roots - targets[:, None])[..., [0, 2]].max(axis=(0, 1))
     half = math.tan(FIELD_OF_VIEW / 2)
-    yaw = YAW if len(scene.figures) == 1 else YAW_OF_SEVERAL
+    yaw = YAW if len(figures) == 1 else YAW_OF_SEVERAL
     across = float(strays @ [math.cos(yaw), math.sin(yaw)]) + 0.65
     up = max(0.56 * top, 0.95) + 0.12 + 0.1 * float(strays[1])
+    # The distance at which both the height and the width fit the angle of view.
     distance = max(up / half, across / (half * width / height)) + 0.3
     back = np.array([math.sin(yaw) * math.cos(PITCH), math.sin(PITCH), math.cos(yaw) * math.cos(PITCH)])
     right = np.array([math.cos(yaw), 0.0, -math.sin(yaw)])

@@ -47,7 +47,7 @@ function bodyGeometry(parts, lengths) {
   return geometry;
 }
 
-class Body {
+class BodyMesh {
   constructor(figure) {
     this.figure = figure;
     poseAt(figure, 0);

@@ -2,7 +2,7 @@
 
 const FIELD_OF_VIEW = 34;  // degrees
 
-class View {
+class OrbitView {
   constructor() {
     this.follow = true;
     this.reset();

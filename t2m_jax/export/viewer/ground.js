@@ -42,7 +42,7 @@ function ribbonGeometry(path) {
   return geometry;
 }
 
-class Ground {
+class GroundMesh {
   constructor(figure) {
     this.figure = figure;
     const plane = () => new THREE.PlaneGeometry(14, 14).rotateX(-Math.PI / 2);

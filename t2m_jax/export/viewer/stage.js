@@ -43,7 +43,7 @@ function columnsFor(count, width, height) {
 }
 
 // One figure with its ground, light and camera, in an element of the page.
-class Cell {
+class FigureCell {
   constructor(parent, figure, number) {
     this.element = addElement(parent, "div", "stage-cell");
     this.element.dataset.number = number;
@@ -59,8 +59,8 @@ class Cell {
   build(figure) {
     this.figure = figure;
     this.scene = new THREE.Scene();
-    this.body = new Body(figure);
-    this.ground = new Ground(figure);
+    this.body = new BodyMesh(figure);
+    this.ground = new GroundMesh(figure);
     this.framing = new Framing(figure);
     this.sky = new THREE.HemisphereLight();
     this.sun = new THREE.DirectionalLight();
@@ -111,7 +111,7 @@ class Stage {
     this.grid = addElement(container, "div", "stage-grid");
     Object.assign(this, { cells: [], seconds: 0, onchange: () => {}, onselect: () => {} });
     Object.assign(this, { moment: 0, rate: 1, running: false, span: null, dirty: true, last: null, ended: false });
-    this.view = new View();
+    this.view = new OrbitView();
     this.cleanups = [];
     try {
       this.renderer = new THREE.WebGLRenderer({ canvas: this.canvas, antialias: true, alpha: true });
@@ -133,7 +133,7 @@ class Stage {
   show(scene) {
     this.clear();
     this.seconds = scene.seconds;
-    if (this.renderer) this.cells = scene.figures.map((record, k) => new Cell(this.grid, unpackFigure(record), k));
+    if (this.renderer) this.cells = scene.figures.map((record, k) => new FigureCell(this.grid, unpackFigure(record), k));
     this.grid.classList.toggle("alone", this.cells.length === 1);
     const captions = scene.figures.map((record) => record.caption).filter(Boolean);
     const label = `Animated figure: ${captions.join("; ") || "no caption"}`;
