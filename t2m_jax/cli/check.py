@@ -56,13 +56,13 @@ def _describe_report(path: Path) -> str:
         from t2m_jax import bench
 
         return f"a report of `t2m bench` (rows: {len(bench.load_report(path).rows)})"
-    if found & {"prompt_following", "contents"}:
-        prompts = load_prompt_report(path)
-        return f"a report of `t2m evaluate prompts --group {prompts.group}` on {prompts.num_samples} motions"
-    if "rows" in found:
+    if "rows" in found:  # before the next question: its header may have `contents`, a fingerprint of the data
         report = load_report(path)
         command = "generation`" if report.kind == "generated" else "reconstruction` with an evaluator,"
         return f"a report of `t2m evaluate {command} on {report.header.num_samples} motions"
+    if found & {"prompt_following", "contents"}:
+        prompts = load_prompt_report(path)
+        return f"a report of `t2m evaluate prompts --group {prompts.group}` on {prompts.num_samples} motions"
     if "mpjpe_mm" in found:
         return f"a report of `t2m evaluate reconstruction` on {load_reconstruction(path).num_clips} clips"
     raise UserError(f"{path}: is not a report; give a file that `t2m evaluate --json` or `t2m bench --json` wrote")

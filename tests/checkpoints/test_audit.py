@@ -96,7 +96,7 @@ def test_data_sets_and_other_paths(models, capsys):
 
 
 LEGACY = REPOSITORY / "tests" / "legacy" / "reports"
-"""Reports of version 0.1."""
+"""Reports as version 0.2 wrote them at its start."""
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ LEGACY = REPOSITORY / "tests" / "legacy" / "reports"
     [
         ("generation", "a report of `t2m evaluate generation` on 32 motions"),
         ("reconstruction", "a report of `t2m evaluate reconstruction` on 32 clips"),
-        ("prompts", "a report of `t2m evaluate prompts --group actions` on 10 motions"),
+        ("prompts", "a report of `t2m evaluate prompts --group actions` on 11 motions"),
     ],
 )
 def test_reports_are_recognized(name, said, tmp_path, capsys):

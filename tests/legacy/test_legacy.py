@@ -1,4 +1,4 @@
-"""Files that version 0.2 wrote at its start: today's code loads and resumes them, and computes the same (see README.md)."""
+"""Files that version 0.2 wrote at its start: today's code loads and resumes them, and computes the same."""
 
 import csv
 import dataclasses
