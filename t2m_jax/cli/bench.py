@@ -124,7 +124,7 @@ def run_sample(args: argparse.Namespace) -> None:
         subjects = bench.full_size_subjects(args.kind)
     else:
         model = TextToMotion.load(args.model)
-        parts, scale = model.config, model.guidance_scale()
+        parts, scale = model.config, model.parts.guidance_scale()
         given = (parts.generator, model.variables["generator"], parts.tokenizer.downsample)
         subjects = [bench.Subject(Path(args.model).name, *given, None if scale == 1 else scale)]
     configs = [subject.config for subject in subjects]

@@ -38,8 +38,7 @@ def _span(text: str) -> tuple[float, float]:
 
 def check_edits(args: argparse.Namespace) -> None:
     """Raises `UserError` if options do not go together, or a value cannot be used with any model."""
-    from t2m_jax.sampling.inbetween import check_strength
-    from t2m_jax.sampling.timeline import check_seconds
+    from t2m_jax.sampling.request import check_seconds
 
     if args.then and len(args.text) > 1:
         raise UserError(f"--then: follows one sentence, not {len(args.text)}; use it for each further sentence")
@@ -52,8 +51,8 @@ def check_edits(args: argparse.Namespace) -> None:
             raise UserError(f"--{name}: does not go together with --{others[0].replace('_', '-')}")
     if args.seconds is not None:
         check_seconds(args.seconds)
-    if args.vary is not None:
-        check_strength(args.vary)
+    if args.vary is not None and not 0 <= args.vary <= 1:
+        raise UserError(f"vary: {args.vary:g} is not a number from 0 to 1")
 
 
 def edited_motions(

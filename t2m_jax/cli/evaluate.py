@@ -268,7 +268,7 @@ def run_inbetween(args: argparse.Namespace) -> None:
     from t2m_jax.evaluation import evaluate_inbetween
     from t2m_jax.evaluation.inbetween import format_inbetween
     from t2m_jax.sampling import TextToMotion
-    from t2m_jax.sampling.timeline import check_seconds
+    from t2m_jax.sampling.request import check_seconds
     from t2m_jax.text.coverage import PromptWarning
 
     check_seconds(args.seconds)

@@ -72,7 +72,7 @@ def generate_many(
     def generate(rows: Int[np.ndarray, " C"]) -> None:
         limits[rows] = limit = int(limits[rows].max())
         text, limited = jnp.asarray(text_embedding[rows]), sampling._replace(max_codes=limit)
-        sampled = model.sample_codes(text, keys[rows], limited, guidance_scale=guidance_scale)
+        sampled = model.parts.sample_codes(text, keys[rows], limited, guidance_scale=guidance_scale)
         codes[rows, :limit], code_lengths[rows] = sampled.codes, sampled.code_lengths
 
     for_each_batch(generate, batches_of(np.argsort(limits, kind="stable"), BATCH))

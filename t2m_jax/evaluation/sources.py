@@ -118,7 +118,7 @@ class Generation:
             "temperature": getattr(self.strategy, "temperature", None),
             "top_k": getattr(self.strategy, "k", None),
             "top_p": getattr(self.strategy, "p", None),
-            "guidance_scale": self.model.guidance_scale(self.guidance_scale),
+            "guidance_scale": self.model.parts.guidance_scale(self.guidance_scale),
             "stop_rule": self.stop_rule or self.model.config.generator.stop_rule,
         }
 
@@ -129,7 +129,7 @@ class Generation:
         text = np.stack([self.texts[caption] for caption in captions])[items]
         keys = sample_keys(key, jnp.asarray(items), jnp.asarray(numbers))
         # Motions may end at once, unlike those that users generate.
-        sampling = self.model.sampling(self.strategy, min_codes=0, stop_rule=self.stop_rule)
+        sampling = self.model.parts.sampling(self.strategy, min_codes=0, stop_rule=self.stop_rule)
         codes = generate_many(
             self.model,
             text,

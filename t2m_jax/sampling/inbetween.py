@@ -1,6 +1,7 @@
 """Other codes for a part of a motion: a new middle between head and tail, and variations of the whole."""
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import jax
@@ -15,10 +16,11 @@ from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.sampling.batches import round_up
 from t2m_jax.sampling.loop import Sampling
-from t2m_jax.sampling.model import MotionModel
+from t2m_jax.sampling.model import ModelParts
 from t2m_jax.sampling.programs import motions_from_codes, pad_codes
-from t2m_jax.sampling.prompts import Prompt
-from t2m_jax.sampling.timeline import Part, context_rows, part_keys, sample_parts, split_parts
+from t2m_jax.sampling.prompts import Prompt, batches_of_keys, sample_key
+from t2m_jax.sampling.request import MotionRequest
+from t2m_jax.sampling.timeline import Part, make_batch, most_rows, part_keys, sample_parts, split_parts
 from t2m_jax.sampling.windows import ROW_BUCKET, Codes
 
 TAIL_SECONDS = 1.0
@@ -50,7 +52,7 @@ class Middle(NamedTuple):
     """Mean logarithm of the probabilities of the rows after it."""
 
 
-def find_span(model: MotionModel, seconds: tuple[float, float], num_rows: int) -> Span:
+def find_span(model: ModelParts, seconds: tuple[float, float], num_rows: int) -> Span:
     """Returns the rows that a span of seconds covers, at least one.
 
     Raises:
@@ -65,45 +67,43 @@ def find_span(model: MotionModel, seconds: tuple[float, float], num_rows: int) -
     return Span(first, max(first + 1, min(round(end * rate), num_rows)))
 
 
-def replace_span(
-    model: MotionModel,
-    motion: Motion,
-    seconds: tuple[float, float],
-    prompt: Prompt,
-    keys: Key[jax.Array, " B"],
-    *,
-    sampling: Sampling,
-    guidance_scale: float | None,
-    raw: bool,
-) -> list[Motion]:
-    """Returns a motion with each of B new middles, those first that lead best to what follows (`rank_middles`)."""
+def redo(model: ModelParts, request: MotionRequest, prompt: Prompt, sampling: Sampling) -> list[Motion]:
+    """Returns a motion with another middle, in the order of `rank_middles`: those first that lead best to the rest."""
+    assert request.start is not None and request.span is not None
+    motion = request.start
     motion = motion if motion.fps == model.skeleton.fps else motion.resampled(model.skeleton.fps)
     codes = model.encode(motion)
-    span = find_span(model, seconds, len(codes))
-    parts = split_parts([prompt], span.last - span.first, limit=sampling.max_codes - context_rows(model))
+    span = find_span(model, request.span, len(codes))
+    keys = jnp.stack([sample_key(request.seed, prompt.text, number) for number in range(request.candidates)])
+    parts = split_parts([prompt], span.last - span.first, limit=most_rows(model))
     found = sample_parts(
         model,
         parts,
         part_keys(keys, len(parts)),
         start=codes[: span.first],
         sampling=sampling,
-        guidance_scale=guidance_scale,
+        guidance_scale=request.options.guidance_scale,
     )
     rows = round(AROUND_SECONDS * model.skeleton.fps / model.config.tokenizer.downsample)
     around = codes[max(0, span.first - rows) : span.first], codes[span.last : span.last + rows]
     candidates = decode_middles(
-        model, around, [np.concatenate(pieces) for pieces in zip(*found, strict=True)], prompt=prompt, raw=raw
+        model,
+        around,
+        [np.concatenate(pieces) for pieces in zip(*found, strict=True)],
+        prompt=prompt,
+        raw=request.options.raw,
     )
     downsample = model.config.tokenizer.downsample
     # Frames at the end that do not fill a code belong to the last one.
     end = motion.num_frames if span.last == len(codes) else downsample * span.last
     frames = Span(downsample * span.first, end)
     order = rank_middles(motion.positions[frames.last :], candidates, skeleton=motion.skeleton)
-    return [_with_middle(motion, candidates[number], frames, prompt) for number in order]
+    redone = [_with_middle(motion, candidates[number], frames, prompt) for number in order[: request.num_samples]]
+    return [dataclasses.replace(one, seed=request.seed) for one in redone]
 
 
 def decode_middles(
-    model: MotionModel, around: tuple[Codes, Codes], middles: Sequence[Codes], *, prompt: Prompt, raw: bool
+    model: ModelParts, around: tuple[Codes, Codes], middles: Sequence[Codes], *, prompt: Prompt, raw: bool
 ) -> list[Middle]:
     """Returns the candidates of some middles, which are decoded between the rows around them."""
     head, tail = around
@@ -121,7 +121,7 @@ def decode_middles(
 
 
 def tail_likelihoods(
-    model: MotionModel, codes: Sequence[Codes], num_tail: int, *, prompt: Prompt
+    model: ModelParts, codes: Sequence[Codes], num_tail: int, *, prompt: Prompt
 ) -> Float[np.ndarray, " B"]:
     """Returns the mean logarithm of the probabilities of the first rows of the tails, 0 without one."""
     rows = round(TAIL_SECONDS * model.skeleton.fps / model.config.tokenizer.downsample)
@@ -187,10 +187,13 @@ def _with_middle(motion: Motion, middle: Middle, frames: Span, prompt: Prompt) -
     )
 
 
-def check_strength(strength: float) -> None:
-    """Raises `UserError` if the strength of variations is not from 0 to 1."""
-    if not 0 <= strength <= 1:
-        raise UserError(f"vary: {strength:g} is not a number from 0 to 1")
+def vary(model: ModelParts, request: MotionRequest, prompt: Prompt, sampling: Sampling) -> Iterator[list[Motion]]:
+    """Yields variations of a motion, in batches."""
+    assert request.start is not None and request.strength is not None
+    codes = model.encode(request.start)
+    for keys, count in batches_of_keys(request.seed, prompt, request.num_samples):
+        parts = variation_parts(codes, prompt, keys, strength=request.strength, limit=most_rows(model))
+        yield make_batch(model, request, parts, keys, count, start=None, sampling=sampling)
 
 
 def variation_parts(

@@ -1,14 +1,14 @@
 """A loaded model: from text embeddings to codes, and from codes to motions and back."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from t2m_jax.checkpoints.bundle import Bundle, part_kinds
+from t2m_jax.checkpoints.bundle import Bundle
 from t2m_jax.checkpoints.text_encoder import Reference
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.devices import put_everywhere, put_rows
@@ -18,10 +18,12 @@ from t2m_jax.models.system import make_module
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import skeleton_from_name
-from t2m_jax.sampling.loop import Given, SampledCodes, Sampling
+from t2m_jax.sampling.loop import Given, LoopState, SampledCodes, Sampling
 from t2m_jax.sampling.programs import (
+    begin_motions,
     encode_motion,
     generate_codes,
+    generate_row,
     motions_from_codes,
     row_likelihoods,
     sampling_variables,
@@ -34,7 +36,7 @@ from t2m_jax.text.coverage import make_knowledge
 from t2m_jax.text.encoder import TextEncoder
 
 
-class MotionModel:
+class ModelParts:
     """The parts of a model on the devices of this process, and what they do with codes."""
 
     def __init__(self, bundle: Bundle, *, text_encoder: TextEncoder | None = None):
@@ -51,9 +53,6 @@ class MotionModel:
             raise UserError(f"{bundle!r} is not a loaded bundle; use t2m_jax.load({str(bundle)!r})")
         self.config = bundle.config
         self.skeleton = skeleton_from_name(bundle.config.skeleton)
-        self.training_data = bundle.training_data
-        self.license = bundle.license
-        self.source = bundle.source
         self.knowledge = make_knowledge(bundle.training_data)
         self.text_encoder = text_encoder or make_text_encoder(bundle)
         self._bpe = bundle.bpe
@@ -61,21 +60,6 @@ class MotionModel:
         self._ready_to_sample = False
         self._normalizer = Normalizer(*map(jnp.asarray, bundle.normalizer))
         self._generator = make_module(self.config.generator)
-
-    def __repr__(self) -> str:
-        """Returns sizes, data, license, source and what the model knows, in some lines."""
-        kinds = part_kinds(self.config)
-        sizes = {kinds[role]: sum(leaf.size for leaf in jax.tree.leaves(tree)) for role, tree in self.variables.items()}
-        data = self.training_data or {}
-        lines = {
-            "parts": ", ".join(f"{kind} ({size / 1e6:.2f} M numbers)" for kind, size in sizes.items()),
-            "motion": f"{self.skeleton.name}, {self.skeleton.fps:g} frames a second",
-            "data": f"{data.get('data', 'unknown')} ({data.get('num_clips', 0):,} clips)",
-            "license": self.license,
-            "source": self.source or "unknown",
-            "actions": ", ".join(self.knowledge.actions) or "unknown",
-        }
-        return "\n".join([f"{type(self).__name__}:", *(f"  {name}: {line}" for name, line in lines.items())])
 
     @property
     def variables(self) -> dict[str, Any]:
@@ -147,6 +131,20 @@ class MotionModel:
             variables, text_embedding, keys, scale, given, generator=self._generator, sampling=sampling
         )
 
+    def rows(
+        self,
+        text_embedding: Float[Array, "1 E"],
+        keys: Key[Array, " 1"],
+        sampling: Sampling,
+        *,
+        guidance_scale: float | None = None,
+    ) -> tuple[Callable[[LoopState], tuple[LoopState, Any]], LoopState]:
+        """Returns a function from a state to the next state and a row [1, R], and the state before the first row."""
+        variables = self._variables_for_sampling()
+        state = begin_motions(variables, text_embedding, self._guidance(guidance_scale), generator=self._generator)
+        options: Any = {"generator": self._generator, "sampling": sampling}
+        return lambda state: generate_row(variables, state, keys, **options), state
+
     def slots(self, num_slots: int, sampling: Sampling, *, guidance_scale: float | None = None) -> Slots:
         """Returns slots, for motions that begin and end at any time."""
         return Slots(
@@ -199,9 +197,9 @@ class MotionModel:
             raise UserError(f"codes: expected rows of {config.num_quantizers} codes (or fewer), at least one row")
         if codes.min() < 0 or codes.max() >= config.num_codes:
             raise UserError(f"codes: must be between 0 and {config.num_codes - 1}")
-        return self._decode_padded(codes, size=len(codes), caption=caption, seed=0, clean=not raw)
+        return self.decode_padded(codes, size=len(codes), caption=caption, seed=0, clean=not raw)
 
-    def _decode_padded(
+    def decode_padded(
         self, codes: Int[np.ndarray, "N R"], *, size: int, caption: str, seed: int, clean: bool
     ) -> Motion:
         """Returns the motion of codes, decoded by a program for `size` rows."""

@@ -2,19 +2,18 @@
 
 import warnings
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Key
 
-from t2m_jax.errors import UserError
+from t2m_jax.sampling.batches import padded_batch_size
 from t2m_jax.text.coverage import Knowledge, PromptWarning, check_coverage
 from t2m_jax.text.encoder import CuttingTextEncoder, TextEncoder
 from t2m_jax.text.prompts import check_prompt
 
-MAX_SAMPLES = 1_000_000
-"""Most motions of a caption in one call. A larger number is probably a mistake: they would take weeks and 100 GB."""
 MAX_BATCH = 32
 """Motions that are generated together."""
 
@@ -30,8 +29,8 @@ class Prompt(NamedTuple):
     """Words that the model did not learn."""
 
 
-def read_prompts(captions: Sequence[str] | str, knowledge: Knowledge, encoder: TextEncoder) -> list[Prompt]:
-    """Returns the prompts of a single sentence or of several, cleaned and checked.
+def read_prompts(captions: Sequence[str], knowledge: Knowledge, encoder: TextEncoder) -> list[Prompt]:
+    """Returns the prompts of sentences, cleaned and checked.
 
     Warns:
         PromptWarning: The model cannot know what a sentence asks for.
@@ -40,13 +39,13 @@ def read_prompts(captions: Sequence[str] | str, knowledge: Knowledge, encoder: T
         UserError: A sentence cannot be used.
     """
     prompts = []
-    for caption in [captions] if isinstance(captions, str) else captions:
+    for caption in captions:
         text = check_prompt(caption)
         read_part = encoder.read_part(text) if isinstance(encoder, CuttingTextEncoder) else text
         prompts.append(Prompt(text, *check_coverage(text, knowledge, read_part=read_part)))
     for warning in dict.fromkeys(prompt.warning for prompt in prompts):
         if warning:
-            warnings.warn(warning, PromptWarning, stacklevel=4)
+            warnings.warn(warning, PromptWarning, stacklevel=5)
     return prompts
 
 
@@ -56,7 +55,9 @@ def sample_key(seed: int, caption: str, sample: int) -> Key[Array, ""]:
     return jax.random.fold_in(key, sample)
 
 
-def check_num_samples(num_samples: int) -> None:
-    """Raises `UserError` if a number of motions for a caption is not from 1 to `MAX_SAMPLES`."""
-    if not 1 <= num_samples <= MAX_SAMPLES:
-        raise UserError(f"num-samples: {num_samples} is not a whole number from 1 to {MAX_SAMPLES:,}")
+def batches_of_keys(seed: int, prompt: Prompt, num_samples: int) -> Iterator[tuple[Key[Array, " B"], int]]:
+    """Yields the keys of each batch of samples, filled up with the first one, and how many samples it has."""
+    for first in range(0, num_samples, MAX_BATCH):
+        samples = range(first, min(first + MAX_BATCH, num_samples))
+        keys = [sample_key(seed, prompt.text, number) for number in samples]
+        yield jnp.stack([*keys, *[keys[0]] * (padded_batch_size(len(keys)) - len(keys))]), len(samples)

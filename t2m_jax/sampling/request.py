@@ -2,11 +2,13 @@
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Literal
 
 from t2m_jax.config import check_seed
 from t2m_jax.errors import UserError
 from t2m_jax.motion.motion import Motion
+from t2m_jax.sampling.stopping import make_stop_rule
 from t2m_jax.sampling.strategies import Strategy, make_strategy
 from t2m_jax.text.prompts import check_prompt
 
@@ -17,7 +19,19 @@ MAX_SECONDS = 3600.0
 MAX_CANDIDATES = 32
 """Most samples to choose a motion from: they are one batch."""
 
-StopRuleName = Literal["argmax", "threshold", "sampled"]
+
+def check_seconds(seconds: float) -> None:
+    """Raises `UserError` if a length is not a number of seconds up to `MAX_SECONDS`."""
+    if not 0 < seconds <= MAX_SECONDS:
+        raise UserError(f"seconds: {seconds:g} is not a number above 0, up to {MAX_SECONDS:g}")
+
+
+def sentences(captions: Sequence[str]) -> tuple[str, ...]:
+    """Returns sentences as a tuple; a single string is one sentence."""
+    return (captions,) if isinstance(captions, str) else tuple(captions)
+
+
+StopRuleName = Literal["end", "argmax", "threshold", "sampled"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -35,9 +49,9 @@ class SamplingOptions:
     guidance_scale: float | None = None
     """Strength of the guidance by the text, for models that were trained for it; 1 is none. By default the model's."""
     stop_rule: StopRuleName | None = None
-    """When a motion ends, for models with a stop head; by default the model's own rule."""
+    """When a motion ends; by default the model's own rule. Models with a stop head know all rules but `end`."""
     max_codes: int | None = None
-    """Longest motion in codes; by default the model's maximum."""
+    """Longest motion in rows of codes, if the model decides its length; by default the model's maximum."""
     raw: bool = False
     """Whether positions stay as decoded. By default they are cleaned: they tremble less, bones have constant lengths,
     and feet slide less (`t2m_jax.motion.cleanup`)."""
@@ -49,13 +63,15 @@ class SamplingOptions:
             UserError: A value cannot be used with any model, or two fields exclude each other.
         """
         self.make_strategy()
+        if self.stop_rule is not None:
+            make_stop_rule(self.stop_rule)
         if self.guidance_scale is not None and not 0 <= self.guidance_scale < math.inf:
             raise UserError(f"guidance-scale: {self.guidance_scale} is not a number from 0")
 
     def make_strategy(self) -> Strategy:
         """Returns how codes are chosen."""
         if self.strategy is None:
-            return make_strategy(float(self.temperature), self.top_k, top_p=self.top_p)
+            return make_strategy(self.temperature, self.top_k, top_p=self.top_p)
         if (self.temperature, self.top_k, self.top_p) != (1.0, None, None):
             raise UserError("strategy: excludes temperature, top-k and top-p; give them to the strategy")
         return self.strategy
@@ -92,18 +108,23 @@ class MotionRequest:
         """
         if not self.captions:
             raise UserError("captions: give at least one sentence")
-        object.__setattr__(self, "captions", tuple(check_prompt(caption) for caption in self.captions))
+        object.__setattr__(self, "captions", tuple(check_prompt(caption) for caption in sentences(self.captions)))
         check_seed(self.seed)
         if not 1 <= self.num_samples <= MAX_SAMPLES:
             raise UserError(f"num-samples: {self.num_samples} is not a whole number from 1 to {MAX_SAMPLES:,}")
-        if self.seconds is not None and not 0 < self.seconds <= MAX_SECONDS:
-            raise UserError(f"seconds: {self.seconds:g} is not a number above 0, up to {MAX_SECONDS:g}")
-        self._check_change()
+        if self.seconds is not None:
+            check_seconds(self.seconds)
+        if self.span is not None or self.strength is not None:
+            self._check_change("strength" if self.span is None else "span")
+        if self.span is not None:
+            self._check_span(*self.span)
 
-    def _check_change(self) -> None:
-        if self.span is None and self.strength is None:
-            return
-        name = "strength" if self.span is None else "span"
+    @property
+    def is_plain(self) -> bool:
+        """Whether it asks for motions of one sentence alone, which can be sampled together with those of others."""
+        return len(self.captions) == 1 and self.start is None and self.seconds is None
+
+    def _check_change(self, name: str) -> None:
         if self.start is None:
             raise UserError(f"{name}: changes a motion; give it as start")
         if self.span is not None and self.strength is not None:
@@ -112,10 +133,8 @@ class MotionRequest:
             raise UserError(f"{name}: takes one sentence and no seconds")
         if self.strength is not None and not 0 <= self.strength <= 1:
             raise UserError(f"strength: {self.strength:g} is not a number from 0 to 1")
-        if self.span is not None:
-            self._check_candidates(*self.span)
 
-    def _check_candidates(self, begin: float, end: float) -> None:
+    def _check_span(self, begin: float, end: float) -> None:
         if not 0 <= begin < end < math.inf:
             raise UserError(f"span: {begin:g} to {end:g} is not a part of the motion")
         if not 1 <= self.candidates <= MAX_CANDIDATES:

@@ -41,7 +41,7 @@ class Slots:
         sampling: Sampling,
         guidance_scale: Float[Array, ""] | None,
     ):
-        """Takes a generator as `t2m_jax.sampling.programs` does; see `MotionModel.slots`."""
+        """Takes a generator as `t2m_jax.sampling.programs` does; see `ModelParts.slots`."""
         self.variables, self.generator = variables, generator
         self.sampling, self.guidance_scale = sampling, guidance_scale
         self.codes = np.zeros((num_slots, sampling.max_codes, num_quantizers), np.int32)

@@ -1,14 +1,32 @@
 """Motion while it is generated: rows of codes are decoded as soon as their frames are final."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 from jaxtyping import Int
 
+from t2m_jax.devices import put_everywhere
 from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling.loop import LoopState, Sampling
+from t2m_jax.sampling.model import ModelParts
+from t2m_jax.sampling.prompts import sample_key
+from t2m_jax.sampling.together import Sample
+
+
+def make_pieces(
+    model: ModelParts, sample: Sample, sampling: Sampling, *, guidance_scale: float | None
+) -> Iterator[Motion]:
+    """Returns an iterator over a motion of one sentence, as decoded, while it is generated: a piece for each row."""
+    prompt, seed, number = sample
+    keys = put_everywhere(sample_key(seed, prompt.text, number)[None])
+    next_row, state = model.rows(model.text_encoder([prompt.text]), keys, sampling, guidance_scale=guidance_scale)
+    decode = functools.partial(
+        model.decode_padded, size=sampling.max_codes, caption=prompt.text, seed=seed, clean=False
+    )
+    return stream_pieces(next_row, state, sampling, decode, decoder_context=model.config.tokenizer.decoder_context)
 
 
 def stream_pieces(

@@ -1,25 +1,24 @@
 """Motion from several sentences, or after a given motion: known codes are read, and sampling goes on from them."""
 
+import itertools
 from collections.abc import Iterable, Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Key
 
-from t2m_jax.errors import UserError
 from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling.loop import Given, Sampling
-from t2m_jax.sampling.model import MotionModel
-from t2m_jax.sampling.prompts import Prompt
+from t2m_jax.sampling.model import ModelParts
+from t2m_jax.sampling.prompts import Prompt, batches_of_keys
+from t2m_jax.sampling.request import MotionRequest
 from t2m_jax.sampling.windows import Codes, clean_long, decode_sentences, ease_seams
 
 CONTEXT_SECONDS = 0.4
 """Motion before what goes on, which the generator reads as its beginning. With more, a sentence is followed less
 often."""
-MAX_SECONDS = 3600.0
-"""Longest motion for a sentence. A larger number is probably a mistake."""
 _PART_STREAM = 2**30
 """In place of a sample's number, in keys for the parts of a chain."""
 
@@ -46,30 +45,72 @@ def split_parts(prompts: Sequence[Prompt], num_rows: int, *, limit: int) -> list
     return [Part(prompt, rows, not number) for prompt in prompts for number, rows in enumerate(lengths)]
 
 
-def check_seconds(seconds: float) -> None:
-    """Raises `UserError` if a length is not a number of seconds up to `MAX_SECONDS`."""
-    if not 0 < seconds <= MAX_SECONDS:
-        raise UserError(f"seconds: {seconds:g} is not a number above 0, up to {MAX_SECONDS:g}")
-
-
-def rows_of_seconds(model: MotionModel, seconds: float) -> int:
-    """Returns the rows of codes that a motion of this length has, at least 1.
-
-    Raises:
-        UserError: The length is not a number of seconds up to `MAX_SECONDS`.
-    """
-    check_seconds(seconds)
+def rows_of_seconds(model: ModelParts, seconds: float) -> int:
+    """Returns the rows of codes that a motion of this length has, at least 1."""
     return max(1, round(seconds * model.skeleton.fps / model.config.tokenizer.downsample))
 
 
-def context_rows(model: MotionModel) -> int:
+def context_rows(model: ModelParts) -> int:
     """Returns how many rows of codes a sentence reads of the motion before it."""
     rows = round(CONTEXT_SECONDS * model.skeleton.fps / model.config.tokenizer.downsample)
     return min(max(1, rows), model.config.generator.max_codes - 1)
 
 
+def most_rows(model: ModelParts) -> int:
+    """Returns how many rows of codes are sampled at once, after those that are read of the motion before."""
+    return model.config.generator.max_codes - context_rows(model)
+
+
+def make_chain(
+    model: ModelParts, request: MotionRequest, prompts: Sequence[Prompt], sampling: Sampling
+) -> Iterator[list[Motion]]:
+    """Yields the motions that show sentences in turn, in batches."""
+    parts, start = _read_chain(model, request, prompts)
+    for keys, count in batches_of_keys(request.seed, prompts[0], request.num_samples):
+        yield make_batch(model, request, parts, keys, count, start=start, sampling=sampling)
+
+
+def make_chain_pieces(
+    model: ModelParts, request: MotionRequest, prompts: Sequence[Prompt], sampling: Sampling
+) -> Iterator[Motion]:
+    """Returns an iterator over the first motion of `make_chain`, as decoded, while its codes are sampled."""
+    parts, start = _read_chain(model, request, prompts)
+    ((keys, _),) = batches_of_keys(request.seed, prompts[0], 1)
+    options: Any = {"start": start, "sampling": sampling, "guidance_scale": request.options.guidance_scale}
+    found = sample_parts(model, parts, part_keys(keys, len(parts)), **options)
+    return stream_parts(model, parts, (own for own, *_ in found), start=start, seed=request.seed)
+
+
+def _read_chain(
+    model: ModelParts, request: MotionRequest, prompts: Sequence[Prompt]
+) -> tuple[list[Part], Codes | None]:
+    """Returns the parts of a request for sentences in turn, and the codes that the first one goes on from."""
+    rows = 0 if request.seconds is None else rows_of_seconds(model, request.seconds)
+    start = None if request.start is None else model.encode(request.start)
+    return split_parts(prompts, rows, limit=most_rows(model)), start
+
+
+def make_batch(
+    model: ModelParts,
+    request: MotionRequest,
+    parts: Sequence[Part],
+    keys: Key[jax.Array, " B"],
+    count: int,
+    *,
+    start: Codes | None,
+    sampling: Sampling,
+) -> list[Motion]:
+    """Returns the motions of parts for the first `count` keys."""
+    options: Any = {"start": start, "sampling": sampling, "guidance_scale": request.options.guidance_scale}
+    samples = zip(*sample_parts(model, parts, part_keys(keys, len(parts)), **options), strict=True)
+    return [
+        join_parts(model, parts, own, start=start, seed=request.seed, raw=request.options.raw)
+        for own in itertools.islice(samples, count)
+    ]
+
+
 def sample_parts(
-    model: MotionModel,
+    model: ModelParts,
     parts: Sequence[Part],
     keys: Sequence[Key[jax.Array, " B"]],
     *,
@@ -97,9 +138,14 @@ def sample_parts(
             before = [codes[:0] for codes in before]
         context = [codes[-context_rows(model) :] for codes in before]
         lengths = np.array([len(codes) for codes in context], np.int32)
-        given = _given(part, context, max_codes=sampling.max_codes)
+        # A given length may need all rows that the generator can sample, whatever the longest free length is.
+        longest = model.config.generator.max_codes
+        limit = longest if part.num_rows else min(longest, sampling.max_codes + int(lengths.max()))
+        given = _given(part, context, max_codes=limit)
         texts = model.text_encoder([part.prompt.text] * batch)
-        sampled = model.sample_codes(texts, part_keys, sampling, guidance_scale=guidance_scale, given=given)
+        sampled = model.sample_codes(
+            texts, part_keys, sampling._replace(max_codes=limit), guidance_scale=guidance_scale, given=given
+        )
         rows, ends = np.asarray(sampled.codes), np.asarray(sampled.code_lengths)
         new = [own[first:last] for own, first, last in zip(rows, lengths, ends, strict=True)]
         before = [np.concatenate(codes) for codes in zip(context, new, strict=True)]
@@ -128,7 +174,7 @@ def part_keys(keys: Key[jax.Array, " B"], count: int) -> list[Key[jax.Array, " B
 
 
 def join_parts(
-    model: MotionModel, parts: Sequence[Part], codes: Sequence[Codes], *, start: Codes | None, seed: int, raw: bool
+    model: ModelParts, parts: Sequence[Part], codes: Sequence[Codes], *, start: Codes | None, seed: int, raw: bool
 ) -> Motion:
     """Returns the motion of the parts of one sample, in which each sentence fades into the next."""
     downsample = model.config.tokenizer.downsample
@@ -188,7 +234,7 @@ def chain_caption(parts: Sequence[Part]) -> str:
 
 
 def stream_parts(
-    model: MotionModel, parts: Sequence[Part], codes: Iterator[Codes], *, start: Codes | None, seed: int
+    model: ModelParts, parts: Sequence[Part], codes: Iterator[Codes], *, start: Codes | None, seed: int
 ) -> Iterator[Motion]:
     """Yields the motion of the parts of one sample, as decoded, while their codes are sampled."""
     begun: list[tuple[int, str]] = []

@@ -14,7 +14,7 @@ from t2m_jax.sampling.programs import motions_from_codes
 from t2m_jax.sampling.prompts import Prompt, sample_key
 
 if TYPE_CHECKING:
-    from t2m_jax.sampling.model import MotionModel
+    from t2m_jax.sampling.model import ModelParts
 
 
 class Sample(NamedTuple):
@@ -27,7 +27,7 @@ class Sample(NamedTuple):
 
 
 def batch_inputs(
-    model: "MotionModel", samples: Sequence[Sample], batch_size: int
+    model: "ModelParts", samples: Sequence[Sample], batch_size: int
 ) -> tuple[Float[Array, "B E"], Key[Array, " B"]]:
     """Returns the text embeddings and keys of samples, filled up with the first one."""
     filled = [*samples, *[samples[0]] * (batch_size - len(samples))]
@@ -36,7 +36,7 @@ def batch_inputs(
 
 
 def batch_motions(
-    model: "MotionModel", sampled: SampledCodes, samples: Sequence[Sample], *, clean: bool
+    model: "ModelParts", sampled: SampledCodes, samples: Sequence[Sample], *, clean: bool
 ) -> list[Motion]:
     """Returns the motions of the samples of a batch."""
     codes, lengths = np.asarray(sampled.codes), np.asarray(sampled.code_lengths)

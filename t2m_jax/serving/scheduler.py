@@ -169,8 +169,8 @@ class Scheduler:
         )
 
     def _make_slots(self, options: SamplingOptions) -> Slots:
-        sampling = self.model.sampling(options.make_strategy(), stop_rule=options.stop_rule)
-        return self.model.slots(self.num_slots, sampling, guidance_scale=options.guidance_scale)
+        sampling = self.model.parts.sampling(options.make_strategy(), stop_rule=options.stop_rule)
+        return self.model.parts.slots(self.num_slots, sampling, guidance_scale=options.guidance_scale)
 
     def _limit_programs(self, options: SamplingOptions) -> None:
         program = dataclasses.replace(options, raw=False, guidance_scale=None)  # these two are not compiled in
@@ -209,7 +209,7 @@ class Scheduler:
         size = ((0, DECODED_TOGETHER - len(rows)), (0, limit - padded.shape[1]), (0, 0))
         arrays = np.pad(padded, size), np.pad(lengths, size[0], constant_values=1), limit
         sampled = SampledCodes(*map(jnp.asarray, arrays))
-        return batch_motions(self.model, sampled, [sample for sample, _ in rows], clean=clean)
+        return batch_motions(self.model.parts, sampled, [sample for sample, _ in rows], clean=clean)
 
     def _finish_plain(self, whole: Sequence[tuple[TaskSample, Mapping[int, Codes]]]) -> None:
         """Sends the motions of plain tasks, each with its last motion."""

@@ -64,7 +64,7 @@ def describe_model(model: TextToMotion, name: str) -> ModelData:
         "fps": model.skeleton.fps,
         "downsample": downsample,
         "longest_seconds": model.config.generator.max_codes * downsample / model.skeleton.fps,
-        "guidance_scale": model.guidance_scale(),
+        "guidance_scale": model.parts.guidance_scale(),
         "stop_rules": _stop_rules(model),
         "actions": list(model.knowledge.actions),
         "words": sorted(model.knowledge.words),

@@ -11,7 +11,7 @@ from t2m_jax import Motion
 from t2m_jax.cli.main import main
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.motion.formats import load_motion
-from t2m_jax.sampling import TextToMotion
+from t2m_jax.sampling.model import ModelParts
 from tests.export.test_html import Elements
 
 
@@ -49,7 +49,7 @@ def test_prompts_that_are_refused(refusal, bundle_folder, tmp_path, prompt, said
 )
 def test_options_that_are_refused(refusal, bundle_folder, tmp_path, monkeypatch, options, said):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(TextToMotion, "sample_codes", lambda *_, **__: pytest.fail("began to generate"))
+    monkeypatch.setattr(ModelParts, "sample_codes", lambda *_, **__: pytest.fail("began to generate"))
     assert said in refusal("generate", "a person walks", "--model", bundle_folder, *options)
     assert list(tmp_path.iterdir()) == []
 
@@ -191,13 +191,13 @@ def num_figures(path) -> int:
 
 
 def test_files_are_written_before_the_next_motions_are_generated(bundle_folder, tmp_path, monkeypatch):
-    counts, sample_codes = [], TextToMotion.sample_codes
+    counts, sample_codes = [], ModelParts.sample_codes
 
     def record(*args, **kwargs):
         counts.append(len(list(tmp_path.glob("*.npz"))))
         return sample_codes(*args, **kwargs)
 
-    monkeypatch.setattr(TextToMotion, "sample_codes", record)
+    monkeypatch.setattr(ModelParts, "sample_codes", record)
     monkeypatch.setattr("t2m_jax.sampling.pipeline.MAX_BATCH", 2)
     options = ["--model", f"{bundle_folder}", "--num-samples", "5", "-o", f"{tmp_path / 'walk.npz'}"]
     assert main(["generate", "a person walks", *options]) == 0

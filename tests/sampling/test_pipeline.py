@@ -17,7 +17,9 @@ from t2m_jax.motion.features import features_from_positions
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 from t2m_jax.sampling import Greedy, TextToMotion, TopK, encode_motions, sample_key
-from t2m_jax.sampling.prompts import MAX_BATCH, MAX_SAMPLES
+from t2m_jax.sampling.model import ModelParts
+from t2m_jax.sampling.prompts import MAX_BATCH
+from t2m_jax.sampling.request import MAX_SAMPLES
 from t2m_jax.text.coverage import PromptWarning
 from t2m_jax.text.encoder import TextEncoder
 from tests.jit import process_of_user
@@ -100,13 +102,13 @@ def test_more_than_one_batch(model):
 
 
 def test_motions_are_generated_a_batch_at_a_time_as_they_are_taken(model, monkeypatch):
-    sizes, sample_codes = [], TextToMotion.sample_codes
+    sizes, sample_codes = [], ModelParts.sample_codes
 
     def record(self, text_embedding, *args, **kwargs):
         sizes.append(len(text_embedding))
         return sample_codes(self, text_embedding, *args, **kwargs)
 
-    monkeypatch.setattr(TextToMotion, "sample_codes", record)
+    monkeypatch.setattr(ModelParts, "sample_codes", record)
     motions = model.generate_each(CAPTIONS[0], seed=1, num_samples=3 * MAX_BATCH)
     assert sizes == []
     taken = list(itertools.islice(motions, MAX_BATCH))
@@ -177,7 +179,7 @@ def test_decode_gives_the_generated_motion_again(model, eight):
     ],
 )
 def test_numbers_out_of_range_are_refused_before_the_first_motion(model, monkeypatch, method, options, name):
-    monkeypatch.setattr(TextToMotion, "sample_codes", lambda *_, **__: pytest.fail("began to generate"))
+    monkeypatch.setattr(ModelParts, "sample_codes", lambda *_, **__: pytest.fail("began to generate"))
     with pytest.raises(UserError, match=name):
         getattr(model, method)(CAPTIONS[0], **options)
 
@@ -213,7 +215,7 @@ def test_numbers_are_a_strategy(model):
     expected = model.generate(CAPTIONS[0], strategy=TopK(k=3, temperature=0.7))[0]
     np.testing.assert_array_equal(model.generate(CAPTIONS[0], temperature=0.7, top_k=3)[0].codes, expected.codes)
     greedy = model.generate(CAPTIONS[0], strategy=Greedy())[0]
-    np.testing.assert_array_equal(model.generate(CAPTIONS[0], temperature=0)[0].codes, greedy.codes)
+    np.testing.assert_array_equal(model.generate(CAPTIONS[0], temperature=0.0)[0].codes, greedy.codes)
     with pytest.raises(UserError, match=r"strategy: excludes temperature"):
         model.generate(CAPTIONS[0], strategy=Greedy(), top_p=0.5)
 
@@ -263,9 +265,9 @@ def test_a_name_in_place_of_a_bundle_gets_a_hint():
 def test_weights_are_rearranged_once_and_held_once(bundle):
     model = TextToMotion(bundle)
     model.generate(CAPTIONS[0])
-    first = model._variables["generator"]
+    first = model.parts._variables["generator"]
     model.generate(CAPTIONS[0])
-    assert model._variables["generator"] is first
+    assert model.parts._variables["generator"] is first
     assert sum(leaf.size for leaf in jax.tree.leaves(first)) == sum(
         leaf.size for leaf in jax.tree.leaves(bundle.variables["generator"])
     )

@@ -32,7 +32,7 @@ def begin(model, slots, chosen, requests):
 
 def run(model, requests, sampling=None):
     """Returns the codes of all requests, each in the first slot that gets free, and all that was reported."""
-    slots = model.slots(NUM_SLOTS, sampling or model.sampling())
+    slots = model.parts.slots(NUM_SLOTS, sampling or model.parts.sampling())
     waiting, owners, codes, reports = list(enumerate(requests)), {}, {}, []
     while waiting or owners:
         for slot in slots.free:
@@ -76,7 +76,7 @@ def test_reports_are_the_codes_in_turn(made):
 
 
 def test_a_slot_can_be_released(model):
-    slots = model.slots(2, model.sampling())
+    slots = model.parts.slots(2, model.parts.sampling())
     assert slots.free == [0, 1]
     begin(model, slots, [0, 1], REQUESTS[:2])
     assert slots.free == []
@@ -86,9 +86,9 @@ def test_a_slot_can_be_released(model):
 
 def test_a_motion_that_goes_on_is_not_disturbed_by_one_that_begins(model):
     """The second motion begins when the first one is in its middle."""
-    sampling = model.sampling(min_codes=SLOT_ROWS + 1)
+    sampling = model.parts.sampling(min_codes=SLOT_ROWS + 1)
     expected, _ = run(model, REQUESTS[:1], sampling)
-    slots = model.slots(NUM_SLOTS, sampling)
+    slots = model.parts.slots(NUM_SLOTS, sampling)
     begin(model, slots, [2], REQUESTS[:1])
     (progress,) = slots.step()
     assert not progress.ended

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.sampling import TextToMotion, pipeline
+from t2m_jax.sampling import TextToMotion
+from t2m_jax.sampling import model as sampling_model
 from t2m_jax.sampling.strategies import Greedy
 from tests import tiny
 
@@ -46,8 +47,8 @@ def test_pieces_are_the_motion_of_generate(model, strategy):
 def test_pieces_come_before_the_end(model, monkeypatch):
     """As soon as the decoder's context is known, and not earlier."""
     rows = []
-    generate_row = pipeline.generate_row
-    monkeypatch.setattr(pipeline, "generate_row", lambda *a, **k: rows.append(1) or generate_row(*a, **k))
+    generate_row = sampling_model.generate_row
+    monkeypatch.setattr(sampling_model, "generate_row", lambda *a, **k: rows.append(1) or generate_row(*a, **k))
     context = model.config.tokenizer.decoder_context
     longest = model.config.generator.max_codes
     # A stop probability of 1 is never reached.

@@ -31,12 +31,12 @@ def model(request):
 def sample(model, *, known=None, num_codes=0, num_rows=0, **options):
     """Codes of four motions, with `num_codes` rows of `known` [4, N, R], and their lengths."""
     keys = jnp.stack([sample_key(7, FIRST, number) for number in range(4)])
-    sampling = model.sampling(**options)
+    sampling = model.parts.sampling(**options)
     given = None
     if known is not None:
         is_known = jnp.arange(known.shape[1])[None] < jnp.full((4, 1), num_codes)
         given = Given(jnp.asarray(known), is_known, jnp.full(4, num_rows))
-    sampled = model.sample_codes(model.text_encoder([FIRST] * 4), keys, sampling, given=given)
+    sampled = model.parts.sample_codes(model.text_encoder([FIRST] * 4), keys, sampling, given=given)
     return np.asarray(sampled.codes), np.asarray(sampled.code_lengths)
 
 
@@ -73,7 +73,7 @@ def test_jit_and_eager_agree_with_known_codes(model):
     is_known = jnp.arange(shape[1])[None] < jnp.array([[2], [0]])
     given = Given(jnp.ones(shape, jnp.int32), is_known, jnp.array([0, 4]))
     arguments = model.variables["generator"], model.text_encoder([FIRST] * 2), keys, None, given
-    options = {"generator": make_module(model.config.generator), "sampling": model.sampling()}
+    options = {"generator": make_module(model.config.generator), "sampling": model.parts.sampling()}
     sampled = assert_jit_equals_eager(generate_codes, *arguments, **options)
     assert sampled.codes[0, :2].tolist() == given.codes[0, :2].tolist() and sampled.code_lengths[1] == 4
 
@@ -132,7 +132,7 @@ def test_a_motion_may_be_longer_than_the_generator_can_read(model):
     seconds = 3 * longest * model.config.tokenizer.downsample / model.skeleton.fps
     (motion,) = model.generate_chain([FIRST, SECOND], seconds=seconds)
     assert len(motion.codes) == 6 * longest and motion.part_starts == (0, motion.num_frames // 2)
-    assert context_rows(model) < longest
+    assert context_rows(model.parts) < longest
 
 
 def test_a_motion_goes_on_from_another(model):
@@ -175,8 +175,8 @@ def test_a_stream_is_the_motion_as_decoded(model):
 
 def test_a_stream_begins_before_all_is_sampled(model, monkeypatch):
     sampled = []
-    sample_codes = model.sample_codes
-    monkeypatch.setattr(model, "sample_codes", lambda *args, **kw: sampled.append(1) or sample_codes(*args, **kw))
+    sample_codes = model.parts.sample_codes
+    monkeypatch.setattr(model.parts, "sample_codes", lambda *args, **kw: sampled.append(1) or sample_codes(*args, **kw))
     pieces = model.stream_chain([FIRST], seconds=60.0)
     assert not sampled
     next(pieces)
