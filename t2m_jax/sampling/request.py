@@ -31,7 +31,7 @@ def sentences(captions: Sequence[str]) -> tuple[str, ...]:
     return (captions,) if isinstance(captions, str) else tuple(captions)
 
 
-StopRuleName = Literal["end", "argmax", "threshold", "sampled"]
+StopRuleName = Literal["argmax", "threshold", "sampled"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -49,7 +49,7 @@ class SamplingOptions:
     guidance_scale: float | None = None
     """Strength of the guidance by the text, for models that were trained for it; 1 is none. By default the model's."""
     stop_rule: StopRuleName | None = None
-    """When a motion ends; by default the model's own rule. Models with a stop head know all rules but `end`."""
+    """When a motion ends, for models with a stop head; by default the model's own rule."""
     max_codes: int | None = None
     """Longest motion in rows of codes, if the model decides its length; by default the model's maximum."""
     raw: bool = False

@@ -76,6 +76,6 @@ def _stop_rules(model: TextToMotion) -> list[str]:
     found = []
     for name in get_args(StopRuleName):
         with contextlib.suppress(UserError):
-            model.sampling(stop_rule=name)
+            model.parts.sampling(stop_rule=name)
             found.append(name)
     return found

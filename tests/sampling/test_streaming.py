@@ -81,7 +81,7 @@ def test_what_cannot_be_streamed_is_refused(model):
 def test_a_stop_rule_of_other_scores_is_refused(model):
     wrong = "end" if stop_rule(model) else "argmax"
     with pytest.raises(UserError, match=f"stop-rule: '{wrong}' does not fit this model; use"):
-        model.generate("walk", stop_rule=wrong)
+        model.parts.sampling(stop_rule=wrong)
 
 
 def test_a_random_end_is_the_same_in_a_stream():
