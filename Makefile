@@ -1,28 +1,34 @@
-# Every target installs what it needs into .venv. Apart from pip's cache, nothing else on the machine changes.
+# Every target installs what it needs into .venv. Apart from the caches of pip and uv, nothing else on the machine changes.
 #   make demo                      generates a motion as a page, a GIF and a BVH file
 #   make test PYTEST_ARGS="-x tests/motion"
 #   make lint PYTHON=python3.12    creates .venv with that Python; an existing .venv is kept
-#   make test PYTHON=python3.13 VENV=.venv-3.13    uses an environment of its own
+#   make test PYTHON=python3.12 VENV=.venv-3.12    uses an environment of its own
 
-PYTHON ?= python3
-# The tests of a file share what they compile, so they run in one process.
-BY_FILE := -n 2 --dist loadfile
+# The newest Python of this machine. The slow tests run with the oldest one, so that every change sees both.
+PYTHON ?= $(shell .ci/find-python 3.13 3.12 3.11 || echo python3)
+OLDEST := $(shell .ci/find-python 3.11 3.12 3.13 || echo python3)
 VENV ?= .venv
 BIN := $(VENV)/bin
+SLOW_VENV := $(if $(and $(filter file,$(origin PYTHON)),$(filter-out $(OLDEST),$(PYTHON))),.venv-oldest,$(VENV))
+# The tests of a file share what they compile, so they run in one process.
+FAST := -m "not slow" --ignore tests/lint
+BY_FILE := -n 2 --dist loadfile
+# Tests start many processes. Without bytecode on disk, each would compile JAX and everything else again.
+unexport PYTHONDONTWRITEBYTECODE
 PROMPT ?= a person waves with the left hand
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-lowest test-python3.12 test-python3.13 soak soak-serve lint three format docs notebooks clean
+.PHONY: help demo test test-slow test-lowest test-python3.11 test-python3.12 test-python3.13 soak soak-serve lint three format docs notebooks clean
 
 help:
 	@echo "make demo       generate a motion and print where it was saved"
 	@echo "make test       run the tests that take a short time (PYTEST_ARGS=\"...\" for other options of pytest)"
-	@echo "make test-slow  run the other tests"
+	@echo "make test-slow  run the other tests, with the oldest Python that is supported and found"
 	@echo "make test-lowest      run the tests with the lowest versions that pyproject.toml allows"
-	@echo "make test-python3.13  run the tests with this Python, also with 3.12"
+	@echo "make test-python3.12  run the tests with this Python, also with 3.11 and 3.13"
 	@echo "make soak       attack the readers of files with a million inputs (SOAK_ARGS=\"--inputs 10000\" for fewer)"
 	@echo "make soak-serve  load the server with many clients, and kill its process (SOAK_ARGS=\"--clients 10\" for fewer)"
-	@echo "make lint       check style, imports, types and the Dockerfile"
+	@echo "make lint       check style, imports, types, pages, configs and the Dockerfile"
 	@echo "make three      build the part of three.js that the pages use (needs npm)"
 	@echo "make format     format the code"
 	@echo "make docs       write the documentation to site/index.html, and check its links"
@@ -51,10 +57,13 @@ $(VENV)/.docs: pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	@touch $(VENV)/.base $@
 
-# Further environments to test in, .venv-lowest and .venv-python3.13. uv can choose the lowest versions, and is quick.
+# Further environments to test in: .venv-oldest, .venv-lowest and .venv-python3.12. uv can choose the lowest versions, and
+# is quick.
 .venv-lowest/.dev: RESOLUTION := lowest-direct
+.venv-lowest/.dev .venv-oldest/.dev: VERSION_PATH = $(OLDEST)
+.venv-%/.dev: VERSION_PATH = $(shell .ci/find-python $(patsubst python%,%,$*))
 .venv-%/.dev: pyproject.toml $(VENV)/.dev
-	$(BIN)/uv venv --quiet --clear --no-python-downloads --python $(if $(RESOLUTION),$(BIN)/python,$*) .venv-$*
+	$(BIN)/uv venv --quiet --clear --no-python-downloads --python "$(VERSION_PATH)" .venv-$*
 	$(BIN)/uv pip install --quiet --python .venv-$*/bin/python --resolution $(or $(RESOLUTION),highest) --editable '.[dev]'
 	@touch $@
 
@@ -63,13 +72,13 @@ demo: $(VENV)/.base
 	$(BIN)/t2m generate "$(PROMPT)" -o demo/wave.html -o demo/wave.gif -o demo/wave.bvh
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest -m "not slow" $(or $(PYTEST_ARGS),$(BY_FILE))
+	$(BIN)/python -m pytest $(FAST) $(or $(PYTEST_ARGS),$(BY_FILE))
 
-test-slow: $(VENV)/.dev
-	$(BIN)/python -m pytest -m slow $(or $(PYTEST_ARGS),-n 2)
+test-slow: $(SLOW_VENV)/.dev
+	$(SLOW_VENV)/bin/python -m pytest -m slow $(or $(PYTEST_ARGS),-n 2)
 
-test-lowest test-python3.12 test-python3.13: test-%: .venv-%/.dev
-	.venv-$*/bin/python -m pytest -m "not slow" $(or $(PYTEST_ARGS),$(BY_FILE))
+test-lowest test-python3.11 test-python3.12 test-python3.13: test-%: .venv-%/.dev
+	.venv-$*/bin/python -m pytest $(FAST) $(or $(PYTEST_ARGS),$(BY_FILE))
 
 soak: $(VENV)/.dev
 	$(BIN)/python -m tests.fuzz.soak $(SOAK_ARGS)
@@ -83,6 +92,7 @@ lint: $(VENV)/.dev
 	$(BIN)/lint-imports
 	$(BIN)/mypy
 	$(BIN)/hadolint Dockerfile
+	$(BIN)/python -m pytest -m "not slow" -q tests/lint
 
 # Only needed for another version of three.js, the renderer of the pages; the result is part of the package.
 three:

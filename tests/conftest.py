@@ -13,8 +13,6 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 # Tiny models run for milliseconds and compile for seconds, so the suite takes a quarter of the time without XLA's
 # optimizations. The tests in user_settings/ turn them on again.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
-# Half of the rest went into these emitters of XLA, which make programs faster that run for long.
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 # A path that does not exist may look like a name on the hub. No test asks the real one.
 os.environ["HF_HUB_OFFLINE"] = "1"
 

@@ -15,8 +15,6 @@ import pytest
 
 SETTING = "jax_disable_most_optimizations"
 """Set in tests/conftest.py, because the suite mostly compiles. Users have XLA's optimizations."""
-AS_USERS = {"xla_cpu_use_fusion_emitters": True}
-"""Options of a compilation that undo `XLA_FLAGS` of tests/conftest.py; `optimized` cannot."""
 
 
 @contextlib.contextmanager
@@ -31,8 +29,7 @@ def optimized() -> Iterator[None]:
 @contextlib.contextmanager
 def process_of_user(monkeypatch: pytest.MonkeyPatch) -> Iterator[ProcessPoolExecutor]:
     """Gives the body a process that compiles with the settings of users, for programs whose last bits matter."""
-    for setting in (SETTING.upper(), "XLA_FLAGS"):
-        monkeypatch.delenv(setting)
+    monkeypatch.delenv(SETTING.upper())
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as process:
         yield process
 
@@ -69,7 +66,7 @@ def compiled_and_eager(function: Callable, *arguments: Any, **options: Any) -> t
         # Static options are part of the program.
         dynamic = {name: value for name, value in options.items() if name in lowered.args_info[1]}
         # Copies, because the program may write into donated arguments, which may be part of the other result.
-        compiled = lowered.compile(AS_USERS)(*copy.deepcopy(arguments), **dynamic)
+        compiled = lowered.compile()(*copy.deepcopy(arguments), **dynamic)
     return without_keys(compiled), without_keys(eager)
 
 

@@ -10,7 +10,7 @@ import pytest
 from t2m_jax.models.convolution import MaskedConv
 from t2m_jax.models.convolve import convolve, convolve_repeated
 from t2m_jax.models.vqvae import VqVae
-from tests.jit import AS_USERS, optimized
+from tests.jit import optimized
 from tests.tiny import VQVAE
 
 WINDOWS = [
@@ -96,7 +96,7 @@ def test_a_vqvae_is_trained_in_a_loop_by_convolutions_that_the_cpu_backend_is_fa
         return jax.lax.fori_loop(0, count, lambda _, params: jax.grad(loss)(params), params)
 
     with optimized():
-        program = descend.lower(variables["params"], 1).compile(AS_USERS).as_text()
+        program = descend.lower(variables["params"], 1).compile().as_text()
     convolutions = [line for line in program.splitlines() if " convolution(" in line]
     assert len(convolutions) > 20
     slow = [line for line in convolutions if "dim_labels=b0f_0io->b0f" not in line or "reversal" in line]

@@ -69,7 +69,7 @@ def test_wrong_shapes_are_refused_in_one_line(unchecked, call, library):
         (features.positions_from_features, (263,), r"needs \[..., frames, 263\]"),
     ],
 )
-def test_what_users_give_is_refused_in_their_words_also_in_jit(unchecked, function, shape, message):
+def test_what_users_give_is_refused_in_their_words_also_when_traced(unchecked, function, shape, message):
     for call in (function, jax.jit(function, static_argnums=1)):
         with pytest.raises(UserError, match=message):
             call(jnp.ones(shape), HUMANML3D)

@@ -54,8 +54,7 @@ def start(config, *options):
         "JAX_COMPILATION_CACHE_DIR": f"{config.parent / 'cache'}",
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     }
-    for name in (SETTING.upper(), "XLA_FLAGS"):
-        del environment[name]
+    del environment[SETTING.upper()]
     command = [sys.executable, "-m", "t2m_jax.cli", "train", config.stem, f"{config}", *options]
     return subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
 

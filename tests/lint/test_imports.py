@@ -12,6 +12,7 @@ import t2m_jax
 PACKAGE = Path(t2m_jax.__file__).parent
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if path.name != "__main__.py")
 MODULES = [".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__") for path in FILES]
+TEXTS = {name: path.read_text(encoding="utf-8") for name, path in zip(MODULES, FILES, strict=True)}
 
 HEAVY = ("jax", "jaxlib", "flax", "numpy", "orbax", "optax", "tyro", "tokenizers", "PIL")
 
@@ -23,9 +24,8 @@ def run_python(program: str) -> str:
     return result.stdout.strip()
 
 
-@pytest.mark.parametrize("name", MODULES)
-def test_every_module_imports_and_says_what_it_is(name):
-    assert importlib.import_module(name).__doc__
+def test_every_module_imports_and_says_what_it_is():
+    assert [name for name in MODULES if not importlib.import_module(name).__doc__] == []
 
 
 def test_every_folder_of_modules_is_a_package():
@@ -72,12 +72,10 @@ def longest_function(tree: ast.Module) -> tuple[int, str]:
     return max(lengths)
 
 
-@pytest.mark.parametrize("path", FILES, ids=MODULES)
-def test_files_and_functions_stay_short_enough_to_read(path):
-    text = path.read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= 340
-    lines, name = longest_function(ast.parse(text))
-    assert lines <= 40, name
+def test_files_and_functions_stay_short_enough_to_read():
+    assert [name for name, text in TEXTS.items() if len(text.splitlines()) > 340] == []
+    longest = {name: longest_function(ast.parse(text)) for name, text in TEXTS.items()}
+    assert {name: found for name, found in longest.items() if found[0] > 40} == {}
 
 
 WRITERS = {
@@ -98,15 +96,13 @@ what the server keeps in a temporary folder during a request."""
 WRITES = re.compile(r"\.write_(text|bytes)\(|np\.save\w*\(|open\([^)]*[\"'][wax]b?\+?b?[\"']")
 
 
-@pytest.mark.parametrize(("path", "name"), list(zip(FILES, MODULES, strict=True)), ids=MODULES)
-def test_files_are_written_in_one_way(path, name):
-    text = path.read_text(encoding="utf-8").replace("open(os.devnull", "")
-    assert (WRITES.search(text) is not None) == (name in WRITERS)
+def test_files_are_written_in_one_way():
+    assert {name for name, text in TEXTS.items() if WRITES.search(text.replace("open(os.devnull", ""))} == WRITERS
 
 
-@pytest.mark.parametrize("path", FILES, ids=MODULES)
-def test_texts_are_read_and_written_in_a_stated_encoding(path):
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        call = ast.unparse(node) if isinstance(node, ast.Call) else ""
-        if re.fullmatch(r"(.*\.)?(open|fdopen|read_text|write_text)", call.partition("(")[0]):
-            assert re.search(r"encoding=|'[rwax]\+?b\+?'|os\.open", call), call
+def test_texts_are_read_and_written_in_a_stated_encoding():
+    for name, text in TEXTS.items():
+        for node in ast.walk(ast.parse(text)):
+            call = ast.unparse(node) if isinstance(node, ast.Call) else ""
+            if re.fullmatch(r"(.*\.)?(open|fdopen|read_text|write_text)", call.partition("(")[0]):
+                assert re.search(r"encoding=|'[rwax]\+?b\+?'|os\.open", call), f"{name}: {call}"

@@ -1,0 +1,97 @@
+"""Every config in `configs/` loads, and every command its header names is one that works."""
+
+import re
+import shlex
+
+import pytest
+
+from t2m_jax.cli.train import _config
+from t2m_jax.config import load_config, override_config
+from t2m_jax.data.folder import DatasetInfo
+from t2m_jax.data.importers.caption_files import find_table
+from t2m_jax.train.shipped import find_config, shipped_configs
+from tests.conftest import REPOSITORY
+
+FREE = REPOSITORY / "configs" / "free"
+CONFIGS = sorted(path for path in (REPOSITORY / "configs").rglob("*.yaml") if path.parent != FREE)
+PAIRS = [
+    (REPOSITORY / "configs" / folder, tokenizer, generator)
+    for folder, tokenizer, generator in (
+        ("t2m-gpt", "vqvae", "gpt"),
+        ("synthetic", "vqvae", "gpt"),
+        ("demo", "decoder", "hifigpt"),
+        ("hifigpt", "rvqvae", "hifigpt"),
+    )
+]
+
+
+def commands(path):
+    """Returns stage, config and options of each training command in a file's header."""
+    header = path.read_text(encoding="utf-8").partition("\ndata:")[0]
+    return [
+        (stage, name, shlex.split(rest))
+        for stage, name, rest in re.findall(r"t2m train (\w+) ([^\s`]+)([^`\n]*)", header)
+    ]
+
+
+def config_of(stage, name, options):
+    return override_config(_config(stage, name), options, prog="t2m train")
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: f"{path.parent.name}-{path.stem}")
+def test_the_commands_of_a_header_work(path, monkeypatch):
+    monkeypatch.chdir(REPOSITORY)
+    found = commands(path)
+    own = [(stage, options) for stage, name, options in found if name == f"{path.relative_to(REPOSITORY)}"]
+    assert own, "the header does not say how to use the file"
+    configs = [config_of(stage, name, options) for stage, name, options in found]
+    assert all(config.run.is_relative_to("runs") for config in configs)
+    if path.parent.name == "ablations":
+        assert len(own) > 2
+        assert len({config.run for config in configs[: len(own)]}) == len(own), "two rows would share a run"
+        assert config_of(own[0][0], str(path), []) in configs, "no row is the file as it stands"
+
+
+@pytest.mark.parametrize(("folder", "tokenizer", "generator"), PAIRS, ids=[pair[0].name for pair in PAIRS])
+def test_the_stages_of_a_folder_fit(folder, tokenizer, generator):
+    kinds = {"decoder": "rvqvae"}
+    first, second = (config_of(kinds.get(n, n), str(folder / f"{n}.yaml"), []) for n in (tokenizer, generator))
+    assert second.vqvae == first.run
+    assert second.data == first.data
+    for name in ("num_codes", "num_quantizers"):
+        assert getattr(second.model, name) == getattr(first.model, name)
+
+
+def test_the_script_of_the_demo_fits_its_configs():
+    script = (REPOSITORY / "configs" / "demo" / "make.sh").read_text(encoding="utf-8").splitlines()
+    single, _, _, merge, *trainings, bundle = (shlex.split(line)[1:] for line in script if line.startswith("t2m "))
+    configs = [config_of(kind, str(REPOSITORY / path), options) for _, kind, path, *options in trainings]
+    tokenizer, decoder, first, *later = configs
+    assert [f"{config.data}" for config in configs] == [merge[-1], merge[-1], single[-1], *[merge[-1]] * 9]
+    assert (decoder.init, decoder.model) == (tokenizer.run, tokenizer.model)
+    for before, config in zip((first, *later), later, strict=False):
+        assert config.init == before.run
+    assert {config.vqvae for config in (first, *later)} == {decoder.run}
+    assert {repr((config.model, config.caption_encoder)) for config in (first, *later)} == {
+        repr((first.model, first.caption_encoder))
+    }
+    assert bundle[:3] == ["bundle", f"{later[-1].run}", "t2m_jax/bundles/demo"] and (REPOSITORY / bundle[-1]).is_file()
+
+
+def test_the_free_motions_have_captions_and_a_license():
+    info, table = load_config(FREE / "dataset.yaml", DatasetInfo), find_table(FREE, None, files=())
+    rows = [row for same in table.rows.values() for row in same]
+    captions = {row.file: [other for other in rows if other.file == row.file] for row in rows}
+    assert "CMU" in info.licence and "mocap.cs.cmu.edu" in info.attribution
+    assert len(captions) > 150 and all(len(said) >= 4 for said in captions.values())
+    assert not [row.problem for row in rows if row.problem] and not table.notes
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: f"{path.parent.name}-{path.stem}")
+def test_configs_are_found_by_name_from_everywhere(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    name = f"{path.parent.name}/{path.stem}"
+    shipped = shipped_configs()[name]
+    assert shipped.path == path and shipped.summary and len(shipped.summary) < 250
+    assert find_config(shipped.kind, name) == find_config(shipped.kind, f"configs/{name}.yaml") == path
+    assert _config(shipped.kind, name) == config_of(shipped.kind, str(path), [])
