@@ -202,7 +202,7 @@ def check_limits(config: Any, **limits: int) -> None:
     for name, limit in limits.items():
         value = getattr(config, name)
         if value > limit:
-            raise ValueError(f"{name}: {reprlib.repr(value)} is more than the {limit} that any model needs")
+            raise ValueError(f"{name}: {reprlib.repr(value)} is more than {limit}, the most that is allowed")
 
 
 def _section(schema: type[T] | Tagged, data: Any, keys: tuple[str, ...]) -> T:

@@ -1,5 +1,6 @@
 """Loss functions of all models, as functions of arrays."""
 
+import functools
 from typing import Literal
 
 import jax.numpy as jnp
@@ -62,8 +63,8 @@ def velocity_loss(
     """
     if velocity == "joint_positions":
         return reconstruction_loss(reconstruction, motion, mask, kind=kind, features=positions)
-    both = mask[:, 1:] & mask[:, :-1]
-    return reconstruction_loss(jnp.diff(reconstruction, axis=1), jnp.diff(motion, axis=1), both, kind=kind)
+    steps = (jnp.diff(reconstruction, axis=1), jnp.diff(motion, axis=1))
+    return reconstruction_loss(*steps, _runs(mask, 2), kind=kind)
 
 
 def acceleration_loss(
@@ -77,8 +78,8 @@ def acceleration_loss(
 
     A difference counts if all its three frames are data.
     """
-    all_three = mask[:, 2:] & mask[:, 1:-1] & mask[:, :-2]
-    return reconstruction_loss(jnp.diff(reconstruction, 2, axis=1), jnp.diff(motion, 2, axis=1), all_three, kind=kind)
+    changes = (jnp.diff(reconstruction, 2, axis=1), jnp.diff(motion, 2, axis=1))
+    return reconstruction_loss(*changes, _runs(mask, 3), kind=kind)
 
 
 def bone_vectors(features: Float[Array, "B T D"], skeleton: Skeleton) -> Float[Array, "B T J 3"]:
@@ -160,27 +161,47 @@ def facing_loss(
     return masked_mean(_lengths(along(reconstruction) - along(motion)), mask)
 
 
-def world_losses(
+def world_velocity_loss(
     reconstruction: Float[Array, "B T D"],
     motion: Float[Array, "B T D"],
     mask: Bool[Array, "B T"],
     *,
     skeleton: Skeleton,
     normalizer: Normalizer,
-) -> dict[str, Float[Array, ""]]:
-    """Returns how far joints move differently in the world: per frame, in the skeleton's unit.
+) -> Float[Array, ""]:
+    """Returns the mean distance of the joints' steps in the world from a frame to the next, in the skeleton's unit.
 
-    `world_velocity` is the mean distance of the joints' steps from a frame to the next, and `world_acceleration` that
-    of the steps' differences. Both contain the root's path and heading. A difference counts if all its frames are data.
-    Arguments as for `joint_loss`.
+    It contains the root's path and heading. A step counts if both its frames are data. Arguments as for `joint_loss`.
     """
-    difference = positions_from_features(normalizer.denormalize(reconstruction), skeleton)
-    difference -= positions_from_features(normalizer.denormalize(motion), skeleton)
-    two, three = mask[:, 1:] & mask[:, :-1], mask[:, 2:] & mask[:, 1:-1] & mask[:, :-2]
-    return {
-        "world_velocity": masked_mean(_lengths(jnp.diff(difference, axis=1)), two[:, :, None]),
-        "world_acceleration": masked_mean(_lengths(jnp.diff(difference, 2, axis=1)), three[:, :, None]),
-    }
+    steps = jnp.diff(_world_difference(reconstruction, motion, skeleton, normalizer), axis=1)
+    return masked_mean(_lengths(steps), _runs(mask, 2)[:, :, None])
+
+
+def world_acceleration_loss(
+    reconstruction: Float[Array, "B T D"],
+    motion: Float[Array, "B T D"],
+    mask: Bool[Array, "B T"],
+    *,
+    skeleton: Skeleton,
+    normalizer: Normalizer,
+) -> Float[Array, ""]:
+    """Returns the mean distance of the differences of the joints' steps, see `world_velocity_loss`."""
+    changes = jnp.diff(_world_difference(reconstruction, motion, skeleton, normalizer), 2, axis=1)
+    return masked_mean(_lengths(changes), _runs(mask, 3)[:, :, None])
+
+
+def _world_difference(
+    reconstruction: Float[Array, "B T D"], motion: Float[Array, "B T D"], skeleton: Skeleton, normalizer: Normalizer
+) -> Float[Array, "B T J 3"]:
+    """Returns how far the joints of a reconstruction are from their places in the world."""
+    positions = positions_from_features(normalizer.denormalize(reconstruction), skeleton)
+    return positions - positions_from_features(normalizer.denormalize(motion), skeleton)
+
+
+def _runs(mask: Bool[Array, "B T"], count: int) -> Bool[Array, "B U"]:
+    """Returns whether each run of `count` consecutive frames is data."""
+    places = mask.shape[1] - count + 1
+    return functools.reduce(jnp.logical_and, [mask[:, first : first + places] for first in range(count)])
 
 
 def _lengths(vectors: Float[Array, "*batch D"]) -> Float[Array, "*batch"]:

@@ -2,9 +2,9 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Any, ClassVar, Literal, TypeVar
+from typing import Any, ClassVar, Literal
 
-from t2m_jax.config import check_amounts, check_seed, check_sizes
+from t2m_jax.config import check_amounts, check_limits, check_seed, check_sizes
 
 EvaluationMetric = Literal["fid", "matching_score", "r_precision_1", "r_precision_2", "r_precision_3"]
 """Metrics that can choose weights: a larger value is always better, or always worse. Diversity is not one of them."""
@@ -14,8 +14,6 @@ Placement = Literal["auto", "device", "host"]
 """Where the training motion is."""
 FROM_DATA = "data"
 """The value of `statistics` that means the data set's own."""
-
-
 MAX_BATCH = 65_536
 """Most clips of an update, 256 times the default: more would only fill the memory."""
 MAX_STEPS_PER_CALL = 10_000
@@ -48,14 +46,24 @@ class LoopConfig:
 
     def __post_init__(self) -> None:
         check_sizes(self, "num_steps", "batch_size", "keep_checkpoints", "steps_per_call")
-        limits = {"num_steps": 2**31 - 1, "batch_size": MAX_BATCH, "steps_per_call": MAX_STEPS_PER_CALL}
-        for name, limit in limits.items():
-            if getattr(self, name) > limit:
-                raise ValueError(f"{name}: {getattr(self, name)} is more than {limit}")
+        check_limits(self, num_steps=2**31 - 1, batch_size=MAX_BATCH, steps_per_call=MAX_STEPS_PER_CALL)
         check_seed(self.seed)
-        for name in ("log_every", "validate_every", "checkpoint_every"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name}: {getattr(self, name)} is below 0")
+        check_amounts(self, "log_every", "validate_every", "checkpoint_every")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class StepConfig:
+    """The part of a training's config that its compiled step reads. A training extends it by what its own step reads.
+
+    Steps are compiled for these fields alone, so that trainings which differ in others share their programs.
+    """
+
+    loop: LoopConfig = LoopConfig()
+    """Length, batch, seed, checkpoints."""
+
+    def __post_init__(self) -> None:
+        names = [field.name for field in dataclasses.fields(self)]
+        check_amounts(self, *(name for name in names if name.endswith("_weight")))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -105,22 +113,13 @@ class GenerationEvaluationConfig(EvaluationConfig):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ExperimentConfig:
+class ExperimentConfig(StepConfig):
     """Fields of every training."""
 
     kind: ClassVar[str]
     """Name of the trainer's entry point, and of what is trained."""
-    not_compiled: ClassVar[tuple[str, ...]] = (
-        "data",
-        "data_fraction",
-        "run",
-        "init",
-        "statistics",
-        "evaluation",
-        "sharding",
-        "placement",
-    )
-    """Fields that no compiled step reads."""
+    step: ClassVar[type[StepConfig] | None] = None
+    """The class of the fields that the compiled step reads; None if it may read all."""
 
     data: Path = Path("data/humanml3d")
     """Data-set folder."""
@@ -130,8 +129,6 @@ class ExperimentConfig:
     """Run directory to write."""
     init: Path | None = None
     """Bundle, bundled name or run to start from: its weights instead of random ones, of the same sizes."""
-    loop: LoopConfig = LoopConfig()
-    """Length, batch, seed, checkpoints."""
     sharding: ShardingConfig = ShardingConfig()
     """How devices share the work."""
     placement: Placement = "auto"
@@ -140,28 +137,18 @@ class ExperimentConfig:
     memory. The batches are the same, and a resumed run may change it. A generator's codes are always on the devices."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not 0 < self.data_fraction <= 1:
             raise ValueError(f"data_fraction: {self.data_fraction} is not a share above 0 and at most 1")
-        names = [field.name for field in dataclasses.fields(self)]
-        check_amounts(self, *(name for name in names if name.endswith("_weight")))
-        window = getattr(self, "window", 0)  # generators have none
-        if window > MAX_WINDOW:
-            raise ValueError(f"window: {window} frames are more than {MAX_WINDOW}")
 
 
-Config = TypeVar("Config", bound=ExperimentConfig)
+def compiled_config(config: ExperimentConfig) -> Any:
+    """Returns the part of a config that compiled steps read, an instance of `config.step`.
 
-
-def compiled_config(config: Config) -> Config:
-    """Returns a config with defaults in all fields that compiled steps do not read.
-
-    Steps are compiled for this config, so runs that differ in folders and intervals share their programs.
+    Of `loop`, only the batch and the seed change what a step computes.
     """
-    defaults: dict[str, Any] = {
-        field.name: Path() if field.name == "run" else field.default
-        for field in dataclasses.fields(config)
-        if field.name in config.not_compiled
-    }
-    loop = config.loop
-    kept = LoopConfig(num_steps=loop.num_steps, batch_size=loop.batch_size, seed=loop.seed)
-    return dataclasses.replace(config, loop=kept, **defaults)
+    if config.step is None:
+        return config
+    fields = {field.name: getattr(config, field.name) for field in dataclasses.fields(config.step)}
+    fields["loop"] = LoopConfig(batch_size=config.loop.batch_size, seed=config.loop.seed)
+    return config.step(**fields)

@@ -20,31 +20,28 @@ from t2m_jax.data.banks.captions import (
     caption_cuts_at,
     make_caption_bank,
 )
-from t2m_jax.data.banks.host import FeedPlan
-from t2m_jax.data.banks.motions import Cuts
 from t2m_jax.data.folder import Clip, DatasetInfo, samples_from_clip
 from t2m_jax.devices import global_mean, global_rows
 from t2m_jax.errors import UserError
 from t2m_jax.losses import infonce_loss, margin_loss, pair_distances
 from t2m_jax.metrics.retrieval import r_precision
 from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT, Evaluator, evaluator_shapes
-from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.text.word_vectors import Vocabulary, load_vocabulary, load_word_vectors, vocabulary_from_captions
 from t2m_jax.train.config import compiled_config
-from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
+from t2m_jax.train.evaluator_config import EvaluatorStepConfig, TrainEvaluatorConfig
 from t2m_jax.train.experiment import Setup, Trainer, Validation
 from t2m_jax.train.movement import MOVEMENTS, train_movements
 from t2m_jax.train.optimizer import Metrics, TrainState, make_optimizer
 from t2m_jax.train.program import Update
 from t2m_jax.train.statistics import open_training_data
-from t2m_jax.train.streams import stream_key
+from t2m_jax.train.streams import plan_feed, stream_key, window_options
 
 MOTION_PARTS = ("motion_encoder",)
 TEXT_PARTS = ("text_encoder", "part_of_speech_projection")
 WORDS = "word_embedding"
 
 
-def trained_parts(params: Any, config: TrainEvaluatorConfig) -> dict[str, Any]:
+def trained_parts(params: Any, config: EvaluatorStepConfig) -> dict[str, Any]:
     """Returns the parameters that are trained, by encoder. Word vectors are trained only if none are given."""
     text = (*TEXT_PARTS, WORDS) if config.word_vectors is None else TEXT_PARTS
     return {"motion": {name: params[name] for name in MOTION_PARTS}, "text": {name: params[name] for name in text}}
@@ -52,7 +49,7 @@ def trained_parts(params: Any, config: TrainEvaluatorConfig) -> dict[str, Any]:
 
 @functools.partial(jax.jit, static_argnames="config")
 def init_matching_state(
-    config: TrainEvaluatorConfig, key: Key[Array, ""], movement_encoder: Any, word_vectors: Float[Array, "W X"] | None
+    config: EvaluatorStepConfig, key: Key[Array, ""], movement_encoder: Any, word_vectors: Float[Array, "W X"] | None
 ) -> TrainState:
     """Returns the state before the first update; `key` is consumed.
 
@@ -74,7 +71,7 @@ def init_matching_state(
 
 
 def matching_metrics(
-    params: Any, batch: CaptionBatch, shift: Int[Array, ""], *, config: TrainEvaluatorConfig
+    params: Any, batch: CaptionBatch, shift: Int[Array, ""], *, config: EvaluatorStepConfig
 ) -> Metrics:
     """Returns the loss, the mean distances of pairs and of negatives, and `top3`.
 
@@ -102,7 +99,7 @@ def matching_metrics(
 
 
 def matching_train_step(
-    state: TrainState, batch: CaptionBatch, shift: Int[Array, ""], *, config: TrainEvaluatorConfig
+    state: TrainState, batch: CaptionBatch, shift: Int[Array, ""], *, config: EvaluatorStepConfig
 ) -> tuple[TrainState, Metrics]:
     """Returns the state after one update and the metrics before it, with the gradient norms before they are limited.
 
@@ -125,41 +122,26 @@ def matching_train_step(
     return TrainState(state.step + 1, params, opt_state), metrics
 
 
-def draw_shift(config: TrainEvaluatorConfig, stream: str, step: Int[Array, ""]) -> Int[Array, ""]:
+def draw_shift(config: EvaluatorStepConfig, stream: str, step: Int[Array, ""]) -> Int[Array, ""]:
     """Returns the distance of a step's negatives; the original draws 0 too, but not B - 1."""
     key = jax.random.fold_in(stream_key(config.loop.seed, stream), step)
     return jax.random.randint(key, (), 0, config.loop.batch_size - 1)
 
 
-def batch_options(config: TrainEvaluatorConfig, stream: str, max_frames: int) -> dict[str, Any]:
-    """Returns what decides, with the step, which motions, captions and crops are in a batch."""
-    key = stream_key(config.loop.seed, stream)
-    return {"key": key, "batch_size": config.loop.batch_size, "max_frames": max_frames}
-
-
-def plan_feed(stream: str, *, config: TrainEvaluatorConfig, max_frames: int) -> FeedPlan:
-    """Returns how the host cuts the motions of a stream."""
-
-    def cuts(bank: CaptionBank, step: Int[Array, ""]) -> Cuts:
-        return caption_cuts_at(bank, step=step, **batch_options(config, stream, max_frames))
-
-    return FeedPlan(cuts, max_frames)
-
-
 def update(
-    state: TrainState, bank: CaptionBank, *, config: TrainEvaluatorConfig, max_frames: int
+    state: TrainState, bank: CaptionBank, *, config: EvaluatorStepConfig, max_frames: int
 ) -> tuple[TrainState, Metrics]:
     """Returns the state after one step on the batch of that step."""
-    batch = caption_batch_at(bank, step=state.step, **batch_options(config, "data", max_frames))
+    batch = caption_batch_at(bank, step=state.step, **window_options(config.loop, "data", window=max_frames))
     return matching_train_step(state, batch, draw_shift(config, "shift", state.step), config=config)
 
 
 @functools.partial(jax.jit, static_argnames=("config", "max_frames"))
 def validate(
-    state: TrainState, bank: CaptionBank, step: Int[Array, ""], *, config: TrainEvaluatorConfig, max_frames: int
+    state: TrainState, bank: CaptionBank, step: Int[Array, ""], *, config: EvaluatorStepConfig, max_frames: int
 ) -> Metrics:
     """Returns the metrics of a batch of held-out motions and captions."""
-    batch = caption_batch_at(bank, step=step, **batch_options(config, "validation", max_frames))
+    batch = caption_batch_at(bank, step=step, **window_options(config.loop, "validation", window=max_frames))
     return matching_metrics(state.params, batch, draw_shift(config, "validation shift", step), config=config)
 
 
@@ -197,16 +179,6 @@ def load_table(config: TrainEvaluatorConfig, vocabulary: Vocabulary) -> Array | 
     return jnp.asarray(table)
 
 
-def make_validation(
-    samples: Sequence[Clip], normalizer: Normalizer, vocabulary: Vocabulary, **options: Any
-) -> Validation | None:
-    """Returns the validation on one pass over the validation split, None if it is empty or turned off."""
-    if not samples:
-        return None
-    bank, measure = make_caption_bank(samples, normalizer, vocabulary), functools.partial(validate, **options)
-    return Validation(bank, len(samples), measure, plan_feed("validation", **options))
-
-
 def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
     """Returns the setup of a training; its first state contains the trained movement encoder.
 
@@ -222,7 +194,15 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
     is_restored = resume and has_checkpoint(config.run)
     table = None if is_restored else load_table(config, vocabulary)
     config = dataclasses.replace(config, model=dataclasses.replace(config.model, num_words=len(vocabulary)))
-    options: dict[str, Any] = {"config": compiled_config(config), "max_frames": dataset.info.max_frames}
+    length = dataset.info.max_frames
+    compiled = compiled_config(config)
+    options: dict[str, Any] = {"config": compiled, "max_frames": length}
+    plan = functools.partial(plan_feed, caption_cuts_at, config.loop, window=length)
+    validation = None
+    if validated:
+        bank = make_caption_bank(validated, normalizer, vocabulary)
+        measure = functools.partial(validate, **options)
+        validation = Validation(bank, len(validated), measure, plan("validation"))
 
     def init() -> TrainState:
         if is_restored:
@@ -232,7 +212,7 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
             movements = train_movements(config, dataset, normalizer, resume=resume, **clips)
         else:
             movements = load_trained_evaluator(config.init).variables["params"][MOVEMENTS]
-        return init_matching_state(options["config"], stream_key(config.loop.seed, "init"), movements, table)
+        return init_matching_state(compiled, stream_key(config.loop.seed, "init"), movements, table)
 
     return Setup(
         dataset=dataset,
@@ -240,13 +220,13 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
         data=make_caption_bank(samples, normalizer, vocabulary),
         init=init,
         update=Update(update, **options),
-        plan=plan_feed("data", **options),
+        plan=plan("data"),
         optimizer=config.optimizer,
-        frames_per_step=config.loop.batch_size * dataset.info.max_frames,
+        frames_per_step=config.loop.batch_size * length,
         weights=lambda state: {"params": state.params},
         write_parts=lambda run: save_evaluator_parts(run, config.model, normalizer, vocabulary),
         start_from=lambda path: load_trained_evaluator(path).variables,
-        validation=make_validation(validated, normalizer, vocabulary, **options),
+        validation=validation,
         patience=config.patience * config.loop.validate_every if validated else 0,
     )
 

@@ -4,50 +4,24 @@ import dataclasses
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from t2m_jax.config import check_sizes
+from t2m_jax.config import check_amounts, check_limits, check_sizes
 from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT, EvaluatorConfig
 from t2m_jax.text.word_vectors import MIN_COUNT
-from t2m_jax.train.config import FROM_DATA, ExperimentConfig, LoopConfig
+from t2m_jax.train.config import FROM_DATA, MAX_WINDOW, ExperimentConfig, LoopConfig, StepConfig
 from t2m_jax.train.optimizer import OptimizerConfig
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class TrainEvaluatorConfig(ExperimentConfig):
-    """Training of the evaluator; sizes, losses and optimizers are by default those of the published one.
+class EvaluatorStepConfig(StepConfig):
+    """What the steps of the evaluator and of its movement encoder read."""
 
-    The movement encoder is trained first, with a decoder that is not kept. Then it is frozen, and the encoders of
-    motion and text are trained, for as long as `loop` says.
-    """
-
-    kind: ClassVar[str] = "evaluator"
-    not_compiled: ClassVar[tuple[str, ...]] = (
-        *ExperimentConfig.not_compiled,
-        "words",
-        "min_count",
-        "movement_steps",
-        "patience",
-    )
-
-    run: Path = Path("runs/evaluator")
-    """Run directory to write."""
     model: EvaluatorConfig = EvaluatorConfig()
     """Sizes; `num_words` is taken from the vocabulary."""
-    words: Path | None = None
-    """Word list, one per line; by default the words of the training captions."""
-    min_count: int = MIN_COUNT
-    """How often a word must occur in the training captions to be in the vocabulary."""
     word_vectors: Path | None = None
     """Word vectors that are not trained: a GloVe file, or a table (.npy) of the word list. By default they are
     trained."""
-    statistics: str = FROM_DATA
-    """Mean and standard deviation that normalize the motion: `data` for the data set's own, weighted by `root_weight`;
-    or a folder or a file `mean.npy` (with `std.npy` beside it), or a model, used as they are."""
-    root_weight: float = 25.0
-    """By how much the root's columns and the contacts are scaled up for the evaluator; published evaluators have 25."""
     window: int = 24
     """Frames of a training window of the movement encoder."""
-    movement_steps: int = 100_000
-    """Updates of the movement encoder; the original makes up to 270 passes over every window of the data."""
     movement_batch_size: int = 128
     """Windows per update of the movement encoder."""
     decoder_hidden: int = 512
@@ -67,19 +41,51 @@ class TrainEvaluatorConfig(ExperimentConfig):
     """Divisor of squared distances in `infonce`."""
     optimizer: OptimizerConfig = OptimizerConfig(learning_rate=1e-4, betas=(0.9, 0.999), clip_norm=0.5)
     """Optimizer of the encoders of motion and text; each has its own, and the gradient norm of each is limited."""
-    patience: int = 20
-    """Validations without a lower loss after which training ends; 0 never ends it. The best weights are kept anyway."""
     loop: LoopConfig = LoopConfig(num_steps=110_000, batch_size=64, validate_every=350, checkpoint_every=3500)
     """Length, batch, seed and intervals of the matching; the movement encoder has the same intervals."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_sizes(self, "min_count", "movement_steps", "movement_batch_size", "decoder_hidden")
+        check_sizes(self, "movement_batch_size", "decoder_hidden")
+        check_limits(self, window=MAX_WINDOW)
         if self.window < 2 * FRAMES_PER_MOVEMENT or self.window % FRAMES_PER_MOVEMENT:
             raise ValueError(f"window: {self.window} is not a multiple of {FRAMES_PER_MOVEMENT} above one movement")
         if self.loop.batch_size < 2:
             raise ValueError(f"loop.batch_size: {self.loop.batch_size} leaves no negatives; use 2 or more")
-        if not (self.temperature > 0 and self.margin > 0 and self.root_weight > 0):
-            raise ValueError("temperature, margin, root_weight: must be above 0")
-        if self.patience < 0:
-            raise ValueError(f"patience: {self.patience} is below 0")
+        if not (self.temperature > 0 and self.margin > 0):
+            raise ValueError("temperature, margin: must be above 0")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrainEvaluatorConfig(EvaluatorStepConfig, ExperimentConfig):
+    """Training of the evaluator; sizes, losses and optimizers are by default those of the published one.
+
+    The movement encoder is trained first, with a decoder that is not kept. Then it is frozen, and the encoders of
+    motion and text are trained, for as long as `loop` says.
+    """
+
+    kind: ClassVar[str] = "evaluator"
+    step: ClassVar[type[StepConfig]] = EvaluatorStepConfig
+
+    run: Path = Path("runs/evaluator")
+    """Run directory to write."""
+    words: Path | None = None
+    """Word list, one per line; by default the words of the training captions."""
+    min_count: int = MIN_COUNT
+    """How often a word must occur in the training captions to be in the vocabulary."""
+    statistics: str = FROM_DATA
+    """Mean and standard deviation that normalize the motion: `data` for the data set's own, weighted by `root_weight`;
+    or a folder or a file `mean.npy` (with `std.npy` beside it), or a model, used as they are."""
+    root_weight: float = 25.0
+    """By how much the root's columns and the contacts are scaled up for the evaluator; published evaluators have 25."""
+    movement_steps: int = 100_000
+    """Updates of the movement encoder; the original makes up to 270 passes over every window of the data."""
+    patience: int = 20
+    """Validations without a lower loss after which training ends; 0 never ends it. The best weights are kept anyway."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_sizes(self, "min_count", "movement_steps")
+        check_amounts(self, "patience")
+        if not self.root_weight > 0:
+            raise ValueError(f"root_weight: {self.root_weight} is not above 0")

@@ -156,36 +156,32 @@ def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
         UserError: Data and model do not fit, the run exists (or, to resume, does not), or a loss is not finite.
     """
     with checks.claim_run(config.run):
-        return _train(config, resume=resume)
-
-
-def _train(config: ExperimentConfig, *, resume: bool) -> Any:
-    trainer = find_trainer(config.kind)
-    if resume:
-        check_resumable(config.run)
-        check_run_files(config.run)
-    else:
-        checks.check_new_run(config.run)
-    wait_for_all("checked")
-    config = trainer.resolve(config, resume)
-    if resume:
-        checks.check_same_config(config)
-    setup = trainer.prepare(config, resume)
-    if resume:
-        checks.check_same_data(config, setup.dataset)
-    held_out = open_evaluation(setup)
-    if config.sharding.devices != "auto":  # what does not fit is refused here, before anything is written
-        choose_devices(config.sharding, batch_size=config.loop.batch_size)
-    state = None
-    if config.init is not None and not (resume and has_checkpoint(config.run)):
-        # What cannot start from `init` is refused here, before anything is written.
-        state = with_weights(setup, setup.init(), config.init)
-    if is_writer():
-        write_run(config, setup, resume=resume)
-    wait_for_all("written")
-    state = setup.init() if state is None else state
-    best = make_best(config.run, setup, held_out)
-    return run_setup(config, state, setup, config.loop, resume=resume, best=best, held_out=held_out)
+        trainer = find_trainer(config.kind)
+        if resume:
+            check_resumable(config.run)
+            check_run_files(config.run)
+        else:
+            checks.check_new_run(config.run)
+        wait_for_all("checked")
+        config = trainer.resolve(config, resume)
+        if resume:
+            checks.check_same_config(config)
+        setup = trainer.prepare(config, resume)
+        if resume:
+            checks.check_same_data(config, setup.dataset)
+        # What does not fit is refused here, before anything is written.
+        held_out = open_evaluation(setup)
+        if config.sharding.devices != "auto":
+            choose_devices(config.sharding, batch_size=config.loop.batch_size)
+        state = None
+        if config.init is not None and not (resume and has_checkpoint(config.run)):
+            state = with_weights(setup, setup.init(), config.init)
+        if is_writer():
+            write_run(config, setup, resume=resume)
+        wait_for_all("written")
+        state = setup.init() if state is None else state
+        best = make_best(config.run, setup, held_out)
+        return run_setup(config, setup, state, resume=resume, best=best, held_out=held_out)
 
 
 def write_run(config: ExperimentConfig, setup: Setup, *, resume: bool) -> None:
@@ -229,10 +225,9 @@ def open_evaluation(setup: Setup) -> EvaluationTask | None:
         UserError: The evaluator is missing or does not fit the data, or the validation split is too small.
     """
     evaluation = setup.evaluation
-    evaluator = None if evaluation is None else evaluation.config.evaluator
-    if evaluation is None or evaluator is None:
+    if evaluation is None or evaluation.config.evaluator is None:
         return None
-    return open_held_out(setup.dataset, evaluator, seed=evaluation.config.seed, unit=evaluation.unit)
+    return open_held_out(setup.dataset, evaluation.config.evaluator, seed=evaluation.config.seed, unit=evaluation.unit)
 
 
 def make_best(run: Path, setup: Setup, held_out: EvaluationTask | None) -> BestWeights | None:
@@ -245,11 +240,10 @@ def make_best(run: Path, setup: Setup, held_out: EvaluationTask | None) -> BestW
 
 def run_setup(
     config: ExperimentConfig,
-    state: Any,
     setup: Setup,
-    loop: LoopConfig,
+    state: Any,
     *,
-    folder: str = "",
+    loop: LoopConfig | None = None,
     resume: bool = False,
     best: BestWeights | None = None,
     held_out: EvaluationTask | None = None,
@@ -257,19 +251,21 @@ def run_setup(
     """Returns the state after the loop.
 
     Args:
-        config: Names the run and its devices.
-        state: The state before the first update.
+        config: Names the folder that gets the log, the checkpoints and the best weights, and the devices.
         setup: What to train.
-        loop: For how long.
-        folder: Folder of the run that gets the log, the checkpoints and the best weights.
+        state: The state before the first update.
+        loop: For how long, if it is not the loop of the config.
         resume: Whether to continue from the newest checkpoint.
         best: Keeps the best weights.
         held_out: What the model is evaluated on.
     """
-    devices, run = Devices(config.sharding, batch_size=loop.batch_size), config.run / folder
+    loop = loop or config.loop
+    devices = Devices(config.sharding, batch_size=loop.batch_size)
     state = devices.put_state(state)
     if resume:
-        state = restore_latest(run, state)
+        state = restore_latest(config.run, state)
+    if best is not None and best.is_over(int(state.step), patience=setup.patience):
+        return state
     place = functools.partial(place_data, devices=devices, placement=config.placement, batch_size=loop.batch_size)
     measurements = [measure_validation(setup, loop, devices, place, best if held_out is None else None)]
     measurements += [] if held_out is None else [measure_evaluation(setup, held_out, best)]
@@ -281,13 +277,12 @@ def run_setup(
             return devices.run(setup.update, state, take(count), count, size=loop.steps_per_call)
 
         return run_loop(
-            run,
+            config.run,
             state,
             update,
             config=loop,
             measurements=measurements,
             speed=Speed(lambda step: float(learning_rate_at(step - 1, setup.optimizer)), setup.frames_per_step),
-            is_over=lambda step: best is not None and best.is_over(step, patience=setup.patience),
             asked_to_stop=asked_to_stop,
         )
 
@@ -303,16 +298,18 @@ def measure_validation(
     validation = setup.validation
     if validation is None:
         return Measurement("val", "validation", 0, lambda state: None)
-    data, num_batches = place(validation.data, validation.plan), max(validation.num_clips // loop.batch_size, 1)
+    data = place(validation.data, validation.plan)
+    num_batches = max(validation.num_clips // loop.batch_size, 1)
 
     def measure(state: Any) -> Measured:
         with data.feed(0, num_batches) as take:
             scores = mean_over_batches(
                 lambda batch: devices.measure(validation.measure, state, take(1), batch), num_batches
             )
-        if best is not None:
-            best.consider(int(state.step), scores, setup.weights(state))
-        return Measured(scores)
+        if best is None:
+            return Measured(scores)
+        best.consider(int(state.step), scores, setup.weights(state))
+        return Measured(scores, is_last=best.is_over(int(state.step), patience=setup.patience))
 
     return Measurement("val", "validation", loop.validate_every, measure)
 
@@ -329,9 +326,11 @@ def measure_evaluation(setup: Setup, held_out: EvaluationTask, best: BestWeights
         weights = put_everywhere(jax.device_get(dict(setup.weights(state))))
         source = evaluation.source(state._replace(**weights), held_out.samples.clips)
         metrics = held_out_metrics(held_out, source)
-        if best is not None:
-            best.consider(int(state.step), metrics, weights)
-        return Measured(metrics, render_poster(sample_motions(held_out, source, count=NUM_PICTURED)))
+        picture = render_poster(sample_motions(held_out, source, count=NUM_PICTURED))
+        if best is None:
+            return Measured(metrics, picture)
+        best.consider(int(state.step), metrics, weights)
+        return Measured(metrics, picture, is_last=best.is_over(int(state.step), patience=setup.patience))
 
     how = f"{SPLIT}, {evaluation.sampling}" if evaluation.sampling else SPLIT
     return Measurement("evaluation", f"evaluation ({how})", evaluation.config.every, measure)

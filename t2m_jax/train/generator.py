@@ -36,7 +36,7 @@ from t2m_jax.sampling.text_encoders import PretrainedTextEncoder
 from t2m_jax.text.bpe import load_bpe, save_bpe, tokenize_captions, train_bpe
 from t2m_jax.text.embedding_cache import EmbeddingCache
 from t2m_jax.text.encoder import TextEncoder
-from t2m_jax.train.config import ExperimentConfig, GenerationEvaluationConfig, compiled_config
+from t2m_jax.train.config import ExperimentConfig, GenerationEvaluationConfig, StepConfig, compiled_config
 from t2m_jax.train.experiment import Evaluation, Setup, Validation
 from t2m_jax.train.optimizer import OptimizerConfig
 from t2m_jax.train.program import Update
@@ -58,35 +58,52 @@ SIZES_OF_TOKENIZER = ("num_codes", "num_quantizers", "code_dim")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class TrainGeneratorConfig(ExperimentConfig):
-    """Fields of the training of every generator."""
-
-    not_compiled: ClassVar[tuple[str, ...]] = (
-        *ExperimentConfig.not_compiled,
-        "vqvae",
-        "clip",
-        "sentence",
-        "rewordings",
-        "patience",
-    )
+class GeneratorStepConfig(StepConfig):
+    """What a step of every generator reads."""
 
     model: Any
     """Sizes of the generator."""
     optimizer: OptimizerConfig
     """Optimizer and schedule."""
-    vqvae: Path | None = None
-    """Run or bundle of the tokenizer that makes the codes, by default that of `init`. It stays as it is. The sizes that
-    the model shares with it, such as `model.num_codes`, are taken from it."""
     text_encoder: Literal["caption_encoder", "clip", "sentence"] = "caption_encoder"
     """What reads the captions: a small transformer that is trained with the generator, or a pretrained encoder, which
     is not: CLIP or a sentence encoder."""
+    caption_encoder: CaptionEncoderConfig = CaptionEncoderConfig(text_dim=512)
+    """Sizes of the caption encoder."""
+    precision: Precision = "float32"
+    """What products are computed in during training."""
+    remat: bool = False
+    """Whether intermediate values of a block are computed again for the gradient. This needs less memory, but not in
+    XLA's order of computations on a CPU; use `num_parts` there."""
+    num_parts: int = 1
+    """Parts of a batch, computed one after another, whose gradients are added up. This needs less memory."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_sizes(self, "num_parts")
+        if self.loop.batch_size % self.num_parts:
+            raise ValueError(f"num_parts: {self.num_parts} does not divide loop.batch_size {self.loop.batch_size}")
+        if self.text_encoder == "caption_encoder" and self.model.text_dim != self.caption_encoder.text_dim:
+            raise ValueError(
+                f"caption_encoder.text_dim: {self.caption_encoder.text_dim}, but the generator reads model.text_dim "
+                f"{self.model.text_dim}; set both to the same number"
+            )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrainGeneratorConfig(GeneratorStepConfig, ExperimentConfig):
+    """Fields of the training of every generator."""
+
+    step: ClassVar[type[StepConfig]] = GeneratorStepConfig
+
+    vqvae: Path | None = None
+    """Run or bundle of the tokenizer that makes the codes, by default that of `init`. It stays as it is. The sizes that
+    the model shares with it, such as `model.num_codes`, are taken from it."""
     clip: str = CLIP_NAME
     """CLIP model with `text_encoder: clip`: a folder or a name on the Hugging Face hub (`owner/name@revision`)."""
     sentence: str = SENTENCE_NAME
     """Sentence encoder with `text_encoder: sentence`: a folder or a name on the Hugging Face hub. Its network is one
     of the BERT family, as of `sentence-transformers`, and `model.text_dim` is the width of its embeddings."""
-    caption_encoder: CaptionEncoderConfig = CaptionEncoderConfig(text_dim=512)
-    """Sizes of the caption encoder."""
     rewordings: int = 0
     """Further wordings of each caption that are learned, made by rules: another subject, form of the verb, or article
     (`t2m_jax.text.rewording`). They help if there are few captions."""
@@ -99,13 +116,6 @@ class TrainGeneratorConfig(ExperimentConfig):
     long_clips: LongClipKind = "drop"
     """Clips that are longer than the data set's longest motion: left out (the original), or cut into windows that
     overlap by half, each with the captions of the clip."""
-    precision: Precision = "float32"
-    """What products are computed in during training."""
-    remat: bool = False
-    """Whether intermediate values of a block are computed again for the gradient. This needs less memory, but not in
-    XLA's order of computations on a CPU; use `num_parts` there."""
-    num_parts: int = 1
-    """Parts of a batch, computed one after another, whose gradients are added up. This needs less memory."""
     patience: int = 0
     """Validations without a lower loss after which training ends; 0 never ends it. The best weights are kept anyway."""
     evaluation: GenerationEvaluationConfig = GenerationEvaluationConfig()
@@ -116,14 +126,6 @@ class TrainGeneratorConfig(ExperimentConfig):
         for name in ("patience", "rewordings"):
             if not 0 <= getattr(self, name) <= 1000:
                 raise ValueError(f"{name}: {getattr(self, name)} is not from 0 to 1000")
-        check_sizes(self, "num_parts")
-        if self.loop.batch_size % self.num_parts:
-            raise ValueError(f"num_parts: {self.num_parts} does not divide loop.batch_size {self.loop.batch_size}")
-        if self.text_encoder == "caption_encoder" and self.model.text_dim != self.caption_encoder.text_dim:
-            raise ValueError(
-                f"caption_encoder.text_dim: {self.caption_encoder.text_dim}, but the generator reads model.text_dim "
-                f"{self.model.text_dim}; set both to the same number"
-            )
 
 
 class GeneratorSteps(NamedTuple):
@@ -139,7 +141,7 @@ class GeneratorSteps(NamedTuple):
     """From the first state to the state with what the generator takes from its tokenizer; not jitted."""
 
 
-def init_caption_encoder(config: TrainGeneratorConfig, key: Key[Array, ""]) -> dict[str, Any]:
+def init_caption_encoder(config: GeneratorStepConfig, key: Key[Array, ""]) -> dict[str, Any]:
     """Returns the parameters of the caption encoder by its kind, if it is trained; `key` is consumed."""
     if config.text_encoder != "caption_encoder":
         return {}
@@ -149,7 +151,7 @@ def init_caption_encoder(config: TrainGeneratorConfig, key: Key[Array, ""]) -> d
 
 
 def embed_captions(
-    params: Any, captions: Captions, keys: Key[Array, " B"] | None, *, config: TrainGeneratorConfig
+    params: Any, captions: Captions, keys: Key[Array, " B"] | None, *, config: GeneratorStepConfig
 ) -> Float[Array, "B E"]:
     """Returns the text embeddings: of the encoder that is trained (`keys`, consumed, are for dropout), or as given."""
     if isinstance(captions, jax.Array):
@@ -185,7 +187,7 @@ def resolve_generator(config: Any, resume: bool) -> Any:
     return dataclasses.replace(config, model=model)
 
 
-def codes_at(bank: CodeBank, stream: str, step: Int[Array, ""], *, config: TrainGeneratorConfig) -> CodeBatch:
+def codes_at(bank: CodeBank, stream: str, step: Int[Array, ""], *, config: GeneratorStepConfig) -> CodeBatch:
     """Returns the codes of a step of a stream."""
     key = stream_key(config.loop.seed, stream)
     return code_batch_at(bank, key, step, batch_size=config.loop.batch_size, max_codes=config.model.max_codes)

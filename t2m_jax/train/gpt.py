@@ -15,9 +15,10 @@ from t2m_jax.devices import own_rows, split_rows
 from t2m_jax.losses import TokenMean, token_accuracy, token_loss, token_weights
 from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
 from t2m_jax.models.rows import Precision, apply_rows, in_precision
-from t2m_jax.train.config import LoopConfig
+from t2m_jax.train.config import LoopConfig, StepConfig
 from t2m_jax.train.experiment import Setup, Trainer
 from t2m_jax.train.generator import (
+    GeneratorStepConfig,
     GeneratorSteps,
     TrainGeneratorConfig,
     codes_at,
@@ -32,13 +33,9 @@ from t2m_jax.train.targets import Targets, draw_corruption, drop_one_code, make_
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class TrainGptConfig(TrainGeneratorConfig):
-    """Training of the GPT; the defaults are T2M-GPT's published command, except for text encoder and offsets."""
+class GptStepConfig(GeneratorStepConfig):
+    """What a step of the GPT reads."""
 
-    kind: ClassVar[str] = "gpt"
-
-    run: Path = Path("runs/gpt")
-    """Run directory to write."""
     model: MotionGptConfig = MotionGptConfig()
     """Sizes of the GPT."""
     tau: float | Literal["per_batch", "per_motion"] = 0.5
@@ -63,6 +60,17 @@ class TrainGptConfig(TrainGeneratorConfig):
             raise ValueError(f"tau: {self.tau} is not a share between 0 and 1")
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrainGptConfig(GptStepConfig, TrainGeneratorConfig):
+    """Training of the GPT; the defaults are T2M-GPT's published command, except for text encoder and offsets."""
+
+    kind: ClassVar[str] = "gpt"
+    step: ClassVar[type[StepConfig]] = GptStepConfig
+
+    run: Path = Path("runs/gpt")
+    """Run directory to write."""
+
+
 class GptBatch(NamedTuple):
     """What the GPT reads and predicts. The weights are those of the means over the global batch."""
 
@@ -76,7 +84,7 @@ class GptBatch(NamedTuple):
 
 
 @functools.partial(jax.jit, static_argnames="config")
-def init_gpt_state(config: TrainGptConfig, key: Key[Array, ""]) -> TrainState:
+def init_gpt_state(config: GptStepConfig, key: Key[Array, ""]) -> TrainState:
     """Returns the state before the first update; `key` is consumed.
 
     Its `params` have the entries `gpt` and, if it is trained too, `caption_encoder`.
@@ -93,7 +101,7 @@ def make_gpt_batch(
     targets: Targets,
     captions: Captions,
     *,
-    config: TrainGptConfig,
+    config: GptStepConfig,
     inputs: Int[Array, "B N"] | None = None,
     dropout_keys: Key[Array, "B 2"] | None = None,
 ) -> GptBatch:
@@ -105,7 +113,7 @@ def make_gpt_batch(
     return GptBatch(inputs, targets.tokens, loss_weights, accuracy_weights, captions, dropout_keys)
 
 
-def gpt_metrics(params: Any, batch: GptBatch, *, config: TrainGptConfig, precision: Precision = "float32") -> Metrics:
+def gpt_metrics(params: Any, batch: GptBatch, *, config: GptStepConfig, precision: Precision = "float32") -> Metrics:
     """Returns loss and accuracy of a batch, or the shares of a part of a batch in them."""
     params, captions = in_precision((params, batch.captions), precision)
     keys = (None, None) if batch.dropout_keys is None else (batch.dropout_keys[:, 0], batch.dropout_keys[:, 1])
@@ -118,21 +126,18 @@ def gpt_metrics(params: Any, batch: GptBatch, *, config: TrainGptConfig, precisi
     }
 
 
-def gpt_train_step(state: TrainState, batch: GptBatch, *, config: TrainGptConfig) -> tuple[TrainState, Metrics]:
+def gpt_train_step(state: TrainState, batch: GptBatch, *, config: GptStepConfig) -> tuple[TrainState, Metrics]:
     """Returns the state after one update and the metrics before it."""
-
-    def measure(params: Any, part: GptBatch) -> Metrics:
-        return gpt_metrics(params, part, config=config, precision=config.precision)
-
+    measure = functools.partial(gpt_metrics, config=config, precision=config.precision)
     return descend_in_parts(state, measure, batch, config.optimizer, num_parts=config.num_parts)
 
 
-def targets_from_codes(codes: Int[Array, "B N"], code_lengths: Int[Array, " B"], *, config: TrainGptConfig) -> Targets:
+def targets_from_codes(codes: Int[Array, "B N"], code_lengths: Int[Array, " B"], *, config: GptStepConfig) -> Targets:
     """Returns the targets of motions."""
     return make_targets(codes, code_lengths, num_codes=config.model.num_codes, block_size=config.model.block_size)
 
 
-def training_batch(bank: CodeBank, step: Int[Array, ""], *, config: TrainGptConfig) -> GptBatch:
+def training_batch(bank: CodeBank, step: Int[Array, ""], *, config: GptStepConfig) -> GptBatch:
     """Returns the batch of an update: some motions lose a code at one end, and some inputs are replaced."""
     rows, seed = own_rows(config.loop.batch_size), config.loop.seed
     keys = {name: row_keys(stream_key(seed, name), step, rows) for name in ("drop", "corruption", "dropout")}
@@ -153,13 +158,13 @@ def training_batch(bank: CodeBank, step: Int[Array, ""], *, config: TrainGptConf
     return split_rows(make_gpt_batch(targets, captions, config=config, inputs=inputs, dropout_keys=dropout_keys))
 
 
-def update(state: TrainState, bank: CodeBank, *, config: TrainGptConfig) -> tuple[TrainState, Metrics]:
+def update(state: TrainState, bank: CodeBank, *, config: GptStepConfig) -> tuple[TrainState, Metrics]:
     """Returns the state after one step on the batch of that step."""
     return gpt_train_step(state, training_batch(bank, state.step, config=config), config=config)
 
 
 @functools.partial(jax.jit, static_argnames="config")
-def validate(state: TrainState, bank: CodeBank, step: Int[Array, ""], *, config: TrainGptConfig) -> Metrics:
+def validate(state: TrainState, bank: CodeBank, step: Int[Array, ""], *, config: GptStepConfig) -> Metrics:
     """Returns loss and accuracy on a batch of held-out motions, with clean inputs."""
     codes, code_lengths, captions = codes_at(bank, "validation", step, config=config)
     targets = targets_from_codes(codes[:, :, 0], code_lengths, config=config)

@@ -20,9 +20,10 @@ from t2m_jax.models.contrastive import ContrastiveHead
 from t2m_jax.models.hifigpt import HiFiGpt, HiFiGptConfig
 from t2m_jax.models.rows import Precision, apply_rows, in_precision
 from t2m_jax.text.bpe import CaptionTokens
-from t2m_jax.train.config import LoopConfig
+from t2m_jax.train.config import LoopConfig, StepConfig
 from t2m_jax.train.experiment import Setup, Trainer
 from t2m_jax.train.generator import (
+    GeneratorStepConfig,
     GeneratorSteps,
     TrainGeneratorConfig,
     codes_at,
@@ -43,13 +44,9 @@ TEMPERATURE = 0.1
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class TrainHiFiGptConfig(TrainGeneratorConfig):
-    """Training of the double-tier GPT; the defaults are the paper's, except for the text encoder."""
+class HiFiGptStepConfig(GeneratorStepConfig):
+    """What a step of the double-tier GPT reads."""
 
-    kind: ClassVar[str] = "hifigpt"
-
-    run: Path = Path("runs/hifigpt")
-    """Run directory to write."""
     model: HiFiGptConfig = HiFiGptConfig()
     """Sizes of the double-tier GPT."""
     tau: float = 0.5
@@ -89,6 +86,17 @@ class TrainHiFiGptConfig(TrainGeneratorConfig):
             raise ValueError("contrastive_weight: needs the tokenizer's codes; model.code_embedding learned has none")
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrainHiFiGptConfig(HiFiGptStepConfig, TrainGeneratorConfig):
+    """Training of the double-tier GPT; the defaults are the paper's, except for the text encoder."""
+
+    kind: ClassVar[str] = "hifigpt"
+    step: ClassVar[type[StepConfig]] = HiFiGptStepConfig
+
+    run: Path = Path("runs/hifigpt")
+    """Run directory to write."""
+
+
 class HiFiGptState(NamedTuple):
     """Everything that an update changes, and the codebook, which it does not."""
 
@@ -118,7 +126,7 @@ class HiFiGptBatch(NamedTuple):
 
 
 @functools.partial(jax.jit, static_argnames="config")
-def init_hifigpt_state(config: TrainHiFiGptConfig, key: Key[Array, ""]) -> HiFiGptState:
+def init_hifigpt_state(config: HiFiGptStepConfig, key: Key[Array, ""]) -> HiFiGptState:
     """Returns the state before the first update, with a codebook of zeros; `key` is consumed.
 
     Its `params` have the entries `hifigpt` and, if it is trained too, `caption_encoder`.
@@ -133,7 +141,7 @@ def init_hifigpt_state(config: TrainHiFiGptConfig, key: Key[Array, ""]) -> HiFiG
     return HiFiGptState(jnp.array(0, jnp.int32), params, codebook, opt_state, head)
 
 
-def init_head(config: TrainHiFiGptConfig) -> dict[str, Any]:
+def init_head(config: HiFiGptStepConfig) -> dict[str, Any]:
     """Returns the parameters of the `contrastive_head`, if its loss has a weight."""
     if not config.contrastive_weight:
         return {}
@@ -183,7 +191,7 @@ def corrupt_codes(
 def make_hifigpt_batch(
     batch: CodeBatch,
     *,
-    config: TrainHiFiGptConfig,
+    config: HiFiGptStepConfig,
     inputs: Int[Array, "B N R"] | None = None,
     dropped: Bool[Array, " B"] | None = None,
     dropout_keys: Key[Array, "B 2"] | None = None,
@@ -202,7 +210,7 @@ def make_hifigpt_batch(
 
 
 def hifigpt_metrics(
-    params: Any, codebook: Any, batch: HiFiGptBatch, *, config: TrainHiFiGptConfig, precision: Precision = "float32"
+    params: Any, codebook: Any, batch: HiFiGptBatch, *, config: HiFiGptStepConfig, precision: Precision = "float32"
 ) -> Metrics:
     """Returns losses and accuracy of a batch, or the shares of a part of a batch in them."""
     params, codebook, captions = in_precision((params, codebook, batch.captions), precision)
@@ -241,7 +249,7 @@ def contrastive_loss(
 
 
 def hifigpt_train_step(
-    state: HiFiGptState, batch: HiFiGptBatch, *, config: TrainHiFiGptConfig
+    state: HiFiGptState, batch: HiFiGptBatch, *, config: HiFiGptStepConfig
 ) -> tuple[HiFiGptState, Metrics]:
     """Returns the state after one update and the metrics before it."""
 
@@ -254,7 +262,7 @@ def hifigpt_train_step(
     return after._replace(params=params, head=head), metrics
 
 
-def training_batch(bank: CodeBank, step: Int[Array, ""], *, config: TrainHiFiGptConfig) -> HiFiGptBatch:
+def training_batch(bank: CodeBank, step: Int[Array, ""], *, config: HiFiGptStepConfig) -> HiFiGptBatch:
     """Returns the batch of an update: some rows are replaced in what is read, and some texts are left out."""
     rows, seed = own_rows(config.loop.batch_size), config.loop.seed
     keys = {name: row_keys(stream_key(seed, name), step, rows) for name in ("condition", "corruption", "dropout")}
@@ -268,13 +276,13 @@ def training_batch(bank: CodeBank, step: Int[Array, ""], *, config: TrainHiFiGpt
     )
 
 
-def update(state: HiFiGptState, bank: CodeBank, *, config: TrainHiFiGptConfig) -> tuple[HiFiGptState, Metrics]:
+def update(state: HiFiGptState, bank: CodeBank, *, config: HiFiGptStepConfig) -> tuple[HiFiGptState, Metrics]:
     """Returns the state after one step on the batch of that step."""
     return hifigpt_train_step(state, training_batch(bank, state.step, config=config), config=config)
 
 
 @functools.partial(jax.jit, static_argnames="config")
-def validate(state: HiFiGptState, bank: CodeBank, step: Int[Array, ""], *, config: TrainHiFiGptConfig) -> Metrics:
+def validate(state: HiFiGptState, bank: CodeBank, step: Int[Array, ""], *, config: HiFiGptStepConfig) -> Metrics:
     """Returns the metrics of a batch of held-out motions, with clean codes and all texts."""
     batch = make_hifigpt_batch(codes_at(bank, "validation", step, config=config), config=config)
     # The best weights are those of the best generator, whatever else it learns from.

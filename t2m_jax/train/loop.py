@@ -40,6 +40,8 @@ class Measured(NamedTuple):
     metrics: Mapping[str, float]
     picture: UInt8[np.ndarray, "H W 3"] | None = None
     """Motions of the model."""
+    is_last: bool = False
+    """Whether training ends here, because more updates make the model no better."""
 
 
 class Measurement(NamedTuple):
@@ -108,7 +110,6 @@ def run_loop(
     config: LoopConfig,
     measurements: Sequence[Measurement] = (),
     speed: Speed | None = None,
-    is_over: Callable[[int], bool] = lambda step: False,
     asked_to_stop: Callable[[int], int | None] = lambda step: None,
 ) -> State:
     """Returns the state after `config.num_steps` updates, of which `state` has made some.
@@ -124,15 +125,16 @@ def run_loop(
         config: Length and intervals.
         measurements: What is measured on held-out data.
         speed: Learning rate and speed for the log.
-        is_over: Whether training ends after this many updates; asked at the start and after measurements.
         asked_to_stop: The number of the signal that asked to stop, None if there was none; asked after each call.
 
     Raises:
         UserError: A loss is not finite; the message names the step.
         Interruption: A signal asked to stop; the state of that moment is the newest checkpoint.
     """
-    step, total, asked = int(state.step), config.num_steps, None
-    if is_over(step) or step >= total:
+    step = int(state.step)
+    total = config.num_steps
+    asked = None
+    if step >= total:
         return state
     calls: list[Call] = []
     with _open_run(run, step, config) as (checkpoints, log, progress):
@@ -147,9 +149,8 @@ def run_loop(
             if now or is_kept or is_due(step, config.log_every, last=total):
                 _log_updates(log, step, calls, speed, progress)
                 calls = []
-            for measurement in now:
-                _log_measurement(log, step, measurement, state)
-            ends_here = asked is not None or (bool(now) and is_over(step))
+            found = [_log_measurement(log, step, measurement, state) for measurement in now]
+            ends_here = asked is not None or any(one is not None and one.is_last for one in found)
             if is_kept or ends_here:
                 checkpoints.save(step, state)
             if ends_here:
@@ -205,10 +206,10 @@ def _log_updates(log: MetricLog, step: int, calls: list[Call], speed: Speed | No
     progress.set_postfix(loss=f"{means['loss']:.4f}")
 
 
-def _log_measurement(log: MetricLog, step: int, measurement: Measurement, state: Any) -> None:
+def _log_measurement(log: MetricLog, step: int, measurement: Measurement, state: Any) -> Measured | None:
     found = measurement.measure(state)
-    if found is None:
-        return
-    log.write(measurement.split, step, found.metrics, title=measurement.title)
-    if found.picture is not None:
-        log.write_picture(step, found.picture)
+    if found is not None:
+        log.write(measurement.split, step, found.metrics, title=measurement.title)
+        if found.picture is not None:
+            log.write_picture(step, found.picture)
+    return found

@@ -10,8 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int, Key
 
-from t2m_jax.data.banks.host import FeedPlan
-from t2m_jax.data.banks.motions import Cuts, MotionBank, Windows, batch_at, cuts_at, make_bank
+from t2m_jax.data.banks.motions import MotionBank, Windows, batch_at, cuts_at, make_bank
 from t2m_jax.data.banks.order import row_keys
 from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.devices import own_rows, split_rows
@@ -19,12 +18,12 @@ from t2m_jax.losses import movement_loss
 from t2m_jax.models.evaluator import Evaluator, MovementDecoder
 from t2m_jax.models.rows import apply_rows
 from t2m_jax.motion.normalizer import Normalizer
-from t2m_jax.train.config import compiled_config
-from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
+from t2m_jax.train.config import LoopConfig, compiled_config
+from t2m_jax.train.evaluator_config import EvaluatorStepConfig, TrainEvaluatorConfig
 from t2m_jax.train.experiment import Setup, Validation, run_setup
 from t2m_jax.train.optimizer import Metrics, TrainState, descend, first_state
 from t2m_jax.train.program import Update
-from t2m_jax.train.streams import stream_key
+from t2m_jax.train.streams import plan_feed, stream_key, window_options
 
 logger = logging.getLogger(__name__)
 
@@ -34,13 +33,13 @@ MOVEMENT_FOLDER = "movement"
 """Folder of a run with the metrics and checkpoints of this training."""
 
 
-def make_decoder(config: TrainEvaluatorConfig) -> MovementDecoder:
+def make_decoder(config: EvaluatorStepConfig) -> MovementDecoder:
     """Returns the decoder that the movement encoder is trained with."""
     return MovementDecoder(config.decoder_hidden, config.model.feature_dim)
 
 
 @functools.partial(jax.jit, static_argnames="config")
-def init_movement_state(config: TrainEvaluatorConfig, key: Key[Array, ""]) -> TrainState:
+def init_movement_state(config: EvaluatorStepConfig, key: Key[Array, ""]) -> TrainState:
     """Returns the state before the first update, with `movement_encoder` and `decoder`; `key` is consumed."""
     encoder_key, decoder_key = jax.random.split(key)
     motion = jnp.zeros((1, config.window, config.model.feature_dim))
@@ -51,7 +50,7 @@ def init_movement_state(config: TrainEvaluatorConfig, key: Key[Array, ""]) -> Tr
 
 
 def movement_metrics(
-    params: Any, windows: Windows, keys: Key[Array, " B"] | None, *, config: TrainEvaluatorConfig
+    params: Any, windows: Windows, keys: Key[Array, " B"] | None, *, config: EvaluatorStepConfig
 ) -> Metrics:
     """Returns the terms of the autoencoder's loss; `keys` (consumed) are for dropout, which None turns off.
 
@@ -70,7 +69,7 @@ def movement_metrics(
 
 
 def movement_train_step(
-    state: TrainState, windows: Windows, keys: Key[Array, " B"], *, config: TrainEvaluatorConfig
+    state: TrainState, windows: Windows, keys: Key[Array, " B"], *, config: EvaluatorStepConfig
 ) -> tuple[TrainState, Metrics]:
     """Returns the state after one update and the metrics before it; `keys` (one per window) are consumed."""
     return descend(
@@ -78,37 +77,24 @@ def movement_train_step(
     )
 
 
-def window_options(config: TrainEvaluatorConfig, stream: str) -> dict[str, Any]:
-    """Returns what decides, with the step, which windows are cut."""
-    key = stream_key(config.loop.seed, stream)
-    return {"key": key, "batch_size": config.movement_batch_size, "window": config.window}
+def movement_loop(config: EvaluatorStepConfig) -> LoopConfig:
+    """Returns the loop of a config with the batches of this training."""
+    return dataclasses.replace(config.loop, batch_size=config.movement_batch_size)
 
 
-def plan_feed(config: TrainEvaluatorConfig, stream: str) -> FeedPlan:
-    """Returns how the host cuts the windows of a stream."""
-
-    def cuts(bank: MotionBank, step: Int[Array, ""]) -> Cuts:
-        return cuts_at(bank, step=step, **window_options(config, stream))
-
-    return FeedPlan(cuts, config.window)
-
-
-def update_movements(
-    state: TrainState, bank: MotionBank, *, config: TrainEvaluatorConfig
-) -> tuple[TrainState, Metrics]:
+def update_movements(state: TrainState, bank: MotionBank, *, config: EvaluatorStepConfig) -> tuple[TrainState, Metrics]:
     """Returns the state after one step on the windows of that step."""
-    model_key = stream_key(config.loop.seed, "dropout")
-    windows = batch_at(bank, step=state.step, **window_options(config, "windows"))
-    keys = row_keys(model_key, state.step, own_rows(config.movement_batch_size))
+    windows = batch_at(bank, step=state.step, **window_options(movement_loop(config), "windows", window=config.window))
+    keys = row_keys(stream_key(config.loop.seed, "dropout"), state.step, own_rows(config.movement_batch_size))
     return movement_train_step(state, windows, split_rows(keys), config=config)
 
 
 @functools.partial(jax.jit, static_argnames="config")
 def validate_movements(
-    state: TrainState, bank: MotionBank, batch: Int[Array, ""], *, config: TrainEvaluatorConfig
+    state: TrainState, bank: MotionBank, batch: Int[Array, ""], *, config: EvaluatorStepConfig
 ) -> Metrics:
     """Returns the losses on a batch of held-out windows, without dropout."""
-    windows = batch_at(bank, step=batch, **window_options(config, "validation"))
+    windows = batch_at(bank, step=batch, **window_options(movement_loop(config), "validation", window=config.window))
     return movement_metrics(state.params, windows, None, config=config)
 
 
@@ -122,30 +108,31 @@ def train_movements(
     resume: bool,
 ) -> Any:
     """Returns the trained weights of the movement encoder; a finished training is only loaded."""
+    logger.info("first the movement encoder, %d steps", config.movement_steps)
     compiled = compiled_config(config)
+    loop = dataclasses.replace(movement_loop(config), num_steps=config.movement_steps)
+    plan = functools.partial(plan_feed, cuts_at, loop, window=config.window)
     clips, held_out = ([clip for clip in part if len(clip.features) >= config.window] for part in (train, validation))
 
     def init() -> TrainState:
         return init_movement_state(compiled, stream_key(config.loop.seed, "movements"))
 
-    logger.info("first the movement encoder, %d steps", config.movement_steps)
     validated = None
     if held_out:
         measure = functools.partial(validate_movements, config=compiled)
-        plan = plan_feed(config, "validation")
-        validated = Validation(make_bank(held_out, normalizer), len(held_out), measure, plan)
+        validated = Validation(make_bank(held_out, normalizer), len(held_out), measure, plan("validation"))
     setup = Setup(
         dataset=dataset,
         clips=clips,
         data=make_bank(clips, normalizer),
         init=init,
         update=Update(update_movements, config=compiled),
-        plan=plan_feed(config, "windows"),
+        plan=plan("windows"),
         optimizer=config.movement_optimizer,
         frames_per_step=config.movement_batch_size * config.window,
         weights=lambda state: {"params": state.params},
         validation=validated,
     )
-    loop = dataclasses.replace(config.loop, num_steps=config.movement_steps, batch_size=config.movement_batch_size)
-    state = run_setup(config, init(), setup, loop, folder=MOVEMENT_FOLDER, resume=resume)
+    config = dataclasses.replace(config, run=config.run / MOVEMENT_FOLDER)
+    state = run_setup(config, setup, init(), loop=loop, resume=resume)
     return jax.device_get(state.params[MOVEMENTS])

@@ -98,8 +98,13 @@ def descend(
         measure: From `params` to metrics with the `loss` to minimize, and new values of the other fields of `state`.
         config: The optimizer.
     """
-    (metrics, fields), gradient = _measure_gradient(measure, state.params)
-    return _apply_gradient(state, gradient, config)._replace(**fields), metrics
+
+    def objective(params: Any) -> tuple[Float[Array, ""], tuple[Metrics, dict[str, Any]]]:
+        metrics, fields = measure(params)
+        return metrics["loss"], (metrics, fields)
+
+    (_, (metrics, fields)), gradient = jax.value_and_grad(objective, has_aux=True)(state.params)
+    return _apply_gradient(state, global_mean(gradient), config)._replace(**fields), metrics
 
 
 def descend_in_parts(
@@ -117,9 +122,13 @@ def descend_in_parts(
         num_parts: Number of parts; must divide the batch.
     """
 
+    def objective(params: Any, part: Any) -> tuple[Float[Array, ""], Metrics]:
+        metrics = measure(params, part)
+        return metrics["loss"], metrics
+
     def part_gradient(part: Any) -> tuple[Metrics, Any]:
-        (metrics, _), gradient = _measure_gradient(lambda params: (measure(params, part), {}), state.params)
-        return metrics, gradient
+        (_, metrics), gradient = jax.value_and_grad(objective, has_aux=True)(state.params, part)
+        return metrics, global_mean(gradient)
 
     def add_part(total: Any, part: Any) -> tuple[Any, None]:
         return jax.tree.map(jnp.add, total, part_gradient(part)), None
@@ -133,19 +142,6 @@ def descend_in_parts(
         zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
         (metrics, gradient), _ = jax.lax.scan(add_part, zeros, parts)
     return _apply_gradient(state, gradient, config), metrics
-
-
-def _measure_gradient(
-    measure: Callable[[Any], tuple[Metrics, dict[str, Any]]], params: Any
-) -> tuple[tuple[Metrics, dict[str, Any]], Any]:
-    """Returns what `measure` returns, and the gradient of its `loss` over the global batch."""
-
-    def objective(params: Any) -> tuple[Float[Array, ""], tuple[Metrics, dict[str, Any]]]:
-        metrics, fields = measure(params)
-        return metrics["loss"], (metrics, fields)
-
-    (_, found), gradient = jax.value_and_grad(objective, has_aux=True)(params)
-    return found, global_mean(gradient)
 
 
 def _apply_gradient(state: Any, gradient: Any, config: OptimizerConfig) -> Any:

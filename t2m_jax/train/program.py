@@ -1,9 +1,12 @@
-"""The compiled program of a training: several updates in one call, on one device or on many."""
+"""The compiled step of every training: several updates in one call, on one device or on many.
+
+`compile_updates` is the one place where a step is jitted, and where `jax.jit` or `jax.pmap` is chosen.
+"""
 
 import collections
 import functools
 import logging
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -25,44 +28,70 @@ SHARDED_FIELDS = ("opt_state",)
 """Fields of a training state that may be divided among devices."""
 
 
-class Update:
-    """An update with its options: from a state and data to the next state and metrics with a `loss`.
+class Update(functools.partial[tuple[Any, Any]]):
+    """A pure update with its options: from a state and data to the next state and metrics with a `loss`.
 
-    Two are equal if their functions and options are, so that equal trainings share their compiled programs.
+    Two are equal if their functions and (hashable) options are, so that equal trainings share their compiled programs.
     """
 
-    def __init__(self, function: Callable[..., tuple[Any, Any]], **options: Hashable):
-        """Keeps a pure function of a state, data and the (hashable) options."""
-        self._key = (function, tuple(sorted(options.items())))
-        self._call = functools.partial(function, **options)
-
-    def __call__(self, state: Any, data: Any) -> tuple[Any, Any]:
-        """Returns the next state and the metrics."""
-        return self._call(state, data)
-
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Update) and self._key == other._key
+        return isinstance(other, Update) and (self.func, self.keywords) == (other.func, other.keywords)
 
     def __hash__(self) -> int:
-        return hash(self._key)
+        return hash((self.func, frozenset(self.keywords.items())))
+
+
+@functools.cache
+def compile_updates(update: Update, *, size: int, shares: int, mapped: Mesh | None = None) -> Callable[..., Any]:
+    """Returns the compiled step of a training: `many_updates`, to which the state is donated.
+
+    Args:
+        update: What one step does.
+        size: Most updates of a call.
+        shares: Number of devices that share the optimizer's state, 1 if each has all of it.
+        mapped: The devices on each of which `jax.pmap` runs the step, on its rows and with all of the state and the
+            data. None compiles one global program with `jax.jit`, which XLA divides among the devices of the mesh.
+    """
+    if mapped is None:
+        return jax.jit(functools.partial(many_updates, update=update, size=size, shares=shares), donate_argnums=0)
+    return jax.pmap(
+        functools.partial(many_updates, update=update, size=size),
+        axis_name=AXIS,
+        # `jax.pmap` needs one argument that has an axis of devices: each gets its own copy of the count.
+        in_axes=(None, None, 0),
+        out_axes=(None, None),
+        devices=list(mapped.devices.flat),
+        donate_argnums=0,
+    )
 
 
 def many_updates(
-    state: Any, data: Any, count: Int[Array, ""], *, update: Callable[[Any, Any], tuple[Any, Any]], size: int
+    state: Any,
+    data: Any,
+    count: Int[Array, ""],
+    *,
+    update: Callable[[Any, Any], tuple[Any, Any]],
+    size: int,
+    shares: int | None = None,
 ) -> tuple[Any, Any]:
     """Returns the state after `count` updates, and the metrics of each in arrays of `size` rows.
 
     `count` is not a constant of the program. So a call that is cut short runs the same program, and its results are
-    those of a longer call to the last bit.
+    those of a longer call to the last bit. With `shares`, every update keeps the state divided as it is.
     """
+
+    def keep_divided(state: Any) -> Any:
+        # Without it, XLA may move the whole state to all devices inside of the loop.
+        return jax.lax.with_sharding_constraint(state, state_specs(state, shares=shares)) if shares else state
+
     if size == 1:
         state, metrics = update(state, data)
-        return state, jax.tree.map(lambda value: value[None], metrics)
+        return keep_divided(state), jax.tree.map(lambda value: value[None], metrics)
 
     def one_more(carry: tuple[Any, Any, Any]) -> tuple[Any, Any, Any]:
         number, state, rows = carry
         state, metrics = update(state, data)
-        return number + 1, state, jax.tree.map(lambda row, value: row.at[number].set(value), rows, metrics)
+        return number + 1, keep_divided(state), jax.tree.map(lambda row, new: row.at[number].set(new), rows, metrics)
 
     shapes = jax.eval_shape(update, state, data)[1]
     rows = jax.tree.map(lambda leaf: jnp.zeros((size, *leaf.shape), leaf.dtype), shapes)
@@ -107,37 +136,6 @@ def choose_devices(config: ShardingConfig, *, batch_size: int) -> Mesh:
     if batch_size % count:
         raise UserError(f"loop.batch_size: {batch_size} is not a multiple of the {count} devices; change one of them")
     return make_data_mesh(available[:count])
-
-
-@functools.partial(jax.jit, static_argnames=("update", "size", "shares"), donate_argnums=0)
-def _divided_updates(
-    state: Any, data: Any, count: Int[Array, ""], *, update: Update, size: int, shares: int
-) -> tuple[Any, Any]:
-    """Runs `many_updates` as one global program, in which every update keeps the state where it is."""
-
-    def update_in_place(state: Any, data: Any) -> tuple[Any, Any]:
-        state, metrics = update(state, data)
-        return jax.lax.with_sharding_constraint(state, state_specs(state, shares=shares)), metrics
-
-    return many_updates(state, data, count, update=update_in_place, size=size)
-
-
-@functools.cache
-def _mapped_updates(update: Update, size: int, mesh: Mesh) -> Callable[..., tuple[Any, Any]]:
-    """Returns `many_updates` under `jax.pmap`: every device runs it on its rows, with all of the state and the data."""
-
-    def run(number: Int[Array, ""], state: Any, data: Any, count: Int[Array, ""]) -> tuple[Any, Any]:
-        del number  # `jax.pmap` needs one argument that differs between devices
-        return many_updates(state, data, count, update=update, size=size)
-
-    return jax.pmap(
-        run,
-        axis_name=AXIS,
-        in_axes=(0, None, None, None),
-        out_axes=(None, None),
-        devices=list(mesh.devices.flat),
-        donate_argnums=1,
-    )
 
 
 class Devices:
@@ -186,7 +184,8 @@ class Devices:
 
     def rows_of_process(self, batch_size: int) -> Int[np.ndarray, " R"]:
         """Returns the rows of a global batch that the devices of this process compute, in order."""
-        sharding, rows = NamedSharding(self.mesh, PartitionSpec(AXIS)), np.arange(batch_size)
+        sharding = NamedSharding(self.mesh, PartitionSpec(AXIS))
+        rows = np.arange(batch_size)
         return np.unique([rows[index] for index in sharding.addressable_devices_indices_map(rows.shape).values()])
 
     def run(self, update: Update, state: Any, data: Any, count: int, *, size: int) -> tuple[Any, Any]:
@@ -199,28 +198,33 @@ class Devices:
             count: Number of updates, up to `size`.
             size: Most updates of a call; the program is compiled for it.
         """
-        number = np.int32(count)
         if self.is_mapped:
-            numbers = self._put(np.arange(self.mesh.size), PartitionSpec(AXIS))
-            result = self._finished(_mapped_updates(update, size, self.mesh)(numbers, state, data, number))
+            counts = self._put(np.full(self.mesh.size, count, np.int32), PartitionSpec(AXIS))
+            result = self._compiled(update, size)(state, data, counts)
         else:
-            options = {"update": update, "size": size, "shares": self._shares}
-            result = self.measure(functools.partial(_divided_updates, **options), state, data, number)
+            with jax.set_mesh(self.mesh):
+                result = self._compiled(update, size)(state, data, np.int32(count))
         self._running.append(result[1])
         if len(self._running) > CALLS_AHEAD:
             jax.block_until_ready(self._running.popleft())
-        return result
+        return self._finished(result)
 
     def lower(self, update: Update, state: Any, data: Any, *, size: int) -> jax.stages.Lowered:
         """Returns the program that `run` uses in mode `jit`; once it is compiled, `run` does not compile it again."""
-        options = {"update": update, "size": size, "shares": self._shares}
         with jax.set_mesh(self.mesh):
-            return _divided_updates.lower(state, data, np.int32(1), **options)
+            return self._compiled(update, size).lower(state, data, np.int32(1))
 
     def measure(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Returns what a jitted function returns for arguments on the devices; it divides batches among them."""
         with jax.set_mesh(self.mesh):
             return self._finished(function(*arguments))
+
+    def _finished(self, found: Any) -> Any:
+        return jax.block_until_ready(found) if self._waits else found
+
+    def _compiled(self, update: Update, size: int) -> Any:
+        mapped = self.mesh if self.is_mapped else None
+        return compile_updates(update, size=size, shares=self._shares, mapped=mapped)
 
     def _put(self, leaf: Any, spec: PartitionSpec, *, may_alias: bool | None = None) -> jax.Array:
         sharding = NamedSharding(self.mesh, spec)
@@ -228,6 +232,3 @@ class Devices:
             return jax.device_put(leaf, sharding, may_alias=may_alias)
         values = np.asarray(leaf)
         return jax.make_array_from_callback(values.shape, sharding, lambda index: values[index])
-
-    def _finished(self, found: Any) -> Any:
-        return jax.block_until_ready(found) if self._waits else found

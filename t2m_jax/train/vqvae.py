@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple
 
@@ -13,8 +13,8 @@ import optax
 from jaxtyping import Array, Float, Int, Key
 
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer, save_tokenizer_parts
-from t2m_jax.data.banks.host import FeedPlan
-from t2m_jax.data.banks.motions import Cuts, MotionBank, Windows, batch_at, cuts_at, make_bank
+from t2m_jax.config import check_limits
+from t2m_jax.data.banks.motions import MotionBank, Windows, batch_at, cuts_at, make_bank
 from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.sources import CodeSource, Reconstruction
@@ -27,42 +27,38 @@ from t2m_jax.losses import (
     joint_loss,
     reconstruction_loss,
     velocity_loss,
-    world_losses,
+    world_acceleration_loss,
+    world_velocity_loss,
 )
 from t2m_jax.metrics.codes import code_usage, perplexity
 from t2m_jax.models.rows import Precision, in_precision
 from t2m_jax.models.vqvae import RvqVaeConfig, VqVae, VqVaeConfig, VqVaeOutput
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import skeleton_from_feature_dim
-from t2m_jax.train.config import FROM_DATA, EvaluationConfig, ExperimentConfig, compiled_config
+from t2m_jax.train.config import (
+    FROM_DATA,
+    MAX_WINDOW,
+    EvaluationConfig,
+    ExperimentConfig,
+    StepConfig,
+    compiled_config,
+)
 from t2m_jax.train.experiment import Evaluation, Setup, Trainer, Validation
 from t2m_jax.train.log import by_depth
 from t2m_jax.train.optimizer import Metrics, OptimizerConfig, descend, make_optimizer
 from t2m_jax.train.program import Update
 from t2m_jax.train.statistics import open_training_data
-from t2m_jax.train.streams import stream_key
+from t2m_jax.train.streams import plan_feed, stream_key, window_options
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class TrainVqVaeConfig(ExperimentConfig):
-    """Training of the VQ-VAE; the defaults are T2M-GPT's published command."""
+class VqVaeStepConfig(StepConfig):
+    """What a step of the VQ-VAE reads."""
 
-    kind: ClassVar[str] = "vqvae"
-
-    run: Path = Path("runs/vqvae")
-    """Run directory to write."""
     model: VqVaeConfig = VqVaeConfig()
     """Sizes."""
     window: int = 64
     """Frames of a training window."""
-    short_clips: Literal["pad", "drop"] = "pad"
-    """Clips shorter than a window: padded and masked, or left out as in the original."""
-    statistics: str = FROM_DATA
-    """Mean and standard deviation that normalize the motion: `data` for the data set's own, weighted by `root_weight`;
-    or a folder or a file `mean.npy` (with `std.npy` beside it), or a model, used as they are."""
-    root_weight: float = 25.0
-    """By how much the root's columns and the contacts are scaled up for the VQ-VAE. The original divides their standard
-    deviations by 5 twice; without it, heading and path drift."""
     reconstruction: ReconstructionKind = "l1_smooth"
     """Loss of the difference between motion and reconstruction."""
     velocity: VelocityKind = "joint_positions"
@@ -93,6 +89,33 @@ class TrainVqVaeConfig(ExperimentConfig):
     """What products are computed in during training; the codebook is always in float32."""
     optimizer: OptimizerConfig = OptimizerConfig(warmup_steps=1000, milestones=(200_000,))
     """Optimizer and schedule."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_limits(self, window=MAX_WINDOW)
+        if self.window < self.model.downsample:
+            raise ValueError(f"window: {self.window} is shorter than one code, {self.model.downsample} frames")
+        if self.trained == "decoder" and self.model.norm == "BN":
+            raise ValueError("trained: a model with batch norm (model.norm: BN) cannot keep its codes")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrainVqVaeConfig(VqVaeStepConfig, ExperimentConfig):
+    """Training of the VQ-VAE; the defaults are T2M-GPT's published command."""
+
+    kind: ClassVar[str] = "vqvae"
+    step: ClassVar[type[StepConfig]] = VqVaeStepConfig
+
+    run: Path = Path("runs/vqvae")
+    """Run directory to write."""
+    short_clips: Literal["pad", "drop"] = "pad"
+    """Clips shorter than a window: padded and masked, or left out as in the original."""
+    statistics: str = FROM_DATA
+    """Mean and standard deviation that normalize the motion: `data` for the data set's own, weighted by `root_weight`;
+    or a folder or a file `mean.npy` (with `std.npy` beside it), or a model, used as they are."""
+    root_weight: float = 25.0
+    """By how much the root's columns and the contacts are scaled up for the VQ-VAE. The original divides their standard
+    deviations by 5 twice; without it, heading and path drift."""
     evaluation: EvaluationConfig = EvaluationConfig()
     """Evaluation of reconstructions during training."""
 
@@ -100,10 +123,6 @@ class TrainVqVaeConfig(ExperimentConfig):
         super().__post_init__()
         if not self.root_weight > 0:
             raise ValueError(f"root_weight: {self.root_weight} is not above 0")
-        if self.window < self.model.downsample:
-            raise ValueError(f"window: {self.window} is shorter than one code, {self.model.downsample} frames")
-        if self.trained == "decoder" and self.model.norm == "BN":
-            raise ValueError("trained: a model with batch norm (model.norm: BN) cannot keep its codes")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -143,7 +162,7 @@ class VqVaeState(NamedTuple):
 
 
 @functools.partial(jax.jit, static_argnames="config")
-def init_vqvae_state(config: TrainVqVaeConfig, key: Key[Array, ""]) -> VqVaeState:
+def init_vqvae_state(config: VqVaeStepConfig, key: Key[Array, ""]) -> VqVaeState:
     """Returns the state before the first update; `key` is consumed."""
     motion = jnp.zeros((1, config.window, config.model.feature_dim))
     variables = VqVae(config.model).init(key, motion, train=False)
@@ -152,38 +171,54 @@ def init_vqvae_state(config: TrainVqVaeConfig, key: Key[Array, ""]) -> VqVaeStat
     return VqVaeState(jnp.array(0, jnp.int32), variables["params"], codebook, batch_stats, opt_state)
 
 
-def vqvae_losses(output: VqVaeOutput, windows: Windows, config: TrainVqVaeConfig, normalizer: Normalizer) -> Metrics:
-    """Returns the terms of the loss and their weighted sum, `loss`, and how the codebook is used.
+class LossTerm(NamedTuple):
+    """One term of the loss of reconstructions."""
 
-    The normalizer is that of the windows; bones in meters need it.
-    """
-    skeleton, kind = skeleton_from_feature_dim(config.model.feature_dim), config.reconstruction
-    motion = windows.motion[:, : output.reconstruction.shape[1]]
-    mask = windows.mask[:, : output.reconstruction.shape[1]]
-    pair, positions = (output.reconstruction.astype(jnp.float32), motion, mask), skeleton.layout.positions
-    terms = {"reconstruction": reconstruction_loss(*pair, kind=kind)}
-    terms["velocity"] = velocity_loss(*pair, kind=kind, velocity=config.velocity, positions=positions)
-    if config.acceleration_weight:
-        terms["acceleration"] = acceleration_loss(*pair, kind=kind)
-    if config.bone_weight and config.bone_space == "normalized":
-        terms["bones"] = bone_loss(*pair, skeleton=skeleton)
-    in_meters: Any = {"skeleton": skeleton, "normalizer": normalizer}
-    if config.bone_weight and config.bone_space == "metres":
-        terms["bones"] = skeleton.metres_per_unit * bone_loss(*pair, **in_meters)
-    if config.joint_weight:
-        terms["joints"] = skeleton.metres_per_unit * joint_loss(*pair, **in_meters)
-    if config.facing_weight:
-        terms["facing"] = facing_loss(*pair, **in_meters)
-    if config.world_velocity_weight or config.world_acceleration_weight:
-        moved = world_losses(*pair, **in_meters)
-        terms |= {name: skeleton.metres_per_unit * term for name, term in moved.items()}
-    terms["commitment"] = output.commitment_loss
-    weights = {"reconstruction": 1.0, "velocity": config.velocity_weight, "acceleration": config.acceleration_weight}
-    weights |= {"bones": config.bone_weight, "joints": config.joint_weight, "commitment": config.commitment_weight}
-    weights |= {"facing": config.facing_weight, "world_velocity": config.world_velocity_weight}
-    weights |= {"world_acceleration": config.world_acceleration_weight}
-    loss = functools.reduce(jnp.add, [weights[name] * term for name, term in terms.items()])
-    return {"loss": loss} | terms | codebook_metrics(output)
+    name: str
+    """Its name in the log."""
+    weight: float
+    function: Callable[..., Float[Array, ""]]
+    """From reconstruction, motion (both normalized) and mask to the value, without the weight."""
+
+
+def loss_terms(config: VqVaeStepConfig, normalizer: Normalizer) -> list[LossTerm]:
+    """Returns the terms of the loss that a config asks for; the normalizer is that of the motion."""
+    skeleton = skeleton_from_feature_dim(config.model.feature_dim)
+    kind: Any = {"kind": config.reconstruction}
+    velocity: Any = {"velocity": config.velocity, "positions": skeleton.layout.positions}
+
+    def in_meters(measure: Callable[..., Float[Array, ""]]) -> Callable[..., Float[Array, ""]]:
+        return lambda *pair: skeleton.metres_per_unit * measure(*pair, skeleton=skeleton, normalizer=normalizer)
+
+    bones = functools.partial(bone_loss, skeleton=skeleton)
+    always = [
+        LossTerm("reconstruction", 1.0, functools.partial(reconstruction_loss, **kind)),
+        LossTerm("velocity", config.velocity_weight, functools.partial(velocity_loss, **kind, **velocity)),
+    ]
+    # The order is part of the result: a sum of floats depends on it.
+    optional = [
+        LossTerm("acceleration", config.acceleration_weight, functools.partial(acceleration_loss, **kind)),
+        LossTerm("bones", config.bone_weight, bones if config.bone_space == "normalized" else in_meters(bone_loss)),
+        LossTerm("joints", config.joint_weight, in_meters(joint_loss)),
+        # An angle has no unit of length.
+        LossTerm(
+            "facing", config.facing_weight, functools.partial(facing_loss, skeleton=skeleton, normalizer=normalizer)
+        ),
+        LossTerm("world_velocity", config.world_velocity_weight, in_meters(world_velocity_loss)),
+        LossTerm("world_acceleration", config.world_acceleration_weight, in_meters(world_acceleration_loss)),
+    ]
+    return [*always, *(term for term in optional if term.weight)]
+
+
+def vqvae_losses(output: VqVaeOutput, windows: Windows, config: VqVaeStepConfig, normalizer: Normalizer) -> Metrics:
+    """Returns the terms of the loss and their weighted sum, `loss`, and how the codebook is used."""
+    frames = output.reconstruction.shape[1]
+    pair = (output.reconstruction.astype(jnp.float32), windows.motion[:, :frames], windows.mask[:, :frames])
+    terms = loss_terms(config, normalizer)
+    values = {term.name: term.function(*pair) for term in terms} | {"commitment": output.commitment_loss}
+    weights = [*(term.weight for term in terms), config.commitment_weight]
+    loss = functools.reduce(jnp.add, [weight * value for weight, value in zip(weights, values.values(), strict=True)])
+    return {"loss": loss} | values | codebook_metrics(output)
 
 
 def codebook_metrics(output: VqVaeOutput) -> Metrics:
@@ -202,7 +237,7 @@ def vqvae_train_step(
     windows: Windows,
     key: Key[Array, ""],
     *,
-    config: TrainVqVaeConfig,
+    config: VqVaeStepConfig,
     normalizer: Normalizer,
     noise: Float[Array, "2 K C"] | None = None,
 ) -> tuple[VqVaeState, Metrics]:
@@ -242,33 +277,17 @@ def vqvae_train_step(
     return after._replace(params=after.params | fixed), metrics
 
 
-def window_options(config: TrainVqVaeConfig, stream: str) -> dict[str, Any]:
-    """Returns what decides, with the step, which windows are cut."""
-    key = stream_key(config.loop.seed, stream)
-    return {"key": key, "batch_size": config.loop.batch_size, "window": config.window}
-
-
-def plan_feed(config: TrainVqVaeConfig, stream: str) -> FeedPlan:
-    """Returns how the host cuts the windows of a stream."""
-
-    def cuts(bank: MotionBank, step: Int[Array, ""]) -> Cuts:
-        return cuts_at(bank, step=step, **window_options(config, stream))
-
-    return FeedPlan(cuts, config.window)
-
-
-def update(state: VqVaeState, bank: MotionBank, *, config: TrainVqVaeConfig) -> tuple[VqVaeState, Metrics]:
+def update(state: VqVaeState, bank: MotionBank, *, config: VqVaeStepConfig) -> tuple[VqVaeState, Metrics]:
     """Returns the state after one step on the batch of that step."""
-    model_key = stream_key(config.loop.seed, "codebook")
-    windows = batch_at(bank, step=state.step, **window_options(config, "data"))
-    key, normalizer = jax.random.fold_in(model_key, state.step), Normalizer(bank.mean, bank.std)
-    return vqvae_train_step(state, windows, key, config=config, normalizer=normalizer)
+    windows = batch_at(bank, step=state.step, **window_options(config.loop, "data", window=config.window))
+    key = jax.random.fold_in(stream_key(config.loop.seed, "codebook"), state.step)
+    return vqvae_train_step(state, windows, key, config=config, normalizer=Normalizer(bank.mean, bank.std))
 
 
 @functools.partial(jax.jit, static_argnames="config")
-def validate(state: VqVaeState, bank: MotionBank, batch: Int[Array, ""], *, config: TrainVqVaeConfig) -> Metrics:
+def validate(state: VqVaeState, bank: MotionBank, batch: Int[Array, ""], *, config: VqVaeStepConfig) -> Metrics:
     """Returns the losses on a batch of held-out windows."""
-    windows = batch_at(bank, step=batch, **window_options(config, "validation"))
+    windows = batch_at(bank, step=batch, **window_options(config.loop, "validation", window=config.window))
     output = VqVae(config.model).apply(state.variables, windows.motion, windows.mask, train=False)
     return vqvae_losses(output, windows, config, Normalizer(bank.mean, bank.std))
 
@@ -296,7 +315,7 @@ def prepare(config: TrainVqVaeConfig, resume: bool) -> Setup:
         data=make_bank(clips, normalizer),
         init=lambda: init_vqvae_state(compiled, stream_key(config.loop.seed, "init")),
         update=Update(update, config=compiled),
-        plan=plan_feed(config, "data"),
+        plan=plan_feed(cuts_at, config.loop, "data", window=config.window),
         optimizer=config.optimizer,
         frames_per_step=config.loop.batch_size * config.window,
         weights=lambda state: state.variables,
@@ -321,7 +340,8 @@ def make_validation(config: TrainVqVaeConfig, dataset: Dataset, normalizer: Norm
     if not clips:
         return None
     measure = functools.partial(validate, config=compiled_config(config))
-    return Validation(make_bank(clips, normalizer), len(clips), measure, plan_feed(config, "validation"))
+    plan = plan_feed(cuts_at, config.loop, "validation", window=config.window)
+    return Validation(make_bank(clips, normalizer), len(clips), measure, plan)
 
 
 TRAINER = Trainer(config=TrainVqVaeConfig, prepare=prepare, next_command="t2m train gpt CONFIG --vqvae {run}")

@@ -123,7 +123,7 @@ def test_sizes_that_would_fill_the_machine(copy, section, field, size):
     data = yaml.safe_load((copy / CONFIG_FILE).read_text())
     data[section][field] = size
     (copy / CONFIG_FILE).write_text(yaml.safe_dump(data))
-    with pytest.raises(UserError, match=rf"{section}: {field}: {size} is more than the \d+ that any model needs"):
+    with pytest.raises(UserError, match=rf"{section}: {field}: {size} is more than \d+, the most that is allowed"):
         load_bundle(copy)
 
 

@@ -44,8 +44,8 @@ def bank():
 
 
 def batches(bank, num=150):
-    draw = jax.jit(caption_batch_at, static_argnames=("batch_size", "max_frames"))
-    sizes = {"batch_size": 4, "max_frames": MAX_FRAMES}
+    draw = jax.jit(caption_batch_at, static_argnames=("batch_size", "window"))
+    sizes = {"batch_size": 4, "window": MAX_FRAMES}
     return [jax.device_get(draw(bank, jax.random.key(3), step, **sizes)) for step in range(num)]
 
 
@@ -74,14 +74,14 @@ def test_crops_belong_to_their_captions(bank):
 
 
 def test_a_batch_is_a_function_of_key_and_step(bank):
-    one = caption_batch_at(bank, jax.random.key(1), 5, batch_size=3, max_frames=MAX_FRAMES)
-    other = caption_batch_at(bank, jax.random.key(1), jnp.array(5), batch_size=3, max_frames=MAX_FRAMES)
+    one = caption_batch_at(bank, jax.random.key(1), 5, batch_size=3, window=MAX_FRAMES)
+    other = caption_batch_at(bank, jax.random.key(1), jnp.array(5), batch_size=3, window=MAX_FRAMES)
     jax.tree.map(np.testing.assert_array_equal, one, other)
 
 
 def test_jit_equals_eager(bank):
-    draw = jax.jit(caption_batch_at, static_argnames=("batch_size", "max_frames"))
-    assert_jit_equals_eager(draw, bank, jax.random.key(1), 5, rtol=0, batch_size=3, max_frames=MAX_FRAMES)
+    draw = jax.jit(caption_batch_at, static_argnames=("batch_size", "window"))
+    assert_jit_equals_eager(draw, bank, jax.random.key(1), 5, rtol=0, batch_size=3, window=MAX_FRAMES)
 
 
 def test_words_stand_in_for_tokens():

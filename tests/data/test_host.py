@@ -50,7 +50,7 @@ def window_case(folder):
 
 
 def caption_case(folder):
-    options = {"key": jax.random.key(4), "batch_size": BATCH, "max_frames": WINDOW}
+    options = {"key": jax.random.key(4), "batch_size": BATCH, "window": WINDOW}
     bank = make_caption_bank(mapped_clips(folder), normalizer(), VOCABULARY)
     plan = FeedPlan(lambda bank, step: caption_cuts_at(bank, step=step, **options), WINDOW)
     return bank, plan, lambda bank, step: caption_batch_at(bank, step=step, **options)

@@ -11,11 +11,20 @@ from jax.sharding import Mesh, PartitionSpec
 
 from t2m_jax.data.banks.motions import make_bank
 from t2m_jax.data.folder import Clip
+from t2m_jax.devices import make_data_mesh
 from t2m_jax.errors import UserError
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.train import program
 from t2m_jax.train.config import ShardingConfig
-from t2m_jax.train.program import Devices, Update, choose_devices, largest_share, many_updates, state_specs
+from t2m_jax.train.program import (
+    Devices,
+    Update,
+    choose_devices,
+    compile_updates,
+    largest_share,
+    many_updates,
+    state_specs,
+)
 from tests.jit import assert_jit_equals_eager
 
 ONE_DEVICE = Mesh(np.array(jax.devices()[:1]), ("data",))
@@ -121,10 +130,11 @@ def test_updates_are_equal_if_function_and_options_are():
     assert Update(descent, rate=1, other=2) == Update(descent, other=2, rate=1)
 
 
-def test_jit_equals_eager():
-    function = jax.jit(many_updates, static_argnames=("update", "size"))
-    options = {"update": Update(descent, rate=0.1), "size": 3}
-    assert_jit_equals_eager(function, first(), jnp.asarray(DATA), jnp.array(2), atol=1e-7, **options)
+@pytest.mark.parametrize("size", [1, 3])
+def test_jit_equals_eager(size):
+    compiled = compile_updates(Update(descent, rate=0.1), size=size, shares=1)
+    with jax.set_mesh(make_data_mesh(jax.devices()[:1])):
+        assert_jit_equals_eager(compiled, first(), jnp.asarray(DATA), jnp.array(min(size, 2)), atol=1e-7)
 
 
 @pytest.mark.parametrize(

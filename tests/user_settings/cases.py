@@ -19,7 +19,6 @@ from t2m_jax.data.banks.codes import CodeBank
 from t2m_jax.data.banks.motions import MotionBank, make_bank
 from t2m_jax.data.folder import Clip
 from t2m_jax.data.texts import Caption
-from t2m_jax.devices import make_data_mesh
 from t2m_jax.masks import mask_from_lengths
 from t2m_jax.models.clip_text import ClipText, ClipTextConfig
 from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
@@ -39,8 +38,6 @@ from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from t2m_jax.train.gpt import init_gpt_state
 from t2m_jax.train.hifigpt import init_hifigpt_state
 from t2m_jax.train.movement import init_movement_state
-from t2m_jax.train.optimizer import TrainState
-from t2m_jax.train.program import Update
 from t2m_jax.train.vqvae import init_vqvae_state
 from tests.tiny import CAPTION_ENCODER, GPT, VQVAE, random_variables, walking_normalizer
 from tests.tiny import HIFIGPT as TINY_HIFIGPT
@@ -334,19 +331,6 @@ def _() -> Case:
 @case("evaluation.report.details.rank_own")
 def _() -> Case:
     return Case((normal(1, 2, 5, 4), normal(2, 2, 5, 4)), {})
-
-
-def count_down(state: Any, data: Any) -> tuple[Any, Any]:
-    """Returns a training state of one weight that moves to the data."""
-    error = state.params - data
-    return TrainState(state.step + 1, state.params - 0.1 * error, state.opt_state + error), {"loss": error @ error}
-
-
-@case("train.program._divided_updates")
-def _() -> Case:
-    state = TrainState(jnp.array(0), normal(1, 4), normal(2, 4))
-    options = {"update": Update(count_down), "size": 3, "shares": 1}
-    return Case((state, normal(3, 4), jnp.array(2)), options, mesh=make_data_mesh(jax.devices()[:1]))
 
 
 @case("train.vqvae.init_vqvae_state")

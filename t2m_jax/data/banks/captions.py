@@ -75,7 +75,7 @@ def used_lengths(lengths: Int[Array, " B"], is_shorter: Bool[Array, " B"], *, un
 
 
 def _draw(
-    bank: CaptionBank, key: Key[Array, ""], step: Int[Array, ""] | int, *, batch_size: int, max_frames: int
+    bank: CaptionBank, key: Key[Array, ""], step: Int[Array, ""] | int, *, batch_size: int, window: int
 ) -> tuple[Cuts, Int[Array, " B"]]:
     """Returns the cuts and the captions of a step."""
     bank, (order_key, draw_key) = jax.tree.map(jnp.asarray, bank), jax.random.split(key)
@@ -85,19 +85,19 @@ def _draw(
     captions = bank.first_caption[motions] + draw_below(caption_keys, bank.num_captions[motions])
     whole = bank.motions.lengths[motions]
     is_shorter = jax.vmap(lambda coin: jax.random.bernoulli(coin, SHORTER_CHANCE))(coin_keys)
-    lengths = jnp.minimum(used_lengths(whole, is_shorter), max_frames)
+    lengths = jnp.minimum(used_lengths(whole, is_shorter), window)
     return Cuts(bank.motions.starts[motions] + draw_below(start_keys, whole - lengths + 1), lengths), captions
 
 
 def caption_cuts_at(
-    bank: CaptionBank, key: Key[Array, ""], step: Int[Array, ""] | int, *, batch_size: int, max_frames: int
+    bank: CaptionBank, key: Key[Array, ""], step: Int[Array, ""] | int, *, batch_size: int, window: int
 ) -> Cuts:
     """Returns the cuts of the batch of a step, see `caption_batch_at`. No frames are read."""
-    return _draw(bank, key, step, batch_size=batch_size, max_frames=max_frames)[0]
+    return _draw(bank, key, step, batch_size=batch_size, window=window)[0]
 
 
 def caption_batch_at(
-    bank: CaptionBank, key: Key[Array, ""], step: Int[Array, ""] | int, *, batch_size: int, max_frames: int
+    bank: CaptionBank, key: Key[Array, ""], step: Int[Array, ""] | int, *, batch_size: int, window: int
 ) -> CaptionBatch:
     """Returns the batch of a step. Every motion is used once per epoch; caption, length and start are drawn.
 
@@ -106,9 +106,9 @@ def caption_batch_at(
         key: Key of the run's data order. It is not consumed: give the same key at every step.
         step: Number of the step.
         batch_size: Motions per step.
-        max_frames: Frames of the arrays; longer crops are cut.
+        window: Frames of the arrays; longer crops are cut.
     """
-    cuts, captions = _draw(bank, key, step, batch_size=batch_size, max_frames=max_frames)
-    windows = windows_at(bank.motions, step, cuts, window=max_frames)
+    cuts, captions = _draw(bank, key, step, batch_size=batch_size, window=window)
+    windows = windows_at(bank.motions, step, cuts, window=window)
     words = jax.tree.map(lambda table: table[captions], bank.captions)
     return split_rows(CaptionBatch(windows.motion, cuts.lengths, words))
