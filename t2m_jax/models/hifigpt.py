@@ -321,5 +321,11 @@ def _example(config: HiFiGptConfig) -> tuple[Any, ...]:
     return jnp.zeros((1, 1, config.num_quantizers), jnp.int32), jnp.zeros((1, config.text_dim))
 
 
-PART = Part(role="generator", config=HiFiGptConfig, module=HiFiGpt, example=_example)
+PART = Part(
+    role="generator",
+    config=HiFiGptConfig,
+    module=HiFiGpt,
+    example=_example,
+    stop_threshold=lambda config: config.stop_threshold,
+)
 """The entry point `hifigpt`."""

@@ -59,11 +59,6 @@ class MotionGptConfig:
         return self.num_codes
 
     @property
-    def pad_token(self) -> int:
-        """The token that fills a target after its end."""
-        return self.num_codes + 1
-
-    @property
     def max_codes(self) -> int:
         """The longest motion that can be generated, in codes."""
         return self.block_size - 1

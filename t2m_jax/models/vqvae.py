@@ -229,7 +229,11 @@ def _example(config: VqVaeConfig) -> tuple[Any, ...]:
     return (jnp.zeros((1, config.downsample, config.feature_dim)),)
 
 
-PART = Part(role="tokenizer", config=VqVaeConfig, module=VqVae, example=_example)
+def _codebook(config: VqVaeConfig, variables: Any) -> Float[Array, "K C"]:
+    return VqVae(config).apply(variables, method="read_codebook")
+
+
+PART = Part(role="tokenizer", config=VqVaeConfig, module=VqVae, example=_example, codebook=_codebook)
 """The entry point `vqvae`."""
-RESIDUAL_PART = Part(role="tokenizer", config=RvqVaeConfig, module=VqVae, example=_example)
+RESIDUAL_PART = Part(role="tokenizer", config=RvqVaeConfig, module=VqVae, example=_example, codebook=_codebook)
 """The entry point `rvqvae`."""

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from t2m_jax.errors import UserError
-from t2m_jax.models.system import GeneratorConfig
+from t2m_jax.models.system import GeneratorConfig, find_part
 
 
 @runtime_checkable
@@ -132,4 +132,4 @@ def find_stop_rule(config: GeneratorConfig, name: str | None = None) -> StopRule
     if name is not None and name != own and not {name, own} <= set(LOGIT_RULES):
         known = LOGIT_RULES if own in LOGIT_RULES else (own,)
         raise UserError(f"stop-rule: {name!r} does not fit this model; use {' or '.join(known)}")
-    return make_stop_rule(name or own, threshold=getattr(config, "stop_threshold", StopAtThreshold.threshold))
+    return make_stop_rule(name or own, threshold=find_part(config.kind).stop_threshold(config))

@@ -23,7 +23,7 @@ from t2m_jax.checkpoints.text_encoder import (
     load_pretrained,
 )
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer, load_tokenizer_config, save_tokenizer_copy
-from t2m_jax.config import check_sizes, save_config
+from t2m_jax.config import check_sizes, flat_fields, save_config
 from t2m_jax.data.banks.codes import Captions, CodeBank, CodeBatch, code_batch_at
 from t2m_jax.data.folder import Clip, Dataset, open_dataset
 from t2m_jax.errors import UserError
@@ -53,7 +53,7 @@ from t2m_jax.train.tokenize import (
 )
 from t2m_jax.train.warm_start import start_from_model
 
-SIZES_OF_TOKENIZER = ("num_codes", "num_quantizers", "code_dim")
+SIZES_OF_TOKENIZER = {"num_codes", "num_quantizers", "code_dim"}
 """Fields of a generator's config that are taken from its tokenizer."""
 
 
@@ -172,11 +172,11 @@ def resolve_generator(config: Any, resume: bool) -> Any:
     if path is None:
         raise UserError("vqvae: not given; name the run of a tokenizer, or start from a model with `--init`")
     tokenizer = load_tokenizer_config(path)
+    sizes = flat_fields(tokenizer) | {"num_quantizers": tokenizer.num_quantizers}
     # The sizes that a generator shares with its tokenizer are fields of its config, or they cannot be changed.
-    own = {field.name for field in dataclasses.fields(config.model)}
-    fields = [name for name in SIZES_OF_TOKENIZER if name in own and hasattr(tokenizer, name)]
+    shared = sizes.keys() & flat_fields(config.model).keys() & SIZES_OF_TOKENIZER
     try:
-        model = dataclasses.replace(config.model, **{name: getattr(tokenizer, name) for name in fields})
+        model = dataclasses.replace(config.model, **{name: sizes[name] for name in shared})
     except ValueError as error:
         raise UserError(f"{path}: with this tokenizer, model.{error}") from None
     if tokenizer.num_quantizers != model.num_quantizers:

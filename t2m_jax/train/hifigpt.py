@@ -19,6 +19,7 @@ from t2m_jax.losses import TokenMean, infonce_loss, mean_weights, stop_loss, tok
 from t2m_jax.models.contrastive import ContrastiveHead
 from t2m_jax.models.hifigpt import HiFiGpt, HiFiGptConfig
 from t2m_jax.models.rows import Precision, apply_rows, in_precision
+from t2m_jax.models.system import find_part
 from t2m_jax.text.bpe import CaptionTokens
 from t2m_jax.train.config import LoopConfig, StepConfig
 from t2m_jax.train.experiment import Setup, Trainer
@@ -158,10 +159,12 @@ def with_codebook(state: HiFiGptState, tokenizer: TrainedTokenizer) -> HiFiGptSt
     """
     if not state.codebook:
         return state
-    if not hasattr(tokenizer.module, "read_codebook"):
+    codebook = find_part(tokenizer.config.kind).codebook
+    if codebook is None:
         raise UserError(f"vqvae: a {tokenizer.config.kind} has no codebook to read; use model.code_embedding learned")
-    codebook = tokenizer.module.apply(tokenizer.variables, method="read_codebook")
-    return state._replace(codebook={"hifigpt": {"codebook": jnp.array(codebook)}})
+    # A copy, because the state is donated and the tokenizer is still used.
+    codes = jnp.array(codebook(tokenizer.config, tokenizer.variables))
+    return state._replace(codebook={"hifigpt": {"codebook": codes}})
 
 
 def corrupt_codes(

@@ -141,7 +141,8 @@ def test_targets_of_a_batch(tmp_path):
     """In validation the codes stay; in training some motions lose one code, at either end, and none gains."""
     config = gpt_training(tmp_path, tmp_path, tmp_path, loop=dataclasses.replace(LOOP, batch_size=200))
     config = dataclasses.replace(config, tau=0.0)
-    end, pad = config.model.end_token, config.model.pad_token
+    end = config.model.end_token
+    pad = end + 1
     codes, lengths = np.tile(np.arange(1, 7), (200, 1)), np.full(200, 6)
     plain = targets_from_codes(jnp.asarray(codes), jnp.asarray(lengths), config=config)
     expected = [1, 2, 3, 4, 5, 6, end, *[pad] * (config.model.block_size - 7)]
