@@ -3,6 +3,7 @@
 import functools
 from typing import Literal
 
+import chex
 import jax.numpy as jnp
 import numpy as np
 import optax
@@ -37,6 +38,7 @@ def reconstruction_loss(
     features: slice = slice(None),
 ) -> Float[Array, ""]:
     """Returns the mean loss over the True frames and the given features."""
+    _check_motion(reconstruction, motion, mask)
     difference = (reconstruction - motion)[..., features]
     return masked_mean(elementwise_loss(difference, kind), mask[:, :, None])
 
@@ -115,6 +117,7 @@ def bone_loss(
         skeleton: Says which joints make a bone.
         normalizer: Turns features into the skeleton's unit; without it, vectors are those of normalized features.
     """
+    _check_motion(reconstruction, motion, mask)
     if normalizer is not None:
         reconstruction, motion = normalizer.denormalize(reconstruction), normalizer.denormalize(motion)
     difference = bone_vectors(reconstruction, skeleton) - bone_vectors(motion, skeleton)
@@ -133,6 +136,7 @@ def joint_loss(
 
     Arguments as for `bone_loss`; the normalizer is needed.
     """
+    _check_motion(reconstruction, motion, mask)
     difference = normalizer.denormalize(reconstruction) - normalizer.denormalize(motion)
     joints = difference[..., skeleton.layout.positions].reshape(*difference.shape[:2], -1, 3)
     return masked_mean(_lengths(joints), mask[:, :, None])
@@ -150,6 +154,7 @@ def facing_loss(
 
     The vectors are relative to the heading of each frame. Arguments as for `joint_loss`.
     """
+    _check_motion(reconstruction, motion, mask)
 
     def along(features: Float[Array, "B T D"]) -> Float[Array, "B T 2"]:
         # The root is no column of the positions, so joint j is row j - 1.
@@ -173,6 +178,7 @@ def world_velocity_loss(
 
     It contains the root's path and heading. A step counts if both its frames are data. Arguments as for `joint_loss`.
     """
+    _check_motion(reconstruction, motion, mask)
     steps = jnp.diff(_world_difference(reconstruction, motion, skeleton, normalizer), axis=1)
     return masked_mean(_lengths(steps), _runs(mask, 2)[:, :, None])
 
@@ -186,6 +192,7 @@ def world_acceleration_loss(
     normalizer: Normalizer,
 ) -> Float[Array, ""]:
     """Returns the mean distance of the differences of the joints' steps, see `world_velocity_loss`."""
+    _check_motion(reconstruction, motion, mask)
     changes = jnp.diff(_world_difference(reconstruction, motion, skeleton, normalizer), 2, axis=1)
     return masked_mean(_lengths(changes), _runs(mask, 3)[:, :, None])
 
@@ -204,6 +211,13 @@ def _runs(mask: Bool[Array, "B T"], count: int) -> Bool[Array, "B U"]:
     return functools.reduce(jnp.logical_and, [mask[:, first : first + places] for first in range(count)])
 
 
+def _check_motion(reconstruction: Array, motion: Array, mask: Array) -> None:
+    """Raises `AssertionError` if arguments have shapes that do not belong together, which might broadcast."""
+    chex.assert_rank(motion, 3)
+    chex.assert_equal_shape([reconstruction, motion])
+    chex.assert_shape(mask, motion.shape[:2])
+
+
 def _lengths(vectors: Float[Array, "*batch D"]) -> Float[Array, "*batch"]:
     """Returns the lengths of vectors, whose gradient is 0 where they are 0."""
     squares = jnp.sum(vectors**2, axis=-1)
@@ -220,6 +234,7 @@ def mean_weights(
     the same weight (T2M-GPT's code). With "tokens", all positions have the same weight, so that long motions count more
     (the likelihood in its paper).
     """
+    chex.assert_rank(counts, 1)
     mask = jnp.arange(length)[None] < counts[:, None]
     if mean_over == "tokens":
         return mask / global_sum(jnp.sum(mask))
@@ -240,6 +255,7 @@ def token_loss(
 
     The sums of the parts of a batch, with the weights of the whole, add up to the sum of the whole.
     """
+    chex.assert_shape([targets, weights], logits.shape[:-1])
     safe_targets = jnp.where(weights > 0, targets, 0)
     losses = optax.losses.softmax_cross_entropy_with_integer_labels(logits.astype(jnp.float32), safe_targets)
     return global_sum(jnp.sum(jnp.where(weights > 0, weights * losses, 0.0)))
@@ -249,6 +265,7 @@ def token_accuracy(
     logits: Float[Array, "B L V"], targets: Int[Array, "B L"], weights: Float[Array, "B L"]
 ) -> Float[Array, ""]:
     """Returns the sum of the weights of the targets that have the highest logits, over the global batch."""
+    chex.assert_shape([targets, weights], logits.shape[:-1])
     return global_sum(jnp.sum(jnp.where(jnp.argmax(logits, axis=-1) == targets, weights, 0.0)))
 
 
@@ -267,6 +284,7 @@ def stop_loss(
         weights: Of each row, see `mean_weights`.
         positive_weight: Factor of the terms of last rows.
     """
+    chex.assert_equal_shape([stop_logits, is_last, weights])
     losses = optax.losses.sigmoid_binary_cross_entropy(stop_logits.astype(jnp.float32), is_last.astype(jnp.float32))
     losses *= jnp.where(is_last, positive_weight, 1.0)
     return global_sum(jnp.sum(jnp.where(weights > 0, weights * losses, 0.0)))
@@ -284,6 +302,7 @@ def movement_loss(
 
     The terms are the mean absolute values of the error, of the movements, and of their differences in time.
     """
+    chex.assert_equal_shape([reconstruction, motion])
     terms = {
         "reconstruction": global_mean(jnp.mean(jnp.abs(reconstruction - motion))),
         "sparsity": global_mean(jnp.mean(jnp.abs(movements))),
@@ -295,6 +314,7 @@ def movement_loss(
 
 def pair_distances(text: Float[Array, "B E"], motion: Float[Array, "B E"]) -> Float[Array, " B"]:
     """Returns the distance of each text from the motion in its row. It is never zero, so that it has a gradient."""
+    chex.assert_equal_shape([text, motion])
     return jnp.sqrt(jnp.sum((text - motion + 1e-6) ** 2, axis=-1))
 
 
@@ -321,6 +341,8 @@ def infonce_loss(
     The logits are the negative squared distances divided by `temperature`. Rows with the same caption (`same` is True)
     are not negatives of each other.
     """
+    chex.assert_equal_shape([text, motion])
+    chex.assert_shape(same, (len(text), len(text)))
     squares = jnp.sum((text[:, None] - motion[None, :]) ** 2, axis=-1)
     own = jnp.eye(len(text), dtype=bool)
     logits = jnp.where(same & ~own, -jnp.inf, -squares / temperature)

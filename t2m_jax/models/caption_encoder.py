@@ -3,6 +3,7 @@
 import dataclasses
 from typing import ClassVar
 
+import chex
 import flax.linen as nn
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -53,6 +54,8 @@ class CaptionEncoder(nn.Module):
         self, caption_tokens: Int[Array, "B S"], caption_mask: Bool[Array, "B S"], *, train: bool
     ) -> Float[Array, "B E"]:
         """Returns the text embedding. Tokens where the mask is False have no influence."""
+        chex.assert_rank(caption_tokens, 2)
+        chex.assert_equal_shape([caption_tokens, caption_mask])
         config = self.config
         positions = self.param("position_embedding", WEIGHT_INIT, (config.max_length, config.embed_dim))
         embed = nn.Embed(config.vocabulary_size, config.embed_dim, embedding_init=WEIGHT_INIT, name="token_embedding")

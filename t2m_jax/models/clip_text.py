@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Literal
 
+import chex
 import flax.linen as nn
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -89,6 +90,7 @@ class ClipText(nn.Module):
     @nn.compact
     def __call__(self, caption_tokens: Int[Array, "B S"]) -> Float[Array, "B E"]:
         """Returns the text embedding. Tokens after the end of a caption have no influence."""
+        chex.assert_rank(caption_tokens, 2)
         config = self.config
         length = caption_tokens.shape[1]
         if length > config.max_length:

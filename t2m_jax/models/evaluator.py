@@ -6,6 +6,7 @@ movement of a clip reads three frames past it.
 
 import dataclasses
 
+import chex
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
@@ -183,6 +184,7 @@ class Evaluator(nn.Module):
 
     def movements(self, motion: Float[Array, "B T D"], *, train: bool) -> Float[Array, "B N M"]:
         """Returns one embedding per four frames."""
+        chex.assert_shape(motion, (None, None, self.config.feature_dim))
         with jax.default_matmul_precision("float32"):
             return self.movement_encoder(motion[..., :-NUM_CONTACTS], train=train)
 
@@ -196,6 +198,7 @@ class Evaluator(nn.Module):
             lengths: Number of frames. Remaining frames that do not fill a movement of four frames are ignored. All
                 motions of fewer than four frames have the same embedding.
         """
+        chex.assert_shape(lengths, motion.shape[:1])
         movements = self.movements(motion, train=False)
         with jax.default_matmul_precision("float32"):
             return self.motion_encoder(movements, lengths // FRAMES_PER_MOVEMENT)
@@ -204,6 +207,9 @@ class Evaluator(nn.Module):
         self, words: Int[Array, "B S"], parts_of_speech: Int[Array, "B S"], text_lengths: Int[Array, " B"]
     ) -> Float[Array, "B E"]:
         """Returns one embedding per caption, for words and parts of speech from `Vocabulary.vectorize`."""
+        chex.assert_rank(words, 2)
+        chex.assert_equal_shape([words, parts_of_speech])
+        chex.assert_shape(text_lengths, words.shape[:1])
         with jax.default_matmul_precision("float32"):
             classes = jax.nn.one_hot(parts_of_speech, self.config.num_parts_of_speech)
             inputs = self.word_embedding(words) + self.part_of_speech_projection(classes)

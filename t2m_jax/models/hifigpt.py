@@ -8,6 +8,7 @@ equations, and what the paper leaves open.
 import dataclasses
 from typing import Any, ClassVar, Literal, NamedTuple
 
+import chex
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
@@ -212,6 +213,8 @@ class HiFiGpt(nn.Module):
             residual_codes: What the residual tier reads, if it is something else.
             train: Whether dropout is on.
         """
+        chex.assert_shape(codes, (None, None, self.config.num_quantizers))
+        chex.assert_shape(text_embedding, (len(codes), self.config.text_dim))
         if codes.shape[1] > self.config.max_codes:
             raise ValueError(f"{codes.shape[1]} rows are more than max_codes {self.config.max_codes}")
         hidden = self.contexts(codes, text_embedding, train=train)
@@ -253,6 +256,7 @@ class HiFiGpt(nn.Module):
 
         With a scale, every motion is computed with its text and without, in one batch.
         """
+        chex.assert_shape(text_embedding, (None, self.config.text_dim))
         batch = text_embedding.shape[0]
         texts = text_embedding[:, None]
         if guidance_scale is not None:

@@ -6,6 +6,7 @@ Tokens are codes, then End, then Pad. A motion ends when End is drawn.
 import dataclasses
 from typing import Any, ClassVar, NamedTuple
 
+import chex
 import flax.linen as nn
 import jax.numpy as jnp
 import numpy as np
@@ -100,6 +101,8 @@ class MotionGpt(nn.Module):
         self, tokens: Int[Array, "B L"], text_embedding: Float[Array, "B E"], *, train: bool
     ) -> Float[Array, "B L+1 V"]:
         """Returns logits over codes and End; those at position p predict token p (position 0 is the text)."""
+        chex.assert_rank(tokens, 2)
+        chex.assert_shape(text_embedding, (len(tokens), self.config.text_dim))
         length = tokens.shape[1] + 1
         if length > self.config.block_size:
             raise ValueError(f"{length - 1} tokens do not fit a block size of {self.config.block_size}")
@@ -119,6 +122,7 @@ class MotionGpt(nn.Module):
         if guidance_scale is not None:
             raise UserError("guidance-scale: this model was not trained for guidance; leave it out")
         config = self.config
+        chex.assert_shape(text_embedding, (None, config.text_dim))
         empty = empty_cache(
             text_embedding.shape[0], config.block_size, embed_dim=config.embed_dim, num_heads=config.num_heads
         )

@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Literal
 
+import chex
 import flax.linen as nn
 import jax.numpy as jnp
 import numpy as np
@@ -117,7 +118,10 @@ class SentenceEncoder(nn.Module):
     @nn.compact
     def __call__(self, caption_tokens: Int[Array, "B S"], caption_mask: Bool[Array, "B S"]) -> Float[Array, "B E"]:
         """Returns the text embedding. Tokens where the mask is False have no influence."""
-        config, length = self.config, caption_tokens.shape[1]
+        chex.assert_rank(caption_tokens, 2)
+        chex.assert_equal_shape([caption_tokens, caption_mask])
+        config = self.config
+        length = caption_tokens.shape[1]
         if length > config.max_length:
             raise ValueError(f"{length} tokens do not fit a max_length of {config.max_length}")
 

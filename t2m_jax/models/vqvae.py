@@ -7,6 +7,7 @@ import dataclasses
 import functools
 from typing import Any, ClassVar, Literal, NamedTuple
 
+import chex
 import flax.linen as nn
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -159,8 +160,10 @@ class VqVae(nn.Module):
     def _latents(
         self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"] | None, *, train: bool
     ) -> tuple[Float[Array, "B N C"], Bool[Array, "B N"]]:
+        chex.assert_shape(motion, (None, None, self.config.feature_dim))
         if mask is None:
             mask = jnp.ones(motion.shape[:2], bool)
+        chex.assert_shape(mask, motion.shape[:2])
         latents = self.encoder(motion, mask, train=train)
         if self.config.projections:
             latents = self.project_in(latents)
@@ -210,7 +213,11 @@ class VqVae(nn.Module):
         With fewer codes per row than `num_quantizers`, those of the first depths, the motion is coarser. The last axis
         may be left out if there is one code per row.
         """
-        return self.decode_latents(self.quantizer.lookup(codes if codes.ndim == 3 else codes[:, :, None]), mask)
+        depth = self.config.num_quantizers
+        chex.assert_rank(codes, {2, 3} if depth == 1 else 3)
+        rows = codes.reshape(*codes.shape[:2], -1)
+        chex.assert_axis_dimension_lteq(rows, 2, depth)
+        return self.decode_latents(self.quantizer.lookup(rows), mask)
 
     def read_codebook(self) -> Float[Array, "K C"]:
         """Returns the codebook."""
@@ -220,8 +227,10 @@ class VqVae(nn.Module):
         self, latents: Float[Array, "B N C"], mask: Bool[Array, "B N"] | None = None
     ) -> Float[Array, "B T D"]:
         """Returns the motion of latents that need not be in the codebook, such as blended codes."""
+        chex.assert_shape(latents, (None, None, self.config.code_dim))
         if mask is None:
             mask = jnp.ones(latents.shape[:2], bool)
+        chex.assert_shape(mask, latents.shape[:2])
         return self._decode(latents, mask, train=False)
 
 
