@@ -1,6 +1,7 @@
 """Train a model: `t2m train KIND CONFIG [--field value]...`; fields are those of the config, with dots.
 
 CONFIG is a YAML file, or the name of a config or preset that comes with the package: `t2m train --list` shows them.
+Such a name wins over a file or folder with that name: `official` is the preset, and `./official` the file.
 `t2m train KIND --run RUN --resume` continues a run.
 `t2m train gpt --diff paper official` shows how two configs differ.
 """
@@ -140,15 +141,15 @@ def _start_config(args: argparse.Namespace) -> Any:
 
 
 def _config(kind: str, name: str) -> Any:
-    """Returns the config of a file or, if there is no such file, of a name."""
+    """Returns the config of a name that `--list` shows, or of a file."""
     from t2m_jax.config import load_config
     from t2m_jax.train.experiment import find_trainer
     from t2m_jax.train.presets import load_preset, preset_names
-    from t2m_jax.train.shipped import find_config
+    from t2m_jax.train.shipped import find_config, shipped_configs
 
-    is_file = Path(name).exists()
-    if name in preset_names() and not is_file:
+    if name in preset_names():
         return load_preset(kind, name)
+    is_file = Path(name).exists() and name not in shipped_configs()
     schema: Any = find_trainer(kind).config
     return load_config(name if is_file else find_config(kind, name), schema)
 

@@ -235,7 +235,11 @@ def make_best(run: Path, setup: Setup, held_out: EvaluationTask | None) -> BestW
     if held_out is not None and setup.evaluation is not None:
         metric, sampling = setup.evaluation.config.metric, setup.evaluation.sampling
         return BestWeights(run, metric=metric, sampling=sampling, evaluator=held_out.evaluator.fingerprint)
-    return BestWeights(run) if setup.validation is not None else None
+    if setup.validation is None:
+        return None
+    if setup.evaluation is not None:
+        logger.info("the best weights are those of the lowest validation loss; papers choose by FID: give an evaluator")
+    return BestWeights(run)
 
 
 def run_setup(

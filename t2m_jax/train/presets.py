@@ -25,6 +25,15 @@ SKELETONS = {skeleton.name: skeleton for skeleton in (HUMANML3D, KIT_ML)}
 OFFICIAL_FOLDERS = {HUMANML3D.name: "t2m", KIT_ML.name: "kit"}
 """The folder of each data set in the original code, which contains the statistics published with the weights."""
 
+# The paper counts epochs: 3,600 with batches of 256 (250 at a constant rate), and 1,600 with batches of 128 (200).
+HIFIGPT_UPDATES = {
+    ("rvqvae", HUMANML3D.name): (22_000, 300_000),
+    ("rvqvae", KIT_ML.name): (4_600, 66_000),
+    ("hifigpt", HUMANML3D.name): (37_500, 300_000),
+    ("hifigpt", KIT_ML.name): (7_300, 59_000),
+}
+"""The update at which the rate of a stage of T2M-HiFiGPT begins to fall, and its last update, on a data set."""
+
 
 def official_vqvae(skeleton: Skeleton) -> TrainVqVaeConfig:
     """Returns the config of the published command for the first stage."""
@@ -83,22 +92,28 @@ def paper_gpt(skeleton: Skeleton) -> TrainGptConfig:
 
 
 def hifigpt_rvqvae(skeleton: Skeleton) -> TrainRvqVaeConfig:
-    """Returns the config of T2M-HiFiGPT's first stage: the default (section 4.1 of its paper)."""
+    """Returns the config of T2M-HiFiGPT's first stage: section 4.1 of its paper, and the sum over depths of 3.2."""
+    constant, last = HIFIGPT_UPDATES["rvqvae", skeleton.name]
     return TrainRvqVaeConfig(
         data=Path(f"data/{skeleton.name}"),
         run=Path(f"runs/{skeleton.name}-hifigpt-rvqvae"),
-        model=RvqVaeConfig(feature_dim=skeleton.feature_dim),
+        model=RvqVaeConfig(feature_dim=skeleton.feature_dim, commitment="sum"),
+        optimizer=OptimizerConfig(betas=(0.9, 0.95), cosine=(constant, last)),
+        loop=LoopConfig(num_steps=last),
     )
 
 
 def hifigpt_gpt(skeleton: Skeleton) -> TrainHiFiGptConfig:
     """Returns the config of T2M-HiFiGPT's second stage: the default, but with CLIP (section 4.1 of its paper)."""
-    return TrainHiFiGptConfig(
+    constant, last = HIFIGPT_UPDATES["hifigpt", skeleton.name]
+    config = TrainHiFiGptConfig(
         data=Path(f"data/{skeleton.name}"),
         vqvae=Path(f"runs/{skeleton.name}-hifigpt-rvqvae"),
         run=Path(f"runs/{skeleton.name}-hifigpt-gpt"),
         text_encoder="clip",
+        loop=LoopConfig(num_steps=last, batch_size=128),
     )
+    return dataclasses.replace(config, optimizer=dataclasses.replace(config.optimizer, cosine=(constant, last)))
 
 
 PRESETS: dict[tuple[str, str], Callable[[Skeleton], Any]] = {

@@ -38,6 +38,7 @@ from t2m_jax.train import (
 )
 from t2m_jax.train.best import BestWeights, is_better
 from t2m_jax.train.config import compiled_config
+from t2m_jax.train.experiment import find_trainer, make_best
 from tests.tiny import gpt_training, random_evaluator, vqvae_training
 from tests.train.conftest import assert_same_checkpoint, stop_at
 
@@ -346,6 +347,13 @@ def test_without_an_evaluator_the_lowest_validation_loss_chooses(runs):
         best = find_best(run)
         assert (best.metric, best.evaluator) == ("loss", None)
         assert best.step == rows["step"][np.argmin(rows["loss"])] and best.value == rows["loss"].min()
+
+
+def test_the_start_says_what_chooses_the_weights_without_an_evaluator(data, tmp_path, caplog):
+    setup = find_trainer("vqvae").prepare(vqvae_training(data, tmp_path), False)
+    with caplog.at_level(logging.INFO):
+        make_best(tmp_path, setup, None)
+    assert "lowest validation loss" in caplog.text and "FID" in caplog.text
 
 
 def test_a_picture_is_made_at_each_evaluation(finished):

@@ -65,6 +65,35 @@ def test_in_what_the_recipes_differ():
     assert kit["tau"] == ("per_motion", 0.5)
 
 
+def test_hifigpt_follows_its_paper():
+    """Its sums over depths, and its epochs, of which KIT-ML has shorter ones."""
+    assert load_preset("rvqvae", "hifigpt/paper").model.commitment == "sum"
+    expected = {"humanml3d": (300_000, 22_000, 37_500), "kit_ml": (66_000, 4_600, None)}
+    for data, (last, first, second) in expected.items():
+        config = load_preset("rvqvae", f"{data}/hifigpt/paper")
+        assert (config.loop.num_steps, config.optimizer.cosine) == (last, (first, last))
+        if second is not None:
+            config = load_preset("hifigpt", f"{data}/hifigpt/paper")
+            assert (config.loop.num_steps, config.optimizer.cosine) == (last, (second, last))
+    config = load_preset("hifigpt", "kit_ml/hifigpt/paper")
+    assert (config.loop.num_steps, config.optimizer.cosine) == (59_000, (7_300, 59_000))
+    assert (config.loop.batch_size, config.optimizer.clip_norm) == (128, 1.0)
+
+
+@pytest.mark.parametrize("make", ["folder", "file"])
+def test_a_preset_wins_over_what_has_its_name(make, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    if make == "folder":
+        (tmp_path / "official").mkdir()
+    else:
+        (tmp_path / "official").write_text("tau: 0.25\n")
+    assert main(["train", "gpt", "--diff", "official", "humanml3d/official"]) == 0
+    assert capsys.readouterr().out.splitlines() == ["field  official  humanml3d/official"]
+    if make == "file":
+        assert main(["train", "gpt", "--diff", "./official", "official"]) == 0
+        assert ["tau", "0.25", "0.5"] in [line.split() for line in capsys.readouterr().out.splitlines()]
+
+
 def test_the_page_on_the_differences_names_each_of_them():
     page = (REPOSITORY / "docs" / "paper_and_code.md").read_text(encoding="utf-8")
     for stage in ("vqvae", "gpt"):
