@@ -54,14 +54,8 @@ def velocity_loss(
 ) -> Float[Array, ""]:
     """Returns the second term of T2M-GPT's reconstruction loss. Its paper and its code define it differently.
 
-    Args:
-        reconstruction: The decoder's output.
-        motion: The target.
-        mask: True where there is data.
-        kind: Loss of a difference.
-        velocity: `frame_difference` compares differences of consecutive frames (arXiv 2301.06052, equation 3).
-            `joint_positions` is the reconstruction loss of the joint positions alone (the published code).
-        positions: Columns of the joint positions.
+    `frame_difference` compares differences of consecutive frames (arXiv 2301.06052, equation 3). `joint_positions` is
+    the reconstruction loss of the joint positions alone (the published code), whose columns are `positions`.
     """
     if velocity == "joint_positions":
         return reconstruction_loss(reconstruction, motion, mask, kind=kind, features=positions)
@@ -108,14 +102,8 @@ def bone_loss(
     """Returns the mean length of the differences of bone vectors.
 
     This is the last term of T2M-HiFiGPT's reconstruction loss (arXiv 2312.10628, section 3.2). Its gradient is 0 where
-    the vectors agree.
-
-    Args:
-        reconstruction: The decoder's output, normalized.
-        motion: The target, normalized.
-        mask: True where there is data.
-        skeleton: Says which joints make a bone.
-        normalizer: Turns features into the skeleton's unit; without it, vectors are those of normalized features.
+    the vectors agree. The normalizer turns features into the skeleton's unit; without it, vectors are those of
+    normalized features.
     """
     _check_motion(reconstruction, motion, mask)
     if normalizer is not None:

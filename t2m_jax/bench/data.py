@@ -15,7 +15,7 @@ from t2m_jax.data.banks.motions import batch_at
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.train.config import LoopConfig, ShardingConfig
 from t2m_jax.train.program import Devices
-from t2m_jax.train.vqvae import TrainVqVaeConfig
+from t2m_jax.train.vqvae_config import TrainVqVaeConfig
 
 BATCH, WINDOW = 256, 64
 """The batch of the published VQ-VAE."""

@@ -24,8 +24,9 @@ from t2m_jax.train.gpt import update as gpt_update
 from t2m_jax.train.hifigpt import TrainHiFiGptConfig, init_hifigpt_state
 from t2m_jax.train.hifigpt import update as hifigpt_update
 from t2m_jax.train.program import Devices, Update
-from t2m_jax.train.vqvae import TrainRvqVaeConfig, TrainVqVaeConfig, init_vqvae_state
+from t2m_jax.train.vqvae import init_vqvae_state
 from t2m_jax.train.vqvae import update as vqvae_update
+from t2m_jax.train.vqvae_config import TrainRvqVaeConfig, TrainVqVaeConfig
 
 Kind = Literal["vqvae", "gpt", "rvqvae", "hifigpt"]
 """What is trained."""

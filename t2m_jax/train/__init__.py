@@ -22,7 +22,7 @@ from t2m_jax.train.hifigpt import TrainHiFiGptConfig
 from t2m_jax.train.optimizer import OptimizerConfig
 from t2m_jax.train.presets import load_preset, preset_names
 from t2m_jax.train.program import Update
-from t2m_jax.train.vqvae import TrainRvqVaeConfig, TrainVqVaeConfig
+from t2m_jax.train.vqvae_config import TrainRvqVaeConfig, TrainVqVaeConfig
 
 __all__ = [
     "Evaluation",

@@ -194,24 +194,19 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
     is_restored = resume and has_checkpoint(config.run)
     table = None if is_restored else load_table(config, vocabulary)
     config = dataclasses.replace(config, model=dataclasses.replace(config.model, num_words=len(vocabulary)))
-    length = dataset.info.max_frames
     compiled = compiled_config(config)
-    options: dict[str, Any] = {"config": compiled, "max_frames": length}
-    plan = functools.partial(plan_feed, caption_cuts_at, config.loop, window=length)
+    options: dict[str, Any] = {"config": compiled, "max_frames": dataset.info.max_frames}
+    plan = functools.partial(plan_feed, caption_cuts_at, config.loop, window=dataset.info.max_frames)
     validation = None
     if validated:
         bank = make_caption_bank(validated, normalizer, vocabulary)
-        measure = functools.partial(validate, **options)
-        validation = Validation(bank, len(validated), measure, plan("validation"))
+        validation = Validation(bank, len(validated), functools.partial(validate, **options), plan("validation"))
 
     def init() -> TrainState:
         if is_restored:
             movements = jax.tree.map(jnp.zeros_like, evaluator_shapes(config.model)["params"][MOVEMENTS])
-        elif config.init is None:
-            clips = {"train": train, "validation": held_out}
-            movements = train_movements(config, dataset, normalizer, resume=resume, **clips)
         else:
-            movements = load_trained_evaluator(config.init).variables["params"][MOVEMENTS]
+            movements = train_movements(config, dataset, normalizer, train, held_out, resume=resume)
         return init_matching_state(compiled, stream_key(config.loop.seed, "init"), movements, table)
 
     return Setup(
@@ -222,7 +217,7 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
         update=Update(update, **options),
         plan=plan("data"),
         optimizer=config.optimizer,
-        frames_per_step=config.loop.batch_size * length,
+        frames_per_step=config.loop.batch_size * dataset.info.max_frames,
         weights=lambda state: {"params": state.params},
         write_parts=lambda run: save_evaluator_parts(run, config.model, normalizer, vocabulary),
         start_from=lambda path: load_trained_evaluator(path).variables,

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int, Key
 
+from t2m_jax.checkpoints.evaluator import load_trained_evaluator
 from t2m_jax.data.banks.motions import MotionBank, Windows, batch_at, cuts_at, make_bank
 from t2m_jax.data.banks.order import row_keys
 from t2m_jax.data.folder import Clip, Dataset
@@ -102,12 +103,14 @@ def train_movements(
     config: TrainEvaluatorConfig,
     dataset: Dataset,
     normalizer: Normalizer,
-    *,
     train: Sequence[Clip],
     validation: Sequence[Clip],
+    *,
     resume: bool,
 ) -> Any:
-    """Returns the trained weights of the movement encoder; a finished training is only loaded."""
+    """Returns the trained weights of the movement encoder: those of `init`, or of a training, which may be finished."""
+    if config.init is not None:
+        return load_trained_evaluator(config.init).variables["params"][MOVEMENTS]
     logger.info("first the movement encoder, %d steps", config.movement_steps)
     compiled = compiled_config(config)
     loop = dataclasses.replace(movement_loop(config), num_steps=config.movement_steps)

@@ -18,7 +18,7 @@ from t2m_jax.train.config import LoopConfig
 from t2m_jax.train.gpt import TrainGptConfig
 from t2m_jax.train.hifigpt import TrainHiFiGptConfig
 from t2m_jax.train.optimizer import OptimizerConfig
-from t2m_jax.train.vqvae import TrainRvqVaeConfig, TrainVqVaeConfig
+from t2m_jax.train.vqvae_config import TrainRvqVaeConfig, TrainVqVaeConfig
 
 SKELETONS = {skeleton.name: skeleton for skeleton in (HUMANML3D, KIT_ML)}
 """The skeletons of the data sets that have presets, by name."""

@@ -1,10 +1,9 @@
-"""Training of the VQ-VAE and of the residual VQ-VAE: configs, state, one pure step, and the data."""
+"""Training of the VQ-VAE and of the residual VQ-VAE: state, one pure step, and the data."""
 
-import dataclasses
 import functools
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,14 +12,11 @@ import optax
 from jaxtyping import Array, Float, Int, Key
 
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer, save_tokenizer_parts
-from t2m_jax.config import check_limits
 from t2m_jax.data.banks.motions import MotionBank, Windows, batch_at, cuts_at, make_bank
 from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.sources import CodeSource, Reconstruction
 from t2m_jax.losses import (
-    ReconstructionKind,
-    VelocityKind,
     acceleration_loss,
     bone_loss,
     facing_loss,
@@ -31,114 +27,18 @@ from t2m_jax.losses import (
     world_velocity_loss,
 )
 from t2m_jax.metrics.codes import code_usage, perplexity
-from t2m_jax.models.rows import Precision, in_precision
-from t2m_jax.models.vqvae import RvqVaeConfig, VqVae, VqVaeConfig, VqVaeOutput
+from t2m_jax.models.rows import in_precision
+from t2m_jax.models.vqvae import VqVae, VqVaeOutput
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import skeleton_from_feature_dim
-from t2m_jax.train.config import (
-    FROM_DATA,
-    MAX_WINDOW,
-    EvaluationConfig,
-    ExperimentConfig,
-    StepConfig,
-    compiled_config,
-)
+from t2m_jax.train.config import compiled_config
 from t2m_jax.train.experiment import Evaluation, Setup, Trainer, Validation
 from t2m_jax.train.log import by_depth
-from t2m_jax.train.optimizer import Metrics, OptimizerConfig, descend, make_optimizer
+from t2m_jax.train.optimizer import Metrics, descend, make_optimizer
 from t2m_jax.train.program import Update
 from t2m_jax.train.statistics import open_training_data
 from t2m_jax.train.streams import plan_feed, stream_key, window_options
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class VqVaeStepConfig(StepConfig):
-    """What a step of the VQ-VAE reads."""
-
-    model: VqVaeConfig = VqVaeConfig()
-    """Sizes."""
-    window: int = 64
-    """Frames of a training window."""
-    reconstruction: ReconstructionKind = "l1_smooth"
-    """Loss of the difference between motion and reconstruction."""
-    velocity: VelocityKind = "joint_positions"
-    """What the velocity loss compares: the joint positions a second time (the original's code), or the differences of
-    consecutive frames (its paper)."""
-    velocity_weight: float = 0.5
-    """Weight of the velocity loss."""
-    acceleration_weight: float = 0.0
-    """Weight of the loss of second differences in time."""
-    bone_weight: float = 0.0
-    """Weight of the loss of bone vectors."""
-    bone_space: Literal["metres", "normalized"] = "metres"
-    """What bone vectors are measured in: meters, or the normalized features."""
-    joint_weight: float = 0.0
-    """Weight of the distance of the joints in meters, relative to the root."""
-    facing_weight: float = 0.0
-    """Weight of the angle between the directions in which hips and shoulders face, in radians."""
-    world_velocity_weight: float = 0.0
-    """Weight of the distance of the joints' steps in the world, in meters per frame. With it, paths drift less and feet
-    slide less."""
-    world_acceleration_weight: float = 0.0
-    """Weight of the distance of the joints' changes of step in the world, in meters. With it, motion trembles less."""
-    commitment_weight: float = 0.02
-    """Weight of the commitment loss."""
-    trained: Literal["all", "decoder"] = "all"
-    """What is trained. With `decoder`, and `init`, all motion keeps its codes, so that generators still fit."""
-    precision: Precision = "float32"
-    """What products are computed in during training; the codebook is always in float32."""
-    optimizer: OptimizerConfig = OptimizerConfig(warmup_steps=1000, milestones=(200_000,))
-    """Optimizer and schedule."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_limits(self, window=MAX_WINDOW)
-        if self.window < self.model.downsample:
-            raise ValueError(f"window: {self.window} is shorter than one code, {self.model.downsample} frames")
-        if self.trained == "decoder" and self.model.norm == "BN":
-            raise ValueError("trained: a model with batch norm (model.norm: BN) cannot keep its codes")
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class TrainVqVaeConfig(VqVaeStepConfig, ExperimentConfig):
-    """Training of the VQ-VAE; the defaults are T2M-GPT's published command."""
-
-    kind: ClassVar[str] = "vqvae"
-    step: ClassVar[type[StepConfig]] = VqVaeStepConfig
-
-    run: Path = Path("runs/vqvae")
-    """Run directory to write."""
-    short_clips: Literal["pad", "drop"] = "pad"
-    """Clips shorter than a window: padded and masked, or left out as in the original."""
-    statistics: str = FROM_DATA
-    """Mean and standard deviation that normalize the motion: `data` for the data set's own, weighted by `root_weight`;
-    or a folder or a file `mean.npy` (with `std.npy` beside it), or a model, used as they are."""
-    root_weight: float = 25.0
-    """By how much the root's columns and the contacts are scaled up for the VQ-VAE. The original divides their standard
-    deviations by 5 twice; without it, heading and path drift."""
-    evaluation: EvaluationConfig = EvaluationConfig()
-    """Evaluation of reconstructions during training."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.root_weight > 0:
-            raise ValueError(f"root_weight: {self.root_weight} is not above 0")
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class TrainRvqVaeConfig(TrainVqVaeConfig):
-    """Training of the residual VQ-VAE; the defaults are those of T2M-HiFiGPT's paper (see `docs/hifigpt.md`)."""
-
-    kind: ClassVar[str] = "rvqvae"
-
-    run: Path = Path("runs/rvqvae")
-    model: RvqVaeConfig = RvqVaeConfig()
-    window: int = 32
-    velocity: VelocityKind = "frame_difference"
-    acceleration_weight: float = 0.5
-    bone_weight: float = 1.0
-    optimizer: OptimizerConfig = OptimizerConfig(betas=(0.9, 0.95), cosine=(22_000, 300_000))
-
+from t2m_jax.train.vqvae_config import TrainRvqVaeConfig, TrainVqVaeConfig, VqVaeStepConfig
 
 DECODER_PARTS = ("decoder", "project_out")
 """The parameters that read codes."""

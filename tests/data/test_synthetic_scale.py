@@ -21,7 +21,7 @@ from t2m_jax.motion.features import features_from_positions, positions_from_feat
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.train.config import LoopConfig
 from t2m_jax.train.experiment import train
-from t2m_jax.train.vqvae import TrainVqVaeConfig
+from t2m_jax.train.vqvae_config import TrainVqVaeConfig
 
 BROKEN = ["000015", "M000015", "000010", "M000010"]
 

@@ -13,7 +13,8 @@ from t2m_jax.models.system import variable_shapes
 from t2m_jax.models.vqvae import RvqVaeConfig, VqVae, VqVaeOutput
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.train.optimizer import OptimizerConfig, make_optimizer
-from t2m_jax.train.vqvae import TrainRvqVaeConfig, VqVaeState, vqvae_losses, vqvae_train_step
+from t2m_jax.train.vqvae import VqVaeState, vqvae_losses, vqvae_train_step
+from t2m_jax.train.vqvae_config import TrainRvqVaeConfig
 from tests.golden_files import rvqvae_config, rvqvae_params
 from tests.jit import compiled_apply
 

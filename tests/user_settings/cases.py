@@ -167,7 +167,7 @@ def code_bank(num_quantizers: int = 1) -> CodeBank:
     return CodeBank(codes, jnp.array([[6, 5], [3, 3], [5, 4]]), captions, jnp.arange(3), jnp.ones(3, jnp.int32))
 
 
-@case("sampling.codec.encode_batch")
+@case("sampling.programs.encode_batch")
 def _() -> Case:
     mask = mask_from_lengths(jnp.array([16, 9]), 16)
     return Case((tokenizer_variables(), normal(1, 2, 16, 263), mask), {"tokenizer": make_module(TOKENIZER)}, atol=0)
@@ -178,18 +178,18 @@ def decoding() -> tuple:
     return (tokenizer_variables(), on_device(walking_normalizer()), *codes_and_lengths())
 
 
-@case("sampling.codec.decode_batch")
+@case("sampling.programs.decode_batch")
 def _() -> Case:
     return Case(decoding(), {"tokenizer": make_module(TOKENIZER)}, rtol=1e-4, atol=1e-5)
 
 
-@case("sampling.codec.decode_positions")
+@case("sampling.programs.decode_positions")
 def _() -> Case:
     # Positions add up over the frames.
     return Case(decoding(), {"tokenizer": make_module(TOKENIZER), "skeleton": HUMANML3D}, rtol=1e-4, atol=1e-4)
 
 
-@case("evaluation.manners.fit_softmax")
+@case("evaluation.prompts.manners.fit_softmax")
 def _() -> Case:
     return Case((normal(7, 20, 6), jnp.arange(20) % 7), {"num_steps": 5}, rtol=1e-4, atol=1e-4)
 
@@ -207,7 +207,7 @@ def _() -> Case:
     return Case((positions,), {"fps": 20.0, "skeleton": HUMANML3D}, rtol=1e-4, atol=1e-4)
 
 
-@case("sampling.codec.generate_codes")
+@case("sampling.programs.generate_codes")
 def _() -> Case:
     variables, keys = weights(variable_shapes(GENERATOR)), jax.random.split(jax.random.key(4), 2)
     sampling = Sampling(Temperature(), StopAtEnd(), max_codes=6)
@@ -220,12 +220,12 @@ def row_arguments() -> tuple[tuple, dict[str, Any]]:
     return (variables, normal(5, 2, 16), jnp.float32(3.0)), {"generator": generator}
 
 
-@case("sampling.codec.begin_motions")
+@case("sampling.programs.begin_motions")
 def _() -> Case:
     return Case(*row_arguments())
 
 
-@case("sampling.codec.generate_row")
+@case("sampling.programs.generate_row")
 def _() -> Case:
     arguments, options = row_arguments()
     state, keys = begin_motions(*arguments, **options), jax.random.split(jax.random.key(4), 2)
@@ -233,14 +233,14 @@ def _() -> Case:
     return Case((arguments[0], state, keys), options | {"sampling": sampling})
 
 
-@case("sampling.codec.begin_slots")
+@case("sampling.programs.begin_slots")
 def _() -> Case:
     (variables, text, scale), options = row_arguments()
     state = begin_slots(variables, None, text, scale, jnp.ones(2, bool), **options)
     return Case((variables, state, 2 * text, scale, jnp.array([False, True])), options)
 
 
-@case("sampling.codec.generate_in_slots")
+@case("sampling.programs.generate_in_slots")
 def _() -> Case:
     (variables, text, scale), options = row_arguments()
     state = begin_slots(variables, None, text, scale, jnp.ones(2, bool), **options)
@@ -248,7 +248,7 @@ def _() -> Case:
     return Case((variables, state, jax.random.split(jax.random.key(4), 2)), options | {"sampling": sampling})
 
 
-@case("sampling.codec.row_likelihoods")
+@case("sampling.programs.row_likelihoods")
 def _() -> Case:
     variables, text, _ = row_arguments()[0]
     codes = jnp.ones((2, 3, HIFIGPT.num_quantizers), jnp.int32)
