@@ -36,11 +36,11 @@ SENTENCES = (
     "someone walks ahead, turns left and waves with both hands",
     "a person walks forward, stands still and raises the right hand",
 )
-ROWS = 12
+LINES = 12
 
 if __name__ == "__main__":
     model = TextToMotion.load("demo")
     motions = [model.generate(text, seed=seed)[0] for seed, text in enumerate(SENTENCES)]
-    for page in range(len(motions) // ROWS):
-        picture = render_poster(motions[page * ROWS : (page + 1) * ROWS], num_poses=8, height=128)
+    for page in range(len(motions) // LINES):
+        picture = render_poster(motions[page * LINES : (page + 1) * LINES], num_poses=8, height=128)
         Image.fromarray(picture).quantize(128).save(Path(__file__).with_name(f"sheet-{page + 1}.png"), optimize=True)

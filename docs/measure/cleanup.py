@@ -54,13 +54,13 @@ def spine_speed(motion: Motion) -> Float[np.ndarray, " S"]:
 
 def quality_row(name: str, motions: Sequence[Motion]) -> str:
     """Returns the figures of motions as a line."""
-    rows = []
+    table = []
     for motion in motions:
         padded = np.pad(motion.positions, ((0, LONGEST - motion.num_frames), (0, 0), (0, 0)))[None]
         mask = (np.arange(LONGEST) < motion.num_frames)[None]
         quality = measure_quality(jnp.asarray(padded), jnp.asarray(mask), skeleton=motion.skeleton)
-        rows.append([float(value[0]) for value in quality])
-    bones, jerk, skating, speed, floating, penetration = np.mean(rows, axis=0)
+        table.append([float(value[0]) for value in quality])
+    bones, jerk, skating, speed, floating, penetration = np.mean(table, axis=0)
     spine = " ".join(f"{value:.0f}" for value in np.mean([spine_speed(motion) for motion in motions], axis=0))
     return (
         f"{name}: bone variation {bones:.2%}, jerk {jerk:.0f} m/s3, skating {skating:.1%} at {speed:.2f} m/s, floating "

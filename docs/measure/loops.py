@@ -63,14 +63,14 @@ def captured(folder: str, count: int) -> Iterator[tuple[str, Motion]]:
 
 
 def main() -> None:
-    """Prints a row for each kind of motion and frame rate."""
+    """Prints a line for each kind of motion and frame rate."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--model", default="demo")
     parser.add_argument("--data", help="measure motion capture")
     parser.add_argument("--count", type=int, default=16, help="motions of each content")
     options = parser.parse_args()
     source = captured(options.data, options.count) if options.data else generated(options.model, options.count)
-    rows: dict[tuple[str, int], list[tuple[float, ...]]] = {}
+    table: dict[tuple[str, int], list[tuple[float, ...]]] = {}
     for content, motion in source:
         for fps in RATES:
             try:
@@ -78,10 +78,10 @@ def main() -> None:
                 loop = moved.looped()
             except UserError:  # nothing in it repeats
                 continue
-            rows.setdefault((content.partition("-")[0], fps), []).append(
+            table.setdefault((content.partition("-")[0], fps), []).append(
                 (*seam(loop.positions, fps), sliding(moved), sliding(loop))
             )
-    for (kind, fps), found in sorted(rows.items()):
+    for (kind, fps), found in sorted(table.items()):
         apart, faster, before, after = np.array(found).T
         print(  # noqa: T201
             f"{kind} at {fps} fps: {len(found)} loops, at most {apart.max():.3f} mm apart, velocities within "

@@ -45,7 +45,7 @@ def clips_by_content(folder: str) -> ItemsView[str, list[tuple[float, Motion]]]:
 
 
 def main() -> None:
-    """Prints a row for each content and pace."""
+    """Prints a line for each content and pace."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data")
     parser.add_argument("--model", default="demo")
@@ -57,11 +57,11 @@ def main() -> None:
     for content, clips in clips_by_content(options.data):
         for pace in held_out_paces():
             chosen, test = clips_with(pace, clips), tests[f"{content} {pace.name}"]
-            motions = [chosen[row] for row in random.permutation(len(chosen))[: options.count]]
+            motions = [chosen[number] for number in random.permutation(len(chosen))[: options.count]]
             decoded = [model.decode(model.encode(motion)) for motion in motions]
-            row = len(motions), sum(map(test.holds, motions)), sum(map(test.holds, decoded))
-            total += row
-            print(f"{test.name}: real {row[1]} of {row[0]}, after the tokenizer {row[2]}")  # noqa: T201
+            counts = len(motions), sum(map(test.holds, motions)), sum(map(test.holds, decoded))
+            total += counts
+            print(f"{test.name}: real {counts[1]} of {counts[0]}, after the tokenizer {counts[2]}")  # noqa: T201
     print(f"all: real {total[1]} of {total[0]}, after the tokenizer {total[2]}")  # noqa: T201
 
 
