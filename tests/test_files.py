@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from filelock import FileLock
 
 from t2m_jax.errors import UserError
 from t2m_jax.files import (
@@ -27,7 +28,6 @@ from t2m_jax.files import (
     read_manifest,
     write_manifest,
 )
-from t2m_jax.files.locks import OWNERLESS_SECONDS
 from t2m_jax.files.writing import ABANDONED_SECONDS
 
 
@@ -106,73 +106,72 @@ def test_one_process_writes_and_the_others_are_told(tmp_path):
             pass
         place = tmp_path / ".out.lock"
         host = place.read_text().splitlines()[1]
-        assert f"on {host}; wait for it, or delete {place} if that process is gone" in str(error.value)
+        assert str(error.value).endswith(f"on {host}; wait until it has finished, or end it")
         with pytest.raises(UserError, match="is being written by"), atomic_folder(path):
             pass
         other.kill()
         other.wait()
         assert names(tmp_path) == [".out.lock"]
-    with atomic_folder(path), lock(path):  # taken over from the killed process, and taken again inside
+    with atomic_folder(path), lock(path):  # the kernel has released the lock, and it is taken again inside
         pass
     assert names(tmp_path) == ["out"]
 
 
-def leave_lock(path, contents, *, age=2 * OWNERLESS_SECONDS):
-    """Writes the lock file of a destination as another process may have left it, and returns its place."""
-    place = path.with_name(f".{path.name}.lock")
+CONTENTS = [b"", b"\0" * 30, b"12", b"123\nho", b"\xff\xfe\n", b"x" * 5000, b"who\nhost\n", b"123\nelsewhere\n456\n"]
+
+
+@pytest.mark.parametrize("contents", CONTENTS)
+def test_a_lock_file_that_somebody_left_blocks_nobody(tmp_path, contents):
+    place = tmp_path / ".out.lock"
     place.write_bytes(contents)
-    os.utime(place, (time.time() - age,) * 2)
-    return place
-
-
-@pytest.mark.parametrize("contents", [b"", b"\0" * 30, b"12", b"123\nho", b"\xff\xfe\n", b"x" * 5000, b"who\nhost\n"])
-def test_a_lock_file_without_an_owner_is_taken_over_later(tmp_path, contents):
-    leave_lock(tmp_path / "out", contents, age=0)
-    with pytest.raises(UserError, match=r"written by another process; wait for it, or delete .*\.out\.lock if that"):
-        lock(tmp_path / "out").__enter__()
-    assert leave_lock(tmp_path / "out", contents).read_bytes() == contents
     with lock(tmp_path / "out"):
         assert names(tmp_path) == [".out.lock"]
-        assert (tmp_path / ".out.lock").read_text().startswith(f"{os.getpid()}\n")
+        assert place.read_text().startswith(f"{os.getpid()}\n")
     assert names(tmp_path) == []
 
 
-def test_the_lock_of_another_host_is_kept(tmp_path):
-    place = leave_lock(tmp_path / "out", b"123\nelsewhere\x1b[31m\n456\n", age=10**6)
-    with pytest.raises(UserError) as error, lock(tmp_path / "out"):
-        pass
-    assert str(error.value) == (
-        f"{tmp_path / 'out'}: is being written by process 123 on elsewhere\\x1b[31m; "
-        f"wait for it, or delete {place} if that process is gone"
-    )
-    assert names(tmp_path) == [".out.lock"]
+@pytest.mark.parametrize("contents", [b"", b"\xff\xfe\n", b"x" * 5000, b"123\nelsewhere\x1b[31m\n"])
+def test_a_lock_that_names_no_owner_excludes_others(tmp_path, contents):
+    holder = FileLock(tmp_path / ".out.lock")  # another lock than that of this module, as in another process
+    with holder:
+        (tmp_path / ".out.lock").write_bytes(contents)
+        owner = r"process 123 on elsewhere\x1b[31m" if b"\x1b" in contents else "another process"
+        with pytest.raises(UserError) as error, lock(tmp_path / "out"):
+            pass
+    assert str(error.value) == f"{tmp_path / 'out'}: is being written by {owner}; wait until it has finished, or end it"
 
 
-def test_a_pipe_in_the_place_of_the_lock_file_is_kept(tmp_path):
+def test_who_waits_for_a_lock_finds_that_its_file_was_deleted(tmp_path):
+    """Otherwise a process that has opened the old file and one that creates a new one would both have the lock."""
+    program = """
+import fcntl, os, pathlib, sys
+from t2m_jax.files import lock
+path = pathlib.Path(sys.argv[1])
+lock_file, flock = fcntl.flock, fcntl.LOCK_EX
+def late(descriptor, how, seen=[]):
+    if how & flock and not seen:
+        seen.append(1)
+        print("opened", flush=True)
+        sys.stdin.readline()
+    return lock_file(descriptor, how)
+fcntl.flock = late
+with lock(path):
+    print("held", os.path.exists(path.with_name(".out.lock")), flush=True)
+"""
+    command = [sys.executable, "-c", program, tmp_path / "out"]
+    with lock(tmp_path / "out"):
+        other = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert other.stdout.readline() == "opened\n"
+    assert names(tmp_path) == []
+    assert other.communicate("go\n", timeout=60)[0] == "held True\n"
+    assert names(tmp_path) == []
+
+
+def test_a_pipe_in_the_place_of_the_lock_file_is_kept_and_blocks_nobody(tmp_path):
     os.mkfifo(tmp_path / ".out.lock")
-    with pytest.raises(UserError, match="is being written by another process"), lock(tmp_path / "out"):
+    with lock(tmp_path / "out"):
         pass
     assert names(tmp_path) == [".out.lock"]
-
-
-@pytest.mark.parametrize("is_replaced", [True, False])
-def test_a_lock_that_was_taken_over_in_the_meantime_is_kept(tmp_path, monkeypatch, is_replaced):
-    """Another process is faster: it has the lock already, or is about to delete the file."""
-    place, link = leave_lock(tmp_path / "out", b""), os.link
-
-    def late_link(source, target):
-        if is_replaced:
-            place.unlink()
-            place.write_text("123\nelsewhere\n")
-        else:
-            link(source, target)
-        link(source, target)
-
-    monkeypatch.setattr(os, "link", late_link)
-    with pytest.raises(UserError, match="is being written by"), lock(tmp_path / "out"):
-        pass
-    assert place.read_text() == ("123\nelsewhere\n" if is_replaced else "")
-    assert len(names(tmp_path)) == (1 if is_replaced else 2)
 
 
 def test_long_names_do_not_share_a_lock(tmp_path):

@@ -60,11 +60,6 @@ REPEATING_LOGGERS = ("absl", "asyncio")
 EXIT_OK, EXIT_BUG, EXIT_USER_ERROR, EXIT_BROKEN_PIPE = 0, 1, 2, 141
 EXIT_SIGNAL = 128
 """Added to the number of the signal that ended a command: 130 after Ctrl-C, 143 after SIGTERM."""
-UNINTERRUPTED = ("importlib._bootstrap", "t2m_jax.files.locks")
-"""Modules in which a signal raises no exception: the C++ code of a module that is being imported would crash, and a
-lock file would stay. Locks cannot delay signals themselves: their handler would replace that of JAX for SIGTERM."""
-LATER_SECONDS = 0.05
-"""After this time, a signal that has to wait comes again."""
 REPORT = "run it again with --debug, and report what that prints"
 
 
@@ -88,9 +83,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         # Orbax reports one unreadable file with many stack traces from its threads.
         sys.unraisablehook = lambda _: None
     try:
-        with _ended_by_signals():
-            code = _run(options + arguments[end:])
-            sys.stdout.flush()
+        code = _run(options + arguments[end:])
+        sys.stdout.flush()
         return code
     except BrokenPipeError:
         # The reader (`| head`) has closed the pipe. Without this, Python would fail again when it flushes at exit.
@@ -128,17 +122,13 @@ def _explain(error: BaseException) -> tuple[str, int]:
 def _ended_by_signals() -> Iterator[None]:
     """Turns signals into an exception in the block, as Python does with Ctrl-C, so that temporary files are removed."""
 
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        if _is_uninterrupted(frame):
-            threading.Timer(LATER_SECONDS, _signal_thread, [thread, number]).start()
-            return
+    def interrupt(number: int, _: FrameType | None) -> None:
         if number == signal.SIGINT:
             raise KeyboardInterrupt
         signal.signal(number, signal.SIG_IGN)  # a second one must not interrupt the removal
         raise Interruption(number)
 
-    thread = threading.get_ident()
-    if thread != threading.main_thread().ident:
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
     numbers = [getattr(signal, name) for name in ENDING_SIGNALS if hasattr(signal, name)]
@@ -150,21 +140,6 @@ def _ended_by_signals() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def _signal_thread(thread: int, number: int) -> None:
-    """Sends a signal to a thread, so that it does not wait any longer; Windows has only the thread of the caller."""
-    if hasattr(signal, "pthread_kill"):
-        signal.pthread_kill(thread, number)
-    else:
-        signal.raise_signal(number)
-
-
-def _is_uninterrupted(frame: FrameType | None) -> bool:
-    """Returns whether a frame or one of its callers is of a module that must not be interrupted."""
-    while frame is not None and frame.f_globals.get("__name__") not in UNINTERRUPTED:
-        frame = frame.f_back
-    return frame is not None
 
 
 class _Parser(argparse.ArgumentParser):
@@ -199,7 +174,11 @@ def _run(arguments: list[str]) -> int:
         elif unknown:
             near = difflib.get_close_matches(unknown[0].partition("=")[0], _options(parser, rest), n=1)
             parser.error(f"unknown argument '{unknown[0]}'" + (f"; did you mean '{near[0]}'?" if near else ""))
-        module.run(args)
+        # If a signal raised an exception while JAX is imported, its C++ code would crash. Until then, a signal ends the
+        # process without ceremony: nothing has been written.
+        importlib.import_module("jax")
+        with _ended_by_signals():
+            module.run(args)
     except SystemExit as exit_:  # raised by argparse and tyro after --help
         return exit_.code if isinstance(exit_.code, int) else EXIT_OK
     return EXIT_OK

@@ -3,23 +3,17 @@
 import contextlib
 import os
 import re
-import stat
-import time
+import socket
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from t2m_jax.errors import UserError
 
-if TYPE_CHECKING:
-    from filelock import SoftFileLock
-
 MAX_NAME = 60
 """Longest name that is repeated in the names of locks and unfinished files. File systems limit names to 255 bytes."""
-OWNERLESS_SECONDS = 10.0
-"""Age after which a lock file that names no owner is taken over. Its process was killed between creating the file and
-writing its own name, which takes milliseconds; the rest is for network file systems whose clocks differ."""
+SECONDS = 0.2
+"""Longest wait for a lock. The file may be deleted just after it was opened, so that one try is not enough."""
 MAX_LOCK_FILE = 1024
 """Bytes of a lock file that are read: its owner is in the first 300, and a damaged file may have any size."""
 
@@ -36,78 +30,57 @@ def short_name(path: Path) -> str:
 
 @contextlib.contextmanager
 def lock(path: Path) -> Iterator[None]:
-    """Holds the lock of a destination, which is a file `.NAME.lock` beside it with process and host of the owner.
+    """Holds the lock of a destination: a lock of the kernel (`flock`) on a file `.NAME.lock` beside it.
 
-    In one process, the lock can be taken again by what is called inside. The lock of a process that was killed is taken
-    over, unless it ran on another host, where this host cannot see whether it still runs. The command line lets no
-    signal interrupt the code of this module, so that no lock file is left that nobody knows.
+    In one process, the lock can be taken again by what is called inside. The kernel releases it when the process ends,
+    however it ends, so a file that a killed process left blocks nobody, and the next owner deletes it.
+
+    On network file systems, the lock excludes the processes of other hosts if the server has locks: on NFS unless it is
+    mounted with `local_lock` or `nolock`, and on Lustre if it is mounted with `flock`. The server releases the lock of
+    a host that is lost after its lease. With `local_lock` or `localflock`, only processes of one host exclude each
+    other. If a file system has no `flock`, the library `filelock` says so and creates the file instead; such a lock of
+    a killed process is taken over on the same host only.
 
     Raises:
         LockedError: Another process holds it.
         OSError: The file cannot be written.
     """
-    from filelock import SoftFileLock  # here, because reading needs no locks
+    from filelock import FileLock, Timeout  # here, because reading needs no locks
 
     place = path.absolute().with_name(f".{short_name(path)}.lock")
-    holder = SoftFileLock(place, timeout=0, is_singleton=True, thread_local=False)
-    _acquire(holder, path, place)
+    holder = FileLock(place, timeout=SECONDS, is_singleton=True, thread_local=False)
     try:
+        holder.acquire()
+    except Timeout:
+        owner = _owner(place) or "another process"
+        raise LockedError(f"{path}: is being written by {owner}; wait until it has finished, or end it") from None
+    try:
+        if holder.lock_counter == 1 and place.is_file():  # a pipe would block
+            place.write_text(f"{os.getpid()}\n{socket.gethostname()}\n", encoding="utf-8")
         yield
     finally:
+        # Deleted while it is locked: whoever opened it before finds that it has no name any more, and tries again.
+        is_deleted = holder.lock_counter > 1 or _delete(place)
         holder.release()
+        if not is_deleted:  # Windows refuses to delete what is open, here, and in the hands of another process
+            _delete(place)
 
 
-def _acquire(holder: "SoftFileLock", path: Path, place: Path) -> None:
-    """Takes the lock of a destination, or raises `LockedError`."""
-    from filelock import Timeout
-
-    try:
-        try:
-            holder.acquire()
-        except Timeout:
-            _delete_ownerless(place)
-            holder.acquire()
-    except Timeout:
-        owner = "another process"
-        with contextlib.suppress(OSError):
-            owner = _owner(place) or owner
-        advice = f"wait for it, or delete {place} if that process is gone"
-        raise LockedError(f"{path}: is being written by {owner}; {advice}") from None
+def _delete(place: Path) -> bool:
+    """Deletes a lock file, and returns whether there is none any more."""
+    with contextlib.suppress(OSError):
+        if place.is_file():
+            place.unlink()
+        return True
+    return False
 
 
 def _owner(place: Path) -> str | None:
     """Returns process and host that a lock file names; None if it names none, or is not a file."""
-    if not place.is_file():  # to open a pipe would take forever
-        return None
-    with place.open("rb") as file:
-        text = file.read(MAX_LOCK_FILE).decode(errors="replace")
-    # A record without its last line end was cut off when it was written.
-    found = re.match(r"\s*(\d+)\s+(\S+)", text) if text.endswith("\n") else None
-    return f"process {found[1]} on {found[2]}" if found else None
-
-
-def _delete_ownerless(place: Path) -> None:
-    """Deletes a lock file that names no owner and is older than `OWNERLESS_SECONDS`; `filelock` would keep it forever.
-
-    Of several processes that want to delete the same file, only one does: the one that gives it a second name, which
-    follows from the file and its time. A lock that was taken in the meantime is another file and is kept. The file is
-    also kept if the file system has no links.
-    """
     with contextlib.suppress(OSError):
-        found = place.lstat()
-        if not _is_ownerless(place, found):
-            return
-        second = place.with_name(f"{place.name}.{found.st_ino}-{found.st_mtime_ns}")
-        os.link(place, second)
-        try:
-            now = second.lstat()
-            if (now.st_ino, now.st_mtime_ns) == (found.st_ino, found.st_mtime_ns) and _is_ownerless(second, now):
-                place.unlink()
-        finally:
-            second.unlink()
-
-
-def _is_ownerless(place: Path, found: os.stat_result) -> bool:
-    """Returns whether a lock file is old enough, and does not name its owner."""
-    is_old = time.time() - found.st_mtime > OWNERLESS_SECONDS
-    return is_old and stat.S_ISREG(found.st_mode) and _owner(place) is None
+        if place.is_file():  # to open a pipe would take forever
+            with place.open("rb") as file:
+                text = file.read(MAX_LOCK_FILE).decode(errors="replace")
+            found = re.match(r"(\d+)\n(\S+)\n", text)
+            return f"process {found[1]} on {found[2]}" if found else None
+    return None
