@@ -71,9 +71,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     several.add_argument("--num-processes", type=int, metavar="N", help="how many processes train together")
     several.add_argument("--process-id", type=int, metavar="I", help="number of this process, from 0")
     several.add_argument("--heartbeat", type=int, metavar="SECONDS", help="silence that ends the others (default 30)")
-    several.add_argument(
-        "--stall", type=int, metavar="SECONDS", help="standstill that ends all (default 1800, 0 never)"
-    )
     parser.add_argument("-h", "--help", nargs=0, action=_Help, help="show this (after a kind: all fields) and exit")
 
 
@@ -100,24 +97,24 @@ def run(args: argparse.Namespace) -> None:
 def _several_processes(args: argparse.Namespace) -> contextlib.AbstractContextManager[None]:
     """Returns the context in which the processes of a run train together; with one process it does nothing."""
     given = (args.coordinator, args.num_processes, args.process_id)
-    limits = {name: getattr(args, name) for name in ("heartbeat", "stall") if getattr(args, name) is not None}
-    if not args.distributed and given == (None, None, None) and not limits:
+    if not args.distributed and given == (None, None, None) and args.heartbeat is None:
         return contextlib.nullcontext()
-    from t2m_jax.distributed import Processes, find_processes, supervised
+    from t2m_jax.distributed import HEARTBEAT, Processes, connected, find_processes
 
     if args.distributed == (given != (None, None, None)):
         raise UserError("train: give either --distributed, or --coordinator with --num-processes and --process-id")
-    if min(limits.get("heartbeat", 5), limits.get("stall", 0) + 5) < 5:
-        raise UserError("train: --heartbeat must be at least 5 and --stall not negative")
+    heartbeat = HEARTBEAT if args.heartbeat is None else args.heartbeat
+    if heartbeat < 5:
+        raise UserError("train: --heartbeat must be at least 5")
     if args.distributed:
-        return supervised(find_processes(os.environ, **limits))
+        return connected(find_processes(os.environ, heartbeat=heartbeat))
     if (
         None in given
         or not 0 <= args.process_id < args.num_processes
         or not args.coordinator.rpartition(":")[2].isdigit()
     ):
         raise UserError("train: --coordinator HOST:PORT needs --num-processes N and --process-id I with 0 <= I < N")
-    return supervised(Processes(*given, **limits))
+    return connected(Processes(*given, heartbeat=heartbeat))
 
 
 def _start_config(args: argparse.Namespace) -> Any:

@@ -8,8 +8,6 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from t2m_jax.distributed import report_progress
-
 CONCURRENT_BATCHES = 2
 """Batches computed at the same time on one device: with one, the cores of a processor often wait for each other."""
 
@@ -51,5 +49,4 @@ def for_each_batch(work: Callable[[Int[np.ndarray, " B"]], None], batches: Itera
     """Calls `work` with each batch in several threads; each call must write to places of its own."""
     # On several devices, each batch is divided among all of them. They could wait for each other forever.
     with ThreadPoolExecutor(CONCURRENT_BATCHES if jax.local_device_count() == 1 else 1) as threads:
-        for _ in threads.map(work, batches):
-            report_progress()
+        list(threads.map(work, batches))  # raises the errors of the threads

@@ -30,7 +30,7 @@ from t2m_jax.data.banks.host import FeedPlan
 from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.data.summary import save_training_data, summarize_training_data
 from t2m_jax.devices import put_everywhere
-from t2m_jax.distributed import is_writer, report_progress, wait_for_all
+from t2m_jax.distributed import is_writer, wait_for_all
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.monitor import SPLIT, held_out_metrics, open_held_out, sample_motions
 from t2m_jax.evaluation.sources import CodeSource
@@ -277,7 +277,6 @@ def run_setup(
     with feed as take, stop_requests() as asked_to_stop:
 
         def update(state: Any, count: int) -> tuple[Any, Metrics]:
-            report_progress()
             return devices.run(setup.update, state, take(count), count, size=loop.steps_per_call)
 
         return run_loop(

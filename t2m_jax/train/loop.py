@@ -13,7 +13,7 @@ from jaxtyping import UInt8
 from tqdm import tqdm
 
 from t2m_jax.checkpoints.run import Checkpoints
-from t2m_jax.distributed import is_writer, report_progress
+from t2m_jax.distributed import is_writer
 from t2m_jax.errors import Interruption, UserError
 from t2m_jax.train.config import LoopConfig
 from t2m_jax.train.log import MetricLog, open_log
@@ -96,7 +96,6 @@ def mean_over_batches(measure: Callable[[Any], Metrics], num_batches: int) -> di
     """Returns the mean of each metric over the batches 0, 1, ... of a data set."""
     found = []
     for batch in range(num_batches):
-        report_progress()
         found.append(measure(np.int32(batch)))
     fetched = jax.device_get(found)
     return {name: float(np.mean([metrics[name] for metrics in fetched])) for name in fetched[0]}
