@@ -29,8 +29,8 @@ def add_change_arguments(parser: argparse.ArgumentParser) -> None:
 
 def check_changes(args: argparse.Namespace, outputs: Sequence[Path]) -> None:
     """Raises `UserError` if an option has a value that no motion can be changed with, or is of none of the outputs."""
-    from t2m_jax.motion.editing import check_fps, check_speed
     from t2m_jax.motion.paths import check_turn, check_waypoints
+    from t2m_jax.motion.resampling import check_fps, check_speed
 
     if args.speed is not None:
         check_speed(args.speed)

@@ -17,8 +17,8 @@ from t2m_jax.data.splits import nested_choice
 from t2m_jax.data.texts import Caption, load_captions
 from t2m_jax.errors import UserError
 from t2m_jax.files import fingerprint, load_array
-from t2m_jax.motion.editing import MAX_FPS
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer
+from t2m_jax.motion.resampling import MAX_FPS
 from t2m_jax.motion.skeleton import Skeleton, skeleton_from_feature_dim, skeleton_from_name
 
 logger = logging.getLogger(__name__)

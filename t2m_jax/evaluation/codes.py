@@ -10,9 +10,10 @@ from jaxtyping import Array, Float, Int, Key
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.data.folder import Clip
 from t2m_jax.sampling.batches import batches_of, for_each_batch
+from t2m_jax.sampling.decode import pad_codes
 from t2m_jax.sampling.loop import CHUNK, Sampling
 from t2m_jax.sampling.pipeline import TextToMotion
-from t2m_jax.sampling.programs import encode_motions, pad_codes
+from t2m_jax.sampling.programs import encode_motions
 
 BATCH = 128
 """Motions that are generated together."""
@@ -28,6 +29,11 @@ class MotionCodes(NamedTuple):
     codes: Int[np.ndarray, "B N R"]
     code_lengths: Int[np.ndarray, " B"]
     """Rows of each motion."""
+
+    @property
+    def rows(self) -> list[Int[np.ndarray, "_ R"]]:
+        """The rows of each motion."""
+        return [codes[:length] for codes, length in zip(self.codes, self.code_lengths, strict=True)]
 
     def count_codes(self, num_codes: int) -> Int[np.ndarray, " K"]:
         """Returns how often each code was used, in all rows and depths."""

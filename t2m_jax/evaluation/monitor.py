@@ -13,7 +13,7 @@ from t2m_jax.evaluation.sources import CodeSource
 from t2m_jax.evaluation.task import EvaluationTask, make_task
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import skeleton_from_feature_dim
-from t2m_jax.sampling.programs import motions_from_codes
+from t2m_jax.sampling.decode import decode_motions
 
 SPLIT = "val"
 """The test split must not choose anything."""
@@ -45,4 +45,5 @@ def sample_motions(task: EvaluationTask, source: CodeSource, *, count: int) -> l
     clips = [task.samples.clips[owner] for owner in few.samples]
     captions = [clip.captions[caption].text for clip, caption in zip(clips, few.captions, strict=True)]
     skeleton = skeleton_from_feature_dim(source.tokenizer.config.feature_dim)
-    return motions_from_codes(source.tokenizer, *found.codes, skeleton=skeleton, captions=captions)
+    motions = decode_motions(source.tokenizer, found.codes.rows, skeleton=skeleton)
+    return [dataclasses.replace(motion, caption=caption) for motion, caption in zip(motions, captions, strict=True)]

@@ -4,10 +4,10 @@ import dataclasses
 import math
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.editing import check_fps, check_speed
 from t2m_jax.motion.looping import output_fps
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.paths import check_turn, check_waypoints
+from t2m_jax.motion.resampling import check_fps, check_speed
 
 
 def path_from_text(text: str) -> tuple[tuple[float, float], ...]:

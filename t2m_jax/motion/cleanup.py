@@ -6,6 +6,7 @@ function of positions alone and moves most joints by a few millimeters. A foot t
 """
 
 import functools
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import chex
@@ -16,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from t2m_jax.masks import mask_from_lengths
 from t2m_jax.motion.features import gaussian_kernel
+from t2m_jax.motion.joining import join_windows
 from t2m_jax.motion.rotations import cross_product, unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 
@@ -37,6 +39,10 @@ FADE = 4
 """Frames in which a lock begins and ends, at up to 20 frames a second; at higher rates, more in the same time."""
 LARGEST_SHIFT = 0.06
 """A foot is not moved further than this; meters."""
+OVERLAP_SECONDS = 2.0
+"""Frames that two windows of a long motion share. A frame depends on the stands of feet around it."""
+CLEANED_WINDOWS = 8
+"""Windows that are cleaned together."""
 LARGEST_STRETCH = 0.999
 """Largest share of a leg's length between hip and ankle. So the knee stays bent."""
 
@@ -268,3 +274,29 @@ def move_foot(
 def _length(vectors: Float[Array, "*B C"]) -> Float[Array, "*B 1"]:
     """Returns lengths, at least 1e-6, so that they can be divided by."""
     return jnp.maximum(jnp.linalg.norm(vectors, axis=-1, keepdims=True), 1e-6)
+
+
+def clean_long(positions: Float[np.ndarray, "T J 3"], *, skeleton: Skeleton, size: int) -> Float[np.ndarray, "T J 3"]:
+    """Returns a cleaned motion of any length, by windows of `size` frames that fade into each other.
+
+    A motion that fits into one window is cleaned as `generate` does it.
+    """
+    overlap = min(round(OVERLAP_SECONDS * skeleton.fps), size // 2)
+    firsts = range(0, max(1, len(positions) - overlap), size - overlap)
+    windows = _cleaned_windows(positions, firsts, size, skeleton)
+    return join_windows(windows, count=len(positions), overlap=overlap)
+
+
+def _cleaned_windows(
+    positions: Float[np.ndarray, "T J 3"], firsts: Sequence[int], size: int, skeleton: Skeleton
+) -> Iterator[Float[np.ndarray, "_ J 3"]]:
+    """Yields the windows that begin at some frames, each cleaned by itself."""
+    batch = CLEANED_WINDOWS if len(firsts) > 1 else 1
+    for number in range(0, len(firsts), batch):
+        windows = [positions[first : first + size] for first in firsts[number : number + batch]]
+        padded: Any = np.zeros((batch, size, *positions.shape[1:]), np.float32)
+        lengths = np.ones(batch, np.int32)
+        for row, window in enumerate(windows):
+            padded[row, : len(window)], lengths[row] = window, len(window)
+        cleaned = np.array(clean_positions(padded, lengths, skeleton=skeleton))
+        yield from (cleaned[row, : len(window)] for row, window in enumerate(windows))

@@ -14,8 +14,8 @@ from jaxtyping import Float, Int
 
 from t2m_jax.errors import UserError
 from t2m_jax.files import first_line, reading
-from t2m_jax.motion.editing import MAX_FPS
 from t2m_jax.motion.part_captions import checked_parts
+from t2m_jax.motion.resampling import MAX_FPS
 from t2m_jax.motion.rig.clip import RigClip
 from t2m_jax.motion.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
 from t2m_jax.motion.skeleton import HUMANML3D

@@ -1,16 +1,44 @@
-"""Joining clips of motion features at poses that match."""
+"""All ways in which one motion follows another. What differs at a join fades, always as `fade` says."""
 
+import math
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from t2m_jax.motion.features import (
+    bone_vectors,
+    facing,
+    gaussian_kernel,
+    positions_from_bones,
+    smooth_over_time,
+)
+from t2m_jax.motion.rotations import quaternion_between, rotate_vectors, unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 
+FADE_SECONDS = 0.4
+"""Time in which a pose, or the features of a sentence, fade into those that follow. Sentences are sampled and decoded
+as if they were alone: after rows of another action, a generator obeys less often, and a decoder mixes the two."""
+SEAM_SECONDS = 0.5
+"""Time on each side of a seam in which motion is changed if both sides may be: at the ends of a loop, and where
+sentences meet."""
+SEAM_SIGMA = 0.1
+"""Standard deviation of the filter where sentences meet, in seconds. docs/howto/animator.md says how much joints
+accelerate there with it."""
 OVERLAP = 12
-"""Frames in which one clip fades into the next."""
+"""Frames in which one clip of features fades into another one that was recorded, at a cut between poses that match."""
 VELOCITY_SECONDS = 0.2
 """A difference of 1 m/s counts as much as a difference of this many meters."""
+
+HORIZONTAL = np.array([1.0, 0.0, 1.0], np.float32)
+"""Leaves out heights."""
+
+
+def fade(time: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    """Returns the share of what follows: 0 until time 0, 1 from time 1, between them a cubic curve, level at both."""
+    time = np.clip(time, 0, 1)
+    return time**2 * (3 - 2 * time)
 
 
 class Cut(NamedTuple):
@@ -70,8 +98,7 @@ def join_features(
     speed are features, so path and heading continue without a jump. Bone lengths are not kept in the overlap:
     encode the joint positions of the result again.
     """
-    share = (np.arange(overlap, dtype=np.float32) + 1) / (overlap + 1)
-    share = (share**2 * (3 - 2 * share))[:, None]
+    share = fade((np.arange(overlap, dtype=np.float32) + 1) / (overlap + 1))[:, None]
     before, after = first[: cut.end], second[cut.start :]
     mixed = (1 - share) * before[cut.end - overlap :] + share * after[:overlap]
     return np.concatenate([before[: cut.end - overlap], mixed, after[overlap:]])
@@ -92,3 +119,129 @@ def fade_features(
     after = np.pad(second[:half], ((half, 0), (0, 0)), mode="edge")
     mixed = join_features(before, after, Cut(2 * half, 0, 0.0), overlap=2 * half)
     return np.concatenate([first[:-half], mixed[:half]]), np.concatenate([mixed[half:], second[half:]])
+
+
+def place_positions(
+    positions: Float[np.ndarray, "T J 3"],
+    pose: Float[np.ndarray, "J 3"],
+    target: Float[np.ndarray, "J 3"],
+    *,
+    skeleton: Skeleton,
+) -> Float[np.ndarray, "T J 3"]:
+    """Returns a motion turned and moved on the ground, so that `pose` gets the place and the heading of `target`."""
+    turn = quaternion_between(facing(pose, skeleton), facing(target, skeleton))
+    return rotate_vectors(turn[None, None], positions - pose[0] * HORIZONTAL) + target[0] * HORIZONTAL
+
+
+def fading_change(differences: Float[np.ndarray, "_ J 3"], count: int) -> Float[np.ndarray, "U J 3"]:
+    """Returns what to add to the `count` frames after a join, so that they go on smoothly from the frames before it.
+
+    Args:
+        differences: What the last one or two frames before the join differ by from those that lead to the frames after
+            it; the last frame comes first.
+        count: Frames in which a cubic curve goes from this difference and its velocity to zero.
+    """
+    change = differences[0]
+    speed = change - differences[1] if len(differences) > 1 else 0 * change
+    time = (np.arange(1, count + 1) / (count + 1))[:, None, None]
+    return (1 - fade(time)) * change + (count + 1) * time * (1 - time) ** 2 * speed
+
+
+def replace_middle(
+    head: Float[np.ndarray, "_ J 3"],
+    generated: Float[np.ndarray, "T J 3"],
+    tail: Float[np.ndarray, "_ J 3"],
+    *,
+    first: int,
+    last: int,
+    fps: float,
+    skeleton: Skeleton,
+) -> Float[np.ndarray, "U J 3"]:
+    """Returns `head`, frames `first` to `last` of a generated motion, and `tail`, moved to where these have come.
+
+    The generated motion has frames for head and tail, too. What they differ by at the joins, in pose and in velocity,
+    is added to the middle and fades in it. Head and tail stay as they are. Bones have the lengths of the head's,
+    or of the tail's if there is no head.
+
+    Args:
+        head: Frames before the join; may have none.
+        generated: A motion whose frames before `first` are like the head's, and those from `last` like the tail's.
+        tail: Frames after the middle; may have none.
+        first: First frame of the middle.
+        last: Frame after the middle.
+        fps: Of all three.
+        skeleton: Of all three.
+    """
+    kept = next(part for part in (head, tail, generated) if len(part))
+    if len(head):
+        generated = place_positions(generated, generated[first - 1], head[-1], skeleton=skeleton)
+    if len(tail):
+        tail = place_positions(tail, tail[0], generated[last], skeleton=skeleton)
+    middle, count = generated[first:last].astype(np.float64), min(round(FADE_SECONDS * fps), last - first)
+    if len(head):
+        differences = (head[-2:] - generated[max(0, first - 2) : first])[::-1]
+        middle[:count] += fading_change(differences, count)
+    if len(tail):
+        middle[-count:] += fading_change(tail[:2] - generated[last : last + 2], count)[::-1]
+    lengths = np.linalg.norm(bone_vectors(kept, skeleton), axis=-1, keepdims=True)[:1]
+    middle = positions_from_bones(middle[:, 0], unit_vectors(bone_vectors(middle, skeleton)) * lengths, skeleton)
+    return np.concatenate([head, middle, tail]).astype(np.float32)
+
+
+def join_positions(
+    first: Float[np.ndarray, "T J 3"], second: Float[np.ndarray, "U J 3"], *, fps: float, skeleton: Skeleton
+) -> Float[np.ndarray, "V J 3"]:
+    """Returns one motion after another, T + U - 1 frames.
+
+    The second one is turned and moved, so that its first frame has the place and the heading of the last frame of the
+    first one, which it replaces. What remains of the difference of these two poses fades out.
+    """
+    moved = place_positions(second, second[0], first[-1], skeleton=skeleton)
+    left = 1 - fade(np.arange(len(second)) / (FADE_SECONDS * fps))[:, None, None]
+    blended = moved + left * (first[-1] - moved[0])
+    return np.concatenate([first, blended[1:]]).astype(np.float32)
+
+
+def ease_seams(
+    positions: Float[np.ndarray, "T J 3"], seams: Sequence[int], *, fps: float
+) -> Float[np.ndarray, "T J 3"]:
+    """Returns a motion that is smoothed near the given frames, so that one action goes over into the next."""
+    if not seams:
+        return positions
+    result = positions.copy()
+    sigma = SEAM_SIGMA * fps
+    radius = len(gaussian_kernel(sigma)) // 2
+    reach = math.ceil(SEAM_SECONDS * fps)
+    centers = np.array(seams) - 0.5
+    for seam in seams:
+        first = max(0, seam - reach)
+        last = min(len(positions), seam + reach)
+        around = positions[max(0, first - radius) : last + radius]
+        smooth = np.asarray(smooth_over_time(around.reshape(len(around), -1), sigma=sigma)).reshape(around.shape)
+        distance = np.abs(np.arange(first, last)[:, None] - centers[None]).min(axis=1)
+        share = fade(1 - distance / (SEAM_SECONDS * fps))[:, None, None].astype(np.float32)
+        skipped = first - max(0, first - radius)
+        result[first:last] = (1 - share) * positions[first:last] + share * smooth[skipped : skipped + last - first]
+    return result
+
+
+def join_windows(
+    windows: Iterable[Float[np.ndarray, "_ J 3"]], *, count: int, overlap: int
+) -> Float[np.ndarray, "T J 3"]:
+    """Returns the motion of `count` frames in windows that share `overlap` frames with the one before.
+
+    In the middle half of the shared frames, one window fades into the other.
+    """
+    share = fade(2 * np.arange(overlap) / overlap - 0.5)[:, None, None].astype(np.float32)
+    result: Float[np.ndarray, "T J 3"] | None = None
+    first = 0
+    for window in windows:
+        if result is None:
+            result = np.empty((count, *window.shape[1:]), np.float32)
+        else:
+            mixed = (1 - share) * result[first : first + overlap] + share * window[:overlap]
+            window = np.concatenate([mixed, window[overlap:]])
+        result[first : first + len(window)] = window
+        first += len(window) - overlap
+    assert result is not None, "there is no window"
+    return result

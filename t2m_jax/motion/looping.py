@@ -6,9 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.editing import HORIZONTAL, fading_change
 from t2m_jax.motion.features import bone_vectors, positions_from_bones
-from t2m_jax.motion.joining import VELOCITY_SECONDS
+from t2m_jax.motion.joining import HORIZONTAL, SEAM_SECONDS, VELOCITY_SECONDS, fading_change
 from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 
@@ -17,8 +16,6 @@ LOOP_FPS = 60.0
 a runner change their velocity by more than 1 m/s from each frame to the next, and so they do at the seam."""
 SHORTEST_SECONDS = 0.6
 """Least duration of a loop; a quick runner takes two steps in this time."""
-BLEND_SECONDS = 0.5
-"""Time at either end in which a loop approaches the pose of its seam."""
 STILL_SPEED = 0.05
 """A joint that is slower stands still; meters per second."""
 TOLERANCE = 0.01
@@ -94,7 +91,7 @@ def close_loop(
     travel = _travel(part, speeds, skeleton)
     shift = (part[0] + travel - part[-1]) / 2
     faster = (velocities[loop.start] - velocities[loop.end]) / 2
-    count = min(round(BLEND_SECONDS * fps), len(part) - 2)
+    count = min(round(SEAM_SECONDS * fps), len(part) - 2)
     closed = part.copy()
     closed[0] -= shift
     closed[1 : count + 1] += fading_change(np.stack([-shift, faster - shift]), count)

@@ -12,12 +12,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.editing import check_speed, join_positions, resample_positions
 from t2m_jax.motion.formats import load_motion, notebook_frame, save_motions
 from t2m_jax.motion.inverse_kinematics import fit_rig
+from t2m_jax.motion.joining import join_positions
 from t2m_jax.motion.looping import close_loop, find_loop, keep_in_place
 from t2m_jax.motion.mirroring import mirror_caption, mirror_positions
 from t2m_jax.motion.paths import Route, follow, route_along, turned_route
+from t2m_jax.motion.resampling import check_speed, resample_positions
 from t2m_jax.motion.skeleton import HUMANML3D, Skeleton
 
 
@@ -138,7 +139,7 @@ class Motion:
         return self[first:last]
 
     def resampled(self, fps: float | int) -> "Motion":
-        """Returns the same motion at another frame rate, without features and codes (see `editing.resample_positions`).
+        """Returns the same motion at another frame rate, without features and codes (`resampling.resample_positions`).
 
         Raises:
             UserError: The rate is not a number above 0, or is too large.

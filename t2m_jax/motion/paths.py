@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from t2m_jax.errors import UserError
 from t2m_jax.motion.cleanup import lock_feet
-from t2m_jax.motion.editing import HORIZONTAL
 from t2m_jax.motion.features import gaussian_kernel
+from t2m_jax.motion.joining import HORIZONTAL
 from t2m_jax.motion.skeleton import Skeleton
 
 SWAY_SECONDS = 0.4

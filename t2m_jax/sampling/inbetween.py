@@ -10,18 +10,16 @@ import numpy as np
 from jaxtyping import Float, Key
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.editing import place_positions, replace_middle
-from t2m_jax.motion.joining import VELOCITY_SECONDS
+from t2m_jax.motion.joining import VELOCITY_SECONDS, place_positions, replace_middle
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.sampling.batches import round_up
+from t2m_jax.sampling.decode import ROW_BUCKET, Codes, decode_motions
 from t2m_jax.sampling.loop import Sampling
 from t2m_jax.sampling.model import ModelParts
-from t2m_jax.sampling.programs import motions_from_codes, pad_codes
 from t2m_jax.sampling.prompts import Prompt, batches_of_keys, sample_key
 from t2m_jax.sampling.request import MotionRequest
 from t2m_jax.sampling.timeline import Part, make_batch, most_rows, part_keys, sample_parts, split_parts
-from t2m_jax.sampling.windows import ROW_BUCKET, Codes
 
 TAIL_SECONDS = 1.0
 """Motion after a middle whose likelihood says how well the middle leads to it."""
@@ -108,12 +106,8 @@ def decode_middles(
     """Returns the candidates of some middles, which are decoded between the rows around them."""
     head, tail = around
     whole = [np.concatenate([head, middle, tail]) for middle in middles]
-    codes, lengths = pad_codes(whole)
-    codes = np.pad(codes, ((0, 0), (0, round_up(codes.shape[1], ROW_BUCKET) - codes.shape[1]), (0, 0)))
-    captions = [prompt.text] * len(whole)
-    motions = motions_from_codes(
-        model.tokenizer, codes, lengths, skeleton=model.skeleton, captions=captions, clean=not raw
-    )
+    size = round_up(len(whole[0]), ROW_BUCKET)
+    motions = decode_motions(model.tokenizer, whole, skeleton=model.skeleton, size=size, clean=not raw)
     likelihoods = tail_likelihoods(model, whole, len(tail), prompt=prompt)
     downsample = model.config.tokenizer.downsample
     first, last = downsample * len(head), downsample * (len(whole[0]) - len(tail))

@@ -1,7 +1,7 @@
 """A loaded model: from text embeddings to codes, and from codes to motions and back."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -18,16 +18,17 @@ from t2m_jax.models.system import make_module
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import skeleton_from_name
-from t2m_jax.sampling.loop import Given, LoopState, SampledCodes, Sampling
+from t2m_jax.sampling.decode import Codes, decode_motions
+from t2m_jax.sampling.loop import Given, SampledCodes, Sampling
 from t2m_jax.sampling.programs import (
     begin_motions,
     encode_motion,
     generate_codes,
     generate_row,
-    motions_from_codes,
     row_likelihoods,
     sampling_variables,
 )
+from t2m_jax.sampling.prompts import Sample
 from t2m_jax.sampling.slots import Slots
 from t2m_jax.sampling.stopping import find_stop_rule
 from t2m_jax.sampling.strategies import Strategy, Temperature
@@ -131,19 +132,23 @@ class ModelParts:
             variables, text_embedding, keys, scale, given, generator=self._generator, sampling=sampling
         )
 
-    def rows(
-        self,
-        text_embedding: Float[Array, "1 E"],
-        keys: Key[Array, " 1"],
-        sampling: Sampling,
-        *,
-        guidance_scale: float | None = None,
-    ) -> tuple[Callable[[LoopState], tuple[LoopState, Any]], LoopState]:
-        """Returns a function from a state to the next state and a row [1, R], and the state before the first row."""
+    def sample_rows(
+        self, text_embedding: Float[Array, "1 E"], key: Key[Array, ""], sampling: Sampling, guidance_scale: float | None
+    ) -> Iterator[tuple[Codes, bool]]:
+        """Yields each row of codes of one motion as soon as it is sampled, [1, R], and whether it is the last.
+
+        The row that a stop rule does not keep has no codes, [0, R].
+        """
         variables = self._variables_for_sampling()
+        keys = put_everywhere(key[None])
         state = begin_motions(variables, text_embedding, self._guidance(guidance_scale), generator=self._generator)
-        options: Any = {"generator": self._generator, "sampling": sampling}
-        return lambda state: generate_row(variables, state, keys, **options), state
+        for number in range(1, sampling.max_codes + 1):
+            state, row = generate_row(variables, state, keys, generator=self._generator, sampling=sampling)
+            ended = bool(state.done[0])
+            kept = not ended or sampling.stop_rule.keeps_last
+            yield np.asarray(row)[: int(kept)], ended or number == sampling.max_codes
+            if ended:
+                return
 
     def slots(self, num_slots: int, sampling: Sampling, *, guidance_scale: float | None = None) -> Slots:
         """Returns slots, for motions that begin and end at any time."""
@@ -197,13 +202,21 @@ class ModelParts:
             raise UserError(f"codes: expected rows of {config.num_quantizers} codes (or fewer), at least one row")
         if codes.min() < 0 or codes.max() >= config.num_codes:
             raise UserError(f"codes: must be between 0 and {config.num_codes - 1}")
-        return self.decode_padded(codes, size=len(codes), caption=caption, seed=0, clean=not raw)
+        (motion,) = decode_motions(self.tokenizer, [codes], skeleton=self.skeleton, clean=not raw)
+        return dataclasses.replace(motion, caption=caption, seed=0)
 
-    def decode_padded(
-        self, codes: Int[np.ndarray, "N R"], *, size: int, caption: str, seed: int, clean: bool
-    ) -> Motion:
-        """Returns the motion of codes, decoded by a program for `size` rows."""
-        lengths = np.array([len(codes)], np.int32)
-        padded = np.pad(codes, ((0, size - len(codes)), (0, 0)))[None]
-        options: Any = {"skeleton": self.skeleton, "captions": [caption], "seed": seed, "clean": clean}
-        return motions_from_codes(self.tokenizer, padded, lengths, **options)[0]
+    def decode_samples(
+        self, samples: Sequence[Sample], codes: Sequence[Codes], *, size: int, batch: int, clean: bool
+    ) -> list[Motion]:
+        """Returns the motions of samples from their codes; `size` and `batch` are those of `pad_codes`."""
+        motions = decode_motions(self.tokenizer, codes, skeleton=self.skeleton, size=size, batch=batch, clean=clean)
+        return [
+            dataclasses.replace(
+                motion,
+                caption=sample.prompt.text,
+                seed=sample.seed,
+                warning=sample.prompt.warning,
+                unknown_words=sample.prompt.unknown_words,
+            )
+            for motion, sample in zip(motions, samples, strict=True)
+        ]

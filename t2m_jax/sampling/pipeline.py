@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
@@ -17,14 +18,13 @@ from t2m_jax.errors import UserError
 from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling.batches import padded_batch_size
 from t2m_jax.sampling.compilation import use_compilation_cache
+from t2m_jax.sampling.decode import GrowingMotion, split_rows
 from t2m_jax.sampling.inbetween import redo, vary
 from t2m_jax.sampling.loop import Sampling
 from t2m_jax.sampling.model import ModelParts
-from t2m_jax.sampling.prompts import MAX_BATCH, Prompt, read_prompts
+from t2m_jax.sampling.prompts import MAX_BATCH, Prompt, Sample, read_prompts
 from t2m_jax.sampling.request import MotionRequest, SamplingOptions, sentences
-from t2m_jax.sampling.streaming import make_pieces
 from t2m_jax.sampling.timeline import make_chain, make_chain_pieces
-from t2m_jax.sampling.together import Sample, batch_inputs, batch_motions
 from t2m_jax.text.encoder import TextEncoder
 
 OnProgress = Callable[[int, int], None]
@@ -167,9 +167,16 @@ class TextToMotion:
             for number in range(request.num_samples)
         )
         while batch := list(itertools.islice(samples, MAX_BATCH)):
-            embedding, keys = batch_inputs(self.parts, batch, padded_batch_size(len(batch)))
+            filled = [*batch, *[batch[0]] * (padded_batch_size(len(batch)) - len(batch))]
+            embedding = self.text_encoder([sample.prompt.text for sample in filled])
+            keys = jnp.stack([sample.key for sample in filled])
             sampled = self.parts.sample_codes(embedding, keys, sampling, guidance_scale=options.guidance_scale)
-            yield batch_motions(self.parts, sampled, batch, clean=not options.raw)
+            lengths = np.asarray(sampled.code_lengths)
+            rows = np.asarray(sampled.codes)
+            codes = [rows[number, : lengths[number]] for number in range(len(batch))]
+            yield self.parts.decode_samples(
+                batch, codes, size=sampling.max_codes, batch=len(filled), clean=not options.raw
+            )
 
     def _sampling(self, options: SamplingOptions) -> Sampling:
         strategy = options.make_strategy()
@@ -205,8 +212,17 @@ class TextToMotion:
             if options.stop_rule is not None:
                 raise UserError(f"stop-rule: {options.stop_rule!r} needs all rows first; use threshold for a stream")
             sampling = self._sampling(dataclasses.replace(options, stop_rule="threshold"))
-        drawn = Sample(prompts[0], request.seed, sample)
-        return make_pieces(self.parts, drawn, sampling, guidance_scale=options.guidance_scale)
+        return self._make_rows(Sample(prompts[0], request.seed, sample), sampling, options.guidance_scale)
+
+    def _make_rows(self, sample: Sample, sampling: Sampling, guidance_scale: float | None) -> Iterator[Motion]:
+        """Yields the motion of each row of codes of a sample when it is final."""
+        text = sample.prompt.text
+        growing = GrowingMotion(self.tokenizer, skeleton=self.skeleton, step=1, max_codes=sampling.max_codes)
+        rows = self.parts.sample_rows(self.text_encoder([text]), sample.key, sampling, guidance_scale)
+        for row, ended in rows:
+            motion = growing.add(row, ended=ended)
+            if motion is not None:
+                yield from split_rows(dataclasses.replace(motion, caption=text, seed=sample.seed))
 
     def generate(
         self,

@@ -16,7 +16,6 @@ from t2m_jax.errors import UserError
 from t2m_jax.masks import mask_from_lengths
 from t2m_jax.models.projection import transpose_kernels
 from t2m_jax.models.system import GeneratorConfig
-from t2m_jax.motion.cleanup import clean_positions
 from t2m_jax.motion.features import features_from_positions, positions_from_features
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.normalizer import Normalizer
@@ -203,60 +202,3 @@ def encode_motion(tokenizer: TrainedTokenizer, motion: Motion, skeleton: Skeleto
         frames = tokenizer.config.downsample
         raise UserError(f"motion: {len(features)} frames at {skeleton.fps:g} a second; a code needs {frames}")
     return encode_motions(tokenizer, [features], progress=False)[0]
-
-
-def motions_from_codes(
-    tokenizer: TrainedTokenizer,
-    codes: Int[np.ndarray, "B N R"],
-    code_lengths: Int[np.ndarray, " B"],
-    *,
-    skeleton: Skeleton,
-    captions: Sequence[str],
-    seed: int | None = None,
-    clean: bool = False,
-) -> list[Motion]:
-    """Returns the motions of the first rows of a batch, one for each caption, with features and codes.
-
-    Args:
-        tokenizer: The tokenizer of the codes.
-        codes: Rows of codes, 0 after the end of a motion.
-        code_lengths: Rows of each motion.
-        skeleton: The skeleton of the motions.
-        captions: What the motions show.
-        seed: The seed that they were sampled with.
-        clean: Whether positions are cleaned. Then `positions_raw` are as decoded.
-    """
-    decoded = decode_positions(
-        put_everywhere(tokenizer.variables),
-        tokenizer.normalizer,
-        *put_rows((codes, code_lengths)),
-        tokenizer=tokenizer.module,
-        skeleton=skeleton,
-    )
-    features, positions = map(np.asarray, decoded)
-    positions, cleaned = positions * np.float32(skeleton.metres_per_unit), None
-    frames = code_lengths * tokenizer.config.downsample
-    if clean:
-        cleaned = np.asarray(clean_positions(*put_rows((positions, frames)), skeleton=skeleton))
-    return [
-        Motion(
-            positions=(positions if cleaned is None else cleaned)[row, : frames[row]],
-            fps=skeleton.fps,
-            skeleton=skeleton,
-            positions_raw=None if cleaned is None else positions[row, : frames[row]],
-            features=features[row, : frames[row]],
-            codes=codes[row, : code_lengths[row]],
-            caption=caption,
-            seed=seed,
-        )
-        for row, caption in enumerate(captions)
-    ]
-
-
-def pad_codes(codes: Sequence[Int[np.ndarray, "_ R"]]) -> tuple[Int[np.ndarray, "B N R"], Int[np.ndarray, " B"]]:
-    """Returns codes of different lengths in one array, 0 after their ends, and the lengths."""
-    code_lengths = np.array([len(rows) for rows in codes], np.int32)
-    padded = np.zeros((len(codes), int(code_lengths.max()), codes[0].shape[1]), np.int32)
-    for row, rows in enumerate(codes):
-        padded[row, : len(rows)] = rows
-    return padded, code_lengths

@@ -29,6 +29,20 @@ class Prompt(NamedTuple):
     """Words that the model did not learn."""
 
 
+class Sample(NamedTuple):
+    """One motion to generate."""
+
+    prompt: Prompt
+    seed: int
+    number: int
+    """Among the samples of the same prompt and seed."""
+
+    @property
+    def key(self) -> Key[Array, ""]:
+        """Its key, which depends on nothing else."""
+        return sample_key(self.seed, self.prompt.text, self.number)
+
+
 def read_prompts(captions: Sequence[str], knowledge: Knowledge, encoder: TextEncoder) -> list[Prompt]:
     """Returns the prompts of sentences, cleaned and checked.
 

@@ -9,12 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Key
 
+from t2m_jax.motion.cleanup import clean_long
+from t2m_jax.motion.joining import ease_seams
 from t2m_jax.motion.motion import Motion
+from t2m_jax.sampling.decode import Codes, decode_sentences
 from t2m_jax.sampling.loop import Given, Sampling
 from t2m_jax.sampling.model import ModelParts
 from t2m_jax.sampling.prompts import Prompt, batches_of_keys
 from t2m_jax.sampling.request import MotionRequest
-from t2m_jax.sampling.windows import Codes, clean_long, decode_sentences, ease_seams
 
 CONTEXT_SECONDS = 0.4
 """Motion before what goes on, which the generator reads as its beginning. With more, a sentence is followed less

@@ -12,7 +12,6 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
@@ -20,13 +19,11 @@ from t2m_jax.errors import UserError
 from t2m_jax.export.html import scene_record
 from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling import TextToMotion
-from t2m_jax.sampling.loop import SampledCodes
-from t2m_jax.sampling.programs import pad_codes
-from t2m_jax.sampling.prompts import read_prompts, sample_key
+from t2m_jax.sampling.decode import GrowingMotion
+from t2m_jax.sampling.programs import SLOT_ROWS
+from t2m_jax.sampling.prompts import Sample, read_prompts
 from t2m_jax.sampling.request import MotionRequest, SamplingOptions
 from t2m_jax.sampling.slots import Progress, Slots
-from t2m_jax.sampling.streaming import part_of_rows
-from t2m_jax.sampling.together import Sample, batch_motions
 from t2m_jax.serving.files import motion_record
 from t2m_jax.serving.messages import NO_JOB, Task
 
@@ -60,6 +57,8 @@ class Scheduler:
         self.waiting: deque[TaskSample] = deque()
         self.active: dict[int, TaskSample] = {}
         """The motions in the slots."""
+        self.growing: dict[int, GrowingMotion] = {}
+        """What is sent of the motions in the slots before they are whole."""
         self.ended: dict[int, dict[int, Codes]] = {}
         """Codes of the motions of jobs that have further motions, by their numbers."""
         self.slots: Slots | None = None
@@ -90,6 +89,7 @@ class Scheduler:
         )
         for codes, clean in itertools.product((longest[:1], longest), (True, False)):
             nothing._decode([(sample, codes)], clean=clean)
+        nothing._grow().add(longest, ended=True)
 
     @property
     def is_busy(self) -> bool:
@@ -159,14 +159,19 @@ class Scheduler:
             return
         for slot, (task, sample) in begun:
             self.active[slot] = TaskSample(task, sample)
+            self.growing[slot] = self._grow()
             if sample.number == 0:
                 self.send(task.job, "started", {"seed": task.request.seed})
         samples = [part.sample for _, part in begun]
         self.slots.begin(
             [slot for slot, _ in begun],
             [self.embed(sample.prompt.text) for sample in samples],
-            [sample_key(sample.seed, sample.prompt.text, sample.number) for sample in samples],
+            [sample.key for sample in samples],
         )
+
+    def _grow(self) -> GrowingMotion:
+        longest = self.model.config.generator.max_codes
+        return GrowingMotion(self.model.tokenizer, skeleton=self.model.skeleton, step=SLOT_ROWS, max_codes=longest)
 
     def _make_slots(self, options: SamplingOptions) -> Slots:
         sampling = self.model.parts.sampling(options.make_strategy(), stop_rule=options.stop_rule)
@@ -181,15 +186,13 @@ class Scheduler:
 
     def _send_rows(self, part: TaskSample, progress: Progress, *, live: bool) -> None:
         """Sends new codes and, if `live`, the frames that they make final."""
-        codes, context = progress.codes, self.model.config.tokenizer.decoder_context
-        first, last = (max(count - context, 0) for count in (len(codes) - progress.num_new, len(codes)))
-        scene = None
-        if live and last > first:
-            (motion,) = self._decode([(part.sample, codes)], clean=False)
-            scene = scene_record([part_of_rows(motion, first, last)])
-        if progress.num_new:
-            new = codes[len(codes) - progress.num_new :].tolist()
-            self.send(part.task.job, "codes", {"sample": part.sample.number, "codes": new, "scene": scene})
+        if not progress.num_new:
+            return
+        growing = self.growing[progress.slot]
+        motion = growing.add(progress.codes[growing.num_rows :]) if live else None
+        scene = None if motion is None else scene_record([motion])
+        new = progress.codes[-progress.num_new :].tolist()
+        self.send(part.task.job, "codes", {"sample": part.sample.number, "codes": new, "scene": scene})
 
     def _decode(self, rows: Sequence[tuple[Sample, Codes]], *, clean: bool) -> list[Motion]:
         """Returns the motions of codes, decoded in full batches. Short motions have batches of their own."""
@@ -205,11 +208,8 @@ class Scheduler:
 
     def _decode_batch(self, rows: Sequence[tuple[Sample, Codes]], limit: int, *, clean: bool) -> list[Motion]:
         """Returns the motions of codes, filled up to `DECODED_TOGETHER` motions of `limit` rows."""
-        padded, lengths = pad_codes([codes for _, codes in rows])
-        size = ((0, DECODED_TOGETHER - len(rows)), (0, limit - padded.shape[1]), (0, 0))
-        arrays = np.pad(padded, size), np.pad(lengths, size[0], constant_values=1), limit
-        sampled = SampledCodes(*map(jnp.asarray, arrays))
-        return batch_motions(self.model.parts, sampled, [sample for sample, _ in rows], clean=clean)
+        samples, codes = zip(*rows, strict=True)
+        return self.model.parts.decode_samples(samples, codes, size=limit, batch=DECODED_TOGETHER, clean=clean)
 
     def _finish_plain(self, whole: Sequence[tuple[TaskSample, Mapping[int, Codes]]]) -> None:
         """Sends the motions of plain tasks, each with its last motion."""

@@ -15,10 +15,10 @@ from typing_extensions import TypedDict
 from t2m_jax.errors import UserError
 from t2m_jax.motion.bvh.writer import Units
 from t2m_jax.motion.changes import Changes, path_from_text
-from t2m_jax.motion.editing import MAX_SPEED
 from t2m_jax.motion.formats import motion_formats
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.paths import LARGEST_TURN
+from t2m_jax.motion.resampling import MAX_SPEED
 from t2m_jax.motion.rig.tables import JointNames
 from t2m_jax.records import fields_of, record_from
 from t2m_jax.sampling.request import MAX_CANDIDATES, MotionRequest

@@ -15,6 +15,7 @@ from t2m_jax.motion import cleanup
 from t2m_jax.motion.cleanup import (
     SIGMA,
     calm_torso,
+    clean_long,
     clean_positions,
     fix_bones,
     lock_feet,
@@ -22,7 +23,7 @@ from t2m_jax.motion.cleanup import (
     move_foot,
     smooth_over_clip,
 )
-from t2m_jax.motion.editing import resample_positions
+from t2m_jax.motion.resampling import resample_positions
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 
 FRAMES = 60
@@ -262,3 +263,20 @@ def test_other_skeletons_have_their_own_lengths():
     found = np.asarray(clean_positions(positions, np.array([30]), skeleton=KIT_ML)[0])
     expected = np.array(KIT_ML.bone_lengths[1:]) * KIT_ML.metres_per_unit
     np.testing.assert_allclose(bone_lengths(found, KIT_ML).mean(axis=0), expected, rtol=1e-3)
+
+
+def test_a_long_motion_is_cleaned_as_a_short_one():
+    positions = make_motion("walk", seed=2, num_frames=400)
+    positions += np.random.default_rng(0).normal(size=positions.shape).astype(np.float32) * 0.004
+    lengths = jnp.array([len(positions)])
+    whole = np.asarray(clean_positions(jnp.asarray(positions[None]), lengths, skeleton=HUMANML3D))[0]
+    found = clean_long(positions, skeleton=HUMANML3D, size=200)
+    assert found.shape == whole.shape
+    assert np.linalg.norm(found - whole, axis=-1).mean() < 1e-3
+    np.testing.assert_allclose(clean_long(positions, skeleton=HUMANML3D, size=400), whole, atol=1e-6)
+
+
+@pytest.mark.parametrize("count", [1, 40, 199, 200, 201, 361, 1000])
+def test_windows_cover_motions_of_all_lengths(count):
+    positions = np.resize(make_motion("walk", seed=2, num_frames=100), (count, 22, 3))
+    assert clean_long(positions, skeleton=HUMANML3D, size=200).shape == (count, 22, 3)

@@ -1,7 +1,8 @@
 import numpy as np
 
+from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.motion.features import features_from_positions, positions_from_features
-from t2m_jax.motion.joining import OVERLAP, Cut, fade_features, find_cut, join_features
+from t2m_jax.motion.joining import OVERLAP, Cut, ease_seams, fade_features, find_cut, join_features
 from t2m_jax.motion.skeleton import HUMANML3D
 
 from .figures import walking_positions
@@ -57,3 +58,17 @@ def test_short_clips_fade_in_fewer_frames():
     assert (before[-2:] > 0).all() and (after[:2] < 1).all()
     for one, other in zip(fade_features(first, second[:1], overlap=8), (first, second[:1]), strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_only_seams_are_smoothed():
+    positions = make_motion("walk", seed=2, num_frames=100)
+    positions[50:] += 0.2
+    eased = ease_seams(positions, [50], fps=20.0)
+    np.testing.assert_array_equal(eased[:40], positions[:40])
+    np.testing.assert_array_equal(eased[60:], positions[60:])
+
+    def roughness(motion):
+        return np.abs(np.diff(motion[40:60], n=2, axis=0)).max()
+
+    assert roughness(eased) < roughness(positions) / 2
+    assert ease_seams(positions, [], fps=20.0) is positions

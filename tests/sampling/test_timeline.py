@@ -10,12 +10,12 @@ from t2m_jax.errors import UserError
 from t2m_jax.models.system import make_module
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.gltf import load_gltf
+from t2m_jax.motion.joining import FADE_SECONDS
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.loop import Given
 from t2m_jax.sampling.programs import generate_codes
 from t2m_jax.sampling.prompts import sample_key
 from t2m_jax.sampling.timeline import context_rows
-from t2m_jax.sampling.windows import FADE_SECONDS
 from tests import tiny
 from tests.jit import assert_jit_equals_eager
 

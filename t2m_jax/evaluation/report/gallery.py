@@ -12,7 +12,7 @@ from t2m_jax.evaluation.codes import MotionCodes
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import Skeleton, skeleton_from_feature_dim
-from t2m_jax.sampling.programs import motions_from_codes
+from t2m_jax.sampling.decode import decode_motions
 
 NUM_EXAMPLES, NUM_NEAREST = 4, 3
 """Captions whose nearest motions are shown, and how many of them."""
@@ -53,12 +53,17 @@ class RankedRepeat(NamedTuple):
 
     def decode(self, rows: Sequence[int]) -> list[Motion]:
         """Returns the measured motions of some rows, decoded together and cut where the evaluator cuts them."""
-        codes, code_lengths = (column[list(rows)] for column in self.codes)
-        captions = [self.captions[row] for row in rows]
-        motions = motions_from_codes(self.tokenizer, codes, code_lengths, skeleton=self.skeleton, captions=captions)
+        codes = self.codes.rows
+        motions = decode_motions(self.tokenizer, [codes[row] for row in rows], skeleton=self.skeleton)
         return [
-            dataclasses.replace(motion, positions=motion.positions[: self.max_frames], features=None, codes=None)
-            for motion in motions
+            dataclasses.replace(
+                motion,
+                positions=motion.positions[: self.max_frames],
+                features=None,
+                codes=None,
+                caption=self.captions[row],
+            )
+            for row, motion in zip(rows, motions, strict=True)
         ]
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.motion import editing
+from t2m_jax.motion import resampling
 from t2m_jax.motion.kinematics import forward_kinematics
 from t2m_jax.motion.part_captions import Parts
 from t2m_jax.motion.rotations import continuous_quaternions, matrix_from_quaternion, quaternion_from_matrix
@@ -57,7 +57,7 @@ class RigClip:
         )
 
     def resampled(self, fps: float) -> "RigClip":
-        """Returns the clip at another frame rate. Frame k is the pose at k / `fps` seconds (see `editing.resample`).
+        """Returns the clip at another frame rate. Frame k is the pose at k / `fps` seconds (see `resampling.resample`).
 
         Raises:
             UserError: The rate is not a number above 0.
@@ -68,8 +68,8 @@ class RigClip:
         quaternions = continuous_quaternions(quaternion_from_matrix(self.rotations))
         return dataclasses.replace(
             self,
-            rotations=matrix_from_quaternion(editing.resample(quaternions, fps=self.fps, new_fps=fps)),
-            translations=editing.resample(self.translations, fps=self.fps, new_fps=fps),
+            rotations=matrix_from_quaternion(resampling.resample(quaternions, fps=self.fps, new_fps=fps)),
+            translations=resampling.resample(self.translations, fps=self.fps, new_fps=fps),
             fps=float(fps),
             parts=(),
         )

@@ -1,4 +1,4 @@
-"""Long motion in windows: the same as the whole at once."""
+"""Codes become motion, whole or in windows: the same either way."""
 
 import dataclasses
 
@@ -7,22 +7,12 @@ import numpy as np
 import pytest
 
 from t2m_jax.data.importers.synthetic import make_motion
-from t2m_jax.motion.cleanup import clean_positions
 from t2m_jax.motion.features import features_from_positions, positions_from_features
-from t2m_jax.motion.joining import fade_features
+from t2m_jax.motion.joining import FADE_SECONDS, fade_features
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.sampling import TextToMotion
+from t2m_jax.sampling.decode import MAX_CONTEXT, ORIGIN, WINDOW_ROWS, decode_sentences, place_features
 from t2m_jax.sampling.programs import decode_batch
-from t2m_jax.sampling.windows import (
-    FADE_SECONDS,
-    MAX_CONTEXT,
-    WINDOW_ROWS,
-    Place,
-    clean_long,
-    decode_sentences,
-    ease_seams,
-    place_features,
-)
 from tests import tiny
 
 BUNDLES = {
@@ -86,39 +76,9 @@ def test_sentences_are_decoded_alone_and_fade(tokenizer):
 @pytest.mark.parametrize("cuts", [[], [1], [30, 31, 90]])
 def test_pieces_go_on_where_the_one_before_ends(cuts):
     features = np.asarray(features_from_positions(make_motion("walk-turn-left", seed=3, num_frames=120), HUMANML3D))
-    place, found = Place(0.0, 0.0, 0.0), []
+    place = ORIGIN
+    found = []
     for part in np.split(features, cuts):
         positions, place = place_features(part, place, skeleton=HUMANML3D)
         found.append(positions)
     np.testing.assert_allclose(np.concatenate(found), positions_from_features(features, HUMANML3D), atol=1e-5)
-
-
-def test_a_long_motion_is_cleaned_as_a_short_one():
-    positions = make_motion("walk", seed=2, num_frames=400)
-    positions += np.random.default_rng(0).normal(size=positions.shape).astype(np.float32) * 0.004
-    lengths = jnp.array([len(positions)])
-    whole = np.asarray(clean_positions(jnp.asarray(positions[None]), lengths, skeleton=HUMANML3D))[0]
-    found = clean_long(positions, skeleton=HUMANML3D, size=200)
-    assert found.shape == whole.shape
-    assert np.linalg.norm(found - whole, axis=-1).mean() < 1e-3
-    np.testing.assert_allclose(clean_long(positions, skeleton=HUMANML3D, size=400), whole, atol=1e-6)
-
-
-@pytest.mark.parametrize("count", [1, 40, 199, 200, 201, 361, 1000])
-def test_windows_cover_motions_of_all_lengths(count):
-    positions = np.resize(make_motion("walk", seed=2, num_frames=100), (count, 22, 3))
-    assert clean_long(positions, skeleton=HUMANML3D, size=200).shape == (count, 22, 3)
-
-
-def test_only_seams_are_smoothed():
-    positions = make_motion("walk", seed=2, num_frames=100)
-    positions[50:] += 0.2
-    eased = ease_seams(positions, [50], fps=20.0)
-    np.testing.assert_array_equal(eased[:40], positions[:40])
-    np.testing.assert_array_equal(eased[60:], positions[60:])
-
-    def roughness(motion):
-        return np.abs(np.diff(motion[40:60], n=2, axis=0)).max()
-
-    assert roughness(eased) < roughness(positions) / 2
-    assert ease_seams(positions, [], fps=20.0) is positions
