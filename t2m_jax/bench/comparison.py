@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from t2m_jax.bench.record import Figure, Machine, Report
+from t2m_jax.bench.record import BenchReport, Figure, Machine
 from t2m_jax.errors import UserError
 
 SAME = ("device_kind", "num_devices", "processor", "num_cores")
@@ -38,7 +38,7 @@ def check_same_machine(before: Machine, after: Machine) -> None:
             raise UserError(f"{name}: the stored report has {one!r}, this machine {other!r}; compare on one machine")
 
 
-def compare_reports(before: Report, after: Report, *, tolerance: float) -> Comparison:
+def compare_reports(before: BenchReport, after: BenchReport, *, tolerance: float) -> Comparison:
     """Returns the regressions of a report among the figures that both reports have.
 
     Args:

@@ -8,7 +8,7 @@ from jax.sharding import Mesh
 
 from t2m_jax.bench.flops import count_flops
 from t2m_jax.bench.probes import place
-from t2m_jax.bench.record import Figure, Peaks, Row
+from t2m_jax.bench.record import Figure, Measurement, Peaks
 from t2m_jax.bench.timing import compile_program, program_figures, share, time_calls
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.embedding import BATCH, embed_motion, embed_text
@@ -33,7 +33,7 @@ def benchmark_embedding(
     batch: int = BATCH,
     frames: int = FRAMES,
     repeats: int = 3,
-) -> list[Row]:
+) -> list[Measurement]:
     """Returns how many motions and how many captions are embedded in a second, with random weights.
 
     Args:
@@ -58,7 +58,10 @@ def benchmark_embedding(
         ("motions", embed_motion, (motion, np.full(batch, frames, np.int32))),
         ("captions", embed_text, (words, parts, np.full(batch, WORDS, np.int32))),
     ]
-    variables = place(_random_variables(config), mesh)
+    # The speed does not depend on the weights, so one key for all of them is enough.
+    key = jax.random.key(0)
+    drawn = jax.tree.map(lambda leaf: 0.02 * jax.random.normal(key, leaf.shape, leaf.dtype), evaluator_shapes(config))
+    variables = place(drawn, mesh)
     rows = []
     for name, function, inputs in work:
         arguments = (variables, *place(inputs, mesh, by_rows=True))
@@ -72,14 +75,5 @@ def benchmark_embedding(
         )
         devices = f", {mesh.size} devices" if mesh.size > 1 else ""
         shape = f"{batch}x{frames if name == 'motions' else WORDS}"
-        rows.append(Row(benchmark="evaluate", name=f"{name}, {size} {shape}{devices}", figures=figures))
+        rows.append(Measurement(benchmark="evaluate", name=f"{name}, {size} {shape}{devices}", figures=figures))
     return rows
-
-
-def _random_variables(config: EvaluatorConfig) -> Any:
-    """Returns the variables of an evaluator before training."""
-    shapes = evaluator_shapes(config)
-    leaves, structure = jax.tree.flatten(shapes)
-    keys = jax.random.split(jax.random.key(0), len(leaves))
-    drawn = [0.02 * jax.random.normal(key, leaf.shape, leaf.dtype) for key, leaf in zip(keys, leaves, strict=True)]
-    return jax.tree.unflatten(structure, drawn)

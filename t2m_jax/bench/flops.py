@@ -24,14 +24,17 @@ def count_flops(function: Callable[..., Any], *arguments: Any) -> float:
 def _count(jaxpr: Any) -> float:
     total = 0.0
     for equation in jaxpr.eqns:
-        name, inputs = equation.primitive.name, [variable.aval for variable in equation.invars]
+        name = equation.primitive.name
+        inputs = [variable.aval for variable in equation.invars]
         if name == "dot_general":
             (contracted, _), _ = equation.params["dimension_numbers"]
             total += 2 * equation.outvars[0].aval.size * math.prod(inputs[0].shape[axis] for axis in contracted)
         elif name == "conv_general_dilated":
+            # Each output is a product of the kernel without its axis of outputs.
             outputs = inputs[1].shape[equation.params["dimension_numbers"].rhs_spec[0]]
             total += 2 * equation.outvars[0].aval.size * inputs[1].size / outputs
         elif name == "cond":
+            # Of a condition, one branch runs.
             total += max(map(_count, _inner(equation.params)))
         else:
             repeats = equation.params["length"] if name == "scan" else 1

@@ -1,4 +1,4 @@
-"""The report of a benchmark: the machine, and rows of figures with their units."""
+"""The report of a benchmark: the machine, and measurements, whose figures have units."""
 
 import dataclasses
 import datetime
@@ -12,7 +12,7 @@ from t2m_jax.files import load_json, save_json
 FORMAT_VERSION = 1
 """Version of the files that `save_report` writes."""
 Benchmark = Literal["train", "sample", "evaluate", "data"]
-"""What a row measures."""
+"""What is measured."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -44,7 +44,7 @@ class Machine:
     jax_version: str
     """Version of JAX."""
     peaks: tuple[Peaks, ...]
-    """For each number of devices that the rows use."""
+    """For each number of devices that was measured."""
 
     def __post_init__(self) -> None:
         _check_printable(self.device_kind, self.processor, self.jax_version)
@@ -75,7 +75,7 @@ class Figure:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Row:
+class Measurement:
     """The figures of one measurement."""
 
     benchmark: Benchmark
@@ -94,13 +94,13 @@ class Row:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Report:
-    """The rows of one run of a benchmark."""
+class BenchReport:
+    """From `t2m bench` to `report_text` and the file of `--json`: the measurements of one run."""
 
     machine: Machine
     """Where they were measured."""
-    rows: tuple[Row, ...]
-    """Measurements."""
+    rows: tuple[Measurement, ...]
+    """What was measured, a line of the tables for each."""
     peak_memory: float | None
     """Most memory that the process used, in bytes: of its first device, or on a CPU of the process. None if unknown."""
     date: str = dataclasses.field(default_factory=lambda: datetime.date.today().isoformat())
@@ -112,12 +112,12 @@ class Report:
         _check_printable(self.date)
 
 
-def save_report(path: Path, report: Report) -> None:
+def save_report(path: Path, report: BenchReport) -> None:
     """Writes a report as JSON."""
     save_json(path, config_to_dict(report))
 
 
-def load_report(path: Path) -> Report:
+def load_report(path: Path) -> BenchReport:
     """Returns the report in a file.
 
     Raises:
@@ -127,7 +127,7 @@ def load_report(path: Path) -> Report:
     if not isinstance(data, dict) or data.get("format_version") != FORMAT_VERSION:
         expected = f"a benchmark report of format_version {FORMAT_VERSION}"
         raise UserError(f"{path}: is not {expected}; write one with `t2m bench all --json`")
-    return config_from_dict(Report, data, source=f"{path}")
+    return config_from_dict(BenchReport, data, source=f"{path}")
 
 
 def _check_printable(*texts: str) -> None:

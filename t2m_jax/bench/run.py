@@ -8,8 +8,8 @@ from jax.sharding import Mesh
 from t2m_jax.bench.data import benchmark_opening, benchmark_windows
 from t2m_jax.bench.evaluate import benchmark_embedding
 from t2m_jax.bench.probes import describe_machine, first_devices, measure_peaks
-from t2m_jax.bench.record import Peaks, Report, Row
-from t2m_jax.bench.sample import TOKENIZERS, benchmark_sampling, full_size_subjects
+from t2m_jax.bench.record import BenchReport, Measurement, Peaks
+from t2m_jax.bench.sample import TOKENIZERS, benchmark_sampling, full_size_systems
 from t2m_jax.bench.timing import peak_memory
 from t2m_jax.bench.train import Kind, Options, benchmark_training, make_training
 from t2m_jax.models.evaluator import EvaluatorConfig
@@ -19,8 +19,11 @@ BATCHES = (1, 32)
 
 
 def make_report(
-    measure: Callable[[Peaks], Sequence[Row]], *, devices: Sequence[int], probe: Callable[[Mesh], Peaks] = measure_peaks
-) -> Report:
+    measure: Callable[[Peaks], Sequence[Measurement]],
+    *,
+    devices: Sequence[int],
+    probe: Callable[[Mesh], Peaks] = measure_peaks,
+) -> BenchReport:
     """Returns the report of a measurement on each number of devices.
 
     Args:
@@ -34,10 +37,10 @@ def make_report(
     meshes = [first_devices(count) for count in devices]
     found = [probe(mesh) for mesh in meshes]
     rows = tuple(row for peak in found for row in measure(peak))
-    return Report(machine=describe_machine(found), rows=rows, peak_memory=peak_memory())
+    return BenchReport(machine=describe_machine(found), rows=rows, peak_memory=peak_memory())
 
 
-def measure_all(peaks: Peaks, *, data: str | None = None, repeats: int = 3) -> list[Row]:
+def measure_all(peaks: Peaks, *, data: str | None = None, repeats: int = 3) -> list[Measurement]:
     """Returns the rows of all benchmarks at full size, and those of opening a data set if its folder is given."""
     rows = [*_training(peaks, repeats), *_sampling(peaks, repeats)]
     mesh = first_devices(peaks.num_devices)
@@ -46,7 +49,7 @@ def measure_all(peaks: Peaks, *, data: str | None = None, repeats: int = 3) -> l
     return rows if data is None else [*rows, benchmark_opening(data, repeats=repeats)]
 
 
-def _training(peaks: Peaks, repeats: int) -> list[Row]:
+def _training(peaks: Peaks, repeats: int) -> list[Measurement]:
     # Products of bfloat16 are slow on most CPUs.
     choices = [Options()] if jax.default_backend() == "cpu" else [Options(), Options(precision="bfloat16")]
     kinds: tuple[Kind, ...] = ("vqvae", "gpt")
@@ -54,11 +57,11 @@ def _training(peaks: Peaks, repeats: int) -> list[Row]:
     return [benchmark_training(config, size="full", peaks=peaks, repeats=repeats) for config in configs]
 
 
-def _sampling(peaks: Peaks, repeats: int) -> list[Row]:
+def _sampling(peaks: Peaks, repeats: int) -> list[Measurement]:
     mesh = first_devices(peaks.num_devices)
     return [
-        benchmark_sampling(subject, batch=batch, mesh=mesh, peaks=peaks, repeats=repeats)
-        for subject in full_size_subjects(tuple(TOKENIZERS))
+        benchmark_sampling(system, batch=batch, mesh=mesh, peaks=peaks, repeats=repeats)
+        for system in full_size_systems(tuple(TOKENIZERS))
         for batch in BATCHES
         if batch % mesh.size == 0
     ]

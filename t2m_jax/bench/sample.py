@@ -1,5 +1,6 @@
-"""Speed of sampling: codes for random texts, until every motion has the same number of codes."""
+"""Speed of a text-to-motion system: sampling codes for random texts, and encoding and decoding random motion."""
 
+import functools
 import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -7,13 +8,14 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.sharding import Mesh
+from jaxtyping import Array, Float
 
 from t2m_jax.bench.flops import count_flops
 from t2m_jax.bench.probes import place
-from t2m_jax.bench.record import Figure, Peaks, Row
+from t2m_jax.bench.record import Figure, Measurement, Peaks
 from t2m_jax.bench.timing import compile_program, program_figures, share, time_calls
 from t2m_jax.errors import UserError
-from t2m_jax.models.system import GeneratorConfig, find_part, make_module
+from t2m_jax.models.system import GeneratorConfig, PartConfig, TokenizerConfig, find_part, make_module
 from t2m_jax.sampling.loop import CHUNK, Sampling
 from t2m_jax.sampling.programs import generate_codes, sampling_variables
 from t2m_jax.sampling.stopping import find_stop_rule
@@ -25,53 +27,54 @@ TOKENIZERS = {"gpt": "vqvae", "hifigpt": "rvqvae"}
 """The tokenizer that each generator was published with."""
 
 
-def random_variables(config: GeneratorConfig) -> dict[str, Any]:
-    """Returns a generator's variables before training."""
-    module, example = make_module(config), find_part(config.kind).example(config)
-    return jax.jit(module.init, static_argnames="train")(jax.random.key(0), *example, train=False)
+def random_variables(config: PartConfig) -> dict[str, Any]:
+    """Returns the variables of a generator or of a tokenizer before training."""
+    example = find_part(config.kind).example(config)
+    return jax.jit(make_module(config).init, static_argnames="train")(jax.random.key(0), *example, train=False)
 
 
-class Subject(NamedTuple):
-    """A generator whose sampling is measured."""
+class MeasuredSystem(NamedTuple):
+    """From a bundle, or from the published sizes, to its benchmark."""
 
     name: str
-    """What rows call it."""
-    config: GeneratorConfig
+    """What tables call it."""
+    generator: GeneratorConfig
+    tokenizer: TokenizerConfig
     variables: dict[str, Any]
-    downsample: int
-    """Frames per row of codes."""
+    """Those of `generator` and of `tokenizer`."""
     guidance_scale: float | None = None
     """Strength of the guidance, None for none."""
 
 
 def published_config(kind: str) -> Any:
-    """Returns the config of a kind of generator in its published size, which is the default."""
-    return find_part(kind, "generator").config()
+    """Returns the config of a kind of generator or tokenizer in its published size, which is the default."""
+    return find_part(kind).config()
 
 
-def full_size_subjects(kinds: Sequence[str]) -> list[Subject]:
-    """Returns generators of the published sizes with random weights: with guidance and without, if they have it."""
-    subjects: list[Subject] = []
+def full_size_systems(kinds: Sequence[str]) -> list[MeasuredSystem]:
+    """Returns systems of the published sizes with random weights: with guidance and without, if they have it."""
+    systems: list[MeasuredSystem] = []
     for kind in kinds:
-        config = published_config(kind)
-        variables = random_variables(config)
-        plain = Subject(f"{kind} full", config, variables, find_part(TOKENIZERS[kind], "tokenizer").config().downsample)
-        subjects.append(plain)
-        if config.guidance_scale is not None:
-            name, scale = f"{plain.name}, guided", config.guidance_scale
-            subjects.append(plain._replace(name=name, guidance_scale=scale))
-    return subjects
+        generator = published_config(kind)
+        tokenizer = published_config(TOKENIZERS[kind])
+        variables = {"generator": random_variables(generator), "tokenizer": random_variables(tokenizer)}
+        plain = MeasuredSystem(f"{kind} full", generator, tokenizer, variables)
+        systems.append(plain)
+        if generator.guidance_scale is not None:
+            systems.append(plain._replace(name=f"{plain.name}, guided", guidance_scale=generator.guidance_scale))
+    return systems
 
 
 def benchmark_sampling(
-    subject: Subject, *, batch: int, num_codes: int | None = None, mesh: Mesh, peaks: Peaks, repeats: int = 3
-) -> Row:
+    system: MeasuredSystem, *, batch: int, num_codes: int | None = None, mesh: Mesh, peaks: Peaks, repeats: int = 3
+) -> Measurement:
     """Returns how long it takes to sample a batch of motions of `num_codes` rows, none of which ends earlier.
 
-    A step samples one row of codes for every motion, and has to read all weights at least once.
+    A step samples one row of codes for every motion, and has to read all weights at least once. Encoding and decoding
+    as many frames as these rows stand for is timed separately.
 
     Args:
-        subject: The generator.
+        system: Generator and tokenizer.
         batch: Motions that are sampled together.
         num_codes: Rows of each motion; by default the generator's most, up to `NUM_CODES`.
         mesh: The devices, among which the motions are divided.
@@ -81,32 +84,52 @@ def benchmark_sampling(
     Raises:
         UserError: The devices do not divide the batch, or the generator has no motions of so many rows.
     """
-    config, num_codes = subject.config, num_codes or min(NUM_CODES, subject.config.max_codes)
+    config = system.generator
+    num_codes = num_codes or min(NUM_CODES, config.max_codes)
     check_sampling([config], batches=[batch], num_codes=num_codes, devices=[mesh.size])
     text = place(jax.random.normal(jax.random.key(1), (batch, config.text_dim)), mesh, by_rows=True)
     keys = place(jax.random.split(jax.random.key(2), batch), mesh, by_rows=True)
     # One more row than the maximum as minimum: rules that keep the last row would end one row before the minimum.
     sampling = Sampling(Temperature(), find_stop_rule(config), num_codes, min_codes=num_codes + 1)
-    scale = None if subject.guidance_scale is None else jnp.float32(subject.guidance_scale)
-    arguments = (place(sampling_variables(subject.variables, config), mesh), text, keys, scale)
-    options: Any = {"generator": make_module(config), "sampling": sampling}
-    program = compile_program(lambda: generate_codes.lower(*arguments, **options))
+    scale = None if system.guidance_scale is None else jnp.float32(system.guidance_scale)
+    arguments = (place(sampling_variables(system.variables["generator"], config), mesh), text, keys, scale)
+    sample = functools.partial(generate_codes, generator=make_module(config), sampling=sampling)
+    program = compile_program(lambda: generate_codes.lower(*arguments, **sample.keywords))
     timing = time_calls(lambda: program.compiled(*arguments), repeats=repeats)
     weights = sum(leaf.nbytes for leaf in jax.tree.leaves(arguments[0]))
     # The loop over chunks is counted once, whatever its length.
-    flops = count_flops(lambda *given: generate_codes(*given, **options), *arguments) / CHUNK
+    flops = count_flops(sample, *arguments) / CHUNK
     step = timing.median / num_codes
+    frames = batch * system.tokenizer.downsample
     figures = (
         Figure(name="per step", value=1e3 * step, unit="ms", better="less", spread=timing.spread),
         Figure(name="per row", value=1e3 * step / batch, unit="ms"),
-        Figure(name="per frame", value=1e3 * step / (batch * subject.downsample), unit="ms"),
+        Figure(name="per frame", value=1e3 * step / frames, unit="ms"),
         Figure(name="codes", value=batch * config.num_quantizers / step, unit="1/s"),
+        encode_and_decode(system, (batch, num_codes * system.tokenizer.downsample), mesh=mesh, repeats=repeats),
         *program_figures(program),
         share("product", flops / step, peaks.float32),
         share("memory", mesh.size * weights / step, peaks.memory),
     )
     devices = f", {mesh.size} devices" if mesh.size > 1 else ""
-    return Row(benchmark="sample", name=f"{subject.name}, {num_codes} rows, batch {batch}{devices}", figures=figures)
+    name = f"{system.name}, {num_codes} rows, batch {batch}{devices}"
+    return Measurement(benchmark="sample", name=name, figures=figures)
+
+
+def encode_and_decode(system: MeasuredSystem, size: tuple[int, int], *, mesh: Mesh, repeats: int) -> Figure:
+    """Returns the time to encode and decode a frame (table 1 of T2M-HiFiGPT), in a batch of motions [B, T]."""
+    tokenizer = make_module(system.tokenizer)
+
+    @jax.jit
+    def there_and_back(variables: Any, motion: Float[Array, "B T D"]) -> Float[Array, "B T D"]:
+        codes = tokenizer.apply(variables, motion, method="encode")
+        return tokenizer.apply(variables, codes, method="decode")
+
+    motion = place(jax.random.normal(jax.random.key(3), (*size, system.tokenizer.feature_dim)), mesh, by_rows=True)
+    variables = place(system.variables["tokenizer"], mesh)
+    timing = time_calls(lambda: there_and_back(variables, motion), repeats=repeats)
+    per_frame = 1e3 * timing.median / (size[0] * size[1])
+    return Figure(name="encode + decode", value=per_frame, unit="ms/frame", better="less", spread=timing.spread)
 
 
 def check_sampling(

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import jax
 
-from t2m_jax.bench.record import Report
+from t2m_jax.bench.record import BenchReport
 from t2m_jax.bench.train import RECIPE_STEPS, Kind, full_size_rows
 from t2m_jax.errors import UserError
 from t2m_jax.models.hifigpt import HiFiGptConfig
@@ -137,7 +137,7 @@ def assumed_rates(device: str) -> dict[Kind, float]:
     return dict.fromkeys(published_recipes(), ASSUMED_SHARE * DEVICES[device])
 
 
-def measured_rates(report: Report) -> dict[Kind, float]:
+def measured_rates(report: BenchReport) -> dict[Kind, float]:
     """Returns the FLOP/s of measured recipes on one device, from the fastest row of each at full size on one device.
 
     Raises:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from t2m_jax.bench.record import Figure, Machine, Report
+from t2m_jax.bench.record import BenchReport, Figure, Machine
 from t2m_jax.files.markdown import markdown_table
 
 MISSING = "-"
@@ -22,7 +22,7 @@ def fitted_table(headings: Sequence[str], rows: Sequence[Sequence[str]], *, widt
     return markdown_table(headings, rows, aligned=True)
 
 
-def report_text(report: Report, *, width: int | None = None) -> str:
+def report_text(report: BenchReport, *, width: int | None = None) -> str:
     """Returns a report as text: a line on the machine, its peaks, and one table for each benchmark."""
     parts = [f"{machine_text(report.machine)}; {report.date}.", _peaks_table(report.machine, width)]
     for benchmark, title in TITLES.items():

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from t2m_jax.bench.flops import count_flops
-from t2m_jax.bench.record import Figure, Peaks, Row
+from t2m_jax.bench.record import Figure, Measurement, Peaks
 from t2m_jax.bench.timing import compile_program, program_figures, share, time_calls
 from t2m_jax.checkpoints.bundle import bundle_path, load_bundle_config
 from t2m_jax.data.banks.codes import CodeBank
@@ -109,7 +109,8 @@ def make_training(kind: Kind, size: Size, options: Options, *, devices: int = 1)
 
 def random_motions(config: TrainVqVaeConfig) -> MotionBank:
     """Returns a bank of normal random clips, two batches of them."""
-    count, width = 2 * config.loop.batch_size, config.model.feature_dim
+    count = 2 * config.loop.batch_size
+    width = config.model.feature_dim
     frames = np.random.default_rng(0).standard_normal((count * CLIP_FRAMES, width), np.float32)
     lengths = np.full(count, CLIP_FRAMES, np.int32)
     starts = np.arange(count, dtype=np.int32) * CLIP_FRAMES
@@ -118,7 +119,9 @@ def random_motions(config: TrainVqVaeConfig) -> MotionBank:
 
 def random_codes(config: TrainGptConfig | TrainHiFiGptConfig) -> CodeBank:
     """Returns a bank of random codes of the greatest length, two batches of them, each with one caption."""
-    count, model, generator = 2 * config.loop.batch_size, config.model, np.random.default_rng(0)
+    count = 2 * config.loop.batch_size
+    model = config.model
+    generator = np.random.default_rng(0)
     codes = generator.integers(0, model.num_codes, (count, 1, model.max_codes, model.num_quantizers), np.int32)
     captions: Any = generator.standard_normal((count, model.text_dim), np.float32)
     if config.text_encoder == "caption_encoder":
@@ -145,8 +148,8 @@ def make_work(config: TrainConfig) -> Work:
     """Returns what a training computes, with random data."""
     batch = config.loop.batch_size
     if isinstance(config, TrainVqVaeConfig):
-        data, shape = random_motions(config), f"{batch}x{config.window}"
-        return Work(init_vqvae_state, vqvae_update, data, batch * config.window, shape)
+        frames = batch * config.window
+        return Work(init_vqvae_state, vqvae_update, random_motions(config), frames, f"{batch}x{config.window}")
     frames = batch * config.model.max_codes * TOKENIZERS[config.kind]().model.downsample
     if isinstance(config, TrainGptConfig):
         return Work(init_gpt_state, gpt_update, random_codes(config), frames, f"{batch}x{config.model.block_size}")
@@ -163,7 +166,7 @@ def update_flops(config: TrainConfig) -> float:
     return count_flops(lambda state, data: work.update(state, data, config=config), state, work.data)
 
 
-def benchmark_training(config: TrainConfig, *, size: str, peaks: Peaks, repeats: int = 3) -> Row:
+def benchmark_training(config: TrainConfig, *, size: str, peaks: Peaks, repeats: int = 3) -> Measurement:
     """Returns the speed of the updates of a training.
 
     Args:
@@ -175,8 +178,10 @@ def benchmark_training(config: TrainConfig, *, size: str, peaks: Peaks, repeats:
     Raises:
         UserError: There are not so many devices, or they do not divide the batch.
     """
-    devices, work = Devices(config.sharding, batch_size=config.loop.batch_size), make_work(config)
-    count, update = config.loop.steps_per_call, Update(work.update, config=config)
+    devices = Devices(config.sharding, batch_size=config.loop.batch_size)
+    work = make_work(config)
+    count = config.loop.steps_per_call
+    update = Update(work.update, config=config)
     state = devices.put_state(work.init(config, jax.random.key(0)))
     data = devices.put_data(work.data)
     program = compile_program(lambda: devices.lower(update, state, data, size=count))
@@ -189,7 +194,8 @@ def benchmark_training(config: TrainConfig, *, size: str, peaks: Peaks, repeats:
         return state
 
     timing = time_calls(call, repeats=repeats)
-    rate, flops = count / timing.median, update_flops(config)
+    rate = count / timing.median
+    flops = update_flops(config)
     peak = peaks.bfloat16 if config.precision == "bfloat16" else peaks.float32
     figures = [
         Figure(name="updates", value=rate, unit="1/s", better="more", spread=timing.spread),
@@ -201,10 +207,11 @@ def benchmark_training(config: TrainConfig, *, size: str, peaks: Peaks, repeats:
     ]
     if size == "full" and config.loop.batch_size == BATCHES[config.kind, "full"]:
         figures.append(Figure(name=f"{RECIPE_STEPS:,} updates", value=RECIPE_STEPS / rate / 3600, unit="h"))
-    return Row(benchmark="train", name=_row_name(config, work.shape, size, devices.mesh.size), figures=tuple(figures))
+    name = _training_name(config, work.shape, size, devices.mesh.size)
+    return Measurement(benchmark="train", name=name, figures=tuple(figures))
 
 
-def _row_name(config: TrainConfig, shape: str, size: str, num_devices: int) -> str:
+def _training_name(config: TrainConfig, shape: str, size: str, num_devices: int) -> str:
     """Returns what was run, with all options that are not the defaults."""
     options = [f"{config.loop.steps_per_call} updates per call"] if config.loop.steps_per_call > 1 else []
     if not isinstance(config, TrainVqVaeConfig):
@@ -214,6 +221,6 @@ def _row_name(config: TrainConfig, shape: str, size: str, num_devices: int) -> s
     return ", ".join([f"{config.kind} {size} {shape} {config.precision}", *options])
 
 
-def full_size_rows(rows: Sequence[Row], kind: Kind) -> list[Row]:
+def full_size_rows(rows: Sequence[Measurement], kind: Kind) -> list[Measurement]:
     """Returns the rows of the training of a kind at full size."""
     return [row for row in rows if row.benchmark == "train" and row.name.startswith(f"{kind} full ")]

@@ -21,7 +21,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.files import check_output, claim
 
 if TYPE_CHECKING:
-    from t2m_jax.bench import Peaks, Report, Row
+    from t2m_jax.bench.record import BenchReport, Measurement, Peaks
 
 EXIT_REGRESSION = 1
 """Exit code if a figure is worse than in the report of `--compare`."""
@@ -97,17 +97,17 @@ def run(args: argparse.Namespace) -> None:
 
 def run_train(args: argparse.Namespace) -> None:
     """Prints the speed of training."""
-    from t2m_jax import bench
+    from t2m_jax.bench import train
 
-    options = bench.Options(args.batch, args.precision, args.steps_per_call, args.remat, args.num_parts)
+    options = train.Options(args.batch, args.precision, args.steps_per_call, args.remat, args.num_parts)
 
-    def measure(peaks: "Peaks") -> "list[Row]":
+    def measure(peaks: "Peaks") -> "list[Measurement]":
         try:
-            configs = [bench.make_training(kind, args.size, options, devices=peaks.num_devices) for kind in args.kind]
+            configs = [train.make_training(kind, args.size, options, devices=peaks.num_devices) for kind in args.kind]
         except ValueError as error:  # an option does not fit the batch
             raise UserError(f"bench: {error}") from error
         return [
-            bench.benchmark_training(config, size=args.size, peaks=peaks, repeats=args.repeats) for config in configs
+            train.benchmark_training(config, size=args.size, peaks=peaks, repeats=args.repeats) for config in configs
         ]
 
     _report(args, measure)
@@ -116,25 +116,25 @@ def run_train(args: argparse.Namespace) -> None:
 
 def run_sample(args: argparse.Namespace) -> None:
     """Prints the speed of sampling."""
-    from t2m_jax import bench
-    from t2m_jax.bench.sample import check_sampling
+    from t2m_jax.bench.probes import first_devices
+    from t2m_jax.bench.sample import MeasuredSystem, benchmark_sampling, check_sampling, full_size_systems
     from t2m_jax.sampling.pipeline import TextToMotion
 
     if args.full_size:
-        subjects = bench.full_size_subjects(args.kind)
+        systems = full_size_systems(args.kind)
     else:
         model = TextToMotion.load(args.model)
-        parts, scale = model.config, model.parts.guidance_scale()
-        given = (parts.generator, model.variables["generator"], parts.tokenizer.downsample)
-        subjects = [bench.Subject(Path(args.model).name, *given, None if scale == 1 else scale)]
-    configs = [subject.config for subject in subjects]
+        scale = model.parts.guidance_scale()
+        parts = (model.config.generator, model.config.tokenizer, model.variables)
+        systems = [MeasuredSystem(Path(args.model).name, *parts, None if scale == 1 else scale)]
+    configs = [system.generator for system in systems]
     check_sampling(configs, batches=args.batch, num_codes=args.codes, devices=args.devices)
 
-    def measure(peaks: "Peaks") -> "list[Row]":
-        mesh = bench.first_devices(peaks.num_devices)
+    def measure(peaks: "Peaks") -> "list[Measurement]":
+        mesh = first_devices(peaks.num_devices)
         shared = {"num_codes": args.codes, "mesh": mesh, "peaks": peaks, "repeats": args.repeats}
-        pairs = itertools.product(subjects, args.batch)
-        return [bench.benchmark_sampling(subject, batch=batch, **shared) for subject, batch in pairs]
+        pairs = itertools.product(systems, args.batch)
+        return [benchmark_sampling(system, batch=batch, **shared) for system, batch in pairs]
 
     _report(args, measure)
     show_next("t2m bench sample" + ("" if args.full_size else " --full-size"))
@@ -142,15 +142,14 @@ def run_sample(args: argparse.Namespace) -> None:
 
 def run_evaluate(args: argparse.Namespace) -> None:
     """Prints the speed of the evaluator's networks."""
-    from t2m_jax import bench
-    from t2m_jax.bench.evaluate import DEMO_SIZES
-    from t2m_jax.models.evaluator import EvaluatorConfig
+    from t2m_jax.bench import evaluate
+    from t2m_jax.bench.probes import first_devices
 
-    config = EvaluatorConfig() if args.size == "full" else DEMO_SIZES
+    config = evaluate.EvaluatorConfig() if args.size == "full" else evaluate.DEMO_SIZES
 
-    def measure(peaks: "Peaks") -> "list[Row]":
-        mesh = bench.first_devices(peaks.num_devices)
-        return bench.benchmark_embedding(
+    def measure(peaks: "Peaks") -> "list[Measurement]":
+        mesh = first_devices(peaks.num_devices)
+        return evaluate.benchmark_embedding(
             config, size=args.size, mesh=mesh, peaks=peaks, batch=args.batch, repeats=args.repeats
         )
 
@@ -160,14 +159,14 @@ def run_evaluate(args: argparse.Namespace) -> None:
 
 def run_data(args: argparse.Namespace) -> None:
     """Prints the speed of reading data."""
-    from t2m_jax import bench
+    from t2m_jax.bench.data import benchmark_opening, benchmark_windows
 
-    def measure(peaks: "Peaks") -> "list[Row]":
+    def measure(peaks: "Peaks") -> "list[Measurement]":
         count, shared = peaks.num_devices, {"peaks": peaks, "batch": args.batch, "repeats": args.repeats}
-        rows = [bench.benchmark_windows(num_devices=count, **shared)]
+        rows = [benchmark_windows(num_devices=count, **shared)]
         if count > 1:
-            rows.append(bench.benchmark_windows(num_devices=count, bank="sharded", **shared))
-        return rows if args.data is None else [*rows, bench.benchmark_opening(args.data, repeats=args.repeats)]
+            rows.append(benchmark_windows(num_devices=count, bank="sharded", **shared))
+        return rows if args.data is None else [*rows, benchmark_opening(args.data, repeats=args.repeats)]
 
     _report(args, measure)
     show_next("t2m bench all --json performance.json")
@@ -175,36 +174,38 @@ def run_data(args: argparse.Namespace) -> None:
 
 def run_all(args: argparse.Namespace) -> None:
     """Prints the speed of everything."""
-    from t2m_jax import bench
+    from t2m_jax.bench.run import measure_all
 
-    _report(args, lambda peaks: bench.measure_all(peaks, data=args.data, repeats=args.repeats))
+    _report(args, lambda peaks: measure_all(peaks, data=args.data, repeats=args.repeats))
     show_next("t2m bench scale" + ("" if args.json is None else f" --from {args.json}"))
 
 
 def run_scale(args: argparse.Namespace) -> None:
     """Prints the time of the published recipes on many accelerators, as a model predicts it."""
-    from t2m_jax.bench import fitted_table, load_report, scaling_rows
-    from t2m_jax.bench.scaling import HEADINGS, assumed_rates, measured_rates
+    from t2m_jax.bench import load_report
+    from t2m_jax.bench.scaling import HEADINGS, assumed_rates, measured_rates, scaling_rows
+    from t2m_jax.bench.tables import fitted_table
 
     rates = assumed_rates(args.device) if args.report is None else measured_rates(load_report(args.report))
     sys.stdout.write(f"{fitted_table(HEADINGS, scaling_rows(rates, interconnect=args.interconnect))}\n")
 
 
-def _report(args: argparse.Namespace, measure: "Callable[[Peaks], Sequence[Row]]") -> None:
+def _report(args: argparse.Namespace, measure: "Callable[[Peaks], Sequence[Measurement]]") -> None:
     """Measures, prints the figures and stores them. Exits with `EXIT_REGRESSION` if some are worse than stored ones."""
-    from t2m_jax import bench
+    from t2m_jax.bench import load_report, probes, report_text, run, save_report
+    from t2m_jax.bench.comparison import check_same_machine
 
     # Whatever is wrong with the files is said before the measurement, which may take minutes.
-    before = None if args.compare is None else bench.load_report(args.compare)
+    before = None if args.compare is None else load_report(args.compare)
     if before is not None:
-        bench.check_same_machine(before.machine, bench.describe_machine(()))
+        check_same_machine(before.machine, probes.describe_machine(()))
     outputs = [] if args.json is None else [check_output(args.json)]
     with claim(outputs):
-        report = bench.make_report(measure, devices=args.devices, probe=bench.measure_peaks)
+        report = run.make_report(measure, devices=args.devices, probe=probes.measure_peaks)
         width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-        sys.stdout.write(f"{bench.report_text(report, width=width)}\n")
+        sys.stdout.write(f"{report_text(report, width=width)}\n")
         for output in outputs:
-            bench.save_report(output, report)
+            save_report(output, report)
     if before is not None:
         _show_regressions(before, report, args.tolerance)
 
@@ -220,8 +221,8 @@ def _use_devices(counts: list[int] | None) -> list[int]:
     return counts or [jax.device_count()]
 
 
-def _show_regressions(before: "Report", after: "Report", tolerance: float) -> None:
-    from t2m_jax.bench import compare_reports
+def _show_regressions(before: "BenchReport", after: "BenchReport", tolerance: float) -> None:
+    from t2m_jax.bench.comparison import compare_reports
 
     found = compare_reports(before, after, tolerance=tolerance)
     if not found.num_compared:

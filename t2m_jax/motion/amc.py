@@ -45,12 +45,11 @@ class _Skeleton(NamedTuple):
     metres_per_unit: float
 
 
-def load_amc(path: Path | str, *, skeleton: Path | str | None = None, fps: float = AMC_FPS) -> RigClip:
+def load_amc(path: Path | str, *, fps: float = AMC_FPS) -> RigClip:
     """Returns the clip of an AMC file. Joint j of the clip is the beginning of bone j.
 
     Args:
-        path: The motion.
-        skeleton: The ASF file; by default the only one in the folder, or `02.asf` for `02_01.amc`.
+        path: The motion. Its skeleton is the only ASF file in the folder, or `02.asf` for `02_01.amc`.
         fps: Frames per second, which the files do not say.
 
     Raises:
@@ -59,20 +58,18 @@ def load_amc(path: Path | str, *, skeleton: Path | str | None = None, fps: float
     path = Path(path)
     if not 0 < fps <= MAX_FPS:
         raise UserError(f"{path}: {fps} is not a number of frames per second above 0, up to {MAX_FPS:.0f}")
-    asf = Path(skeleton) if skeleton else find_skeleton(path)
-    figure = _read_skeleton(asf)
+    figure = _read_skeleton(find_skeleton(path))
     names = (ROOT, *figure.parents)
     parents = (-1, *(names.index(parent) for parent in figure.parents.values()))
     values = _read_motion(path, figure)
     num_frames = len(values[ROOT])
-    rotations = np.tile(np.eye(3, dtype=np.float32), (num_frames, len(names), 1, 1))
+    rotations = np.empty((num_frames, len(names), 3, 3), np.float32)
+    # A joint is where its bone begins, which is where its parent's bone ends.
     offsets = np.array([figure.bones[names[max(parent, 0)]].offset for parent in parents], np.float32)
     offsets[0] = 0.0
     translations = np.tile(offsets, (num_frames, 1, 1))
     for joint, name in enumerate(names):
-        bone = figure.bones[name]
-        turn, move = _transform(bone, values.get(name), figure)
-        rotations[:, joint] = turn
+        rotations[:, joint], move = _transform(figure.bones[name], values.get(name), figure)
         translations[:, joint] += move
     ends = [joint for joint in range(len(names)) if joint not in parents]
     return RigClip(

@@ -214,7 +214,7 @@ def foot_contacts(positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton
 
 
 def features_from_positions(
-    positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton, *, repair_sign_flip: bool = False
+    positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton
 ) -> Float[AnyArray, "*batch T-1 D"]:
     """Returns raw motion features of joint positions. The features have one frame less.
 
@@ -222,11 +222,12 @@ def features_from_positions(
     smoothing of headings uses 80 frames on each side, so the features of a crop differ from the crop of the features.
     Finite positions give finite features.
 
+    If a motion turns past 180 degrees from its start, the yaw step of that frame has the wrong sign, as in published
+    data. So `positions_from_features` turns the rest of such a motion a little the other way.
+
     Args:
         positions: Joints in the skeleton's unit, Y up, at the skeleton's frame rate.
         skeleton: The joints, and the template for their bone lengths.
-        repair_sign_flip: Whether to correct an error of the original encoding: if a motion turns past 180 degrees from
-            its start, the yaw step of that frame has the wrong sign. Published data contain the error.
 
     Raises:
         UserError: The number of joints is not the skeleton's, or there are fewer than two frames.
@@ -241,8 +242,6 @@ def features_from_positions(
     # The turn from one heading to the next is about Y, whose component of the quaternion is the sine of half the angle.
     turn = quaternion_multiply(ahead, quaternion_inverse(now))
     half_yaw = xp.arcsin(xp.clip(turn[..., 2:3], -1, 1))
-    if repair_sign_flip:
-        half_yaw = xp.where(turn[..., :1] < 0, -half_yaw, half_yaw)
 
     # The original code turns the step of the root by the heading after it, and all other steps by the one before.
     steps = ground[..., 1:, :, :] - ground[..., :-1, :, :]

@@ -54,15 +54,12 @@ class Motion:
 
     def __post_init__(self) -> None:
         # What becomes an array is taken. The record is frozen, so fields are set as dataclasses set them.
-        object.__setattr__(self, "positions", np.asarray(self.positions, np.float32))
         object.__setattr__(self, "fps", float(self.fps))
-        if self.features is not None:
-            object.__setattr__(self, "features", np.asarray(self.features, np.float32))
-        if self.codes is not None:
-            object.__setattr__(self, "codes", np.asarray(self.codes))
+        for name, dtype in (("positions", "f4"), ("positions_raw", "f4"), ("features", "f4"), ("codes", None)):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, np.asarray(getattr(self, name), dtype))
         self._check_positions("positions", self.positions)
         if self.positions_raw is not None:
-            object.__setattr__(self, "positions_raw", np.asarray(self.positions_raw, np.float32))
             self._check_positions("positions_raw", self.positions_raw)
             if len(self.positions_raw) != self.num_frames:
                 raise UserError(f"positions_raw have {len(self.positions_raw)} frames, positions {self.num_frames}")

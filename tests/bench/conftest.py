@@ -6,9 +6,9 @@ import functools
 import jax
 import pytest
 
-from t2m_jax import bench
-from t2m_jax.bench import Figure, Machine, Peaks, Report, Row
+from t2m_jax.bench import probes
 from t2m_jax.bench import timing as timing_module
+from t2m_jax.bench.record import BenchReport, Figure, Machine, Measurement, Peaks
 from tests.cli.conftest import bundle_folder, data_folder, no_cache, refusal
 
 __all__ = ["bundle_folder", "data_folder", "no_cache", "refusal"]
@@ -24,13 +24,13 @@ def quick(monkeypatch):
     jax.devices()  # so that `--devices` does not change the number of devices of the other tests
     cache = jax.config.values["jax_enable_compilation_cache"]
     monkeypatch.setattr(timing_module, "MIN_SECONDS", 0.0)
-    small = functools.partial(bench.measure_peaks, product_sizes=(16,), array_sizes=(1024,))
-    monkeypatch.setattr(bench, "measure_peaks", small)
+    small = functools.partial(probes.measure_peaks, product_sizes=(16,), array_sizes=(1024,))
+    monkeypatch.setattr(probes, "measure_peaks", small)
     yield
     jax.config.update("jax_enable_compilation_cache", cache)
 
 
-def report(**values) -> Report:
+def report(**values) -> BenchReport:
     """Returns a report of one row: `updates` (more is better), `compile` (less) and `loss` (neither)."""
     spread = values.pop("spread", 0.0)
     kinds = {"updates": ("1/s", "more"), "compile": ("s", "less"), "loss": ("", "neither")}
@@ -39,10 +39,10 @@ def report(**values) -> Report:
         Figure(name=name, value=value, unit=kinds[name][0], better=kinds[name][1], spread=spread)
         for name, value in values.items()
     )
-    row = Row(benchmark="train", name="gpt tiny", figures=figures)
-    return Report(machine=MACHINE, rows=(row,), peak_memory=2e9, date="2026-11-21")
+    row = Measurement(benchmark="train", name="gpt tiny", figures=figures)
+    return BenchReport(machine=MACHINE, rows=(row,), peak_memory=2e9, date="2026-11-21")
 
 
-def on_another_machine(found: Report) -> Report:
+def on_another_machine(found: BenchReport) -> BenchReport:
     """Returns the same figures of a machine with more cores."""
     return dataclasses.replace(found, machine=dataclasses.replace(found.machine, num_cores=64))

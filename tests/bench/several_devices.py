@@ -4,7 +4,7 @@ import functools
 import sys
 from pathlib import Path
 
-from t2m_jax import bench
+from t2m_jax.bench import probes, train
 from t2m_jax.cli.main import main
 from t2m_jax.train import LoopConfig, TrainVqVaeConfig
 from t2m_jax.train.config import ShardingConfig
@@ -18,8 +18,8 @@ def tiny_training(kind, size, options, *, devices):
 
 if __name__ == "__main__":
     model, folder = sys.argv[1], Path(sys.argv[2])
-    bench.measure_peaks = functools.partial(bench.measure_peaks, product_sizes=(16,), array_sizes=(1024,))
-    bench.make_training = tiny_training
+    probes.measure_peaks = functools.partial(probes.measure_peaks, product_sizes=(16,), array_sizes=(1024,))
+    train.make_training = tiny_training
     commands = {
         "train": ["--kind", "vqvae"],
         "sample": ["--model", model, "--batch", "2", "--codes", "2"],

@@ -12,6 +12,7 @@ from t2m_jax import bench
 from t2m_jax.bench import evaluate as evaluate_module
 from t2m_jax.bench import run as run_module
 from t2m_jax.bench import sample as sample_module
+from t2m_jax.bench import train as train_module
 from t2m_jax.cli.main import main
 from t2m_jax.train import LoopConfig
 from tests import tiny
@@ -27,11 +28,12 @@ def tiny_training(kind, size, options, *, devices=1):
 
 @pytest.fixture
 def tiny_models(monkeypatch):
-    monkeypatch.setattr(bench, "make_training", tiny_training)
+    monkeypatch.setattr(train_module, "make_training", tiny_training)
     monkeypatch.setattr(run_module, "make_training", tiny_training)
     monkeypatch.setattr(evaluate_module, "DEMO_SIZES", tiny.EVALUATOR)
     monkeypatch.setattr(sample_module, "NUM_CODES", 8)
-    monkeypatch.setattr(sample_module, "published_config", {"gpt": tiny.GPT, "hifigpt": tiny.HIFIGPT}.get)
+    sizes = {"gpt": tiny.GPT, "hifigpt": tiny.HIFIGPT, "vqvae": tiny.VQVAE, "rvqvae": tiny.RVQVAE}
+    monkeypatch.setattr(sample_module, "published_config", sizes.get)
     monkeypatch.setattr(run_module, "EvaluatorConfig", lambda: tiny.EVALUATOR)
 
 
@@ -111,7 +113,7 @@ def test_what_is_faster_is_no_regression(stored, capsys):
     command, path = stored
     changed(path, 1e6)
     assert main([*command, "--compare", f"{path}"]) == 0
-    assert "0 of 3 figures are worse" in capsys.readouterr().out
+    assert "0 of 4 figures are worse" in capsys.readouterr().out
 
 
 def test_a_report_of_another_machine_or_of_other_rows_is_refused(stored, capsys):

@@ -8,9 +8,14 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from t2m_jax import bench
-from t2m_jax.bench.probes import memory_rate, product_rate
-from t2m_jax.bench.timing import time_calls
+from t2m_jax.bench import sample as sample_module
+from t2m_jax.bench.data import benchmark_opening, benchmark_windows
+from t2m_jax.bench.evaluate import benchmark_embedding
+from t2m_jax.bench.probes import first_devices, memory_rate, product_rate
+from t2m_jax.bench.record import Figure
+from t2m_jax.bench.sample import MeasuredSystem, benchmark_sampling, random_variables
+from t2m_jax.bench.timing import Timing, time_calls
+from t2m_jax.bench.train import Options, benchmark_training, make_training, update_flops
 from t2m_jax.config import load_config
 from t2m_jax.errors import UserError
 from t2m_jax.models.system import variable_shapes
@@ -28,14 +33,14 @@ def check(row, *names):
 
 
 def test_probes_find_positive_rates():
-    mesh = bench.first_devices(1)
+    mesh = first_devices(1)
     assert 0 < product_rate(mesh, jnp.bfloat16, sizes=(16, 32)) < math.inf
     assert 0 < memory_rate(mesh, sizes=(1024,)) < math.inf
 
 
 def test_devices_that_do_not_exist_are_refused():
     with pytest.raises(UserError, match="--devices 100, but there are"):
-        bench.first_devices(100)
+        first_devices(100)
 
 
 def test_a_call_is_repeated_after_one_that_does_not_count():
@@ -46,7 +51,7 @@ def test_a_call_is_repeated_after_one_that_does_not_count():
 
 def test_training_of_a_vqvae():
     config = tiny.vqvae_training(Path(), Path(), loop=LoopConfig(batch_size=4, steps_per_call=2))
-    row = bench.benchmark_training(config, size="tiny", peaks=PEAKS, repeats=1)
+    row = benchmark_training(config, size="tiny", peaks=PEAKS, repeats=1)
     check(row, "updates", "frames", "compile", "memory per device", "work", "of product peak", "first loss")
     assert row["frames"].value == pytest.approx(row["updates"].value * 4 * 32)
     assert row.name == "vqvae tiny 4x32 float32, 2 updates per call"
@@ -55,45 +60,75 @@ def test_training_of_a_vqvae():
 def test_training_of_a_gpt():
     plain = tiny.gpt_training(Path(), Path(), Path(), loop=LoopConfig(batch_size=4))
     config = dataclasses.replace(plain, text_encoder="clip", remat=True, num_parts=2, precision="bfloat16")
-    row = bench.benchmark_training(config, size="tiny", peaks=PEAKS, repeats=1)
+    row = benchmark_training(config, size="tiny", peaks=PEAKS, repeats=1)
     check(row, "updates", "frames", "compile", "memory per device", "work", "of product peak", "first loss")
     assert row.name == "gpt tiny 4x41 bfloat16, remat, 2 parts"
-    assert bench.update_flops(config) == bench.update_flops(dataclasses.replace(config, remat=False, num_parts=1))
+    assert update_flops(config) == update_flops(dataclasses.replace(config, remat=False, num_parts=1))
 
 
-def test_sampling():
-    subject = bench.Subject("tiny", tiny.GPT, bench.random_variables(tiny.GPT), 4)
-    shared = {"mesh": bench.first_devices(1), "peaks": PEAKS, "repeats": 1}
-    row = bench.benchmark_sampling(subject, batch=3, num_codes=9, **shared)
-    check(row, "per step", "per row", "per frame", "codes", "compile", "of product peak", "of memory peak")
+def tiny_system(generator, tokenizer, **options):
+    variables = {"generator": random_variables(generator), "tokenizer": random_variables(tokenizer)}
+    return MeasuredSystem("tiny", generator, tokenizer, variables, **options)
+
+
+def test_sampling(monkeypatch):
+    sizes = []
+
+    def encode_and_decode(system, size, **options):
+        sizes.append(size)
+        return Figure(name="encode + decode", value=1.0)
+
+    monkeypatch.setattr(sample_module, "encode_and_decode", encode_and_decode)
+    system = tiny_system(tiny.GPT, tiny.VQVAE)
+    shared = {"mesh": first_devices(1), "peaks": PEAKS, "repeats": 1}
+    row = benchmark_sampling(system, batch=3, num_codes=9, **shared)
+    names = ("per step", "per row", "per frame", "codes", "encode + decode", "compile")
+    check(row, *names, "of product peak", "of memory peak")
     assert row["per step"].value == pytest.approx(3 * row["per row"].value)
     assert row["per row"].value == pytest.approx(4 * row["per frame"].value)
     assert row.name == "tiny, 9 rows, batch 3"
+    assert sizes == [(3, 9 * 4)], "as many frames as are sampled"
     with pytest.raises(UserError, match="--codes 41 is more than the model's 40"):
-        bench.benchmark_sampling(subject, batch=3, num_codes=41, **shared)
+        benchmark_sampling(system, batch=3, num_codes=41, **shared)
 
 
 def test_sampling_with_several_codes_per_row():
-    variables = bench.random_variables(tiny.HIFIGPT)
-    subject = bench.Subject("tiny", tiny.HIFIGPT, variables, 8, guidance_scale=3.0)
-    shared = {"mesh": bench.first_devices(1), "peaks": PEAKS, "repeats": 1}
-    row = bench.benchmark_sampling(subject, batch=2, **shared)
+    system = tiny_system(tiny.HIFIGPT, tiny.RVQVAE, guidance_scale=3.0)
+    shared = {"mesh": first_devices(1), "peaks": PEAKS, "repeats": 1}
+    row = benchmark_sampling(system, batch=2, **shared)
     assert row.name == "tiny, 20 rows, batch 2", "no motion is longer"
     assert row["codes"].value == pytest.approx(3 * 1e3 / row["per row"].value)
     assert row["per row"].value == pytest.approx(8 * row["per frame"].value)
 
 
+def test_encoding_and_decoding(monkeypatch):
+    """The time of a frame is that of the whole batch divided by its frames, and the batch comes back at its length."""
+    results = []
+
+    def time_once(call, *, repeats):
+        results.append(call())
+        return Timing(median=6.0, fastest=6.0, spread=0.5)
+
+    monkeypatch.setattr(sample_module, "time_calls", time_once)
+    system = tiny_system(tiny.GPT, tiny.VQVAE)
+    figure = sample_module.encode_and_decode(system, (3, 20), mesh=first_devices(1), repeats=1)
+    (motion,) = results
+    assert motion.shape == (3, 20, 263) and jnp.isfinite(motion).all()
+    assert (figure.unit, figure.spread) == ("ms/frame", 0.5)
+    assert figure.value == pytest.approx(1e3 * 6.0 / (3 * 20))
+
+
 def test_embedding():
-    mesh = bench.first_devices(1)
-    rows = bench.benchmark_embedding(tiny.EVALUATOR, size="tiny", mesh=mesh, peaks=PEAKS, batch=2, frames=8, repeats=1)
+    mesh = first_devices(1)
+    rows = benchmark_embedding(tiny.EVALUATOR, size="tiny", mesh=mesh, peaks=PEAKS, batch=2, frames=8, repeats=1)
     assert [row.name for row in rows] == ["motions, tiny 2x8", "captions, tiny 2x22"]
     for row in rows:
         check(row, "speed", "compile", "of product peak")
 
 
 def test_windows_and_opening(data_folder):
-    check(bench.benchmark_windows(num_devices=1, peaks=PEAKS, batch=2, repeats=1), "speed", "of memory peak")
-    check(bench.benchmark_opening(data_folder, repeats=1), "speed", "first opening")
+    check(benchmark_windows(num_devices=1, peaks=PEAKS, batch=2, repeats=1), "speed", "of memory peak")
+    check(benchmark_opening(data_folder, repeats=1), "speed", "first opening")
 
 
 @pytest.mark.slow
@@ -101,13 +136,13 @@ def test_windows_and_opening(data_folder):
 def test_training_of_the_second_system(kind):
     loop = {"loop": LoopConfig(batch_size=4)}
     if kind == "rvqvae":
-        config = dataclasses.replace(bench.make_training("rvqvae", "full", bench.Options()), model=tiny.RVQVAE, **loop)
+        config = dataclasses.replace(make_training("rvqvae", "full", Options()), model=tiny.RVQVAE, **loop)
         shape, frames = "4x32", 4 * 32
     else:
-        config = bench.make_training("hifigpt", "full", bench.Options())
+        config = make_training("hifigpt", "full", Options())
         config = dataclasses.replace(config, model=tiny.HIFIGPT, **loop)
         shape, frames = f"4x{tiny.HIFIGPT.max_codes}x{tiny.HIFIGPT.num_quantizers}", 4 * tiny.HIFIGPT.max_codes * 8
-    row = bench.benchmark_training(config, size="tiny", peaks=PEAKS, repeats=1)
+    row = benchmark_training(config, size="tiny", peaks=PEAKS, repeats=1)
     check(row, "updates", "frames", "compile", "memory per device", "work", "of product peak", "first loss")
     assert row.name == f"{kind} tiny {shape} float32"
     assert row["frames"].value == pytest.approx(row["updates"].value * frames)
@@ -115,13 +150,13 @@ def test_training_of_the_second_system(kind):
 
 def test_updates_have_more_operations_with_a_larger_batch():
     small, large = (
-        bench.update_flops(tiny.vqvae_training(Path(), Path(), loop=LoopConfig(batch_size=batch))) for batch in (2, 4)
+        update_flops(tiny.vqvae_training(Path(), Path(), loop=LoopConfig(batch_size=batch))) for batch in (2, 4)
     )
     assert large == pytest.approx(2 * small, rel=0.2)
 
 
 def test_small_models_of_both_systems_are_about_as_large():
-    tokenizers = [bench.make_training(kind, "demo", bench.Options()).model for kind in ("vqvae", "rvqvae")]
+    tokenizers = [make_training(kind, "demo", Options()).model for kind in ("vqvae", "rvqvae")]
     one, other = (
         sum(math.prod(leaf.shape) for leaf in jax.tree.leaves(variable_shapes(sizes)["params"])) for sizes in tokenizers
     )
@@ -130,7 +165,7 @@ def test_small_models_of_both_systems_are_about_as_large():
 
 @pytest.mark.parametrize("name", ["t2m-gpt/vqvae", "t2m-gpt/gpt", "demo/rvqvae", "demo/hifigpt"])
 def test_small_models_are_those_of_the_configs(name):
-    ours = bench.make_training(name.partition("/")[2], "demo", bench.Options())
+    ours = make_training(name.partition("/")[2], "demo", Options())
     config = load_config(REPOSITORY / "configs" / f"{name}.yaml", type(ours))
     assert ours.loop.batch_size == config.loop.batch_size
     # What a run takes from its tokenizer, and what only matters to sampling, is not compared.
@@ -143,8 +178,8 @@ def test_small_models_are_those_of_the_configs(name):
 
 
 def test_the_demo_is_trained_at_its_sizes():
-    config = bench.make_training("gpt", "demo", bench.Options(batch=8, num_parts=2))
+    config = make_training("gpt", "demo", Options(batch=8, num_parts=2))
     assert (config.model.embed_dim, config.loop.batch_size, config.num_parts) == (256, 8, 2)
     with pytest.raises(ValueError, match="num_parts: 3 does not divide"):
-        bench.make_training("gpt", "demo", bench.Options(batch=8, num_parts=3))
-    assert jax.default_backend() != "cpu" or bench.make_training("gpt", "full", bench.Options()).loop.batch_size == 16
+        make_training("gpt", "demo", Options(batch=8, num_parts=3))
+    assert jax.default_backend() != "cpu" or make_training("gpt", "full", Options()).loop.batch_size == 16

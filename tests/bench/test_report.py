@@ -3,7 +3,10 @@ import math
 
 import pytest
 
-from t2m_jax.bench import Figure, compare_reports, fitted_table, load_report, report_text, save_report
+from t2m_jax.bench import load_report, report_text, save_report
+from t2m_jax.bench.comparison import compare_reports
+from t2m_jax.bench.record import Figure
+from t2m_jax.bench.tables import fitted_table
 from t2m_jax.errors import UserError
 from tests.bench.conftest import on_another_machine, report
 

@@ -2,10 +2,18 @@ import math
 
 import pytest
 
-from t2m_jax.bench import Recipe, predict, published_recipes, scaling_rows, update_flops
-from t2m_jax.bench.record import Figure, Report, Row
-from t2m_jax.bench.scaling import INTERCONNECTS, all_reduce_seconds, assumed_rates, measured_rates
-from t2m_jax.bench.train import BATCHES, Options, make_training
+from t2m_jax.bench.record import BenchReport, Figure, Measurement
+from t2m_jax.bench.scaling import (
+    INTERCONNECTS,
+    Recipe,
+    all_reduce_seconds,
+    assumed_rates,
+    measured_rates,
+    predict,
+    published_recipes,
+    scaling_rows,
+)
+from t2m_jax.bench.train import BATCHES, Options, make_training, update_flops
 from t2m_jax.errors import UserError
 from tests.bench.conftest import MACHINE
 
@@ -53,19 +61,19 @@ def test_the_recipes_have_the_counted_operations(kind):
     assert math.isclose(update_flops(recipe), published_recipes()[kind].flops, rel_tol=0.005)
 
 
-def row(kind: str, updates: float, name: str = "") -> Row:
+def row(kind: str, updates: float, name: str = "") -> Measurement:
     figures = (Figure(name="updates", value=updates, unit="1/s"), Figure(name="work", value=2.0, unit="TFLOP/update"))
-    return Row(benchmark="train", name=f"{kind} full 8x8 float32{name}", figures=figures)
+    return Measurement(benchmark="train", name=f"{kind} full 8x8 float32{name}", figures=figures)
 
 
 def test_measured_rates_are_of_the_fastest_row_on_one_device():
     rows = (row("vqvae", 3.0), row("vqvae", 5.0, ", 4 updates per call"), row("vqvae", 9.0, ", 8 devices"))
-    report = Report(machine=MACHINE, rows=(*rows, row("gpt", 0.5)), peak_memory=1.0)
+    report = BenchReport(machine=MACHINE, rows=(*rows, row("gpt", 0.5)), peak_memory=1.0)
     assert measured_rates(report) == {"vqvae": 1e13, "gpt": 1e12}
-    assert measured_rates(Report(machine=MACHINE, rows=rows, peak_memory=1.0)) == {"vqvae": 1e13}
+    assert measured_rates(BenchReport(machine=MACHINE, rows=rows, peak_memory=1.0)) == {"vqvae": 1e13}
     assert {cells[0] for cells in scaling_rows({"vqvae": 1e13}, interconnect="pcie")} == {"VQ-VAE, 256x64"}
     with pytest.raises(UserError, match="has no training of full size"):
-        measured_rates(Report(machine=MACHINE, rows=rows[2:], peak_memory=1.0))
+        measured_rates(BenchReport(machine=MACHINE, rows=rows[2:], peak_memory=1.0))
 
 
 @pytest.mark.parametrize("kind", ["vqvae", "gpt"])

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from t2m_jax import bench
+from t2m_jax.bench import run as run_module
 from t2m_jax.cli import bench as bench_command
 from t2m_jax.cli.main import main
 from t2m_jax.sampling import TextToMotion
@@ -82,7 +83,7 @@ def test_a_benchmark_names_the_file_that_it_replaces(tmp_path, monkeypatch, repl
         assert (tmp_path / ".report.json.lock").exists()
         return report()
 
-    monkeypatch.setattr(bench, "make_report", measured)
+    monkeypatch.setattr(run_module, "make_report", measured)
     monkeypatch.setattr(bench_command, "_use_devices", lambda counts: [1])
     for expected in ([], ["report.json"]):
         assert main(["bench", "data", "--json", f"{path}"]) == 0

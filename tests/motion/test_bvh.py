@@ -304,17 +304,6 @@ def test_the_rest_pose_is_a_t_pose(tmp_path):
     np.testing.assert_allclose(spine[:, [0, 2]], 0, atol=0.02)
 
 
-def test_a_t_pose_frame_stands_on_the_floor_before_the_motion(tmp_path):
-    path = tmp_path / "walk.bvh"
-    positions = walking_positions(12)
-    save_bvh(path, Motion(positions=positions, fps=20.0), tpose_frame=True)
-    clip = load_bvh(path)
-    assert clip.num_frames == 13
-    np.testing.assert_allclose(clip.rotations[0], np.broadcast_to(np.eye(3), (22, 3, 3)), atol=1e-7)
-    assert clip.positions[0, :, 1].min() == pytest.approx(0, abs=1e-5)
-    np.testing.assert_allclose(clip.positions[1, 0], positions[0, 0], atol=0.005)
-
-
 def test_angles_in_the_file_do_not_jump(tmp_path):
     # Two full turns on the spot, with a thigh that passes through the gimbal lock at 90 degrees.
     turning = np.zeros((120, 2, 3))

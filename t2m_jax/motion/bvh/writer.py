@@ -10,7 +10,6 @@ from jaxtyping import Float
 from t2m_jax.errors import UserError
 from t2m_jax.files import save_text
 from t2m_jax.motion.inverse_kinematics import fit_rig
-from t2m_jax.motion.kinematics import forward_kinematics
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.part_captions import parts_note
 from t2m_jax.motion.rig.tables import JointNames, rig_joint_names
@@ -28,9 +27,7 @@ _LOCKED_COSINE = 1e-4
 _END_SITES = {"head": 1.7, "left_wrist": 0.65, "right_wrist": 0.65, "left_foot": 0.35, "right_foot": 0.35}
 
 
-def save_bvh(
-    path: Path | str, motion: Motion, *, tpose_frame: bool = False, names: JointNames = "lafan1", units: Units = "m"
-) -> None:
+def save_bvh(path: Path | str, motion: Motion, *, names: JointNames = "lafan1", units: Units = "m") -> None:
     """Writes `motion` as a BVH file, Y up.
 
     The OFFSETs are the rest pose, a T-pose. The OFFSET of the root is zero, so that its position channels mean the same
@@ -40,7 +37,6 @@ def save_bvh(
     Args:
         path: The file.
         motion: A motion of the 22 HumanML3D joints.
-        tpose_frame: Whether to write a frame in T-pose, with the feet on the floor, before the motion.
         names: What the joints are called: as in the rig of that name.
         units: Length of 1 in the file.
     """
@@ -50,18 +46,13 @@ def save_bvh(
     roots = UNITS_PER_METER[units] * rig.root_positions
     offsets = UNITS_PER_METER[units] * rig.offsets
     degrees = np.rad2deg(continuous_euler(rig.rotations))
-    if tpose_frame:
-        rest = forward_kinematics(np.tile(np.eye(3), (len(offsets), 1, 1)), offsets, HUMANML3D.parents)
-        stand = np.array([roots[0, 0], -rest.positions[:, 1].min(), roots[0, 2]])
-        roots = np.concatenate((stand[None], roots))
-        degrees = np.concatenate((np.zeros_like(degrees[:1]), degrees))
     order = _depth_first(0)
     table = np.concatenate((roots, degrees[:, order].reshape(len(degrees), -1)), axis=1)
     lines = ["HIERARCHY", *_hierarchy_lines(offsets, rig_joint_names(names))]
     if motion.part_starts:
         first = next(number for number, line in enumerate(lines) if line.endswith("End Site"))
-        starts = [start + tpose_frame for start in motion.part_starts]
-        lines[first] += " " + parts_note(tuple(zip(starts, motion.part_captions, strict=True)), fps=motion.fps)
+        parts = tuple(zip(motion.part_starts, motion.part_captions, strict=True))
+        lines[first] += " " + parts_note(parts, fps=motion.fps)
     lines += ["MOTION", f"Frames: {len(table)}", f"Frame Time: {1 / motion.fps:.9f}", *map(_numbers, table)]
     save_text(path, "\n".join(lines) + "\n")
 
