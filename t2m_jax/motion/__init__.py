@@ -1,5 +1,6 @@
 """Motions as arrays: `Motion` and its files, the two skeletons, and features with their statistics."""
 
+from t2m_jax.motion.changes import Changes
 from t2m_jax.motion.features import features_from_positions, positions_from_features
 from t2m_jax.motion.formats import save_motions
 from t2m_jax.motion.motion import Motion
@@ -9,6 +10,7 @@ from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML, Skeleton
 __all__ = [
     "HUMANML3D",
     "KIT_ML",
+    "Changes",
     "Motion",
     "Normalizer",
     "Skeleton",
