@@ -16,7 +16,7 @@ import pytest
 from t2m_jax.cli.main import COMMANDS, _PrintableFormatter, main
 from t2m_jax.cli.next_step import show_next
 from t2m_jax.errors import Interruption, UserError
-from t2m_jax.evaluation.report import comparison_table
+from t2m_jax.evaluation.report.comparison import comparison_table
 from t2m_jax.files import atomic_file, lock
 from tests.export.test_html import Elements
 

@@ -13,9 +13,9 @@ from t2m_jax.evaluation.prompts.following import (
     RULES,
     PromptTest,
     evaluate_prompt_following,
-    following_table,
     follows,
 )
+from t2m_jax.evaluation.prompts.results import following_table
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.text.coverage import PromptWarning
 

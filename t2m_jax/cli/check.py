@@ -47,7 +47,8 @@ def _describe_report(path: Path) -> str:
     Raises:
         UserError: It is damaged, or is not a report.
     """
-    from t2m_jax.evaluation.report import load_prompt_report, load_reconstruction, load_report
+    from t2m_jax.evaluation.prompts.results import load_prompt_report
+    from t2m_jax.evaluation.report.record import load_reconstruction, load_report
     from t2m_jax.files import load_json
 
     data = load_json(path)

@@ -26,9 +26,10 @@ from t2m_jax.files import check_output, claim, save_json
 
 if TYPE_CHECKING:
     from t2m_jax.data import Dataset
-    from t2m_jax.evaluation import CodeSource, EvaluationTask
     from t2m_jax.evaluation.prompts.following import PromptTest
-    from t2m_jax.evaluation.report import ReconstructionFigures
+    from t2m_jax.evaluation.report.record import ReconstructionFigures
+    from t2m_jax.evaluation.sources import CodeSource
+    from t2m_jax.evaluation.task import EvaluationTask
 
 FORMATS = ("terminal", "markdown", "latex", "json")
 LABELS = {
@@ -118,7 +119,7 @@ def run(args: argparse.Namespace) -> None:
     if getattr(args, "html", None):
         if args.evaluator is None:
             raise UserError("--html: the page shows motions as an evaluator ranks them; use it with --evaluator")
-        from t2m_jax.evaluation.report import check_page
+        from t2m_jax.evaluation.report.page import check_page
 
         check_page(args.html)
     with claim([path for path in (getattr(args, "json", None), getattr(args, "html", None)) if path]):
@@ -129,7 +130,8 @@ def run_reconstruction(args: argparse.Namespace) -> None:
     """Prints how well a tokenizer gives back motion; with an evaluator, also by a protocol."""
     from t2m_jax.checkpoints import load_tokenizer
     from t2m_jax.data import open_dataset
-    from t2m_jax.evaluation import Reconstruction, evaluate_reconstruction
+    from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
+    from t2m_jax.evaluation.sources import Reconstruction
     from t2m_jax.sampling import use_compilation_cache
 
     use_compilation_cache()
@@ -157,21 +159,22 @@ def run_generation(args: argparse.Namespace) -> None:
     """Evaluates motion that a model generates."""
     from t2m_jax.data import open_dataset
     from t2m_jax.data.checks import check_feature_dim
-    from t2m_jax.evaluation import make_generation
-    from t2m_jax.sampling import TextToMotion, make_strategy
+    from t2m_jax.evaluation.sources import make_generation
+    from t2m_jax.sampling import TextToMotion
+    from t2m_jax.sampling.request import SamplingOptions
 
-    strategy = make_strategy(args.temperature, args.top_k, top_p=args.top_p)
+    names = ("temperature", "top_k", "top_p", "guidance_scale", "stop_rule")
+    options = SamplingOptions(**{name: value for name, value in vars(args).items() if name in names})
     model, dataset = TextToMotion.load(args.model), open_dataset(args.data)
     check_feature_dim(dataset, model.config.tokenizer.feature_dim, reader="the model")
     task = _make_task(args, dataset, unit=model.config.tokenizer.downsample)
-    clips = task.samples.clips
-    options = {"guidance_scale": args.guidance_scale, "stop_rule": args.stop_rule}
-    _measure(args, task, make_generation(model, strategy, clips, **options))
+    _measure(args, task, make_generation(model, task.samples.clips, options=options))
 
 
 def _make_task(args: argparse.Namespace, dataset: "Dataset", *, unit: int) -> "EvaluationTask":
     from t2m_jax.checkpoints import load_trained_evaluator
-    from t2m_jax.evaluation import find_protocol, make_task
+    from t2m_jax.evaluation.protocols import find_protocol
+    from t2m_jax.evaluation.task import make_task
 
     protocol = dataclasses.replace(find_protocol(args.protocol), batch=args.batch)
     evaluator = load_trained_evaluator(args.evaluator)
@@ -185,8 +188,12 @@ def _measure(
     figures: "ReconstructionFigures | None" = None,
 ) -> None:
     """Evaluates a source, prints its table and writes the files that were asked for."""
-    from t2m_jax.evaluation import evaluate
-    from t2m_jax.evaluation.report import format_table, gather_details, make_table, save_page, save_report
+    from t2m_jax.evaluation.report.formats import format_table
+    from t2m_jax.evaluation.report.gallery import gather_details
+    from t2m_jax.evaluation.report.page import save_page
+    from t2m_jax.evaluation.report.record import save_report
+    from t2m_jax.evaluation.report.tables import make_table
+    from t2m_jax.evaluation.run import evaluate
     from t2m_jax.export import viewer_html
 
     partial = Path(f"{args.json}.partial") if args.json else None
@@ -217,7 +224,9 @@ def _prompt_tests(group: str, data: str | None) -> "list[PromptTest]":
         UserError: The group needs a data set, and none is given, or the other way round.
     """
     from t2m_jax.data import open_dataset
-    from t2m_jax.evaluation import action_tests, composed_tests, manner_tests, pace_tests
+    from t2m_jax.evaluation.prompts.following import action_tests
+    from t2m_jax.evaluation.prompts.groups import composed_tests, pace_tests
+    from t2m_jax.evaluation.prompts.manners import manner_tests
 
     with_data = {"paces": pace_tests, "manners": manner_tests}
     if (group in with_data) != (data is not None):
@@ -229,9 +238,8 @@ def _prompt_tests(group: str, data: str | None) -> "list[PromptTest]":
 
 def run_prompts(args: argparse.Namespace) -> None:
     """Prints how often generated motion does what was asked."""
-    from t2m_jax.evaluation import evaluate_prompt_following
-    from t2m_jax.evaluation.prompts.following import following_table
-    from t2m_jax.evaluation.report import PromptCounts, PromptReport, save_prompt_report
+    from t2m_jax.evaluation.prompts.following import evaluate_prompt_following
+    from t2m_jax.evaluation.prompts.results import PromptReport, following_table, save_prompt_report
     from t2m_jax.sampling import TextToMotion, make_strategy
     from t2m_jax.text.coverage import PromptWarning
 
@@ -247,26 +255,15 @@ def run_prompts(args: argparse.Namespace) -> None:
         )
     sys.stdout.write(following_table(results) + "\n")
     if args.json:
-        contents = tuple(
-            PromptCounts(
-                name=row.name,
-                right=row.num_right,
-                samples=row.num_samples,
-                failures=row.failures,
-                instead=tuple(row.instead.items()),
-            )
-            for row in results
-        )
         motion = "decoded" if args.raw else "cleaned"
-        save_prompt_report(args.json, PromptReport(group=args.group, motion=motion, contents=contents))
+        save_prompt_report(args.json, PromptReport(group=args.group, motion=motion, contents=tuple(results)))
     show_next(shlex.join(["t2m", "generate", "a person walks forward", "--model", args.model]))
 
 
 def run_inbetween(args: argparse.Namespace) -> None:
     """Prints how well a model fills gaps in real motion, beside an interpolation."""
     from t2m_jax.data import open_dataset
-    from t2m_jax.evaluation import evaluate_inbetween
-    from t2m_jax.evaluation.inbetween import format_inbetween
+    from t2m_jax.evaluation.inbetween import evaluate_inbetween, format_inbetween
     from t2m_jax.sampling import TextToMotion
     from t2m_jax.sampling.request import check_seconds
     from t2m_jax.text.coverage import PromptWarning
@@ -284,7 +281,8 @@ def run_inbetween(args: argparse.Namespace) -> None:
 
 def run_compare(args: argparse.Namespace) -> None:
     """Prints the comparison of two reports."""
-    from t2m_jax.evaluation.report import compare_reports, comparison_table, load_report
+    from t2m_jax.evaluation.report.comparison import compare_reports, comparison_table
+    from t2m_jax.evaluation.report.record import load_report
 
     if len(args.reports) != 2:
         raise UserError(f"evaluate compare: give two reports, not {len(args.reports)}")
@@ -295,7 +293,9 @@ def run_compare(args: argparse.Namespace) -> None:
 
 def run_table(args: argparse.Namespace) -> None:
     """Prints the table of some reports."""
-    from t2m_jax.evaluation.report import format_table, load_report, make_table
+    from t2m_jax.evaluation.report.formats import format_table
+    from t2m_jax.evaluation.report.record import load_report
+    from t2m_jax.evaluation.report.tables import make_table
 
     stems = [path.stem for path in args.reports]
     names = args.names or (stems if len(set(stems)) == len(stems) else list(map(str, args.reports)))

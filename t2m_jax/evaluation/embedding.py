@@ -1,4 +1,4 @@
-"""Motions and captions in the evaluator's space, computed in large batches on the device."""
+"""Motions and captions in the evaluator's space, and the quality of motion, in large batches on the device."""
 
 import functools
 from collections.abc import Sequence
@@ -12,15 +12,14 @@ from jaxtyping import Array, Float, Int
 from t2m_jax.checkpoints.evaluator import TrainedEvaluator
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.data.banks.captions import caption_tokens
-from t2m_jax.data.folder import Clip
 from t2m_jax.devices import put_everywhere, put_rows
-from t2m_jax.evaluation.codes import MotionCodes
 from t2m_jax.evaluation.protocols import Plan
-from t2m_jax.evaluation.quality import DecodedQuality, measure_decoded
+from t2m_jax.evaluation.sources import MotionCodes
 from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.masks import mask_from_lengths
 from t2m_jax.metrics.quality import MotionQuality, measure_quality
 from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT, Evaluator, EvaluatorConfig
+from t2m_jax.motion.cleanup import clean_positions
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import Skeleton, skeleton_from_feature_dim
@@ -33,6 +32,25 @@ FRAME_BUCKET = 32
 """Batches of motion are padded to a multiple of this many frames, so that few programs are compiled."""
 ROOM = 4
 """Empty frames after the longest motion, which the convolution over the last movement reads."""
+
+
+class DecodedQuality(NamedTuple):
+    """Measures of decoded clips."""
+
+    decoded: MotionQuality
+    """As decoded; all other metrics of an evaluation measure this motion."""
+    cleaned: MotionQuality
+    """After the clean-up."""
+
+
+def measure_decoded(
+    positions: Float[Array, "B T J 3"], lengths: Int[Array, " B"], *, skeleton: Skeleton
+) -> DecodedQuality:
+    """Returns the quality of decoded clips, in the skeleton's unit."""
+    mask = mask_from_lengths(lengths, positions.shape[1])
+    unit = skeleton.metres_per_unit
+    cleaned = clean_positions(positions * unit, lengths, skeleton=skeleton) / unit
+    return DecodedQuality(*[measure_quality(clips, mask, skeleton=skeleton) for clips in (positions, cleaned)])
 
 
 class DecodedMotions(NamedTuple):
@@ -48,8 +66,7 @@ class DecodedMotions(NamedTuple):
 def embed_codes(
     variables: tuple[Any, Any],
     statistics: tuple[Normalizer, Normalizer],
-    codes: Int[Array, "B N R"],
-    code_lengths: Int[Array, " B"],
+    motions: tuple[Int[Array, "B N R"], Int[Array, " B"]],
     *,
     tokenizer: Any,
     evaluator: EvaluatorConfig,
@@ -61,30 +78,32 @@ def embed_codes(
     Args:
         variables: The weights of the tokenizer and of the evaluator.
         statistics: The statistics of the tokenizer and of the evaluator.
-        codes: Motions as codes.
-        code_lengths: Rows of each motion.
+        motions: Codes of motions, and the number of rows of each.
         tokenizer: The tokenizer's module.
         evaluator: The evaluator's config.
         max_frames: Longer motions are cut.
         clear: Whether decoded frames after the end of a motion are set to zero.
     """
+    codes, code_lengths = motions
     decoded = decode_batch(variables[0], statistics[0], codes, code_lengths, tokenizer=tokenizer)
-    motion = statistics[1].normalize(decoded)[:, :max_frames]
     frames_per_row = decoded.shape[1] // codes.shape[1]
+    decoded = decoded[:, :max_frames]
+    motion = statistics[1].normalize(decoded)
     # The evaluator reads whole movements; a motion of one short row still has one.
     lengths = jnp.clip(code_lengths * frames_per_row, FRAMES_PER_MOVEMENT, max_frames)
     motion = jnp.pad(motion, ((0, 0), (0, min(ROOM, max_frames - motion.shape[1])), (0, 0)))
     if clear:
         motion = jnp.where(mask_from_lengths(lengths, motion.shape[1])[:, :, None], motion, 0.0)
     embeddings = Evaluator(evaluator).apply(variables[1], motion, lengths, method="embed_motion")
-    skeleton, decoded = skeleton_from_feature_dim(decoded.shape[2]), decoded[:, :max_frames]
+    skeleton = skeleton_from_feature_dim(decoded.shape[2])
     shown = jnp.minimum(code_lengths * frames_per_row, decoded.shape[1])
     return embeddings, measure_decoded(positions_from_features(decoded, skeleton), shown, skeleton=skeleton)
 
 
 def embed_decoded(task: EvaluationTask, tokenizer: TrainedTokenizer, motions: MotionCodes) -> DecodedMotions:
     """Returns the measurements of motions given as codes, decoded in batches of similar length."""
-    evaluator, count = task.evaluator, len(motions.codes)
+    evaluator = task.evaluator
+    count = len(motions.codes)
     embeddings = np.zeros((count, evaluator.config.embedding_dim), np.float32)
     quality = np.zeros((2, len(MotionQuality._fields), count), np.float32)
     bucket = max(FRAME_BUCKET // tokenizer.config.downsample, 1)
@@ -99,13 +118,14 @@ def embed_decoded(task: EvaluationTask, tokenizer: TrainedTokenizer, motions: Mo
         embeddings[chosen], quality[:, :, chosen] = embed_codes(
             variables,
             statistics,
-            *put_rows((codes, motions.code_lengths[chosen])),
+            put_rows((codes, motions.code_lengths[chosen])),
             tokenizer=tokenizer.module,
             evaluator=evaluator.config,
             max_frames=task.max_frames,
             clear=task.protocol.clears_past_end,
         )
 
+    # Neighbors in this order have similar lengths, so that little of a batch is padding.
     for_each_batch(embed, batches_of(np.argsort(motions.code_lengths, kind="stable"), BATCH))
     return DecodedMotions(embeddings, DecodedQuality(*[MotionQuality(*measures) for measures in quality]))
 
@@ -118,21 +138,16 @@ def embed_motion(
     return Evaluator(config).apply(variables, motion, lengths, method="embed_motion")
 
 
-def embed_real(
-    evaluator: TrainedEvaluator,
-    samples: Sequence[Clip],
-    starts: Int[np.ndarray, " N"],
-    lengths: Int[np.ndarray, " N"],
-    *,
-    max_frames: int,
+def embed_pieces(
+    evaluator: TrainedEvaluator, pieces: Sequence[Float[np.ndarray, "_ D"]], *, max_frames: int
 ) -> Float[np.ndarray, "N E"]:
-    """Returns the embeddings of pieces of real motion: `lengths` frames of each sample, from `starts` on."""
-    lengths = np.minimum(lengths, max_frames)
-    embeddings = np.zeros((len(samples), evaluator.config.embedding_dim), np.float32)
+    """Returns the embeddings of real motions (raw features) of at most `max_frames` frames."""
+    lengths = np.array([len(piece) for piece in pieces])
+    embeddings = np.zeros((len(pieces), evaluator.config.embedding_dim), np.float32)
     for chosen in batches_of(np.argsort(lengths, kind="stable"), BATCH):
-        pieces = [samples[row].features[starts[row] : starts[row] + lengths[row]] for row in chosen]
         size = min(round_up(int(lengths[chosen].max()), FRAME_BUCKET) + ROOM, max_frames)
-        batch = pad_motions([evaluator.normalizer.normalize(piece) for piece in pieces], batch=BATCH, size=size)
+        normalized = [evaluator.normalizer.normalize(pieces[index]) for index in chosen]
+        batch = pad_motions(normalized, batch=BATCH, size=size)
         embeddings[chosen] = embed_motion(evaluator.variables, *put_rows(tuple(batch)), config=evaluator.config)
     return embeddings
 
@@ -154,23 +169,22 @@ def embed_captions(evaluator: TrainedEvaluator, captions: Sequence[Sequence[str]
     """Returns the embeddings of captions, each given as `word/TAG` tokens."""
     ids = evaluator.vocabulary.vectorize_all(captions)
     embeddings = np.zeros((len(captions), evaluator.config.embedding_dim), np.float32)
-    for rows in batches_of(np.arange(len(captions)), BATCH):
-        columns = put_rows(tuple(column[rows] for column in ids))
-        embeddings[rows] = embed_text(evaluator.variables, *columns, config=evaluator.config)
+    for chosen in batches_of(np.arange(len(captions)), BATCH):
+        batch = put_rows(tuple(array[chosen] for array in ids))
+        embeddings[chosen] = embed_text(evaluator.variables, *batch, config=evaluator.config)
     return embeddings
 
 
 def embed_plan_captions(task: EvaluationTask, plan: Plan) -> Float[np.ndarray, "N E"]:
     """Returns the embeddings of a plan's captions."""
-    pairs = zip(plan.samples, plan.captions, strict=True)
-    captions = [task.samples.clips[owner].captions[caption] for owner, caption in pairs]
+    captions = plan.chosen_captions(task.samples.clips)
     return embed_captions(task.evaluator, [caption_tokens(caption) for caption in captions])
 
 
 def embed_plan_motions(task: EvaluationTask, plan: Plan) -> Float[np.ndarray, "N E"]:
     """Returns the embeddings of a plan's real motions."""
-    samples = [task.samples.clips[owner] for owner in plan.samples]
-    return embed_real(task.evaluator, samples, plan.starts, plan.lengths, max_frames=task.max_frames)
+    pieces = plan.pieces(task.samples.clips, max_frames=task.max_frames)
+    return embed_pieces(task.evaluator, pieces, max_frames=task.max_frames)
 
 
 @functools.partial(jax.jit, static_argnames="skeleton")
@@ -184,14 +198,12 @@ def measure_features(
 
 def measure_plan_motions(task: EvaluationTask, plan: Plan) -> MotionQuality:
     """Returns the quality of a plan's real motions, one figure per motion."""
-    lengths = np.minimum(plan.lengths, task.max_frames)
-    quality = np.zeros((len(MotionQuality._fields), len(lengths)), np.float32)
+    pieces = plan.pieces(task.samples.clips, max_frames=task.max_frames)
+    lengths = np.array([len(piece) for piece in pieces])
+    quality = np.zeros((len(MotionQuality._fields), len(pieces)), np.float32)
+    skeleton = skeleton_from_feature_dim(pieces[0].shape[1])
     for chosen in batches_of(np.argsort(lengths, kind="stable"), BATCH):
-        pieces = [
-            task.samples.clips[plan.samples[row]].features[plan.starts[row] : plan.starts[row] + lengths[row]]
-            for row in chosen
-        ]
-        batch = pad_motions(pieces, batch=BATCH, size=round_up(int(lengths[chosen].max()), FRAME_BUCKET))
-        skeleton = skeleton_from_feature_dim(batch.motion.shape[2])
+        size = round_up(int(lengths[chosen].max()), FRAME_BUCKET)
+        batch = pad_motions([pieces[index] for index in chosen], batch=BATCH, size=size)
         quality[:, chosen] = measure_features(*put_rows(tuple(batch)), skeleton=skeleton)
     return MotionQuality(*quality)

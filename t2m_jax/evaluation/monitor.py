@@ -39,11 +39,15 @@ def held_out_metrics(task: EvaluationTask, source: CodeSource) -> dict[str, floa
 def sample_motions(task: EvaluationTask, source: CodeSource, *, count: int) -> list[Motion]:
     """Returns the first motions of a source in the repeat that is measured, with their captions."""
     plan = task.plan(REPEAT)
-    few = plan._replace(**{name: getattr(plan, name)[:count] for name in ("samples", "captions", "starts", "lengths")})
+    few = plan._replace(
+        samples=plan.samples[:count],
+        captions=plan.captions[:count],
+        starts=plan.starts[:count],
+        lengths=plan.lengths[:count],
+    )
     key = jax.random.fold_in(jax.random.key(task.seed), REPEAT)
     found = source.make(task.samples.clips, task.protocol, few, key)
-    clips = [task.samples.clips[owner] for owner in few.samples]
-    captions = [clip.captions[caption].text for clip, caption in zip(clips, few.captions, strict=True)]
+    captions = [caption.text for caption in few.chosen_captions(task.samples.clips)]
     skeleton = skeleton_from_feature_dim(source.tokenizer.config.feature_dim)
     motions = decode_motions(source.tokenizer, found.codes.rows, skeleton=skeleton)
     return [dataclasses.replace(motion, caption=caption) for motion, caption in zip(motions, captions, strict=True)]

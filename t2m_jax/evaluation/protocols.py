@@ -11,10 +11,11 @@ from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from t2m_jax.data.banks.captions import SHORTER_CHANCE, used_lengths
 from t2m_jax.data.folder import Clip
+from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
 
 BATCH = 32
@@ -22,7 +23,9 @@ BATCH = 32
 MIN_BATCH = 4
 """R-precision ranks up to the third place, so fewer pairs would always be found."""
 MULTIMODALITY_PAIRS = 10
-DIVERSITY_PAIRS, FEW_DIVERSITY_PAIRS = 300, 100
+DIVERSITY_PAIRS = 300
+FEW_DIVERSITY_PAIRS = 100
+"""If there are at most 300 motions."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -108,6 +111,17 @@ class Plan(NamedTuple):
     multimodality_pairs: Int[np.ndarray, "Q 2"]
     """Pairs of samples of one caption for multimodality, the same for every caption."""
 
+    def pieces(self, samples: Sequence[Clip], *, max_frames: int | None = None) -> list[Float[np.ndarray, "_ D"]]:
+        """Returns the raw features of each motion, cut to `max_frames`."""
+        ends = self.starts + np.minimum(self.lengths, max_frames or self.lengths)
+        spans = zip(self.samples, self.starts, ends, strict=True)
+        return [samples[owner].features[start:end] for owner, start, end in spans]
+
+    def chosen_captions(self, samples: Sequence[Clip]) -> list[Caption]:
+        """Returns the caption of each motion."""
+        pairs = zip(self.samples, self.captions, strict=True)
+        return [samples[owner].captions[caption] for owner, caption in pairs]
+
 
 def make_plan(samples: Sequence[Clip], protocol: Protocol, *, seed: int, repeat: int, unit: int) -> Plan:
     """Returns what a repeat uses.
@@ -123,10 +137,12 @@ def make_plan(samples: Sequence[Clip], protocol: Protocol, *, seed: int, repeat:
         UserError: There are fewer motions than one batch.
     """
     generator = np.random.default_rng([seed, repeat])
-    batch, order = protocol.batch, generator.permutation(len(samples))
+    batch = protocol.batch
+    order = generator.permutation(len(samples))
     num_captions = np.array([len(sample.captions) for sample in samples])
     if protocol.captions == "one":
-        owners, captions = order, generator.integers(0, num_captions[order])
+        owners = order
+        captions = generator.integers(0, num_captions[order])
     else:  # in rounds, first every motion with its first caption, so that few batches contain a motion twice
         rounds = range(max(num_captions, default=0))
         items = [(owner, caption) for caption in rounds for owner in order if caption < num_captions[owner]]
@@ -136,7 +152,7 @@ def make_plan(samples: Sequence[Clip], protocol: Protocol, *, seed: int, repeat:
         found = f"{len(owners)} motions with captions do not fill a batch of {batch}"
         smaller = f", or a smaller batch (`t2m evaluate ... --batch {len(owners)}`)" if len(owners) >= MIN_BATCH else ""
         raise UserError(f"protocol {protocol.name}: {found}; use another split{smaller}")
-    owners, captions = owners[:count], captions[:count]
+    owners = owners[:count]
     frames = np.array([len(samples[owner].features) for owner in owners])
     shorter = generator.random(count) < SHORTER_CHANCE if protocol.crops else np.zeros(count, bool)
     lengths = np.asarray(used_lengths(jnp.asarray(frames), jnp.asarray(shorter), unit=unit))
@@ -146,7 +162,7 @@ def make_plan(samples: Sequence[Clip], protocol: Protocol, *, seed: int, repeat:
     pairs = DIVERSITY_PAIRS if count > DIVERSITY_PAIRS else min(FEW_DIVERSITY_PAIRS, count - 1)
     return Plan(
         owners,
-        captions,
+        captions[:count],
         starts,
         lengths,
         np.sort(generator.choice(count, varied, replace=False)),

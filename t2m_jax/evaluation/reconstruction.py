@@ -16,9 +16,9 @@ from t2m_jax.data.checks import check_feature_dim
 from t2m_jax.data.folder import Dataset
 from t2m_jax.devices import put_everywhere, put_rows
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation.codes import MotionCodes
-from t2m_jax.evaluation.quality import DecodedQuality, measure_decoded
+from t2m_jax.evaluation.embedding import DecodedQuality, measure_decoded
 from t2m_jax.evaluation.report.record import QualityFigures, ReconstructionFigures
+from t2m_jax.evaluation.sources import MotionCodes
 from t2m_jax.masks import mask_from_lengths
 from t2m_jax.metrics.codes import code_usage, perplexity
 from t2m_jax.metrics.quality import MotionErrors, MotionQuality, measure_errors, measure_quality

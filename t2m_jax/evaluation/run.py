@@ -19,8 +19,7 @@ from t2m_jax.evaluation.embedding import (
     measure_plan_motions,
 )
 from t2m_jax.evaluation.protocols import Plan
-from t2m_jax.evaluation.quality import CLEANED
-from t2m_jax.evaluation.report.record import MAX_REPORT, Header, Metric, Report
+from t2m_jax.evaluation.report.record import CLEANED, MAX_REPORT, Header, Metric, Report
 from t2m_jax.evaluation.sources import CodeSource
 from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.files import load_json, save_json

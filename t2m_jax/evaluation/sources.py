@@ -12,13 +12,41 @@ from jaxtyping import Array, Float, Int, Key
 
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.data.folder import Clip
-from t2m_jax.evaluation.codes import MotionCodes, encode_pieces, generate_many
 from t2m_jax.evaluation.protocols import Plan, Protocol
+from t2m_jax.sampling.batches import batches_of, for_each_batch
+from t2m_jax.sampling.decode import pad_codes
+from t2m_jax.sampling.loop import CHUNK, Sampling
 from t2m_jax.sampling.pipeline import TextToMotion
-from t2m_jax.sampling.strategies import Greedy, Strategy
+from t2m_jax.sampling.programs import encode_motions
+from t2m_jax.sampling.request import SamplingOptions
+from t2m_jax.sampling.strategies import Greedy
 
 TEXT_BATCH = 256
 """Captions that the model's text encoder reads together."""
+BATCH = 128
+"""Motions that are generated together."""
+EMPTY_CODE = 1
+"""The only code of a motion that ends at once, as in T2M-GPT's code."""
+MARGIN = 4
+"""Rows that a motion may have beyond its expected length before it is generated again."""
+
+
+class MotionCodes(NamedTuple):
+    """Codes of many motions, 0 after their ends."""
+
+    codes: Int[np.ndarray, "B N R"]
+    code_lengths: Int[np.ndarray, " B"]
+    """Rows of each motion."""
+
+    @property
+    def rows(self) -> list[Int[np.ndarray, "_ R"]]:
+        """The rows of each motion."""
+        return [codes[:length] for codes, length in zip(self.codes, self.code_lengths, strict=True)]
+
+    def count_codes(self, num_codes: int) -> Int[np.ndarray, " K"]:
+        """Returns how often each code was used, in all rows and depths."""
+        used = np.arange(self.codes.shape[1])[None] < self.code_lengths[:, None]
+        return np.bincount(self.codes[used].ravel(), minlength=num_codes)
 
 
 class SourceCodes(NamedTuple):
@@ -80,7 +108,7 @@ class Reconstruction:
     def make(self, samples: Sequence[Clip], protocol: Protocol, plan: Plan, key: Key[Array, ""]) -> SourceCodes:
         """Returns the real motions of the plan; neither protocol nor key is used."""
         del protocol, key
-        codes = encode_pieces(self.tokenizer, [samples[owner] for owner in plan.samples], plan.starts, plan.lengths)
+        codes = encode_pieces(self.tokenizer, plan.pieces(samples))
         items = np.arange(len(plan.samples))
         return SourceCodes(codes, items, np.zeros_like(items))
 
@@ -92,13 +120,10 @@ class Generation:
     kind: ClassVar[str] = "generated"
 
     model: TextToMotion
-    strategy: Strategy
+    options: SamplingOptions
+    """How codes are chosen; motion is measured as decoded, so `raw` changes nothing."""
     texts: dict[str, Float[np.ndarray, " E"]]
     """The model's embedding of each caption."""
-    guidance_scale: float | None = None
-    """Strength of the guidance by the text, None for the model's own."""
-    stop_rule: str | None = None
-    """When a motion ends, None for the model's own rule."""
 
     @property
     def tokenizer(self) -> TrainedTokenizer:
@@ -112,24 +137,28 @@ class Generation:
 
     @property
     def sampling(self) -> dict[str, Any]:
-        """The strategy and its numbers as fields of the header."""
+        """The options as fields of the header."""
+        options = self.options
+        is_greedy = isinstance(options.make_strategy(), Greedy)
+        # A strategy that somebody else wrote may have no temperature, and the likeliest code needs none.
+        has_temperature = options.strategy is None and not is_greedy
         return {
-            "sampling": "greedy" if isinstance(self.strategy, Greedy) else "sampled",
-            "temperature": getattr(self.strategy, "temperature", None),
-            "top_k": getattr(self.strategy, "k", None),
-            "top_p": getattr(self.strategy, "p", None),
-            "guidance_scale": self.model.parts.guidance_scale(self.guidance_scale),
-            "stop_rule": self.stop_rule or self.model.config.generator.stop_rule,
+            "sampling": "greedy" if is_greedy else "sampled",
+            "temperature": options.temperature if has_temperature else None,
+            "top_k": options.top_k,
+            "top_p": options.top_p,
+            "guidance_scale": self.model.parts.guidance_scale(options.guidance_scale),
+            "stop_rule": options.stop_rule or self.model.config.generator.stop_rule,
         }
 
     def make(self, samples: Sequence[Clip], protocol: Protocol, plan: Plan, key: Key[Array, ""]) -> SourceCodes:
         """Returns motions generated from the captions of the plan."""
-        captions = [samples[owner].captions[caption].text for owner, caption in zip(*plan[:2], strict=True)]
         items, numbers = measured_samples(plan, protocol)
-        text = np.stack([self.texts[caption] for caption in captions])[items]
+        text = np.stack([self.texts[caption.text] for caption in plan.chosen_captions(samples)])[items]
         keys = sample_keys(key, jnp.asarray(items), jnp.asarray(numbers))
         # Motions may end at once, unlike those that users generate.
-        sampling = self.model.parts.sampling(self.strategy, min_codes=0, stop_rule=self.stop_rule)
+        options = self.options
+        sampling = self.model.parts.sampling(options.make_strategy(), min_codes=0, stop_rule=options.stop_rule)
         codes = generate_many(
             self.model,
             text,
@@ -137,18 +166,13 @@ class Generation:
             sampling=sampling,
             lengths=plan.lengths[items],
             exact=protocol.generated_length == "real",
-            guidance_scale=self.guidance_scale,
+            guidance_scale=options.guidance_scale,
         )
         return SourceCodes(codes, items, numbers)
 
 
 def make_generation(
-    model: TextToMotion,
-    strategy: Strategy,
-    samples: Sequence[Clip],
-    *,
-    guidance_scale: float | None = None,
-    stop_rule: str | None = None,
+    model: TextToMotion, samples: Sequence[Clip], *, options: SamplingOptions | None = None
 ) -> Generation:
     """Returns the source that generates with a model; the text encoder reads the captions of all samples now."""
     captions = sorted({caption.text for sample in samples for caption in sample.captions})
@@ -156,7 +180,66 @@ def make_generation(
     for first in range(0, len(captions), TEXT_BATCH):
         chosen = captions[first : first + TEXT_BATCH]
         texts |= dict(zip(chosen, np.asarray(model.text_encoder(chosen)), strict=True))
-    return Generation(model, strategy, texts, guidance_scale, stop_rule)
+    return Generation(model, options or SamplingOptions(), texts)
+
+
+def generate_many(
+    model: TextToMotion,
+    text_embedding: Float[np.ndarray, "B E"],
+    keys: Key[Array, " B"],
+    *,
+    sampling: Sampling,
+    lengths: Int[np.ndarray, " B"],
+    exact: bool = False,
+    guidance_scale: float | None = None,
+) -> MotionCodes:
+    """Returns the codes of one motion per text, at least one row each.
+
+    A batch takes as long as its longest motion. So motions of similar expected length are generated together, up to a
+    little more than that length. Those that have not ended by then are generated again, up to the longest length. A
+    motion depends on its text and key only, so the second attempt begins like the first.
+
+    Args:
+        model: The model.
+        text_embedding: One text per motion.
+        keys: One key per motion [B]; consumed.
+        sampling: How to choose codes; its `max_codes` is the longest motion.
+        lengths: Expected frames, such as those of the real motion. They change the time that it takes, not the result.
+        exact: Whether each motion gets as many rows as fit into `lengths`; the model does not end it.
+        guidance_scale: Strength of the guidance, None for none.
+    """
+    longest = sampling.max_codes
+    expected = lengths // model.config.tokenizer.downsample
+    codes = np.zeros((len(expected), longest, model.config.tokenizer.num_quantizers), np.int32)
+    code_lengths = np.zeros(len(expected), np.int32)
+    # The loop runs in chunks, so the rest of a chunk costs nothing.
+    limits = np.minimum(-(-(expected + MARGIN) // CHUNK) * CHUNK, longest)
+    if exact:
+        sampling = sampling._replace(min_codes=longest)
+    if exact or not sampling.stop_rule.ends_early:
+        limits = np.full_like(limits, longest)
+
+    def generate(chosen: Int[np.ndarray, " C"]) -> None:
+        limits[chosen] = limit = int(limits[chosen].max())
+        limited = sampling._replace(max_codes=limit)
+        text = jnp.asarray(text_embedding[chosen])
+        sampled = model.parts.sample_codes(text, keys[chosen], limited, guidance_scale=guidance_scale)
+        codes[chosen, :limit] = sampled.codes
+        code_lengths[chosen] = sampled.code_lengths
+
+    for_each_batch(generate, batches_of(np.argsort(limits, kind="stable"), BATCH))
+    unfinished = np.flatnonzero((code_lengths == limits) & (limits < longest))
+    limits[unfinished] = longest
+    for_each_batch(generate, batches_of(unfinished, BATCH))
+    codes[code_lengths == 0, 0] = EMPTY_CODE
+    code_lengths = np.clip(expected if exact else code_lengths, 1, longest).astype(np.int32)
+    codes[np.arange(longest)[None] >= code_lengths[:, None]] = 0
+    return MotionCodes(codes, code_lengths)
+
+
+def encode_pieces(tokenizer: TrainedTokenizer, pieces: Sequence[Float[np.ndarray, "_ D"]]) -> MotionCodes:
+    """Returns the codes of real motions (raw features)."""
+    return MotionCodes(*pad_codes(encode_motions(tokenizer, pieces, progress=False)))
 
 
 def measured_samples(plan: Plan, protocol: Protocol) -> tuple[Int[np.ndarray, " G"], Int[np.ndarray, " G"]]:

@@ -31,7 +31,7 @@ from t2m_jax.evaluation.sources import CodeSource, make_generation
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
 from t2m_jax.models.rows import Precision, apply_rows
 from t2m_jax.sampling.pipeline import TextToMotion
-from t2m_jax.sampling.strategies import Greedy, Temperature
+from t2m_jax.sampling.request import SamplingOptions
 from t2m_jax.sampling.text_encoders import PretrainedTextEncoder
 from t2m_jax.text.bpe import load_bpe, save_bpe, tokenize_captions, train_bpe
 from t2m_jax.text.embedding_cache import EmbeddingCache
@@ -315,7 +315,7 @@ def make_validation(
 def make_evaluation(config: Any, parts: BundleConfig, tokenizer: TrainedTokenizer, reader: CaptionReader) -> Evaluation:
     """Returns the evaluation of generated motion."""
     kinds = {role: kind for role, kind in part_kinds(parts).items() if role != "tokenizer"}
-    strategy = Greedy() if config.evaluation.sampling == "greedy" else Temperature()
+    options = SamplingOptions(temperature=0.0 if config.evaluation.sampling == "greedy" else 1.0)
     on_device = tokenizer._replace(variables=jax.device_put(tokenizer.variables))
 
     def model(state: Any) -> TextToMotion:
@@ -327,7 +327,7 @@ def make_evaluation(config: Any, parts: BundleConfig, tokenizer: TrainedTokenize
         return TextToMotion(Bundle(parts, variables, tokenizer.normalizer, reader.bpe), text_encoder=reader.encoder)
 
     def source(state: Any, clips: Sequence[Clip]) -> CodeSource:
-        return make_generation(model(state), strategy, clips)
+        return make_generation(model(state), clips, options=options)
 
     unit = tokenizer.config.downsample
     return Evaluation(config.evaluation, unit, source, sampling=config.evaluation.sampling)

@@ -13,9 +13,8 @@ from t2m_jax.checkpoints.official.export import evaluator_state_dict
 from t2m_jax.checkpoints.official.load import load_evaluator
 from t2m_jax.checkpoints.official.names import EVALUATOR_PARTS, evaluator_weights
 from t2m_jax.cli.main import main
-from t2m_jax.data.folder import Clip
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation.embedding import embed_real
+from t2m_jax.evaluation.embedding import embed_pieces
 from t2m_jax.models.evaluator import Evaluator, EvaluatorConfig, evaluator_shapes
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from tests import golden_files
@@ -166,8 +165,8 @@ def test_published_files_make_an_evaluator(published):
     evaluator = load_trained_evaluator(folder / "evaluator")
     raw = evaluator.normalizer.denormalize(golden["motions"].astype(np.float64))
     motion = np.where(np.arange(raw.shape[1])[None, :, None] < golden["m_lens"][:, None, None], raw, 0.0)
-    clips = [Clip(str(row), motion[row, :length], ()) for row, length in enumerate(golden["m_lens"])]
-    found = embed_real(evaluator, clips, np.zeros(len(clips), int), golden["m_lens"], max_frames=196)
+    pieces = [one[:length] for one, length in zip(motion, golden["m_lens"], strict=True)]
+    found = embed_pieces(evaluator, pieces, max_frames=196)
     # Root columns are divided by half a thousandth, which costs three digits of float32.
     np.testing.assert_allclose(found, golden["motion_emb"], atol=2e-3)
     words = [evaluator.vocabulary.words[number] for number in range(3, 6)]

@@ -7,11 +7,11 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from t2m_jax import evaluation
 from t2m_jax.cli.evaluate import _measure
 from t2m_jax.cli.main import main
-from t2m_jax.evaluation import evaluate_prompt_following
-from t2m_jax.evaluation.report import Header, Metric, Report
+from t2m_jax.evaluation import run
+from t2m_jax.evaluation.prompts import following
+from t2m_jax.evaluation.report.record import Header, Metric, Report
 
 
 def test_reconstruction_writes_json(bundle_folder, data_folder, tmp_path, capsys):
@@ -56,11 +56,13 @@ def test_prompts_writes_json(bundle_folder, tmp_path, capsys):
 
 
 def test_prompts_are_measured_without_warnings(monkeypatch, capsys):
+    original = following.evaluate_prompt_following
+
     def measure(tests, generate, *, num_seeds):
         generate("a person swims north", 0)  # of which `demo` warns
-        return evaluate_prompt_following([tests[0]._replace(sentences=tests[0].sentences[:1])], generate, num_seeds=1)
+        return original([tests[0]._replace(sentences=tests[0].sentences[:1])], generate, num_seeds=1)
 
-    monkeypatch.setattr(evaluation, "evaluate_prompt_following", measure)
+    monkeypatch.setattr(following, "evaluate_prompt_following", measure)
     assert main(["evaluate", "prompts", "--model", "demo"]) == 0
     assert "warning" not in capsys.readouterr().err.lower()
 
@@ -71,7 +73,7 @@ def test_names_in_data_do_not_change_the_terminal(monkeypatch, capsys):
     header = Header(**names, protocol="strict", num_samples=64, evaluator="ab", seed=0)
     metrics = {name: Metric.from_repeats([1.0, 2.0]) for name in ("fid", "bone_variation")}
     report = Report(header=header, kind="generated", real=metrics, measured=metrics)
-    monkeypatch.setattr(evaluation, "evaluate", lambda *_, **__: report)
+    monkeypatch.setattr(run, "evaluate", lambda *_, **__: report)
     arguments = argparse.Namespace(json=None, html=None, num_repeats=2, model="m")
     _measure(arguments, None, SimpleNamespace(kind="generated"))
     lines = capsys.readouterr().out.splitlines()

@@ -9,16 +9,21 @@ import pytest
 
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.synthetic import write_synthetic_dataset
-from t2m_jax.evaluation.codes import MotionCodes
 from t2m_jax.evaluation.protocols import find_protocol
-from t2m_jax.evaluation.report.details import gather_details, rank_repeat
-from t2m_jax.evaluation.report.gallery import NUM_EXAMPLES, NUM_FAILURES, NUM_NEAREST, RankedRepeat, find_failures
+from t2m_jax.evaluation.report.gallery import (
+    NUM_EXAMPLES,
+    NUM_FAILURES,
+    NUM_NEAREST,
+    RankedRepeat,
+    find_failures,
+    gather_details,
+    rank_repeat,
+)
 from t2m_jax.evaluation.run import evaluate
-from t2m_jax.evaluation.sources import Reconstruction, make_generation
+from t2m_jax.evaluation.sources import MotionCodes, Reconstruction, make_generation
 from t2m_jax.evaluation.task import EvaluationTask, load_samples
 from t2m_jax.metrics.retrieval import r_precision
 from t2m_jax.sampling import TextToMotion
-from t2m_jax.sampling.strategies import Temperature
 from tests.tiny import random_bundle, random_evaluator
 
 
@@ -33,7 +38,7 @@ def task(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def source(task):
-    return make_generation(TextToMotion(random_bundle()), Temperature(), task.samples.clips)
+    return make_generation(TextToMotion(random_bundle()), task.samples.clips)
 
 
 @pytest.fixture(scope="module")

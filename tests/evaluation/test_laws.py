@@ -11,10 +11,10 @@ from t2m_jax.data.banks.captions import all_tokens
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.synthetic import write_synthetic_dataset
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation import codes, embedding
+from t2m_jax.evaluation import embedding, sources
 from t2m_jax.evaluation.embedding import embed_plan_captions, embed_plan_motions
 from t2m_jax.evaluation.protocols import find_protocol
-from t2m_jax.evaluation.quality import CLEANED
+from t2m_jax.evaluation.report.record import CLEANED
 from t2m_jax.evaluation.run import evaluate
 from t2m_jax.evaluation.sources import make_generation
 from t2m_jax.evaluation.task import EvaluationTask, load_samples, make_task
@@ -22,7 +22,8 @@ from t2m_jax.metrics.quality import MotionQuality
 from t2m_jax.metrics.retrieval import matching_score, r_precision
 from t2m_jax.models.evaluator import evaluator_shapes
 from t2m_jax.motion.normalizer import Normalizer
-from t2m_jax.sampling import Greedy, Temperature, TextToMotion
+from t2m_jax.sampling import Greedy, TextToMotion
+from t2m_jax.sampling.request import SamplingOptions
 from t2m_jax.text.word_vectors import vocabulary_from_captions
 from tests.tiny import EVALUATOR, random_bundle, random_variables
 
@@ -62,9 +63,9 @@ def model(dataset):
 
 def figures(task, model, strategy=None):
     """Returns the metrics of the first repeat, by row."""
-    source = make_generation(model, strategy or Temperature(), task.samples.clips)
-    rows = evaluate(task, source, num_repeats=1).rows
-    return {row: {metric: found.repeats[0] for metric, found in metrics.items()} for row, metrics in rows.items()}
+    source = make_generation(model, task.samples.clips, options=SamplingOptions(strategy=strategy))
+    report = evaluate(task, source, num_repeats=1)
+    return {kind: {name: found.repeats[0] for name, found in of.items()} for kind, of in report.metrics.items()}
 
 
 @pytest.fixture(scope="module")
@@ -169,7 +170,7 @@ def test_another_unit_of_the_features_changes_no_embedding(task, before):
 
 
 def test_the_size_of_batches_does_not_matter(task, model, before, monkeypatch):
-    monkeypatch.setattr(codes, "BATCH", 50)
+    monkeypatch.setattr(sources, "BATCH", 50)
     monkeypatch.setattr(embedding, "BATCH", 20)
     after = figures(task, model)
     for row, metrics in before.items():

@@ -13,8 +13,7 @@ import pytest
 
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation.report.details import RepeatDetails
-from t2m_jax.evaluation.report.gallery import Candidate, Example, Failure
+from t2m_jax.evaluation.report.gallery import Candidate, Example, Failure, RepeatDetails
 from t2m_jax.evaluation.report.page import check_page, report_page, save_page
 from t2m_jax.evaluation.report.plots import codes_plot, lengths_plot, repeats_plot
 from t2m_jax.evaluation.report.record import Header, Metric, Report

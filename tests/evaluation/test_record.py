@@ -6,8 +6,15 @@ import json
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation.report import Header, Metric, ReconstructionFigures, Report, load_report, save_report
-from t2m_jax.evaluation.report.record import MAX_REPORT
+from t2m_jax.evaluation.report.record import (
+    MAX_REPORT,
+    Header,
+    Metric,
+    ReconstructionFigures,
+    Report,
+    load_report,
+    save_report,
+)
 
 HEADER = {"protocol": "strict", "data": "d_1", "split": "test", "num_samples": 64, "evaluator": "ab%c", "seed": 0}
 METRIC = {"mean": 1.5, "interval": 0.5, "repeats": [1.0, 2.0]}

@@ -17,12 +17,18 @@ from t2m_jax.data.importers.synthetic import write_synthetic_dataset
 from t2m_jax.data.index import IndexRow, load_index, save_index
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation import run as repeats
-from t2m_jax.evaluation.codes import encode_pieces, generate_many
 from t2m_jax.evaluation.embedding import embed_decoded
 from t2m_jax.evaluation.protocols import Protocol, find_protocol
 from t2m_jax.evaluation.report.record import Metric, load_report
 from t2m_jax.evaluation.run import evaluate, load_partial, make_header
-from t2m_jax.evaluation.sources import Reconstruction, make_generation, measured_samples, sample_keys
+from t2m_jax.evaluation.sources import (
+    Reconstruction,
+    encode_pieces,
+    generate_many,
+    make_generation,
+    measured_samples,
+    sample_keys,
+)
 from t2m_jax.evaluation.task import EvaluationTask, Samples, load_samples, make_task
 from t2m_jax.metrics.quality import MotionQuality
 from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
@@ -59,7 +65,7 @@ def task(synthetic_folder, evaluator):
 
 @pytest.fixture(scope="module")
 def generation(task):
-    return make_generation(TextToMotion(random_bundle()), Temperature(), task.samples.clips)
+    return make_generation(TextToMotion(random_bundle()), task.samples.clips)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +75,7 @@ def report(task, generation):
 
 def test_a_report_has_both_rows_with_all_metrics(report):
     real, generated = report.real, report.measured
-    assert set(report.rows) == {"real", "generated"}
+    assert set(report.metrics) == {"real", "generated"}
     assert set(generated) - set(real) == {"multimodality", *(f"cleaned_{name}" for name in MotionQuality._fields)}
     assert generated["cleaned_bone_variation"].mean < 1e-4 < generated["bone_variation"].mean
     assert set(real) - set(generated) == {f"r_precision_{k}_bound_by_label" for k in (1, 2, 3)}
@@ -111,7 +117,7 @@ def test_an_interrupted_evaluation_goes_on(task, generation, report, tmp_path, m
 def test_an_evaluation_does_not_go_on_with_another_model_or_other_data(task, generation, tmp_path):
     partial = tmp_path / "report.json.partial"
     evaluate(task, generation, num_repeats=1, partial=partial)
-    other = make_generation(TextToMotion(random_bundle(seed=1)), Temperature(), task.samples.clips)
+    other = make_generation(TextToMotion(random_bundle(seed=1)), task.samples.clips)
     with pytest.raises(UserError, match=r"partial: keeps the repeats of an evaluation with other weights \(\w+, not"):
         evaluate(task, other, num_repeats=2, partial=partial)
     with pytest.raises(UserError, match=r"with other contents \(None, not abc\)"):
@@ -136,7 +142,7 @@ def change_a_label(folder):
 def test_the_contents_of_the_data_are_in_the_task_and_the_report(synthetic_folder, evaluator, tmp_path, change):
     def header(folder):
         task = make_task(open_dataset(folder), evaluator, protocol, split="train", seed=0, unit=4)
-        generation = make_generation(TextToMotion(random_bundle()), Temperature(), task.samples.clips)
+        generation = make_generation(TextToMotion(random_bundle()), task.samples.clips)
         return make_header(task, generation, model="")
 
     protocol = find_protocol("t2m-gpt")
@@ -199,9 +205,7 @@ def test_a_reconstruction_is_real_motion_through_the_tokenizer(task, generation)
     made = source.make(task.samples.clips, task.protocol, plan, jax.random.key(0))
     np.testing.assert_array_equal(made.codes.code_lengths, plan.lengths // 4)
     sample = task.samples.clips[plan.samples[5]].features[: plan.lengths[5]]
-    alone = encode_pieces(
-        generation.tokenizer, [task.samples.clips[plan.samples[5]]], np.zeros(1, int), plan.lengths[5:6]
-    )
+    alone = encode_pieces(generation.tokenizer, [sample])
     np.testing.assert_array_equal(made.codes.codes[5, : len(sample) // 4], alone.codes[0])
     assert "fid" in metrics and "multimodality" not in metrics
 

@@ -27,7 +27,7 @@ def report(*, kind="generated", repeats=20, real=REAL, header=HEADER, **metrics)
 
 
 def best(table):
-    return {(row.name, metric) for row in table.rows for metric, cell in row.cells.items() if cell.best}
+    return {(row.name, metric) for row in table.lines for metric, cell in row.cells.items() if cell.best}
 
 
 @pytest.fixture
@@ -152,13 +152,13 @@ def test_real_motion_and_reconstruction_do_not_compete():
     assert not best(make_table([generated, reconstruction], ["a", "b"])), "one generated row has no rival"
     rows = make_table([generated, reconstruction, report(fid=(0.3, 0.01))], ["a", "b", "c"])
     assert best(rows) == {("a", "fid")}
-    assert [row.kind for row in rows.rows] == ["real", "generated", "reconstruction", "generated"]
+    assert [row.kind for row in rows.lines] == ["real", "generated", "reconstruction", "generated"]
 
 
 def test_real_motion_is_that_of_the_longest_report():
     short, long = report(repeats=2, fid=(0.2, 0.0)), report(repeats=20, real={"fid": (0.5, 0.0)}, fid=(0.3, 0.0))
     table = make_table([short, long], ["a", "b"])
-    assert table.rows[0].cells["fid"].mean == 0.5
+    assert table.lines[0].cells["fid"].mean == 0.5
     assert "over 2 to 20 repeats" in format_table(table, style="terminal")
 
 
@@ -258,8 +258,8 @@ def test_quality_has_a_table_of_its_own():
     assert [column.heading for column in table.columns] == ["Bone variation", "Jerk"]
     assert "120.000 ± 1.000" in format_table(table, style="terminal")
     cleaned = make_table([report(real=given, **given, cleaned_jerk=(70.0, 1.0))], ["a"], measures="quality")
-    assert [row.name for row in cleaned.rows] == ["real motion", "a", "a, cleaned"]
-    assert [row.cells["jerk"].mean for row in cleaned.rows] == [120.0, 120.0, 70.0]
-    assert len(make_table([report(real=given, **given, cleaned_jerk=(70.0, 1.0))], ["a"]).rows) == 2
+    assert [row.name for row in cleaned.lines] == ["real motion", "a", "a, cleaned"]
+    assert [row.cells["jerk"].mean for row in cleaned.lines] == [120.0, 120.0, 70.0]
+    assert len(make_table([report(real=given, **given, cleaned_jerk=(70.0, 1.0))], ["a"]).lines) == 2
     with pytest.raises(UserError, match="quality: not in these reports; evaluate the models again"):
         make_table([report(fid=(1.0, 0.1))], ["a"], measures="quality")

@@ -27,7 +27,7 @@ from t2m_jax.data.importers.caption_table import load_caption_table
 from t2m_jax.data.importers.synthetic import make_motion, write_synthetic_dataset
 from t2m_jax.data.index import IndexRow, load_index, save_index
 from t2m_jax.data.texts import load_captions
-from t2m_jax.evaluation.report import Header, load_report
+from t2m_jax.evaluation.report.record import Header, load_report
 from t2m_jax.evaluation.run import load_partial
 from t2m_jax.files import read_arrays, read_manifest
 from t2m_jax.motion.amc import load_amc

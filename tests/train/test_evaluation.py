@@ -25,7 +25,7 @@ from t2m_jax.evaluation.sources import make_generation
 from t2m_jax.evaluation.task import make_task
 from t2m_jax.files import save_arrays
 from t2m_jax.motion.normalizer import Normalizer
-from t2m_jax.sampling import Temperature, TextToMotion, TopK
+from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.programs import generate_codes
 from t2m_jax.train import (
     EvaluationConfig,
@@ -33,7 +33,6 @@ from t2m_jax.train import (
     TrainGptConfig,
     TrainVqVaeConfig,
     experiment,
-    generator,
     train,
 )
 from t2m_jax.train.best import BestWeights, is_better
@@ -170,7 +169,7 @@ def test_figures_are_those_of_the_command(finished, held_out, evaluator):
     protocol, best = find_protocol("t2m-gpt"), find_best(finished["gpt"])
     trained = load_trained_evaluator(evaluator)
     task = make_task(open_dataset(held_out), trained, protocol, split="val", seed=5, unit=4)
-    source = make_generation(TextToMotion.load(finished["gpt"]), Temperature(), task.samples.clips)
+    source = make_generation(TextToMotion.load(finished["gpt"]), task.samples.clips)
     report = evaluate(task, source, model="gpt", num_repeats=1)
     (row,) = [row for row in table(finished["gpt"]) if row["step"] == best.step]
     for metric in ("fid", "matching_score", "r_precision_1", "r_precision_3"):
@@ -178,8 +177,7 @@ def test_figures_are_those_of_the_command(finished, held_out, evaluator):
 
 
 def test_the_log_says_how_codes_were_chosen(training, tmp_path, caplog, monkeypatch):
-    monkeypatch.setattr(experiment, "held_out_metrics", lambda task, source: {"fid": float(source.strategy.k)})
-    monkeypatch.setattr(generator, "Greedy", lambda: TopK(k=7))
+    monkeypatch.setattr(experiment, "held_out_metrics", lambda task, source: {"fid": 7.0 + source.options.temperature})
     config = training("gpt", tmp_path / "run", sampling="greedy")
     with caplog.at_level(logging.INFO):
         train(config)

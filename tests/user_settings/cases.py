@@ -290,7 +290,7 @@ def _() -> Case:
     variables = (tokenizer_variables(), evaluator_variables())
     statistics = (on_device(walking_normalizer()),) * 2
     options = {"tokenizer": make_module(TOKENIZER), "evaluator": EVALUATOR_TRAINING.model}
-    arguments = (variables, statistics, *codes_and_lengths())
+    arguments = (variables, statistics, codes_and_lengths())
     return Case(arguments, options | {"max_frames": 10, "clear": True}, rtol=1e-4, atol=1e-5)
 
 
@@ -328,7 +328,7 @@ def _() -> Case:
     return Case(arguments, {"tokenizer": make_module(TOKENIZER), "skeleton": HUMANML3D}, rtol=1e-4)
 
 
-@case("evaluation.report.details.rank_own")
+@case("evaluation.report.gallery.rank_own")
 def _() -> Case:
     return Case((normal(1, 2, 5, 4), normal(2, 2, 5, 4)), {})
 

@@ -6,12 +6,12 @@ training clips satisfy them. The sentences are held out from training.
 
 import functools
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from t2m_jax.errors import UserError
+from t2m_jax.evaluation.prompts.results import PromptResult
 from t2m_jax.evaluation.prompts.sentences import held_out_sentences
-from t2m_jax.files.markdown import markdown_table
 from t2m_jax.motion.facts import Facts, measure
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, Skeleton
@@ -20,14 +20,18 @@ HAND_UP = -0.05
 """A wrist is raised if it is higher than this above its own shoulder, in meters."""
 HAND_DOWN = -0.15
 """A wrist is not raised if it is lower than this above its own shoulder, in meters."""
-STANDS_TRAVEL, MOVES_TRAVEL = 0.5, 1.0
-"""Largest distance covered by somebody in place, and smallest by somebody who goes ahead, in meters."""
+STANDS_TRAVEL = 0.5
+"""Largest distance covered by somebody in place, in meters."""
+MOVES_TRAVEL = 1.0
+"""Smallest distance covered by somebody who goes ahead, in meters."""
 STRAIGHT_TURN = 40.0
 """Largest change of heading of somebody who does not turn, in degrees."""
 CORNER_TURN = (45.0, 160.0)
 """Smallest and largest change of heading of somebody who turns a corner, in degrees."""
-FASTEST_WALK, SLOWEST_RUN = 1.8, 1.35
-"""Mean speed over the ground in meters per second; the ranges overlap because tired and old people run slowly."""
+FASTEST_WALK = 1.8
+"""Mean speed over the ground in meters per second."""
+SLOWEST_RUN = 1.35
+"""The ranges overlap, because tired and old people run slowly."""
 STILL_HANDS = 0.5
 """Largest speed of a wrist of somebody who stands still (95 % of the time), in meters per second."""
 WAVES = 2
@@ -113,19 +117,6 @@ class PromptTest(NamedTuple):
     holds: Callable[[Motion], bool]
 
 
-class PromptResult(NamedTuple):
-    """How often the motions of one test did what was asked."""
-
-    name: str
-    rule: str
-    num_samples: int
-    num_right: int
-    failures: tuple[str, ...]
-    """The sentences that failed."""
-    instead: Mapping[str, int]
-    """Which other test of the group a failed motion passes, and how often; `NOTHING` if none."""
-
-
 def check_skeleton(skeleton: Skeleton, *, owner: str = "motion") -> None:
     """Checks that rules can be applied to a motion or to a data set.
 
@@ -184,9 +175,15 @@ def evaluate_prompt_following(
         asked = requests(test, num_seeds=num_seeds)
         failed = [(sentence, motion) for seed, sentence in asked if not test.holds(motion := generate(sentence, seed))]
         instead = Counter(_passes(tests, place, motion) for _, motion in failed)
-        failures = tuple(sentence for sentence, _ in failed)
         results.append(
-            PromptResult(test.name, test.rule, len(asked), len(asked) - len(failed), failures, dict(instead))
+            PromptResult(
+                name=test.name,
+                rule=test.rule,
+                right=len(asked) - len(failed),
+                samples=len(asked),
+                failures=tuple(sentence for sentence, _ in failed),
+                instead=tuple(instead.items()),
+            )
         )
     return results
 
@@ -195,15 +192,3 @@ def _passes(tests: Sequence[PromptTest], place: int, motion: Motion) -> str:
     """Returns the test that a motion passes. Of several, it is the nearest one to a place in the list."""
     near = sorted(range(len(tests)), key=lambda other: abs(other - place))
     return next((tests[other].name for other in near if tests[other].holds(motion)), NOTHING)
-
-
-def following_table(results: Sequence[PromptResult]) -> str:
-    """Returns the results as a Markdown table; the last line is the sum."""
-    lines = []
-    for result in results:
-        others = ", ".join(f"{name} {count}" for name, count in result.instead.items())
-        lines.append((result.name, result.rule, f"{result.num_right} of {result.num_samples}", others))
-    right = sum(result.num_right for result in results)
-    total = sum(result.num_samples for result in results)
-    lines.append(("**all**", "", f"**{right} of {total} ({right / total:.0%})**", ""))
-    return markdown_table(("content", "rule", "did what was asked", "did instead"), lines, sides="<<><")

@@ -46,10 +46,10 @@ def compare_reports(first: Report, second: Report) -> list[Difference]:
     Raises:
         UserError: Their repeats do not belong together.
     """
-    if name := first_difference(first.header, second.header, PAIRED):
-        one, other = (getattr(report.header, name) for report in (first, second))
+    if difference := first_difference(first.header, second.header, PAIRED):
+        name, one, other = difference
         raise UserError(f"{name}: {one} in one report, {other} in the other; evaluate both in the same way")
-    rows = []
+    found = []
     for metric in (name for name in first.measured if name in second.measured):
         one, other = (np.asarray(report.measured[metric].repeats) for report in (first, second))
         if len(one) != len(other) or len(one) < 2:
@@ -58,8 +58,8 @@ def compare_reports(first: Report, second: Report) -> list[Difference]:
             )
         differences = other - one
         interval = 1.96 * differences.std(ddof=1) / np.sqrt(len(differences))
-        rows.append(Difference(metric, one.mean(), other.mean(), interval, sign_test(differences)))
-    return rows
+        found.append(Difference(metric, one.mean(), other.mean(), interval, sign_test(differences)))
+    return found
 
 
 def comparison_table(names: Sequence[str], differences: Sequence[Difference]) -> str:

@@ -9,7 +9,7 @@ from t2m_jax.evaluation.report.tables import DIGITS, Cell, Column, Table
 from t2m_jax.files.markdown import markdown_table
 
 MISSING = "-"
-"""Printed if a row has no such figure."""
+"""Printed if a line has no such figure."""
 ARROWS = {"higher": " ↑", "lower": " ↓", "real": " →", "none": ""}
 
 
@@ -30,13 +30,13 @@ def interval_text(cell: Cell) -> str:
 
 def repeats_text(table: Table) -> str:
     """Returns what the figures of a table are: mean and interval over how many repeats."""
-    counts = sorted({row.num_repeats for row in table.rows})
+    counts = sorted({line.num_repeats for line in table.lines})
     repeats = "1 repeat" if counts == [1] else " to ".join(map(str, [*counts[:1], *counts[1:][-1:]])) + " repeats"
     return f"Mean and 95 % interval over {repeats}"
 
 
 def facts_text(table: Table) -> str:
-    """Returns a sentence that says what the figures are and what all rows share."""
+    """Returns a sentence that says what the figures are and what all lines share."""
     shared = printable(", ".join(f"{name.replace('_', ' ')} {value}" for name, value in table.facts.items()))
     return f"{repeats_text(table)}; {shared}." if shared else f"{repeats_text(table)}."
 
@@ -47,17 +47,17 @@ def format_table(table: Table, *, style: Literal["terminal", "markdown", "latex"
         return _terminal(table, color=color)
     if style != "json":
         return (_markdown if style == "markdown" else _latex)(table)
-    rows = [
+    lines = [
         {
-            "name": row.name,
-            "kind": row.kind,
-            "num_repeats": row.num_repeats,
-            "figures": {c.metric: row.cells[c.metric]._asdict() for c in table.columns if c.metric in row.cells},
+            "name": line.name,
+            "kind": line.kind,
+            "num_repeats": line.num_repeats,
+            "figures": {c.metric: line.cells[c.metric]._asdict() for c in table.columns if c.metric in line.cells},
         }
-        for row in table.rows
+        for line in table.lines
     ]
     columns = [column._asdict() for column in table.columns]
-    text = json.dumps({**table.facts, "columns": columns, "rows": rows}, indent=2, ensure_ascii=False)
+    text = json.dumps({**table.facts, "columns": columns, "rows": lines}, indent=2, ensure_ascii=False)
     # JSON allows control characters from 0x7f to 0x9f, but terminals obey them. Letters of all languages are kept.
     return "".join(c if c.isprintable() or c == "\n" else json.dumps(c)[1:-1] for c in text)
 
@@ -68,19 +68,20 @@ def _plain(cell: Cell | None) -> str:
 
 def _terminal(table: Table, *, color: bool) -> str:
     # A name may contain control characters, which would move the terminal's cursor.
-    names = [printable(row.name) for row in table.rows]
-    texts = [[_plain(row.cells.get(column.metric)) for column in table.columns] for row in table.rows]
-    widths = [
-        max(len(heading(column)), *(len(row[number]) for row in texts)) for number, column in enumerate(table.columns)
-    ]
+    names = [printable(line.name) for line in table.lines]
     first = max(map(len, names))
-    lines = [" " * first + "".join(f"  {heading(c):>{width}}" for c, width in zip(table.columns, widths, strict=True))]
-    for name, row, cells in zip(names, table.rows, texts, strict=True):
-        line = f"{name:{first}}"
-        for column, width, text in zip(table.columns, widths, cells, strict=True):
-            bold = color and column.metric in row.cells and row.cells[column.metric].best
-            line += "  " + " " * (width - len(text)) + (f"\033[1m{text}\033[0m" if bold else text)
-        lines.append(line)
+    parts = [[" " * first, *(f"{name:{first}}" for name in names)]]
+    for column in table.columns:
+        cells = [line.cells.get(column.metric) for line in table.lines]
+        width = max(len(heading(column)), *(len(_plain(cell)) for cell in cells))
+        texts = [heading(column).rjust(width)]
+        for cell in cells:
+            text = _plain(cell)
+            is_bold = color and cell is not None and cell.best
+            # Padded without the codes of bold text, which take no room in a terminal.
+            texts.append(" " * (width - len(text)) + (f"\033[1m{text}\033[0m" if is_bold else text))
+        parts.append(texts)
+    lines = ["  ".join(line) for line in zip(*parts, strict=True)]
     return "\n".join([*lines, "", facts_text(table)])
 
 
@@ -92,7 +93,8 @@ def _markdown(table: Table) -> str:
         return f"**{mean_text(cell)}** ± {interval_text(cell)}" if cell and cell.best else _plain(cell)
 
     lines = [
-        (escaped(row.name), *(figure(row.cells.get(column.metric)) for column in table.columns)) for row in table.rows
+        (escaped(line.name), *(figure(line.cells.get(column.metric)) for column in table.columns))
+        for line in table.lines
     ]
     text = markdown_table(("", *map(heading, table.columns)), lines)
     return f"{text}\n\n{escaped(facts_text(table))}"
@@ -119,8 +121,8 @@ def _latex(table: Table) -> str:
 
     headings = [f"{escaped(column.heading)}{LATEX_ARROWS[column.better]}" for column in table.columns]
     lines = [
-        " & ".join([escaped(row.name), *(figure(row.cells.get(column.metric)) for column in table.columns)]) + r" \\"
-        for row in table.rows
+        " & ".join([escaped(line.name), *(figure(line.cells.get(column.metric)) for column in table.columns)]) + r" \\"
+        for line in table.lines
     ]
     return "\n".join(
         [

@@ -1,21 +1,31 @@
-"""Motions of one repeat to look at: those nearest to a caption, and those farthest from their own."""
+"""One repeat, motion by motion: lengths, codes, ranks, and motions to look at."""
 
 import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
-from t2m_jax.evaluation.codes import MotionCodes
+from t2m_jax.evaluation.embedding import embed_decoded, embed_plan_captions, embed_plan_motions
+from t2m_jax.evaluation.sources import CodeSource, MotionCodes, encode_pieces
+from t2m_jax.evaluation.task import EvaluationTask
+from t2m_jax.metrics.retrieval import partner_ranks
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import Skeleton, skeleton_from_feature_dim
+from t2m_jax.sampling.batches import round_up
 from t2m_jax.sampling.decode import decode_motions
 
-NUM_EXAMPLES, NUM_NEAREST = 4, 3
-"""Captions whose nearest motions are shown, and how many of them."""
+REPEAT = 0
+"""The repeat that is shown."""
+NUM_EXAMPLES = 4
+"""Captions whose nearest motions are shown."""
+NUM_NEAREST = 3
+"""Nearest motions of each of them."""
 NUM_FAILURES = 6
 """Captions with the worst ranks that are shown."""
 
@@ -37,7 +47,7 @@ class RankedRepeat(NamedTuple):
     codes: MotionCodes
     """Codes of the measured motions."""
     batches: Int[np.ndarray, "M B"]
-    """Rows that are ranked together."""
+    """Motions that are ranked together."""
     ranks: Int[np.ndarray, " N"]
     """Rank of each caption's own motion in its batch, from 1."""
 
@@ -51,19 +61,19 @@ class RankedRepeat(NamedTuple):
         """The distance of each caption to its own measured motion."""
         return np.linalg.norm(self.text - self.measured, axis=1)
 
-    def decode(self, rows: Sequence[int]) -> list[Motion]:
-        """Returns the measured motions of some rows, decoded together and cut where the evaluator cuts them."""
+    def decode(self, chosen: Sequence[int]) -> list[Motion]:
+        """Returns some of the measured motions, decoded together and cut where the evaluator cuts them."""
         codes = self.codes.rows
-        motions = decode_motions(self.tokenizer, [codes[row] for row in rows], skeleton=self.skeleton)
+        motions = decode_motions(self.tokenizer, [codes[index] for index in chosen], skeleton=self.skeleton)
         return [
             dataclasses.replace(
                 motion,
                 positions=motion.positions[: self.max_frames],
                 features=None,
                 codes=None,
-                caption=self.captions[row],
+                caption=self.captions[index],
             )
-            for row, motion in zip(rows, motions, strict=True)
+            for index, motion in zip(chosen, motions, strict=True)
         ]
 
 
@@ -99,48 +109,123 @@ class Failure(NamedTuple):
     real: Motion
 
 
+class RepeatDetails(NamedTuple):
+    """One repeat of an evaluation, motion by motion: N motions, K codes."""
+
+    kind: str
+    """Where the measured motion comes from: `generated` or `reconstruction`."""
+    fps: float
+    real_lengths: Int[np.ndarray, " N"]
+    """Frames."""
+    measured_lengths: Int[np.ndarray, " N"]
+    """Frames."""
+    real_code_counts: Int[np.ndarray, " K"]
+    """How often each code is used by real motion."""
+    measured_code_counts: Int[np.ndarray, " K"]
+    """How often each code is used by the measured motion."""
+    ranks: Int[np.ndarray, " N"]
+    """Rank of each caption's own motion in its batch, from 1; motions at the same distance come first."""
+    distances: Float[np.ndarray, " N"]
+    """Distance of each caption to its own motion."""
+    examples: tuple[Example, ...]
+    failures: tuple[Failure, ...]
+
+
+def gather_details(task: EvaluationTask, source: CodeSource) -> RepeatDetails:
+    """Returns the details of the first repeat.
+
+    The motions are made again. They are the same ones, because they depend on the same keys.
+    """
+    ranked = rank_repeat(task, source)
+    config = source.tokenizer.config
+    return RepeatDetails(
+        kind=source.kind,
+        fps=ranked.skeleton.fps,
+        real_lengths=np.minimum([len(piece) for piece in ranked.pieces], task.max_frames),
+        measured_lengths=np.minimum(ranked.codes.code_lengths * config.downsample, task.max_frames),
+        real_code_counts=ranked.real_codes.count_codes(config.num_codes),
+        measured_code_counts=ranked.codes.count_codes(config.num_codes),
+        ranks=ranked.ranks,
+        distances=ranked.distances,
+        examples=draw_examples(ranked, seed=task.seed),
+        failures=find_failures(ranked),
+    )
+
+
+def rank_repeat(task: EvaluationTask, source: CodeSource) -> RankedRepeat:
+    """Returns the first repeat with one motion per caption, the one that counts."""
+    plan = task.plan(REPEAT)
+    # Without the further samples of each caption, which are only for variety.
+    brief = plan._replace(varied=plan.varied[:0])
+    key = jax.random.fold_in(jax.random.key(task.seed), REPEAT)
+    clips = task.samples.clips
+    found = source.make(clips, task.protocol, brief, key)
+    text = embed_plan_captions(task, plan)
+    measured = embed_decoded(task, source.tokenizer, found.codes).embeddings
+    # The last batch is filled with the first motions, as for the metrics.
+    batch = task.protocol.batch
+    batches = np.resize(np.arange(len(text)), round_up(len(text), batch)).reshape(-1, batch)
+    pieces = plan.pieces(clips)
+    return RankedRepeat(
+        tokenizer=source.tokenizer,
+        max_frames=task.max_frames,
+        captions=[caption.text for caption in plan.chosen_captions(clips)],
+        pieces=pieces,
+        text=text,
+        real=embed_plan_motions(task, plan),
+        measured=measured,
+        real_codes=encode_pieces(source.tokenizer, pieces),
+        codes=found.codes,
+        batches=batches,
+        ranks=np.asarray(rank_own(jnp.asarray(text[batches]), jnp.asarray(measured[batches]))).ravel()[: len(text)],
+    )
+
+
+@jax.jit
+def rank_own(text: Float[Array, "M B E"], motion: Float[Array, "M B E"]) -> Int[Array, "M B"]:
+    """Returns the rank of each text's own motion in its batch, from 1; motions at the same distance come first."""
+    labels = jnp.arange(text.shape[1])
+    ranks = jax.lax.map(lambda batch: partner_ranks(batch[0], batch[1], labels), (text, motion))
+    return ranks.nearer + ranks.tied + 1
+
+
 def draw_examples(ranked: RankedRepeat, *, seed: int) -> tuple[Example, ...]:
     """Returns captions drawn by the seed, each with the nearest motions of its batch."""
     order = np.random.default_rng(seed).permutation(len(ranked.captions))
-    examples, size = [], ranked.batches.shape[1]
-    for row in _distinct(order, ranked.captions, NUM_EXAMPLES):
-        batch, own = ranked.batches[row // size], row % size
-        distances = np.linalg.norm(ranked.text[row] - ranked.measured[batch], axis=1)
+    size = ranked.batches.shape[1]
+    examples = []
+    for index in _distinct(order, ranked.captions, NUM_EXAMPLES):
+        batch = ranked.batches[index // size]
+        distances = np.linalg.norm(ranked.text[index] - ranked.measured[batch], axis=1)
         places = np.argsort(distances, kind="stable")[:NUM_NEAREST]
         candidates = tuple(
-            Candidate(motion, float(distances[place]), bool(place == own))
+            Candidate(motion, float(distances[place]), bool(place == index % size))
             for motion, place in zip(ranked.decode(batch[places].tolist()), places, strict=True)
         )
-        examples.append(Example(ranked.captions[row], int(ranked.ranks[row]), float(distances[own]), candidates))
+        rank = int(ranked.ranks[index])
+        examples.append(Example(ranked.captions[index], rank, float(distances[index % size]), candidates))
     return tuple(examples)
 
 
 def find_failures(ranked: RankedRepeat) -> tuple[Failure, ...]:
     """Returns the captions whose own motion has the worst rank, the farthest first if ranks are equal."""
-    distances, skeleton = ranked.distances, ranked.skeleton
+    skeleton = ranked.skeleton
     real_distances = np.linalg.norm(ranked.text - ranked.real, axis=1)
-    chosen = _distinct(np.lexsort((-distances, -ranked.ranks)), ranked.captions, NUM_FAILURES)
-    return tuple(
-        Failure(
-            ranked.captions[row],
-            int(ranked.ranks[row]),
-            float(distances[row]),
-            float(real_distances[row]),
-            measured,
-            Motion(
-                positions_from_features(ranked.pieces[row], skeleton) * np.float32(skeleton.metres_per_unit),
-                skeleton.fps,
-                skeleton=skeleton,
-                caption=ranked.captions[row],
-            ),
-        )
-        for row, measured in zip(chosen, ranked.decode(chosen), strict=True)
-    )
+    chosen = _distinct(np.lexsort((-ranked.distances, -ranked.ranks)), ranked.captions, NUM_FAILURES)
+    failures = []
+    for index, measured in zip(chosen, ranked.decode(chosen), strict=True):
+        caption = ranked.captions[index]
+        positions = positions_from_features(ranked.pieces[index], skeleton) * np.float32(skeleton.metres_per_unit)
+        real = Motion(positions, skeleton.fps, skeleton=skeleton, caption=caption)
+        rank = int(ranked.ranks[index])
+        distance = float(ranked.distances[index])
+        failures.append(Failure(caption, rank, distance, float(real_distances[index]), measured, real))
+    return tuple(failures)
 
 
 def _distinct(order: Int[np.ndarray, " N"], captions: Sequence[str], count: int) -> list[int]:
-    """Returns the first rows of an order that have different captions."""
+    """Returns the first indices of an order that have different captions."""
     chosen: dict[str, int] = {}
-    for row in order:
-        chosen.setdefault(captions[row], int(row))
+    for index in order:
+        chosen.setdefault(captions[index], int(index))
     return list(chosen.values())[:count]

@@ -13,9 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
-from t2m_jax.evaluation.report.details import RepeatDetails
 from t2m_jax.evaluation.report.formats import MISSING, heading, interval_text, mean_text, repeats_text
-from t2m_jax.evaluation.report.gallery import Example, Failure
+from t2m_jax.evaluation.report.gallery import Example, Failure, RepeatDetails
 from t2m_jax.evaluation.report.plots import check_plots, codes_plot, lengths_plot, repeats_plot
 from t2m_jax.evaluation.report.record import Report, report_as_json
 from t2m_jax.evaluation.report.tables import Cell, Table, make_table
@@ -94,13 +93,13 @@ def _table(table: Table) -> str:
         return f"<td>{mean} <small>± {interval_text(cell)}</small></td>"
 
     headings = "".join(f'<th scope="col">{_text(heading(column))}</th>' for column in table.columns)
-    rows = "\n".join(
-        f'<tr><th scope="row">{_text(row.name)}</th>'
-        + "".join(figure(row.cells.get(column.metric)) for column in table.columns)
+    lines = "\n".join(
+        f'<tr><th scope="row">{_text(line.name)}</th>'
+        + "".join(figure(line.cells.get(column.metric)) for column in table.columns)
         + "</tr>"
-        for row in table.rows
+        for line in table.lines
     )
-    return f"<table>\n<thead><tr><th></th>{headings}</tr></thead>\n<tbody>\n{rows}\n</tbody>\n</table>"
+    return f"<table>\n<thead><tr><th></th>{headings}</tr></thead>\n<tbody>\n{lines}\n</tbody>\n</table>"
 
 
 def _plot(svg: str, label: str, caption: str, kind: str = "") -> str:

@@ -94,11 +94,13 @@ def repeats_plot(report: Report, columns: tuple[Column, ...]) -> str:
     with _drawing("repeats", 9.6, 2.05 * down) as figure:
         axes = figure.subplots(down, across, squeeze=False).ravel()
         for axis, column in zip(axes, columns, strict=False):
-            for row, metrics in report.rows.items():
+            for kind, metrics in report.metrics.items():
                 if column.metric not in metrics:
                     continue
-                found, ink = metrics[column.metric], INKS[row]
-                low, high = found.mean - found.interval, found.mean + found.interval
+                found = metrics[column.metric]
+                ink = INKS[kind]
+                low = found.mean - found.interval
+                high = found.mean + found.interval
                 numbers = np.arange(1, len(found.repeats) + 1)
                 edges = [0.6, len(numbers) + 0.4]
                 axis.fill_between(edges, [low, low], [high, high], color=ink, alpha=0.18, linewidth=0)
@@ -108,8 +110,8 @@ def repeats_plot(report: Report, columns: tuple[Column, ...]) -> str:
             axis.xaxis.get_major_locator().set_params(integer=True)
         for axis in axes[len(columns) :]:
             axis.set_axis_off()
-        handles = [axes[-1].plot([], [], "o-", markersize=3, color=INKS[row])[0] for row in report.rows]
-        names = ["real motion" if row == REAL else row for row in report.rows]
+        handles = [axes[-1].plot([], [], "o-", markersize=3, color=INKS[kind])[0] for kind in report.metrics]
+        names = ["real motion" if kind == REAL else kind for kind in report.metrics]
         axes[-1].legend(handles, names, loc="center left", fontsize=9)
         figure.supxlabel("repeat", fontsize=9)
         return _svg(figure)

@@ -15,9 +15,11 @@ from t2m_jax.files import load_json, save_json
 T = TypeVar("T")
 
 REAL = "real"
-"""The row of real motion."""
+"""Name of the metrics of real motion."""
 KINDS = ("generated", "reconstruction")
 """Where measured motion comes from."""
+CLEANED = "cleaned_"
+"""Prefix of the names of metrics of cleaned motion."""
 MAX_REPORT = 2_000_000
 """The largest report in bytes. One of 1,000 repeats of 28 metrics has 0.9 MB."""
 COMPARABLE = ("protocol", "data", "split", "num_samples", "evaluator", "seed", "batch")
@@ -68,15 +70,17 @@ class Header:
     """Rule that ended motions; None for reconstructions, and in reports of version 0.1, whose models end at End."""
 
 
-def first_difference(one: Header, other: Header, names: Sequence[str]) -> str | None:
-    """Returns the first of some fields, and then `contents`, in which two headers differ; None if there is none.
+def first_difference(one: Header, other: Header, names: Sequence[str]) -> tuple[str, Any, Any] | None:
+    """Returns the first of some fields, and then `contents`, in which two headers differ, with both values.
 
     Older reports do not know the contents of their data. These may be the same.
     """
+    fields = dataclasses.asdict(one)
+    others = dataclasses.asdict(other)
     for name in (*names, "contents"):
-        values = getattr(one, name), getattr(other, name)
+        values = (fields[name], others[name])
         if values[0] != values[1] and not (name == "contents" and None in values):
-            return name
+            return (name, *values)
     return None
 
 
@@ -166,7 +170,7 @@ class Report:
     """Figures of the tokenizer alone, if they were measured too."""
 
     @property
-    def rows(self) -> dict[str, dict[str, Metric]]:
+    def metrics(self) -> dict[str, dict[str, Metric]]:
         """Both sets of metrics: `real`, and the report's kind."""
         return {REAL: self.real, self.kind: self.measured}
 
@@ -174,11 +178,11 @@ class Report:
 def report_as_json(report: Report) -> dict[str, Any]:
     """Returns a report as plain data: the fields of the header, `rows`, and the figures of a reconstruction."""
     figures = {} if report.reconstruction is None else dataclasses.asdict(report.reconstruction)
-    rows = {
-        row: {name: dataclasses.asdict(metric) for name, metric in metrics.items()}
-        for row, metrics in report.rows.items()
+    sets = {
+        kind: {name: dataclasses.asdict(metric) for name, metric in metrics.items()}
+        for kind, metrics in report.metrics.items()
     }
-    return {**figures, **dataclasses.asdict(report.header), "rows": rows}
+    return {**figures, **dataclasses.asdict(report.header), "rows": sets}
 
 
 def save_report(path: Path, report: Report) -> None:
@@ -204,13 +208,13 @@ def load_report(path: Path) -> Report:
     """
     data = load_json(path, max_bytes=MAX_REPORT)
     with reading_report(path, "with the metrics of an evaluator", command="t2m evaluate generation --json"):
-        rows = data["rows"]
-        (kind,) = rows.keys() & set(KINDS)
-        if rows.keys() != {REAL, kind}:
+        sets = data["rows"]
+        (kind,) = sets.keys() & set(KINDS)
+        if sets.keys() != {REAL, kind}:
             raise ValueError("rows of an unknown kind")
         header = fields_of(Header, data)
         figures = fields_of(ReconstructionFigures, data) if "mpjpe_mm" in data else None
-        real, measured = (_metrics(rows[row]) for row in (REAL, kind))
+        real, measured = (_metrics(sets[one]) for one in (REAL, kind))
         if not measured:
             raise ValueError("no metrics")
         report = Report(header=header, kind=kind, real=real, measured=measured, reconstruction=figures)
@@ -242,13 +246,13 @@ def fields_of(schema: type[T], data: Mapping[str, Any]) -> T:
     return config_from_dict(schema, found, source="fields")
 
 
-def _metrics(row: Mapping[str, Mapping[str, Any]]) -> dict[str, Metric]:
-    """Returns the metrics of one row of a report file.
+def _metrics(entries: Mapping[str, Mapping[str, Any]]) -> dict[str, Metric]:
+    """Returns one set of metrics of a report file.
 
     Raises:
         UserError: A name is not a word, or a metric has no repeats or figures that are not finite.
     """
-    metrics = {name: config_from_dict(Metric, found, source=repr(name)) for name, found in row.items()}
+    metrics = {name: config_from_dict(Metric, found, source=repr(name)) for name, found in entries.items()}
     for name, metric in metrics.items():
         figures = (metric.mean, metric.interval, *metric.repeats)
         if not name.isidentifier() or not metric.repeats or not np.isfinite(figures).all():

@@ -1,11 +1,11 @@
-"""A table of reports as in papers: real motion first, then one row per report, and the best of each column."""
+"""A table of reports as in papers: real motion first, then one line per report, and the best of each column."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation.quality import CLEANED
-from t2m_jax.evaluation.report.record import COMPARABLE, REAL, Metric, Report, first_difference
+from t2m_jax.evaluation.report.record import CLEANED, COMPARABLE, REAL, Metric, Report, first_difference
 
 DIGITS = 3
 """Digits after the point, of means and intervals."""
@@ -18,7 +18,7 @@ class Column(NamedTuple):
 
     MultiModality has a rule of its own. A model that ignores its captions has the highest variety, so higher is only
     better for motion that fits its captions: its R-precision (top 3) must be at least `CLOSE_TO_REAL` of real motion's.
-    Other rows are never the best, and the column has no arrow if no generated motion in the table fits.
+    Other motion is never the best, and the column has no arrow if no generated motion in the table fits.
     """
 
     metric: str
@@ -57,7 +57,7 @@ class Cell(NamedTuple):
     best: bool = False
 
 
-class Row(NamedTuple):
+class TableLine(NamedTuple):
     """The metrics of one set of motions."""
 
     name: str
@@ -65,80 +65,82 @@ class Row(NamedTuple):
     """`real`, `reconstruction` or `generated`, as in the report."""
     num_repeats: int
     cells: dict[str, Cell]
-    """Figures by metric; a row may lack some."""
+    """Figures by metric; a line may lack some."""
     fits_captions: bool = False
     """Whether the R-precision (top 3) is close to that of the same report's real motion, see `Column`."""
 
 
 class Table(NamedTuple):
-    """Evaluations that can be compared, one per row, real motion first."""
+    """Evaluations that can be compared, one per line, real motion first."""
 
     facts: dict[str, Any]
-    """What all rows share: protocol, data, evaluator and so on."""
+    """What all lines share: protocol, data, evaluator and so on."""
     columns: tuple[Column, ...]
-    rows: tuple[Row, ...]
+    lines: tuple[TableLine, ...]
 
 
 def make_table(reports: Sequence[Report], names: Sequence[str], *, measures: Measures = "captions") -> Table:
-    """Returns the table of reports: one row for real motion, then a row per report.
+    """Returns the table of reports: one line for real motion, then a line per report.
 
-    The best figure of a column is marked if there are two or more rows of generated motion. Figures that are printed
+    The best figure of a column is marked if there are two or more lines of generated motion. Figures that are printed
     alike are equally good.
 
     Args:
         reports: One or more reports.
-        names: Their rows' names.
+        names: The names of their lines.
         measures: With `labels`, R-precision does not count motions of the same label as errors.
 
     Raises:
         UserError: The reports cannot be compared or lack these figures, or a name is missing or given twice.
     """
+    _check_comparable(reports, names)
+    # Real motion of the report with the most repeats; the others' repeats are its first ones.
+    real = max((_line("real motion", REAL, report.real) for report in reports), key=lambda line: line.num_repeats)
+    titles = [" ".join(title.split()) for title in names]
+    lines = [
+        _line(title, report.kind, report.measured)._replace(fits_captions=fits_captions(report))
+        for report, title in zip(reports, titles, strict=True)
+    ]
+    if measures == "quality":
+        lines += [line for report, title in zip(reports, titles, strict=True) for line in _cleaned_line(title, report)]
+    known = {metric for line in (real, *lines) for metric in line.cells}
+    wanted = {"captions": COLUMNS, "labels": tuple(map(_by_label, COLUMNS)), "quality": QUALITY_COLUMNS}[measures]
+    header = dataclasses.asdict(reports[0].header)
+    facts = {name: header[name] for name in COMPARABLE}
+    if measures != "captions" and wanted[0].metric not in known:
+        labels = f"{facts['data']} has no labels (column `label` of its index.csv)"
+        advice = labels if measures == "labels" else "evaluate the models again"
+        raise UserError(f"{measures}: not in these reports; {advice}")
+    if not any(line.fits_captions for line in lines if line.kind == "generated"):
+        wanted = tuple(c._replace(better="none") if c.metric == "multimodality" else c for c in wanted)
+    columns = tuple(column for column in wanted if column.metric in known)
+    for column in columns:
+        for line in _best_lines(column, real, lines):
+            line.cells[column.metric] = line.cells[column.metric]._replace(best=True)
+    return Table(facts, columns, (real, *lines))
+
+
+def _check_comparable(reports: Sequence[Report], names: Sequence[str]) -> None:
+    """Raises `UserError` if reports and names do not make a table."""
     if not reports or len(names) != len(reports):
         raise UserError(f"names: {len(names)} given for {len(reports)} reports; give one for each")
     if len(set(names)) < len(names):
         raise UserError(f"names: {', '.join(names)} are not all different; give others with --names")
-    facts = {name: getattr(reports[0].header, name) for name in COMPARABLE}
     for report, title in zip(reports, names, strict=True):
-        if name := first_difference(reports[0].header, report.header, COMPARABLE):
-            values = [getattr(one.header, name) for one in (reports[0], report)]
-            raise UserError(f"{name}: {values[0]} in {names[0]}, {values[1]} in {title}; make a table for each")
-    # Real motion of the report with the most repeats; the others' repeats are its first ones.
-    real = max((_row("real motion", REAL, report.real) for report in reports), key=lambda row: row.num_repeats)
-    titles = [" ".join(title.split()) for title in names]
-    rows = [
-        _row(title, report.kind, report.measured)._replace(fits_captions=fits_captions(report))
-        for report, title in zip(reports, titles, strict=True)
-    ]
-    if measures == "quality":
-        rows += [row for report, title in zip(reports, titles, strict=True) if (row := _cleaned_row(title, report))]
-    known = {metric for row in (real, *rows) for metric in row.cells}
-    wanted = list(QUALITY_COLUMNS if measures == "quality" else COLUMNS)
-    if measures == "labels":
-        wanted = [_by_label(column) for column in COLUMNS]
-    if measures != "captions" and wanted[0].metric not in known:
-        labels, quality = (
-            f"{facts['data']} has no labels (column `label` of its index.csv)",
-            "evaluate the models again",
-        )
-        raise UserError(f"{measures}: not in these reports; {labels if measures == 'labels' else quality}")
-    if not any(row.fits_captions for row in rows if row.kind == "generated"):
-        wanted = [c._replace(better="none") if c.metric == "multimodality" else c for c in wanted]
-    columns = tuple(column for column in wanted if column.metric in known)
-    for column in columns:
-        for row in _best_rows(column, real, rows):
-            row.cells[column.metric] = row.cells[column.metric]._replace(best=True)
-    return Table(facts, columns, (real, *rows))
+        if difference := first_difference(reports[0].header, report.header, COMPARABLE):
+            field, one, other = difference
+            raise UserError(f"{field}: {one} in {names[0]}, {other} in {title}; make a table for each")
 
 
-def _row(name: str, kind: str, metrics: dict[str, Metric]) -> Row:
+def _line(name: str, kind: str, metrics: dict[str, Metric]) -> TableLine:
     cells = {metric: Cell(found.mean, found.interval) for metric, found in metrics.items()}
-    return Row(name, kind, max((len(found.repeats) for found in metrics.values()), default=0), cells)
+    return TableLine(name, kind, max((len(found.repeats) for found in metrics.values()), default=0), cells)
 
 
-def _cleaned_row(title: str, report: Report) -> Row | None:
-    """Returns the quality of a report's motion after the clean-up; None in reports that do not have it."""
+def _cleaned_line(title: str, report: Report) -> list[TableLine]:
+    """Returns the quality of a report's motion after the clean-up, if the report has it."""
     cleaned = {name.removeprefix(CLEANED): found for name, found in report.measured.items() if name.startswith(CLEANED)}
-    return _row(f"{title}, cleaned", report.kind, cleaned) if cleaned else None
+    return [_line(f"{title}, cleaned", report.kind, cleaned)] if cleaned else []
 
 
 def _by_label(column: Column) -> Column:
@@ -148,21 +150,21 @@ def _by_label(column: Column) -> Column:
     return column._replace(metric=f"{column.metric}_by_label", heading=f"{column.heading} by label")
 
 
-def _best_rows(column: Column, real: Row, rows: Sequence[Row]) -> list[Row]:
-    """Returns the rows of generated motion that are best in a column; none if fewer than two can be compared."""
-    rivals = [row for row in rows if row.kind == "generated" and column.metric in row.cells]
+def _best_lines(column: Column, real: TableLine, lines: Sequence[TableLine]) -> list[TableLine]:
+    """Returns the lines of generated motion that are best in a column; none if fewer than two can be compared."""
+    rivals = [line for line in lines if line.kind == "generated" and column.metric in line.cells]
     if column.metric == "multimodality":
-        rivals = [row for row in rivals if row.fits_captions]
+        rivals = [line for line in rivals if line.fits_captions]
     if len(rivals) < 2 or (column.better == "real" and column.metric not in real.cells):
         return []
     # Rounded as printed, so that figures that are printed alike are equally good; larger is better from here on.
-    values = [round(row.cells[column.metric].mean, DIGITS) for row in rivals]
+    values = [round(line.cells[column.metric].mean, DIGITS) for line in rivals]
     if column.better == "lower":
         values = [-value for value in values]
     elif column.better == "real":
         target = round(real.cells[column.metric].mean, DIGITS)
         values = [-round(abs(value - target), DIGITS) for value in values]
-    return [row for row, value in zip(rivals, values, strict=True) if value == max(values)]
+    return [line for line, value in zip(rivals, values, strict=True) if value == max(values)]
 
 
 def fits_captions(report: Report) -> bool:

@@ -9,10 +9,10 @@ from t2m_jax.evaluation.prompts.following import (
     RULES,
     action_tests,
     evaluate_prompt_following,
-    following_table,
     follows,
     requests,
 )
+from t2m_jax.evaluation.prompts.results import following_table
 from t2m_jax.evaluation.prompts.sentences import held_out_sentences
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import KIT_ML
@@ -70,14 +70,14 @@ def test_results_count_what_was_done():
 
     results = evaluate_prompt_following(action_tests(), generate, num_seeds=3)
     assert [row.name for row in results] == list(RULES)
-    right = {row.name: row.num_right for row in results}
+    right = {row.name: row.right for row in results}
     assert right["walk"] == 3
     assert right["wave-left-hand"] == 0
     row = next(row for row in results if row.name == "wave-left-hand")
     assert row.failures == held_out_sentences()["wave-left-hand"][:3]
-    assert sum(row.instead.values()) == 3 and set(row.instead) <= {"walk", "run"}  # whose speeds overlap
+    assert sum(dict(row.instead).values()) == 3 and set(dict(row.instead)) <= {"walk", "run"}  # whose speeds overlap
     total = sum(right.values())
     table = following_table(results)
     assert f"{total} of 33 ({total / 33:.0%})" in table
     assert len(table.splitlines()) == 2 + len(RULES) + 1
-    assert "| 0 of 3 | " + ", ".join(f"{name} {count}" for name, count in row.instead.items()) + " |" in table
+    assert "| 0 of 3 | " + ", ".join(f"{name} {count}" for name, count in row.instead) + " |" in table

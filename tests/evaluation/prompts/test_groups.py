@@ -8,9 +8,10 @@ import pytest
 
 from t2m_jax.data import make_motion, open_dataset, write_synthetic_dataset
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation import composed_tests, manner_tests, pace_tests
 from t2m_jax.evaluation.prompts import groups as prompt_groups
 from t2m_jax.evaluation.prompts.following import RULES, requests
+from t2m_jax.evaluation.prompts.groups import composed_tests, pace_tests
+from t2m_jax.evaluation.prompts.manners import manner_tests
 from t2m_jax.evaluation.prompts.sentences import held_out_paces
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import KIT_ML

@@ -5,9 +5,9 @@ import pytest
 
 from t2m_jax.data import make_motion, open_dataset, write_synthetic_dataset
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation import evaluate_prompt_following, manner_tests
 from t2m_jax.evaluation.prompts import manners
-from t2m_jax.evaluation.prompts.manners import MANNERS, train_classifier
+from t2m_jax.evaluation.prompts.following import evaluate_prompt_following
+from t2m_jax.evaluation.prompts.manners import MANNERS, manner_tests, train_classifier
 from t2m_jax.motion import HUMANML3D, features_from_positions
 from t2m_jax.motion.motion import Motion
 
@@ -57,6 +57,6 @@ def test_each_manner_has_a_test_and_sentences(dataset, monkeypatch):
     assert all("of real test clips, it recognizes 100%" in test.rule for test in tests)
     assert all(len(set(test.sentences)) >= 20 for test in tests)
     results = evaluate_prompt_following(tests, lambda sentence, seed: motion(2, seed), num_seeds=3)
-    assert [row.num_right for row in results] == [0, 3, 0, 0, 0, 0]
-    assert results[0].instead == {MANNERS[2]: 3}
+    assert [row.right for row in results] == [0, 3, 0, 0, 0, 0]
+    assert results[0].instead == ((MANNERS[2], 3),)
     assert not tests[0].holds(Motion(motion(1, 0).positions[:1], 20.0))
