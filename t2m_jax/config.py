@@ -64,6 +64,10 @@ def load_versioned(path: str | Path, schemas: Mapping[int, type]) -> Any:
     file = load_yaml(path)
     version = file.data.get("format_version", 1)
     if type(version) is not int or version not in schemas:
+        if type(version) is int and version < min(schemas):
+            raise UserError(
+                f"{path}: format_version {version} is of an older t2m_jax; use it with t2m_jax 0.1, or make it again"
+            )
         known = ", ".join(map(str, schemas))
         shown = reprlib.repr(version)
         raise UserError(f"{path}: format_version {shown} is unknown to this t2m_jax (known: {known}); update t2m_jax")

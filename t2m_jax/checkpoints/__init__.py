@@ -1,6 +1,6 @@
 """Trained weights on disk: run directories, bundles, tokenizers, evaluators."""
 
-from t2m_jax.checkpoints.audit import Part, audit_model
+from t2m_jax.checkpoints.audit import audit_model
 from t2m_jax.checkpoints.best import Best, find_best
 from t2m_jax.checkpoints.bundle import Bundle, BundleConfig, load_bundle, save_bundle
 from t2m_jax.checkpoints.clip import TrainedClip, load_clip, save_clip
@@ -17,7 +17,6 @@ __all__ = [
     "BundleConfig",
     "Checkpoints",
     "ClipReference",
-    "Part",
     "RunInfo",
     "SentenceReference",
     "TrainedClip",

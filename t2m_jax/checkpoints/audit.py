@@ -9,20 +9,18 @@ from t2m_jax.checkpoints.best import BEST_FOLDER, find_best
 from t2m_jax.checkpoints.bundle import CONFIG_FILE, load_bundle
 from t2m_jax.checkpoints.evaluator import EVALUATOR_CONFIG, load_trained_evaluator
 from t2m_jax.checkpoints.model import load_generator_run
-from t2m_jax.checkpoints.run import CHECKPOINTS, Checkpoints, is_run, run_config_text, run_info
+from t2m_jax.checkpoints.run import Checkpoints, is_run, run_config_text, run_info
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.errors import UserError
-from t2m_jax.files import check_folder, has_manifest
+from t2m_jax.files import check_folder
 
 
-class Part(NamedTuple):
+class AuditedPart(NamedTuple):
     """A part of a model's folder."""
 
     name: str
     problem: str
     """What is wrong; "" if nothing is."""
-    has_manifest: bool = True
-    """Whether its files were compared with a manifest. Those of older versions have none."""
 
 
 def is_model_folder(path: Path) -> bool:
@@ -30,7 +28,7 @@ def is_model_folder(path: Path) -> bool:
     return is_run(path) or any((path / name).is_file() for name in (CONFIG_FILE, EVALUATOR_CONFIG))
 
 
-def audit_model(path: Path) -> list[Part]:
+def audit_model(path: Path) -> list[AuditedPart]:
     """Returns the parts of a run, a bundle or an evaluator. SHA-256 of all files with a manifest are compared.
 
     Raises:
@@ -39,40 +37,38 @@ def audit_model(path: Path) -> list[Part]:
     if is_run(path):
         return list(_audit_run(path))
     if (path / CONFIG_FILE).is_file():
-        return [_audit_folder(path, "bundle"), Part("model", _problem(load_bundle, path))]
+        return [_audit_folder(path, "bundle"), AuditedPart("model", _problem(load_bundle, path))]
     if (path / EVALUATOR_CONFIG).is_file():
-        return [_audit_folder(path, "evaluator"), Part("weights", _problem(load_trained_evaluator, path))]
+        return [_audit_folder(path, "evaluator"), AuditedPart("weights", _problem(load_trained_evaluator, path))]
     raise UserError(f"{path}: neither a run, a bundle nor an evaluator")
 
 
-def _audit_run(path: Path) -> Iterator[Part]:
+def _audit_run(path: Path) -> Iterator[AuditedPart]:
     """Yields what a run has: its checkpoints, the best weights, the copy of its tokenizer, and the model they make."""
     problem = _problem(run_info, path)
-    yield Part("run.yaml", problem)
+    yield AuditedPart("run.yaml", problem)
     if problem:
         return  # it says how the rest is to be read
-    yield Part("config.yaml", _problem(run_config_text, path))
+    yield AuditedPart("config.yaml", _problem(run_config_text, path))
     yield _audit_folder(path, "statistics, sizes and words")
     with Checkpoints(path) as checkpoints:
         for step in checkpoints.steps():
-            listed = has_manifest(path / CHECKPOINTS / f"{step}")
-            yield Part(f"checkpoint {step}", checkpoints.damage(step, thorough=True), listed)
+            yield AuditedPart(f"checkpoint {step}", checkpoints.damage(step, thorough=True))
     for folder in sorted((path / BEST_FOLDER).glob("[0-9]*")):
         if folder.is_dir():
             yield _audit_folder(folder, f"best weights of step {folder.name}")
-    yield Part("choice of the best weights", _problem(find_best, path))
+    yield AuditedPart("choice of the best weights", _problem(find_best, path))
     if (path / CONFIG_FILE).is_file():
         yield from (_audit_folder(found.parent, "tokenizer") for found in sorted(path.glob("*/*.safetensors")))
-        yield Part("model", _problem(load_generator_run, path))
+        yield AuditedPart("model", _problem(load_generator_run, path))
     elif (path / EVALUATOR_CONFIG).is_file():
-        yield Part("model", _problem(load_trained_evaluator, path))
+        yield AuditedPart("model", _problem(load_trained_evaluator, path))
     else:
-        yield Part("model", _problem(load_tokenizer, path))
+        yield AuditedPart("model", _problem(load_tokenizer, path))
 
 
-def _audit_folder(folder: Path, name: str) -> Part:
-    check = functools.partial(check_folder, thorough=True, required=False)
-    return Part(name, _problem(check, folder), has_manifest(folder))
+def _audit_folder(folder: Path, name: str) -> AuditedPart:
+    return AuditedPart(name, _problem(functools.partial(check_folder, thorough=True), folder))
 
 
 def _problem(check: Callable[[Path], Any], path: Path) -> str:

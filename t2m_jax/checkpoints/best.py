@@ -9,7 +9,6 @@ from typing import Any
 
 from t2m_jax.checkpoints.run import Checkpoints
 from t2m_jax.config import load_config, save_config
-from t2m_jax.errors import UserError
 from t2m_jax.files import atomic_folder, check_folder, load_arrays, save_arrays, write_manifest
 
 BEST_FILE, BEST_FOLDER, WEIGHTS_FILE = "best.yaml", "best", "weights.safetensors"
@@ -31,14 +30,6 @@ class Best:
     """Fingerprint of the evaluator, null for the validation loss. Figures of two evaluators cannot be compared."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class _BestLoss:
-    """The file as the training of evaluators wrote it before version 0.2."""
-
-    step: int
-    loss: float
-
-
 def find_best(run: Path) -> Best | None:
     """Returns what a run records about its best weights, None if none were chosen.
 
@@ -46,24 +37,10 @@ def find_best(run: Path) -> Best | None:
         UserError: The file is damaged.
     """
     folder = _newest(run)
-    if folder is not None:
-        check_folder(folder, only=(BEST_FILE,))
-        return load_config(folder / BEST_FILE, Best)
-    return _find_old_best(run / BEST_FILE)
-
-
-def _find_old_best(path: Path) -> Best | None:
-    """Returns what a run of format version 2 or older records, in a file beside the folder of weights."""
-    if not path.is_file():
+    if folder is None:
         return None
-    try:
-        return load_config(path, Best)
-    except UserError as error:
-        try:
-            old = load_config(path, _BestLoss)
-        except UserError:
-            raise error from None
-        return Best(step=old.step, metric="loss", value=old.loss)
+    check_folder(folder, only=(BEST_FILE,))
+    return load_config(folder / BEST_FILE, Best)
 
 
 def save_best(run: Path, best: Best, fields: Mapping[str, Any]) -> None:
@@ -79,7 +56,6 @@ def save_best(run: Path, best: Best, fields: Mapping[str, Any]) -> None:
         write_manifest(partial)
     # What cannot be deleted now does no harm, and goes with the next best weights.
     with contextlib.suppress(OSError):
-        (run / BEST_FILE).unlink(missing_ok=True)
         for other in folder.parent.iterdir():
             if other != folder:
                 shutil.rmtree(other) if other.is_dir() else other.unlink()
@@ -87,7 +63,6 @@ def save_best(run: Path, best: Best, fields: Mapping[str, Any]) -> None:
 
 def forget_best(run: Path) -> None:
     """Removes what an earlier, unfinished start in the same folder may have left."""
-    (run / BEST_FILE).unlink(missing_ok=True)
     shutil.rmtree(run / BEST_FOLDER, ignore_errors=True)
 
 
@@ -101,9 +76,6 @@ def restore_trained(run: Path, like: Mapping[str, Any]) -> dict[str, Any]:
     if folder is not None:
         check_folder(folder)
         return load_arrays(folder / WEIGHTS_FILE, like)
-    best = _find_old_best(run / BEST_FILE)
-    if best is not None:
-        return load_arrays(run / BEST_FOLDER / f"{best.step}.safetensors", like)
     with Checkpoints(run) as checkpoints:
         return checkpoints.restore_fields(like)
 

@@ -14,7 +14,6 @@ from tokenizers import Tokenizer
 from t2m_jax.checkpoints.derived import add_derived, drop_derived
 from t2m_jax.checkpoints.run import DATA_FILE, run_config_text
 from t2m_jax.checkpoints.text_encoder import (
-    CLIP_NAME,
     ClipReference,
     PretrainedEncoder,
     Reference,
@@ -29,10 +28,10 @@ from t2m_jax.files import (
     fingerprint,
     fit_arrays,
     flatten_tree,
+    has_manifest,
     load_json,
     load_text,
     read_arrays,
-    read_manifest,
     save_arrays,
     save_json,
     save_text,
@@ -50,8 +49,8 @@ WEIGHTS_FILE = "weights.safetensors"
 CARD_FILE = "README.md"
 NO_LICENSE = "unknown"
 """The license of a model whose card does not have one. It cannot be shared on the hub."""
-MANIFEST_VERSION = 3
-"""Bundles have a manifest since this format version."""
+FORMAT_VERSION = 3
+"""Version of bundles: they have a manifest."""
 BUNDLED = ("demo", "demo-t2m-gpt")
 """Names of the bundles that are part of the package."""
 
@@ -72,8 +71,8 @@ def find_text_encoder_config(kind: str) -> type:
 class BundleConfig:
     """The parts of a model; the `kind` of each section names its type."""
 
-    format_version: int = 3
-    """Layout of the folder. Since version 3, bundles have a manifest."""
+    format_version: int = FORMAT_VERSION
+    """Layout of the folder."""
     skeleton: str = "humanml3d"
     """Name of the skeleton of the motion."""
     tokenizer: Annotated[Any, Tagged(find_tokenizer_config)]
@@ -94,35 +93,6 @@ class BundleConfig:
         for name, found, wanted in fits:
             if found != wanted:
                 raise ValueError(f"{name} is {found}, but the other parts need {wanted}")
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class _BundleConfig1:
-    """The file of format version 1, which knew T2M-GPT only."""
-
-    format_version: int = 1
-    skeleton: str = "humanml3d"
-    vqvae: Annotated[Any, Tagged(find_tokenizer_config, default="vqvae")]
-    gpt: Annotated[Any, Tagged(find_generator_config, default="gpt")]
-    text_encoder: str = CaptionEncoderConfig.kind
-    clip: str = CLIP_NAME
-    caption_encoder: CaptionEncoderConfig = CaptionEncoderConfig()
-
-    def __post_init__(self) -> None:
-        find_text_encoder_config(self.text_encoder)
-        self.current()
-
-    def current(self) -> BundleConfig:
-        """Returns the same parts in the format of today."""
-        uses_clip = self.text_encoder == ClipReference.kind
-        text_encoder = ClipReference(name=self.clip) if uses_clip else self.caption_encoder
-        return BundleConfig(
-            format_version=2,
-            skeleton=self.skeleton,
-            tokenizer=self.vqvae,
-            generator=self.gpt,
-            text_encoder=text_encoder,
-        )
 
 
 class Bundle(NamedTuple):
@@ -150,9 +120,7 @@ class Bundle(NamedTuple):
     def fingerprint(self) -> str:
         """Identifies the model: a digest of sizes, weights, statistics and subwords."""
         words = "" if self.bpe is None else self.bpe.to_str()
-        # The layout of the folder that it came from does not matter.
-        config = dataclasses.replace(self.config, format_version=MANIFEST_VERSION)
-        return fingerprint(f"{config!r}{words}", jax.device_get(self.variables), self.normalizer._asdict())
+        return fingerprint(f"{self.config!r}{words}", jax.device_get(self.variables), self.normalizer._asdict())
 
 
 def bundle_path(name_or_path: str | Path) -> Path:
@@ -175,8 +143,7 @@ def load_bundle_config(folder: Path) -> BundleConfig:
     Raises:
         UserError: The file is missing, damaged or of an unknown version, or the parts do not fit each other.
     """
-    config = load_versioned(folder / CONFIG_FILE, {1: _BundleConfig1, 2: BundleConfig, 3: BundleConfig})
-    return config.current() if isinstance(config, _BundleConfig1) else config
+    return load_versioned(folder / CONFIG_FILE, {FORMAT_VERSION: BundleConfig})
 
 
 def part_kinds(config: BundleConfig) -> dict[str, str]:
@@ -208,10 +175,10 @@ def load_bundle(path: Path) -> Bundle:
     if not path.is_dir():
         known = ", ".join(BUNDLED)
         raise UserError(f"{path}: no such model; give a bundle folder, a run folder, or a bundled name ({known})")
-    check_folder(path, required=False)
+    if not has_manifest(path):
+        load_bundle_config(path)  # says so if it is of an older version, which had no manifest
+    check_folder(path)
     config = load_bundle_config(path)
-    if config.format_version >= MANIFEST_VERSION:
-        read_manifest(path)  # bundles of older versions have none
     kinds = part_kinds(config)
     shapes = flatten_tree({kinds[role]: shapes for role, shapes in expected_variables(config).items()})
     leaves = {name: (leaf.shape, leaf.dtype) for name, leaf in shapes.items()}
@@ -292,7 +259,7 @@ def write_bundle(
 ) -> None:
     """Writes the files of a bundle into a folder that its caller makes; the other arguments are `save_bundle`'s."""
     kinds = part_kinds(bundle.config)
-    save_config(folder / CONFIG_FILE, dataclasses.replace(bundle.config, format_version=MANIFEST_VERSION))
+    save_config(folder / CONFIG_FILE, bundle.config)
     arrays = flatten_tree({kinds[role]: tree for role, tree in bundle.variables.items()})
     save_arrays(folder / WEIGHTS_FILE, drop_derived(arrays) if half else arrays, half=half)
     save_normalizer(folder, bundle.normalizer)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import jax
 
-from t2m_jax.checkpoints.best import BEST_FOLDER, restore_trained
+from t2m_jax.checkpoints.best import restore_trained
 from t2m_jax.checkpoints.bundle import check_statistics_width
 from t2m_jax.checkpoints.run import is_run
 from t2m_jax.config import load_versioned, save_config
@@ -15,8 +15,8 @@ from t2m_jax.files import (
     atomic_folder,
     check_folder,
     fingerprint,
+    has_manifest,
     load_arrays,
-    read_manifest,
     save_arrays,
     write_manifest,
 )
@@ -32,16 +32,9 @@ class EvaluatorFolderConfig:
     """The file that makes a folder an evaluator."""
 
     format_version: int = 2
-    """Layout of the folder. Since version 2, it has a manifest, unless it is a run."""
+    """Layout of the folder. It has a manifest."""
     model: EvaluatorConfig = EvaluatorConfig()
     """Sizes."""
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class _EvaluatorFolderConfigV1(EvaluatorFolderConfig):
-    """The file of version 1, which did not name it at first."""
-
-    format_version: int = 1
 
 
 class TrainedEvaluator(NamedTuple):
@@ -94,20 +87,14 @@ def load_trained_evaluator(folder: str | Path) -> TrainedEvaluator:
     path = folder / EVALUATOR_CONFIG
     if not path.is_file():
         raise UserError(f"{folder}: not an evaluator (it has no {path.name}); train one with `t2m train evaluator`")
-    check_folder(folder, required=False)
-    found = load_versioned(path, {1: _EvaluatorFolderConfigV1, 2: EvaluatorFolderConfig})
-    if found.format_version > 1 and not is_run(folder):
-        read_manifest(folder)
-    config = found.model
+    if not has_manifest(folder):
+        load_versioned(path, {2: EvaluatorFolderConfig})  # says so if it is of an older version, which had no manifest
+    check_folder(folder)
+    config = load_versioned(path, {2: EvaluatorFolderConfig}).model
     normalizer, vocabulary = load_normalizer(folder), load_vocabulary(folder / WORDS_FILE)
     if len(vocabulary) != config.num_words:
         raise UserError(f"{folder / WORDS_FILE}: has {len(vocabulary)} words, but {path.name} says {config.num_words}")
     check_statistics_width(folder, normalizer, config.feature_dim)
-    return make_trained_evaluator(config, _load_weights(folder, config), normalizer, vocabulary)
-
-
-def _load_weights(folder: Path, config: EvaluatorConfig) -> dict[str, Any]:
-    # Runs of version 0.1 have their best weights in the file that folders have.
-    if not is_run(folder) or ((folder / WEIGHTS_FILE).is_file() and not (folder / BEST_FOLDER).is_dir()):
-        return load_arrays(folder / WEIGHTS_FILE, evaluator_shapes(config))
-    return jax.device_get(restore_trained(folder, evaluator_shapes(config)))
+    shapes = evaluator_shapes(config)
+    variables = restore_trained(folder, shapes) if is_run(folder) else load_arrays(folder / WEIGHTS_FILE, shapes)
+    return make_trained_evaluator(config, jax.device_get(variables), normalizer, vocabulary)

@@ -35,13 +35,7 @@ CONFIG_FILE, INFO_FILE, DATA_FILE = "config.yaml", "run.yaml", "training_data.js
 CHECKPOINTS = "checkpoints"
 
 FORMAT_VERSION = 4
-"""Version of new runs. Since version 2, every row of a batch has its own random keys, and the order of the data is
-another one. Runs of version 1 can be used, but not continued. Since version 3, checkpoints have manifests. Since
-version 4, `config.yaml` has a checksum."""
-RESUMABLE_VERSION = 2
-"""Oldest version of runs that can be continued."""
-MANIFEST_VERSION, SEALED_VERSION = 3, 4
-"""In runs of older versions, a checkpoint without a manifest and a config without a checksum may be intact."""
+"""Version of runs: checkpoints have manifests, and `config.yaml` has a checksum."""
 
 DELETE_TRIES, QUIET_TRIES, DELETE_SECONDS = 50, 5, 0.1
 """After Orbax has failed, its threads write for a moment. So their files are deleted again and again, until none has
@@ -71,14 +65,7 @@ class RunInfo:
     format_version: int = FORMAT_VERSION
     """Layout of the directory, and the random streams of its updates."""
     data: str | None = None
-    """Fingerprints of the parts of the data set; null in runs of version 2 and older."""
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class _RunInfoV1(RunInfo):
-    """The file in runs of version 1, which did not name it at first."""
-
-    format_version: int = 1
+    """Fingerprints of the parts of the data set; null if they are not known."""
 
 
 def run_info(path: Path) -> RunInfo:
@@ -89,21 +76,12 @@ def run_info(path: Path) -> RunInfo:
     """
     if not is_run(path):
         raise UserError(f"{path}: not a run directory (it has no {INFO_FILE})")
-    return load_versioned(path / INFO_FILE, {1: _RunInfoV1} | dict.fromkeys(range(2, FORMAT_VERSION + 1), RunInfo))
-
-
-def check_resumable(path: Path) -> None:
-    """Raises `UserError` if a folder is not a run, or was written by a version whose updates were different."""
-    if run_info(path).format_version < RESUMABLE_VERSION:
-        raise UserError(
-            f"{path}: was started with an older t2m_jax, whose updates were different; use it as it is, or start "
-            f"a new run from its weights with `--init {path}`"
-        )
+    return load_versioned(path / INFO_FILE, {FORMAT_VERSION: RunInfo})
 
 
 def check_run_files(path: Path) -> None:
     """Raises `UserError` if a file that a run was started with has changed, such as its statistics or its words."""
-    check_folder(path, required=False)  # runs of older versions have no manifest
+    check_folder(path)
 
 
 def is_run(path: Path) -> bool:
@@ -134,7 +112,7 @@ def run_config_text(path: Path) -> str:
     Raises:
         UserError: It has changed since the run wrote it.
     """
-    return load_sealed(path / CONFIG_FILE, required=run_info(path).format_version >= SEALED_VERSION)
+    return load_sealed(path / CONFIG_FILE)
 
 
 class Checkpoints:
@@ -152,8 +130,6 @@ class Checkpoints:
         self._folder = (run / CHECKPOINTS).resolve()
         self._folder.mkdir(parents=True, exist_ok=True)
         self._checkpointer = ocp.AsyncCheckpointer(ocp.CompositeCheckpointHandler())
-        owner = run if is_run(run) else run.parent  # the first stage of an evaluator is a folder in its run
-        self._needs_manifest = is_run(owner) and run_info(owner).format_version >= MANIFEST_VERSION
         # Saving goes on while training does; the next save and closing wait for it.
         self._thread = concurrent.futures.ThreadPoolExecutor(1)
         self._unfinished: concurrent.futures.Future[None] | None = None
@@ -188,7 +164,7 @@ class Checkpoints:
     def damage(self, step: int, *, thorough: bool = False) -> str:
         """Returns what is wrong with a checkpoint, "" if it is as it was written; see `check_folder`."""
         try:
-            check_folder(self._folder / str(step), thorough=thorough, required=self._needs_manifest)
+            check_folder(self._folder / str(step), thorough=thorough)
         except UserError as error:
             return str(error)
         return ""

@@ -67,7 +67,7 @@ def load_tokenizer(path: str | Path) -> TrainedTokenizer:
     shapes = variable_shapes(config)
     if (path / CONFIG_FILE).is_file():
         path /= config.kind
-        check_folder(path, required=False)
+        check_folder(path)
         variables = load_arrays(path / f"{config.kind}.safetensors", shapes)
     else:
         variables = restore_trained(path, shapes)

@@ -36,7 +36,7 @@ def write_manifest(folder: Path, patterns: Iterable[str] = ("**/*",)) -> None:
 
 
 def has_manifest(folder: Path) -> bool:
-    """Returns whether a folder has a manifest. Those that older versions wrote have none."""
+    """Returns whether a folder has a manifest."""
     return (folder / MANIFEST).is_file()
 
 
@@ -61,22 +61,17 @@ def read_manifest(folder: Path) -> dict[str, Entry]:
     return entries
 
 
-def check_folder(
-    folder: Path, *, only: Container[str] | None = None, thorough: bool = False, required: bool = True
-) -> None:
+def check_folder(folder: Path, *, only: Container[str] | None = None, thorough: bool = False) -> None:
     """Compares the files of a folder with its manifest: sizes and CRC-32, which finds damage.
 
     Args:
         folder: The folder.
         only: Names of the files to compare; None for all of the manifest.
         thorough: Compare SHA-256, too, which also finds changes that somebody wanted to hide.
-        required: Whether a folder without a manifest is refused, too.
 
     Raises:
         UserError: A file is missing or has changed, or the manifest is missing or damaged.
     """
-    if not required and not has_manifest(folder):
-        return
     for name, expected in read_manifest(folder).items():
         if only is not None and name not in only:
             continue

@@ -16,16 +16,14 @@ def save_sealed(path: Path, text: str) -> None:
     save_text(path, f"{text}{_seal(text)}")
 
 
-def load_sealed(path: Path, *, required: bool = True) -> str:
-    """Returns a text without its checksum; unless `required`, it may have none.
+def load_sealed(path: Path) -> str:
+    """Returns a text without its checksum.
 
     Raises:
         UserError: It is missing, or has changed since it was written.
     """
     found = load_text(path)
-    text, mark, _ = found.rpartition(_SEAL)
-    if not mark and not required:
-        return found
+    text, _, _ = found.rpartition(_SEAL)
     if found != f"{text}{_seal(text)}":
         raise UserError(f"{path}: has changed since it was written, or is damaged; put the old file back")
     return text

@@ -18,7 +18,6 @@ import jax
 from t2m_jax.checkpoints.best import forget_best
 from t2m_jax.checkpoints.run import (
     DATA_FILE,
-    check_resumable,
     check_run_files,
     create_run,
     has_checkpoint,
@@ -158,7 +157,7 @@ def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
     with checks.claim_run(config.run):
         trainer = find_trainer(config.kind)
         if resume:
-            check_resumable(config.run)
+            run_info(config.run)
             check_run_files(config.run)
         else:
             checks.check_new_run(config.run)

@@ -13,6 +13,7 @@ from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.errors import UserError
 from t2m_jax.files import (
+    MANIFEST,
     load_arrays,
     read_arrays,
     read_manifest,
@@ -21,7 +22,7 @@ from t2m_jax.files import (
     unflatten_tree,
     write_manifest,
 )
-from tests.tiny import BUNDLE, HIFIGPT_BUNDLE, drop_manifest, random_bundle
+from tests.tiny import BUNDLE, HIFIGPT_BUNDLE, random_bundle, trust_manifests
 
 
 @pytest.fixture(scope="module")
@@ -32,10 +33,10 @@ def saved(tmp_path_factory):
 
 
 @pytest.fixture
-def copy(saved, tmp_path):
-    """A bundle of the version before manifests, whose files can be changed."""
+def copy(saved, tmp_path, monkeypatch):
+    """A bundle whose files can be changed."""
     shutil.copytree(saved, tmp_path / "copy")
-    drop_manifest(tmp_path / "copy")
+    trust_manifests(monkeypatch)
     return tmp_path / "copy"
 
 
@@ -139,13 +140,11 @@ def test_every_change_of_a_file_is_refused(saved, tmp_path):
     load_bundle(copy)
 
 
-def test_a_bundle_of_an_older_version_gets_a_manifest_when_it_is_saved(copy, tmp_path):
-    old = load_bundle(copy)
-    assert old.config.format_version == 2
-    save_bundle(tmp_path / "new", old, card="")
-    assert load_bundle(tmp_path / "new").config.format_version == 3
-    assert load_bundle(tmp_path / "new").fingerprint == old.fingerprint != random_bundle(seed=11).fingerprint
-    assert list(read_manifest(tmp_path / "new")) == sorted({path.name for path in copy.iterdir()})
+def test_a_bundle_without_a_manifest_is_refused(saved, tmp_path):
+    shutil.copytree(saved, tmp_path / "copy")
+    assert list(read_manifest(saved)) == sorted({path.name for path in saved.iterdir()} - {MANIFEST})
+    (tmp_path / "copy" / MANIFEST).unlink()
+    assert MANIFEST in refused(tmp_path / "copy")
 
 
 @pytest.mark.parametrize("name", [CONFIG_FILE, WEIGHTS_FILE, "Mean.npy", "Std.npy", "tokenizer.json"])
@@ -165,7 +164,7 @@ def test_missing_folders_name_what_there_is(tmp_path):
     ("changes", "said"),
     [
         ({"format_version": 99}, "format_version 99"),
-        ({"format_version": 1}, "unknown key"),
+        ({"format_version": 2}, "format_version 2 is of an older t2m_jax; use it with t2m_jax 0.1, or make it again"),
         ({"skeleton": "kit_ml"}, "tokenizer.feature_dim"),
         ({"tokenizer__kind": "horse"}, "tokenizer.kind: 'horse'"),
         ({"tokenizer__kind": "gpt"}, "'gpt' is a generator"),

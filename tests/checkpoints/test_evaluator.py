@@ -15,7 +15,7 @@ from t2m_jax.checkpoints.evaluator import (
 )
 from t2m_jax.errors import UserError
 from t2m_jax.text.word_vectors import Vocabulary, save_vocabulary
-from tests.tiny import drop_manifest, random_evaluator
+from tests.tiny import random_evaluator, trust_manifests
 
 
 @pytest.fixture(scope="module")
@@ -30,9 +30,9 @@ def folder(trained, tmp_path):
 
 
 @pytest.fixture
-def old(folder):
-    """A folder of the version before manifests, whose files can be changed."""
-    drop_manifest(folder)
+def trusted(folder, monkeypatch):
+    """A folder whose files can be changed."""
+    trust_manifests(monkeypatch)
     return folder
 
 
@@ -83,10 +83,10 @@ def test_no_folder_is_written_over(trained, folder):
         ("Mean.npy", "missing"),
     ],
 )
-def test_what_is_missing_is_named(old, name, said):
-    (old / name).unlink()
+def test_what_is_missing_is_named(trusted, name, said):
+    (trusted / name).unlink()
     with pytest.raises(UserError, match=said):
-        load_trained_evaluator(old)
+        load_trained_evaluator(trusted)
 
 
 def test_every_change_of_a_file_is_refused(folder):
@@ -101,24 +101,24 @@ def test_every_change_of_a_file_is_refused(folder):
     load_trained_evaluator(folder)
 
 
-def test_parts_that_do_not_fit_are_refused(trained, old, tmp_path):
-    shutil.copytree(old, tmp_path / "words")
+def test_parts_that_do_not_fit_are_refused(trained, trusted, tmp_path):
+    shutil.copytree(trusted, tmp_path / "words")
     save_vocabulary(tmp_path / "words" / "words.txt", Vocabulary((*trained.vocabulary.words, "more")))
     with pytest.raises(UserError, match=r"words\.txt: has \d+ words, but evaluator\.yaml says"):
         load_trained_evaluator(tmp_path / "words")
-    shutil.copytree(old, tmp_path / "statistics")
+    shutil.copytree(trusted, tmp_path / "statistics")
     for name in ("Mean.npy", "Std.npy"):
         np.save(tmp_path / "statistics" / name, np.ones(251, np.float32))
     with pytest.raises(UserError, match="statistics are for 251 features; the model has 263"):
         load_trained_evaluator(tmp_path / "statistics")
-    path = old / "evaluator.yaml"
-    path.write_text(path.read_text().replace("format_version: 1", "format_version: 9"))
-    with pytest.raises(UserError, match="format_version 9"):
-        load_trained_evaluator(old)
+    path = trusted / "evaluator.yaml"
+    path.write_text(path.read_text().replace("format_version: 2", "format_version: 1"))
+    with pytest.raises(UserError, match="format_version 1 is of an older t2m_jax"):
+        load_trained_evaluator(trusted)
     path.write_text(
         path.read_text()
-        .replace("format_version: 9", "format_version: 1")
+        .replace("format_version: 1", "format_version: 2")
         .replace("motion_hidden: 8", "motion_hidden: 6")
     )
     with pytest.raises(UserError, match="has shape"):
-        load_trained_evaluator(old)
+        load_trained_evaluator(trusted)

@@ -23,7 +23,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.files import load_arrays
 from t2m_jax.motion.normalizer import load_normalizer
 from t2m_jax.text.bpe import load_bpe
-from tests.tiny import BUNDLE, drop_manifest, random_bundle
+from tests.tiny import BUNDLE, random_bundle, trust_manifests
 
 MEAN, TOKENIZER = "Mean.npy", "tokenizer.json"
 
@@ -36,10 +36,10 @@ def saved(tmp_path_factory):
 
 
 @pytest.fixture
-def copy(saved, tmp_path):
-    """A bundle of the version before manifests. A stranger's bundle may also have a manifest that fits its files."""
+def copy(saved, tmp_path, monkeypatch):
+    """A bundle whose files can be changed."""
     shutil.copytree(saved, tmp_path / "copy")
-    drop_manifest(tmp_path / "copy")
+    trust_manifests(monkeypatch)
     return tmp_path / "copy"
 
 
