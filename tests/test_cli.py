@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.cli.main import COMMANDS, _PrintableFormatter, main
-from t2m_jax.cli.next_step import show_next
+from t2m_jax.cli.options import show_next
 from t2m_jax.errors import Interruption, UserError
 from t2m_jax.evaluation.report.comparison import comparison_table
 from t2m_jax.files import atomic_file, lock

@@ -14,9 +14,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from t2m_jax.cli.generate import add_model_argument
-from t2m_jax.cli.next_step import show_next
-from t2m_jax.cli.subcommands import subcommand_adder
+from t2m_jax.cli.options import add_model_argument, show_next, subcommand_adder
 from t2m_jax.errors import UserError
 from t2m_jax.files import check_output, claim
 

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from t2m_jax.cli.next_step import show_next
+from t2m_jax.cli.options import show_next
 from t2m_jax.errors import UserError
 
 if TYPE_CHECKING:

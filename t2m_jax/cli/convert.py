@@ -14,7 +14,7 @@ import shlex
 import sys
 from pathlib import Path
 
-from t2m_jax.cli.next_step import show_next
+from t2m_jax.cli.options import option_of, show_next
 from t2m_jax.errors import UserError
 
 _MODEL_FILES = ("vqvae", "gpt", "mean", "std")
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "word_vectors": "word vectors of the evaluator (our_vab_data.npy)",
     }
     for name, help_ in files.items():
-        parser.add_argument(_option(name), type=Path, metavar="FILE", help=help_)
+        parser.add_argument(option_of(name), type=Path, metavar="FILE", help=help_)
     parser.add_argument("--num-heads", type=int, default=16, help="attention heads of the GPT (default: %(default)s)")
     vqvae = parser.add_argument_group("options of the VQ-VAE that its file does not contain")
     vqvae.add_argument("--dilation-growth", type=int, default=3, help="ratio of dilations (default: %(default)s)")
@@ -56,31 +56,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Writes the folder, and prints its name and the next command."""
-    wanted: tuple[str, ...]
     folder = shlex.quote(f"{args.destination}")
     if args.export_official is not None:
-        write, task, wanted = _export, "--export-official", ()
+        _check_files(args, "--export-official", ())
+        _export(args)
         following = f"load the files of {folder} with the original code"
     elif args.evaluator is not None:
-        write, task, wanted = _convert_evaluator, "an evaluator", _EVALUATOR_FILES
+        _check_files(args, "an evaluator", _EVALUATOR_FILES)
+        _convert_evaluator(args)
         following = f"t2m evaluate generation --data DATA --evaluator {folder}"
     else:
-        write, task, wanted = _convert_model, "a model", _MODEL_FILES
+        _check_files(args, "a model", _MODEL_FILES)
+        _convert_model(args)
         following = f't2m generate "a man walks in a circle" --model {folder}'
-    given = [name for name in dict.fromkeys((*_MODEL_FILES, *_EVALUATOR_FILES)) if getattr(args, name) is not None]
-    extra = [_option(name) for name in given if name not in wanted]
-    missing = [_option(name) for name in wanted if name not in given]
-    if extra:
-        raise UserError(f"convert: {', '.join(extra)} cannot be used with {task}; leave it out")
-    if missing:
-        raise UserError(f"convert: {', '.join(missing)} missing; {task} needs {', '.join(map(_option, wanted))}")
-    write(args)
     sys.stdout.write(f"{args.destination}\n")
     show_next(following)
 
 
-def _option(name: str) -> str:
-    return "--" + name.replace("_", "-")
+def _check_files(args: argparse.Namespace, task: str, wanted: tuple[str, ...]) -> None:
+    """Raises `UserError` if files are missing, or are given that are not needed."""
+    given = [name for name in dict.fromkeys((*_MODEL_FILES, *_EVALUATOR_FILES)) if getattr(args, name) is not None]
+    extra = [option_of(name) for name in given if name not in wanted]
+    missing = [option_of(name) for name in wanted if name not in given]
+    if extra:
+        raise UserError(f"convert: {', '.join(extra)} cannot be used with {task}; leave it out")
+    if missing:
+        raise UserError(f"convert: {', '.join(missing)} missing; {task} needs {', '.join(map(option_of, wanted))}")
 
 
 def _export(args: argparse.Namespace) -> None:

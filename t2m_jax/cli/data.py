@@ -4,11 +4,11 @@ import argparse
 import dataclasses
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from t2m_jax.cli.next_step import show_next
+from t2m_jax.cli.options import add_model_argument, show_next, subcommand_adder
 from t2m_jax.errors import UserError, printable
 
 if TYPE_CHECKING:
@@ -20,41 +20,34 @@ SHEET = "contact-sheet.html"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Adds the sub-commands `import`, `rig`, `sheet`, `merge`, `replay`, `synthetic` and `check`."""
-    names = "{import,rig,sheet,merge,replay,synthetic,check}"
-    commands = parser.add_subparsers(dest="data_command", required=True, metavar=names)
-    importer = commands.add_parser("import", help="convert motion files into a data-set folder")
-    synthetic = commands.add_parser("synthetic", help="make a data-set folder of computed motions, without a download")
-    merge = commands.add_parser("merge", help="put several data sets into one folder")
-    merge.add_argument("sources", nargs="+", type=Path, metavar="SRC", help="folders to read")
-    merge.add_argument("destination", type=Path, metavar="DEST", help="folder to make")
-    replay = commands.add_parser("replay", help="make a data-set folder of motion that a model generates")
-    replay.add_argument("destination", type=Path, metavar="DEST", help="folder to make")
-    replay.add_argument("--model", default="demo", help="folder of a run or bundle, or a name (default: demo)")
-    replay.add_argument(
-        "--sentences", type=Path, metavar="FILE", help="what to generate, a sentence per line (default: some captions)"
-    )
-    replay.add_argument("--num-clips", type=int, default=120, help="number of motions (default: 120)")
-    replay.add_argument("--seed", type=int, default=0)
-    rig = commands.add_parser("rig", help="guess which joints of a file are HumanML3D's, as a table for --rig")
+    """Adds the sub-commands and their options."""
+    add = subcommand_adder(parser)
+    importer = add(run_import, "convert motion files into a data-set folder")
+    rig = add(run_rig, "guess which joints of a file are HumanML3D's, as a table for --rig")
+    sheet = add(run_sheet, "draw some poses of each clip of a data-set folder on one page")
+    merge = add(run_merge, "put several data sets into one folder")
+    replay = add(run_replay, "make a data-set folder of motion that a model generates")
+    synthetic = add(run_synthetic, "make a data-set folder of computed motions, without a download")
+    check = add(run_check, "count the contents of a data-set folder and find its faults")
+    _add_importers(importer)
     rig.add_argument("file", type=Path, metavar="FILE", help="a .bvh, .glb or .amc file")
     rig.add_argument("-o", "--output", type=Path, metavar="FILE", help="table to write (default: print it)")
-    sheet = commands.add_parser("sheet", help="draw some poses of each clip of a data-set folder on one page")
-    sheet.add_argument("folder", type=Path, metavar="DIR")
+    for command in (sheet, check):
+        command.add_argument("folder", type=Path, metavar="DIR")
     sheet.add_argument("-o", "--output", type=Path, metavar="FILE", help=f"page to write (default: DIR/{SHEET})")
-    check = commands.add_parser("check", help="count the contents of a data-set folder and find its faults")
-    check.add_argument("folder", type=Path, metavar="DIR")
     check.add_argument("--json", type=Path, metavar="FILE", help="write the report to this file, too")
-    _add_importers(importer)
-    synthetic.add_argument("destination", type=Path, metavar="DEST", help="folder to make")
+    merge.add_argument("sources", nargs="+", type=Path, metavar="SRC", help="folders to read")
+    for command in (merge, replay, synthetic):
+        command.add_argument("destination", type=Path, metavar="DEST", help="folder to make")
+    add_model_argument(replay)
+    sentences = "what to generate, a sentence per line (default: some captions)"
+    replay.add_argument("--sentences", type=Path, metavar="FILE", help=sentences)
+    replay.add_argument("--num-clips", type=int, default=120, help="number of motions (default: 120)")
     synthetic.add_argument("--num-clips", type=int, help="clips before mirroring (default: 200, or 14614 as HumanML3D)")
-    synthetic.add_argument(
-        "--like-humanml3d",
-        action="store_true",
-        help="use HumanML3D's names, lengths and (by default) size, to measure what such a data set needs; it is cut "
-        "from some hundred motions (5 GB, some minutes)",
-    )
-    synthetic.add_argument("--seed", type=int, default=0)
+    like = "use HumanML3D's names, lengths and (by default) size, to measure what such a data set needs (5 GB)"
+    synthetic.add_argument("--like-humanml3d", action="store_true", help=like)
+    for command in (replay, synthetic):
+        command.add_argument("--seed", type=int, default=0)
 
 
 def _add_importers(importer: argparse.ArgumentParser) -> None:
@@ -72,12 +65,10 @@ def _add_importers(importer: argparse.ArgumentParser) -> None:
     bvh.add_argument("--captions", type=Path, metavar="FILE", help="file,caption[,start,end] or 'file: caption' lines")
     bvh.add_argument("--up", choices=("auto", "y", "z"), default="auto", help="axis that points up (default: found)")
     bvh.add_argument("--amc-fps", type=float, default=120.0, help="frames per second of AMC files (default: 120)")
-    bvh.add_argument(
-        "--split", default="80/5/15", help="shares of train, val and test (default: 80/5/15), or a folder of lists"
-    )
-    bvh.add_argument(
-        "--split-by", metavar="COLUMN", help="keep clips together: 'folder', or a column of the table such as actor"
-    )
+    split = "shares of train, val and test (default: 80/5/15), or a folder of lists"
+    bvh.add_argument("--split", default="80/5/15", help=split)
+    together = "keep clips together: 'folder', or a column of the table such as actor"
+    bvh.add_argument("--split-by", metavar="COLUMN", help=together)
     bvh.add_argument("--rig", help="name of a rig or a YAML file (default: detected from the joint names)")
     bvh.add_argument("--caption-from-name", action="store_true", help="caption clips without captions by file name")
     bvh.add_argument("--info", type=Path, metavar="FILE", help="YAML with name, licence, source and attribution")
@@ -85,57 +76,61 @@ def _add_importers(importer: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Runs the chosen sub-command and prints the next command; `check` exits with code 1 if it finds problems."""
-    commands = {
-        "check": lambda: check_dataset(args.folder, args.json),
-        "rig": lambda: guess_table(args.file, args.output),
-        "sheet": lambda: draw_sheet(args.folder, args.output or args.folder / SHEET),
-    }
-    if args.data_command in commands:
-        commands[args.data_command]()
+    """Runs the chosen sub-command. If it has made a folder, prints what the folder has, and the next command."""
+    report = args.run_command(args)
+    if report is None:
         return
-    from t2m_jax.data import importers
-    from t2m_jax.data.importers import synthetic, synthetic_scale
-    from t2m_jax.data.merge import merge_datasets
-
-    if args.data_command == "synthetic":
-        default, write = synthetic.NUM_CLIPS, synthetic.write_synthetic_dataset
-        if args.like_humanml3d:
-            default, write = synthetic_scale.NUM_CLIPS, synthetic_scale.write_scaled_dataset
-        num_clips = default if args.num_clips is None else args.num_clips
-        report = write(args.destination, num_clips=num_clips, seed=args.seed)
-    elif args.data_command == "replay":
-        report = generate_replay(args)
-    elif args.data_command == "merge":
-        report = merge_datasets(args.sources, args.destination)
-    elif args.source_kind == "bandai-namco":
-        options = {name: getattr(args, name) for name in ("splits", "composed", "workers")}
-        report = importers.import_bandai_namco(args.source, args.destination, **options)
-    elif args.source_kind == "humanml3d":
-        report = importers.import_humanml3d(args.source, args.destination)
-    else:
-        names = "captions rig caption_from_name info up amc_fps split split_by seed"
-        options = {name: getattr(args, name) for name in names.split()}
-        report = importers.import_bvh_folder(args.source, args.destination, **options)
-    _show_report(args, report)
-    if args.data_command == "import" and args.source_kind == "bvh":
-        draw_sheet(args.destination, args.destination / SHEET, notes=report.notes, left_out=report.left_out)
-    show_next(f"t2m data check {shlex.quote(str(args.destination))}")
-
-
-def _show_report(args: argparse.Namespace, report: "ImportReport") -> None:
-    """Prints what a new data set has, and what it lacks."""
     sizes = ", ".join(f"{split} {size}" for split, size in report.split_sizes.items())
-    twins = "" if args.data_command == "replay" else "; with mirrored twins"
+    twins = "" if args.run_command is run_replay else "; with mirrored twins"
     _show(f"{args.destination}: {report.num_clips} clips ({report.num_frames} frames{twins}): {sizes}")
     _print_lines(report.notes, indent="  ")
     if report.left_out:
         _show(f"  {len(report.left_out)} clips left out:")
         _print_lines([f"{name}: {reason}" for name, reason in report.left_out.items()])
+    sheet = args.destination / SHEET
+    if sheet.exists():
+        _show(f"  poses of the clips: {sheet}")
+    show_next(f"t2m data check {shlex.quote(str(args.destination))}")
 
 
-def generate_replay(args: argparse.Namespace) -> "ImportReport":
-    """Writes what a model generates, and returns a report."""
+def run_import(args: argparse.Namespace) -> "ImportReport":
+    """Writes a folder from motion files."""
+    from t2m_jax.data import importers
+    from t2m_jax.data.folder import open_dataset
+    from t2m_jax.export.contact_sheet import save_contact_sheet
+
+    given = {name: value for name, value in vars(args).items() if name not in ("run_command", "source_kind")}
+    source = given.pop("source")
+    destination = given.pop("destination")
+    if args.source_kind == "bandai-namco":
+        return importers.import_bandai_namco(source, destination, **given)
+    if args.source_kind == "humanml3d":
+        return importers.import_humanml3d(source, destination)
+    report = importers.import_bvh_folder(source, destination, **given)
+    dataset = open_dataset(destination)
+    save_contact_sheet(destination / SHEET, dataset, notes=report.notes, left_out=report.left_out)
+    return report
+
+
+def run_merge(args: argparse.Namespace) -> "ImportReport":
+    """Writes a folder from others."""
+    from t2m_jax.data.merge import merge_datasets
+
+    return merge_datasets(args.sources, args.destination)
+
+
+def run_synthetic(args: argparse.Namespace) -> "ImportReport":
+    """Writes a folder of computed motions."""
+    from t2m_jax.data.importers import synthetic, synthetic_scale
+
+    write = synthetic_scale.write_scaled_dataset if args.like_humanml3d else synthetic.write_synthetic_dataset
+    default = synthetic_scale.NUM_CLIPS if args.like_humanml3d else synthetic.NUM_CLIPS
+    num_clips = default if args.num_clips is None else args.num_clips
+    return write(args.destination, num_clips=num_clips, seed=args.seed)
+
+
+def run_replay(args: argparse.Namespace) -> "ImportReport":
+    """Writes what a model generates."""
     from t2m_jax.export.replay import write_replay
     from t2m_jax.files import load_text
     from t2m_jax.sampling import TextToMotion
@@ -146,38 +141,41 @@ def generate_replay(args: argparse.Namespace) -> "ImportReport":
         if not sentences:
             raise UserError(f"{args.sentences}: has no sentence")
     model = TextToMotion.load(args.model)
-    options = {"sentences": sentences, "num_clips": args.num_clips, "seed": args.seed}
-    return write_replay(model, args.destination, **options)
+    return write_replay(model, args.destination, sentences=sentences, num_clips=args.num_clips, seed=args.seed)
 
 
-def guess_table(file: Path, output: Path | None) -> None:
+def run_rig(args: argparse.Namespace) -> None:
     """Prints or writes the best guess of a rig's table."""
     from t2m_jax.data.importers.bvh import open_motion_file
     from t2m_jax.files import check_output, save_text
     from t2m_jax.motion.rig.guess import rig_table_text
 
-    place = None if output is None else check_output(output)
-    clip = next(iter(open_motion_file(file).values()))
-    text = rig_table_text(clip, source=file.name)
+    place = None if args.output is None else check_output(args.output)
+    clip = next(iter(open_motion_file(args.file).values()))
+    text = rig_table_text(clip, source=args.file.name)
     if place is None:
         for line in text.splitlines():
             _show(line)
         return
     save_text(place, text)
     _show(f"{place}")
-    show_next(f"t2m data import bvh {shlex.quote(str(file.parent))} data/mine --rig {shlex.quote(str(place))}")
+    show_next(f"t2m data import bvh {shlex.quote(str(args.file.parent))} data/mine --rig {shlex.quote(str(place))}")
 
 
-def draw_sheet(
-    folder: Path, output: Path, *, notes: Sequence[str] = (), left_out: Mapping[str, str] | None = None
-) -> None:
+def run_sheet(args: argparse.Namespace) -> None:
     """Writes a contact sheet and prints its name."""
     from t2m_jax.data.folder import open_dataset
     from t2m_jax.export.contact_sheet import save_contact_sheet
     from t2m_jax.files import check_output
 
-    save_contact_sheet(check_output(output), open_dataset(folder), notes=notes, left_out=left_out)
+    output = check_output(args.output or args.folder / SHEET)
+    save_contact_sheet(output, open_dataset(args.folder))
     _show(f"  poses of the clips: {output}")
+
+
+def run_check(args: argparse.Namespace) -> None:
+    """Prints the audit of a folder and exits with code 1 if something is wrong."""
+    check_dataset(args.folder, args.json)
 
 
 def check_dataset(folder: Path, report_file: Path | None) -> None:

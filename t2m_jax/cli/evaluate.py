@@ -18,9 +18,7 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from t2m_jax.cli.generate import add_model_argument, add_raw_argument, add_sampling_arguments
-from t2m_jax.cli.next_step import show_next
-from t2m_jax.cli.subcommands import subcommand_adder
+from t2m_jax.cli.options import add_model_argument, add_record, read_record, show_next, subcommand_adder
 from t2m_jax.errors import UserError, printable
 from t2m_jax.files import check_output, claim, save_json
 
@@ -30,6 +28,7 @@ if TYPE_CHECKING:
     from t2m_jax.evaluation.report.record import ReconstructionFigures
     from t2m_jax.evaluation.sources import CodeSource
     from t2m_jax.evaluation.task import EvaluationTask
+    from t2m_jax.motion.motion import Motion
 
 FORMATS = ("terminal", "markdown", "latex", "json")
 LABELS = {
@@ -56,6 +55,8 @@ QUALITY_LABELS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the sub-commands and their options."""
+    from t2m_jax.sampling.request import SamplingOptions
+
     add = subcommand_adder(parser)
     reconstruction = add(run_reconstruction, "measure how well a tokenizer gives back real motion")
     generation = add(run_generation, "measure how well generated motion fits captions and real motion")
@@ -71,10 +72,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         command.add_argument("--json", type=Path, metavar="F", help="also write the figures to this file")
     _add_protocol_arguments(reconstruction, needs_evaluator=False)
     _add_protocol_arguments(generation, needs_evaluator=True)
-    for command in (generation, prompts):
-        add_sampling_arguments(command)
+    for command, left_out in ((generation, ("strategy", "max_codes", "raw")), (prompts, ("strategy", "max_codes"))):
+        add_record(command, SamplingOptions, left_out=left_out)
         command.add_argument("--greedy", action="store_const", dest="temperature", const=0.0, help="--temperature 0")
-    add_raw_argument(prompts)
     groups = "what is asked for: actions, a pace or a manner (both with --data), or two actions in turn"
     choices = ("actions", "paces", "manners", "composed")
     prompts.add_argument("--group", choices=choices, default="actions", help=f"{groups} (default: actions)")
@@ -163,9 +163,9 @@ def run_generation(args: argparse.Namespace) -> None:
     from t2m_jax.sampling import TextToMotion
     from t2m_jax.sampling.request import SamplingOptions
 
-    names = ("temperature", "top_k", "top_p", "guidance_scale", "stop_rule")
-    options = SamplingOptions(**{name: value for name, value in vars(args).items() if name in names})
-    model, dataset = TextToMotion.load(args.model), open_dataset(args.data)
+    options = read_record(SamplingOptions, args)
+    model = TextToMotion.load(args.model)
+    dataset = open_dataset(args.data)
     check_feature_dim(dataset, model.config.tokenizer.feature_dim, reader="the model")
     task = _make_task(args, dataset, unit=model.config.tokenizer.downsample)
     _measure(args, task, make_generation(model, task.samples.clips, options=options))
@@ -240,22 +240,23 @@ def run_prompts(args: argparse.Namespace) -> None:
     """Prints how often generated motion does what was asked."""
     from t2m_jax.evaluation.prompts.following import evaluate_prompt_following
     from t2m_jax.evaluation.prompts.results import PromptReport, following_table, save_prompt_report
-    from t2m_jax.sampling import TextToMotion, make_strategy
+    from t2m_jax.sampling import TextToMotion
+    from t2m_jax.sampling.request import MotionRequest, SamplingOptions
     from t2m_jax.text.coverage import PromptWarning
 
     tests = _prompt_tests(args.group, args.data)
-    strategy = make_strategy(args.temperature, args.top_k, top_p=args.top_p)
+    options = read_record(SamplingOptions, args)
     model = TextToMotion.load(args.model)
-    options = {"strategy": strategy, "guidance_scale": args.guidance_scale, "stop_rule": args.stop_rule}
-    options["raw"] = args.raw
+
+    def generate(sentence: str, seed: int) -> "Motion":
+        return next(model.make(MotionRequest(captions=(sentence,), seed=seed, options=options)))
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PromptWarning)  # whether the model can do what is asked is measured here
-        results = evaluate_prompt_following(
-            tests, lambda sentence, seed: model.generate(sentence, seed=seed, **options)[0], num_seeds=args.num_seeds
-        )
+        results = evaluate_prompt_following(tests, generate, num_seeds=args.num_seeds)
     sys.stdout.write(following_table(results) + "\n")
     if args.json:
-        motion = "decoded" if args.raw else "cleaned"
+        motion = "decoded" if options.raw else "cleaned"
         save_prompt_report(args.json, PromptReport(group=args.group, motion=motion, contents=tuple(results)))
     show_next(shlex.join(["t2m", "generate", "a person walks forward", "--model", args.model]))
 

@@ -8,7 +8,7 @@ import argparse
 import shlex
 import sys
 
-from t2m_jax.cli.next_step import show_next
+from t2m_jax.cli.options import show_next
 from t2m_jax.errors import printable
 
 

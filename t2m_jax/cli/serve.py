@@ -4,7 +4,7 @@ import argparse
 import os
 import sys
 
-from t2m_jax.cli.generate import add_model_argument
+from t2m_jax.cli.options import add_model_argument
 from t2m_jax.errors import UserError
 
 TOKEN_VARIABLE = "T2M_JAX_TOKEN"

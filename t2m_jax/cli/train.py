@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from t2m_jax.cli.next_step import show_next
+from t2m_jax.cli.options import show_next
 from t2m_jax.errors import UserError
 
 TAKES_CONFIG_OPTIONS = True

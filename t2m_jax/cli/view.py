@@ -2,14 +2,21 @@
 
 import argparse
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
+from typing import get_args
 
-from t2m_jax.cli.changes import add_change_arguments, changed, check_changes, file_options
-from t2m_jax.cli.next_step import show_next
+from t2m_jax.cli.options import add_record, read_record, show_next
+from t2m_jax.errors import UserError
+
+FILE_OPTIONS = ("names", "units")
+"""Options of .bvh and .glb files."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the arguments of `t2m view`."""
+    from t2m_jax.motion.changes import Changes
+
     parser.add_argument(
         "files",
         nargs="+",
@@ -18,25 +25,53 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="motions to read: .npz, .bvh, .glb, .amc, or .npy of a data set; several are shown side by side",
     )
     parser.add_argument("--animation", metavar="NAME", help="animation to read from a .glb file that has several")
-    add_change_arguments(parser)
+    add_record(parser, Changes)
+    add_file_arguments(parser)
     files = "file to write: .html, .gif, .mp4, .png, .bvh, .glb or .npz; can be repeated"
     parser.add_argument(
         "-o", "--output", dest="outputs", type=Path, action="append", required=True, metavar="FILE", help=files
     )
 
 
+def add_file_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares `FILE_OPTIONS`; `t2m generate` has them, too."""
+    from t2m_jax.motion.bvh.writer import Units
+    from t2m_jax.motion.rig.tables import JointNames
+
+    names = "names of the joints in .bvh and .glb files (default: lafan1)"
+    parser.add_argument("--names", choices=get_args(JointNames), help=names)
+    parser.add_argument("--units", choices=get_args(Units), help="units of .bvh and .glb files (default: m)")
+
+
+def file_options(output: Path, args: argparse.Namespace, outputs: Sequence[Path]) -> dict[str, str]:
+    """Returns the options that were given for the format of a file.
+
+    Raises:
+        UserError: An option is of none of the outputs.
+    """
+    from t2m_jax.motion.formats import format_options
+
+    given = {name: getattr(args, name) for name in FILE_OPTIONS if getattr(args, name) is not None}
+    for name in given:
+        if not any(name in format_options(one) for one in outputs):
+            raise UserError(f"--{name}: is for .bvh and .glb files, and none is written; add -o FILE.glb")
+    return {name: value for name, value in given.items() if name in format_options(output)}
+
+
 def run(args: argparse.Namespace) -> None:
     """Reads the motions, writes all outputs, and prints their names and the next command."""
     from t2m_jax.files import claim
+    from t2m_jax.motion.changes import Changes
     from t2m_jax.motion.formats import check_motion_output, load_motion, save_motions
 
     for output in args.outputs:
         check_motion_output(output)
-    check_changes(args, args.outputs)
+    changes = read_record(Changes, args)
+    options = {output: file_options(output, args, args.outputs) for output in args.outputs}
     with claim(args.outputs):
-        motions = [changed(load_motion(path, animation=args.animation), args) for path in args.files]
+        motions = [changes.apply(load_motion(path, animation=args.animation)) for path in args.files]
         for output in args.outputs:
-            save_motions(output, motions, **file_options(output, args))
+            save_motions(output, motions, **options[output])
             print(output)
     chosen = [] if args.animation is None else ["--animation", args.animation]
     again = ["t2m", "view", *map(str, args.files), *chosen]

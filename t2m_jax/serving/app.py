@@ -3,9 +3,7 @@
 import asyncio
 import hmac
 import importlib.resources
-import json
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
 from typing import Any
 
 import anyio
@@ -39,12 +37,9 @@ from t2m_jax.serving.schema import (
     read_body,
     read_parameters,
 )
+from t2m_jax.serving.streams import EventResponse, body_of, is_json, while_connected
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1", "[::1]")
-BODY_SECONDS = 20.0
-"""Time in which the body of a request must come."""
-SEND_SECONDS = 20.0
-"""Time in which a reader must take what was sent."""
 ANSWER_SECONDS = 600.0
 """Longest time in the queue and in generation together."""
 ALIVE_SECONDS = 10.0
@@ -96,6 +91,7 @@ def make_app(jobs: Jobs, *, token: str | None = None, hosts: tuple[str, ...] = L
     ]
     middleware = [
         Middleware(_Guard, token=token),
+        # Against DNS rebinding: a strange page could call this machine by a name of its own.
         Middleware(TrustedHostMiddleware, allowed_hosts=list(hosts), www_redirect=False),
     ]
     handlers: dict[Any, Callable[..., Response]] = {
@@ -135,7 +131,8 @@ class _Guard:
     OPEN = ("/", "/assets/", "/health", "/openapi.json")
 
     def __init__(self, app: ASGIApp, token: str | None):
-        self.app, self.token = app, token
+        self.app = app
+        self.token = token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -152,6 +149,7 @@ class _Guard:
         await (answer or self.app)(scope, receive, send_with_headers)
 
     def _refusal(self, request: Request) -> Response | None:
+        # Against CSRF: browsers say which page sends a request, and only the page of this server may.
         origin = request.headers.get("origin")
         if origin is not None and origin.partition("://")[2] != request.headers.get("host"):
             return _error(403, "requests from other pages are refused")
@@ -159,6 +157,7 @@ class _Guard:
         if self.token is None or path in self.OPEN or path.startswith("/assets/"):
             return None
         given = request.headers.get("authorization", "").removeprefix("Bearer ")
+        # In constant time, so that answers do not tell how much of a guess is right.
         if hmac.compare_digest(given.encode(), self.token.encode()):
             return None
         return _error(401, "a token is needed: Authorization: Bearer TOKEN", {"WWW-Authenticate": "Bearer"})
@@ -169,7 +168,8 @@ class _Server:
 
     def __init__(self, jobs: Jobs):
         self.jobs = jobs
-        self.file_limit, self.files_waiting = CapacityLimiter(1), 0
+        self.file_limit = CapacityLimiter(1)
+        self.files_waiting = 0
 
     def health(self, _: Request) -> Response:
         """Answers whether motions can be made."""
@@ -198,20 +198,22 @@ class _Server:
 
     async def motions(self, request: Request) -> Response:
         """Generates: answers with server-sent events, or with one JSON object to who asks for it."""
-        if not _is_json(request):  # a page of another server could only send other types of bodies unasked
+        if not is_json(request):  # a page of another server could only send other types of bodies unasked
             raise HTTPException(415, "the body must be application/json")
-        fields = read_body(MotionBody, await _body(request))
+        fields = read_body(MotionBody, await body_of(request))
         start = None
+        # Files of strangers are not read in the process that generates: a crash there would concern all users.
         if fields.get("start") is not None:
             start = await self._in_process(read_motion, fields["start"], fields.get("start_format", "npz"))
         job = self.jobs.submit(motion_request(fields, start))
         if "application/json" in request.headers.get("accept", ""):
             return await self._final_answer(job, request.receive)
-        return _EventResponse(self._events(job))
+        return EventResponse(self._events(job))
 
     async def _events(self, job: Job) -> AsyncIterator[Event | None]:
         """Yields the events of a job up to the last, and None after a time without one."""
-        start, result = anyio.current_time(), "cancelled"
+        start = anyio.current_time()
+        result = "cancelled"
         try:
             while True:
                 event = None
@@ -219,23 +221,22 @@ class _Server:
                     event = await asyncio.wait_for(job.events.get(), ALIVE_SECONDS)
                 except TimeoutError:
                     if anyio.current_time() - start > ANSWER_SECONDS:
-                        error = f"no motion after {ANSWER_SECONDS:g} s; try again later"
-                        event = Event("failed", json.dumps({"error": error, "seed": job.task.request.seed}))
+                        job.tell("failed", {"error": f"no motion after {ANSWER_SECONDS:g} s; try again later"})
                 if event is not None and event.name in FINAL_EVENTS:
                     result = event.name
                 yield event
                 if result in FINAL_EVENTS:
                     return
-        finally:
+        finally:  # also if the client has closed the connection
             self.jobs.cancel(job)
             self.jobs.measures.answers.labels(result).inc()
             self.jobs.measures.seconds.observe(anyio.current_time() - start)
             if result == "done":
-                self.jobs.measures.motions.inc(job.task.request.num_samples)
+                self.jobs.measures.motions.inc(job.request.num_samples)
 
     async def _final_answer(self, job: Job, receive: Receive) -> Response:
         last = None
-        async with _while_connected(receive):
+        async with while_connected(receive):
             async for event in self._events(job):
                 last = event
         if last is None or last.name not in FINAL_EVENTS:
@@ -245,8 +246,8 @@ class _Server:
     async def files(self, request: Request) -> Response:
         """Answers with a file for download."""
         options = record_from(FileOptions, read_parameters(FileParameters, dict(request.query_params)))
-        body = await _body(request)
-        inputs = read_body(FileBody, body)["motions"] if _is_json(request) else [body]
+        body = await body_of(request)
+        inputs = read_body(FileBody, body)["motions"] if is_json(request) else [body]
         content = await self._in_process(make_file, inputs, options)
         disposition = f'attachment; filename="motion.{options.format}"'
         return Response(content, headers={"Content-Disposition": disposition}, media_type="application/octet-stream")
@@ -256,7 +257,7 @@ class _Server:
         fields = read_parameters(SceneParameters, dict(request.query_params))
         suffix = fields.get("format", "npz")
         changes = record_from(Changes, fields)
-        return JSONResponse(await self._in_process(open_file, await _body(request), suffix, changes))
+        return JSONResponse(await self._in_process(open_file, await body_of(request), suffix, changes))
 
     async def _in_process(self, function: Callable[..., Any], *args: Any) -> Any:
         """Returns what a function returns in a process of its own, which is killed if it takes too long."""
@@ -264,6 +265,7 @@ class _Server:
             raise HTTPException(429, "too many files are waiting; try again in 5 s", {"Retry-After": "5"})
         self.files_waiting += 1
         try:
+            # A thread could not be stopped if a file takes forever, and would not survive a crash of a decoder.
             with anyio.fail_after(FILE_SECONDS):
                 return await to_process.run_sync(function, *args, cancellable=True, limiter=self.file_limit)
         except BrokenWorkerProcess:
@@ -272,62 +274,3 @@ class _Server:
             raise HTTPException(503, f"it took longer than {FILE_SECONDS:g} s", {"Retry-After": "60"}) from None
         finally:
             self.files_waiting -= 1
-
-
-class _EventResponse(Response):
-    """Server-sent events. A reader that disconnects, or is too slow, ends them."""
-
-    def __init__(self, events: AsyncIterator[Event | None]):
-        super().__init__(media_type="text/event-stream")
-        del self.headers["content-length"]
-        self.events = events
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        async with _while_connected(receive):
-            with anyio.CancelScope() as sending:
-                sending.deadline = anyio.current_time() + SEND_SECONDS
-                await send({"type": "http.response.start", "status": 200, "headers": self.raw_headers})
-                async for event in self.events:
-                    sending.deadline = anyio.current_time() + SEND_SECONDS
-                    text = ": waiting\n\n" if event is None else f"event: {event.name}\ndata: {event.data}\n\n"
-                    await send({"type": "http.response.body", "body": text.encode(), "more_body": True})
-                    sending.deadline = anyio.current_time() + SEND_SECONDS
-                await send({"type": "http.response.body", "body": b"", "more_body": False})
-
-
-@asynccontextmanager
-async def _while_connected(receive: Receive) -> AsyncIterator[None]:
-    """Ends its block when the client closes the connection. The body of the request must have been read."""
-
-    async def end_on_disconnect() -> None:
-        while (await receive())["type"] != "http.disconnect":
-            pass
-        tasks.cancel_scope.cancel()
-
-    async with anyio.create_task_group() as tasks:
-        tasks.start_soon(end_on_disconnect)
-        yield
-        tasks.cancel_scope.cancel()
-
-
-async def _body(request: Request) -> bytes:
-    """Returns the body of a request.
-
-    Raises:
-        HTTPException: It is too large or too slow.
-    """
-    parts, size = [], 0
-    try:
-        with anyio.fail_after(BODY_SECONDS):
-            async for part in request.stream():
-                size += len(part)
-                if size > MAX_BODY:
-                    raise HTTPException(413, f"the body has more than {MAX_BODY:,} bytes")
-                parts.append(part)
-    except TimeoutError:
-        raise HTTPException(408, f"the body did not come in {BODY_SECONDS:g} s") from None
-    return b"".join(parts)
-
-
-def _is_json(request: Request) -> bool:
-    return request.headers.get("content-type", "").partition(";")[0].strip() == "application/json"

@@ -48,6 +48,7 @@ def make_file(inputs: Sequence[bytes], options: FileOptions) -> bytes:
     if options.format in ("gif", "mp4") and sum(motion.seconds for motion in motions) > LONGEST_PICTURES:
         raise UserError(f"format: a video of more than {LONGEST_PICTURES:g} seconds takes too long; use .glb or .html")
     with motion_file(b"", options.format) as path:
+        # Programs may use the same parameters for all formats; pictures have no joints to name.
         known = format_options(path)
         given = {"names": options.names, "units": options.units}
         save_motions(path, motions, **{name: value for name, value in given.items() if value and name in known})

@@ -9,7 +9,7 @@ import math
 import multiprocessing
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from typing import Any, NamedTuple
@@ -82,21 +82,22 @@ class QueueFullError(Exception):
 class Job:
     """A request in the queue with its events."""
 
-    task: Task
+    number: int
+    request: MotionRequest
     tries: int = 0
+    start: float = 0.0
+    """When the process got it."""
+    timer: asyncio.TimerHandle | None = None
     events: "asyncio.Queue[Event]" = dataclasses.field(default_factory=asyncio.Queue)
 
-    def tell(self, name: str, data: Any) -> None:
-        """Adds an event."""
-        self.events.put_nowait(Event(name, json.dumps(data)))
+    def tell(self, name: str, data: Mapping[str, Any]) -> None:
+        """Adds an event, with the seed."""
+        self.events.put_nowait(Event(name, json.dumps({**data, "seed": self.request.seed})))
 
-
-class _Sent(NamedTuple):
-    """A request that the process knows of."""
-
-    job: Job
-    start: float
-    timer: asyncio.TimerHandle
+    def stop_timer(self) -> None:
+        """Ends the limit of the time of work."""
+        if self.timer is not None:
+            self.timer.cancel()
 
 
 def _work(*args: Any) -> None:
@@ -111,7 +112,9 @@ class Jobs:
 
     def __init__(self, model_name: str, *, batch_size: int = BATCH_SIZE, max_waiting: int = MAX_WAITING):
         """Takes what `worker.work` needs, and the length of the queue; `start` starts the process."""
-        self.model_name, self.batch_size, self.max_waiting = model_name, batch_size, max_waiting
+        self.model_name = model_name
+        self.batch_size = batch_size
+        self.max_waiting = max_waiting
         self.model: dict[str, Any] = {}
         """What the process says of the model, once it is ready."""
         self.waiting: deque[Job] = deque()
@@ -121,7 +124,8 @@ class Jobs:
         self._process: SpawnProcess | None = None
         self.is_alive = False
         """Whether the process can generate."""
-        self._sent: dict[int, _Sent] = {}
+        self._sent: dict[int, Job] = {}
+        """What the process knows of, also what nobody waits for any more."""
         self._last_end = 0.0
         self._seconds_per_motion = 0.1
 
@@ -131,17 +135,19 @@ class Jobs:
         Raises:
             UserError: The model cannot be loaded.
         """
-        self._loop, self._ready = asyncio.get_running_loop(), asyncio.get_running_loop().create_future()
+        self._loop = asyncio.get_running_loop()
+        self._ready = self._loop.create_future()
         self._start_process()
         await self._ready
 
     def stop(self) -> None:
         """Ends the process."""
-        process, self._process = self._process, None
+        process = self._process
+        self._process = None
         if process is not None:
             process.terminate()
             process.join(END_SECONDS)
-            process.kill()
+            process.kill()  # for one that is in a long call of XLA, which no signal interrupts
             process.join()
 
     def submit(self, request: MotionRequest) -> Job:
@@ -151,9 +157,9 @@ class Jobs:
             QueueFullError: Too many requests are waiting.
         """
         if len(self.waiting) >= self.max_waiting:
-            motions = sum(job.task.request.num_samples for job in self.waiting)
+            motions = sum(job.request.num_samples for job in self.waiting)
             raise QueueFullError(len(self.waiting), max(1, math.ceil(motions * self._seconds_per_motion)))
-        job = Job(Task(next(self._numbers), request))
+        job = Job(next(self._numbers), request)
         self.waiting.append(job)
         self._tell_positions()
         self._dispatch()
@@ -164,20 +170,22 @@ class Jobs:
         if job in self.waiting:
             self.waiting.remove(job)
             self._tell_positions()
-        if self.running.pop(job.task.job, None) is not None:
-            self._send(Cancel(job.task.job))
+        if self.running.pop(job.number, None) is not None:
+            self._send(Cancel(job.number))
 
     def _tell_positions(self) -> None:
         for position, job in enumerate(self.waiting):
-            job.tell("queued", {"position": position, "seed": job.task.request.seed})
+            job.tell("queued", {"position": position})
 
     def _start_process(self) -> None:
+        # Not by fork: threads of this process may hold locks, and JAX does not work in a forked process.
         context = multiprocessing.get_context("spawn")
         ours, its = context.Pipe()
         process = context.Process(target=_work, args=(its, self.model_name, self.batch_size), daemon=True)
         process.start()
-        its.close()
-        self._process, self._connection = process, ours
+        its.close()  # otherwise, the end of the process would not end the connection
+        self._process = process
+        self._connection = ours
         threading.Thread(target=self._read, args=(ours,), daemon=True).start()
 
     def _read(self, connection: Connection) -> None:
@@ -194,7 +202,7 @@ class Jobs:
         if number == NO_JOB:
             self._on_state(name, json.loads(data))
             return
-        if number in self.running:
+        if number in self.running:  # it may have been canceled
             self.running[number].events.put_nowait(Event(name, data))
         if name in (*FINAL_EVENTS, "dropped"):
             self.running.pop(number, None)
@@ -203,10 +211,12 @@ class Jobs:
 
     def _forget(self, number: int) -> None:
         """Notes that the process has finished a request."""
-        sent, now = self._sent.pop(number), self._loop.time()
-        sent.timer.cancel()
-        self.measures.work_seconds.observe(now - sent.start)
-        seconds = (now - max(self._last_end, sent.start)) / sent.job.task.request.num_samples
+        job = self._sent.pop(number)
+        now = self._loop.time()
+        job.stop_timer()
+        self.measures.work_seconds.observe(now - job.start)
+        seconds = (now - max(self._last_end, job.start)) / job.request.num_samples
+        # A moving average, so that `Retry-After` follows the load.
         self._seconds_per_motion = 0.9 * self._seconds_per_motion + 0.1 * seconds
         self._last_end = now
 
@@ -215,7 +225,8 @@ class Jobs:
         if name == "refused" and not self._ready.done():
             self._ready.set_exception(UserError(data))
         elif name == "ready":
-            self.is_alive, self.model = True, data
+            self.is_alive = True
+            self.model = data
             if not self._ready.done():
                 self._ready.set_result(None)
             self._dispatch()
@@ -223,8 +234,8 @@ class Jobs:
     def _on_death(self) -> None:
         """Replaces the process. Its requests come first, unless they had their chances."""
         self.is_alive = False
-        for sent in self._sent.values():
-            sent.timer.cancel()
+        for job in self._sent.values():
+            job.stop_timer()
         self._sent.clear()
         if self._process is None:  # `stop` ended it
             return
@@ -232,19 +243,18 @@ class Jobs:
             self._ready.set_exception(UserError(f"{self.model_name}: the process that loads it has died"))
             return
         self.measures.restarts.inc()
+        # Backwards, because each goes to the front of the queue.
         for job in reversed(self.running.values()):
             if job.tries >= MAX_TRIES:
-                error = "the process that generates has died each time; try again"
-                job.tell("failed", {"error": error, "seed": job.task.request.seed})
+                job.tell("failed", {"error": "the process that generates has died each time; try again"})
             else:
                 self.waiting.appendleft(job)
         self.running.clear()
         self._loop.call_later(RESTART_SECONDS, self._start_process)
 
     def _on_timeout(self, job: Job) -> None:
-        if self.running.pop(job.task.job, None) is not None:
-            error = f"it took longer than {WORK_SECONDS:g} s; ask for less"
-            job.tell("failed", {"error": error, "seed": job.task.request.seed})
+        if self.running.pop(job.number, None) is not None:
+            job.tell("failed", {"error": f"it took longer than {WORK_SECONDS:g} s; ask for less"})
         if self._process is not None:
             self._process.kill()
 
@@ -254,23 +264,24 @@ class Jobs:
         while self.is_alive and (job := self._next_job()) is not None:
             self.waiting.remove(job)
             job.tries += 1
-            self.running[job.task.job] = job
-            timer = self._loop.call_later(WORK_SECONDS, self._on_timeout, job)
-            self._sent[job.task.job] = _Sent(job, self._loop.time(), timer)
-            self._send(job.task)
+            self.running[job.number] = job
+            self._sent[job.number] = job
+            job.start = self._loop.time()
+            job.timer = self._loop.call_later(WORK_SECONDS, self._on_timeout, job)
+            self._send(Task(job.number, job.request))
         if len(self.waiting) < num_before:
             self._tell_positions()
 
     def _next_job(self) -> Job | None:
         """Returns what the process should get next, if it has room. Plain jobs and others pass each other."""
-        sent = [one.job.task for one in self._sent.values()]
-        known = sum(task.request.num_samples for task in sent if task.is_plain)
-        num_edits = sum(not task.is_plain for task in sent)
-        plain = next((job for job in self.waiting if job.task.is_plain), None)
+        sent = [job.request for job in self._sent.values()]
+        known = sum(request.num_samples for request in sent if request.is_plain)
+        num_edits = sum(not request.is_plain for request in sent)
+        plain = next((job for job in self.waiting if job.request.is_plain), None)
         # A request with more motions than there is room for at all is made alone.
-        if plain is not None and (known == 0 or known + plain.task.request.num_samples <= AHEAD * self.batch_size):
+        if plain is not None and (known == 0 or known + plain.request.num_samples <= AHEAD * self.batch_size):
             return plain
-        edit = next((job for job in self.waiting if not job.task.is_plain), None)
+        edit = next((job for job in self.waiting if not job.request.is_plain), None)
         return edit if num_edits < MAX_EDITS else None
 
     def _send(self, message: Task | Cancel) -> None:

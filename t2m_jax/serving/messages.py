@@ -14,11 +14,6 @@ class Task(NamedTuple):
     job: int
     request: MotionRequest
 
-    @property
-    def is_plain(self) -> bool:
-        """Whether it is for one sentence and nothing else, so that it shares a batch with those of other users."""
-        return len(self.request.captions) == 1 and self.request.seconds is None and self.request.start is None
-
 
 class Cancel(NamedTuple):
     """From the queue to the process that generates: nobody needs the motions of a request any more."""

@@ -40,6 +40,7 @@ def openapi() -> Schema:
     """Returns the description as plain data."""
     types: list[Any] = [MotionBody, FileBody, ModelData, OpenedFile, HealthData, ErrorData, *EVENTS.values()]
     adapters: list[Any] = [(data.__name__, "validation", TypeAdapter(data)) for data in types]
+    # All at once, so that parts that several have, such as scenes, are described once.
     _, schemas = TypeAdapter.json_schemas(adapters, ref_template=TEMPLATE)
     return {
         "openapi": "3.1.0",

@@ -20,6 +20,7 @@ from t2m_jax.export.html import scene_record
 from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.decode import GrowingMotion
+from t2m_jax.sampling.loop import Sampling
 from t2m_jax.sampling.programs import SLOT_ROWS
 from t2m_jax.sampling.prompts import Sample, read_prompts
 from t2m_jax.sampling.request import MotionRequest, SamplingOptions
@@ -53,7 +54,9 @@ class Scheduler:
 
     def __init__(self, model: TextToMotion, num_slots: int, send: Send):
         """Takes the model, the number of slots, and what sends an event."""
-        self.model, self.num_slots, self.send = model, num_slots, send
+        self.model = model
+        self.num_slots = num_slots
+        self.send = send
         self.waiting: deque[TaskSample] = deque()
         self.active: dict[int, TaskSample] = {}
         """The motions in the slots."""
@@ -63,6 +66,7 @@ class Scheduler:
         """Codes of the motions of jobs that have further motions, by their numbers."""
         self.slots: Slots | None = None
         self.group: SamplingOptions | None = None
+        """The options of all motions in the slots."""
         self.programs: set[SamplingOptions] = set()
         self.embed = functools.lru_cache(CACHED_TEXTS)(lambda text: model.text_encoder([text])[0])
         self.finishing: Executor | None = None
@@ -99,10 +103,11 @@ class Scheduler:
     def add(self, task: Task) -> None:
         """Begins a task, or lets it wait."""
         self._limit_programs(task.request.options)
-        if not task.is_plain:
+        if not task.request.is_plain:
             _call(self.editing, self._edit, task)
             return
         try:
+            self._sampling(task.request.options)
             (prompt,) = read_prompts(task.request.captions, self.model.knowledge, self.model.text_encoder)
         except UserError as error:
             self._fail(task, error)
@@ -112,8 +117,8 @@ class Scheduler:
 
     def cancel(self, job: int) -> None:
         """Forgets a plain task if it has not ended."""
-        slots = [slot for slot, part in self.active.items() if part.task.job == job]
-        waiting = [part for part in self.waiting if part.task.job != job]
+        slots = [slot for slot, one in self.active.items() if one.task.job == job]
+        waiting = [one for one in self.waiting if one.task.job != job]
         if not slots and len(waiting) == len(self.waiting):
             return
         self.waiting = deque(waiting)
@@ -132,28 +137,29 @@ class Scheduler:
         live = self.slots.sampling.stop_rule.ends_early and len(self.active) <= MAX_LIVE
         whole = []
         for progress in self.slots.step():
-            part = self.active[progress.slot]
-            self._send_rows(part, progress, live=live and not progress.ended)
+            one = self.active[progress.slot]
+            self._send_rows(one, progress, live=live and not progress.ended)
             if progress.ended:
                 del self.active[progress.slot]
-                found = self.ended.setdefault(part.task.job, {})
-                found[part.sample.number] = progress.codes
-                if len(found) == part.task.request.num_samples:
-                    whole.append((part, self.ended.pop(part.task.job)))
+                found = self.ended.setdefault(one.task.job, {})
+                found[one.sample.number] = progress.codes
+                if len(found) == one.task.request.num_samples:
+                    whole.append((one, self.ended.pop(one.task.job)))
         if whole:
             _call(self.finishing, self._finish_plain, whole)
 
     def _begin(self) -> None:
-        """Puts waiting motions into free slots. All motions in slots have the same options."""
+        """Puts waiting motions into free slots."""
         if self.waiting and not self.active:
-            options = self.waiting[0].task.request.options
-            self.slots = self._make_slots(options)
-            self.group = _group(options)
+            # Options are compiled into the program of the slots, so all motions of a batch have the same.
+            self.group = options = self.waiting[0].task.request.options
+            sampling = self._sampling(options)
+            self.slots = self.model.parts.slots(self.num_slots, sampling, guidance_scale=options.guidance_scale)
         if self.slots is None:
             return
         begun: list[tuple[int, TaskSample]] = []
         for slot in self.slots.free:
-            if self.waiting and _group(self.waiting[0].task.request.options) == self.group:
+            if self.waiting and self.waiting[0].task.request.options == self.group:
                 begun.append((slot, self.waiting.popleft()))
         if not begun:
             return
@@ -162,7 +168,7 @@ class Scheduler:
             self.growing[slot] = self._grow()
             if sample.number == 0:
                 self.send(task.job, "started", {"seed": task.request.seed})
-        samples = [part.sample for _, part in begun]
+        samples = [one.sample for _, one in begun]
         self.slots.begin(
             [slot for slot, _ in begun],
             [self.embed(sample.prompt.text) for sample in samples],
@@ -173,32 +179,34 @@ class Scheduler:
         longest = self.model.config.generator.max_codes
         return GrowingMotion(self.model.tokenizer, skeleton=self.model.skeleton, step=SLOT_ROWS, max_codes=longest)
 
-    def _make_slots(self, options: SamplingOptions) -> Slots:
-        sampling = self.model.parts.sampling(options.make_strategy(), stop_rule=options.stop_rule)
-        return self.model.parts.slots(self.num_slots, sampling, guidance_scale=options.guidance_scale)
+    def _sampling(self, options: SamplingOptions) -> Sampling:
+        return self.model.parts.sampling(options.make_strategy(), stop_rule=options.stop_rule)
 
     def _limit_programs(self, options: SamplingOptions) -> None:
+        """Forgets all compiled programs if there are too many; those that are still needed come back from the disk."""
         program = dataclasses.replace(options, raw=False, guidance_scale=None)  # these two are not compiled in
         if program not in self.programs and len(self.programs) == MAX_PROGRAMS:
             jax.clear_caches()
             self.programs.clear()
         self.programs.add(program)
 
-    def _send_rows(self, part: TaskSample, progress: Progress, *, live: bool) -> None:
+    def _send_rows(self, one: TaskSample, progress: Progress, *, live: bool) -> None:
         """Sends new codes and, if `live`, the frames that they make final."""
         if not progress.num_new:
             return
         growing = self.growing[progress.slot]
+        # While others wait, frames are not decoded; all of them come with the next rows that are.
         motion = growing.add(progress.codes[growing.num_rows :]) if live else None
         scene = None if motion is None else scene_record([motion])
         new = progress.codes[-progress.num_new :].tolist()
-        self.send(part.task.job, "codes", {"sample": part.sample.number, "codes": new, "scene": scene})
+        self.send(one.task.job, "codes", {"sample": one.sample.number, "codes": new, "scene": scene})
 
     def _decode(self, rows: Sequence[tuple[Sample, Codes]], *, clean: bool) -> list[Motion]:
         """Returns the motions of codes, decoded in full batches. Short motions have batches of their own."""
-        longest, motions = self.model.config.generator.max_codes, dict[int, Motion]()
+        longest = self.model.config.generator.max_codes
+        motions: dict[int, Motion] = {}
         limits = (0, -(-longest // 2), longest)
-        for shorter, limit in itertools.pairwise(limits):
+        for shorter, limit in itertools.pairwise(limits):  # two shapes only: each is a program
             places = [place for place, (_, codes) in enumerate(rows) if shorter < len(codes) <= limit]
             for first in range(0, len(places), DECODED_TOGETHER):
                 chosen = places[first : first + DECODED_TOGETHER]
@@ -212,41 +220,23 @@ class Scheduler:
         return self.model.parts.decode_samples(samples, codes, size=limit, batch=DECODED_TOGETHER, clean=clean)
 
     def _finish_plain(self, whole: Sequence[tuple[TaskSample, Mapping[int, Codes]]]) -> None:
-        """Sends the motions of plain tasks, each with its last motion."""
-        for raw in (False, True):
-            chosen = [(last, found) for last, found in whole if last.task.request.options.raw == raw]
-            rows = [
-                (last.sample._replace(number=number), codes)
-                for last, found in chosen
-                for number, codes in sorted(found.items())
-            ]
-            motions = iter(self._decode(rows, clean=not raw))
-            for last, found in chosen:
-                self._finish(last.task, list(itertools.islice(motions, len(found))))
+        """Sends the motions of plain tasks with the same options, each with its last motion."""
+        rows = [
+            (last.sample._replace(number=number), codes)
+            for last, found in whole
+            for number, codes in sorted(found.items())
+        ]
+        motions = iter(self._decode(rows, clean=not whole[0][0].task.request.options.raw))
+        for last, found in whole:
+            self._finish(last.task, list(itertools.islice(motions, len(found))))
 
     def _edit(self, task: Task) -> None:
         """Makes the motions of a task that is not plain."""
         self.send(task.job, "started", {"seed": task.request.seed})
         try:
-            self._finish(task, self._edited(task))
+            self._finish(task, list(self.model.make(task.request)))
         except UserError as error:
             self._fail(task, error)
-
-    def _edited(self, task: Task) -> list[Motion]:
-        """Returns the motions of a request that is not plain."""
-        request = task.request
-        shared: Any = {
-            "seed": request.seed,
-            "num_samples": request.num_samples,
-            "strategy": request.options.make_strategy(),
-            "guidance_scale": request.options.guidance_scale,
-            "raw": request.options.raw,
-        }
-        if request.start is not None and request.span is not None:
-            return self.model.redo(request.start, request.span, request.captions[0], **shared)
-        if request.start is not None and request.strength is not None:
-            return self.model.vary(request.start, request.strength, request.captions[0], **shared)
-        return self.model.generate_chain(request.captions, start=request.start, seconds=request.seconds, **shared)
 
     def _finish(self, task: Task, motions: Sequence[Motion]) -> None:
         """Sends the motions of a request."""
@@ -273,8 +263,3 @@ def _call(executor: Executor | None, function: Callable[..., None], *args: Any) 
         function(*args)
     else:
         executor.submit(guarded)
-
-
-def _group(options: SamplingOptions) -> SamplingOptions:
-    """Returns what must be equal in requests that share slots."""
-    return dataclasses.replace(options, raw=False)

@@ -150,6 +150,7 @@ def read_body(model: type[BaseModel], body: bytes) -> dict[str, Any]:
         UserError: It is not JSON, or a field is unknown, missing or has a value that cannot be used.
     """
     try:
+        # Strict, so that `true` is no number and 1.5 no seed.
         return _given(model.model_validate_json(body, strict=True))
     except ValidationError as error:
         raise _explained(error, model, "request") from None
@@ -162,6 +163,7 @@ def read_parameters(model: type[BaseModel], query: Mapping[str, str]) -> dict[st
         UserError: A parameter is unknown, or has a value that cannot be used.
     """
     try:
+        # In an address, all values are texts.
         return _given(model.model_validate_strings(dict(query)))
     except ValidationError as error:
         raise _explained(error, model, "parameters") from None
@@ -175,7 +177,8 @@ def _given(found: BaseModel) -> dict[str, Any]:
 def _explained(error: ValidationError, model: type[BaseModel], source: str) -> UserError:
     """Returns the first problem in one line that names the field and its value."""
     first = error.errors()[0]
-    kind, name = first["type"], ".".join(map(str, first["loc"]))
+    kind = first["type"]
+    name = ".".join(map(str, first["loc"]))
     if kind == "extra_forbidden":
         near = difflib.get_close_matches(name, model.model_fields, n=1)
         hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(model.model_fields)}"

@@ -1,4 +1,4 @@
-"""`--speed`, `--turn`, `--path`, `--fps`, `--loop` and `--in-place` of `t2m generate` and `t2m view`."""
+"""The changes of motion that `t2m generate` and `t2m view` make: every field of `Changes`."""
 
 import numpy as np
 import pytest
@@ -84,7 +84,30 @@ def test_speeds_and_paths_that_no_motion_has_are_refused_first(refusal, bundle_f
 
 def test_a_path_and_a_turn_exclude_each_other(refusal, walk, tmp_path):
     said = refusal("view", walk, "-o", tmp_path / "a.npz", "--turn", "90", "--path", "0,0 1,1")
-    assert "not allowed with argument" in said
+    assert "turn: excludes path" in said
+
+
+@pytest.mark.parametrize(
+    ("trim", "begin", "end"), [("1:3", 1.0, 3.0), ("1.5:", 1.5, None), (":2", None, 2.0), (":", None, None)]
+)
+def test_a_part_is_kept_and_mirrored(walk, tmp_path, trim, begin, end):
+    written = tmp_path / "part.npz"
+    assert main(["view", f"{walk}", "-o", f"{written}", f"--trim={trim}", "--mirror"]) == 0
+    expected = Motion.load(walk).trimmed(begin, end).mirrored()
+    np.testing.assert_allclose(Motion.load(written).positions, expected.positions, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("trim", "message"),
+    [
+        ("2", "'2' is not BEGIN:END in seconds"),
+        ("a:b", "'a:b' is not BEGIN:END in seconds"),
+        ("3:2", "end: 2 is not a number of seconds after begin, 3"),
+        ("-1:2", "begin: -1 is not a number of seconds from 0"),
+    ],
+)
+def test_a_part_that_is_none_is_refused(refusal, walk, tmp_path, trim, message):
+    assert message in refusal("view", walk, "-o", tmp_path / "a.npz", f"--trim={trim}")
 
 
 def test_generated_motion_is_changed_too(bundle_folder, tmp_path):

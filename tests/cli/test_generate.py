@@ -1,5 +1,6 @@
 """`t2m generate`: files for sentences, one line for mistakes."""
 
+import argparse
 import json
 import os
 import shutil
@@ -8,10 +9,14 @@ import numpy as np
 import pytest
 
 from t2m_jax import Motion
+from t2m_jax.cli.generate import add_arguments
 from t2m_jax.cli.main import main
 from t2m_jax.data.importers.synthetic import make_motion
+from t2m_jax.motion.changes import Changes
 from t2m_jax.motion.formats import load_motion
+from t2m_jax.records import fields_of
 from t2m_jax.sampling.model import ModelParts
+from t2m_jax.sampling.request import MotionRequest
 from tests.export.test_html import Elements
 
 
@@ -86,19 +91,39 @@ def test_a_middle_and_variations_of_a_file(refusal, bundle_folder, tmp_path, cap
         (["a person runs", "--then", "a person waves"], "--then: follows one sentence, not 2"),
         (["--seconds", "-1"], "seconds: -1"),
         (["--from", "missing.npz"], "missing.npz"),
-        (["--redo", "1:2"], "--redo: changes a motion; give its file with --from"),
-        (["--vary", "0.3"], "--vary: changes a motion; give its file with --from"),
+        (["--redo", "1:2"], "--redo: changes a motion; give it with --from"),
+        (["--vary", "0.3"], "--vary: changes a motion; give it with --from"),
         (["--redo", "1-2"], "'1-2' is not BEGIN:END in seconds"),
         (["--redo", "1:2", "--from", "missing.npz"], "missing.npz"),
-        (["--redo", "1:2", "--from", "x.npz", "--then", "a person waves"], "--redo: does not go together with --then"),
-        (["--vary", "1.5", "--from", "x.npz"], "vary: 1.5 is not a number from 0 to 1"),
-        (["--vary", "0.5", "--from", "x.npz", "--stop-rule", "argmax"], "does not go together with --stop-rule"),
+        (["--redo", "1:", "--from", "missing.npz"], "'1:' is not BEGIN:END in seconds"),
+        (
+            ["--redo", "1:2", "--from", "{start}", "--then", "a person waves"],
+            "--redo: takes one sentence and no seconds",
+        ),
+        (["--redo", "1:2", "--from", "{start}", "--vary", "0.5"], "--redo: excludes strength"),
+        (["--vary", "1.5", "--from", "{start}"], "--vary: 1.5 is not a number from 0 to 1"),
+        (
+            ["--candidates", "0", "--redo", "1:2", "--from", "{start}"],
+            "candidates: 0 is not a whole number",
+        ),
     ],
 )
-def test_chains_that_are_refused(refusal, bundle_folder, tmp_path, monkeypatch, options, said):
+def test_chains_that_are_refused(refusal, bundle_folder, tmp_path, tmp_path_factory, monkeypatch, options, said):
+    start = tmp_path_factory.mktemp("start") / "start.npz"
+    Motion(make_motion("walk", seed=1, num_frames=60), 20.0).save(start)
+    options = [option.format(start=start) for option in options]
     monkeypatch.chdir(tmp_path)
     assert said in refusal("generate", "a person walks", *options, "--model", bundle_folder, "-o", "out.npz")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_every_field_of_the_records_is_an_option():
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    options = {action.dest for action in parser._actions}
+    fields = {field.name for record in (MotionRequest, Changes) for field in fields_of(record)}
+    assert fields - options == {"captions", "strategy", "begin", "end"}  # sentences, only in Python, and --trim
+    assert options - fields == {"text", "then", "trim", "help", "model", "names", "units", "output"}
 
 
 def test_a_folder_in_the_place_of_the_file_is_refused(refusal, bundle_folder, tmp_path):

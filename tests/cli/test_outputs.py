@@ -5,6 +5,7 @@ import logging
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 
 from t2m_jax import bench
 from t2m_jax.bench import run as run_module
@@ -46,14 +47,14 @@ def test_generate_names_the_files_that_it_replaces(bundle_folder, tmp_path, repl
 
 
 def test_generate_holds_the_locks_of_what_it_writes(bundle_folder, tmp_path, monkeypatch):
-    locks, generate = [], TextToMotion.generate_each
+    locks, generate = [], TextToMotion.make
 
     def watched(*args, **options):
         for motion in generate(*args, **options):
             locks.append(sorted(path.name for path in tmp_path.glob(".*.lock")))
             yield motion
 
-    monkeypatch.setattr(TextToMotion, "generate_each", watched)
+    monkeypatch.setattr(TextToMotion, "make", watched)
     arguments = ["generate", "a person walks", "--model", f"{bundle_folder}", "--num-samples", "2"]
     assert main([*arguments, "-o", f"{tmp_path / 'a.npz'}", "-o", f"{tmp_path / 'b.bvh'}"]) == 0
     assert locks == [[".a-0.npz.lock", ".b-0.bvh.lock"]] * 2
@@ -61,9 +62,10 @@ def test_generate_holds_the_locks_of_what_it_writes(bundle_folder, tmp_path, mon
 
 
 def test_generate_does_not_write_what_another_process_writes(bundle_folder, tmp_path, capsys):
-    (tmp_path / ".a-1.npz.lock").write_text("123\nelsewhere\n")
     arguments = ["generate", "a person walks", "--model", f"{bundle_folder}", "--num-samples", "2"]
-    assert main([*arguments, "-o", f"{tmp_path / 'a.npz'}"]) == 2
+    with FileLock(tmp_path / ".a-1.npz.lock"):  # another lock than that of the package, as in another process
+        (tmp_path / ".a-1.npz.lock").write_text("123\nelsewhere\n")
+        assert main([*arguments, "-o", f"{tmp_path / 'a.npz'}"]) == 2
     assert "a-1.npz: is being written by process 123 on elsewhere" in capsys.readouterr().err
     assert not (tmp_path / "a-1.npz").exists()
 

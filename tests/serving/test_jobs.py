@@ -3,17 +3,14 @@
 import asyncio
 import json
 
-import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling.request import MotionRequest
 from t2m_jax.serving import jobs as module
 from t2m_jax.serving.jobs import Jobs, QueueFullError
-from t2m_jax.serving.messages import NO_JOB, Cancel, Task
+from t2m_jax.serving.messages import NO_JOB, Cancel
 
-MOTION = Motion(np.zeros((8, 22, 3), np.float32), 20.0)
 PLAIN = MotionRequest(captions=("a person walks",))
 TWO = MotionRequest(captions=("a person walks",), num_samples=2)
 CHAIN = MotionRequest(captions=("a person walks", "a person waves"))
@@ -69,7 +66,7 @@ def test_a_request_is_given_to_the_process_at_once():
     async def test(jobs):
         job = jobs.submit(PLAIN)
         (task,) = jobs.sent
-        assert task.request is PLAIN and task is job.task
+        assert task == (job.number, PLAIN)
         jobs.finish(task)
         assert names(job) == ["queued", "done"] and not jobs.running
 
@@ -148,12 +145,12 @@ def test_a_cancelled_request_is_forgotten():
         waiting = jobs.submit(PLAIN)
         jobs.cancel(waiting)
         jobs.cancel(running)
-        assert jobs.sent[-1] == Cancel(running.task.job) and not jobs.waiting
+        assert jobs.sent[-1] == Cancel(running.number) and not jobs.waiting
         last = jobs.submit(PLAIN)
         assert last in jobs.waiting
-        jobs.say("codes", {}, running.task.job)
-        jobs.say("dropped", {}, running.task.job)
-        assert names(running) == ["queued"] and jobs.sent[-1].job == last.task.job
+        jobs.say("codes", {}, running.number)
+        jobs.say("dropped", {}, running.number)
+        assert names(running) == ["queued"] and jobs.sent[-1].job == last.number
 
     with_queue(test)
 
@@ -179,10 +176,10 @@ def test_requests_keep_their_order_after_a_death(monkeypatch):
     monkeypatch.setattr(module, "RESTART_SECONDS", 0.0)
 
     async def test(jobs):
-        numbers = [job.task.job for job in [*fill(jobs), jobs.submit(PLAIN)]]
+        numbers = [job.number for job in [*fill(jobs), jobs.submit(PLAIN)]]
         jobs._on_death()
         await asyncio.sleep(0.05)
-        assert [task.job for task in jobs.sent] + [job.task.job for job in jobs.waiting] == numbers
+        assert [task.job for task in jobs.sent] + [job.number for job in jobs.waiting] == numbers
 
     with_queue(test)
 
@@ -209,9 +206,3 @@ def test_a_model_that_cannot_be_loaded_is_an_error():
             await Refused("none").start()
 
     asyncio.run(run())
-
-
-@pytest.mark.parametrize("fields", [{"captions": ("a", "b")}, {"seconds": 2.0}, {"start": MOTION}])
-def test_chains_lengths_and_changes_do_not_share_a_batch(fields):
-    assert not Task(0, MotionRequest(**{"captions": ("a",)} | fields)).is_plain
-    assert Task(0, PLAIN).is_plain

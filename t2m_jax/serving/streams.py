@@ -1,0 +1,84 @@
+"""Bodies of requests and server-sent events, with limits, so that slow clients do not keep their places forever."""
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import anyio
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
+
+from t2m_jax.serving.jobs import Event
+from t2m_jax.serving.schema import MAX_BODY
+
+BODY_SECONDS = 20.0
+"""Time in which the body of a request must come."""
+SEND_SECONDS = 20.0
+"""Time in which a reader must take what was sent."""
+
+
+class EventResponse(Response):
+    """Server-sent events. A reader that disconnects, or is too slow, ends them."""
+
+    def __init__(self, events: AsyncIterator[Event | None]):
+        """Takes the events; None is a time without one."""
+        super().__init__(media_type="text/event-stream")
+        # The length is not known yet; without one, the body is sent in chunks.
+        del self.headers["content-length"]
+        self.events = events
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Sends the events."""
+        async with while_connected(receive):
+            with anyio.CancelScope() as sending:
+                sending.deadline = anyio.current_time() + SEND_SECONDS
+                await send({"type": "http.response.start", "status": 200, "headers": self.raw_headers})
+                async for event in self.events:
+                    sending.deadline = anyio.current_time() + SEND_SECONDS
+                    # A line that begins with a colon is a comment: it only keeps the connection open.
+                    text = ": waiting\n\n" if event is None else f"event: {event.name}\ndata: {event.data}\n\n"
+                    await send({"type": "http.response.body", "body": text.encode(), "more_body": True})
+                    sending.deadline = anyio.current_time() + SEND_SECONDS
+                await send({"type": "http.response.body", "body": b"", "more_body": False})
+
+
+@asynccontextmanager
+async def while_connected(receive: Receive) -> AsyncIterator[None]:
+    """Ends its block when the client closes the connection. The body of the request must have been read."""
+
+    async def end_on_disconnect() -> None:
+        while (await receive())["type"] != "http.disconnect":
+            pass
+        tasks.cancel_scope.cancel()
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(end_on_disconnect)
+        yield
+        tasks.cancel_scope.cancel()
+
+
+async def body_of(request: Request) -> bytes:
+    """Returns the body of a request.
+
+    Raises:
+        HTTPException: It is too large or too slow.
+    """
+    parts = []
+    size = 0
+    try:
+        with anyio.fail_after(BODY_SECONDS):
+            async for part in request.stream():
+                # Counted here, because `Content-Length` may be missing or wrong.
+                size += len(part)
+                if size > MAX_BODY:
+                    raise HTTPException(413, f"the body has more than {MAX_BODY:,} bytes")
+                parts.append(part)
+    except TimeoutError:
+        raise HTTPException(408, f"the body did not come in {BODY_SECONDS:g} s") from None
+    return b"".join(parts)
+
+
+def is_json(request: Request) -> bool:
+    """Returns whether a request says that its body is JSON."""
+    return request.headers.get("content-type", "").partition(";")[0].strip() == "application/json"

@@ -1,0 +1,41 @@
+"""What the scheduler does with options before it samples."""
+
+import pytest
+
+from t2m_jax.sampling import TextToMotion
+from t2m_jax.sampling.request import MotionRequest, SamplingOptions
+from t2m_jax.serving import scheduler as module
+from t2m_jax.serving.messages import Task
+from t2m_jax.serving.scheduler import Scheduler
+from tests.tiny import random_bundle
+
+
+@pytest.fixture
+def sent():
+    return []
+
+
+@pytest.fixture
+def scheduler(sent):
+    return Scheduler(TextToMotion(random_bundle()), 2, lambda *event: sent.append(event))
+
+
+def task(**options) -> Task:
+    return Task(0, MotionRequest(captions=("a person walks",), seed=3, options=SamplingOptions(**options)))
+
+
+def test_options_that_do_not_fit_the_model_fail_alone(scheduler, sent):
+    scheduler.add(task(stop_rule="argmax"))
+    ((job, name, data),) = sent
+    assert (job, name, data["seed"]) == (0, "failed", 3) and data["error"].startswith("stop-rule: ")
+    assert not scheduler.is_busy
+
+
+def test_few_programs_are_kept(scheduler, monkeypatch):
+    cleared = []
+    monkeypatch.setattr(module.jax, "clear_caches", lambda: cleared.append(len(scheduler.programs)))
+    monkeypatch.setattr(module, "MAX_PROGRAMS", 3)
+    for temperature in (1.0, 0.9, 0.8, 1.0, 0.7):
+        scheduler.add(task(temperature=temperature))
+        scheduler.add(task(temperature=temperature, raw=True, guidance_scale=2.0))  # the same program
+    assert cleared == [3] and len(scheduler.programs) == 1
