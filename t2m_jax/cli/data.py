@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> None:
 
 def run_import(args: argparse.Namespace) -> "ImportReport":
     """Writes a folder from motion files."""
-    from t2m_jax.data import importers
+    from t2m_jax.data import import_bandai_namco, import_bvh_folder, import_humanml3d
     from t2m_jax.data.folder import open_dataset
     from t2m_jax.export.contact_sheet import save_contact_sheet
 
@@ -103,10 +103,10 @@ def run_import(args: argparse.Namespace) -> "ImportReport":
     source = given.pop("source")
     destination = given.pop("destination")
     if args.source_kind == "bandai-namco":
-        return importers.import_bandai_namco(source, destination, **given)
+        return import_bandai_namco(source, destination, **given)
     if args.source_kind == "humanml3d":
-        return importers.import_humanml3d(source, destination)
-    report = importers.import_bvh_folder(source, destination, **given)
+        return import_humanml3d(source, destination)
+    report = import_bvh_folder(source, destination, **given)
     dataset = open_dataset(destination)
     save_contact_sheet(destination / SHEET, dataset, notes=report.notes, left_out=report.left_out)
     return report

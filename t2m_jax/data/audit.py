@@ -3,16 +3,16 @@
 import dataclasses
 import itertools
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
+from t2m_jax.data.banks.captions import caption_tokens
 from t2m_jax.data.cache import cache_places, damage, scan_sources
-from t2m_jax.data.caption_notes import caption_notes
 from t2m_jax.data.checks import compare_statistics
-from t2m_jax.data.files import FEATURES, INFO, MIN_ROWS, MIRROR_PREFIX, POSITIONS, SPLITS, TEXTS
+from t2m_jax.data.files import FEATURES, INFO, MIN_FRAMES, MIRROR_PREFIX, POSITIONS, SPLITS, TEXTS
 from t2m_jax.data.folder import Dataset, DatasetInfo, open_dataset
 from t2m_jax.data.index import load_index
 from t2m_jax.data.texts import Caption, read_captions
@@ -20,6 +20,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.files import load_array
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.normalizer import normalizer_from_clips
+from t2m_jax.text.word_vectors import MAX_WORDS, MIN_COUNT, UNKNOWN, vocabulary_from_captions
 
 MAX_JOINT_SPEED = 30.0
 """Meters per second; no limb moves faster."""
@@ -46,15 +47,15 @@ class SplitCounts:
     mirrored: int
     """Mirrored twins among them."""
     frames: int
-    """Feature rows of its readable clips."""
+    """Frames of its readable clips."""
     hours: float
     """Duration of these clips."""
     captions: int
     """Captions of its clips."""
     shortest: int
-    """Feature rows of its shortest clip."""
+    """Frames of its shortest clip."""
     longest: int
-    """Feature rows of its longest clip."""
+    """Frames of its longest clip."""
     out_of_range: int
     """Clips shorter than the data set's `min_frames` (training skips them) or longer than its `max_frames` (training
     cuts them)."""
@@ -84,7 +85,7 @@ def check_features(features: Float[np.ndarray, "T D"], dataset: Dataset) -> list
     """Returns the faults of the features of one clip."""
     if not np.all(np.isfinite(features)):
         return [f"has {int(np.sum(~np.isfinite(features)))} values that are NaN or infinite"]
-    if len(features) < MIN_ROWS:
+    if len(features) < MIN_FRAMES:
         return [f"has {len(features)} frames"]
     meters = positions_from_features(features, dataset.skeleton) * dataset.skeleton.metres_per_unit
     if not np.all(np.isfinite(meters)):
@@ -135,8 +136,10 @@ def missing_files(dataset: Dataset, names: Iterable[str]) -> tuple[str, set[str]
 
 
 def _check_clip(dataset: Dataset, name: str) -> tuple[list[str], int, tuple[Caption, ...]]:
-    """Returns the problems of one clip, its number of rows (0 if they cannot be read) and its captions."""
-    problems, frames, captions = [], 0, tuple[Caption, ...]()
+    """Returns the problems of one clip, its number of frames (0 if they cannot be read) and its captions."""
+    problems = []
+    frames = 0
+    captions: tuple[Caption, ...] = ()
     try:
         features = dataset.features(name)
         frames = len(features)
@@ -151,7 +154,8 @@ def _check_clip(dataset: Dataset, name: str) -> tuple[list[str], int, tuple[Capt
             problems += [f"{TEXTS}/{name}.txt: {problem}" for problem in check_captions(captions, seconds=seconds)]
     except UserError as error:
         problems.append(str(error))
-    positions, shape = dataset.folder / POSITIONS / f"{name}.npy", (dataset.skeleton.num_joints, 3)
+    positions = dataset.folder / POSITIONS / f"{name}.npy"
+    shape = (dataset.skeleton.num_joints, 3)
     try:
         if positions.exists() and load_array(positions, mmap=True).shape[1:] != shape:
             problems.append(f"{POSITIONS}/{name}.npy: does not have the shape T x {shape[0]} x 3 of its skeleton")
@@ -232,18 +236,47 @@ def recording_notes(dataset: Dataset, splits: dict[str, tuple[str, ...]]) -> lis
     return [f"{count} of {len(splits[split])} {split} {told}" for split, count in shared.items() if count]
 
 
+def caption_notes(captions: Mapping[str, Sequence[Caption]], *, training: Iterable[str]) -> list[str]:
+    """Returns notes about captions that an evaluator trained on the data reads only in part or not at all.
+
+    Args:
+        captions: All captions of each clip.
+        training: Clips whose captions make the vocabulary.
+    """
+    tokens = {name: [caption_tokens(caption) for caption in found] for name, found in captions.items()}
+    learned = (words for name in training for words in tokens.get(name, ()))
+    vocabulary = vocabulary_from_captions(learned, min_count=MIN_COUNT)
+    long = []
+    unknown = []
+    for name, captions_tokens in tokens.items():
+        for found in captions_tokens:
+            words = {token.partition("/")[0] for token in found} - {UNKNOWN}
+            long += [name] * (len(found) > MAX_WORDS)
+            unknown += [name] * (not any(word in vocabulary for word in words))
+    notes = {
+        "clips have no caption that can be read, and nothing that reads captions uses them (such as {})": [
+            name for name, found in tokens.items() if not found
+        ],
+        f"captions have more than {MAX_WORDS} words, of which an evaluator reads the first {MAX_WORDS} "
+        "(such as one of {})": long,
+        f"captions have no word that training captions use {MIN_COUNT} times; an evaluator of this data knows none of "
+        "their words (such as one of {})": unknown,
+    }
+    return [f"{len(names)} {note.format(names[0])}" for note, names in notes.items() if names]
+
+
 def _count_clips(lengths: dict[str, int], info: DatasetInfo, *, num_captions: int) -> SplitCounts:
-    """Returns the counts of a split from the numbers of rows of its clips."""
-    rows = lengths.values()
+    """Returns the counts of a split from the numbers of frames of its clips."""
+    frames = lengths.values()
     return SplitCounts(
-        clips=len(rows),
+        clips=len(frames),
         mirrored=sum(name.startswith(MIRROR_PREFIX) for name in lengths),
-        frames=sum(rows),
-        hours=round(sum(rows) / info.fps / 3600, 4),
+        frames=sum(frames),
+        hours=round(sum(frames) / info.fps / 3600, 4),
         captions=num_captions,
-        shortest=min(rows, default=0),
-        longest=max(rows, default=0),
-        out_of_range=sum(not info.min_frames <= length <= info.max_frames for length in rows),
+        shortest=min(frames, default=0),
+        longest=max(frames, default=0),
+        out_of_range=sum(not info.min_frames <= length <= info.max_frames for length in frames),
     )
 
 

@@ -32,13 +32,17 @@ from t2m_jax.files import LockedError, atomic_folder, load_array, load_json, sav
 
 logger = logging.getLogger(__name__)
 
-CACHE_FOLDER, CACHE_NAME = ".t2m-cache", "clips"
-FRAMES, INDEX = "frames.npy", "index.json"
+CACHE_FOLDER = ".t2m-cache"
+CACHE_NAME = "clips"
+FRAMES = "frames.npy"
+INDEX = "index.json"
 BLOCK = 4 * 2**20
 """Bytes per checksum of the frames."""
-WAIT_SECONDS, POLL_SECONDS = 30.0, 0.2
-"""How long a process waits for another one that writes the same cache, and how often it looks. Then it makes its own in
-the user's cache folder: the other one may have been killed on another host, which cannot be seen from here."""
+POLL_SECONDS = 0.2
+"""How often a process looks whether another one has written the same cache."""
+WAIT_SECONDS = 30.0
+"""How long it waits. Then it makes its own in the user's cache folder: the other one may have been killed on another
+host, which cannot be seen from here."""
 MAX_INDEX = 2**31
 """The largest index in bytes. It has the captions of all clips, so it grows with the data."""
 ABANDONED_SECONDS = 3600.0
@@ -98,7 +102,8 @@ class Sources(NamedTuple):
 
 def scan_sources(folder: Path, *, feature_dim: int) -> Sources:
     """Returns the clip files of a folder without opening them."""
-    names, lines = set(), []
+    names = set()
+    lines = []
     for part, suffix in ((FEATURES, ".npy"), (TEXTS, ".txt")):
         if not (folder / part).is_dir():
             continue
@@ -217,7 +222,8 @@ def _blocks_of(clips: CachedClips, names: Collection[str] | None, size: int) -> 
     """Returns the blocks of a file of `size` bytes that contain its header or the frames of some clips (None: all)."""
     if names is None:
         return list(range(-(-size // BLOCK)))
-    row, header = clips.frames.strides[0], size - clips.frames.nbytes
+    row = clips.frames.strides[0]
+    header = size - clips.frames.nbytes
     spans = [clips.spans[name] for name in names if name in clips.spans]
     edges = ((header + first * row, header + end * row - 1) for first, end in spans)
     return sorted({0}.union(*(range(first // BLOCK, last // BLOCK + 1) for first, last in edges)))

@@ -16,12 +16,15 @@ from t2m_jax.data.texts import CaptionFile, read_captions
 from t2m_jax.errors import UserError
 from t2m_jax.files import load_array, load_text
 
-FEATURES, POSITIONS, TEXTS, INFO = "new_joint_vecs", "new_joints", "texts", "dataset.yaml"
+FEATURES = "new_joint_vecs"
+POSITIONS = "new_joints"
+TEXTS = "texts"
+INFO = "dataset.yaml"
 SPLITS = ("train", "val", "test")
 MIRROR_PREFIX = "M"
 
-MIN_ROWS = 2
-"""Fewest rows of a usable clip: with one row there is no step from one frame to the next."""
+MIN_FRAMES = 2
+"""Fewest frames of a usable clip: with one there is no step from one frame to the next."""
 
 
 def load_features(path: Path, *, feature_dim: int) -> Float[np.ndarray, "T D"]:
@@ -50,7 +53,8 @@ def clip_or_reason(folder: Path, name: str, *, feature_dim: int) -> ClipFiles | 
     The reasons are short and the same for the same fault, so that clips can be counted by reason. A caption line that
     cannot be read is not a reason: only that caption is lost.
     """
-    motion_file, text_file = folder / FEATURES / f"{name}.npy", folder / TEXTS / f"{name}.txt"
+    motion_file = folder / FEATURES / f"{name}.npy"
+    text_file = folder / TEXTS / f"{name}.txt"
     missing = [kind for kind, file in (("motion", motion_file), ("caption", text_file)) if not file.exists()]
     if missing:
         return f"without {' and '.join(missing)} file"
@@ -62,7 +66,7 @@ def clip_or_reason(folder: Path, name: str, *, feature_dim: int) -> ClipFiles | 
         return f"with an array of {array.ndim} axes in place of 2"
     if array.shape[1] != feature_dim:
         return f"with {array.shape[1]} features in place of {feature_dim}"
-    if len(array) < MIN_ROWS:
+    if len(array) < MIN_FRAMES:
         return f"of {len(array)} frame" + "s" * (len(array) != 1)
     with np.errstate(over="ignore"):  # a value that is too large for 32 bits becomes infinite and is found below
         features = array.astype(np.float32, copy=False)

@@ -91,7 +91,8 @@ class Dataset:
     def normalizer(self) -> Normalizer:
         """The statistics in the folder (`Mean.npy`, `Std.npy`)."""
         normalizer = load_normalizer(self.folder)
-        found, expected = len(normalizer.mean), self.skeleton.feature_dim
+        found = len(normalizer.mean)
+        expected = self.skeleton.feature_dim
         if found != expected:
             raise UserError(
                 f"{self.folder / 'Mean.npy'}: has {found} columns, but skeleton {self.skeleton.name} has {expected} "
@@ -204,8 +205,8 @@ def open_dataset(folder: str | Path) -> Dataset:
     if (folder / INFO).exists():
         info = load_config(folder / INFO, DatasetInfo)
         return Dataset(folder=folder, info=info, skeleton=skeleton_from_name(info.skeleton))
-    mean, clips = folder / "Mean.npy", (folder / FEATURES).glob("*.npy")
-    example = mean if mean.exists() else min(clips, default=None)
+    mean = folder / "Mean.npy"
+    example = mean if mean.exists() else min((folder / FEATURES).glob("*.npy"), default=None)
     if example is None:
         raise nothing
     skeleton = skeleton_from_feature_dim((0, *load_array(example, mmap=True).shape)[-1])  # 0 for an array without axes

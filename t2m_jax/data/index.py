@@ -16,7 +16,9 @@ from t2m_jax.files import reading, save_text
 from t2m_jax.motion.mirroring import mirror_caption
 
 INDEX = "index.csv"
-NAME, SOURCE, LABEL = "new_name", "source_path", "label"
+NAME = "new_name"
+SOURCE = "source_path"
+LABEL = "label"
 
 
 class ClipIndex(NamedTuple):
@@ -42,7 +44,7 @@ class ClipIndex(NamedTuple):
         return frozenset(name for name in names if self.source(name) in recordings)
 
 
-class IndexRow(NamedTuple):
+class IndexEntry(NamedTuple):
     """One clip of the table."""
 
     name: str
@@ -61,20 +63,21 @@ def load_index(folder: Path) -> ClipIndex | None:
         return None
     try:
         with reading(path), path.open(encoding="utf-8", newline="") as lines:
-            rows = list(csv.DictReader(lines))
+            entries = list(csv.DictReader(lines))
     except csv.Error as error:
         raise UserError(f"{path}: cannot be read ({error}); expected a table with the column {NAME}") from error
-    if rows and NAME not in rows[0]:
-        raise UserError(f"{path}: has no column {NAME}; its columns are {', '.join(map(str, rows[0]))}")
+    if entries and NAME not in entries[0]:
+        raise UserError(f"{path}: has no column {NAME}; its columns are {', '.join(map(str, entries[0]))}")
     # HumanML3D's table has file names in place of clip names.
-    named = [((row[NAME] or "").removesuffix(".npy"), row) for row in rows]
-    return ClipIndex(*({name: row[column] for name, row in named if row.get(column)} for column in (SOURCE, LABEL)))
+    named = [((entry[NAME] or "").removesuffix(".npy"), entry) for entry in entries]
+    sources, labels = ({name: entry[of] for name, entry in named if entry.get(of)} for of in (SOURCE, LABEL))
+    return ClipIndex(sources, labels)
 
 
-def save_index(folder: Path, rows: Iterable[IndexRow]) -> None:
-    """Writes `index.csv`. Mirrored twins need no row."""
+def save_index(folder: Path, entries: Iterable[IndexEntry]) -> None:
+    """Writes `index.csv`. Mirrored twins need no entry."""
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow((NAME, SOURCE, LABEL))
-    writer.writerows(rows)
+    writer.writerows(entries)
     save_text(folder / INDEX, table.getvalue())

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from t2m_jax.data.files import FEATURES, MIRROR_PREFIX, POSITIONS, SPLITS, TEXTS
 from t2m_jax.data.folder import Dataset, DatasetInfo, open_dataset
-from t2m_jax.data.index import IndexRow, load_index, save_index
+from t2m_jax.data.index import IndexEntry, load_index, save_index
 from t2m_jax.data.writer import ImportReport, finish_folder, new_folder
 from t2m_jax.errors import UserError
 from t2m_jax.files import load_array, reading
@@ -71,12 +71,12 @@ def _merged_info(datasets: Sequence[Dataset]) -> DatasetInfo:
     )
 
 
-def _labels(owners: dict[str, Dataset]) -> list[IndexRow]:
+def _labels(owners: dict[str, Dataset]) -> list[IndexEntry]:
     """Returns the rows of all clips of which recording or label is known."""
     indices = {dataset.folder: load_index(dataset.folder) for dataset in owners.values()}
     rows = []
     for name, dataset in owners.items():
         index = indices[dataset.folder]
         if index is not None and not (name.startswith(MIRROR_PREFIX) and name[1:] in owners):
-            rows.append(IndexRow(name, index.source(name) or "", index.label(name) or ""))
+            rows.append(IndexEntry(name, index.source(name) or "", index.label(name) or ""))
     return rows

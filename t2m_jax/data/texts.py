@@ -80,7 +80,8 @@ def read_captions(path: Path) -> CaptionFile:
     Raises:
         UserError: The file is missing or is not UTF-8.
     """
-    captions, problems = [], []
+    captions = []
+    problems = []
     for number, line in enumerate(load_text(path).split("\n"), start=1):
         if not line.strip():
             continue

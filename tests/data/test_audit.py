@@ -10,7 +10,7 @@ from t2m_jax.cli.main import main
 from t2m_jax.data.audit import audit_dataset
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.humanml3d import import_humanml3d
-from t2m_jax.data.index import IndexRow, save_index
+from t2m_jax.data.index import IndexEntry, save_index
 from t2m_jax.errors import UserError
 
 
@@ -100,7 +100,7 @@ def test_overlap_counts_twins(folder):
 def test_recordings_shared_with_training_are_noted(folder):
     dataset = open_dataset(folder)
     trained, held_out = (next(n for n in dataset.names(split) if n[0] != "M") for split in ("train", "test"))
-    save_index(folder, [IndexRow(trained, "one.bvh", ""), IndexRow(held_out, "one.bvh", "")])
+    save_index(folder, [IndexEntry(trained, "one.bvh", ""), IndexEntry(held_out, "one.bvh", "")])
     clips = len(dataset.names("test"))
     said = f"2 of {clips} test clips are cut from recordings that are in train, too; protocol strict leaves them out"
     report = audit_dataset(folder)

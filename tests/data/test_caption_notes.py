@@ -1,6 +1,6 @@
 """What an audit says of captions that an evaluator reads in part or not at all."""
 
-from t2m_jax.data.caption_notes import caption_notes
+from t2m_jax.data.audit import caption_notes
 from t2m_jax.data.texts import Caption
 
 KNOWN = [Caption("a person walks")] * 3

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.data.importers.bvh import import_bvh_folder
-from t2m_jax.data.importers.caption_table import find_rows, load_caption_table
+from t2m_jax.data.importers.caption_table import find_entries, load_caption_table
 from t2m_jax.errors import UserError
 from tests.data.bvh_files import write_bvh
 from tests.data.test_bvh_folder import all_captions, write_clips
@@ -17,8 +17,8 @@ def read(tmp_path, text, *, name="captions.csv", keys=("a", "b")):
     path = tmp_path / name
     path.write_text(text, encoding="utf-8")
     table = load_caption_table(path, keys=keys)
-    said = {key: [c.text for row in find_rows(table, (key,)) for c in row.captions] for key in ("a", "b")}
-    problems = [row.problem for rows in table.rows.values() for row in rows if row.problem]
+    said = {key: [c.text for row in find_entries(table, (key,)) for c in row.captions] for key in ("a", "b")}
+    problems = [row.problem for rows in table.entries.values() for row in rows if row.problem]
     return said, problems, table.notes
 
 
@@ -62,14 +62,14 @@ def test_what_was_guessed_is_noted(tmp_path):
 )
 def test_times_after_a_caption_with_commas(tmp_path, row, times):
     (tmp_path / "captions.csv").write_text(f"file,caption,start,end\n{row}\n")
-    (found,) = find_rows(load_caption_table(tmp_path / "captions.csv"), ("a",))
+    (found,) = find_entries(load_caption_table(tmp_path / "captions.csv"), ("a",))
     assert found.captions[0].text == "he walks, and turns"
     assert (found.captions[0].start, found.captions[0].end) == times
 
 
 def test_decimal_commas_of_spreadsheets(tmp_path):
     (tmp_path / "captions.csv").write_text("file;caption;from (s);to (s)\na;he walks;0,5;2,25\n")
-    (found,) = find_rows(load_caption_table(tmp_path / "captions.csv"), ("a",))
+    (found,) = find_entries(load_caption_table(tmp_path / "captions.csv"), ("a",))
     assert (found.captions[0].start, found.captions[0].end) == (0.5, 2.25)
 
 
@@ -112,15 +112,15 @@ def test_short_names_of_several_files_are_refused(tmp_path):
     path = tmp_path / "captions.csv"
     path.write_text("file,caption\nwalk,he walks\nx/walk,she walks\n")
     table = load_caption_table(path, keys=("x/walk", "y/walk"))
-    assert [c.text for row in find_rows(table, ("x/walk", "walk")) for c in row.captions] == ["she walks"]
-    assert "captions.csv:2: 2 files are called walk; write the folder" in table.rows["walk"][0].problem
+    assert [c.text for row in find_entries(table, ("x/walk", "walk")) for c in row.captions] == ["she walks"]
+    assert "captions.csv:2: 2 files are called walk; write the folder" in table.entries["walk"][0].problem
 
 
 def test_a_row_of_one_file_is_not_taken_for_another(tmp_path):
     path = tmp_path / "captions.csv"
     path.write_text("file,caption\nwalk,he walks\n")
     table = load_caption_table(path, keys=("walk", "old/run"))
-    assert find_rows(table, ("walk",)) and not find_rows(table, ("old/walk", "walk"))
+    assert find_entries(table, ("walk",)) and not find_entries(table, ("old/walk", "walk"))
 
 
 @pytest.mark.parametrize("text", ["", "\n", "actor,take\nx,y\n", "one column\na\n", "x,y\n1,2\n"])

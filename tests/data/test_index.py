@@ -2,19 +2,19 @@
 
 import pytest
 
-from t2m_jax.data.index import IndexRow, load_index, save_index
+from t2m_jax.data.index import IndexEntry, load_index, save_index
 from t2m_jax.errors import UserError
 
 
 def test_what_is_written_is_read(tmp_path):
-    save_index(tmp_path, [IndexRow("a", "one, two.bvh", "turn-left, happy"), IndexRow("b", "b.bvh", "")])
+    save_index(tmp_path, [IndexEntry("a", "one, two.bvh", "turn-left, happy"), IndexEntry("b", "b.bvh", "")])
     index = load_index(tmp_path)
     assert index.source("a") == "one, two.bvh" and index.label("a") == "turn-left, happy"
     assert index.label("b") is None and index.source("c") is None
 
 
 def test_a_twin_is_of_the_same_recording_and_shows_the_other_side(tmp_path):
-    save_index(tmp_path, [IndexRow("a", "a.bvh", "turn-left, happy"), IndexRow("Moth", "moth.bvh", "fly")])
+    save_index(tmp_path, [IndexEntry("a", "a.bvh", "turn-left, happy"), IndexEntry("Moth", "moth.bvh", "fly")])
     index = load_index(tmp_path)
     assert index.source("Ma") == "a.bvh" and index.label("Ma") == "turn-right, happy"
     assert index.source("Moth") == "moth.bvh" and index.label("Moth") == "fly"

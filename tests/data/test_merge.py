@@ -5,7 +5,7 @@ from t2m_jax.data.audit import audit_dataset
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.bvh import import_bvh_folder
 from t2m_jax.data.importers.synthetic import write_synthetic_dataset
-from t2m_jax.data.index import IndexRow, load_index, save_index
+from t2m_jax.data.index import IndexEntry, load_index, save_index
 from t2m_jax.data.merge import merge_datasets
 from t2m_jax.errors import UserError
 from tests.data.bvh_files import write_bvh
@@ -19,7 +19,7 @@ def folders(tmp_path_factory):
     for seed in range(8):
         write_bvh(folder / "source" / f"clip_{seed}.bvh", seed=seed)
     import_bvh_folder(folder / "source", folder / "own", caption_from_name=True)
-    save_index(folder / "own", [IndexRow(f"clip_{seed}", f"clip_{seed}.bvh", "turns left") for seed in range(8)])
+    save_index(folder / "own", [IndexEntry(f"clip_{seed}", f"clip_{seed}.bvh", "turns left") for seed in range(8)])
     return folder / "made", folder / "own"
 
 

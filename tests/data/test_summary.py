@@ -6,7 +6,7 @@ import numpy as np
 
 from t2m_jax.data.folder import Clip, Dataset, DatasetInfo, open_dataset
 from t2m_jax.data.importers.synthetic import KINDS
-from t2m_jax.data.index import IndexRow, save_index
+from t2m_jax.data.index import IndexEntry, save_index
 from t2m_jax.data.summary import NUM_CAPTIONS, save_training_data, summarize_training_data
 from t2m_jax.data.texts import Caption
 from t2m_jax.files import load_json
@@ -24,7 +24,9 @@ def dataset_in(folder):
 
 
 def test_clips_are_counted_by_label_and_words_by_use(tmp_path):
-    save_index(tmp_path, [IndexRow("a", "a.bvh", "turn left"), IndexRow("b", "b.bvh", "walk"), IndexRow("c", "", "")])
+    save_index(
+        tmp_path, [IndexEntry("a", "a.bvh", "turn left"), IndexEntry("b", "b.bvh", "walk"), IndexEntry("c", "", "")]
+    )
     clips = [
         clip("a", Caption("He TURNS left.", ("he/PRON", "turn/VERB", "left/ADV")), Caption("He turns LEFT")),
         clip("Ma", Caption("x", ("He/PRON", "turn/VERB", "right/ADV"))),
@@ -40,7 +42,7 @@ def test_clips_are_counted_by_label_and_words_by_use(tmp_path):
 
 def test_composed_clips_are_counted_by_their_number_of_actions(tmp_path):
     labels = ("walk + wave", "wave + walk", "walk + wave + run", "walk")
-    save_index(tmp_path, [IndexRow(f"{number}", "", label) for number, label in enumerate(labels)])
+    save_index(tmp_path, [IndexEntry(f"{number}", "", label) for number, label in enumerate(labels)])
     found = summarize_training_data(dataset_in(tmp_path), [clip(f"{number}") for number in range(4)])
     assert found.clips_per_action == {"2 actions in turn": 2, "3 actions in turn": 1, "walk": 1}
 

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from jax.tree_util import keystr
 
-from t2m_jax.data.banks import MotionBank, batch_at
+from t2m_jax.data.banks.motions import MotionBank, batch_at
 from t2m_jax.sampling import TextToMotion, encode_motions
 from t2m_jax.train import LoopConfig, train
 from t2m_jax.train.config import ExperimentConfig, ShardingConfig

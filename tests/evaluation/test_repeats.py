@@ -14,7 +14,7 @@ from t2m_jax.checkpoints.evaluator import load_trained_evaluator, make_trained_e
 from t2m_jax.cli.main import main
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.synthetic import write_synthetic_dataset
-from t2m_jax.data.index import IndexRow, load_index, save_index
+from t2m_jax.data.index import IndexEntry, load_index, save_index
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation import run as repeats
 from t2m_jax.evaluation.embedding import embed_decoded
@@ -135,7 +135,7 @@ def change_a_clip(folder):
 
 def change_a_label(folder):
     rows = load_index(folder)
-    save_index(folder, [IndexRow(name, "", f"{label}!") for name, label in rows.labels.items()])
+    save_index(folder, [IndexEntry(name, "", f"{label}!") for name, label in rows.labels.items()])
 
 
 @pytest.mark.parametrize("change", [change_a_clip, change_a_label])
@@ -148,7 +148,7 @@ def test_the_contents_of_the_data_are_in_the_task_and_the_report(synthetic_folde
     protocol = find_protocol("t2m-gpt")
     evaluator = evaluator._replace(normalizer=open_dataset(synthetic_folder).normalizer)
     original = shutil.copytree(synthetic_folder, tmp_path / "data")
-    save_index(original, [IndexRow("synthetic_00000", "", "walk")])
+    save_index(original, [IndexEntry("synthetic_00000", "", "walk")])
     folder = shutil.copytree(original, tmp_path / "moved")
     assert header(folder) == header(original) and header(folder).weights
     change(folder)

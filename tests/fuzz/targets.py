@@ -25,7 +25,7 @@ from t2m_jax.data.audit import audit_dataset
 from t2m_jax.data.files import read_names
 from t2m_jax.data.importers.caption_table import load_caption_table
 from t2m_jax.data.importers.synthetic import make_motion, write_synthetic_dataset
-from t2m_jax.data.index import IndexRow, load_index, save_index
+from t2m_jax.data.index import IndexEntry, load_index, save_index
 from t2m_jax.data.texts import load_captions
 from t2m_jax.evaluation.report.record import Header, load_report
 from t2m_jax.evaluation.run import load_partial
@@ -91,7 +91,7 @@ def _make_texts(root: Path) -> None:
     (root / "table.txt").write_text("walk: a person walks\nwave\ta man waves twice\n")
     with (root / "table.csv").open("w", newline="") as file:
         csv.writer(file).writerows([["file", "caption", "start", "end"], ["walk.bvh", "a person walks", "0", "1.5"]])
-    save_index(root, [IndexRow("a", "one, two.bvh", "turn-left, happy"), IndexRow("b", "b.bvh", "")])
+    save_index(root, [IndexEntry("a", "one, two.bvh", "turn-left, happy"), IndexEntry("b", "b.bvh", "")])
     (root / "rig.yaml").write_text("".join(f"{joint}: [{joint}, a {joint}]\n" for joint in HUMANML3D.joint_names))
     (root / "glove.txt").write_text("walk 0.1 0.2 -0.3\nman 1e-3 0 4\n")
     rows = {"real": {"fid": METRIC}, "generated": {"fid": METRIC}}

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.data.banks import Windows
+from t2m_jax.data.banks.motions import Windows
 from t2m_jax.models.system import variable_shapes
 from t2m_jax.models.vqvae import RvqVaeConfig, VqVae, VqVaeOutput
 from t2m_jax.motion.normalizer import Normalizer

@@ -5,7 +5,7 @@ import dataclasses
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import tqdm
@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from t2m_jax.config import load_config
 from t2m_jax.data.folder import DatasetInfo
-from t2m_jax.data.importers.caption_files import Source, clip_name, find_captions, find_table, unused_rows
+from t2m_jax.data.importers.caption_files import Source, clip_name, find_captions, find_table, unused_entries
 from t2m_jax.data.importers.caption_table import CaptionTable
 from t2m_jax.data.importers.division import EIGHTY, Division
 from t2m_jax.data.writer import ImportReport, finish_folder, new_folder, with_twins, write_twins
@@ -108,6 +108,31 @@ def _load_info(source: Path, info: str | Path | None) -> DatasetInfo:
     return about
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class BvhOptions:
+    """How a folder of motion files is imported."""
+
+    captions: str | Path | None = None
+    """Table of files and captions (see `caption_table`); by default `captions.csv` or `captions.txt` in the folder. An
+    animation of a GLB file is called `file/animation`. A `.txt` beside a BVH or AMC file is always read."""
+    rig: str | None = None
+    """Name of a rig, or a YAML table such as `pelvis: Hips`; by default detected from the joint names."""
+    caption_from_name: bool = False
+    """A clip without captions gets the words of its file's or its animation's name."""
+    info: str | Path | None = None
+    """YAML file with the name, license, source and attribution of the data, as in `dataset.yaml`."""
+    up: Up = "auto"
+    """The axis that points up; by default the one along which the figure stands."""
+    amc_fps: float = AMC_FPS
+    """Frames per second of AMC files, which do not say it."""
+    split: str | Path = EIGHTY
+    """Shares of train, val and test, or a folder with lists of clip names (train.txt, val.txt, test.txt)."""
+    split_by: str | None = None
+    """Clips that have this in common stay in one split: `folder`, or a column of the table of captions."""
+    seed: int = 0
+    """Seed of the split."""
+
+
 @dataclasses.dataclass
 class _Converter:
     """Writes clips, and remembers what was done to them."""
@@ -115,10 +140,7 @@ class _Converter:
     source: Path
     table: CaptionTable
     division: Division
-    caption_from_name: bool
-    rig: str | None
-    up: Up
-    amc_fps: float
+    options: BvhOptions
     motions: dict[str, Source] = dataclasses.field(default_factory=dict)
     """All motions by the names of their clips."""
     groups: dict[str, str] = dataclasses.field(default_factory=dict)
@@ -134,17 +156,17 @@ class _Converter:
     def file(self, path: Path, folder: Path) -> None:
         """Writes the clips of a file."""
         try:
-            motions = open_motion_file(path, amc_fps=self.amc_fps)
+            motions = open_motion_file(path, amc_fps=self.options.amc_fps)
         except UserError as error:
             self.left_out[self._add(Source(path, None))] = str(error)
             return
         for motion, clip in motions.items():
             name = self._add(motion)
             try:
-                said = find_captions(motion, self.source, table=self.table, from_name=self.caption_from_name)
+                said = find_captions(motion, self.source, table=self.table, from_name=self.options.caption_from_name)
                 group = self.division.group(motion)
                 with naming(motion):
-                    ready = _prepare(motion, clip, rig=self.rig, up=self.up)
+                    ready = _prepare(motion, clip, rig=self.options.rig, up=self.options.up)
                 self.num_frames += 2 * write_twins(folder, name, ready.positions, captions=said, skeleton=HUMANML3D)
             except UserError as error:
                 self.left_out[name] = str(error)
@@ -183,51 +205,30 @@ class _Converter:
         ]
 
 
-def import_bvh_folder(
-    source: str | Path,
-    destination: str | Path,
-    *,
-    captions: str | Path | None = None,
-    rig: str | None = None,
-    caption_from_name: bool = False,
-    info: str | Path | None = None,
-    up: Up = "auto",
-    amc_fps: float = AMC_FPS,
-    split: str | Path = EIGHTY,
-    split_by: str | None = None,
-    seed: int = 0,
-) -> ImportReport:
+def import_bvh_folder(source: str | Path, destination: str | Path, **options: Any) -> ImportReport:
     """Converts a folder of BVH, GLB and AMC files into a new data-set folder and returns a report of what was written.
 
     Clips are resampled to 20 frames per second, retargeted, encoded and mirrored. Each animation of a GLB file is a
-    clip. A clip without a caption or with a broken file is left out, and the report names it, as it names all rows of
+    clip. A clip without a caption or with a broken file is left out, and the report names it, as it names all lines of
     a table that gave no caption.
 
     Args:
         source: Folder that is searched for `*.bvh`, `*.glb` and `*.amc` at any depth.
         destination: Folder to make.
-        captions: Table of files and captions (see `caption_table`); by default `captions.csv` or `captions.txt` in the
-            folder. An animation of a GLB file is called `file/animation`. A `.txt` beside a BVH or AMC file is always
-            read.
-        rig: Name of a rig, or a YAML table such as `pelvis: Hips`; by default detected from the joint names.
-        caption_from_name: A clip without captions gets the words of its file's or its animation's name.
-        info: YAML file with the name, license, source and attribution of the data, as in `dataset.yaml`.
-        up: The axis that points up; by default the one along which the figure stands.
-        amc_fps: Frames per second of AMC files, which do not say it.
-        split: Shares of train, val and test, or a folder with lists of clip names (train.txt, val.txt, test.txt).
-        split_by: Clips that have this in common stay in one split: `folder`, or a column of the table of captions.
-        seed: Seed of the split.
+        **options: Fields of `BvhOptions`.
 
     Raises:
         UserError: No clip can be imported, a table or `info` is broken, left and right are exchanged, the clips cannot
             be divided, or the destination exists.
     """
     source = Path(source)
-    files, about = find_motion_files(source), _load_info(source, info)
-    table = find_table(source, Path(captions) if captions else None, files=files)
-    division = Division(split, split_by, source, table, seed)
+    given = BvhOptions(**options)
+    files = find_motion_files(source)
+    about = _load_info(source, given.info)
+    table = find_table(source, Path(given.captions) if given.captions else None, files=files)
+    division = Division(given.split, given.split_by, source, table, given.seed)
     division.check()
-    convert = _Converter(source, table, division, caption_from_name, rig, up, amc_fps)
+    convert = _Converter(source, table, division, given)
     with new_folder(destination) as folder:
         for path in tqdm.tqdm(files, unit="file", desc="converting"):
             convert.file(path, folder)
@@ -235,6 +236,6 @@ def import_bvh_folder(
         splits = {part: with_twins(members) for part, members in division.divide(convert.groups).items()}
         sizes = finish_folder(folder, splits, info=about, skeleton=HUMANML3D)
     told = set(convert.left_out.values())
-    rows = [line for line in unused_rows(table, convert.motions.values(), source) if line not in told]
-    notes = (*table.notes, *convert.notes(), *rows)
+    unused = [line for line in unused_entries(table, convert.motions.values(), source) if line not in told]
+    notes = (*table.notes, *convert.notes(), *unused)
     return ImportReport(2 * len(convert.groups), convert.num_frames, sizes, convert.left_out, notes)

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 from t2m_jax.data.importers.caption_table import (
     BYTE_ORDER_MARK,
+    CaptionEntry,
     CaptionTable,
-    Row,
     caption_tokens,
-    find_rows,
+    find_entries,
     load_caption_table,
     tagged_caption,
 )
@@ -69,7 +69,7 @@ def find_captions(motion: Source, folder: Path, *, table: CaptionTable, from_nam
     Raises:
         UserError: There is none, or the text file cannot be read.
     """
-    rows = find_rows(table, motion.keys(folder))
+    rows = find_entries(table, motion.keys(folder))
     captions = [caption for row in rows for caption in row.captions]
     beside = motion.path.with_suffix(".txt")
     is_read = motion.animation is None and beside.is_file()
@@ -92,16 +92,16 @@ def find_captions(motion: Source, folder: Path, *, table: CaptionTable, from_nam
     return tuple(dict.fromkeys(captions))
 
 
-def unused_rows(table: CaptionTable, motions: Iterable[Source], folder: Path) -> list[str]:
+def unused_entries(table: CaptionTable, motions: Iterable[Source], folder: Path) -> list[str]:
     """Returns a line for each row that gave no caption: what is wrong with it, or that it names no motion."""
-    used = {row.place for motion in motions for row in find_rows(table, motion.keys(folder))}
-    rows = [row for same in table.rows.values() for row in same]
+    used = {row.place for motion in motions for row in find_entries(table, motion.keys(folder))}
+    rows = [row for same in table.entries.values() for row in same]
     return [_why_unused(row) for row in sorted(rows, key=_line) if row.problem or row.place not in used]
 
 
-def _line(row: Row) -> int:
+def _line(row: CaptionEntry) -> int:
     return int(row.place.rpartition(":")[2])
 
 
-def _why_unused(row: Row) -> str:
+def _why_unused(row: CaptionEntry) -> str:
     return row.problem or f"{row.place}: there is no motion {row.file}"

@@ -30,7 +30,7 @@ NAMES = {
 MOTION_SUFFIXES = re.compile(r"\.(bvh|glb|amc|fbx|npy|npz|c3d)$", re.IGNORECASE)
 
 
-class Row(NamedTuple):
+class CaptionEntry(NamedTuple):
     """A row of a table."""
 
     place: str
@@ -47,7 +47,7 @@ class Row(NamedTuple):
 class CaptionTable(NamedTuple):
     """The rows of a table by the last part of what they call their motion, in lower case."""
 
-    rows: Mapping[str, Sequence[Row]]
+    entries: Mapping[str, Sequence[CaptionEntry]]
     columns: tuple[str, ...] = ()
     """Names of the columns that have neither a file, nor a caption, nor a time."""
     keys: frozenset[str] = frozenset()
@@ -95,11 +95,13 @@ def load_caption_table(path: Path, *, keys: Collection[str] = ()) -> CaptionTabl
         raise UserError(f"{path}: no such file; give a .csv with file,caption or a .txt with 'file: caption' lines")
     lines = load_text(path).removeprefix(BYTE_ORDER_MARK).split("\n")
     numbered = [(number, line) for number, line in enumerate(lines, start=1) if line.strip()]
-    columns, notes = tuple[str, ...](), tuple[str, ...]()
+    columns: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     if path.suffix.lower() == ".csv":
         layout = _find_layout(path, numbered[0][1] if numbered else "", keys)
-        rows = [_read_row(f"{path}:{number}", line, layout) for number, line in numbered[layout.has_header :]]
-        columns, notes = tuple(layout.others), layout.notes
+        rows = [_read_entry(f"{path}:{number}", line, layout) for number, line in numbered[layout.has_header :]]
+        columns = tuple(layout.others)
+        notes = layout.notes
         joined = [row.place.rpartition(":")[2] for row, count in rows if count]
         if joined:
             shown = ", ".join(joined[:5]) + ", ..." * (len(joined) > 5)
@@ -109,7 +111,7 @@ def load_caption_table(path: Path, *, keys: Collection[str] = ()) -> CaptionTabl
         found = [row for row, _ in rows]
     else:
         found = [_read_pair(f"{path}:{number}", line) for number, line in numbered]
-    by_name: dict[str, list[Row]] = {}
+    by_name: dict[str, list[CaptionEntry]] = {}
     for row in found:
         by_name.setdefault(_last_part(row.file), []).append(row)
     by_last = Counter(map(_last_part, keys))
@@ -118,7 +120,7 @@ def load_caption_table(path: Path, *, keys: Collection[str] = ()) -> CaptionTabl
     return CaptionTable(by_name, columns, frozenset(keys), notes)
 
 
-def find_rows(table: CaptionTable, candidates: Sequence[str]) -> list[Row]:
+def find_entries(table: CaptionTable, candidates: Sequence[str]) -> list[CaptionEntry]:
     """Returns the rows of a motion.
 
     Args:
@@ -126,8 +128,9 @@ def find_rows(table: CaptionTable, candidates: Sequence[str]) -> list[Row]:
         candidates: What it may call the motion. The first one is its path below the folder, which a longer path may
             end with, too.
     """
-    near = [row for last in dict.fromkeys(map(_last_part, candidates)) for row in table.rows.get(last, ())]
-    names, tail = {candidate.casefold() for candidate in candidates}, f"/{candidates[0].casefold()}"
+    near = [row for last in dict.fromkeys(map(_last_part, candidates)) for row in table.entries.get(last, ())]
+    names = {candidate.casefold() for candidate in candidates}
+    tail = f"/{candidates[0].casefold()}"
     return [
         row
         for row in near
@@ -136,7 +139,7 @@ def find_rows(table: CaptionTable, candidates: Sequence[str]) -> list[Row]:
     ]
 
 
-def _refuse_if_ambiguous(row: Row, num_files: int) -> Row:
+def _refuse_if_ambiguous(row: CaptionEntry, num_files: int) -> CaptionEntry:
     """Returns the row, with a problem if it names only the last part of the paths of several files."""
     if num_files < 2 or "/" in row.file or row.problem:
         return row
@@ -232,7 +235,8 @@ def _join_commas(cells: list[str], layout: _Layout) -> tuple[list[str], int]:
 
     The times must then be all there or all missing; otherwise the row may have a wrong time, and is left as it is.
     """
-    caption, fewest = layout.captions[0], max(len(cells) - layout.width, 0)
+    caption = layout.captions[0]
+    fewest = max(len(cells) - layout.width, 0)
     most = len(cells) - caption if layout.file < caption else fewest + 1
     for extra in range(fewest, most):
         end = caption + extra + 1
@@ -245,35 +249,42 @@ def _join_commas(cells: list[str], layout: _Layout) -> tuple[list[str], int]:
     return cells, 0
 
 
-def _read_row(place: str, line: str, layout: _Layout) -> tuple[Row, int]:
+def _read_entry(place: str, line: str, layout: _Layout) -> tuple[CaptionEntry, int]:
     """Returns a row and the number of commas without quotes in its caption."""
     try:
-        cells, joined = _split_line(line, layout.delimiter), 0
+        cells = _split_line(line, layout.delimiter)
     except csv.Error as error:
-        return Row(place, "", (), f"{place}: is not a row of a table ({error})", {}), 0
+        return CaptionEntry(place, "", (), f"{place}: is not a row of a table ({error})", {}), 0
     cells += [""] * (layout.width - len(cells))
+    joined = 0
     if len(layout.captions) == 1:
         cells, joined = _join_commas(cells, layout)
     elif len(cells) > layout.width:
-        return Row(place, "", (), f"{place}: has {len(cells)} cells, the header {layout.width}; quote commas", {}), 0
+        return CaptionEntry(
+            place, "", (), f"{place}: has {len(cells)} cells, the header {layout.width}; quote commas", {}
+        ), 0
     times = {role: cells[column].replace(",", ".") for role, column in layout.times.items()}
     said = [cells[column] for column in layout.captions if cells[column]]
     others = {name: cells[column] for name, column in layout.others.items()}
-    return _make_row(place, cells[layout.file], said, times, others), joined
+    return _make_entry(place, cells[layout.file], said, times, others), joined
 
 
-def _read_pair(place: str, line: str) -> Row:
+def _read_pair(place: str, line: str) -> CaptionEntry:
     """Returns the row of a line `file: caption`."""
     file, _, said = line.partition("\t" if "\t" in line else ":")
-    return _make_row(place, file, [said] * bool(said.strip()), {}, {})
+    return _make_entry(place, file, [said] * bool(said.strip()), {}, {})
 
 
-def _make_row(place: str, file: str, said: Sequence[str], times: Mapping[str, str], others: Mapping[str, str]) -> Row:
+def _make_entry(
+    place: str, file: str, said: Sequence[str], times: Mapping[str, str], others: Mapping[str, str]
+) -> CaptionEntry:
     """Returns a row with its captions, or with what is wrong with it."""
     key = _motion_key(file)
     if not key or not said:
-        return Row(place, key, (), f"{place}: file or caption is empty; fill in both or remove the line", others)
+        return CaptionEntry(
+            place, key, (), f"{place}: file or caption is empty; fill in both or remove the line", others
+        )
     try:
-        return Row(place, key, tuple(tagged_caption(text, source=place, **times) for text in said), "", others)
+        return CaptionEntry(place, key, tuple(tagged_caption(text, source=place, **times) for text in said), "", others)
     except UserError as error:
-        return Row(place, key, (), str(error), others)
+        return CaptionEntry(place, key, (), str(error), others)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from t2m_jax.data.files import SPLITS, read_names
 from t2m_jax.data.importers.caption_files import Source, clip_name
-from t2m_jax.data.importers.caption_table import CaptionTable, find_rows
+from t2m_jax.data.importers.caption_table import CaptionTable, find_entries
 from t2m_jax.data.splits import parse_shares, split_by_hash, split_groups
 from t2m_jax.errors import UserError
 
@@ -85,7 +85,7 @@ class Division:
             return self._homes[name]
         if self.split_by is None or self.split_by == BY_FOLDER:
             return motion.path.parent.relative_to(self.source).as_posix()
-        values = {row.cells[self.split_by] for row in find_rows(self.table, motion.keys(self.source))}
+        values = {row.cells[self.split_by] for row in find_entries(self.table, motion.keys(self.source))}
         if len(values) != 1 or not all(values):
             raise UserError(f"{motion}: its rows have {len(values)} values of {self.split_by}; write one into all")
         return values.pop()

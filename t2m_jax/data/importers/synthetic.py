@@ -15,7 +15,7 @@ from jaxtyping import Float
 from t2m_jax.config import check_seed
 from t2m_jax.data.captioning.captions import Labels, write_captions
 from t2m_jax.data.folder import DatasetInfo
-from t2m_jax.data.index import IndexRow, save_index
+from t2m_jax.data.index import IndexEntry, save_index
 from t2m_jax.data.splits import split_by_hash
 from t2m_jax.data.writer import ImportReport, check_count, finish_folder, new_folder, with_twins, write_twins
 from t2m_jax.errors import UserError
@@ -67,7 +67,8 @@ def _ramp(time: Float[np.ndarray, " T"], start: float, stop: float) -> Float[np.
 def _walking(time: Float[np.ndarray, " T"], generator: np.random.Generator, *, direction: float = 0.0) -> Pose:
     """Returns someone who walks ahead and, if `direction` is +1 (left) or -1, turns by about ninety degrees."""
     turn = direction * np.deg2rad(generator.uniform(75, 105)) if direction else 0.0
-    frames, seconds = len(time), time[-1]
+    frames = len(time)
+    seconds = time[-1]
     stride = generator.uniform(0.75, 1.15)
     amplitude = generator.uniform(0.28, 0.48)
     cycle = 2 * np.pi * (stride * time + generator.uniform())
@@ -109,9 +110,11 @@ def _gesture(
 ) -> Pose:
     """Returns someone who stands, breathes a little and moves only the arms named in `sides` ("L", "R")."""
     frames = len(time)
-    moving, hanging = arm(time, generator), _swing(frames, bend=0.15, spread=0.12)
+    moving = arm(time, generator)
+    hanging = _swing(frames, bend=0.15, spread=0.12)
     left, right = (moving if side in sides else hanging for side in "LR")
-    zero, leg = np.zeros(frames), _swing(frames, bend=0.05, upper=0.03, spread=0.05)
+    zero = np.zeros(frames)
+    leg = _swing(frames, bend=0.05, upper=0.03, spread=0.05)
     return Pose(leg, leg, left, right, zero, zero, 0.02 * np.sin(generator.uniform(0.5, 1.5) * time))
 
 
@@ -145,8 +148,8 @@ def _limb(swing: Swing, *, side: float, bend_sign: float) -> tuple[Float[np.ndar
     """Returns directions of a limb's upper and lower bone; `side` is +1 on the left, `bend_sign` -1 for knees."""
 
     def direction(angle: Float[np.ndarray, " T"], spread: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 3"]:
-        down, ahead = -np.cos(angle), np.sin(angle)
-        return np.stack([side * np.sin(spread) * np.abs(down), np.cos(spread) * down, ahead], axis=-1)
+        down = -np.cos(angle)
+        return np.stack([side * np.sin(spread) * np.abs(down), np.cos(spread) * down, np.sin(angle)], axis=-1)
 
     lower = swing.upper + bend_sign * swing.bend
     return direction(swing.upper, swing.spread), direction(lower, swing.spread)
@@ -194,13 +197,15 @@ def make_motion(kind: str, *, seed: int, num_frames: int | None = None) -> Float
 
 def positions_from_pose(pose: Pose) -> Float[np.ndarray, "T J 3"]:
     """Returns the joint positions of a procedural motion in meters, Y up, the lowest joint on the floor."""
-    directions, local = _directions(pose), np.zeros((len(pose.heading), HUMANML3D.num_joints, 3))
+    directions = _directions(pose)
+    local = np.zeros((len(pose.heading), HUMANML3D.num_joints, 3))
     for joint in range(1, HUMANML3D.num_joints):
         bone = HUMANML3D.bone_lengths[joint] * directions[HUMANML3D.joint_names[joint]]
         local[:, joint] = local[:, HUMANML3D.parents[joint]] + bone
-    sine, cosine = np.sin(pose.heading)[:, None], np.cos(pose.heading)[:, None]
-    x, z = local[:, :, 0], local[:, :, 2]
-    world = np.stack([cosine * x + sine * z, local[:, :, 1], -sine * x + cosine * z], axis=-1)
+    sine = np.sin(pose.heading)[:, None]
+    cosine = np.cos(pose.heading)[:, None]
+    x, y, z = np.moveaxis(local, -1, 0)
+    world = np.stack([cosine * x + sine * z, y, -sine * x + cosine * z], axis=-1)
     steps = pose.speed[:, None] / FPS * np.concatenate([sine, cosine], axis=1)
     world[:, :, [0, 2]] += np.cumsum(steps, axis=0)[:, None]
     world[:, :, 1] -= world[:, :, 1].min(axis=1, keepdims=True)
@@ -227,7 +232,8 @@ def write_synthetic_dataset(destination: str | Path, *, num_clips: int = NUM_CLI
     check_num_clips(num_clips)
     check_seed(seed)
     info = DatasetInfo(name="synthetic", min_frames=HUMANML3D.min_frames - 1, licence="CC0-1.0", source="t2m_jax")
-    names, frames = [f"synthetic_{number:05d}" for number in range(num_clips)], 0
+    names = [f"synthetic_{number:05d}" for number in range(num_clips)]
+    frames = 0
     kinds = [tuple(KINDS)[number % len(KINDS)] for number in range(num_clips)]
     with new_folder(destination) as folder:
         for number, (name, kind) in enumerate(zip(names, kinds, strict=True)):
@@ -238,5 +244,5 @@ def write_synthetic_dataset(destination: str | Path, *, num_clips: int = NUM_CLI
         splits = split_by_hash([names[first :: len(KINDS)] for first in range(len(KINDS))])
         twins = {split: with_twins(members) for split, members in splits.items()}
         sizes = finish_folder(folder, twins, info=info, skeleton=HUMANML3D)
-        save_index(folder, (IndexRow(name, name, kind) for name, kind in zip(names, kinds, strict=True)))
+        save_index(folder, (IndexEntry(name, name, kind) for name, kind in zip(names, kinds, strict=True)))
     return ImportReport(2 * num_clips, frames, sizes, {}, ())

@@ -23,7 +23,7 @@ from t2m_jax.data.importers.bandai_namco.extra import (
     write_slow_clips,
     write_stand_clips,
 )
-from t2m_jax.data.index import IndexRow, save_index
+from t2m_jax.data.index import IndexEntry, save_index
 from t2m_jax.data.splits import split_by_hash
 from t2m_jax.data.writer import ImportReport, check_count, finish_folder, new_folder, with_twins, write_twins
 from t2m_jax.errors import UserError
@@ -227,8 +227,8 @@ def import_bandai_namco(
         twins = {split: with_twins(members) for split, members in divided.items()}
         sizes = finish_folder(folder, twins, info=INFO, skeleton=HUMANML3D)
         origins = ((name, path.relative_to(source).as_posix()) for name, path in wanted.items())
-        rows = [IndexRow(name, origin, ", ".join(labels_from_name(name))) for name, origin in origins]
-        save_index(folder, [*rows, *(IndexRow(clip.name, "", clip.label) for clip in new)])
+        rows = [IndexEntry(name, origin, ", ".join(labels_from_name(name))) for name, origin in origins]
+        save_index(folder, [*rows, *(IndexEntry(clip.name, "", clip.label) for clip in new)])
     notes = [
         f"split lists: {lists}" if lists else NO_LISTS,
         f"{len(flagged & files.keys())} flagged clips left out (by {flags_from})",
