@@ -8,7 +8,7 @@ from typing import Any, Literal
 import jax
 import numpy as np
 
-from t2m_jax.bench.record import Figure, Measurement, Peaks
+from t2m_jax.bench.record import BenchResult, Figure, Peaks
 from t2m_jax.bench.timing import compile_program, program_figures, share, time_calls
 from t2m_jax.bench.train import random_motions
 from t2m_jax.data.banks.motions import batch_at
@@ -30,7 +30,7 @@ def benchmark_windows(
     bank: Literal["replicated", "sharded"] = "replicated",
     batch: int = BATCH,
     repeats: int = 3,
-) -> Measurement:
+) -> BenchResult:
     """Returns how many windows are cut in a second from a bank of random motion.
 
     Args:
@@ -57,10 +57,10 @@ def benchmark_windows(
         share("memory", moved / timing.median, peaks.memory),
     )
     place = "" if num_devices == 1 else f", {num_devices} devices, bank {bank}"
-    return Measurement(benchmark="data", name=f"windows, {batch}x{WINDOW}{place}", figures=figures)
+    return BenchResult(benchmark="data", name=f"windows, {batch}x{WINDOW}{place}", figures=figures)
 
 
-def benchmark_opening(folder: str | Path, *, repeats: int = 3) -> Measurement:
+def benchmark_opening(folder: str | Path, *, repeats: int = 3) -> BenchResult:
     """Returns how many training clips of a data set are opened in a second; its cache is made before that.
 
     Raises:
@@ -78,4 +78,4 @@ def benchmark_opening(folder: str | Path, *, repeats: int = 3) -> Measurement:
         Figure(name="speed", value=count / timing.median, unit="1/s", better="more", spread=timing.spread),
         Figure(name="first opening", value=first, unit="s"),
     )
-    return Measurement(benchmark="data", name=f"clips of {Path(folder).name}, {count}", figures=figures)
+    return BenchResult(benchmark="data", name=f"clips of {Path(folder).name}, {count}", figures=figures)

@@ -8,7 +8,7 @@ from jax.sharding import Mesh
 
 from t2m_jax.bench.flops import count_flops
 from t2m_jax.bench.probes import place
-from t2m_jax.bench.record import Figure, Measurement, Peaks
+from t2m_jax.bench.record import BenchResult, Figure, Peaks
 from t2m_jax.bench.timing import compile_program, program_figures, share, time_calls
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.embedding import BATCH, embed_motion, embed_text
@@ -33,7 +33,7 @@ def benchmark_embedding(
     batch: int = BATCH,
     frames: int = FRAMES,
     repeats: int = 3,
-) -> list[Measurement]:
+) -> list[BenchResult]:
     """Returns how many motions and how many captions are embedded in a second, with random weights.
 
     Args:
@@ -75,5 +75,5 @@ def benchmark_embedding(
         )
         devices = f", {mesh.size} devices" if mesh.size > 1 else ""
         shape = f"{batch}x{frames if name == 'motions' else WORDS}"
-        rows.append(Measurement(benchmark="evaluate", name=f"{name}, {size} {shape}{devices}", figures=figures))
+        rows.append(BenchResult(benchmark="evaluate", name=f"{name}, {size} {shape}{devices}", figures=figures))
     return rows

@@ -75,7 +75,7 @@ class Figure:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Measurement:
+class BenchResult:
     """The figures of one measurement."""
 
     benchmark: Benchmark
@@ -99,7 +99,7 @@ class BenchReport:
 
     machine: Machine
     """Where they were measured."""
-    rows: tuple[Measurement, ...]
+    rows: tuple[BenchResult, ...]
     """What was measured, a line of the tables for each."""
     peak_memory: float | None
     """Most memory that the process used, in bytes: of its first device, or on a CPU of the process. None if unknown."""

@@ -8,7 +8,7 @@ from jax.sharding import Mesh
 from t2m_jax.bench.data import benchmark_opening, benchmark_windows
 from t2m_jax.bench.evaluate import benchmark_embedding
 from t2m_jax.bench.probes import describe_machine, first_devices, measure_peaks
-from t2m_jax.bench.record import BenchReport, Measurement, Peaks
+from t2m_jax.bench.record import BenchReport, BenchResult, Peaks
 from t2m_jax.bench.sample import TOKENIZERS, benchmark_sampling, full_size_systems
 from t2m_jax.bench.timing import peak_memory
 from t2m_jax.bench.train import Kind, Options, benchmark_training, make_training
@@ -19,7 +19,7 @@ BATCHES = (1, 32)
 
 
 def make_report(
-    measure: Callable[[Peaks], Sequence[Measurement]],
+    measure: Callable[[Peaks], Sequence[BenchResult]],
     *,
     devices: Sequence[int],
     probe: Callable[[Mesh], Peaks] = measure_peaks,
@@ -40,7 +40,7 @@ def make_report(
     return BenchReport(machine=describe_machine(found), rows=rows, peak_memory=peak_memory())
 
 
-def measure_all(peaks: Peaks, *, data: str | None = None, repeats: int = 3) -> list[Measurement]:
+def measure_all(peaks: Peaks, *, data: str | None = None, repeats: int = 3) -> list[BenchResult]:
     """Returns the rows of all benchmarks at full size, and those of opening a data set if its folder is given."""
     rows = [*_training(peaks, repeats), *_sampling(peaks, repeats)]
     mesh = first_devices(peaks.num_devices)
@@ -49,7 +49,7 @@ def measure_all(peaks: Peaks, *, data: str | None = None, repeats: int = 3) -> l
     return rows if data is None else [*rows, benchmark_opening(data, repeats=repeats)]
 
 
-def _training(peaks: Peaks, repeats: int) -> list[Measurement]:
+def _training(peaks: Peaks, repeats: int) -> list[BenchResult]:
     # Products of bfloat16 are slow on most CPUs.
     choices = [Options()] if jax.default_backend() == "cpu" else [Options(), Options(precision="bfloat16")]
     kinds: tuple[Kind, ...] = ("vqvae", "gpt")
@@ -57,7 +57,7 @@ def _training(peaks: Peaks, repeats: int) -> list[Measurement]:
     return [benchmark_training(config, size="full", peaks=peaks, repeats=repeats) for config in configs]
 
 
-def _sampling(peaks: Peaks, repeats: int) -> list[Measurement]:
+def _sampling(peaks: Peaks, repeats: int) -> list[BenchResult]:
     mesh = first_devices(peaks.num_devices)
     return [
         benchmark_sampling(system, batch=batch, mesh=mesh, peaks=peaks, repeats=repeats)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from t2m_jax.bench.flops import count_flops
 from t2m_jax.bench.probes import place
-from t2m_jax.bench.record import Figure, Measurement, Peaks
+from t2m_jax.bench.record import BenchResult, Figure, Peaks
 from t2m_jax.bench.timing import compile_program, program_figures, share, time_calls
 from t2m_jax.errors import UserError
 from t2m_jax.models.system import GeneratorConfig, PartConfig, TokenizerConfig, find_part, make_module
@@ -67,7 +67,7 @@ def full_size_systems(kinds: Sequence[str]) -> list[MeasuredSystem]:
 
 def benchmark_sampling(
     system: MeasuredSystem, *, batch: int, num_codes: int | None = None, mesh: Mesh, peaks: Peaks, repeats: int = 3
-) -> Measurement:
+) -> BenchResult:
     """Returns how long it takes to sample a batch of motions of `num_codes` rows, none of which ends earlier.
 
     A step samples one row of codes for every motion, and has to read all weights at least once. Encoding and decoding
@@ -113,7 +113,7 @@ def benchmark_sampling(
     )
     devices = f", {mesh.size} devices" if mesh.size > 1 else ""
     name = f"{system.name}, {num_codes} rows, batch {batch}{devices}"
-    return Measurement(benchmark="sample", name=name, figures=figures)
+    return BenchResult(benchmark="sample", name=name, figures=figures)
 
 
 def encode_and_decode(system: MeasuredSystem, size: tuple[int, int], *, mesh: Mesh, repeats: int) -> Figure:

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from t2m_jax.bench.flops import count_flops
-from t2m_jax.bench.record import Figure, Measurement, Peaks
+from t2m_jax.bench.record import BenchResult, Figure, Peaks
 from t2m_jax.bench.timing import compile_program, program_figures, share, time_calls
 from t2m_jax.checkpoints.bundle import bundle_path, load_bundle_config
 from t2m_jax.data.banks.codes import CodeBank
@@ -166,7 +166,7 @@ def update_flops(config: TrainConfig) -> float:
     return count_flops(lambda state, data: work.update(state, data, config=config), state, work.data)
 
 
-def benchmark_training(config: TrainConfig, *, size: str, peaks: Peaks, repeats: int = 3) -> Measurement:
+def benchmark_training(config: TrainConfig, *, size: str, peaks: Peaks, repeats: int = 3) -> BenchResult:
     """Returns the speed of the updates of a training.
 
     Args:
@@ -208,7 +208,7 @@ def benchmark_training(config: TrainConfig, *, size: str, peaks: Peaks, repeats:
     if size == "full" and config.loop.batch_size == BATCHES[config.kind, "full"]:
         figures.append(Figure(name=f"{RECIPE_STEPS:,} updates", value=RECIPE_STEPS / rate / 3600, unit="h"))
     name = _training_name(config, work.shape, size, devices.mesh.size)
-    return Measurement(benchmark="train", name=name, figures=tuple(figures))
+    return BenchResult(benchmark="train", name=name, figures=tuple(figures))
 
 
 def _training_name(config: TrainConfig, shape: str, size: str, num_devices: int) -> str:
@@ -221,6 +221,6 @@ def _training_name(config: TrainConfig, shape: str, size: str, num_devices: int)
     return ", ".join([f"{config.kind} {size} {shape} {config.precision}", *options])
 
 
-def full_size_rows(rows: Sequence[Measurement], kind: Kind) -> list[Measurement]:
+def full_size_rows(rows: Sequence[BenchResult], kind: Kind) -> list[BenchResult]:
     """Returns the rows of the training of a kind at full size."""
     return [row for row in rows if row.benchmark == "train" and row.name.startswith(f"{kind} full ")]

@@ -19,7 +19,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.files import check_output, claim
 
 if TYPE_CHECKING:
-    from t2m_jax.bench.record import BenchReport, Measurement, Peaks
+    from t2m_jax.bench.record import BenchReport, BenchResult, Peaks
 
 EXIT_REGRESSION = 1
 """Exit code if a figure is worse than in the report of `--compare`."""
@@ -99,7 +99,7 @@ def run_train(args: argparse.Namespace) -> None:
 
     options = train.Options(args.batch, args.precision, args.steps_per_call, args.remat, args.num_parts)
 
-    def measure(peaks: "Peaks") -> "list[Measurement]":
+    def measure(peaks: "Peaks") -> "list[BenchResult]":
         try:
             configs = [train.make_training(kind, args.size, options, devices=peaks.num_devices) for kind in args.kind]
         except ValueError as error:  # an option does not fit the batch
@@ -128,7 +128,7 @@ def run_sample(args: argparse.Namespace) -> None:
     configs = [system.generator for system in systems]
     check_sampling(configs, batches=args.batch, num_codes=args.codes, devices=args.devices)
 
-    def measure(peaks: "Peaks") -> "list[Measurement]":
+    def measure(peaks: "Peaks") -> "list[BenchResult]":
         mesh = first_devices(peaks.num_devices)
         shared = {"num_codes": args.codes, "mesh": mesh, "peaks": peaks, "repeats": args.repeats}
         pairs = itertools.product(systems, args.batch)
@@ -145,7 +145,7 @@ def run_evaluate(args: argparse.Namespace) -> None:
 
     config = evaluate.EvaluatorConfig() if args.size == "full" else evaluate.DEMO_SIZES
 
-    def measure(peaks: "Peaks") -> "list[Measurement]":
+    def measure(peaks: "Peaks") -> "list[BenchResult]":
         mesh = first_devices(peaks.num_devices)
         return evaluate.benchmark_embedding(
             config, size=args.size, mesh=mesh, peaks=peaks, batch=args.batch, repeats=args.repeats
@@ -159,7 +159,7 @@ def run_data(args: argparse.Namespace) -> None:
     """Prints the speed of reading data."""
     from t2m_jax.bench.data import benchmark_opening, benchmark_windows
 
-    def measure(peaks: "Peaks") -> "list[Measurement]":
+    def measure(peaks: "Peaks") -> "list[BenchResult]":
         count, shared = peaks.num_devices, {"peaks": peaks, "batch": args.batch, "repeats": args.repeats}
         rows = [benchmark_windows(num_devices=count, **shared)]
         if count > 1:
@@ -188,7 +188,7 @@ def run_scale(args: argparse.Namespace) -> None:
     sys.stdout.write(f"{fitted_table(HEADINGS, scaling_rows(rates, interconnect=args.interconnect))}\n")
 
 
-def _report(args: argparse.Namespace, measure: "Callable[[Peaks], Sequence[Measurement]]") -> None:
+def _report(args: argparse.Namespace, measure: "Callable[[Peaks], Sequence[BenchResult]]") -> None:
     """Measures, prints the figures and stores them. Exits with `EXIT_REGRESSION` if some are worse than stored ones."""
     from t2m_jax.bench import load_report, probes, report_text, run, save_report
     from t2m_jax.bench.comparison import check_same_machine

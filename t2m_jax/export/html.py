@@ -12,7 +12,7 @@ import numpy as np
 
 from t2m_jax.errors import UserError
 from t2m_jax.export.render.figure import TINTS
-from t2m_jax.export.render.scene import Figure, figure_from_motion
+from t2m_jax.export.render.scene import SceneFigure, figure_from_motion
 from t2m_jax.files import save_text
 from t2m_jax.motion.formats import notebook_frame
 from t2m_jax.motion.motion import Motion
@@ -68,7 +68,7 @@ def _compressed(text: str) -> str:
     return base64.b64encode(zlib.compress(text.encode(), 9)).decode("ascii")
 
 
-def _figure_record(figure: Figure) -> dict[str, Any]:
+def _figure_record(figure: SceneFigure) -> dict[str, Any]:
     """Returns one figure as plain data.
 
     Its points are steps from their center. For each coordinate, one after another, `data` has the second differences of

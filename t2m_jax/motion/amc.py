@@ -16,6 +16,7 @@ from t2m_jax.motion.rotations import EulerOrder, matrix_from_euler
 
 AMC_FPS = 120.0
 """Frames per second of the CMU database. The files do not say it."""
+# The published files have lengths in inches times 0.45, which is their `length`.
 METRES_PER_INCH = 0.0254
 """An ASF file divides inches by its `length`."""
 MIN_UNIT = 1e-4
@@ -61,6 +62,7 @@ def load_amc(path: Path | str, *, fps: float = AMC_FPS) -> RigClip:
     figure = _read_skeleton(find_skeleton(path))
     names = (ROOT, *figure.parents)
     parents = (-1, *(names.index(parent) for parent in figure.parents.values()))
+    # Bones without a line in the motion do not turn.
     values = _read_motion(path, figure)
     num_frames = len(values[ROOT])
     rotations = np.empty((num_frames, len(names), 3, 3), np.float32)
@@ -94,6 +96,7 @@ def find_skeleton(path: Path) -> Path:
     named = [file for file in found if path.stem.lower().startswith(file.stem.lower())]
     if len(found) != 1 and len(named) != 1:
         problem = "there is no .asf file beside it" if not found else f"no one of {len(found)} .asf files has its name"
+        # One wrong choice would give a motion with another person's bones, which nobody would notice.
         raise UserError(f"{path}: {problem}; put the skeleton into its folder, as 02.asf for 02_01.amc")
     return (named if len(named) == 1 else found)[0]
 
@@ -130,7 +133,7 @@ def _numbers(words: list[str], place: str) -> list[float]:
     try:
         values = [float(word) for word in words]
     except ValueError:
-        values = [MAX_VALUE]
+        values = [MAX_VALUE]  # refused below, with the numbers that are too large or NaN
     if not all(abs(value) < MAX_VALUE for value in values):
         raise UserError(f"{place}: {' '.join(words)[:60]!r} are not numbers below {MAX_VALUE:g}")
     return values
@@ -138,6 +141,7 @@ def _numbers(words: list[str], place: str) -> list[float]:
 
 def _read_skeleton(path: Path) -> _Skeleton:
     """Returns the figure of an ASF file."""
+    # The order of the sections is free, so they are collected first. `:root` and others are words on their own lines.
     sections: dict[str, list[tuple[str, list[str]]]] = {}
     section = ""
     for number, words in _numbered_words(path):
@@ -206,6 +210,7 @@ def _read_hierarchy(lines: list[tuple[str, list[str]]], bones: Mapping[str, _Bon
         if len(words) == 1 and words[0].lower() in ("begin", "end"):
             continue
         for child in words[1:]:
+            # Parents come first, as clips need them, so a parent that is not known yet is refused.
             if words[0] not in (ROOT, *parents) or child not in bones or child in (ROOT, *parents):
                 raise UserError(f"{place}: {words[0]} {child}: a bone is unknown, has two parents, or comes too early")
             parents[child] = words[0]

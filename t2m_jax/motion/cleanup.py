@@ -296,7 +296,8 @@ def _cleaned_windows(
         windows = [positions[first : first + size] for first in firsts[number : number + batch]]
         padded: Any = np.zeros((batch, size, *positions.shape[1:]), np.float32)
         lengths = np.ones(batch, np.int32)
-        for row, window in enumerate(windows):
-            padded[row, : len(window)], lengths[row] = window, len(window)
+        for place, window in enumerate(windows):
+            padded[place, : len(window)] = window
+            lengths[place] = len(window)
         cleaned = np.array(clean_positions(padded, lengths, skeleton=skeleton))
-        yield from (cleaned[row, : len(window)] for row, window in enumerate(windows))
+        yield from (cleaned[place, : len(window)] for place, window in enumerate(windows))

@@ -74,6 +74,7 @@ def save_motions(path: str | Path, motions: Sequence[Any], **options: Any) -> No
         UserError: The suffix is unknown, the format has no such option or cannot contain that many motions, or the file
             cannot be written.
     """
+    # The path and the options are checked before anything is written.
     path = check_motion_output(path)
     known = format_options(path) if options else {}
     for name, value in options.items():

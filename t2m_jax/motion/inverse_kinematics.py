@@ -102,6 +102,7 @@ def fit_rig(positions: Float[np.ndarray, "T J 3"], *, fps: float) -> FittedRig:
     fit.set_rotation(_CHEST.joint, chest)
     for collar in (_CHEST.left, _CHEST.right, _CHEST.above):
         fit.swing(collar)
+    # Both legs at once, and both arms: limbs of one kind are arrays of one shape.
     for limbs in (_LEGS, _ARMS):
         _fit_limbs(fit, limbs, fps)
     for leg in _LEGS:

@@ -32,7 +32,7 @@ def forward_kinematics(
     world = np.empty(local.shape)
     positions = np.empty(steps.shape)
     for joint, parent in enumerate(parents):
-        if parent < 0:
+        if parent < 0:  # a file may have several roots
             world[joint] = local[joint]
             positions[joint] = steps[joint]
             continue

@@ -28,6 +28,7 @@ def mirror_positions(positions: Float[AnyArray, "*batch J 3"], skeleton: Skeleto
     order = np.arange(skeleton.num_joints)
     for pair in skeleton.mirror_pairs:
         order[list(pair)] = pair[::-1]
+    # Without the exchange of joints, the mirror image would walk with its left leg on the right side.
     xp = namespace_of(positions)
     mirrored = xp.asarray(positions, dtype=xp.float32)[..., order, :]
     return xp.concatenate([-mirrored[..., :1], mirrored[..., 1:]], axis=-1)
@@ -42,6 +43,7 @@ def mirror_caption(text: str) -> str:
 
     def mirrored(match: re.Match[str]) -> str:
         word = match.group()
+        # One pass over the text: exchanging word after word would exchange back what was exchanged before.
         if match["turn"]:
             return _like(word, _TURNS[re.sub(r"[-\s]", "", word.lower())])
         side = match["side"]

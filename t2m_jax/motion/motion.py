@@ -142,6 +142,7 @@ class Motion:
             UserError: The rate is not a number above 0, or is too large.
         """
         new_fps = float(fps)
+        # Features and codes belong to one frame rate, so they are dropped.
         result = self._edited(
             lambda old: resample_positions(old, fps=self.fps, new_fps=new_fps, skeleton=self.skeleton), fps=new_fps
         )
@@ -235,6 +236,7 @@ class Motion:
 
     def _edited(self, edit: Callable[[np.ndarray], np.ndarray], **fields: Any) -> "Motion":
         """Returns the motion with other positions, without what does not fit them."""
+        # What a decoder gave is changed in the same way, so that both remain comparable.
         raw = None if self.positions_raw is None else edit(self.positions_raw)
         return dataclasses.replace(
             self,

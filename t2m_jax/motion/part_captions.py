@@ -19,6 +19,7 @@ _BRACES = str.maketrans({"{": r"\u007b", "}": r"\u007d"})
 
 def parts_note(parts: Parts, *, fps: float) -> str:
     """Returns a line of printable ASCII without braces, such as `# frame 0 (0.00 s): "a"; frame 40 (2.00 s): "b"`."""
+    # Braces are structure in BVH files, so they are written as JSON escapes.
     marks = [f"frame {first} ({first / fps:.2f} s): {json.dumps(text).translate(_BRACES)}" for first, text in parts]
     return "# " + "; ".join(marks)
 

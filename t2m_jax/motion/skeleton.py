@@ -10,8 +10,12 @@ from jaxtyping import Float
 from t2m_jax.errors import UserError
 from t2m_jax.motion.namespace import EitherArray
 
-_X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-_MINUS_X, _MINUS_Y, _ROOT = (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 0.0)
+_ROOT = (0.0, 0.0, 0.0)
+_X = (1.0, 0.0, 0.0)
+_Y = (0.0, 1.0, 0.0)
+_Z = (0.0, 0.0, 1.0)
+_MINUS_X = (-1.0, 0.0, 0.0)
+_MINUS_Y = (0.0, -1.0, 0.0)
 
 
 class FeatureLayout(NamedTuple):

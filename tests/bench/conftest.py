@@ -8,7 +8,7 @@ import pytest
 
 from t2m_jax.bench import probes
 from t2m_jax.bench import timing as timing_module
-from t2m_jax.bench.record import BenchReport, Figure, Machine, Measurement, Peaks
+from t2m_jax.bench.record import BenchReport, BenchResult, Figure, Machine, Peaks
 from tests.cli.conftest import bundle_folder, data_folder, no_cache, refusal
 
 __all__ = ["bundle_folder", "data_folder", "no_cache", "refusal"]
@@ -39,7 +39,7 @@ def report(**values) -> BenchReport:
         Figure(name=name, value=value, unit=kinds[name][0], better=kinds[name][1], spread=spread)
         for name, value in values.items()
     )
-    row = Measurement(benchmark="train", name="gpt tiny", figures=figures)
+    row = BenchResult(benchmark="train", name="gpt tiny", figures=figures)
     return BenchReport(machine=MACHINE, rows=(row,), peak_memory=2e9, date="2026-11-21")
 
 

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from t2m_jax.bench.record import BenchReport, Figure, Measurement
+from t2m_jax.bench.record import BenchReport, BenchResult, Figure
 from t2m_jax.bench.scaling import (
     INTERCONNECTS,
     Recipe,
@@ -61,9 +61,9 @@ def test_the_recipes_have_the_counted_operations(kind):
     assert math.isclose(update_flops(recipe), published_recipes()[kind].flops, rel_tol=0.005)
 
 
-def row(kind: str, updates: float, name: str = "") -> Measurement:
+def row(kind: str, updates: float, name: str = "") -> BenchResult:
     figures = (Figure(name="updates", value=updates, unit="1/s"), Figure(name="work", value=2.0, unit="TFLOP/update"))
-    return Measurement(benchmark="train", name=f"{kind} full 8x8 float32{name}", figures=figures)
+    return BenchResult(benchmark="train", name=f"{kind} full 8x8 float32{name}", figures=figures)
 
 
 def test_measured_rates_are_of_the_fastest_row_on_one_device():

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image, ImageChops, ImageDraw, ImageFilter
 
-from t2m_jax.export.render.scene import Figure
+from t2m_jax.export.render.scene import SceneFigure
 from t2m_jax.export.render.view import View, project
 
 SKY_TOP = (226, 232, 240)
@@ -92,7 +92,9 @@ def draw_ground(ground: Ground, view: View) -> Image.Image:
     return Image.composite(Image.new("RGB", seen.size, LINES), ground.empty, seen)
 
 
-def add_shadows(picture: Image.Image, view: View, figures: Sequence[tuple[Figure, Float[np.ndarray, "_ 3"]]]) -> None:
+def add_shadows(
+    picture: Image.Image, view: View, figures: Sequence[tuple[SceneFigure, Float[np.ndarray, "_ 3"]]]
+) -> None:
     """Darkens the picture in the shadows of the figures."""
     # Shadows are soft, so half of the size is enough.
     mask = Image.new("L", (view.width // 2, view.height // 2))

@@ -28,7 +28,7 @@ from t2m_jax.export.render.rasterizer import (
     empty_canvas,
     make_shade_tables,
 )
-from t2m_jax.export.render.scene import Figure, figures_from_motions
+from t2m_jax.export.render.scene import SceneFigure, figures_from_motions
 from t2m_jax.export.render.view import View, project, sample_figure, smooth_path, views_of_figures
 from t2m_jax.motion.motion import Motion
 
@@ -47,7 +47,7 @@ class Film(NamedTuple):
 class _FilmedFigure(NamedTuple):
     """One figure at the times of the film, with its trail and its label."""
 
-    figure: Figure
+    figure: SceneFigure
     points: Float[np.ndarray, "T P 3"]
     path: Float[np.ndarray, "T 3"]
     label: Image.Image | None
@@ -145,7 +145,10 @@ def shade_tables(view: View) -> ShadeTables:
 
 
 def draw_figures(
-    picture: Image.Image, view: View, figures: Sequence[tuple[Figure, Float[np.ndarray, "_ 3"]]], tables: ShadeTables
+    picture: Image.Image,
+    view: View,
+    figures: Sequence[tuple[SceneFigure, Float[np.ndarray, "_ 3"]]],
+    tables: ShadeTables,
 ) -> Image.Image:
     """Returns a picture of the ground with figures at given points, and their shadows."""
     add_shadows(picture, view, figures)

@@ -42,7 +42,7 @@ class Contact(NamedTuple):
     z: float
 
 
-class Figure(NamedTuple):
+class SceneFigure(NamedTuple):
     """One sample that is ready to draw, in meters, Y up."""
 
     points: Float[np.ndarray, "T P 3"]
@@ -53,7 +53,7 @@ class Figure(NamedTuple):
     contacts: tuple[Contact, ...]
 
 
-def figures_from_motions(motions: Sequence[Motion]) -> list[Figure]:
+def figures_from_motions(motions: Sequence[Motion]) -> list[SceneFigure]:
     """Returns the figures of all motions in a common space. A single figure keeps its place. Several get a lane each.
 
     Lanes go from left to right as seen from +Z, in rows of about six.
@@ -81,7 +81,7 @@ def figures_from_motions(motions: Sequence[Motion]) -> list[Figure]:
     return moved
 
 
-def figure_from_motion(motion: Motion) -> Figure:
+def figure_from_motion(motion: Motion) -> SceneFigure:
     """Returns the motion's figure in human size, with its floor at y = 0."""
     positions = np.asarray(motion.positions, np.float64)
     if is_mirrored(motion.skeleton):
@@ -100,7 +100,7 @@ def figure_from_motion(motion: Motion) -> Figure:
     )
     feet = [foot[-1] for foot in (motion.skeleton.left_foot, motion.skeleton.right_foot)]
     contacts = [contact for foot in feet for contact in _contacts(points[:, foot], float(motion.fps), scale)]
-    return Figure(points, parts, body.head, float(motion.fps), motion.caption, tuple(contacts))
+    return SceneFigure(points, parts, body.head, float(motion.fps), motion.caption, tuple(contacts))
 
 
 def _contacts(foot: Float[np.ndarray, "T 3"], fps: float, scale: float) -> list[Contact]:

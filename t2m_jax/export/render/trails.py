@@ -10,7 +10,7 @@ from t2m_jax.export.render.figure import roles_from_skeleton
 from t2m_jax.export.render.ground import ACCENTS, add_trail, draw_ground, make_ground
 from t2m_jax.export.render.labels import make_label
 from t2m_jax.export.render.rendering import draw_figures, picture_size, shade_tables
-from t2m_jax.export.render.scene import Figure, figure_from_motion
+from t2m_jax.export.render.scene import SceneFigure, figure_from_motion
 from t2m_jax.export.render.view import YAW_OF_SEVERAL, View, project, views_of_figures
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rotations import matrix_from_euler
@@ -71,7 +71,7 @@ def _with_all(view: View, points: Float[np.ndarray, "N 3"]) -> View:
     return view
 
 
-def _from_the_side(figure: Figure) -> Figure:
+def _from_the_side(figure: SceneFigure) -> SceneFigure:
     """Returns the figure, turned so that it goes across the picture, if it travels. A curve bends away from the eye."""
     path = figure.points[:, 0]
     way = path[-1] - path[0]

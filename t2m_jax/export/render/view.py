@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.export.render.scene import Figure
+from t2m_jax.export.render.scene import SceneFigure
 
 FIELD_OF_VIEW = 0.6
 """Vertical angle of view in radians."""
@@ -57,7 +57,7 @@ def smooth_path(path: Float[np.ndarray, "T K"], reach: int) -> Float[np.ndarray,
     return path
 
 
-def sample_figure(figure: Figure, num_frames: int, fps: float) -> Float[np.ndarray, "T P 3"]:
+def sample_figure(figure: SceneFigure, num_frames: int, fps: float) -> Float[np.ndarray, "T P 3"]:
     """Returns the figure's points at `num_frames` times, `1 / fps` apart. After its end, the figure does not move."""
     moments = np.minimum(np.arange(num_frames) / fps * figure.fps, len(figure.points) - 1)
     before = np.floor(moments + 1e-6).astype(int)
@@ -68,7 +68,7 @@ def sample_figure(figure: Figure, num_frames: int, fps: float) -> Float[np.ndarr
 
 
 def views_of_figures(
-    figures: Sequence[Figure], roots: Float[np.ndarray, "T N 3"], fps: float, size: tuple[int, int]
+    figures: Sequence[SceneFigure], roots: Float[np.ndarray, "T N 3"], fps: float, size: tuple[int, int]
 ) -> list[View]:
     """Returns one view per frame, which shows all figures and follows the mean of their roots.
 

@@ -48,6 +48,7 @@ class _Tokens:
         self._tokens = [
             _Token(word, number)
             for number, line in enumerate(lines, start=1)
+            # Braces are words of their own, also if no space is around them.
             for word in re.findall(r"[{}]|[^\s{}]+", line)
         ]
         self._last_line = max(len(lines), 1)
@@ -84,7 +85,7 @@ class _Tokens:
             value = float(token.text)
         except ValueError:
             raise self.error(f'{field}: "{token.text}" is not a number') from None
-        if not abs(value) < MAX_VALUE:
+        if not abs(value) < MAX_VALUE:  # also refuses NaN, with which every comparison is False
             raise self.error(f"{field}: {token.text} is not a finite number below {MAX_VALUE:g}")
         return value
 
@@ -134,8 +135,10 @@ def parse_hierarchy(lines: Sequence[str], path: Path) -> Hierarchy:
                 stack.append(_open_joint(tokens, draft, keyword=token, parent=stack[-1]))
             case "END":
                 name = tokens.take_name(token)
+                # Files of this package have the captions of their parts here (see `part_captions`).
                 note = note or name.partition(" ")[2]
                 tokens.take_word("{")
+                # A joint may have several End Sites; the first one is the tip.
                 draft.end_sites.setdefault(stack[-1], _read_offset(tokens, "OFFSET of End Site"))
                 tokens.take_word("}")
             case "}":
@@ -156,6 +159,7 @@ def _open_joint(tokens: _Tokens, draft: _Draft, *, keyword: _Token, parent: int)
     joint = tokens.take_name(keyword)
     if len(draft.names) == MAX_JOINTS:
         raise tokens.error(f"the figure has more than {MAX_JOINTS:,} joints", line=keyword.line)
+    # Rigs are found by names, so two joints of one name could not be told apart.
     if joint in draft.names:
         raise tokens.error(f'joint name "{joint}" appears twice; names must be unique')
     tokens.take_word("{")

@@ -49,6 +49,7 @@ def load_bvh(
     if b"\0" in data[:4096] or not re.match(rb"\s*HIERARCHY\b", data, flags=re.IGNORECASE):
         start = data.lstrip()[:12].decode("utf-8", errors="replace")
         raise UserError(f"{path}:1: not a BVH file: it starts with {start!r} instead of HIERARCHY")
+    # Only the hierarchy becomes text: the numbers are the larger part, and NumPy parses bytes.
     word = re.search(rb"^[ \t]*MOTION[ \t\r]*$\n?", data, flags=re.IGNORECASE | re.MULTILINE)
     head = data[: word.start()] if word else data
     if len(head) > MAX_HIERARCHY_BYTES:

@@ -66,7 +66,7 @@ def continuous_euler(matrices: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray
     """
     principal = euler_from_matrix(matrices, _ORDER).astype(np.float64)
     result = np.empty_like(principal)
-    previous = np.zeros(principal.shape[1:])
+    previous = np.zeros(principal.shape[1:])  # the rest pose, to which the first frame is as near as possible
     for frame, angles in enumerate(principal):
         mirrored = angles * (1, -1, 1) + np.pi
         candidates = previous + _wrapped(np.stack((angles, mirrored)) - previous)

@@ -91,6 +91,7 @@ class RigClip:
             parents=(*self.parents, *joints),
             offsets=np.concatenate([self.offsets, offsets]),
             rotations=np.concatenate([self.rotations, still], axis=1),
+            # The tip of a limb does not turn, so its place in the joint's frame is constant.
             translations=np.concatenate([self.translations, np.tile(offsets, (self.num_frames, 1, 1))], axis=1),
             end_sites={},
         )

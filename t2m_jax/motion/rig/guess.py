@@ -41,6 +41,7 @@ def guess_rig(joint_names: Sequence[str]) -> RigGuess:
     A third of the likeness is that to the rig, the rest is that to the most similar name in any rig.
     """
     words = _names(joint_names)
+    # A file may call its arms as one rig does and its legs as another, so all rigs have a say in each joint.
     each = {rig.name: _likeness(rig, words) for rig in RIGS.values()}
     best = np.max(list(each.values()), axis=0)
     return max(
@@ -51,6 +52,7 @@ def guess_rig(joint_names: Sequence[str]) -> RigGuess:
 def _names(joint_names: Sequence[str]) -> list[tuple[str, str]]:
     """Returns side ("left", "right" or "") and name of each joint in small letters, without words that most have."""
     words = [re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", name.rpartition(":")[2]) for name in joint_names]
+    # Which words are common is only known for all names, and a side is never left out.
     lower = [[word.lower() for word in parts] for parts in words]
     uses = Counter(word for parts in lower for word in set(parts))
     common = {word for word, count in uses.items() if count > MOST * len(lower)} - _SIDES.keys()
@@ -89,6 +91,7 @@ def _assign(name: str, likeness: Float[np.ndarray, "22 S"], joint_names: Sequenc
 
     pairs = list(zip(*linear_sum_assignment(likeness, maximize=True), strict=True))
     found = {HUMANML3D.joint_names[row]: int(column) for row, column in pairs if likeness[row, column] >= ENOUGH}
+    # Names of spines are alike (Spine, Spine1, ...), so an assignment may exchange them.
     spine = [joint for joint in _SPINE if joint in found]
     found |= dict(zip(spine, sorted(found[joint] for joint in spine), strict=True))
     total = float(sum(likeness[pair] for pair in pairs))

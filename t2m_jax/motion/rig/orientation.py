@@ -45,6 +45,7 @@ def find_up(positions: Float[np.ndarray, "T 22 3"], rest: Float[np.ndarray, "22 
     """
     stands_y, stands_z = (float(np.mean(_upward(positions)[:, axis] > UPRIGHT)) for axis in (1, 2))
     rests_y, rests_z = (bool(_upward(rest[None])[0, axis] > UPRIGHT) for axis in (1, 2))
+    # A rest pose that stands along Y settles it, also for a figure that lies in every frame.
     if rests_y or (stands_y > 0 and stands_y >= stands_z):
         return "y"
     if rests_z and stands_z > 0:
@@ -68,6 +69,7 @@ def left_is_left(positions: Float[np.ndarray, "T 22 3"]) -> Bool[np.ndarray, " T
         hip, knee, ankle, foot = (_joint(positions, f"{side}_{name}") for name in ("hip", "knee", "ankle", "foot"))
         thigh, shin, sole = map(unit_vectors, (knee - hip, ankle - knee, foot - ankle))
         left += np.cross(thigh, shin) + np.cross(sole, shin)
+    # Turned axes of the limbs against the line between the hips: the same direction if left is left.
     across = _joint(positions, "left_hip") - _joint(positions, "right_hip")
     return np.sum(across * left, axis=-1) > 0
 
@@ -80,8 +82,10 @@ def rest_frames(positions: Float[np.ndarray, "T 22 3"], *, fps: float) -> int:
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=-1) * fps
     if len(steps) < 2:
         return 0
+    # Some programs export the bind pose as frame 0, from which every joint jumps at once.
     if _jumps(steps.mean(axis=1), 0, ratio=POP_RATIO):
         return 1
+    # Others let the actor begin in a T-pose.
     held = _in_t_pose(positions[: int(MAX_REST_SECONDS * fps) + 1])
     count = len(held) if held.all() else int(np.argmin(held))
     still = count > 0 and bool(np.all(steps[: count - 1].max(axis=1, initial=0.0) < POP_SPEED))
