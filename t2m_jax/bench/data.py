@@ -70,6 +70,7 @@ def benchmark_opening(folder: str | Path, *, repeats: int = 3) -> BenchResult:
     def open_clips() -> Any:
         return open_dataset(folder).clips("train")
 
+    # The first opening also makes the cache, if there is none.
     start = time.perf_counter()
     count = len(open_clips())
     first = time.perf_counter() - start

@@ -44,6 +44,7 @@ def product_rate(mesh: Mesh, dtype: Any, *, sizes: Sequence[int] = PRODUCT_SIZES
     """Returns the highest FLOP/s of products of square matrices, of which each device multiplies its own."""
     multiply = jax.jit(jnp.matmul)
 
+    # A product of n x n matrices has n³ multiplications and as many additions.
     def rate(size: int) -> tuple[float, float]:
         matrices = place(jnp.ones((mesh.size, size, size), dtype), mesh, by_rows=True)
         timing = time_calls(lambda: multiply(matrices, matrices), repeats=3)
@@ -72,6 +73,7 @@ def memory_rate(mesh: Mesh, *, sizes: Sequence[int] = ARRAY_SIZES) -> float:
 
 def _best(rate: Callable[[int], tuple[float, float]], sizes: Sequence[int]) -> float:
     """Returns the highest rate of growing sizes; `rate` returns seconds and work."""
+    # Small arrays do not fill a device, and large ones take long on a slow one.
     best = 0.0
     for size in sizes:
         seconds, work = rate(size)

@@ -123,6 +123,7 @@ def load_report(path: Path) -> BenchReport:
     Raises:
         UserError: The file is missing, or is something else.
     """
+    # A report may come from somewhere else: the version first, so that the error is about the right thing.
     data: Any = load_json(path)
     if not isinstance(data, dict) or data.get("format_version") != FORMAT_VERSION:
         expected = f"a benchmark report of format_version {FORMAT_VERSION}"

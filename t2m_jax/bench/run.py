@@ -35,6 +35,7 @@ def make_report(
         UserError: There are not so many devices.
     """
     meshes = [first_devices(count) for count in devices]
+    # Peaks are measured right before the work, because the speed of a shared machine changes.
     found = [probe(mesh) for mesh in meshes]
     rows = tuple(row for peak in found for row in measure(peak))
     return BenchReport(machine=describe_machine(found), rows=rows, peak_memory=peak_memory())

@@ -127,6 +127,7 @@ def encode_and_decode(system: MeasuredSystem, size: tuple[int, int], *, mesh: Me
 
     motion = place(jax.random.normal(jax.random.key(3), (*size, system.tokenizer.feature_dim)), mesh, by_rows=True)
     variables = place(system.variables["tokenizer"], mesh)
+    # One program for both, as a tokenizer is used for reconstruction.
     timing = time_calls(lambda: there_and_back(variables, motion), repeats=repeats)
     per_frame = 1e3 * timing.median / (size[0] * size[1])
     return Figure(name="encode + decode", value=per_frame, unit="ms/frame", better="less", spread=timing.spread)

@@ -89,6 +89,7 @@ def make_training(kind: Kind, size: Size, options: Options, *, devices: int = 1)
     Raises:
         ValueError: An option does not fit the batch.
     """
+    # On a CPU a full generator would need more memory than most machines have.
     batches = CPU_BATCHES if jax.default_backend() == "cpu" else BATCHES
     batch = batches[kind, size] if options.batch is None else options.batch
     shared: dict[str, Any] = {
@@ -100,6 +101,7 @@ def make_training(kind: Kind, size: Size, options: Options, *, devices: int = 1)
         tokenizer = TrainVqVaeConfig if kind == "vqvae" else TrainRvqVaeConfig
         return tokenizer(**shared if size == "full" else shared | {"model": demo_sizes(kind).tokenizer})
     generator: type[TrainGptConfig | TrainHiFiGptConfig] = TrainGptConfig if kind == "gpt" else TrainHiFiGptConfig
+    # Tokenizers do not have these options.
     shared |= {"remat": options.remat, "num_parts": options.num_parts}
     if size == "full":
         return generator(text_encoder="clip", **shared)
@@ -111,6 +113,7 @@ def random_motions(config: TrainVqVaeConfig) -> MotionBank:
     """Returns a bank of normal random clips, two batches of them."""
     count = 2 * config.loop.batch_size
     width = config.model.feature_dim
+    # Normalized features have about this distribution.
     frames = np.random.default_rng(0).standard_normal((count * CLIP_FRAMES, width), np.float32)
     lengths = np.full(count, CLIP_FRAMES, np.int32)
     starts = np.arange(count, dtype=np.int32) * CLIP_FRAMES
@@ -150,6 +153,7 @@ def make_work(config: TrainConfig) -> Work:
     if isinstance(config, TrainVqVaeConfig):
         frames = batch * config.window
         return Work(init_vqvae_state, vqvae_update, random_motions(config), frames, f"{batch}x{config.window}")
+    # Of a generator, a frame is one that its codes stand for.
     frames = batch * config.model.max_codes * TOKENIZERS[config.kind]().model.downsample
     if isinstance(config, TrainGptConfig):
         return Work(init_gpt_state, gpt_update, random_codes(config), frames, f"{batch}x{config.model.block_size}")
@@ -159,6 +163,7 @@ def make_work(config: TrainConfig) -> Work:
 
 def update_flops(config: TrainConfig) -> float:
     """Returns the operations of the products of one update, without those that `remat` repeats."""
+    # What `remat` computes twice is no progress, so it must not count as reached speed.
     if not isinstance(config, TrainVqVaeConfig):
         config = dataclasses.replace(config, remat=False, num_parts=1)
     work = make_work(config)
@@ -185,6 +190,8 @@ def benchmark_training(config: TrainConfig, *, size: str, peaks: Peaks, repeats:
     state = devices.put_state(work.init(config, jax.random.key(0)))
     data = devices.put_data(work.data)
     program = compile_program(lambda: devices.lower(update, state, data, size=count))
+    # The state is donated to each call, so the next one needs the new state. The first loss tells whether several
+    # devices compute what one does.
     losses: list[Any] = []
 
     def call() -> Any:

@@ -73,6 +73,7 @@ def load_amc(path: Path | str, *, fps: float = AMC_FPS) -> RigClip:
     for joint, name in enumerate(names):
         rotations[:, joint], move = _transform(figure.bones[name], values.get(name), figure)
         translations[:, joint] += move
+    # Bones without children end in the air, where other formats have an End Site.
     ends = [joint for joint in range(len(names)) if joint not in parents]
     return RigClip(
         joint_names=names,
@@ -236,6 +237,7 @@ def _read_motion(path: Path, figure: _Skeleton) -> dict[str, Float[np.ndarray, "
         if len(words) - 1 != len(figure.bones[words[0]].freedoms):
             wanted = len(figure.bones[words[0]].freedoms)
             raise UserError(f"{place}: {words[0]} has {len(words) - 1} values, its skeleton says {wanted}")
+    # Every frame must have all bones, because a missing line would shift a motion without a sign of it.
     if not frames or ROOT not in frames[0]:
         raise UserError(f"{path}: has no frames with a root; is it an AMC file?")
     for number, frame in enumerate(frames, start=1):

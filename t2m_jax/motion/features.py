@@ -70,6 +70,7 @@ def bone_vectors(positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton)
 def chain_predecessors(skeleton: Skeleton) -> np.ndarray:
     """Returns the joint before each joint in its chain. Chains that begin at the chest continue from the root, too."""
     predecessors = np.array(skeleton.parents)
+    # The original code starts every chain at the root's heading, also the arms.
     for chain in skeleton.chains:
         predecessors[chain[1]] = 0
     return predecessors
@@ -157,6 +158,7 @@ def smooth_over_time(values: Float[AnyArray, "*batch T C"], *, sigma: float) -> 
     """
     xp = namespace_of(values)
     dtype = np.float64 if xp is np else np.float32
+    # NumPy as precise as SciPy, with which the published data were made; JAX has no float64 by default.
     kernel = gaussian_kernel(sigma).astype(dtype)
     radius = len(kernel) // 2
     steps = np.arange(-radius, radius + 1)

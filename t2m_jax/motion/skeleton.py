@@ -150,6 +150,7 @@ HUMANML3D = Skeleton(
     fps=20.0,
     metres_per_unit=1.0,
     contact_threshold=0.002,
+    # HumanML3D's authors use clips of 2 to 10 seconds.
     min_frames=40,
     max_frames=196,
 )

@@ -79,6 +79,7 @@ def _frame_rate(text: str, path: Path, *, line: int) -> float:
         seconds = np.nan
     if not 1e-4 <= seconds <= 1:
         raise UserError(f'{path}:{line}: bad frame time "{text}"; it must be seconds per frame, 0.0001 to 1')
+    # Frame times have few digits, so 0.0333 means 30 and not 30.03 frames per second.
     nearest = max(round(1 / seconds), 1)
     decimals = len(text.partition(".")[2]) if "e" not in text.lower() else 9
     same_digits = round(1 / nearest, decimals) == round(seconds, decimals)

@@ -46,6 +46,7 @@ def retarget(clip: RigClip, *, rig: RigLike | None = None, up: Up = "auto") -> M
     return Motion(
         positions=to_y_up(positions) if up == "z" else positions,
         fps=clip.fps,
+        # Clips have pairs, as files do; the record has two tuples.
         part_starts=tuple(first for first, _ in clip.parts),
         part_captions=tuple(text for _, text in clip.parts),
     )

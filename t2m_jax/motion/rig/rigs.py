@@ -76,6 +76,7 @@ def match_rig(rig: Rig, joint_names: Sequence[str]) -> dict[str, int]:
             index.setdefault(spelling.casefold(), i)
     found = {}
     for joint, spellings in rig.sources:
+        # The first spelling that the file has: tables name the usual one first.
         hits = [index[spelling.casefold()] for spelling in spellings if spelling.casefold() in index]
         if hits:
             found[joint] = hits[0]

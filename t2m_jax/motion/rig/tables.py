@@ -99,6 +99,7 @@ RIGS: dict[str, Rig] = {
 def rig_joint_names(names: JointNames) -> tuple[str, ...]:
     """Returns what the joints of HumanML3D are called in a rig, in their order."""
     table = {joint: spellings[0] for joint, spellings in RIGS[names].sources}
+    # Programs look for Mixamo's characters by this namespace.
     prefix = "mixamorig:" if names == "mixamo" else ""
     return tuple(prefix + table[joint] for joint in HUMANML3D.joint_names)
 
@@ -109,6 +110,7 @@ def detect_rig(joint_names: Sequence[str]) -> Rig:
     Raises:
         UserError: There is none.
     """
+    # In the order of the tables, those that were tried first: several rigs may fit, as Mixamo's names are widespread.
     complete = [rig for rig in RIGS.values() if len(match_rig(rig, joint_names)) == len(rig.sources)]
     if not complete:
         shown = ", ".join(joint_names[:6])
