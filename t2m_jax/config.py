@@ -119,7 +119,7 @@ def save_config(path: str | Path, config: Any) -> None:
     Raises:
         UserError: The file cannot be written, or `load_config` could not read the values back.
     """
-    from t2m_jax.files import save_text
+    from t2m_jax.files.writing import save_text
 
     save_text(path, config_text(config, source=f"{path}"))
 

@@ -17,7 +17,8 @@ from t2m_jax.cli.main import COMMANDS, _PrintableFormatter, main
 from t2m_jax.cli.options import show_next
 from t2m_jax.errors import Interruption, UserError
 from t2m_jax.evaluation.report.comparison import comparison_table
-from t2m_jax.files import atomic_file, lock
+from t2m_jax.files.locks import lock
+from t2m_jax.files.writing import atomic_file
 from tests.export.test_html import Elements
 
 
@@ -218,7 +219,7 @@ def test_a_signal_while_a_lock_file_is_created_leaves_no_lock(command, capsys, t
     assert main(["fake"]) == 143
     assert capsys.readouterr().err == "t2m: error: interrupted by SIGTERM\n"
     assert signal.getsignal(signal.SIGTERM) == handler
-    other = "import pathlib, sys; from t2m_jax.files import lock; lock(pathlib.Path(sys.argv[1])).__enter__()"
+    other = "import pathlib, sys; from t2m_jax.files.locks import lock; lock(pathlib.Path(sys.argv[1])).__enter__()"
     subprocess.run([sys.executable, "-c", other, f"{tmp_path / 'out'}"], check=True, timeout=60)
     with lock(tmp_path / "out"):
         pass

@@ -14,7 +14,7 @@ from t2m_jax.checkpoints.best import Best, find_best, restore_trained, save_best
 from t2m_jax.checkpoints.bundle import load_bundle, save_bundle
 from t2m_jax.checkpoints.evaluator import load_trained_evaluator, save_evaluator
 from t2m_jax.errors import UserError
-from t2m_jax.files import save_json
+from t2m_jax.files.writing import save_json
 from tests.tiny import random_bundle, random_evaluator
 
 CALLS = ("fsync", "replace", "rename", "mkdir", "open", "chmod")

@@ -14,21 +14,10 @@ import pytest
 from filelock import FileLock
 
 from t2m_jax.errors import UserError
-from t2m_jax.files import (
-    MANIFEST,
-    MAX_TEXT,
-    atomic_file,
-    atomic_folder,
-    check_folder,
-    check_output,
-    claim,
-    load_json,
-    load_text,
-    lock,
-    read_manifest,
-    write_manifest,
-)
-from t2m_jax.files.writing import ABANDONED_SECONDS
+from t2m_jax.files.locks import lock
+from t2m_jax.files.manifest import MANIFEST, check_folder, read_manifest, write_manifest
+from t2m_jax.files.reading import MAX_TEXT, load_json, load_text
+from t2m_jax.files.writing import ABANDONED_SECONDS, atomic_file, atomic_folder, check_output, claim
 
 
 def names(folder):
@@ -91,7 +80,7 @@ def test_what_killed_processes_left_is_deleted_later(tmp_path):
 
 HOLD = """
 import sys, pathlib
-from t2m_jax.files import lock
+from t2m_jax.files.locks import lock
 with lock(pathlib.Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()
@@ -145,7 +134,7 @@ def test_who_waits_for_a_lock_finds_that_its_file_was_deleted(tmp_path):
     """Otherwise a process that has opened the old file and one that creates a new one would both have the lock."""
     program = """
 import fcntl, os, pathlib, sys
-from t2m_jax.files import lock
+from t2m_jax.files.locks import lock
 path = pathlib.Path(sys.argv[1])
 lock_file, flock = fcntl.flock, fcntl.LOCK_EX
 def late(descriptor, how, seen=[]):

@@ -36,7 +36,8 @@ def test_every_module_imports(tmp_path, repository):
 FILES = """
 import pytest
 from t2m_jax.errors import UserError
-from t2m_jax.files import atomic_file, atomic_folder, lock, save_text
+from t2m_jax.files.locks import lock
+from t2m_jax.files.writing import atomic_file, atomic_folder, save_text
 (folder / "data").mkdir()  # may be replaced, because it is empty
 with atomic_folder(folder / "data") as partial:
     save_text(partial / "caption.txt", "geht 5\\u00b0 h\\u00f6her")

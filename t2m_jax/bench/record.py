@@ -7,7 +7,8 @@ from typing import Any, Literal
 
 from t2m_jax.config import config_from_dict, config_to_dict
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_json, save_json
+from t2m_jax.files.reading import load_json
+from t2m_jax.files.writing import save_json
 
 FORMAT_VERSION = 1
 """Version of the files that `save_report` writes."""

@@ -12,7 +12,7 @@ from t2m_jax.checkpoints.model import load_generator_run
 from t2m_jax.checkpoints.run import Checkpoints, is_run, run_config_text, run_info
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.errors import UserError
-from t2m_jax.files import check_folder
+from t2m_jax.files.manifest import check_folder
 
 
 class AuditedPart(NamedTuple):

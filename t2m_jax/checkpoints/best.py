@@ -9,7 +9,9 @@ from typing import Any
 
 from t2m_jax.checkpoints.run import Checkpoints
 from t2m_jax.config import load_config, save_config
-from t2m_jax.files import atomic_folder, check_folder, load_arrays, save_arrays, write_manifest
+from t2m_jax.files.arrays import load_arrays, save_arrays
+from t2m_jax.files.manifest import check_folder, write_manifest
+from t2m_jax.files.writing import atomic_folder
 
 BEST_FILE, BEST_FOLDER, WEIGHTS_FILE = "best.yaml", "best", "weights.safetensors"
 

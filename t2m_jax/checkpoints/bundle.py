@@ -22,22 +22,10 @@ from t2m_jax.checkpoints.text_encoder import (
 )
 from t2m_jax.config import Tagged, load_versioned, save_config
 from t2m_jax.errors import UserError
-from t2m_jax.files import (
-    atomic_folder,
-    check_folder,
-    fingerprint,
-    fit_arrays,
-    flatten_tree,
-    has_manifest,
-    load_json,
-    load_text,
-    read_arrays,
-    save_arrays,
-    save_json,
-    save_text,
-    unflatten_tree,
-    write_manifest,
-)
+from t2m_jax.files.arrays import fingerprint, fit_arrays, flatten_tree, read_arrays, save_arrays, unflatten_tree
+from t2m_jax.files.manifest import check_folder, has_manifest, write_manifest
+from t2m_jax.files.reading import load_json, load_text
+from t2m_jax.files.writing import atomic_folder, save_json, save_text
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
 from t2m_jax.models.system import find_generator_config, find_tokenizer_config, variable_shapes
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer

@@ -21,7 +21,8 @@ from t2m_jax.checkpoints.clip_files import (
 from t2m_jax.checkpoints.pretrained import encoder_fingerprint, params_from_torch
 from t2m_jax.config import config_from_dict
 from t2m_jax.errors import UserError
-from t2m_jax.files import save_json, save_weights
+from t2m_jax.files.arrays import save_weights
+from t2m_jax.files.writing import save_json
 from t2m_jax.models.clip_text import ClipText, ClipTextConfig
 from t2m_jax.text.bpe import save_bpe
 from t2m_jax.text.clip_bpe import END, START, load_clip_bpe

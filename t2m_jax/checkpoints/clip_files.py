@@ -11,8 +11,8 @@ from safetensors import safe_open
 from t2m_jax.checkpoints.encoder_files import EncoderFiles, find_encoder
 from t2m_jax.checkpoints.torch_file import load_torch_file
 from t2m_jax.errors import UserError
-from t2m_jax.files import first_line, load_json
 from t2m_jax.files.arrays import DAMAGED_WEIGHTS
+from t2m_jax.files.reading import first_line, load_json
 
 CONFIG_FILE = "config.json"
 TEXT_PREFIX = "text_model."

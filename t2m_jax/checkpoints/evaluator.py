@@ -11,15 +11,9 @@ from t2m_jax.checkpoints.bundle import check_statistics_width
 from t2m_jax.checkpoints.run import is_run
 from t2m_jax.config import load_versioned, save_config
 from t2m_jax.errors import UserError
-from t2m_jax.files import (
-    atomic_folder,
-    check_folder,
-    fingerprint,
-    has_manifest,
-    load_arrays,
-    save_arrays,
-    write_manifest,
-)
+from t2m_jax.files.arrays import fingerprint, load_arrays, save_arrays
+from t2m_jax.files.manifest import check_folder, has_manifest, write_manifest
+from t2m_jax.files.writing import atomic_folder
 from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
 from t2m_jax.text.word_vectors import Vocabulary, load_vocabulary, save_vocabulary

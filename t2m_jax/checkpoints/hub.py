@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from t2m_jax.errors import UserError
-from t2m_jax.files import first_line
+from t2m_jax.files.reading import first_line
 
 SECONDS = 10
 """Longest wait for the first answer of the hub. After it, a copy on this machine is used."""

@@ -25,7 +25,8 @@ from t2m_jax.checkpoints.hub import HubFiles, HubName, hub_reason, hub_snapshot,
 from t2m_jax.checkpoints.run import DATA_FILE, is_run
 from t2m_jax.checkpoints.sentence import SENTENCE_FILES
 from t2m_jax.errors import UserError
-from t2m_jax.files import MANIFEST, check_folder, has_manifest, load_text, read_manifest
+from t2m_jax.files.manifest import MANIFEST, check_folder, has_manifest, read_manifest
+from t2m_jax.files.reading import load_text
 from t2m_jax.motion.normalizer import MEAN_FILE, STD_FILE
 from t2m_jax.text.bpe import TOKENIZER_FILE
 from t2m_jax.yaml_file import load_yaml

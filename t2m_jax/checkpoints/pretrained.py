@@ -9,7 +9,7 @@ import numpy as np
 from flax import traverse_util
 from tokenizers import Tokenizer
 
-from t2m_jax.files import fit_arrays, flatten_tree
+from t2m_jax.files.arrays import fit_arrays, flatten_tree
 
 
 def params_from_torch(

@@ -18,16 +18,10 @@ import jax
 from t2m_jax.config import config_text, load_versioned, save_config
 from t2m_jax.distributed import is_writer, wait_for_all
 from t2m_jax.errors import UserError
-from t2m_jax.files import (
-    MANIFEST,
-    PARTIAL,
-    check_folder,
-    commit_folder,
-    first_line,
-    load_sealed,
-    save_sealed,
-    write_manifest,
-)
+from t2m_jax.files.manifest import MANIFEST, check_folder, write_manifest
+from t2m_jax.files.reading import first_line
+from t2m_jax.files.sealed import load_sealed, save_sealed
+from t2m_jax.files.writing import PARTIAL, commit_folder
 
 logger = logging.getLogger(__name__)
 

@@ -17,7 +17,8 @@ from t2m_jax.checkpoints.encoder_files import EncoderFiles, find_encoder
 from t2m_jax.checkpoints.pretrained import encoder_fingerprint, params_from_torch
 from t2m_jax.config import config_from_dict
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_json, read_arrays
+from t2m_jax.files.arrays import read_arrays
+from t2m_jax.files.reading import load_json
 from t2m_jax.models.sentence_encoder import SentenceEncoder, SentenceEncoderConfig
 from t2m_jax.text.bpe import TOKENIZER_FILE, load_bpe
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 from t2m_jax.checkpoints.clip import TrainedClip, load_clip, save_clip
 from t2m_jax.checkpoints.sentence import TrainedSentenceEncoder, load_sentence_encoder, save_sentence_encoder
 from t2m_jax.errors import UserError
-from t2m_jax.files import fingerprint
+from t2m_jax.files.arrays import fingerprint
 
 CLIP_NAME = "openai/clip-vit-base-patch32"
 """The CLIP of T2M-GPT on the Hugging Face hub."""

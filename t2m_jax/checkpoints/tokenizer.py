@@ -11,7 +11,8 @@ from t2m_jax.checkpoints.hub_models import find_model
 from t2m_jax.checkpoints.run import check_run_files, is_run, run_info
 from t2m_jax.config import load_config, save_config
 from t2m_jax.errors import UserError
-from t2m_jax.files import check_folder, fingerprint, load_arrays, save_arrays, write_manifest
+from t2m_jax.files.arrays import fingerprint, load_arrays, save_arrays
+from t2m_jax.files.manifest import check_folder, write_manifest
 from t2m_jax.models.system import TokenizerConfig, find_part, make_module, variable_shapes
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from t2m_jax.checkpoints.torch_pickle import MAX_PICKLE_BYTES, Name, Pickle, Storage, Tensor, read_pickle
 from t2m_jax.errors import UserError
-from t2m_jax.files import check_input
+from t2m_jax.files.reading import check_input
 
 MAX_DEPTH = 32
 """Deepest nesting of dictionaries and lists that is read; it bounds the recursion below."""

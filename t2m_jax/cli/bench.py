@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from t2m_jax.cli.options import add_model_argument, show_next, subcommand_adder
 from t2m_jax.errors import UserError
-from t2m_jax.files import check_output, claim
+from t2m_jax.files.writing import check_output, claim
 
 if TYPE_CHECKING:
     from t2m_jax.bench.record import BenchReport, BenchResult, Peaks

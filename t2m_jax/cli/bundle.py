@@ -58,7 +58,8 @@ def _pack(args: argparse.Namespace, runs: list[str], destination: Path, name: "H
     from t2m_jax.checkpoints.model import load_runs
     from t2m_jax.checkpoints.official import export_official
     from t2m_jax.checkpoints.text_encoder import Reference, load_pretrained
-    from t2m_jax.files import atomic_folder, load_text
+    from t2m_jax.files.reading import load_text
+    from t2m_jax.files.writing import atomic_folder
 
     with atomic_folder(destination) as folder:
         run_folder, bundle = load_runs([Path(path) for path in runs])

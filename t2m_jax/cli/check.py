@@ -48,7 +48,7 @@ def _describe_report(path: Path) -> str:
     """
     from t2m_jax.evaluation.prompts.results import load_prompt_report
     from t2m_jax.evaluation.report.record import load_reconstruction, load_report
-    from t2m_jax.files import load_json
+    from t2m_jax.files.reading import load_json
 
     data = load_json(path)
     found = set(data) if isinstance(data, dict) else set()

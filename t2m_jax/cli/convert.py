@@ -94,9 +94,11 @@ def _export(args: argparse.Namespace) -> None:
 def _convert_model(args: argparse.Namespace) -> None:
     from t2m_jax.checkpoints.bundle import save_bundle
     from t2m_jax.checkpoints.clip import load_clip
-    from t2m_jax.checkpoints.official import OfficialFiles, load_official, official_card
+    from t2m_jax.checkpoints.official import load_official
+    from t2m_jax.checkpoints.official.bundle import OfficialFiles, official_card
     from t2m_jax.checkpoints.text_encoder import ClipReference
-    from t2m_jax.files import check_new, load_text
+    from t2m_jax.files.reading import load_text
+    from t2m_jax.files.writing import check_new
 
     check_new(args.destination)
     files = OfficialFiles(*(getattr(args, name) for name in _MODEL_FILES))
@@ -113,7 +115,7 @@ def _convert_model(args: argparse.Namespace) -> None:
 
 def _convert_evaluator(args: argparse.Namespace) -> None:
     from t2m_jax.checkpoints.evaluator import save_evaluator
-    from t2m_jax.checkpoints.official import OfficialEvaluatorFiles, load_official_evaluator
+    from t2m_jax.checkpoints.official.bundle import OfficialEvaluatorFiles, load_official_evaluator
 
     files = OfficialEvaluatorFiles(*(getattr(args, name) for name in _EVALUATOR_FILES))
     save_evaluator(args.destination, load_official_evaluator(files))

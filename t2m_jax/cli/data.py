@@ -132,7 +132,7 @@ def run_synthetic(args: argparse.Namespace) -> "ImportReport":
 def run_replay(args: argparse.Namespace) -> "ImportReport":
     """Writes what a model generates."""
     from t2m_jax.export.replay import write_replay
-    from t2m_jax.files import load_text
+    from t2m_jax.files.reading import load_text
     from t2m_jax.sampling import TextToMotion
 
     sentences: list[str] = []
@@ -147,7 +147,7 @@ def run_replay(args: argparse.Namespace) -> "ImportReport":
 def run_rig(args: argparse.Namespace) -> None:
     """Prints or writes the best guess of a rig's table."""
     from t2m_jax.data.importers.bvh import open_motion_file
-    from t2m_jax.files import check_output, save_text
+    from t2m_jax.files.writing import check_output, save_text
     from t2m_jax.motion.rig.guess import rig_table_text
 
     place = None if args.output is None else check_output(args.output)
@@ -166,7 +166,7 @@ def run_sheet(args: argparse.Namespace) -> None:
     """Writes a contact sheet and prints its name."""
     from t2m_jax.data.folder import open_dataset
     from t2m_jax.export.contact_sheet import save_contact_sheet
-    from t2m_jax.files import check_output
+    from t2m_jax.files.writing import check_output
 
     output = check_output(args.output or args.folder / SHEET)
     save_contact_sheet(output, open_dataset(args.folder))
@@ -181,7 +181,7 @@ def run_check(args: argparse.Namespace) -> None:
 def check_dataset(folder: Path, report_file: Path | None) -> None:
     """Prints the audit of a folder and exits with code 1 if something is wrong."""
     from t2m_jax.data.audit import audit_dataset
-    from t2m_jax.files import check_output, claim, save_json
+    from t2m_jax.files.writing import check_output, claim, save_json
 
     outputs = [] if report_file is None else [check_output(report_file)]
     with claim(outputs):

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 from t2m_jax.cli.options import add_model_argument, add_record, read_record, show_next, subcommand_adder
 from t2m_jax.errors import UserError, printable
-from t2m_jax.files import check_output, claim, save_json
+from t2m_jax.files.writing import check_output, claim, save_json
 
 if TYPE_CHECKING:
     from t2m_jax.data import Dataset
@@ -132,7 +132,7 @@ def run_reconstruction(args: argparse.Namespace) -> None:
     from t2m_jax.data import open_dataset
     from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
     from t2m_jax.evaluation.sources import Reconstruction
-    from t2m_jax.sampling import use_compilation_cache
+    from t2m_jax.sampling.compilation import use_compilation_cache
 
     use_compilation_cache()
     tokenizer, dataset = load_tokenizer(args.model), open_dataset(args.data)

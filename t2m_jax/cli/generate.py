@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Generates, writes the files, and prints their names and the next command."""
-    from t2m_jax.files import claim
+    from t2m_jax.files.writing import claim
     from t2m_jax.motion.formats import check_motion_output
     from t2m_jax.text.coverage import PromptWarning
 
@@ -122,7 +122,7 @@ class _Writer:
 
     def _write_files(self, recent: "list[Motion]", number: int) -> Iterator[Path]:
         """Writes the files that are complete with a motion, the last one of `recent`."""
-        from t2m_jax.files import claim
+        from t2m_jax.files.writing import claim
         from t2m_jax.motion.formats import save_motions
 
         for output in self.outputs:

@@ -60,7 +60,7 @@ def file_options(output: Path, args: argparse.Namespace, outputs: Sequence[Path]
 
 def run(args: argparse.Namespace) -> None:
     """Reads the motions, writes all outputs, and prints their names and the next command."""
-    from t2m_jax.files import claim
+    from t2m_jax.files.writing import claim
     from t2m_jax.motion.changes import Changes
     from t2m_jax.motion.formats import check_motion_output, load_motion, save_motions
 

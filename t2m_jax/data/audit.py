@@ -17,7 +17,7 @@ from t2m_jax.data.folder import Dataset, DatasetInfo, open_dataset
 from t2m_jax.data.index import load_index
 from t2m_jax.data.texts import Caption, read_captions
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_array
+from t2m_jax.files.reading import load_array
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.normalizer import normalizer_from_clips
 from t2m_jax.text.word_vectors import MAX_WORDS, MIN_COUNT, UNKNOWN, vocabulary_from_captions

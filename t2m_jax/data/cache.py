@@ -28,7 +28,9 @@ from tqdm import tqdm
 from t2m_jax.data.files import FEATURES, SPLITS, TEXTS, clip_or_reason, read_names
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
-from t2m_jax.files import LockedError, atomic_folder, load_array, load_json, save_text
+from t2m_jax.files.locks import LockedError
+from t2m_jax.files.reading import load_array, load_json
+from t2m_jax.files.writing import atomic_folder, save_text
 
 logger = logging.getLogger(__name__)
 

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from t2m_jax.data.texts import CaptionFile, read_captions
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_array, load_text
+from t2m_jax.files.reading import load_array, load_text
 
 FEATURES = "new_joint_vecs"
 POSITIONS = "new_joints"

@@ -16,7 +16,8 @@ from t2m_jax.data.files import FEATURES, INFO, MIRROR_PREFIX, SPLITS, TEXTS, loa
 from t2m_jax.data.splits import nested_choice
 from t2m_jax.data.texts import Caption, load_captions
 from t2m_jax.errors import UserError
-from t2m_jax.files import fingerprint, load_array
+from t2m_jax.files.arrays import fingerprint
+from t2m_jax.files.reading import load_array
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer
 from t2m_jax.motion.resampling import MAX_FPS
 from t2m_jax.motion.skeleton import Skeleton, skeleton_from_feature_dim, skeleton_from_name

@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 from t2m_jax.data.files import MIRROR_PREFIX
 from t2m_jax.errors import UserError
-from t2m_jax.files import reading, save_text
+from t2m_jax.files.reading import reading
+from t2m_jax.files.writing import save_text
 from t2m_jax.motion.mirroring import mirror_caption
 
 INDEX = "index.csv"

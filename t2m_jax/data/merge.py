@@ -8,7 +8,7 @@ from t2m_jax.data.folder import Dataset, DatasetInfo, open_dataset
 from t2m_jax.data.index import IndexEntry, load_index, save_index
 from t2m_jax.data.writer import ImportReport, finish_folder, new_folder
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_array, reading
+from t2m_jax.files.reading import load_array, reading
 
 
 def merge_datasets(sources: Sequence[str | Path], destination: str | Path) -> ImportReport:

@@ -10,7 +10,7 @@ import numpy as np
 from t2m_jax.data.banks.captions import all_tokens
 from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.data.index import load_index
-from t2m_jax.files import save_json
+from t2m_jax.files.writing import save_json
 from t2m_jax.text.coverage import count_actions
 
 NUM_CAPTIONS = 300

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_text, save_text
+from t2m_jax.files.reading import load_text
+from t2m_jax.files.writing import save_text
 
 
 class Caption(NamedTuple):

@@ -13,7 +13,7 @@ from t2m_jax.data.files import FEATURES, INFO, MIRROR_PREFIX, POSITIONS, SPLITS,
 from t2m_jax.data.folder import DatasetInfo
 from t2m_jax.data.texts import Caption, save_captions
 from t2m_jax.errors import UserError
-from t2m_jax.files import atomic_folder, save_text
+from t2m_jax.files.writing import atomic_folder, save_text
 from t2m_jax.motion.features import features_from_positions, positions_from_features
 from t2m_jax.motion.mirroring import mirror_caption, mirror_positions
 from t2m_jax.motion.normalizer import normalizer_from_clips, save_normalizer

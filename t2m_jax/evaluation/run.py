@@ -22,7 +22,8 @@ from t2m_jax.evaluation.protocols import Plan
 from t2m_jax.evaluation.report.record import CLEANED, MAX_REPORT, Header, Metric, Report
 from t2m_jax.evaluation.sources import CodeSource
 from t2m_jax.evaluation.task import EvaluationTask
-from t2m_jax.files import load_json, save_json
+from t2m_jax.files.reading import load_json
+from t2m_jax.files.writing import save_json
 from t2m_jax.metrics.frechet import fid
 from t2m_jax.metrics.quality import MotionQuality
 from t2m_jax.metrics.retrieval import label_bound, matching_score, r_precision

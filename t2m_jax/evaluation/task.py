@@ -15,7 +15,7 @@ from t2m_jax.data.index import load_index
 from t2m_jax.devices import put_everywhere
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.protocols import Plan, Protocol, make_plan
-from t2m_jax.files import fingerprint
+from t2m_jax.files.arrays import fingerprint
 from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT
 
 

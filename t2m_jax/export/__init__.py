@@ -2,6 +2,6 @@
 
 from t2m_jax.export.html import viewer_html
 from t2m_jax.export.npz import save_pieces
-from t2m_jax.export.render import render_poster
+from t2m_jax.export.render.rendering import render_poster
 
 __all__ = ["render_poster", "save_pieces", "viewer_html"]

@@ -13,7 +13,7 @@ from t2m_jax.data.files import MIRROR_PREFIX, SPLITS
 from t2m_jax.data.folder import Dataset
 from t2m_jax.errors import UserError
 from t2m_jax.export.render.figure import Roles, is_mirrored, roles_from_skeleton
-from t2m_jax.files import save_text
+from t2m_jax.files.writing import save_text
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.skeleton import Skeleton
 

@@ -8,7 +8,7 @@ from textwrap import shorten
 import numpy as np
 
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_array
+from t2m_jax.files.reading import load_array
 from t2m_jax.motion.amc import load_amc
 from t2m_jax.motion.bvh import load_bvh, save_bvh
 from t2m_jax.motion.bvh.writer import Units

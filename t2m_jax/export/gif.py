@@ -7,7 +7,7 @@ import numpy as np
 from PIL import Image
 
 from t2m_jax.export.render.rendering import render_film
-from t2m_jax.files import atomic_file
+from t2m_jax.files.writing import atomic_file
 from t2m_jax.motion.motion import Motion
 
 MAX_FPS = 100 / 3

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from t2m_jax.errors import UserError
 from t2m_jax.export.render.rendering import TINT_COLORS
 from t2m_jax.export.skin import SkinPart, make_skin
-from t2m_jax.files import atomic_file
+from t2m_jax.files.writing import atomic_file
 from t2m_jax.motion.bvh.writer import UNITS_PER_METER, Units
 from t2m_jax.motion.features import bone_vectors
 from t2m_jax.motion.gltf import BINARY_CHUNK, JSON_CHUNK, MAGIC

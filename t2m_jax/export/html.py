@@ -13,7 +13,7 @@ import numpy as np
 from t2m_jax.errors import UserError
 from t2m_jax.export.render.figure import TINTS
 from t2m_jax.export.render.scene import SceneFigure, figure_from_motion
-from t2m_jax.files import save_text
+from t2m_jax.files.writing import save_text
 from t2m_jax.motion.formats import notebook_frame
 from t2m_jax.motion.motion import Motion
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from t2m_jax.errors import UserError
 from t2m_jax.export.render.rendering import render_film
-from t2m_jax.files import atomic_file
+from t2m_jax.files.writing import atomic_file
 from t2m_jax.motion.motion import Motion
 
 MAX_FPS = 60.0

@@ -12,7 +12,8 @@ import numpy as np
 
 from t2m_jax.errors import UserError
 from t2m_jax.export.formats import only_motion
-from t2m_jax.files import atomic_file, load_archive
+from t2m_jax.files.reading import load_archive
+from t2m_jax.files.writing import atomic_file
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, skeleton_from_name
 

@@ -8,7 +8,7 @@ from PIL import Image
 from t2m_jax.errors import UserError
 from t2m_jax.export.render.rendering import render_poster
 from t2m_jax.export.render.trails import render_trails
-from t2m_jax.files import atomic_file
+from t2m_jax.files.writing import atomic_file
 from t2m_jax.motion.motion import Motion
 
 MAX_ROWS = 100

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_text
+from t2m_jax.files.reading import load_text
 from t2m_jax.motion.resampling import MAX_FPS
 from t2m_jax.motion.rig.clip import MAX_JOINTS, MAX_VALUE, RigClip
 from t2m_jax.motion.rotations import EulerOrder, matrix_from_euler

@@ -10,8 +10,8 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from t2m_jax import files
 from t2m_jax.errors import UserError
+from t2m_jax.files.writing import check_output
 
 READERS = "t2m_jax.motion_readers"
 """Entry points by suffix: functions of a path that return its motion, and that may take the name of an `animation`."""
@@ -53,7 +53,7 @@ def check_motion_output(path: str | Path) -> Path:
         UserError: The suffix is unknown, or the file cannot be written.
     """
     _entry_point(WRITERS, Path(path))
-    return files.check_output(Path(path))
+    return check_output(Path(path))
 
 
 def format_options(path: str | Path) -> dict[str, tuple[str, ...]]:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from t2m_jax.errors import UserError
-from t2m_jax.files import first_line, reading
+from t2m_jax.files.reading import first_line, reading
 from t2m_jax.motion.part_captions import checked_parts
 from t2m_jax.motion.resampling import MAX_FPS
 from t2m_jax.motion.rig.clip import RigClip

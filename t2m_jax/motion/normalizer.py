@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
-from t2m_jax.files import atomic_file, load_array
+from t2m_jax.files.reading import load_array
+from t2m_jax.files.writing import atomic_file
 from t2m_jax.motion.namespace import AnyArray, EitherArray, namespace_of
 from t2m_jax.motion.skeleton import FeatureLayout
 

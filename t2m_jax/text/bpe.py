@@ -10,7 +10,8 @@ from jaxtyping import Array, Bool, Int
 from tokenizers import Tokenizer, models, normalizers, pre_tokenizers, trainers
 
 from t2m_jax.errors import UserError
-from t2m_jax.files import first_line, load_text, save_text
+from t2m_jax.files.reading import first_line, load_text
+from t2m_jax.files.writing import save_text
 
 PAD = "[pad]"
 UNKNOWN = "[unk]"

@@ -8,7 +8,7 @@ from jaxtyping import Int
 from tokenizers import AddedToken, Regex, Tokenizer, decoders, models, normalizers, pre_tokenizers
 
 from t2m_jax.errors import UserError
-from t2m_jax.files import first_line, load_json, load_text
+from t2m_jax.files.reading import first_line, load_json, load_text
 from t2m_jax.text.bpe import TOKENIZER_FILE, load_bpe
 
 START = "<|startoftext|>"

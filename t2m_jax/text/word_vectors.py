@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_array, load_text, reading, save_text
+from t2m_jax.files.reading import load_array, load_text, reading
+from t2m_jax.files.writing import save_text
 
 logger = logging.getLogger(__name__)
 

@@ -16,7 +16,7 @@ from t2m_jax.config import flat_fields, load_config
 from t2m_jax.data.folder import Dataset, open_dataset
 from t2m_jax.distributed import is_writer
 from t2m_jax.errors import UserError
-from t2m_jax.files import lock
+from t2m_jax.files.locks import lock
 from t2m_jax.motion.normalizer import load_normalizer
 from t2m_jax.train.config import ExperimentConfig
 from t2m_jax.train.statistics import load_statistics

@@ -34,8 +34,8 @@ from t2m_jax.errors import UserError
 from t2m_jax.evaluation.monitor import SPLIT, held_out_metrics, open_held_out, sample_motions
 from t2m_jax.evaluation.sources import CodeSource
 from t2m_jax.evaluation.task import EvaluationTask
-from t2m_jax.export.render import render_poster
-from t2m_jax.files import flatten_tree
+from t2m_jax.export.render.rendering import render_poster
+from t2m_jax.files.arrays import flatten_tree
 from t2m_jax.train import checks
 from t2m_jax.train.best import BestWeights
 from t2m_jax.train.config import EvaluationConfig, ExperimentConfig, LoopConfig

@@ -11,7 +11,8 @@ from jaxtyping import Array, Float, UInt8
 from PIL import Image
 
 from t2m_jax.distributed import is_writer
-from t2m_jax.files import atomic_file, reading, save_text, writing
+from t2m_jax.files.reading import reading
+from t2m_jax.files.writing import atomic_file, save_text, writing
 from t2m_jax.train.tensorboard import Board
 
 logger = logging.getLogger(__name__)

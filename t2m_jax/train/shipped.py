@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_text
+from t2m_jax.files.reading import load_text
 from t2m_jax.train.presets import preset_names
 
 _COMMAND = re.compile(r"^#\s+t2m train (\w+) configs/", re.MULTILINE)

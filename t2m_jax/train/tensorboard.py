@@ -12,7 +12,7 @@ from tensorboardX import summary
 from tensorboardX.event_file_writer import EventsWriter
 from tensorboardX.proto.event_pb2 import Event, SessionLog
 
-from t2m_jax.files import writing
+from t2m_jax.files.writing import writing
 
 
 class Board:

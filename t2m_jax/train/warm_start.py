@@ -10,7 +10,7 @@ from t2m_jax.checkpoints.bundle import part_kinds
 from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.errors import UserError
-from t2m_jax.files import flatten_tree
+from t2m_jax.files.arrays import flatten_tree
 from t2m_jax.train.vqvae import DECODER_PARTS
 
 SAME_WEIGHTS = 2e-3

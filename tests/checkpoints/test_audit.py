@@ -12,7 +12,9 @@ from t2m_jax.checkpoints.evaluator import save_evaluator
 from t2m_jax.cli.main import main
 from t2m_jax.data.importers.synthetic import write_synthetic_dataset
 from t2m_jax.errors import UserError
-from t2m_jax.files import MANIFEST, load_json, save_json
+from t2m_jax.files.manifest import MANIFEST
+from t2m_jax.files.reading import load_json
+from t2m_jax.files.writing import save_json
 from t2m_jax.train import train
 from tests.bench.conftest import report as bench_report
 from tests.conftest import REPOSITORY

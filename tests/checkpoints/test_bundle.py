@@ -12,16 +12,8 @@ from t2m_jax.checkpoints.bundle import CONFIG_FILE, WEIGHTS_FILE, bundle_path, l
 from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.errors import UserError
-from t2m_jax.files import (
-    MANIFEST,
-    load_arrays,
-    read_arrays,
-    read_manifest,
-    save_arrays,
-    save_weights,
-    unflatten_tree,
-    write_manifest,
-)
+from t2m_jax.files.arrays import load_arrays, read_arrays, save_arrays, save_weights, unflatten_tree
+from t2m_jax.files.manifest import MANIFEST, read_manifest, write_manifest
 from tests.tiny import BUNDLE, HIFIGPT_BUNDLE, random_bundle, trust_manifests
 
 

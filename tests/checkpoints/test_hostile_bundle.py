@@ -20,7 +20,7 @@ from t2m_jax.checkpoints.bundle import (
     save_bundle,
 )
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_arrays
+from t2m_jax.files.arrays import load_arrays
 from t2m_jax.motion.normalizer import load_normalizer
 from t2m_jax.text.bpe import load_bpe
 from tests.tiny import BUNDLE, random_bundle, trust_manifests

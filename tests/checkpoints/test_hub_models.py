@@ -15,7 +15,7 @@ from t2m_jax.checkpoints.hub_models import BUNDLE_FILES, MAX_BYTES, cached_model
 from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.errors import UserError
-from t2m_jax.files import MANIFEST, check_folder, write_manifest
+from t2m_jax.files.manifest import MANIFEST, check_folder, write_manifest
 from tests.hub_server import TOKEN
 from tests.tiny import random_bundle
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints import audit_model
+from t2m_jax.checkpoints.audit import audit_model
 from t2m_jax.checkpoints.run import (
     CHECKPOINTS,
     CONFIG_FILE,
@@ -28,7 +28,7 @@ from t2m_jax.checkpoints.run import (
 )
 from t2m_jax.config import load_config
 from t2m_jax.errors import UserError
-from t2m_jax.files import PARTIAL
+from t2m_jax.files.writing import PARTIAL
 from t2m_jax.train.checks import read_run_config
 
 

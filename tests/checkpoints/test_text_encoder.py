@@ -2,8 +2,15 @@
 
 import pytest
 
-from t2m_jax.checkpoints import ClipReference, SentenceReference, load_clip, load_sentence_encoder
-from t2m_jax.checkpoints.text_encoder import encoder_identity, load_pretrained, save_pretrained
+from t2m_jax.checkpoints.clip import load_clip
+from t2m_jax.checkpoints.sentence import load_sentence_encoder
+from t2m_jax.checkpoints.text_encoder import (
+    ClipReference,
+    SentenceReference,
+    encoder_identity,
+    load_pretrained,
+    save_pretrained,
+)
 from t2m_jax.errors import UserError
 from tests.clip_golden import FULL, TEXT_ONLY, TORCH, TWO_FILES, copy_files
 from tests.sentence_golden import BERT, MPNET, change_json, copy_encoder

@@ -7,13 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints import ClipReference, load_bundle
+from t2m_jax.checkpoints import load_bundle
 from t2m_jax.checkpoints.bundle import expected_variables
 from t2m_jax.checkpoints.official import export_official, load_gpt, load_vqvae
+from t2m_jax.checkpoints.text_encoder import ClipReference
 from t2m_jax.cli.main import main
 from t2m_jax.models.motion_gpt import MotionGpt
 from t2m_jax.models.vqvae import VqVae
-from t2m_jax.sampling import Greedy, Sampling, StopAtEnd, TextToMotion
+from t2m_jax.sampling import Greedy, StopAtEnd, TextToMotion
+from t2m_jax.sampling.loop import Sampling
 from t2m_jax.sampling.programs import decode_batch, generate_codes
 from tests.tiny import BUNDLE, random_bundle, random_variables
 

@@ -9,7 +9,7 @@ from t2m_jax.data.importers.synthetic import KINDS
 from t2m_jax.data.index import IndexEntry, save_index
 from t2m_jax.data.summary import NUM_CAPTIONS, save_training_data, summarize_training_data
 from t2m_jax.data.texts import Caption
-from t2m_jax.files import load_json
+from t2m_jax.files.reading import load_json
 from t2m_jax.motion.skeleton import HUMANML3D
 
 FEATURES = np.zeros((3, 263), np.float32)

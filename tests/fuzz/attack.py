@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from t2m_jax.errors import UserError
-from t2m_jax.files import MANIFEST, write_manifest
+from t2m_jax.files.manifest import MANIFEST, write_manifest
 from tests.fuzz.mutations import mutate
 
 MAX_SECONDS = 5

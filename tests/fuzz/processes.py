@@ -20,7 +20,9 @@ from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.config import save_config
 from t2m_jax.data.audit import audit_dataset
 from t2m_jax.data.importers.synthetic import write_synthetic_dataset
-from t2m_jax.files import PARTIAL, load_json, read_arrays
+from t2m_jax.files.arrays import read_arrays
+from t2m_jax.files.reading import load_json
+from t2m_jax.files.writing import PARTIAL
 from t2m_jax.motion.formats import load_motion
 from t2m_jax.train import train
 from tests.data.bvh_files import write_bvh

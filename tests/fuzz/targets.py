@@ -29,7 +29,8 @@ from t2m_jax.data.index import IndexEntry, load_index, save_index
 from t2m_jax.data.texts import load_captions
 from t2m_jax.evaluation.report.record import Header, load_report
 from t2m_jax.evaluation.run import load_partial
-from t2m_jax.files import read_arrays, read_manifest
+from t2m_jax.files.arrays import read_arrays
+from t2m_jax.files.manifest import read_manifest
 from t2m_jax.motion.amc import load_amc
 from t2m_jax.motion.formats import load_motion
 from t2m_jax.motion.gltf import load_gltf

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints import audit_model
+from t2m_jax.checkpoints.audit import audit_model
 from t2m_jax.checkpoints.best import find_best
 from t2m_jax.checkpoints.run import run_info
 from t2m_jax.cli.main import main

@@ -10,8 +10,8 @@ import pytest
 
 from t2m_jax.checkpoints.official.load import gpt_variables
 from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
-from t2m_jax.sampling import Greedy, Sampling, StopAtEnd, TopK
-from t2m_jax.sampling.loop import CHUNK
+from t2m_jax.sampling import Greedy, StopAtEnd, TopK
+from t2m_jax.sampling.loop import CHUNK, Sampling
 from t2m_jax.sampling.programs import generate_codes, sampling_variables
 from tests.golden_files import state_dict
 from tests.tiny import random_variables

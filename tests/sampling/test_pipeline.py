@@ -9,16 +9,16 @@ import jax
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints import ClipReference
 from t2m_jax.checkpoints.bundle import BUNDLED
+from t2m_jax.checkpoints.text_encoder import ClipReference
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
 from t2m_jax.motion.features import features_from_positions
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
-from t2m_jax.sampling import Greedy, TextToMotion, TopK, encode_motions, sample_key
+from t2m_jax.sampling import Greedy, TextToMotion, TopK, encode_motions
 from t2m_jax.sampling.model import ModelParts
-from t2m_jax.sampling.prompts import MAX_BATCH
+from t2m_jax.sampling.prompts import MAX_BATCH, sample_key
 from t2m_jax.sampling.request import MAX_SAMPLES
 from t2m_jax.text.coverage import PromptWarning
 from t2m_jax.text.encoder import TextEncoder

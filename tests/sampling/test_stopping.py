@@ -6,19 +6,9 @@ import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.sampling import (
-    Greedy,
-    Sampling,
-    StopAtEnd,
-    StopAtHighest,
-    StopAtRandom,
-    StopAtThreshold,
-    StopRule,
-    make_stop_rule,
-    sample_codes,
-)
-from t2m_jax.sampling.loop import CHUNK, GeneratorFunctions
-from t2m_jax.sampling.stopping import STOP_RULES
+from t2m_jax.sampling import Greedy, StopAtEnd, StopAtHighest, StopAtRandom, StopAtThreshold
+from t2m_jax.sampling.loop import CHUNK, GeneratorFunctions, Sampling, sample_codes
+from t2m_jax.sampling.stopping import STOP_RULES, StopRule, make_stop_rule
 
 ROWS = 3 * CHUNK
 NEVER = -np.inf

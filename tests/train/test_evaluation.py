@@ -23,7 +23,7 @@ from t2m_jax.evaluation.protocols import find_protocol
 from t2m_jax.evaluation.run import evaluate
 from t2m_jax.evaluation.sources import make_generation
 from t2m_jax.evaluation.task import make_task
-from t2m_jax.files import save_arrays
+from t2m_jax.files.arrays import save_arrays
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.programs import generate_codes

@@ -8,7 +8,8 @@ import jax
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints import audit_model, load_model, load_tokenizer
+from t2m_jax.checkpoints import load_model, load_tokenizer
+from t2m_jax.checkpoints.audit import audit_model
 from t2m_jax.checkpoints.tokenizer import save_tokenizer_copy
 from t2m_jax.cli.main import main
 from t2m_jax.errors import UserError

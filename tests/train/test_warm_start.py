@@ -9,7 +9,8 @@ import jax
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints import load_generator_run, load_tokenizer, save_bundle
+from t2m_jax.checkpoints import load_tokenizer, save_bundle
+from t2m_jax.checkpoints.model import load_generator_run
 from t2m_jax.config import load_config
 from t2m_jax.data import open_dataset
 from t2m_jax.data.texts import Caption

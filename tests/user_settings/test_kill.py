@@ -14,8 +14,8 @@ import time
 
 import pytest
 
-from t2m_jax.checkpoints import Checkpoints, load_tokenizer
-from t2m_jax.checkpoints.run import is_run
+from t2m_jax.checkpoints import load_tokenizer
+from t2m_jax.checkpoints.run import Checkpoints, is_run
 from t2m_jax.config import save_config
 from t2m_jax.data import write_synthetic_dataset
 from t2m_jax.train import train

@@ -19,7 +19,8 @@ from t2m_jax.checkpoints.official.names import (
     vqvae_weights,
 )
 from t2m_jax.errors import UserError
-from t2m_jax.files import atomic_folder, check_new, save_weights
+from t2m_jax.files.arrays import save_weights
+from t2m_jax.files.writing import atomic_folder, check_new
 from t2m_jax.models.evaluator import EvaluatorConfig
 from t2m_jax.models.motion_gpt import MotionGptConfig
 from t2m_jax.models.vqvae import VqVaeConfig

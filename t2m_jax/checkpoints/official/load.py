@@ -21,7 +21,7 @@ from t2m_jax.checkpoints.official.names import (
 )
 from t2m_jax.checkpoints.torch_file import load_torch_file
 from t2m_jax.errors import UserError
-from t2m_jax.files import fit_arrays, read_arrays
+from t2m_jax.files.arrays import fit_arrays, read_arrays
 from t2m_jax.models.codebook import QuantizerKind
 from t2m_jax.models.convolution import NormKind
 from t2m_jax.models.evaluator import NUM_CONTACTS, EvaluatorConfig

@@ -16,7 +16,7 @@ from t2m_jax.data.importers.caption_table import (
 )
 from t2m_jax.data.texts import Caption, parse_caption
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_text
+from t2m_jax.files.reading import load_text
 
 CAPTION_FILES = ("captions.csv", "captions.txt")
 

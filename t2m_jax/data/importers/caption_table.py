@@ -13,7 +13,7 @@ from typing import NamedTuple
 from t2m_jax.data.captioning.lexicon import tag_words
 from t2m_jax.data.texts import Caption, parse_caption
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_text
+from t2m_jax.files.reading import load_text
 
 BYTE_ORDER_MARK = "\ufeff"
 """Some editors and spreadsheets write it at the beginning of a UTF-8 file."""

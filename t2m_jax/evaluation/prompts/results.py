@@ -6,8 +6,9 @@ from pathlib import Path
 
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.report.record import MAX_REPORT, fields_of, reading_report
-from t2m_jax.files import load_json, save_json
 from t2m_jax.files.markdown import markdown_table
+from t2m_jax.files.reading import load_json
+from t2m_jax.files.writing import save_json
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

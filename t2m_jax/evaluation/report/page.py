@@ -18,7 +18,7 @@ from t2m_jax.evaluation.report.gallery import Example, Failure, RepeatDetails
 from t2m_jax.evaluation.report.plots import check_plots, codes_plot, lengths_plot, repeats_plot
 from t2m_jax.evaluation.report.record import Report, report_as_json
 from t2m_jax.evaluation.report.tables import Cell, Table, make_table
-from t2m_jax.files import check_output, save_text
+from t2m_jax.files.writing import check_output, save_text
 from t2m_jax.metrics.codes import code_usage, perplexity
 from t2m_jax.motion.motion import Motion
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from t2m_jax.config import config_from_dict
 from t2m_jax.errors import UserError
-from t2m_jax.files import load_json, save_json
+from t2m_jax.files.reading import load_json
+from t2m_jax.files.writing import save_json
 
 T = TypeVar("T")
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
-from t2m_jax.files import reading
+from t2m_jax.files.reading import reading
 from t2m_jax.motion.bvh.channels import parse_motion
 from t2m_jax.motion.bvh.hierarchy import AXES, POSITION_CHANNELS, ROTATION_CHANNELS, Hierarchy, parse_hierarchy
 from t2m_jax.motion.part_captions import parts_from_note

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
-from t2m_jax.files import save_text
+from t2m_jax.files.writing import save_text
 from t2m_jax.motion.inverse_kinematics import fit_rig
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.part_captions import parts_note
