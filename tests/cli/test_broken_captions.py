@@ -88,6 +88,7 @@ def test_the_audit_reports_each(faulty, tmp_path, capsys):
         assert line in printed
 
 
+@pytest.mark.slow
 def test_an_evaluator_reads_what_can_be_read(faulty, evaluator_folder):
     evaluator = load_trained_evaluator(evaluator_folder)
     assert "walk" in evaluator.vocabulary and "qux" not in evaluator.vocabulary
@@ -106,6 +107,7 @@ def test_an_evaluator_reads_what_can_be_read(faulty, evaluator_folder):
     np.testing.assert_array_equal(*embed(untagged, ("a", "person", "walks") * 7))
 
 
+@pytest.mark.slow
 def test_an_evaluation_uses_all_captions_but_those_that_cannot_be_read(
     faulty, evaluator_folder, bundle_folder, tmp_path, caplog
 ):

@@ -22,7 +22,7 @@ def bits(keys):
     return np.asarray(jax.random.key_data(keys))
 
 
-@pytest.mark.parametrize("size", [*range(1, 71), 1000])
+@pytest.mark.parametrize("size", [1, 2, 3, 5, 16, 17, 64, 1000])
 def test_an_order_has_every_item_once(size):
     np.testing.assert_array_equal(np.sort(order(jax.random.key(size), size)), np.arange(size))
 

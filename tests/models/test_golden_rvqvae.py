@@ -42,7 +42,7 @@ class Case:
         return compiled_apply(self.module, variables, *arguments, **options)
 
 
-@pytest.fixture(scope="module", params=[263, 251])
+@pytest.fixture(scope="module", params=[263, pytest.param(251, marks=pytest.mark.slow)])
 def case(request, golden_dir):
     return Case(golden_dir / "hifigpt" / f"rvqvae_forward_d{request.param}.npz")
 

@@ -18,7 +18,7 @@ CONFIGS = {
 NUM_SLOTS = 4
 
 
-@pytest.fixture(scope="module", params=CONFIGS)
+@pytest.fixture(scope="module", params=["gpt", pytest.param("hifigpt", marks=pytest.mark.slow)])
 def model(request):
     return TextToMotion(random_bundle(CONFIGS[request.param]))
 

@@ -15,7 +15,7 @@ from tests import tiny
 CONFIGS = {"gpt": tiny.BUNDLE, "hifigpt": tiny.HIFIGPT_BUNDLE}
 
 
-@pytest.fixture(scope="module", params=CONFIGS)
+@pytest.fixture(scope="module", params=["gpt", pytest.param("hifigpt", marks=pytest.mark.slow)])
 def model(request):
     return TextToMotion(tiny.random_bundle(CONFIGS[request.param]))
 

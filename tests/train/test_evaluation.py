@@ -132,7 +132,7 @@ def loaded(run, stage):
     return {"params": {kind: variables[role]["params"] for kind, role in roles.items()}}
 
 
-@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("stage", [pytest.param("vqvae", marks=pytest.mark.slow), "gpt"])
 def test_a_run_stands_for_its_best(training, stage, tmp_path):
     """Asked of runs that keep every checkpoint, so that the weights of the best step are known from elsewhere."""
     # By these metrics, the newest weights of the tiny models are not the best.
@@ -147,7 +147,7 @@ def test_a_run_stands_for_its_best(training, stage, tmp_path):
     jax.tree.map(np.testing.assert_array_equal, loaded(config.run, stage), trained_at(config.run, last, found))
 
 
-@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("stage", [pytest.param("vqvae", marks=pytest.mark.slow), "gpt"])
 def test_a_resumed_run_equals_one_that_never_stopped(finished, training, stage, tmp_path, monkeypatch):
     config = training(stage, tmp_path / "run")
     mend = stop_at(STOP, monkeypatch)
@@ -164,6 +164,7 @@ def test_a_resumed_run_equals_one_that_never_stopped(finished, training, stage, 
     assert generate_codes._cache_size() == compiled, "an evaluation compiled what was compiled before"
 
 
+@pytest.mark.slow
 def test_figures_are_those_of_the_command(finished, held_out, evaluator):
     """The best weights, loaded and evaluated by protocol, give the row by which they were chosen."""
     protocol, best = find_protocol("t2m-gpt"), find_best(finished["gpt"])

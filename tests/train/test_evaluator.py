@@ -161,7 +161,14 @@ def test_the_same_seed_gives_the_same_bits(data, finished, tmp_path):
     assert_same_checkpoint(tmp_path / "again", finished)
 
 
-@pytest.mark.parametrize(("training_of", "stop"), [("movements", 3), ("matching", 3), ("matching", 7)])
+@pytest.mark.parametrize(
+    ("training_of", "stop"),
+    [
+        pytest.param("movements", 3, marks=pytest.mark.slow),
+        pytest.param("matching", 3, marks=pytest.mark.slow),
+        ("matching", 7),
+    ],
+)
 def test_a_resumed_run_equals_one_that_never_stopped(data, finished, tmp_path, monkeypatch, training_of, stop):
     def is_meant(state):
         return ("decoder" in state.params) == (training_of == "movements")
@@ -179,6 +186,7 @@ def test_a_resumed_run_equals_one_that_never_stopped(data, finished, tmp_path, m
     assert_same_checkpoint(config.run, finished)
 
 
+@pytest.mark.slow
 def test_training_ends_when_validation_gets_no_better(data, tmp_path, monkeypatch):
     losses = iter([3.0, 1.0, 2.0, 2.0, 0.5])
     monkeypatch.setattr(experiment, "mean_over_batches", lambda measure, num_batches: {"loss": next(losses)})
@@ -195,6 +203,7 @@ def test_training_ends_when_validation_gets_no_better(data, tmp_path, monkeypatc
     assert next(losses) == 0.5
 
 
+@pytest.mark.slow
 def test_given_words_and_vectors_are_used_and_left_as_they_are(data, tmp_path):
     words = ("sos", "eos", "unk", "a", "person", "walk")
     (tmp_path / "words.txt").write_text("\n".join(words) + "\n")
@@ -234,6 +243,7 @@ def test_configs_that_make_no_sense_are_refused(fields):
         TrainEvaluatorConfig(**fields)
 
 
+@pytest.mark.slow
 def test_broken_captions_are_no_obstacle(data, tmp_path):
     """An empty caption, one of 300 words, one without tags, unknown words alone, a line that is none."""
     folder = tmp_path / "data"
@@ -250,6 +260,7 @@ def test_broken_captions_are_no_obstacle(data, tmp_path):
     assert "walk" in load_trained_evaluator(config.run).vocabulary
 
 
+@pytest.mark.slow
 def test_a_resumed_run_does_not_need_what_it_started_from(data, finished, tmp_path):
     shutil.copytree(finished, tmp_path / "first")
     config = training(data, tmp_path / "run", init=tmp_path / "first")

@@ -38,6 +38,7 @@ def config_of(kind, data, both, run):
     return dataclasses.replace(tiny.hifigpt_training(data, both / "rvqvae", run), contrastive_weight=0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["rvqvae", "hifigpt"])
 def test_a_resumed_run_equals_one_that_never_stopped(kind, data, both, tmp_path, monkeypatch):
     config = config_of(kind, data, both, tmp_path / "run")
@@ -51,6 +52,7 @@ def test_a_resumed_run_equals_one_that_never_stopped(kind, data, both, tmp_path,
         assert (config.run / name).read_bytes() == (both / kind / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_the_log_shows_every_depth(both, capsys):
     with (both / "rvqvae" / "train.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -69,6 +71,7 @@ def test_the_log_shows_every_depth(both, capsys):
     np.testing.assert_allclose(float(last["loss"]), float(last["nll"]) + float(last["stop"]), rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_run_has_the_codebook_of_its_tokenizer(both):
     model, tokenizer = TextToMotion.load(both / "hifigpt"), load_tokenizer(both / "rvqvae")
     expected = tokenizer.variables["codebook"]["quantizer"]["codebook"]
@@ -77,6 +80,7 @@ def test_the_run_has_the_codebook_of_its_tokenizer(both):
     assert model.config.generator.num_quantizers == 3 and model.config.generator.code_dim == 8
 
 
+@pytest.mark.slow
 def test_every_command_takes_the_run(both, data, tmp_path, capsys, monkeypatch):
     """Generate, bundle, view, evaluate: nothing but the name of the model differs from T2M-GPT."""
     monkeypatch.setenv("T2M_JAX_NO_COMPILATION_CACHE", "1")
@@ -105,6 +109,7 @@ def test_every_command_takes_the_run(both, data, tmp_path, capsys, monkeypatch):
     assert "no.yaml" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_fewer_depths_give_a_coarser_motion(both):
     model = TextToMotion.load(both / "hifigpt")
     codes = np.asarray(model.generate("a person walks", seed=2)[0].codes)
@@ -181,6 +186,7 @@ def test_impossible_configs_are_refused(options, message):
         TrainHiFiGptConfig(**options)
 
 
+@pytest.mark.slow
 def test_tokenizers_that_do_not_fit_are_one_line(data, both, tmp_path):
     """A GPT cannot predict several codes per row; a frozen codebook must be as wide as the model."""
     with pytest.raises(UserError, match="has 3 codes per row, but a gpt predicts 1"):
@@ -201,6 +207,7 @@ def test_one_code_per_row_is_enough(data, runs, tmp_path):
     assert TextToMotion.load(config.run).generate("a person walks")[0].codes.shape[1:] in ((), (1,))
 
 
+@pytest.mark.slow
 def test_a_damaged_codebook_is_one_line(both, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(both / "hifigpt", run)

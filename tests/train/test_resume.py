@@ -60,6 +60,7 @@ def test_a_resumed_run_equals_one_that_never_stopped(stage, monkeypatch):
     assert_same_checkpoint(run, stage.finished)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", STAGES, indirect=True)
 def test_calls_of_several_updates_are_resumed_exactly_too(stage, tmp_path):
     """The whole run has calls of 3, 1, 3 and 1 updates; that of the other from step 4 is cut short."""

@@ -29,7 +29,7 @@ def training(kind, encoder, runs, run):
     return dataclasses.replace(config, model=model, text_encoder=kind, **{kind: str(encoder)})
 
 
-@pytest.fixture(scope="module", params=["sentence", "clip"])
+@pytest.fixture(scope="module", params=["sentence", pytest.param("clip", marks=pytest.mark.slow)])
 def trained(request, runs, tmp_path_factory):
     """Returns the config of a finished training. Its encoder is beside the run; tests that change it change it back."""
     source, folder = {"sentence": BERT, "clip": TEXT_ONLY}[request.param], tmp_path_factory.mktemp(request.param)

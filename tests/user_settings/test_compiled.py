@@ -4,7 +4,6 @@ import contextlib
 import importlib
 import inspect
 import pkgutil
-from typing import Any
 
 import jax
 import pytest
@@ -46,12 +45,9 @@ def test_every_compiled_function_has_a_case():
     assert sorted(FUNCTIONS) == sorted(CASES), "add the function to tests/user_settings/cases.py, or remove its case"
 
 
-def marked(name: str) -> Any:
-    """Returns the parameter of a case; those of training take long."""
-    return pytest.param(name, marks=[pytest.mark.slow] * name.startswith("train."))
-
-
-@pytest.mark.parametrize("name", [marked(name) for name in sorted(CASES)])
+# Eager functions compile each operation for itself, and this with all optimizations.
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(CASES))
 def test_jit_equals_eager(name):
     case = CASES[name]()
     with jax.set_mesh(case.mesh) if case.mesh else contextlib.nullcontext():
