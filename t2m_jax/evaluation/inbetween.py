@@ -66,7 +66,8 @@ def evaluate_inbetween(
     order = np.random.default_rng(seed).permutation(len(clips))[:num_clips]
     found = []
     for number in tqdm(order, desc="filling gaps", unit="clip", disable=None):
-        features, caption = clips[number].features, clips[number].captions[0].text
+        features = clips[number].features
+        caption = clips[number].captions[0].text
         positions = np.asarray(positions_from_features(features, dataset.skeleton)) * dataset.skeleton.metres_per_unit
         motion = Motion(positions, dataset.skeleton.fps, skeleton=dataset.skeleton)
         begin = (motion.seconds - seconds) / 2
@@ -98,7 +99,8 @@ def gap_figures(
     """Returns the figures of one clip, whose gap has frames `first` to `last`."""
     changes, real_changes = (np.linalg.norm(np.diff(one, n=2, axis=0), axis=-1) for one in (positions, real))
     joins = [frame - 1 for frame in (first - 1, first, last - 1, last)]  # change t is that of frame t + 1
-    deviation, gap = changes[joins].mean(), slice(first, last - 2)
+    deviation = changes[joins].mean()
+    gap = slice(first, last - 2)  # of these changes, all three frames are in the gap
     acceleration, expected = (float(one[gap].mean()) * fps**2 for one in (changes, real_changes))
     return GapFigures(1000 * deviation, deviation * fps, acceleration, abs(acceleration - expected))
 

@@ -136,6 +136,7 @@ def make_plan(samples: Sequence[Clip], protocol: Protocol, *, seed: int, repeat:
     Raises:
         UserError: There are fewer motions than one batch.
     """
+    # The order of the draws is part of a protocol: another order would give other figures for the same seed.
     generator = np.random.default_rng([seed, repeat])
     batch = protocol.batch
     order = generator.permutation(len(samples))
@@ -152,6 +153,7 @@ def make_plan(samples: Sequence[Clip], protocol: Protocol, *, seed: int, repeat:
         found = f"{len(owners)} motions with captions do not fill a batch of {batch}"
         smaller = f", or a smaller batch (`t2m evaluate ... --batch {len(owners)}`)" if len(owners) >= MIN_BATCH else ""
         raise UserError(f"protocol {protocol.name}: {found}; use another split{smaller}")
+    # The published loaders drop the last batch if it is not full.
     owners = owners[:count]
     frames = np.array([len(samples[owner].features) for owner in owners])
     shorter = generator.random(count) < SHORTER_CHANCE if protocol.crops else np.zeros(count, bool)

@@ -80,7 +80,9 @@ def evaluate_reconstruction(tokenizer: TrainedTokenizer, dataset: Dataset, *, sp
     if not clips:
         raise UserError(f"{dataset.folder}: split {split} has no clips to evaluate; choose another split")
     features = sorted((clip.features[: len(clip.features) // downsample * downsample] for clip in clips), key=len)
-    variables, parts = put_everywhere(tokenizer.variables), []
+    # On the devices once, not once per batch.
+    variables = put_everywhere(tokenizer.variables)
+    parts = []
     counts = np.zeros(tokenizer.config.num_codes, np.int64)
     for first in tqdm(range(0, len(features), BATCH), desc="reconstructing", unit="batch", disable=None):
         chosen = features[first : first + BATCH]
@@ -96,9 +98,11 @@ def evaluate_reconstruction(tokenizer: TrainedTokenizer, dataset: Dataset, *, sp
         parts.append([np.asarray(values)[:, : len(chosen)] for values in measures])
         codes = MotionCodes(np.asarray(result.codes), batch.lengths // downsample)
         counts += codes.count_codes(tokenizer.config.num_codes)
-    errors, *quality = (np.concatenate(rows, axis=1) for rows in zip(*parts, strict=True))
+    errors, *quality = (np.concatenate(batches, axis=1) for batches in zip(*parts, strict=True))
     lengths = np.array([len(clip) for clip in features])
-    return _make_figures(MotionErrors(*errors), [MotionQuality(*rows) for rows in quality], lengths, counts, split)
+    return _make_figures(
+        MotionErrors(*errors), [MotionQuality(*measured) for measured in quality], lengths, counts, split
+    )
 
 
 def _make_figures(

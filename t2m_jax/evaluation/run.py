@@ -77,7 +77,8 @@ def evaluate(
     """
     header = make_header(task, source, model=model)
     repeats = load_partial(partial, header)[:num_repeats]
-    start, done_before = time.monotonic(), len(repeats)
+    start = time.monotonic()
+    done_before = len(repeats)
     for repeat in range(done_before, num_repeats):
         repeats.append(evaluate_repeat(task, source, repeat=repeat))
         if partial is not None:
@@ -131,10 +132,12 @@ def _is_sound(metrics: dict[str, float], first: dict[str, float]) -> bool:
 def evaluate_repeat(task: EvaluationTask, source: CodeSource, *, repeat: int) -> RepeatMetrics:
     """Returns the metrics of one repeat for real motion and for the motion of a source."""
     plan = task.plan(repeat)
-    text, real = embed_plan_captions(task, plan), embed_plan_motions(task, plan)
+    text = embed_plan_captions(task, plan)
+    real = embed_plan_motions(task, plan)
     key = jax.random.fold_in(jax.random.key(task.seed), repeat)
     found = source.make(task.samples.clips, task.protocol, plan, key)
     embeddings, quality = embed_decoded(task, source.tokenizer, found.codes)
+    # Only the first sample of each item counts here; the others are for variety.
     motion = embeddings[: len(plan.samples)]
     metrics = RepeatMetrics(*(_paired_metrics(task, plan, text, motions) for motions in (real, motion)))
     metrics.real.update(_mean_quality(measure_plan_motions(task, plan), count=len(motion)))
@@ -144,18 +147,19 @@ def evaluate_repeat(task: EvaluationTask, source: CodeSource, *, repeat: int) ->
     if len(found.items) > len(plan.samples):  # there are further samples of the captions whose variety is measured
         place = np.full(len(plan.samples), -1)
         place[plan.varied] = np.arange(len(plan.varied))
-        chosen = place[found.items] >= 0
+        is_varied = place[found.items] >= 0
         # Samples that no pair uses were not made; they stay zero.
         varied = np.zeros((len(plan.varied), task.protocol.samples_per_caption, embeddings.shape[1]), np.float32)
-        varied[place[found.items[chosen]], found.numbers[chosen]] = embeddings[chosen]
+        varied[place[found.items[is_varied]], found.numbers[is_varied]] = embeddings[is_varied]
         variety = multimodality(jnp.asarray(varied), jnp.asarray(plan.multimodality_pairs))
         metrics.measured["multimodality"] = float(variety)
     if task.samples.labels is not None:
-        rows, counted = _whole_batches(len(text), task.protocol.batch)
-        labels = jnp.asarray(task.samples.labels[plan.samples][rows])
+        chosen, counted = _whole_batches(len(text), task.protocol.batch)
+        labels = jnp.asarray(task.samples.labels[plan.samples][chosen])
         bound = label_bound(labels, batch=task.protocol.batch, counted=counted)
         metrics.real.update(_by_rank("r_precision_{}_bound_by_label", bound))
     if task.protocol.crops:
+        # Whole clips would be compared with themselves; crops are drawn again, which shows the best that FID can be.
         again = embed_plan_motions(task, task.plan(repeat + SECOND_PASS))
         metrics.real["fid"] = float(fid(jnp.asarray(real), jnp.asarray(again)))
     return metrics
@@ -171,13 +175,14 @@ def _paired_metrics(
 ) -> dict[str, float]:
     """Returns the metrics of one set of motions and their captions."""
     batch = task.protocol.batch
-    rows, counted = _whole_batches(len(text), batch)
-    texts, motions = jnp.asarray(text[rows]), jnp.asarray(motion[rows])
+    chosen, counted = _whole_batches(len(text), batch)
+    texts = jnp.asarray(text[chosen])
+    motions = jnp.asarray(motion[chosen])
     metrics = _by_rank("r_precision_{}", r_precision(texts, motions, batch=batch, counted=counted))
     mirrored = r_precision(texts, motions, batch=batch, direction="texts_per_motion", counted=counted)
     metrics |= _by_rank("r_precision_{}_texts_per_motion", mirrored)
     if task.samples.labels is not None:
-        labels = jnp.asarray(task.samples.labels[plan.samples][rows])
+        labels = jnp.asarray(task.samples.labels[plan.samples][chosen])
         by_label = r_precision(texts, motions, batch=batch, labels=labels, counted=counted)
         metrics |= _by_rank("r_precision_{}_by_label", by_label)
     metrics["matching_score"] = float(matching_score(jnp.asarray(text), jnp.asarray(motion)))
@@ -191,6 +196,6 @@ def _by_rank(name: str, precision: Float[Array, " K"]) -> dict[str, float]:
 
 
 def _whole_batches(count: int, batch: int) -> tuple[Int[np.ndarray, " M"], Bool[Array, " M"]]:
-    """Returns rows in whole batches, and which of them count; the last batch is filled with the first rows."""
+    """Returns indices in whole batches, and which count; the last batch is filled with the first motions."""
     size = round_up(count, batch)
     return np.resize(np.arange(count), size), jnp.arange(size) < count

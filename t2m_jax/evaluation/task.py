@@ -101,10 +101,13 @@ def load_samples(dataset: Dataset, split: str, *, min_frames: int = 1, source_di
     Raises:
         UserError: There are none.
     """
-    clips, index, shared = dataset.clips(split), load_index(dataset.folder), None
+    clips = dataset.clips(split)
+    index = load_index(dataset.folder)
+    shared = None
     if source_disjoint and index is not None and index.sources and split != "train":
         trained = index.recorded_with((clip.name for clip in clips), dataset.names("train"))
-        clips, shared = [clip for clip in clips if clip.name not in trained], len(trained)
+        clips = [clip for clip in clips if clip.name not in trained]
+        shared = len(trained)
     pairs = [
         (clip.name, sample)
         for clip in clips

@@ -78,7 +78,8 @@ def _draw(
     bank: CaptionBank, key: Key[Array, ""], step: Int[Array, ""] | int, *, batch_size: int, window: int
 ) -> tuple[Cuts, Int[Array, " B"]]:
     """Returns the cuts and the captions of a step."""
-    bank, (order_key, draw_key) = jax.tree.map(jnp.asarray, bank), jax.random.split(key)
+    bank = jax.tree.map(jnp.asarray, bank)
+    order_key, draw_key = jax.random.split(key)
     rows = own_rows(batch_size)
     motions = batch_items(order_key, step, rows, num_items=bank.first_caption.shape[0], batch_size=batch_size)
     caption_keys, coin_keys, start_keys = split_each(row_keys(draw_key, step, rows), 3)

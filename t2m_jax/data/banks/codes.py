@@ -50,7 +50,8 @@ def code_batch_at(
 
     Every motion comes once per epoch, with a uniformly drawn offset and caption.
     """
-    bank, (order_key, draw_key) = jax.tree.map(jnp.asarray, bank), jax.random.split(key)
+    bank = jax.tree.map(jnp.asarray, bank)
+    order_key, draw_key = jax.random.split(key)
     rows = own_rows(batch_size)
     motions = batch_items(order_key, step, rows, num_items=bank.codes.shape[0], batch_size=batch_size)
     offset_keys, caption_keys, crop_keys = split_each(row_keys(draw_key, step, rows), 3)

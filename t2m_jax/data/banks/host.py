@@ -48,7 +48,9 @@ class HostWindows:
             words = "placement: data on the host need JAX's CPU backend; add `,cpu` to JAX_PLATFORMS, or unset it"
             raise UserError(words) from error
         (bank,) = banks_of(data)
-        self._frames, self._window, self._rows = np.asarray(bank.frames), plan.window, rows
+        self._frames = np.asarray(bank.frames)
+        self._window = plan.window
+        self._rows = rows
         # Whatever the training runs on, the host needs the numbers at once.
         self._data = jax.device_put(map_banks(data, without_frames), cpu)
         self._first_rows = jax.jit(lambda data, step: plan.cuts(data, step).first_rows)

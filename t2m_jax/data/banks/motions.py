@@ -104,7 +104,8 @@ def banks_of(data: Any) -> list[MotionBank]:
 
 def used_rows(bank: MotionBank) -> int:
     """Returns the number of rows that a bank on the host has when it is compact."""
-    used, rows = int(np.sum(bank.lengths)), len(bank.frames)
+    used = int(np.sum(bank.lengths))
+    rows = len(bank.frames)
     return rows if used >= (1 - UNUSED_SHARE) * rows else used
 
 
@@ -115,7 +116,8 @@ def compact(bank: MotionBank) -> MotionBank:
     """
     if used_rows(bank) == len(bank.frames):
         return bank
-    frames, lengths = np.asarray(bank.frames), np.asarray(bank.lengths)
+    frames = np.asarray(bank.frames)
+    lengths = np.asarray(bank.lengths)
     clips = [frames[start : start + length] for start, length in zip(bank.starts, lengths, strict=True)]
     return bank._replace(frames=np.concatenate(clips), starts=_first_rows(lengths))
 
@@ -168,7 +170,8 @@ def _gather_frames(
     ):
         starts = np.array([clip.ctypes.data - whole.ctypes.data for clip in clips]) // whole.strides[0]
         # Devices share only memory that begins at a multiple of 64 bytes: every 16th row of an aligned float32 array.
-        first, end = int(starts.min()) // 16 * 16, int((starts + lengths).max())
+        first = int(starts.min()) // 16 * 16
+        end = int((starts + lengths).max())
         return whole[first:end], (starts - first).astype(np.int32)
     return np.concatenate(clips, dtype=np.float32), _first_rows(lengths)
 

@@ -37,10 +37,13 @@ def shuffled(positions: Int[Array, " B"], key: Key[Array, ""], *, size: int) -> 
         size: Number of items.
     """
     half = max((size - 1).bit_length() + 1, 2) // 2
-    low, round_keys = jnp.uint32((1 << half) - 1), jax.random.bits(key, (ROUNDS,), jnp.uint32)
+    # A number has two halves of `half` bits; `low` is the mask of the right one.
+    low = jnp.uint32((1 << half) - 1)
+    round_keys = jax.random.bits(key, (ROUNDS,), jnp.uint32)
 
     def permute(values: UInt32[Array, " B"]) -> UInt32[Array, " B"]:
-        left, right = values >> half, values & low
+        left = values >> half
+        right = values & low
         for number in range(ROUNDS):
             left, right = right, left ^ (_mix(right, round_keys[number]) & low)
         return (left << half) | right
@@ -69,7 +72,8 @@ def batch_items(
         batch_size: Rows of the global batch.
     """
     steps_per_epoch = max(num_items // batch_size, 1)
-    epoch, first = step // steps_per_epoch, (step % steps_per_epoch) * batch_size
+    epoch = step // steps_per_epoch
+    first = (step % steps_per_epoch) * batch_size
     return shuffled((first + rows) % num_items, jax.random.fold_in(key, epoch), size=num_items)
 
 

@@ -103,6 +103,7 @@ def compose(
         manners = style.manners
     elif not manners and pace and generator.random() < SPEED_SHARE:
         manners = content.paces[pace]
+    # "walks while waving slowly" would say that the wave is slow.
     if any(mark in predicate for mark in CLAUSE_MARKS):
         manners = tuple(manner for manner in manners if manner.place != "end")
     if "pace" in predicate:

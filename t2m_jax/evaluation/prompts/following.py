@@ -190,5 +190,6 @@ def evaluate_prompt_following(
 
 def _passes(tests: Sequence[PromptTest], place: int, motion: Motion) -> str:
     """Returns the test that a motion passes. Of several, it is the nearest one to a place in the list."""
+    # Neighbors in the list are alike: the sides of an action, the paces of a content.
     near = sorted(range(len(tests)), key=lambda other: abs(other - place))
     return next((tests[other].name for other in near if tests[other].holds(motion)), NOTHING)

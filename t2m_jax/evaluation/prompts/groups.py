@@ -41,7 +41,8 @@ def pace_tests(dataset: Dataset) -> list[PromptTest]:
 
 def _clip_speeds(dataset: Dataset) -> Mapping[str, Float[np.ndarray, " N"]]:
     """Returns the speeds of the training clips of each paced content, in m/s."""
-    index, found = load_index(dataset.folder), defaultdict(list)
+    index = load_index(dataset.folder)
+    found = defaultdict(list)
     for clip in dataset.clips("train", min_frames=2):
         content = ((index.label(clip.name) if index else None) or "").partition(",")[0]
         if content in PACED:

@@ -23,8 +23,10 @@ MANNERS = ("normal", "active", "elderly", "exhausted", "feminine", "masculine", 
 """Styles of dataset-2. `normal` is recognized, but not asked for."""
 CONTENTS = ("walk", "run", "walk-turn-left", "wave-right-hand", "wave-both-hands", "raise-up-left-hand")
 """Contents that are asked for in each manner, in turn."""
-NUM_STEPS, LEARNING_RATE, WEIGHT_DECAY = 400, 0.01, 0.01
+NUM_STEPS = 400
 """Of the classifier's training with AdamW on all clips at once."""
+LEARNING_RATE = 0.01
+WEIGHT_DECAY = 0.01
 
 
 class Classifier(NamedTuple):
@@ -61,7 +63,8 @@ def manner_tests(dataset: Dataset) -> list[PromptTest]:
 def train_classifier(clips: list[Float[np.ndarray, "_ D"]], manners: Int[np.ndarray, " N"]) -> Classifier:
     """Returns a classifier of raw features by their manners' numbers (softmax regression)."""
     statistics = np.stack([_statistics(clip) for clip in clips])
-    mean, std = statistics.mean(axis=0), statistics.std(axis=0) + 1e-6
+    mean = statistics.mean(axis=0)
+    std = statistics.std(axis=0) + 1e-6  # a feature that never changes
     weights, bias = fit_softmax(jnp.asarray((statistics - mean) / std), jnp.asarray(manners))
     return Classifier(mean, std, np.asarray(weights), np.asarray(bias))
 
@@ -89,7 +92,9 @@ def fit_softmax(
 
 def _labeled_clips(dataset: Dataset, split: str) -> tuple[list[Float[np.ndarray, "_ D"]], Int[np.ndarray, " N"]]:
     """Returns raw features and the numbers of their manners."""
-    index, clips, manners = load_index(dataset.folder), [], []
+    index = load_index(dataset.folder)
+    clips = []
+    manners = []
     for clip in dataset.clips(split, min_frames=2):
         content, _, style = ((index.label(clip.name) if index else None) or "").partition(", ")
         if content in RULES and style in MANNERS:

@@ -37,6 +37,7 @@ def sign_test(differences: Float[np.ndarray, " R"]) -> float:
         signs = np.random.default_rng(0).choice([-1, 1], size=(2**MAX_EXACT, count))
         signs[0] = 1  # so that the observed sum counts, and the p-value is not 0
     sums = np.abs(signs @ differences)
+    # The factor keeps sums that are equal but for rounding.
     return float(np.mean(sums >= np.abs(differences.sum()) * (1 - 1e-9)))
 
 
@@ -56,6 +57,7 @@ def compare_reports(first: Report, second: Report) -> list[Difference]:
             raise UserError(
                 f"repeats: {len(one)} in one report, {len(other)} in the other; give both the same number, at least 2"
             )
+        # Repeat k of both uses the same pieces of the same motions, so their difference has less noise than either.
         differences = other - one
         interval = 1.96 * differences.std(ddof=1) / np.sqrt(len(differences))
         found.append(Difference(metric, one.mean(), other.mean(), interval, sign_test(differences)))

@@ -52,7 +52,8 @@ def report_page(report: Report, details: RepeatDetails, *, viewer: Viewer) -> st
         for name, value in report_as_json(report).items()
         if not isinstance(value, dict) and value not in (None, "")
     )
-    first, count = 100 * float(np.mean(details.ranks == 1)), len(details.ranks)
+    first = 100 * float(np.mean(details.ranks == 1))
+    count = len(details.ranks)
     parts = {
         "title": _text(f"Evaluation of {report.header.model}" if report.header.model else "Evaluation"),
         "facts": "".join(facts),
@@ -117,7 +118,9 @@ def _detail_plots(details: RepeatDetails) -> dict[str, str]:
         known = jnp.asarray(counts, jnp.int32)
         return f"{100 * float(code_usage(known)):.1f} % of the codes, perplexity {float(perplexity(known)):.1f}"
 
-    kind, (real, measured) = details.kind, (details.real_code_counts, details.measured_code_counts)
+    kind = details.kind
+    real = details.real_code_counts
+    measured = details.measured_code_counts
     means = [lengths.mean() / details.fps for lengths in (details.real_lengths, details.measured_lengths)]
     lengths = _plot(
         lengths_plot(details.real_lengths, details.measured_lengths, fps=details.fps, kind=kind),
@@ -156,13 +159,15 @@ class _Stages:
 
 
 def _example(example: Example, stages: _Stages) -> str:
-    labels, items = [], []
+    labels = []
+    items = []
     for number, candidate in enumerate(example.nearest, start=1):
         labels.append(f"{number}, its own" if candidate.own else f"{number}")
         own_mark = ' <span class="own">its own</span>' if candidate.own else ""
         distance = f'<span class="note">{candidate.distance:.2f}</span>'
         items.append(f"<li>{number}. {_text(candidate.motion.caption)} {distance}{own_mark}</li>")
-    motions, label = [candidate.motion for candidate in example.nearest], f"Motions nearest to: {example.caption}"
+    motions = [candidate.motion for candidate in example.nearest]
+    label = f"Motions nearest to: {example.caption}"
     return (
         f'<article class="card"><h3>{_text(example.caption)}</h3>'
         f'<div class="note">own motion: rank {example.rank}, distance {example.distance:.2f}</div>'
