@@ -18,7 +18,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PROMPT ?= a person waves with the left hand
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-lowest test-python3.11 test-python3.12 test-python3.13 soak soak-serve lint three format docs notebooks clean
+.PHONY: help demo test test-slow test-lowest test-python3.11 test-python3.12 test-python3.13 soak soak-serve faults lint three format docs notebooks clean
 
 help:
 	@echo "make demo       generate a motion and print where it was saved"
@@ -28,6 +28,7 @@ help:
 	@echo "make test-python3.12  run the tests with this Python, also with 3.11 and 3.13"
 	@echo "make soak       attack the readers of files with a million inputs (SOAK_ARGS=\"--inputs 10000\" for fewer)"
 	@echo "make soak-serve  load the server with many clients, and kill its process (SOAK_ARGS=\"--clients 10\" for fewer)"
+	@echo "make faults     plant mistakes in copies of the package, which fast tests must find (FAULT=mirror for some)"
 	@echo "make lint       check style, imports, types, pages, configs and the Dockerfile"
 	@echo "make three      build the part of three.js that the pages use (needs npm)"
 	@echo "make format     format the code"
@@ -85,6 +86,9 @@ soak: $(VENV)/.dev
 
 soak-serve: $(VENV)/.dev
 	$(BIN)/python -m tests.serving.soak $(SOAK_ARGS)
+
+faults: $(VENV)/.dev
+	$(BIN)/python -m tests.faults $(FAULT)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
