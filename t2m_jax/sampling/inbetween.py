@@ -19,7 +19,7 @@ from t2m_jax.sampling.loop import Sampling
 from t2m_jax.sampling.model import ModelParts
 from t2m_jax.sampling.prompts import Prompt, batches_of_keys, sample_key
 from t2m_jax.sampling.request import MotionRequest
-from t2m_jax.sampling.timeline import Part, make_batch, most_rows, part_keys, sample_parts, split_parts
+from t2m_jax.sampling.timeline import Segment, make_batch, most_rows, sample_segments, segment_keys, split_segments
 
 TAIL_SECONDS = 1.0
 """Motion after a middle whose likelihood says how well the middle leads to it."""
@@ -73,11 +73,11 @@ def redo(model: ModelParts, request: MotionRequest, prompt: Prompt, sampling: Sa
     codes = model.encode(motion)
     span = find_span(model, request.span, len(codes))
     keys = jnp.stack([sample_key(request.seed, prompt.text, number) for number in range(request.candidates)])
-    parts = split_parts([prompt], span.last - span.first, limit=most_rows(model))
-    found = sample_parts(
+    segments = split_segments([prompt], span.last - span.first, limit=most_rows(model))
+    found = sample_segments(
         model,
-        parts,
-        part_keys(keys, len(parts)),
+        segments,
+        segment_keys(keys, len(segments)),
         start=codes[: span.first],
         sampling=sampling,
         guidance_scale=request.options.guidance_scale,
@@ -186,15 +186,15 @@ def vary(model: ModelParts, request: MotionRequest, prompt: Prompt, sampling: Sa
     assert request.start is not None and request.strength is not None
     codes = model.encode(request.start)
     for keys, count in batches_of_keys(request.seed, prompt, request.num_samples):
-        parts = variation_parts(codes, prompt, keys, strength=request.strength, limit=most_rows(model))
-        yield make_batch(model, request, parts, keys, count, start=None, sampling=sampling)
+        segments = variation_segments(codes, prompt, keys, strength=request.strength, limit=most_rows(model))
+        yield make_batch(model, request, segments, keys, count, start=None, sampling=sampling)
 
 
-def variation_parts(
+def variation_segments(
     codes: Codes, prompt: Prompt, keys: Key[jax.Array, " B"], *, strength: float, limit: int
-) -> list[Part]:
-    """Returns the parts of variations of a motion: each row is sampled with a probability, and kept otherwise."""
+) -> list[Segment]:
+    """Returns the segments of variations of a motion: each row is sampled with a probability, and kept otherwise."""
     chosen = jax.vmap(lambda key: jax.random.uniform(jax.random.fold_in(key, _KEPT_STREAM), (len(codes),)))(keys)
     kept = np.asarray(chosen) >= strength
     pieces = [slice(first, first + limit) for first in range(0, len(codes), limit)]
-    return [Part(prompt, len(codes[rows]), rows.start == 0, codes[rows], kept[:, rows]) for rows in pieces]
+    return [Segment(prompt, len(codes[rows]), rows.start == 0, codes[rows], kept[:, rows]) for rows in pieces]

@@ -21,11 +21,11 @@ from t2m_jax.sampling.request import MotionRequest
 CONTEXT_SECONDS = 0.4
 """Motion before what goes on, which the generator reads as its beginning. With more, a sentence is followed less
 often."""
-_PART_STREAM = 2**30
-"""In place of a sample's number, in keys for the parts of a chain."""
+_SEGMENT_STREAM = 2**30
+"""In place of a sample's number, in keys for the segments of a chain."""
 
 
-class Part(NamedTuple):
+class Segment(NamedTuple):
     """What is sampled at once: a sentence, and how long its motion is."""
 
     prompt: Prompt
@@ -39,12 +39,12 @@ class Part(NamedTuple):
     """For each motion; the others are sampled."""
 
 
-def split_parts(prompts: Sequence[Prompt], num_rows: int, *, limit: int) -> list[Part]:
-    """Returns the parts of sentences. A motion that is longer than `limit` rows has several, which go on."""
+def split_segments(prompts: Sequence[Prompt], num_rows: int, *, limit: int) -> list[Segment]:
+    """Returns the segments of sentences. A motion that is longer than `limit` rows has several, which go on."""
     if not num_rows:
-        return [Part(prompt, 0, True) for prompt in prompts]
+        return [Segment(prompt, 0, True) for prompt in prompts]
     lengths = [min(limit, num_rows - done) for done in range(0, num_rows, limit)]
-    return [Part(prompt, rows, not number) for prompt in prompts for number, rows in enumerate(lengths)]
+    return [Segment(prompt, rows, not number) for prompt in prompts for number, rows in enumerate(lengths)]
 
 
 def rows_of_seconds(model: ModelParts, seconds: float) -> int:
@@ -67,86 +67,86 @@ def make_chain(
     model: ModelParts, request: MotionRequest, prompts: Sequence[Prompt], sampling: Sampling
 ) -> Iterator[list[Motion]]:
     """Yields the motions that show sentences in turn, in batches."""
-    parts, start = _read_chain(model, request, prompts)
+    segments, start = _read_chain(model, request, prompts)
     for keys, count in batches_of_keys(request.seed, prompts[0], request.num_samples):
-        yield make_batch(model, request, parts, keys, count, start=start, sampling=sampling)
+        yield make_batch(model, request, segments, keys, count, start=start, sampling=sampling)
 
 
 def make_chain_pieces(
     model: ModelParts, request: MotionRequest, prompts: Sequence[Prompt], sampling: Sampling
 ) -> Iterator[Motion]:
     """Returns an iterator over the first motion of `make_chain`, as decoded, while its codes are sampled."""
-    parts, start = _read_chain(model, request, prompts)
+    segments, start = _read_chain(model, request, prompts)
     ((keys, _),) = batches_of_keys(request.seed, prompts[0], 1)
     options: Any = {"start": start, "sampling": sampling, "guidance_scale": request.options.guidance_scale}
-    found = sample_parts(model, parts, part_keys(keys, len(parts)), **options)
-    return stream_parts(model, parts, (own for own, *_ in found), start=start, seed=request.seed)
+    found = sample_segments(model, segments, segment_keys(keys, len(segments)), **options)
+    return stream_segments(model, segments, (own for own, *_ in found), start=start, seed=request.seed)
 
 
 def _read_chain(
     model: ModelParts, request: MotionRequest, prompts: Sequence[Prompt]
-) -> tuple[list[Part], Codes | None]:
-    """Returns the parts of a request for sentences in turn, and the codes that the first one goes on from."""
+) -> tuple[list[Segment], Codes | None]:
+    """Returns the segments of a request for sentences in turn, and the codes that the first one goes on from."""
     rows = 0 if request.seconds is None else rows_of_seconds(model, request.seconds)
     start = None if request.start is None else model.encode(request.start)
-    return split_parts(prompts, rows, limit=most_rows(model)), start
+    return split_segments(prompts, rows, limit=most_rows(model)), start
 
 
 def make_batch(
     model: ModelParts,
     request: MotionRequest,
-    parts: Sequence[Part],
+    segments: Sequence[Segment],
     keys: Key[jax.Array, " B"],
     count: int,
     *,
     start: Codes | None,
     sampling: Sampling,
 ) -> list[Motion]:
-    """Returns the motions of parts for the first `count` keys."""
+    """Returns the motions of segments for the first `count` keys."""
     options: Any = {"start": start, "sampling": sampling, "guidance_scale": request.options.guidance_scale}
-    samples = zip(*sample_parts(model, parts, part_keys(keys, len(parts)), **options), strict=True)
+    samples = zip(*sample_segments(model, segments, segment_keys(keys, len(segments)), **options), strict=True)
     return [
-        join_parts(model, parts, own, start=start, seed=request.seed, raw=request.options.raw)
+        join_segments(model, segments, own, start=start, seed=request.seed, raw=request.options.raw)
         for own in itertools.islice(samples, count)
     ]
 
 
-def sample_parts(
+def sample_segments(
     model: ModelParts,
-    parts: Sequence[Part],
+    segments: Sequence[Segment],
     keys: Sequence[Key[jax.Array, " B"]],
     *,
     start: Codes | None,
     sampling: Sampling,
     guidance_scale: float | None,
 ) -> Iterator[list[Codes]]:
-    """Yields the new codes of each part: those of each motion.
+    """Yields the new codes of each segment: those of each motion.
 
     A sentence after another one is sampled as if it were alone.
 
     Args:
         model: The model.
-        parts: Sentences in turn.
-        keys: Keys of the motions, for each part (consumed).
-        start: Codes that the first parts go on from.
+        segments: Sentences in turn.
+        keys: Keys of the motions, for each segment (consumed).
+        start: Codes that the first segments go on from.
         sampling: How to choose codes, and when to stop.
         guidance_scale: Strength of the guidance by the text.
     """
     batch, depth = len(keys[0]), model.config.tokenizer.num_quantizers
     nothing = np.zeros((0, depth), np.int32) if start is None else np.asarray(start, np.int32)
     before: list[Codes] = [nothing] * batch
-    for part, part_keys in zip(parts, keys, strict=True):
-        if part.begins and part is not parts[0]:
+    for segment, own_keys in zip(segments, keys, strict=True):
+        if segment.begins and segment is not segments[0]:
             before = [codes[:0] for codes in before]
         context = [codes[-context_rows(model) :] for codes in before]
         lengths = np.array([len(codes) for codes in context], np.int32)
         # A given length may need all rows that the generator can sample, whatever the longest free length is.
         longest = model.config.generator.max_codes
-        limit = longest if part.num_rows else min(longest, sampling.max_codes + int(lengths.max()))
-        given = _given(part, context, max_codes=limit)
-        texts = model.text_encoder([part.prompt.text] * batch)
+        limit = longest if segment.num_rows else min(longest, sampling.max_codes + int(lengths.max()))
+        given = _given(segment, context, max_codes=limit)
+        texts = model.text_encoder([segment.prompt.text] * batch)
         sampled = model.sample_codes(
-            texts, part_keys, sampling._replace(max_codes=limit), guidance_scale=guidance_scale, given=given
+            texts, own_keys, sampling._replace(max_codes=limit), guidance_scale=guidance_scale, given=given
         )
         rows, ends = np.asarray(sampled.codes), np.asarray(sampled.code_lengths)
         new = [own[first:last] for own, first, last in zip(rows, lengths, ends, strict=True)]
@@ -154,33 +154,35 @@ def sample_parts(
         yield new
 
 
-def _given(part: Part, context: Sequence[Codes], *, max_codes: int) -> Given:
-    """Returns what is fixed of a part: the codes before it, the kept ones of its draft, and its length."""
+def _given(segment: Segment, context: Sequence[Codes], *, max_codes: int) -> Given:
+    """Returns what is fixed of a segment: the codes before it, the kept ones of its draft, and its length."""
     codes = np.zeros((len(context), max_codes, context[0].shape[1]), np.int32)
     known = np.zeros(codes.shape[:2], bool)
     wanted = np.zeros(len(context), np.int32)
     for row, before in enumerate(context):
-        first, last = len(before), len(before) + part.num_rows
+        first, last = len(before), len(before) + segment.num_rows
         codes[row, :first], known[row, :first] = before, True
-        if part.num_rows:
+        if segment.num_rows:
             wanted[row] = last
-        if part.draft is not None and part.kept is not None:
-            codes[row, first:last], known[row, first:last] = part.draft, part.kept[row]
+        if segment.draft is not None and segment.kept is not None:
+            codes[row, first:last], known[row, first:last] = segment.draft, segment.kept[row]
     return Given(*map(jnp.asarray, (codes, known, wanted)))
 
 
-def part_keys(keys: Key[jax.Array, " B"], count: int) -> list[Key[jax.Array, " B"]]:
-    """Returns keys for each part of each motion. Those of the first part are those of a motion that stands alone."""
-    others = jax.vmap(lambda key, number: jax.random.fold_in(jax.random.fold_in(key, _PART_STREAM), number), (0, None))
+def segment_keys(keys: Key[jax.Array, " B"], count: int) -> list[Key[jax.Array, " B"]]:
+    """Returns keys for each segment of each motion. Those of the first are those of a motion that stands alone."""
+    others = jax.vmap(
+        lambda key, number: jax.random.fold_in(jax.random.fold_in(key, _SEGMENT_STREAM), number), (0, None)
+    )
     return [keys] + [others(keys, number) for number in range(1, count)]
 
 
-def join_parts(
-    model: ModelParts, parts: Sequence[Part], codes: Sequence[Codes], *, start: Codes | None, seed: int, raw: bool
+def join_segments(
+    model: ModelParts, segments: Sequence[Segment], codes: Sequence[Codes], *, start: Codes | None, seed: int, raw: bool
 ) -> Motion:
-    """Returns the motion of the parts of one sample, in which each sentence fades into the next."""
+    """Returns the motion of the segments of one sample, in which each sentence fades into the next."""
     downsample = model.config.tokenizer.downsample
-    placed = list(place_codes(parts, codes, start=start))
+    placed = list(place_codes(segments, codes, start=start))
     numbered = [(piece.number, piece.codes) for piece in placed]
     decoded = list(decode_sentences(model.tokenizer, numbered, skeleton=model.skeleton))
     rows, features, positions = map(np.concatenate, zip(*decoded, strict=True))
@@ -197,17 +199,17 @@ def join_parts(
         skeleton=model.skeleton,
         features=features,
         codes=rows,
-        caption=chain_caption(parts),
+        caption=chain_caption(segments),
         seed=seed,
         part_starts=tuple(piece.first * downsample for piece in placed if piece.sentence is not None),
         part_captions=tuple(piece.sentence for piece in placed if piece.sentence is not None),
-        warning=" ".join(dict.fromkeys(part.prompt.warning for part in parts if part.prompt.warning)),
-        unknown_words=tuple(dict.fromkeys(word for part in parts for word in part.prompt.unknown_words)),
+        warning=" ".join(dict.fromkeys(segment.prompt.warning for segment in segments if segment.prompt.warning)),
+        unknown_words=tuple(dict.fromkeys(word for segment in segments for word in segment.prompt.unknown_words)),
     )
 
 
 class PlacedCodes(NamedTuple):
-    """Codes of one part of a motion, and their position in it."""
+    """Codes of one segment of a motion, and their position in it."""
 
     number: int
     """Of the sentence that they belong to."""
@@ -218,32 +220,32 @@ class PlacedCodes(NamedTuple):
     codes: Codes
 
 
-def place_codes(parts: Sequence[Part], codes: Iterable[Codes], *, start: Codes | None) -> Iterator[PlacedCodes]:
-    """Yields the codes of the parts of one sample; those of `start` come first and belong to the first sentence."""
+def place_codes(segments: Sequence[Segment], codes: Iterable[Codes], *, start: Codes | None) -> Iterator[PlacedCodes]:
+    """Yields the codes of the segments of one sample; those of `start` come first and belong to the first sentence."""
     number = count = 0
     if start is not None:
         yield PlacedCodes(1, 0, None, np.asarray(start, np.int32))
         count = len(start)
-    for part, new in zip(parts, codes, strict=True):
-        number += part.begins
-        yield PlacedCodes(number, count, part.prompt.text if part.begins else None, new)
+    for segment, new in zip(segments, codes, strict=True):
+        number += segment.begins
+        yield PlacedCodes(number, count, segment.prompt.text if segment.begins else None, new)
         count += len(new)
 
 
-def chain_caption(parts: Sequence[Part]) -> str:
-    """Returns the sentences of parts as one."""
-    return ", then ".join(part.prompt.text for part in parts if part.begins)
+def chain_caption(segments: Sequence[Segment]) -> str:
+    """Returns the sentences of segments as one."""
+    return ", then ".join(segment.prompt.text for segment in segments if segment.begins)
 
 
-def stream_parts(
-    model: ModelParts, parts: Sequence[Part], codes: Iterator[Codes], *, start: Codes | None, seed: int
+def stream_segments(
+    model: ModelParts, segments: Sequence[Segment], codes: Iterator[Codes], *, start: Codes | None, seed: int
 ) -> Iterator[Motion]:
-    """Yields the motion of the parts of one sample, as decoded, while their codes are sampled."""
+    """Yields the motion of the segments of one sample, as decoded, while their codes are sampled."""
     begun: list[tuple[int, str]] = []
-    downsample, caption, frames = model.config.tokenizer.downsample, chain_caption(parts), 0
+    downsample, caption, frames = model.config.tokenizer.downsample, chain_caption(segments), 0
 
     def numbered() -> Iterator[tuple[int, Codes]]:
-        for piece in place_codes(parts, codes, start=start):
+        for piece in place_codes(segments, codes, start=start):
             if piece.sentence is not None:
                 begun.append((piece.first * downsample, piece.sentence))
             yield piece.number, piece.codes

@@ -1,0 +1,174 @@
+"""`MotionRequest`: each value is checked once, and every way to ask for a motion makes the same."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+from t2m_jax.data.importers.synthetic import make_motion
+from t2m_jax.errors import UserError
+from t2m_jax.motion.motion import Motion
+from t2m_jax.sampling import Greedy, TextToMotion
+from t2m_jax.sampling.model import ModelParts
+from t2m_jax.sampling.request import MotionRequest, SamplingOptions, sentences
+from tests import tiny
+
+NAN = float("nan")
+WALK = Motion(make_motion("walk", seed=1, num_frames=60), 20.0, caption="a person walks")
+FIRST, SECOND, THIRD = tiny.CAPTIONS[:3]
+
+
+@pytest.fixture(scope="module")
+def model():
+    return TextToMotion(tiny.random_bundle())
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"temperature": -1.0}, "temperature: -1.0 is not a number above 0"),
+        ({"temperature": NAN}, "temperature: nan"),
+        ({"top_k": 0}, "top-k: 0 is not a whole number above 0"),
+        ({"top_p": 1.5}, "top-p: 1.5 is not a probability"),
+        ({"top_k": 3, "top_p": 0.5}, "top-k and top-p exclude each other"),
+        ({"strategy": Greedy(), "top_k": 3}, "strategy: excludes temperature, top-k and top-p"),
+        ({"guidance_scale": -1.0}, "guidance-scale: -1.0 is not a number from 0"),
+        ({"guidance_scale": NAN}, "guidance-scale: nan"),
+    ],
+)
+def test_options_that_no_model_has_are_one_line(options, said):
+    with pytest.raises(UserError, match=said) as refused:
+        SamplingOptions(**options)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"captions": ()}, "captions: give at least one sentence"),
+        ({"captions": ("walk", " ")}, "no words"),
+        ({"seed": -1}, "seed: -1 is not between 0 and"),
+        ({"num_samples": 0}, "num-samples: 0 is not a whole number from 1 to 1,000,000"),
+        ({"seconds": 0.0}, "seconds: 0 is not a number above 0, up to 3600"),
+        ({"seconds": NAN}, "seconds: nan"),
+        ({"span": (0.0, 1.0)}, "span: changes a motion; give it as start"),
+        ({"strength": 0.5}, "strength: changes a motion; give it as start"),
+        ({"start": WALK, "span": (0.0, 1.0), "strength": 0.5}, "span: excludes strength"),
+        ({"start": WALK, "span": (0.0, 1.0), "seconds": 2.0}, "span: takes one sentence and no seconds"),
+        ({"start": WALK, "strength": 0.5, "captions": ("walk", "run")}, "strength: takes one sentence and no seconds"),
+        ({"start": WALK, "strength": 1.5}, "strength: 1.5 is not a number from 0 to 1"),
+        ({"start": WALK, "strength": NAN}, "strength: nan"),
+        ({"start": WALK, "span": (2.0, 1.0)}, "span: 2 to 1 is not a part of the motion"),
+        ({"start": WALK, "span": (-1.0, 1.0)}, "span: -1 to 1 is not"),
+        ({"start": WALK, "span": (1.0, 1.0)}, "span: 1 to 1 is not"),
+        ({"start": WALK, "span": (NAN, 1.0)}, "span: nan to 1 is not"),
+        ({"start": WALK, "span": (0.0, float("inf"))}, "span: 0 to inf is not"),
+        ({"start": WALK, "span": (0.0, 1.0), "candidates": 0}, "candidates: 0 is not a whole number from 1 to 32"),
+        ({"start": WALK, "span": (0.0, 1.0), "candidates": 33}, "candidates: 33 is not"),
+        ({"start": WALK, "span": (0.0, 1.0), "num_samples": 17}, "17 motions cannot be chosen from 16 candidates"),
+    ],
+)
+def test_requests_that_no_model_can_answer_are_one_line(fields, said):
+    with pytest.raises(UserError, match=said) as refused:
+        MotionRequest(**{"captions": ("walk",)} | fields)
+    assert "\n" not in str(refused.value)
+
+
+def test_sentences_are_cleaned():
+    assert MotionRequest(captions=(" a  person\nwalks ",)).captions == ("a person walks",)
+    assert sentences("walk") == ("walk",) and sentences(["walk", "run"]) == ("walk", "run")
+
+
+def test_unknown_options_are_named(model):
+    for method in (model.generate, model.generate_each, model.generate_chain, model.stream, model.stream_chain):
+        with pytest.raises(TypeError, match="temprature"):
+            method(FIRST, temprature=0.5)
+    for method, change in ((model.redo, (0.5, 1.0)), (model.vary, 0.5)):
+        with pytest.raises(TypeError, match="temprature"):
+            method(WALK, change, FIRST, temprature=0.5)
+
+
+def assert_equal(found, expected):
+    """To the last bit."""
+    assert len(found) == len(expected)
+    for one, other in zip(found, expected, strict=True):
+        for name in ("positions", "positions_raw", "features", "codes"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+        for name in ("caption", "seed", "fps"):
+            assert getattr(one, name) == getattr(other, name)
+
+
+def test_make_is_what_the_methods_return(model):
+    options = {"temperature": 0.7, "raw": True}
+    shared = {"seed": 3, "num_samples": 2, "options": SamplingOptions(**options)}
+    options |= {"seed": 3, "num_samples": 2}
+    asked = {
+        "plain": (MotionRequest(captions=(FIRST,), **shared), model.generate(FIRST, **options)),
+        "chain": (
+            MotionRequest(captions=(FIRST, SECOND), start=WALK, seconds=1.0, **shared),
+            model.generate_chain([FIRST, SECOND], start=WALK, seconds=1.0, **options),
+        ),
+        "redo": (
+            MotionRequest(captions=(FIRST,), start=WALK, span=(0.5, 1.5), candidates=4, **shared),
+            model.redo(WALK, (0.5, 1.5), FIRST, num_candidates=4, **options),
+        ),
+        "vary": (
+            MotionRequest(captions=(WALK.caption,), start=WALK, strength=0.5, **shared),
+            model.vary(WALK, 0.5, **options),
+        ),
+    }
+    for request, expected in asked.values():
+        assert_equal(list(model.make(request)), expected)
+    together = list(model.make(*(request for request, _ in asked.values())))
+    assert_equal(together, [motion for _, expected in asked.values() for motion in expected])
+
+
+def test_requests_with_the_same_options_share_a_batch(model, monkeypatch):
+    sizes = []
+    sample_codes = ModelParts.sample_codes
+
+    def record(self, text_embedding, *args, **kwargs):
+        sizes.append(len(text_embedding))
+        return sample_codes(self, text_embedding, *args, **kwargs)
+
+    monkeypatch.setattr(ModelParts, "sample_codes", record)
+    plain = [MotionRequest(captions=(caption,), seed=seed) for seed, caption in enumerate((FIRST, SECOND))]
+    other = dataclasses.replace(plain[0], options=SamplingOptions(temperature=0.5))
+    told = []
+    made = list(model.make(*plain, other, on_progress=lambda *counts: told.append(counts)))
+    assert sizes == [2, 1] and told == [(2, 3), (3, 3)]
+    assert [motion.caption for motion in made] == [FIRST, SECOND, FIRST]
+    assert [motion.seed for motion in made] == [0, 1, 0]
+
+
+def test_what_does_not_fit_the_model_is_said_at_once(model):
+    for fields, said in (({"max_codes": 99}, "max-codes: 99"), ({"stop_rule": "argmax"}, "stop-rule: 'argmax'")):
+        for verb in (model.make, model.make_pieces):
+            with pytest.raises(UserError, match=said):
+                verb(MotionRequest(captions=(FIRST,), options=SamplingOptions(**fields)))
+
+
+def test_pieces_of_all_requests_are_the_motion(model):
+    options = SamplingOptions(temperature=0.5, raw=True)
+    for fields in ({"captions": (FIRST,)}, {"captions": (FIRST, SECOND), "seconds": 2.0, "start": WALK}):
+        request = MotionRequest(seed=4, options=options, **fields)
+        (whole,) = model.make(request)
+        pieces = list(model.make_pieces(request))
+        assert len(pieces) > 1
+        np.testing.assert_array_equal(np.concatenate([piece.codes for piece in pieces]), whole.codes)
+    for change in ({"span": (0.5, 1.0)}, {"strength": 0.5}):
+        with pytest.raises(UserError, match="stream: a change of a motion"):
+            model.make_pieces(MotionRequest(captions=(FIRST,), start=WALK, **change))
+
+
+def test_a_stop_rule_that_needs_all_rows_cannot_stream():
+    model = TextToMotion(tiny.random_bundle(tiny.HIFIGPT_BUNDLE))
+    with pytest.raises(UserError, match="stop-rule: 'argmax' needs all rows first"):
+        model.stream(FIRST, stop_rule="argmax")
+
+
+def test_sentences_in_turn_are_limited_each(model):
+    (motion,) = model.generate_chain([FIRST, SECOND, THIRD], max_codes=3)
+    starts = [*motion.part_starts, motion.num_frames]
+    assert all(after - first <= 3 * model.config.tokenizer.downsample for first, after in itertools.pairwise(starts))
