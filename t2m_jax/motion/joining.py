@@ -71,6 +71,7 @@ def find_cut(
         skeleton: Of both clips.
         overlap: Frames in which one fades into the other.
     """
+    # Poses are compared where both clips count the same, in the middle of the overlap.
     half = overlap // 2
     leaving = _poses(first, skeleton)[np.array(ends) - overlap + half]
     arriving = _poses(second, skeleton)[np.array(starts) + half]
@@ -81,7 +82,8 @@ def find_cut(
 
 def _poses(features: Float[np.ndarray, "T D"], skeleton: Skeleton) -> Float[np.ndarray, "T J 6"]:
     """Returns each frame's joint positions and scaled velocities, relative to the root's heading."""
-    layout, count = skeleton.layout, len(features)
+    layout = skeleton.layout
+    count = len(features)
     height = features[:, layout.root_height]
     root = np.concatenate([np.zeros_like(height), height, np.zeros_like(height)], axis=1)
     joints = np.concatenate([root[:, None], features[:, layout.positions].reshape(count, -1, 3)], axis=1)
@@ -99,7 +101,8 @@ def join_features(
     encode the joint positions of the result again.
     """
     share = fade((np.arange(overlap, dtype=np.float32) + 1) / (overlap + 1))[:, None]
-    before, after = first[: cut.end], second[cut.start :]
+    before = first[: cut.end]
+    after = second[cut.start :]
     mixed = (1 - share) * before[cut.end - overlap :] + share * after[:overlap]
     return np.concatenate([before[: cut.end - overlap], mixed, after[overlap:]])
 
@@ -142,6 +145,7 @@ def fading_change(differences: Float[np.ndarray, "_ J 3"], count: int) -> Float[
         count: Frames in which a cubic curve goes from this difference and its velocity to zero.
     """
     change = differences[0]
+    # Without a second frame, there is no velocity to go on with.
     speed = change - differences[1] if len(differences) > 1 else 0 * change
     time = (np.arange(1, count + 1) / (count + 1))[:, None, None]
     return (1 - fade(time)) * change + (count + 1) * time * (1 - time) ** 2 * speed
@@ -172,12 +176,14 @@ def replace_middle(
         fps: Of all three.
         skeleton: Of all three.
     """
+    # Bones as a decoder gives them have other lengths in each frame.
     kept = next(part for part in (head, tail, generated) if len(part))
     if len(head):
         generated = place_positions(generated, generated[first - 1], head[-1], skeleton=skeleton)
     if len(tail):
         tail = place_positions(tail, tail[0], generated[last], skeleton=skeleton)
-    middle, count = generated[first:last].astype(np.float64), min(round(FADE_SECONDS * fps), last - first)
+    middle = generated[first:last].astype(np.float64)
+    count = min(round(FADE_SECONDS * fps), last - first)
     if len(head):
         differences = (head[-2:] - generated[max(0, first - 2) : first])[::-1]
         middle[:count] += fading_change(differences, count)
@@ -212,12 +218,15 @@ def ease_seams(
     sigma = SEAM_SIGMA * fps
     radius = len(gaussian_kernel(sigma)) // 2
     reach = math.ceil(SEAM_SECONDS * fps)
+    # A seam is between two frames.
     centers = np.array(seams) - 0.5
     for seam in seams:
         first = max(0, seam - reach)
         last = min(len(positions), seam + reach)
+        # The filter reads beyond the frames that it changes.
         around = positions[max(0, first - radius) : last + radius]
         smooth = np.asarray(smooth_over_time(around.reshape(len(around), -1), sigma=sigma)).reshape(around.shape)
+        # The nearest seam counts, where seams are closer than the time in which they fade.
         distance = np.abs(np.arange(first, last)[:, None] - centers[None]).min(axis=1)
         share = fade(1 - distance / (SEAM_SECONDS * fps))[:, None, None].astype(np.float32)
         skipped = first - max(0, first - radius)

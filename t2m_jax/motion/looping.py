@@ -55,7 +55,8 @@ def find_loop(positions: Float[np.ndarray, "T J 3"], *, fps: float) -> Loop:
     Raises:
         UserError: The motion is too short, or no part of it repeats.
     """
-    count, shortest = len(positions), max(2, round(SHORTEST_SECONDS * fps))
+    count = len(positions)
+    shortest = max(2, round(SHORTEST_SECONDS * fps))
     if count <= shortest:
         raise UserError(f"loop: the motion has {count / fps:.1f} s; more than {SHORTEST_SECONDS} s are needed")
     from scipy.spatial.distance import cdist  # here, because it takes long to import

@@ -98,7 +98,8 @@ def route_along(
     points = check_waypoints(waypoints)
     old, way = _smooth_path(positions, fps)
     curve, curve_way = _curve(points, way[-1] + LOOK_AHEAD)
-    new, headings = _at(curve, curve_way, way), _headings(curve, curve_way, way)
+    new = _at(curve, curve_way, way)
+    headings = _headings(curve, curve_way, way)
     return Route(old, new, np.unwrap(headings - _headings(old, way, way)))
 
 
@@ -121,7 +122,8 @@ def _smooth_path(
 ) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, " T"]]:
     """Returns the path of the root over the ground without its sway, and the way from the start to each frame."""
     kernel = gaussian_kernel(SWAY_SECONDS * fps)
-    roots, reach = positions[:, 0].astype(np.float64) * HORIZONTAL, len(kernel) // 2
+    roots = positions[:, 0].astype(np.float64) * HORIZONTAL
+    reach = len(kernel) // 2
     # Beyond its ends, the path goes on as it was, mirrored at the end point.
     longer = np.pad(roots, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd") if len(roots) > 1 else roots
     smooth = np.stack([np.convolve(axis, kernel, mode="valid") for axis in longer.T], axis=1)
@@ -165,5 +167,6 @@ def _rotated(
 ) -> Float[np.ndarray, "*batch 3"]:
     """Returns vectors turned about Y, by radians from +Z to +X."""
     x, y, z = np.moveaxis(vectors, -1, 0)
-    cosine, sine = np.cos(turns), np.sin(turns)
+    cosine = np.cos(turns)
+    sine = np.sin(turns)
     return np.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=-1)

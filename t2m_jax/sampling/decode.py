@@ -161,11 +161,13 @@ class FeatureWindows:
             left = len(self.rows) - self.done
             # The last piece is not short, because it may fade into another sentence.
             count = left // 2 if self.last < left < 2 * self.last else min(self.last, left)
+            # Without a bound of the context, no frame is final before the end.
             yield self._decode(left if self.context > MAX_CONTEXT else count)
 
     def _decode(self, count: int) -> Piece:
         """Returns the next `count` rows and their features, and forgets what no later frame depends on."""
-        first, last = self.done, self.done + count
+        first = self.done
+        last = self.done + count
         window = self.rows[: last + self.context]
         size = round_up(len(window), ROW_BUCKET) if self.context > MAX_CONTEXT else self.size
         arrays = put_rows(pad_codes([window], size=size))
@@ -173,6 +175,7 @@ class FeatureWindows:
         decoded = decode_batch(variables, self.tokenizer.normalizer, *arrays, tokenizer=self.tokenizer.module)
         downsample = self.tokenizer.config.downsample
         piece = Piece(self.rows[first:last], np.asarray(decoded)[0, first * downsample : last * downsample])
+        # Later frames depend on these rows, so they stay, but their frames are not taken again.
         self.done = min(last, self.context)
         self.rows = self.rows[last - self.done :]
         return piece
@@ -191,6 +194,7 @@ class GrowingMotion:
             max_codes: Rows of the longest motion.
         """
         context = tokenizer.config.decoder_context
+        # A window need not have more rows than the longest motion.
         size = min(step + 2 * context, max_codes)
         self.windows = FeatureWindows(tokenizer, least=1, most=step, last=step + context, size=size)
         self.num_rows = 0
@@ -246,6 +250,7 @@ def _decode_sentence(tokenizer: TrainedTokenizer, parts: Iterable[Codes]) -> Ite
     """Yields the features of a sentence, whose codes come in parts."""
     size = round_up(WINDOW_ROWS + 2 * tokenizer.config.decoder_context, ROW_BUCKET)
     windows = FeatureWindows(tokenizer, least=WINDOW_ROWS, most=WINDOW_ROWS, last=WINDOW_ROWS, size=size)
+    # All windows of chains have this size, however many rows they have.
     for rows in parts:
         yield from windows.add(rows)
     yield from windows.add(rows[:0], ended=True)
@@ -257,6 +262,7 @@ def _faded(sentences: Iterable[Iterable[Piece]], *, overlap: int) -> Iterator[Pi
     for sentence in sentences:
         for number, piece in enumerate(sentence):
             if last is not None:
+                # A piece waits for the next one, because its end fades if that is of another sentence.
                 ends = (last.features, piece.features)
                 before, after = ends if number else fade_features(*ends, overlap=overlap)
                 yield last._replace(features=before)
@@ -270,6 +276,7 @@ def place_features(
     features: Float[np.ndarray, "T D"], place: Place, *, skeleton: Skeleton
 ) -> tuple[Float[np.ndarray, "T J 3"], Place]:
     """Returns the joints of features that begin at a place, and the place of the frame after them."""
+    # Features are velocities: one more frame says where the next piece begins.
     headings, root = root_from_features(np.concatenate([features, features[-1:]]), skeleton)
     turn = np.array([math.cos(place.half_turn), 0.0, -math.sin(place.half_turn), 0.0])[None]
     positions = rotate_vectors(turn[None], positions_from_features(features, skeleton))

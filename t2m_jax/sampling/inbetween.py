@@ -110,7 +110,8 @@ def decode_middles(
     motions = decode_motions(model.tokenizer, whole, skeleton=model.skeleton, size=size, clean=not raw)
     likelihoods = tail_likelihoods(model, whole, len(tail), prompt=prompt)
     downsample = model.config.tokenizer.downsample
-    first, last = downsample * len(head), downsample * (len(whole[0]) - len(tail))
+    first = downsample * len(head)
+    last = downsample * (len(whole[0]) - len(tail))
     return [Middle(motion.positions, first, last, value) for motion, value in zip(motions, likelihoods, strict=True)]
 
 
@@ -120,6 +121,7 @@ def tail_likelihoods(
     """Returns the mean logarithm of the probabilities of the first rows of the tails, 0 without one."""
     rows = round(TAIL_SECONDS * model.skeleton.fps / model.config.tokenizer.downsample)
     size = model.config.generator.max_codes
+    # At least one row is read before the first one that is scored.
     scored = min(num_tail, rows, size - 1)
     if not scored:
         return np.zeros(len(codes), np.float32)
@@ -140,6 +142,7 @@ def rank_middles(tail: Float[np.ndarray, "T J 3"], candidates: Sequence[Middle],
         return list(range(len(candidates)))
     jumps = [_jump(tail[:2], candidate, skeleton) for candidate in candidates]
     costs = np.array(jumps), -np.array([candidate.likelihood for candidate in candidates])
+    # A place is the number of candidates that are better: places can be added, costs of two kinds cannot.
     places = [np.argsort(np.argsort(cost, kind="stable")) for cost in costs]
     return np.argsort(places[0] + places[1], kind="stable").tolist()
 
@@ -195,6 +198,7 @@ def variation_segments(
 ) -> list[Segment]:
     """Returns the segments of variations of a motion: each row is sampled with a probability, and kept otherwise."""
     chosen = jax.vmap(lambda key: jax.random.uniform(jax.random.fold_in(key, _KEPT_STREAM), (len(codes),)))(keys)
+    # The same numbers for every strength: a larger one samples the same rows again, and further ones.
     kept = np.asarray(chosen) >= strength
     pieces = [slice(first, first + limit) for first in range(0, len(codes), limit)]
     return [Segment(prompt, len(codes[rows]), rows.start == 0, codes[rows], kept[:, rows]) for rows in pieces]

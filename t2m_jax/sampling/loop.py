@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
@@ -83,14 +84,18 @@ def sample_row(
     given: Given | None = None,
 ) -> tuple[LoopState, tuple[Int[Array, "B R"], Float[Array, " B"]]]:
     """Returns the state after one more row, the row, and its stop score: -inf if a motion may not end there."""
-    rule, done = sampling.stop_rule, state.done
+    rule = sampling.stop_rule
+    done = state.done
+    # A row that ends a motion but is not kept may come one step later than one that is kept.
     may_stop = state.step >= sampling.min_codes - rule.keeps_last
     if given is not None:
         may_stop &= (state.step > given.known.sum(axis=1) - rule.keeps_last) & (given.num_rows == 0)
         done |= (given.num_rows > 0) & (state.step + 1 >= given.num_rows)
+    # A key per motion and step, so that a motion does not depend on the batch or on where the loop began.
     step_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, state.step)
     rows = generator.draw(state.context, step_keys, sampling.strategy, may_stop=may_stop)
     if given is not None:
+        # Known rows replace drawn ones, which are still drawn: all motions of a batch take the same steps.
         rows = jnp.where(given.known[:, state.step, None], given.codes[:, state.step], rows)
     context, scores, cache = generator.step(state.cache, rows)
     scores = jnp.where(may_stop, rule.draw(scores, _stop_keys(keys, state.step)), -jnp.inf)
@@ -124,7 +129,10 @@ def sample_codes(
         guidance_scale: Strength of the guidance, None for none.
         given: Rows that motions begin with, and their lengths; None for neither.
     """
-    max_codes, rule = sampling.max_codes, sampling.stop_rule
+    chex.assert_rank([text_embedding, keys], [2, 1])
+    chex.assert_equal_shape_prefix([text_embedding, keys], 1)
+    max_codes = sampling.max_codes
+    rule = sampling.stop_rule
 
     def one_row(state: LoopState, _: None) -> tuple[LoopState, tuple[Int[Array, "B R"], Float[Array, " B"]]]:
         return sample_row(generator, state, keys, sampling=sampling, given=given)
@@ -140,6 +148,7 @@ def sample_codes(
 
     batch = text_embedding.shape[0]
     state = first_state(generator, text_embedding, guidance_scale)
+    # Only the shape of a row is needed, and nothing is computed for it.
     _, (row, _) = jax.eval_shape(one_row, state, None)
     chunks = (-(-max_codes // CHUNK), CHUNK)
     buffers = (jnp.zeros((*chunks, *row.shape), jnp.int32), jnp.full((*chunks, batch), -jnp.inf))
@@ -149,5 +158,6 @@ def sample_codes(
     if given is not None:
         fixed = jnp.minimum(given.num_rows, max_codes)
         code_lengths = jnp.where(fixed > 0, fixed, code_lengths)
+    # What was sampled after the end of a motion, because others went on, is not part of it.
     kept = jnp.arange(max_codes)[None] < code_lengths[:, None]
     return SampledCodes(jnp.where(kept[:, :, None], codes, 0), code_lengths, jnp.minimum(state.step, max_codes))

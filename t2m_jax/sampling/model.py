@@ -70,7 +70,8 @@ class ModelParts:
     @property
     def fingerprint(self) -> str:
         """Identifies the model: a digest of sizes, weights, statistics and subwords."""
-        config, encoder = self.config, getattr(self.text_encoder, "fingerprint", None)
+        config = self.config
+        encoder = getattr(self.text_encoder, "fingerprint", None)
         if encoder is not None and isinstance(config.text_encoder, Reference):  # where the encoder is does not matter
             config = dataclasses.replace(config, text_encoder=dataclasses.replace(config.text_encoder, name=encoder))
         return Bundle(config, self.variables, self._normalizer, self._bpe).fingerprint
@@ -113,6 +114,7 @@ class ModelParts:
     def _guidance(self, given: float | None) -> Float[Array, ""] | None:
         """Returns the scale for the generator. A scale of 1 changes nothing, so only half of the work is needed."""
         scale = self.guidance_scale(given)
+        # A scale of 1 needs no second half of the batch.
         return None if scale is None or scale == 1 else jnp.asarray(scale, jnp.float32)
 
     def sample_codes(
@@ -145,6 +147,7 @@ class ModelParts:
         for number in range(1, sampling.max_codes + 1):
             state, row = generate_row(variables, state, keys, generator=self._generator, sampling=sampling)
             ended = bool(state.done[0])
+            # A stop rule ends a motion with a row (HiFiGPT) or with the token End in place of a row (T2M-GPT).
             kept = not ended or sampling.stop_rule.keeps_last
             yield np.asarray(row)[: int(kept)], ended or number == sampling.max_codes
             if ended:
@@ -195,7 +198,8 @@ class ModelParts:
         Raises:
             UserError: There are no codes, too many per row, or one that is not in the codebook.
         """
-        config, codes = self.config.tokenizer, np.asarray(codes, np.int32)
+        config = self.config.tokenizer
+        codes = np.asarray(codes, np.int32)
         if codes.ndim == 1:
             codes = codes[:, None]
         if codes.ndim != 2 or not len(codes) or not 1 <= codes.shape[1] <= config.num_quantizers:

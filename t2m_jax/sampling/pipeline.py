@@ -167,6 +167,7 @@ class TextToMotion:
             for number in range(request.num_samples)
         )
         while batch := list(itertools.islice(samples, MAX_BATCH)):
+            # A power of two, so that few programs are compiled.
             filled = [*batch, *[batch[0]] * (padded_batch_size(len(batch)) - len(batch))]
             embedding = self.text_encoder([sample.prompt.text for sample in filled])
             keys = jnp.stack([sample.key for sample in filled])
@@ -208,6 +209,7 @@ class TextToMotion:
         prompts = read_prompts(request.captions, self.knowledge, self.text_encoder)
         if not request.is_plain:
             return make_chain_pieces(self.parts, request, prompts, sampling)
+        # The rule of the highest score cuts a motion when all rows are known, and then nothing is left to stream.
         if not sampling.stop_rule.ends_early:
             if options.stop_rule is not None:
                 raise UserError(f"stop-rule: {options.stop_rule!r} needs all rows first; use threshold for a stream")
@@ -311,6 +313,7 @@ class TextToMotion:
             options=SamplingOptions(**options),
         )
         motions = list(self.make(request))
+        # A single sentence is not sampled as a chain, but says the same.
         if request.is_plain:
             motions = [
                 dataclasses.replace(motion, part_starts=(0,), part_captions=request.captions) for motion in motions

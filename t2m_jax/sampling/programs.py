@@ -172,8 +172,10 @@ def encode_motions(
 ) -> list[Int[np.ndarray, "_ R"]]:
     """Returns the codes of each motion (raw features); `progress` shows a bar on a terminal."""
     codes: list[Int[np.ndarray, "_ R"]] = [np.zeros((0, tokenizer.config.num_quantizers), np.int32)] * len(motions)
+    # Motions of similar lengths together need little padding.
     order = sorted(range(len(motions)), key=lambda index: len(motions[index]))
-    variables, downsample = put_everywhere(tokenizer.variables), tokenizer.config.downsample
+    variables = put_everywhere(tokenizer.variables)
+    downsample = tokenizer.config.downsample
     for first in tqdm(range(0, len(order), BATCH), desc="encoding", unit="batch", disable=None if progress else True):
         chosen = order[first : first + BATCH]
         size = round_up(len(motions[chosen[-1]]), FRAME_BUCKET)

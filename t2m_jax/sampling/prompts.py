@@ -57,6 +57,7 @@ def read_prompts(captions: Sequence[str], knowledge: Knowledge, encoder: TextEnc
         text = check_prompt(caption)
         read_part = encoder.read_part(text) if isinstance(encoder, CuttingTextEncoder) else text
         prompts.append(Prompt(text, *check_coverage(text, knowledge, read_part=read_part)))
+    # Each once, however many sentences have it.
     for warning in dict.fromkeys(prompt.warning for prompt in prompts):
         if warning:
             warnings.warn(warning, PromptWarning, stacklevel=5)
@@ -65,6 +66,7 @@ def read_prompts(captions: Sequence[str], knowledge: Knowledge, encoder: TextEnc
 
 def sample_key(seed: int, caption: str, sample: int) -> Key[Array, ""]:
     """Returns the key of one sample: a function of seed, caption and number, independent of the batch."""
+    # Not `hash`, which differs from process to process.
     key = jax.random.fold_in(jax.random.key(seed), zlib.crc32(caption.encode()))
     return jax.random.fold_in(key, sample)
 
@@ -73,5 +75,6 @@ def batches_of_keys(seed: int, prompt: Prompt, num_samples: int) -> Iterator[tup
     """Yields the keys of each batch of samples, filled up with the first one, and how many samples it has."""
     for first in range(0, num_samples, MAX_BATCH):
         samples = range(first, min(first + MAX_BATCH, num_samples))
+        # Filled up to a power of two, so that few programs are compiled.
         keys = [sample_key(seed, prompt.text, number) for number in samples]
         yield jnp.stack([*keys, *[keys[0]] * (padded_batch_size(len(keys)) - len(keys))]), len(samples)

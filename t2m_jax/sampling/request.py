@@ -62,6 +62,7 @@ class SamplingOptions:
         Raises:
             UserError: A value cannot be used with any model, or two fields exclude each other.
         """
+        # Strategy and stop rule check their own numbers and names.
         self.make_strategy()
         if self.stop_rule is not None:
             make_stop_rule(self.stop_rule)

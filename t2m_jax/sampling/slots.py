@@ -42,8 +42,10 @@ class Slots:
         guidance_scale: Float[Array, ""] | None,
     ):
         """Takes a generator as `t2m_jax.sampling.programs` does; see `ModelParts.slots`."""
-        self.variables, self.generator = variables, generator
-        self.sampling, self.guidance_scale = sampling, guidance_scale
+        self.variables = variables
+        self.generator = generator
+        self.sampling = sampling
+        self.guidance_scale = guidance_scale
         self.codes = np.zeros((num_slots, sampling.max_codes, num_quantizers), np.int32)
         self.scores = np.full((num_slots, sampling.max_codes), -np.inf, np.float32)
         self.num_rows = np.zeros(num_slots, int)
@@ -68,10 +70,13 @@ class Slots:
             keys: One for each motion; consumed.
         """
         if self.state is None:  # the other slots sample what nobody needs
-            self.embeddings, self.keys = [embeddings[0]] * len(self.is_free), [keys[0]] * len(self.is_free)
+            self.embeddings = [embeddings[0]] * len(self.is_free)
+            self.keys = [keys[0]] * len(self.is_free)
         for slot, embedding, key in zip(slots, embeddings, keys, strict=True):
-            self.embeddings[slot], self.keys[slot] = embedding, key
-            self.num_rows[slot], self.is_free[slot] = 0, False
+            self.embeddings[slot] = embedding
+            self.keys[slot] = key
+            self.num_rows[slot] = 0
+            self.is_free[slot] = False
             self.scores[slot] = -np.inf
         is_new = np.isin(np.arange(len(self.is_free)), slots)
         texts, is_new = put_rows((jnp.stack(self.embeddings), is_new))
@@ -102,6 +107,7 @@ class Slots:
             )
             for slot in np.flatnonzero(~self.is_free)
         ]
+        # Free slots go on with what nobody needs: a batch of fewer motions would be another program.
         self.is_free |= ended
         return found
 
@@ -110,8 +116,10 @@ class Slots:
         before = self.num_rows.copy()
         for slot in np.flatnonzero(~self.is_free):
             place = slice(before[slot], before[slot] + rows.shape[1])
+            # The last rows of a motion of the longest length may not fill a step.
             room = self.codes[slot, place].shape[0]
-            self.codes[slot, place], self.scores[slot, place] = rows[slot, :room], scores[slot, :room]
+            self.codes[slot, place] = rows[slot, :room]
+            self.scores[slot, place] = scores[slot, :room]
             self.num_rows[slot] += room
         return before
 

@@ -6,6 +6,7 @@ A generator gives a stop score for every row that it reads (`Generator.step`). W
 import dataclasses
 from typing import ClassVar, Protocol, runtime_checkable
 
+import chex
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
@@ -34,7 +35,9 @@ class StopRule(Protocol):
 
     def count(self, scores: Float[Array, "B N"]) -> Int[Array, " B"]:
         """Returns how many rows a motion keeps: up to its first end, or all. Rows that were not sampled have -inf."""
+        chex.assert_rank(scores, 2)
         ends = self.ends(scores)
+        # argmax returns the first True, and 0 if there is none: then all rows are kept.
         kept = jnp.argmax(ends, axis=1) + self.keeps_last
         return jnp.where(jnp.any(ends, axis=1), kept, ends.shape[1]).astype(jnp.int32)
 
@@ -78,6 +81,7 @@ class StopAtHighest(StopRule):
 
     def count(self, scores: Float[Array, "B N"]) -> Int[Array, " B"]:
         """Returns the number of rows up to and including the one with the highest score."""
+        chex.assert_rank(scores, 2)
         return (jnp.argmax(scores, axis=1) + 1).astype(jnp.int32)
 
 

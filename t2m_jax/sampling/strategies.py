@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Protocol, runtime_checkable
 
+import chex
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
@@ -29,6 +30,7 @@ class Greedy:
 
     def __call__(self, logits: Float[Array, "B V"], key: PRNGKeyArray) -> Int[Array, " B"]:
         """Returns one token per sequence; `key` is not used."""
+        chex.assert_rank(logits, 2)
         del key
         return jnp.argmax(logits, axis=-1)
 
@@ -44,6 +46,7 @@ class Temperature:
 
     def __call__(self, logits: Float[Array, "B V"], key: PRNGKeyArray) -> Int[Array, " B"]:
         """Returns one token per sequence; `key` is consumed."""
+        chex.assert_rank(logits, 2)
         return jax.random.categorical(key, logits / self.temperature)
 
 
@@ -61,6 +64,8 @@ class TopK:
 
     def __call__(self, logits: Float[Array, "B V"], key: PRNGKeyArray) -> Int[Array, " B"]:
         """Returns one token per sequence; `key` is consumed."""
+        chex.assert_rank(logits, 2)
+        # More tokens than there are is no mistake: then this is `Temperature`.
         values, tokens = jax.lax.top_k(logits, min(self.k, logits.shape[-1]))
         choice = jax.random.categorical(key, values / self.temperature)
         return jnp.take_along_axis(tokens, choice[:, None], axis=-1)[:, 0]
@@ -80,6 +85,7 @@ class TopP:
 
     def __call__(self, logits: Float[Array, "B V"], key: PRNGKeyArray) -> Int[Array, " B"]:
         """Returns one token per sequence; `key` is consumed."""
+        chex.assert_rank(logits, 2)
         values, tokens = jax.lax.top_k(logits / self.temperature, logits.shape[-1])  # sorts all tokens
         probabilities = jax.nn.softmax(values)
         # A token is kept if the likelier ones do not reach `p` without it. The likeliest token is always kept.
@@ -96,6 +102,7 @@ def make_strategy(temperature: float = 1.0, top_k: int | None = None, *, top_p: 
     """
     if top_k is not None and top_p is not None:
         raise UserError("top-k and top-p exclude each other; give one of them")
+    # The limit of a temperature towards 0, at which logits cannot be divided.
     if temperature == 0.0:
         return Greedy()
     if top_k is not None:

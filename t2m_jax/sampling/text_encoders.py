@@ -126,7 +126,8 @@ def _embed_with_clip(clip: TrainedClip, captions: Sequence[str]) -> Float[Array,
 def _embed_sentences(encoder: TrainedSentenceEncoder, captions: Sequence[str]) -> Float[Array, "B E"]:
     tokens, mask = tokenize_captions(encoder.tokenizer, captions, max_length=encoder.config.max_length)
     width = padded_batch_size(int(mask.sum(axis=1).max()))  # few different widths, so that few programs are compiled
-    tokens, mask = jnp.asarray(tokens[:, :width]), jnp.asarray(mask[:, :width])
+    tokens = jnp.asarray(tokens[:, :width])
+    mask = jnp.asarray(mask[:, :width])
     return encode_sentence_tokens(encoder.variables, tokens, mask, config=encoder.config)
 
 

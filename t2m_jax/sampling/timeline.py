@@ -54,6 +54,7 @@ def rows_of_seconds(model: ModelParts, seconds: float) -> int:
 
 def context_rows(model: ModelParts) -> int:
     """Returns how many rows of codes a sentence reads of the motion before it."""
+    # At least one row, or nothing would go on, and at least one less than the generator reads, to sample one.
     rows = round(CONTEXT_SECONDS * model.skeleton.fps / model.config.tokenizer.downsample)
     return min(max(1, rows), model.config.generator.max_codes - 1)
 
@@ -132,10 +133,12 @@ def sample_segments(
         sampling: How to choose codes, and when to stop.
         guidance_scale: Strength of the guidance by the text.
     """
-    batch, depth = len(keys[0]), model.config.tokenizer.num_quantizers
+    batch = len(keys[0])
+    depth = model.config.tokenizer.num_quantizers
     nothing = np.zeros((0, depth), np.int32) if start is None else np.asarray(start, np.int32)
     before: list[Codes] = [nothing] * batch
     for segment, own_keys in zip(segments, keys, strict=True):
+        # A sentence does not read the motion before it (see `FADE_SECONDS`), a segment that goes on does.
         if segment.begins and segment is not segments[0]:
             before = [codes[:0] for codes in before]
         context = [codes[-context_rows(model) :] for codes in before]
@@ -148,7 +151,8 @@ def sample_segments(
         sampled = model.sample_codes(
             texts, own_keys, sampling._replace(max_codes=limit), guidance_scale=guidance_scale, given=given
         )
-        rows, ends = np.asarray(sampled.codes), np.asarray(sampled.code_lengths)
+        rows = np.asarray(sampled.codes)
+        ends = np.asarray(sampled.code_lengths)
         new = [own[first:last] for own, first, last in zip(rows, lengths, ends, strict=True)]
         before = [np.concatenate(codes) for codes in zip(context, new, strict=True)]
         yield new
@@ -160,17 +164,21 @@ def _given(segment: Segment, context: Sequence[Codes], *, max_codes: int) -> Giv
     known = np.zeros(codes.shape[:2], bool)
     wanted = np.zeros(len(context), np.int32)
     for row, before in enumerate(context):
-        first, last = len(before), len(before) + segment.num_rows
-        codes[row, :first], known[row, :first] = before, True
+        first = len(before)
+        last = len(before) + segment.num_rows
+        codes[row, :first] = before
+        known[row, :first] = True
         if segment.num_rows:
             wanted[row] = last
         if segment.draft is not None and segment.kept is not None:
-            codes[row, first:last], known[row, first:last] = segment.draft, segment.kept[row]
+            codes[row, first:last] = segment.draft
+            known[row, first:last] = segment.kept[row]
     return Given(*map(jnp.asarray, (codes, known, wanted)))
 
 
 def segment_keys(keys: Key[jax.Array, " B"], count: int) -> list[Key[jax.Array, " B"]]:
     """Returns keys for each segment of each motion. Those of the first are those of a motion that stands alone."""
+    # The stream is above every step, so that no row of a segment has the key of a row before it.
     others = jax.vmap(
         lambda key, number: jax.random.fold_in(jax.random.fold_in(key, _SEGMENT_STREAM), number), (0, None)
     )
@@ -191,6 +199,7 @@ def join_segments(
         size = model.config.generator.max_codes * downsample
         seams = [piece.first * downsample for piece in placed if piece.first]
         eased = ease_seams(positions, seams, fps=model.skeleton.fps)
+        # A clean-up by windows as long as the longest motion of one sentence needs no further program.
         cleaned = clean_long(eased, skeleton=model.skeleton, size=size)
     return Motion(
         positions if cleaned is None else cleaned,
@@ -242,7 +251,9 @@ def stream_segments(
 ) -> Iterator[Motion]:
     """Yields the motion of the segments of one sample, as decoded, while their codes are sampled."""
     begun: list[tuple[int, str]] = []
-    downsample, caption, frames = model.config.tokenizer.downsample, chain_caption(segments), 0
+    downsample = model.config.tokenizer.downsample
+    caption = chain_caption(segments)
+    frames = 0
 
     def numbered() -> Iterator[tuple[int, Codes]]:
         for piece in place_codes(segments, codes, start=start):
@@ -265,4 +276,5 @@ def stream_segments(
             part_captions=tuple(text for _, text in own),
         )
         frames = last
+        # Sentences begin when their codes are sampled, which is some windows before they are decoded.
         begun[:] = [(first, text) for first, text in begun if first >= frames]

@@ -11,7 +11,15 @@ from t2m_jax.motion.features import features_from_positions, positions_from_feat
 from t2m_jax.motion.joining import FADE_SECONDS, fade_features
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.sampling import TextToMotion
-from t2m_jax.sampling.decode import MAX_CONTEXT, ORIGIN, WINDOW_ROWS, decode_sentences, place_features
+from t2m_jax.sampling.decode import (
+    MAX_CONTEXT,
+    ORIGIN,
+    WINDOW_ROWS,
+    GrowingMotion,
+    decode_motions,
+    decode_sentences,
+    place_features,
+)
 from t2m_jax.sampling.programs import decode_batch
 from tests import tiny
 
@@ -82,3 +90,28 @@ def test_pieces_go_on_where_the_one_before_ends(cuts):
         positions, place = place_features(part, place, skeleton=HUMANML3D)
         found.append(positions)
     np.testing.assert_allclose(np.concatenate(found), positions_from_features(features, HUMANML3D), atol=1e-5)
+
+
+def test_a_growing_motion_gives_each_frame_once_when_it_is_final(tokenizer):
+    codes = random_codes(tokenizer, 40)
+    growing = GrowingMotion(tokenizer, skeleton=HUMANML3D, step=4, max_codes=40)
+    pieces = [growing.add(codes[first : first + 4], ended=first == 36) for first in range(0, 40, 4)]
+    context = tokenizer.config.decoder_context
+    finals = [max(0, 4 * number - context) for number in range(1, 10)] + [40]
+    assert [0 if piece is None else len(piece.codes) for piece in pieces] == np.diff([0, *finals]).tolist()
+    (whole,) = decode_motions(tokenizer, [codes], skeleton=HUMANML3D)
+    for name in ("codes", "features", "positions"):
+        found = np.concatenate([getattr(piece, name) for piece in pieces if piece is not None])
+        expected = getattr(whole, name)
+        np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+
+
+def test_motions_of_a_batch_do_not_depend_on_the_others(tokenizer):
+    short, long = random_codes(tokenizer, 5), random_codes(tokenizer, 9)
+    options = {"skeleton": HUMANML3D, "size": 12, "batch": 4, "clean": True}
+    together = decode_motions(tokenizer, [long, short], **options)
+    for codes, motion in zip((long, short), together, strict=True):
+        (alone,) = decode_motions(tokenizer, [codes], **options)
+        assert motion.num_frames == len(codes) * tokenizer.config.downsample
+        np.testing.assert_array_equal(motion.positions, alone.positions)
+        np.testing.assert_array_equal(motion.codes, codes)
