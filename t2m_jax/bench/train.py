@@ -1,7 +1,7 @@
 """Speed of training: one update of a tokenizer or of a generator, on random data of the right shapes."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -226,8 +226,3 @@ def _training_name(config: TrainConfig, shape: str, size: str, num_devices: int)
         options += [f"{config.num_parts} parts"] if config.num_parts > 1 else []
     options += [f"{num_devices} devices"] if num_devices > 1 else []
     return ", ".join([f"{config.kind} {size} {shape} {config.precision}", *options])
-
-
-def full_size_rows(rows: Sequence[BenchResult], kind: Kind) -> list[BenchResult]:
-    """Returns the rows of the training of a kind at full size."""
-    return [row for row in rows if row.benchmark == "train" and row.name.startswith(f"{kind} full ")]

@@ -1,8 +1,7 @@
-"""Measure how fast this machine trains, samples, evaluates and reads data, or compute the time on many accelerators.
+"""Measure how fast this machine trains, samples, evaluates and reads data.
 
 Figures are medians; compile time is separate. Shares of a peak refer to products and memory rates that were measured on
-this machine just before. `--json F` stores the figures, and `--compare F` names figures that are worse than stored ones
-and then exits with code 1. `t2m bench COMMAND --help` describes the options of each.
+this machine just before. `--json F` stores the figures. `t2m bench COMMAND --help` describes the options of each.
 """
 
 import argparse
@@ -19,10 +18,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.files.writing import check_output, claim
 
 if TYPE_CHECKING:
-    from t2m_jax.bench.record import BenchReport, BenchResult, Peaks
-
-EXIT_REGRESSION = 1
-"""Exit code if a figure is worse than in the report of `--compare`."""
+    from t2m_jax.bench.record import BenchResult, Peaks
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +45,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     data.add_argument("--batch", type=int, default=256, help="windows per batch (default: 256)")
     for command in (data, everything):
         command.add_argument("--data", metavar="DIR", help="also open this data set")
-    _add_scale_arguments(add(run_scale, "compute the time of the published recipes on 1 to 64 accelerators"))
 
 
 def _add_shared_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,9 +53,6 @@ def _add_shared_arguments(parser: argparse.ArgumentParser) -> None:
     repeats = "timed calls after the first; the median is shown (default: 3)"
     parser.add_argument("--repeats", type=int, default=3, help=repeats)
     parser.add_argument("--json", type=Path, metavar="F", help="also write the figures to this file")
-    parser.add_argument("--compare", type=Path, metavar="F", help="name figures that are worse than in this file")
-    tolerance = "by which share a figure may be worse (default: 0.1)"
-    parser.add_argument("--tolerance", type=float, default=0.1, help=tolerance)
 
 
 def _add_train_arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,13 +65,6 @@ def _add_train_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--num-parts", type=int, default=1, help="parts of a batch of a generator (default: 1)")
 
 
-def _add_scale_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--from", dest="report", type=Path, metavar="F", help="take rates from a report of --json")
-    parser.add_argument("--device", default="h200", help="without --from: device whose peak is known (default: h200)")
-    links = "nvlink (default), infiniband, pcie or ethernet"
-    parser.add_argument("--interconnect", default="nvlink", help=links)
-
-
 def run(args: argparse.Namespace) -> None:
     """Runs the chosen sub-command."""
     numbers = ("codes", "repeats", "batch", "devices", "steps_per_call", "num_parts")
@@ -88,8 +73,7 @@ def run(args: argparse.Namespace) -> None:
         smallest = min(value) if isinstance(value, list) else value
         if smallest is not None and smallest < 1:
             raise UserError(f"bench: --{name.replace('_', '-')} {smallest} is not a whole number above 0")
-    if args.run_command is not run_scale:
-        args.devices = _use_devices(args.devices)
+    args.devices = _use_devices(args.devices)
     args.run_command(args)
 
 
@@ -175,28 +159,14 @@ def run_all(args: argparse.Namespace) -> None:
     from t2m_jax.bench.run import measure_all
 
     _report(args, lambda peaks: measure_all(peaks, data=args.data, repeats=args.repeats))
-    show_next("t2m bench scale" + ("" if args.json is None else f" --from {args.json}"))
-
-
-def run_scale(args: argparse.Namespace) -> None:
-    """Prints the time of the published recipes on many accelerators, as a model predicts it."""
-    from t2m_jax.bench import load_report
-    from t2m_jax.bench.scaling import HEADINGS, assumed_rates, measured_rates, scaling_rows
-    from t2m_jax.bench.tables import fitted_table
-
-    rates = assumed_rates(args.device) if args.report is None else measured_rates(load_report(args.report))
-    sys.stdout.write(f"{fitted_table(HEADINGS, scaling_rows(rates, interconnect=args.interconnect))}\n")
+    show_next("t2m bench sample --full-size")
 
 
 def _report(args: argparse.Namespace, measure: "Callable[[Peaks], Sequence[BenchResult]]") -> None:
-    """Measures, prints the figures and stores them. Exits with `EXIT_REGRESSION` if some are worse than stored ones."""
-    from t2m_jax.bench import load_report, probes, report_text, run, save_report
-    from t2m_jax.bench.comparison import check_same_machine
+    """Measures, prints the figures and stores them."""
+    from t2m_jax.bench import probes, report_text, run, save_report
 
-    # Whatever is wrong with the files is said before the measurement, which may take minutes.
-    before = None if args.compare is None else load_report(args.compare)
-    if before is not None:
-        check_same_machine(before.machine, probes.describe_machine(()))
+    # Whatever is wrong with the file is said before the measurement, which may take minutes.
     outputs = [] if args.json is None else [check_output(args.json)]
     with claim(outputs):
         report = run.make_report(measure, devices=args.devices, probe=probes.measure_peaks)
@@ -204,8 +174,6 @@ def _report(args: argparse.Namespace, measure: "Callable[[Peaks], Sequence[Bench
         sys.stdout.write(f"{report_text(report, width=width)}\n")
         for output in outputs:
             save_report(output, report)
-    if before is not None:
-        _show_regressions(before, report, args.tolerance)
 
 
 def _use_devices(counts: list[int] | None) -> list[int]:
@@ -217,16 +185,3 @@ def _use_devices(counts: list[int] | None) -> list[int]:
         with contextlib.suppress(RuntimeError):  # raised if devices are in use; `first_devices` checks the number
             jax.config.update("jax_num_cpu_devices", max(counts))
     return counts or [jax.device_count()]
-
-
-def _show_regressions(before: "BenchReport", after: "BenchReport", tolerance: float) -> None:
-    from t2m_jax.bench.comparison import compare_reports
-
-    found = compare_reports(before, after, tolerance=tolerance)
-    if not found.num_compared:
-        raise UserError("bench: the stored report has none of these rows; measure both with the same options")
-    for regression in found.regressions:
-        sys.stdout.write(f"worse: {regression}\n")
-    sys.stdout.write(f"{len(found.regressions)} of {found.num_compared} figures are worse than before\n")
-    if found.regressions:
-        sys.exit(EXIT_REGRESSION)

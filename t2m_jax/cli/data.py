@@ -43,9 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     sentences = "what to generate, a sentence per line (default: some captions)"
     replay.add_argument("--sentences", type=Path, metavar="FILE", help=sentences)
     replay.add_argument("--num-clips", type=int, default=120, help="number of motions (default: 120)")
-    synthetic.add_argument("--num-clips", type=int, help="clips before mirroring (default: 200, or 14614 as HumanML3D)")
-    like = "use HumanML3D's names, lengths and (by default) size, to measure what such a data set needs (5 GB)"
-    synthetic.add_argument("--like-humanml3d", action="store_true", help=like)
+    synthetic.add_argument("--num-clips", type=int, default=200, help="clips before mirroring (default: 200)")
     for command in (replay, synthetic):
         command.add_argument("--seed", type=int, default=0)
 
@@ -121,12 +119,9 @@ def run_merge(args: argparse.Namespace) -> "ImportReport":
 
 def run_synthetic(args: argparse.Namespace) -> "ImportReport":
     """Writes a folder of computed motions."""
-    from t2m_jax.data.importers import synthetic, synthetic_scale
+    from t2m_jax.data.importers.synthetic import write_synthetic_dataset
 
-    write = synthetic_scale.write_scaled_dataset if args.like_humanml3d else synthetic.write_synthetic_dataset
-    default = synthetic_scale.NUM_CLIPS if args.like_humanml3d else synthetic.NUM_CLIPS
-    num_clips = default if args.num_clips is None else args.num_clips
-    return write(args.destination, num_clips=num_clips, seed=args.seed)
+    return write_synthetic_dataset(args.destination, num_clips=args.num_clips, seed=args.seed)
 
 
 def run_replay(args: argparse.Namespace) -> "ImportReport":

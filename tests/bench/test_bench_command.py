@@ -1,7 +1,5 @@
 """`t2m bench`: every sub-command prints a table and writes a report."""
 
-import dataclasses
-import json
 import subprocess
 import sys
 from pathlib import Path
@@ -46,7 +44,7 @@ def tiny_models(monkeypatch):
         (["evaluate", "--size", "demo", "--batch", "2"], 2, "data"),
         (["data", "--data", "DATA", "--batch", "2"], 2, "all --json performance.json"),
         (["sample", "--full-size", "--kind", "hifigpt", "--batch", "2"], 2, "sample"),
-        pytest.param(["all"], 11, "scale --from REPORT", marks=pytest.mark.slow),
+        pytest.param(["all"], 11, "sample --full-size", marks=pytest.mark.slow),
     ],
 )
 def test_measurements_are_printed_and_stored(
@@ -61,16 +59,6 @@ def test_measurements_are_printed_and_stored(
     assert all(f"| {row.name} " in printed.out for row in report.rows)
     assert "measured peak" in printed.out
     assert printed.err.splitlines()[-1] == f"next: t2m bench {then}".replace("REPORT", f"{path}")
-
-
-@pytest.fixture
-def stored(bundle_folder, tmp_path, capsys):
-    """Returns a command and the file with its report."""
-    path = tmp_path / "stored.json"
-    command = ["bench", "sample", "--model", f"{bundle_folder}", "--batch", "1", "--codes", "2", "--repeats", "1"]
-    assert main([*command, "--json", f"{path}"]) == 0
-    capsys.readouterr()
-    return command, path
 
 
 @pytest.mark.slow
@@ -90,43 +78,6 @@ def test_virtual_devices_share_the_work(bundle_folder, tmp_path):
     assert "--devices 4, but there are 2" in result.stderr
 
 
-def changed(path: Path, factor: float) -> None:
-    """Multiplies all stored times, as if the machine had been slower or faster."""
-    report = bench.load_report(path)
-    rows = tuple(
-        dataclasses.replace(
-            row, figures=tuple(dataclasses.replace(figure, value=factor * figure.value) for figure in row.figures)
-        )
-        for row in report.rows
-    )
-    bench.save_report(path, dataclasses.replace(report, rows=rows))
-
-
-def test_a_regression_is_named_and_fails(stored, capsys):
-    command, path = stored
-    changed(path, 1e-6)
-    assert main([*command, "--compare", f"{path}"]) == 1
-    assert "worse: sample tiny, 2 rows, batch 1: per step (ms)" in capsys.readouterr().out
-
-
-def test_what_is_faster_is_no_regression(stored, capsys):
-    command, path = stored
-    changed(path, 1e6)
-    assert main([*command, "--compare", f"{path}"]) == 0
-    assert "0 of 4 figures are worse" in capsys.readouterr().out
-
-
-def test_a_report_of_another_machine_or_of_other_rows_is_refused(stored, capsys):
-    command, path = stored
-    assert main([*command, "--codes", "3", "--compare", f"{path}"]) == 2
-    assert "none of these rows" in capsys.readouterr().err
-    data = json.loads(path.read_text())
-    data["machine"]["num_cores"] = 1000
-    path.write_text(json.dumps(data))
-    assert main([*command, "--compare", f"{path}"]) == 2
-    assert "num_cores: the stored report has 1000" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -138,11 +89,7 @@ def test_a_report_of_another_machine_or_of_other_rows_is_refused(stored, capsys)
         ("evaluate --devices 0", "--devices 0"),
         ("data --devices 100", "--devices 100, but there are"),
         ("data --data no-such-folder --batch 2", "no-such-folder"),
-        ("data --compare no-such-file", "no-such-file"),
         ("data --json no-such-folder/x.json", "no-such-folder"),
-        ("scale --device abacus", "device 'abacus' is unknown"),
-        ("scale --interconnect string", "interconnect 'string' is unknown"),
-        ("scale --from no-such-file", "no-such-file"),
         ("walk", "invalid choice: 'walk'"),
     ],
 )

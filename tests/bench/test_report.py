@@ -4,11 +4,10 @@ import math
 import pytest
 
 from t2m_jax.bench import load_report, report_text, save_report
-from t2m_jax.bench.comparison import compare_reports
 from t2m_jax.bench.record import Figure
 from t2m_jax.bench.tables import fitted_table
 from t2m_jax.errors import UserError
-from tests.bench.conftest import on_another_machine, report
+from tests.bench.conftest import report
 
 
 def test_a_report_survives_its_file(tmp_path):
@@ -32,32 +31,6 @@ def test_a_damaged_report_is_refused(tmp_path, change, message):
     with pytest.raises(UserError, match=message) as error:
         load_report(path)
     assert str(path) in str(error.value)
-
-
-def test_what_became_worse_is_named_and_noise_is_not():
-    before = report()
-    found = compare_reports(before, report(updates=8.0, compile=4.3, loss=9.0), tolerance=0.1)
-    (regression,) = found.regressions
-    assert (regression.after.name, found.num_compared) == ("updates", 2)
-    assert str(regression) == "train gpt tiny: updates (1/s) 10 -> 8 (-20%)"
-    assert not compare_reports(before, report(updates=9.5, compile=4.3), tolerance=0.1).regressions
-
-
-def test_less_is_better_for_times():
-    worse = compare_reports(report(), report(compile=5.0), tolerance=0.1).regressions
-    assert [regression.after.name for regression in worse] == ["compile"]
-    assert not compare_reports(report(), report(compile=1.0, updates=90.0), tolerance=0.1).regressions
-
-
-def test_figures_may_be_worse_by_the_spread_of_their_repeats():
-    assert not compare_reports(report(), report(updates=8.0, spread=0.3), tolerance=0.1).regressions
-    assert not compare_reports(report(spread=0.3), report(updates=8.0), tolerance=0.1).regressions
-    assert compare_reports(report(spread=0.3), report(updates=5.0), tolerance=0.1).regressions
-
-
-def test_reports_of_two_machines_are_not_compared():
-    with pytest.raises(UserError, match="num_cores: the stored report has 2, this machine 64"):
-        compare_reports(report(), on_another_machine(report()), tolerance=0.1)
 
 
 def test_a_report_is_shown_as_aligned_markdown():

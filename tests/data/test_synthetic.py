@@ -7,10 +7,10 @@ import pytest
 
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.synthetic import KINDS, make_motion, write_synthetic_dataset
-from t2m_jax.data.importers.synthetic_scale import write_scaled_dataset
 from t2m_jax.errors import UserError
 from t2m_jax.motion.facts import measure
 from t2m_jax.motion.skeleton import HUMANML3D
+from tests.data.synthetic_scale import write_scaled_dataset
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -5,16 +5,12 @@ import logging
 import numpy as np
 import pytest
 
-from t2m_jax.cli.main import main
 from t2m_jax.data.audit import audit_dataset
 from t2m_jax.data.banks.motions import compact, make_bank
 from t2m_jax.data.cache import CACHE_FOLDER, CACHE_NAME
 from t2m_jax.data.folder import open_dataset, samples_from_clip
-from t2m_jax.data.importers import synthetic_scale
 from t2m_jax.data.importers.synthetic import make_motion
-from t2m_jax.data.importers.synthetic_scale import LONGEST, SHORTEST, stretched, write_scaled_dataset
 from t2m_jax.data.splits import nested_choice
-from t2m_jax.data.writer import ImportReport
 from t2m_jax.errors import UserError
 from t2m_jax.models.vqvae import VqVaeConfig
 from t2m_jax.motion.features import features_from_positions, positions_from_features
@@ -22,6 +18,7 @@ from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.train.config import LoopConfig
 from t2m_jax.train.experiment import train
 from t2m_jax.train.vqvae_config import TrainVqVaeConfig
+from tests.data.synthetic_scale import LONGEST, SHORTEST, stretched, write_scaled_dataset
 
 BROKEN = ["000015", "M000015", "000010", "M000010"]
 
@@ -93,16 +90,6 @@ def test_the_seed_decides(folder, tmp_path):
     write_scaled_dataset(tmp_path / "again", num_clips=30, motions_a_kind=1)
     for file in sorted(path for path in (tmp_path / "again").rglob("*") if path.is_file()):
         assert (folder / file.relative_to(tmp_path / "again")).read_bytes() == file.read_bytes()
-
-
-@pytest.mark.parametrize(("options", "num_clips"), [([], 14_614), (["--num-clips", "40"], 40)])
-def test_the_command_line_asks_for_as_many_clips_as_humanml3d(tmp_path, monkeypatch, capsys, options, num_clips):
-    def write(destination, *, num_clips, seed):
-        return ImportReport(2 * num_clips, 0, {"train": seed}, {}, ())
-
-    monkeypatch.setattr(synthetic_scale, "write_scaled_dataset", write)
-    assert main(["data", "synthetic", f"{tmp_path / 'x'}", "--like-humanml3d", "--seed", "7", *options]) == 0
-    assert f"{2 * num_clips} clips" in capsys.readouterr().out
 
 
 def test_too_few_clips_are_refused(tmp_path):

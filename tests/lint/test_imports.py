@@ -81,7 +81,6 @@ def test_files_and_functions_stay_short_enough_to_read():
 WRITERS = {
     "t2m_jax.checkpoints.official.export",
     "t2m_jax.data.cache",
-    "t2m_jax.data.importers.synthetic_scale",
     "t2m_jax.data.merge",
     "t2m_jax.data.writer",
     "t2m_jax.export.glb",

@@ -3,8 +3,11 @@
 It has HumanML3D's layout, names, lengths and numbers of clips and captions, including time-tagged captions and broken
 clips. The time, memory and disk space that the real data set needs can be measured without it. The captions describe
 the motion that a clip is cut from, so a model cannot learn much from them.
+
+    python -m tests.data.synthetic_scale DEST [NUM_CLIPS [SEED]]
 """
 
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -135,3 +138,7 @@ def write_scaled_dataset(
     sizes = {split: len(members) for split, members in splits.items()}
     notes = ("one pair of clips is NaN and one has a single frame, as in HumanML3D",)
     return ImportReport(2 * num_clips, sum(lengths), sizes, {}, notes)
+
+
+if __name__ == "__main__":
+    write_scaled_dataset(sys.argv[1], **dict(zip(("num_clips", "seed"), map(int, sys.argv[2:]), strict=False)))
