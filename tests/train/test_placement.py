@@ -38,6 +38,7 @@ def tables(run):
     return {str(path.relative_to(run)): path.read_bytes() for path in run.rglob("*.csv") if path.name != "speed.csv"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make_config", "steps_per_call"), [(vqvae_training, 1), (vqvae_training, 5), (evaluator_training, 5)]
 )

@@ -86,6 +86,7 @@ def test_bfloat16_keeps_the_state_of_a_gpt_in_float32(state, plain):
     np.testing.assert_allclose(metrics["loss"], plain[1]["loss"], rtol=0.02)
 
 
+@pytest.mark.slow
 def test_bfloat16_keeps_the_state_of_a_vqvae_in_float32():
     mask = jnp.array([[True] * 16, [True] * 9 + [False] * 7])
     windows = Windows(jax.random.normal(jax.random.key(1), (2, 16, 263)) * mask[:, :, None], mask)

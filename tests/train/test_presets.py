@@ -185,6 +185,7 @@ def test_the_recipe_of_hifigpt_trains_both_stages_at_reduced_size(data, tmp_path
     assert np.isfinite(motion.positions).all() and motion.codes.shape[1] == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("quantizer", "norm"), [("orig", "GN"), ("reset", "BN")])
 def test_every_kind_of_codebook_and_norm_is_saved_and_resumed(quantizer, norm, data, tmp_path):
     """Kinds differ in which collections they have."""

@@ -29,7 +29,7 @@ def training(kind, encoder, runs, run):
     return dataclasses.replace(config, model=model, text_encoder=kind, **{kind: str(encoder)})
 
 
-@pytest.fixture(scope="module", params=["sentence", pytest.param("clip", marks=pytest.mark.slow)])
+@pytest.fixture(scope="module", params=["sentence", "clip"])
 def trained(request, runs, tmp_path_factory):
     """Returns the config of a finished training. Its encoder is beside the run; tests that change it change it back."""
     source, folder = {"sentence": BERT, "clip": TEXT_ONLY}[request.param], tmp_path_factory.mktemp(request.param)
@@ -46,6 +46,7 @@ def change_weights(path):
     save_file(arrays, path)
 
 
+@pytest.mark.slow
 def test_a_model_with_a_pretrained_encoder_is_trained_bundled_and_used(trained, tmp_path):
     kind, encoder = trained.text_encoder, trained.run.parent / "encoder"
     model = TextToMotion.load(trained.run)
@@ -63,6 +64,7 @@ def test_a_model_with_a_pretrained_encoder_is_trained_bundled_and_used(trained, 
     (tmp_path / "elsewhere").rename(encoder)
 
 
+@pytest.mark.slow
 def test_a_run_is_resumed_with_its_encoder_only(trained):
     longer = dataclasses.replace(trained, loop=dataclasses.replace(TWO_STEPS, num_steps=3))
     assert int(train(longer, resume=True).step) == 3

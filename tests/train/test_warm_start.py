@@ -38,7 +38,9 @@ def bundle(runs, tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("source", ["run", "generator's run", "bundle"])
+@pytest.mark.parametrize(
+    "source", ["run", *(pytest.param(other, marks=pytest.mark.slow) for other in ("generator's run", "bundle"))]
+)
 def test_a_tokenizer_starts_from_a_model(runs, bundle, tmp_path, source):
     init = {"run": runs.vqvae, "generator's run": runs.gpt, "bundle": bundle}[source]
     fields = {"init": init, "statistics": f"{init}", "optimizer": STILL}
@@ -77,6 +79,7 @@ def test_a_decoder_alone_needs_its_tokenizer_and_its_statistics(runs, tmp_path):
         dataclasses.replace(config, model=dataclasses.replace(VQVAE, norm="BN"))
 
 
+@pytest.mark.slow
 def test_a_generator_starts_from_a_model_and_keeps_its_subwords(runs, tmp_path):
     fields = {"init": runs.gpt, "optimizer": STILL}
     config = dataclasses.replace(gpt_training(runs.data, runs.vqvae, tmp_path / "run", loop=SHORT), **fields)
