@@ -4,7 +4,8 @@ import pytest
 
 from t2m_jax.cli.main import main
 from t2m_jax.cli.train import _config
-from t2m_jax.train import TrainGptConfig, TrainVqVaeConfig
+from t2m_jax.train import TrainVqVaeConfig
+from t2m_jax.train.gpt import TrainGptConfig
 
 
 def test_the_defaults_are_the_published_models():

@@ -19,14 +19,10 @@ from t2m_jax.motion.normalizer import Normalizer, normalizer_from_clips
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.text.bpe import train_bpe
 from t2m_jax.text.word_vectors import tokens_from_text, vocabulary_from_captions
-from t2m_jax.train import (
-    LoopConfig,
-    OptimizerConfig,
-    TrainGptConfig,
-    TrainHiFiGptConfig,
-    TrainRvqVaeConfig,
-    TrainVqVaeConfig,
-)
+from t2m_jax.train import LoopConfig, OptimizerConfig, TrainVqVaeConfig
+from t2m_jax.train.gpt import TrainGptConfig
+from t2m_jax.train.hifigpt import TrainHiFiGptConfig
+from t2m_jax.train.vqvae_config import TrainRvqVaeConfig
 
 VQVAE = VqVaeConfig(num_codes=16, code_dim=8, width=16, depth=1)
 RVQVAE = RvqVaeConfig(num_codes=16, code_dim=8, width=16, num_quantizers=3)

@@ -14,7 +14,8 @@ import pytest
 
 from t2m_jax.config import save_config
 from t2m_jax.data import write_synthetic_dataset
-from t2m_jax.train import LoopConfig, ShardingConfig
+from t2m_jax.train import LoopConfig
+from t2m_jax.train.config import ShardingConfig
 from tests import tiny
 from tests.devices.test_many_devices import free_port
 

@@ -19,7 +19,7 @@ from mdit_py_plugins.anchors import anchors_plugin
 from t2m_jax.cli.main import COMMANDS, main
 from t2m_jax.cli.train import _start_config
 from t2m_jax.config import override_config
-from t2m_jax.train import find_trainer
+from t2m_jax.train.experiment import find_trainer
 from tests.conftest import REPOSITORY
 from tests.documents import PAGES, code_blocks, commands, name_of
 

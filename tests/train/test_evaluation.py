@@ -27,17 +27,11 @@ from t2m_jax.files.arrays import save_arrays
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.programs import generate_codes
-from t2m_jax.train import (
-    EvaluationConfig,
-    GenerationEvaluationConfig,
-    TrainGptConfig,
-    TrainVqVaeConfig,
-    experiment,
-    train,
-)
+from t2m_jax.train import TrainVqVaeConfig, experiment, train
 from t2m_jax.train.best import BestWeights, is_better
-from t2m_jax.train.config import compiled_config
+from t2m_jax.train.config import EvaluationConfig, GenerationEvaluationConfig, compiled_config
 from t2m_jax.train.experiment import find_trainer, make_best
+from t2m_jax.train.gpt import TrainGptConfig
 from tests.tiny import gpt_training, random_evaluator, vqvae_training
 from tests.train.conftest import assert_same_checkpoint, stop_at
 

@@ -22,7 +22,8 @@ from t2m_jax.evaluation.prompts.following import RULES
 from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
 from t2m_jax.motion.formats import load_motion
 from t2m_jax.sampling import TextToMotion
-from t2m_jax.train import TrainGptConfig, TrainVqVaeConfig, train
+from t2m_jax.train import TrainVqVaeConfig, train
+from t2m_jax.train.gpt import TrainGptConfig
 from tests.export.test_html import Elements
 from tests.hub_server import TOKEN
 from tests.tiny import BUNDLE, LOOP, gpt_training, vqvae_training

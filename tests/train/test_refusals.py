@@ -12,15 +12,11 @@ from t2m_jax.cli.main import main
 from t2m_jax.config import config_from_dict, save_config
 from t2m_jax.data.files import FEATURES
 from t2m_jax.errors import UserError
-from t2m_jax.train import (
-    TrainEvaluatorConfig,
-    TrainGptConfig,
-    TrainHiFiGptConfig,
-    TrainRvqVaeConfig,
-    TrainVqVaeConfig,
-    train,
-)
+from t2m_jax.train import TrainEvaluatorConfig, TrainVqVaeConfig, train
 from t2m_jax.train.config import ShardingConfig
+from t2m_jax.train.gpt import TrainGptConfig
+from t2m_jax.train.hifigpt import TrainHiFiGptConfig
+from t2m_jax.train.vqvae_config import TrainRvqVaeConfig
 from tests.tiny import gpt_training, vqvae_training
 
 

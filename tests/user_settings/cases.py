@@ -32,11 +32,11 @@ from t2m_jax.sampling.stopping import StopAtEnd, StopAtThreshold
 from t2m_jax.sampling.strategies import Temperature
 from t2m_jax.text.bpe import CaptionTokens
 from t2m_jax.text.word_vectors import Vocabulary
-from t2m_jax.train import LoopConfig, OptimizerConfig, TrainGptConfig, TrainHiFiGptConfig, TrainVqVaeConfig
+from t2m_jax.train import LoopConfig, OptimizerConfig, TrainVqVaeConfig
 from t2m_jax.train.evaluator import init_matching_state
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
-from t2m_jax.train.gpt import init_gpt_state
-from t2m_jax.train.hifigpt import init_hifigpt_state
+from t2m_jax.train.gpt import TrainGptConfig, init_gpt_state
+from t2m_jax.train.hifigpt import TrainHiFiGptConfig, init_hifigpt_state
 from t2m_jax.train.movement import init_movement_state
 from t2m_jax.train.vqvae import init_vqvae_state
 from tests.tiny import CAPTION_ENCODER, GPT, VQVAE, random_variables, walking_normalizer

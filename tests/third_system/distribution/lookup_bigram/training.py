@@ -19,8 +19,9 @@ from t2m_jax.data.banks.order import row_keys
 from t2m_jax.devices import own_rows
 from t2m_jax.evaluation.sources import Reconstruction
 from t2m_jax.masks import masked_mean
-from t2m_jax.train import Evaluation, EvaluationConfig, ExperimentConfig, LoopConfig, OptimizerConfig, Setup, Trainer
-from t2m_jax.train.config import compiled_config
+from t2m_jax.train import ExperimentConfig, LoopConfig, OptimizerConfig, Setup, Trainer
+from t2m_jax.train.config import EvaluationConfig, compiled_config
+from t2m_jax.train.experiment import Evaluation
 from t2m_jax.train.generator import (
     GeneratorSteps,
     TrainGeneratorConfig,
