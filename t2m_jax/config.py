@@ -182,10 +182,7 @@ def check_sizes(config: Any, *names: str) -> None:
 
 
 def check_amounts(config: Any, *names: str) -> None:
-    """Raises `ValueError` if a number in one of the fields is negative or not finite.
-
-    Call it in `__post_init__`, like `check_sizes`.
-    """
+    """Raises `ValueError` if a number in one of the fields is negative or not finite, like `check_sizes`."""
     for name in names:
         if not 0 <= (value := getattr(config, name)) < math.inf:
             raise ValueError(f"{name}: {value} is not a number from 0 up")
@@ -242,7 +239,8 @@ def _section(schema: type[T] | Tagged, data: Any, keys: tuple[str, ...]) -> T:
 
 def _tagged_class(tagged: Tagged, data: Mapping[str, Any], keys: tuple[str, ...]) -> type:
     """Returns the config class that the `kind` of a section names."""
-    kind, here = data.get("kind", tagged.default), (*keys, "kind")
+    kind = data.get("kind", tagged.default)
+    here = (*keys, "kind")
     try:
         if not isinstance(kind, str):
             raise UserError(f"expected text that names the kind of this section, got {reprlib.repr(kind)}")
@@ -252,11 +250,9 @@ def _tagged_class(tagged: Tagged, data: Mapping[str, Any], keys: tuple[str, ...]
 
 
 def _value(annotation: Any, value: Any, keys: tuple[str, ...]) -> Any:
-    """Returns a value of an annotated type.
-
-    Three conversions are allowed: whole numbers to float, lists to tuples, and text to paths.
-    """
-    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
+    """Returns a value of an annotated type; whole numbers become floats, lists tuples, and texts paths."""
+    origin = typing.get_origin(annotation)
+    arguments = typing.get_args(annotation)
     if origin is Annotated:
         is_tagged = isinstance(arguments[1], Tagged)
         return _section(arguments[1], value, keys) if is_tagged else _value(arguments[0], value, keys)
@@ -304,7 +300,8 @@ def _plain(value: Any) -> Any:
 
 def _described(annotation: Any) -> str:
     """Returns what a user would call the values of a type."""
-    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
+    origin = typing.get_origin(annotation)
+    arguments = typing.get_args(annotation)
     if origin is Literal:
         return f"one of {', '.join(repr(choice) for choice in arguments)}"
     if origin in (Union, types.UnionType):
@@ -317,7 +314,8 @@ def _described(annotation: Any) -> str:
 
 def _field_names(schema: type) -> list[str]:
     """Returns the dotted names of all fields of a config class, sections below it included."""
-    annotations, names = typing.get_type_hints(schema), []
+    annotations = typing.get_type_hints(schema)
+    names = []
     for field in dataclasses.fields(schema):
         annotation = annotations[field.name]
         sections = [part for part in (annotation, *typing.get_args(annotation)) if dataclasses.is_dataclass(part)]

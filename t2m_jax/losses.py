@@ -107,7 +107,8 @@ def bone_loss(
     """
     _check_motion(reconstruction, motion, mask)
     if normalizer is not None:
-        reconstruction, motion = normalizer.denormalize(reconstruction), normalizer.denormalize(motion)
+        reconstruction = normalizer.denormalize(reconstruction)
+        motion = normalizer.denormalize(motion)
     difference = bone_vectors(reconstruction, skeleton) - bone_vectors(motion, skeleton)
     return masked_mean(_lengths(difference), mask[:, :, None])
 
@@ -209,6 +210,7 @@ def _check_motion(reconstruction: Array, motion: Array, mask: Array) -> None:
 def _lengths(vectors: Float[Array, "*batch D"]) -> Float[Array, "*batch"]:
     """Returns the lengths of vectors, whose gradient is 0 where they are 0."""
     squares = jnp.sum(vectors**2, axis=-1)
+    # The root of 0 has no gradient, and `where` would still multiply its infinity by 0.
     differs = squares > 0
     return jnp.where(differs, jnp.sqrt(jnp.where(differs, squares, 1.0)), 0.0)
 
@@ -226,6 +228,7 @@ def mean_weights(
     mask = jnp.arange(length)[None] < counts[:, None]
     if mean_over == "tokens":
         return mask / global_sum(jnp.sum(mask))
+    # `psum` of the number of rows, because a device has only its part of the batch.
     return mask / (jnp.maximum(counts, 1) * global_sum(jnp.asarray(len(counts))))[:, None]
 
 
@@ -244,6 +247,7 @@ def token_loss(
     The sums of the parts of a batch, with the weights of the whole, add up to the sum of the whole.
     """
     chex.assert_shape([targets, weights], logits.shape[:-1])
+    # A target such as Pad is no class of the logits.
     safe_targets = jnp.where(weights > 0, targets, 0)
     losses = optax.losses.softmax_cross_entropy_with_integer_labels(logits.astype(jnp.float32), safe_targets)
     return global_sum(jnp.sum(jnp.where(weights > 0, weights * losses, 0.0)))
@@ -264,13 +268,9 @@ def stop_loss(
     *,
     positive_weight: float = 1.0,
 ) -> Float[Array, ""]:
-    """Returns the weighted sum of the binary cross-entropies of stopping, over the global batch.
+    """Returns the weighted sum of the binary cross-entropies of each row being the last, over the global batch.
 
-    Args:
-        stop_logits: Of each row being the last.
-        is_last: Whether it is.
-        weights: Of each row, see `mean_weights`.
-        positive_weight: Factor of the terms of last rows.
+    `weights` are those of `mean_weights`, and `positive_weight` is a factor of the terms of last rows.
     """
     chex.assert_equal_shape([stop_logits, is_last, weights])
     losses = optax.losses.sigmoid_binary_cross_entropy(stop_logits.astype(jnp.float32), is_last.astype(jnp.float32))
@@ -332,6 +332,7 @@ def infonce_loss(
     chex.assert_equal_shape([text, motion])
     chex.assert_shape(same, (len(text), len(text)))
     squares = jnp.sum((text[:, None] - motion[None, :]) ** 2, axis=-1)
+    # A row is always its own positive, whatever else has its caption.
     own = jnp.eye(len(text), dtype=bool)
     logits = jnp.where(same & ~own, -jnp.inf, -squares / temperature)
     rows = jnp.arange(len(text))

@@ -70,7 +70,8 @@ class _Loader(yaml.SafeLoader):
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         """Returns the next node; problems are refused here, before anything can expand them."""
-        event, problem = self.peek_event(), ""
+        event = self.peek_event()
+        problem = ""
         if self.depth > MAX_DEPTH:
             problem = f"nested deeper than {MAX_DEPTH} levels"
         elif isinstance(event, yaml.AliasEvent) or event.anchor:

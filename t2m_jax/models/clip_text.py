@@ -98,6 +98,7 @@ class ClipText(nn.Module):
         positions = self.param("position_embedding", WEIGHT_INIT, (config.max_length, config.embed_dim))
         embed = nn.Embed(config.vocabulary_size, config.embed_dim, embedding_init=WEIGHT_INIT, name="token_embedding")
         hidden = embed(caption_tokens) + positions[None, :length]
+        # CLIP was trained with a causal mask, so the end of a caption is the only token that has seen all of it.
         causal = jnp.tril(jnp.ones((1, 1, length, length), bool))
         for layer in range(config.num_layers):
             hidden = ClipBlock(config, name=f"block_{layer}")(hidden, causal)

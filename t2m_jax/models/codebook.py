@@ -54,6 +54,15 @@ RULES: dict[str, CodebookRule] = {
 }
 
 
+class Limits(NamedTuple):
+    """The numbers of a rule."""
+
+    decay: float
+    """Share of the old averages that a step keeps."""
+    threshold: float
+    """A code is dead if its count (averaged, if the rule averages) is below this."""
+
+
 class CodebookState(NamedTuple):
     """The collection `codebook`: what a codebook that is not trained by gradient keeps between steps.
 
@@ -82,7 +91,9 @@ def candidate_codes(
     If there are fewer rows than codes, rows are repeated, and `noise` (standard normal) is scaled and added to all of
     them, so that no two codes are equal.
     """
-    num_codes, (latents, mask) = noise.shape[0], global_rows((latents, mask))
+    num_codes = noise.shape[0]
+    latents, mask = global_rows((latents, mask))
+    # A stable sort of False before True brings the data rows to the front without a shape that depends on the data.
     order = jnp.argsort(~mask, stable=True)
     num_rows = jnp.sum(mask)
     rows = latents[order[jnp.arange(num_codes) % jnp.maximum(num_rows, 1)]]
@@ -120,8 +131,7 @@ def update_codebook(
     candidates: Float[Array, "K C"] | None,
     *,
     rule: CodebookRule,
-    decay: float,
-    threshold: float,
+    limits: Limits,
 ) -> CodebookState:
     """Returns the codebook after one step of a rule that averages, resets, or does both.
 
@@ -130,14 +140,13 @@ def update_codebook(
         batch_hits: Sums and counts.
         candidates: Row k replaces code k if that code is dead; None if the rule does not reset, or draws.
         rule: Whether to average and whether to reset.
-        decay: Share of the old averages that is kept.
-        threshold: A code is dead if its count (averaged, if the rule averages) is below this.
+        limits: Its numbers.
     """
-    kept = decay if rule.averages else 0.0
+    kept = limits.decay if rule.averages else 0.0
     ema_sum, ema_count = (
         kept * old + (1.0 - kept) * new for old, new in zip((state.ema_sum, state.ema_count), batch_hits, strict=True)
     )
-    alive = ema_count >= (LEAST_COUNT if candidates is None else threshold)
+    alive = ema_count >= (LEAST_COUNT if candidates is None else limits.threshold)
     codebook = state.codebook
     if rule.averages:
         # The count of a dead code may be 0 or denormal. Dividing by it would give NaN, also in the unused branch.
@@ -151,7 +160,8 @@ def make_pool(vectors: Float[Array, "R M C"], mask: Bool[Array, "R M"]) -> Pool:
     """Returns the vectors of all depths and all devices; `mask` is True where they may be used."""
     # Rows first, because devices have different rows.
     rows, allowed = global_rows((jnp.swapaxes(vectors, 0, 1), mask.T))
-    rows, allowed = jnp.swapaxes(rows, 0, 1), allowed.T
+    rows = jnp.swapaxes(rows, 0, 1)
+    allowed = allowed.T
     return Pool(rows.reshape(-1, rows.shape[-1]), (allowed & jnp.any(rows != 0, axis=-1)).reshape(-1))
 
 
@@ -194,8 +204,7 @@ def move_codebook(
     draws: Float[Array, "K C"] | Key[Array, ""],
     *,
     rule: CodebookRule,
-    decay: float,
-    threshold: float,
+    limits: Limits,
 ) -> tuple[CodebookState, Float[Array, " R"]]:
     """Returns the codebook after the lookup of some depths, and how many codes were redrawn from each.
 
@@ -206,15 +215,14 @@ def move_codebook(
         mask: Where vectors count.
         draws: Standard normal noise for candidates; or a key, if the rule redraws.
         rule: How the codebook moves.
-        decay: Share of the old averages that is kept.
-        threshold: A code is dead if its count is below this.
+        limits: Its numbers.
     """
-    num_codes, depth = len(state.codebook), len(codes)
-    batch_hits, limits = hits(vectors, codes, mask, num_codes=num_codes), {"decay": decay, "threshold": threshold}
+    depth = len(codes)
+    batch_hits = hits(vectors, codes, mask, num_codes=len(state.codebook))
     if rule.redraws:
-        state = update_codebook(state, batch_hits, None, rule=rule, **limits)
-        return redraw_dead(state, make_pool(vectors, mask), draws, threshold=threshold, depth=depth)
+        state = update_codebook(state, batch_hits, None, rule=rule, limits=limits)
+        return redraw_dead(state, make_pool(vectors, mask), draws, threshold=limits.threshold, depth=depth)
     candidates = None
     if rule.resets:
         candidates = candidate_codes(vectors.reshape(-1, vectors.shape[-1]), mask.reshape(-1), draws)
-    return update_codebook(state, batch_hits, candidates, rule=rule, **limits), jnp.zeros(depth)
+    return update_codebook(state, batch_hits, candidates, rule=rule, limits=limits), jnp.zeros(depth)

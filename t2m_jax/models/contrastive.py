@@ -38,5 +38,5 @@ def _moments(rows: Float[Array, "B N C"], mask: Bool[Array, "B N"]) -> tuple[Flo
 
 
 def _unit(vectors: Float[Array, "B W"]) -> Float[Array, "B W"]:
-    vectors = vectors.astype(jnp.float32)
+    vectors = vectors.astype(jnp.float32)  # distances of unit vectors are too small for 16 bits
     return vectors / jnp.sqrt(jnp.sum(vectors**2, axis=-1, keepdims=True) + EPSILON)

@@ -71,11 +71,12 @@ class MaskedBatchNorm(nn.Module):
         scale = self.param("scale", nn.initializers.ones, width)
         bias = self.param("bias", nn.initializers.zeros, width)
         values = hidden.astype(jnp.float32)
-        mean, var = averages["mean"].value, averages["var"].value
+        mean = averages["mean"].value
+        var = averages["var"].value
         if train:
             mean = _mean_over_positions(values, mask)
             var = _mean_over_positions((values - mean[None, None]) ** 2, mask)
-            if not self.is_initializing():
+            if not self.is_initializing():  # `init` sees one example of zeros
                 for name, now in (("mean", mean), ("var", var)):
                     averages[name].value = self.momentum * averages[name].value + (1 - self.momentum) * now
         normed = (values - mean[None, None]) * (jax.lax.rsqrt(var + self.epsilon) * scale)[None, None]
@@ -206,6 +207,7 @@ class Encoder(nn.Module):
         """Returns latents. N is T halved `num_stages` times and rounded down."""
         hidden = nn.relu(MaskedConv(self.width, 3, padding=1, name="input")(motion, mask))
         for stage in range(self.num_stages):
+            # A kernel of twice the stride: every frame counts in two positions.
             hidden = MaskedConv(self.width, 4, stride=2, padding=1, name=f"down_{stage}")(hidden, mask)
             mask = halve_mask(mask)
             hidden = self.stack(name=f"stack_{stage}")(hidden, mask, train=train)

@@ -53,7 +53,8 @@ def _loop_convolution_backward(
     gradient: Float[Array, "B U Y"],
 ) -> tuple[Float[Array, "B T X"], Float[Array, "K X Y"]]:
     """Returns the gradients of inputs and kernel from the gradient of the output."""
-    (inputs, kernel), (stride, dilation, padding) = arguments, window
+    inputs, kernel = arguments
+    stride, dilation, padding = window
     reach = dilation * (kernel.shape[0] - 1)  # from the first tap of an output to its last tap
     last_read = stride * (gradient.shape[1] - 1) + reach - padding  # by the last tap of the last output
     zeros_after = last_read - (inputs.shape[1] - 1)  # negative if a stride leaves inputs at the end unread

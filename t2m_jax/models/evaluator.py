@@ -116,6 +116,7 @@ class MovementEncoder(nn.Module):
         hidden = motion
         for layer, width in enumerate((self.hidden, self.features)):
             hidden = HalvingConv(width, name=f"conv_{layer}")(hidden)
+            # Before the activation, as in the original.
             hidden = nn.Dropout(self.dropout, deterministic=not train)(hidden)
             hidden = nn.leaky_relu(hidden, NEGATIVE_SLOPE)
         return nn.Dense(self.features, kernel_init=_XAVIER, name="output")(hidden)
@@ -211,6 +212,7 @@ class Evaluator(nn.Module):
         chex.assert_equal_shape([words, parts_of_speech])
         chex.assert_shape(text_lengths, words.shape[:1])
         with jax.default_matmul_precision("float32"):
+            # The same as a table of vectors; the original has the matrix of a linear layer.
             classes = jax.nn.one_hot(parts_of_speech, self.config.num_parts_of_speech)
             inputs = self.word_embedding(words) + self.part_of_speech_projection(classes)
             return self.text_encoder(inputs, text_lengths)
@@ -219,5 +221,6 @@ class Evaluator(nn.Module):
 def evaluator_shapes(config: EvaluatorConfig) -> dict[str, dict]:
     """Returns the shapes and dtypes of an evaluator's variables."""
     motion = jnp.zeros((1, FRAMES_PER_MOVEMENT, config.feature_dim))
-    words, length = jnp.zeros((1, 1), jnp.int32), jnp.ones(1, jnp.int32)
+    words = jnp.zeros((1, 1), jnp.int32)
+    length = jnp.ones(1, jnp.int32)
     return jax.eval_shape(lambda: Evaluator(config).init(jax.random.key(0), motion, 4 * length, words, words, length))

@@ -141,6 +141,7 @@ class Tier(nn.Module):
         inputs = self._read_vectors(vectors)
         if not self.num_positions:
             return inputs
+        # The last depth is read, too, in a scan; nobody uses what comes of it.
         return inputs + self.position[jnp.minimum(number, self.num_positions - 1)][None]
 
     def __call__(self, inputs: Float[Array, "B L W"], *, train: bool) -> Float[Array, "B L W"]:
@@ -149,8 +150,8 @@ class Tier(nn.Module):
 
     def empty(self, batch: int) -> tuple[LayerCache, ...]:
         """Returns an empty cache for the prompt and all positions."""
-        config, length = self.config, self.num_positions + 1
-        layer = empty_cache(batch, length, embed_dim=config.embed_dim, num_heads=config.num_heads)
+        config = self.config
+        layer = empty_cache(batch, self.num_positions + 1, embed_dim=config.embed_dim, num_heads=config.num_heads)
         return (layer,) * self.num_layers
 
     def step(
@@ -217,6 +218,7 @@ class HiFiGpt(nn.Module):
         chex.assert_shape(text_embedding, (len(codes), self.config.text_dim))
         if codes.shape[1] > self.config.max_codes:
             raise ValueError(f"{codes.shape[1]} rows are more than max_codes {self.config.max_codes}")
+        # The codes of row t are read off the context after row t - 1, and whether it is the last off that after itself.
         hidden = self.contexts(codes, text_embedding, train=train)
         read = codes if residual_codes is None else residual_codes
         return HiFiGptOutput(self._code_logits(hidden[:, :-1], read, train=train), self._stop_logits(hidden[:, 1:]))
@@ -242,6 +244,7 @@ class HiFiGpt(nn.Module):
         vectors = self._vectors(codes[:, :, :-1])
         if self.config.cumulative_depth:
             vectors = jnp.cumsum(vectors, axis=2)
+        # A context is the prompt, so depth w sees the codes before it, and the last code is never read.
         inputs = jnp.concatenate([contexts[:, :, None], self.residual.embed(vectors)], axis=2)
         hidden = self.residual(inputs.reshape(batch * rows, depth, -1), train=train)
         normed = self.head_norm(hidden).reshape(batch, rows, depth, -1)
@@ -259,7 +262,7 @@ class HiFiGpt(nn.Module):
         chex.assert_shape(text_embedding, (None, self.config.text_dim))
         batch = text_embedding.shape[0]
         texts = text_embedding[:, None]
-        if guidance_scale is not None:
+        if guidance_scale is not None:  # zeros are what a motion without text had in training
             texts = jnp.concatenate([texts, jnp.zeros_like(texts)], axis=1)
         scale = jnp.full(batch, 1.0 if guidance_scale is None else guidance_scale)
         inputs = self.text_projection(texts.reshape(-1, texts.shape[-1]))
@@ -286,9 +289,11 @@ class HiFiGpt(nn.Module):
         def one_depth(
             self: "HiFiGpt", carry: tuple[Array, Array, Any], now: tuple[Array, Array]
         ) -> tuple[tuple[Array, Array, Any], Array]:
-            (inputs, total, layers), (number, keys) = carry, now
+            inputs, total, layers = carry
+            number, keys = now
             hidden, layers = self.residual.step(inputs, layers, number)
             logits = guided(self._logits_at(hidden, number).reshape(batch, halves, -1), context.guidance_scale)
+            # Both halves read the same codes: they are two opinions on one motion.
             codes = draw_each(strategy, logits, keys)
             vectors = self._vectors(codes)
             total = total + vectors
@@ -297,6 +302,7 @@ class HiFiGpt(nn.Module):
 
         total = jnp.zeros_like(self._vectors(jnp.zeros(batch, jnp.int32)))
         first = (context.hidden.reshape(-1, width), total, self.residual.empty(batch * halves))
+        # A scan: one program for any depth. The cache of this tier starts empty for each row.
         over_depths = nn.scan(one_depth, variable_broadcast=True, split_rngs={})
         _, codes = over_depths(self, first, (jnp.arange(depth), depth_keys))
         return codes.T

@@ -85,6 +85,7 @@ class MotionGpt(nn.Module):
     def setup(self) -> None:
         """Builds embeddings, blocks and head."""
         config = self.config
+        # End and Pad are read in training, where motions are shorter than the block.
         self.token_embedding = nn.Embed(config.num_codes + 2, config.embed_dim, embedding_init=WEIGHT_INIT)
         self.text_projection = Projection(config.embed_dim)
         self.blocks = [
@@ -92,6 +93,7 @@ class MotionGpt(nn.Module):
             for layer in range(config.num_layers)
         ]
         self.final_norm = nn.LayerNorm(epsilon=LAYER_NORM_EPSILON)
+        # Pad is never predicted.
         self.head = Projection(config.num_codes + 1, use_bias=False)
 
     def _positions(self) -> Float[Array, "L W"]:
@@ -133,6 +135,7 @@ class MotionGpt(nn.Module):
         self, context: Float[Array, "B V"], keys: Key[Array, " B"], strategy: Draw, *, may_stop: Bool[Array, "*#B"]
     ) -> Int[Array, "B 1"]:
         """Returns the next token, which is a code or (if `may_stop`) End."""
+        # A motion that must go on, because it is too short or not yet where the user wants it.
         is_end = jnp.arange(context.shape[1]) == self.config.end_token
         allowed = jnp.where(is_end[None] & ~may_stop.reshape(-1, 1), -jnp.inf, context)
         return draw_each(strategy, allowed, keys)[:, None]

@@ -59,6 +59,7 @@ def projection_paths(config: PartConfig) -> list[Path]:
             paths[context.module.path] = None
         return call(*args, **kwargs)
 
+    # The modules know their own paths; the names in the tree would not say which kernels are projections.
     with nn.intercept_methods(note):
         variable_shapes(config)
     return list(paths)

@@ -17,6 +17,7 @@ from t2m_jax.masks import masked_mean
 from t2m_jax.models.codebook import (
     RULES,
     CodebookState,
+    Limits,
     QuantizerKind,
     candidate_codes,
     count_codes,
@@ -89,7 +90,8 @@ def look_up(
     """
 
     def one_depth(carry: Any, now: Any) -> tuple[Any, Lookup]:
-        (residual, total, state), (is_used, draw) = carry, now
+        residual, total, state = carry
+        is_used, draw = now
         codes = nearest_codes(residual, state.codebook)
         chosen = jnp.where(is_used, state.codebook[codes], 0.0)
         expired = jnp.zeros(1)
@@ -121,13 +123,13 @@ class Quantizer(nn.Module):
 
     def setup(self) -> None:
         """Declares the codebook."""
-        rows, counts = (self.num_codes, self.code_dim), (self.num_codes,)
+        rows = (self.num_codes, self.code_dim)
         if RULES[self.kind].by_gradient:
             self.embedding = self.param("codebook", uniform_init(1.0 / self.num_codes), rows)
             return
         self.codebook = self.variable("codebook", "codebook", jnp.zeros, rows)
         self.ema_sum = self.variable("codebook", "ema_sum", jnp.zeros, rows)
-        self.ema_count = self.variable("codebook", "ema_count", jnp.zeros, counts)
+        self.ema_count = self.variable("codebook", "ema_count", jnp.zeros, (self.num_codes,))
         self.initialised = self.variable("codebook", "initialised", lambda: jnp.array(False))
 
     def _read(self) -> CodebookState:
@@ -158,14 +160,17 @@ class Quantizer(nn.Module):
             noise: Standard normal numbers for the first codebook and for replaced codes. Drawn if None.
         """
         # All of the codebook is in full precision, whatever the latents have.
-        rows, row_mask = latents.reshape(-1, self.code_dim).astype(jnp.float32), mask.reshape(-1)
+        rows = latents.reshape(-1, self.code_dim).astype(jnp.float32)
+        row_mask = mask.reshape(-1)
         used = self._used_depths(train=train)
         if train and self._can_move():
             found, expired = self._look_up_and_move(rows, row_mask, used, noise)
         else:
             found, _ = look_up(rows, self._read(), used)
             expired = jnp.zeros(self.num_quantizers)
-        counted, residuals = used[:, None] & row_mask[None], jax.lax.stop_gradient(found.residuals)
+        counted = used[:, None] & row_mask[None]
+        residuals = jax.lax.stop_gradient(found.residuals)
+        # One estimator for the total: with one at each depth, the gradient would be counted R times.
         straight_through = rows + jax.lax.stop_gradient(found.totals[-1] - rows)
         return QuantizerOutput(
             quantized=straight_through.reshape(latents.shape).astype(latents.dtype),
@@ -194,7 +199,8 @@ class Quantizer(nn.Module):
     ) -> tuple[Lookup, Float[Array, " R"]]:
         """Returns the codes, and how many codes were redrawn from each depth; moves the codebook."""
         first, draws = self._first_codes(jax.lax.stop_gradient(rows), mask, noise)
-        state, move = initial_codebook(self._read(), first), functools.partial(self._move, mask)
+        state = initial_codebook(self._read(), first)
+        move = functools.partial(self._move, mask)
         if self.codebook_update == "per_depth":
             found, state = look_up(rows, state, used, draws=draws, move=move)
             expired = found.expired[:, 0]
@@ -209,9 +215,11 @@ class Quantizer(nn.Module):
     ) -> tuple[Float[Array, "K C"], Array]:
         """Returns a first codebook, and what the update after each depth draws from: keys, or noise."""
         if RULES[self.kind].redraws:
-            keys, state = jax.random.split(self.make_rng("codebook"), self.num_quantizers + 1), self._read()
+            keys = jax.random.split(self.make_rng("codebook"), self.num_quantizers + 1)
+            state = self._read()
 
             def draw() -> Float[Array, "K C"]:
+                # Rows alone would be no code for the small residuals of later depths, so these are in the pool as well.
                 provisional = candidate_codes(rows, mask, jnp.zeros_like(state.codebook))
                 used = jnp.ones(self.num_quantizers, bool)
                 found, _ = look_up(rows, state._replace(codebook=provisional), used)
@@ -234,9 +242,11 @@ class Quantizer(nn.Module):
         draw: Array,
     ) -> tuple[CodebookState, Float[Array, " D"]]:
         """Returns the codebook after the lookup of D depths, see `move_codebook`."""
-        limits = {"decay": self.ema_decay, "threshold": self.reset_threshold}
-        counted, vectors = used[:, None] & mask[None], jax.lax.stop_gradient(vectors)
-        return move_codebook(state, vectors, codes, counted, draw, rule=RULES[self.kind], **limits)
+        counted = used[:, None] & mask[None]
+        limits = Limits(self.ema_decay, self.reset_threshold)
+        # The codebook follows the latents; no gradient flows through its move.
+        vectors = jax.lax.stop_gradient(vectors)
+        return move_codebook(state, vectors, codes, counted, draw, rule=RULES[self.kind], limits=limits)
 
     def _commitment_loss(
         self, rows: Float[Array, "M C"], totals: Float[Array, "R M C"], mask: Bool[Array, " M"], used: Bool[Array, " R"]
@@ -249,6 +259,7 @@ class Quantizer(nn.Module):
         losses = jax.vmap(mean_squares, (None, 0))(rows, jax.lax.stop_gradient(totals))
         if RULES[self.kind].by_gradient:
             losses += jax.vmap(mean_squares, (0, None))(totals, jax.lax.stop_gradient(rows))
+        # Depths that were dropped have the totals of the last used one, and would count again.
         total = jnp.sum(jnp.where(used, losses, 0.0))
         return total if self.commitment == "sum" else total / jnp.sum(used)
 

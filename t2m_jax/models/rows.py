@@ -23,7 +23,7 @@ def apply_rows(module: nn.Module, variables: Any, *inputs: Any, keys: Key[Array,
         keys: For the RNG stream `dropout`.
         **options: Of `module.apply`, such as `method`.
     """
-    if keys is None:
+    if keys is None:  # without draws, rows do not depend on how they are grouped
         return module.apply(variables, *inputs, train=False, **options)
 
     def apply_row(key: Key[Array, ""], *row: Any) -> Any:

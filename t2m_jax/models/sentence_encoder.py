@@ -76,9 +76,11 @@ def distance_buckets(length: int, num_buckets: int) -> Int[np.ndarray, "S S"]:
     Half of the classes are for later tokens. Near tokens have a class for each distance. The classes of far tokens grow
     in proportion to the distance (T5, arXiv 1910.10683, section 2.1).
     """
-    places, half = np.arange(length, dtype=np.int32), num_buckets // 2
+    places = np.arange(length, dtype=np.int32)
+    half = num_buckets // 2
     ahead = places[None] - places[:, None]
-    distance, near = np.abs(ahead), half // 2
+    distance = np.abs(ahead)
+    near = half // 2
     # Single precision, because a distance may be at the limit of two classes.
     growth = np.log(np.maximum(distance, near).astype(np.float32) / np.float32(near)) / np.log(MAX_DISTANCE / near)
     far = np.minimum(near + (growth * (half - near)).astype(np.int32), half - 1)
@@ -143,6 +145,7 @@ class SentenceEncoder(nn.Module):
         return self._pool(hidden, caption_mask)
 
     def _pool(self, hidden: Float[Array, "B S W"], mask: Bool[Array, "B S"]) -> Float[Array, "B E"]:
+        # A caption of no tokens has an embedding of zeros and not NaN.
         weights = mask / jnp.maximum(mask.sum(axis=1, keepdims=True), 1)
         pooled = hidden[:, 0] if self.config.pooling == "cls" else jnp.einsum("bs,bsw->bw", weights, hidden)
         if not self.config.normalize:

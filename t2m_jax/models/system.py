@@ -143,6 +143,7 @@ def find_part(kind: str, role: Role | None = None) -> Part:
     Raises:
         UserError: No installed package has such a part, or it has another role.
     """
+    # Only the part of this name is loaded, so a broken package harms nobody else.
     points = importlib.metadata.entry_points(group=GROUP)
     if kind not in points.names:
         raise UserError(f"{kind!r} is not a part of any installed system; known: {', '.join(sorted(points.names))}")
@@ -169,7 +170,8 @@ def make_module(config: PartConfig) -> Any:
 
 def variable_shapes(config: PartConfig) -> dict[str, Any]:
     """Returns the shapes of a part's variables by collection."""
-    module, example = make_module(config), find_part(config.kind).example
+    module = make_module(config)
+    example = find_part(config.kind).example
     return jax.eval_shape(lambda: module.init(jax.random.key(0), *example(config), train=False))
 
 

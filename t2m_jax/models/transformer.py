@@ -53,12 +53,15 @@ class Attention(nn.Module):
             projected = Projection(embed_dim, name=name)(hidden)
             return projected.reshape(*hidden.shape[:2], self.num_heads, -1).transpose(0, 2, 1, 3)
 
-        queries, keys, values = project("query"), project("key"), project("value")
+        queries = project("query")
+        keys = project("key")
+        values = project("value")
         if cache is not None:
             assert position is not None, "a cached step needs its position"
             keys = jax.lax.dynamic_update_slice_in_dim(cache.keys, keys, position, axis=2)
             values = jax.lax.dynamic_update_slice_in_dim(cache.values, values, position, axis=2)
             cache = LayerCache(keys, values)
+        # A softmax in 16 bits would lose small weights.
         scores = jnp.einsum("bhqf,bhkf->bhqk", queries, keys, preferred_element_type=jnp.float32)
         scores *= queries.shape[-1] ** -0.5
         scores = scores if bias is None else scores + bias
@@ -132,7 +135,9 @@ def read_one(
     blocks: Sequence[Block], inputs: Float[Array, "B E"], layers: Sequence[LayerCache], position: Int[Array, ""]
 ) -> tuple[Float[Array, "B E"], tuple[LayerCache, ...]]:
     """Returns the output of all blocks for one more input at `position`, and their caches with it."""
-    hidden, seen = inputs[:, None], (jnp.arange(layers[0].keys.shape[2]) <= position)[None, None, None, :]
+    hidden = inputs[:, None]
+    # The cache has room for all positions. Those after this one are zeros, and must not count.
+    seen = (jnp.arange(layers[0].keys.shape[2]) <= position)[None, None, None, :]
     filled = []
     for block, layer in zip(blocks, layers, strict=True):
         hidden, layer = block(hidden, seen, train=False, cache=layer, position=position)

@@ -155,7 +155,8 @@ class VqVae(nn.Module):
             config.depth_dropout,
         )
         if config.projections:
-            self.project_in, self.project_out = nn.Dense(config.code_dim), nn.Dense(config.code_dim)
+            self.project_in = nn.Dense(config.code_dim)
+            self.project_out = nn.Dense(config.code_dim)
 
     def _latents(
         self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"] | None, *, train: bool
@@ -199,6 +200,7 @@ class VqVae(nn.Module):
         """Returns the codes of a motion, 0 after the end of a clip."""
         latents, code_mask = self._latents(motion, mask, train=False)
         codes = self.quantizer(latents, code_mask, train=False).codes
+        # Any code would do after the end; a fixed one makes results equal to the last bit.
         return jnp.where(code_mask[:, :, None], codes, 0)
 
     def encode_latents(
@@ -214,6 +216,7 @@ class VqVae(nn.Module):
         may be left out if there is one code per row.
         """
         depth = self.config.num_quantizers
+        # Codes without the last axis are the only depth there is. Of several depths, one might be meant for all.
         chex.assert_rank(codes, {2, 3} if depth == 1 else 3)
         rows = codes.reshape(*codes.shape[:2], -1)
         chex.assert_axis_dimension_lteq(rows, 2, depth)

@@ -44,8 +44,10 @@ def claim_run(run: Path) -> Iterator[None]:
         UserError: Another training writes into it, or its folder cannot be written.
     """
     with contextlib.ExitStack() as held:
+        # All processes of a training write into one run, through process 0.
         if is_writer():
             try:
+                # The lock is beside the run, whose folder may not exist yet.
                 run.absolute().parent.mkdir(parents=True, exist_ok=True)
                 held.enter_context(lock(run))
             except OSError as error:
@@ -69,7 +71,7 @@ def read_run_config(run: Path, schema: type[T]) -> T:
     Raises:
         UserError: It has changed since the run wrote it, or does not fit the schema.
     """
-    run_config_text(run)
+    run_config_text(run)  # raises, for the values of a run decide what its checkpoints mean
     return load_config(run / CONFIG_FILE, schema)
 
 
@@ -93,6 +95,7 @@ def _is_same(config: ExperimentConfig, name: str, saved: Any, value: Any) -> boo
     if None in (saved, value):
         return False
     with contextlib.suppress(UserError):  # there is nothing
+        # The run has a copy of its tokenizer, which says what the path meant when it was started.
         if name == "vqvae":
             return load_tokenizer(Path(value)).fingerprint == load_tokenizer(config.run).fingerprint
         if name == "init":
@@ -124,6 +127,7 @@ def check_same_data(config: ExperimentConfig, dataset: Dataset) -> None:
     known = run_info(config.run).data
     if known is None or known in (dataset.fingerprint, data_record(dataset)):
         return
+    # Only what changed is named: captions that were corrected are another matter than other clips.
     parts = dict(part.rpartition(" ")[::2] for part in known.split("; "))
     changed = [name for name, digest in dataset.fingerprints.items() if parts.get(name) != digest]
     raise UserError(

@@ -46,6 +46,7 @@ class LoopConfig:
 
     def __post_init__(self) -> None:
         check_sizes(self, "num_steps", "batch_size", "keep_checkpoints", "steps_per_call")
+        # Steps are counted in 32 bits on the devices.
         check_limits(self, num_steps=2**31 - 1, batch_size=MAX_BATCH, steps_per_call=MAX_STEPS_PER_CALL)
         check_seed(self.seed)
         check_amounts(self, "log_every", "validate_every", "checkpoint_every")
@@ -81,6 +82,7 @@ class ShardingConfig:
 
     def __post_init__(self) -> None:
         check_sizes(self)
+        # Without a global view of arrays, nothing could put the shares together.
         if self.mode == "pmap" and "sharded" in (self.optimizer, self.bank):
             raise ValueError("mode: pmap has all of the state and the data on each device; shares need mode jit")
 
@@ -149,6 +151,7 @@ def compiled_config(config: ExperimentConfig) -> Any:
     """
     if config.step is None:
         return config
+    # A field that is not in the section is not there at all, so a step cannot read it by mistake.
     fields = {field.name: getattr(config, field.name) for field in dataclasses.fields(config.step)}
     fields["loop"] = LoopConfig(batch_size=config.loop.batch_size, seed=config.loop.seed)
     return config.step(**fields)

@@ -60,7 +60,9 @@ def init_matching_state(
         word_vectors: A table that is not trained; None trains one.
     """
     motion = jnp.zeros((1, config.window, config.model.feature_dim))
-    words, length = jnp.zeros((1, 1), jnp.int32), jnp.ones(1, jnp.int32)
+    words = jnp.zeros((1, 1), jnp.int32)
+    length = jnp.ones(1, jnp.int32)
+    # Lengths of one movement and one word are enough, because no weight depends on them.
     params = dict(Evaluator(config.model).init(key, motion, length, words, words, length)["params"])
     params[MOVEMENTS] = movement_encoder
     if word_vectors is not None:
@@ -83,10 +85,12 @@ def matching_metrics(
     # Every text is compared with motions of other rows.
     (text, motion), lengths, words = global_rows((embedded, batch.lengths, batch.captions.words))
     order = jnp.argsort(-lengths, stable=True)
-    text, motion = text[order], motion[order]
+    text = text[order]
+    motion = motion[order]
     if config.objective == "margin":
         loss = margin_loss(text, motion, shift, margin=config.margin)["loss"]
     else:
+        # Many motions have the same caption, and are no negatives of each other.
         words = words[order]
         same = jnp.all(words[:, None] == words[None, :], axis=-1)
         loss = infonce_loss(text, motion, same, temperature=config.temperature)
@@ -113,7 +117,9 @@ def matching_train_step(
 
     (_, metrics), gradient = jax.value_and_grad(objective, has_aux=True)(trained)
     gradient = global_mean(gradient)
-    params, opt_state = state.params, {}
+    params = state.params
+    opt_state = {}
+    # Two optimizers, as in the original: the gradient of each encoder is clipped by its own norm.
     for name, part in trained.items():
         updates, opt_state[name] = make_optimizer(config.optimizer).update(gradient[name], state.opt_state[name], part)
         params = params | optax.apply_updates(part, updates)
@@ -188,6 +194,7 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
     dataset, normalizer = open_training_data(config, reader="the evaluator", resume=resume)
     train = dataset.clips("train", fraction=config.data_fraction)
     held_out = dataset.clips("val") if config.loop.validate_every else []
+    # Shorter motions have no movement, so that the evaluator could not tell them apart.
     samples, validated = (matching_samples(clips, dataset.info) for clips in (train, held_out))
     vocabulary = make_vocabulary(config, samples, resume=resume)
     # The state that is restored has the movement encoder and the word vectors; their files may be gone.
@@ -203,7 +210,7 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
         validation = Validation(bank, len(validated), functools.partial(validate, **options), plan("validation"))
 
     def init() -> TrainState:
-        if is_restored:
+        if is_restored:  # only the shapes matter
             movements = jax.tree.map(jnp.zeros_like, evaluator_shapes(config.model)["params"][MOVEMENTS])
         else:
             movements = train_movements(config, dataset, normalizer, train, held_out, resume=resume)

@@ -48,6 +48,7 @@ class EvaluatorStepConfig(StepConfig):
         super().__post_init__()
         check_sizes(self, "movement_batch_size", "decoder_hidden")
         check_limits(self, window=MAX_WINDOW)
+        # One movement alone has no difference in time, which `smoothness_weight` is about.
         if self.window < 2 * FRAMES_PER_MOVEMENT or self.window % FRAMES_PER_MOVEMENT:
             raise ValueError(f"window: {self.window} is not a multiple of {FRAMES_PER_MOVEMENT} above one movement")
         if self.loop.batch_size < 2:

@@ -161,34 +161,35 @@ def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
             check_run_files(config.run)
         else:
             checks.check_new_run(config.run)
-        wait_for_all("checked")
+        wait_for_all("checked")  # before process 0 creates what the others look for
         config = trainer.resolve(config, resume)
         if resume:
             checks.check_same_config(config)
         setup = trainer.prepare(config, resume)
         if resume:
             checks.check_same_data(config, setup.dataset)
-        # What does not fit is refused here, before anything is written.
+        # All that can be refused is refused before anything is written, so that a mistake leaves no half a run.
         held_out = open_evaluation(setup)
         if config.sharding.devices != "auto":
             choose_devices(config.sharding, batch_size=config.loop.batch_size)
         state = None
         if config.init is not None and not (resume and has_checkpoint(config.run)):
             state = with_weights(setup, setup.init(), config.init)
-        if is_writer():
-            write_run(config, setup, resume=resume)
-        wait_for_all("written")
+        write_run(config, setup, resume=resume)
+        wait_for_all("written")  # the others read what process 0 wrote
         state = setup.init() if state is None else state
         best = make_best(config.run, setup, held_out)
         return run_setup(config, setup, state, resume=resume, best=best, held_out=held_out)
 
 
 def write_run(config: ExperimentConfig, setup: Setup, *, resume: bool) -> None:
-    """Makes a folder a run, or writes the config of a run that is resumed."""
+    """Makes a folder a run, or writes the config of a run that is resumed; process 0 does it for all."""
+    if not is_writer():
+        return
     if resume:
         save_run_config(config.run, config)  # so that a run that is extended says so
         return
-    forget_best(config.run)
+    forget_best(config.run)  # a folder that is no run may have those of a run that was removed
     setup.write_parts(config.run)
     save_training_data(config.run / DATA_FILE, summarize_training_data(setup.dataset, setup.clips))
     create_run(config.run, config.kind, config, data=checks.data_record(setup.dataset))
@@ -209,11 +210,13 @@ def checked_weights(source: Path, weights: Mapping[str, Any], like: Mapping[str,
     Raises:
         UserError: Their names or shapes are not those of `like`.
     """
-    found, wanted = flatten_tree(weights), flatten_tree(like)
+    found = flatten_tree(weights)
+    wanted = flatten_tree(like)
     for name in sorted(found.keys() | wanted.keys()):
         shapes = [tree[name].shape if name in tree else "missing" for tree in (found, wanted)]
         if shapes[0] != shapes[1]:
             raise UserError(f"init: array {name!r} of {source} is {shapes[0]}, not {shapes[1]} as in the config")
+    # Bundles have 16-bit weights. Training goes on in the precision of the state.
     return jax.tree.map(lambda leaf, other: jax.numpy.asarray(leaf, other.dtype), dict(weights), dict(like))
 
 
@@ -232,8 +235,12 @@ def open_evaluation(setup: Setup) -> EvaluationTask | None:
 def make_best(run: Path, setup: Setup, held_out: EvaluationTask | None) -> BestWeights | None:
     """Returns what keeps the best weights: by a metric of the evaluation if there is one, else by validation loss."""
     if held_out is not None and setup.evaluation is not None:
-        metric, sampling = setup.evaluation.config.metric, setup.evaluation.sampling
-        return BestWeights(run, metric=metric, sampling=sampling, evaluator=held_out.evaluator.fingerprint)
+        return BestWeights(
+            run,
+            metric=setup.evaluation.config.metric,
+            sampling=setup.evaluation.sampling,
+            evaluator=held_out.evaluator.fingerprint,
+        )
     if setup.validation is None:
         return None
     if setup.evaluation is not None:
@@ -267,15 +274,18 @@ def run_setup(
     state = devices.put_state(state)
     if resume:
         state = restore_latest(config.run, state)
+    # A training that ended by patience stays ended: to resume it changes nothing.
     if best is not None and best.is_over(int(state.step), patience=setup.patience):
         return state
     place = functools.partial(place_data, devices=devices, placement=config.placement, batch_size=loop.batch_size)
+    # The papers choose weights by FID. Then the validation loss is only logged.
     measurements = [measure_validation(setup, loop, devices, place, best if held_out is None else None)]
     measurements += [] if held_out is None else [measure_evaluation(setup, held_out, best)]
     feed = place(setup.data, setup.plan).feed(int(state.step), loop.num_steps, size=loop.steps_per_call)
     with feed as take, stop_requests() as asked_to_stop:
 
         def update(state: Any, count: int) -> tuple[Any, Metrics]:
+            # From here on: `Devices.run`, `many_updates`, and the trainer's own `update`.
             return devices.run(setup.update, state, take(count), count, size=loop.steps_per_call)
 
         return run_loop(
@@ -284,6 +294,7 @@ def run_setup(
             update,
             config=loop,
             measurements=measurements,
+            # Updates are counted from 0 by the schedule, and from 1 in the log.
             speed=Speed(lambda step: float(learning_rate_at(step - 1, setup.optimizer)), setup.frames_per_step),
             asked_to_stop=asked_to_stop,
         )
@@ -301,6 +312,7 @@ def measure_validation(
     if validation is None:
         return Measurement("val", "validation", 0, lambda state: None)
     data = place(validation.data, validation.plan)
+    # Whole batches alone, because programs are compiled for their shape.
     num_batches = max(validation.num_clips // loop.batch_size, 1)
 
     def measure(state: Any) -> Measured:

@@ -154,6 +154,7 @@ def embed_captions(
     params: Any, captions: Captions, keys: Key[Array, " B"] | None, *, config: GeneratorStepConfig
 ) -> Float[Array, "B E"]:
     """Returns the text embeddings: of the encoder that is trained (`keys`, consumed, are for dropout), or as given."""
+    # A pretrained encoder is applied once to all captions, and the bank has its embeddings.
     if isinstance(captions, jax.Array):
         return captions
     variables = {"params": params["caption_encoder"]}
@@ -179,6 +180,7 @@ def resolve_generator(config: Any, resume: bool) -> Any:
         model = dataclasses.replace(config.model, **{name: sizes[name] for name in shared})
     except ValueError as error:
         raise UserError(f"{path}: with this tokenizer, model.{error}") from None
+    # Only a generator of one code per row has no such field: its number is not taken from the tokenizer.
     if tokenizer.num_quantizers != model.num_quantizers:
         raise UserError(
             f"{path}: has {tokenizer.num_quantizers} codes per row, but a {config.kind} predicts "
@@ -226,6 +228,7 @@ def open_text_encoder(
     reference: Reference = ClipReference(name=config.clip)
     if config.text_encoder == "sentence":
         reference = SentenceReference(name=config.sentence)
+    # A run goes on only with the encoder that it began with.
     known = load_bundle_config(config.run).text_encoder.identity if resume else ""
     encoder = load_pretrained(dataclasses.replace(reference, identity=known), text_dim=config.model.text_dim)
     reference = dataclasses.replace(reference, identity=encoder_identity(encoder))
@@ -239,6 +242,7 @@ def make_caption_reader(
     if encoder is not None:
         return CaptionReader(encoder, None, encoder)
     sizes = config.caption_encoder
+    # Tokens are rows of a trained table: a model that goes on must read the same subwords.
     bpe = load_bpe(config.run) if resume else None if config.init is None else load_model(config.init).bpe
     if bpe is None:
         captions = [caption.text for motion in motions for caption in motion.captions]
@@ -260,7 +264,8 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
     motions = code_motions(config, clips, dataset, tokenizer)
     motions = add_rewordings(motions, count=config.rewordings, seed=config.loop.seed)
     reader = make_caption_reader(config, motions, encoder=encoder, resume=resume)
-    bank, compiled = make_code_bank(motions, reader.read), compiled_config(config)
+    bank = make_code_bank(motions, reader.read)
+    compiled = compiled_config(config)
     parts = BundleConfig(
         skeleton=dataset.skeleton.name,
         tokenizer=tokenizer.config,
@@ -287,6 +292,7 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
         start_from=lambda path: start_from_model(path, tokenizer),
         validation=make_validation(config, steps, dataset, tokenizer, reader),
         evaluation=make_evaluation(config, parts, tokenizer, reader),
+        # The config counts validations, and the loop updates.
         patience=config.patience * config.loop.validate_every,
     )
 
@@ -296,7 +302,7 @@ def code_motions(
 ) -> list[CodedMotion]:
     """Returns clips as codes, as the config asks for."""
     options = {name: getattr(config, name) for name in ("offsets", "timed_captions", "long_clips")}
-    options["seed"] = config.loop.seed
+    options["seed"] = config.loop.seed  # not of the evaluation: clips have the same offsets in all of a run
     return encode_clips(clips, dataset.info, tokenizer, **options)
 
 
@@ -316,6 +322,7 @@ def make_evaluation(config: Any, parts: BundleConfig, tokenizer: TrainedTokenize
     """Returns the evaluation of generated motion."""
     kinds = {role: kind for role, kind in part_kinds(parts).items() if role != "tokenizer"}
     options = SamplingOptions(temperature=0.0 if config.evaluation.sampling == "greedy" else 1.0)
+    # Once, and not at every evaluation: only the generator changes in between.
     on_device = tokenizer._replace(variables=jax.device_put(tokenizer.variables))
 
     def model(state: Any) -> TextToMotion:

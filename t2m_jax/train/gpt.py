@@ -108,6 +108,7 @@ def make_gpt_batch(
     """Returns a batch for the GPT; without `inputs` they are the targets but for the last."""
     length = targets.tokens.shape[1]
     loss_weights = token_weights(targets.code_lengths, length, mean_over=config.mean_over)
+    # The original counts right tokens over all tokens, whatever its loss is a mean of.
     accuracy_weights = token_weights(targets.code_lengths, length, mean_over="tokens")
     inputs = targets.tokens[:, :-1] if inputs is None else inputs
     return GptBatch(inputs, targets.tokens, loss_weights, accuracy_weights, captions, dropout_keys)
@@ -139,7 +140,9 @@ def targets_from_codes(codes: Int[Array, "B N"], code_lengths: Int[Array, " B"],
 
 def training_batch(bank: CodeBank, step: Int[Array, ""], *, config: GptStepConfig) -> GptBatch:
     """Returns the batch of an update: some motions lose a code at one end, and some inputs are replaced."""
-    rows, seed = own_rows(config.loop.batch_size), config.loop.seed
+    seed = config.loop.seed
+    rows = own_rows(config.loop.batch_size)
+    # Each row has its own key, so that a batch is the same on one and on many devices.
     keys = {name: row_keys(stream_key(seed, name), step, rows) for name in ("drop", "corruption", "dropout")}
     codes, code_lengths, captions = codes_at(bank, "data", step, config=config)
     drop_keys, head_keys = split_each(keys["drop"], 2)
@@ -148,11 +151,17 @@ def training_batch(bank: CodeBank, step: Int[Array, ""], *, config: GptStepConfi
     codes, code_lengths = drop_one_code(codes[:, :, 0], code_lengths, drop, at_head=at_head)
     targets = targets_from_codes(codes, code_lengths, config=config)
     tau: Any = config.tau
-    if tau == "per_batch":
+    if tau == "per_batch":  # one key for all rows and devices
         tau = jax.random.uniform(jax.random.fold_in(stream_key(seed, "tau"), step))
+    # Teacher forcing: the token at each place is predicted from the true ones before it, but for the corruption.
     inputs = targets.tokens[:, :-1]
-    num_codes, past_end = config.model.num_codes, config.corrupt_past_end
-    corruption = draw_corruption(inputs, keys["corruption"], tau=tau, num_codes=num_codes, past_end=past_end)
+    corruption = draw_corruption(
+        inputs,
+        keys["corruption"],
+        tau=tau,
+        num_codes=config.model.num_codes,
+        past_end=config.corrupt_past_end,
+    )
     dropout_keys = jnp.stack(split_each(keys["dropout"], 2), axis=1)
     inputs = corruption.apply(inputs)
     return split_rows(make_gpt_batch(targets, captions, config=config, inputs=inputs, dropout_keys=dropout_keys))

@@ -146,7 +146,9 @@ def init_head(config: HiFiGptStepConfig) -> dict[str, Any]:
     """Returns the parameters of the `contrastive_head`, if its loss has a weight."""
     if not config.contrastive_weight:
         return {}
-    text, rows = jnp.zeros((1, config.model.text_dim)), jnp.zeros((1, 1, config.model.code_dim))
+    text = jnp.zeros((1, config.model.text_dim))
+    rows = jnp.zeros((1, 1, config.model.code_dim))
+    # A stream of its own, so that the generator starts with the same weights as without the head.
     variables = ContrastiveHead().init(stream_key(config.loop.seed, HEAD), text, rows, jnp.ones((1, 1), bool))
     return {HEAD: variables["params"]}
 
@@ -184,6 +186,7 @@ def corrupt_codes(
 
     def corrupt(key: Key[Array, ""], rows: Int[Array, "N R"]) -> Int[Array, "N R"]:
         replace_key, code_key = jax.random.split(key)
+        # One draw for a row replaces all its codes: they depend on each other, so a wrong row is wrong as a whole.
         shape = (rows.shape[0], 1) if kind == "rows" else rows.shape
         replace = jax.random.uniform(replace_key, shape) < tau
         return jnp.where(replace, jax.random.randint(code_key, rows.shape, 0, num_codes), rows)
@@ -220,9 +223,11 @@ def hifigpt_metrics(
     keys = (None, None) if batch.dropout_keys is None else (batch.dropout_keys[:, 0], batch.dropout_keys[:, 1])
     text = embed_captions(params, captions, keys[0], config=config)
     contrastive = contrastive_loss(params[HEAD], codebook, batch, text) if config.contrastive_weight else None
+    # After the contrastive loss, which needs all texts. Zeros are what guidance reads for no text.
     text = jnp.where(batch.dropped[:, None], jnp.zeros_like(text), text)
     variables = {"params": params["hifigpt"]} | ({"codebook": codebook["hifigpt"]} if codebook else {})
     model = HiFiGpt(config.model, remat=config.remat)
+    # The corruption is for the temporal tier. The residual tier reads true codes of the row that it predicts.
     residual = batch.inputs if config.corrupt_residual else batch.codes
     # By position, because `apply_rows` divides what it is given by rows.
     output = apply_rows(model, variables, batch.inputs, text, residual, keys=keys[1])
@@ -244,10 +249,12 @@ def contrastive_loss(
     The other motions of the part, on all devices, are the negatives.
     """
     assert isinstance(batch.captions, CaptionTokens), "the config needs a caption encoder"
+    # True codes, not corrupted inputs: the caption is about this motion.
     rows = codebook["hifigpt"]["codebook"][batch.codes].sum(axis=2)
     embedded = ContrastiveHead().apply({"params": params}, text_embedding, rows, batch.weights > 0)
     (text, motion), tokens = global_rows((embedded, batch.captions.tokens))
     same = jnp.all(tokens[:, None] == tokens[None, :], axis=-1)
+    # Weights sum to 1 over the batch. So the losses of its parts add up to their mean.
     return infonce_loss(text, motion, same, temperature=TEMPERATURE) * global_sum(jnp.sum(batch.weights))
 
 
@@ -259,6 +266,7 @@ def hifigpt_train_step(
     def measure(params: Any, part: HiFiGptBatch) -> Metrics:
         return hifigpt_metrics(params, state.codebook, part, config=config, precision=config.precision)
 
+    # One optimizer trains both; the head is kept apart, because it is no part of the model.
     together = state._replace(params=state.params | state.head)
     after, metrics = descend_in_parts(together, measure, batch, config.optimizer, num_parts=config.num_parts)
     params, head = ({name: after.params[name] for name in part} for part in (state.params, state.head))
@@ -267,7 +275,8 @@ def hifigpt_train_step(
 
 def training_batch(bank: CodeBank, step: Int[Array, ""], *, config: HiFiGptStepConfig) -> HiFiGptBatch:
     """Returns the batch of an update: some rows are replaced in what is read, and some texts are left out."""
-    rows, seed = own_rows(config.loop.batch_size), config.loop.seed
+    seed = config.loop.seed
+    rows = own_rows(config.loop.batch_size)
     keys = {name: row_keys(stream_key(seed, name), step, rows) for name in ("condition", "corruption", "dropout")}
     batch = codes_at(bank, "data", step, config=config)
     options: Any = {"kind": config.corruption, "tau": config.tau, "num_codes": config.model.num_codes}

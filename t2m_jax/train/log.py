@@ -23,6 +23,7 @@ PICTURES = "pictures"
 
 def by_depth(name: str, values: Float[Array, " R"]) -> dict[str, Float[Array, ""]]:
     """Returns a metric of every depth by its name in logs: `name/1` to `name/R`, in an order that sorting keeps."""
+    # Leading zeros, because TensorBoard sorts names as text.
     digits = len(str(len(values)))
     return {f"{name}/{depth:0{digits}d}": value for depth, value in enumerate(values, start=1)}
 
@@ -71,6 +72,7 @@ class MetricLog:
 
     def write_picture(self, step: int, picture: UInt8[np.ndarray, "H W 3"]) -> None:
         """Adds a picture of motions to TensorBoard, and a PNG file to the run."""
+        # Files of their own, because few people look for pictures in TensorBoard.
         folder = self._run / PICTURES
         folder.mkdir(exist_ok=True)
         with atomic_file(folder / f"{step}.png") as partial:
@@ -122,9 +124,11 @@ def _keep_rows(path: Path, last_step: int) -> list[str]:
         logger.warning("%s: its header is damaged; it is set aside as %s", path, aside.name)
         path.replace(aside)
         return []
+    # A crash or a full disk may have cut the last line.
     whole = [line for line in lines[1:] if line.isascii() and line.endswith("\n")]
     rows = [(line.split(",")[0], line) for line in whole if line.count(",") == lines[0].count(",")]
     kept = [line for step, line in rows if step.isdecimal() and len(step) < 20 and int(step) <= last_step]
+    # Without rows, the columns of today are better than old ones.
     if not kept:
         path.unlink()
         return []

@@ -80,8 +80,10 @@ def mean_metrics(calls: Sequence[Call], *, first_step: int) -> dict[str, float]:
     Raises:
         UserError: A loss is not finite; the message names the step.
     """
+    # One transfer for all calls since the last row: the host does not wait for each update.
     fetched = [(jax.device_get(call.metrics), call.updates) for call in calls]
     values = {name: np.concatenate([metrics[name][:count] for metrics, count in fetched]) for name in fetched[0][0]}
+    # Of every step and not of the mean, so that the message can name the first one.
     for offset, loss in enumerate(values["loss"]):
         if math.isfinite(loss):
             continue
@@ -94,6 +96,7 @@ def mean_metrics(calls: Sequence[Call], *, first_step: int) -> dict[str, float]:
 
 def mean_over_batches(measure: Callable[[Any], Metrics], num_batches: int) -> dict[str, float]:
     """Returns the mean of each metric over the batches 0, 1, ... of a data set."""
+    # Nothing is fetched before the end, so that the devices need not wait between batches.
     found = []
     for batch in range(num_batches):
         found.append(measure(np.int32(batch)))
@@ -143,8 +146,10 @@ def run_loop(
             step += count
             calls.append(Call(metrics, count))
             asked = asked_to_stop(step)
+            # What is due is a function of the step, so a resumed run writes the same rows at the same steps.
             is_kept = is_due(step, config.checkpoint_every, last=total) or step == total or asked is not None
             now = [one for one in measurements if is_due(step, one.every, last=total)]
+            # Before anything is saved or measured: this raises if a loss was not finite.
             if now or is_kept or is_due(step, config.log_every, last=total):
                 _log_updates(log, step, calls, speed, progress)
                 calls = []
@@ -154,6 +159,7 @@ def run_loop(
                 checkpoints.save(step, state)
             if ends_here:
                 break
+            # The time of measurements and checkpoints is not that of updates.
             if not calls:
                 log.restart_clock()
     if asked is not None and step < total:
@@ -180,6 +186,7 @@ def _interruption(run: Path, number: int, step: int) -> Interruption:
 def next_count(step: int, config: LoopConfig, measurements: Sequence[Measurement]) -> int:
     """Returns the number of updates of the call after `step`: nothing is due before its end."""
     intervals = (config.log_every, config.checkpoint_every, *(measurement.every for measurement in measurements))
+    # A call ends where something is due. A row of the log is always that of a whole number of calls.
     until_due = (next_multiple(step, every, limit=config.num_steps) - step for every in intervals)
     return min(config.steps_per_call, *until_due)
 

@@ -46,6 +46,7 @@ def init_movement_state(config: EvaluatorStepConfig, key: Key[Array, ""]) -> Tra
     motion = jnp.zeros((1, config.window, config.model.feature_dim))
     movements = jnp.zeros((1, 1, config.model.movement_dim))
     encoder = Evaluator(config.model).init(encoder_key, motion, train=False, method="movements")
+    # One tree, so that one optimizer trains both.
     params = encoder["params"] | {"decoder": make_decoder(config).init(decoder_key, movements)["params"]}
     return first_state(params, config.movement_optimizer)
 
@@ -115,6 +116,7 @@ def train_movements(
     compiled = compiled_config(config)
     loop = dataclasses.replace(movement_loop(config), num_steps=config.movement_steps)
     plan = functools.partial(plan_feed, cuts_at, loop, window=config.window)
+    # A window is never padded here: padding would be learned as a movement.
     clips, held_out = ([clip for clip in part if len(clip.features) >= config.window] for part in (train, validation))
 
     def init() -> TrainState:
@@ -136,6 +138,8 @@ def train_movements(
         weights=lambda state: {"params": state.params},
         validation=validated,
     )
+    # A run within the run: resumed like it, and only loaded once it is finished.
     config = dataclasses.replace(config, run=config.run / MOVEMENT_FOLDER)
     state = run_setup(config, setup, init(), loop=loop, resume=resume)
+    # The decoder has done its work.
     return jax.device_get(state.params[MOVEMENTS])

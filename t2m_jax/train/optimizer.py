@@ -59,8 +59,10 @@ class TrainState(NamedTuple):
 def learning_rate_at(step: Int[Array, ""] | int, config: OptimizerConfig) -> Float[Array, ""]:
     """Returns the learning rate of update `step`, counted from 0 at the start of the warm-up."""
     warmup = config.warmup_steps
+    # The original counts updates from 1 and scales by (number + 1) / (W + 1), hence the 2.
     num_warmup_updates = max(warmup - 1, 0)
     warm = config.learning_rate * jnp.minimum(step + 2, warmup) / (warmup + 1) if warmup else config.learning_rate
+    # Milestones count from the end of the warm-up, as the original's scheduler does.
     passed = jnp.sum(jnp.asarray(config.milestones, jnp.int32) <= step - num_warmup_updates)
     rate = warm * config.gamma**passed
     if config.cosine is not None:
@@ -78,6 +80,7 @@ def make_optimizer(config: OptimizerConfig) -> optax.GradientTransformation:
         eps=1e-8,
         weight_decay=config.weight_decay,
     )
+    # First, because the averages of Adam should not see the outliers.
     if config.clip_norm > 0:
         return optax.chain(optax.clip_by_global_norm(config.clip_norm), adamw)
     return adamw
@@ -103,6 +106,7 @@ def descend(
         metrics, fields = measure(params)
         return metrics["loss"], (metrics, fields)
 
+    # The gradient is that of the loss over the global batch, the same on all devices.
     (_, (metrics, fields)), gradient = jax.value_and_grad(objective, has_aux=True)(state.params)
     return _apply_gradient(state, global_mean(gradient), config)._replace(**fields), metrics
 
@@ -139,6 +143,7 @@ def descend_in_parts(
         # Every `num_parts`-th row, and not neighbors, because neighbors are on one device.
         parts = jax.tree.map(lambda rows: rows.reshape(-1, num_parts, *rows.shape[1:]).swapaxes(0, 1), batch)
         shapes = jax.eval_shape(part_gradient, jax.tree.map(lambda rows: rows[0], parts))
+        # From zeros of the right shapes: the first part in the scan is no special case that would be compiled twice.
         zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
         (metrics, gradient), _ = jax.lax.scan(add_part, zeros, parts)
     return _apply_gradient(state, gradient, config), metrics

@@ -57,6 +57,7 @@ class DataOnHost:
             def take(count: int) -> Any:
                 nonlocal step
                 windows = [next(steps) for _ in range(count)]
+                # Rows that no update reads.
                 windows += [windows[-1]] * (size - count)
                 fed = FedFrames(np.array(step, np.int32), self._devices.put_windows(np.stack(windows)))
                 step += count
@@ -85,8 +86,10 @@ def place_data(
 
 def fits_devices(data: Any, devices: Devices) -> bool:
     """Returns whether the frames of data take at most `DEVICE_SHARE` of the memory of each device of all processes."""
+    # Frames are nearly all of the data; each row has as many bytes as the mean.
     needed = sum(used_rows(bank) * bank.mean.nbytes for bank in banks_of(data)) / devices.bank_shares
     free = min(device_memory(device) for device in devices.mesh.local_devices)
+    # All processes must choose the same, or they would compile different programs.
     fits = not is_true_anywhere(needed > DEVICE_SHARE * free)
     if not fits:
         sizes = f"{needed / 1e9:.2g} GB for each device, which has {free / 1e9:.2g} GB free"

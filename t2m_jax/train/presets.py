@@ -54,7 +54,7 @@ def paper_vqvae(skeleton: Skeleton) -> TrainVqVaeConfig:
     return dataclasses.replace(
         official_vqvae(skeleton),
         run=Path(f"runs/{skeleton.name}-paper-vqvae"),
-        velocity="frame_difference",
+        velocity="frame_difference",  # equation 3
         commitment_weight=1.0,
         optimizer=OptimizerConfig(milestones=(200_000,)),
         loop=LoopConfig(num_steps=300_000, seed=123),
@@ -85,7 +85,7 @@ def paper_gpt(skeleton: Skeleton) -> TrainGptConfig:
         vqvae=Path(f"runs/{skeleton.name}-paper-vqvae"),
         run=Path(f"runs/{skeleton.name}-paper-gpt"),
         tau=0.5 if skeleton is HUMANML3D else "per_motion",
-        corrupt_past_end=False,
+        corrupt_past_end=False,  # the text replaces codes; the code replaces whatever is in their places
         mean_over="tokens",
         optimizer=OptimizerConfig(learning_rate=1e-4, milestones=(150_000,), betas=(0.5, 0.99)),
     )
@@ -145,12 +145,13 @@ def load_preset(stage: str, name: str) -> Any:
     if name not in preset_names(stage):
         raise UserError(f"{name}: no preset of stage {stage}; known: {', '.join(preset_names(stage)) or 'none'}")
     data, _, recipe = name.partition("/")
-    if data not in SKELETONS:
-        data, recipe = HUMANML3D.name, name
-    return PRESETS[stage, recipe](SKELETONS[data])
+    if data in SKELETONS:
+        return PRESETS[stage, recipe](SKELETONS[data])
+    return PRESETS[stage, name](HUMANML3D)
 
 
 def differences(one: Any, other: Any) -> dict[str, tuple[Any, Any]]:
     """Returns the fields in which two configs of the same stage differ, with both values."""
-    left, right = flat_fields(one), flat_fields(other)
+    left = flat_fields(one)
+    right = flat_fields(other)
     return {name: (left[name], right[name]) for name in left if left[name] != right[name]}

@@ -95,6 +95,7 @@ def many_updates(
 
     shapes = jax.eval_shape(update, state, data)[1]
     rows = jax.tree.map(lambda leaf: jnp.zeros((size, *leaf.shape), leaf.dtype), shapes)
+    # A loop and not `scan`, whose number of steps would be a constant of the program.
     first = (jnp.array(0, jnp.int32), state, rows)
     return jax.lax.while_loop(lambda carry: carry[0] < count, one_more, first)[1:]
 
@@ -102,7 +103,7 @@ def many_updates(
 def largest_share(shape: Sequence[int], count: int) -> PartitionSpec:
     """Returns how an array is divided among `count` devices: along its longest axis that they divide, or not at all."""
     axes = [axis for axis, size in enumerate(shape) if size % count == 0 and size > 0]
-    if not axes:
+    if not axes:  # such as scalars, which every device has
         return PartitionSpec()
     longest = max(axes, key=lambda axis: shape[axis])
     return PartitionSpec(*[None] * longest, AXIS)
@@ -127,6 +128,7 @@ def choose_devices(config: ShardingConfig, *, batch_size: int) -> Mesh:
     available = jax.devices()
     count: Any = config.devices
     if count == "auto":
+        # Several processes must use all devices, since each has at least one of its own.
         fitting = [number for number in range(1, len(available) + 1) if batch_size % number == 0]
         count = len(available) if jax.process_count() > 1 else fitting[-1]
         if count < len(available):
@@ -164,6 +166,7 @@ class Devices:
 
     def put_data(self, data: Any) -> Any:
         """Returns data on all devices; the frames of a bank are divided among them if the config says so."""
+        # Before they are divided, so that every device gets the same share of what is used.
         data = map_banks(data, compact)
         if self._config.bank == "sharded":
             data = map_banks(data, lambda bank: divide_frames(bank, self.mesh.size))
@@ -204,6 +207,7 @@ class Devices:
         else:
             with jax.set_mesh(self.mesh):
                 result = self._compiled(update, size)(state, data, np.int32(count))
+        # Metrics are outputs of the same program as the state, which the next call will have deleted by donation.
         self._running.append(result[1])
         if len(self._running) > CALLS_AHEAD:
             jax.block_until_ready(self._running.popleft())

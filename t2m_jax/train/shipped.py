@@ -26,15 +26,18 @@ class ShippedConfig(NamedTuple):
 def config_folder() -> Path:
     """Returns the folder of the configs: in the package, or beside it in a source tree."""
     package = Path(__file__).parents[1]
+    # A wheel has the configs inside of the package.
     installed = package / "configs"
     return installed if installed.is_dir() else package.parent / "configs"
 
 
 def shipped_configs() -> dict[str, ShippedConfig]:
     """Returns the configs by name. Their first comment says what they are and how they are used."""
-    folder, found = config_folder(), {}
+    folder = config_folder()
+    found = {}
     for path in sorted(folder.rglob("*.yaml")):
         text = load_text(path)
+        # Files without a command are parts of a recipe, such as the description of a data set.
         if command := _COMMAND.search(text):
             comment = " ".join(line.strip("# ") for line in text[: command.start()].splitlines())
             name = path.relative_to(folder).with_suffix("").as_posix()

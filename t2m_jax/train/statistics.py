@@ -28,6 +28,7 @@ def open_training_data(config: Any, *, reader: str, resume: bool) -> tuple[Datas
     """
     dataset = open_dataset(config.data)
     check_feature_dim(dataset, config.model.feature_dim, reader=reader)
+    # A run has a copy, so that the file may be gone or changed.
     if resume:
         return dataset, load_normalizer(config.run)
     return dataset, load_statistics(config, dataset)
@@ -47,8 +48,10 @@ def load_statistics(config: Any, dataset: Dataset) -> Normalizer:
     if is_run(path) or (path / CONFIG_FILE).is_file():
         normalizer = load_tokenizer(path).normalizer
     elif path.suffix == ".npy":
+        # `mean.npy` and `std.npy`, or `Mean.npy` and `Std.npy` as in HumanML3D.
         std_name = path.name.replace("mean", "std").replace("Mean", "Std")
         normalizer = normalizer_from_files(path, path.with_name(std_name))
+    # The original's folders of checkpoints; on a disk that ignores case, `Mean.npy` would be found as well.
     elif (path / "mean.npy").is_file() and not (path / "Mean.npy").is_file():
         normalizer = normalizer_from_files(path / "mean.npy", path / "std.npy")
     elif path.is_dir():

@@ -24,6 +24,7 @@ def make_targets(
     code_lengths = jnp.minimum(code_lengths, block_size - 1)
     room = block_size - codes.shape[1]
     padded = jnp.pad(codes, ((0, 0), (0, max(room, 0))))[:, :block_size]
+    # Every motion gets an End, also one that was cut.
     position = jnp.arange(block_size)[None]
     tokens = jnp.where(position < code_lengths[:, None], padded, num_codes + 1)
     return Targets(jnp.where(position == code_lengths[:, None], num_codes, tokens), code_lengths)
@@ -36,6 +37,7 @@ def drop_one_code(
 
     As in the original, a motion of one code then has none, so that its only target is End.
     """
+    # Without its last code a motion is only shorter; without its first, all codes move to the left.
     shifted = jnp.where((drop & at_head)[:, None], jnp.roll(codes, -1, axis=1), codes)
     return shifted, code_lengths - drop
 
@@ -72,6 +74,7 @@ def draw_corruption(
     def draw(key: Key[Array, ""]) -> tuple[Bool[Array, " L"], Int[Array, " L"]]:
         share_key, replace_key, code_key = jax.random.split(key, 3)
         share = jax.random.uniform(share_key) if isinstance(tau, str) else tau
+        # The inputs alone are replaced. Targets stay what they are, so that the model learns to recover from errors.
         keep = ~(jax.random.uniform(replace_key, tokens.shape[1:]) < share)
         return keep, jax.random.randint(code_key, tokens.shape[1:], 0, num_codes)
 

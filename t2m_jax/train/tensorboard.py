@@ -24,6 +24,7 @@ class Board:
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
             self._events = EventsWriter(str(folder / "events"))
+        # The files of a run that stopped may have events of steps that are computed again.
         if first_step:
             self._write(Event(step=first_step + 1, session_log=SessionLog(status=SessionLog.START)))
 
@@ -45,4 +46,4 @@ class Board:
             for event in events:
                 event.wall_time = time.time()
                 self._events.write_event(event)
-            self._events.flush()
+            self._events.flush()  # so that a crash loses nothing, and a full disk is noticed here

@@ -59,8 +59,10 @@ def check_tokenizer(tokenizer: TrainedTokenizer, dataset: Dataset, *, may_differ
 
 def starting_frames(clip: Clip, *, downsample: int, offsets: OffsetKind, seed: int) -> tuple[int, ...]:
     """Returns the frames at which the first code of a clip may start."""
+    # Each start gives other codes of the same motion: augmentation at the cost of encoding it `downsample` times.
     if offsets == "all":
         return tuple(range(downsample))
+    # By the name of the clip, so that other clips in the data set do not change its start.
     generator = np.random.default_rng([seed, zlib.crc32(clip.name.encode())])
     return (int(generator.integers(len(clip.features) % downsample + 1)),)
 
@@ -106,6 +108,7 @@ def encode_clips(
         logger.warning("%s: %d of %d clips are not used whole (%s)", info.name, left_out, len(clips), limits)
     starts = [starting_frames(piece, downsample=downsample, offsets=offsets, seed=seed) for piece in pieces]
     shifted = [piece.features[start:] for piece, frames in zip(pieces, starts, strict=True) for start in frames]
+    # All at once, in large batches: this takes most of the time before a generator's first update.
     codes = iter(encode_motions(tokenizer, shifted))
     motions = []
     for piece, frames in zip(pieces, starts, strict=True):
@@ -137,10 +140,12 @@ def cut_windows(clip: Clip, info: DatasetInfo) -> list[Clip]:
 
     Captions with times are left out of windows.
     """
-    frames, length = len(clip.features), info.max_frames
+    frames = len(clip.features)
+    length = info.max_frames
     if info.fits(frames) or frames < info.min_frames:
         return [clip]
     captions = tuple(caption for caption in clip.captions if caption.whole_clip)
+    # As few as overlap by at least half, at equal distances from the first frame to the last.
     count = -(-(frames - length) // (length // 2)) + 1
     starts = [round(place * (frames - length) / (count - 1)) for place in range(count)]
     return [Clip(clip.name, clip.features[start : start + length], captions) for start in starts]
@@ -153,7 +158,8 @@ def split_by_captions(
     whole = tuple(caption for caption in captions if caption.whole_clip)
     motions = [CodedMotion(variants, whole)] if whole else []
     for caption in captions:
-        first, last = int(caption.start * codes_per_second), int(caption.end * codes_per_second)
+        first = int(caption.start * codes_per_second)
+        last = int(caption.end * codes_per_second)
         pieces = tuple(codes[first:last] for codes in variants)
         if not caption.whole_clip and all(len(piece) for piece in pieces):
             motions.append(CodedMotion(pieces, (caption,)))
@@ -169,5 +175,6 @@ def make_code_bank(motions: Sequence[CodedMotion], read: Callable[[Sequence[str]
             codes[index, offset, : len(rows)] = rows
     counts = np.array([len(motion.captions) for motion in motions], np.int32)
     captions = read([caption.text for motion in motions for caption in motion.captions])
+    # The captions of motion m are those from `first[m]` on, `counts[m]` of them.
     first = np.cumsum(counts, dtype=np.int32) - counts
     return CodeBank(codes, lengths, jax.tree.map(np.asarray, captions), first, counts)

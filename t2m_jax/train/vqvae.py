@@ -67,8 +67,13 @@ def init_vqvae_state(config: VqVaeStepConfig, key: Key[Array, ""]) -> VqVaeState
     motion = jnp.zeros((1, config.window, config.model.feature_dim))
     variables = VqVae(config.model).init(key, motion, train=False)
     opt_state = make_optimizer(config.optimizer).init(variables["params"])
-    codebook, batch_stats = variables.get("codebook", {}), variables.get("batch_stats", {})
-    return VqVaeState(jnp.array(0, jnp.int32), variables["params"], codebook, batch_stats, opt_state)
+    return VqVaeState(
+        step=jnp.array(0, jnp.int32),
+        params=variables["params"],
+        codebook=variables.get("codebook", {}),
+        batch_stats=variables.get("batch_stats", {}),
+        opt_state=opt_state,
+    )
 
 
 class LossTerm(NamedTuple):
@@ -91,6 +96,7 @@ def loss_terms(config: VqVaeStepConfig, normalizer: Normalizer) -> list[LossTerm
         return lambda *pair: skeleton.metres_per_unit * measure(*pair, skeleton=skeleton, normalizer=normalizer)
 
     bones = functools.partial(bone_loss, skeleton=skeleton)
+    # These two are in every log, whatever their weights.
     always = [
         LossTerm("reconstruction", 1.0, functools.partial(reconstruction_loss, **kind)),
         LossTerm("velocity", config.velocity_weight, functools.partial(velocity_loss, **kind, **velocity)),
@@ -113,6 +119,7 @@ def loss_terms(config: VqVaeStepConfig, normalizer: Normalizer) -> list[LossTerm
 def vqvae_losses(output: VqVaeOutput, windows: Windows, config: VqVaeStepConfig, normalizer: Normalizer) -> Metrics:
     """Returns the terms of the loss and their weighted sum, `loss`, and how the codebook is used."""
     frames = output.reconstruction.shape[1]
+    # The reconstruction ends with the last whole code.
     pair = (output.reconstruction.astype(jnp.float32), windows.motion[:, :frames], windows.mask[:, :frames])
     terms = loss_terms(config, normalizer)
     values = {term.name: term.function(*pair) for term in terms} | {"commitment": output.commitment_loss}
@@ -152,6 +159,7 @@ def vqvae_train_step(
         noise: Standard normal numbers for new codes, see `Quantizer`; drawn from `key` if None.
     """
     model = VqVae(config.model)
+    # What is fixed is left out of the parameters that are differentiated, and put back for `apply`.
     fixed = {} if config.trained == "all" else {n: state.params[n] for n in state.params if n not in DECODER_PARTS}
 
     def measure(params: Any) -> tuple[Metrics, dict[str, Any]]:
@@ -167,7 +175,7 @@ def vqvae_train_step(
             train=True,
             noise=noise,
             rngs={"codebook": key},
-            mutable=["codebook", "batch_stats"],
+            mutable=["codebook", "batch_stats"],  # the codebook moves during the forward pass
         )
         fields = {name: moved.get(name, {}) for name in ("codebook", "batch_stats")}
         return vqvae_losses(output, windows, config, normalizer), fields if config.trained == "all" else {}
@@ -201,7 +209,8 @@ def prepare(config: TrainVqVaeConfig, resume: bool) -> Setup:
     dataset, normalizer = open_training_data(config, reader="the VQ-VAE", resume=resume)
     if config.trained == "decoder" and not resume:
         _check_codes_stay(config.init, normalizer)
-    compiled, is_padded = compiled_config(config), config.short_clips == "pad"
+    compiled = compiled_config(config)
+    is_padded = config.short_clips == "pad"
     # The original takes every clip that is as long as a window, also those that its other stages find too short.
     shortest = max(config.model.downsample, dataset.info.min_frames) if is_padded else config.window
     clips = dataset.clips("train", min_frames=shortest, fraction=config.data_fraction)

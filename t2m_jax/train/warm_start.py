@@ -30,6 +30,7 @@ def start_from_model(path: Path, tokenizer: TrainedTokenizer) -> Mapping[str, An
     model = load_model(path)
     own = flatten_tree({"codes": model.variables["tokenizer"], "statistics": model.normalizer._asdict()})
     given = flatten_tree({"codes": tokenizer.variables, "statistics": tokenizer.normalizer._asdict()})
+    # Of equal codebooks and encoders, code k means the same motion.
     same = model.config.tokenizer == tokenizer.config and all(
         np.allclose(own[name], given[name], rtol=SAME_WEIGHTS, atol=SAME_WEIGHTS)
         for name in given
@@ -39,6 +40,7 @@ def start_from_model(path: Path, tokenizer: TrainedTokenizer) -> Mapping[str, An
         raise UserError(f"init: {path} was trained with another tokenizer; use its own with `--vqvae {path}`")
     weights: dict[str, Any] = {}
     for role, kind in part_kinds(model.config).items():
+        # A state has its parts by collection first, a model by role first.
         for name, tree in model.variables[role].items() if role != "tokenizer" else ():
             weights.setdefault(name, {})[kind] = tree
     return weights
