@@ -16,7 +16,7 @@ from t2m_jax.losses import TokenMean, token_accuracy, token_loss, token_weights
 from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
 from t2m_jax.models.rows import Precision, apply_rows, in_precision
 from t2m_jax.train.config import LoopConfig, StepConfig
-from t2m_jax.train.experiment import Setup, Trainer
+from t2m_jax.train.experiment import Trainer
 from t2m_jax.train.generator import (
     GeneratorStepConfig,
     GeneratorSteps,
@@ -180,18 +180,10 @@ def validate(state: TrainState, bank: CodeBank, step: Int[Array, ""], *, config:
     return gpt_metrics(state.params, make_gpt_batch(targets, captions, config=config), config=config)
 
 
-def prepare(config: TrainGptConfig, resume: bool) -> Setup:
-    """Returns the setup of a training.
-
-    Raises:
-        UserError: Data, tokenizer and GPT do not fit.
-    """
-    return prepare_generator(config, GeneratorSteps(init_gpt_state, update, validate), resume=resume)
-
-
+STEPS = GeneratorSteps(init_gpt_state, update, validate)
 TRAINER = Trainer(
     config=TrainGptConfig,
-    prepare=prepare,
+    prepare=lambda config, resume: prepare_generator(config, STEPS, resume=resume),
     resolve=resolve_generator,
     next_command='t2m generate "a person walks forward" --model {run}',
 )

@@ -22,7 +22,7 @@ from t2m_jax.models.rows import Precision, apply_rows, in_precision
 from t2m_jax.models.system import find_part
 from t2m_jax.text.bpe import CaptionTokens
 from t2m_jax.train.config import LoopConfig, StepConfig
-from t2m_jax.train.experiment import Setup, Trainer
+from t2m_jax.train.experiment import Trainer
 from t2m_jax.train.generator import (
     GeneratorStepConfig,
     GeneratorSteps,
@@ -302,19 +302,10 @@ def validate(state: HiFiGptState, bank: CodeBank, step: Int[Array, ""], *, confi
     return hifigpt_metrics(state.params, state.codebook, batch, config=config)
 
 
-def prepare(config: TrainHiFiGptConfig, resume: bool) -> Setup:
-    """Returns the setup of a training.
-
-    Raises:
-        UserError: Data, tokenizer and model do not fit.
-    """
-    steps = GeneratorSteps(init_hifigpt_state, update, validate, with_codebook)
-    return prepare_generator(config, steps, resume=resume)
-
-
+STEPS = GeneratorSteps(init_hifigpt_state, update, validate, with_codebook)
 TRAINER = Trainer(
     config=TrainHiFiGptConfig,
-    prepare=prepare,
+    prepare=lambda config, resume: prepare_generator(config, STEPS, resume=resume),
     resolve=resolve_generator,
     next_command='t2m generate "a person walks forward" --model {run}',
 )

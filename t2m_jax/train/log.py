@@ -29,24 +29,30 @@ def by_depth(name: str, values: Float[Array, " R"]) -> dict[str, Float[Array, ""
 
 
 class MetricLog:
-    """Writes rows of metrics. After a resume the files continue as if the run had never stopped."""
+    """Writes rows of metrics. After a resume the files continue as if the run had never stopped.
+
+    Of several processes that train together, only one writes. The logs of the others do nothing.
+    """
 
     def __init__(self, run: Path, *, first_step: int):
         """Opens the log of a run; rows after `first_step` are removed when a file is first written to."""
         self._run = run
         self._first_step = first_step
         self._columns: dict[str, list[str]] = {}
-        self._board = Board(run / "tensorboard", first_step=first_step)
+        self._board = Board(run / "tensorboard", first_step=first_step) if is_writer() else None
         self._last_row = time.perf_counter()
 
     def __enter__(self) -> "MetricLog":
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._board.close()
+        if self._board is not None:
+            self._board.close()
 
     def write(self, split: str, step: int, metrics: Mapping[str, float], *, title: str) -> None:
         """Adds one row to `<split>.csv`, to TensorBoard and to the log."""
+        if self._board is None:
+            return
         path = self._run / f"{split}.csv"
         if split not in self._columns:
             self._columns[split] = _keep_rows(path, self._first_step) or ["step", *metrics]
@@ -72,6 +78,8 @@ class MetricLog:
 
     def write_picture(self, step: int, picture: UInt8[np.ndarray, "H W 3"]) -> None:
         """Adds a picture of motions to TensorBoard, and a PNG file to the run."""
+        if self._board is None:
+            return
         # Files of their own, because few people look for pictures in TensorBoard.
         folder = self._run / PICTURES
         folder.mkdir(exist_ok=True)
@@ -80,34 +88,12 @@ class MetricLog:
         self._board.add_picture(step, "motion", picture)
 
     def _show(self, split: str, step: int, metrics: Mapping[str, float], *, title: str) -> None:
+        if self._board is None:
+            return
         self._board.add_values(step, {f"{split}/{name}": value for name, value in metrics.items()})
         # There are too many metrics of single depths for a line.
         words = ", ".join(f"{name} {value:.4g}" for name, value in metrics.items() if "/" not in name)
         logger.info("step %d, %s: %s", step, title, words)
-
-
-class NoLog(MetricLog):
-    """The log of a process that writes none, because another process does."""
-
-    def __init__(self) -> None:
-        """Opens nothing."""
-
-    def __exit__(self, *error: object) -> None:
-        """Closes nothing."""
-
-    def write(self, split: str, step: int, metrics: Mapping[str, float], *, title: str) -> None:
-        """Writes nothing."""
-
-    def write_speed(self, step: int, *, steps: int, frames_per_step: int | float) -> None:
-        """Writes nothing."""
-
-    def write_picture(self, step: int, picture: UInt8[np.ndarray, "H W 3"]) -> None:
-        """Writes nothing."""
-
-
-def open_log(run: Path, *, first_step: int) -> MetricLog:
-    """Returns the log of a run in the process that writes, and one that does nothing in the others."""
-    return MetricLog(run, first_step=first_step) if is_writer() else NoLog()
 
 
 def _keep_rows(path: Path, last_step: int) -> list[str]:

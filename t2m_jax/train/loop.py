@@ -5,7 +5,7 @@ import math
 import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -16,21 +16,8 @@ from t2m_jax.checkpoints.run import Checkpoints
 from t2m_jax.distributed import is_writer
 from t2m_jax.errors import Interruption, UserError
 from t2m_jax.train.config import LoopConfig
-from t2m_jax.train.log import MetricLog, open_log
+from t2m_jax.train.log import MetricLog
 
-
-@runtime_checkable
-class TrainingState(Protocol):
-    """Any `NamedTuple` that counts its updates in `step`."""
-
-    def _asdict(self) -> dict[str, Any]: ...
-
-    @property
-    def step(self) -> Any:
-        """Updates made so far."""
-
-
-State = TypeVar("State", bound=TrainingState)
 Metrics = Mapping[str, jax.Array]
 
 
@@ -106,14 +93,14 @@ def mean_over_batches(measure: Callable[[Any], Metrics], num_batches: int) -> di
 
 def run_loop(
     run: Path,
-    state: State,
-    update: Callable[[State, int], tuple[State, Metrics]],
+    state: Any,
+    update: Callable[[Any, int], tuple[Any, Metrics]],
     *,
     config: LoopConfig,
     measurements: Sequence[Measurement] = (),
     speed: Speed | None = None,
     asked_to_stop: Callable[[int], int | None] = lambda step: None,
-) -> State:
+) -> Any:
     """Returns the state after `config.num_steps` updates, of which `state` has made some.
 
     The loop logs means over the updates since the last row, measures, and writes checkpoints. Nothing is written of a
@@ -121,7 +108,7 @@ def run_loop(
 
     Args:
         run: Folder of the log and the checkpoints.
-        state: The state to start from; it is donated.
+        state: The state to start from, a `NamedTuple` that counts its updates in `step`; it is donated.
         update: From a state and a number of updates, up to `config.steps_per_call`, to the state after them and the
             metrics of each in arrays.
         config: Length and intervals.
@@ -172,7 +159,7 @@ def _open_run(run: Path, step: int, config: LoopConfig) -> Iterator[tuple[Checkp
     """Yields the checkpoints, the log and the progress bar of a run."""
     with (
         Checkpoints(run, keep=config.keep_checkpoints) as checkpoints,
-        open_log(run, first_step=step) as log,
+        MetricLog(run, first_step=step) as log,
         tqdm(total=config.num_steps, initial=step, unit="step", disable=None if is_writer() else True) as progress,
     ):
         yield checkpoints, log, progress
