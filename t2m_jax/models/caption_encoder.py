@@ -59,6 +59,7 @@ class CaptionEncoder(nn.Module):
         config = self.config
         positions = self.param("position_embedding", WEIGHT_INIT, (config.max_length, config.embed_dim))
         embed = nn.Embed(config.vocabulary_size, config.embed_dim, embedding_init=WEIGHT_INIT, name="token_embedding")
+        # Learned positions, because captions are short and all lengths occur in training.
         hidden = embed(caption_tokens) + positions[None, : caption_tokens.shape[1]]
         for layer in range(config.num_layers):
             block = Block(config.num_heads, config.mlp_ratio, config.dropout, name=f"block_{layer}")

@@ -97,6 +97,7 @@ def candidate_codes(
     order = jnp.argsort(~mask, stable=True)
     num_rows = jnp.sum(mask)
     rows = latents[order[jnp.arange(num_codes) % jnp.maximum(num_rows, 1)]]
+    # As in the original, which adds the noise to all rows once some are repeated.
     scale = CANDIDATE_NOISE * latents.shape[1] ** -0.5
     return rows + jnp.where(num_rows < num_codes, scale * noise, 0.0)
 
@@ -167,6 +168,7 @@ def make_pool(vectors: Float[Array, "R M C"], mask: Bool[Array, "R M"]) -> Pool:
 
 def draw_from_pool(pool: Pool, count: int, key: Key[Array, ""]) -> Int[Array, " {count}"]:
     """Returns the numbers of `count` usable vectors, drawn without replacement; repeated if there are fewer."""
+    # The largest of random ranks: a draw without replacement whose shape does not depend on the data.
     ranks = jnp.where(pool.usable, jax.random.uniform(key, pool.usable.shape), -1.0)
     order = jax.lax.top_k(ranks, min(count, len(ranks)))[1]
     number = jnp.clip(jnp.sum(pool.usable), 1, len(order))

@@ -24,6 +24,7 @@ class ContrastiveHead(nn.Module):
         """Returns a vector for each text and each motion. The mask is True for the rows of a motion, its first ones."""
         is_first = 2 * jnp.arange(mask.shape[1])[None] < mask.sum(axis=1, keepdims=True)
         halves = (mask & is_first, mask & ~is_first)
+        # Moments and not a recurrent network: the text encoder should learn, not this head.
         moments = jnp.concatenate([moment for half in halves for moment in _moments(rows, half)], axis=-1)
         hidden = nn.gelu(nn.Dense(WIDTH, name="motion_hidden")(nn.LayerNorm(name="motion_norm")(moments)))
         return _unit(nn.Dense(WIDTH, name="text")(text_embedding)), _unit(nn.Dense(WIDTH, name="motion")(hidden))
@@ -31,6 +32,7 @@ class ContrastiveHead(nn.Module):
 
 def _moments(rows: Float[Array, "B N C"], mask: Bool[Array, "B N"]) -> tuple[Float[Array, "B C"], Float[Array, "B C"]]:
     """Returns mean and standard deviation of the rows where the mask is True."""
+    # A half of a motion of one row may be empty; its moments are zeros.
     weights = (mask / jnp.maximum(mask.sum(axis=1, keepdims=True), 1))[..., None].astype(rows.dtype)
     mean = jnp.sum(rows * weights, axis=1)
     variance = jnp.sum((rows - mean[:, None]) ** 2 * weights, axis=1)

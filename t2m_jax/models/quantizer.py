@@ -188,6 +188,7 @@ class Quantizer(nn.Module):
     def _used_depths(self, *, train: bool) -> Bool[Array, " R"]:
         """Returns which depths are used: with probability `depth_dropout`, only a random number of the first."""
         depths = jnp.arange(self.num_quantizers)
+        # One number for the whole batch, so that the codebook sees the same depths of all motions.
         if not (train and self.depth_dropout > 0) or self.is_initializing():
             return depths >= 0
         drop_key, count_key = jax.random.split(self.make_rng("codebook"))

@@ -65,6 +65,7 @@ def _backward(kept: tuple[Array, ...], gradient: Array) -> tuple[Array, Array, N
         return of_state + of_recurrent @ kernel.T, (of_gates, of_recurrent)
 
     of_first, (of_gates, of_recurrent) = jax.lax.scan(step, gradient, (states, gates, mask), reverse=True)
+    # One product over all steps and sequences, after the loop.
     of_kernel = jnp.einsum("sbh,sbw->hw", states, of_recurrent)
     return of_first, of_gates, None, of_kernel, of_recurrent.sum((0, 1))
 
@@ -90,6 +91,7 @@ class GruDirection(nn.Module):
         kernel = jnp.asarray(self.param("recurrent_kernel", initializer, (width, 3 * width)))
         bias = jnp.asarray(self.param("recurrent_bias", initializer, (3 * width,)))
         first = jnp.broadcast_to(initial, (inputs.shape[0], width))
+        # Padding is at the end: read backward it comes first, and leaves the initial state as it is.
         order = slice(None, None, -1 if self.backward else 1)
         return last_state(first, jnp.swapaxes(gates, 0, 1)[order], mask.T[order], kernel, bias)
 

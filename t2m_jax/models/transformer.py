@@ -121,6 +121,7 @@ def read_causal(
 
     With `remat`, the intermediate values of a block are computed again for the gradient.
     """
+    # The mask is a constant of the program, since all sequences have the length of the batch.
     causal = jnp.tril(jnp.ones((1, 1, hidden.shape[1], hidden.shape[1]), bool))
 
     def read(block: Block, hidden: Float[Array, "B L E"]) -> Float[Array, "B L E"]:
