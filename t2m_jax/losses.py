@@ -19,6 +19,12 @@ ReconstructionKind = Literal["l1", "l2", "l1_smooth"]
 VelocityKind = Literal["joint_positions", "frame_difference"]
 TokenMean = Literal["motions", "tokens"]
 
+# The arrays that many losses have in common.
+Features = Float[Array, "B T D"]
+Mask = Bool[Array, "B T"]
+Embeddings = Float[Array, "B E"]
+Scalar = Float[Array, ""]
+
 
 def elementwise_loss(difference: Float[Array, "..."], kind: ReconstructionKind) -> Float[Array, "..."]:
     """Returns the loss of each difference. `l1_smooth` is quadratic below 1 and linear above."""
@@ -30,13 +36,8 @@ def elementwise_loss(difference: Float[Array, "..."], kind: ReconstructionKind) 
 
 
 def reconstruction_loss(
-    reconstruction: Float[Array, "B T D"],
-    motion: Float[Array, "B T D"],
-    mask: Bool[Array, "B T"],
-    *,
-    kind: ReconstructionKind,
-    features: slice = slice(None),
-) -> Float[Array, ""]:
+    reconstruction: Features, motion: Features, mask: Mask, *, kind: ReconstructionKind, features: slice = slice(None)
+) -> Scalar:
     """Returns the mean loss over the True frames and the given features."""
     _check_motion(reconstruction, motion, mask)
     difference = (reconstruction - motion)[..., features]
@@ -44,14 +45,14 @@ def reconstruction_loss(
 
 
 def velocity_loss(
-    reconstruction: Float[Array, "B T D"],
-    motion: Float[Array, "B T D"],
-    mask: Bool[Array, "B T"],
+    reconstruction: Features,
+    motion: Features,
+    mask: Mask,
     *,
     kind: ReconstructionKind,
     velocity: VelocityKind,
     positions: slice,
-) -> Float[Array, ""]:
+) -> Scalar:
     """Returns the second term of T2M-GPT's reconstruction loss. Its paper and its code define it differently.
 
     `frame_difference` compares differences of consecutive frames (arXiv 2301.06052, equation 3). `joint_positions` is
@@ -63,13 +64,7 @@ def velocity_loss(
     return reconstruction_loss(*steps, _runs(mask, 2), kind=kind)
 
 
-def acceleration_loss(
-    reconstruction: Float[Array, "B T D"],
-    motion: Float[Array, "B T D"],
-    mask: Bool[Array, "B T"],
-    *,
-    kind: ReconstructionKind,
-) -> Float[Array, ""]:
+def acceleration_loss(reconstruction: Features, motion: Features, mask: Mask, *, kind: ReconstructionKind) -> Scalar:
     """Returns the mean loss of second differences in time (T2M-HiFiGPT, arXiv 2312.10628, section 3.2).
 
     A difference counts if all its three frames are data.
@@ -78,7 +73,7 @@ def acceleration_loss(
     return reconstruction_loss(*changes, _runs(mask, 3), kind=kind)
 
 
-def bone_vectors(features: Float[Array, "B T D"], skeleton: Skeleton) -> Float[Array, "B T J 3"]:
+def bone_vectors(features: Features, skeleton: Skeleton) -> Float[Array, "B T J 3"]:
     """Returns the vectors from parents to joints, of all joints but the root, in features that may be normalized.
 
     The root is at (0, root height, 0), because features have the other joints relative to the floor below it.
@@ -92,13 +87,8 @@ def bone_vectors(features: Float[Array, "B T D"], skeleton: Skeleton) -> Float[A
 
 
 def bone_loss(
-    reconstruction: Float[Array, "B T D"],
-    motion: Float[Array, "B T D"],
-    mask: Bool[Array, "B T"],
-    *,
-    skeleton: Skeleton,
-    normalizer: Normalizer | None = None,
-) -> Float[Array, ""]:
+    reconstruction: Features, motion: Features, mask: Mask, *, skeleton: Skeleton, normalizer: Normalizer | None = None
+) -> Scalar:
     """Returns the mean length of the differences of bone vectors.
 
     This is the last term of T2M-HiFiGPT's reconstruction loss (arXiv 2312.10628, section 3.2). Its gradient is 0 where
@@ -114,13 +104,8 @@ def bone_loss(
 
 
 def joint_loss(
-    reconstruction: Float[Array, "B T D"],
-    motion: Float[Array, "B T D"],
-    mask: Bool[Array, "B T"],
-    *,
-    skeleton: Skeleton,
-    normalizer: Normalizer,
-) -> Float[Array, ""]:
+    reconstruction: Features, motion: Features, mask: Mask, *, skeleton: Skeleton, normalizer: Normalizer
+) -> Scalar:
     """Returns the mean distance of the joints but the root, relative to its place and heading, in the skeleton's unit.
 
     Arguments as for `bone_loss`; the normalizer is needed.
@@ -132,20 +117,15 @@ def joint_loss(
 
 
 def facing_loss(
-    reconstruction: Float[Array, "B T D"],
-    motion: Float[Array, "B T D"],
-    mask: Bool[Array, "B T"],
-    *,
-    skeleton: Skeleton,
-    normalizer: Normalizer,
-) -> Float[Array, ""]:
+    reconstruction: Features, motion: Features, mask: Mask, *, skeleton: Skeleton, normalizer: Normalizer
+) -> Scalar:
     """Returns the mean angle between the directions of hips and shoulders over the ground, in radians if it is small.
 
     The vectors are relative to the heading of each frame. Arguments as for `joint_loss`.
     """
     _check_motion(reconstruction, motion, mask)
 
-    def along(features: Float[Array, "B T D"]) -> Float[Array, "B T 2"]:
+    def along(features: Features) -> Float[Array, "B T 2"]:
         # The root is no column of the positions, so joint j is row j - 1.
         joints = normalizer.denormalize(features)[..., skeleton.layout.positions].reshape(*mask.shape, -1, 3)
         right_hip, left_hip, right_shoulder, left_shoulder = (joints[:, :, j - 1, ::2] for j in skeleton.face_joints)
@@ -156,13 +136,8 @@ def facing_loss(
 
 
 def world_velocity_loss(
-    reconstruction: Float[Array, "B T D"],
-    motion: Float[Array, "B T D"],
-    mask: Bool[Array, "B T"],
-    *,
-    skeleton: Skeleton,
-    normalizer: Normalizer,
-) -> Float[Array, ""]:
+    reconstruction: Features, motion: Features, mask: Mask, *, skeleton: Skeleton, normalizer: Normalizer
+) -> Scalar:
     """Returns the mean distance of the joints' steps in the world from a frame to the next, in the skeleton's unit.
 
     It contains the root's path and heading. A step counts if both its frames are data. Arguments as for `joint_loss`.
@@ -173,13 +148,8 @@ def world_velocity_loss(
 
 
 def world_acceleration_loss(
-    reconstruction: Float[Array, "B T D"],
-    motion: Float[Array, "B T D"],
-    mask: Bool[Array, "B T"],
-    *,
-    skeleton: Skeleton,
-    normalizer: Normalizer,
-) -> Float[Array, ""]:
+    reconstruction: Features, motion: Features, mask: Mask, *, skeleton: Skeleton, normalizer: Normalizer
+) -> Scalar:
     """Returns the mean distance of the differences of the joints' steps, see `world_velocity_loss`."""
     _check_motion(reconstruction, motion, mask)
     changes = jnp.diff(_world_difference(reconstruction, motion, skeleton, normalizer), 2, axis=1)
@@ -187,14 +157,14 @@ def world_acceleration_loss(
 
 
 def _world_difference(
-    reconstruction: Float[Array, "B T D"], motion: Float[Array, "B T D"], skeleton: Skeleton, normalizer: Normalizer
+    reconstruction: Features, motion: Features, skeleton: Skeleton, normalizer: Normalizer
 ) -> Float[Array, "B T J 3"]:
     """Returns how far the joints of a reconstruction are from their places in the world."""
     positions = positions_from_features(normalizer.denormalize(reconstruction), skeleton)
     return positions - positions_from_features(normalizer.denormalize(motion), skeleton)
 
 
-def _runs(mask: Bool[Array, "B T"], count: int) -> Bool[Array, "B U"]:
+def _runs(mask: Mask, count: int) -> Bool[Array, "B U"]:
     """Returns whether each run of `count` consecutive frames is data."""
     places = mask.shape[1] - count + 1
     return functools.reduce(jnp.logical_and, [mask[:, first : first + places] for first in range(count)])
@@ -239,9 +209,7 @@ def token_weights(
     return mean_weights(code_lengths + 1, length, mean_over=mean_over)
 
 
-def token_loss(
-    logits: Float[Array, "B L V"], targets: Int[Array, "B L"], weights: Float[Array, "B L"]
-) -> Float[Array, ""]:
+def token_loss(logits: Float[Array, "B L V"], targets: Int[Array, "B L"], weights: Float[Array, "B L"]) -> Scalar:
     """Returns the weighted sum of the cross-entropies, over the global batch. Targets without weight may be anything.
 
     The sums of the parts of a batch, with the weights of the whole, add up to the sum of the whole.
@@ -253,9 +221,7 @@ def token_loss(
     return global_sum(jnp.sum(jnp.where(weights > 0, weights * losses, 0.0)))
 
 
-def token_accuracy(
-    logits: Float[Array, "B L V"], targets: Int[Array, "B L"], weights: Float[Array, "B L"]
-) -> Float[Array, ""]:
+def token_accuracy(logits: Float[Array, "B L V"], targets: Int[Array, "B L"], weights: Float[Array, "B L"]) -> Scalar:
     """Returns the sum of the weights of the targets that have the highest logits, over the global batch."""
     chex.assert_shape([targets, weights], logits.shape[:-1])
     return global_sum(jnp.sum(jnp.where(jnp.argmax(logits, axis=-1) == targets, weights, 0.0)))
@@ -267,7 +233,7 @@ def stop_loss(
     weights: Float[Array, "B N"],
     *,
     positive_weight: float = 1.0,
-) -> Float[Array, ""]:
+) -> Scalar:
     """Returns the weighted sum of the binary cross-entropies of each row being the last, over the global batch.
 
     `weights` are those of `mean_weights`, and `positive_weight` is a factor of the terms of last rows.
@@ -279,13 +245,13 @@ def stop_loss(
 
 
 def movement_loss(
-    reconstruction: Float[Array, "B T D"],
-    motion: Float[Array, "B T D"],
+    reconstruction: Features,
+    motion: Features,
     movements: Float[Array, "B N M"],
     *,
     sparsity_weight: float,
     smoothness_weight: float,
-) -> dict[str, Float[Array, ""]]:
+) -> dict[str, Scalar]:
     """Returns the terms of the movement autoencoder's loss (Guo et al. 2022) and their weighted sum, `loss`.
 
     The terms are the mean absolute values of the error, of the movements, and of their differences in time.
@@ -300,15 +266,15 @@ def movement_loss(
     return {"loss": loss} | terms
 
 
-def pair_distances(text: Float[Array, "B E"], motion: Float[Array, "B E"]) -> Float[Array, " B"]:
+def pair_distances(text: Embeddings, motion: Embeddings) -> Float[Array, " B"]:
     """Returns the distance of each text from the motion in its row. It is never zero, so that it has a gradient."""
     chex.assert_equal_shape([text, motion])
     return jnp.sqrt(jnp.sum((text - motion + 1e-6) ** 2, axis=-1))
 
 
 def margin_loss(
-    text: Float[Array, "B E"], motion: Float[Array, "B E"], shift: Int[Array, ""] | int, *, margin: float
-) -> dict[str, Float[Array, ""]]:
+    text: Embeddings, motion: Embeddings, shift: Int[Array, ""] | int, *, margin: float
+) -> dict[str, Scalar]:
     """Returns the evaluator's contrastive loss (Guo et al. 2022): `loss`, `positive` and `negative`.
 
     A positive pair costs its squared distance. The negative of text i is motion i + `shift`, modulo B. It costs the
@@ -321,9 +287,7 @@ def margin_loss(
     return {"loss": positive + negative, "positive": positive, "negative": negative}
 
 
-def infonce_loss(
-    text: Float[Array, "B E"], motion: Float[Array, "B E"], same: Bool[Array, "B B"], *, temperature: float
-) -> Float[Array, ""]:
+def infonce_loss(text: Embeddings, motion: Embeddings, same: Bool[Array, "B B"], *, temperature: float) -> Scalar:
     """Returns the mean of two cross-entropies: finding each text's motion and each motion's text in the batch.
 
     The logits are the negative squared distances divided by `temperature`. Rows with the same caption (`same` is True)

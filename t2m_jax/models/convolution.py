@@ -24,13 +24,14 @@ ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {
 }
 
 NormKind = Literal["none", "LN", "GN", "BN"]
+Hidden = Float[Array, "B T W"]
+"""A sequence between two layers."""
+Mask = Bool[Array, "B T"]
 GROUPS = 32
 """Number of channel groups of `GN`."""
 
 
-def normalized(
-    hidden: Float[Array, "B T W"], mask: Bool[Array, "B T"], *, kind: NormKind, name: str, train: bool
-) -> Float[Array, "B T W"]:
+def normalized(hidden: Hidden, mask: Mask, *, kind: NormKind, name: str, train: bool) -> Hidden:
     """Returns the sequence after a normalization layer called `name`. Call this inside a module's `compact` method.
 
     `LN` normalizes over the channels of one position. `GN` normalizes over the positions of a clip and the channels of
@@ -59,9 +60,7 @@ class MaskedBatchNorm(nn.Module):
     epsilon: float = 1e-6
 
     @nn.compact
-    def __call__(
-        self, hidden: Float[Array, "B T W"], mask: Bool[Array, "B T"], *, train: bool
-    ) -> Float[Array, "B T W"]:
+    def __call__(self, hidden: Hidden, mask: Mask, *, train: bool) -> Hidden:
         """Returns the normalized sequence; statistics are computed in float32."""
         width = hidden.shape[-1:]
         averages = {
@@ -83,7 +82,7 @@ class MaskedBatchNorm(nn.Module):
         return (normed + bias[None, None]).astype(hidden.dtype)
 
 
-def _mean_over_positions(values: Float[Array, "B T W"], mask: Bool[Array, "B T"]) -> Float[Array, " W"]:
+def _mean_over_positions(values: Hidden, mask: Mask) -> Float[Array, " W"]:
     """Returns the mean of each channel over the True positions of the global batch."""
     total, count = global_sum((jnp.sum(jnp.where(mask[:, :, None], values, 0.0), axis=(0, 1)), jnp.sum(mask)))
     return total / jnp.maximum(count, 1)
@@ -98,7 +97,7 @@ def uniform_init(bound: float) -> nn.initializers.Initializer:
     return initialize
 
 
-def halve_mask(mask: Bool[Array, "B T"]) -> Bool[Array, "B T//2"]:
+def halve_mask(mask: Mask) -> Bool[Array, "B T//2"]:
     """Returns the mask after a stride of 2. A clip of length t keeps t // 2 positions."""
     return mask[:, 1::2]
 
@@ -135,7 +134,7 @@ class MaskedConv(nn.Module):
     padding: int = 0
 
     @nn.compact
-    def __call__(self, inputs: Float[Array, "B T X"], mask: Bool[Array, "B T"]) -> Float[Array, "B U Y"]:
+    def __call__(self, inputs: Float[Array, "B T X"], mask: Mask) -> Float[Array, "B U Y"]:
         """Returns the convolved sequence of `U = T // stride` positions."""
         form = functools.partial(convolve, stride=self.stride, dilation=self.dilation, padding=self.padding)
         return Conv(self.features, self.kernel_size, name="conv")(jnp.where(mask[:, :, None], inputs, 0.0), form)
@@ -160,9 +159,7 @@ class ResidualUnit(nn.Module):
     norm: NormKind
 
     @nn.compact
-    def __call__(
-        self, inputs: Float[Array, "B T W"], mask: Bool[Array, "B T"], *, train: bool
-    ) -> Float[Array, "B T W"]:
+    def __call__(self, inputs: Hidden, mask: Mask, *, train: bool) -> Hidden:
         """Returns the inputs plus the output of the convolutions."""
         width = inputs.shape[-1]
         activation = ACTIVATIONS[self.activation]
@@ -181,9 +178,7 @@ class ResidualStack(nn.Module):
     norm: NormKind
 
     @nn.compact
-    def __call__(
-        self, hidden: Float[Array, "B T W"], mask: Bool[Array, "B T"], *, train: bool
-    ) -> Float[Array, "B T W"]:
+    def __call__(self, hidden: Hidden, mask: Mask, *, train: bool) -> Hidden:
         """Returns the sequence after all units."""
         for unit in range(self.depth):
             dilation = self.dilation_growth ** (self.depth - 1 - unit)
@@ -201,9 +196,7 @@ class Encoder(nn.Module):
     """Makes the residual stack of a stage. It gets the `name`."""
 
     @nn.compact
-    def __call__(
-        self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"], *, train: bool
-    ) -> Float[Array, "B N C"]:
+    def __call__(self, motion: Float[Array, "B T D"], mask: Mask, *, train: bool) -> Float[Array, "B N C"]:
         """Returns latents. N is T halved `num_stages` times and rounded down."""
         hidden = nn.relu(MaskedConv(self.width, 3, padding=1, name="input")(motion, mask))
         for stage in range(self.num_stages):

@@ -1,9 +1,8 @@
 """The training loop."""
 
-import contextlib
 import math
 import signal
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -126,7 +125,11 @@ def run_loop(
     if step >= total:
         return state
     calls: list[Call] = []
-    with _open_run(run, step, config) as (checkpoints, log, progress):
+    with (
+        Checkpoints(run, keep=config.keep_checkpoints) as checkpoints,
+        MetricLog(run, first_step=step) as log,
+        tqdm(total=total, initial=step, unit="step", disable=None if is_writer() else True) as progress,
+    ):
         while step < total:
             count = next_count(step, config, measurements)
             state, metrics = update(state, count)
@@ -152,17 +155,6 @@ def run_loop(
     if asked is not None and step < total:
         raise _interruption(run, asked, step)
     return state
-
-
-@contextlib.contextmanager
-def _open_run(run: Path, step: int, config: LoopConfig) -> Iterator[tuple[Checkpoints, MetricLog, Any]]:
-    """Yields the checkpoints, the log and the progress bar of a run."""
-    with (
-        Checkpoints(run, keep=config.keep_checkpoints) as checkpoints,
-        MetricLog(run, first_step=step) as log,
-        tqdm(total=config.num_steps, initial=step, unit="step", disable=None if is_writer() else True) as progress,
-    ):
-        yield checkpoints, log, progress
 
 
 def _interruption(run: Path, number: int, step: int) -> Interruption:

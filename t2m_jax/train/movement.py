@@ -70,15 +70,6 @@ def movement_metrics(
     )
 
 
-def movement_train_step(
-    state: TrainState, windows: Windows, keys: Key[Array, " B"], *, config: EvaluatorStepConfig
-) -> tuple[TrainState, Metrics]:
-    """Returns the state after one update and the metrics before it; `keys` (one per window) are consumed."""
-    return descend(
-        state, lambda params: (movement_metrics(params, windows, keys, config=config), {}), config.movement_optimizer
-    )
-
-
 def movement_loop(config: EvaluatorStepConfig) -> LoopConfig:
     """Returns the loop of a config with the batches of this training."""
     return dataclasses.replace(config.loop, batch_size=config.movement_batch_size)
@@ -88,7 +79,10 @@ def update_movements(state: TrainState, bank: MotionBank, *, config: EvaluatorSt
     """Returns the state after one step on the windows of that step."""
     windows = batch_at(bank, step=state.step, **window_options(movement_loop(config), "windows", window=config.window))
     keys = row_keys(stream_key(config.loop.seed, "dropout"), state.step, own_rows(config.movement_batch_size))
-    return movement_train_step(state, windows, split_rows(keys), config=config)
+    keys = split_rows(keys)
+    return descend(
+        state, lambda params: (movement_metrics(params, windows, keys, config=config), {}), config.movement_optimizer
+    )
 
 
 @functools.partial(jax.jit, static_argnames="config")
