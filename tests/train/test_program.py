@@ -1,6 +1,8 @@
 """Programs of several updates: equal to single updates, compiled once, and where they run."""
 
+import dataclasses
 import logging
+from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -14,8 +16,10 @@ from t2m_jax.data.folder import Clip
 from t2m_jax.devices import make_data_mesh
 from t2m_jax.errors import UserError
 from t2m_jax.motion.normalizer import Normalizer
-from t2m_jax.train import program
-from t2m_jax.train.config import ShardingConfig
+from t2m_jax.train import OptimizerConfig, TrainEvaluatorConfig, TrainVqVaeConfig, program
+from t2m_jax.train.config import ExperimentConfig, ShardingConfig, compiled_config
+from t2m_jax.train.gpt import TrainGptConfig
+from t2m_jax.train.hifigpt import TrainHiFiGptConfig
 from t2m_jax.train.program import (
     Devices,
     Update,
@@ -25,6 +29,7 @@ from t2m_jax.train.program import (
     many_updates,
     state_specs,
 )
+from t2m_jax.train.vqvae_config import TrainRvqVaeConfig
 from tests.jit import assert_jit_equals_eager
 
 ONE_DEVICE = Mesh(np.array(jax.devices()[:1]), ("data",))
@@ -238,3 +243,26 @@ def test_a_state_is_donated():
     state = devices.put_state(first())
     devices.run(Update(descent, rate=0.1), state, devices.put_data(DATA), 1, size=SIZE)
     assert all(leaf.is_deleted() for leaf in jax.tree.leaves(state))
+
+
+@pytest.mark.parametrize(
+    "schema", [TrainVqVaeConfig, TrainRvqVaeConfig, TrainGptConfig, TrainHiFiGptConfig, TrainEvaluatorConfig]
+)
+def test_a_step_sees_its_own_section_of_the_config_and_nothing_else(schema):
+    config = schema()
+    section = compiled_config(config)
+    assert type(section) is schema.step
+    assert not isinstance(section, ExperimentConfig)
+    assert (section.model, section.optimizer) == (config.model, config.optimizer)
+    for other in (
+        {"run": Path("other"), "data": Path("moved"), "init": Path("demo"), "data_fraction": 0.5},
+        {"loop": dataclasses.replace(config.loop, num_steps=7, log_every=3, steps_per_call=5)},
+        {"sharding": ShardingConfig(mode="pmap"), "placement": "host"},
+    ):
+        assert compiled_config(dataclasses.replace(config, **other)) == section
+    for other in (
+        {"loop": dataclasses.replace(config.loop, seed=7)},
+        {"loop": dataclasses.replace(config.loop, batch_size=2)},
+        {"optimizer": OptimizerConfig(learning_rate=3.0)},
+    ):
+        assert compiled_config(dataclasses.replace(config, **other)) != section
