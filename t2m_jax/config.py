@@ -264,6 +264,7 @@ def _value(annotation: Any, value: Any, keys: tuple[str, ...]) -> Any:
         members = [member for member in arguments if member is not types.NoneType]
         if len(members) == 1:  # the errors of the only member are more precise than ours
             return _value(members[0], value, keys)
+        # The first that fits: 1 is a whole number before it is a float.
         for member in members:
             with contextlib.suppress(_FieldError):
                 return _value(member, value, keys)

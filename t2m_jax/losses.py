@@ -269,6 +269,7 @@ def movement_loss(
 def pair_distances(text: Embeddings, motion: Embeddings) -> Float[Array, " B"]:
     """Returns the distance of each text from the motion in its row. It is never zero, so that it has a gradient."""
     chex.assert_equal_shape([text, motion])
+    # The small number is that of PyTorch's `pairwise_distance`, which the original uses.
     return jnp.sqrt(jnp.sum((text - motion + 1e-6) ** 2, axis=-1))
 
 
@@ -282,6 +283,7 @@ def margin_loss(
     negatives are then the pairs themselves.
     """
     positive = jnp.mean(pair_distances(text, motion) ** 2)
+    # A roll gives each text one negative, for the price of one more distance per text.
     apart = pair_distances(text, jnp.roll(motion, -shift, axis=0))
     negative = jnp.mean(jnp.maximum(margin - apart, 0.0) ** 2)
     return {"loss": positive + negative, "positive": positive, "negative": negative}
