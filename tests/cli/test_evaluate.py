@@ -28,6 +28,7 @@ def test_reconstruction_writes_json(bundle_folder, data_folder, tmp_path, capsys
     assert capsys.readouterr().out == f"{output}: {said}\n"
 
 
+@pytest.mark.slow
 def test_inbetween_prints_a_table(bundle_folder, data_folder, capsys):
     arguments = ["--model", f"{bundle_folder}", "--data", f"{data_folder}", "--split", "train", "--num-clips", "1"]
     assert main(["evaluate", "inbetween", *arguments, "--seconds", "0.4"]) == 0
@@ -55,6 +56,7 @@ def test_prompts_writes_json(bundle_folder, tmp_path, capsys):
     assert capsys.readouterr().out == f"{output}: {said}\n"
 
 
+@pytest.mark.slow
 def test_prompts_are_measured_without_warnings(monkeypatch, capsys):
     original = following.evaluate_prompt_following
 

@@ -41,6 +41,7 @@ def test_a_page_is_opened(bundle_folder, tmp_path, capsys):
     assert page == f"{tmp_path / 'walk.html'}" and (tmp_path / "walk.html").is_file()
 
 
+@pytest.mark.slow
 def test_a_video_is_opened(bundle_folder, tmp_path, capsys):
     path = tmp_path / "a walk.gif"
     assert main(["generate", "a person walks", "--model", f"{bundle_folder}", "-o", f"{path}"]) == 0

@@ -103,6 +103,7 @@ def test_it_has_one_value_a_motion_and_a_count_a_code(details):
     assert (details.real_code_counts != details.measured_code_counts).any()
 
 
+@pytest.mark.slow
 def test_real_codes_are_those_of_each_piece_alone(task, source, details):
     tokenizer = source.tokenizer
     encode = jax.jit(lambda motion: tokenizer.module.apply(tokenizer.variables, motion, method="encode"))

@@ -171,6 +171,7 @@ def test_figures_are_those_of_the_command(finished, held_out, evaluator):
         assert report.measured[metric].mean == pytest.approx(row[metric], rel=1e-6), metric
 
 
+@pytest.mark.slow
 def test_the_log_says_how_codes_were_chosen(training, tmp_path, caplog, monkeypatch):
     monkeypatch.setattr(experiment, "held_out_metrics", lambda task, source: {"fid": 7.0 + source.options.temperature})
     config = training("gpt", tmp_path / "run", sampling="greedy")

@@ -129,6 +129,7 @@ def texts(run):
     return best | {name: (run / name).read_bytes() for name in names}
 
 
+@pytest.mark.slow
 def test_a_run_is_an_evaluator(data, finished):
     assert run_info(finished).kind == "evaluator"
     trained = load_trained_evaluator(finished)
@@ -146,6 +147,7 @@ def test_a_run_is_an_evaluator(data, finished):
     assert text.shape == (1, 16) and np.isfinite(text).all()
 
 
+@pytest.mark.slow
 def test_movements_are_trained_and_then_left_alone(finished):
     _, first = newest_checkpoint(finished / "movement")
     _, second = newest_checkpoint(finished)
@@ -155,17 +157,19 @@ def test_movements_are_trained_and_then_left_alone(finished):
     assert rows["step"].tolist() == [3, 4]
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bits(data, finished, tmp_path):
     train(training(data, tmp_path / "again"))
     assert texts(tmp_path / "again") == texts(finished)
     assert_same_checkpoint(tmp_path / "again", finished)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("training_of", "stop"),
     [
-        pytest.param("movements", 3, marks=pytest.mark.slow),
-        pytest.param("matching", 3, marks=pytest.mark.slow),
+        ("movements", 3),
+        ("matching", 3),
         ("matching", 7),
     ],
 )

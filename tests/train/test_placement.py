@@ -55,6 +55,7 @@ def test_the_place_of_the_data_changes_nothing(data, tmp_path, make_config, step
     assert_same_checkpoint(tmp_path / "host", tmp_path / "device")
 
 
+@pytest.mark.slow
 def test_a_run_may_be_resumed_with_the_data_elsewhere(data, tmp_path):
     config = vqvae_training(data, tmp_path / "whole", loop=LOOP)
     train(config)

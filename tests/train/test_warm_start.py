@@ -50,6 +50,7 @@ def test_a_tokenizer_starts_from_a_model(runs, bundle, tmp_path, source):
     np.testing.assert_array_equal(load_tokenizer(config.run).normalizer.std, expected.normalizer.std)
 
 
+@pytest.mark.slow
 def test_a_decoder_is_trained_alone_and_all_motion_keeps_its_codes(runs, tmp_path):
     optimizer = dataclasses.replace(OPTIMIZER, weight_decay=0.1, warmup_steps=0)
     init = shutil.copytree(runs.vqvae, tmp_path / "init")
@@ -159,6 +160,7 @@ def test_another_decoder_of_the_same_codes_fits_a_generator(runs):
                 start_from_model(runs.gpt, other)
 
 
+@pytest.mark.slow
 def test_training_ends_when_the_loss_was_not_lower_for_some_validations(runs, tmp_path):
     loop = dataclasses.replace(LOOP, num_steps=40, validate_every=2)
     still = dataclasses.replace(gpt_training(runs.data, runs.vqvae, tmp_path / "run", loop=loop), optimizer=STILL)
