@@ -6,6 +6,7 @@ import shutil
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from t2m_jax.cli.evaluate import _measure
 from t2m_jax.cli.main import main
