@@ -61,6 +61,7 @@ def _pack(args: argparse.Namespace, runs: list[str], destination: Path, name: "H
     from t2m_jax.files.reading import load_text
     from t2m_jax.files.writing import atomic_folder
 
+    # The folder appears only when it is complete, also if a card is missing or the disk is full.
     with atomic_folder(destination) as folder:
         run_folder, bundle = load_runs([Path(path) for path in runs])
         card = load_text(Path(args.card)) if args.card else default_card(run_folder)

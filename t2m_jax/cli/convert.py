@@ -76,6 +76,7 @@ def run(args: argparse.Namespace) -> None:
 def _check_files(args: argparse.Namespace, task: str, wanted: tuple[str, ...]) -> None:
     """Raises `UserError` if files are missing, or are given that are not needed."""
     given = [name for name in dict.fromkeys((*_MODEL_FILES, *_EVALUATOR_FILES)) if getattr(args, name) is not None]
+    # A file too many is probably a mistake: nobody gives one to see it ignored.
     extra = [option_of(name) for name in given if name not in wanted]
     missing = [option_of(name) for name in wanted if name not in given]
     if extra:

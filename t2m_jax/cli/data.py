@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> None:
         _show(f"  {len(report.left_out)} clips left out:")
         _print_lines([f"{name}: {reason}" for name, reason in report.left_out.items()])
     sheet = args.destination / SHEET
-    if sheet.exists():
+    if sheet.exists():  # only imports of files that nobody has looked at draw one
         _show(f"  poses of the clips: {sheet}")
     show_next(f"t2m data check {shlex.quote(str(args.destination))}")
 
@@ -97,6 +97,7 @@ def run_import(args: argparse.Namespace) -> "ImportReport":
     from t2m_jax.data.folder import open_dataset
     from t2m_jax.export.contact_sheet import save_contact_sheet
 
+    # The options of each kind are the arguments of its function.
     given = {name: value for name, value in vars(args).items() if name not in ("run_command", "source_kind")}
     source = given.pop("source")
     destination = given.pop("destination")

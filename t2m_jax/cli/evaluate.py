@@ -66,7 +66,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_data_arguments(inbetween)
     inbetween.add_argument("--seconds", type=float, default=1.6, help="length of the gaps (default: 1.6)")
     inbetween.add_argument("--num-clips", type=int, default=100, help="clips to use (default: 100)")
-    compare, table = add(run_compare, "test two reports for differences"), add(run_table, "print a table of reports")
+    compare = add(run_compare, "test two reports for differences")
+    table = add(run_table, "print a table of reports")
     for command in (reconstruction, generation, prompts):
         add_model_argument(command)
         command.add_argument("--json", type=Path, metavar="F", help="also write the figures to this file")
@@ -114,6 +115,7 @@ def run(args: argparse.Namespace) -> None:
     for name in ("num_repeats", "num_seeds", "num_clips"):
         if getattr(args, name, 1) < 1:
             raise UserError(f"--{name.replace('_', '-')}: {getattr(args, name)} is not a whole number above 0")
+    # Before the measurement, which may take hours.
     if getattr(args, "json", None):
         check_output(args.json)
     if getattr(args, "html", None):
@@ -135,7 +137,8 @@ def run_reconstruction(args: argparse.Namespace) -> None:
     from t2m_jax.sampling.compilation import use_compilation_cache
 
     use_compilation_cache()
-    tokenizer, dataset = load_tokenizer(args.model), open_dataset(args.data)
+    tokenizer = load_tokenizer(args.model)
+    dataset = open_dataset(args.data)
     task = _make_task(args, dataset, unit=tokenizer.config.downsample) if args.evaluator else None
     figures = evaluate_reconstruction(tokenizer, dataset, split=args.split)
     for name, label in LABELS.items():
@@ -270,7 +273,8 @@ def run_inbetween(args: argparse.Namespace) -> None:
     from t2m_jax.text.coverage import PromptWarning
 
     check_seconds(args.seconds)
-    model, dataset = TextToMotion.load(args.model), open_dataset(args.data)
+    model = TextToMotion.load(args.model)
+    dataset = open_dataset(args.data)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PromptWarning)
         figures = evaluate_inbetween(
@@ -301,6 +305,7 @@ def run_table(args: argparse.Namespace) -> None:
     stems = [path.stem for path in args.reports]
     names = args.names or (stems if len(set(stems)) == len(stems) else list(map(str, args.reports)))
     table = make_table([load_report(path) for path in args.reports], names, measures=args.measures)
+    # https://no-color.org; files and pipes get no codes of colors either.
     color = sys.stdout.isatty() and "NO_COLOR" not in os.environ
     sys.stdout.write(format_table(table, style=args.format, color=color) + "\n")
     others = [str(path) for path in args.reports[1:2]] or ["OTHER.json"]

@@ -114,6 +114,7 @@ class _Writer:
         from t2m_jax.sampling.pipeline import TextToMotion
 
         written: list[Path] = []
+        # What the next page needs; with a million samples, not all motions fit into the memory.
         recent = deque["Motion"](maxlen=MAX_ON_PAGE)
         for number, motion in enumerate(TextToMotion.load(self.args.model).make(*requests)):
             recent.append(self.changes.apply(motion))

@@ -29,6 +29,7 @@ def run(args: argparse.Namespace) -> None:
         return
     for name in BUNDLED:
         sys.stdout.write(_line("", load_card(name)))
+    # Only what is on this machine: a list of the hub would need the network.
     for model in cached_models():
         sys.stdout.write(_line(f"{model.source}: ", load_card(model.folder)))
     show_next(f"t2m models {BUNDLED[0]}")

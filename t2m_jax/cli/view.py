@@ -64,6 +64,7 @@ def run(args: argparse.Namespace) -> None:
     from t2m_jax.motion.changes import Changes
     from t2m_jax.motion.formats import check_motion_output, load_motion, save_motions
 
+    # All that can be wrong with the options is said before the first file is read.
     for output in args.outputs:
         check_motion_output(output)
     changes = read_record(Changes, args)
