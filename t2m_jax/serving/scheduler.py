@@ -197,7 +197,8 @@ class Scheduler:
         growing = self.growing[progress.slot]
         # While others wait, frames are not decoded; all of them come with the next rows that are.
         motion = growing.add(progress.codes[growing.num_rows :]) if live else None
-        scene = None if motion is None else scene_record([motion])
+        caption = one.sample.prompt.text
+        scene = None if motion is None else scene_record([dataclasses.replace(motion, caption=caption)])
         new = progress.codes[-progress.num_new :].tolist()
         self.send(one.task.job, "codes", {"sample": one.sample.number, "codes": new, "scene": scene})
 
