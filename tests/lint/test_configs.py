@@ -80,7 +80,7 @@ def test_the_script_of_the_demo_fits_its_configs():
 
 def test_the_free_motions_have_captions_and_a_license():
     info, table = load_config(FREE / "dataset.yaml", DatasetInfo), find_table(FREE, None, files=())
-    rows = [row for same in table.rows.values() for row in same]
+    rows = [row for same in table.entries.values() for row in same]
     captions = {row.file: [other for other in rows if other.file == row.file] for row in rows}
     assert "CMU" in info.licence and "mocap.cs.cmu.edu" in info.attribution
     assert len(captions) > 150 and all(len(said) >= 4 for said in captions.values())

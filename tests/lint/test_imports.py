@@ -85,13 +85,14 @@ WRITERS = {
     "t2m_jax.data.writer",
     "t2m_jax.export.glb",
     "t2m_jax.export.npz",
+    "t2m_jax.files.locks",
     "t2m_jax.files.writing",
     "t2m_jax.motion.normalizer",
     "t2m_jax.serving.files",
     "t2m_jax.train.log",
 }
-"""Modules that open files to write. All do so inside of `atomic_file` or `atomic_folder`, but for rows of the log and
-what the server keeps in a temporary folder during a request."""
+"""Modules that open files to write. All do so inside of `atomic_file` or `atomic_folder`, but for rows of the log, the
+owner in a lock, and what the server keeps in a temporary folder during a request."""
 WRITES = re.compile(r"\.write_(text|bytes)\(|np\.save\w*\(|open\([^)]*[\"'][wax]b?\+?b?[\"']")
 
 
