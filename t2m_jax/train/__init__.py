@@ -3,8 +3,11 @@
 from t2m_jax.train.config import ExperimentConfig, LoopConfig
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from t2m_jax.train.experiment import Setup, Trainer, train
+from t2m_jax.train.gpt import TrainGptConfig
+from t2m_jax.train.hifigpt import TrainHiFiGptConfig
 from t2m_jax.train.optimizer import OptimizerConfig
-from t2m_jax.train.vqvae_config import TrainVqVaeConfig
+from t2m_jax.train.presets import load_preset
+from t2m_jax.train.vqvae_config import TrainRvqVaeConfig, TrainVqVaeConfig
 
 __all__ = [
     "ExperimentConfig",
@@ -12,7 +15,11 @@ __all__ = [
     "OptimizerConfig",
     "Setup",
     "TrainEvaluatorConfig",
+    "TrainGptConfig",
+    "TrainHiFiGptConfig",
+    "TrainRvqVaeConfig",
     "TrainVqVaeConfig",
     "Trainer",
+    "load_preset",
     "train",
 ]
