@@ -13,7 +13,9 @@ from t2m_jax.files.arrays import load_arrays, save_arrays
 from t2m_jax.files.manifest import check_folder, write_manifest
 from t2m_jax.files.writing import atomic_folder
 
-BEST_FILE, BEST_FOLDER, WEIGHTS_FILE = "best.yaml", "best", "weights.safetensors"
+BEST_FILE = "best.yaml"
+BEST_FOLDER = "best"
+WEIGHTS_FILE = "weights.safetensors"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

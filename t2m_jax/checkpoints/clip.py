@@ -40,8 +40,11 @@ _FIELDS = {
 }
 """Hugging Face's names of the config's fields. The defaults are the same as ours: ViT-B/32."""
 
-_END_FIELD, _LEGACY_END, _DEFAULT_END = "eos_token_id", 2, 49407
-"""Early configs say 2, which is wrong for every vocabulary. Such a CLIP was trained to read the largest token."""
+_END_FIELD = "eos_token_id"
+_DEFAULT_END = 49407
+"""The value of a config that does not have the field, as in `transformers`."""
+_LEGACY_END = 2
+"""Early configs say this, which is wrong for every vocabulary. Such a CLIP was trained to read the largest token."""
 
 _NAMES = {
     "token_embedding": "embeddings.token_embedding",
@@ -94,7 +97,8 @@ def load_clip(name_or_folder: str | Path, *, text_dim: int | None = None) -> Tra
     if text_dim not in (None, config.text_dim):
         raise UserError(f"{name_or_folder}: has embeddings of {config.text_dim} numbers, but the GPT reads {text_dim}")
     tokenizer = load_clip_bpe(folder)
-    largest, end = max(tokenizer.get_vocab(with_added_tokens=True).values()), tokenizer.token_to_id(END)
+    largest = max(tokenizer.get_vocab(with_added_tokens=True).values())
+    end = tokenizer.token_to_id(END)
     if largest >= config.vocabulary_size:
         raise UserError(f"{folder}: the tokenizer has a token {largest}, but vocab_size is {config.vocabulary_size}")
     if config.end_token not in (None, end):

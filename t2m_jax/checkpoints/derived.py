@@ -8,7 +8,10 @@ from collections.abc import Mapping, Set
 
 import numpy as np
 
-CODEBOOK, SUMS, COUNTS, COPY = "quantizer/codebook", "quantizer/ema_sum", "quantizer/ema_count", "codebook/codebook"
+CODEBOOK = "quantizer/codebook"
+SUMS = "quantizer/ema_sum"
+COUNTS = "quantizer/ema_count"
+COPY = "codebook/codebook"
 
 
 def drop_derived(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -18,7 +18,9 @@ from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
 from t2m_jax.text.word_vectors import Vocabulary, load_vocabulary, save_vocabulary
 
-EVALUATOR_CONFIG, WEIGHTS_FILE, WORDS_FILE = "evaluator.yaml", "weights.safetensors", "words.txt"
+EVALUATOR_CONFIG = "evaluator.yaml"
+WEIGHTS_FILE = "weights.safetensors"
+WORDS_FILE = "words.txt"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -85,7 +87,8 @@ def load_trained_evaluator(folder: str | Path) -> TrainedEvaluator:
         load_versioned(path, {2: EvaluatorFolderConfig})  # says so if it is of an older version, which had no manifest
     check_folder(folder)
     config = load_versioned(path, {2: EvaluatorFolderConfig}).model
-    normalizer, vocabulary = load_normalizer(folder), load_vocabulary(folder / WORDS_FILE)
+    normalizer = load_normalizer(folder)
+    vocabulary = load_vocabulary(folder / WORDS_FILE)
     if len(vocabulary) != config.num_words:
         raise UserError(f"{folder / WORDS_FILE}: has {len(vocabulary)} words, but {path.name} says {config.num_words}")
     check_statistics_width(folder, normalizer, config.feature_dim)

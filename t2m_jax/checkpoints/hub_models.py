@@ -67,7 +67,8 @@ def find_model(name_or_path: str | Path) -> FoundModel:
         UserError: The hub has no such model, or cannot be reached; or the model is damaged or lacks what all models of
             the hub must have.
     """
-    folder, name = bundle_path(name_or_path), parse_hub_name(name_or_path)
+    folder = bundle_path(name_or_path)
+    name = parse_hub_name(name_or_path)
     if name is None or folder.exists():
         return FoundModel(folder, f"{name_or_path}")
     copy = _find_copy(name)
@@ -86,7 +87,8 @@ def load_card(name_or_path: str | Path) -> str:
     Raises:
         UserError: There is no such bundle, or it has no card.
     """
-    folder, name = bundle_path(name_or_path), parse_hub_name(name_or_path)
+    folder = bundle_path(name_or_path)
+    name = parse_hub_name(name_or_path)
     if name is None or folder.exists():
         return load_text(folder / CARD_FILE)
     copy = _find_copy(name)
@@ -153,7 +155,8 @@ def push_bundle(folder: Path, name: HubName, *, private: bool = False) -> str:
     except UserError as error:
         raise UserError(f"{folder}: {error}") from None
     check_folder(folder, thorough=True)
-    api, files = huggingface_hub.HfApi(), [MANIFEST, *read_manifest(folder)]
+    api = huggingface_hub.HfApi()
+    files = [MANIFEST, *read_manifest(folder)]
     try:
         url = api.create_repo(name.repository, private=private or None, exist_ok=True)
         if private and not api.model_info(name.repository).private:

@@ -43,7 +43,8 @@ def load_generator_run(path: Path) -> Bundle:
     kind = run_info(path).kind
     if not (path / CONFIG_FILE).is_file():
         raise UserError(f"{path}: is the run of a {kind} only; generation needs the run of a generator, such as a GPT")
-    tokenizer, config = load_tokenizer(path), load_bundle_config(path)
+    tokenizer = load_tokenizer(path)
+    config = load_bundle_config(path)
     kinds = {role: kind for role, kind in part_kinds(config).items() if role != "tokenizer"}
     expected = expected_variables(config)
     # A training state has one field per collection, and in it one entry per kind of part.
@@ -56,8 +57,8 @@ def load_generator_run(path: Path) -> Bundle:
     variables = {"tokenizer": tokenizer.variables} | {
         role: {name: found[name][kind] for name in expected[role]} for role, kind in kinds.items()
     }
-    text_tokenizer, data = load_text_tokenizer(path, config), load_training_data(path)
-    return Bundle(config, variables, tokenizer.normalizer, text_tokenizer, data)
+    text_tokenizer = load_text_tokenizer(path, config)
+    return Bundle(config, variables, tokenizer.normalizer, text_tokenizer, load_training_data(path))
 
 
 def load_runs(paths: Sequence[Path]) -> tuple[Path, Bundle]:

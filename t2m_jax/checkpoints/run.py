@@ -25,15 +25,19 @@ from t2m_jax.files.writing import PARTIAL, commit_folder
 
 logger = logging.getLogger(__name__)
 
-CONFIG_FILE, INFO_FILE, DATA_FILE = "config.yaml", "run.yaml", "training_data.json"
+CONFIG_FILE = "config.yaml"
+INFO_FILE = "run.yaml"
+DATA_FILE = "training_data.json"
 CHECKPOINTS = "checkpoints"
 
 FORMAT_VERSION = 4
 """Version of runs: checkpoints have manifests, and `config.yaml` has a checksum."""
 
-DELETE_TRIES, QUIET_TRIES, DELETE_SECONDS = 50, 5, 0.1
-"""After Orbax has failed, its threads write for a moment. So their files are deleted again and again, until none has
-come for some tries."""
+DELETE_TRIES = 50
+"""After Orbax has failed, its threads write for a moment. So their files are deleted again and again."""
+QUIET_TRIES = 5
+"""Tries without new files after which the threads have ended."""
+DELETE_SECONDS = 0.1
 
 CONSTANT_FILES = ("*.npy", "*.yaml", "*.json", "words.txt", f"*/{MANIFEST}")
 """What a run keeps as it was at its start: statistics, sizes, words, and the manifest of the copy of its tokenizer, by
@@ -120,7 +124,9 @@ class Checkpoints:
         """Opens the folder, which is created if it is missing; the newest `keep` checkpoints are kept."""
         import orbax.checkpoint as ocp  # here, because generation from a bundle does not need it
 
-        self._ocp, self._run, self._keep = ocp, run, keep
+        self._ocp = ocp
+        self._run = run
+        self._keep = keep
         self._folder = (run / CHECKPOINTS).resolve()
         self._folder.mkdir(parents=True, exist_ok=True)
         self._checkpointer = ocp.AsyncCheckpointer(ocp.CompositeCheckpointHandler())
@@ -240,7 +246,8 @@ class Checkpoints:
     def _finish(self) -> None:
         """Waits for the save in progress."""
         if self._unfinished is not None:
-            unfinished, self._unfinished = self._unfinished, None
+            unfinished = self._unfinished
+            self._unfinished = None
             unfinished.result()
 
     def restore(self, like: State) -> State:

@@ -22,9 +22,12 @@ from t2m_jax.files.reading import load_json
 from t2m_jax.models.sentence_encoder import SentenceEncoder, SentenceEncoderConfig
 from t2m_jax.text.bpe import TOKENIZER_FILE, load_bpe
 
-CONFIG_FILE, WEIGHTS_FILE = "config.json", "model.safetensors"
-MODULES_FILE, POOLING_FILE = "modules.json", "1_Pooling/config.json"
-LENGTH_FILE, PROMPTS_FILE = "sentence_bert_config.json", "config_sentence_transformers.json"
+CONFIG_FILE = "config.json"
+WEIGHTS_FILE = "model.safetensors"
+MODULES_FILE = "modules.json"
+POOLING_FILE = "1_Pooling/config.json"
+LENGTH_FILE = "sentence_bert_config.json"
+PROMPTS_FILE = "config_sentence_transformers.json"
 TOKENIZER_CONFIG_FILE = "tokenizer_config.json"
 SENTENCE_FILES = EncoderFiles(
     kind="sentence",
@@ -35,8 +38,10 @@ SENTENCE_FILES = EncoderFiles(
     optional=(LENGTH_FILE, PROMPTS_FILE, TOKENIZER_CONFIG_FILE),
 )
 
-_BERT, _MPNET, _ROBERTA = "bert", "mpnet", ("roberta", "xlm-roberta", "camembert")
-"""Values of `model_type`."""
+_BERT = "bert"
+_MPNET = "mpnet"
+_ROBERTA = ("roberta", "xlm-roberta", "camembert")
+"""Values of `model_type`, as those above."""
 _PLACES = ["", "1_Pooling"]
 """Folders of the first steps."""
 _POSITIONS = "max_position_embeddings"
@@ -53,7 +58,8 @@ _FIELDS = {
     "layer_norm_eps": "layer_norm_epsilon",
 }
 """Hugging Face's names of the config's fields. The defaults are the same as ours."""
-_SWITCH, _SWITCHES = "pooling_mode_", {"cls_token": "cls", "mean_tokens": "mean"}
+_SWITCH = "pooling_mode_"
+_SWITCHES = {"cls_token": "cls", "mean_tokens": "mean"}
 """Older files have `pooling_mode_cls_token: true` instead of `pooling_mode: cls`."""
 
 _NAMES = {
@@ -206,7 +212,8 @@ def load_sentence_tokenizer(folder: Path, config: SentenceEncoderConfig) -> Toke
     Raises:
         UserError: The file is missing or damaged, or does not fit the config.
     """
-    tokenizer, path = load_bpe(folder), folder / TOKENIZER_FILE
+    tokenizer = load_bpe(folder)
+    path = folder / TOKENIZER_FILE
     largest = max(tokenizer.get_vocab(with_added_tokens=True).values(), default=0)
     if largest >= config.vocabulary_size:
         raise UserError(f"{path}: has a token {largest}, but vocab_size is {config.vocabulary_size}")

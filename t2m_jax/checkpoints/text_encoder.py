@@ -52,7 +52,8 @@ def encoder_identity(encoder: PretrainedEncoder) -> str:
 
     The encoder's `fingerprint` is for caches: it changes with versions of this package and of `tokenizers`.
     """
-    config, tokens = encoder.config, encoder.tokenizer.encode(_PROBE, add_special_tokens=False).ids
+    config = encoder.config
+    tokens = encoder.tokenizer.encode(_PROBE, add_special_tokens=False).ids
     how = "" if isinstance(encoder, TrainedClip) else f"{encoder.config.pooling} {encoder.config.normalize}"
     return fingerprint(f"{tokens} {config.max_length} {how}", encoder.variables)
 

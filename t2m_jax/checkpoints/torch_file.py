@@ -135,7 +135,8 @@ def _legacy_places(file: BinaryIO, keys: Pickle, storages: dict[str, Storage]) -
     """Returns the position of each storage. They follow the list of keys, each after its number of elements."""
     if not isinstance(keys.value, list) or {*map(repr, keys.value)} != {*map(repr, storages)}:
         raise UserError("its list of storages does not fit its tensors")
-    position, places = keys.end, {}
+    position = keys.end
+    places = {}
     for key in keys.value:
         file.seek(position)
         if file.read(8) != storages[key].length.to_bytes(8, "little"):
@@ -189,7 +190,7 @@ class _Content:
 
     def _array(self, tensor: Tensor) -> np.ndarray:
         """Returns the array that a tensor describes, after checking that it is inside its storage."""
-        shape, strides, offset, storage = tensor.shape, tensor.strides, tensor.offset, tensor.storage
+        storage, offset, shape, strides = tensor
         axes_fit = isinstance(shape, tuple) and isinstance(strides, tuple) and len(shape) == len(strides) <= MAX_AXES
         if not axes_fit or any(type(number) is not int or number < 0 for number in (offset, *shape, *strides)):
             raise UserError("has a tensor whose shape, strides or offset are not valid")

@@ -33,8 +33,10 @@ DTYPES: dict[str, np.dtype] = {
 }
 """The type of the numbers in each kind of storage."""
 
-_ORDERED_DICT, _SIZE = "collections.OrderedDict", "torch.Size"
-_TENSOR, _PARAMETER = "torch._utils._rebuild_tensor_v2", "torch._utils._rebuild_parameter"
+_ORDERED_DICT = "collections.OrderedDict"
+_SIZE = "torch.Size"
+_TENSOR = "torch._utils._rebuild_tensor_v2"
+_PARAMETER = "torch._utils._rebuild_parameter"
 _STORAGES = {f"{module}.{name}": dtype for module in ("torch", "torch.cuda") for name, dtype in DTYPES.items()}
 _NAMES = frozenset((_ORDERED_DICT, _SIZE, _TENSOR, _PARAMETER, *_STORAGES))
 
@@ -173,7 +175,8 @@ class _Machine:
                 self._stack.append({})
                 self._set(items)
             case pickle.SETITEM:
-                value, key = self._pop(), self._pop()
+                value = self._pop()
+                key = self._pop()
                 self._set([key, value])
             case pickle.SETITEMS:
                 self._set(self._marked())
@@ -184,13 +187,13 @@ class _Machine:
             case pickle.GLOBAL:
                 self._push_name(self._line(), self._line())
             case pickle.STACK_GLOBAL:
-                name, module = self._pop(), self._pop()
-                self._push_name(module, name)
+                name = self._pop()
+                self._push_name(self._pop(), name)
             case pickle.BINPERSID:
                 self._push_storage(self._pop())
             case pickle.REDUCE:
-                arguments, name = self._pop(), self._pop()
-                self._stack.append(_made(name, arguments))
+                arguments = self._pop()
+                self._stack.append(_made(self._pop(), arguments))
             case pickle.BUILD:
                 self._drop_attributes(self._pop())
             case _:
@@ -225,7 +228,8 @@ class _Machine:
 
     def _marked(self) -> list[Any]:
         """Removes and returns the values since the last mark."""
-        items, self._stack = self._stack, self._outer.pop()
+        items = self._stack
+        self._stack = self._outer.pop()
         return items
 
     def _set(self, items: list[Any]) -> None:

@@ -87,10 +87,13 @@ def _stays_inside(name: str) -> bool:
 
 def _measure(path: Path, *, sha256: bool = True) -> Entry:
     """Returns the size and checksums of a file, without `sha256` an empty one in its place."""
-    crc32, digest, size = 0, hashlib.sha256(), 0
+    crc32 = 0
+    size = 0
+    digest = hashlib.sha256()
     with reading(path), path.open("rb") as file:
         while chunk := file.read(_CHUNK):
-            crc32, size = zlib.crc32(chunk, crc32), size + len(chunk)
+            crc32 = zlib.crc32(chunk, crc32)
+            size += len(chunk)
             if sha256:
                 digest.update(chunk)
     return Entry(f"{crc32:08x}", digest.hexdigest() if sha256 else "", size)

@@ -137,7 +137,8 @@ def load_archive(path: Path) -> dict[str, np.ndarray]:
     Raises:
         UserError: The file is missing or damaged, is too large when it is unpacked, or an entry holds Python objects.
     """
-    key, arrays = "", {}
+    key = ""
+    arrays = {}
     with reading(path):
         try:
             _check_unpacked_size(path)

@@ -69,9 +69,10 @@ def writing(path: Path) -> Iterator[None]:
     except OSError as error:
         if _is_unfinished(path):
             raise
-        reason, is_full = error.strerror or str(error), error.errno in FULL
-        if SHORT_WRITE in reason:
-            reason, is_full = os.strerror(errno.ENOSPC), True
+        reason = error.strerror or str(error)
+        if has_no_room := SHORT_WRITE in reason:
+            reason = os.strerror(errno.ENOSPC)
+        is_full = has_no_room or error.errno in FULL
         advice = "make room, then try again" if is_full else "choose another place"
         raise UserError(f"{path}: cannot be written ({reason}); {advice}") from error
 
@@ -186,7 +187,8 @@ def _delete_abandoned(path: Path) -> None:
             if not entry.name.startswith(start) or PARTIAL not in entry.name:
                 continue
             with contextlib.suppress(OSError):  # another process may delete it, too
-                is_folder, found = entry.is_dir(follow_symlinks=False), Path(entry.path)
+                is_folder = entry.is_dir(follow_symlinks=False)
+                found = Path(entry.path)
                 newest = max(part.stat().st_mtime for part in (found, *(found.iterdir() if is_folder else ())))
                 if time.time() - newest > ABANDONED_SECONDS:
                     shutil.rmtree(found) if is_folder else found.unlink()

@@ -68,7 +68,8 @@ def load_official_evaluator(files: OfficialEvaluatorFiles) -> TrainedEvaluator:
         UserError: A file is missing, damaged or of something else, or the files do not fit each other.
     """
     config, variables = load_evaluator(files.evaluator, word_vectors=files.word_vectors)
-    normalizer, vocabulary = normalizer_from_files(files.mean, files.std), load_vocabulary(files.words)
+    normalizer = normalizer_from_files(files.mean, files.std)
+    vocabulary = load_vocabulary(files.words)
     check_statistics_width(files.mean, normalizer, config.feature_dim)
     if len(vocabulary) != config.num_words:
         raise UserError(f"{files.words}: has {len(vocabulary)} words, but {files.word_vectors} has {config.num_words}")
@@ -77,7 +78,8 @@ def load_official_evaluator(files: OfficialEvaluatorFiles) -> TrainedEvaluator:
 
 def official_card(files: OfficialFiles, bundle: Bundle) -> str:
     """Returns a Markdown card that says which files a converted model was made from."""
-    vqvae, gpt = bundle.config.tokenizer, bundle.config.generator
+    vqvae = bundle.config.tokenizer
+    gpt = bundle.config.generator
     rows = ""
     for name, path in files._asdict().items():
         with path.open("rb") as file:

@@ -74,7 +74,8 @@ def export_official(path: Path, bundle: Bundle) -> None:
         UserError: The folder exists already, or the original has no such model.
     """
     check_new(path)
-    tokenizer, generator = bundle.config.tokenizer, bundle.config.generator
+    tokenizer = bundle.config.tokenizer
+    generator = bundle.config.generator
     if not isinstance(tokenizer, VqVaeConfig) or not isinstance(generator, MotionGptConfig):
         kinds = f"{tokenizer.kind!r} and {generator.kind!r}"
         raise UserError(f"the original code has no model of {kinds}; only a T2M-GPT can be exported for it")

@@ -25,8 +25,12 @@ class Weight(NamedTuple):
 
 def vqvae_weights(config: VqVaeConfig) -> Iterator[Weight]:
     """Yields every array of a `VqVae` that the original saves."""
-    encoder, decoder, last = "vqvae.encoder.model", "vqvae.decoder.model", 2 + config.num_stages
-    features, width, codes = config.feature_dim, config.width, config.code_dim
+    encoder = "vqvae.encoder.model"
+    decoder = "vqvae.decoder.model"
+    last = 2 + config.num_stages
+    features = config.feature_dim
+    width = config.width
+    codes = config.code_dim
     yield from _layer(f"{encoder}.0", (width, features, 3), "encoder", "input", "conv")
     yield from _layer(f"{decoder}.0", (width, codes, 3), "decoder", "input", "conv")
     for stage in range(config.num_stages):
@@ -59,7 +63,8 @@ def _stack(key: str, config: VqVaeConfig, *path: str) -> Iterator[Weight]:
     """Yields the weights of the residual units of one stage."""
     width = config.width
     for unit in range(config.depth):
-        name, place = f"{key}.model.{unit}", (*path, f"unit_{unit}")
+        name = f"{key}.model.{unit}"
+        place = (*path, f"unit_{unit}")
         yield from _layer(f"{name}.conv1", (width, width, 3), *place, "dilated", "conv")
         yield from _layer(f"{name}.conv2", (width, width, 1), *place, "pointwise", "conv")
         for norm in ("norm1", "norm2") if config.norm != "none" else ():
@@ -77,7 +82,8 @@ def vqvae_constant_shapes(config: VqVaeConfig) -> dict[str, tuple[int, ...]]:
 
 def gpt_weights(config: MotionGptConfig, *, num_base: int) -> Iterator[Weight]:
     """Yields every array of a `MotionGpt`; the first `num_base` blocks are the original's base, the others its head."""
-    width, inner = config.embed_dim, config.mlp_ratio * config.embed_dim
+    width = config.embed_dim
+    inner = config.mlp_ratio * width
     tokens = (config.num_codes + 2, width)
     yield Weight("trans_base.tok_emb.weight", tokens, ("params", "token_embedding", "embedding"))
     yield from _layer("trans_base.cond_emb", (width, config.text_dim), "text_projection")
@@ -99,7 +105,8 @@ def _blocks(config: MotionGptConfig, *, num_base: int) -> list[str]:
     return [f"{part}.blocks.{block}" for part, count in parts for block in range(count)]
 
 
-_FIXED_POSITIONS, _UNUSED_POSITIONS = "trans_base.pos_embed.embed", "trans_base.pos_embedding.weight"
+_FIXED_POSITIONS = "trans_base.pos_embed.embed"
+_UNUSED_POSITIONS = "trans_base.pos_embedding.weight"
 
 
 def gpt_constant_shapes(config: MotionGptConfig, *, num_base: int) -> dict[str, tuple[int, ...]]:
@@ -107,9 +114,9 @@ def gpt_constant_shapes(config: MotionGptConfig, *, num_base: int) -> dict[str, 
 
     One table is the fixed sinusoid. The other is learned, but the original never reads it.
     """
-    length, width = config.block_size, config.embed_dim
+    length = config.block_size
     masks = {f"{block}.attn.mask": (1, 1, length, length) for block in _blocks(config, num_base=num_base)}
-    return masks | {_FIXED_POSITIONS: (length, 1, width), _UNUSED_POSITIONS: (length, width)}
+    return masks | {_FIXED_POSITIONS: (length, 1, config.embed_dim), _UNUSED_POSITIONS: (length, config.embed_dim)}
 
 
 def constant(key: str, shape: tuple[int, ...]) -> np.ndarray:
@@ -132,7 +139,9 @@ EVALUATOR_PARTS = ("text_encoder", "motion_encoder", "movement_encoder")
 
 def evaluator_weights(config: EvaluatorConfig) -> Iterator[Weight]:
     """Yields every array of an `Evaluator` that the original saves: everything except the word vectors."""
-    hidden, width, features = config.movement_hidden, config.movement_dim, config.feature_dim - NUM_CONTACTS
+    hidden = config.movement_hidden
+    width = config.movement_dim
+    features = config.feature_dim - NUM_CONTACTS
     yield from _layer("movement_encoder.main.0", (hidden, features, 4), "movement_encoder", "conv_0")
     yield from _layer("movement_encoder.main.3", (width, hidden, 4), "movement_encoder", "conv_1")
     yield from _layer("movement_encoder.out_net", (width, width), "movement_encoder", "output")
@@ -148,9 +157,10 @@ def _sequence_encoder(part: str, sizes: tuple[int, int, int]) -> Iterator[Weight
     yield Weight(f"{part}.hidden", (2, 1, hidden), ("params", part, "gru", "initial_state"))
     yield from _layer(f"{part}.input_emb", (hidden, inputs), part, "input")
     for name, suffix in (("forward", ""), ("backward", "_reverse")):
-        gru, place = f"{part}.gru.{{}}_l0{suffix}", ("params", part, "gru", name)
-        for kind, shape in (("weight", (3 * hidden, hidden)), ("bias", (3 * hidden,))):
-            is_matrix, ours = kind == "weight", "kernel" if kind == "weight" else "bias"
+        gru = f"{part}.gru.{{}}_l0{suffix}"
+        place = ("params", part, "gru", name)
+        for kind, ours, shape in (("weight", "kernel", (3 * hidden, hidden)), ("bias", "bias", (3 * hidden,))):
+            is_matrix = kind == "weight"
             yield Weight(gru.format(f"{kind}_ih"), shape, (*place, "input", ours), is_reversed=is_matrix)
             yield Weight(gru.format(f"{kind}_hh"), shape, (*place, f"recurrent_{ours}"), is_reversed=is_matrix)
     yield from _layer(f"{part}.output_net.0", (hidden, 2 * hidden), part, "head")
