@@ -9,6 +9,7 @@ from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from flax import traverse_util
 from tokenizers import Tokenizer
 
 from t2m_jax.checkpoints.derived import add_derived, drop_derived
@@ -22,7 +23,7 @@ from t2m_jax.checkpoints.text_encoder import (
 )
 from t2m_jax.config import Tagged, load_versioned, save_config
 from t2m_jax.errors import UserError
-from t2m_jax.files.arrays import fingerprint, fit_arrays, flatten_tree, read_arrays, save_arrays, unflatten_tree
+from t2m_jax.files.arrays import fingerprint, fit_arrays, read_arrays, save_arrays
 from t2m_jax.files.manifest import check_folder, has_manifest, write_manifest
 from t2m_jax.files.reading import load_json, load_text
 from t2m_jax.files.writing import atomic_folder, save_json, save_text
@@ -168,10 +169,11 @@ def load_bundle(path: Path) -> Bundle:
     check_folder(path)
     config = load_bundle_config(path)
     kinds = part_kinds(config)
-    shapes = flatten_tree({kinds[role]: shapes for role, shapes in expected_variables(config).items()})
-    leaves = {name: (leaf.shape, leaf.dtype) for name, leaf in shapes.items()}
+    shapes = {kinds[role]: shapes for role, shapes in expected_variables(config).items()}
+    flat = traverse_util.flatten_dict(shapes, sep="/")
+    leaves = {name: (leaf.shape, leaf.dtype) for name, leaf in flat.items()}
     found = add_derived(read_arrays(path / WEIGHTS_FILE), leaves.keys())
-    arrays = unflatten_tree(fit_arrays(path / WEIGHTS_FILE, found, leaves))
+    arrays = traverse_util.unflatten_dict(fit_arrays(path / WEIGHTS_FILE, found, leaves), sep="/")
     normalizer = load_normalizer(path)
     check_statistics_width(path, normalizer, config.tokenizer.feature_dim)
     if isinstance(config.text_encoder, Reference) and (included := path / config.text_encoder.kind).is_dir():
@@ -248,7 +250,7 @@ def write_bundle(
     """Writes the files of a bundle into a folder that its caller makes; the other arguments are `save_bundle`'s."""
     kinds = part_kinds(bundle.config)
     save_config(folder / CONFIG_FILE, bundle.config)
-    arrays = flatten_tree({kinds[role]: tree for role, tree in bundle.variables.items()})
+    arrays = traverse_util.flatten_dict({kinds[role]: tree for role, tree in bundle.variables.items()}, sep="/")
     save_arrays(folder / WEIGHTS_FILE, drop_derived(arrays) if half else arrays, half=half)
     save_normalizer(folder, bundle.normalizer)
     if bundle.bpe is not None:

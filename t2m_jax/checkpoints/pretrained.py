@@ -9,7 +9,7 @@ import numpy as np
 from flax import traverse_util
 from tokenizers import Tokenizer
 
-from t2m_jax.files.arrays import fit_arrays, flatten_tree
+from t2m_jax.files.arrays import fit_arrays
 
 
 def params_from_torch(
@@ -39,7 +39,7 @@ def params_from_torch(
 def encoder_fingerprint(config: Any, variables: dict[str, Any], tokenizer: Tokenizer) -> str:
     """Returns a hash of everything that an embedding depends on."""
     digest = hashlib.sha256(f"{config}\n{tokenizer.to_str()}\n".encode())
-    for name, leaf in sorted(flatten_tree(variables).items()):
+    for name, leaf in sorted(traverse_util.flatten_dict(variables, sep="/").items()):
         array = np.ascontiguousarray(leaf, "<f4")
         digest.update(f"{name} {array.shape}\n".encode() + array.tobytes())
     return digest.hexdigest()

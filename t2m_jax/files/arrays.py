@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from flax import traverse_util
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
@@ -18,31 +19,13 @@ DAMAGED_WEIGHTS = (SafetensorError, OSError, ValueError, LookupError, TypeError,
 """What safetensors raises for damaged files."""
 
 
-def flatten_tree(tree: Mapping[str, Any], *, prefix: str = "") -> dict[str, Any]:
-    """Returns the leaves of nested dictionaries by their path, such as `params/decoder/kernel`."""
-    flat: dict[str, Any] = {}
-    for name, value in tree.items():
-        path = f"{prefix}{name}"
-        flat |= flatten_tree(value, prefix=f"{path}/") if isinstance(value, Mapping) else {path: value}
-    return flat
-
-
-def unflatten_tree(flat: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns the nested dictionaries of which `flatten_tree` made `flat`."""
-    tree: dict[str, Any] = {}
-    for path, value in flat.items():
-        *parents, name = path.split("/")
-        place = tree
-        for parent in parents:
-            place = place.setdefault(parent, {})
-        place[name] = value
-    return tree
-
-
 def fingerprint(text: str, arrays: Mapping[str, Any], *others: Mapping[str, Any]) -> str:
     """Returns what identifies a text and some arrays: 16 hexadecimal digits of a digest."""
     digest = hashlib.sha256(text.encode())
-    for flat in (sorted(flatten_tree(arrays).items()), *(other.items() for other in others)):
+    for flat in (
+        sorted(traverse_util.flatten_dict(dict(arrays), sep="/").items()),
+        *(other.items() for other in others),
+    ):
         for name, array in flat:
             digest.update(name.encode() + np.ascontiguousarray(array, np.float32).tobytes())
     return digest.hexdigest()[:16]
@@ -61,7 +44,8 @@ def save_weights(path: Path, arrays: Mapping[str, np.ndarray], *, metadata: dict
 
 def save_arrays(path: Path, tree: Mapping[str, Any], *, half: bool = False) -> None:
     """Writes nested dictionaries of arrays as a safetensors file; with `half`, float32 is stored in 16 bits."""
-    arrays = {name: np.asarray(leaf) for name, leaf in flatten_tree(tree).items()}
+    flat = traverse_util.flatten_dict(dict(tree), sep="/")
+    arrays = {name: np.asarray(leaf) for name, leaf in flat.items()}
     if half:
         arrays = {name: a.astype(np.float16) if a.dtype == np.float32 else a for name, a in arrays.items()}
     save_weights(path, arrays)
@@ -122,5 +106,6 @@ def load_arrays(path: Path, expected: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         UserError: The file is missing or damaged, or its names, shapes or values are not as expected.
     """
-    leaves = {name: (leaf.shape, leaf.dtype) for name, leaf in flatten_tree(expected).items()}
-    return unflatten_tree(fit_arrays(path, read_arrays(path), leaves))
+    flat = traverse_util.flatten_dict(dict(expected), sep="/")
+    leaves = {name: (leaf.shape, leaf.dtype) for name, leaf in flat.items()}
+    return traverse_util.unflatten_dict(fit_arrays(path, read_arrays(path), leaves), sep="/")

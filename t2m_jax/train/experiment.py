@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+from flax import traverse_util
 
 from t2m_jax.checkpoints.best import forget_best
 from t2m_jax.checkpoints.run import (
@@ -35,7 +36,6 @@ from t2m_jax.evaluation.monitor import SPLIT, held_out_metrics, open_held_out, s
 from t2m_jax.evaluation.sources import CodeSource
 from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.export.render.rendering import render_poster
-from t2m_jax.files.arrays import flatten_tree
 from t2m_jax.train import checks
 from t2m_jax.train.best import BestWeights
 from t2m_jax.train.config import EvaluationConfig, ExperimentConfig, LoopConfig
@@ -210,8 +210,8 @@ def checked_weights(source: Path, weights: Mapping[str, Any], like: Mapping[str,
     Raises:
         UserError: Their names or shapes are not those of `like`.
     """
-    found = flatten_tree(weights)
-    wanted = flatten_tree(like)
+    found = traverse_util.flatten_dict(dict(weights), sep="/")
+    wanted = traverse_util.flatten_dict(dict(like), sep="/")
     for name in sorted(found.keys() | wanted.keys()):
         shapes = [tree[name].shape if name in tree else "missing" for tree in (found, wanted)]
         if shapes[0] != shapes[1]:

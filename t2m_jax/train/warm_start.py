@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from flax import traverse_util
 
 from t2m_jax.checkpoints.bundle import part_kinds
 from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.errors import UserError
-from t2m_jax.files.arrays import flatten_tree
 from t2m_jax.train.vqvae import DECODER_PARTS
 
 SAME_WEIGHTS = 2e-3
@@ -28,8 +28,10 @@ def start_from_model(path: Path, tokenizer: TrainedTokenizer) -> Mapping[str, An
         UserError: There is none, or its codes mean something else because it has another tokenizer.
     """
     model = load_model(path)
-    own = flatten_tree({"codes": model.variables["tokenizer"], "statistics": model.normalizer._asdict()})
-    given = flatten_tree({"codes": tokenizer.variables, "statistics": tokenizer.normalizer._asdict()})
+    own_parts = {"codes": model.variables["tokenizer"], "statistics": model.normalizer._asdict()}
+    given_parts = {"codes": tokenizer.variables, "statistics": tokenizer.normalizer._asdict()}
+    own = traverse_util.flatten_dict(own_parts, sep="/")
+    given = traverse_util.flatten_dict(given_parts, sep="/")
     # Of equal codebooks and encoders, code k means the same motion.
     same = model.config.tokenizer == tokenizer.config and all(
         np.allclose(own[name], given[name], rtol=SAME_WEIGHTS, atol=SAME_WEIGHTS)

@@ -7,12 +7,13 @@ import jax
 import numpy as np
 import pytest
 import yaml
+from flax import traverse_util
 
 from t2m_jax.checkpoints.bundle import CONFIG_FILE, WEIGHTS_FILE, bundle_path, load_bundle, save_bundle
 from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.errors import UserError
-from t2m_jax.files.arrays import load_arrays, read_arrays, save_arrays, save_weights, unflatten_tree
+from t2m_jax.files.arrays import load_arrays, read_arrays, save_arrays, save_weights
 from t2m_jax.files.manifest import MANIFEST, read_manifest, write_manifest
 from tests.tiny import BUNDLE, HIFIGPT_BUNDLE, random_bundle, trust_manifests
 
@@ -183,7 +184,7 @@ def test_configs_that_do_not_fit_are_refused(copy, changes, said):
 
 
 def test_weights_that_are_not_finite_are_refused(copy):
-    arrays = unflatten_tree(read_arrays(copy / WEIGHTS_FILE))
+    arrays = traverse_util.unflatten_dict(read_arrays(copy / WEIGHTS_FILE), sep="/")
     arrays["gpt"]["params"]["head"]["kernel"][0, 0] = np.nan
     save_arrays(copy / WEIGHTS_FILE, arrays)
     assert "gpt/params/head/kernel" in refused(copy)
