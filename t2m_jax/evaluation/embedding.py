@@ -30,6 +30,7 @@ BATCH = 128
 """Motions that are decoded and embedded together."""
 FRAME_BUCKET = 32
 """Batches of motion are padded to a multiple of this many frames, so that few programs are compiled."""
+# Two convolutions of width 4 and stride 2 read three frames past a movement; 4 is the next whole movement.
 ROOM = 4
 """Empty frames after the longest motion, which the convolution over the last movement reads."""
 
@@ -49,6 +50,7 @@ def measure_decoded(
     """Returns the quality of decoded clips, in the skeleton's unit."""
     mask = mask_from_lengths(lengths, positions.shape[1])
     unit = skeleton.metres_per_unit
+    # The limits of the clean-up are in meters.
     cleaned = clean_positions(positions * unit, lengths, skeleton=skeleton) / unit
     return DecodedQuality(*[measure_quality(clips, mask, skeleton=skeleton) for clips in (positions, cleaned)])
 
@@ -87,15 +89,21 @@ def embed_codes(
     codes, code_lengths = motions
     decoded = decode_batch(variables[0], statistics[0], codes, code_lengths, tokenizer=tokenizer)
     frames_per_row = decoded.shape[1] // codes.shape[1]
+    # The published codes cut generated motion where their tensors end, at 196 frames.
     decoded = decoded[:, :max_frames]
+    # The evaluator's own statistics: they weight root and contacts otherwise than the tokenizer's.
     motion = statistics[1].normalize(decoded)
     # The evaluator reads whole movements; a motion of one short row still has one.
     lengths = jnp.clip(code_lengths * frames_per_row, FRAMES_PER_MOVEMENT, max_frames)
+    # Not past `max_frames`: motion that fills the published tensors meets the padding of the convolution there, which
+    # gives another embedding than zero frames would.
     motion = jnp.pad(motion, ((0, 0), (0, min(ROOM, max_frames - motion.shape[1])), (0, 0)))
+    # Zero after the normalization, so this is the mean pose and not a body at the origin.
     if clear:
         motion = jnp.where(mask_from_lengths(lengths, motion.shape[1])[:, :, None], motion, 0.0)
     embeddings = Evaluator(evaluator).apply(variables[1], motion, lengths, method="embed_motion")
     skeleton = skeleton_from_feature_dim(decoded.shape[2])
+    # Quality needs no whole movement, so the frames are not rounded up to one.
     shown = jnp.minimum(code_lengths * frames_per_row, decoded.shape[1])
     return embeddings, measure_decoded(positions_from_features(decoded, skeleton), shown, skeleton=skeleton)
 
@@ -106,6 +114,7 @@ def embed_decoded(task: EvaluationTask, tokenizer: TrainedTokenizer, motions: Mo
     count = len(motions.codes)
     embeddings = np.zeros((count, evaluator.config.embedding_dim), np.float32)
     quality = np.zeros((2, len(MotionQuality._fields), count), np.float32)
+    # The bucket is in frames, and a row of codes is `downsample` frames.
     bucket = max(FRAME_BUCKET // tokenizer.config.downsample, 1)
     # On the devices once, not once per batch.
     statistics = put_everywhere((tokenizer.normalizer, evaluator.normalizer))
@@ -114,7 +123,9 @@ def embed_decoded(task: EvaluationTask, tokenizer: TrainedTokenizer, motions: Mo
     def embed(chosen: Int[np.ndarray, " B"]) -> None:
         longest = round_up(int(motions.code_lengths[chosen].max()), bucket)
         codes = motions.codes[chosen, :longest]
+        # The rounded length may be above that of the source's longest motion.
         codes = np.pad(codes, ((0, 0), (0, longest - codes.shape[1]), (0, 0)))
+        # Rows that fill the last batch are repeated motions, which write the same result twice.
         embeddings[chosen], quality[:, :, chosen] = embed_codes(
             variables,
             statistics,
@@ -145,7 +156,9 @@ def embed_pieces(
     lengths = np.array([len(piece) for piece in pieces])
     embeddings = np.zeros((len(pieces), evaluator.config.embedding_dim), np.float32)
     for chosen in batches_of(np.argsort(lengths, kind="stable"), BATCH):
+        # Here, too, there is no room past `max_frames`; see `embed_codes`.
         size = min(round_up(int(lengths[chosen].max()), FRAME_BUCKET) + ROOM, max_frames)
+        # Before the padding, so that what follows the end is zero for the evaluator.
         normalized = [evaluator.normalizer.normalize(pieces[index]) for index in chosen]
         batch = pad_motions(normalized, batch=BATCH, size=size)
         embeddings[chosen] = embed_motion(evaluator.variables, *put_rows(tuple(batch)), config=evaluator.config)
@@ -169,6 +182,7 @@ def embed_captions(evaluator: TrainedEvaluator, captions: Sequence[Sequence[str]
     """Returns the embeddings of captions, each given as `word/TAG` tokens."""
     ids = evaluator.vocabulary.vectorize_all(captions)
     embeddings = np.zeros((len(captions), evaluator.config.embedding_dim), np.float32)
+    # All captions have the same width, so any order will do.
     for chosen in batches_of(np.arange(len(captions)), BATCH):
         batch = put_rows(tuple(array[chosen] for array in ids))
         embeddings[chosen] = embed_text(evaluator.variables, *batch, config=evaluator.config)
@@ -203,6 +217,7 @@ def measure_plan_motions(task: EvaluationTask, plan: Plan) -> MotionQuality:
     quality = np.zeros((len(MotionQuality._fields), len(pieces)), np.float32)
     skeleton = skeleton_from_feature_dim(pieces[0].shape[1])
     for chosen in batches_of(np.argsort(lengths, kind="stable"), BATCH):
+        # Without room at the end: a mask hides it from these measures, which no convolution extends.
         size = round_up(int(lengths[chosen].max()), FRAME_BUCKET)
         batch = pad_motions([pieces[index] for index in chosen], batch=BATCH, size=size)
         quality[:, chosen] = measure_features(*put_rows(tuple(batch)), skeleton=skeleton)

@@ -63,15 +63,18 @@ def evaluate_inbetween(
     clips = [clip for clip in dataset.clips(split, min_frames=least) if clip.captions]
     if not clips:
         raise UserError(f"{dataset.folder}: split {split} has no clip of {least} frames with a caption")
+    # The same clips for every model, so that their figures can be compared.
     order = np.random.default_rng(seed).permutation(len(clips))[:num_clips]
     found = []
     for number in tqdm(order, desc="filling gaps", unit="clip", disable=None):
         features = clips[number].features
+        # The first caption, not a drawn one, so that the model is the only difference of two tables.
         caption = clips[number].captions[0].text
         positions = np.asarray(positions_from_features(features, dataset.skeleton)) * dataset.skeleton.metres_per_unit
         motion = Motion(positions, dataset.skeleton.fps, skeleton=dataset.skeleton)
         begin = (motion.seconds - seconds) / 2
         (filled,) = model.redo(motion, (begin, begin + seconds), caption, seed=seed)
+        # Where the gap really is: `redo` rounds it to whole rows of codes.
         first, last = filled.part_starts[1:3]
         straight = interpolate_gap(positions, first, last, skeleton=dataset.skeleton)
         candidates = (positions, filled.positions, straight)
@@ -87,6 +90,7 @@ def interpolate_gap(
     ends = positions[[first - 1, last]]
     share = (np.arange(1, last - first + 1) / (last - first + 1))[:, None, None]
     bones = bone_vectors(ends, skeleton)
+    # The mean of two directions is shorter than both, so bones would shrink in the middle of the gap.
     turned = unit_vectors((1 - share) * bones[0] + share * bones[1]) * np.linalg.norm(bones[0], axis=-1, keepdims=True)
     root = (1 - share[:, 0]) * ends[0, 0] + share[:, 0] * ends[1, 0]
     middle = positions_from_bones(root, turned, skeleton)
@@ -97,6 +101,7 @@ def gap_figures(
     positions: Float[np.ndarray, "T J 3"], real: Float[np.ndarray, "T J 3"], first: int, last: int, *, fps: float
 ) -> GapFigures:
     """Returns the figures of one clip, whose gap has frames `first` to `last`."""
+    # The second difference is how far a joint is from where its last velocity led.
     changes, real_changes = (np.linalg.norm(np.diff(one, n=2, axis=0), axis=-1) for one in (positions, real))
     joins = [frame - 1 for frame in (first - 1, first, last - 1, last)]  # change t is that of frame t + 1
     deviation = changes[joins].mean()

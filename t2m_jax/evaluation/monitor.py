@@ -19,6 +19,7 @@ SPLIT = "val"
 """The test split must not choose anything."""
 PROTOCOL = dataclasses.replace(find_protocol("t2m-gpt"), multimodality_captions=0)
 """As in the original's training: one motion per caption, so variety is not measured."""
+# Always the same pieces and captions, so that a curve over training shows the model and not the draws.
 REPEAT = 0
 
 
@@ -39,6 +40,7 @@ def held_out_metrics(task: EvaluationTask, source: CodeSource) -> dict[str, floa
 def sample_motions(task: EvaluationTask, source: CodeSource, *, count: int) -> list[Motion]:
     """Returns the first motions of a source in the repeat that is measured, with their captions."""
     plan = task.plan(REPEAT)
+    # A motion depends on key and item only, so these are the first ones of the whole repeat.
     few = plan._replace(
         samples=plan.samples[:count],
         captions=plan.captions[:count],

@@ -22,6 +22,7 @@ BATCH = 32
 """Pairs of a batch in the published codes."""
 MIN_BATCH = 4
 """R-precision ranks up to the third place, so fewer pairs would always be found."""
+# As in the published codes. Guo et al. demand more than 300 motions; with fewer, the later codes draw 100 pairs.
 MULTIMODALITY_PAIRS = 10
 DIVERSITY_PAIRS = 300
 FEW_DIVERSITY_PAIRS = 100
@@ -67,16 +68,22 @@ class Protocol:
 PROTOCOLS = {
     protocol.name: protocol
     for protocol in (
+        # The defaults are the rules of T2M-GPT's code.
         Protocol(name="t2m-gpt"),
+        # Its text has 20 motions of a caption in ten pairs; its code draws ten pairs among 30.
         Protocol(name="t2m-gpt-paper", samples_per_caption=20, disjoint_pairs=True),
+        # Guo et al. draw 100 captions for the variety, where T2M-GPT takes all.
         Protocol(name="text-to-motion", multimodality_captions=100),
         Protocol(
+            # MoMask's generator is told the real length, and its evaluation leaves what the decoder makes past the end.
             name="momask",
             generated_length="real",
             clears_past_end=False,
+            # Its first three batches; the other metrics use the last of their samples.
             multimodality_captions=3 * BATCH,
             first_counts=False,
         ),
+        # Nothing is drawn and nothing is dropped, so only the model can change a figure.
         Protocol(name="strict", captions="all", crops=False, keeps_tail=True, source_disjoint=True),
     )
 }
@@ -156,11 +163,13 @@ def make_plan(samples: Sequence[Clip], protocol: Protocol, *, seed: int, repeat:
     # The published loaders drop the last batch if it is not full.
     owners = owners[:count]
     frames = np.array([len(samples[owner].features) for owner in owners])
+    # The published loaders toss this coin for each clip, so real lengths differ from one pass to the next.
     shorter = generator.random(count) < SHORTER_CHANCE if protocol.crops else np.zeros(count, bool)
     lengths = np.asarray(used_lengths(jnp.asarray(frames), jnp.asarray(shorter), unit=unit))
     starts = generator.integers(0, frames - lengths + 1) if protocol.crops else np.zeros(count, np.int64)
     wanted = protocol.multimodality_captions
     varied = count if wanted is None else min(wanted, count)
+    # The published codes demand more motions than pairs.
     pairs = DIVERSITY_PAIRS if count > DIVERSITY_PAIRS else min(FEW_DIVERSITY_PAIRS, count - 1)
     return Plan(
         owners,
@@ -179,4 +188,5 @@ def _draw_pairs(
     """Returns pairs of `count` things: all different, or the two members of two draws without replacement."""
     if disjoint:
         return generator.choice(count, (number, 2), replace=False)
+    # The draws are independent, so a thing may be paired with itself, as in the published codes.
     return np.stack([generator.choice(count, number, replace=False) for _ in range(2)], axis=1)

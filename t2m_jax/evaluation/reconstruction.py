@@ -79,6 +79,7 @@ def evaluate_reconstruction(tokenizer: TrainedTokenizer, dataset: Dataset, *, sp
     clips = dataset.clips(split, min_frames=downsample)
     if not clips:
         raise UserError(f"{dataset.folder}: split {split} has no clips to evaluate; choose another split")
+    # Whole codes, because a tokenizer cannot encode the rest; by length, so that little of a batch is padding.
     features = sorted((clip.features[: len(clip.features) // downsample * downsample] for clip in clips), key=len)
     # On the devices once, not once per batch.
     variables = put_everywhere(tokenizer.variables)
@@ -86,6 +87,7 @@ def evaluate_reconstruction(tokenizer: TrainedTokenizer, dataset: Dataset, *, sp
     counts = np.zeros(tokenizer.config.num_codes, np.int64)
     for first in tqdm(range(0, len(features), BATCH), desc="reconstructing", unit="batch", disable=None):
         chosen = features[first : first + BATCH]
+        # A multiple of both numbers, so that the padding is whole codes, too.
         batch = pad_motions(chosen, batch=BATCH, size=round_up(len(chosen[-1]), math.lcm(FRAME_BUCKET, downsample)))
         result = reconstruct_batch(
             variables,
@@ -96,6 +98,7 @@ def evaluate_reconstruction(tokenizer: TrainedTokenizer, dataset: Dataset, *, sp
         )
         measures = (result.errors, result.real, *result.quality)
         parts.append([np.asarray(values)[:, : len(chosen)] for values in measures])
+        # Rows that fill the last batch have the length 0, so their codes do not count.
         codes = MotionCodes(np.asarray(result.codes), batch.lengths // downsample)
         counts += codes.count_codes(tokenizer.config.num_codes)
     errors, *quality = (np.concatenate(batches, axis=1) for batches in zip(*parts, strict=True))
@@ -119,6 +122,7 @@ def _make_figures(
         for measured in quality
     )
     return ReconstructionFigures(
+        # Over frames, as MoMask measures it. The other figures are means over clips, long or short.
         mpjpe_mm=1000 * float(errors.mpjpe @ lengths / lengths.sum()),
         mpjpe_median_clip_mm=1000 * float(np.median(errors.mpjpe)),
         codebook_usage=float(code_usage(counts)),

@@ -32,6 +32,7 @@ from t2m_jax.sampling.batches import round_up
 
 logger = logging.getLogger(__name__)
 
+# Above the number of any repeat, so that no two passes are the same.
 SECOND_PASS = 1_000_000
 """Added to a repeat's number for the second set of real motions, against which FID of the first is measured."""
 
@@ -76,12 +77,14 @@ def evaluate(
             an evaluation with the same header.
     """
     header = make_header(task, source, model=model)
+    # A repeat does not depend on how many follow, so those of a longer evaluation serve a shorter one.
     repeats = load_partial(partial, header)[:num_repeats]
     start = time.monotonic()
     done_before = len(repeats)
     for repeat in range(done_before, num_repeats):
         repeats.append(evaluate_repeat(task, source, repeat=repeat))
         if partial is not None:
+            # After each repeat, so that an interruption costs no more than one.
             save_json(partial, {"header": dataclasses.asdict(header), "repeats": repeats})
         seconds = (time.monotonic() - start) / (repeat + 1 - done_before)
         left = seconds * (num_repeats - repeat - 1)
@@ -143,6 +146,7 @@ def evaluate_repeat(task: EvaluationTask, source: CodeSource, *, repeat: int) ->
     metrics.real.update(_mean_quality(measure_plan_motions(task, plan), count=len(motion)))
     metrics.measured.update(_mean_quality(quality.decoded, count=len(motion)))
     metrics.measured.update(_mean_quality(quality.cleaned, count=len(motion), prefix=CLEANED))
+    # Against the real pieces of this repeat, as in T2M-GPT and MoMask.
     metrics.measured["fid"] = float(fid(jnp.asarray(real), jnp.asarray(motion)))
     if len(found.items) > len(plan.samples):  # there are further samples of the captions whose variety is measured
         place = np.full(len(plan.samples), -1)
@@ -179,12 +183,14 @@ def _paired_metrics(
     texts = jnp.asarray(text[chosen])
     motions = jnp.asarray(motion[chosen])
     metrics = _by_rank("r_precision_{}", r_precision(texts, motions, batch=batch, counted=counted))
+    # The papers describe this direction, the published codes compute the other.
     mirrored = r_precision(texts, motions, batch=batch, direction="texts_per_motion", counted=counted)
     metrics |= _by_rank("r_precision_{}_texts_per_motion", mirrored)
     if task.samples.labels is not None:
         labels = jnp.asarray(task.samples.labels[plan.samples][chosen])
         by_label = r_precision(texts, motions, batch=batch, labels=labels, counted=counted)
         metrics |= _by_rank("r_precision_{}_by_label", by_label)
+    # Of each pair once, without those that fill the last batch again.
     metrics["matching_score"] = float(matching_score(jnp.asarray(text), jnp.asarray(motion)))
     metrics["diversity"] = float(diversity(jnp.asarray(motion), jnp.asarray(plan.diversity_pairs)))
     return metrics

@@ -175,6 +175,7 @@ def make_generation(
     model: TextToMotion, samples: Sequence[Clip], *, options: SamplingOptions | None = None
 ) -> Generation:
     """Returns the source that generates with a model; the text encoder reads the captions of all samples now."""
+    # Clips share captions. Sorted, the batches do not depend on the order of the clips.
     captions = sorted({caption.text for sample in samples for caption in sample.captions})
     texts: dict[str, Float[np.ndarray, " E"]] = {}
     for first in range(0, len(captions), TEXT_BATCH):
@@ -214,12 +215,15 @@ def generate_many(
     code_lengths = np.zeros(len(expected), np.int32)
     # The loop runs in chunks, so the rest of a chunk costs nothing.
     limits = np.minimum(-(-(expected + MARGIN) // CHUNK) * CHUNK, longest)
+    # The model must not end a motion early; what it makes beyond the real length is cut below.
     if exact:
         sampling = sampling._replace(min_codes=longest)
+    # A first attempt with a shorter limit pays only if most motions end by themselves.
     if exact or not sampling.stop_rule.ends_early:
         limits = np.full_like(limits, longest)
 
     def generate(chosen: Int[np.ndarray, " C"]) -> None:
+        # The batch takes as long as its longest motion anyway, so the others may be as long.
         limits[chosen] = limit = int(limits[chosen].max())
         limited = sampling._replace(max_codes=limit)
         text = jnp.asarray(text_embedding[chosen])
@@ -247,6 +251,7 @@ def measured_samples(plan: Plan, protocol: Protocol) -> tuple[Int[np.ndarray, " 
 
     Of the samples of a caption, only those that a metric uses are generated. One does not depend on another.
     """
+    # T2M-GPT's code measures the first of the samples, MoMask's the last.
     first = 0 if protocol.first_counts else protocol.samples_per_caption - 1
     others = np.setdiff1d(plan.multimodality_pairs, [first])
     items = np.concatenate([np.arange(len(plan.samples)), np.tile(plan.varied, len(others))])
@@ -256,4 +261,5 @@ def measured_samples(plan: Plan, protocol: Protocol) -> tuple[Int[np.ndarray, " 
 @jax.jit
 def sample_keys(key: Key[Array, ""], items: Int[Array, " G"], numbers: Int[Array, " G"]) -> Key[Array, " G"]:
     """Returns a key for each sample of each item."""
+    # One after the other, so that no two pairs of item and number share a key.
     return jax.vmap(lambda item, number: jax.random.fold_in(jax.random.fold_in(key, item), number))(items, numbers)

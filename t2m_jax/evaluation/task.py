@@ -74,6 +74,7 @@ def make_task(
     check_feature_dim(dataset, evaluator.config.feature_dim, reader="the evaluator")
     advice = "use the evaluator of this data set, or train one with `t2m train evaluator`"
     check_statistics(dataset, evaluator.normalizer, reader="the evaluator", advice=advice)
+    # A tokenizer needs whole codes, and an evaluator whole movements.
     unit = math.lcm(unit, FRAMES_PER_MOVEMENT)
     samples = load_samples(dataset, split, min_frames=unit, source_disjoint=protocol.source_disjoint)
     # Weights from a file are on the host; without this they would be copied to the device with every batch.
@@ -83,6 +84,7 @@ def make_task(
     facts = (dataset.info.max_frames, seed, unit, dataset.info.name, split, contents)
     task = EvaluationTask(evaluator, samples, protocol, *facts)
     try:
+        # Only to find out now, and not after a model has generated for an hour, that a split is too small.
         task.plan(repeat=0)
     except UserError as error:
         raise UserError(f"{dataset.folder}: split {split}, {error}") from None
@@ -104,6 +106,7 @@ def load_samples(dataset: Dataset, split: str, *, min_frames: int = 1, source_di
     clips = dataset.clips(split)
     index = load_index(dataset.folder)
     shared = None
+    # Compared with itself, nothing of the training split would be left.
     if source_disjoint and index is not None and index.sources and split != "train":
         trained = index.recorded_with((clip.name for clip in clips), dataset.names("train"))
         clips = [clip for clip in clips if clip.name not in trained]

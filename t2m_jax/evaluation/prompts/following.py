@@ -60,6 +60,7 @@ def _hand_rule(hands: str, *, waves: bool) -> Rule:
             is_up = min(facts.above_shoulder) > HAND_UP
         else:
             named, other = facts.above_shoulder if hands == "left" else facts.above_shoulder[::-1]
+            # Otherwise a model that always raises both hands would pass the tests of each.
             is_up = named > HAND_UP and other < HAND_DOWN
         in_place = facts.travel <= STANDS_TRAVEL and abs(facts.turn) <= STRAIGHT_TURN
         return is_up and in_place and (facts.waves >= WAVES) == waves
@@ -79,6 +80,7 @@ def _stands(facts: Facts) -> bool:
 
 def _corner_rule(sign: int) -> Rule:
     def holds(facts: Facts) -> bool:
+        # Turns to the left are positive.
         return facts.forward >= MOVES_TRAVEL and CORNER_TURN[0] <= sign * facts.turn <= CORNER_TURN[1]
 
     return Rule("goes at least 1 m ahead; heading changes by 45 to 160 degrees to the named side", holds)
@@ -157,6 +159,7 @@ def action_tests() -> list[PromptTest]:
 
 def requests(test: PromptTest, *, num_seeds: int) -> list[tuple[int, str]]:
     """Returns seeds 0 to `num_seeds` - 1, each with one of the test's sentences in turn."""
+    # In turn and not drawn, so that each sentence is asked equally often.
     return [(seed, test.sentences[seed % len(test.sentences)]) for seed in range(num_seeds)]
 
 

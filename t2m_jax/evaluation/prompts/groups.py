@@ -22,6 +22,7 @@ PACED = ("walk", "run", "walk-turn-left", "walk-turn-right", "wave-left-hand", "
 """Contents that are asked for at each pace."""
 PACE_WORDS = ("pace", "steady", "relaxed", "step by step", "a few", "several")
 """Sentences with these say how fast already, or ask for little movement."""
+# One second: less of an action could be a part of the other one.
 SHORTEST_PART = 20
 """Frames of the shortest part of a composed motion."""
 CUT_STEP = 4
@@ -44,6 +45,7 @@ def _clip_speeds(dataset: Dataset) -> Mapping[str, Float[np.ndarray, " N"]]:
     index = load_index(dataset.folder)
     found = defaultdict(list)
     for clip in dataset.clips("train", min_frames=2):
+        # Labels are `content, style`.
         content = ((index.label(clip.name) if index else None) or "").partition(",")[0]
         if content in PACED:
             positions = np.asarray(positions_from_features(clip.features, dataset.skeleton))
@@ -58,6 +60,7 @@ def _pace_test(content: str, pace: Pace, speeds: Float[np.ndarray, " N"]) -> Pro
     share: Any = pace.faster_than if pace.slower_than is None else pace.slower_than
     limit = float(np.quantile(speeds, share))
     words = f"speed {'above' if pace.slower_than is None else 'below'} {limit:.2f} m/s"
+    # "walks at a steady pace very slowly" would contradict itself.
     plain = [text for text in held_out_sentences()[content] if not any(word in text for word in PACE_WORDS)]
     sentences = tuple(f"{text} {pace.phrases[number % len(pace.phrases)]}" for number, text in enumerate(plain))
 
@@ -72,6 +75,7 @@ def _pace_test(content: str, pace: Pace, speeds: Float[np.ndarray, " N"]) -> Pro
 
 def _shows(content: str, facts: Facts) -> bool:
     """Returns whether a motion shows a content at any speed."""
+    # The rules of walking and running have limits of speed, which a pace may break.
     return goes_straight(facts) if content in ("walk", "run") else RULES[content].holds(facts)
 
 
@@ -91,6 +95,7 @@ def composed_tests() -> list[PromptTest]:
 def _shows_in_order(first: str, second: str, motion: Motion) -> bool:
     """Returns whether a motion can be cut into parts that satisfy the rules of two contents."""
     check_skeleton(motion.skeleton)
+    # Nothing says where the first action ends, so all cuts are tried.
     return any(
         RULES[first].holds(measure(motion.positions[:cut], fps=motion.fps))
         and RULES[second].holds(measure(motion.positions[cut:], fps=motion.fps))

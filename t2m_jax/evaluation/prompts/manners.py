@@ -50,6 +50,7 @@ def manner_tests(dataset: Dataset) -> list[PromptTest]:
         UserError: The data set has another skeleton than HumanML3D's, or does not show all manners.
     """
     check_skeleton(dataset.skeleton, owner="data set")
+    # Trained on one split and judged on another: the rule tells how far the classifier can be trusted.
     classifier = train_classifier(*_labeled_clips(dataset, "train"))
     clips, manners = _labeled_clips(dataset, "test")
     right = [classifier.recognize(clip) == MANNERS[manner] for clip, manner in zip(clips, manners, strict=True)]
@@ -75,6 +76,7 @@ def fit_softmax(
 ) -> tuple[Float[Array, "S K"], Float[Array, " K"]]:
     """Returns weights and bias of a softmax regression on manners, with decayed weights."""
     optimizer = optax.adamw(LEARNING_RATE, weight_decay=WEIGHT_DECAY)
+    # The loss is convex, so no start is better than another.
     start = jnp.zeros((inputs.shape[1], len(MANNERS))), jnp.zeros(len(MANNERS))
 
     def loss(parameters: tuple[Array, Array]) -> Float[Array, ""]:
@@ -97,6 +99,7 @@ def _labeled_clips(dataset: Dataset, split: str) -> tuple[list[Float[np.ndarray,
     manners = []
     for clip in dataset.clips(split, min_frames=2):
         content, _, style = ((index.label(clip.name) if index else None) or "").partition(", ")
+        # Labels of composed clips have another form, and the data have styles that nobody is asked for here.
         if content in RULES and style in MANNERS:
             clips.append(clip.features)
             manners.append(MANNERS.index(style))
@@ -108,6 +111,7 @@ def _labeled_clips(dataset: Dataset, split: str) -> tuple[list[Float[np.ndarray,
 
 def _statistics(features: Float[np.ndarray, "T D"]) -> Float[np.ndarray, " S"]:
     """Returns mean and standard deviation of each feature over time."""
+    # Clips of any length have as many of these, and they do not depend on when something happens.
     return np.concatenate([features.mean(axis=0), features.std(axis=0)]).astype(np.float32)
 
 
@@ -116,6 +120,7 @@ def _sentences(manner: str) -> tuple[str, ...]:
     phrases = [text.text for text in load_wordings().styles[manner].manners if text.place == "end"]
     sentences = held_out_sentences()
     return tuple(
+        # The phrases go on from turn to turn, so that all of them are asked for.
         f"{sentences[content][turn]} {phrases[(turn * len(CONTENTS) + place) % len(phrases)]}"
         for turn in range(10)
         for place, content in enumerate(CONTENTS)

@@ -107,6 +107,7 @@ def load_prompt_report(path: Path) -> PromptReport:
             for name, entry in data["contents"].items()
         ]
         report = fields_of(PromptReport, data | {"contents": contents})
+        # Both are in the file for other readers; a file in which they disagree was changed by hand.
         for name, value in _sums(report).items():
             if data[name] != value:
                 raise UserError(f"{name}: does not fit the contents")

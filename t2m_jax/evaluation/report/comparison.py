@@ -32,8 +32,10 @@ def sign_test(differences: Float[np.ndarray, " R"]) -> float:
     """Returns the two-sided p-value of the paired permutation test, in which each difference may change its sign."""
     count = len(differences)
     if count <= MAX_EXACT:
+        # The bits of each number up to 2**count are one way to exchange the reports in some repeats.
         signs = 1 - 2 * ((np.arange(2**count)[:, None] >> np.arange(count)) & 1)
     else:
+        # A fixed seed, so that two reports always have the same p-value.
         signs = np.random.default_rng(0).choice([-1, 1], size=(2**MAX_EXACT, count))
         signs[0] = 1  # so that the observed sum counts, and the p-value is not 0
     sums = np.abs(signs @ differences)
@@ -59,6 +61,7 @@ def compare_reports(first: Report, second: Report) -> list[Difference]:
             )
         # Repeat k of both uses the same pieces of the same motions, so their difference has less noise than either.
         differences = other - one
+        # Unbiased, unlike the intervals of tables, which are those of the published codes.
         interval = 1.96 * differences.std(ddof=1) / np.sqrt(len(differences))
         found.append(Difference(metric, one.mean(), other.mean(), interval, sign_test(differences)))
     return found

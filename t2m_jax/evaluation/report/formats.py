@@ -111,6 +111,7 @@ LATEX_ARROWS = {"higher": r" $\uparrow$", "lower": r" $\downarrow$", "real": r" 
 
 def _latex(table: Table) -> str:
     def escaped(text: str) -> str:
+        # Character by character: replacements contain characters that are replaced themselves.
         return "".join(LATEX.get(character, character) for character in printable(text))
 
     def figure(cell: Cell | None) -> str:
@@ -134,6 +135,7 @@ def _latex(table: Table) -> str:
             r"    \toprule",
             "    " + " & ".join(["", *headings]).lstrip() + r" \\",
             r"    \midrule",
+            # Real motion has a part of its own, because it is no rival.
             f"    {lines[0]}",
             r"    \midrule",
             *(f"    {line}" for line in lines[1:]),

@@ -69,6 +69,7 @@ class RankedRepeat(NamedTuple):
             dataclasses.replace(
                 motion,
                 positions=motion.positions[: self.max_frames],
+                # They would still have the frames that are cut off.
                 features=None,
                 codes=None,
                 caption=self.captions[index],
@@ -186,6 +187,7 @@ def rank_own(text: Float[Array, "M B E"], motion: Float[Array, "M B E"]) -> Int[
     """Returns the rank of each text's own motion in its batch, from 1; motions at the same distance come first."""
     labels = jnp.arange(text.shape[1])
     ranks = jax.lax.map(lambda batch: partner_ranks(batch[0], batch[1], labels), (text, motion))
+    # The last of equal places: a model with one motion for all captions must not look perfect.
     return ranks.nearer + ranks.tied + 1
 
 
@@ -197,6 +199,7 @@ def draw_examples(ranked: RankedRepeat, *, seed: int) -> tuple[Example, ...]:
     for index in _distinct(order, ranked.captions, NUM_EXAMPLES):
         batch = ranked.batches[index // size]
         distances = np.linalg.norm(ranked.text[index] - ranked.measured[batch], axis=1)
+        # Stable, so that the page is the same each time if distances are equal.
         places = np.argsort(distances, kind="stable")[:NUM_NEAREST]
         candidates = tuple(
             Candidate(motion, float(distances[place]), bool(place == index % size))
@@ -211,6 +214,7 @@ def find_failures(ranked: RankedRepeat) -> tuple[Failure, ...]:
     """Returns the captions whose own motion has the worst rank, the farthest first if ranks are equal."""
     skeleton = ranked.skeleton
     real_distances = np.linalg.norm(ranked.text - ranked.real, axis=1)
+    # `lexsort` sorts by its last key first.
     chosen = _distinct(np.lexsort((-ranked.distances, -ranked.ranks)), ranked.captions, NUM_FAILURES)
     failures = []
     for index, measured in zip(chosen, ranked.decode(chosen), strict=True):
@@ -227,5 +231,6 @@ def _distinct(order: Int[np.ndarray, " N"], captions: Sequence[str], count: int)
     """Returns the first indices of an order that have different captions."""
     chosen: dict[str, int] = {}
     for index in order:
+        # Clips that share a caption would be shown as if it were asked several times.
         chosen.setdefault(captions[index], int(index))
     return list(chosen.values())[:count]

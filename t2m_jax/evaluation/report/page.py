@@ -50,6 +50,7 @@ def report_page(report: Report, details: RepeatDetails, *, viewer: Viewer) -> st
     facts = (
         f"<div><dt>{_text(name.replace('_', ' '))}</dt><dd>{_text(value)}</dd></div>"
         for name, value in report_as_json(report).items()
+        # The dictionaries are what tables and plots show.
         if not isinstance(value, dict) and value not in (None, "")
     )
     first = 100 * float(np.mean(details.ranks == 1))
@@ -145,6 +146,7 @@ class _Stages:
 
     def add(self, motions: Sequence[Motion], labels: Sequence[str], label: str) -> str:
         """Returns the element of a viewer."""
+        # Viewers write the caption below a motion.
         named = [dataclasses.replace(motion, caption=name) for motion, name in zip(motions, labels, strict=True)]
         self.pages.append(self.viewer(named))
         return f'<div class="stage" role="group" aria-label="{_text(label)}" data-page="{len(self.pages) - 1}"></div>'

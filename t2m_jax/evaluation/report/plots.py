@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 INKS = {"text": "#010101", "faint": "#020202", "real": "#030303", "generated": "#040404", "reconstruction": "#050505"}
 """Placeholders of the page's colors while matplotlib draws, because it does not know CSS variables."""
 STYLE: dict[Any, Any] = {
+    # Text and not outlines, so that it can be searched and has the font of the page.
     "svg.fonttype": "none",
     "font.size": 9,
     "text.color": INKS["text"],
@@ -74,6 +75,7 @@ def _drawing(name: str, width: float, height: float) -> Iterator["Figure"]:
 def _svg(figure: "Figure") -> str:
     """Returns the drawing as an HTML element; it is the same text for the same drawing."""
     file = io.StringIO()
+    # Without the date, the same report gives the same file.
     figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
     svg = file.getvalue()
     svg = svg[svg.index("<svg") :].rstrip()
@@ -121,6 +123,7 @@ def lengths_plot(real: Int[np.ndarray, " N"], measured: Int[np.ndarray, " N"], *
     """Returns a histogram of the lengths (frames) of real and measured motions."""
     longest = max(real.max(), measured.max())
     width = -(-int(longest) // (FRAMES_PER_BIN * LENGTH_BINS)) * FRAMES_PER_BIN
+    # Shifted by half a width, so that the common lengths are inside of bars and not at their edges.
     edges = np.arange(0, longest + 2 * width, width) - FRAMES_PER_BIN / 2
     with _drawing("lengths", 4.7, 2.7) as figure:
         axis = figure.subplots()
@@ -142,6 +145,7 @@ def codes_plot(real: Int[np.ndarray, " K"], measured: Int[np.ndarray, " K"], *, 
     order = np.argsort(-real, kind="stable")
     shares: list[Float[np.ndarray, " K"]] = [100 * counts[order] / max(counts.sum(), 1) for counts in (real, measured)]
     used = np.concatenate([share[share > 0] for share in shares])
+    # A logarithmic axis has no place for zero.
     floor = (used.min() if len(used) else 1.0) / 2
     edges = np.arange(len(order) + 1) + 0.5
     with _drawing("codes", 4.7, 2.7) as figure:

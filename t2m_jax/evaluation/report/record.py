@@ -99,6 +99,7 @@ class Metric:
     @classmethod
     def from_repeats(cls, repeats: Sequence[float]) -> "Metric":
         """Returns mean and interval of some values."""
+        # The deviation is divided by the number of repeats, not by one less, as in the published codes.
         values = np.asarray(repeats, np.float64)
         return cls(float(values.mean()), float(1.96 * values.std() / np.sqrt(len(values))), tuple(values.tolist()))
 
@@ -210,6 +211,7 @@ def load_report(path: Path) -> Report:
     data = load_json(path, max_bytes=MAX_REPORT)
     with reading_report(path, "with the metrics of an evaluator", command="t2m evaluate generation --json"):
         sets = data["rows"]
+        # A comparison needs exactly one kind beside real motion.
         (kind,) = sets.keys() & set(KINDS)
         if sets.keys() != {REAL, kind}:
             raise ValueError("rows of an unknown kind")
@@ -242,6 +244,7 @@ def fields_of(schema: type[T], data: Mapping[str, Any]) -> T:
     """
     found = {field.name: data[field.name] for field in dataclasses.fields(schema) if field.name in data}  # type: ignore[arg-type]
     for name, value in found.items():
+        # Reports come from others, too, and a terminal obeys control characters.
         if isinstance(value, str) and not value.isprintable():
             raise UserError(f"{name}: {value!r} has characters that cannot be printed")
     return config_from_dict(schema, found, source="fields")
