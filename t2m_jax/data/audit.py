@@ -83,11 +83,13 @@ class AuditReport:
 
 def check_features(features: Float[np.ndarray, "T D"], dataset: Dataset) -> list[str]:
     """Returns the faults of the features of one clip."""
+    # All later faults would only follow from this one.
     if not np.all(np.isfinite(features)):
         return [f"has {int(np.sum(~np.isfinite(features)))} values that are NaN or infinite"]
     if len(features) < MIN_FRAMES:
         return [f"has {len(features)} frames"]
     meters = positions_from_features(features, dataset.skeleton) * dataset.skeleton.metres_per_unit
+    # Finite but huge features overflow on the way.
     if not np.all(np.isfinite(meters)):
         return ["decodes to positions that are not finite"]
     problems = []
@@ -108,6 +110,7 @@ def check_captions(captions: Iterable[Caption], *, seconds: float) -> list[str]:
         quoted = f"caption '{caption.text[:QUOTED]}{'...' * (len(caption.text) > QUOTED)}'"
         if not caption.tokens:
             problems.append(f"{quoted} has no word/POS tokens")
+        # An evaluator splits tokens at their only slash.
         elif any(token.count("/") != 1 or not all(token.split("/")) for token in caption.tokens):
             problems.append(f"{quoted} has a token that is not word/POS")
         if not 0.0 <= caption.start <= caption.end:
@@ -130,6 +133,7 @@ def missing_files(dataset: Dataset, names: Iterable[str]) -> tuple[str, set[str]
     if not told:
         return "", set()
     counts = " and ".join(f"{len(missing):,} {kind}" for kind, missing in told.items())
+    # Importers always write this file.
     published = not (dataset.folder / INFO).exists()
     where = f"{HUMANML3D_PAGE} says how to make or get them" if published else "import again"
     return f"{counts} missing (such as {next(iter(told.values()))[0]}); {where}", set().union(*told.values())
@@ -150,6 +154,7 @@ def _check_clip(dataset: Dataset, name: str) -> tuple[list[str], int, tuple[Capt
         captions, broken = read_captions(dataset.folder / TEXTS / f"{name}.txt")
         problems += broken
         seconds = frames / dataset.info.fps
+        # A file in which every line is broken has a message for each; that it has no caption would be one more.
         if captions or not broken:
             problems += [f"{TEXTS}/{name}.txt: {problem}" for problem in check_captions(captions, seconds=seconds)]
     except UserError as error:
@@ -157,6 +162,7 @@ def _check_clip(dataset: Dataset, name: str) -> tuple[list[str], int, tuple[Capt
     positions = dataset.folder / POSITIONS / f"{name}.npy"
     shape = (dataset.skeleton.num_joints, 3)
     try:
+        # The header is enough; the frames of a data set have gigabytes.
         if positions.exists() and load_array(positions, mmap=True).shape[1:] != shape:
             problems.append(f"{POSITIONS}/{name}.npy: does not have the shape T x {shape[0]} x 3 of its skeleton")
     except UserError as error:
@@ -170,6 +176,7 @@ def check_overlap(splits: dict[str, tuple[str, ...]]) -> list[str]:
     home: dict[str, str] = {}
     for split, names in splits.items():
         problems += [f"{split}.txt: names {name} {count} times" for name, count in Counter(names).items() if count > 1]
+        # A model that was trained with a twin knows the clip.
         for original in sorted({name.removeprefix(MIRROR_PREFIX) for name in names}):
             if original in home:
                 problems.append(f"{split}.txt: {original} or its mirrored twin is in {home[original]}.txt, too")
@@ -192,6 +199,7 @@ def check_stored_statistics(dataset: Dataset, splits: dict[str, tuple[str, ...]]
                 continue
 
     differences = []
+    # Importers measure the training clips, and HumanML3D's authors measured all clips.
     for names in (splits.get("train", ()), tuple(itertools.chain(*splits.values()))):
         try:
             measured = normalizer_from_clips(readable(names), dataset.skeleton.layout)
@@ -244,6 +252,7 @@ def caption_notes(captions: Mapping[str, Sequence[Caption]], *, training: Iterab
         training: Clips whose captions make the vocabulary.
     """
     tokens = {name: [caption_tokens(caption) for caption in found] for name, found in captions.items()}
+    # The vocabulary of an evaluator that is trained on this data.
     learned = (words for name in training for words in tokens.get(name, ()))
     vocabulary = vocabulary_from_captions(learned, min_count=MIN_COUNT)
     long = []
@@ -295,6 +304,7 @@ def audit_dataset(folder: str | Path) -> AuditReport:
     notes: list[str] = []
     for split in SPLITS:
         try:
+            # A list that is missing is one more problem; the others are still checked.
             splits[split] = dataset.names(split)
         except UserError as error:
             problems.append(str(error))

@@ -111,6 +111,7 @@ def scan_sources(folder: Path, *, feature_dim: int) -> Sources:
             continue
         with os.scandir(folder / part) as entries:
             for entry in entries:
+                # Hidden files are those that macOS writes beside others, such as `._a.npy`.
                 if entry.name.endswith(suffix) and not entry.name.startswith("."):
                     try:
                         status = entry.stat()
@@ -118,6 +119,7 @@ def scan_sources(folder: Path, *, feature_dim: int) -> Sources:
                         status = entry.stat(follow_symlinks=False)
                     names.add(entry.name.removesuffix(suffix))
                     lines.append(f"{part}/{entry.name} {status.st_size} {status.st_mtime_ns}")
+    # Sorted, because the order of a folder's entries depends on the file system. Another width leaves out other clips.
     return Sources(frozenset(names), _hash("\n".join([f"width {feature_dim}", *sorted(lines)])))
 
 
@@ -180,18 +182,21 @@ def load_cache(path: Path, sources: Sources, names: Collection[str] | None = ())
     """
     try:
         index = load_json(path / INDEX, max_bytes=MAX_INDEX)
+        # First of all, because nothing in a damaged index can be believed.
         if index.pop("checksum") != _checksum(index):
             raise _UnusableError("its index is damaged")
         if index["fingerprint"] != sources.fingerprint:
             raise _StaleError("the data set has changed since")
         clips = _clips_from_index(index, np.asarray(load_array(path / FRAMES, mmap=True)))
         with (path / FRAMES).open("rb") as file:
+            # Not the whole file, which may be larger than the memory; `t2m data check` reads it all.
             for block in _blocks_of(clips, names, file.seek(0, os.SEEK_END)):
                 if _block_checksum(file, block) != clips.blocks[block]:
                     raise _UnusableError(f"its frames are damaged at byte {block * BLOCK} or later")
         return clips
     except OSError as error:
         raise _UnusableError(f"cannot be read ({error.strerror})") from error
+    # A damaged file can contain anything, and whatever is wrong, the cache is made again.
     except (ValueError, AttributeError, LookupError, TypeError, RecursionError) as error:
         raise _UnusableError("damaged") from error
 
@@ -228,6 +233,7 @@ def _blocks_of(clips: CachedClips, names: Collection[str] | None, size: int) -> 
     header = size - clips.frames.nbytes
     spans = [clips.spans[name] for name in names if name in clips.spans]
     edges = ((header + first * row, header + end * row - 1) for first, end in spans)
+    # The header is in block 0.
     return sorted({0}.union(*(range(first // BLOCK, last // BLOCK + 1) for first, last in edges)))
 
 
@@ -235,6 +241,7 @@ def _clips_from_index(index: dict[str, Any], frames: Float[np.ndarray, "F D"]) -
     """Returns the clips in a cache after checking that the index has the types that `_build` writes."""
     sound = frames.ndim == 2 and frames.dtype == np.float32 and frames.flags.c_contiguous
     for name, length, lines in index["clips"]:
+        # Exact types: for `isinstance`, JSON's `true` is an `int`.
         sound &= type(name) is str and type(length) is int and length > 0
         sound &= all([type(field) for field in line] == [str, str, float, float] for line in lines)
     for table, kind in ((index["left_out"], str), (index["broken_captions"], int)):
@@ -292,6 +299,7 @@ def _build(path: Path, folder: Path, sources: Sources, *, feature_dim: int) -> N
 def _write_clips(file: BinaryIO, folder: Path, names: frozenset[str], *, feature_dim: int) -> dict[str, Any]:
     """Writes the frames of all usable clips as a `.npy` file and returns the part of the index that describes them."""
     listed = [read_names(path) for split in SPLITS if (path := folder / f"{split}.txt").exists()]
+    # Training clips come first, so that a training maps one part of the file.
     order = [name for name in dict.fromkeys(itertools.chain(*listed, sorted(names))) if name in names]
     clips: list[tuple[str, int, list[tuple[str, str, float, float]]]] = []
     left_out: dict[str, str] = {}

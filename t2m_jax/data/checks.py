@@ -31,6 +31,7 @@ def compare_statistics(
     """Returns the difference between two statistics, in standard deviations of `reference`."""
     mean, std, other_mean, other_std = (np.asarray(part)[columns] for part in (*normalizer, *reference))
     shift = np.max(np.abs(mean - other_mean) / other_std)
+    # In logarithms, twice and half the deviation are equally different.
     return StatisticsDifference(float(shift), float(np.max(np.abs(np.log(std / other_std)))))
 
 

@@ -86,6 +86,7 @@ def read_names(path: Path) -> tuple[str, ...]:
     """
     lines = load_text(path).split("\n")
     for number, line in enumerate(lines, start=1):
+        # Lists come from strangers, too, and a name with a folder would read a file outside of the data set.
         if "/" in line or "\\" in line:
             raise UserError(f"{path}:{number}: '{line}' is not a clip name; remove the folder from it")
     return tuple(line.strip() for line in lines if line.strip())

@@ -163,6 +163,7 @@ class Dataset:
             unusable = (name for name in names if name not in cached.spans)
             reasons = {name: cached.left_out.get(name, "without motion and caption file") for name in unusable}
             words = f"{len(reasons)} of {len(names)} clips cannot be used: {left_out_in_words(reasons)}"
+            # Published lists name some clips that cannot be used; so many mean a copy that is not complete.
             if 2 * len(reasons) > len(names):
                 raise UserError(
                     f"{self.folder / split}.txt: {words}; is the copy complete? Run `t2m data check` for details"
@@ -228,6 +229,7 @@ def samples_from_clip(clip: Clip, info: DatasetInfo) -> list[Clip]:
     at random). Samples that are too short or too long (`DatasetInfo.fits`) are dropped. If the whole clip is too short
     or too long, all its samples are dropped, as in the published loaders.
     """
+    # Here and not below: the published loaders look at the whole clip before its parts.
     if not info.fits(len(clip.features)):
         return []
     whole = tuple(caption for caption in clip.captions if caption.whole_clip)
@@ -237,6 +239,7 @@ def samples_from_clip(clip: Clip, info: DatasetInfo) -> list[Clip]:
         features = clip.features[int(caption.start * info.fps) : int(caption.end * info.fps)]
         if info.fits(len(features)):
             name = f"{_letters(number)}_{clip.name}"
+            # The frames are cut to the times of the caption, which now describes all of them.
             samples.append(Clip(name, features, (caption._replace(start=0.0, end=0.0),)))
     return samples
 

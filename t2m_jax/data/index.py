@@ -41,6 +41,7 @@ class ClipIndex(NamedTuple):
 
     def recorded_with(self, names: Iterable[str], others: Iterable[str]) -> frozenset[str]:
         """Returns the clips of `names` that share a known recording with one of `others`."""
+        # Two clips of unknown recordings have nothing in common.
         recordings = {self.source(name) for name in others} - {None}
         return frozenset(name for name in names if self.source(name) in recordings)
 

@@ -77,6 +77,7 @@ def _labels(owners: dict[str, Dataset]) -> list[IndexEntry]:
     rows = []
     for name, dataset in owners.items():
         index = indices[dataset.folder]
+        # The label of a twin follows from its original's row, if that is here, too.
         if index is not None and not (name.startswith(MIRROR_PREFIX) and name[1:] in owners):
             rows.append(IndexEntry(name, index.source(name) or "", index.label(name) or ""))
     return rows

@@ -57,6 +57,7 @@ def split_groups(
         raise UserError(f"there are {len(groups)} groups, which cannot be divided among {', '.join(wanted)}")
     room = {split: shares[split] * sum(map(len, groups.values())) for split in wanted}
     members: dict[str, list[str]] = {split: [] for split in SPLITS}
+    # The largest groups first, while every split has room for them.
     for group in sorted(groups, key=lambda group: (-len(groups[group]), _rank(group, seed))):
         split = max(room, key=lambda split: room[split])
         room[split] -= len(groups[group])
@@ -102,5 +103,6 @@ def nested_choice(names: Sequence[str], *, fraction: float, seed: int) -> list[s
         raise UserError(f"fraction {fraction}: the share of the clips must be above 0 and at most 1")
     originals = {name.removeprefix(MIRROR_PREFIX) for name in names}
     ranked = sorted(originals, key=lambda name: (_rank(name, f"share {seed}"), name))
+    # Not `round`, which rounds halves to even numbers.
     chosen = set(ranked[: max(int(fraction * len(ranked) + 0.5), 1)])
     return [name for name in names if name.removeprefix(MIRROR_PREFIX) in chosen]

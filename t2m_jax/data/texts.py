@@ -83,6 +83,7 @@ def read_captions(path: Path) -> CaptionFile:
     """
     captions = []
     problems = []
+    # Not `splitlines`, which also divides lines at rare characters that a caption may contain.
     for number, line in enumerate(load_text(path).split("\n"), start=1):
         if not line.strip():
             continue

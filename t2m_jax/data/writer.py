@@ -80,6 +80,7 @@ def write_twins(
         UserError: The features are not finite (a bone has no length) or there is only one frame.
     """
     mirrored = (MIRROR_PREFIX + name, mirror_positions(positions, skeleton), [mirror(caption) for caption in captions])
+    # Both are checked before one is written, so that no clip is without its twin.
     pair = []
     for twin, joints, said in ((name, positions, captions), mirrored):
         features = features_from_positions(joints, skeleton)
@@ -118,6 +119,7 @@ def finish_folder(
     Raises:
         UserError: The training split is empty.
     """
+    # Statistics are those of this split, so nothing could be normalized.
     if not splits.get("train"):
         raise UserError(f"{info.name}: no clip is left for training; check the split lists and the captions")
     for split in SPLITS:

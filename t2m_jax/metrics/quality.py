@@ -65,6 +65,7 @@ def measure_quality(positions: Positions, mask: Bool[Array, "B T"], *, skeleton:
     feet = positions[:, :, jnp.array(skeleton.left_foot + skeleton.right_foot)]
     height = feet[..., 1] - _floor(feet[..., 1], mask)
     low = (height < CONTACT_HEIGHT) & mask[:, :, None]
+    # In one low frame alone, a foot may only swing past the floor.
     touching = low[:, 1:] & low[:, :-1]
     speed = jnp.linalg.norm(jnp.diff(feet[..., ::2], axis=1), axis=-1) * skeleton.fps
     lowest = jnp.min(height, axis=-1)
@@ -112,6 +113,7 @@ def _clip_mean(values: Array, mask: Bool[Array, "B ..."]) -> Float[Array, " B"]:
 def _mean_difference(positions: Positions, mask: Bool[Array, "B T"], *, order: int) -> Float[Array, " B"]:
     """Returns the mean norm of the joints' differences over time of some order; all frames of each must be data."""
     sizes = jnp.linalg.norm(jnp.diff(positions, n=order, axis=1), axis=-1)
+    # Frames come first, so a difference is one of data if its last frame is.
     return _clip_mean(sizes, mask[:, order:, None])
 
 

@@ -27,6 +27,7 @@ def partner_ranks(
 ) -> PartnerRanks:
     """Returns the ranks of the candidates that belong to the queries (same index). Equal labels are not compared."""
     differences = queries[:, None, :] - candidates[None, :, :]
+    # The dot product of the published codes would be rounded: equal distances would differ, small squares be negative.
     distances = jnp.sqrt(jnp.sum(differences**2, axis=-1))
     own = jnp.diagonal(distances)[:, None]
     others = labels[:, None] != labels[None, :]
@@ -38,6 +39,7 @@ def _ranks_of_batches(
     queries: Float[Array, "M B E"], candidates: Float[Array, "M B E"], labels: Int[Array, "M B"]
 ) -> tuple[Int[Array, "M B"], Int[Array, "M B"]]:
     """Returns the fields of `PartnerRanks` of each batch; one program for all calls with these shapes."""
+    # One batch after another, because all differences at once would be 32 times as large as the embeddings.
     return tuple(jax.lax.map(lambda arguments: partner_ranks(*arguments), (queries, candidates, labels)))
 
 
@@ -109,6 +111,7 @@ def label_bound(
         raise ValueError(f"{len(labels)} labels do not make batches of {batch}")
     batches = labels.reshape(-1, batch)
     alike = jnp.sum(batches[:, :, None] == batches[:, None, :], axis=-1).reshape(-1)
+    # For this classifier, all items of a label are at the same distance.
     return _mean_hits(PartnerRanks(jnp.zeros_like(alike), alike - 1), top_k, counted)
 
 

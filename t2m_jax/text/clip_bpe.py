@@ -86,6 +86,7 @@ def clip_tokens(tokenizer: Tokenizer, captions: Sequence[str], *, max_length: in
     tokens = np.full((len(captions), max_length), end, np.int32)
     tokens[:, 0] = start
     for number, encoding in enumerate(tokenizer.encode_batch(list(captions), add_special_tokens=False)):
+        # Two places are for the start and the end.
         ids = encoding.ids[: max_length - 2]
         tokens[number, 1 : 1 + len(ids)] = ids
     return tokens

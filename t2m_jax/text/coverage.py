@@ -80,6 +80,7 @@ def check_coverage(prompt: str, knowledge: Knowledge, *, read_part: str) -> Cove
     unknown = [word for word in words if knowledge.words.isdisjoint(word.bases)]
     problems = list(_problems(words, unknown, knowledge))
     if read_part != prompt:
+        # The end of what is read tells where the prompt was cut.
         problems.append(f"too long, so cut after {_shortened(read_part[::-1])[::-1]!r}")
     warning = f"{_shortened(prompt)!r}: {'; '.join(problems)}" if problems else ""
     if problems and knowledge.actions:
@@ -88,6 +89,7 @@ def check_coverage(prompt: str, knowledge: Knowledge, *, read_part: str) -> Cove
 
 
 def _problems(words: Sequence[Word], unknown: Sequence[Word], knowledge: Knowledge) -> Iterable[str]:
+    # So many unknown words are hardly a matter of the choice of words.
     is_foreign = 2 * len(unknown) > len(words)
     named = list(dict.fromkeys(word.text for word in unknown if is_foreign or _is_important(word)))
     if named:

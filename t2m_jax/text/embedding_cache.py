@@ -77,6 +77,7 @@ class EmbeddingCache:
         """Saves embeddings of the model `fingerprint` by their caption: all of them or, after an error, none."""
         rows = []
         for caption, embedding in embeddings.items():
+            # The same bytes on every machine that shares the file.
             blob = np.asarray(embedding, "<f4").tobytes()
             rows.append((fingerprint, caption, blob, _digest(fingerprint, caption, blob)))
         try:
@@ -97,7 +98,9 @@ class EmbeddingCache:
 
     def _handle_failure(self, error: Exception) -> None:
         """Logs a warning and, if the file is damaged, renames it, so that the next use starts a new one."""
+        # Errors of decoding have no code.
         code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT)
+        # The low byte is the kind of error; the others are details.
         if isinstance(error, OSError) or code & 0xFF in _UNUSABLE:
             logger.warning("%s: cannot be used (%s); captions are embedded again", self.path, error)
             return

@@ -94,6 +94,7 @@ class Vocabulary:
         """
         kept = [token.partition("/")[::2] for token in tokens[:MAX_WORDS]]
         sentence = [(START, ""), *kept, (END, "")]
+        # The published vocabulary has no word for padding; its loader takes this one.
         padded = sentence + [(UNKNOWN, "")] * (TEXT_LENGTH - len(sentence))
         words = np.full(TEXT_LENGTH, self._number[UNKNOWN], np.int32)
         classes = np.full(TEXT_LENGTH, OTHER, np.int32)
@@ -173,6 +174,7 @@ def load_word_vectors(path: Path, words: Sequence[str]) -> Float[np.ndarray, "W 
     if missing:
         logger.warning("%s: %d of %d words are not in it, such as '%s'", path, len(missing), len(words), missing[0])
     for word in missing:
+        # Not `hash`, which differs from process to process for texts.
         drawn = np.random.default_rng(zlib.crc32(word.encode())).normal(size=width)
         found[word] = (spread * drawn).astype(np.float32)
     return np.stack([found[word] for word in words])

@@ -65,6 +65,7 @@ def make_caption_bank(samples: Sequence[Clip], normalizer: Normalizer, vocabular
     motions = make_bank(samples, normalizer)
     captions = vocabulary.vectorize_all(all_tokens(samples))
     counts = np.array([len(sample.captions) for sample in samples], np.int32)
+    # The captions of all motions are end to end, so that motions with few need no padding.
     first = np.cumsum(counts, dtype=np.int32) - counts
     return CaptionBank(motions, WordIds(*captions), first, counts)
 
@@ -78,7 +79,9 @@ def _draw(
     bank: CaptionBank, key: Key[Array, ""], step: Int[Array, ""] | int, *, batch_size: int, window: int
 ) -> tuple[Cuts, Int[Array, " B"]]:
     """Returns the cuts and the captions of a step."""
+    # NumPy arrays cannot be indexed with traced numbers.
     bank = jax.tree.map(jnp.asarray, bank)
+    # The order is the same in all steps of an epoch, so it cannot use the key of a step.
     order_key, draw_key = jax.random.split(key)
     rows = own_rows(batch_size)
     motions = batch_items(order_key, step, rows, num_items=bank.first_caption.shape[0], batch_size=batch_size)

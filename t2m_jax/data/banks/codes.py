@@ -38,6 +38,7 @@ def crop_codes(
 ) -> tuple[Int[Array, "B M R"], Int[Array, " B"]]:
     """Returns at most `max_codes` rows of each motion, from a uniformly drawn start; `keys` are consumed."""
     start = draw_below(keys, jnp.maximum(code_lengths - max_codes, 0) + 1)
+    # `dynamic_slice` moves a start that is too near to the end, and with it the codes.
     padded = jnp.pad(codes, ((0, 0), (0, max_codes), (0, 0)))
     cropped = jax.vmap(lambda rows, first: jax.lax.dynamic_slice_in_dim(rows, first, max_codes))(padded, start)
     return cropped, jnp.minimum(code_lengths, max_codes)
@@ -55,6 +56,7 @@ def code_batch_at(
     rows = own_rows(batch_size)
     motions = batch_items(order_key, step, rows, num_items=bank.codes.shape[0], batch_size=batch_size)
     offset_keys, caption_keys, crop_keys = split_each(row_keys(draw_key, step, rows), 3)
+    # Another first frame divides a motion into other codes, so the generator sees each motion in several ways.
     offsets = draw_below(offset_keys, bank.codes.shape[1])
     caption = bank.first_caption[motions] + draw_below(caption_keys, bank.num_captions[motions])
     lengths = bank.code_lengths[motions, offsets]

@@ -60,6 +60,7 @@ class HostWindows:
         first_rows = np.asarray(self._first_rows(self._data, np.int32(step)))[self._rows]
         windows = np.zeros((len(first_rows), self._window, self._frames.shape[1]), np.float32)
         for window, first in zip(windows, first_rows, strict=True):
+            # A slice reads only these pages of a file that may be larger than the memory.
             part = self._frames[first : first + self._window]
             window[: len(part)] = part
         release_pages(self._frames)
@@ -75,9 +76,11 @@ class HostWindows:
             UserError: The package `grain` is missing.
         """
         try:
+            # Only data on the host need this package.
             import grain
         except ImportError as error:
             raise UserError("placement: data on the host need the package grain: pip install grain") from error
+        # Each thread holds one batch beside those that are ready.
         options = grain.ReadOptions(num_threads=NUM_THREADS, prefetch_buffer_size=ahead + NUM_THREADS)
         steps = iter(grain.MapDataset.range(first_step, stop).map(self.cut).to_iter_dataset(options))
         try:
@@ -94,6 +97,6 @@ def release_pages(array: np.ndarray) -> None:  # any shape
     owner = array
     while isinstance(owner.base, np.ndarray):
         owner = owner.base
-    # A map that was opened for writing could lose what was written.
+    # A map that was opened for writing could lose what was written. Windows has no `madvise`.
     if isinstance(owner.base, mmap.mmap) and not owner.flags.writeable and hasattr(mmap, "MADV_DONTNEED"):
         owner.base.madvise(mmap.MADV_DONTNEED)

@@ -98,6 +98,7 @@ def map_banks(data: Any, change: Callable[[MotionBank], MotionBank]) -> Any:
 
 def banks_of(data: Any) -> list[MotionBank]:
     """Returns the banks of motions in data."""
+    # A bank is a tuple, which would be taken apart.
     leaves = jax.tree.leaves(data, is_leaf=lambda leaf: isinstance(leaf, MotionBank))
     return [leaf for leaf in leaves if isinstance(leaf, MotionBank)]
 
@@ -114,6 +115,7 @@ def compact(bank: MotionBank) -> MotionBank:
 
     Other banks keep their frames. If these are mapped, a CPU shares them, and an accelerator gets them in one transfer.
     """
+    # A copy would no longer be mapped, so a few unused rows are the smaller cost.
     if used_rows(bank) == len(bank.frames):
         return bank
     frames = np.asarray(bank.frames)
@@ -124,6 +126,7 @@ def compact(bank: MotionBank) -> MotionBank:
 
 def divide_frames(bank: MotionBank, count: int) -> MotionBank:
     """Returns a bank whose frames can be divided among `count` devices."""
+    # Devices of a mesh hold parts of one size. No window reads the rows of zeros.
     return bank._replace(frames=ShardedFrames(np.pad(bank.frames, ((0, -len(bank.frames) % count), (0, 0)))))
 
 
@@ -168,6 +171,7 @@ def _gather_frames(
             clip.base is whole and (clip.shape[1:], clip.strides) == (whole.shape[1:], whole.strides) for clip in clips
         )
     ):
+        # Memory tells where a view begins; NumPy does not keep it.
         starts = np.array([clip.ctypes.data - whole.ctypes.data for clip in clips]) // whole.strides[0]
         # Devices share only memory that begins at a multiple of 64 bytes: every 16th row of an aligned float32 array.
         first = int(starts.min()) // 16 * 16

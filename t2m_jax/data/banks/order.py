@@ -36,6 +36,8 @@ def shuffled(positions: Int[Array, " B"], key: Key[Array, ""], *, size: int) -> 
         key: Of the order.
         size: Number of items.
     """
+    # The halves are equally long, so the network permutes a power of four. More than a quarter of it are items, so a
+    # walk has fewer than four steps on average.
     half = max((size - 1).bit_length() + 1, 2) // 2
     # A number has two halves of `half` bits; `low` is the mask of the right one.
     low = jnp.uint32((1 << half) - 1)
@@ -74,6 +76,7 @@ def batch_items(
     steps_per_epoch = max(num_items // batch_size, 1)
     epoch = step // steps_per_epoch
     first = (step % steps_per_epoch) * batch_size
+    # The remainder differs only if the data are smaller than a batch.
     return shuffled((first + rows) % num_items, jax.random.fold_in(key, epoch), size=num_items)
 
 
@@ -84,6 +87,7 @@ def row_keys(key: Key[Array, ""], step: Int[Array, ""] | int, rows: Int[Array, "
 
 def draw_below(keys: Key[Array, " B"], limits: Int[Array, " B"] | int) -> Int[Array, " B"]:
     """Returns a whole number from 0 to below the limit of each row; keys are consumed."""
+    # One draw per key: a draw of the whole batch would depend on how many rows a device has.
     limits = jnp.broadcast_to(jnp.asarray(limits), keys.shape)
     return jax.vmap(lambda key, limit: jax.random.randint(key, (), 0, limit))(keys, limits)
 

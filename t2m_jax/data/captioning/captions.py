@@ -58,6 +58,7 @@ def true_facts(labels: Labels, facts: Facts) -> frozenset[str]:
         "overhead": bool(hands) and all(facts.above_head[hand] > 0 for hand in hands),
         "low": low,
         "not_low": not low,
+        # People call turns of about 90 degrees so.
         "quarter": 65 <= abs(facts.turn) <= 115,
         "many": facts.waves >= 4,
     }
@@ -106,16 +107,20 @@ def compose(
     # "walks while waving slowly" would say that the wave is slow.
     if any(mark in predicate for mark in CLAUSE_MARKS):
         manners = tuple(manner for manner in manners if manner.place != "end")
+    # Not "walks at a steady pace at a slow pace".
     if "pace" in predicate:
         manners = tuple(manner for manner in manners if "pace" not in manner.text)
     manner = generator.choice(manners) if manners else None
     fits_style = style.subjects and generator.random() < STYLE_SUBJECT_SHARE
     subject = generator.choice(style.subjects if fits_style else words.subjects)
     if manner is not None and manner.place == "adjective":
+        # The other forms have no subject, so there is no noun that an adjective could describe.
         form = form if form in ("present", "progressive", "begins") else "present"
+        # "an old someone" is not English.
         subject = subject if len(subject.text.split()) == 2 else Subject("a person", "their")
     limb = generator.choice(("hand", "hand", "arm"))
     text = sentence(predicate, subject, form=form, side=content.side, limb=limb, manner=manner)
+    # People write both.
     return text + generator.choice(("", "."))
 
 
@@ -131,6 +136,7 @@ def write_captions(name: str, labels: Labels, facts: Facts, *, count: int = 6) -
         facts: Measurements of the clip.
         count: Number of captions.
     """
+    # Seeded by the name, so that a clip keeps its captions when others are added.
     generator = random.Random(f"captions of {name}")
     wordings = true_wordings(labels, facts)
     low = tuple(wording for wording in wordings if wording.needs == "low")

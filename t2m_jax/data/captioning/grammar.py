@@ -39,6 +39,7 @@ def subject_with_adjective(subject: Subject, adjective: str) -> Subject:
     article, _, noun = subject.text.partition(" ")
     if not noun or article not in ("a", "an", "the"):
         return subject
+    # The sound after the article is now that of the adjective.
     if article != "the":
         article = "an" if adjective[0] in "aeiou" else "a"
     return Subject(f"{article} {adjective} {noun}", subject.possessive)
@@ -73,6 +74,7 @@ def clause(
 ) -> str:
     """Returns a sentence without its opening; arguments as for `sentence`. Adjectives are not in it."""
     text, place = manner or ("", "end")
+    # These forms have no subject, but still need a possessive.
     possessive = {"imperative": "your", "gerund": "the"}.get(form, subject.possessive)
     hands = f"both {limb}s" if side == "both" else f"{possessive} {side} {limb}"
     body = predicate.replace("{limb}", hands).replace("{poss}", possessive).replace("{side}", side)

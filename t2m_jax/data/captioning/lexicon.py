@@ -26,6 +26,7 @@ def third_person(base: str) -> str:
     """Returns the third person singular of a regular English verb: "walks" for "walk"."""
     if base.endswith(("s", "x", "z", "ch", "sh", "o")):
         return base + "es"
+    # "carries", but "sways".
     if base.endswith("y") and base[-2] not in "aeiou":
         return base[:-1] + "ies"
     return base + "s"
@@ -35,6 +36,7 @@ def gerund(base: str) -> str:
     """Returns the -ing form of a verb: "waving" for "wave", "running" for "run"."""
     if base in read_words(__package__, "lexicon")["doubled"].split():
         return base + base[-1] + "ing"
+    # "waving", but "fleeing", "dyeing" and "tiptoeing".
     if base.endswith("e") and not base.endswith(("ee", "ye", "oe")):
         return base[:-1] + "ing"
     return base + "ing"
@@ -54,6 +56,7 @@ def _readings() -> dict[str, dict[str, str]]:
     nouns = [(form, noun) for noun in vocabulary.pop("NOUN") for form in (noun, third_person(noun))]
     for word, noun in (*nouns, *lexicon["irregular_nouns"].items()):
         table.setdefault(word, {})["NOUN"] = noun
+    # Sorted, because the first reading counts if no rule prefers another.
     for tag in sorted(vocabulary):
         for word in vocabulary[tag]:
             table.setdefault(word, {})[tag] = word
@@ -76,11 +79,14 @@ def _choose(readings: dict[str, str], previous: str, following: str) -> str:
     if len(readings) == 1:
         return next(iter(readings))
     after = _readings().get(following, {})
+    # "a straight line"
     if "ADJ" in readings and "NOUN" in after and previous in ("DET", "ADJ", "ADP", "NUM"):
         return "ADJ"
+    # "a walk", "two steps"
     if previous in ("DET", "ADJ", "NUM") and "NOUN" in readings:
         return "NOUN"
     if "PART" in readings:
+        # "begins to walk", but "to the left".
         return "PART" if after.get("VERB") == following else "ADP"
     if previous == "VERB" and "VERB" in readings and "ADV" in readings:
         return "ADV"
@@ -90,6 +96,7 @@ def _choose(readings: dict[str, str], previous: str, following: str) -> str:
         return "ADP"
     order = ("NUM", "VERB", "ADV", "SCONJ", "INTJ", "ADJ", "ADP", "PRON", "NOUN", "AUX")
     if previous in ("ADP", "PART") and "NOUN" in readings and "VERB" in readings:
+        # "to step", but "in step".
         return "VERB" if previous == "PART" else "NOUN"
     return next(tag for tag in (*order, *readings) if tag in readings)
 
@@ -122,8 +129,10 @@ def tag_words(text: str, *, strict: bool = False) -> tuple[str, ...]:
         guess = {"NOUN": word}
         if word.endswith("ly"):
             guess = {"ADV": word}
+        # Shorter words, such as "king", are seldom forms of a verb.
         elif word.endswith("ing") and len(word) > 5:
             guess = {"VERB": word[:-3]}
+        # "dress" and "bus" are no plurals.
         elif word.endswith("s") and not word.endswith("ss") and len(word) > 3:
             guess = {"NOUN": word[:-1]}
         readings = table.get(word, guess)

@@ -50,6 +50,7 @@ def _subjects(pairs: Iterable[Sequence[str]]) -> tuple[Subject, ...]:
 
 def _pace_manners(texts: Sequence[str]) -> tuple[Manner, ...]:
     """Returns words for a pace at the end of a sentence, and adverbs also before the verb."""
+    # "slowly walks", but not "at a slow pace walks".
     before = tuple(Manner(text, "before_verb") for text in texts if text.endswith("ly"))
     return tuple(Manner(text, "end") for text in texts) + before
 
@@ -76,6 +77,7 @@ def load_wordings() -> Wordings:
         contents[name] = Content(
             side,
             wordings,
+            # Without limits, no clip of a content is called slow or fast.
             slow_below=entry.get("slow_below", -1.0),
             fast_above=entry.get("fast_above", float("inf")),
             paces=paces["travel" if travels else "stand"],

@@ -87,11 +87,13 @@ def _prepare(motion: Source, clip: RigClip, *, rig: str | None, up: Up) -> _Prep
         up = "y" if motion.path.suffix.lower() == ".glb" else clip_up(clip, table)  # glTF demands Y up
         if up == "z":
             steps.append("Z was up; turned")
+    # Before the resampling, whose filter would smooth the jump that tells a rest pose.
     rest = rest_frames(retarget(clip, rig=table, up=up).positions, fps=clip.fps)
     if rest:
         clip = clip.from_frame(rest)
         steps.append("a rest pose before the motion was cut")
     positions = retarget(clip.resampled(HUMANML3D.fps), rig=table, up=up).positions
+    # Most frames decide: in some, a leg is straight or a foot turned.
     right = bool(left_is_left(positions).mean() > 0.5)
     if not right:
         steps.append("LEFT AND RIGHT may be exchanged, as the knees bend and the feet point; see the sheet")
@@ -179,6 +181,7 @@ class _Converter:
     def _add(self, motion: Source) -> str:
         """Returns the name of a motion's clip, which must be new."""
         name = clip_name(motion.key(self.source))
+        # Different paths can become the same name, and one clip would replace the other.
         if name in self.motions:
             raise UserError(f"{motion}: would be named {name} like {self.motions[name]}; rename one of them")
         self.motions[name] = motion
@@ -191,6 +194,7 @@ class _Converter:
             raise UserError(f"{self.source}: none of {len(self.left_out)} clips could be imported; the first: {first}")
         for rig, sides in self.sides.items():
             wrong = len(sides) - sum(sides)
+            # A single clip may be unclear; most clips of a rig are only wrong if its table is.
             if wrong > len(sides) / 2:
                 raise UserError(
                     f"{self.source}: left and right are exchanged in {wrong} of {len(sides)} clips of rig {rig}, "
@@ -235,6 +239,7 @@ def import_bvh_folder(source: str | Path, destination: str | Path, **options: An
         convert.check()
         splits = {part: with_twins(members) for part, members in division.divide(convert.groups).items()}
         sizes = finish_folder(folder, splits, info=about, skeleton=HUMANML3D)
+    # What is wrong with a row is also why its clip was left out.
     told = set(convert.left_out.values())
     unused = [line for line in unused_entries(table, convert.motions.values(), source) if line not in told]
     notes = (*table.notes, *convert.notes(), *unused)

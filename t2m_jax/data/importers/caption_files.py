@@ -81,6 +81,7 @@ def find_captions(motion: Source, folder: Path, *, table: CaptionTable, from_nam
             captions.append(caption._replace(tokens=caption.tokens or caption_tokens(caption.text, source=place)))
         elif line.strip():
             captions.append(tagged_caption(line, source=place))
+    # Digits in names count takes; they say nothing of the motion.
     words = re.sub(r"[\W\d_]+", " ", motion.animation or motion.path.stem).strip().lower()
     if not captions and from_name and words:
         captions = [tagged_caption(words, source=str(motion))]
@@ -89,6 +90,7 @@ def find_captions(motion: Source, folder: Path, *, table: CaptionTable, from_nam
         add = "add it to captions.csv"
         advice = f"its name has no words; {add}" if from_name else f"{add} or use --caption-from-name"
         raise UserError(problem or f"{motion}: no caption; {advice}")
+    # A caption may be in the table and in the text file.
     return tuple(dict.fromkeys(captions))
 
 

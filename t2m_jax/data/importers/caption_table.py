@@ -134,6 +134,7 @@ def find_entries(table: CaptionTable, candidates: Sequence[str]) -> list[Caption
     return [
         row
         for row in near
+        # A row with the exact path of one file must not count for another file of that name.
         if row.file == candidates[0]
         or (row.file not in table.keys and (row.file.casefold() in names or row.file.casefold().endswith(tail)))
     ]
@@ -170,6 +171,7 @@ def _motion_key(cell: str) -> str:
 
 
 def _split_line(line: str, delimiter: str) -> list[str]:
+    # Each line alone, so that a quote that is never closed does not take the rest of the table.
     return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
 
 
@@ -219,6 +221,7 @@ def _find_columns(names: Sequence[str]) -> dict[str, int | None]:
     """Returns the column of each role: the one with the best name, or else with a word that is one."""
     found: dict[str, int | None] = {}
     for role, known in NAMES.items():
+        # In the order of the roles: `Clip caption` is a caption, and only what is left can be a file.
         free = {place: name for place, name in enumerate(names) if place not in found.values()}
         exact = [place for name in known for place, own in free.items() if own == name]
         partly = [place for name in known for place, own in free.items() if name in own.split("_")]
@@ -227,6 +230,7 @@ def _find_columns(names: Sequence[str]) -> dict[str, int | None]:
 
 
 def _is_time(cell: str) -> bool:
+    # Spreadsheets of many countries write a comma in place of the point.
     return re.fullmatch(r"[+-]?\d+([.,]\d*)?|[+-]?[.,]\d+|nan|", cell, re.IGNORECASE) is not None
 
 

@@ -36,6 +36,7 @@ class Division:
         if Path(self.split).is_dir():
             if self.split_by is not None:
                 raise UserError(f"split_by {self.split_by!r}: {self.split} has lists already; give one of both")
+            # Read now, so that a wrong list is reported before the long conversion.
             _ = self._homes
         else:
             parse_shares(str(self.split))

@@ -38,6 +38,7 @@ def import_humanml3d(source: str | Path, destination: str | Path) -> ImportRepor
             for file in (f"{FEATURES}/{name}.npy", f"{POSITIONS}/{name}.npy", f"{TEXTS}/{name}.txt"):
                 if (dataset.folder / file).exists():
                     shutil.copyfile(dataset.folder / file, folder / file)
+            # Once more, without the broken lines.
             if clip.captions.problems:
                 save_captions(folder / TEXTS / f"{name}.txt", clip.captions.captions)
             frames[name] = len(clip.features)
@@ -45,6 +46,7 @@ def import_humanml3d(source: str | Path, destination: str | Path) -> ImportRepor
         kept = {split: [name for name in names if name in frames] for split, names in splits.items()}
         sizes = finish_folder(folder, kept, info=dataset.info, skeleton=dataset.skeleton)
         has_statistics = all((dataset.folder / file).exists() for file in STATISTICS)
+        # They replace the computed ones: published weights expect the published statistics.
         for file in (*(STATISTICS if has_statistics else ()), INDEX):
             if (dataset.folder / file).exists():
                 shutil.copyfile(dataset.folder / file, folder / file)

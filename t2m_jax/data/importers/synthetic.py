@@ -24,6 +24,7 @@ from t2m_jax.motion.skeleton import HUMANML3D
 
 FPS = HUMANML3D.fps
 NUM_CLIPS = 200
+# Thigh and shin: with the swing of the thigh, they make the length of a step.
 _LEG = HUMANML3D.bone_lengths[4] + HUMANML3D.bone_lengths[7]
 
 
@@ -85,6 +86,7 @@ def _walking(time: Float[np.ndarray, " T"], generator: np.random.Generator, *, d
     def arm(phase: float) -> Swing:
         return _swing(frames, upper=step * np.sin(cycle + phase), bend=0.3, spread=0.1)
 
+    # A cycle is two steps, and a step is as long as the feet are apart, so that they slide little.
     speed = np.full(frames, 4 * _LEG * np.sin(amplitude) * stride)
     return Pose(leg(0.0), leg(np.pi), arm(np.pi), arm(0.0), heading, speed, np.full(frames, 0.05))
 
@@ -189,6 +191,7 @@ def make_motion(kind: str, *, seed: int, num_frames: int | None = None) -> Float
     """
     if kind not in KINDS:
         raise UserError(f"unknown motion '{kind}'; known are {', '.join(KINDS)}")
+    # With the kind in the seed, two kinds of one seed share no draws.
     generator = np.random.default_rng([seed, *kind.encode()])
     frames = num_frames or int(generator.integers(40, 121))
     pose = KINDS[kind](np.arange(frames) / FPS, generator)
@@ -208,6 +211,7 @@ def positions_from_pose(pose: Pose) -> Float[np.ndarray, "T J 3"]:
     world = np.stack([cosine * x + sine * z, y, -sine * x + cosine * z], axis=-1)
     steps = pose.speed[:, None] / FPS * np.concatenate([sine, cosine], axis=1)
     world[:, :, [0, 2]] += np.cumsum(steps, axis=0)[:, None]
+    # In each frame, so that somebody who squats comes down instead of lifting the feet.
     world[:, :, 1] -= world[:, :, 1].min(axis=1, keepdims=True)
     return world.astype(np.float32)
 
@@ -231,6 +235,7 @@ def write_synthetic_dataset(destination: str | Path, *, num_clips: int = NUM_CLI
     """
     check_num_clips(num_clips)
     check_seed(seed)
+    # A clip has one row of features less than it has poses.
     info = DatasetInfo(name="synthetic", min_frames=HUMANML3D.min_frames - 1, licence="CC0-1.0", source="t2m_jax")
     names = [f"synthetic_{number:05d}" for number in range(num_clips)]
     frames = 0

@@ -83,6 +83,7 @@ def find_stillness(positions: Float[np.ndarray, "T J 3"]) -> slice | None:
     )
     speed = np.linalg.norm(np.diff(positions, axis=0, prepend=positions[:1]), axis=-1).max(axis=1) * HUMANML3D.fps
     still = (speed < STILL_SPEED) & np.all(wrists - shoulders < HANDS_DOWN, axis=1)
+    # Where stillness begins and where it ends, in turn; the added ends close a stretch at an edge of the clip.
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
     stretches = sorted((last - first, first) for first, last in zip(edges[::2], edges[1::2], strict=True))
     if not stretches or stretches[-1][0] < SHORTEST_STAND:
@@ -96,6 +97,7 @@ def stand_still(positions: Float[np.ndarray, "T J 3"], *, num_frames: int) -> Fl
     last = len(positions) - 1
     speed = np.linalg.norm(np.diff(positions, axis=0), axis=-1).max() * HUMANML3D.fps
     places = np.arange(num_frames) * min(1.0, QUIET_SPEED / max(speed, QUIET_SPEED))
+    # To the last frame and back again, without a jump.
     places = last - np.abs(places % (2 * last) - last)
     before = np.minimum(places.astype(int), last - 1)
     share = (places - before).astype(np.float32)[:, None, None]
@@ -114,6 +116,7 @@ def draw_pieces(library: Library, generator: random.Random) -> list[LabeledPiece
     for _ in range(TRIES if len(contents) > 1 else 0):
         count = 3 if generator.random() < THREE_SHARE else 2
         drawn = generator.choices(contents, weights, k=count)
+        # Two walks in turn would look like one.
         if any(one == following for one, following in itertools.pairwise(drawn)):
             continue
         pieces = []
@@ -122,6 +125,7 @@ def draw_pieces(library: Library, generator: random.Random) -> list[LabeledPiece
             pieces.append(LabeledPiece(Labels(content, style), library.read(name)))
         # Walks that do not turn can be cut anywhere. They share the frames that the other pieces leave.
         cut = [piece.travels and "turn" not in piece.labels.content for piece in pieces]
+        # Two pieces share the frames of their overlap.
         room = LONGEST + (count - 1) * OVERLAP
         room -= sum(len(piece.features) for piece, short in zip(pieces, cut, strict=True) if not short)
         if room < SHORTEST_TRAVEL * sum(cut):
@@ -142,6 +146,7 @@ def join_pieces(pieces: Sequence[LabeledPiece]) -> Float[np.ndarray, "T J 3"]:
     """Returns the joint positions of pieces in turn, each joined to the one before where the poses are most alike."""
     whole = pieces[0].features
     for piece in pieces[1:]:
+        # A second of each may be given up for a join at which the poses are more alike.
         slack = [min(20, len(features) // 4) for features in (whole, piece.features)]
         cut = find_cut(
             whole,
@@ -167,6 +172,7 @@ def write_composed_captions(
     pieces: Sequence[LabeledPiece], *, count: int, generator: random.Random
 ) -> tuple[Caption, ...]:
     """Returns `count` different captions of pieces in turn; none is a held-out sentence."""
+    # By words, because a sentence stays the same with a full stop or capital letters.
     forbidden = {tuple(words_in(text)) for sentences in held_out_compositions().values() for text in sentences}
     texts: dict[str, None] = {}
     while len(texts) < count:

@@ -76,6 +76,7 @@ def write_more_captions(folder: Path, names: Sequence[str], labels: Callable[[st
         extremes = find_extremes(facts[name], limits.get(labels(name).content))
         texts = []
         if shows_pace(labels(name).content, facts[name]):
+            # Each kind of caption has its own generator, so that none changes when another kind is added.
             generator = random.Random(f"speed of {name}")
             manners = [one for extreme in extremes or () for one in [load_wordings().extremes[extreme]] * MORE_CAPTIONS]
             texts += [_say(labels(name), facts[name], generator, manners=one) for one in manners]
@@ -105,6 +106,7 @@ def write_stand_clips(folder: Path, names: Sequence[str], labels: Callable[[str]
     for name in names:
         still = find_stillness(np.load(folder / POSITIONS / f"{name}.npy", mmap_mode="r"))
         if still is not None:
+            # The negative length sorts the longest first, and equally long ones by name.
             stretches[labels(name).style].append((still.start - still.stop, name, still))
     chosen = [found for style in stretches.values() for found in sorted(style)[:MOST_OF_A_STYLE]]
     return [
@@ -139,6 +141,7 @@ def write_slow_clips(folder: Path, names: Sequence[str], labels: Callable[[str],
     for name, number in itertools.product(names, range(1, SLOW_VARIANTS + 1)):
         content = labels(name).content
         generator = random.Random(f"slowness {number} of {name}")
+        # No factor makes a still clip slower.
         if content in limits and shows_pace(content, facts[name]) and facts[name].speed > 0:
             factor = generator.uniform(*SLOWED_TO) * limits[content]["very_slow"] / facts[name].speed
             if SLOWED_BY <= factor < 1:

@@ -54,6 +54,7 @@ def find_extremes(facts: Facts, limits: Mapping[str, float] | None) -> list[str]
 
 def is_true_pace(text: str, extremes: Sequence[str] | None) -> bool:
     """Returns whether a caption does not call a clip slow or fast that is not."""
+    # Without limits of its content, nothing speaks against what a caption says.
     if extremes is None:
         return True
     is_slow = any(word in text for word in SLOW_WORDS)

@@ -106,6 +106,7 @@ def flagged_clips(source: Path, splits: Path | None) -> tuple[frozenset[str], st
     Raises:
         UserError: The table does not have the columns `name` and `flags`.
     """
+    # The table may be beside the archive or beside the lists.
     near = [source, source.parent, *([splits, splits.parent, splits.parent.parent] if splits else [])]
     table = next((folder / CLIP_TABLE for folder in near if (folder / CLIP_TABLE).is_file()), None)
     if table is None:
@@ -124,6 +125,7 @@ def _divide_clips(names: Sequence[str], lists: Path | None) -> dict[str, list[st
         UserError: A clip is in several lists, or none is in the training list.
     """
     if lists is None:
+        # Within each content and style, so that the test split has all of them.
         cells: dict[Labels, list[str]] = {}
         for name in names:
             cells.setdefault(labels_from_name(name), []).append(name)
