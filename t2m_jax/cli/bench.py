@@ -25,8 +25,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the sub-commands and their options."""
     add = subcommand_adder(parser)
     train = add(run_train, "measure updates of tokenizers and generators, on random data")
-    sample, evaluate = add(run_sample, "measure sampling"), add(run_evaluate, "measure the networks of an evaluation")
-    data, everything = add(run_data, "measure batches and opening a data set"), add(run_all, "measure all of this")
+    sample = add(run_sample, "measure sampling")
+    evaluate = add(run_evaluate, "measure the networks of an evaluation")
+    data = add(run_data, "measure batches and opening a data set")
+    everything = add(run_all, "measure all of this")
     for command in (train, sample, evaluate, data, everything):
         _add_shared_arguments(command)
     for command in (train, evaluate):
@@ -67,6 +69,7 @@ def _add_train_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Runs the chosen sub-command."""
+    # A wrong number would only show after minutes of measurement. Not every sub-command has all of them.
     numbers = ("codes", "repeats", "batch", "devices", "steps_per_call", "num_parts")
     for name in numbers:
         value = getattr(args, name, None)
@@ -108,6 +111,7 @@ def run_sample(args: argparse.Namespace) -> None:
         model = TextToMotion.load(args.model)
         scale = model.parts.guidance_scale()
         parts = (model.config.generator, model.config.tokenizer, model.variables)
+        # A scale of 1 is sampled without the second half of the batch that guidance needs (see `ModelParts`).
         systems = [MeasuredSystem(Path(args.model).name, *parts, None if scale == 1 else scale)]
     configs = [system.generator for system in systems]
     check_sampling(configs, batches=args.batch, num_codes=args.codes, devices=args.devices)
@@ -144,8 +148,10 @@ def run_data(args: argparse.Namespace) -> None:
     from t2m_jax.bench.data import benchmark_opening, benchmark_windows
 
     def measure(peaks: "Peaks") -> "list[BenchResult]":
-        count, shared = peaks.num_devices, {"peaks": peaks, "batch": args.batch, "repeats": args.repeats}
+        count = peaks.num_devices
+        shared = {"peaks": peaks, "batch": args.batch, "repeats": args.repeats}
         rows = [benchmark_windows(num_devices=count, **shared)]
+        # On one device, a sharded bank is the same as a whole one.
         if count > 1:
             rows.append(benchmark_windows(num_devices=count, bank="sharded", **shared))
         return rows if args.data is None else [*rows, benchmark_opening(args.data, repeats=args.repeats)]

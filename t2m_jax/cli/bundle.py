@@ -32,6 +32,7 @@ def run(args: argparse.Namespace) -> None:
     """Writes or pushes the bundle, and prints its name and the next command."""
     from t2m_jax.checkpoints.hub import parse_hub_name
 
+    # The destination is the last path, as with `cp`, which argparse cannot declare with two arguments.
     *runs, folder = args.paths
     name = None if args.push is None else parse_hub_name(args.push)
     if name is None and args.push is not None:

@@ -101,16 +101,19 @@ def _convert_model(args: argparse.Namespace) -> None:
     from t2m_jax.files.reading import load_text
     from t2m_jax.files.writing import check_new
 
+    # Before the weights are read, which takes longest.
     check_new(args.destination)
     files = OfficialFiles(*(getattr(args, name) for name in _MODEL_FILES))
     bundle = load_official(files, **{name: getattr(args, name) for name in _MODEL_OPTIONS})
     clip = None
+    # A folder is copied into the model. A name is only noted, and found again when the model is loaded.
     if args.clip is not None and Path(args.clip).is_dir():
         clip = load_clip(args.clip, text_dim=bundle.config.generator.text_dim)
     elif args.clip is not None:
         config = dataclasses.replace(bundle.config, text_encoder=ClipReference(name=args.clip))
         bundle = bundle._replace(config=config)
     card = official_card(files, bundle) if args.card is None else load_text(args.card)
+    # Weights keep 32 bits, so that results are those of the original files.
     save_bundle(args.destination, bundle, card=card, half=False, encoder=clip)
 
 

@@ -147,6 +147,7 @@ def run_rig(args: argparse.Namespace) -> None:
     from t2m_jax.motion.rig.guess import rig_table_text
 
     place = None if args.output is None else check_output(args.output)
+    # Any animation: only the joints are read.
     clip = next(iter(open_motion_file(args.file).values()))
     text = rig_table_text(clip, source=args.file.name)
     if place is None:

@@ -112,6 +112,7 @@ def _add_data_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Checks the options that commands share and runs the command."""
+    # Each command has some of these options only, hence `getattr` with a default.
     for name in ("num_repeats", "num_seeds", "num_clips"):
         if getattr(args, name, 1) < 1:
             raise UserError(f"--{name.replace('_', '-')}: {getattr(args, name)} is not a whole number above 0")
@@ -199,12 +200,14 @@ def _measure(
     from t2m_jax.evaluation.run import evaluate
     from t2m_jax.export import viewer_html
 
+    # Finished repeats are kept there, so that an evaluation of hours can continue after an interruption.
     partial = Path(f"{args.json}.partial") if args.json else None
     report = evaluate(task, source, num_repeats=args.num_repeats, model=args.model, partial=partial)
     report = dataclasses.replace(report, reconstruction=figures)
     header = dataclasses.asdict(report.header)
     facts = ", ".join(f"{name} {value}" for name, value in header.items() if value is not None)
     sys.stdout.write(f"{printable(facts)}\n\n")
+    # The facts are above already, once for both tables.
     for measures in ("captions", "quality"):
         table = make_table([report], [source.kind], measures=measures)._replace(facts={})
         sys.stdout.write(format_table(table, style="terminal") + "\n\n")
@@ -302,6 +305,7 @@ def run_table(args: argparse.Namespace) -> None:
     from t2m_jax.evaluation.report.record import load_report
     from t2m_jax.evaluation.report.tables import make_table
 
+    # Short names, but reports of different folders may have the same one.
     stems = [path.stem for path in args.reports]
     names = args.names or (stems if len(set(stems)) == len(stems) else list(map(str, args.reports)))
     table = make_table([load_report(path) for path in args.reports], names, measures=args.measures)

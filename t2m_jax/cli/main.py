@@ -57,7 +57,10 @@ QUIET_LIBRARIES = (
 REPEATING_LOGGERS = ("absl", "asyncio")
 """Loggers of errors that Orbax raises, too: hundreds of lines for a full disk."""
 
-EXIT_OK, EXIT_BUG, EXIT_USER_ERROR, EXIT_BROKEN_PIPE = 0, 1, 2, 141
+EXIT_OK = 0
+EXIT_BUG = 1
+EXIT_USER_ERROR = 2
+EXIT_BROKEN_PIPE = 141  # 128 and the number of SIGPIPE, as a shell reports it
 EXIT_SIGNAL = 128
 """Added to the number of the signal that ended a command: 130 after Ctrl-C, 143 after SIGTERM."""
 REPORT = "run it again with --debug, and report what that prints"

@@ -123,6 +123,7 @@ def _start_config(args: argparse.Namespace) -> Any:
 
     if args.config is not None:
         return _config(args.kind, args.config)
+    # Of the other options nothing is known before the config, and that is in the folder of the run.
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--run", type=Path, nargs="?")
     found = parser.parse_known_args(args.config_options)[0].run

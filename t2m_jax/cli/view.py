@@ -74,6 +74,7 @@ def run(args: argparse.Namespace) -> None:
         for output in args.outputs:
             save_motions(output, motions, **options[output])
             print(output)
+    # The next command must read the same animation.
     chosen = [] if args.animation is None else ["--animation", args.animation]
     again = ["t2m", "view", *map(str, args.files), *chosen]
     pages = [output for output in args.outputs if output.suffix == ".html"]

@@ -53,6 +53,7 @@ class Changes:
         Raises:
             UserError: A value cannot be used with any motion, or two fields exclude each other.
         """
+        # The default is None and not 0: a cut, even of no frame, would drop the codes.
         begin = 0.0 if self.begin is None else self.begin
         if not 0 <= begin < math.inf:
             raise UserError(f"begin: {begin:g} is not a number of seconds from 0")
@@ -85,6 +86,7 @@ class Changes:
             motion = motion.turned(self.turn)
         if self.path:
             motion = motion.along(self.path)
+        # After speed and path, which are computed at the motion's own rate.
         fps = output_fps(motion.fps, asked=self.fps, loop=self.loop)
         if fps != motion.fps:
             motion = motion.resampled(fps)

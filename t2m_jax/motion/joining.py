@@ -38,6 +38,7 @@ HORIZONTAL = np.array([1.0, 0.0, 1.0], np.float32)
 def fade(time: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
     """Returns the share of what follows: 0 until time 0, 1 from time 1, between them a cubic curve, level at both."""
     time = np.clip(time, 0, 1)
+    # Smoothstep. After a linear cross-fade, velocities would jump at both ends.
     return time**2 * (3 - 2 * time)
 
 
@@ -148,6 +149,7 @@ def fading_change(differences: Float[np.ndarray, "_ J 3"], count: int) -> Float[
     # Without a second frame, there is no velocity to go on with.
     speed = change - differences[1] if len(differences) > 1 else 0 * change
     time = (np.arange(1, count + 1) / (count + 1))[:, None, None]
+    # A cubic Hermite curve. `speed` is per frame, and time goes from 0 to 1 in `count` + 1 frames.
     return (1 - fade(time)) * change + (count + 1) * time * (1 - time) ** 2 * speed
 
 
@@ -241,6 +243,7 @@ def join_windows(
 
     In the middle half of the shared frames, one window fades into the other.
     """
+    # Not in the outer quarters: there, one of the two windows was computed almost without what comes next to it.
     share = fade(2 * np.arange(overlap) / overlap - 0.5)[:, None, None].astype(np.float32)
     result: Float[np.ndarray, "T J 3"] | None = None
     first = 0

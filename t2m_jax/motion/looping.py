@@ -65,6 +65,7 @@ def find_loop(positions: Float[np.ndarray, "T J 3"], *, fps: float) -> Loop:
     velocities = np.gradient(positions, axis=0) * fps
     accelerations = np.gradient(velocities, axis=0) * fps
     moments = np.concatenate([poses, velocities * VELOCITY_SECONDS, accelerations * ACCELERATION_SECONDS_2], axis=-1)
+    # With this factor, the distance of two moments is a root mean square over the joints.
     moments = moments.reshape(count, -1) / np.sqrt(positions.shape[1])
     starts = np.arange(0, count - shortest, max(1, count // MOST_STARTS))
     # Where joints hardly accelerate, a seam shows least.
@@ -106,6 +107,7 @@ def _travel(
 ) -> Float[np.ndarray, "3"]:
     """Returns how far a loop moves over the ground, so that a foot that does not move at the seam stays in place."""
     joints = [0, *skeleton.left_foot, *skeleton.right_foot]
+    # The joint that stands decides, and not a mean with those that move. `STILL_SPEED` keeps weights finite.
     weights = 1 / (speeds[joints] ** 2 + STILL_SPEED**2)
     return np.average((part[-1] - part[0])[joints], axis=0, weights=weights) * HORIZONTAL
 

@@ -59,6 +59,7 @@ def check_waypoints(waypoints: Sequence[Sequence[float | int]]) -> Float[np.ndar
     if len(waypoints) < 2 or any(len(point) != 2 for point in waypoints):
         raise UserError(f"path: {len(waypoints)} points; give two or more of two numbers, x and z in meters")
     points = np.array(waypoints, np.float64)
+    # `not <=` and not `>`, so that NaN is refused, too.
     if not (np.abs(points) <= FARTHEST).all():
         row = int(np.argmin((np.abs(points) <= FARTHEST).all(axis=1)))
         raise UserError(f"path: point {row + 1} is not within {FARTHEST:.0f} m of the origin")
@@ -138,6 +139,7 @@ def _curve(points: Float[np.ndarray, "N 2"], length: float) -> tuple[Float[np.nd
     from scipy.interpolate import CubicSpline  # here, because it takes long to import
 
     knots = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    # Natural: it does not bend at its ends, and so continues smoothly into the straight line after the last point.
     spline = CubicSpline(knots, points, bc_type="natural")
     parameters = np.linspace(0, knots[-1], max(2, round(knots[-1] / SPLINE_STEP)))
     flat = spline(parameters)
@@ -159,6 +161,7 @@ def _headings(
 ) -> Float[np.ndarray, " T"]:
     """Returns the direction of a path at some places, as an angle from +Z to +X in radians."""
     chords = _at(path, way, wanted + LOOK_AHEAD) - _at(path, way, wanted - LOOK_AHEAD)
+    # The angle jumps by a whole turn where a path heads to -Z. A figure must not spin there.
     return np.unwrap(np.arctan2(chords[:, 0], chords[:, 2]))
 
 

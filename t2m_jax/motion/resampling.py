@@ -45,7 +45,9 @@ def resample(values: Float[np.ndarray, "T ..."], *, fps: float, new_fps: float) 
         return values[:count]
     from scipy.signal import resample_poly  # here, because it takes long to import
 
+    # The filter needs whole numbers. With a denominator up to the number of frames, the end drifts by less than one.
     ratio = Fraction(new_fps / fps).limit_denominator(max(10_000, len(values)))
+    # Only what differs from the first value is filtered, so that what stands still stays exactly as it is.
     start = values[:1].astype(np.float64)
     moved = resample_poly(
         values - start, ratio.numerator, ratio.denominator, axis=0, window=FILTER_WINDOW, padtype="antireflect"

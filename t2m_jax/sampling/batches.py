@@ -28,6 +28,7 @@ def round_up(size: int, multiple: int) -> int:
 
 def padded_batch_size(count: int) -> int:
     """Returns the smallest power of two that is not below `count`."""
+    # Of the number below, so that a power of two stays as it is.
     return 1 << (count - 1).bit_length()
 
 

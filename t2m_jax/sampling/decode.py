@@ -70,6 +70,7 @@ def decode_motions(
         batch: As in `pad_codes`.
         clean: Whether positions are cleaned. Then `positions_raw` are as decoded.
     """
+    # Shapes decide which program runs, and two programs may round differently.
     padded, code_lengths = pad_codes(codes, size=size, batch=batch)
     decoded = decode_positions(
         put_everywhere(tokenizer.variables),
@@ -79,6 +80,7 @@ def decode_motions(
         skeleton=skeleton,
     )
     features, positions = map(np.asarray, decoded)
+    # Before the clean-up, whose limits are in meters; the features of KIT-ML are in millimeters.
     positions = positions * np.float32(skeleton.metres_per_unit)
     frames = code_lengths * tokenizer.config.downsample
     cleaned = np.asarray(clean_positions(*put_rows((positions, frames)), skeleton=skeleton)) if clean else None
@@ -155,6 +157,7 @@ class FeatureWindows:
     def add(self, rows: Codes, *, ended: bool = False) -> Iterator[Piece]:
         """Yields the pieces that are final with some more rows; `ended` says that these are the last."""
         self.rows = np.concatenate([self.rows, rows])
+        # The last `context` rows wait, because their frames depend on rows that come later.
         while (final := min(self.most, len(self.rows) - self.done - self.context)) >= self.least:
             yield self._decode(final)
         while ended and len(self.rows) > self.done:
@@ -196,6 +199,7 @@ class GrowingMotion:
         context = tokenizer.config.decoder_context
         # A window need not have more rows than the longest motion.
         size = min(step + 2 * context, max_codes)
+        # After the end nothing waits any more, so all rows that have waited are one piece.
         self.windows = FeatureWindows(tokenizer, least=1, most=step, last=step + context, size=size)
         self.num_rows = 0
         """Rows that were added."""
@@ -238,6 +242,7 @@ def decode_sentences(
         codes: Number of a sentence, and some of its codes, in turn; at least one row for each sentence.
         skeleton: The skeleton of the motion.
     """
+    # Lazy, so that the first pieces are ready before the last codes are sampled.
     groups = itertools.groupby(codes, key=lambda part: part[0])
     sentences = (_decode_sentence(tokenizer, (rows for _, rows in group)) for _, group in groups)
     place = ORIGIN
@@ -282,5 +287,6 @@ def place_features(
     positions = rotate_vectors(turn[None], positions_from_features(features, skeleton))
     positions = (positions + np.array([place.x, 0.0, place.z])).astype(np.float32)
     (step,) = rotate_vectors(turn, root[-1:])
+    # A heading is a quaternion about Y, (cos, 0, sin, 0) of half its angle, and half angles can be added, too.
     half_turn = place.half_turn + math.atan2(headings[-1, 2], headings[-1, 0])
     return positions, Place(half_turn, place.x + float(step[0]), place.z + float(step[2]))

@@ -58,6 +58,7 @@ def find_span(model: ModelParts, seconds: tuple[float, float], num_rows: int) ->
     """
     begin, end = seconds
     rate = model.skeleton.fps / model.config.tokenizer.downsample
+    # One row more than there are: the last frames of a motion may not fill a row.
     if not 0 <= begin < end < (num_rows + 1) / rate:
         longest = f"{num_rows / rate:.1f} s, where the motion ends"
         raise UserError(f"span: {begin:g} to {end:g} s is not a part of the time from 0 to {longest}")
@@ -72,7 +73,9 @@ def redo(model: ModelParts, request: MotionRequest, prompt: Prompt, sampling: Sa
     motion = motion if motion.fps == model.skeleton.fps else motion.resampled(model.skeleton.fps)
     codes = model.encode(motion)
     span = find_span(model, request.span, len(codes))
+    # Best of n: the loop reads the head alone, so which middle leads to the tail is only known afterwards.
     keys = jnp.stack([sample_key(request.seed, prompt.text, number) for number in range(request.candidates)])
+    # As long as the rows that it replaces, so that the tail keeps its time.
     segments = split_segments([prompt], span.last - span.first, limit=most_rows(model))
     found = sample_segments(
         model,
@@ -83,6 +86,7 @@ def redo(model: ModelParts, request: MotionRequest, prompt: Prompt, sampling: Sa
         guidance_scale=request.options.guidance_scale,
     )
     rows = round(AROUND_SECONDS * model.skeleton.fps / model.config.tokenizer.downsample)
+    # Only for the decoder: the frames of head and tail are taken from the motion itself.
     around = codes[max(0, span.first - rows) : span.first], codes[span.last : span.last + rows]
     candidates = decode_middles(
         model,
@@ -125,7 +129,9 @@ def tail_likelihoods(
     scored = min(num_tail, rows, size - 1)
     if not scored:
         return np.zeros(len(codes), np.float32)
+    # The newest rows, if there are more than the generator can read.
     read = np.stack([own[: len(own) - num_tail + scored][-size:] for own in codes])
+    # One size for one program. The generator is causal, so zeros at the end change nothing before them.
     padded = np.pad(read, ((0, 0), (0, size - read.shape[1]), (0, 0)))
     texts = model.text_encoder([prompt.text] * len(codes))
     likelihoods = np.asarray(model.log_likelihood(jnp.asarray(padded), texts))
@@ -152,6 +158,7 @@ def _jump(tail: Float[np.ndarray, "T J 3"], candidate: Middle, skeleton: Skeleto
     own = candidate.positions[candidate.last :][: len(tail)]
     frames = [place_positions(part, part[0], own[0], skeleton=skeleton) for part in (own, tail)]
     difference = frames[1] - frames[0]
+    # Frames next to the join decide what is seen there: one for the pose, two for the velocity.
     jumps = [difference[0], *np.diff(difference, axis=0) * (skeleton.fps * VELOCITY_SECONDS)]
     return float(np.sqrt(np.mean(np.square(np.concatenate(jumps, axis=-1)).sum(axis=-1))))
 
@@ -170,6 +177,7 @@ def _with_middle(motion: Motion, middle: Middle, frames: Span, prompt: Prompt) -
     old = list(zip(motion.part_starts, motion.part_captions, strict=True)) or [(0, motion.caption)]
     parts = {start: caption for start, caption in old if start < frames.first} | {frames.first: prompt.text}
     if frames.last < motion.num_frames:
+        # The sentence that the middle interrupts continues after it.
         parts |= {frames.last: [caption for start, caption in old if start <= frames.last][-1]}
         parts |= {start: caption for start, caption in old if start > frames.last}
     return Motion(

@@ -97,8 +97,10 @@ def sample_row(
     if given is not None:
         # Known rows replace drawn ones, which are still drawn: all motions of a batch take the same steps.
         rows = jnp.where(given.known[:, state.step, None], given.codes[:, state.step], rows)
+    # The cache has the keys and values of all rows before (KV cache), so a step reads one row.
     context, scores, cache = generator.step(state.cache, rows)
     scores = jnp.where(may_stop, rule.draw(scores, _stop_keys(keys, state.step)), -jnp.inf)
+    # `done` only ends the loop. How many rows a motion keeps is counted from all scores afterwards.
     return LoopState(context, cache, done | rule.ends(scores), state.step + 1), (rows, scores)
 
 
@@ -132,7 +134,6 @@ def sample_codes(
     chex.assert_rank([text_embedding, keys], [2, 1])
     chex.assert_equal_shape_prefix([text_embedding, keys], 1)
     max_codes = sampling.max_codes
-    rule = sampling.stop_rule
 
     def one_row(state: LoopState, _: None) -> tuple[LoopState, tuple[Int[Array, "B R"], Float[Array, " B"]]]:
         return sample_row(generator, state, keys, sampling=sampling, given=given)
@@ -146,15 +147,15 @@ def sample_codes(
         state, sampled = jax.lax.scan(one_row, state, None, length=CHUNK)
         return state, jax.tree.map(lambda buffer, values: buffer.at[chunk].set(values), buffers, sampled)
 
-    batch = text_embedding.shape[0]
     state = first_state(generator, text_embedding, guidance_scale)
     # Only the shape of a row is needed, and nothing is computed for it.
     _, (row, _) = jax.eval_shape(one_row, state, None)
+    # Whole chunks, so that each is written at once; what is beyond `max_codes` is cut. At -inf, no rule ends a motion.
     chunks = (-(-max_codes // CHUNK), CHUNK)
-    buffers = (jnp.zeros((*chunks, *row.shape), jnp.int32), jnp.full((*chunks, batch), -jnp.inf))
+    buffers = (jnp.zeros((*chunks, *row.shape), jnp.int32), jnp.full((*chunks, len(keys)), -jnp.inf))
     state, (codes, scores) = jax.lax.while_loop(go_on, one_chunk, (state, buffers))
     codes = jnp.swapaxes(codes.reshape(-1, *row.shape)[:max_codes], 0, 1)
-    code_lengths = rule.count(scores.reshape(-1, batch)[:max_codes].T)
+    code_lengths = sampling.stop_rule.count(scores.reshape(-1, len(keys))[:max_codes].T)
     if given is not None:
         fixed = jnp.minimum(given.num_rows, max_codes)
         code_lengths = jnp.where(fixed > 0, fixed, code_lengths)

@@ -65,6 +65,7 @@ class ModelParts:
     @property
     def variables(self) -> dict[str, Any]:
         """The weights of `tokenizer`, `generator` and (if trained with the model) `text_encoder` for `apply`."""
+        # The layout for sampling is private: files, `apply` and the fingerprint have that of training.
         return self._variables | {"generator": restore_kernels(self._variables["generator"])}
 
     @property
@@ -128,6 +129,7 @@ class ModelParts:
     ) -> SampledCodes:
         """Returns codes for text embeddings of `text_encoder`, one key per motion (consumed)."""
         scale = self._guidance(guidance_scale)
+        # Data parallelism: the motions of a batch are divided among the devices, and do not depend on each other.
         text_embedding, keys, given = put_rows((text_embedding, keys, given))
         variables = self._variables_for_sampling()
         return generate_codes(
@@ -143,6 +145,7 @@ class ModelParts:
         """
         variables = self._variables_for_sampling()
         keys = put_everywhere(key[None])
+        # One call for each row and not one for all (as `sample_codes`), so that a row can be shown at once.
         state = begin_motions(variables, text_embedding, self._guidance(guidance_scale), generator=self._generator)
         for number in range(1, sampling.max_codes + 1):
             state, row = generate_row(variables, state, keys, generator=self._generator, sampling=sampling)
@@ -169,6 +172,7 @@ class ModelParts:
 
         Guidance is not used.
         """
+        # Teacher forcing: all rows are known, so they are read at once, and not one after the other.
         variables = self._variables_for_sampling()
         return row_likelihoods(variables, *put_rows((codes, text_embedding)), generator=self._generator)
 

@@ -135,6 +135,7 @@ class TextToMotion:
         captions = [caption for request in requests for caption in request.captions]
         prompts = iter(read_prompts(captions, self.knowledge, self.text_encoder))
         read = [(request, list(itertools.islice(prompts, len(request.captions)))) for request in requests]
+        # Only requests that follow each other are put together, so that motions come in the order of requests.
         groups = itertools.groupby(read, key=lambda pair: (pair[0].is_plain, pair[0].options))
         # A list, so that options are checked now, and not when the first motion is taken.
         batches = [self._make_group(list(group), self._sampling(options)) for (_, options), group in groups]

@@ -123,6 +123,7 @@ def generate_row(
     variables: Any, state: LoopState, keys: Key[Array, " B"], *, generator: Any, sampling: Sampling
 ) -> tuple[LoopState, Int[Array, "B R"]]:
     """Returns the state after one more row, and the row; `generator` is the module."""
+    # Without the scores: `state.done` says what a rule that ends early makes of them.
     state, (rows, _) = sample_row(_functions(generator, variables), state, keys, sampling=sampling)
     return state, rows
 
@@ -142,6 +143,7 @@ def begin_slots(
     It is the state of a batch of one, with an axis for the slots: each slot has its own step. None stands for no state.
     """
     functions = _functions(generator, variables)
+    # For all slots, also for those that continue: a program for each number of new motions would be compiled.
     fresh = jax.vmap(lambda text: first_state(functions, text[None], guidance_scale))(text_embedding)
     if state is None:
         return fresh
@@ -155,6 +157,7 @@ def generate_in_slots(
     """Returns the state of slots after `SLOT_ROWS` more rows, the rows, and their scores; `generator` is the module."""
     functions = _functions(generator, variables)
 
+    # A slot is a batch of one, because its step, unlike that of a batch, is its own.
     def one_slot(state: LoopState, key: Key[Array, ""]) -> tuple[LoopState, tuple[Int[Array, " R"], Float[Array, ""]]]:
         state, (rows, scores) = sample_row(functions, state, key[None], sampling=sampling)
         return state, (rows[0], scores[0])
@@ -164,6 +167,7 @@ def generate_in_slots(
 
 def sampling_variables(variables: dict[str, Any], config: GeneratorConfig) -> dict[str, Any]:
     """Returns a generator's variables in the layout with which `generate_codes` is fastest on the default device."""
+    # On a CPU, products with few rows are faster with transposed kernels (see `Projection`).
     return transpose_kernels(variables, config) if jax.default_backend() == "cpu" else variables
 
 
@@ -198,6 +202,7 @@ def encode_motion(tokenizer: TrainedTokenizer, motion: Motion, skeleton: Skeleto
         raise UserError(f"motion: has skeleton {motion.skeleton.name}; the model reads {skeleton.name}")
     features = motion.features
     if features is None:
+        # Only motion as decoded or of a data set has features. They are lost with a change, such as of the rate.
         positions = motion.resampled(skeleton.fps).positions / skeleton.metres_per_unit
         features = features_from_positions(positions, skeleton)
     if len(features) < tokenizer.config.downsample:

@@ -109,12 +109,14 @@ class MotionRequest:
         """
         if not self.captions:
             raise UserError("captions: give at least one sentence")
+        # The only way to set a field of a frozen dataclass.
         object.__setattr__(self, "captions", tuple(check_prompt(caption) for caption in sentences(self.captions)))
         check_seed(self.seed)
         if not 1 <= self.num_samples <= MAX_SAMPLES:
             raise UserError(f"num-samples: {self.num_samples} is not a whole number from 1 to {MAX_SAMPLES:,}")
         if self.seconds is not None:
             check_seconds(self.seconds)
+        # Which fields go together does not depend on the model, so every door says it before a model is loaded.
         if self.span is not None or self.strength is not None:
             self._check_change("strength" if self.span is None else "span")
         if self.span is not None:
@@ -136,6 +138,7 @@ class MotionRequest:
             raise UserError(f"strength: {self.strength:g} is not a number from 0 to 1")
 
     def _check_span(self, begin: float, end: float) -> None:
+        # NaN fails each comparison, so it is refused, too. Where the motion ends is checked with its codes.
         if not 0 <= begin < end < math.inf:
             raise UserError(f"span: {begin:g} to {end:g} is not a part of the motion")
         if not 1 <= self.candidates <= MAX_CANDIDATES:

@@ -46,6 +46,7 @@ class Slots:
         self.generator = generator
         self.sampling = sampling
         self.guidance_scale = guidance_scale
+        # On the host: what a slot has sampled is read after each step, and only the state stays on the device.
         self.codes = np.zeros((num_slots, sampling.max_codes, num_quantizers), np.int32)
         self.scores = np.full((num_slots, sampling.max_codes), -np.inf, np.float32)
         self.num_rows = np.zeros(num_slots, int)
@@ -78,6 +79,7 @@ class Slots:
             self.num_rows[slot] = 0
             self.is_free[slot] = False
             self.scores[slot] = -np.inf
+        # All slots in one call, so that one program serves any number of new motions (continuous batching).
         is_new = np.isin(np.arange(len(self.is_free)), slots)
         texts, is_new = put_rows((jnp.stack(self.embeddings), is_new))
         self.state = begin_slots(

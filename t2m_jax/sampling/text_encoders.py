@@ -85,6 +85,7 @@ class PretrainedTextEncoder:
 
     def __call__(self, captions: Sequence[str]) -> Float[Array, "B E"]:
         """Returns one embedding per caption; captions that are too long for the encoder are cut."""
+        # Each once: the samples of a batch often have one caption.
         wanted = list(dict.fromkeys(captions))
         known = self._cache.load(self.fingerprint, wanted) if self._cache else {}
         # Captions of similar lengths need little padding.
@@ -103,6 +104,7 @@ class PretrainedTextEncoder:
     def read_part(self, caption: str) -> str:
         """Returns the caption up to its last subword that is read, beside the marks that an encoder adds."""
         encoder = self._encoder
+        # CLIP adds its marks outside the tokenizer, so that does not count them.
         marks = 2 if isinstance(encoder, TrainedClip) else encoder.tokenizer.num_special_tokens_to_add(False)
         return read_part(encoder.tokenizer, caption, max_length=encoder.config.max_length - marks)
 

@@ -141,6 +141,7 @@ def sample_segments(
         # A sentence does not read the motion before it (see `FADE_SECONDS`), a segment that goes on does.
         if segment.begins and segment is not segments[0]:
             before = [codes[:0] for codes in before]
+        # Teacher forcing for the context: its rows are given, and the generator continues after them.
         context = [codes[-context_rows(model) :] for codes in before]
         lengths = np.array([len(codes) for codes in context], np.int32)
         # A given length may need all rows that the generator can sample, whatever the longest free length is.
@@ -154,6 +155,7 @@ def sample_segments(
         rows = np.asarray(sampled.codes)
         ends = np.asarray(sampled.code_lengths)
         new = [own[first:last] for own, first, last in zip(rows, lengths, ends, strict=True)]
+        # A short segment alone may have fewer rows than a context, so the old context stays in front of it.
         before = [np.concatenate(codes) for codes in zip(context, new, strict=True)]
         yield new
 
@@ -236,6 +238,7 @@ def place_codes(segments: Sequence[Segment], codes: Iterable[Codes], *, start: C
         yield PlacedCodes(1, 0, None, np.asarray(start, np.int32))
         count = len(start)
     for segment, new in zip(segments, codes, strict=True):
+        # Pieces of one number are decoded together, without a fade between them.
         number += segment.begins
         yield PlacedCodes(number, count, segment.prompt.text if segment.begins else None, new)
         count += len(new)
