@@ -203,12 +203,6 @@ class VqVae(nn.Module):
         # Any code would do after the end; a fixed one makes results equal to the last bit.
         return jnp.where(code_mask[:, :, None], codes, 0)
 
-    def encode_latents(
-        self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"] | None = None
-    ) -> Float[Array, "B N C"]:
-        """Returns what the codebook reads."""
-        return self._latents(motion, mask, train=False)[0]
-
     def decode(self, codes: Int[Array, "B N *R"], mask: Bool[Array, "B N"] | None = None) -> Float[Array, "B T D"]:
         """Returns the motion of codes, T = N * downsample; `mask` is over codes.
 

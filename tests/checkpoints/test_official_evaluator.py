@@ -9,7 +9,6 @@ from flax import traverse_util
 from safetensors.numpy import save_file
 
 from t2m_jax.checkpoints.evaluator import load_trained_evaluator
-from t2m_jax.checkpoints.official.export import evaluator_state_dict
 from t2m_jax.checkpoints.official.load import load_evaluator
 from t2m_jax.checkpoints.official.names import EVALUATOR_PARTS, evaluator_weights
 from t2m_jax.cli.main import main
@@ -73,7 +72,11 @@ def test_a_checkpoint_of_the_original_embeds_as_the_original(golden, state, tabl
 
 def test_there_and_back_is_bit_identical(state, table, tmp_path):
     config, variables = load_evaluator(write_finest(tmp_path / "finest.tar", state), word_vectors=table)
-    back = evaluator_state_dict(variables, config)
+    flat = traverse_util.flatten_dict(variables)
+    back = {
+        weight.key: np.ascontiguousarray(flat[weight.path].T if weight.is_reversed else flat[weight.path])
+        for weight in evaluator_weights(config)
+    }
     assert back.keys() == state.keys()
     for key, array in state.items():
         np.testing.assert_array_equal(back[key], array, err_msg=key)

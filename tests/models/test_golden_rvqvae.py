@@ -51,7 +51,7 @@ def test_the_whole_network(case):
     arrays = case.arrays
     for prefix in ("", "odd/"):
         motion = jnp.asarray(arrays[f"{prefix}motion"])
-        latents = case.apply(motion, method="encode_latents")
+        latents, _ = case.apply(motion, None, train=False, method="_latents")
         np.testing.assert_allclose(latents, arrays[f"{prefix}latents"], atol=1e-4)
         np.testing.assert_array_equal(case.apply(motion, method="encode"), arrays[f"{prefix}codes"])
         output = case.apply(motion, train=False)

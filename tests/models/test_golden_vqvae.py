@@ -46,8 +46,8 @@ def case(request, golden_dir):
 def test_encoder_and_codes(case):
     arrays, model, variables = case
     for motion, latents, codes in (("x", "z_nct", "code_idx"), ("x_odd", "z_odd_nct", "code_idx_odd")):
-        found = compiled_apply(model, variables, jnp.asarray(arrays[motion]), method="encode_latents")
-        np.testing.assert_allclose(found, arrays[latents].transpose(0, 2, 1), atol=1e-4, rtol=1e-4)
+        found = compiled_apply(model, variables, jnp.asarray(arrays[motion]), None, train=False, method="_latents")
+        np.testing.assert_allclose(found[0], arrays[latents].transpose(0, 2, 1), atol=1e-4, rtol=1e-4)
         np.testing.assert_array_equal(
             compiled_apply(model, variables, jnp.asarray(arrays[motion]), method="encode")[:, :, 0], arrays[codes]
         )

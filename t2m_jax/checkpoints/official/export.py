@@ -12,7 +12,6 @@ from t2m_jax.checkpoints.bundle import Bundle
 from t2m_jax.checkpoints.official.names import (
     Weight,
     constant,
-    evaluator_weights,
     gpt_constant_shapes,
     gpt_weights,
     vqvae_constant_shapes,
@@ -21,7 +20,6 @@ from t2m_jax.checkpoints.official.names import (
 from t2m_jax.errors import UserError
 from t2m_jax.files.arrays import save_weights
 from t2m_jax.files.writing import atomic_folder, check_new
-from t2m_jax.models.evaluator import EvaluatorConfig
 from t2m_jax.models.motion_gpt import MotionGptConfig
 from t2m_jax.models.vqvae import VqVaeConfig
 
@@ -48,11 +46,6 @@ def gpt_state_dict(variables: Mapping[str, Any], config: MotionGptConfig) -> dic
         raise UserError(f"generator.num_layers: {config.num_layers} is odd; the original has two halves of equal depth")
     weights = gpt_weights(config, num_base=num_base)
     return _state_dict(variables, weights, gpt_constant_shapes(config, num_base=num_base))
-
-
-def evaluator_state_dict(variables: Mapping[str, Any], config: EvaluatorConfig) -> dict[str, np.ndarray]:
-    """Returns the state dicts of the original's evaluator in one; each key begins with its part. No word vectors."""
-    return _state_dict(variables, evaluator_weights(config), {})
 
 
 def _state_dict(
