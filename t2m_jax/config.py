@@ -55,23 +55,20 @@ def load_config(path: str | Path, schema: type[T]) -> T:
     return _config(schema, file.data, source=f"{path}", lines=file.lines)
 
 
-def load_versioned(path: str | Path, schemas: Mapping[int, type]) -> Any:
-    """Returns the config of a file whose field `format_version` chooses the schema (1 if there is no such field).
+def load_versioned(path: str | Path, schema: type[T], *, version: int) -> T:
+    """Returns the config of a file whose field `format_version` must be `version`; without this field it is 1.
 
     Raises:
-        UserError: The version is unknown, or the file does not fit its schema.
+        UserError: The file has another version, or does not fit the schema.
     """
     file = load_yaml(path)
-    version = file.data.get("format_version", 1)
-    if type(version) is not int or version not in schemas:
-        if type(version) is int and version < min(schemas):
-            raise UserError(
-                f"{path}: format_version {version} is of an older t2m_jax; use it with t2m_jax 0.1, or make it again"
-            )
-        known = ", ".join(map(str, schemas))
-        shown = reprlib.repr(version)
-        raise UserError(f"{path}: format_version {shown} is unknown to this t2m_jax (known: {known}); update t2m_jax")
-    return _config(schemas[version], file.data, source=f"{path}", lines=file.lines)
+    found = file.data.get("format_version", 1)
+    if type(found) is not int or found != version:
+        older = "is of an older t2m_jax; use it with t2m_jax 0.1, or make it again"
+        unknown = f"is unknown to this t2m_jax (known: {version}); update t2m_jax"
+        advice = older if type(found) is int and found < version else unknown
+        raise UserError(f"{path}: format_version {reprlib.repr(found)} {advice}")
+    return _config(schema, file.data, source=f"{path}", lines=file.lines)
 
 
 def config_from_dict(schema: type[T], data: Mapping[str, Any], *, source: str = "config") -> T:
@@ -155,9 +152,9 @@ def override_config(config: T, args: Sequence[str], *, prog: str) -> T:
         if not exit_.code:
             raise
         # tyro draws a box, in ASCII if need be: a title, the message, a rule, then help texts.
-        rows = [row.strip("│ ") for row in messages.getvalue().splitlines()[1:]]
-        start = 1 if rows and _is_rule(rows[0]) else 0
-        message = itertools.takewhile(lambda row: not _is_rule(row), rows[start:])
+        drawn = [line.strip("│ ") for line in messages.getvalue().splitlines()[1:]]
+        start = 1 if drawn and _is_rule(drawn[0]) else 0
+        message = itertools.takewhile(lambda line: not _is_rule(line), drawn[start:])
         reason = " ".join(" ".join(message).split()) or "cannot read the options"
         raise UserError(f"{prog}: {reason}") from None
     if unknown:
@@ -166,8 +163,8 @@ def override_config(config: T, args: Sequence[str], *, prog: str) -> T:
     return config_from_dict(type(config), config_to_dict(changed), source=prog)
 
 
-def _is_rule(row: str) -> bool:
-    return bool(row) and not row.strip("─-╰╯")
+def _is_rule(line: str) -> bool:
+    return bool(line) and not line.strip("─-╰╯")
 
 
 def check_sizes(config: Any, *names: str) -> None:

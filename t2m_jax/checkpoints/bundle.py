@@ -132,7 +132,7 @@ def load_bundle_config(folder: Path) -> BundleConfig:
     Raises:
         UserError: The file is missing, damaged or of an unknown version, or the parts do not fit each other.
     """
-    return load_versioned(folder / CONFIG_FILE, {FORMAT_VERSION: BundleConfig})
+    return load_versioned(folder / CONFIG_FILE, BundleConfig, version=FORMAT_VERSION)
 
 
 def part_kinds(config: BundleConfig) -> dict[str, str]:

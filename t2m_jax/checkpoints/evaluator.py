@@ -84,9 +84,10 @@ def load_trained_evaluator(folder: str | Path) -> TrainedEvaluator:
     if not path.is_file():
         raise UserError(f"{folder}: not an evaluator (it has no {path.name}); train one with `t2m train evaluator`")
     if not has_manifest(folder):
-        load_versioned(path, {2: EvaluatorFolderConfig})  # says so if it is of an older version, which had no manifest
+        # Says so if it is of an older version, which had no manifest.
+        load_versioned(path, EvaluatorFolderConfig, version=2)
     check_folder(folder)
-    config = load_versioned(path, {2: EvaluatorFolderConfig}).model
+    config = load_versioned(path, EvaluatorFolderConfig, version=2).model
     normalizer = load_normalizer(folder)
     vocabulary = load_vocabulary(folder / WORDS_FILE)
     if len(vocabulary) != config.num_words:

@@ -74,7 +74,7 @@ def run_info(path: Path) -> RunInfo:
     """
     if not is_run(path):
         raise UserError(f"{path}: not a run directory (it has no {INFO_FILE})")
-    return load_versioned(path / INFO_FILE, {FORMAT_VERSION: RunInfo})
+    return load_versioned(path / INFO_FILE, RunInfo, version=FORMAT_VERSION)
 
 
 def check_run_files(path: Path) -> None:

@@ -327,15 +327,11 @@ def guided(logits: Float[Array, "B G K"], scale: Float[Array, " B"]) -> Float[Ar
     return logits[:, 1] + scale[:, None] * (logits[:, 0] - logits[:, 1])
 
 
-def _example(config: HiFiGptConfig) -> tuple[Any, ...]:
-    return jnp.zeros((1, 1, config.num_quantizers), jnp.int32), jnp.zeros((1, config.text_dim))
-
-
 PART = Part(
     role="generator",
     config=HiFiGptConfig,
     module=HiFiGpt,
-    example=_example,
+    example=lambda config: (jnp.zeros((1, 1, config.num_quantizers), jnp.int32), jnp.zeros((1, config.text_dim))),
     stop_threshold=lambda config: config.stop_threshold,
 )
 """The entry point `hifigpt`."""

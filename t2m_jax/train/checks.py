@@ -1,11 +1,13 @@
 """What is checked before a run starts or is resumed."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
+import jax
 import numpy as np
+from flax import traverse_util
 
 from t2m_jax.checkpoints.bundle import BUNDLED, WEIGHTS_FILE, bundle_path
 from t2m_jax.checkpoints.bundle import CONFIG_FILE as BUNDLE_FILE
@@ -134,3 +136,19 @@ def check_same_data(config: ExperimentConfig, dataset: Dataset) -> None:
         f"data: {dataset.folder} is not what {config.run} was started with (changed: {', '.join(changed)}); resume "
         f"with the old data, or start a new run with `--init {config.run}`"
     )
+
+
+def checked_weights(source: Path, weights: Mapping[str, Any], like: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns weights to start from.
+
+    Raises:
+        UserError: Their names or shapes are not those of `like`.
+    """
+    found = traverse_util.flatten_dict(dict(weights), sep="/")
+    wanted = traverse_util.flatten_dict(dict(like), sep="/")
+    for name in sorted(found.keys() | wanted.keys()):
+        shapes = [tree[name].shape if name in tree else "missing" for tree in (found, wanted)]
+        if shapes[0] != shapes[1]:
+            raise UserError(f"init: array {name!r} of {source} is {shapes[0]}, not {shapes[1]} as in the config")
+    # Bundles have 16-bit weights. Training goes on in the precision of the state.
+    return jax.tree.map(lambda leaf, other: jax.numpy.asarray(leaf, other.dtype), dict(weights), dict(like))

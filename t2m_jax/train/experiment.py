@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-from flax import traverse_util
 
 from t2m_jax.checkpoints.best import forget_best
 from t2m_jax.checkpoints.run import (
@@ -174,7 +173,9 @@ def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
             choose_devices(config.sharding, batch_size=config.loop.batch_size)
         state = None
         if config.init is not None and not (resume and has_checkpoint(config.run)):
-            state = with_weights(setup, setup.init(), config.init)
+            state = setup.init()
+            weights = checks.checked_weights(config.init, setup.start_from(config.init), setup.weights(state))
+            state = state._replace(**weights)
         write_run(config, setup, resume=resume)
         wait_for_all("written")  # the others read what process 0 wrote
         state = setup.init() if state is None else state
@@ -193,31 +194,6 @@ def write_run(config: ExperimentConfig, setup: Setup, *, resume: bool) -> None:
     setup.write_parts(config.run)
     save_training_data(config.run / DATA_FILE, summarize_training_data(setup.dataset, setup.clips))
     create_run(config.run, config.kind, config, data=checks.data_record(setup.dataset))
-
-
-def with_weights(setup: Setup, state: Any, init: Path) -> Any:
-    """Returns the state before the first update with the weights of a trained model.
-
-    Raises:
-        UserError: Those weights do not fit.
-    """
-    return state._replace(**checked_weights(init, setup.start_from(init), setup.weights(state)))
-
-
-def checked_weights(source: Path, weights: Mapping[str, Any], like: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns weights to start from.
-
-    Raises:
-        UserError: Their names or shapes are not those of `like`.
-    """
-    found = traverse_util.flatten_dict(dict(weights), sep="/")
-    wanted = traverse_util.flatten_dict(dict(like), sep="/")
-    for name in sorted(found.keys() | wanted.keys()):
-        shapes = [tree[name].shape if name in tree else "missing" for tree in (found, wanted)]
-        if shapes[0] != shapes[1]:
-            raise UserError(f"init: array {name!r} of {source} is {shapes[0]}, not {shapes[1]} as in the config")
-    # Bundles have 16-bit weights. Training goes on in the precision of the state.
-    return jax.tree.map(lambda leaf, other: jax.numpy.asarray(leaf, other.dtype), dict(weights), dict(like))
 
 
 def open_evaluation(setup: Setup) -> EvaluationTask | None:

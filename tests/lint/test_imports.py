@@ -37,7 +37,7 @@ def test_the_package_itself_imports_nothing():
     assert run_python(program) == "t2m_jax"
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["view", "--help"], ["no-such-command"]])
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["check", "--help"], ["no-such-command"]])
 def test_help_and_refusals_import_nothing_heavy(arguments):
     program = f"""
 import contextlib, io, sys

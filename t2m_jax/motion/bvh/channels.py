@@ -44,12 +44,12 @@ def parse_motion(text: bytes, path: Path, *, first_line: int, num_channels: int)
     first_row = line + 1
     row_lines = _check_layout(text, path, first_row=first_row, num_frames=num_frames, num_channels=num_channels)
     try:
-        values = np.fromstring(text, dtype=np.float64, sep=" ")
+        numbers = np.fromstring(text, dtype=np.float64, sep=" ")
     except ValueError:
         raise _bad_word(text, path, first_row) from None
-    if values.size != num_frames * num_channels:  # NumPy reads "1-2" as two numbers, but it is one word
+    if numbers.size != num_frames * num_channels:  # NumPy reads "1-2" as two numbers, but it is one word
         raise _bad_word(text, path, first_row)
-    values = values.reshape(num_frames, num_channels)
+    values = numbers.reshape(num_frames, num_channels)
     bad = np.flatnonzero(~(np.abs(values) < MAX_VALUE).all(axis=1))
     if bad.size:
         raise UserError(f"{path}:{first_row + row_lines[bad[0]]}: a value is not a finite number below {MAX_VALUE:g}")
