@@ -18,7 +18,7 @@ from t2m_jax.checkpoints.clip_files import (
     read_clip_config,
     read_text_arrays,
 )
-from t2m_jax.checkpoints.pretrained import encoder_fingerprint, params_from_torch
+from t2m_jax.checkpoints.pretrained import check_vocabulary, encoder_fingerprint, params_from_torch
 from t2m_jax.config import config_from_dict
 from t2m_jax.errors import UserError
 from t2m_jax.files.arrays import save_weights
@@ -97,14 +97,14 @@ def load_clip(name_or_folder: str | Path, *, text_dim: int | None = None) -> Tra
     if text_dim not in (None, config.text_dim):
         raise UserError(f"{name_or_folder}: has embeddings of {config.text_dim} numbers, but the GPT reads {text_dim}")
     tokenizer = load_clip_bpe(folder)
-    largest = max(tokenizer.get_vocab(with_added_tokens=True).values())
+    check_vocabulary(folder, tokenizer, config.vocabulary_size)
     end = tokenizer.token_to_id(END)
-    if largest >= config.vocabulary_size:
-        raise UserError(f"{folder}: the tokenizer has a token {largest}, but vocab_size is {config.vocabulary_size}")
     if config.end_token not in (None, end):
         raise UserError(f"{folder}: {END!r} is token {end}, but {CONFIG_FILE} says {_END_FIELD} {config.end_token}")
     path, arrays = read_text_arrays(folder)
-    variables = {"params": _params_from_arrays(path, arrays, config)}
+    if "text_projection.weight" not in arrays:
+        raise UserError(f"{path}: array 'text_projection.weight' is missing; give a CLIP saved with its projection")
+    variables = {"params": params_from_torch(path, arrays, param_shapes(config), _key_from_path)}
     return TrainedClip(config, variables, tokenizer, encoder_fingerprint(config, variables, tokenizer))
 
 
@@ -133,13 +133,6 @@ def param_shapes(config: ClipTextConfig) -> dict[tuple[str, ...], tuple[int, ...
     tokens = jnp.zeros((1, config.max_length), jnp.int32)
     params = jax.eval_shape(lambda: ClipText(config).init(jax.random.key(0), tokens))["params"]
     return {names: leaf.shape for names, leaf in traverse_util.flatten_dict(params).items()}
-
-
-def _params_from_arrays(path: Path, arrays: dict[str, np.ndarray], config: ClipTextConfig) -> dict[str, Any]:
-    """Returns the parameters of `ClipText`, after checking names, shapes and values."""
-    if "text_projection.weight" not in arrays:
-        raise UserError(f"{path}: array 'text_projection.weight' is missing; give a CLIP saved with its projection")
-    return params_from_torch(path, arrays, param_shapes(config), _key_from_path)
 
 
 def _key_from_path(names: tuple[str, ...]) -> str:

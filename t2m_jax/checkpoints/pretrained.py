@@ -9,6 +9,7 @@ import numpy as np
 from flax import traverse_util
 from tokenizers import Tokenizer
 
+from t2m_jax.errors import UserError
 from t2m_jax.files.arrays import fit_arrays
 
 
@@ -34,6 +35,14 @@ def params_from_torch(
     leaves = {names: fitted[key_from_path(names)] for names in shapes}
     flat = {names: leaf.T if names[-1] == "kernel" else leaf for names, leaf in leaves.items()}
     return traverse_util.unflatten_dict(flat)
+
+
+def check_vocabulary(path: Path, tokenizer: Tokenizer, size: int) -> None:
+    """Raises `UserError` if a tokenizer has tokens that its encoder does not know."""
+    # JAX reads NaN after the end of a table of embeddings, without an error.
+    largest = max(tokenizer.get_vocab(with_added_tokens=True).values(), default=0)
+    if largest >= size:
+        raise UserError(f"{path}: the tokenizer has a token {largest}, but vocab_size is {size}")
 
 
 def encoder_fingerprint(config: Any, variables: dict[str, Any], tokenizer: Tokenizer) -> str:

@@ -77,11 +77,6 @@ def run_info(path: Path) -> RunInfo:
     return load_versioned(path / INFO_FILE, RunInfo, version=FORMAT_VERSION)
 
 
-def check_run_files(path: Path) -> None:
-    """Raises `UserError` if a file that a run was started with has changed, such as its statistics or its words."""
-    check_folder(path)
-
-
 def is_run(path: Path) -> bool:
     """Returns whether a folder was written by training."""
     return (path / INFO_FILE).is_file()
@@ -249,14 +244,6 @@ class Checkpoints:
             unfinished = self._unfinished
             self._unfinished = None
             unfinished.result()
-
-    def restore(self, like: State) -> State:
-        """Returns the newest intact checkpoint in the structure of `like`, a state of arrays or of shapes.
-
-        Raises:
-            UserError: There is no checkpoint, or it does not fit.
-        """
-        return type(like)(**self.restore_fields(like._asdict()))
 
     def restore_fields(self, like: Mapping[str, Any]) -> dict[str, Any]:
         """Returns some fields of the newest intact checkpoint, each in the structure of `like`.

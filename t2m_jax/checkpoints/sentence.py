@@ -14,7 +14,7 @@ from flax import traverse_util
 from tokenizers import Tokenizer, normalizers
 
 from t2m_jax.checkpoints.encoder_files import EncoderFiles, find_encoder
-from t2m_jax.checkpoints.pretrained import encoder_fingerprint, params_from_torch
+from t2m_jax.checkpoints.pretrained import check_vocabulary, encoder_fingerprint, params_from_torch
 from t2m_jax.config import config_from_dict
 from t2m_jax.errors import UserError
 from t2m_jax.files.arrays import read_arrays
@@ -214,9 +214,7 @@ def load_sentence_tokenizer(folder: Path, config: SentenceEncoderConfig) -> Toke
     """
     tokenizer = load_bpe(folder)
     path = folder / TOKENIZER_FILE
-    largest = max(tokenizer.get_vocab(with_added_tokens=True).values(), default=0)
-    if largest >= config.vocabulary_size:
-        raise UserError(f"{path}: has a token {largest}, but vocab_size is {config.vocabulary_size}")
+    check_vocabulary(path, tokenizer, config.vocabulary_size)
     # A caption without any token would have no embedding.
     if not 0 < (special := tokenizer.num_special_tokens_to_add(False)) < config.max_length:
         raise UserError(

@@ -8,7 +8,7 @@ import jax
 from t2m_jax.checkpoints.best import restore_trained
 from t2m_jax.checkpoints.bundle import CONFIG_FILE, bundle_path, check_statistics_width, load_bundle, load_bundle_config
 from t2m_jax.checkpoints.hub_models import find_model
-from t2m_jax.checkpoints.run import check_run_files, is_run, run_info
+from t2m_jax.checkpoints.run import is_run, run_info
 from t2m_jax.config import load_config, save_config
 from t2m_jax.errors import UserError
 from t2m_jax.files.arrays import fingerprint, load_arrays, save_arrays
@@ -43,7 +43,7 @@ def load_tokenizer_config(path: str | Path) -> TokenizerConfig:
     """
     path = bundle_path(path)
     if is_run(path):
-        check_run_files(path)
+        check_folder(path)  # the statistics and sizes that the run was started with
     if (path / CONFIG_FILE).is_file():
         return load_bundle_config(path).tokenizer
     if not is_run(path):

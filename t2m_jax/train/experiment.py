@@ -18,7 +18,6 @@ import jax
 from t2m_jax.checkpoints.best import forget_best
 from t2m_jax.checkpoints.run import (
     DATA_FILE,
-    check_run_files,
     create_run,
     has_checkpoint,
     restore_latest,
@@ -35,6 +34,7 @@ from t2m_jax.evaluation.monitor import SPLIT, held_out_metrics, open_held_out, s
 from t2m_jax.evaluation.sources import CodeSource
 from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.export.render.rendering import render_poster
+from t2m_jax.files.manifest import check_folder
 from t2m_jax.train import checks
 from t2m_jax.train.best import BestWeights
 from t2m_jax.train.config import EvaluationConfig, ExperimentConfig, LoopConfig
@@ -157,7 +157,7 @@ def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
         trainer = find_trainer(config.kind)
         if resume:
             run_info(config.run)
-            check_run_files(config.run)
+            check_folder(config.run)  # the statistics, sizes and words that it was started with
         else:
             checks.check_new_run(config.run)
         wait_for_all("checked")  # before process 0 creates what the others look for

@@ -62,7 +62,8 @@ def save(run, *steps, keep=None):
 
 def restore(run, like=None):
     with Checkpoints(run) as checkpoints:
-        return checkpoints.restore(state_at(0) if like is None else like)
+        like = state_at(0) if like is None else like
+        return type(like)(**checkpoints.restore_fields(like._asdict()))
 
 
 def assert_same(state, other):

@@ -120,7 +120,7 @@ def test_the_newest_checkpoints_are_kept(tmp_path, keep, expected):
     run_loop(tmp_path, START, counting(), config=loop(checkpoint_every=3, keep=keep))
     assert kept_steps(tmp_path) == expected
     with Checkpoints(tmp_path) as checkpoints:
-        state = checkpoints.restore(START)
+        state = START._replace(**checkpoints.restore_fields(START._asdict()))
     assert int(state.step) == 10
     np.testing.assert_array_equal(state.weight, [10.0, 10.0])
 
@@ -146,7 +146,7 @@ def test_when_asked_to_stop_the_state_of_that_moment_is_kept(tmp_path, size, kep
         )
     assert found.value.number == signal.SIGTERM and kept_steps(tmp_path) == [kept]
     with Checkpoints(tmp_path) as checkpoints:
-        state = checkpoints.restore(START)
+        state = START._replace(**checkpoints.restore_fields(START._asdict()))
     assert int(state.step) == kept
     state = run_loop(tmp_path, state, counting(), config=loop())
     assert int(state.step) == 10
@@ -180,7 +180,7 @@ def test_damaged_rows_of_the_log_are_left_out(tmp_path):
     with (tmp_path / "train.csv").open("a", encoding="utf-8") as file:
         file.write("abc,1,2\n")
     with Checkpoints(tmp_path) as checkpoints:
-        state = checkpoints.restore(START)
+        state = START._replace(**checkpoints.restore_fields(START._asdict()))
     run_loop(tmp_path, state, counting(), config=loop())
     assert [row["step"] for row in rows(tmp_path)] == [4, 5, 8, 10]
 
@@ -206,7 +206,7 @@ def test_a_run_goes_on_from_a_state(tmp_path):
     run_loop(tmp_path / "whole", START, counting(), config=loop())
     run_loop(tmp_path / "parts", START, counting(), config=loop(num_steps=5))
     with Checkpoints(tmp_path / "parts") as checkpoints:
-        middle = checkpoints.restore(START)
+        middle = START._replace(**checkpoints.restore_fields(START._asdict()))
     run_loop(tmp_path / "parts", middle, counting(), config=loop())
     assert (tmp_path / "parts/train.csv").read_bytes() == (tmp_path / "whole/train.csv").read_bytes()
     assert kept_steps(tmp_path / "parts") == kept_steps(tmp_path / "whole")
