@@ -73,6 +73,8 @@ class HiFiGptConfig:
             raise ValueError(
                 f"code_embedding: frozen needs code_dim {self.code_dim} to be embed_dim {self.embed_dim}; use projected"
             )
+        if not 0 <= self.guidance_scale < float("inf"):
+            raise ValueError(f"guidance_scale: {self.guidance_scale} is not a number from 0")
         if not 0 < self.stop_threshold <= 1:
             raise ValueError(f"stop_threshold: {self.stop_threshold} is not a probability above 0 and at most 1")
 

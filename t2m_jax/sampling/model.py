@@ -102,20 +102,13 @@ class ModelParts:
         return Sampling(strategy or Temperature(), rule, max_codes or longest, min_codes)
 
     def guidance_scale(self, given: float | None = None) -> float | None:
-        """Returns the strength of the guidance: as given, or the model's own; None for none.
-
-        Raises:
-            UserError: It is not a number from 0.
-        """
-        scale = self.config.generator.guidance_scale if given is None else given
-        if scale is not None and not 0 <= scale < float("inf"):
-            raise UserError(f"guidance-scale: {scale} is not a number from 0")
-        return scale
+        """Returns the strength of the classifier-free guidance: as given, or the model's own; None for none."""
+        return self.config.generator.guidance_scale if given is None else given
 
     def _guidance(self, given: float | None) -> Float[Array, ""] | None:
-        """Returns the scale for the generator. A scale of 1 changes nothing, so only half of the work is needed."""
+        """Returns the scale for the generator."""
         scale = self.guidance_scale(given)
-        # A scale of 1 needs no second half of the batch.
+        # A scale of 1 changes nothing, so the second half of the batch, without text, is not computed.
         return None if scale is None or scale == 1 else jnp.asarray(scale, jnp.float32)
 
     def sample_codes(

@@ -2,12 +2,11 @@
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
@@ -16,26 +15,22 @@ from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.errors import UserError
 from t2m_jax.motion.motion import Motion
-from t2m_jax.sampling.batches import padded_batch_size
 from t2m_jax.sampling.compilation import use_compilation_cache
-from t2m_jax.sampling.decode import GrowingMotion, split_rows
-from t2m_jax.sampling.inbetween import redo, vary
-from t2m_jax.sampling.loop import Sampling
+from t2m_jax.sampling.generation import OnProgress, find_sampling, make_motions, make_rows
 from t2m_jax.sampling.model import ModelParts
-from t2m_jax.sampling.prompts import MAX_BATCH, Prompt, Sample, read_prompts
+from t2m_jax.sampling.prompts import Sample, read_prompts
 from t2m_jax.sampling.request import MotionRequest, SamplingOptions, sentences
-from t2m_jax.sampling.timeline import make_chain, make_chain_pieces
+from t2m_jax.sampling.timeline import make_chain_pieces
 from t2m_jax.text.encoder import TextEncoder
-
-OnProgress = Callable[[int, int], None]
-"""Called with the number of motions that are ready and the number of all, after each batch."""
 
 
 class TextToMotion:
     """A loaded model: `TextToMotion.load("demo").generate(["a person walks forward"])`.
 
     `make` and `make_pieces` take a `MotionRequest`, and the other methods are short ways to them. Their `**options` are
-    the fields of `SamplingOptions`: how codes are chosen, when motions end, and whether they are cleaned.
+    the fields of `SamplingOptions`: how codes are chosen, when motions end, and whether they are cleaned. All of them
+    give a `PromptWarning` if the model cannot know what a sentence asks for, and raise `UserError` if a sentence or a
+    number cannot be used, or a motion is too short or has another skeleton.
     """
 
     def __init__(self, bundle: Bundle, *, text_encoder: TextEncoder | None = None):
@@ -98,11 +93,7 @@ class TextToMotion:
         return self.parts.tokenizer
 
     def encode(self, motion: Motion) -> Int[np.ndarray, "N R"]:
-        """Returns the codes of a motion. Frames at its end that do not fill a code are left out.
-
-        Raises:
-            UserError: It has another skeleton than the model's, or is too short for a code.
-        """
+        """Returns the codes of a motion. Frames at its end that do not fill a code are left out."""
         return self.parts.encode(motion)
 
     def decode(self, codes: Int[np.ndarray, "N ..."], *, caption: str = "", raw: bool = False) -> Motion:
@@ -136,53 +127,7 @@ class TextToMotion:
         prompts = iter(read_prompts(captions, self.knowledge, self.text_encoder))
         read = [(request, list(itertools.islice(prompts, len(request.captions)))) for request in requests]
         # Only requests that follow each other are put together, so that motions come in the order of requests.
-        groups = itertools.groupby(read, key=lambda pair: (pair[0].is_plain, pair[0].options))
-        # A list, so that options are checked now, and not when the first motion is taken.
-        batches = [self._make_group(list(group), self._sampling(options)) for (_, options), group in groups]
-        total = sum(request.num_samples for request in requests)
-        return _unpack(itertools.chain.from_iterable(batches), total, on_progress)
-
-    def _make_group(
-        self, group: Sequence[tuple[MotionRequest, Sequence[Prompt]]], sampling: Sampling
-    ) -> Iterator[list[Motion]]:
-        """Yields the motions of requests with the same options in batches. This is where their kinds are told apart."""
-        if group[0][0].is_plain:
-            yield from self._make_together(group, sampling)
-            return
-        for request, prompts in group:
-            if request.span is not None:
-                yield redo(self.parts, request, prompts[0], sampling)
-            elif request.strength is not None:
-                yield from vary(self.parts, request, prompts[0], sampling)
-            else:
-                yield from make_chain(self.parts, request, prompts, sampling)
-
-    def _make_together(
-        self, group: Sequence[tuple[MotionRequest, Sequence[Prompt]]], sampling: Sampling
-    ) -> Iterator[list[Motion]]:
-        """Yields the motions of plain requests in batches."""
-        options = group[0][0].options
-        samples = (
-            Sample(prompt, request.seed, number)
-            for request, (prompt,) in group
-            for number in range(request.num_samples)
-        )
-        while batch := list(itertools.islice(samples, MAX_BATCH)):
-            # A power of two, so that few programs are compiled.
-            filled = [*batch, *[batch[0]] * (padded_batch_size(len(batch)) - len(batch))]
-            embedding = self.text_encoder([sample.prompt.text for sample in filled])
-            keys = jnp.stack([sample.key for sample in filled])
-            sampled = self.parts.sample_codes(embedding, keys, sampling, guidance_scale=options.guidance_scale)
-            lengths = np.asarray(sampled.code_lengths)
-            rows = np.asarray(sampled.codes)
-            codes = [rows[number, : lengths[number]] for number in range(len(batch))]
-            yield self.parts.decode_samples(
-                batch, codes, size=sampling.max_codes, batch=len(filled), clean=not options.raw
-            )
-
-    def _sampling(self, options: SamplingOptions) -> Sampling:
-        strategy = options.make_strategy()
-        return self.parts.sampling(strategy, max_codes=options.max_codes, stop_rule=options.stop_rule)
+        return make_motions(self.parts, read, on_progress)
 
     def make_pieces(self, request: MotionRequest, *, sample: int = 0) -> Iterator[Motion]:
         """Returns an iterator over the motion of a request while it is generated.
@@ -205,27 +150,10 @@ class TextToMotion:
         """
         if request.span is not None or request.strength is not None:
             raise UserError("stream: a change of a motion has no pieces; use make")
-        options = request.options
-        sampling = self._sampling(options)
         prompts = read_prompts(request.captions, self.knowledge, self.text_encoder)
-        if not request.is_plain:
-            return make_chain_pieces(self.parts, request, prompts, sampling)
-        # The rule of the highest score cuts a motion when all rows are known, and then nothing is left to stream.
-        if not sampling.stop_rule.ends_early:
-            if options.stop_rule is not None:
-                raise UserError(f"stop-rule: {options.stop_rule!r} needs all rows first; use threshold for a stream")
-            sampling = self._sampling(dataclasses.replace(options, stop_rule="threshold"))
-        return self._make_rows(Sample(prompts[0], request.seed, sample), sampling, options.guidance_scale)
-
-    def _make_rows(self, sample: Sample, sampling: Sampling, guidance_scale: float | None) -> Iterator[Motion]:
-        """Yields the motion of each row of codes of a sample when it is final."""
-        text = sample.prompt.text
-        growing = GrowingMotion(self.tokenizer, skeleton=self.skeleton, step=1, max_codes=sampling.max_codes)
-        rows = self.parts.sample_rows(self.text_encoder([text]), sample.key, sampling, guidance_scale)
-        for row, ended in rows:
-            motion = growing.add(row, ended=ended)
-            if motion is not None:
-                yield from split_rows(dataclasses.replace(motion, caption=text, seed=sample.seed))
+        if request.is_plain:
+            return make_rows(self.parts, Sample(prompts[0], request.seed, sample), request.options)
+        return make_chain_pieces(self.parts, request, prompts, find_sampling(self.parts, request.options))
 
     def generate(
         self,
@@ -244,12 +172,6 @@ class TextToMotion:
             num_samples: Motions per caption.
             on_progress: As in `make`.
             **options: Of `SamplingOptions`, such as `temperature=0.7`.
-
-        Warns:
-            PromptWarning: The model cannot know what a caption asks for. The motions say so, too.
-
-        Raises:
-            UserError: A caption or a number cannot be used.
         """
         return list(
             self.generate_each(captions, seed=seed, num_samples=num_samples, on_progress=on_progress, **options)
@@ -298,12 +220,6 @@ class TextToMotion:
             seed: From 0 to 2**32 - 1.
             num_samples: Motions to return.
             **options: Of `SamplingOptions`.
-
-        Warns:
-            PromptWarning: The model cannot know what a sentence asks for.
-
-        Raises:
-            UserError: A sentence or a number cannot be used, or `start` is too short or has another skeleton.
         """
         request = MotionRequest(
             captions=sentences(captions),
@@ -313,13 +229,9 @@ class TextToMotion:
             num_samples=num_samples,
             options=SamplingOptions(**options),
         )
-        motions = list(self.make(request))
         # A single sentence is not sampled as a chain, but says the same.
-        if request.is_plain:
-            motions = [
-                dataclasses.replace(motion, part_starts=(0,), part_captions=request.captions) for motion in motions
-            ]
-        return motions
+        parts: dict[str, Any] = {"part_starts": (0,), "part_captions": request.captions} if request.is_plain else {}
+        return [dataclasses.replace(motion, **parts) for motion in self.make(request)]
 
     def redo(
         self,
@@ -345,13 +257,6 @@ class TextToMotion:
             num_samples: Motions to return, the best ones first.
             num_candidates: Middles to choose them from.
             **options: Of `SamplingOptions`; `raw` leaves the middle as decoded.
-
-        Warns:
-            PromptWarning: The model cannot know what the sentence asks for.
-
-        Raises:
-            UserError: The sentence, the span or a number cannot be used, or the motion is too short or has another
-                skeleton.
         """
         request = MotionRequest(
             captions=(caption,),
@@ -384,12 +289,6 @@ class TextToMotion:
             seed: From 0 to 2**32 - 1.
             num_samples: Variations to return.
             **options: Of `SamplingOptions`.
-
-        Warns:
-            PromptWarning: The model cannot know what the sentence asks for.
-
-        Raises:
-            UserError: The sentence or a number cannot be used, or the motion is too short or has another skeleton.
         """
         request = MotionRequest(
             captions=(motion.caption if caption is None else caption,),
@@ -412,9 +311,6 @@ class TextToMotion:
             seed: From 0 to 2**32 - 1.
             sample: Number of the motion among the samples of `generate`.
             **options: Of `SamplingOptions`.
-
-        Raises:
-            UserError: The caption or a number cannot be used.
         """
         request = MotionRequest(captions=(caption,), seed=seed, options=SamplingOptions(**options))
         return self.make_pieces(request, sample=sample)
@@ -440,14 +336,4 @@ class TextToMotion:
             options=SamplingOptions(**options),
         )
         prompts = read_prompts(request.captions, self.knowledge, self.text_encoder)
-        return make_chain_pieces(self.parts, request, prompts, self._sampling(request.options))
-
-
-def _unpack(batches: Iterable[list[Motion]], total: int, on_progress: OnProgress | None) -> Iterator[Motion]:
-    """Yields the motions of batches one by one."""
-    ready = 0
-    for motions in batches:
-        ready += len(motions)
-        if on_progress is not None:
-            on_progress(ready, total)
-        yield from motions
+        return make_chain_pieces(self.parts, request, prompts, find_sampling(self.parts, request.options))

@@ -223,7 +223,7 @@ def test_files_are_written_before_the_next_motions_are_generated(bundle_folder, 
         return sample_codes(*args, **kwargs)
 
     monkeypatch.setattr(ModelParts, "sample_codes", record)
-    monkeypatch.setattr("t2m_jax.sampling.pipeline.MAX_BATCH", 2)
+    monkeypatch.setattr("t2m_jax.sampling.generation.MAX_BATCH", 2)
     options = ["--model", f"{bundle_folder}", "--num-samples", "5", "-o", f"{tmp_path / 'walk.npz'}"]
     assert main(["generate", "a person walks", *options]) == 0
     assert counts == [0, 2, 4] and len(list(tmp_path.glob("*.npz"))) == 5

@@ -221,7 +221,7 @@ def test_numbers_are_a_strategy(model):
 
 
 def test_progress_is_told_after_each_batch(model, monkeypatch):
-    monkeypatch.setattr("t2m_jax.sampling.pipeline.MAX_BATCH", 3)
+    monkeypatch.setattr("t2m_jax.sampling.generation.MAX_BATCH", 3)
     told = []
     model.generate(CAPTIONS[:2], num_samples=4, on_progress=lambda *counts: told.append(counts))
     assert told == [(3, 8), (6, 8), (8, 8)]
@@ -280,7 +280,7 @@ def codes_by_batch_size(name):
     codes = {}
     for size in (1, 8, 32):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("t2m_jax.sampling.pipeline.MAX_BATCH", size)
+            patch.setattr("t2m_jax.sampling.generation.MAX_BATCH", size)
             model = TextToMotion.load(name)
             motions = [motion for seed in range(8) for motion in model.generate(captions, seed=seed)]
         codes[size] = [motion.codes.tolist() for motion in motions]

@@ -18,7 +18,9 @@ CONFIGS = {
 NUM_SLOTS = 4
 
 
-@pytest.fixture(scope="module", params=["gpt", pytest.param("hifigpt", marks=pytest.mark.slow)])
+@pytest.fixture(
+    scope="module", params=["gpt", *(pytest.param(name, marks=pytest.mark.slow) for name in ("argmax", "sampled"))]
+)
 def model(request):
     return TextToMotion(random_bundle(CONFIGS[request.param]))
 

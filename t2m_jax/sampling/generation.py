@@ -1,0 +1,117 @@
+"""Motions of requests whose sentences were read. Here the kinds of requests are told apart."""
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
+
+import jax.numpy as jnp
+import numpy as np
+
+from t2m_jax.errors import UserError
+from t2m_jax.motion.motion import Motion
+from t2m_jax.sampling.batches import padded_batch_size
+from t2m_jax.sampling.decode import GrowingMotion, split_rows
+from t2m_jax.sampling.inbetween import redo, vary
+from t2m_jax.sampling.loop import Sampling
+from t2m_jax.sampling.model import ModelParts
+from t2m_jax.sampling.prompts import MAX_BATCH, Prompt, Sample
+from t2m_jax.sampling.request import MotionRequest, SamplingOptions
+from t2m_jax.sampling.timeline import make_chain
+
+OnProgress = Callable[[int, int], None]
+"""Called with the number of motions that are ready and the number of all, after each batch."""
+
+ReadRequest = tuple[MotionRequest, Sequence[Prompt]]
+"""A request and the prompts of its sentences."""
+
+
+def find_sampling(model: ModelParts, options: SamplingOptions) -> Sampling:
+    """Returns how codes are sampled with some options.
+
+    Raises:
+        UserError: An option does not fit the model.
+    """
+    return model.sampling(options.make_strategy(), max_codes=options.max_codes, stop_rule=options.stop_rule)
+
+
+def make_motions(
+    model: ModelParts, requests: Sequence[ReadRequest], on_progress: OnProgress | None
+) -> Iterator[Motion]:
+    """Returns an iterator over the motions of requests, request by request.
+
+    Raises:
+        UserError: A request does not fit the model.
+    """
+    # Only requests that follow each other are put together, so that motions come in the order of requests.
+    groups = itertools.groupby(requests, key=lambda pair: (pair[0].is_plain, pair[0].options))
+    # A list, so that options are checked now, and not when the first motion is taken.
+    batches = [_make_group(model, list(group), find_sampling(model, options)) for (_, options), group in groups]
+    total = sum(request.num_samples for request, _ in requests)
+    return _unpack(itertools.chain.from_iterable(batches), total, on_progress)
+
+
+def _unpack(batches: Iterable[list[Motion]], total: int, on_progress: OnProgress | None) -> Iterator[Motion]:
+    """Yields the motions of batches one by one."""
+    ready = 0
+    for motions in batches:
+        ready += len(motions)
+        if on_progress is not None:
+            on_progress(ready, total)
+        yield from motions
+
+
+def _make_group(model: ModelParts, group: Sequence[ReadRequest], sampling: Sampling) -> Iterator[list[Motion]]:
+    """Yields the motions of requests with the same options in batches."""
+    if group[0][0].is_plain:
+        yield from _make_together(model, group, sampling)
+        return
+    for request, prompts in group:
+        if request.span is not None:
+            yield redo(model, request, prompts[0], sampling)
+        elif request.strength is not None:
+            yield from vary(model, request, prompts[0], sampling)
+        else:
+            yield from make_chain(model, request, prompts, sampling)
+
+
+def _make_together(model: ModelParts, group: Sequence[ReadRequest], sampling: Sampling) -> Iterator[list[Motion]]:
+    """Yields the motions of plain requests in batches."""
+    options = group[0][0].options
+    samples = (
+        Sample(prompt, request.seed, number) for request, (prompt,) in group for number in range(request.num_samples)
+    )
+    while batch := list(itertools.islice(samples, MAX_BATCH)):
+        # A power of two, so that few programs are compiled.
+        filled = [*batch, *[batch[0]] * (padded_batch_size(len(batch)) - len(batch))]
+        embedding = model.text_encoder([sample.prompt.text for sample in filled])
+        keys = jnp.stack([sample.key for sample in filled])
+        sampled = model.sample_codes(embedding, keys, sampling, guidance_scale=options.guidance_scale)
+        lengths = np.asarray(sampled.code_lengths)
+        rows = np.asarray(sampled.codes)
+        codes = [rows[number, : lengths[number]] for number in range(len(batch))]
+        yield model.decode_samples(batch, codes, size=sampling.max_codes, batch=len(filled), clean=not options.raw)
+
+
+def make_rows(model: ModelParts, sample: Sample, options: SamplingOptions) -> Iterator[Motion]:
+    """Returns an iterator over the motion of each row of codes of a sample, as decoded, when it is final.
+
+    Raises:
+        UserError: An option does not fit the model, or the stop rule needs all rows first.
+    """
+    sampling = find_sampling(model, options)
+    # The rule of the highest score cuts a motion when all rows are known, and then nothing is left to stream.
+    if not sampling.stop_rule.ends_early:
+        if options.stop_rule is not None:
+            raise UserError(f"stop-rule: {options.stop_rule!r} needs all rows first; use threshold for a stream")
+        sampling = find_sampling(model, dataclasses.replace(options, stop_rule="threshold"))
+    return _make_rows(model, sample, sampling, options.guidance_scale)
+
+
+def _make_rows(model: ModelParts, sample: Sample, sampling: Sampling, guidance_scale: float | None) -> Iterator[Motion]:
+    """Yields the motions of `make_rows`. A function of its own, so that options are checked before the first one."""
+    text = sample.prompt.text
+    growing = GrowingMotion(model.tokenizer, skeleton=model.skeleton, step=1, max_codes=sampling.max_codes)
+    for row, ended in model.sample_rows(model.text_encoder([text]), sample.key, sampling, guidance_scale):
+        motion = growing.add(row, ended=ended)
+        if motion is not None:
+            yield from split_rows(dataclasses.replace(motion, caption=text, seed=sample.seed))
