@@ -54,6 +54,7 @@ def _audit_run(path: Path) -> Iterator[AuditedPart]:
     with Checkpoints(path) as checkpoints:
         for step in checkpoints.steps():
             yield AuditedPart(f"checkpoint {step}", checkpoints.damage(step, thorough=True))
+    # After a kill there may be older ones, too. All are checked, because the newest may be the damaged one.
     for folder in sorted((path / BEST_FOLDER).glob("[0-9]*")):
         if folder.is_dir():
             yield _audit_folder(folder, f"best weights of step {folder.name}")

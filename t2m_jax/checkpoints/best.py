@@ -43,6 +43,7 @@ def find_best(run: Path) -> Best | None:
     folder = _newest(run)
     if folder is None:
         return None
+    # The weights are large. They are checked when they are loaded.
     check_folder(folder, only=(BEST_FILE,))
     return load_config(folder / BEST_FILE, Best)
 
@@ -53,6 +54,8 @@ def save_best(run: Path, best: Best, fields: Mapping[str, Any]) -> None:
     They are in a folder with a manifest, which appears complete. A run that is killed at any moment has the new weights
     or the old.
     """
+    # A new folder each time: weights and figures must change together, and a folder with files cannot be replaced in
+    # one step.
     folder = run / BEST_FOLDER / f"{best.step}"
     with atomic_folder(folder) as partial:
         save_arrays(partial / WEIGHTS_FILE, fields)

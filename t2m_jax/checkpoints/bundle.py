@@ -145,6 +145,7 @@ def part_kinds(config: BundleConfig) -> dict[str, str]:
 
 def expected_variables(config: BundleConfig) -> dict[str, Any]:
     """Returns the shapes of all variables of a model by role."""
+    # Shapes only: a hostile config may ask for more memory than there is, before its weights are seen not to fit.
     shapes = {"tokenizer": variable_shapes(config.tokenizer), "generator": variable_shapes(config.generator)}
     if isinstance(config.text_encoder, CaptionEncoderConfig):
         module = CaptionEncoder(config.text_encoder)
@@ -176,6 +177,7 @@ def load_bundle(path: Path) -> Bundle:
     arrays = traverse_util.unflatten_dict(fit_arrays(path / WEIGHTS_FILE, found, leaves), sep="/")
     normalizer = load_normalizer(path)
     check_statistics_width(path, normalizer, config.tokenizer.feature_dim)
+    # The copy in the bundle comes first, so that the model needs no network and no hub name that still exists.
     if isinstance(config.text_encoder, Reference) and (included := path / config.text_encoder.kind).is_dir():
         config = dataclasses.replace(config, text_encoder=dataclasses.replace(config.text_encoder, name=str(included)))
     data = load_training_data(path)
@@ -194,6 +196,7 @@ def load_training_data(folder: Path) -> dict[str, Any] | None:
     data = load_json(path) if path.is_file() else None
     if data is not None and not isinstance(data, dict):
         raise UserError(f"{path}: expected an object, got {reprlib.repr(data)}")
+    # Warnings, pages and the studio use these, and the file may come from the hub: so types are checked once, here.
     for name, kind in {"num_clips": int, "words": dict, "actions": dict}.items():
         found = (data or {}).get(name, kind())
         numbers = found.values() if isinstance(found, dict) else [found]
@@ -259,6 +262,7 @@ def write_bundle(
         save_json(folder / DATA_FILE, bundle.training_data)
     if encoder is not None:
         save_pretrained(folder / bundle.config.text_encoder.kind, encoder)
+    # The manifest is last, because it lists all files that are there.
     save_text(folder / CARD_FILE, card)
     write_manifest(folder)
 

@@ -102,6 +102,7 @@ def load_clip(name_or_folder: str | Path, *, text_dim: int | None = None) -> Tra
     if config.end_token not in (None, end):
         raise UserError(f"{folder}: {END!r} is token {end}, but {CONFIG_FILE} says {_END_FIELD} {config.end_token}")
     path, arrays = read_text_arrays(folder)
+    # Some files are saved without it. Their embeddings are in another space than those that the GPT was trained on.
     if "text_projection.weight" not in arrays:
         raise UserError(f"{path}: array 'text_projection.weight' is missing; give a CLIP saved with its projection")
     variables = {"params": params_from_torch(path, arrays, param_shapes(config), _key_from_path)}

@@ -20,6 +20,7 @@ def drop_derived(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {
         name: array
         for name, array in arrays.items()
+        # A copy that differs from the codebook cannot be made from it, so it stays.
         if not (name.endswith(SUMS) or (name.endswith(COPY) and np.array_equal(array, codebook)))
     }
 

@@ -58,6 +58,7 @@ def _hub_snapshot(name: HubName, files: EncoderFiles) -> Path:
     """Returns the folder in which the hub's client keeps an encoder; downloads one weight format if necessary."""
     reason = ""
     others = [*files.required, *(file for row in files.tokenizers for file in row), *files.optional]
+    # First without network, in all formats: what is on this machine needs no request, which may take long or fail.
     for offline in (True, False):
         for weights in files.weights:
             try:
@@ -66,6 +67,7 @@ def _hub_snapshot(name: HubName, files: EncoderFiles) -> Path:
                 reason = str(error)
                 if offline:
                     continue
+                # The hub cannot be reached, or has no such model. Another format would not help.
                 break
             # The snapshot may be partial.
             if _is_complete(folder, files, weights):

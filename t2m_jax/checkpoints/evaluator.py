@@ -50,6 +50,7 @@ def make_trained_evaluator(
 ) -> TrainedEvaluator:
     """Returns an evaluator with its fingerprint: a digest of sizes, weights, statistics and words."""
     words = "\n".join(vocabulary.words)
+    # Everything that a figure depends on. Words count, because their order decides which vector each gets.
     digest = fingerprint(f"{config!r}{words}", jax.device_get(variables), normalizer._asdict())
     return TrainedEvaluator(config, variables, normalizer, vocabulary, digest)
 

@@ -10,6 +10,7 @@ from t2m_jax.files.reading import first_line
 
 SECONDS = 10
 """Longest wait for the first answer of the hub. After it, a copy on this machine is used."""
+# A revision may be a path such as `refs/pr/1`. It becomes a path in the client's folder, so it must not contain `..`.
 _NAME = re.compile(r"([A-Za-z0-9][\w.-]*/[\w.-]+)(?:@(?!.*\.\.)(\w[\w./-]*))?", re.ASCII)
 
 
@@ -75,6 +76,7 @@ def hub_snapshot(name: HubName, files: Sequence[str], *, cache_dir: Path | None 
         folder = huggingface_hub.snapshot_download(
             name.repository,
             revision=name.revision,
+            # Without a list, everything would be downloaded, code and pickles included.
             allow_patterns=list(files),
             cache_dir=cache_dir,
             local_files_only=offline,

@@ -44,6 +44,7 @@ BUNDLE_FILES = frozenset(
     }
 )
 """What the manifest of a bundle may list."""
+# Those of the packaged models have 9 kB. The rest is for cards with pictures in them.
 MAX_DESCRIPTION_BYTES = 5_000_000
 MAX_BYTES = 20 * 10**9
 """Largest bundle that is downloaded: several times the largest text-to-motion model that was published."""
@@ -115,6 +116,7 @@ def cached_models() -> Iterator[FoundModel]:
         for revision in sorted(repository.revisions, key=lambda revision: -revision.last_modified):
             ref = None if "main" in revision.refs else min(revision.refs, default=revision.commit_hash)
             with contextlib.suppress(UserError):
+                # The client's folder is shared by all programs, and most of its models are none of ours.
                 check_shareable(revision.snapshot_path)
                 if repository.repo_type == "model" and _is_complete(revision.snapshot_path):
                     yield FoundModel(revision.snapshot_path, f"{HubName(repository.repo_id, ref)}")
@@ -154,11 +156,13 @@ def push_bundle(folder: Path, name: HubName, *, private: bool = False) -> str:
         check_shareable(folder)
     except UserError as error:
         raise UserError(f"{folder}: {error}") from None
+    # Users check SHA-256 of what they download. Damage must show here, not there.
     check_folder(folder, thorough=True)
     api = huggingface_hub.HfApi()
     files = [MANIFEST, *read_manifest(folder)]
     try:
         url = api.create_repo(name.repository, private=private or None, exist_ok=True)
+        # `exist_ok` also accepts a repository that is public, and leaves it so.
         if private and not api.model_info(name.repository).private:
             raise UserError(f"it exists already and is public; make it private on {url} first")
         if name.revision is not None:
@@ -214,12 +218,15 @@ def _ask_hub(name: HubName, copy: Path | None) -> Path:
         return copy
     if copy is not None and copy.name == files.commit:
         return copy
+    # First the small files: what is not a bundle is refused before gigabytes are downloaded.
     with _description(name, files, needs=CONFIG_FILE) as folder:
         _check_copy(name, folder, only=DESCRIPTION_FILES)
         wanted = [MANIFEST, *read_manifest(folder)]
     _check_size(name, files, wanted, MAX_BYTES)
     logger.info("%s: downloading commit %s from the hub", name, files.commit)
     try:
+        # By its name, not by the commit: the client then notes which commit it is, and finds it without network. If the
+        # hub has a newer commit by now, the check of all files shows it.
         return hub_snapshot(name, wanted)
     except UserError as error:
         raise UserError(f"{name}: cannot be downloaded ({error})") from None
@@ -233,6 +240,7 @@ def _description(name: HubName, files: HubFiles, *, needs: str) -> Iterator[Path
     _check_size(name, files, DESCRIPTION_FILES, MAX_DESCRIPTION_BYTES)
     with tempfile.TemporaryDirectory() as folder:
         try:
+            # The commit whose sizes were checked. The branch may have moved since.
             snapshot = hub_snapshot(name._replace(revision=files.commit), DESCRIPTION_FILES, cache_dir=Path(folder))
         except UserError as error:
             raise UserError(f"{name}: cannot be downloaded ({error})") from None

@@ -53,6 +53,7 @@ def load_generator_run(path: Path) -> Bundle:
         name: {kind: expected[role][name] for role, kind in kinds.items() if name in expected[role]}
         for name in collections
     }
+    # Only these fields: the moments of the optimizer have twice the size of the weights.
     found = jax.device_get(restore_trained(path, fields))
     variables = {"tokenizer": tokenizer.variables} | {
         role: {name: found[name][kind] for name in expected[role]} for role, kind in kinds.items()
@@ -78,6 +79,8 @@ def load_runs(paths: Sequence[Path]) -> tuple[Path, Bundle]:
         if path == generators[0]:
             continue
         tokenizer = load_tokenizer(path)
+        # The copy was made when the generator's training began. A tokenizer that was trained further since has other
+        # codes.
         same = tokenizer.config == bundle.config.tokenizer and jax.tree.all(
             jax.tree.map(np.array_equal, jax.device_get(tokenizer.variables), bundle.variables["tokenizer"])
         )

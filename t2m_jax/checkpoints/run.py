@@ -124,6 +124,10 @@ class Checkpoints:
         self._keep = keep
         self._folder = (run / CHECKPOINTS).resolve()
         self._folder.mkdir(parents=True, exist_ok=True)
+        # Orbax's CheckpointManager is not used, because a manifest could not cover its folders. After its only hook, it
+        # changes `_CHECKPOINT_METADATA`, adds `commit_success.txt` and renames the folder. A manifest that the hook
+        # writes does not fit these two files, and one that is written after the name can be lost when the process is
+        # killed.
         self._checkpointer = ocp.AsyncCheckpointer(ocp.CompositeCheckpointHandler())
         # Saving goes on while training does; the next save and closing wait for it.
         self._thread = concurrent.futures.ThreadPoolExecutor(1)
@@ -149,6 +153,7 @@ class Checkpoints:
 
     def _finished_steps(self) -> list[int]:
         names = [path.name for path in self._folder.iterdir() if path.is_dir()]
+        # `isdecimal` also accepts other scripts' digits and `007`, which would be deleted and restored as `7`.
         return sorted((int(name) for name in names if name.isdecimal() and str(int(name)) == name), reverse=True)
 
     @property
@@ -170,6 +175,8 @@ class Checkpoints:
         Raises:
             UserError: There are checkpoints, but all of them are damaged.
         """
+        # Renamed, because a step that has a folder would not be saved again. Not deleted, because somebody may still
+        # read parts of them.
         problems: dict[int, str] = {}
         for step in self.steps():
             if not (problem := self.damage(step)):
@@ -192,11 +199,15 @@ class Checkpoints:
         if step in self.steps():
             return
         args = self._ocp.args
+        # Orbax refuses items without arrays, and items that are one bare array: so each is in a dictionary below.
         fields = {name: value for name, value in state._asdict().items() if jax.tree.leaves(value)}
         items = {name: args.StandardSave({name: value}) for name, value in fields.items()}
+        # Two phases: Orbax writes all files and commits them under this name. Only then can checksums be taken, and
+        # only after these are on the disk does the folder get its number.
         partial = self._folder / f".{step}{PARTIAL}"
         self._saves = True
         self._delete_unfinished()
+        # Process 0 deletes. The others may not write before it has finished.
         wait_for_all("save")
         with self._writing(step):
             self._checkpointer.save(partial, args=args.Composite(**items))
@@ -213,6 +224,7 @@ class Checkpoints:
                 return
             write_manifest(partial)
             commit_folder(partial, self._folder / str(step))
+        # After the new one has its name, so that a kill at any moment leaves at least `keep` checkpoints.
         for old in self._finished_steps()[self._keep :] if self._keep else ():
             shutil.rmtree(self._folder / str(old), ignore_errors=True)
 
@@ -241,6 +253,7 @@ class Checkpoints:
     def _finish(self) -> None:
         """Waits for the save in progress."""
         if self._unfinished is not None:
+            # Forgotten first: an error is raised once, and not again when the folder is closed.
             unfinished = self._unfinished
             self._unfinished = None
             unfinished.result()
@@ -268,6 +281,7 @@ class Checkpoints:
         """
         args = self._ocp.args
         saved = {name: value for name, value in like.items() if jax.tree.leaves(value)}
+        # Without a sharding, Orbax takes that of the file, whose devices this machine may not have.
         shapes = jax.tree.map(_destination, saved)
         items = {name: args.StandardRestore({name: value}) for name, value in shapes.items()}
         try:
@@ -292,6 +306,7 @@ def restore_latest(run: Path, state: State) -> State:
     """
     with Checkpoints(run) as checkpoints:
         if is_writer():
+            # One process renames, and the others wait: all must resume from the same step.
             checkpoints.set_aside_damaged()
         wait_for_all("checked")
         steps = checkpoints.steps()

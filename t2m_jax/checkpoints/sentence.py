@@ -131,6 +131,7 @@ def save_sentence_encoder(folder: Path, encoder: TrainedSentenceEncoder) -> None
     """Copies the files of a sentence encoder."""
     (folder / POOLING_FILE).parent.mkdir(parents=True)
     files = SENTENCE_FILES
+    # Copied, not written again: we read less than is in the files, and other libraries may need the rest.
     for name in (*files.required, *files.tokenizers[0], *files.weights, *files.optional):
         if (encoder.folder / name).is_file():
             shutil.copyfile(encoder.folder / name, folder / name)
@@ -157,9 +158,12 @@ def read_sentence_config(folder: Path) -> SentenceEncoderConfig:
     if data.get("position_embedding_type", "absolute") != "absolute":
         raise UserError(f"{path}: position_embedding_type must be 'absolute'; other kinds are not supported")
     fields = {ours: data[theirs] for theirs, ours in _FIELDS.items() if theirs in data}
+    # RoBERTa counts positions from the one after its padding token. MPNet does so, too, and always has padding token 1.
     fields["first_position"] = (
         0 if kind == _BERT else 2 if kind == _MPNET else _whole(path, data, "pad_token_id", 1) + 1
     )
+    # MPNet has a bias by the distance of tokens, which is in 32 classes if the file does not say, and no kinds of
+    # sentences.
     if kind == _MPNET:
         fields = {"num_buckets": 32, **fields, "num_types": 0}
     fields["max_length"] = min(_max_length(folder), _whole(path, data, _POSITIONS, 512) - fields["first_position"])
@@ -179,6 +183,7 @@ def _read_modules(folder: Path) -> bool:
             f"{path}: expected Transformer, Pooling (in 1_Pooling) and perhaps Normalize, got {', '.join(names)[:80]}; "
             "other steps are not supported"
         )
+    # Such a prompt is put before each text, and embeddings without it would be others than the library's.
     if _load_optional(folder / PROMPTS_FILE).get("default_prompt_name") is not None:
         raise UserError(f"{folder / PROMPTS_FILE}: has a default prompt, which is not supported")
     return len(names) > 2
@@ -199,6 +204,7 @@ def _read_pooling(folder: Path) -> Any:
 
 def _max_length(folder: Path) -> int:
     """Returns the number of tokens that are read, special ones included, as far as files limit it."""
+    # In the library's order: its own limit wins over that of the tokenizer.
     for name, field in ((LENGTH_FILE, "max_seq_length"), (TOKENIZER_CONFIG_FILE, "model_max_length")):
         data = _load_optional(folder / name)
         if data.get(field) is not None:
@@ -220,6 +226,7 @@ def load_sentence_tokenizer(folder: Path, config: SentenceEncoderConfig) -> Toke
         raise UserError(
             f"{path}: adds {special} special tokens; expected at least 1, and fewer than {config.max_length}"
         )
+    # The library does this itself, before its tokenizer.
     if _load_optional(folder / LENGTH_FILE).get("do_lower_case") is True:
         others = [] if tokenizer.normalizer is None else [tokenizer.normalizer]
         tokenizer.normalizer = normalizers.Sequence([normalizers.Lowercase(), *others])
@@ -230,6 +237,7 @@ def load_sentence_tokenizer(folder: Path, config: SentenceEncoderConfig) -> Toke
 
 def _load_params(path: Path, config: SentenceEncoderConfig) -> dict[str, Any]:
     """Returns the parameters of `SentenceEncoder`. What other uses of the network need is not read."""
+    # Files of a network with a head for another task have its family's name before the names of the encoder.
     arrays = {re.sub(r"^(bert|roberta|mpnet)\.", "", key): array for key, array in read_arrays(path).items()}
     # Some files have numbers of positions and of kinds, which are not weights.
     used = {

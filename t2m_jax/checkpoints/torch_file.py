@@ -84,6 +84,7 @@ def _read_archive(file: BinaryIO) -> Any:
         (root,) = roots
         if members[f"{root}/data.pkl"].file_size > MAX_PICKLE_BYTES:
             raise UserError(f"its table of contents is larger than {MAX_PICKLE_BYTES // 1_000_000} MB; not a model")
+        # Older versions of PyTorch do not write this member.
         order = archive.read(f"{root}/byteorder") if f"{root}/byteorder" in members else b"little"
         if order not in (b"little", b"big"):
             raise UserError(f"its byte order is {order[:20]!r}, which is neither little nor big")
@@ -101,12 +102,14 @@ def _read_archive(file: BinaryIO) -> Any:
 def _check_members(archive: zipfile.ZipFile, size: int) -> None:
     """Raises `UserError` if an archive could unpack to more than the size of the file."""
     members = archive.infolist()
+    # By a name, `zipfile` reads the last of two members. What was checked must be what is read.
     if len({member.filename for member in members}) < len(members):
         raise UserError("its archive has two members of the same name")
     if any(member.compress_type != zipfile.ZIP_STORED for member in members):
         raise UserError("its archive is compressed, but torch.save does not compress; use the downloaded file as it is")
     if any(member.file_size != member.compress_size for member in members):
         raise UserError("its archive is damaged: a member has two sizes")
+    # Members of a hostile archive may overlap: each fits into the file, but they unpack to many times its size.
     if sum(member.file_size for member in members) > size:
         raise UserError("its archive is damaged: the members are larger than the file")
 
@@ -133,6 +136,7 @@ def _read_legacy(file: BinaryIO) -> Any:
 
 def _legacy_places(file: BinaryIO, keys: Pickle, storages: dict[str, Storage]) -> dict[str, int]:
     """Returns the position of each storage. They follow the list of keys, each after its number of elements."""
+    # `repr`, because keys of a hostile file need not be hashable.
     if not isinstance(keys.value, list) or {*map(repr, keys.value)} != {*map(repr, storages)}:
         raise UserError("its list of storages does not fit its tensors")
     position = keys.end
@@ -191,6 +195,7 @@ class _Content:
     def _array(self, tensor: Tensor) -> np.ndarray:
         """Returns the array that a tensor describes, after checking that it is inside its storage."""
         storage, offset, shape, strides = tensor
+        # `type` and not `isinstance` below: a `bool` is an `int`, too.
         axes_fit = isinstance(shape, tuple) and isinstance(strides, tuple) and len(shape) == len(strides) <= MAX_AXES
         if not axes_fit or any(type(number) is not int or number < 0 for number in (offset, *shape, *strides)):
             raise UserError("has a tensor whose shape, strides or offset are not valid")
@@ -209,6 +214,7 @@ class _Content:
             raise UserError("has tensors that share their numbers more often than those of any model")
         if not count:
             return np.zeros(shape, storage.dtype)
+        # Each storage is read once. Tensors that share it are views.
         if storage.key not in self._rows:
             self._rows[storage.key] = self._read_storage(storage)
         row = self._rows[storage.key]

@@ -108,6 +108,7 @@ _FIXED = {
 _COUNTED = {
     pickle.BINUNICODE: "<I",
     pickle.SHORT_BINUNICODE: "<B",
+    # The strings of Python 2, which files of its time contain.
     pickle.SHORT_BINSTRING: "<B",
     pickle.BINSTRING: "<I",
     pickle.LONG1: "<B",
@@ -143,6 +144,7 @@ class _Machine:
                     self._stack.append(self._memo[number])
                 elif code in (pickle.BINPUT, pickle.LONG_BINPUT):
                     self._memo[number] = self._stack[-1]
+                # The version, and the length of a part for readers of streams, say nothing about the value.
                 elif code not in (pickle.PROTO, pickle.FRAME):
                     self._stack.append(number)
             elif code in _COUNTED:
@@ -210,6 +212,7 @@ class _Machine:
 
     def _line(self) -> str:
         """Returns the text up to the end of a line."""
+        # No name is this long. A search to the end of the data for each name would take quadratic time.
         end = self._data.find(b"\n", self.position, self.position + 1000)
         if end < 0:
             raise _DamageError

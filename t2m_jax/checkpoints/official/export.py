@@ -66,6 +66,7 @@ def export_official(path: Path, bundle: Bundle) -> None:
     Raises:
         UserError: The folder exists already, or the original has no such model.
     """
+    # Before the work, so that a wrong path is reported at once.
     check_new(path)
     tokenizer = bundle.config.tokenizer
     generator = bundle.config.generator

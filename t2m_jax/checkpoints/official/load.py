@@ -57,6 +57,7 @@ def vqvae_variables(state_dict: StateDict, config: VqVaeConfig) -> dict[str, Any
 
 def gpt_variables(state_dict: StateDict, config: MotionGptConfig, *, num_base: int | None = None) -> dict[str, Any]:
     """Returns the collections of a `MotionGpt`; without `num_base`, half of its blocks are the original's base."""
+    # All published GPTs have as many blocks in the base as in the head.
     num_base = config.num_layers // 2 if num_base is None else num_base
     return _variables(state_dict, gpt_weights(config, num_base=num_base))
 
@@ -111,6 +112,7 @@ def load_vqvae(
     is_orig = codebook in state
     width, feature_dim, _ = _shape(path, state, "vqvae.encoder.model.0.weight", axes=3)
     num_codes, code_dim = _shape(path, state, codebook if is_orig else "vqvae.quantizer.codebook", axes=2)
+    # Only batch norms have running means. Layer and group norms cannot be told apart by names and shapes.
     first_norm = "vqvae.encoder.model.2.1.model.0.norm1"
     default_norm = (
         "BN" if f"{first_norm}.running_mean" in state else "LN" if f"{first_norm}.weight" in state else "none"
@@ -122,6 +124,7 @@ def load_vqvae(
         num_codes=num_codes,
         code_dim=code_dim,
         width=width,
+        # Numbers 0 and 1 are the first convolution and its activation.
         num_stages=_count(state, "vqvae.encoder.model.{}.0.weight", first=2),
         depth=_count(state, "vqvae.encoder.model.2.1.model.{}.conv1.weight"),
         dilation_growth=dilation_growth,
@@ -151,6 +154,7 @@ def load_gpt(path: str | Path, *, num_heads: int = 16) -> tuple[MotionGptConfig,
     config = _config(
         path,
         MotionGptConfig,
+        # The table also has the end and the padding.
         num_codes=num_tokens - 2,
         embed_dim=embed_dim,
         text_dim=_shape(path, state, "trans_base.cond_emb.weight", axes=2)[1],
@@ -215,6 +219,7 @@ def _load_evaluator_parts(path: Path) -> StateDict:
 def _load_state_dict(path: Path, *, wrapper: str) -> StateDict:
     """Returns the tensors of a model's file by key; `wrapper` is the key that may contain them."""
     content: Mapping[Any, Any] = read_arrays(path) if path.suffix == ".safetensors" else load_torch_file(path)
+    # Both files of a model are named alike, so that they are easily given in the wrong order.
     for key, kind in WRAPPERS.items():
         if key != wrapper and isinstance(content.get(key), dict) and wrapper not in content:
             raise UserError(f"{path}: contains {kind} ({key!r}), but {WRAPPERS[wrapper]} is needed")
@@ -267,6 +272,7 @@ def _fit(
         if key not in state or state[key].shape != shape:
             problem = f"has shape {state[key].shape}; its config needs {shape}" if key in state else "is missing"
             raise UserError(f"{path}: {key!r} {problem}")
+        # A GPT with learned positions has the same names and shapes, but would make nonsense with our table.
         if is_used(key) and not np.allclose(state[key], constant(key, shape), rtol=0, atol=POSITION_TOLERANCE):
             raise UserError(f"{path}: {key!r} is not the table that the original computes; only T2M-GPT can be read")
     found = {key: array for key, array in state.items() if key not in constants}

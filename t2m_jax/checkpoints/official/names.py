@@ -27,6 +27,7 @@ def vqvae_weights(config: VqVaeConfig) -> Iterator[Weight]:
     """Yields every array of a `VqVae` that the original saves."""
     encoder = "vqvae.encoder.model"
     decoder = "vqvae.decoder.model"
+    # Convolution and activation come before the stages.
     last = 2 + config.num_stages
     features = config.feature_dim
     width = config.width
@@ -42,6 +43,7 @@ def vqvae_weights(config: VqVaeConfig) -> Iterator[Weight]:
     yield from _layer(f"{decoder}.{last}", (width, width, 3), "decoder", "penultimate", "conv")
     yield from _layer(f"{decoder}.{last + 2}", (features, width, 3), "decoder", "output", "conv")
     codebook = (config.num_codes, codes)
+    # This one is learned by gradients, so it is a parameter. The others are running means.
     if config.quantizer == "orig":
         yield Weight("vqvae.quantizer.embedding.weight", codebook, ("params", "quantizer", "codebook"))
     else:
@@ -84,6 +86,7 @@ def gpt_weights(config: MotionGptConfig, *, num_base: int) -> Iterator[Weight]:
     """Yields every array of a `MotionGpt`; the first `num_base` blocks are the original's base, the others its head."""
     width = config.embed_dim
     inner = config.mlp_ratio * width
+    # End and padding are read, but only the end is predicted: the head has one token less.
     tokens = (config.num_codes + 2, width)
     yield Weight("trans_base.tok_emb.weight", tokens, ("params", "token_embedding", "embedding"))
     yield from _layer("trans_base.cond_emb", (width, config.text_dim), "text_projection")
@@ -141,6 +144,7 @@ def evaluator_weights(config: EvaluatorConfig) -> Iterator[Weight]:
     """Yields every array of an `Evaluator` that the original saves: everything except the word vectors."""
     hidden = config.movement_hidden
     width = config.movement_dim
+    # The original cuts the foot contacts off before its first layer.
     features = config.feature_dim - NUM_CONTACTS
     yield from _layer("movement_encoder.main.0", (hidden, features, 4), "movement_encoder", "conv_0")
     yield from _layer("movement_encoder.main.3", (width, hidden, 4), "movement_encoder", "conv_1")
