@@ -6,7 +6,6 @@ cache is made when the data set is first read, and again when its files have cha
 data or, if that folder is not writable, in the user's cache folder.
 """
 
-import contextlib
 import hashlib
 import itertools
 import json
@@ -14,7 +13,6 @@ import logging
 import os
 import shutil
 import sys
-import time
 import zlib
 from collections.abc import Collection, Mapping
 from pathlib import Path
@@ -28,7 +26,6 @@ from tqdm import tqdm
 from t2m_jax.data.files import FEATURES, SPLITS, TEXTS, clip_or_reason, read_names
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
-from t2m_jax.files.locks import LockedError
 from t2m_jax.files.reading import load_array, load_json
 from t2m_jax.files.writing import atomic_folder, save_text
 
@@ -40,15 +37,11 @@ FRAMES = "frames.npy"
 INDEX = "index.json"
 BLOCK = 4 * 2**20
 """Bytes per checksum of the frames."""
-POLL_SECONDS = 0.2
-"""How often a process looks whether another one has written the same cache."""
 WAIT_SECONDS = 30.0
-"""How long it waits. Then it makes its own in the user's cache folder: the other one may have been killed on another
-host, which cannot be seen from here."""
+"""How long a process waits for another one that writes the same cache. Then it makes its own in the user's cache
+folder, because the other one may hang."""
 MAX_INDEX = 2**31
 """The largest index in bytes. It has the captions of all clips, so it grows with the data."""
-ABANDONED_SECONDS = 3600.0
-"""Age after which an unfinished cache is deleted: the process that wrote it was killed."""
 
 
 class CachedClips(NamedTuple):
@@ -156,10 +149,10 @@ def open_clips(folder: Path, *, feature_dim: int, names: Collection[str] = ()) -
     problems = []
     for place in places:
         try:
-            _build_or_wait(place, folder, sources, feature_dim=feature_dim)
+            _build(place, folder, sources, feature_dim=feature_dim)
         except UserError as error:
             problems.append(str(error))
-        # Also after a failure: another process may have finished its cache in the meantime.
+        # Also after a failure: another process may have finished the cache while this one waited.
         try:
             return load_cache(place, sources, names)
         except _UnusableError as error:
@@ -255,45 +248,21 @@ def _clips_from_index(index: dict[str, Any], frames: Float[np.ndarray, "F D"]) -
     return CachedClips(frames, spans, lines, index["left_out"], index["broken_captions"], index["blocks"])
 
 
-def _build_or_wait(path: Path, folder: Path, sources: Sources, *, feature_dim: int) -> None:
+def _build(path: Path, folder: Path, sources: Sources, *, feature_dim: int) -> None:
     """Writes the cache of a folder, or waits until another process that writes it has finished.
 
     Raises:
-        UserError: The cache cannot be written here, or the other process takes longer than `WAIT_SECONDS`.
+        UserError: The cache cannot be written here, the other process has finished it, or it takes longer than
+            `WAIT_SECONDS`.
     """
-    deadline = time.monotonic() + WAIT_SECONDS
-    while True:
-        try:
-            return _build(path, folder, sources, feature_dim=feature_dim)
-        except LockedError:
-            if time.monotonic() > deadline:
-                raise
-        time.sleep(POLL_SECONDS)
-        with contextlib.suppress(_UnusableError):
-            load_cache(path, sources)
-            return None
-
-
-def _build(path: Path, folder: Path, sources: Sources, *, feature_dim: int) -> None:
-    """Writes the cache of a folder.
-
-    Raises:
-        UserError: The cache cannot be written here, or another process has just written it.
-    """
-    for partial in path.parent.glob(f".{path.name}.*.partial"):
-        with contextlib.suppress(OSError):  # another process may delete it, too
-            if time.time() - max(file.stat().st_mtime for file in (partial, *partial.iterdir())) > ABANDONED_SECONDS:
-                shutil.rmtree(partial)
     # Open files survive this: processes that have mapped the old cache keep it.
     shutil.rmtree(path, ignore_errors=True)
-    with atomic_folder(path) as partial, (partial / FRAMES).open("w+b") as file:
+    with atomic_folder(path, seconds=WAIT_SECONDS) as partial, (partial / FRAMES).open("w+b") as file:
         index = _write_clips(file, folder, sources.names, feature_dim=feature_dim)
         index |= {"fingerprint": sources.fingerprint}
         count = -(-file.seek(0, os.SEEK_END) // BLOCK)
         index |= {"blocks": [_block_checksum(file, block) for block in range(count)]}
         save_text(partial / INDEX, json.dumps(index | {"checksum": _checksum(index)}))
-    with contextlib.suppress(OSError):
-        path.with_suffix(".cache").unlink()  # the cache in the format before this one
 
 
 def _write_clips(file: BinaryIO, folder: Path, names: frozenset[str], *, feature_dim: int) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Putting several data sets into one folder."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from t2m_jax.data.files import FEATURES, MIRROR_PREFIX, POSITIONS, SPLITS, TEXTS
@@ -56,18 +56,18 @@ def _copy_clip(name: str, dataset: Dataset, folder: Path) -> int:
 def _merged_info(datasets: Sequence[Dataset]) -> DatasetInfo:
     infos = [dataset.info for dataset in datasets]
 
-    def listed(field: str, separator: str) -> str:
-        return separator.join(dict.fromkeys(getattr(info, field) for info in infos if getattr(info, field)))
+    def listed(texts: Iterable[str], separator: str) -> str:
+        return separator.join(dict.fromkeys(filter(None, texts)))
 
     return DatasetInfo(
-        name=listed("name", " and "),
+        name=listed((info.name for info in infos), " and "),
         skeleton=infos[0].skeleton,
         fps=infos[0].fps,
         min_frames=min(info.min_frames for info in infos),
         max_frames=max(info.max_frames for info in infos),
-        licence=listed("licence", "; "),
-        source=listed("source", "; "),
-        attribution=listed("attribution", " "),
+        licence=listed((info.licence for info in infos), "; "),
+        source=listed((info.source for info in infos), "; "),
+        attribution=listed((info.attribution for info in infos), " "),
     )
 
 

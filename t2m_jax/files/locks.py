@@ -13,7 +13,7 @@ from t2m_jax.errors import UserError
 MAX_NAME = 60
 """Longest name that is repeated in the names of locks and unfinished files. File systems limit names to 255 bytes."""
 SECONDS = 0.2
-"""Longest wait for a lock. The file may be deleted just after it was opened, so that one try is not enough."""
+"""Usual wait for a lock. The file may be deleted just after it was opened, so that one try is not enough."""
 MAX_LOCK_FILE = 1024
 """Bytes of a lock file that are read: its owner is in the first 300, and a damaged file may have any size."""
 
@@ -29,7 +29,7 @@ def short_name(path: Path) -> str:
 
 
 @contextlib.contextmanager
-def lock(path: Path) -> Iterator[None]:
+def lock(path: Path, *, seconds: float = SECONDS) -> Iterator[None]:
     """Holds the lock of a destination: a lock of the kernel (`flock`) on a file `.NAME.lock` beside it.
 
     In one process, the lock can be taken again by what is called inside. The kernel releases it when the process ends,
@@ -41,6 +41,10 @@ def lock(path: Path) -> Iterator[None]:
     other. If a file system has no `flock`, the library `filelock` says so and creates the file instead; such a lock of
     a killed process is taken over on the same host only.
 
+    Args:
+        path: The destination.
+        seconds: How long to wait for another process.
+
     Raises:
         LockedError: Another process holds it.
         OSError: The file cannot be written.
@@ -48,9 +52,9 @@ def lock(path: Path) -> Iterator[None]:
     from filelock import FileLock, Timeout  # here, because reading needs no locks
 
     place = path.absolute().with_name(f".{short_name(path)}.lock")
-    holder = FileLock(place, timeout=SECONDS, is_singleton=True, thread_local=False)
+    holder = FileLock(place, is_singleton=True, thread_local=False)
     try:
-        holder.acquire()
+        holder.acquire(timeout=seconds)
     except Timeout:
         owner = _owner(place) or "another process"
         raise LockedError(f"{path}: is being written by {owner}; wait until it has finished, or end it") from None

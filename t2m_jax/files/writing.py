@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from t2m_jax.errors import UserError
-from t2m_jax.files.locks import lock, short_name
+from t2m_jax.files.locks import SECONDS, lock, short_name
 
 logger = logging.getLogger(__name__)
 
@@ -132,10 +132,11 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def atomic_folder(path: Path) -> Iterator[Path]:
+def atomic_folder(path: Path, *, seconds: float = SECONDS) -> Iterator[Path]:
     """Yields a temporary folder beside `path`, which is renamed to `path` when the block ends.
 
-    If the block fails, the temporary folder is deleted. Two processes cannot make the same folder at once.
+    If the block fails, the temporary folder is deleted. Two processes cannot make the same folder at once: the second
+    waits for some `seconds`.
 
     Raises:
         UserError: `path` exists already, cannot be written, or another process is making it.
@@ -143,7 +144,7 @@ def atomic_folder(path: Path) -> Iterator[Path]:
     check_new(path)
     with writing(path):
         path.absolute().parent.mkdir(parents=True, exist_ok=True)
-        with lock(path):
+        with lock(path, seconds=seconds):
             check_new(path)
             _delete_abandoned(path)
             partial = _partial(path, "")

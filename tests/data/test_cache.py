@@ -4,11 +4,13 @@ import json
 import logging
 import os
 import shutil
+import threading
 import time
 
 import numpy as np
 import platformdirs
 import pytest
+from filelock import FileLock
 
 from t2m_jax.data import cache
 from t2m_jax.data.audit import audit_dataset
@@ -16,6 +18,7 @@ from t2m_jax.data.cache import CACHE_FOLDER, CACHE_NAME, FRAMES, INDEX, open_cli
 from t2m_jax.data.files import FEATURES, TEXTS
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.errors import UserError
+from t2m_jax.files.locks import SECONDS
 from t2m_jax.motion.skeleton import KIT_ML
 
 WIDTH = KIT_ML.feature_dim
@@ -303,33 +306,35 @@ def test_what_a_killed_build_left_is_deleted_and_a_running_one_is_not(folder):
     assert files(folder) == [running.name, CACHE_NAME]
 
 
-def test_a_reader_waits_for_the_process_that_writes_the_cache(folder, monkeypatch):
+def test_a_reader_waits_for_the_process_that_writes_the_cache(folder, tmp_path):
     read(folder)
-    finished, hidden = folder / CACHE_FOLDER / CACHE_NAME, folder / "hidden"
+    finished, hidden = place(folder), folder / "hidden"
     finished.rename(hidden)
-    lock_file = finished.with_name(f".{CACHE_NAME}.lock")
-    lock_file.write_text("123\nsomewhere-else\n")
-    naps = []
+    # Another lock than that of `t2m_jax.files.locks`, as in another process.
+    holder = FileLock(finished.with_name(f".{CACHE_NAME}.lock"), thread_local=False)
 
-    def finish_at_the_third(seconds):
-        naps.append(seconds)
-        if len(naps) == 3:
-            hidden.rename(finished)
-            lock_file.unlink()
+    def finish():
+        hidden.rename(finished)
+        holder.release()
 
-    monkeypatch.setattr(cache.time, "sleep", finish_at_the_third)
+    holder.acquire()
     made = hidden.stat().st_ino
+    other = threading.Timer(3 * SECONDS, finish)
+    other.start()
     check_whole(folder)
-    assert len(naps) == 3 and finished.stat().st_ino == made, "the reader made its own"
+    other.join()
+    assert finished.stat().st_ino == made and not (tmp_path / "user").exists(), "the reader made its own"
 
 
 def test_a_reader_does_not_wait_forever(folder, monkeypatch):
     monkeypatch.setattr(cache, "WAIT_SECONDS", 0.0)
     (folder / CACHE_FOLDER).mkdir()
-    (folder / CACHE_FOLDER / f".{CACHE_NAME}.lock").write_text("123\nsomewhere-else\n")
     monkeypatch.setattr(cache, "cache_places", lambda folder: [folder / CACHE_FOLDER / CACHE_NAME] * 2)
-    with pytest.raises(UserError, match="is being written by process 123 on somewhere-else"):
-        read(folder)
+    lock_file = place(folder).with_name(f".{CACHE_NAME}.lock")
+    with FileLock(lock_file):
+        lock_file.write_text("123\nsomewhere-else\n")
+        with pytest.raises(UserError, match="is being written by process 123 on somewhere-else"):
+            read(folder)
 
 
 def test_many_readers_at_once_all_get_the_clips(folder):
@@ -367,10 +372,3 @@ def test_a_folder_without_any_usable_clip_has_an_empty_cache(folder):
     assert cached.frames.shape == (0, WIDTH) and cached.left_out.keys() == LENGTHS.keys()
     with pytest.raises(UserError, match="6 of 6 clips cannot be used: 6 without caption file"):
         open_dataset(folder).clips("train")
-
-
-def test_a_cache_in_the_format_before_this_one_is_removed(folder):
-    (folder / CACHE_FOLDER).mkdir()
-    (folder / CACHE_FOLDER / "clips.cache").write_bytes(b"old")
-    check_whole(folder)
-    assert files(folder) == [CACHE_NAME]
