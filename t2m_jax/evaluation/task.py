@@ -45,7 +45,7 @@ class EvaluationTask(NamedTuple):
     """Name of the data set."""
     split: str = ""
     """Name of the split."""
-    contents: str | None = None
+    contents: str = ""
     """Fingerprint of the data set."""
 
     def plan(self, repeat: int) -> Plan:

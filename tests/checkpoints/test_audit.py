@@ -133,7 +133,11 @@ def test_reports_of_benchmarks_and_with_an_evaluator_are_recognized(tmp_path, ca
         ("prompts", {"contents": 3}, "is not a report with the counts of prompts"),
         ("prompts", {"contents": {}}, "contents: there are no motions"),
         ("prompts", {"contents": {"run": 3}}, "is not a report with the counts of prompts"),
-        ("prompts", {"contents": {"run": {"right": 2, "samples": 1, "failures": []}}}, "2 of 1 are right"),
+        (
+            "prompts",
+            {"contents": {"run": {"right": 2, "samples": 1, "failures": [], "instead": {}}}},
+            "2 of 1 are right",
+        ),
         (
             "prompts",
             {"contents": {"run": {"right": 1, "samples": 1, "failures": [], "instead": 3}}},

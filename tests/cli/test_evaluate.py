@@ -73,7 +73,8 @@ def test_prompts_are_measured_without_warnings(monkeypatch, capsys):
 def test_names_in_data_do_not_change_the_terminal(monkeypatch, capsys):
     """The data set, its split and the model may come from strangers."""
     names = {"data": "\x1b[31mred", "split": "\x9b31m", "model": "\x1b]0;title\x07"}
-    header = Header(**names, protocol="strict", num_samples=64, evaluator="ab", seed=0)
+    sizes = {"num_samples": 64, "unit": 4, "batch": 32}
+    header = Header(**names, **sizes, protocol="strict", evaluator="ab", weights="ab", contents="cd", seed=0)
     metrics = {name: Metric.from_repeats([1.0, 2.0]) for name in ("fid", "bone_variation")}
     report = Report(header=header, kind="generated", real=metrics, measured=metrics)
     monkeypatch.setattr(run, "evaluate", lambda *_, **__: report)

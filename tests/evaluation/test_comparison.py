@@ -10,7 +10,18 @@ from t2m_jax.errors import UserError
 from t2m_jax.evaluation.report.comparison import PAIRED, compare_reports, comparison_table, sign_test
 from t2m_jax.evaluation.report.record import Header, Metric, Report, save_report
 
-HEADER = Header(protocol="strict", data="d", split="test", num_samples=64, evaluator="abc", seed=0)
+HEADER = Header(
+    protocol="strict",
+    data="d",
+    split="test",
+    num_samples=64,
+    evaluator="abc",
+    seed=0,
+    weights="ab",
+    contents="cd",
+    unit=4,
+    batch=32,
+)
 OTHERS = {int: -1, str: "other"}
 
 

@@ -37,8 +37,12 @@ HEADER = Header(
     split="test",
     num_samples=64,
     evaluator="abc",
+    weights="ab",
+    contents="cd",
     sampling="greedy",
     seed=0,
+    unit=4,
+    batch=32,
 )
 REPORT = Report(
     header=HEADER,

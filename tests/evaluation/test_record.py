@@ -1,4 +1,4 @@
-"""Report files: what is written is read back, older files are read, other files are refused."""
+"""Report files: what is written is read back, other files are refused."""
 
 import dataclasses
 import json
@@ -10,15 +10,30 @@ from t2m_jax.evaluation.report.record import (
     MAX_REPORT,
     Header,
     Metric,
+    QualityFigures,
     ReconstructionFigures,
     Report,
     load_report,
     save_report,
 )
 
-HEADER = {"protocol": "strict", "data": "d_1", "split": "test", "num_samples": 64, "evaluator": "ab%c", "seed": 0}
+HEADER = {
+    "protocol": "strict",
+    "data": "d_1",
+    "split": "test",
+    "num_samples": 64,
+    "evaluator": "ab%c",
+    "weights": "ab",
+    "contents": "cd",
+    "seed": 0,
+    "unit": 8,
+    "batch": 16,
+}
 METRIC = {"mean": 1.5, "interval": 0.5, "repeats": [1.0, 2.0]}
 ROWS = {"real": {"fid": METRIC}, "generated": {"fid": METRIC}}
+QUALITY = QualityFigures(
+    bone_variation=0.01, jerk=9.0, skating_ratio=0.1, skating_speed=0.2, floating=0.3, penetration=0.4
+)
 FIGURES = ReconstructionFigures(
     mpjpe_mm=30.5,
     mpjpe_median_clip_mm=20.0,
@@ -27,11 +42,18 @@ FIGURES = ReconstructionFigures(
     num_clips=3,
     num_frames=99,
     split="test",
+    global_mpjpe_mm=40.0,
+    acceleration_error_mm=2.0,
+    path_drift_mm=50.0,
+    heading_drift_degrees=3.0,
+    real_quality=QUALITY,
+    quality=QUALITY,
+    cleaned_quality=QUALITY,
 )
 
 
 def test_a_report_is_read_as_it_was_written(tmp_path):
-    header = Header(**HEADER, unit=8, batch=16, sampling="sampled", temperature=0.5, top_k=3)
+    header = Header(**HEADER, sampling="sampled", temperature=0.5, top_k=3)
     metrics = {"fid": Metric.from_repeats([1.0, 2.0, 4.0])}
     for kind, figures in (("generated", None), ("reconstruction", FIGURES)):
         report = Report(header=header, kind=kind, real=metrics, measured=metrics, reconstruction=figures)
@@ -44,16 +66,6 @@ def test_figures_of_a_reconstruction_are_beside_the_header(tmp_path):
     save_report(tmp_path / "report.json", report)
     found = json.loads((tmp_path / "report.json").read_text())
     assert dataclasses.asdict(FIGURES).items() <= found.items() and HEADER.items() <= found.items()
-
-
-def test_a_report_of_version_0_1_has_its_unit_and_batch(tmp_path):
-    old = HEADER | {"model": "demo", "sampling": "greedy", "left_out_for_shared_source": None}
-    path = tmp_path / "report.json"
-    path.write_text(json.dumps(old | {"rows": ROWS}))
-    report = load_report(path)
-    assert (report.kind, report.header.unit, report.header.batch) == ("generated", 4, 32)
-    assert (report.header.sampling, report.header.temperature) == ("greedy", None)
-    assert report.measured == {"fid": Metric(1.5, 0.5, (1.0, 2.0))}
 
 
 @pytest.mark.parametrize(
@@ -78,6 +90,7 @@ def test_a_report_of_version_0_1_has_its_unit_and_batch(tmp_path):
         json.dumps(HEADER | {"rows": ROWS | {"real": {"fid": METRIC | {"mean": 10**400}}}}),
         json.dumps(HEADER | {"rows": ROWS | {"real": {"fid": METRIC | {"repeats": [float("inf")]}}}}),
         json.dumps(HEADER | {"rows": ROWS, "batch": "32"}),
+        json.dumps({name: value for name, value in HEADER.items() if name != "unit"} | {"rows": ROWS}),
         json.dumps(HEADER | {"rows": ROWS, "model": "\u001b[2J"}),
         json.dumps(HEADER | {"rows": ROWS, "mpjpe_mm": 3.0}),
     ],

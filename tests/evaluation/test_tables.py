@@ -12,7 +12,18 @@ from t2m_jax.evaluation.report.formats import format_table, heading
 from t2m_jax.evaluation.report.record import COMPARABLE, Header, Metric, Report, save_report
 from t2m_jax.evaluation.report.tables import make_table
 
-HEADER = Header(protocol="strict", data="d_1", split="test", num_samples=64, evaluator="ab%c", seed=0)
+HEADER = Header(
+    protocol="strict",
+    data="d_1",
+    split="test",
+    num_samples=64,
+    evaluator="ab%c",
+    seed=0,
+    weights="ab",
+    contents="cd",
+    unit=4,
+    batch=32,
+)
 REAL = {"fid": (0.002, 0.0001), "diversity": (9.5, 0.065)}
 FITS = {"r_precision_3": (0.8, 0.01)}
 OTHERS = {int: -1, str: "other"}
@@ -170,9 +181,8 @@ def test_reports_of_different_kinds_are_not_put_into_one_table(name):
 
 
 def test_reports_of_other_contents_are_not_put_into_one_table():
-    headers = [dataclasses.replace(HEADER, contents=contents) for contents in ("abc", None, "abd")]
-    first, older, other = (report(fid=(0.2, 0.0), header=header) for header in headers)
-    make_table([first, older], ["a", "b"])
+    headers = [dataclasses.replace(HEADER, contents=contents) for contents in ("abc", "abd")]
+    first, other = (report(fid=(0.2, 0.0), header=header) for header in headers)
     with pytest.raises(UserError, match=r"^contents: abc in a, abd in b; make a table for each"):
         make_table([first, other], ["a", "b"])
     with pytest.raises(UserError, match=r"^contents: abc in one report, abd in the other"):

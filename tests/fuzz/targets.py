@@ -51,7 +51,8 @@ from tests.tiny import LOOP, random_bundle, random_evaluator, vqvae_training
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 GLB_ARM = {"Root": (None, (0.0, 100.0, 0.0)), "Arm": ("Root", (50.0, 0.0, 0.0)), "Hand": ("Arm", (0.0, 0.0, 20.0))}
-HEADER = {"protocol": "strict", "data": "d_1", "split": "test", "num_samples": 64, "evaluator": "ab%c", "seed": 0}
+HEADER = {"protocol": "strict", "data": "d_1", "split": "test", "evaluator": "ab%c", "weights": "ab", "contents": "cd"}
+HEADER |= {"num_samples": 64, "seed": 0, "unit": 4, "batch": 32}
 METRIC = {"mean": 1.5, "interval": 0.5, "repeats": [1.0, 2.0]}
 CAPTIONS = "a man waves.#a/DET man/NOUN wave/VERB#0.0#0.0\nhe turns left#he/PRON turn/VERB left/ADV#0.5#2.5\n"
 

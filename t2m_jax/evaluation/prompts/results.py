@@ -25,14 +25,14 @@ class PromptResult:
     """Motions that were generated."""
     failures: tuple[str, ...]
     """The sentence of each other motion."""
-    instead: tuple[tuple[str, int], ...] = ()
-    """What the other motions did, and how often. Reports of version 0.1 do not have it."""
+    instead: tuple[tuple[str, int], ...]
+    """What the other motions did, and how often."""
 
     def __post_init__(self) -> None:
         others = self.samples - self.right
         if self.right < 0 or len(self.failures) != others:
             raise ValueError(f"{self.right} of {self.samples} are right, and {len(self.failures)} failures are listed")
-        if self.instead and sum(count for _, count in self.instead) != others:
+        if sum(count for _, count in self.instead) != others:
             raise ValueError(f"instead: the sum is not {others}")
 
 
@@ -40,10 +40,10 @@ class PromptResult:
 class PromptReport:
     """The results of a group of tests."""
 
-    group: str = "actions"
-    """What was asked for. Version 0.1 had only actions and did not write it down."""
-    motion: str | None = None
-    """`cleaned` or `decoded`; None in reports of version 0.1."""
+    group: str
+    """What was asked for."""
+    motion: str
+    """`cleaned` or `decoded`."""
     contents: tuple[PromptResult, ...]
     """One result for each test."""
 
@@ -103,7 +103,7 @@ def load_prompt_report(path: Path) -> PromptReport:
     data = load_json(path, max_bytes=MAX_REPORT)
     with reading_report(path, "with the counts of prompts", command="t2m evaluate prompts --json"):
         contents = [
-            {"name": name, **entry, "instead": list(entry.get("instead", {}).items())}
+            {"name": name, **entry, "instead": list(entry["instead"].items())}
             for name, entry in data["contents"].items()
         ]
         report = fields_of(PromptReport, data | {"contents": contents})

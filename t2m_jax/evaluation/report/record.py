@@ -29,7 +29,7 @@ COMPARABLE = ("protocol", "data", "split", "num_samples", "evaluator", "seed", "
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Header:
-    """What the figures of a report depend on. The defaults are what version 0.1 used and did not write down."""
+    """What the figures of a report depend on."""
 
     protocol: str
     """Name of the protocol."""
@@ -45,20 +45,20 @@ class Header:
     """Clips left out because their recording is also in training; None if this is not known or does not matter."""
     evaluator: str
     """Fingerprint of the evaluator."""
-    weights: str | None = None
-    """Fingerprint of the model, or of the tokenizer if only that is measured. None, like the next, in older reports."""
-    contents: str | None = None
+    weights: str
+    """Fingerprint of the model, or of the tokenizer if only that is measured."""
+    contents: str
     """Fingerprint of the data set."""
     seed: int
     """Start of every random choice."""
-    unit: int = 4
+    unit: int
     """Lengths of real motion are multiples of this many frames."""
-    batch: int = 32
+    batch: int
     """Pairs among which texts and motions are ranked."""
     sampling: str = "none"
     """`sampled`, `greedy` (always the likeliest code) or `none` (reconstruction)."""
     temperature: float | None = None
-    """Temperature of the sampling; None if codes were not sampled, or in reports of version 0.1, which used 1."""
+    """Temperature of the sampling; None if codes were not sampled."""
     top_k: int | None = None
     """Number of likeliest codes that were sampled from; None for all."""
     top_p: float | None = None
@@ -68,20 +68,16 @@ class Header:
     motion: str = "decoded"
     """What all metrics measure, except for those that are called `cleaned`: motion as decoded."""
     stop_rule: str | None = None
-    """Rule that ended motions; None for reconstructions, and in reports of version 0.1, whose models end at End."""
+    """Rule that ended motions; None for reconstructions."""
 
 
 def first_difference(one: Header, other: Header, names: Sequence[str]) -> tuple[str, Any, Any] | None:
-    """Returns the first of some fields, and then `contents`, in which two headers differ, with both values.
-
-    Older reports do not know the contents of their data. These may be the same.
-    """
+    """Returns the first of some fields, and then `contents`, in which two headers differ, with both values."""
     fields = dataclasses.asdict(one)
     others = dataclasses.asdict(other)
     for name in (*names, "contents"):
-        values = (fields[name], others[name])
-        if values[0] != values[1] and not (name == "contents" and None in values):
-            return (name, *values)
+        if fields[name] != others[name]:
+            return name, fields[name], others[name]
     return None
 
 
@@ -140,19 +136,19 @@ class ReconstructionFigures:
     """Frames of all clips, whole codes only."""
     split: str
     """Name of the split."""
-    global_mpjpe_mm: float | None = None
-    """Mean over clips, with only the first frame aligned. None, like what follows, in reports of version 0.1."""
-    acceleration_error_mm: float | None = None
+    global_mpjpe_mm: float
+    """Mean over clips, with only the first frame aligned."""
+    acceleration_error_mm: float
     """Mean over clips, in millimeters per squared frame."""
-    path_drift_mm: float | None = None
+    path_drift_mm: float
     """Mean distance of the roots in the last frame."""
-    heading_drift_degrees: float | None = None
+    heading_drift_degrees: float
     """Mean difference of the turns from the first frame to the last."""
-    real_quality: QualityFigures | None = None
+    real_quality: QualityFigures
     """Quality of the split's motion."""
-    quality: QualityFigures | None = None
+    quality: QualityFigures
     """Quality of the reconstructed motion, as decoded."""
-    cleaned_quality: QualityFigures | None = None
+    cleaned_quality: QualityFigures
     """Quality of the reconstructed motion after the clean-up."""
 
 
