@@ -19,10 +19,10 @@ from tqdm import tqdm
 from t2m_jax.config import check_seed
 from t2m_jax.data.captioning.captions import Labels, write_captions
 from t2m_jax.data.files import FEATURES, TEXTS
-from t2m_jax.data.importers.synthetic import FPS, KINDS, check_num_clips, make_motion
+from t2m_jax.data.importers.synthetic import FEWEST_CLIPS, FPS, KINDS, make_motion
 from t2m_jax.data.splits import split_by_hash
 from t2m_jax.data.texts import Caption, save_captions
-from t2m_jax.data.writer import ImportReport, mirror, new_folder, save_split, with_twins
+from t2m_jax.data.writer import ImportReport, check_count, mirror, new_folder, save_split, with_twins
 from t2m_jax.motion.facts import measure
 from t2m_jax.motion.features import features_from_positions
 from t2m_jax.motion.mirroring import mirror_positions
@@ -113,7 +113,7 @@ def write_scaled_dataset(
         UserError: There are fewer clips than the splits need (20), the seed is not from 0 to 2**32 - 1, or the
             destination exists.
     """
-    check_num_clips(num_clips)
+    check_count("num-clips", num_clips, least=FEWEST_CLIPS)
     check_seed(seed)
     names, motions, lengths = [f"{number:06d}" for number in range(num_clips)], [], []
     with new_folder(destination, parts=(FEATURES, TEXTS)) as folder:

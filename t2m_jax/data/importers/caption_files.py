@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 from t2m_jax.data.importers.caption_table import (
     BYTE_ORDER_MARK,
-    CaptionEntry,
     CaptionTable,
     caption_tokens,
     find_entries,
@@ -97,13 +96,7 @@ def find_captions(motion: Source, folder: Path, *, table: CaptionTable, from_nam
 def unused_entries(table: CaptionTable, motions: Iterable[Source], folder: Path) -> list[str]:
     """Returns a line for each row that gave no caption: what is wrong with it, or that it names no motion."""
     used = {row.place for motion in motions for row in find_entries(table, motion.keys(folder))}
-    rows = [row for same in table.entries.values() for row in same]
-    return [_why_unused(row) for row in sorted(rows, key=_line) if row.problem or row.place not in used]
-
-
-def _line(row: CaptionEntry) -> int:
-    return int(row.place.rpartition(":")[2])
-
-
-def _why_unused(row: CaptionEntry) -> str:
-    return row.problem or f"{row.place}: there is no motion {row.file}"
+    rows = [row for same in table.entries.values() for row in same if row.problem or row.place not in used]
+    # By the number of the line, because rows of one motion are together in the table.
+    rows.sort(key=lambda row: int(row.place.rpartition(":")[2]))
+    return [row.problem or f"{row.place}: there is no motion {row.file}" for row in rows]

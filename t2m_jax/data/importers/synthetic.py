@@ -24,6 +24,8 @@ from t2m_jax.motion.skeleton import HUMANML3D
 
 FPS = HUMANML3D.fps
 NUM_CLIPS = 200
+FEWEST_CLIPS = 20
+"""With fewer, a split would be empty."""
 # Thigh and shin: with the swing of the thigh, they make the length of a step.
 _LEG = HUMANML3D.bone_lengths[4] + HUMANML3D.bone_lengths[7]
 
@@ -216,11 +218,6 @@ def positions_from_pose(pose: Pose) -> Float[np.ndarray, "T J 3"]:
     return world.astype(np.float32)
 
 
-def check_num_clips(num_clips: int) -> None:
-    """Raises `UserError` if there are too few clips to fill all splits."""
-    check_count("num-clips", num_clips, least=20)
-
-
 def write_synthetic_dataset(destination: str | Path, *, num_clips: int = NUM_CLIPS, seed: int = 0) -> ImportReport:
     """Makes a complete data-set folder of procedural motions, including mirrored twins, and returns a report.
 
@@ -233,7 +230,7 @@ def write_synthetic_dataset(destination: str | Path, *, num_clips: int = NUM_CLI
         UserError: There are fewer clips than the splits need (20), the seed is not from 0 to 2**32 - 1, or the
             destination exists.
     """
-    check_num_clips(num_clips)
+    check_count("num-clips", num_clips, least=FEWEST_CLIPS)
     check_seed(seed)
     # A clip has one row of features less than it has poses.
     info = DatasetInfo(name="synthetic", min_frames=HUMANML3D.min_frames - 1, licence="CC0-1.0", source="t2m_jax")
