@@ -2,11 +2,13 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import numpy as np
 from jaxtyping import Float, Int
+
+T = TypeVar("T")
 
 CONCURRENT_BATCHES = 2
 """Batches computed at the same time on one device: with one, the cores of a processor often wait for each other."""
@@ -30,6 +32,12 @@ def padded_batch_size(count: int) -> int:
     """Returns the smallest power of two that is not below `count`."""
     # Of the number below, so that a power of two stays as it is.
     return 1 << (count - 1).bit_length()
+
+
+def fill_up(items: Sequence[T]) -> list[T]:
+    """Returns the items of a batch, filled up with the first one to a power of two."""
+    # So that few programs are compiled.
+    return [*items, *[items[0]] * (padded_batch_size(len(items)) - len(items))]
 
 
 def pad_motions(motions: Sequence[Float[np.ndarray, "_ D"]], *, batch: int, size: int) -> PaddedMotions:

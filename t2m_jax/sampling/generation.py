@@ -9,7 +9,7 @@ import numpy as np
 
 from t2m_jax.errors import UserError
 from t2m_jax.motion.motion import Motion
-from t2m_jax.sampling.batches import padded_batch_size
+from t2m_jax.sampling.batches import fill_up
 from t2m_jax.sampling.decode import GrowingMotion, split_rows
 from t2m_jax.sampling.inbetween import redo, vary
 from t2m_jax.sampling.loop import Sampling
@@ -81,8 +81,7 @@ def _make_together(model: ModelParts, group: Sequence[ReadRequest], sampling: Sa
         Sample(prompt, request.seed, number) for request, (prompt,) in group for number in range(request.num_samples)
     )
     while batch := list(itertools.islice(samples, MAX_BATCH)):
-        # A power of two, so that few programs are compiled.
-        filled = [*batch, *[batch[0]] * (padded_batch_size(len(batch)) - len(batch))]
+        filled = fill_up(batch)
         embedding = model.text_encoder([sample.prompt.text for sample in filled])
         keys = jnp.stack([sample.key for sample in filled])
         sampled = model.sample_codes(embedding, keys, sampling, guidance_scale=options.guidance_scale)

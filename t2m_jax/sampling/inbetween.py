@@ -19,7 +19,7 @@ from t2m_jax.sampling.loop import Sampling
 from t2m_jax.sampling.model import ModelParts
 from t2m_jax.sampling.prompts import Prompt, batches_of_keys, sample_key
 from t2m_jax.sampling.request import MotionRequest
-from t2m_jax.sampling.timeline import Segment, make_batch, most_rows, sample_segments, segment_keys, split_segments
+from t2m_jax.sampling.timeline import Segment, make_batch, most_rows, sample_segments, split_segments
 
 TAIL_SECONDS = 1.0
 """Motion after a middle whose likelihood says how well the middle leads to it."""
@@ -77,24 +77,13 @@ def redo(model: ModelParts, request: MotionRequest, prompt: Prompt, sampling: Sa
     keys = jnp.stack([sample_key(request.seed, prompt.text, number) for number in range(request.candidates)])
     # As long as the rows that it replaces, so that the tail keeps its time.
     segments = split_segments([prompt], span.last - span.first, limit=most_rows(model))
-    found = sample_segments(
-        model,
-        segments,
-        segment_keys(keys, len(segments)),
-        start=codes[: span.first],
-        sampling=sampling,
-        guidance_scale=request.options.guidance_scale,
-    )
+    scale = request.options.guidance_scale
+    found = sample_segments(model, segments, keys, start=codes[: span.first], sampling=sampling, guidance_scale=scale)
+    middles = [np.concatenate(pieces) for pieces in zip(*found, strict=True)]
     rows = round(AROUND_SECONDS * model.skeleton.fps / model.config.tokenizer.downsample)
     # Only for the decoder: the frames of head and tail are taken from the motion itself.
     around = codes[max(0, span.first - rows) : span.first], codes[span.last : span.last + rows]
-    candidates = decode_middles(
-        model,
-        around,
-        [np.concatenate(pieces) for pieces in zip(*found, strict=True)],
-        prompt=prompt,
-        raw=request.options.raw,
-    )
+    candidates = decode_middles(model, around, middles, prompt=prompt, raw=request.options.raw)
     downsample = model.config.tokenizer.downsample
     # Frames at the end that do not fill a code belong to the last one.
     end = motion.num_frames if span.last == len(codes) else downsample * span.last

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Key
 
-from t2m_jax.sampling.batches import padded_batch_size
+from t2m_jax.sampling.batches import fill_up
 from t2m_jax.text.coverage import Knowledge, PromptWarning, check_coverage
 from t2m_jax.text.encoder import CuttingTextEncoder, TextEncoder
 from t2m_jax.text.prompts import check_prompt
@@ -75,6 +75,4 @@ def batches_of_keys(seed: int, prompt: Prompt, num_samples: int) -> Iterator[tup
     """Yields the keys of each batch of samples, filled up with the first one, and how many samples it has."""
     for first in range(0, num_samples, MAX_BATCH):
         samples = range(first, min(first + MAX_BATCH, num_samples))
-        # Filled up to a power of two, so that few programs are compiled.
-        keys = [sample_key(seed, prompt.text, number) for number in samples]
-        yield jnp.stack([*keys, *[keys[0]] * (padded_batch_size(len(keys)) - len(keys))]), len(samples)
+        yield jnp.stack(fill_up([sample_key(seed, prompt.text, number) for number in samples])), len(samples)

@@ -17,7 +17,7 @@ from t2m_jax.checkpoints.text_encoder import PretrainedEncoder, load_pretrained
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
 from t2m_jax.models.clip_text import ClipText, ClipTextConfig
 from t2m_jax.models.sentence_encoder import SentenceEncoder, SentenceEncoderConfig
-from t2m_jax.sampling.batches import padded_batch_size
+from t2m_jax.sampling.batches import fill_up, padded_batch_size
 from t2m_jax.text.bpe import read_part, tokenize_captions
 from t2m_jax.text.clip_bpe import clip_tokens
 from t2m_jax.text.embedding_cache import EmbeddingCache
@@ -109,7 +109,7 @@ class PretrainedTextEncoder:
         return read_part(encoder.tokenizer, caption, max_length=encoder.config.max_length - marks)
 
     def _embed(self, captions: Sequence[str]) -> Float[np.ndarray, "B E"]:
-        filled = [*captions, *[captions[0]] * (padded_batch_size(len(captions)) - len(captions))]
+        filled = fill_up(captions)
         encoder = self._encoder
         # Embeddings are cached and compared across machines, so no device may shorten the products.
         with jax.default_matmul_precision("highest"):

@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -79,8 +79,8 @@ def make_chain_pieces(
     """Returns an iterator over the first motion of `make_chain`, as decoded, while its codes are sampled."""
     segments, start = _read_chain(model, request, prompts)
     ((keys, _),) = batches_of_keys(request.seed, prompts[0], 1)
-    options: Any = {"start": start, "sampling": sampling, "guidance_scale": request.options.guidance_scale}
-    found = sample_segments(model, segments, segment_keys(keys, len(segments)), **options)
+    scale = request.options.guidance_scale
+    found = sample_segments(model, segments, keys, start=start, sampling=sampling, guidance_scale=scale)
     return stream_segments(model, segments, (own for own, *_ in found), start=start, seed=request.seed)
 
 
@@ -104,18 +104,18 @@ def make_batch(
     sampling: Sampling,
 ) -> list[Motion]:
     """Returns the motions of segments for the first `count` keys."""
-    options: Any = {"start": start, "sampling": sampling, "guidance_scale": request.options.guidance_scale}
-    samples = zip(*sample_segments(model, segments, segment_keys(keys, len(segments)), **options), strict=True)
+    scale = request.options.guidance_scale
+    found = sample_segments(model, segments, keys, start=start, sampling=sampling, guidance_scale=scale)
     return [
         join_segments(model, segments, own, start=start, seed=request.seed, raw=request.options.raw)
-        for own in itertools.islice(samples, count)
+        for own in itertools.islice(zip(*found, strict=True), count)
     ]
 
 
 def sample_segments(
     model: ModelParts,
     segments: Sequence[Segment],
-    keys: Sequence[Key[jax.Array, " B"]],
+    keys: Key[jax.Array, " B"],
     *,
     start: Codes | None,
     sampling: Sampling,
@@ -128,16 +128,16 @@ def sample_segments(
     Args:
         model: The model.
         segments: Sentences in turn.
-        keys: Keys of the motions, for each segment (consumed).
+        keys: One for each motion (consumed).
         start: Codes that the first segments go on from.
         sampling: How to choose codes, and when to stop.
         guidance_scale: Strength of the guidance by the text.
     """
-    batch = len(keys[0])
+    batch = len(keys)
     depth = model.config.tokenizer.num_quantizers
     nothing = np.zeros((0, depth), np.int32) if start is None else np.asarray(start, np.int32)
     before: list[Codes] = [nothing] * batch
-    for segment, own_keys in zip(segments, keys, strict=True):
+    for segment, own_keys in zip(segments, segment_keys(keys, len(segments)), strict=True):
         # A sentence does not read the motion before it (see `FADE_SECONDS`), a segment that goes on does.
         if segment.begins and segment is not segments[0]:
             before = [codes[:0] for codes in before]
