@@ -304,7 +304,6 @@ def audit_dataset(folder: str | Path) -> AuditReport:
     notes: list[str] = []
     for split in SPLITS:
         try:
-            # A list that is missing is one more problem; the others are still checked.
             splits[split] = dataset.names(split)
         except UserError as error:
             problems.append(str(error))

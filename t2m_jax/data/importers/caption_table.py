@@ -5,7 +5,7 @@ Each line of a file is one row. A row that cannot be used costs no other row: it
 
 import csv
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -111,13 +111,12 @@ def load_caption_table(path: Path, *, keys: Collection[str] = ()) -> CaptionTabl
         found = [row for row, _ in rows]
     else:
         found = [_read_pair(f"{path}:{number}", line) for number, line in numbered]
-    by_name: dict[str, list[CaptionEntry]] = {}
+    by_name: dict[str, list[CaptionEntry]] = defaultdict(list)
+    num_files = Counter(map(_last_part, keys))
     for row in found:
-        by_name.setdefault(_last_part(row.file), []).append(row)
-    by_last = Counter(map(_last_part, keys))
-    for name, same in by_name.items():
-        by_name[name] = [_refuse_if_ambiguous(row, by_last[name]) for row in same]
-    return CaptionTable(by_name, columns, frozenset(keys), notes)
+        name = _last_part(row.file)
+        by_name[name].append(_refuse_if_ambiguous(row, num_files[name]))
+    return CaptionTable(dict(by_name), columns, frozenset(keys), notes)
 
 
 def find_entries(table: CaptionTable, candidates: Sequence[str]) -> list[CaptionEntry]:
@@ -264,9 +263,8 @@ def _read_entry(place: str, line: str, layout: _Layout) -> tuple[CaptionEntry, i
     if len(layout.captions) == 1:
         cells, joined = _join_commas(cells, layout)
     elif len(cells) > layout.width:
-        return CaptionEntry(
-            place, "", (), f"{place}: has {len(cells)} cells, the header {layout.width}; quote commas", {}
-        ), 0
+        problem = f"{place}: has {len(cells)} cells, the header {layout.width}; quote commas"
+        return CaptionEntry(place, "", (), problem, {}), 0
     times = {role: cells[column].replace(",", ".") for role, column in layout.times.items()}
     said = [cells[column] for column in layout.captions if cells[column]]
     others = {name: cells[column] for name, column in layout.others.items()}
@@ -285,9 +283,8 @@ def _make_entry(
     """Returns a row with its captions, or with what is wrong with it."""
     key = _motion_key(file)
     if not key or not said:
-        return CaptionEntry(
-            place, key, (), f"{place}: file or caption is empty; fill in both or remove the line", others
-        )
+        problem = f"{place}: file or caption is empty; fill in both or remove the line"
+        return CaptionEntry(place, key, (), problem, others)
     try:
         return CaptionEntry(place, key, tuple(tagged_caption(text, source=place, **times) for text in said), "", others)
     except UserError as error:
