@@ -54,7 +54,7 @@ FAULTS = (
     Fault(
         "a lock that excludes nobody",
         "files/locks.py",
-        "        holder.acquire()\n",
+        "        holder.acquire(timeout=seconds)\n",
         "        pass\n",
         "test_files.py",
     ),

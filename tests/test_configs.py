@@ -21,11 +21,12 @@ def test_the_defaults_are_the_published_models():
     assert counts["generator"] == 228_311_040
 
 
-def test_a_file_comes_before_a_name(tmp_path, monkeypatch):
+def test_a_name_comes_before_a_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "t2m-gpt").mkdir()
     (tmp_path / "t2m-gpt" / "vqvae").write_text("window: 48\n")
-    assert _config("vqvae", "t2m-gpt/vqvae").window == 48
+    assert _config("vqvae", "t2m-gpt/vqvae").window == 64
+    assert _config("vqvae", "./t2m-gpt/vqvae").window == 48
 
 
 @pytest.mark.parametrize(

@@ -202,8 +202,7 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
     is_restored = resume and has_checkpoint(config.run)
     table = None if is_restored else load_table(config, vocabulary)
     config = dataclasses.replace(config, model=dataclasses.replace(config.model, num_words=len(vocabulary)))
-    compiled = compiled_config(config)
-    options: dict[str, Any] = {"config": compiled, "max_frames": dataset.info.max_frames}
+    options: dict[str, Any] = {"config": compiled_config(config), "max_frames": dataset.info.max_frames}
     plan = functools.partial(plan_feed, caption_cuts_at, config.loop, window=dataset.info.max_frames)
     validation = None
     if validated:
@@ -215,7 +214,7 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
             movements = jax.tree.map(jnp.zeros_like, evaluator_shapes(config.model)["params"][MOVEMENTS])
         else:
             movements = train_movements(config, dataset, normalizer, train, held_out, resume=resume)
-        return init_matching_state(compiled, stream_key(config.loop.seed, "init"), movements, table)
+        return init_matching_state(options["config"], stream_key(config.loop.seed, "init"), movements, table)
 
     return Setup(
         dataset=dataset,

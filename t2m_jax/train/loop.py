@@ -121,7 +121,6 @@ def run_loop(
     """
     step = int(state.step)
     total = config.num_steps
-    asked = None
     if step >= total:
         return state
     calls: list[Call] = []
@@ -136,22 +135,17 @@ def run_loop(
             step += count
             calls.append(Call(metrics, count))
             asked = asked_to_stop(step)
-            # What is due is a function of the step, so a resumed run writes the same rows at the same steps.
-            is_kept = is_due(step, config.checkpoint_every, last=total) or step == total or asked is not None
-            now = [one for one in measurements if is_due(step, one.every, last=total)]
-            # Before anything is saved or measured: this raises if a loss was not finite.
-            if now or is_kept or is_due(step, config.log_every, last=total):
+            due = find_due(step, config, measurements, is_asked=asked is not None)
+            if due.is_logged:  # before anything is saved or measured: this raises if a loss was not finite
                 _log_updates(log, step, calls, speed, progress)
                 calls = []
-            found = [_log_measurement(log, step, measurement, state) for measurement in now]
-            ends_here = asked is not None or any(one is not None and one.is_last for one in found)
-            if is_kept or ends_here:
+            ends_here = _log_measurements(log, step, due.measurements, state) or asked is not None
+            if due.is_kept or ends_here:
                 checkpoints.save(step, state)
             if ends_here:
                 break
-            # The time of measurements and checkpoints is not that of updates.
             if not calls:
-                log.restart_clock()
+                log.restart_clock()  # the time of measurements and checkpoints is not that of updates
     if asked is not None and step < total:
         raise _interruption(run, asked, step)
     return state
@@ -180,6 +174,28 @@ def is_due(step: int, every: int, *, last: int) -> bool:
     return every > 0 and (step % every == 0 or step == last)
 
 
+class Due(NamedTuple):
+    """What is done after a step."""
+
+    is_kept: bool
+    """Whether a checkpoint is written."""
+    is_logged: bool
+    """Whether means of the updates are logged."""
+    measurements: Sequence[Measurement]
+    """What is measured."""
+
+
+def find_due(step: int, config: LoopConfig, measurements: Sequence[Measurement], *, is_asked: bool) -> Due:
+    """Returns what is due after `step`, as a function of the step: a resumed run writes the same lines as another.
+
+    If the run is asked to stop, its state is kept.
+    """
+    total = config.num_steps
+    is_kept = is_asked or step == total or is_due(step, config.checkpoint_every, last=total)
+    now = [one for one in measurements if is_due(step, one.every, last=total)]
+    return Due(is_kept, bool(now) or is_kept or is_due(step, config.log_every, last=total), now)
+
+
 def _log_updates(log: MetricLog, step: int, calls: list[Call], speed: Speed | None, progress: Any) -> None:
     count = sum(call.updates for call in calls)
     means = mean_metrics(calls, first_step=step - count + 1)
@@ -191,10 +207,15 @@ def _log_updates(log: MetricLog, step: int, calls: list[Call], speed: Speed | No
     progress.set_postfix(loss=f"{means['loss']:.4f}")
 
 
-def _log_measurement(log: MetricLog, step: int, measurement: Measurement, state: Any) -> Measured | None:
-    found = measurement.measure(state)
-    if found is not None:
+def _log_measurements(log: MetricLog, step: int, measurements: Sequence[Measurement], state: Any) -> bool:
+    """Logs what is measured after a step, and returns whether a measurement ends the training."""
+    is_last = False
+    for measurement in measurements:
+        found = measurement.measure(state)
+        if found is None:
+            continue
         log.write(measurement.split, step, found.metrics, title=measurement.title)
         if found.picture is not None:
             log.write_picture(step, found.picture)
-    return found
+        is_last = is_last or found.is_last
+    return is_last

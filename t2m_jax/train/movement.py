@@ -107,15 +107,12 @@ def train_movements(
     if config.init is not None:
         return load_trained_evaluator(config.init).variables["params"][MOVEMENTS]
     logger.info("first the movement encoder, %d steps", config.movement_steps)
-    compiled = compiled_config(config)
     loop = dataclasses.replace(movement_loop(config), num_steps=config.movement_steps)
+    compiled = compiled_config(config)
     plan = functools.partial(plan_feed, cuts_at, loop, window=config.window)
     # A window is never padded here: padding would be learned as a movement.
     clips, held_out = ([clip for clip in part if len(clip.features) >= config.window] for part in (train, validation))
-
-    def init() -> TrainState:
-        return init_movement_state(compiled, stream_key(config.loop.seed, "movements"))
-
+    init = functools.partial(init_movement_state, compiled, stream_key(config.loop.seed, "movements"))
     validated = None
     if held_out:
         measure = functools.partial(validate_movements, config=compiled)
@@ -133,7 +130,6 @@ def train_movements(
         validation=validated,
     )
     # A run within the run: resumed like it, and only loaded once it is finished.
-    config = dataclasses.replace(config, run=config.run / MOVEMENT_FOLDER)
-    state = run_setup(config, setup, init(), loop=loop, resume=resume)
-    # The decoder has done its work.
-    return jax.device_get(state.params[MOVEMENTS])
+    inner = dataclasses.replace(config, run=config.run / MOVEMENT_FOLDER)
+    state = run_setup(inner, setup, init(), loop=loop, resume=resume)
+    return jax.device_get(state.params[MOVEMENTS])  # without the decoder, which has done its work
