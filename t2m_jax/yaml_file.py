@@ -16,7 +16,7 @@ MAX_DEPTH = 32
 MAX_BITS = 10_000
 """Largest size of a whole number, about 3000 digits."""
 GIVEN = ("/dev/", "/proc/")
-"""Folders of pipes that somebody gave on purpose, as with `<(command)` in a shell. Reading others may never end."""
+"""Folders of pipes that users give on purpose, as with `<(command)` in a shell. Reading others may never end."""
 
 
 class YamlFile(NamedTuple):

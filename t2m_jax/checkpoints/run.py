@@ -129,7 +129,7 @@ class Checkpoints:
         # writes does not fit these two files, and one that is written after the name can be lost when the process is
         # killed.
         self._checkpointer = ocp.AsyncCheckpointer(ocp.CompositeCheckpointHandler())
-        # Saving goes on while training does; the next save and closing wait for it.
+        # Saving continues while training does; the next save and closing wait for it.
         self._thread = concurrent.futures.ThreadPoolExecutor(1)
         self._unfinished: concurrent.futures.Future[None] | None = None
         self._saves = False
@@ -212,7 +212,7 @@ class Checkpoints:
         with self._writing(step):
             self._checkpointer.save(partial, args=args.Composite(**items))
         self._unfinished = self._thread.submit(self._commit, step, partial)
-        if jax.process_count() > 1:  # the others may only go on when it has its name
+        if jax.process_count() > 1:  # the others may only continue when it has its name
             self._finish()
             wait_for_all("saved")
 

@@ -83,7 +83,7 @@ def tokenizer_config_file(folder: Path, kind: str) -> Path:
 
 
 def save_tokenizer_parts(run: Path, config: TokenizerConfig, normalizer: Normalizer) -> None:
-    """Writes what a tokenizer's run contains beside its weights: sizes and statistics."""
+    """Writes what a tokenizer's run contains besides its weights: sizes and statistics."""
     run.mkdir(parents=True, exist_ok=True)
     save_config(tokenizer_config_file(run, config.kind), config)
     save_normalizer(run, normalizer)

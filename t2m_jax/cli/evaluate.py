@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     from t2m_jax.sampling.request import SamplingOptions
 
     add = subcommand_adder(parser)
-    reconstruction = add(run_reconstruction, "measure how well a tokenizer gives back real motion")
+    reconstruction = add(run_reconstruction, "measure how well a tokenizer reconstructs real motion")
     generation = add(run_generation, "measure how well generated motion fits captions and real motion")
     prompts = add(run_prompts, "count how often generated motion does what held-out sentences ask for")
     inbetween = add(run_inbetween, "measure how well a model fills gaps in real motion")
@@ -130,7 +130,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 def run_reconstruction(args: argparse.Namespace) -> None:
-    """Prints how well a tokenizer gives back motion; with an evaluator, also by a protocol."""
+    """Prints how well a tokenizer reconstructs motion; with an evaluator, also by a protocol."""
     from t2m_jax.checkpoints import load_tokenizer
     from t2m_jax.data import open_dataset
     from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
@@ -268,7 +268,7 @@ def run_prompts(args: argparse.Namespace) -> None:
 
 
 def run_inbetween(args: argparse.Namespace) -> None:
-    """Prints how well a model fills gaps in real motion, beside an interpolation."""
+    """Prints how well a model fills gaps in real motion, compared with an interpolation."""
     from t2m_jax.data import open_dataset
     from t2m_jax.evaluation.inbetween import evaluate_inbetween, format_inbetween
     from t2m_jax.sampling import TextToMotion

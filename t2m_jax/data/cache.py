@@ -2,7 +2,7 @@
 
 The cache is a folder. `frames.npy` has the frames of all usable clips end to end (float32, training clips first).
 `index.json` has the clips' names, lengths and captions, the reasons for clips that are left out, and checksums. The
-cache is made when the data set is first read, and again when its files have changed. It is in `.t2m-cache` beside the
+cache is made when the data set is first read, and again when its files have changed. It is in `.t2m-cache` next to the
 data or, if that folder is not writable, in the user's cache folder.
 """
 
@@ -122,7 +122,7 @@ def _hash(text: str) -> str:
 
 
 def cache_places(folder: Path) -> tuple[Path, Path]:
-    """Returns the two possible places of a folder's cache: beside the data, and in the user's cache folder."""
+    """Returns the two possible places of a folder's cache: next to the data, and in the user's cache folder."""
     user_folder = Path(platformdirs.user_cache_dir("t2m_jax"))
     return folder / CACHE_FOLDER / CACHE_NAME, user_folder / CACHE_NAME / _hash(str(folder.resolve()))
 

@@ -1,4 +1,4 @@
-"""How well a model fills a gap in held-out motion, beside the motion that was there and beside an interpolation."""
+"""How well a model fills a gap in held-out motion, compared with the real motion and with an interpolation."""
 
 from typing import NamedTuple
 

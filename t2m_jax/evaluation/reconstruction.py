@@ -1,4 +1,4 @@
-"""How well a tokenizer gives back the motion of a split."""
+"""How well a tokenizer reconstructs the motion of a split."""
 
 import functools
 import math

@@ -70,7 +70,7 @@ def evaluate(
 
     Args:
         task: What is evaluated.
-        source: Gives the motions that are measured beside the real ones.
+        source: Gives the motions that are compared with the real ones.
         num_repeats: How often; the intervals are over the repeats.
         model: What the user calls the model, for the report's header.
         partial: File that keeps the finished repeats, so that an interrupted evaluation continues. It is only used by

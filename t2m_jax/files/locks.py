@@ -23,7 +23,7 @@ class LockedError(UserError):
 
 
 def short_name(path: Path) -> str:
-    """Returns the name of a destination, or a shorter one that stands for it."""
+    """Returns the name of a destination, or a shorter one in its place."""
     name = path.name
     return name if len(name) <= MAX_NAME else f"{name[: MAX_NAME // 2]}-{zlib.crc32(name.encode(errors='replace')):08x}"
 

@@ -67,7 +67,7 @@ def check_folder(folder: Path, *, only: Container[str] | None = None, thorough: 
     Args:
         folder: The folder.
         only: Names of the files to compare; None for all of the manifest.
-        thorough: Compare SHA-256, too, which also finds changes that somebody wanted to hide.
+        thorough: Compare SHA-256, too, which also finds changes that were made to look like none.
 
     Raises:
         UserError: A file is missing or has changed, or the manifest is missing or damaged.

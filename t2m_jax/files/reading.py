@@ -37,7 +37,7 @@ MAX_UNPACKED = 2**28
 MAX_TEXT = 2**26
 """The largest text or JSON file in bytes that is read whole. In memory, it may take ten times as much."""
 GIVEN = ("/dev/", "/proc/")
-"""Folders of pipes and devices that somebody gave on purpose, as with `<(command)` in a shell."""
+"""Folders of pipes and devices that users give on purpose, as with `<(command)` in a shell."""
 
 
 def first_line(error: BaseException) -> str:

@@ -133,7 +133,7 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def atomic_folder(path: Path, *, seconds: float = SECONDS) -> Iterator[Path]:
-    """Yields a temporary folder beside `path`, which is renamed to `path` when the block ends.
+    """Yields a temporary folder next to `path`, which is renamed to `path` when the block ends.
 
     If the block fails, the temporary folder is deleted. Two processes cannot make the same folder at once: the second
     waits for some `seconds`.

@@ -1,7 +1,7 @@
 """The double-tier GPT of T2M-HiFiGPT (arXiv 2312.10628, section 3.3): a transformer over rows, and one over depths.
 
 The temporal tier reads the text and the rows so far and gives a context. The residual tier reads the context and
-predicts the R codes of the next row in turn. A stop head says which row is the last. `docs/hifigpt.md` lists the
+predicts the R codes of the next row one by one. A stop head says which row is the last. `docs/hifigpt.md` lists the
 equations, and what the paper leaves open.
 """
 

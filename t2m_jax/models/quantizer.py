@@ -104,7 +104,7 @@ def look_up(
 
 
 class Quantizer(nn.Module):
-    """Replaces latents by sums of their nearest codes and, in training, moves the codebook towards the latents.
+    """Replaces latents by sums of their nearest codes and, in training, moves the codebook toward the latents.
 
     With `orig` the codebook is the parameter `codebook` [K, C]. Otherwise it is the collection `codebook`:
     `codebook` [K, C], `ema_sum` [K, C], `ema_count` [K], `initialised` []. The collection changes only if `train` is

@@ -17,7 +17,7 @@ from t2m_jax.motion.rotations import EulerOrder, matrix_from_euler
 AMC_FPS = 120.0
 """Frames per second of the CMU database. The files do not say it."""
 # The published files have lengths in inches times 0.45, which is their `length`.
-METRES_PER_INCH = 0.0254
+METERS_PER_INCH = 0.0254
 """An ASF file divides inches by its `length`."""
 MIN_UNIT = 1e-4
 """Smallest `length`, with which a bone of length 1 is 254 meters long."""
@@ -96,7 +96,7 @@ def find_skeleton(path: Path) -> Path:
     found = sorted(file for file in path.parent.glob("*") if file.suffix.lower() == ".asf")
     named = [file for file in found if path.stem.lower().startswith(file.stem.lower())]
     if len(found) != 1 and len(named) != 1:
-        problem = "there is no .asf file beside it" if not found else f"no one of {len(found)} .asf files has its name"
+        problem = "there is no .asf file next to it" if not found else f"no one of {len(found)} .asf files has its name"
         # One wrong choice would give a motion with another person's bones, which nobody would notice.
         raise UserError(f"{path}: {problem}; put the skeleton into its folder, as 02.asf for 02_01.amc")
     return (named if len(named) == 1 else found)[0]
@@ -156,7 +156,7 @@ def _read_skeleton(path: Path) -> _Skeleton:
     length = _field(units, "length", 1, ["1.0"])[0]
     if not MIN_UNIT <= length <= 1 / MIN_UNIT:
         raise UserError(f"{units['length'][0]}: length is {length:g}; expected {MIN_UNIT:g} to {1 / MIN_UNIT:g}")
-    metres = METRES_PER_INCH / length
+    metres = METERS_PER_INCH / length
     degrees = units.get("angle", ("", ["angle", "deg"]))[1][1:2] != ["rad"]
     radians = float(np.deg2rad(1.0)) if degrees else 1.0
     root = {words[0].lower(): (place, words) for place, words in sections[":root"]}

@@ -26,7 +26,7 @@ SIGMA = 0.04
 TORSO_SIGMA = 0.05
 """The same for the shape of the torso, which changes slowly; seconds."""
 BONE_ROUNDS = 10
-"""Rounds of moving joints towards the lengths of their bones."""
+"""Rounds of moving joints toward the lengths of their bones."""
 BONE_STEP = 1.6
 """Share of the error that a round corrects. Above 1, because the bones of a chain share a correction."""
 CONTACT_HEIGHT = 0.05
@@ -96,7 +96,7 @@ def smooth_over_clip(positions: Clip, length: Int[Array, ""], *, sigma: float) -
 def fix_bones(positions: Clip, skeleton: Skeleton) -> Clip:
     """Returns positions with the skeleton's bone lengths; the root stays where it is.
 
-    Each round moves both ends of every bone towards its length, so that one wrong bone does not move a whole limb. The
+    Each round moves both ends of every bone toward its length, so that one wrong bone does not move a whole limb. The
     small rest is corrected from the root outwards.
     """
     # Row j of `ends` has -1 for the bones that begin at joint j, and 1 for the one that ends there.
@@ -277,7 +277,7 @@ def _length(vectors: Float[Array, "*B C"]) -> Float[Array, "*B 1"]:
 
 
 def clean_long(positions: Float[np.ndarray, "T J 3"], *, skeleton: Skeleton, size: int) -> Float[np.ndarray, "T J 3"]:
-    """Returns a cleaned motion of any length, by windows of `size` frames that fade into each other.
+    """Returns a cleaned motion of any length, by overlapping windows of `size` frames with a cross-fade.
 
     A motion that fits into one window is cleaned as `generate` does it.
     """

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from t2m_jax.motion.skeleton import HUMANML3D, Skeleton
 
 WALKING_SPEED = 0.3
-"""Meters per second of the root above which a clip counts as travelling."""
+"""Meters per second of the root above which a clip counts as traveling."""
 WAVE_WIDTH = 0.06
 """Meters that a wrist must come back before a turning point counts, so that trembling is not counted."""
 
@@ -24,9 +24,9 @@ class Facts(NamedTuple):
     travel: float
     """Meters from the first place to the last, over the ground."""
     forward: float
-    """Meters travelled along the heading of each frame; negative for walking backward."""
+    """Meters traveled along the heading of each frame; negative for walking backward."""
     leftward: float
-    """Meters travelled to the actor's own left."""
+    """Meters traveled to the actor's own left."""
     above_head: tuple[float, float]
     """Largest height in meters of the left and the right wrist above the head joint; negative if they stay below it."""
     above_shoulder: tuple[float, float]

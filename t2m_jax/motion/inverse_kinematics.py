@@ -187,7 +187,7 @@ def _rest_offsets(positions: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, "J
     for name, direction in _REST_DIRECTIONS.items():
         offsets[_INDEX[name]] = direction
     for hub in (_PELVIS, _CHEST):
-        # The mean of the bones in the hub's own frame: X from right to left, Y towards the joint above.
+        # The mean of the bones in the hub's own frame: X from right to left, Y toward the joint above.
         across = _unit(bones[:, hub.left] - bones[:, hub.right])
         up = bones[:, hub.above]
         up = _unit(up - np.sum(up * across, axis=-1, keepdims=True) * across)

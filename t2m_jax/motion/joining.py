@@ -114,7 +114,7 @@ def fade_features(
     """Returns raw features of two clips, the second of which follows the first, with all of their frames.
 
     In the `overlap` frames around the join, fewer if a clip is shorter, all features go smoothly from the first clip's
-    to the second's. The first clip goes on with its last frame there, and the second one begins with its first frame.
+    to the second's. The first clip continues with its last frame there, and the second one begins with its first frame.
     """
     half = min(overlap, len(first), len(second)) // 2
     if not half:
@@ -138,7 +138,7 @@ def place_positions(
 
 
 def fading_change(differences: Float[np.ndarray, "_ J 3"], count: int) -> Float[np.ndarray, "U J 3"]:
-    """Returns what to add to the `count` frames after a join, so that they go on smoothly from the frames before it.
+    """Returns what to add to the `count` frames after a join, so that they follow smoothly from the frames before it.
 
     Args:
         differences: What the last one or two frames before the join differ by from those that lead to the frames after

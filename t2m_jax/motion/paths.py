@@ -125,7 +125,7 @@ def _smooth_path(
     kernel = gaussian_kernel(SWAY_SECONDS * fps)
     roots = positions[:, 0].astype(np.float64) * HORIZONTAL
     reach = len(kernel) // 2
-    # Beyond its ends, the path goes on as it was, mirrored at the end point.
+    # Beyond its ends, the path continues as it was, mirrored at the end point.
     longer = np.pad(roots, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd") if len(roots) > 1 else roots
     smooth = np.stack([np.convolve(axis, kernel, mode="valid") for axis in longer.T], axis=1)
     way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(smooth, axis=0), axis=1)))

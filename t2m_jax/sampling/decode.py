@@ -21,7 +21,7 @@ from t2m_jax.sampling.batches import round_up
 from t2m_jax.sampling.programs import decode_batch, decode_positions
 
 WINDOW_ROWS = 16
-"""Rows of codes that are decoded together, beside those that their frames depend on. With fewer, these are decoded more
+"""Rows of codes that are decoded together, without those for context. With fewer, these are decoded more
 often; with more, a stream of several sentences waits longer."""
 MAX_CONTEXT = 1000
 """Rows that frames may depend on, for windows. Decoders that read more (GroupNorm) get the whole motion."""
@@ -232,14 +232,14 @@ def split_rows(motion: Motion) -> Iterator[Motion]:
 def decode_sentences(
     tokenizer: TrainedTokenizer, codes: Iterable[tuple[int, Codes]], *, skeleton: Skeleton
 ) -> Iterator[DecodedPiece]:
-    """Yields the motion of sentences in turn, in pieces of at most `WINDOW_ROWS` rows, as soon as they are final.
+    """Yields the motion of a sequence of sentences, in pieces of at most `WINDOW_ROWS` rows, as soon as they are final.
 
     Each sentence is decoded alone. Features fade from one sentence to the next. The pieces do not depend on how the
     codes of a sentence are divided.
 
     Args:
         tokenizer: The tokenizer of the codes.
-        codes: Number of a sentence, and some of its codes, in turn; at least one row for each sentence.
+        codes: Number of a sentence, and some of its codes, in order; at least one row for each sentence.
         skeleton: The skeleton of the motion.
     """
     # Lazy, so that the first pieces are ready before the last codes are sampled.

@@ -132,7 +132,7 @@ class TextToMotion:
     def make_pieces(self, request: MotionRequest, *, sample: int = 0) -> Iterator[Motion]:
         """Returns an iterator over the motion of a request while it is generated.
 
-        Each piece goes on where the one before it ends. Pieces are as decoded, because a clean-up needs the whole
+        Each piece continues where the one before it ends. Pieces are as decoded, because a clean-up needs the whole
         motion: together they are the motion that `make` returns with `raw=True`. Of a request of one sentence, there is
         a piece for each row of codes, as soon as its frames are final. They also depend on some rows after them (see
         `TokenizerConfig.decoder_context`), so the last pieces come together. Of a longer request, pieces have some
@@ -207,15 +207,15 @@ class TextToMotion:
         num_samples: int = 1,
         **options: Any,
     ) -> list[Motion]:
-        """Returns motions that show sentences in turn, of any length.
+        """Returns motions that show sentences one after the other, of any length.
 
-        Each sentence is sampled as if it were alone, and fades into the next. Only the first one goes on from the last
+        Each sentence is sampled as if it were alone, with a cross-fade to the next. Only the first continues the last
         codes of `start`. The motions say where each begins (`part_starts`, `part_captions`).
 
         Args:
-            captions: Sentences in turn.
-            start: A motion that the first sentence goes on from. It is part of the result, as the tokenizer gives it
-                back.
+            captions: Sentences, one after the other.
+            start: A motion that the first sentence continues. It is part of the result, as the tokenizer reconstructs
+                it.
             seconds: Length for each sentence, rounded to whole rows of codes; by default the model decides.
             seed: From 0 to 2**32 - 1.
             num_samples: Motions to return.

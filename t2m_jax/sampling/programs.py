@@ -138,9 +138,9 @@ def begin_slots(
     *,
     generator: Any,
 ) -> LoopState:
-    """Returns the state of slots in which motions begin if they are new, and go on if not; `generator` is the module.
+    """Returns the state of slots in which new motions begin and others continue; `generator` is the module.
 
-    It is the state of a batch of one, with an axis for the slots: each slot has its own step. None stands for no state.
+    It is the state of a batch of one, with an axis for the slots: each slot has its own step. None means no state.
     """
     functions = _functions(generator, variables)
     # For all slots, also for those that continue: a program for each number of new motions would be compiled.

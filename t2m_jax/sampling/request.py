@@ -83,9 +83,9 @@ class MotionRequest:
     """From a user to `TextToMotion.make`: one motion, or several samples of it."""
 
     captions: tuple[str, ...]
-    """Sentences; several become one motion that shows them in turn."""
+    """Sentences; several become one motion that shows them one after the other."""
     start: Motion | None = None
-    """A motion to go on from. With `span` or `strength`, it is changed instead."""
+    """A motion to continue. With `span` or `strength`, it is changed instead."""
     span: tuple[float, float] | None = None
     """Begin and end of the seconds of `start` that the sentence replaces."""
     strength: float | None = None

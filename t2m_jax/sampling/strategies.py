@@ -102,7 +102,7 @@ def make_strategy(temperature: float = 1.0, top_k: int | None = None, *, top_p: 
     """
     if top_k is not None and top_p is not None:
         raise UserError("top-k and top-p exclude each other; give one of them")
-    # The limit of a temperature towards 0, at which logits cannot be divided.
+    # The limit of a temperature toward 0, at which logits cannot be divided.
     if temperature == 0.0:
         return Greedy()
     if top_k is not None:

@@ -102,7 +102,7 @@ class PretrainedTextEncoder:
         return jnp.asarray(embeddings)
 
     def read_part(self, caption: str) -> str:
-        """Returns the caption up to its last subword that is read, beside the marks that an encoder adds."""
+        """Returns the caption up to its last subword that is read, besides the marks that an encoder adds."""
         encoder = self._encoder
         # CLIP adds its marks outside the tokenizer, so that does not count them.
         marks = 2 if isinstance(encoder, TrainedClip) else encoder.tokenizer.num_special_tokens_to_add(False)

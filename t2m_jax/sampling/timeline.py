@@ -1,4 +1,4 @@
-"""Motion from several sentences, or after a given motion: known codes are read, and sampling goes on from them."""
+"""Motion from several sentences, or after a given motion: known codes are read, and sampling continues from them."""
 
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
@@ -19,7 +19,7 @@ from t2m_jax.sampling.prompts import Prompt, batches_of_keys
 from t2m_jax.sampling.request import MotionRequest
 
 CONTEXT_SECONDS = 0.4
-"""Motion before what goes on, which the generator reads as its beginning. With more, a sentence is followed less
+"""Motion before the continuation, which the generator reads as its beginning. With more, a sentence is followed less
 often."""
 _SEGMENT_STREAM = 2**30
 """In place of a sample's number, in keys for the segments of a chain."""
@@ -32,7 +32,7 @@ class Segment(NamedTuple):
     num_rows: int
     """0 leaves the end to the stop rule."""
     begins: bool
-    """Whether the sentence begins here, and does not only go on."""
+    """Whether the sentence begins here, and does not only continue."""
     draft: Codes | None = None
     """The codes that stand where `kept` is True."""
     kept: Bool[np.ndarray, "B N"] | None = None
@@ -40,7 +40,7 @@ class Segment(NamedTuple):
 
 
 def split_segments(prompts: Sequence[Prompt], num_rows: int, *, limit: int) -> list[Segment]:
-    """Returns the segments of sentences. A motion that is longer than `limit` rows has several, which go on."""
+    """Returns the segments of sentences. A motion that is longer than `limit` rows has several, which continue it."""
     if not num_rows:
         return [Segment(prompt, 0, True) for prompt in prompts]
     lengths = [min(limit, num_rows - done) for done in range(0, num_rows, limit)]
@@ -67,7 +67,7 @@ def most_rows(model: ModelParts) -> int:
 def make_chain(
     model: ModelParts, request: MotionRequest, prompts: Sequence[Prompt], sampling: Sampling
 ) -> Iterator[list[Motion]]:
-    """Yields the motions that show sentences in turn, in batches."""
+    """Yields the motions that show sentences one after the other, in batches."""
     segments, start = _read_chain(model, request, prompts)
     for keys, count in batches_of_keys(request.seed, prompts[0], request.num_samples):
         yield make_batch(model, request, segments, keys, count, start=start, sampling=sampling)
@@ -87,7 +87,7 @@ def make_chain_pieces(
 def _read_chain(
     model: ModelParts, request: MotionRequest, prompts: Sequence[Prompt]
 ) -> tuple[list[Segment], Codes | None]:
-    """Returns the segments of a request for sentences in turn, and the codes that the first one goes on from."""
+    """Returns the segments of a request for a sequence of sentences, and the codes that the first one continues."""
     rows = 0 if request.seconds is None else rows_of_seconds(model, request.seconds)
     start = None if request.start is None else model.encode(request.start)
     return split_segments(prompts, rows, limit=most_rows(model)), start
@@ -190,7 +190,7 @@ def segment_keys(keys: Key[jax.Array, " B"], count: int) -> list[Key[jax.Array, 
 def join_segments(
     model: ModelParts, segments: Sequence[Segment], codes: Sequence[Codes], *, start: Codes | None, seed: int, raw: bool
 ) -> Motion:
-    """Returns the motion of the segments of one sample, in which each sentence fades into the next."""
+    """Returns the motion of the segments of one sample, in which a cross-fade joins each sentence to the next."""
     downsample = model.config.tokenizer.downsample
     placed = list(place_codes(segments, codes, start=start))
     numbered = [(piece.number, piece.codes) for piece in placed]

@@ -126,7 +126,7 @@ def _retry(headers: Any) -> dict[str, int]:
 
 
 class _Guard:
-    """Refuses requests without the token and from pages of other servers, and adds headers to all answers."""
+    """Refuses requests without the token and from pages of other servers (CSRF), and adds headers to all answers."""
 
     OPEN = ("/", "/assets/", "/health", "/openapi.json")
 

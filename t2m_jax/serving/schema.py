@@ -123,7 +123,7 @@ MotionBody = make_model(
         "start": (
             Base64 | None,
             None,
-            "A motion to go on from. With `span` or `strength`, it is changed instead.",
+            "A motion to continue. With `span` or `strength`, it is changed instead.",
         ),
         "start_format": (InputFormat, "npz", "Format of `start`."),
     },

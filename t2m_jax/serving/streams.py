@@ -19,7 +19,7 @@ SEND_SECONDS = 20.0
 
 
 class EventResponse(Response):
-    """Server-sent events. A reader that disconnects, or is too slow, ends them."""
+    """Server-sent events. A reader that disconnects, or is too slow (backpressure), ends them."""
 
     def __init__(self, events: AsyncIterator[Event | None]):
         """Takes the events; None is a time without one."""
@@ -62,7 +62,7 @@ async def body_of(request: Request) -> bytes:
     """Returns the body of a request.
 
     Raises:
-        HTTPException: It is too large or too slow.
+        HTTPException: It is too large, or too slow (slowloris).
     """
     parts = []
     size = 0

@@ -19,7 +19,7 @@ PEOPLE = (
 ARTICLES = ("the", "his", "her", "their")
 """Words that may stand before a part of the body."""
 LONGEST_SUBJECT = 2
-"""Words of a subject that may be exchanged. Longer ones often say how somebody moves, as in `a tired man walks`."""
+"""Words of a subject that may be exchanged. Longer ones often say how a person moves, as in `a tired man walks`."""
 
 
 def reword(caption: str, generator: np.random.Generator) -> str:

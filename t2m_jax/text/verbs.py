@@ -54,7 +54,7 @@ class Word(NamedTuple):
     bases: frozenset[str]
     """The word and its basic forms: `waves` and `wave`."""
     action: str
-    """Basic form, if the word is a verb here or a noun for what somebody does; otherwise empty."""
+    """Basic form, if the word is a verb here or a noun for what a person does; otherwise empty."""
 
 
 @functools.cache

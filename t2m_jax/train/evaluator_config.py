@@ -76,7 +76,7 @@ class TrainEvaluatorConfig(EvaluatorStepConfig, ExperimentConfig):
     """How often a word must occur in the training captions to be in the vocabulary."""
     statistics: str = FROM_DATA
     """Mean and standard deviation that normalize the motion: `data` for the data set's own, weighted by `root_weight`;
-    or a folder or a file `mean.npy` (with `std.npy` beside it), or a model, used as they are."""
+    or a folder or a file `mean.npy` (with `std.npy` next to it), or a model, used as they are."""
     root_weight: float = 25.0
     """By how much the root's columns and the contacts are scaled up for the evaluator; published evaluators have 25."""
     movement_steps: int = 100_000

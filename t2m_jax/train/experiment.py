@@ -98,7 +98,7 @@ class Setup:
     weights: Callable[[Any], Mapping[str, Any]]
     """The fields of a state that are the model: training state field -> tree of arrays."""
     write_parts: Callable[[Path], None] = lambda run: None
-    """Writes what the run contains beside its config and its checkpoints."""
+    """Writes what the run contains besides its config and its checkpoints."""
     start_from: Callable[[Path], Mapping[str, Any]] = lambda path: {}
     """Returns the weights of a trained model in the form of `weights`."""
     validation: Validation | None = None

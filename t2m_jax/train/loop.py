@@ -44,7 +44,7 @@ class Measurement(NamedTuple):
 
 
 class Speed(NamedTuple):
-    """What the log shows beside the metrics of the updates."""
+    """What the log shows besides the metrics of the updates."""
 
     learning_rate: Callable[[int], float]
     """Of the update that makes the given number of updates complete."""
@@ -153,7 +153,7 @@ def run_loop(
 
 def _interruption(run: Path, number: int, step: int) -> Interruption:
     name = signal.Signals(number).name
-    return Interruption(number, f"{run}: stopped by {name} after step {step}, which is kept; add --resume to go on")
+    return Interruption(number, f"{run}: stopped by {name} after step {step}, which is kept; add --resume to continue")
 
 
 def next_count(step: int, config: LoopConfig, measurements: Sequence[Measurement]) -> int:

@@ -24,7 +24,7 @@ class ShippedConfig(NamedTuple):
 
 
 def config_folder() -> Path:
-    """Returns the folder of the configs: in the package, or beside it in a source tree."""
+    """Returns the folder of the configs: in the package, or next to it in a source tree."""
     package = Path(__file__).parents[1]
     # A wheel has the configs inside of the package.
     installed = package / "configs"

@@ -62,5 +62,5 @@ def load_statistics(config: Any, dataset: Dataset) -> Normalizer:
     if difference is not None and config.init is None:
         raise UserError(f"{difference}; choose others, or `--statistics {FROM_DATA}`")
     if difference is not None:
-        logger.warning("%s; this training goes on from a model with them", difference)
+        logger.warning("%s; this training starts from a model with them", difference)
     return normalizer

@@ -73,7 +73,7 @@ class TrainVqVaeConfig(VqVaeStepConfig, ExperimentConfig):
     """Clips shorter than a window: padded and masked, or left out as in the original."""
     statistics: str = FROM_DATA
     """Mean and standard deviation that normalize the motion: `data` for the data set's own, weighted by `root_weight`;
-    or a folder or a file `mean.npy` (with `std.npy` beside it), or a model, used as they are."""
+    or a folder or a file `mean.npy` (with `std.npy` next to it), or a model, used as they are."""
     root_weight: float = 25.0
     """By how much the root's columns and the contacts are scaled up for the VQ-VAE. The original divides their standard
     deviations by 5 twice; without it, heading and path drift."""

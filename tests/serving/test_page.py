@@ -309,7 +309,7 @@ def test_a_request_can_be_cancelled(open_studio):
     page.get_by_role("button", name="Generate").click()
     expect(page.get_by_role("button", name="Cancel")).to_be_focused()
     page.keyboard.press("Escape")
-    expect(page.locator("#status")).to_have_text("Cancelled.")
+    expect(page.locator("#status")).to_have_text("Canceled.")
     expect(page.get_by_role("button", name="Generate")).to_be_focused()
     expect(sentence).to_have_value(WALK)
 

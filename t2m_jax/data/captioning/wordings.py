@@ -1,4 +1,4 @@
-"""The wordings of labeled actions and styles, read from the YAML files beside this module."""
+"""The wordings of labeled actions and styles, read from the YAML files next to this module."""
 
 import functools
 from collections.abc import Iterable, Mapping, Sequence

@@ -116,7 +116,7 @@ class BvhOptions:
 
     captions: str | Path | None = None
     """Table of files and captions (see `caption_table`); by default `captions.csv` or `captions.txt` in the folder. An
-    animation of a GLB file is called `file/animation`. A `.txt` beside a BVH or AMC file is always read."""
+    animation of a GLB file is called `file/animation`. A `.txt` next to a BVH or AMC file is always read."""
     rig: str | None = None
     """Name of a rig, or a YAML table such as `pelvis: Hips`; by default detected from the joint names."""
     caption_from_name: bool = False

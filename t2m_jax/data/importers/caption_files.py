@@ -1,4 +1,4 @@
-"""Captions of a folder of motion files: from a table, from text files beside them, or from their names."""
+"""Captions of a folder of motion files: from a table, from text files next to them, or from their names."""
 
 import re
 from collections.abc import Collection, Iterable
@@ -61,7 +61,7 @@ def find_table(source: Path, captions: Path | None, *, files: Collection[Path]) 
 
 
 def find_captions(motion: Source, folder: Path, *, table: CaptionTable, from_name: bool) -> tuple[Caption, ...]:
-    """Returns the captions of a motion: from the table, from the text file beside its file, or from its name.
+    """Returns the captions of a motion: from the table, from the text file next to its file, or from its name.
 
     The text file has plain lines or HumanML3D's four fields.
 

@@ -25,15 +25,15 @@ STANDS_TRAVEL = 0.5
 MOVES_TRAVEL = 1.0
 """Smallest distance covered by somebody who goes ahead, in meters."""
 STRAIGHT_TURN = 40.0
-"""Largest change of heading of somebody who does not turn, in degrees."""
+"""Largest change of heading of a person who does not turn, in degrees."""
 CORNER_TURN = (45.0, 160.0)
-"""Smallest and largest change of heading of somebody who turns a corner, in degrees."""
+"""Smallest and largest change of heading of a person who turns a corner, in degrees."""
 FASTEST_WALK = 1.8
 """Mean speed over the ground in meters per second."""
 SLOWEST_RUN = 1.35
 """The ranges overlap, because tired and old people run slowly."""
 STILL_HANDS = 0.5
-"""Largest speed of a wrist of somebody who stands still (95 % of the time), in meters per second."""
+"""Largest speed of a wrist of a person who stands still (95 % of the time), in meters per second."""
 WAVES = 2
 """A raised hand waves if it sweeps to and fro at least this often."""
 NOTHING = "nothing of these"
@@ -48,7 +48,7 @@ class Rule(NamedTuple):
 
 
 def goes_straight(facts: Facts) -> bool:
-    """Returns whether somebody goes ahead without a turn, at any speed."""
+    """Returns whether the person goes ahead without a turn, at any speed."""
     return facts.forward >= MOVES_TRAVEL and abs(facts.turn) <= STRAIGHT_TURN
 
 
@@ -73,7 +73,7 @@ def _hand_rule(hands: str, *, waves: bool) -> Rule:
 
 
 def _stands(facts: Facts) -> bool:
-    """Returns whether somebody stands still with low hands."""
+    """Returns whether the person stands still with low hands."""
     in_place = facts.travel <= STANDS_TRAVEL and abs(facts.turn) <= STRAIGHT_TURN
     return in_place and facts.speed <= STILL_HANDS and max(facts.above_shoulder) < HAND_DOWN
 
@@ -158,7 +158,7 @@ def action_tests() -> list[PromptTest]:
 
 
 def requests(test: PromptTest, *, num_seeds: int) -> list[tuple[int, str]]:
-    """Returns seeds 0 to `num_seeds` - 1, each with one of the test's sentences in turn."""
+    """Returns seeds 0 to `num_seeds` - 1, with the test's sentences in rotation."""
     # In turn and not drawn, so that each sentence is asked equally often.
     return [(seed, test.sentences[seed % len(test.sentences)]) for seed in range(num_seeds)]
 

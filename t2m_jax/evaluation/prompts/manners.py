@@ -22,7 +22,7 @@ from t2m_jax.motion.skeleton import HUMANML3D
 MANNERS = ("normal", "active", "elderly", "exhausted", "feminine", "masculine", "youthful")
 """Styles of dataset-2. `normal` is recognized, but not asked for."""
 CONTENTS = ("walk", "run", "walk-turn-left", "wave-right-hand", "wave-both-hands", "raise-up-left-hand")
-"""Contents that are asked for in each manner, in turn."""
+"""Contents that are asked for in each manner, one after the other."""
 NUM_STEPS = 400
 """Of the classifier's training with AdamW on all clips at once."""
 LEARNING_RATE = 0.01

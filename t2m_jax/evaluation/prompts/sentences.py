@@ -12,7 +12,7 @@ from t2m_jax.data.captioning.lexicon import read_words
 
 
 class Pace(NamedTuple):
-    """How fast somebody is asked to move. One of the limits is None."""
+    """How fast a person is asked to move. One of the limits is None."""
 
     name: str
     phrases: tuple[str, ...]

@@ -120,7 +120,7 @@ class QualityFigures:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ReconstructionFigures:
-    """How well a tokenizer gives back the motion of a split, without an evaluator."""
+    """How well a tokenizer reconstructs the motion of a split, without an evaluator."""
 
     mpjpe_mm: float
     """Root-aligned mean per-joint position error over all frames, in millimeters."""

@@ -145,7 +145,7 @@ def _add_limbs(builder: _BodyBuilder, arm: tuple[int, ...], leg: tuple[int, ...]
 
 
 def _add_trunk(builder: _BodyBuilder, roles: Roles) -> None:
-    """Adds pelvis, spine, ribs that widen towards the shoulders, and shoulders."""
+    """Adds pelvis, spine, ribs that widen toward the shoulders, and shoulders."""
     sides: tuple[tuple[int, int, Tint], ...] = (
         (roles.left_leg[0], roles.left_arm[0], "left"),
         (roles.right_leg[0], roles.right_arm[0], "right"),

@@ -20,7 +20,7 @@ SHADOW = 0.36
 """Opacity of the middle of a shadow."""
 
 KEY_LIGHT = np.array([0.42, 1.0, 0.38]) / np.linalg.norm([0.42, 1.0, 0.38])
-"""Direction towards the main light."""
+"""Direction toward the main light."""
 
 FINE_LINES = 110
 """Opacity, of 255, of the lines at half meters. The lines at whole meters have 255."""
@@ -33,7 +33,7 @@ class Ground(NamedTuple):
     """Sky and ground without lines."""
 
     fade: Image.Image
-    """Visibility of lines: 255 near the figures, 0 towards the horizon."""
+    """Visibility of lines: 255 near the figures, 0 toward the horizon."""
 
     reach: float
     """Radius around the figures in which lines are drawn, in meters."""

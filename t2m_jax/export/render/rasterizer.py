@@ -34,7 +34,7 @@ class Ball(NamedTuple):
 
 
 class Lighting(NamedTuple):
-    """Light in view space (x right, y down, z towards the camera), with strengths in linear light."""
+    """Light in view space (x right, y down, z toward the camera), with strengths in linear light."""
 
     key_direction: Float[np.ndarray, " 3"]
     fill_direction: Float[np.ndarray, " 3"]
@@ -75,7 +75,7 @@ class Edge(NamedTuple):
 
 
 class _Hull(NamedTuple):
-    """A limb in pixels, with the second ball relative to the first (x right, y down, z towards the camera)."""
+    """A limb in pixels, with the second ball relative to the first (x right, y down, z toward the camera)."""
 
     dx: float
     dy: float
@@ -183,7 +183,7 @@ def _inside(x: Float[np.ndarray, "1 W"], y: Float[np.ndarray, "H 1"], hull: _Hul
 def _surface(
     x: Float[np.ndarray, " N"], y: Float[np.ndarray, " N"], hull: _Hull
 ) -> tuple[Float[np.ndarray, " N"], Int[np.ndarray, " N"]]:
-    """Returns the height towards the camera and the row of the shade table, for pixels relative to the first ball.
+    """Returns the height toward the camera and the row of the shade table, for pixels relative to the first ball.
 
     The projection is parallel to z. A pixel shows the cone between the two circles at which it touches the balls, and
     otherwise a ball.
@@ -213,7 +213,7 @@ def _surface(
 def _ball_surface(
     x: Float[np.ndarray, " N"], y: Float[np.ndarray, " N"], hull: _Hull
 ) -> tuple[Float[np.ndarray, " N"], Int[np.ndarray, " N"]]:
-    """Returns height and row of the shade table of the ball in front. Pixels beside both balls get the nearer rim."""
+    """Returns height and row of the shade table of the ball in front. Pixels next to both balls get the nearer rim."""
     dx, dy, dz, start_radius, end_radius = hull
     start_square = start_radius**2 - np.square(x) - np.square(y)
     end_square = end_radius**2 - np.square(x - dx) - np.square(y - dy)

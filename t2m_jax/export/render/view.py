@@ -16,7 +16,7 @@ PITCH = 0.22
 """Downward angle of the camera in radians."""
 
 YAW = 0.5
-"""Direction from which the camera sees one figure, in radians from +Z towards +X."""
+"""Direction from which the camera sees one figure, in radians from +Z toward +X."""
 YAW_OF_SEVERAL = 0.22
 """The same for several figures, which hide each other if they are seen from the side."""
 

@@ -18,7 +18,7 @@ POP_SPEED = 3.0
 POP_RATIO = 5.0
 """They must also move this many times as fast as in the next frames."""
 T_POSE_RATIO = 2.0
-"""The same after a T-pose, for the fastest joint. Somebody who lowers the arms begins slowly."""
+"""The same after a T-pose, for the fastest joint. Arms are lowered slowly at first."""
 NEXT_FRAMES = 5
 T_POSE = 0.9
 """Arms are spread and legs are straight if they are this much along their axes (cosine)."""

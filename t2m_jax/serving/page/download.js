@@ -48,7 +48,7 @@ export class DownloadPanel {
   #offer(id, possible) {
     const input = find(id);
     input.closest("label").hidden = !possible;
-    // A span that somebody has just chosen is what they want to have.
+    // A span that the user has just chosen is what they want to have.
     if (possible && input.disabled) input.checked = id === "save-span";
     input.disabled = !possible;
   }

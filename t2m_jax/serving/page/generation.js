@@ -39,7 +39,7 @@ export class Generation {
     } catch (error) {
       const cancelled = this.#abort.signal.aborted;
       this.#end();
-      this.#status(cancelled ? "Cancelled." : "");
+      this.#status(cancelled ? "Canceled." : "");
       if (!cancelled) showMessage(error instanceof ServerError ? error.message : `The page has failed: ${error.message}`);
       if (this.#isLive) this.#showFormerTake();
     }

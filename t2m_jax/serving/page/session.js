@@ -36,7 +36,7 @@ export function makeTake({ kind, request, scene, motions, warning = "" }) {
   return { id: `${created}-${Math.random()}`, created, kind, request, scene, motions, warning };
 }
 
-// The sentences that a motion shows in turn.
+// The sentences that a motion shows one after the other.
 export function sentencesOf(motion) {
   return motion.part_captions.length ? motion.part_captions : [motion.caption];
 }

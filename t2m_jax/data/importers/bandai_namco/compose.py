@@ -25,11 +25,11 @@ from t2m_jax.motion.skeleton import HUMANML3D
 
 STAND = "stand"
 STILL_SPEED = 0.5
-"""Meters per second of the fastest joint of somebody who stands nearly still."""
+"""Meters per second of the fastest joint of a person who stands nearly still."""
 QUIET_SPEED = 0.15
 """Speed to which such a stretch is slowed down."""
 HANDS_DOWN = -0.3
-"""Meters above the shoulder that a wrist stays below while somebody stands still."""
+"""Meters above the shoulder that a wrist stays below while a person stands still."""
 SHORTEST_STAND = 8
 """Frames of the shortest stretch of stillness that is used."""
 STAND_FRAMES = (30, 120)
@@ -75,7 +75,7 @@ class Library(NamedTuple):
 
 
 def find_stillness(positions: Float[np.ndarray, "T J 3"]) -> slice | None:
-    """Returns the longest stretch in which somebody stands still with low hands; None if it is too short."""
+    """Returns the longest stretch in which a person stands still with low hands; None if it is too short."""
     names = HUMANML3D.joint_names
     wrists, shoulders = (
         positions[:, [names.index(f"{side}_{joint}") for side in ("left", "right")], 1]
@@ -143,7 +143,7 @@ def _shorten(piece: LabeledPiece, longest: int, generator: random.Random) -> Lab
 
 
 def join_pieces(pieces: Sequence[LabeledPiece]) -> Float[np.ndarray, "T J 3"]:
-    """Returns the joint positions of pieces in turn, each joined to the one before where the poses are most alike."""
+    """Returns the joint positions of pieces, each joined to the one before where the poses are most alike."""
     whole = pieces[0].features
     for piece in pieces[1:]:
         # A second of each may be given up for a join at which the poses are more alike.
@@ -171,7 +171,7 @@ def held_out_compositions() -> Mapping[tuple[str, str], tuple[str, ...]]:
 def write_composed_captions(
     pieces: Sequence[LabeledPiece], *, count: int, generator: random.Random
 ) -> tuple[Caption, ...]:
-    """Returns `count` different captions of pieces in turn; none is a held-out sentence."""
+    """Returns `count` different captions of a sequence of pieces; none is a held-out sentence."""
     # By words, because a sentence stays the same with a full stop or capital letters.
     forbidden = {tuple(words_in(text)) for sentences in held_out_compositions().values() for text in sentences}
     texts: dict[str, None] = {}
@@ -183,7 +183,7 @@ def write_composed_captions(
 
 
 def _compose(pieces: Sequence[LabeledPiece], generator: random.Random) -> str:
-    """Returns one sentence for pieces in turn. The order of the draws is part of the data set."""
+    """Returns one sentence for a sequence of pieces. The order of the draws is part of the data set."""
     composition = read_words(__package__, "composed")
     subject = generator.choice(load_wordings().subjects)
     (form,) = generator.choices(FORMS, FORM_WEIGHTS)
