@@ -83,7 +83,7 @@ def test_the_skeleton_is_found_by_its_name(tmp_path):
     (tmp_path / "03.asf").unlink()
     assert load_amc(path).num_frames == 2
     (tmp_path / "04.asf").unlink()
-    with pytest.raises(UserError, match=r"there is no \.asf file beside it"):
+    with pytest.raises(UserError, match=r"there is no \.asf file next to it"):
         load_amc(path)
 
 

@@ -23,7 +23,6 @@ from t2m_jax.evaluation.protocols import find_protocol
 from t2m_jax.evaluation.run import evaluate
 from t2m_jax.evaluation.sources import make_generation
 from t2m_jax.evaluation.task import make_task
-from t2m_jax.files.arrays import save_arrays
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.programs import generate_codes
@@ -302,20 +301,6 @@ def test_damaged_best_weights_are_refused(tmp_path):
             restore_trained(tmp_path, fields)
         path.write_bytes(whole)
     restore_trained(tmp_path, fields)
-
-
-def test_best_weights_of_older_versions_are_read_and_replaced(tmp_path):
-    old = Best(step=3, metric="fid", value=1.0)
-    (tmp_path / BEST_FOLDER).mkdir()
-    save_config(tmp_path / "best.yaml", old)
-    save_arrays(tmp_path / BEST_FOLDER / "3.safetensors", {"params": {"a": np.full(2, 3.0)}})
-    like = {"params": {"a": np.zeros(2)}}
-    assert find_best(tmp_path) == old
-    np.testing.assert_array_equal(restore_trained(tmp_path, like)["params"]["a"], 3)
-    save_best(tmp_path, dataclasses.replace(old, step=6), {"params": {"a": np.full(2, 6.0)}})
-    np.testing.assert_array_equal(restore_trained(tmp_path, like)["params"]["a"], 6)
-    assert [path.name for path in tmp_path.rglob("*") if path.is_dir()] == [BEST_FOLDER, "6"]
-    assert not (tmp_path / "best.yaml").exists()
 
 
 @pytest.mark.parametrize("stage", STAGES)
