@@ -95,9 +95,3 @@ def test_virtual_devices_share_the_work(bundle_folder, tmp_path):
 )
 def test_bad_options_give_one_line(refusal, arguments, message):
     assert message in refusal("bench", *arguments.split())
-
-
-def test_scale_prints_markdown(capsys):
-    assert main(["bench", "scale", "--interconnect", "infiniband"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("| recipe ") and len(lines) == 2 + 4 * 7

@@ -133,6 +133,9 @@ def test_a_run_reconstructs_as_its_report_says(samples_with_data):
     compare_reports("reports/reconstruction.json", "new.json")
 
 
+# Slow tests run with the oldest Python, and so with JAX 0.10, as the sample. With JAX 0.12, one motion of a repeat has
+# another rank, because sums have another order.
+@pytest.mark.slow
 def test_an_evaluation_with_the_evaluator_gives_the_report(samples_with_data):
     arguments = ("--model", "gpt", "--data", "data", "--evaluator", "evaluator", "--num-repeats", 2)
     run_command("evaluate", "generation", *arguments, "--json", "new.json")

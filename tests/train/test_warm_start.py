@@ -219,7 +219,7 @@ def test_statistics_of_other_motion_are_a_warning_for_a_training_that_goes_on(ru
     fields = {"statistics": f"{tmp_path / 'far'}", "init": runs.vqvae}
     with caplog.at_level("WARNING"):
         train(dataclasses.replace(vqvae_training(runs.data, tmp_path / "run", loop=SHORT), **fields))
-    assert "differ too much from those of" in caplog.text and "goes on from a model with them" in caplog.text
+    assert "differ too much from those of" in caplog.text and "starts from a model with them" in caplog.text
 
 
 def test_a_run_records_what_it_was_trained_on_and_how_far(runs, tmp_path):
