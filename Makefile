@@ -64,7 +64,7 @@ $(VENV)/.docs: pyproject.toml | $(BIN)/python
 .venv-lowest/.dev .venv-oldest/.dev: VERSION_PATH = $(OLDEST)
 .venv-%/.dev: VERSION_PATH = $(shell .ci/find-python $(patsubst python%,%,$*))
 .venv-%/.dev: pyproject.toml $(VENV)/.dev
-	$(BIN)/uv venv --quiet --clear --no-python-downloads --python "$(VERSION_PATH)" .venv-$*
+	$(BIN)/uv venv --quiet --clear --seed --no-python-downloads --python "$(VERSION_PATH)" .venv-$*
 	$(BIN)/uv pip install --quiet --python .venv-$*/bin/python --resolution $(or $(RESOLUTION),highest) --editable '.[dev]'
 	@touch $@
 

@@ -190,13 +190,12 @@ class Jobs:
 
     def _read(self, connection: Connection) -> None:
         """Passes what a process sends to the event loop, until the process ends; runs in a thread of its own."""
-        try:
-            while True:
-                self._loop.call_soon_threadsafe(self._on_message, *connection.recv())
-        except (EOFError, OSError):
-            self._loop.call_soon_threadsafe(self._on_death)
-        except RuntimeError:  # the event loop was closed
-            return
+        with contextlib.suppress(RuntimeError):  # the event loop was closed
+            try:
+                while True:
+                    self._loop.call_soon_threadsafe(self._on_message, *connection.recv())
+            except (EOFError, OSError):
+                self._loop.call_soon_threadsafe(self._on_death)
 
     def _on_message(self, number: int, name: str, data: str) -> None:
         if number == NO_JOB:
