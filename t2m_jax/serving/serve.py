@@ -57,7 +57,7 @@ async def _serve(jobs: Jobs, listener: socket.socket, token: str | None, on_read
         app = make_app(jobs, token=token, hosts=("*",) if token else LOOPBACK)
         config = uvicorn.Config(
             app,
-            http=Protocol,
+            http=HttpProtocol,
             lifespan="off",
             log_level="warning",
             server_header=False,
@@ -71,7 +71,7 @@ async def _serve(jobs: Jobs, listener: socket.socket, token: str | None, on_read
         jobs.stop()
 
 
-class Protocol(H11Protocol):
+class HttpProtocol(H11Protocol):
     """HTTP without connections that wait forever: they would take the places of others."""
 
     _last_cycle: object = None

@@ -3,6 +3,7 @@ import importlib
 import re
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -76,6 +77,12 @@ def test_files_and_functions_stay_short_enough_to_read():
     assert [name for name, text in TEXTS.items() if len(text.splitlines()) > 340] == []
     longest = {name: longest_function(ast.parse(text)) for name, text in TEXTS.items()}
     assert {name: found for name, found in longest.items() if found[0] > 40} == {}
+
+
+def test_no_two_classes_have_one_name():
+    trees = [ast.parse(text) for text in TEXTS.values()]
+    names = Counter(node.name for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
+    assert [name for name, count in names.items() if count > 1] == []
 
 
 WRITERS = {

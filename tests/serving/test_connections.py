@@ -20,10 +20,10 @@ def test_connections_that_wait_forever_are_closed(monkeypatch, sent):
     monkeypatch.setattr(module, "IDLE_SECONDS", 0.1)
 
     async def run() -> bytes:
-        config = uvicorn.Config(make_app(Jobs("none")), http=module.Protocol, log_config=None)
+        config = uvicorn.Config(make_app(Jobs("none")), http=module.HttpProtocol, log_config=None)
         config.load()
         options = {"config": config, "server_state": ServerState(), "app_state": {}}
-        server = await asyncio.get_running_loop().create_server(lambda: module.Protocol(**options), "127.0.0.1", 0)
+        server = await asyncio.get_running_loop().create_server(lambda: module.HttpProtocol(**options), "127.0.0.1", 0)
         reader, writer = await asyncio.open_connection(*server.sockets[0].getsockname())
         writer.write(sent)
         answer = await asyncio.wait_for(reader.read(), 20)
