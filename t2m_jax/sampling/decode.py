@@ -253,9 +253,9 @@ def decode_sentences(
 
 def _decode_sentence(tokenizer: TrainedTokenizer, parts: Iterable[Codes]) -> Iterator[Piece]:
     """Yields the features of a sentence, whose codes come in parts."""
+    # All windows of chains have this size, however many rows they have.
     size = round_up(WINDOW_ROWS + 2 * tokenizer.config.decoder_context, ROW_BUCKET)
     windows = FeatureWindows(tokenizer, least=WINDOW_ROWS, most=WINDOW_ROWS, last=WINDOW_ROWS, size=size)
-    # All windows of chains have this size, however many rows they have.
     for rows in parts:
         yield from windows.add(rows)
     yield from windows.add(rows[:0], ended=True)
