@@ -3,13 +3,14 @@
 import functools
 import time
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import numpy as np
 
+from t2m_jax.bench.probes import on_devices
 from t2m_jax.bench.record import BenchResult, Figure, Peaks
-from t2m_jax.bench.timing import compile_program, program_figures, share, time_calls
+from t2m_jax.bench.timing import compile_program, share, speed, time_calls
 from t2m_jax.bench.train import random_motions
 from t2m_jax.data.banks.motions import batch_at
 from t2m_jax.data.folder import open_dataset
@@ -23,44 +24,26 @@ WINDOW = 64
 """Frames of each."""
 
 
-def benchmark_windows(
-    *,
-    num_devices: int,
-    peaks: Peaks,
-    bank: Literal["replicated", "sharded"] = "replicated",
-    batch: int = BATCH,
-    repeats: int = 3,
-) -> BenchResult:
-    """Returns how many windows are cut in a second from a bank of random motion.
-
-    Args:
-        num_devices: Number of devices, among which a batch is divided.
-        peaks: Of these devices.
-        bank: Whether each device has all of the motion or its share.
-        batch: Windows of a batch.
-        repeats: Calls that are timed, each of one batch.
+def benchmark_windows(*, peaks: Peaks) -> BenchResult:
+    """Returns how many windows are cut in a second from a bank of random motion that each device has.
 
     Raises:
         UserError: There are not so many devices, or they do not divide the batch.
     """
-    config = TrainVqVaeConfig(loop=LoopConfig(batch_size=batch), window=WINDOW)
-    devices = Devices(ShardingConfig(devices=num_devices, bank=bank), batch_size=batch)
+    config = TrainVqVaeConfig(loop=LoopConfig(batch_size=BATCH), window=WINDOW)
+    devices = Devices(ShardingConfig(devices=peaks.num_devices), batch_size=BATCH)
     arguments = (devices.put_data(random_motions(config)), jax.random.key(0), np.int32(0))
-    draw = jax.jit(functools.partial(batch_at, batch_size=batch, window=WINDOW))
+    draw = jax.jit(functools.partial(batch_at, batch_size=BATCH, window=WINDOW))
     with jax.set_mesh(devices.mesh):
         program = compile_program(lambda: draw.lower(*arguments))
-    timing = time_calls(lambda: program.compiled(*arguments), repeats=repeats)
-    moved = 2 * batch * WINDOW * config.model.feature_dim * 4  # frames are read from the bank and written
-    figures = (
-        Figure(name="speed", value=batch / timing.median, unit="1/s", better="more", spread=timing.spread),
-        *program_figures(program),
-        share("memory", moved / timing.median, peaks.memory),
-    )
-    place = "" if num_devices == 1 else f", {num_devices} devices, bank {bank}"
-    return BenchResult(benchmark="data", name=f"windows, {batch}x{WINDOW}{place}", figures=figures)
+    timing = time_calls(lambda: program.compiled(*arguments))
+    moved = 2 * BATCH * WINDOW * config.model.feature_dim * 4  # frames are read from the bank and written
+    figures = (speed(BATCH, timing), *program.figures, share("memory", moved / timing.median, peaks.memory))
+    name = f"windows, {BATCH}x{WINDOW}{on_devices(peaks.num_devices)}"
+    return BenchResult(benchmark="data", name=name, figures=figures)
 
 
-def benchmark_opening(folder: str | Path, *, repeats: int = 3) -> BenchResult:
+def benchmark_opening(folder: str | Path) -> BenchResult:
     """Returns how many training clips of a data set are opened in a second; its cache is made before that.
 
     Raises:
@@ -73,10 +56,6 @@ def benchmark_opening(folder: str | Path, *, repeats: int = 3) -> BenchResult:
     # The first opening also makes the cache, if there is none.
     start = time.perf_counter()
     count = len(open_clips())
-    first = time.perf_counter() - start
-    timing = time_calls(open_clips, repeats=repeats)
-    figures = (
-        Figure(name="speed", value=count / timing.median, unit="1/s", better="more", spread=timing.spread),
-        Figure(name="first opening", value=first, unit="s"),
-    )
+    first = Figure(name="first opening", value=time.perf_counter() - start, unit="s")
+    figures = (speed(count, time_calls(open_clips)), first)
     return BenchResult(benchmark="data", name=f"clips of {Path(folder).name}, {count}", figures=figures)

@@ -23,13 +23,15 @@ LONG = 0.2
 """Seconds after which no larger size is tried."""
 
 
-def first_devices(count: int) -> Mesh:
-    """Returns the mesh of the first devices.
+def first_devices(count: int, *, batch: int | None = None) -> Mesh:
+    """Returns the mesh of the first devices, among which a batch can be divided.
 
     Raises:
-        UserError: There are not so many.
+        UserError: There are not so many, or they do not divide the batch.
     """
     available = jax.devices()
+    if batch is not None and batch % count:
+        raise UserError(f"bench: --batch {batch} is not a multiple of the {count} devices; change one of them")
     if not 1 <= count <= len(available):
         raise UserError(f"bench: --devices {count}, but there are {len(available)} ({available[0].device_kind})")
     return make_data_mesh(available[:count])
@@ -40,20 +42,20 @@ def place(tree: Any, mesh: Mesh, *, by_rows: bool = False) -> Any:
     return jax.device_put(tree, NamedSharding(mesh, PartitionSpec(AXIS) if by_rows else PartitionSpec()))
 
 
-def product_rate(mesh: Mesh, dtype: Any, *, sizes: Sequence[int] = PRODUCT_SIZES) -> float:
+def product_rate(mesh: Mesh, dtype: Any) -> float:
     """Returns the highest FLOP/s of products of square matrices, of which each device multiplies its own."""
     multiply = jax.jit(jnp.matmul)
 
     # A product of n x n matrices has n³ multiplications and as many additions.
     def rate(size: int) -> tuple[float, float]:
         matrices = place(jnp.ones((mesh.size, size, size), dtype), mesh, by_rows=True)
-        timing = time_calls(lambda: multiply(matrices, matrices), repeats=3)
+        timing = time_calls(lambda: multiply(matrices, matrices))
         return timing.fastest, 2.0 * mesh.size * size**3
 
-    return _best(rate, sizes)
+    return _best(rate, PRODUCT_SIZES)
 
 
-def memory_rate(mesh: Mesh, *, sizes: Sequence[int] = ARRAY_SIZES) -> float:
+def memory_rate(mesh: Mesh) -> float:
     """Returns the highest bytes/s at which the devices read and write an array."""
     # In place, because a CPU would spend most of the time with getting memory for a new array from the system.
     increase = jax.jit(lambda values: values + 1, donate_argnums=0)
@@ -66,9 +68,9 @@ def memory_rate(mesh: Mesh, *, sizes: Sequence[int] = ARRAY_SIZES) -> float:
             numbers = increase(numbers)
             return numbers
 
-        return time_calls(call, repeats=3).fastest, 2.0 * numbers.nbytes
+        return time_calls(call).fastest, 2.0 * numbers.nbytes
 
-    return _best(rate, sizes)
+    return _best(rate, ARRAY_SIZES)
 
 
 def _best(rate: Callable[[int], tuple[float, float]], sizes: Sequence[int]) -> float:
@@ -83,16 +85,19 @@ def _best(rate: Callable[[int], tuple[float, float]], sizes: Sequence[int]) -> f
     return best
 
 
-def measure_peaks(
-    mesh: Mesh, *, product_sizes: Sequence[int] = PRODUCT_SIZES, array_sizes: Sequence[int] = ARRAY_SIZES
-) -> Peaks:
+def measure_peaks(mesh: Mesh) -> Peaks:
     """Returns the peaks of the devices of a mesh together. Virtual devices share the cores of the processor."""
     return Peaks(
         num_devices=mesh.size,
-        float32=product_rate(mesh, jnp.float32, sizes=product_sizes),
-        bfloat16=product_rate(mesh, jnp.bfloat16, sizes=product_sizes),
-        memory=memory_rate(mesh, sizes=array_sizes),
+        float32=product_rate(mesh, jnp.float32),
+        bfloat16=product_rate(mesh, jnp.bfloat16),
+        memory=memory_rate(mesh),
     )
+
+
+def on_devices(count: int) -> str:
+    """Returns the end of a row's name that says on how many devices it was measured."""
+    return f", {count} devices" if count > 1 else ""
 
 
 def describe_machine(peaks: Sequence[Peaks]) -> Machine:

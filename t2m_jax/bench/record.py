@@ -16,6 +16,15 @@ Benchmark = Literal["train", "sample", "evaluate", "data"]
 """What is measured."""
 
 
+class _Shown:
+    """A record that terminals show: its texts must not move the cursor."""
+
+    def __post_init__(self) -> None:
+        for text in vars(self).values():
+            if isinstance(text, str) and not text.isprintable():
+                raise ValueError(f"{text!r} has characters that cannot be printed")
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Peaks:
     """The highest rates that simple programs reach on some devices of the machine together."""
@@ -31,7 +40,7 @@ class Peaks:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Machine:
+class Machine(_Shown):
     """What a report was measured on."""
 
     device_kind: str
@@ -47,12 +56,9 @@ class Machine:
     peaks: tuple[Peaks, ...]
     """For each number of devices that was measured."""
 
-    def __post_init__(self) -> None:
-        _check_printable(self.device_kind, self.processor, self.jax_version)
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Figure:
+class Figure(_Shown):
     """A number with its unit."""
 
     name: str
@@ -66,9 +72,6 @@ class Figure:
     spread: float = 0.0
     """Distance of the upper and the lower quartile of all repeats, relative to the median."""
 
-    def __post_init__(self) -> None:
-        _check_printable(self.name, self.unit)
-
     @property
     def heading(self) -> str:
         """The name with the unit."""
@@ -76,7 +79,7 @@ class Figure:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class BenchResult:
+class BenchResult(_Shown):
     """The figures of one measurement."""
 
     benchmark: Benchmark
@@ -86,16 +89,13 @@ class BenchResult:
     figures: tuple[Figure, ...]
     """Figures; their names differ."""
 
-    def __post_init__(self) -> None:
-        _check_printable(self.name)
-
     def __getitem__(self, name: str) -> Figure:
         """Returns the figure of a name. Raises `KeyError` if there is none."""
         return {figure.name: figure for figure in self.figures}[name]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class BenchReport:
+class BenchReport(_Shown):
     """From `t2m bench` to `report_text` and the file of `--json`: the measurements of one run."""
 
     machine: Machine
@@ -108,9 +108,6 @@ class BenchReport:
     """Day of the measurement."""
     format_version: int = FORMAT_VERSION
     """Version of the file."""
-
-    def __post_init__(self) -> None:
-        _check_printable(self.date)
 
 
 def save_report(path: Path, report: BenchReport) -> None:
@@ -130,10 +127,3 @@ def load_report(path: Path) -> BenchReport:
         expected = f"a benchmark report of format_version {FORMAT_VERSION}"
         raise UserError(f"{path}: is not {expected}; write one with `t2m bench all --json`")
     return config_from_dict(BenchReport, data, source=f"{path}")
-
-
-def _check_printable(*texts: str) -> None:
-    """Raises `ValueError` if a text has characters that could move the cursor of a terminal."""
-    for text in texts:
-        if not text.isprintable():
-            raise ValueError(f"{text!r} has characters that cannot be printed")

@@ -1,8 +1,6 @@
 """Speed of a text-to-motion system: sampling codes for random texts, and encoding and decoding random motion."""
 
 import functools
-import itertools
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -11,10 +9,9 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Float
 
 from t2m_jax.bench.flops import count_flops
-from t2m_jax.bench.probes import place
+from t2m_jax.bench.probes import first_devices, on_devices, place
 from t2m_jax.bench.record import BenchResult, Figure, Peaks
-from t2m_jax.bench.timing import compile_program, program_figures, share, time_calls
-from t2m_jax.errors import UserError
+from t2m_jax.bench.timing import compile_program, share, time_calls
 from t2m_jax.models.system import GeneratorConfig, PartConfig, TokenizerConfig, find_part, make_module
 from t2m_jax.sampling.loop import CHUNK, Sampling
 from t2m_jax.sampling.programs import generate_codes, sampling_variables
@@ -51,12 +48,12 @@ def published_config(kind: str) -> Any:
     return find_part(kind).config()
 
 
-def full_size_systems(kinds: Sequence[str]) -> list[MeasuredSystem]:
+def full_size_systems() -> list[MeasuredSystem]:
     """Returns systems of the published sizes with random weights: with guidance and without, if they have it."""
     systems: list[MeasuredSystem] = []
-    for kind in kinds:
+    for kind, other in TOKENIZERS.items():
         generator = published_config(kind)
-        tokenizer = published_config(TOKENIZERS[kind])
+        tokenizer = published_config(other)
         variables = {"generator": random_variables(generator), "tokenizer": random_variables(tokenizer)}
         plain = MeasuredSystem(f"{kind} full", generator, tokenizer, variables)
         systems.append(plain)
@@ -65,10 +62,8 @@ def full_size_systems(kinds: Sequence[str]) -> list[MeasuredSystem]:
     return systems
 
 
-def benchmark_sampling(
-    system: MeasuredSystem, *, batch: int, num_codes: int | None = None, mesh: Mesh, peaks: Peaks, repeats: int = 3
-) -> BenchResult:
-    """Returns how long it takes to sample a batch of motions of `num_codes` rows, none of which ends earlier.
+def benchmark_sampling(system: MeasuredSystem, *, batch: int, peaks: Peaks) -> BenchResult:
+    """Returns how long it takes to sample a batch of motions of up to `NUM_CODES` rows, none of which ends earlier.
 
     A step samples one row of codes for every motion, and has to read all weights at least once. Encoding and decoding
     as many frames as these rows stand for is timed separately.
@@ -76,17 +71,14 @@ def benchmark_sampling(
     Args:
         system: Generator and tokenizer.
         batch: Motions that are sampled together.
-        num_codes: Rows of each motion; by default the generator's most, up to `NUM_CODES`.
-        mesh: The devices, among which the motions are divided.
-        peaks: Of these devices.
-        repeats: Calls that are timed.
+        peaks: Of the devices, among which the motions are divided.
 
     Raises:
-        UserError: The devices do not divide the batch, or the generator has no motions of so many rows.
+        UserError: The devices do not divide the batch.
     """
     config = system.generator
-    num_codes = num_codes or min(NUM_CODES, config.max_codes)
-    check_sampling([config], batches=[batch], num_codes=num_codes, devices=[mesh.size])
+    num_codes = min(NUM_CODES, config.max_codes)
+    mesh = first_devices(peaks.num_devices, batch=batch)
     text = place(jax.random.normal(jax.random.key(1), (batch, config.text_dim)), mesh, by_rows=True)
     keys = place(jax.random.split(jax.random.key(2), batch), mesh, by_rows=True)
     # One more row than the maximum as minimum: rules that keep the last row would end one row before the minimum.
@@ -95,28 +87,27 @@ def benchmark_sampling(
     arguments = (place(sampling_variables(system.variables["generator"], config), mesh), text, keys, scale)
     sample = functools.partial(generate_codes, generator=make_module(config), sampling=sampling)
     program = compile_program(lambda: generate_codes.lower(*arguments, **sample.keywords))
-    timing = time_calls(lambda: program.compiled(*arguments), repeats=repeats)
+    timing = time_calls(lambda: program.compiled(*arguments))
     weights = sum(leaf.nbytes for leaf in jax.tree.leaves(arguments[0]))
     # The loop over chunks is counted once, whatever its length.
     flops = count_flops(sample, *arguments) / CHUNK
     step = timing.median / num_codes
-    frames = batch * system.tokenizer.downsample
+    downsample = system.tokenizer.downsample
     figures = (
         Figure(name="per step", value=1e3 * step, unit="ms", better="less", spread=timing.spread),
         Figure(name="per row", value=1e3 * step / batch, unit="ms"),
-        Figure(name="per frame", value=1e3 * step / frames, unit="ms"),
+        Figure(name="per frame", value=1e3 * step / (batch * downsample), unit="ms"),
         Figure(name="codes", value=batch * config.num_quantizers / step, unit="1/s"),
-        encode_and_decode(system, (batch, num_codes * system.tokenizer.downsample), mesh=mesh, repeats=repeats),
-        *program_figures(program),
+        encode_and_decode(system, (batch, num_codes * downsample), mesh=mesh),
+        *program.figures,
         share("product", flops / step, peaks.float32),
         share("memory", mesh.size * weights / step, peaks.memory),
     )
-    devices = f", {mesh.size} devices" if mesh.size > 1 else ""
-    name = f"{system.name}, {num_codes} rows, batch {batch}{devices}"
+    name = f"{system.name}, {num_codes} rows, batch {batch}{on_devices(mesh.size)}"
     return BenchResult(benchmark="sample", name=name, figures=figures)
 
 
-def encode_and_decode(system: MeasuredSystem, size: tuple[int, int], *, mesh: Mesh, repeats: int) -> Figure:
+def encode_and_decode(system: MeasuredSystem, size: tuple[int, int], *, mesh: Mesh) -> Figure:
     """Returns the time to encode and decode a frame (table 1 of T2M-HiFiGPT), in a batch of motions [B, T]."""
     tokenizer = make_module(system.tokenizer)
 
@@ -128,18 +119,6 @@ def encode_and_decode(system: MeasuredSystem, size: tuple[int, int], *, mesh: Me
     motion = place(jax.random.normal(jax.random.key(3), (*size, system.tokenizer.feature_dim)), mesh, by_rows=True)
     variables = place(system.variables["tokenizer"], mesh)
     # One program for both, as a tokenizer is used for reconstruction.
-    timing = time_calls(lambda: there_and_back(variables, motion), repeats=repeats)
+    timing = time_calls(lambda: there_and_back(variables, motion))
     per_frame = 1e3 * timing.median / (size[0] * size[1])
     return Figure(name="encode + decode", value=per_frame, unit="ms/frame", better="less", spread=timing.spread)
-
-
-def check_sampling(
-    configs: Sequence[GeneratorConfig], *, batches: Sequence[int], num_codes: int | None, devices: Sequence[int]
-) -> None:
-    """Raises `UserError` if a batch cannot be divided among the devices, or if motions cannot have so many rows."""
-    longest = min(config.max_codes for config in configs)
-    if num_codes is not None and num_codes > longest:
-        raise UserError(f"bench: --codes {num_codes} is more than the model's {longest}")
-    for batch, count in itertools.product(batches, devices):
-        if batch % count:
-            raise UserError(f"bench: --batch {batch} is not a multiple of the {count} devices; change one of them")

@@ -10,6 +10,8 @@ import numpy as np
 
 from t2m_jax.bench.record import Figure
 
+REPEATS = 3
+"""Least number of calls that are timed."""
 MIN_SECONDS = 0.2
 """Calls are repeated for at least this time, because a few short calls say little."""
 
@@ -24,29 +26,31 @@ class Timing(NamedTuple):
 
 
 class Program(NamedTuple):
-    """A compiled program and what it took to compile it."""
+    """A compiled program, with what it took to compile it and the memory that it needs."""
 
     compiled: jax.stages.Compiled
-    compile_seconds: float
+    figures: tuple[Figure, ...]
 
 
 def compile_program(lower: Callable[[], jax.stages.Lowered]) -> Program:
     """Returns a program that is traced by `lower`, compiled; the time includes both."""
     start = time.perf_counter()
     compiled = lower().compile()
-    return Program(compiled, time.perf_counter() - start)
+    figures = [Figure(name="compile", value=time.perf_counter() - start, unit="s", better="less")]
+    memory = compiled.memory_analysis()
+    if memory is not None:  # not every device knows it
+        # Of arguments, results and intermediate values.
+        total = memory.argument_size_in_bytes + memory.output_size_in_bytes + memory.temp_size_in_bytes
+        size = total - memory.alias_size_in_bytes
+        figures.append(Figure(name="memory per device", value=size / 1e9, unit="GB", better="less"))
+    return Program(compiled, tuple(figures))
 
 
-def time_calls(call: Callable[[], Any], *, repeats: int) -> Timing:
-    """Returns the time of a call until its results are ready, after one call that does not count.
-
-    Args:
-        call: What to run.
-        repeats: Number of calls, or more of them until `MIN_SECONDS` have passed.
-    """
+def time_calls(call: Callable[[], Any]) -> Timing:
+    """Returns the time of a call until its results are ready, after one call that does not count."""
     jax.block_until_ready(call())
     seconds: list[float] = []
-    while len(seconds) < repeats or sum(seconds) < MIN_SECONDS:
+    while len(seconds) < REPEATS or sum(seconds) < MIN_SECONDS:
         start = time.perf_counter()
         jax.block_until_ready(call())
         seconds.append(time.perf_counter() - start)
@@ -54,15 +58,9 @@ def time_calls(call: Callable[[], Any], *, repeats: int) -> Timing:
     return Timing(float(median), min(seconds), float((upper - lower) / median))
 
 
-def program_figures(program: Program) -> tuple[Figure, ...]:
-    """Returns what a program took to compile, and the memory of its arguments, results and intermediate values."""
-    figures = [Figure(name="compile", value=program.compile_seconds, unit="s", better="less")]
-    memory = program.compiled.memory_analysis()
-    if memory is not None:  # not every device knows it
-        total = memory.argument_size_in_bytes + memory.output_size_in_bytes + memory.temp_size_in_bytes
-        size = total - memory.alias_size_in_bytes
-        figures.append(Figure(name="memory per device", value=size / 1e9, unit="GB", better="less"))
-    return tuple(figures)
+def speed(count: int, timing: Timing) -> Figure:
+    """Returns how many things of a call are done in a second."""
+    return Figure(name="speed", value=count / timing.median, unit="1/s", better="more", spread=timing.spread)
 
 
 def share(name: str, rate: float, peak: float) -> Figure:

@@ -8,44 +8,31 @@ import jax
 import numpy as np
 
 from t2m_jax.bench.flops import count_flops
+from t2m_jax.bench.probes import on_devices
 from t2m_jax.bench.record import BenchResult, Figure, Peaks
-from t2m_jax.bench.timing import compile_program, program_figures, share, time_calls
-from t2m_jax.checkpoints.bundle import bundle_path, load_bundle_config
+from t2m_jax.bench.timing import compile_program, share, time_calls
+from t2m_jax.config import load_config
 from t2m_jax.data.banks.codes import CodeBank
 from t2m_jax.data.banks.motions import MotionBank
-from t2m_jax.models.caption_encoder import CaptionEncoderConfig
-from t2m_jax.models.motion_gpt import MotionGptConfig
 from t2m_jax.models.rows import Precision
-from t2m_jax.models.vqvae import VqVaeConfig
 from t2m_jax.text.bpe import CaptionTokens
 from t2m_jax.train.config import LoopConfig, ShardingConfig
+from t2m_jax.train.experiment import find_trainer
 from t2m_jax.train.gpt import TrainGptConfig, init_gpt_state
 from t2m_jax.train.gpt import update as gpt_update
 from t2m_jax.train.hifigpt import TrainHiFiGptConfig, init_hifigpt_state
 from t2m_jax.train.hifigpt import update as hifigpt_update
 from t2m_jax.train.program import Devices, Update
+from t2m_jax.train.shipped import find_config
 from t2m_jax.train.vqvae import init_vqvae_state
 from t2m_jax.train.vqvae import update as vqvae_update
 from t2m_jax.train.vqvae_config import TrainRvqVaeConfig, TrainVqVaeConfig
 
-Kind = Literal["vqvae", "gpt", "rvqvae", "hifigpt"]
-"""What is trained."""
 TrainConfig = TrainVqVaeConfig | TrainGptConfig | TrainHiFiGptConfig
-Size = Literal["full", "demo"]
-"""Sizes of the published models for HumanML3D, or of small ones like the packaged model."""
-BATCHES: dict[tuple[str, str], int] = {
-    ("vqvae", "full"): 256,
-    ("gpt", "full"): 128,
-    ("rvqvae", "full"): 256,
-    ("hifigpt", "full"): 128,
-    ("vqvae", "demo"): 96,
-    ("gpt", "demo"): 64,
-    ("rvqvae", "demo"): 96,
-    ("hifigpt", "demo"): 64,
-}
-"""Batch of each recipe."""
-CPU_BATCHES = BATCHES | {("gpt", "full"): 16, ("hifigpt", "full"): 16}
-"""Default batches on a CPU, where an update of the full GPT with its own batch needs 21 GB."""
+DEMO_CONFIGS = {"vqvae": "t2m-gpt/vqvae", "gpt": "t2m-gpt/gpt", "rvqvae": "demo/rvqvae", "hifigpt": "demo/hifigpt"}
+"""The configs of small models: of T2M-GPT, and of the packaged model."""
+CPU_BATCH = 16
+"""Default batch of a full generator on a CPU, where an update with its own batch of 128 needs 21 GB."""
 TOKENIZERS = {"gpt": TrainVqVaeConfig, "hifigpt": TrainRvqVaeConfig}
 """Whose codes a generator learns."""
 RECIPE_STEPS = 300_000
@@ -54,59 +41,27 @@ CLIP_FRAMES = 200
 """Frames of a random clip, about the longest in HumanML3D."""
 
 
-class Options(NamedTuple):
-    """How an update is computed. `batch` is None for the default of the device."""
-
-    batch: int | None = None
-    precision: Precision = "float32"
-    steps_per_call: int = 1
-    remat: bool = False
-    """Of a generator."""
-    num_parts: int = 1
-    """Of a generator."""
+def full_training(kind: str) -> TrainConfig:
+    """Returns the config of a published training; its sizes are the defaults."""
+    return find_trainer(kind).config(**{"text_encoder": "clip"} if kind in TOKENIZERS else {})
 
 
-class Sizes(NamedTuple):
-    """The parts of a model."""
-
-    tokenizer: Any
-    generator: Any
-    text_encoder: CaptionEncoderConfig
-
-
-def demo_sizes(kind: Kind) -> Sizes:
-    """Returns the sizes of the packaged model, or those of `configs/t2m-gpt`, which are about as large."""
-    packaged = load_bundle_config(bundle_path("demo"))
-    if kind in ("rvqvae", "hifigpt"):
-        return Sizes(packaged.tokenizer, packaged.generator, packaged.text_encoder)
-    generator = MotionGptConfig(embed_dim=256, text_dim=256, num_layers=4, num_heads=8, block_size=41)
-    return Sizes(VqVaeConfig(width=192, code_dim=128), generator, packaged.text_encoder)
-
-
-def make_training(kind: Kind, size: Size, options: Options, *, devices: int = 1) -> TrainConfig:
-    """Returns the config of a training at a size.
-
-    Raises:
-        ValueError: An option does not fit the batch.
-    """
-    # On a CPU a full generator would need more memory than most machines have.
-    batches = CPU_BATCHES if jax.default_backend() == "cpu" else BATCHES
-    batch = batches[kind, size] if options.batch is None else options.batch
-    shared: dict[str, Any] = {
-        "loop": LoopConfig(batch_size=batch, steps_per_call=options.steps_per_call),
-        "sharding": ShardingConfig(devices=devices),
-        "precision": options.precision,
-    }
-    if kind in ("vqvae", "rvqvae"):
-        tokenizer = TrainVqVaeConfig if kind == "vqvae" else TrainRvqVaeConfig
-        return tokenizer(**shared if size == "full" else shared | {"model": demo_sizes(kind).tokenizer})
-    generator: type[TrainGptConfig | TrainHiFiGptConfig] = TrainGptConfig if kind == "gpt" else TrainHiFiGptConfig
-    # Tokenizers do not have these options.
-    shared |= {"remat": options.remat, "num_parts": options.num_parts}
-    if size == "full":
-        return generator(text_encoder="clip", **shared)
-    sizes = demo_sizes(kind)
-    return generator(model=sizes.generator, caption_encoder=sizes.text_encoder, **shared)
+def make_training(
+    kind: str,
+    size: Literal["full", "demo"] = "full",
+    *,
+    batch: int | None = None,
+    precision: Precision = "float32",
+    devices: int = 1,
+) -> TrainConfig:
+    """Returns the config of a training: of a published model, or with `demo` of a small one."""
+    config = full_training(kind)
+    if size == "demo":
+        config = load_config(find_config(kind, DEMO_CONFIGS[kind]), type(config))
+    elif kind in TOKENIZERS and jax.default_backend() == "cpu":
+        batch = batch or CPU_BATCH
+    loop = LoopConfig(batch_size=batch or config.loop.batch_size)
+    return dataclasses.replace(config, precision=precision, loop=loop, sharding=ShardingConfig(devices=devices))
 
 
 def random_motions(config: TrainVqVaeConfig) -> MotionBank:
@@ -171,14 +126,13 @@ def update_flops(config: TrainConfig) -> float:
     return count_flops(lambda state, data: work.update(state, data, config=config), state, work.data)
 
 
-def benchmark_training(config: TrainConfig, *, size: str, peaks: Peaks, repeats: int = 3) -> BenchResult:
+def benchmark_training(config: TrainConfig, *, size: str, peaks: Peaks) -> BenchResult:
     """Returns the speed of the updates of a training.
 
     Args:
         config: The training; its folders are not used.
         size: Name of its sizes, for the row.
         peaks: Of `config.sharding.devices` devices.
-        repeats: Calls that are timed, each of `config.loop.steps_per_call` updates.
 
     Raises:
         UserError: There are not so many devices, or they do not divide the batch.
@@ -200,29 +154,19 @@ def benchmark_training(config: TrainConfig, *, size: str, peaks: Peaks, repeats:
         losses.append(metrics["loss"])
         return state
 
-    timing = time_calls(call, repeats=repeats)
+    timing = time_calls(call)
     rate = count / timing.median
     flops = update_flops(config)
     peak = peaks.bfloat16 if config.precision == "bfloat16" else peaks.float32
     figures = [
         Figure(name="updates", value=rate, unit="1/s", better="more", spread=timing.spread),
         Figure(name="frames", value=rate * work.frames, unit="1/s"),
-        *program_figures(program),
+        *program.figures,
         Figure(name="work", value=flops / 1e12, unit="TFLOP/update"),
         share("product", rate * flops, peak),
         Figure(name="first loss", value=float(np.asarray(losses[0])[0])),
     ]
-    if size == "full" and config.loop.batch_size == BATCHES[config.kind, "full"]:
+    if size == "full" and config.loop.batch_size == full_training(config.kind).loop.batch_size:
         figures.append(Figure(name=f"{RECIPE_STEPS:,} updates", value=RECIPE_STEPS / rate / 3600, unit="h"))
-    name = _training_name(config, work.shape, size, devices.mesh.size)
+    name = f"{config.kind} {size} {work.shape} {config.precision}{on_devices(devices.mesh.size)}"
     return BenchResult(benchmark="train", name=name, figures=tuple(figures))
-
-
-def _training_name(config: TrainConfig, shape: str, size: str, num_devices: int) -> str:
-    """Returns what was run, with all options that are not the defaults."""
-    options = [f"{config.loop.steps_per_call} updates per call"] if config.loop.steps_per_call > 1 else []
-    if not isinstance(config, TrainVqVaeConfig):
-        options += ["remat"] if config.remat else []
-        options += [f"{config.num_parts} parts"] if config.num_parts > 1 else []
-    options += [f"{num_devices} devices"] if num_devices > 1 else []
-    return ", ".join([f"{config.kind} {size} {shape} {config.precision}", *options])

@@ -1,7 +1,5 @@
 """Peaks of small probes and tiny reports, so that no test measures anything large."""
 
-import functools
-
 import jax
 import pytest
 
@@ -23,8 +21,9 @@ def quick(monkeypatch):
     jax.devices()  # so that `--devices` does not change the number of devices of the other tests
     cache = jax.config.values["jax_enable_compilation_cache"]
     monkeypatch.setattr(timing_module, "MIN_SECONDS", 0.0)
-    small = functools.partial(probes.measure_peaks, product_sizes=(16,), array_sizes=(1024,))
-    monkeypatch.setattr(probes, "measure_peaks", small)
+    monkeypatch.setattr(timing_module, "REPEATS", 1)
+    monkeypatch.setattr(probes, "PRODUCT_SIZES", (16, 32))
+    monkeypatch.setattr(probes, "ARRAY_SIZES", (1024,))
     yield
     jax.config.update("jax_enable_compilation_cache", cache)
 

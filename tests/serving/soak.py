@@ -255,7 +255,7 @@ def batch_rate(model: str, batch: int) -> float:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "sample.json"
         command = [sys.executable, "-m", "t2m_jax", "bench", "sample", "--model", model, "--batch", str(batch)]
-        subprocess.run([*command, "--repeats", "9", "--json", str(path)], check=True, stdout=subprocess.DEVNULL)
+        subprocess.run([*command, "--json", str(path)], check=True, stdout=subprocess.DEVNULL)
         (row,) = json.loads(path.read_text(encoding="utf-8"))["rows"]
     milliseconds = next(one["value"] for one in row["figures"] if one["name"] == "per row")
     return 1000 / (milliseconds * int(row["name"].split(" rows")[0].rpartition(" ")[2]))
