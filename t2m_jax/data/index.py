@@ -1,7 +1,7 @@
 """The table `index.csv` of a data-set folder: the recordings that clips were cut from, and labels of their motion.
 
-It is HumanML3D's own table (`new_name`, `source_path` and others) with one column of ours, `label`. The file is
-optional, and so is every column except `new_name`.
+It is HumanML3D's own table (`new_name`, `source_path` and others) with columns of ours: `label`, and where clips come
+from. The file is optional, and so is every column except `new_name`.
 """
 
 import csv
@@ -22,11 +22,34 @@ SOURCE = "source_path"
 LABEL = "label"
 
 
+ORIGINS = ("person", "dataset", "licence")
+
+
+class IndexEntry(NamedTuple):
+    """One clip of the table."""
+
+    name: str
+    source: str
+    label: str
+    person: str = ""
+    """Who moves."""
+    dataset: str = ""
+    """Name of the data set that it was taken from, if its folder has several."""
+    licence: str = ""
+    """Its license, if its folder has several."""
+
+    def with_origin(self, dataset: str, licence: str) -> "IndexEntry":
+        """Returns the row with a data set and a license, where it has none."""
+        return self._replace(dataset=self.dataset or dataset, licence=self.licence or licence)
+
+
 class ClipIndex(NamedTuple):
     """Recordings and labels by clip name. Mirrored twins need no entry: theirs follow from the original."""
 
     sources: Mapping[str, str]
     labels: Mapping[str, str]
+    entries: Mapping[str, IndexEntry] = {}
+    """Everything that is known of each clip."""
 
     def source(self, name: str) -> str | None:
         """Returns the recording that a clip was cut from, or None if it is not known."""
@@ -39,19 +62,16 @@ class ClipIndex(NamedTuple):
         label = self.labels.get(name.removeprefix(MIRROR_PREFIX))
         return None if label is None else mirror_caption(label)
 
+    def entry(self, name: str) -> IndexEntry:
+        """Returns what is known of a clip; of a twin, what its original's row says, with its own label."""
+        known = self.entries.get(name, self.entries.get(name.removeprefix(MIRROR_PREFIX), IndexEntry(name, "", "")))
+        return known._replace(name=name, label=self.label(name) or "")
+
     def recorded_with(self, names: Iterable[str], others: Iterable[str]) -> frozenset[str]:
         """Returns the clips of `names` that share a known recording with one of `others`."""
         # Two clips of unknown recordings have nothing in common.
         recordings = {self.source(name) for name in others} - {None}
         return frozenset(name for name in names if self.source(name) in recordings)
-
-
-class IndexEntry(NamedTuple):
-    """One clip of the table."""
-
-    name: str
-    source: str
-    label: str
 
 
 def load_index(folder: Path) -> ClipIndex | None:
@@ -72,14 +92,21 @@ def load_index(folder: Path) -> ClipIndex | None:
         raise UserError(f"{path}: has no column {NAME}; its columns are {', '.join(map(str, entries[0]))}")
     # HumanML3D's table has file names in place of clip names.
     named = [((entry[NAME] or "").removesuffix(".npy"), entry) for entry in entries]
-    sources, labels = ({name: entry[of] for name, entry in named if entry.get(of)} for of in (SOURCE, LABEL))
-    return ClipIndex(sources, labels)
+    known = {}
+    for name, entry in named:
+        cells = (entry.get(column) or "" for column in (SOURCE, LABEL, *ORIGINS))
+        known[name] = IndexEntry(name, *cells)
+    sources = {name: entry.source for name, entry in known.items() if entry.source}
+    labels = {name: entry.label for name, entry in known.items() if entry.label}
+    return ClipIndex(sources, labels, known)
 
 
 def save_index(folder: Path, entries: Iterable[IndexEntry]) -> None:
-    """Writes `index.csv`. Mirrored twins need no entry."""
+    """Writes `index.csv`. Mirrored twins need no entry. Columns of origins are left out if all of them are empty."""
+    rows = list(entries)
+    width = 6 if any(any(entry[3:]) for entry in rows) else 3
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
-    writer.writerow((NAME, SOURCE, LABEL))
-    writer.writerows(entries)
+    writer.writerow((NAME, SOURCE, LABEL, *ORIGINS)[:width])
+    writer.writerows(entry[:width] for entry in rows)
     save_text(folder / INDEX, table.getvalue())

@@ -72,12 +72,12 @@ def _merged_info(datasets: Sequence[Dataset]) -> DatasetInfo:
 
 
 def _labels(owners: dict[str, Dataset]) -> list[IndexEntry]:
-    """Returns the rows of all clips of which recording or label is known."""
+    """Returns the rows of all clips of which something is known, with the data set and the license of each."""
     indices = {dataset.folder: load_index(dataset.folder) for dataset in owners.values()}
     rows = []
     for name, dataset in owners.items():
         index = indices[dataset.folder]
         # The label of a twin follows from its original's row, if that is here, too.
         if index is not None and not (name.startswith(MIRROR_PREFIX) and name[1:] in owners):
-            rows.append(IndexEntry(name, index.source(name) or "", index.label(name) or ""))
+            rows.append(index.entry(name).with_origin(dataset.info.name, dataset.info.licence))
     return rows

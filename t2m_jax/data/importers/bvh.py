@@ -14,8 +14,10 @@ from jaxtyping import Float
 from t2m_jax.config import load_config
 from t2m_jax.data.folder import DatasetInfo
 from t2m_jax.data.importers.caption_files import Source, clip_name, find_captions, find_table, unused_entries
-from t2m_jax.data.importers.caption_table import CaptionTable
+from t2m_jax.data.importers.caption_table import CaptionTable, find_entries
 from t2m_jax.data.importers.division import EIGHTY, Division
+from t2m_jax.data.importers.table_parts import Part, find_parts, has_parts
+from t2m_jax.data.index import IndexEntry, save_index
 from t2m_jax.data.writer import ImportReport, finish_folder, new_folder, with_twins, write_twins
 from t2m_jax.errors import UserError
 from t2m_jax.motion.amc import AMC_FPS, load_amc
@@ -116,7 +118,8 @@ class BvhOptions:
 
     captions: str | Path | None = None
     """Table of files and captions (see `caption_table`); by default `captions.csv` or `captions.txt` in the folder. An
-    animation of a GLB file is called `file/animation`. A `.txt` next to a BVH or AMC file is always read."""
+    animation of a GLB file is called `file/animation`. A `.txt` next to a BVH or AMC file is always read, unless the
+    table has a column `action`: then each of its rows is a clip (see `table_parts`)."""
     rig: str | None = None
     """Name of a rig, or a YAML table such as `pelvis: Hips`; by default detected from the joint names."""
     caption_from_name: bool = False
@@ -153,6 +156,8 @@ class _Converter:
     """What was done -> names of clips."""
     sides: dict[str, list[bool]] = dataclasses.field(default_factory=lambda: defaultdict(list))
     """Rig -> whether left is left, in each of its clips."""
+    entries: list[IndexEntry] = dataclasses.field(default_factory=list)
+    """Rows of `index.csv`, of clips with labels."""
     num_frames: int = 0
 
     def file(self, path: Path, folder: Path) -> None:
@@ -163,24 +168,50 @@ class _Converter:
             self.left_out[self._add(Source(path, None))] = str(error)
             return
         for motion, clip in motions.items():
-            name = self._add(motion)
             try:
-                said = find_captions(motion, self.source, table=self.table, from_name=self.options.caption_from_name)
-                group = self.division.group(motion)
-                with naming(motion):
-                    ready = _prepare(motion, clip, rig=self.options.rig, up=self.options.up)
-                self.num_frames += 2 * write_twins(folder, name, ready.positions, captions=said, skeleton=HUMANML3D)
+                parts = self._parts(motion)
             except UserError as error:
-                self.left_out[name] = str(error)
+                self.left_out[self._add(motion)] = str(error)
                 continue
-            self.groups[name] = group
-            self.sides[ready.rig].append(ready.left_is_left)
-            for step in ready.steps:
-                self.steps[step].append(name)
+            for part in parts:
+                self._add(motion, part.name)
+                try:
+                    self._write(motion, part, clip, folder)
+                except UserError as error:
+                    self.left_out[part.name] = str(error)
 
-    def _add(self, motion: Source) -> str:
+    def _parts(self, motion: Source) -> list[Part]:
+        """Returns the clips that a motion becomes: those of the table, or one with all of it."""
+        key = motion.key(self.source)
+        if has_parts(self.table):
+            return find_parts(motion, key, find_entries(self.table, motion.keys(self.source)))
+        return [Part(clip_name(key), (0.0, 0.0), "", "", "", ())]
+
+    def _write(self, motion: Source, part: Part, clip: RigClip, folder: Path) -> None:
+        """Writes a clip and its twin.
+
+        Raises:
+            UserError: It has no captions or no split, or it cannot be converted.
+        """
+        from_name = self.options.caption_from_name
+        group = self.division.group(motion, part.split)
+        # Sentences are searched before the conversion, which takes longer.
+        said = () if has_parts(self.table) else find_captions(motion, self.source, table=self.table, from_name=from_name)
+        with naming(motion):
+            ready = _prepare(motion, part.cut(clip), rig=self.options.rig, up=self.options.up)
+            said = said or part.all_captions(ready.positions)
+        self.num_frames += 2 * write_twins(folder, part.name, ready.positions, captions=said, skeleton=HUMANML3D)
+        self.groups[part.name] = group
+        if has_parts(self.table):
+            source = motion.key(self.source)
+            self.entries.append(IndexEntry(part.name, source, part.label, person=part.person))
+        self.sides[ready.rig].append(ready.left_is_left)
+        for step in ready.steps:
+            self.steps[step].append(part.name)
+
+    def _add(self, motion: Source, name: str = "") -> str:
         """Returns the name of a motion's clip, which must be new."""
-        name = clip_name(motion.key(self.source))
+        name = name or clip_name(motion.key(self.source))
         # Different paths can become the same name, and one clip would replace the other.
         if name in self.motions:
             raise UserError(f"{motion}: would be named {name} like {self.motions[name]}; rename one of them")
@@ -239,6 +270,8 @@ def import_bvh_folder(source: str | Path, destination: str | Path, **options: An
         convert.check()
         splits = {part: with_twins(members) for part, members in division.divide(convert.groups).items()}
         sizes = finish_folder(folder, splits, info=about, skeleton=HUMANML3D)
+        if convert.entries:
+            save_index(folder, convert.entries)
     # What is wrong with a row is also why its clip was left out.
     told = set(convert.left_out.values())
     unused = [line for line in unused_entries(table, convert.motions.values(), source) if line not in told]

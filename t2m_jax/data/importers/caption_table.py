@@ -27,6 +27,10 @@ NAMES = {
     "file": ("file", "filename", "path", "filepath", "bvh", "clip", "motion", "take", "name", "id"),
 }
 """Names of columns by what is in them, the best ones first. One word of several is enough: `Clip name`, `Start (s)`."""
+ACTION = "action"
+PERSON = "person"
+SPLIT = "split"
+"""Columns of tables whose rows are clips (see `table_parts`)."""
 MOTION_SUFFIXES = re.compile(r"\.(bvh|glb|amc|fbx|npy|npz|c3d)$", re.IGNORECASE)
 
 
@@ -42,6 +46,8 @@ class CaptionEntry(NamedTuple):
     """Why the row cannot be used; empty if it can."""
     cells: Mapping[str, str]
     """The other cells by the names of their columns."""
+    span: tuple[float, float] = (0.0, 0.0)
+    """Seconds of the motion that it is about; zeros are the beginning and the end."""
 
 
 class CaptionTable(NamedTuple):
@@ -282,10 +288,14 @@ def _make_entry(
 ) -> CaptionEntry:
     """Returns a row with its captions, or with what is wrong with it."""
     key = _motion_key(file)
-    if not key or not said:
+    # A row with an action needs no caption: the action is put into words.
+    if not key or not (said or others.get(ACTION)):
         problem = f"{place}: file or caption is empty; fill in both or remove the line"
         return CaptionEntry(place, key, (), problem, others)
     try:
-        return CaptionEntry(place, key, tuple(tagged_caption(text, source=place, **times) for text in said), "", others)
+        # The times are read like those of a caption, also if there is none.
+        spans = [tagged_caption(text, source=place, **times) for text in said or (others[ACTION],)]
+        captions = tuple(spans) if said else ()
+        return CaptionEntry(place, key, captions, "", others, (spans[0].start, spans[0].end))
     except UserError as error:
         return CaptionEntry(place, key, (), str(error), others)

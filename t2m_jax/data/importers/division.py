@@ -8,7 +8,7 @@ from pathlib import Path
 
 from t2m_jax.data.files import SPLITS, read_names
 from t2m_jax.data.importers.caption_files import Source, clip_name
-from t2m_jax.data.importers.caption_table import CaptionTable, find_entries
+from t2m_jax.data.importers.caption_table import SPLIT, CaptionTable, find_entries
 from t2m_jax.data.splits import parse_shares, split_by_hash, split_groups
 from t2m_jax.errors import UserError
 
@@ -30,6 +30,11 @@ class Division:
     """Folder of the motion files."""
     table: CaptionTable
     seed: int
+
+    @property
+    def is_in_table(self) -> bool:
+        """Whether a column of the table has the splits, and nothing else was asked for."""
+        return SPLIT in self.table.columns and self.split == EIGHTY and self.split_by is None
 
     def check(self) -> None:
         """Raises `UserError` if the shares are wrong, a list is missing, or the table has no such column."""
@@ -54,7 +59,7 @@ class Division:
         Raises:
             UserError: There are fewer groups than splits.
         """
-        if Path(self.split).is_dir():
+        if self.is_in_table or Path(self.split).is_dir():
             return {split: [name for name, group in groups.items() if group == split] for split in SPLITS}
         shares = parse_shares(str(self.split))
         if self.split_by is None:
@@ -73,12 +78,20 @@ class Division:
             raise UserError(f"{self.split}: {twice[0]} is in two lists or twice in one; name each clip once")
         return {clip_name(name): split for split, name in listed}
 
-    def group(self, motion: Source) -> str:
-        """Returns what the clips that stay together with a motion have in common with it, or its split in the lists.
+    def group(self, motion: Source, split: str = "") -> str:
+        """Returns what the clips that stay together with a motion have in common with it, or its split.
+
+        Args:
+            motion: The motion.
+            split: What its rows say in the column `split`.
 
         Raises:
             UserError: The clip is in no list, or its rows have several values or none.
         """
+        if self.is_in_table:
+            if not split:
+                raise UserError(f"{motion}: its rows have no {SPLIT}; write {', '.join(SPLITS)} into all")
+            return split
         if Path(self.split).is_dir():
             name = clip_name(motion.key(self.source))
             if name not in self._homes:

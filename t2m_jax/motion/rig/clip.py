@@ -50,10 +50,10 @@ class RigClip:
         """World positions of all joints in meters."""
         return forward_kinematics(self.rotations, self.translations, self.parents).positions
 
-    def from_frame(self, frame: int) -> "RigClip":
-        """Returns the clip without the frames before `frame`."""
+    def from_frame(self, frame: int, end: int | None = None) -> "RigClip":
+        """Returns the clip without the frames before `frame`, and without those from `end`."""
         return dataclasses.replace(
-            self, rotations=self.rotations[frame:], translations=self.translations[frame:], parts=()
+            self, rotations=self.rotations[frame:end], translations=self.translations[frame:end], parts=()
         )
 
     def resampled(self, fps: float) -> "RigClip":

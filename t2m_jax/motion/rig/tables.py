@@ -55,6 +55,11 @@ _TRIED = {
     | {"neck": "DEF-neck", "head": "DEF-head"}
     | _sided(hip="DEF-thigh.{S}", knee="DEF-shin.{S}", ankle="DEF-foot.{S}", foot="DEF-toe.{S}")
     | _sided(collar="DEF-shoulder.{S}", shoulder="DEF-upper_arm.{S}", elbow="DEF-forearm.{S}", wrist="DEF-hand.{S}"),
+    "accad": {"pelvis": "Hips", "spine1": "ToSpine", "spine2": "Spine", "spine3": "Spine1", "neck": "Neck"}
+    | {"head": "Head", "left_foot": "LeftToeBase", "right_foot": "RightToeBase"}
+    | _MIXAMO_ARMS,
+    "cmu-cgspeed-max": {"spine1": "lowerback", "spine2": "Chest", "spine3": "Chest2"}
+    | {joint: name for joint, name in _XSENS.items() if not joint.startswith("spine")},
     # Its joint `head` is at the base of the neck.
     "kaykit": {"pelvis": "hips", "spine1": "spine", "spine3": "chest", "neck": "head"}
     | _sided(hip="upperleg.{s}", knee="lowerleg.{s}", ankle="foot.{s}", foot="toes.{s}")
