@@ -60,7 +60,8 @@ def _add_importers(importer: argparse.ArgumentParser) -> None:
     bandai.add_argument("--splits", type=Path, metavar="DIR", help="folder with train.txt, val.txt and test.txt")
     bandai.add_argument("--composed", type=int, default=0, help="motions of several actions to add")
     bandai.add_argument("--workers", type=int, help="number of processes (default: one per processor)")
-    bvh.add_argument("--captions", type=Path, metavar="FILE", help="file,caption[,start,end] or 'file: caption' lines")
+    table = "file,caption[,start,end][,action,person,split] or 'file: caption' lines"
+    bvh.add_argument("--captions", type=Path, metavar="FILE", help=table)
     bvh.add_argument("--up", choices=("auto", "y", "z"), default="auto", help="axis that points up (default: found)")
     bvh.add_argument("--amc-fps", type=float, default=120.0, help="frames per second of AMC files (default: 120)")
     split = "shares of train, val and test (default: 80/5/15), or a folder of lists"

@@ -10,10 +10,15 @@ from t2m_jax.data.audit import audit_dataset
 from t2m_jax.data.captioning.captions import Labels
 from t2m_jax.data.captioning.lexicon import read_words
 from t2m_jax.data.captioning.wordings import load_wordings
-from t2m_jax.data.files import FEATURES, POSITIONS
-from t2m_jax.data.folder import open_dataset
-from t2m_jax.data.importers.bandai_namco import compose, extra
-from t2m_jax.data.importers.bandai_namco.compose import (
+from t2m_jax.data.composing import extra, turns
+from t2m_jax.data.composing.extra import (
+    MORE_CAPTIONS,
+    VARIANTS,
+    write_more_captions,
+    write_slow_clips,
+    write_stand_clips,
+)
+from t2m_jax.data.composing.turns import (
     LONGEST,
     QUIET_SPEED,
     LabeledPiece,
@@ -24,13 +29,8 @@ from t2m_jax.data.importers.bandai_namco.compose import (
     stand_still,
     write_composed_captions,
 )
-from t2m_jax.data.importers.bandai_namco.extra import (
-    MORE_CAPTIONS,
-    VARIANTS,
-    write_more_captions,
-    write_slow_clips,
-    write_stand_clips,
-)
+from t2m_jax.data.files import FEATURES, POSITIONS
+from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.bandai_namco.importer import import_bandai_namco, labels_from_name
 from t2m_jax.data.index import load_index
 from t2m_jax.data.texts import Caption, load_captions
@@ -130,7 +130,7 @@ def test_held_out_sentences_are_never_written(monkeypatch):
     parts = [part("walk", walking_positions(60)), part("wave-left-hand", standing(60))]
     texts = [caption.text for caption in write_composed_captions(parts, count=8, generator=random.Random(1))]
     held_out = {("walk", "wave-left-hand"): (texts[0].upper().rstrip(".") + ".",)}
-    monkeypatch.setattr(compose, "held_out_compositions", lambda: held_out)
+    monkeypatch.setattr(turns, "held_out_compositions", lambda: held_out)
     again = [caption.text for caption in write_composed_captions(parts, count=8, generator=random.Random(1))]
     assert texts[0] not in again and again[:7] == texts[1:]
 
@@ -153,7 +153,7 @@ def test_each_style_stands_still_as_often_as_the_others(tmp_path, monkeypatch):
 
 
 def test_every_content_of_compositions_has_words():
-    for content in read_words(compose.__package__, "composed")["weights"]:
+    for content in read_words(turns.__package__, "composed")["weights"]:
         assert load_wordings().contents[content].wordings
 
 

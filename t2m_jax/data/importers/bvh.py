@@ -18,6 +18,7 @@ from t2m_jax.data.importers.caption_table import CaptionTable, find_entries
 from t2m_jax.data.importers.division import EIGHTY, Division
 from t2m_jax.data.importers.table_parts import Part, find_parts, has_parts
 from t2m_jax.data.index import IndexEntry, save_index
+from t2m_jax.data.texts import Caption
 from t2m_jax.data.writer import ImportReport, finish_folder, new_folder, with_twins, write_twins
 from t2m_jax.errors import UserError
 from t2m_jax.motion.amc import AMC_FPS, load_amc
@@ -196,7 +197,9 @@ class _Converter:
         from_name = self.options.caption_from_name
         group = self.division.group(motion, part.split)
         # Sentences are searched before the conversion, which takes longer.
-        said = () if has_parts(self.table) else find_captions(motion, self.source, table=self.table, from_name=from_name)
+        said = (
+            () if has_parts(self.table) else find_captions(motion, self.source, table=self.table, from_name=from_name)
+        )
         with naming(motion):
             ready = _prepare(motion, part.cut(clip), rig=self.options.rig, up=self.options.up)
             said = said or part.all_captions(ready.positions)
@@ -208,6 +211,12 @@ class _Converter:
         self.sides[ready.rig].append(ready.left_is_left)
         for step in ready.steps:
             self.steps[step].append(part.name)
+
+    def _captions(self, motion: Source) -> tuple[Caption, ...]:
+        """Returns the captions of a motion; none if those of each part are in the table."""
+        if has_parts(self.table):
+            return ()
+        return find_captions(motion, self.source, table=self.table, from_name=self.options.caption_from_name)
 
     def _add(self, motion: Source, name: str = "") -> str:
         """Returns the name of a motion's clip, which must be new."""

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from t2m_jax.data.composing.turns import held_out_compositions
 from t2m_jax.data.folder import Dataset
-from t2m_jax.data.importers.bandai_namco.compose import held_out_compositions
 from t2m_jax.data.index import load_index
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.prompts.following import RULES, PromptTest, check_skeleton, goes_straight, measure_motion

@@ -6,7 +6,7 @@ from t2m_jax.data.captioning.captions import Labels, clip_pace, true_facts, writ
 from t2m_jax.data.captioning.grammar import Manner, Subject, sentence
 from t2m_jax.data.captioning.lexicon import gerund, tag_words, third_person, words_in
 from t2m_jax.data.captioning.wordings import load_wordings
-from t2m_jax.data.importers.bandai_namco.compose import held_out_compositions
+from t2m_jax.data.composing.turns import held_out_compositions
 from t2m_jax.evaluation.prompts.sentences import held_out_sentences
 from t2m_jax.motion.facts import Facts
 

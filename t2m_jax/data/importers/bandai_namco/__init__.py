@@ -1,1 +1,1 @@
-"""The Bandai-Namco Research motion data set: its importer, and clips that are composed of its clips."""
+"""The importer of the Bandai-Namco Research motion data set."""

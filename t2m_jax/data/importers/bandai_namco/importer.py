@@ -13,9 +13,7 @@ import tqdm
 
 from t2m_jax.data.captioning.captions import Labels, write_captions
 from t2m_jax.data.captioning.wordings import load_wordings
-from t2m_jax.data.files import SPLITS, read_names
-from t2m_jax.data.folder import DatasetInfo
-from t2m_jax.data.importers.bandai_namco.extra import (
+from t2m_jax.data.composing.extra import (
     NewClip,
     make_library,
     write_composition,
@@ -23,6 +21,8 @@ from t2m_jax.data.importers.bandai_namco.extra import (
     write_slow_clips,
     write_stand_clips,
 )
+from t2m_jax.data.files import SPLITS, read_names
+from t2m_jax.data.folder import DatasetInfo
 from t2m_jax.data.index import IndexEntry, save_index
 from t2m_jax.data.splits import split_by_hash
 from t2m_jax.data.writer import ImportReport, check_count, finish_folder, new_folder, with_twins, write_twins

@@ -14,8 +14,8 @@ from t2m_jax.data.captioning.captions import CLAUSE_MARKS, Labels, tagged_captio
 from t2m_jax.data.captioning.grammar import Form, Manner, Wording, clause, opening
 from t2m_jax.data.captioning.lexicon import read_words, words_in
 from t2m_jax.data.captioning.wordings import load_wordings
+from t2m_jax.data.composing.extremes import FAST_WORDS, SLOW_WORDS
 from t2m_jax.data.files import FEATURES
-from t2m_jax.data.importers.bandai_namco.extremes import FAST_WORDS, SLOW_WORDS
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
 from t2m_jax.motion.facts import WALKING_SPEED, measure

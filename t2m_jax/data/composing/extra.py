@@ -13,8 +13,14 @@ from jaxtyping import Float
 from t2m_jax.data.captioning.captions import Labels, compose, tagged_captions, true_wordings
 from t2m_jax.data.captioning.grammar import Manner
 from t2m_jax.data.captioning.wordings import load_wordings
-from t2m_jax.data.files import MIRROR_PREFIX, POSITIONS, TEXTS
-from t2m_jax.data.importers.bandai_namco.compose import (
+from t2m_jax.data.composing.extremes import (
+    find_extremes,
+    is_true_pace,
+    measure_clips,
+    shows_pace,
+    speed_limits,
+)
+from t2m_jax.data.composing.turns import (
     STAND,
     STAND_FRAMES,
     Library,
@@ -24,13 +30,7 @@ from t2m_jax.data.importers.bandai_namco.compose import (
     stand_still,
     write_composed_captions,
 )
-from t2m_jax.data.importers.bandai_namco.extremes import (
-    find_extremes,
-    is_true_pace,
-    measure_clips,
-    shows_pace,
-    speed_limits,
-)
+from t2m_jax.data.files import MIRROR_PREFIX, POSITIONS, TEXTS
 from t2m_jax.data.texts import Caption, load_captions, save_captions
 from t2m_jax.data.writer import mirror, write_twins
 from t2m_jax.motion.facts import Facts, measure

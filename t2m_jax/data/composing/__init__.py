@@ -1,0 +1,1 @@
+"""Training motions that are made of others: in turn, at once, repeated, for a time, still, slow."""

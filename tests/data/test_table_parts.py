@@ -1,0 +1,94 @@
+"""Tables whose rows are clips with an action."""
+
+import re
+
+import numpy as np
+import pytest
+
+from t2m_jax.data.audit import audit_dataset
+from t2m_jax.data.folder import open_dataset
+from t2m_jax.data.importers.bvh import import_bvh_folder
+from t2m_jax.data.index import load_index
+from t2m_jax.data.merge import merge_datasets
+from tests.data.bvh_files import write_bvh
+
+HEADER = "file,start,end,action,person,split,caption\n"
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("source")
+    for seed, name in enumerate(["long", "short", "sub/third", "unused"]):
+        write_bvh(folder / f"{name}.bvh", seed=seed, num_frames=120 if name == "long" else 45)
+    return folder
+
+
+def imported(source, folder, lines):
+    table = folder / "table.csv"
+    table.write_text(HEADER + lines)
+    return import_bvh_folder(source, folder / "data", captions=table)
+
+
+def test_rows_become_clips(source, tmp_path):
+    report = imported(
+        source,
+        tmp_path,
+        "long.bvh,0.5,2,walk-left,ann,train,\nlong,2,,other,ann,train,a person thinks\n"
+        "short,,,walk,bob,test,a person goes home\nshort,,,walk,bob,test,a walk\nthird,,,walk,cem,val,\n",
+    )
+    dataset, index = open_dataset(tmp_path / "data"), load_index(tmp_path / "data")
+    assert dataset.names("train") == ("long_1", "Mlong_1", "long_2", "Mlong_2")
+    assert dataset.names("val")[0] == "sub_third" and dataset.names("test")[0] == "short"
+    assert index.label("Mlong_1") == "walk-right, normal" and index.label("long_2") == "other, normal"
+    assert index.entry("Mshort").person == "bob" and index.source("long_2") == "long"
+    # 45 frames at 30 per second are 30 at 20, and features have one less.
+    assert len(dataset.features("long_1")) == 29 and len(dataset.features("long_2")) == 39
+    texts = {name: [one.text for one in dataset.captions(name)] for name in ("long_1", "long_2", "short")}
+    assert len(texts["long_1"]) >= 6 and all("left" in text for text in texts["long_1"])
+    assert texts["long_2"] == ["a person thinks"]
+    assert texts["short"][:2] == ["a person goes home", "a walk"] and len(texts["short"]) > 2
+    assert all(caption.whole_clip for caption in dataset.captions("short"))
+    assert list(report.left_out) == ["unused"] and "not in the table" in report.left_out["unused"]
+    assert audit_dataset(tmp_path / "data").problems == []
+
+
+def test_a_part_is_what_the_file_shows_at_its_time(source, tmp_path):
+    imported(source, tmp_path, "long,,,walk,,train,\n")
+    (tmp_path / "cut").mkdir()
+    imported(source, tmp_path / "cut", "long,1,3,walk,,train,\n")
+    whole = open_dataset(tmp_path / "data").features("long")
+    part = open_dataset(tmp_path / "cut" / "data").features("long")
+    heights = slice(3, 4)
+    np.testing.assert_allclose(part[2:-2, heights], whole[22:57, heights], atol=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ("long,3,9,walk,,train,\n", r"3 to 9 s is no part of a motion of 4.00 s"),
+        ("long,,,swim,,train,\n", "no words for the action 'swim'"),
+        ("long,,,walk,,dev,\n", "split 'dev' is not train, val, test"),
+        ("long,,,walk,,,\n", "its rows have no split"),
+        ("long,,,walk,,train,\nlong,,,run,,train,a run\n", "rows of one clip have the action run and walk"),
+    ],
+)
+def test_a_wrong_row_costs_its_clip(source, tmp_path, lines, words):
+    report = imported(source, tmp_path, "short,,,walk,,train,\n" + lines)
+    assert report.num_clips == 2
+    (reason,) = [why for why in report.left_out.values() if "not in the table" not in why]
+    assert re.search(words, reason)
+
+
+def test_origins_are_kept_by_merging(source, tmp_path):
+    (tmp_path / "info.yaml").write_text("name: Walks\nlicence: CC0\n")
+    (tmp_path / "table.csv").write_text(HEADER + "short,,,walk,bob,train,\n")
+    options = {"captions": tmp_path / "table.csv", "info": tmp_path / "info.yaml"}
+    import_bvh_folder(source, tmp_path / "one", **options)
+    (tmp_path / "table.csv").write_text(HEADER + "third,,,walk,cem,train,\n")
+    (tmp_path / "info.yaml").write_text("name: More\nlicence: CC BY 4.0\n")
+    import_bvh_folder(source, tmp_path / "two", **options)
+    merge_datasets([tmp_path / "one", tmp_path / "two"], tmp_path / "both")
+    merge_datasets([tmp_path / "both"], tmp_path / "again")
+    entries = load_index(tmp_path / "again").entries
+    assert (entries["short"].dataset, entries["short"].licence, entries["short"].person) == ("Walks", "CC0", "bob")
+    assert (entries["sub_third"].dataset, entries["sub_third"].licence) == ("More", "CC BY 4.0")
