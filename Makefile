@@ -12,7 +12,7 @@ BIN := $(VENV)/bin
 SLOW_VENV := $(if $(and $(filter file,$(origin PYTHON)),$(filter-out $(OLDEST),$(PYTHON))),.venv-oldest,$(VENV))
 # The tests of a file share what they compile, so they run in one process.
 FAST := -m "not slow" --ignore tests/lint
-BY_FILE := -n 2 --dist loadfile
+BY_FILE := -n 2 --dist loadfile --no-loadscope-reorder
 # Tests start many processes. Without bytecode on disk, each would compile JAX and everything else again.
 unexport PYTHONDONTWRITEBYTECODE
 PROMPT ?= a person waves with the left hand

@@ -31,8 +31,11 @@ settings.load_profile("suite")
 REPOSITORY = Path(__file__).parents[1]
 PROGRAMS = "T2M_JAX_TEST_PROGRAMS"
 """The environment variable that says where compiled programs are; by default in the cache of pytest."""
-LONGEST = ("test_wheel.py", "test_processes.py")
-"""Files of slow tests that take several minutes."""
+LONGEST = (
+    *("test_wheel", "test_processes", "test_viewer", "test_server", "test_evaluation", "test_repeats", "test_hifigpt"),
+    *("test_warm_start", "test_fuzz", "test_steps", "test_resume", "test_pipeline", "test_generate"),
+)
+"""Files of tests that take longest."""
 MEMORY_LIMIT = 1_500_000_000
 """Bytes of a test process after which compiled programs are dropped; single tests need up to 0.5 GB more."""
 
@@ -52,7 +55,7 @@ def pytest_configure(config):
 
 def pytest_collection_modifyitems(items):
     """Begins with what takes longest, so that no process has to wait for another at the end."""
-    items.sort(key=lambda item: item.path.name not in LONGEST)
+    items.sort(key=lambda item: item.path.stem not in LONGEST)
 
 
 def resident_memory() -> int:

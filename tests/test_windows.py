@@ -65,6 +65,7 @@ assert main(["models", "demo"]) == 0
 """
 
 
+@pytest.mark.slow
 def test_generation_saves_each_format_and_its_output_fits_the_terminal(tmp_path):
     assert r"\xa9" in run_as_on_windows(GENERATE, tmp_path)  # a sign of the card that ASCII lacks
 
@@ -85,6 +86,7 @@ assert sorted(path.name for path in (folder / "run/checkpoints").iterdir()) == [
 """
 
 
+@pytest.mark.slow
 def test_training_writes_checkpoints_and_resumes(tmp_path):
     run_as_on_windows(TRAIN, tmp_path)
 

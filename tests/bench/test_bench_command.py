@@ -42,12 +42,12 @@ def tiny_models(monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "count"),
     [
-        (["train", "--batch", "4"], 2),
+        pytest.param(["train", "--batch", "4"], 2, marks=pytest.mark.slow),
         (["train", "--kind", "vqvae", "--devices", "1"], 1),
         (["sample", "--model", "MODEL", "--batch", "1", "2"], 2),
-        (["evaluate"], 2),
+        pytest.param(["evaluate"], 2, marks=pytest.mark.slow),
         (["data", "--data", "DATA"], 2),
-        (["sample", "--full-size", "--batch", "2"], 3),
+        pytest.param(["sample", "--full-size", "--batch", "2"], 3, marks=pytest.mark.slow),
         pytest.param(["all"], 11, marks=pytest.mark.slow),
     ],
 )

@@ -59,6 +59,7 @@ def test_training_of_a_vqvae():
     assert row.name == "vqvae tiny 4x32 float32"
 
 
+@pytest.mark.slow
 def test_training_of_a_gpt():
     plain = tiny.gpt_training(Path(), Path(), Path(), loop=LoopConfig(batch_size=4))
     config = dataclasses.replace(plain, text_encoder="clip", remat=True, num_parts=2, precision="bfloat16")
@@ -92,6 +93,7 @@ def test_sampling(monkeypatch):
     assert sizes == [(3, 9 * 4)], "as many frames as are sampled"
 
 
+@pytest.mark.slow
 def test_sampling_with_several_codes_per_row():
     system = tiny_system(tiny.HIFIGPT, tiny.RVQVAE, guidance_scale=3.0)
     row = benchmark_sampling(system, batch=2, peaks=PEAKS)
@@ -117,6 +119,7 @@ def test_encoding_and_decoding(monkeypatch):
     assert figure.value == pytest.approx(1e3 * 6.0 / (3 * 20))
 
 
+@pytest.mark.slow
 def test_embedding(monkeypatch):
     monkeypatch.setattr(evaluate_module, "BATCH", 2)
     monkeypatch.setattr(evaluate_module, "FRAMES", 8)

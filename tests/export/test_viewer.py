@@ -330,6 +330,7 @@ def test_many_can_be_read_on_a_phone(open_viewer, walk, count):
     assert np.sum(shot[..., 2] - shot[..., 0] > 40) > 200
 
 
+@pytest.mark.slow
 def test_fingers_scroll_a_grid_that_is_too_high(open_viewer, walk):
     phone = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
     page = open_viewer([walk] * 24, **phone)

@@ -90,7 +90,8 @@ def test_best_weights_are_read(samples, run):
     assert dataclasses.asdict(find_best(samples / run)) == EXPECTED["best"][run]
 
 
-@pytest.mark.parametrize("run", ["vqvae", pytest.param("gpt", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("run", ["vqvae", "gpt"])
 def test_a_run_is_resumed(samples_with_data, run):
     run_command("train", run, "--run", run, "--resume", "--loop.num_steps", 12)
     with (samples_with_data / run / "train.csv").open(encoding="utf-8") as file:

@@ -181,8 +181,10 @@ def test_three_training_steps(golden_dir, num_parts):
     np.testing.assert_array_equal(state.codebook["hifigpt"]["codebook"], arrays["weights/codebook"])
 
 
-@pytest.mark.parametrize("scale", [1, 4])
-@pytest.mark.parametrize("is_transposed", [False, True])
+@pytest.mark.parametrize(
+    ("scale", "is_transposed"),
+    [(1, False), (4, True), *(pytest.param(*one, marks=pytest.mark.slow) for one in ((1, True), (4, False)))],
+)
 def test_greedy_sampling(golden_dir, scale, is_transposed):
     arrays = load(golden_dir, "sample")
     module, variables, _ = make_model(arrays)

@@ -55,7 +55,7 @@ def test_a_prediction_sees_earlier_codes_only(name):
 
 
 @pytest.mark.parametrize("name", CONFIGS)
-@pytest.mark.parametrize("scale", [None, 2.5])
+@pytest.mark.parametrize("scale", [pytest.param(None, marks=pytest.mark.slow), 2.5])
 def test_sampled_rows_are_those_of_the_whole_sequence(name, scale):
     """Greedy codes, read with a cache, are the likeliest under teacher forcing; so are the stops."""
     config = CONFIGS[name]
@@ -84,7 +84,11 @@ def test_a_guidance_of_one_is_no_guidance():
     assert strong.codes.shape == plain.codes.shape and (strong.codes != plain.codes).any()
 
 
-@pytest.mark.parametrize("strategy", [Temperature(), TopK(k=3), TopP(p=0.8)], ids=["temperature", "top-k", "top-p"])
+@pytest.mark.parametrize(
+    "strategy",
+    [Temperature(), *(pytest.param(one, marks=pytest.mark.slow) for one in (TopK(k=3), TopP(p=0.8)))],
+    ids=["temperature", "top-k", "top-p"],
+)
 def test_a_motion_depends_on_its_text_and_key_only(strategy):
     module, variables = make(HIFIGPT)
     options = {"generator": module, "sampling": Sampling(strategy, StopAtHighest(), HIFIGPT.max_codes)}

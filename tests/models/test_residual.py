@@ -39,6 +39,7 @@ def quantizer(**options) -> Quantizer:
     return Quantizer(16, 4, "ema_redraw", **(sizes | options))
 
 
+@functools.partial(jax.jit, static_argnames="module")
 def first_variables(module):
     return module.init(jax.random.key(0), LATENTS, MASK, train=False)
 

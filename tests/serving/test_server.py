@@ -75,9 +75,9 @@ def test_requests_with_other_options_are_made_at_the_same_time(server, model):
         fields = ({}, {"temperature": 0.7, "raw": True}, {"guidance_scale": 3.0}, {"num_samples": 8})[number % 4]
         return server.motions(CAPTIONS[number % 5], seed=number, **fields)
 
-    with ThreadPoolExecutor(8) as threads:
-        found = list(threads.map(ask, range(8)))
-    assert [len(data["motions"]) for data in found] == [1, 1, 1, 8] * 2
+    with ThreadPoolExecutor(6) as threads:  # as many as may wait
+        found = list(threads.map(ask, range(6)))
+    assert [len(data["motions"]) for data in found] == [1, 1, 1, 8, 1, 1]
     for number, options in ((0, {}), (2, {"guidance_scale": 3.0}), (5, {"temperature": 0.7, "raw": True})):
         (expected,) = model.generate(CAPTIONS[number % 5], seed=number, **options)
         np.testing.assert_array_equal(motion_of(found[number]).codes, expected.codes)

@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import functools
 import logging
 import shutil
 
@@ -34,7 +35,8 @@ from t2m_jax.train.gpt import TrainGptConfig
 from tests.tiny import gpt_training, random_evaluator, vqvae_training
 from tests.train.conftest import assert_same_checkpoint, stop_at
 
-STAGES = ("vqvae", "gpt")
+STAGES = (pytest.param("vqvae", marks=pytest.mark.slow), "gpt")
+"""With the stages that the fast tests leave out."""
 STEPS = [3, 6, 8]
 """Where runs of eight updates are evaluated every three."""
 STOP = 7
@@ -75,13 +77,15 @@ def training(held_out, evaluator, runs):
 
 @pytest.fixture(scope="module")
 def finished(training, held_out):
-    """Runs of both stages that were evaluated on the way, by stage."""
-    found = {}
-    for stage in STAGES:
+    """Returns a function that gives the run of a stage, which was evaluated on the way."""
+
+    @functools.cache
+    def run(stage):
         config = training(stage, held_out.parent / stage)
         train(config)
-        found[stage] = config.run
-    return found
+        return config.run
+
+    return run
 
 
 def table(run):
@@ -104,7 +108,7 @@ def trained_at(run, step, like):
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_the_table_and_the_best(finished, stage):
-    rows, best = table(finished[stage]), find_best(finished[stage])
+    rows, best = table(finished(stage)), find_best(finished(stage))
     assert [row["step"] for row in rows] == STEPS
     assert {"fid", "matching_score", "r_precision_3", "diversity"} <= set(rows[0])
     assert "multimodality" not in rows[0], "one motion a caption has no variety"
@@ -125,7 +129,7 @@ def loaded(run, stage):
     return {"params": {kind: variables[role]["params"] for kind, role in roles.items()}}
 
 
-@pytest.mark.parametrize("stage", [pytest.param("vqvae", marks=pytest.mark.slow), "gpt"])
+@pytest.mark.parametrize("stage", STAGES)
 def test_a_run_stands_for_its_best(training, stage, tmp_path):
     """Asked of runs that keep every checkpoint, so that the weights of the best step are known from elsewhere."""
     # By these metrics, the newest weights of the tiny models are not the best.
@@ -140,7 +144,7 @@ def test_a_run_stands_for_its_best(training, stage, tmp_path):
     jax.tree.map(np.testing.assert_array_equal, loaded(config.run, stage), trained_at(config.run, last, found))
 
 
-@pytest.mark.parametrize("stage", [pytest.param("vqvae", marks=pytest.mark.slow), "gpt"])
+@pytest.mark.parametrize("stage", STAGES)
 def test_a_resumed_run_equals_one_that_never_stopped(finished, training, stage, tmp_path, monkeypatch):
     config = training(stage, tmp_path / "run")
     mend = stop_at(STOP, monkeypatch)
@@ -152,20 +156,20 @@ def test_a_resumed_run_equals_one_that_never_stopped(finished, training, stage, 
     assert find_best(config.run).step in (3, 6)
     mend()
     train(config, resume=True)
-    assert files(config.run) == files(finished[stage])
-    assert_same_checkpoint(config.run, finished[stage])
+    assert files(config.run) == files(finished(stage))
+    assert_same_checkpoint(config.run, finished(stage))
     assert generate_codes._cache_size() == compiled, "an evaluation compiled what was compiled before"
 
 
 @pytest.mark.slow
 def test_figures_are_those_of_the_command(finished, held_out, evaluator):
     """The best weights, loaded and evaluated by protocol, give the row by which they were chosen."""
-    protocol, best = find_protocol("t2m-gpt"), find_best(finished["gpt"])
+    protocol, best = find_protocol("t2m-gpt"), find_best(finished("gpt"))
     trained = load_trained_evaluator(evaluator)
     task = make_task(open_dataset(held_out), trained, protocol, split="val", seed=5, unit=4)
-    source = make_generation(TextToMotion.load(finished["gpt"]), task.samples.clips)
+    source = make_generation(TextToMotion.load(finished("gpt")), task.samples.clips)
     report = evaluate(task, source, model="gpt", num_repeats=1)
-    (row,) = [row for row in table(finished["gpt"]) if row["step"] == best.step]
+    (row,) = [row for row in table(finished("gpt")) if row["step"] == best.step]
     for metric in ("fid", "matching_score", "r_precision_1", "r_precision_3"):
         assert report.measured[metric].mean == pytest.approx(row[metric], rel=1e-6), metric
 
@@ -181,9 +185,10 @@ def test_the_log_says_how_codes_were_chosen(training, tmp_path, caplog, monkeypa
     assert find_best(config.run).sampling == "greedy"
 
 
+@pytest.mark.slow
 def test_another_evaluator_is_refused_on_the_way(finished, training, held_out, tmp_path):
     run, other = tmp_path / "run", tmp_path / "evaluator"
-    shutil.copytree(finished["vqvae"], run)
+    shutil.copytree(finished("vqvae"), run)
     config = training("vqvae", run, evaluator=other)
     save_run_config(run, config)
     save_evaluator(other, random_evaluator(seed=11)._replace(normalizer=open_dataset(held_out).normalizer))
@@ -336,5 +341,4 @@ def test_the_start_says_what_chooses_the_weights_without_an_evaluator(data, tmp_
 
 
 def test_a_picture_is_made_at_each_evaluation(finished):
-    for run in finished.values():
-        assert sorted(path.stem for path in (run / "pictures").iterdir()) == ["3", "6", "8"]
+    assert sorted(path.stem for path in (finished("gpt") / "pictures").iterdir()) == ["3", "6", "8"]

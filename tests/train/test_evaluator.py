@@ -66,6 +66,7 @@ def test_the_gradient_of_the_contrastive_loss_is_the_reference_s(contrastive):
     np.testing.assert_allclose(gradient[1], contrastive["grad_d_motion"], rtol=5e-6, atol=5e-6)
 
 
+@pytest.mark.slow
 def test_three_steps_are_the_reference_s(golden_dir):
     with np.load(golden_dir / "evaluation" / "train_steps.npz") as file:
         arrays = {name: file[name] for name in file}

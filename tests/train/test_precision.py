@@ -54,8 +54,11 @@ def gradients(state):
 
 @pytest.mark.parametrize(
     "change",
-    [{"num_parts": 2}, {"num_parts": 4}, {"remat": True}, {"remat": True, "num_parts": 2}],
-    ids=["2 parts", "4 parts", "remat", "both"],
+    [
+        {"remat": True, "num_parts": 2},
+        *(pytest.param(one, marks=pytest.mark.slow) for one in ({"num_parts": 2}, {"num_parts": 4}, {"remat": True})),
+    ],
+    ids=["both", "2 parts", "4 parts", "remat"],
 )
 def test_parts_and_remat_change_nothing(state, plain, change):
     config = dataclasses.replace(GPT_TRAINING, **change)

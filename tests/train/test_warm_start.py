@@ -121,6 +121,7 @@ def test_a_generator_whose_codes_or_statistics_mean_something_else_is_refused(ru
             start_from_model(runs.gpt, other)
 
 
+@pytest.mark.slow
 def test_a_generator_takes_the_tokenizer_of_its_init_and_other_motion_than_this_learned(runs, tmp_path, caplog):
     other = tmp_path / "other"
     shutil.copytree(runs.data, other)
@@ -187,6 +188,7 @@ def test_a_generator_of_another_tokenizer_is_refused(runs, tmp_path):
         train(dataclasses.replace(config, init=runs.gpt))
 
 
+@pytest.mark.slow
 def test_statistics_come_from_files(runs, tmp_path):
     """As published: `mean.npy` and `std.npy`, measured on a slightly different build of the data."""
     mean, std = open_dataset(runs.data).normalizer
