@@ -2,20 +2,22 @@
 
 Every clip gets several different sentences. They depend only on the clip's name, labels and measurements, so an import
 always gives the same folder. Some captions name the style and some do not, because people who ask for motion do both.
+Most of what else they say, such as who moves and where, has nothing to do with the motion.
 """
 
 import random
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
-from t2m_jax.data.captioning.grammar import Form, Manner, Subject, Wording, sentence
+from t2m_jax.data.captioning.frames import around, draw_frame, draw_subject
+from t2m_jax.data.captioning.grammar import Manner, Wording, sentence
+from t2m_jax.data.captioning.held_out import fingerprint, held_out_fingerprints
 from t2m_jax.data.captioning.lexicon import tag_words
+from t2m_jax.data.captioning.typing_habits import as_typed
 from t2m_jax.data.captioning.wordings import load_wordings
 from t2m_jax.data.texts import Caption
 from t2m_jax.motion.facts import Facts
 
-FORMS: tuple[Form, ...] = ("present", "progressive", "imperative", "gerund", "begins")
-FORM_WEIGHTS = (58, 18, 11, 9, 4)
 STYLE_SHARE = 0.55
 """Share of the captions of a clip that name its style."""
 SPEED_SHARE = 0.5
@@ -67,10 +69,20 @@ def true_facts(labels: Labels, facts: Facts) -> frozenset[str]:
 
 def true_wordings(labels: Labels, facts: Facts) -> tuple[Wording, ...]:
     """Returns the wordings of a clip's content that may be said of it."""
-    words = load_wordings()
     holding = true_facts(labels, facts)
-    known = words.exceptions.get((labels.content, labels.style), words.contents[labels.content].wordings)
-    return tuple(wording for wording in known if wording.needs in holding)
+    return tuple(wording for wording in wordings_of(labels) if wording.needs in holding)
+
+
+def wordings_of(labels: Labels) -> tuple[Wording, ...]:
+    """Returns all wordings of a clip's content, whatever they need."""
+    words = load_wordings()
+    return words.exceptions.get((labels.content, labels.style), words.contents[labels.content].wordings)
+
+
+def says_pace(text: str, *paces: str) -> bool:
+    """Returns whether a part of a caption says how fast already. By default, all paces are searched."""
+    marks = load_wordings().marks
+    return any(mark in text for pace in paces or marks for mark in marks[pace])
 
 
 def compose(
@@ -82,7 +94,7 @@ def compose(
     generator: random.Random,
     manners: tuple[Manner, ...] = (),
 ) -> str:
-    """Returns one sentence for a clip; subject, tense, manner and final stop are drawn at random.
+    """Returns one sentence for a clip; frame, subject, manner and surroundings are drawn at random.
 
     The order of the draws is part of the data set: another order gives other captions.
 
@@ -94,34 +106,37 @@ def compose(
         generator: Source of the draws.
         manners: One of these is named, instead of the style or the pace.
     """
-    words = load_wordings()
-    content = words.contents[labels.content]
-    style = words.styles[labels.style]
-    predicate = wording.predicate
-    (form,) = generator.choices(FORMS, FORM_WEIGHTS)
+    content = load_wordings().contents[labels.content]
+    style = load_wordings().styles[labels.style]
+    frame = draw_frame(wording.nominal_form, generator)
     pace = clip_pace(labels, facts)
     if not manners and generator.random() < style_share:
         manners = style.manners
     elif not manners and pace and generator.random() < SPEED_SHARE:
         manners = content.paces[pace]
-    # "walks while waving slowly" would say that the wave is slow.
-    if any(mark in predicate for mark in CLAUSE_MARKS):
-        manners = tuple(manner for manner in manners if manner.place != "end")
-    # Not "walks at a steady pace at a slow pace".
-    if "pace" in predicate:
-        manners = tuple(manner for manner in manners if "pace" not in manner.text)
-    manner = generator.choice(manners) if manners else None
-    fits_style = style.subjects and generator.random() < STYLE_SUBJECT_SHARE
-    subject = generator.choice(style.subjects if fits_style else words.subjects)
-    if manner is not None and manner.place == "adjective":
-        # The other forms have no subject, so there is no noun that an adjective could describe.
-        form = form if form in ("present", "progressive", "begins") else "present"
-        # "an old someone" is not English.
-        subject = subject if len(subject.text.split()) == 2 else Subject("a person", "their")
+    manner = _draw_manner(manners, wording, generator)
+    if manner is not None and manner.place == "adjective" and frame.form != "noun":
+        frame = draw_frame("present", generator)
+    fitting = style.subjects if generator.random() < STYLE_SUBJECT_SHARE else ()
+    subject = draw_subject(fitting, generator, with_noun=manner is not None and manner.place == "adjective")
     limb = generator.choice(("hand", "hand", "arm"))
-    text = sentence(predicate, subject, form=form, side=content.side, limb=limb, manner=manner)
-    # People write both.
-    return text + generator.choice(("", "."))
+    text = sentence(frame, wording.predicate, subject, side=content.side, limb=limb, manner=manner)
+    return around(text, frame, travels=content.travels, generator=generator)
+
+
+def _draw_manner(manners: Iterable[Manner], wording: Wording, generator: random.Random) -> Manner | None:
+    """Returns one of the manners that fit to a wording, or None."""
+    places = {"end", "before_verb", "adjective"}
+    if wording.nominal_form:
+        places = {"adjective", "attribute"} if wording.nominal_form == "noun" else {"end"}
+    # "walks while waving slowly" would say that the wave is slow.
+    if any(mark in wording.predicate for mark in CLAUSE_MARKS):
+        places -= {"end"}
+    fitting = [manner for manner in manners if manner.place in places]
+    # Not "walks at a steady pace at a slow pace".
+    if says_pace(wording.predicate):
+        fitting = [manner for manner in fitting if not says_pace(manner.text)]
+    return generator.choice(fitting) if fitting else None
 
 
 def write_captions(name: str, labels: Labels, facts: Facts, *, count: int = 6) -> tuple[Caption, ...]:
@@ -140,24 +155,38 @@ def write_captions(name: str, labels: Labels, facts: Facts, *, count: int = 6) -
     generator = random.Random(f"captions of {name}")
     wordings = true_wordings(labels, facts)
     low = tuple(wording for wording in wordings if wording.needs == "low")
-    styled = tuple(wording for wording in wordings if not any(mark in wording.predicate for mark in CLAUSE_MARKS))
-    texts: dict[str, Wording] = {}
-    while len(texts) < count:
+    manners = load_wordings().styles[labels.style].manners
+    # Without a manner, a caption of low hands would be bare.
+    styled = tuple(one for one in wordings if not any(mark in one.predicate for mark in CLAUSE_MARKS))
+    styled = tuple(one for one in styled if one.nominal_form is None)
+    used: list[Wording] = []
+
+    def draw() -> str:
         candidates = wordings
         style_share = STYLE_SHARE
         if low and generator.random() < LOW_SHARE:
             candidates = low
-        elif low:
+        elif low and manners:
             candidates = styled
             style_share = 1.0
-        wording = generator.choice(candidates)
         # The same wording again would say the same with another subject. With few wordings, it cannot be avoided.
-        if len(wordings) > count and wording in texts.values():
-            continue
-        texts[compose(labels, wording, facts=facts, style_share=style_share, generator=generator)] = wording
-    return tagged_captions(texts)
+        fresh = [wording for wording in candidates if wording not in used] or candidates
+        used.append(generator.choice(fresh))
+        return compose(labels, used[-1], facts=facts, style_share=style_share, generator=generator)
+
+    return distinct_captions(draw, count=count, generator=generator)
 
 
-def tagged_captions(texts: Iterable[str]) -> tuple[Caption, ...]:
-    """Returns captions with tokens; all their words must be in the vocabulary."""
-    return tuple(Caption(text, tag_words(text, strict=True)) for text in texts)
+def distinct_captions(draw: Callable[[], str], *, count: int, generator: random.Random) -> tuple[Caption, ...]:
+    """Returns captions of `count` different sentences that `draw` gives; none of them is a test sentence."""
+    texts: dict[str, None] = {}
+    while len(texts) < count:
+        text = draw()
+        if fingerprint(text) not in held_out_fingerprints():
+            texts[text] = None
+    return tagged_captions(texts, generator)
+
+
+def tagged_captions(texts: Iterable[str], generator: random.Random) -> tuple[Caption, ...]:
+    """Returns captions as people type them, each once. Their tokens have no typing mistakes."""
+    return tuple(Caption(as_typed(text, generator), tag_words(text)) for text in dict.fromkeys(texts))

@@ -1,16 +1,35 @@
-"""Sentences from predicates.
+"""Sentences from predicates and frames.
 
 A predicate is text with the verbs in brackets: "[raise] {limb} and [lower] {it} again". Its slots are `{poss}` (his,
-her, their, the, your), `{limb}` ("his left hand", "both arms"), `{it}` (it, them) and `{side}` (left, right).
+her, their, the, your), `{limb}` ("his left hand", "both arms"), `{it}` (it, them), `{side}` (left, right) and `{be}`
+(is, are). Without verbs, it is a noun phrase ("a walk forward") or, with `{be}`, a passive ("{limb} {be} raised").
+
+A frame is the sentence around it: "make {object} {body}".
 """
 
 import re
 from typing import Literal, NamedTuple
 
-from t2m_jax.data.captioning.lexicon import gerund, third_person
+from t2m_jax.data.captioning.lexicon import gerund, participle, past, third_person
 
-Form = Literal["present", "progressive", "imperative", "gerund", "begins"]
+Form = Literal["present", "progressive", "base", "past", "perfect", "imperative", "gerund", "noun", "passive"]
 Side = Literal["left", "right", "both", ""]
+INFLECTIONS = {
+    "present": third_person,
+    "progressive": gerund,
+    "gerund": gerund,
+    "past": past,
+    "perfect": participle,
+}
+POSSESSIVES = {"imperative": "your", "gerund": "the", "noun": "the", "passive": "the"}
+"""Possessives of the forms that have no subject."""
+OBJECTS = {"he": "him", "she": "her", "they": "them", "I": "me"}
+SINGULAR = {"be": "is", "was": "was", "has": "has"}
+PLURAL = {"be": "are", "was": "were", "has": "have"}
+AUXILIARIES = {"I": PLURAL | {"be": "am", "was": "was"}, "they": PLURAL, "you": PLURAL}
+"""Subjects whose verbs have another form than those of "he"."""
+PRONOUNS = {"his": "he", "her": "she", "its": "it"}
+ARTICLES = ("a", "an", "the", "my", "our", "your", "this", "that", "some")
 
 
 class Subject(NamedTuple):
@@ -19,12 +38,31 @@ class Subject(NamedTuple):
     text: str
     possessive: str
 
+    def again(self) -> "Subject":
+        """Returns what the same person is called in the next clause: "he", or "the guard" after "a guard"."""
+        article, _, noun = self.text.partition(" ")
+        if self.text in OBJECTS or not noun:
+            return self
+        if self.possessive in PRONOUNS:
+            return Subject(PRONOUNS[self.possessive], self.possessive)
+        return Subject(f"the {noun}" if article in ("a", "an") else self.text, self.possessive)
+
+    def indefinite(self) -> str:
+        """Returns who may follow "there is": "a guard" for "the guard", and "someone" for a name."""
+        article, _, noun = self.text.partition(" ")
+        if article in ("a", "an", "someone", "somebody"):
+            return self.text
+        if article != "the" or not noun:
+            return "someone"
+        return f"an {noun}" if noun[0] in "aeiou" else f"a {noun}"
+
 
 class Manner(NamedTuple):
     """How something is done, and the place of these words in the sentence."""
 
     text: str
-    place: Literal["end", "before_verb", "adjective"]
+    place: Literal["end", "before_verb", "adjective", "attribute"]
+    """An adjective describes the person, or the noun of a noun phrase; an attribute only the latter."""
 
 
 class Wording(NamedTuple):
@@ -33,54 +71,85 @@ class Wording(NamedTuple):
     predicate: str
     needs: str = ""
 
+    @property
+    def nominal_form(self) -> Form | None:
+        """What it is if it has no verb: a noun phrase or a passive."""
+        if "[" in self.predicate:
+            return None
+        return "passive" if "{be}" in self.predicate else "noun"
 
-def subject_with_adjective(subject: Subject, adjective: str) -> Subject:
-    """Returns "an old man" for "a man" and "old". Subjects without a noun ("someone") are returned unchanged."""
-    article, _, noun = subject.text.partition(" ")
-    if not noun or article not in ("a", "an", "the"):
-        return subject
+
+class Frame(NamedTuple):
+    """A sentence around a clause, and the form of the verbs in it."""
+
+    text: str
+    form: Form
+
+    @property
+    def has_subject(self) -> bool:
+        """Whether it begins with the person who moves."""
+        return self.text.startswith("{subject}")
+
+    def form_for(self, subject: Subject) -> Form:
+        """Returns the form of the verbs after a subject: "they walk"."""
+        return "base" if self.form == "present" and subject.text in AUXILIARIES else self.form
+
+    def opening(self, subject: Subject) -> str:
+        """Returns what the sentence begins with, such as "a person is "."""
+        text = self.text.partition("{body}")[0]
+        words = AUXILIARIES.get(subject.text, SINGULAR)
+        known = {"subject": subject.text, "object": OBJECTS.get(subject.text, subject.text)}
+        return text.format(**known, indefinite=subject.indefinite(), **words)
+
+    @property
+    def ending(self) -> str:
+        """What follows the clause."""
+        return self.text.partition("{body}")[2]
+
+
+def with_adjective(text: str, adjective: str) -> str:
+    """Returns "an old man" for "a man" and "old". Texts without an article ("someone") are returned unchanged."""
+    article, _, noun = text.partition(" ")
+    if not noun or article not in ARTICLES:
+        return text
     # The sound after the article is now that of the adjective.
-    if article != "the":
+    if article in ("a", "an"):
         article = "an" if adjective[0] in "aeiou" else "a"
-    return Subject(f"{article} {adjective} {noun}", subject.possessive)
-
-
-def sentence(
-    predicate: str, subject: Subject, *, form: Form, side: Side = "", limb: str = "hand", manner: Manner | None = None
-) -> str:
-    """Returns one sentence in lower case, without the final stop.
-
-    Args:
-        predicate: Text with verbs in brackets and slots in braces.
-        subject: The person who moves. The imperative and the bare gerund ("walking forward") do not use it.
-        form: Tense or mood of all verbs.
-        side: Fills `{side}` and `{limb}`.
-        limb: "hand" or "arm".
-        manner: How it is done, or None.
-    """
-    if manner is not None and manner.place == "adjective":
-        subject = subject_with_adjective(subject, manner.text)
-    return opening(subject, form) + clause(predicate, subject, form=form, side=side, limb=limb, manner=manner)
-
-
-def opening(subject: Subject, form: Form) -> str:
-    """Returns what a sentence begins with, such as "a person is "; nothing in forms without a subject."""
-    openings = {"present": f"{subject.text} ", "progressive": f"{subject.text} is "}
-    return (openings | {"begins": f"{subject.text} begins to "}).get(form, "")
+    return f"{article} {adjective} {noun}"
 
 
 def clause(
     predicate: str, subject: Subject, *, form: Form, side: Side = "", limb: str = "hand", manner: Manner | None = None
 ) -> str:
-    """Returns a sentence without its opening; arguments as for `sentence`. Adjectives are not in it."""
+    """Returns a sentence without its frame, in lower case.
+
+    Args:
+        predicate: Text with verbs in brackets and slots in braces.
+        subject: The person who moves. Some forms do not use it ("walking forward").
+        form: Tense or mood of all verbs.
+        side: Fills `{side}` and `{limb}`.
+        limb: "hand" or "arm".
+        manner: How it is done, or None. An adjective is only used in a noun phrase.
+    """
     text, place = manner or ("", "end")
     # These forms have no subject, but still need a possessive.
-    possessive = {"imperative": "your", "gerund": "the"}.get(form, subject.possessive)
+    possessive = POSSESSIVES.get(form, subject.possessive)
     hands = f"both {limb}s" if side == "both" else f"{possessive} {side} {limb}"
     body = predicate.replace("{limb}", hands).replace("{poss}", possessive).replace("{side}", side)
-    body = body.replace("{it}", "them" if side == "both" else "it")
-    inflect = {"present": third_person, "progressive": gerund, "gerund": gerund}.get(form, str)
-    body = re.sub(r"\[(\w+)\]", lambda verb: inflect(verb[1]), body)
+    body = body.replace("{it}", "them" if side == "both" else "it").replace("{be}", "are" if side == "both" else "is")
+    body = re.sub(r"\[(\w+)\]", lambda verb: INFLECTIONS.get(form, str)(verb[1]), body)
     if place == "before_verb":
         return f"{text} {body}"
-    return f"{body} {text}" if place == "end" and text else body
+    if place == "end":
+        return f"{body} {text}" if text else body
+    return with_adjective(body, text) if form == "noun" else body
+
+
+def sentence(
+    frame: Frame, predicate: str, subject: Subject, *, side: Side = "", limb: str = "hand", manner: Manner | None = None
+) -> str:
+    """Returns one sentence without a final stop; arguments as for `clause`."""
+    body = clause(predicate, subject, form=frame.form_for(subject), side=side, limb=limb, manner=manner)
+    if manner is not None and manner.place == "adjective":
+        subject = subject._replace(text=with_adjective(subject.text, manner.text))
+    return frame.opening(subject) + body + frame.ending

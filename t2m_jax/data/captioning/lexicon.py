@@ -2,7 +2,8 @@
 
 The field follows HumanML3D. Hyphens are removed and only alphabetic words are used. A token is the lemma for nouns and
 verbs (but "left" unchanged) and the word itself for all others, then a slash and the universal part-of-speech tag.
-A general tagger is a heavy dependency, and the project's own captions have a closed vocabulary: `lexicon.yaml`.
+A general tagger is a heavy dependency. The words that matter in the project's own captions are in `lexicon.yaml`; the
+tags of all others are guessed from their endings.
 """
 
 import functools
@@ -24,6 +25,8 @@ def read_words(package: str, name: str) -> Any:
 
 def third_person(base: str) -> str:
     """Returns the third person singular of a regular English verb: "walks" for "walk"."""
+    if base == "have":
+        return "has"
     if base.endswith(("s", "x", "z", "ch", "sh", "o")):
         return base + "es"
     # "carries", but "sways".
@@ -37,9 +40,37 @@ def gerund(base: str) -> str:
     if base in read_words(__package__, "lexicon")["doubled"].split():
         return base + base[-1] + "ing"
     # "waving", but "fleeing", "dyeing" and "tiptoeing".
+    if base.endswith("ie"):
+        return base[:-2] + "ying"
     if base.endswith("e") and not base.endswith(("ee", "ye", "oe")):
         return base[:-1] + "ing"
     return base + "ing"
+
+
+def past(base: str) -> str:
+    """Returns the past tense of a verb: "waved" for "wave", "ran" for "run"."""
+    irregular = _irregular_verbs().get(base)
+    return irregular[0] if irregular else _with_ending_ed(base)
+
+
+def participle(base: str) -> str:
+    """Returns the past participle of a verb: "waved" for "wave", "gone" for "go"."""
+    irregular = _irregular_verbs().get(base)
+    return irregular[-1] if irregular else _with_ending_ed(base)
+
+
+def _with_ending_ed(base: str) -> str:
+    if base in read_words(__package__, "lexicon")["doubled"].split():
+        return base + base[-1] + "ed"
+    if base.endswith("y") and base[-2] not in "aeiou":
+        return base[:-1] + "ied"
+    return base + ("d" if base.endswith("e") else "ed")
+
+
+@functools.cache
+def _irregular_verbs() -> dict[str, list[str]]:
+    """Returns base form -> past tense and, if it differs, past participle."""
+    return {base: forms.split() for base, forms in read_words(__package__, "lexicon")["irregular_verbs"].items()}
 
 
 @functools.cache
@@ -49,10 +80,8 @@ def _readings() -> dict[str, dict[str, str]]:
     vocabulary = {tag: sorted(words.split()) for tag, words in lexicon["vocabulary"].items()}
     table: dict[str, dict[str, str]] = {}
     for base in vocabulary.pop("VERB"):
-        for form in (base, third_person(base), gerund(base)):
+        for form in (base, third_person(base), gerund(base), past(base), participle(base)):
             table.setdefault(form, {})["VERB"] = base
-    for word, base in lexicon["participles"].items():
-        table.setdefault(word, {})["VERB"] = base
     nouns = [(form, noun) for noun in vocabulary.pop("NOUN") for form in (noun, third_person(noun))]
     for word, noun in (*nouns, *lexicon["irregular_nouns"].items()):
         table.setdefault(word, {})["NOUN"] = noun
@@ -61,6 +90,12 @@ def _readings() -> dict[str, dict[str, str]]:
         for word in vocabulary[tag]:
             table.setdefault(word, {})[tag] = word
     return table
+
+
+@functools.cache
+def known_words() -> frozenset[str]:
+    """Returns all forms of the words of the vocabulary."""
+    return frozenset(_readings())
 
 
 def words_in(text: str) -> list[str]:
@@ -101,15 +136,10 @@ def _choose(readings: dict[str, str], previous: str, following: str) -> str:
     return next(tag for tag in (*order, *readings) if tag in readings)
 
 
-def tag_words(text: str, *, strict: bool = False) -> tuple[str, ...]:
+def tag_words(text: str) -> tuple[str, ...]:
     """Returns `word/TAG` for every alphabetic word of a caption: the third field of a HumanML3D line.
 
-    Args:
-        text: The caption.
-        strict: Refuse words that are not in the vocabulary. By default their tag is guessed from the ending.
-
-    Raises:
-        KeyError: A word is unknown and `strict` is set.
+    The tag of a word that is not in the vocabulary is guessed from its ending.
     """
     words = words_in(text)
     table = _readings()
@@ -124,8 +154,6 @@ def tag_words(text: str, *, strict: bool = False) -> tuple[str, ...]:
             previous = "ADJ" if is_adjective else "NOUN" if previous == "DET" else "ADV"
             tokens.append(f"{word}/{previous}")
             continue
-        if strict and word not in table:
-            raise KeyError(word)
         guess = {"NOUN": word}
         if word.endswith("ly"):
             guess = {"ADV": word}

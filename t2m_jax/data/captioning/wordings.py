@@ -4,8 +4,12 @@ import functools
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from t2m_jax.data.captioning.grammar import Manner, Side, Subject, Wording
+from t2m_jax.data.captioning.grammar import Frame, Manner, Side, Subject, Wording
 from t2m_jax.data.captioning.lexicon import read_words
+
+FILES = ("actions", "hands", "locomotion")
+"""Files with the wordings of contents."""
+POSSESSIVES = ("their", "his", "her", "its", "my", "your")
 
 
 class Content(NamedTuple):
@@ -20,6 +24,8 @@ class Content(NamedTuple):
     """Speed above which a clip is fast."""
     paces: Mapping[str, tuple[Manner, ...]]
     """Ways of saying "slow" and "fast"."""
+    travels: bool
+    """Whether the person goes somewhere."""
 
 
 class Style(NamedTuple):
@@ -31,16 +37,32 @@ class Style(NamedTuple):
 
 
 class Wordings(NamedTuple):
-    """Everything that captions are made of."""
+    """Everything that captions say of actions."""
 
     contents: Mapping[str, Content]
     exceptions: Mapping[tuple[str, str], tuple[Wording, ...]]
     """(content, style) whose motion differs from what the content label says of all other styles."""
     styles: Mapping[str, Style]
-    subjects: tuple[Subject, ...]
-    """Subjects that say nothing about the style."""
     extremes: Mapping[str, tuple[Manner, ...]]
     """Ways of saying that a clip is among the slowest or the fastest of its content."""
+    marks: Mapping[str, tuple[str, ...]]
+    """Pace -> parts of a caption that call a motion slow or fast."""
+
+
+class Frames(NamedTuple):
+    """Everything in captions that does not change the motion."""
+
+    by_form: Mapping[str, tuple[Frame, ...]]
+    weights: Mapping[str, float]
+    """How often the forms with verbs are drawn."""
+    usual_subjects: tuple[Subject, ...]
+    """What most people write."""
+    other_subjects: tuple[Subject, ...]
+    looks: tuple[str, ...]
+    """What may follow a subject: "in a blue shirt"."""
+    surroundings: Mapping[str, tuple[str, ...]]
+    """Kind -> phrases that may follow an action."""
+    nouns: tuple[str, ...]
 
 
 def _subjects(pairs: Iterable[Sequence[str]]) -> tuple[Subject, ...]:
@@ -48,11 +70,12 @@ def _subjects(pairs: Iterable[Sequence[str]]) -> tuple[Subject, ...]:
     return tuple(Subject(text, possessive) for text, possessive in pairs)
 
 
-def _pace_manners(texts: Sequence[str]) -> tuple[Manner, ...]:
-    """Returns words for a pace at the end of a sentence, and adverbs also before the verb."""
+def _pace_manners(entry: Mapping[str, Sequence[str]]) -> tuple[Manner, ...]:
+    """Returns words for a pace at the end of a sentence, adverbs also before the verb, adjectives only before nouns."""
     # "slowly walks", but not "at a slow pace walks".
-    before = tuple(Manner(text, "before_verb") for text in texts if text.endswith("ly"))
-    return tuple(Manner(text, "end") for text in texts) + before
+    before = [Manner(text, "before_verb") for text in entry["words"] if text.endswith("ly") and " " not in text]
+    attributes = [Manner(text, "attribute") for text in entry["adjectives"]]
+    return (*(Manner(text, "end") for text in entry["words"]), *before, *attributes)
 
 
 @functools.cache
@@ -62,32 +85,31 @@ def load_wordings() -> Wordings:
     words = read_words(__package__, "styles")
     groups = {
         name: tuple(Wording(text, "" if fact == "always" else fact) for fact, texts in group.items() for text in texts)
-        for file in ("actions", "hands", "locomotion")
+        for file in FILES
         for name, group in read_words(__package__, file).items()
     }
     paces = {
-        kind: {pace: _pace_manners(texts) for pace, texts in by_pace.items()}
+        kind: {pace: _pace_manners(entry) for pace, entry in by_pace.items()}
         for kind, by_pace in words["paces"].items()
     }
-    contents = {}
-    for name, entry in table["contents"].items():
-        wordings = tuple(wording for group in entry["wordings"] for wording in groups[group])
-        side = entry.get("side", "")
-        travels = side == "" or any("walk" in wording.predicate for wording in wordings)
-        contents[name] = Content(
-            side,
-            wordings,
+    contents = {
+        name: Content(
+            entry.get("side", ""),
+            tuple(wording for group in entry["wordings"] for wording in groups[group]),
             # Without limits, no clip of a content is called slow or fast.
             slow_below=entry.get("slow_below", -1.0),
             fast_above=entry.get("fast_above", float("inf")),
-            paces=paces["travel" if travels else "stand"],
+            paces=paces["stand" if entry.get("hands") else "travel"],
+            travels=entry.get("travels", False),
         )
+        for name, entry in table["contents"].items()
+    }
     return Wordings(
         contents,
         exceptions={(entry["content"], entry["style"]): groups[entry["wordings"]] for entry in table["exceptions"]},
         styles={name: _style(entry) for name, entry in words["styles"].items()},
-        subjects=_subjects(words["subjects"]),
-        extremes={name: _pace_manners(texts) for name, texts in words["extremes"].items()},
+        extremes={name: _pace_manners(entry) for name, entry in words["extremes"].items()},
+        marks={pace: tuple(texts) for pace, texts in words["marks"].items()},
     )
 
 
@@ -97,3 +119,19 @@ def _style(entry: Mapping[str, Any]) -> Style:
     manners += [Manner(text, place) for text in entry.get("adverbs", ()) for place in ("end", "before_verb")]
     manners += [Manner(text, "adjective") for text in entry.get("adjectives", ())]
     return Style(tuple(manners), _subjects(entry.get("subjects", ())))
+
+
+@functools.cache
+def load_frames() -> Frames:
+    """Returns frames, subjects, surroundings and nouns. The files are read once."""
+    table = read_words(__package__, "frames")
+    subjects = read_words(__package__, "subjects")
+    return Frames(
+        by_form={form: tuple(Frame(text, form) for text in entry["frames"]) for form, entry in table.items()},
+        weights={form: entry["weight"] for form, entry in table.items() if "weight" in entry},
+        usual_subjects=_subjects(subjects["usual"]),
+        other_subjects=tuple(Subject(text, one) for one in POSSESSIVES for text in subjects[one]),
+        looks=tuple(subjects["looks"]),
+        surroundings={kind: tuple(texts) for kind, texts in read_words(__package__, "surroundings").items()},
+        nouns=tuple(read_words(__package__, "nouns")["nouns"].split()),
+    )

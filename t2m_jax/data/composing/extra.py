@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.data.captioning.captions import Labels, compose, tagged_captions, true_wordings
+from t2m_jax.data.captioning.captions import Labels, compose, says_pace, tagged_captions, true_wordings
 from t2m_jax.data.captioning.grammar import Manner
 from t2m_jax.data.captioning.wordings import load_wordings
 from t2m_jax.data.composing.extremes import (
@@ -37,8 +37,8 @@ from t2m_jax.motion.facts import Facts, measure
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D
 
-PACE_MARKS = ("pace", "steady", "quick", "fast", "speed", "stroll", "march", "stride", "wander")
-"""Parts of wordings that say how fast already."""
+PACE_MARKS = ("pace", "steady")
+"""Parts of wordings that say how fast already, besides those of `says_pace`."""
 SLOWED_TO = (0.75, 0.93)
 """Speed of a clip that is played more slowly, as a part of the limit of "very slow", drawn between two values."""
 SLOWED_BY = 0.75
@@ -75,6 +75,7 @@ def write_more_captions(folder: Path, names: Sequence[str], labels: Callable[[st
     for name in names:
         extremes = find_extremes(facts[name], limits.get(labels(name).content))
         texts = []
+        typing = random.Random(f"typing of {name}")
         if shows_pace(labels(name).content, facts[name]):
             # Each kind of caption has its own generator, so that none changes when another kind is added.
             generator = random.Random(f"speed of {name}")
@@ -83,16 +84,19 @@ def write_more_captions(folder: Path, names: Sequence[str], labels: Callable[[st
         if labels(name).style != "normal":
             generator = random.Random(f"style of {name}")
             texts += [_say(labels(name), facts[name], generator) for _ in range(MORE_CAPTIONS)]
-        said = tagged_captions(dict.fromkeys(texts))
+        said = tagged_captions(texts, typing)
         for twin, more in ((name, said), (MIRROR_PREFIX + name, [mirror(caption) for caption in said])):
             path = folder / TEXTS / f"{twin}.txt"
-            save_captions(path, [one for one in (*load_captions(path), *more) if is_true_pace(one.text, extremes)])
+            save_captions(path, [one for one in (*load_captions(path), *more) if is_true_pace(one, extremes)])
 
 
 def _say(labels: Labels, facts: Facts, generator: random.Random, *, manners: tuple[Manner, ...] = ()) -> str:
     """Returns a sentence with one of the given manners; without any, with one of the clip's style."""
     wordings = true_wordings(labels, facts)
-    plain = [one for one in wordings if not any(mark in one.predicate for mark in PACE_MARKS)]
+    # Strolls are slow, strides are fast, and their wordings need it.
+    plain = [one for one in wordings if one.needs not in ("not_fast", "not_slow") and not one.nominal_form]
+    plain = [one for one in plain if not says_pace(one.predicate)]
+    plain = [one for one in plain if not any(mark in one.predicate for mark in PACE_MARKS)]
     wording = generator.choice(plain or wordings)
     return compose(labels, wording, facts=facts, style_share=1.0, generator=generator, manners=manners)
 
@@ -127,7 +131,7 @@ def _write_stand_clip(folder: Path, name: str, number: int, still: slice, style:
         compose(labels, generator.choice(wordings), facts=facts, style_share=0.3, generator=generator)
         for _ in range(CAPTIONS_OF_NEW)
     ]
-    return _write(folder, f"{STAND}{number}_{name}", ", ".join(labels), motion, tagged_captions(dict.fromkeys(texts)))
+    return _write(folder, f"{STAND}{number}_{name}", ", ".join(labels), motion, tagged_captions(texts, generator))
 
 
 def write_slow_clips(folder: Path, names: Sequence[str], labels: Callable[[str], Labels]) -> list[NewClip]:
@@ -155,7 +159,7 @@ def _write_slow_clip(folder: Path, name: str, labels: Labels, *, number: int, fa
     facts = measure(motion, fps=HUMANML3D.fps)
     manners = [load_wordings().extremes[extreme] for extreme, count in SLOW_CAPTIONS.items() for _ in range(count)]
     texts = [_say(labels, facts, generator, manners=one) for one in manners]
-    return _write(folder, f"slow{number}_{name}", ", ".join(labels), motion, tagged_captions(dict.fromkeys(texts)))
+    return _write(folder, f"slow{number}_{name}", ", ".join(labels), motion, tagged_captions(texts, generator))
 
 
 def write_composition(number: int, *, library: Library) -> NewClip:

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from t2m_jax.data.captioning.captions import says_pace
 from t2m_jax.data.files import POSITIONS
+from t2m_jax.data.texts import Caption
 from t2m_jax.motion.facts import Facts, measure
 from t2m_jax.motion.skeleton import HUMANML3D
 
@@ -16,10 +18,6 @@ MARGIN = 0.05
 """Part of a limit by which a clip must be slower or faster than it, so that what a model learns lies inside."""
 FEWEST = 50
 """Clips of a content that can be compared by speed."""
-SLOW_WORDS = ("slow", "unhurried")
-"""Parts of words that call a motion slow."""
-FAST_WORDS = ("quick", "fast", "rapid", "swift")
-"""Parts of words that call a motion fast."""
 
 
 def measure_clips(folder: Path, names: Iterable[str]) -> dict[str, Facts]:
@@ -52,14 +50,14 @@ def find_extremes(facts: Facts, limits: Mapping[str, float] | None) -> list[str]
     return slow + [name for name in EXTREMES if "fast" in name and facts.speed > limits[name] * (1 + MARGIN)]
 
 
-def is_true_pace(text: str, extremes: Sequence[str] | None) -> bool:
+def is_true_pace(caption: Caption, extremes: Sequence[str] | None) -> bool:
     """Returns whether a caption does not call a clip slow or fast that is not."""
     # Without limits of its content, nothing speaks against what a caption says.
     if extremes is None:
         return True
-    is_slow = any(word in text for word in SLOW_WORDS)
-    is_fast = any(word in text for word in FAST_WORDS)
-    return not (is_slow and "slow" not in extremes) and not (is_fast and "fast" not in extremes)
+    # Tokens have no typing mistakes.
+    text = " ".join(token.partition("/")[0] for token in caption.tokens)
+    return all(pace in extremes or not says_pace(text, pace) for pace in ("slow", "fast"))
 
 
 def shows_pace(content: str, facts: Facts) -> bool:

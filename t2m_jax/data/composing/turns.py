@@ -10,11 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.data.captioning.captions import CLAUSE_MARKS, Labels, tagged_captions, true_wordings
-from t2m_jax.data.captioning.grammar import Form, Manner, Wording, clause, opening
-from t2m_jax.data.captioning.lexicon import read_words, words_in
-from t2m_jax.data.captioning.wordings import load_wordings
-from t2m_jax.data.composing.extremes import FAST_WORDS, SLOW_WORDS
+from t2m_jax.data.captioning.captions import Labels
+from t2m_jax.data.captioning.lexicon import read_words
+from t2m_jax.data.captioning.sequences import write_then_captions
 from t2m_jax.data.files import FEATURES
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
@@ -40,10 +38,6 @@ SHORTEST_TRAVEL = 36
 LONGEST_TRAVEL = 90
 THREE_SHARE = 0.25
 """Share of the motions with three pieces."""
-MANNER_SHARE = 0.25
-"""Share of the clauses that name the style."""
-FORMS: tuple[Form, ...] = ("present", "progressive", "imperative", "gerund")
-FORM_WEIGHTS = (70, 12, 12, 6)
 TRIES = 200
 """Draws of pieces before a motion of fitting length must have been found."""
 
@@ -171,52 +165,8 @@ def held_out_compositions() -> Mapping[tuple[str, str], tuple[str, ...]]:
 def write_composed_captions(
     pieces: Sequence[LabeledPiece], *, count: int, generator: random.Random
 ) -> tuple[Caption, ...]:
-    """Returns `count` different captions of a sequence of pieces; none is a held-out sentence."""
-    # By words, because a sentence stays the same with a full stop or capital letters.
-    forbidden = {tuple(words_in(text)) for sentences in held_out_compositions().values() for text in sentences}
-    texts: dict[str, None] = {}
-    while len(texts) < count:
-        text = _compose(pieces, generator)
-        if tuple(words_in(text)) not in forbidden:
-            texts[text] = None
-    return tagged_captions(texts)
-
-
-def _compose(pieces: Sequence[LabeledPiece], generator: random.Random) -> str:
-    """Returns one sentence for a sequence of pieces. The order of the draws is part of the data set."""
-    composition = read_words(__package__, "composed")
-    subject = generator.choice(load_wordings().subjects)
-    (form,) = generator.choices(FORMS, FORM_WEIGHTS)
-    patterns = composition["three" if len(pieces) == 3 else "two"]
-    if len(pieces) == 2 and pieces[0].travels and not pieces[1].travels:
-        patterns = [*patterns, *composition["stops"]]
-    pattern = generator.choice(patterns)
-    said = [(_choose_wording(piece, generator), _choose_manner(piece, generator)) for piece in pieces]
-    limb = generator.choice(("hand", "hand", "arm"))
-
-    def clauses(form: Form) -> list[str]:
-        sides = [load_wordings().contents[piece.labels.content].side for piece in pieces]
-        return [
-            clause(wording.predicate, subject, form=form, side=side, limb=limb, manner=manner)
-            for (wording, manner), side in zip(said, sides, strict=True)
-        ]
-
-    ing = {f"ing{place}": text for place, text in enumerate(clauses("progressive"))}
-    stop, still = (clause(text, subject, form=form) for text in ("[stop]", "[stand] still"))
-    text = pattern.format(*clauses(form), **ing, subject=opening(subject, form), stop=stop, still=still)
-    return text + generator.choice(("", "."))
-
-
-def _choose_wording(piece: LabeledPiece, generator: random.Random) -> Wording:
-    """Returns a wording that holds for a piece and has no clause of its own; one for low hands, if they stay low."""
-    facts = measure(np.asarray(positions_from_features(piece.features, HUMANML3D)), fps=HUMANML3D.fps)
-    wordings = true_wordings(piece.labels, facts)
-    short = [one for one in wordings if not any(mark in one.predicate for mark in (*CLAUSE_MARKS, " and then "))]
-    return generator.choice([one for one in short if one.needs == "low"] or short)
-
-
-def _choose_manner(piece: LabeledPiece, generator: random.Random) -> Manner | None:
-    manners = [one for one in load_wordings().styles[piece.labels.style].manners if one.place == "end"]
-    # A piece of some style is not always slow or fast.
-    manners = [one for one in manners if not any(word in one.text for word in (*SLOW_WORDS, *FAST_WORDS))]
-    return generator.choice(manners) if generator.random() < MANNER_SHARE else None
+    """Returns `count` different captions of a sequence of pieces."""
+    facts = [
+        measure(np.asarray(positions_from_features(piece.features, HUMANML3D)), fps=HUMANML3D.fps) for piece in pieces
+    ]
+    return write_then_captions([piece.labels for piece in pieces], facts=facts, count=count, generator=generator)

@@ -9,7 +9,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Int
 
-from t2m_jax.data.captioning.wordings import load_wordings
+from t2m_jax.data.captioning.lexicon import read_words
 from t2m_jax.data.folder import Dataset
 from t2m_jax.data.index import load_index
 from t2m_jax.errors import UserError
@@ -117,7 +117,7 @@ def _statistics(features: Float[np.ndarray, "T D"]) -> Float[np.ndarray, " S"]:
 
 def _sentences(manner: str) -> tuple[str, ...]:
     """Returns held-out sentences with the manner at the end."""
-    phrases = [text.text for text in load_wordings().styles[manner].manners if text.place == "end"]
+    phrases = read_words(__package__, "manner_phrases")[manner]
     sentences = held_out_sentences()
     return tuple(
         # The phrases go on from turn to turn, so that all of them are asked for.
