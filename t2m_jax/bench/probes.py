@@ -1,4 +1,4 @@
-"""The machine: its devices, and the highest rates that simple programs reach on them."""
+"""The machine: its devices, the highest rates that simple programs reach on them, and reports of what else they do."""
 
 import os
 import platform
@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from t2m_jax.bench.record import Machine, Peaks
-from t2m_jax.bench.timing import time_calls
+from t2m_jax.bench.record import BenchReport, BenchResult, Machine, Peaks
+from t2m_jax.bench.timing import peak_memory, time_calls
 from t2m_jax.devices import AXIS, make_data_mesh
 from t2m_jax.errors import UserError
 
@@ -111,6 +111,23 @@ def describe_machine(peaks: Sequence[Peaks]) -> Machine:
         jax_version=jax.__version__,
         peaks=tuple(peaks),
     )
+
+
+def make_report(measure: Callable[[Peaks], Sequence[BenchResult]], *, devices: Sequence[int]) -> BenchReport:
+    """Returns the report of a measurement on each number of devices.
+
+    Args:
+        measure: From the peaks of some devices, whose number they contain, to rows.
+        devices: Numbers of devices.
+
+    Raises:
+        UserError: There are not so many devices.
+    """
+    meshes = [first_devices(count) for count in devices]
+    # Peaks are measured right before the work, because the speed of a shared machine changes.
+    found = [measure_peaks(mesh) for mesh in meshes]
+    rows = tuple(row for peak in found for row in measure(peak))
+    return BenchReport(machine=describe_machine(found), rows=rows, peak_memory=peak_memory())
 
 
 def _processor() -> str:

@@ -13,8 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from t2m_jax.cli.options import add_model_argument, show_next, subcommand_adder
-from t2m_jax.errors import UserError
+from t2m_jax.cli.options import add_model_argument, positive, show_next, subcommand_adder
 from t2m_jax.files.writing import check_output, claim
 
 if TYPE_CHECKING:
@@ -33,17 +32,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     everything = add(run_all, "measure all of this")
     for command in (train, sample, evaluate, data, everything):
         devices = "numbers of devices, each measured; on a CPU they are virtual and share its cores (default: all)"
-        command.add_argument("--devices", type=int, nargs="+", metavar="N", help=devices)
+        command.add_argument("--devices", type=positive, nargs="+", metavar="N", help=devices)
         command.add_argument("--json", type=Path, metavar="F", help="also write the figures to this file")
     kinds = ("vqvae", "gpt", "rvqvae", "hifigpt")
     train.add_argument("--kind", nargs="+", choices=kinds, default=["vqvae", "gpt"], help="default: vqvae gpt")
     train.add_argument("--size", choices=("full", "demo"), default="full", help="published or demo (default: full)")
-    train.add_argument("--batch", type=int, help="default: of the recipe, but 16 for a full generator on a CPU")
+    train.add_argument("--batch", type=positive, help="default: of the recipe, but 16 for a full generator on a CPU")
     train.add_argument("--precision", choices=("float32", "bfloat16"), default="float32", help="default: float32")
     add_model_argument(sample)
     full = "instead of a model: random weights of the published sizes of both systems"
     sample.add_argument("--full-size", action="store_true", help=full)
-    sample.add_argument("--batch", type=int, nargs="+", default=[1, 32], help="batch sizes (default: 1 32)")
+    sample.add_argument("--batch", type=positive, nargs="+", default=[1, 32], help="batch sizes (default: 1 32)")
     for command in (data, everything):
         command.add_argument("--data", metavar="DIR", help="also open this data set")
 
@@ -51,14 +50,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Measures, prints the figures and stores them."""
     from t2m_jax.bench import report_text, save_report
-    from t2m_jax.bench.run import make_report
+    from t2m_jax.bench.probes import make_report
 
-    # A wrong number would only show after minutes of measurement.
-    for name in ("batch", "devices"):
-        value = getattr(args, name, None)
-        smallest = min(value) if isinstance(value, list) else value
-        if smallest is not None and smallest < 1:
-            raise UserError(f"bench: --{name} {smallest} is not a whole number above 0")
     devices = args.devices = _use_devices(args.devices)
     outputs = [] if args.json is None else [check_output(args.json)]
     with claim(outputs):
@@ -119,10 +112,19 @@ def run_data(args: argparse.Namespace) -> "Measure":
 
 
 def run_all(args: argparse.Namespace) -> "Measure":
-    """Returns what measures everything."""
-    from t2m_jax.bench import measure_all
+    """Returns what measures everything at full size."""
+    import jax
 
-    return lambda peaks: measure_all(peaks, data=args.data)
+    def with_options(**options: object) -> argparse.Namespace:
+        return argparse.Namespace(**vars(args) | options)
+
+    # Products of bfloat16 are slow on most CPUs.
+    precisions = ("float32",) if jax.default_backend() == "cpu" else ("float32", "bfloat16")
+    shared = {"kind": ("vqvae", "gpt"), "size": "full", "batch": None}
+    measures = [run_train(with_options(**shared, precision=precision)) for precision in precisions]
+    batches = [batch for batch in (1, 32) if all(batch % count == 0 for count in args.devices)]
+    measures += [run_sample(with_options(full_size=True, batch=batches)), run_evaluate(args), run_data(args)]
+    return lambda peaks: [row for measure in measures for row in measure(peaks)]
 
 
 def _use_devices(counts: list[int] | None) -> list[int]:

@@ -3,9 +3,8 @@
 `reconstruction` encodes and decodes every clip of a split with a model's tokenizer. `generation` compares motion that a
 model generates from the captions of a split with real motion, in the space of an evaluator and by a named protocol.
 `prompts` generates from sentences that were held out from training and tests each motion against a kinematic rule.
-`inbetween` fills gaps in real motion and measures the joins. `compare` tests whether two reports differ by more than
-chance, and `table` puts reports into one table. `t2m evaluate COMMAND --help` describes the options
-of each.
+`compare` tests whether two reports differ by more than chance, and `table` puts reports into one table.
+`t2m evaluate COMMAND --help` describes the options of each.
 """
 
 import argparse
@@ -18,7 +17,7 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from t2m_jax.cli.options import add_model_argument, add_record, read_record, show_next, subcommand_adder
+from t2m_jax.cli.options import add_model_argument, add_record, positive, read_record, show_next, subcommand_adder
 from t2m_jax.errors import UserError, printable
 from t2m_jax.files.writing import check_output, claim, save_json
 
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
     from t2m_jax.evaluation.task import EvaluationTask
     from t2m_jax.motion.motion import Motion
 
-FORMATS = ("terminal", "markdown", "latex", "json")
 LABELS = {
     "mpjpe_mm": "MPJPE, mm (root-aligned)",
     "mpjpe_median_clip_mm": "MPJPE of the median clip, mm",
@@ -61,11 +59,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     reconstruction = add(run_reconstruction, "measure how well a tokenizer reconstructs real motion")
     generation = add(run_generation, "measure how well generated motion fits captions and real motion")
     prompts = add(run_prompts, "count how often generated motion does what held-out sentences ask for")
-    inbetween = add(run_inbetween, "measure how well a model fills gaps in real motion")
-    add_model_argument(inbetween)
-    _add_data_arguments(inbetween)
-    inbetween.add_argument("--seconds", type=float, default=1.6, help="length of the gaps (default: 1.6)")
-    inbetween.add_argument("--num-clips", type=int, default=100, help="clips to use (default: 100)")
     compare = add(run_compare, "test two reports for differences")
     table = add(run_table, "print a table of reports")
     for command in (reconstruction, generation, prompts):
@@ -75,15 +68,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_protocol_arguments(generation, needs_evaluator=True)
     for command, left_out in ((generation, ("strategy", "max_codes", "raw")), (prompts, ("strategy", "max_codes"))):
         add_record(command, SamplingOptions, left_out=left_out)
-        command.add_argument("--greedy", action="store_const", dest="temperature", const=0.0, help="--temperature 0")
     groups = "what is asked for: actions, a pace or a manner (both with --data), or two actions in turn"
     choices = ("actions", "paces", "manners", "composed")
     prompts.add_argument("--group", choices=choices, default="actions", help=f"{groups} (default: actions)")
     prompts.add_argument("--data", metavar="DIR", help="data set with which paces and manners are compared")
-    prompts.add_argument("--num-seeds", type=int, default=20, help="samples per content (default: 20)")
-    compare.add_argument("reports", nargs="+", type=Path, metavar="REPORT", help="two files of --json")
+    prompts.add_argument("--num-seeds", type=positive, default=20, help="samples per content (default: 20)")
+    compare.add_argument("reports", nargs=2, type=Path, metavar="REPORT", help="two files of --json")
     table.add_argument("reports", nargs="+", type=Path, metavar="REPORT", help="files of --json")
-    table.add_argument("--format", choices=FORMATS, default="terminal", help="how to print (default: terminal)")
+    styles = ("terminal", "markdown", "latex")
+    table.add_argument("--format", choices=styles, default="terminal", help="how to print (default: terminal)")
     table.add_argument("--names", nargs="+", metavar="NAME", help="names of the rows (default: names of the files)")
     by_label = "R-precision that does not count motions of the same label as errors"
     quality = "bones, jerk and feet instead of the evaluator's metrics"
@@ -93,39 +86,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_protocol_arguments(parser: argparse.ArgumentParser, *, needs_evaluator: bool) -> None:
-    _add_data_arguments(parser)
+    parser.add_argument("--data", required=True, metavar="DIR", help="data-set folder")
+    parser.add_argument("--split", default="test", help="split to measure on (default: test)")
+    parser.add_argument("--seed", type=int, default=0, help="start of every random choice (default: 0)")
     evaluator = "folder of an evaluator, or run of `t2m train evaluator`" + ("" if needs_evaluator else " (optional)")
     parser.add_argument("--evaluator", required=needs_evaluator, metavar="E", help=evaluator)
     parser.add_argument(
         "--protocol", default="t2m-gpt", help="t2m-gpt (default), t2m-gpt-paper, text-to-motion, momask or strict"
     )
-    parser.add_argument("--num-repeats", type=int, default=20, help="repeats (default: 20)")
+    parser.add_argument("--num-repeats", type=positive, default=20, help="repeats (default: 20)")
     parser.add_argument("--batch", type=int, default=32, help="pairs ranked together, for small splits (default: 32)")
     parser.add_argument("--html", type=Path, metavar="F", help="also write a page with plots and motions")
 
 
-def _add_data_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--data", required=True, metavar="DIR", help="data-set folder")
-    parser.add_argument("--split", default="test", help="split to measure on (default: test)")
-    parser.add_argument("--seed", type=int, default=0, help="start of every random choice (default: 0)")
-
-
 def run(args: argparse.Namespace) -> None:
-    """Checks the options that commands share and runs the command."""
+    """Checks the files to write and runs the command."""
     # Each command has some of these options only, hence `getattr` with a default.
-    for name in ("num_repeats", "num_seeds", "num_clips"):
-        if getattr(args, name, 1) < 1:
-            raise UserError(f"--{name.replace('_', '-')}: {getattr(args, name)} is not a whole number above 0")
+    if getattr(args, "html", None) and args.evaluator is None:
+        raise UserError("--html: the page shows motions as an evaluator ranks them; use it with --evaluator")
     # Before the measurement, which may take hours.
-    if getattr(args, "json", None):
-        check_output(args.json)
-    if getattr(args, "html", None):
-        if args.evaluator is None:
-            raise UserError("--html: the page shows motions as an evaluator ranks them; use it with --evaluator")
-        from t2m_jax.evaluation.report.page import check_page
-
-        check_page(args.html)
-    with claim([path for path in (getattr(args, "json", None), getattr(args, "html", None)) if path]):
+    outputs = [check_output(path) for name in ("json", "html") if (path := getattr(args, name, None))]
+    with claim(outputs):
         args.run_command(args)
 
 
@@ -267,33 +248,11 @@ def run_prompts(args: argparse.Namespace) -> None:
     show_next(shlex.join(["t2m", "generate", "a person walks forward", "--model", args.model]))
 
 
-def run_inbetween(args: argparse.Namespace) -> None:
-    """Prints how well a model fills gaps in real motion, compared with an interpolation."""
-    from t2m_jax.data import open_dataset
-    from t2m_jax.evaluation.inbetween import evaluate_inbetween, format_inbetween
-    from t2m_jax.sampling import TextToMotion
-    from t2m_jax.sampling.request import check_seconds
-    from t2m_jax.text.coverage import PromptWarning
-
-    check_seconds(args.seconds)
-    model = TextToMotion.load(args.model)
-    dataset = open_dataset(args.data)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PromptWarning)
-        figures = evaluate_inbetween(
-            model, dataset, split=args.split, seconds=args.seconds, num_clips=args.num_clips, seed=args.seed
-        )
-    sys.stdout.write(format_inbetween(figures) + "\n")
-    show_next(shlex.join(["t2m", "generate", "a person walks", "--from", "FILE", "--redo", "2.0:4.0"]))
-
-
 def run_compare(args: argparse.Namespace) -> None:
     """Prints the comparison of two reports."""
     from t2m_jax.evaluation.report.comparison import compare_reports, comparison_table
     from t2m_jax.evaluation.report.record import load_report
 
-    if len(args.reports) != 2:
-        raise UserError(f"evaluate compare: give two reports, not {len(args.reports)}")
     differences = compare_reports(*map(load_report, args.reports))
     sys.stdout.write(comparison_table([path.stem for path in args.reports], differences) + "\n")
     show_next(shlex.join(["t2m", "evaluate", "table", *map(str, args.reports)]))

@@ -3,7 +3,7 @@
 import argparse
 import sys
 import typing
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -107,6 +107,13 @@ def add_model_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", default="demo", help=f"{text} (default: demo)")
 
 
+def positive(text: str) -> int:
+    """Returns the number of an option that counts things, at least 1."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not a whole number above 0")
+    return int(text)
+
+
 def subcommand_adder(parser: argparse.ArgumentParser) -> Callable[[Run, str], argparse.ArgumentParser]:
     """Returns a function that adds a sub-command `x` for a function `run_x` and its help, and returns its parser.
 
@@ -122,6 +129,14 @@ def subcommand_adder(parser: argparse.ArgumentParser) -> Callable[[Run, str], ar
         return command
 
     return add
+
+
+def print_columns(lines: Sequence[Sequence[str]]) -> None:
+    """Prints lines of cells, in columns as wide as their longest cell."""
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    for line in lines:
+        cells = (cell.ljust(width) for cell, width in zip(line, widths, strict=True))
+        sys.stdout.write("  ".join(cells).rstrip() + "\n")
 
 
 def show_next(command: str) -> None:

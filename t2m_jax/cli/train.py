@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from t2m_jax.cli.options import show_next
+from t2m_jax.cli.options import print_columns, show_next
 from t2m_jax.errors import UserError
 
 TAKES_CONFIG_OPTIONS = True
@@ -46,9 +46,7 @@ class _List(argparse.Action):
         rows = [(config.kind, name, config.summary) for name, config in configs.items()]
         for kind in dict.fromkeys(config.kind for config in configs.values()):
             rows += [(kind, name, "preset") for name in preset_names(kind)]
-        widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
-        for kind, name, summary in sorted(rows):
-            sys.stdout.write(f"{kind:{widths[0]}}  {name:{widths[1]}}  {summary}\n")
+        print_columns(sorted(rows))
         parser.exit()
 
 
@@ -161,6 +159,4 @@ def _show_differences(args: argparse.Namespace) -> None:
     rows = [("field", *args.diff)]
     for field, values in differences(*(_config(args.kind, name) for name in args.diff)).items():
         rows.append((field, *map(str, values)))
-    widths = [max(len(row[column]) for row in rows) for column in range(3)]
-    for row in rows:
-        sys.stdout.write("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() + "\n")
+    print_columns(rows)

@@ -1,7 +1,6 @@
 """Where the measured motions come from: a model that reads captions, or a tokenizer that reads real motion."""
 
 import dataclasses
-import typing
 from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
 
@@ -59,33 +58,6 @@ class SourceCodes(NamedTuple):
     """Its number among the samples of that item."""
 
 
-@typing.runtime_checkable
-class CodeSource(typing.Protocol):
-    """Gives the motions that are measured, as codes of a tokenizer."""
-
-    kind: ClassVar[str]
-    """Name of its row in reports."""
-
-    @property
-    def tokenizer(self) -> TrainedTokenizer:
-        """The tokenizer that decodes the codes."""
-        ...
-
-    @property
-    def fingerprint(self) -> str:
-        """Identifies what is measured: a digest of its weights."""
-        ...
-
-    @property
-    def sampling(self) -> dict[str, Any]:
-        """How codes are chosen: `sampling` and further fields of a report's header."""
-        ...
-
-    def make(self, samples: Sequence[Clip], protocol: Protocol, plan: Plan, key: Key[Array, ""]) -> SourceCodes:
-        """Returns the motions of one repeat; each depends on the key, its item and its number only."""
-        ...
-
-
 @dataclasses.dataclass(frozen=True)
 class Reconstruction:
     """Real motion, encoded and decoded: no generator with this tokenizer can do better."""
@@ -106,7 +78,7 @@ class Reconstruction:
         return {"sampling": "none"}
 
     def make(self, samples: Sequence[Clip], protocol: Protocol, plan: Plan, key: Key[Array, ""]) -> SourceCodes:
-        """Returns the real motions of the plan; neither protocol nor key is used."""
+        """Returns the real motions of the plan, as `Generation.make` does; neither protocol nor key is used."""
         del protocol, key
         codes = encode_pieces(self.tokenizer, plan.pieces(samples))
         items = np.arange(len(plan.samples))
@@ -132,7 +104,7 @@ class Generation:
 
     @property
     def fingerprint(self) -> str:
-        """Identifies the model."""
+        """Identifies the model: a digest of its weights."""
         return self.model.fingerprint
 
     @property
@@ -152,7 +124,7 @@ class Generation:
         }
 
     def make(self, samples: Sequence[Clip], protocol: Protocol, plan: Plan, key: Key[Array, ""]) -> SourceCodes:
-        """Returns motions generated from the captions of the plan."""
+        """Returns motions generated from the captions of the plan; each depends on the key, its item and its number."""
         items, numbers = measured_samples(plan, protocol)
         text = np.stack([self.texts[caption.text] for caption in plan.chosen_captions(samples)])[items]
         keys = sample_keys(key, jnp.asarray(items), jnp.asarray(numbers))
@@ -169,6 +141,10 @@ class Generation:
             guidance_scale=options.guidance_scale,
         )
         return SourceCodes(codes, items, numbers)
+
+
+CodeSource = Generation | Reconstruction
+"""Gives the motions that are measured, as codes of a tokenizer."""
 
 
 def make_generation(

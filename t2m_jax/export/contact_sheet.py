@@ -1,8 +1,6 @@
 """A contact sheet: one HTML page with some poses of each clip of a data set, to see at a glance what is in it."""
 
 import html
-import importlib.resources
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -11,8 +9,8 @@ from jaxtyping import Float
 
 from t2m_jax.data.files import MIRROR_PREFIX, SPLITS
 from t2m_jax.data.folder import Dataset
-from t2m_jax.errors import UserError
 from t2m_jax.export.render.figure import Roles, is_mirrored, roles_from_skeleton
+from t2m_jax.files.template import fill_template
 from t2m_jax.files.writing import save_text
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.skeleton import Skeleton
@@ -42,8 +40,6 @@ def save_contact_sheet(
     """
     homes = {name: split for split in SPLITS for name in dataset.names(split) if not name.startswith(MIRROR_PREFIX)}
     roles = roles_from_skeleton(dataset.skeleton)
-    if roles is None:
-        raise UserError(f"{dataset.folder}: skeleton {dataset.skeleton.name} has no arms and legs to draw")
     names = sorted(homes)
     count = min(len(names), MAX_CLIPS)
     # Evenly over the sorted names, so that each kind of clip is there.
@@ -55,9 +51,7 @@ def save_contact_sheet(
         "notes": "".join(f"<li>{html.escape(line)}</li>" for line in lines),
         "clips": "".join(_card(dataset, name, split=homes[name], roles=roles) for name in shown),
     }
-    # All marks are replaced at once, because a caption may look like one.
-    page = (importlib.resources.files("t2m_jax.export") / "contact_sheet.html").read_text(encoding="utf-8")
-    save_text(path, re.sub(r"\{\{(\w+)\}\}", lambda mark: parts[mark[1]], page))
+    save_text(path, fill_template("t2m_jax.export", "contact_sheet.html", parts))
 
 
 def _card(dataset: Dataset, name: str, *, split: str, roles: Roles) -> str:

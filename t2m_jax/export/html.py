@@ -13,6 +13,7 @@ import numpy as np
 from t2m_jax.errors import UserError
 from t2m_jax.export.render.figure import TINTS
 from t2m_jax.export.render.scene import SceneFigure, figure_from_motion
+from t2m_jax.files.template import fill_template
 from t2m_jax.files.writing import save_text
 from t2m_jax.motion.formats import notebook_frame
 from t2m_jax.motion.motion import Motion
@@ -56,10 +57,9 @@ def _asset(name: str) -> str:
 def viewer_html(motions: Sequence[Motion], *, embed: bool = True) -> str:
     """Returns the viewer as an HTML page or, with `embed`, as an iframe that contains the page, for notebooks."""
     data = json.dumps(scene_record(motions), ensure_ascii=True, separators=(",", ":"))  # keeps lone surrogates
-    page = _asset("viewer.html").replace("/*{{style}}*/", f"{_asset('viewer.css')}\n{stage_style()}")
-    script = _compressed(viewer_script("viewer.js"))
-    # The data come last, because a caption may contain what is replaced; in base64, it cannot.
-    page = page.replace("{{script}}", script).replace("{{data}}", _compressed(data)) + "\n"
+    style = f"{_asset('viewer.css')}\n{stage_style()}"
+    parts = {"style": style, "script": _compressed(viewer_script("viewer.js")), "data": _compressed(data)}
+    page = fill_template("t2m_jax.export", "viewer/viewer.html", parts)
     return notebook_frame(page) if embed else page
 
 

@@ -16,9 +16,9 @@ Direction = Literal["motions_per_text", "texts_per_motion"]
 class PartnerRanks(NamedTuple):
     """The rank of each query's partner among the candidates with other labels."""
 
-    nearer: Int[Array, " B"]
+    nearer: Int[Array, "*M B"]
     """Number of candidates that are nearer than the partner."""
-    tied: Int[Array, " B"]
+    tied: Int[Array, "*M B"]
     """Number of other candidates at exactly the same distance."""
 
 
@@ -35,12 +35,12 @@ def partner_ranks(
 
 
 @jax.jit
-def _ranks_of_batches(
+def ranks_of_batches(
     queries: Float[Array, "M B E"], candidates: Float[Array, "M B E"], labels: Int[Array, "M B"]
-) -> tuple[Int[Array, "M B"], Int[Array, "M B"]]:
-    """Returns the fields of `PartnerRanks` of each batch; one program for all calls with these shapes."""
+) -> PartnerRanks:
+    """Returns the ranks of each batch [M, B]; one program for all calls with these shapes."""
     # One batch after another, because all differences at once would be 32 times as large as the embeddings.
-    return tuple(jax.lax.map(lambda arguments: partner_ranks(*arguments), (queries, candidates, labels)))
+    return jax.lax.map(lambda arguments: partner_ranks(*arguments), (queries, candidates, labels))
 
 
 def _mean_hits(ranks: PartnerRanks, top_k: int, counted: Bool[Array, " N"] | None) -> Float[Array, " K"]:
@@ -90,7 +90,7 @@ def r_precision(
     queries, candidates = (text, motion) if direction == "motions_per_text" else (motion, text)
     owners = jnp.arange(len(text)) if labels is None else labels
     batches = tuple(items.reshape(-1, batch, *items.shape[1:]) for items in (queries, candidates, owners))
-    ranks = _ranks_of_batches(*batches)
+    ranks = ranks_of_batches(*batches)
     return _mean_hits(PartnerRanks(*(column.reshape(-1) for column in ranks)), top_k, counted)
 
 

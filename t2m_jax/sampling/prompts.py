@@ -15,7 +15,7 @@ from t2m_jax.text.encoder import CuttingTextEncoder, TextEncoder
 from t2m_jax.text.prompts import check_prompt
 
 MAX_BATCH = 32
-"""Motions that are generated together."""
+"""Motions that are generated together, and most samples to choose one from."""
 
 
 class Prompt(NamedTuple):

@@ -8,6 +8,7 @@ from typing import Literal
 from t2m_jax.config import check_seed
 from t2m_jax.errors import UserError
 from t2m_jax.motion.motion import Motion
+from t2m_jax.sampling.prompts import MAX_BATCH
 from t2m_jax.sampling.stopping import make_stop_rule
 from t2m_jax.sampling.strategies import Strategy, make_strategy
 from t2m_jax.text.prompts import check_prompt
@@ -16,8 +17,6 @@ MAX_SAMPLES = 1_000_000
 """Most motions of a request. A larger number is probably a mistake: they would take weeks and 100 GB."""
 MAX_SECONDS = 3600.0
 """Longest motion for a sentence. A larger number is probably a mistake."""
-MAX_CANDIDATES = 32
-"""Most samples to choose a motion from: they are one batch."""
 
 
 def check_seconds(seconds: float) -> None:
@@ -97,7 +96,7 @@ class MotionRequest:
     num_samples: int = 1
     """Motions to make."""
     candidates: int = 16
-    """Samples to choose the motions from; only for `span`."""
+    """Samples to choose the motions from; only with `span`."""
     options: SamplingOptions = SamplingOptions()
     """How codes are chosen."""
 
@@ -121,6 +120,8 @@ class MotionRequest:
             self._check_change("strength" if self.span is None else "span")
         if self.span is not None:
             self._check_span(*self.span)
+        elif self.candidates != MotionRequest.candidates:
+            raise UserError("candidates: is only for a span to redo; give one, or leave it out")
 
     @property
     def is_plain(self) -> bool:
@@ -141,8 +142,8 @@ class MotionRequest:
         # NaN fails each comparison, so it is refused, too. Where the motion ends is checked with its codes.
         if not 0 <= begin < end < math.inf:
             raise UserError(f"span: {begin:g} to {end:g} is not a part of the motion")
-        if not 1 <= self.candidates <= MAX_CANDIDATES:
-            raise UserError(f"candidates: {self.candidates} is not a whole number from 1 to {MAX_CANDIDATES}")
+        if not 1 <= self.candidates <= MAX_BATCH:
+            raise UserError(f"candidates: {self.candidates} is not a whole number from 1 to {MAX_BATCH}")
         if self.num_samples > self.candidates:
             raise UserError(
                 f"num-samples: {self.num_samples} motions cannot be chosen from {self.candidates} candidates"

@@ -21,7 +21,8 @@ from t2m_jax.motion.paths import LARGEST_TURN
 from t2m_jax.motion.resampling import MAX_SPEED
 from t2m_jax.motion.rig.tables import JointNames
 from t2m_jax.records import fields_of, record_from
-from t2m_jax.sampling.request import MAX_CANDIDATES, MotionRequest
+from t2m_jax.sampling.prompts import MAX_BATCH
+from t2m_jax.sampling.request import MotionRequest
 
 MAX_TOTAL_SECONDS = 600.0
 """Of all samples of a request, if it says how long they are, and of a file."""
@@ -42,7 +43,7 @@ LIMITS: Mapping[str, Mapping[str, Any]] = {
     "top_p": {"ge": 0.1, "le": 1.0, "multiple_of": 0.1},
     # Those of the library, for those who read the description.
     "seed": {"ge": 0, "le": 2**32 - 1},
-    "candidates": {"ge": 1, "le": MAX_CANDIDATES},
+    "candidates": {"ge": 1, "le": MAX_BATCH},
     "strength": {"ge": 0, "le": 1},
     "begin": {"ge": 0},
     "speed": {"ge": 1 / MAX_SPEED, "le": MAX_SPEED},

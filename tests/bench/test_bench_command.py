@@ -9,7 +9,6 @@ import pytest
 from t2m_jax import bench
 from t2m_jax.bench import data as data_module
 from t2m_jax.bench import evaluate as evaluate_module
-from t2m_jax.bench import run as run_module
 from t2m_jax.bench import sample as sample_module
 from t2m_jax.bench import train as train_module
 from t2m_jax.cli.main import main
@@ -29,14 +28,12 @@ def tiny_training(kind, size="full", *, batch=None, **_):
 @pytest.fixture
 def tiny_models(monkeypatch):
     monkeypatch.setattr(train_module, "make_training", tiny_training)
-    monkeypatch.setattr(run_module, "make_training", tiny_training)
     monkeypatch.setattr(evaluate_module, "BATCH", 2)
     monkeypatch.setattr(data_module, "BATCH", 2)
     monkeypatch.setattr(sample_module, "NUM_CODES", 8)
     sizes = {"gpt": tiny.GPT, "hifigpt": tiny.HIFIGPT, "vqvae": tiny.VQVAE, "rvqvae": tiny.RVQVAE}
     monkeypatch.setattr(sample_module, "published_config", sizes.get)
-    for module in (run_module, evaluator_module):
-        monkeypatch.setattr(module, "EvaluatorConfig", lambda: tiny.EVALUATOR)
+    monkeypatch.setattr(evaluator_module, "EvaluatorConfig", lambda: tiny.EVALUATOR)
 
 
 @pytest.mark.parametrize(
@@ -84,9 +81,9 @@ def test_virtual_devices_share_the_work(bundle_folder, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("train --batch 0", "--batch 0 is not a whole number above 0"),
+        ("train --batch 0", "--batch: 0 is not a whole number above 0"),
         ("train --steps-per-call 2", "unknown argument '--steps-per-call'"),
-        ("evaluate --devices 0", "--devices 0"),
+        ("evaluate --devices 0", "--devices: 0 is not"),
         ("data --devices 100", "--devices 100, but there are"),
         ("data --data no-such-folder", "no-such-folder"),
         ("data --json no-such-folder/x.json", "no-such-folder"),

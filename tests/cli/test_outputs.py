@@ -8,7 +8,7 @@ import pytest
 from filelock import FileLock
 
 from t2m_jax import bench
-from t2m_jax.bench import run as run_module
+from t2m_jax.bench import probes
 from t2m_jax.cli import bench as bench_command
 from t2m_jax.cli.main import main
 from t2m_jax.sampling import TextToMotion
@@ -85,7 +85,7 @@ def test_a_benchmark_names_the_file_that_it_replaces(tmp_path, monkeypatch, repl
         assert (tmp_path / ".report.json.lock").exists()
         return report()
 
-    monkeypatch.setattr(run_module, "make_report", measured)
+    monkeypatch.setattr(probes, "make_report", measured)
     monkeypatch.setattr(bench_command, "_use_devices", lambda counts: [1])
     for expected in ([], ["report.json"]):
         assert main(["bench", "data", "--json", f"{path}"]) == 0

@@ -83,4 +83,4 @@ def test_the_command(tmp_path, capsys):
     assert main(["evaluate", "compare", *paths]) == 2
     assert "is not a report" in capsys.readouterr().err
     assert main(["evaluate", "compare", paths[0]]) == 2
-    assert "two reports" in capsys.readouterr().err
+    assert "arguments are required: REPORT" in capsys.readouterr().err

@@ -127,14 +127,14 @@ def test_real_codes_are_those_of_each_piece_alone(task, source, details):
 def test_examples_show_the_nearest_first(details):
     assert len({example.caption for example in details.examples}) == NUM_EXAMPLES
     for example in details.examples:
-        distances = [candidate.distance for candidate in example.nearest]
+        distances = [candidate.distance for candidate in example.motions]
         assert len(distances) == NUM_NEAREST and distances == sorted(distances)
-        own = [candidate for candidate in example.nearest if candidate.own]
+        own = [candidate for candidate in example.motions if candidate.own]
         assert len(own) == (example.rank <= NUM_NEAREST)
         for candidate in own:
             assert candidate.distance == pytest.approx(example.distance)
             assert candidate.motion.caption == example.caption
-            assert example.nearest.index(candidate) == example.rank - 1
+            assert example.motions.index(candidate) == example.rank - 1
 
 
 def test_failures_are_the_worst_of_all_with_captions_of_their_own(details):
@@ -144,8 +144,10 @@ def test_failures_are_the_worst_of_all_with_captions_of_their_own(details):
     order = [(-failure.rank, -failure.distance) for failure in failures]
     assert order == sorted(order)
     for failure in failures:
-        assert failure.measured.caption == failure.real.caption == failure.caption
-        assert {failure.measured.num_frames, failure.real.num_frames} <= set(range(4, 121, 4))
+        measured, real = failure.motions
+        assert measured.own and not real.own and measured.distance == failure.distance
+        assert measured.motion.caption == real.motion.caption == failure.caption
+        assert {measured.motion.num_frames, real.motion.num_frames} <= set(range(4, 121, 4))
 
 
 def test_among_equals_the_farthest_fails_most(task, source):
@@ -160,7 +162,7 @@ def test_among_equals_the_farthest_fails_most(task, source):
     failures = find_failures(ranked)
     farthest = [captions[row] for row in np.argsort(-ranked.distances)]
     assert [failure.caption for failure in failures] == list(dict.fromkeys(farthest))
-    assert all(failure.real_distance == 0 and failure.measured.num_frames == 12 for failure in failures)
+    assert all(failure.motions[1].distance == 0 and failure.motions[0].motion.num_frames == 12 for failure in failures)
 
 
 def test_the_seed_chooses_the_examples(task, source, details):

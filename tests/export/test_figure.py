@@ -1,5 +1,3 @@
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -64,11 +62,3 @@ def test_several_figures_keep_apart_in_order(walk, kit_walk):
     assert min(np.linalg.norm(a - b) for i, a in enumerate(starts) for b in starts[:i]) > 1.0
     with pytest.raises(UserError, match="at least one"):
         figures_from_motions([])
-
-
-def test_a_skeleton_without_human_limbs_is_drawn_bone_by_bone(walk):
-    snake = dataclasses.replace(HUMANML3D, name="snake", chains=(tuple(range(22)),), parents=(-1, *range(21)))
-    body = body_from_skeleton(snake)
-    assert body.face is None and len(body.parts) == 22
-    figure = figure_from_motion(Motion(walk.positions, 20.0, skeleton=snake))
-    assert np.isfinite(figure.points).all()

@@ -7,7 +7,6 @@ from t2m_jax.export.render.labels import make_label, wrap
 from t2m_jax.export.render.rasterizer import (
     TABLE_SIZE,
     Ball,
-    Lighting,
     color_picture,
     draw_capsule,
     empty_canvas,
@@ -64,8 +63,11 @@ def test_normals_select_the_shade_of_a_sphere():
     np.testing.assert_allclose((row[y, x] + 0.5) * 2 / TABLE_SIZE - 1, (y + 0.5 - 32) / 20, atol=1.01 / TABLE_SIZE)
 
 
+AHEAD = np.array([0, 0, 1.0])
+
+
 def test_the_nearer_limb_hides_the_farther_in_either_order():
-    tables = make_shade_tables(np.array([[1.0, 0, 0], [0, 1.0, 0]]), LIGHT)
+    tables = make_shade_tables(np.array([[1.0, 0, 0], [0, 1.0, 0]]), AHEAD, AHEAD, np.array([0, -1.0, 0]))
     near, far = Ball(32.0, 32.0, 3.0, 10.0), Ball(32.0, 32.0, 5.0, 20.0)
     pictures = []
     for order in ([(far, 1), (near, 0)], [(near, 0), (far, 1)]):
@@ -78,17 +80,6 @@ def test_the_nearer_limb_hides_the_farther_in_either_order():
     np.testing.assert_array_equal(*pictures)
     assert pictures[0][32, 32, 0] > 100 and pictures[0][32, 32, 1] == 0
     assert pictures[0][32, 48, 1] > 100 and tuple(pictures[0][2, 2]) == (255, 255, 255)
-
-
-LIGHT = Lighting(
-    key_direction=np.array([0, 0, 1.0]),
-    fill_direction=np.array([0, 0, 1.0]),
-    sky_direction=np.array([0, -1.0, 0]),
-    key=0.7,
-    fill=0.1,
-    sky=np.full(3, 0.3),
-    ground=np.full(3, 0.1),
-)
 
 
 def test_what_lies_outside_the_picture_is_not_drawn():

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.metrics.retrieval import _ranks_of_batches, label_bound, matching_score, r_precision
+from t2m_jax.metrics.retrieval import label_bound, matching_score, r_precision, ranks_of_batches
 from t2m_jax.metrics.variety import diversity, multimodality
 from tests.jit import assert_jit_equals_eager
 
@@ -167,6 +167,6 @@ def test_equal_captions_share_their_place():
 def test_batches_are_ranked_by_one_program_in_every_repeat():
     text, motion = (jax.random.normal(jax.random.key(seed), (12, 7)) for seed in (1, 2))
     r_precision(text, motion, batch=6)
-    compiled = _ranks_of_batches._cache_size()
+    compiled = ranks_of_batches._cache_size()
     r_precision(motion, text, batch=6, direction="texts_per_motion")
-    assert _ranks_of_batches._cache_size() == compiled > 0
+    assert ranks_of_batches._cache_size() == compiled > 0

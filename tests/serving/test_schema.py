@@ -114,6 +114,7 @@ def test_what_cannot_be_used_is_named(fields, message):
         ({"span": [1, 2], "strength": 0.5}, "span: excludes strength"),
         ({"strength": 0.5, "seconds": 2}, "strength: takes one sentence and no seconds"),
         ({"span": [2, 1]}, "span: 2 to 1 is not a part of the motion"),
+        ({"candidates": 2}, "candidates: is only for a span to redo"),
         ({"span": [1, 2], "candidates": 2, "num_samples": 3}, "num-samples: 3 motions cannot be chosen from 2"),
     ],
 )
@@ -197,8 +198,9 @@ def test_limits_are_those_of_the_description(walk, name):  # noqa: F811
             with pytest.raises(UserError, match=name):
                 read_parameters(model, {name: str(value)})
         return
+    body = GOOD | ({"span": [1, 2]} if name == "candidates" else {})  # it is only for a span
     for value in good:
-        request_of(GOOD | {name: value}, walk)
+        request_of(body | {name: value}, walk)
     for value in bad:
         with pytest.raises(UserError, match=name):
-            request_of(GOOD | {name: value}, walk)
+            request_of(body | {name: value}, walk)

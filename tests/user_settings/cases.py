@@ -316,7 +316,7 @@ def _() -> Case:
     return Case((jax.random.key(1), jnp.arange(3), jnp.array([0, 5, 0])), {})
 
 
-@case("metrics.retrieval._ranks_of_batches")
+@case("metrics.retrieval.ranks_of_batches")
 def _() -> Case:
     return Case((normal(1, 2, 4, 3), normal(2, 2, 4, 3), jnp.arange(8).reshape(2, 4) // 2), {})
 
@@ -326,11 +326,6 @@ def _() -> Case:
     features = jnp.asarray(walking_normalizer().denormalize(np.asarray(normal(1, 2, 16, 263))))
     arguments = (tokenizer_variables(), on_device(walking_normalizer()), features, jnp.array([16, 9]))
     return Case(arguments, {"tokenizer": make_module(TOKENIZER), "skeleton": HUMANML3D}, rtol=1e-4)
-
-
-@case("evaluation.report.gallery.rank_own")
-def _() -> Case:
-    return Case((normal(1, 2, 5, 4), normal(2, 2, 5, 4)), {})
 
 
 @case("train.vqvae.init_vqvae_state")

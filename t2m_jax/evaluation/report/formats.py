@@ -1,7 +1,7 @@
-"""Tables as text for the terminal, Markdown, LaTeX and JSON: mean and 95 % interval, arrows, the best in bold."""
+"""Tables as text for the terminal, Markdown and LaTeX: mean and 95 % interval, arrows, the best in bold."""
 
-import json
 import re
+from collections.abc import Callable
 from typing import Literal
 
 from t2m_jax.errors import printable
@@ -41,25 +41,18 @@ def facts_text(table: Table) -> str:
     return f"{repeats_text(table)}; {shared}." if shared else f"{repeats_text(table)}."
 
 
-def format_table(table: Table, *, style: Literal["terminal", "markdown", "latex", "json"], color: bool = False) -> str:
+def format_table(table: Table, *, style: Literal["terminal", "markdown", "latex"], color: bool = False) -> str:
     """Returns the table as text without a final line end; with `color`, the terminal shows the best in bold."""
     if style == "terminal":
         return _terminal(table, color=color)
-    if style != "json":
-        return (_markdown if style == "markdown" else _latex)(table)
-    lines = [
-        {
-            "name": line.name,
-            "kind": line.kind,
-            "num_repeats": line.num_repeats,
-            "figures": {c.metric: line.cells[c.metric]._asdict() for c in table.columns if c.metric in line.cells},
-        }
-        for line in table.lines
+    return (_markdown if style == "markdown" else _latex)(table)
+
+
+def table_grid(table: Table, name: Callable[[str], str], figure: Callable[[Cell | None], str]) -> list[list[str]]:
+    """Returns the texts of a table's lines: the name, and the figure of each column."""
+    return [
+        [name(line.name), *(figure(line.cells.get(column.metric)) for column in table.columns)] for line in table.lines
     ]
-    columns = [column._asdict() for column in table.columns]
-    text = json.dumps({**table.facts, "columns": columns, "rows": lines}, indent=2, ensure_ascii=False)
-    # JSON allows control characters from 0x7f to 0x9f, but terminals obey them. Letters of all languages are kept.
-    return "".join(c if c.isprintable() or c == "\n" else json.dumps(c)[1:-1] for c in text)
 
 
 def _plain(cell: Cell | None) -> str:
@@ -67,21 +60,18 @@ def _plain(cell: Cell | None) -> str:
 
 
 def _terminal(table: Table, *, color: bool) -> str:
+    def figure(cell: Cell | None) -> str:
+        return f"\033[1m{_plain(cell)}\033[0m" if color and cell is not None and cell.best else _plain(cell)
+
     # A name may contain control characters, which would move the terminal's cursor.
-    names = [printable(line.name) for line in table.lines]
-    first = max(map(len, names))
-    parts = [[" " * first, *(f"{name:{first}}" for name in names)]]
-    for column in table.columns:
-        cells = [line.cells.get(column.metric) for line in table.lines]
-        width = max(len(heading(column)), *(len(_plain(cell)) for cell in cells))
-        texts = [heading(column).rjust(width)]
-        for cell in cells:
-            text = _plain(cell)
-            is_bold = color and cell is not None and cell.best
-            # Padded without the codes of bold text, which take no room in a terminal.
-            texts.append(" " * (width - len(text)) + (f"\033[1m{text}\033[0m" if is_bold else text))
-        parts.append(texts)
-    lines = ["  ".join(line) for line in zip(*parts, strict=True)]
+    grid = [["", *map(heading, table.columns)], *table_grid(table, printable, figure)]
+    # The codes of bold text take no room in a terminal.
+    sizes = [[len(re.sub(r"\033\[\d*m", "", text)) for text in line] for line in grid]
+    widths = [max(column) for column in zip(*sizes, strict=True)]
+    lines = []
+    for texts, own in zip(grid, sizes, strict=True):
+        spaces = [" " * (width - size) for width, size in zip(widths, own, strict=True)]
+        lines.append("  ".join([texts[0] + spaces[0], *map("".join, zip(spaces[1:], texts[1:], strict=True))]))
     return "\n".join([*lines, "", facts_text(table)])
 
 
@@ -92,11 +82,7 @@ def _markdown(table: Table) -> str:
     def figure(cell: Cell | None) -> str:
         return f"**{mean_text(cell)}** ± {interval_text(cell)}" if cell and cell.best else _plain(cell)
 
-    lines = [
-        (escaped(line.name), *(figure(line.cells.get(column.metric)) for column in table.columns))
-        for line in table.lines
-    ]
-    text = markdown_table(("", *map(heading, table.columns)), lines)
+    text = markdown_table(("", *map(heading, table.columns)), table_grid(table, escaped, figure))
     return f"{text}\n\n{escaped(facts_text(table))}"
 
 
@@ -121,10 +107,7 @@ def _latex(table: Table) -> str:
         return f"${mean}^{{\\pm{interval_text(cell)}}}$"
 
     headings = [f"{escaped(column.heading)}{LATEX_ARROWS[column.better]}" for column in table.columns]
-    lines = [
-        " & ".join([escaped(line.name), *(figure(line.cells.get(column.metric)) for column in table.columns)]) + r" \\"
-        for line in table.lines
-    ]
+    lines = [" & ".join(line) + r" \\" for line in table_grid(table, escaped, figure)]
     return "\n".join(
         [
             r"% needs \usepackage{booktabs}",

@@ -7,13 +7,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.evaluation.embedding import embed_decoded, embed_plan_captions, embed_plan_motions
 from t2m_jax.evaluation.sources import CodeSource, MotionCodes, encode_pieces
 from t2m_jax.evaluation.task import EvaluationTask
-from t2m_jax.metrics.retrieval import partner_ranks
+from t2m_jax.metrics.retrieval import ranks_of_batches
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import Skeleton, skeleton_from_feature_dim
@@ -79,35 +79,24 @@ class RankedRepeat(NamedTuple):
 
 
 class Candidate(NamedTuple):
-    """A measured motion that was ranked for a caption; the motion has the caption that it was made for."""
+    """A motion that is shown for a caption; the motion has the caption that it was made for."""
 
     motion: Motion
     distance: float
+    """Distance to the caption that it is shown for."""
     own: bool
     """Whether it was made for this caption."""
 
 
 class Example(NamedTuple):
-    """A caption and the motions of its batch that are nearest to it."""
+    """A caption, and motions to look at: the nearest of its batch, or its own and the real one."""
 
     caption: str
     rank: int
     """Rank of the caption's own motion, from 1."""
     distance: float
     """Distance to the caption's own motion."""
-    nearest: tuple[Candidate, ...]
-
-
-class Failure(NamedTuple):
-    """A caption whose own motion has a bad rank."""
-
-    caption: str
-    rank: int
-    distance: float
-    real_distance: float
-    """Distance of the caption to the real motion that it describes."""
-    measured: Motion
-    real: Motion
+    motions: tuple[Candidate, ...]
 
 
 class RepeatDetails(NamedTuple):
@@ -129,7 +118,9 @@ class RepeatDetails(NamedTuple):
     distances: Float[np.ndarray, " N"]
     """Distance of each caption to its own motion."""
     examples: tuple[Example, ...]
-    failures: tuple[Failure, ...]
+    """Drawn captions, each with the nearest motions of its batch."""
+    failures: tuple[Example, ...]
+    """Captions whose own motion has a bad rank, each with its own motion and the real one."""
 
 
 def gather_details(task: EvaluationTask, source: CodeSource) -> RepeatDetails:
@@ -167,6 +158,8 @@ def rank_repeat(task: EvaluationTask, source: CodeSource) -> RankedRepeat:
     batch = task.protocol.batch
     batches = np.resize(np.arange(len(text)), round_up(len(text), batch)).reshape(-1, batch)
     pieces = plan.pieces(clips)
+    labels = np.broadcast_to(np.arange(batch), batches.shape)
+    ranks = ranks_of_batches(*map(jnp.asarray, (text[batches], measured[batches], labels)))
     return RankedRepeat(
         tokenizer=source.tokenizer,
         max_frames=task.max_frames,
@@ -178,17 +171,9 @@ def rank_repeat(task: EvaluationTask, source: CodeSource) -> RankedRepeat:
         real_codes=encode_pieces(source.tokenizer, pieces),
         codes=found.codes,
         batches=batches,
-        ranks=np.asarray(rank_own(jnp.asarray(text[batches]), jnp.asarray(measured[batches]))).ravel()[: len(text)],
+        # The last of equal places: a model with one motion for all captions must not look perfect.
+        ranks=np.asarray(ranks.nearer + ranks.tied + 1).ravel()[: len(text)],
     )
-
-
-@jax.jit
-def rank_own(text: Float[Array, "M B E"], motion: Float[Array, "M B E"]) -> Int[Array, "M B"]:
-    """Returns the rank of each text's own motion in its batch, from 1; motions at the same distance come first."""
-    labels = jnp.arange(text.shape[1])
-    ranks = jax.lax.map(lambda batch: partner_ranks(batch[0], batch[1], labels), (text, motion))
-    # The last of equal places: a model with one motion for all captions must not look perfect.
-    return ranks.nearer + ranks.tied + 1
 
 
 def draw_examples(ranked: RankedRepeat, *, seed: int) -> tuple[Example, ...]:
@@ -205,12 +190,11 @@ def draw_examples(ranked: RankedRepeat, *, seed: int) -> tuple[Example, ...]:
             Candidate(motion, float(distances[place]), bool(place == index % size))
             for motion, place in zip(ranked.decode(batch[places].tolist()), places, strict=True)
         )
-        rank = int(ranked.ranks[index])
-        examples.append(Example(ranked.captions[index], rank, float(distances[index % size]), candidates))
+        examples.append(_example(ranked, index, candidates))
     return tuple(examples)
 
 
-def find_failures(ranked: RankedRepeat) -> tuple[Failure, ...]:
+def find_failures(ranked: RankedRepeat) -> tuple[Example, ...]:
     """Returns the captions whose own motion has the worst rank, the farthest first if ranks are equal."""
     skeleton = ranked.skeleton
     real_distances = np.linalg.norm(ranked.text - ranked.real, axis=1)
@@ -218,13 +202,15 @@ def find_failures(ranked: RankedRepeat) -> tuple[Failure, ...]:
     chosen = _distinct(np.lexsort((-ranked.distances, -ranked.ranks)), ranked.captions, NUM_FAILURES)
     failures = []
     for index, measured in zip(chosen, ranked.decode(chosen), strict=True):
-        caption = ranked.captions[index]
         positions = positions_from_features(ranked.pieces[index], skeleton) * np.float32(skeleton.metres_per_unit)
-        real = Motion(positions, skeleton.fps, skeleton=skeleton, caption=caption)
-        rank = int(ranked.ranks[index])
-        distance = float(ranked.distances[index])
-        failures.append(Failure(caption, rank, distance, float(real_distances[index]), measured, real))
+        real = Motion(positions, skeleton.fps, skeleton=skeleton, caption=ranked.captions[index])
+        own = Candidate(measured, float(ranked.distances[index]), True)
+        failures.append(_example(ranked, index, (own, Candidate(real, float(real_distances[index]), False))))
     return tuple(failures)
+
+
+def _example(ranked: RankedRepeat, index: int, motions: tuple[Candidate, ...]) -> Example:
+    return Example(ranked.captions[index], int(ranked.ranks[index]), float(ranked.distances[index]), motions)
 
 
 def _distinct(order: Int[np.ndarray, " N"], captions: Sequence[str], count: int) -> list[int]:

@@ -2,10 +2,8 @@
 
 import dataclasses
 import html
-import importlib.resources
 import json
 import os
-import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -13,23 +11,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
-from t2m_jax.evaluation.report.formats import MISSING, heading, interval_text, mean_text, repeats_text
-from t2m_jax.evaluation.report.gallery import Example, Failure, RepeatDetails
-from t2m_jax.evaluation.report.plots import check_plots, codes_plot, lengths_plot, repeats_plot
+from t2m_jax.evaluation.report.formats import MISSING, heading, interval_text, mean_text, repeats_text, table_grid
+from t2m_jax.evaluation.report.gallery import Example, RepeatDetails
+from t2m_jax.evaluation.report.plots import codes_plot, lengths_plot
 from t2m_jax.evaluation.report.record import Report, report_as_json
 from t2m_jax.evaluation.report.tables import Cell, Table, make_table
-from t2m_jax.files.writing import check_output, save_text
+from t2m_jax.files.template import fill_template
+from t2m_jax.files.writing import save_text
 from t2m_jax.metrics.codes import code_usage, perplexity
 from t2m_jax.motion.motion import Motion
 
 Viewer = Callable[[Sequence[Motion]], str]
 """Returns an HTML page that plays motions, side by side if there are several."""
-
-
-def check_page(path: Path) -> None:
-    """Raises `UserError` if a page cannot be made or written; call it before long work."""
-    check_plots()
-    check_output(path)
 
 
 def save_page(path: Path, report: Report, details: RepeatDetails, *, viewer: Viewer) -> None:
@@ -61,7 +54,6 @@ def report_page(report: Report, details: RepeatDetails, *, viewer: Viewer) -> st
         "table": _table(table),
         "table_note": _text(f"{repeats_text(table)}."),
         "quality": _table(make_table([report], [report.kind], measures="quality")),
-        "repeats_plot": _plot(repeats_plot(report, table.columns), "Metrics of each repeat", "", "broad"),
         **_detail_plots(details),
         "retrieval_note": _text(
             f"Each caption ranks the {report.header.batch} motions of its batch by distance. Of {count} captions, "
@@ -76,10 +68,7 @@ def report_page(report: Report, details: RepeatDetails, *, viewer: Viewer) -> st
         "failures": "\n".join(_failure(failure, report.kind, stages) for failure in details.failures),
         "pages": stages.pages_json(),
     }
-    assets = importlib.resources.files("t2m_jax.evaluation.report") / "assets"
-    template = (assets / "report.html").read_text(encoding="utf-8")
-    # All parts in one pass, so that text like {{this}} inside a part is not replaced.
-    return re.sub(r"\{\{(\w+)\}\}", lambda place: parts[place[1]], template)
+    return fill_template("t2m_jax.evaluation.report", "assets/report.html", parts)
 
 
 def _text(text: object) -> str:
@@ -90,25 +79,21 @@ def _text(text: object) -> str:
 def _table(table: Table) -> str:
     def figure(cell: Cell | None) -> str:
         if cell is None:
-            return f"<td>{MISSING}</td>"
-        mean = f"<b>{mean_text(cell)}</b>" if cell.best else mean_text(cell)
-        return f"<td>{mean} <small>± {interval_text(cell)}</small></td>"
+            return MISSING
+        return f"{mean_text(cell)} <small>± {interval_text(cell)}</small>"
 
     headings = "".join(f'<th scope="col">{_text(heading(column))}</th>' for column in table.columns)
     lines = "\n".join(
-        f'<tr><th scope="row">{_text(line.name)}</th>'
-        + "".join(figure(line.cells.get(column.metric)) for column in table.columns)
-        + "</tr>"
-        for line in table.lines
+        f'<tr><th scope="row">{name}</th>{"".join(f"<td>{text}</td>" for text in texts)}</tr>'
+        for name, *texts in table_grid(table, _text, figure)
     )
     return f"<table>\n<thead><tr><th></th>{headings}</tr></thead>\n<tbody>\n{lines}\n</tbody>\n</table>"
 
 
-def _plot(svg: str, label: str, caption: str, kind: str = "") -> str:
-    caption = f"<figcaption>{_text(caption)}</figcaption>" if caption else ""
+def _plot(svg: str, label: str, caption: str) -> str:
     return (
-        f'<figure class="card"><div class="plot wide {kind}" role="img" aria-label="{_text(label)}">{svg}</div>'
-        f"{caption}</figure>"
+        f'<figure class="card"><div class="plot wide" role="img" aria-label="{_text(label)}">{svg}</div>'
+        f"<figcaption>{_text(caption)}</figcaption></figure>"
     )
 
 
@@ -120,19 +105,19 @@ def _detail_plots(details: RepeatDetails) -> dict[str, str]:
         return f"{100 * float(code_usage(known)):.1f} % of the codes, perplexity {float(perplexity(known)):.1f}"
 
     kind = details.kind
-    real = details.real_code_counts
-    measured = details.measured_code_counts
-    means = [lengths.mean() / details.fps for lengths in (details.real_lengths, details.measured_lengths)]
+    frames = {"real": details.real_lengths, kind: details.measured_lengths}
+    counts = {"real": details.real_code_counts, kind: details.measured_code_counts}
+    means = [lengths.mean() / details.fps for lengths in frames.values()]
     lengths = _plot(
-        lengths_plot(details.real_lengths, details.measured_lengths, fps=details.fps, kind=kind),
+        lengths_plot(frames, fps=details.fps),
         f"Lengths of real motion and of {kind}",
         f"Mean length: real motion {means[0]:.2f} s, {kind} {means[1]:.2f} s.",
     )
     codes = _plot(
-        codes_plot(real, measured, kind=kind),
+        codes_plot(counts),
         f"Use of the codebook by real motion and by {kind}",
-        f"Codebook of {len(real)}: real motion, encoded, uses {used(real)}; {kind} uses {used(measured)}. "
-        "Points on the lower edge are codes that it never uses.",
+        f"Codebook of {len(counts[kind])}: real motion, encoded, uses {used(counts['real'])}; {kind} uses "
+        f"{used(counts[kind])}.",
     )
     return {"lengths_plot": lengths, "codes_plot": codes}
 
@@ -144,11 +129,11 @@ class _Stages:
         self.viewer = viewer
         self.pages: list[str] = []
 
-    def add(self, motions: Sequence[Motion], labels: Sequence[str], label: str) -> str:
+    def add(self, example: Example, labels: Sequence[str], label: str) -> str:
         """Returns the element of a viewer."""
         # Viewers write the caption below a motion.
-        named = [dataclasses.replace(motion, caption=name) for motion, name in zip(motions, labels, strict=True)]
-        self.pages.append(self.viewer(named))
+        pairs = zip(example.motions, labels, strict=True)
+        self.pages.append(self.viewer([dataclasses.replace(one.motion, caption=name) for one, name in pairs]))
         return f'<div class="stage" role="group" aria-label="{_text(label)}" data-page="{len(self.pages) - 1}"></div>'
 
     def pages_json(self) -> str:
@@ -163,25 +148,22 @@ class _Stages:
 def _example(example: Example, stages: _Stages) -> str:
     labels = []
     items = []
-    for number, candidate in enumerate(example.nearest, start=1):
+    for number, candidate in enumerate(example.motions, start=1):
         labels.append(f"{number}, its own" if candidate.own else f"{number}")
         own_mark = ' <span class="own">its own</span>' if candidate.own else ""
         distance = f'<span class="note">{candidate.distance:.2f}</span>'
         items.append(f"<li>{number}. {_text(candidate.motion.caption)} {distance}{own_mark}</li>")
-    motions = [candidate.motion for candidate in example.nearest]
-    label = f"Motions nearest to: {example.caption}"
-    return (
-        f'<article class="card"><h3>{_text(example.caption)}</h3>'
-        f'<div class="note">own motion: rank {example.rank}, distance {example.distance:.2f}</div>'
-        f"{stages.add(motions, labels, label)}<ol>{''.join(items)}</ol></article>"
-    )
+    note = f"own motion: rank {example.rank}, distance {example.distance:.2f}"
+    stage = stages.add(example, labels, f"Motions nearest to: {example.caption}")
+    return _card(example, note, f"{stage}<ol>{''.join(items)}</ol>")
 
 
-def _failure(failure: Failure, kind: str, stages: _Stages) -> str:
-    label = f"Motion, {kind} and real, of: {failure.caption}"
-    return (
-        f'<article class="card"><h3>{_text(failure.caption)}</h3>'
-        f'<div class="note">rank {failure.rank}, distance {failure.distance:.2f}; '
-        f"the real motion's distance is {failure.real_distance:.2f}</div>"
-        f"{stages.add([failure.measured, failure.real], [kind, 'real'], label)}</article>"
-    )
+def _failure(failure: Example, kind: str, stages: _Stages) -> str:
+    real = failure.motions[1]
+    note = f"rank {failure.rank}, distance {failure.distance:.2f}; the real motion's distance is {real.distance:.2f}"
+    return _card(failure, note, stages.add(failure, [kind, "real"], f"Motion, {kind} and real, of: {failure.caption}"))
+
+
+def _card(example: Example, note: str, content: str) -> str:
+    title = f"<h3>{_text(example.caption)}</h3>"
+    return f'<article class="card">{title}<div class="note">{note}</div>{content}</article>'

@@ -1,4 +1,7 @@
-"""A body around a skeleton: tapered limbs, a head with a direction of view, hands and feet. All renderers use it."""
+"""A body around a person's skeleton: tapered limbs, a head with a direction of view, hands and feet.
+
+All renderers use it.
+"""
 
 import functools
 from typing import Literal, NamedTuple
@@ -37,8 +40,8 @@ class Body(NamedTuple):
     head: int
     """Center of the head."""
 
-    face: int | None
-    """First of two additional points, on the face, that depend on the direction of view. None for a plain skeleton."""
+    face: int
+    """First of two additional points, on the face, that depend on the direction of view."""
 
 
 class Roles(NamedTuple):
@@ -79,8 +82,8 @@ def is_mirrored(skeleton: Skeleton) -> bool:
     return skeleton.name == "kit_ml"
 
 
-def roles_from_skeleton(skeleton: Skeleton) -> Roles | None:
-    """Returns the arms, legs and spine, with the sides after mirroring is undone. None if a limb is missing."""
+def roles_from_skeleton(skeleton: Skeleton) -> Roles:
+    """Returns the arms, legs and spine, with the sides after mirroring is undone."""
     right_hip, left_hip, right_shoulder, left_shoulder = skeleton.face_joints
     if is_mirrored(skeleton):
         left_hip, right_hip, left_shoulder, right_shoulder = right_hip, left_hip, right_shoulder, left_shoulder
@@ -91,23 +94,15 @@ def roles_from_skeleton(skeleton: Skeleton) -> Roles | None:
         return tuple(chain[chain.index(joint) :])
 
     limbs = tuple(outwards(joint) for joint in (left_shoulder, right_shoulder, left_hip, right_hip))
-    spines = [chain for chain in skeleton.chains if not any(set(limb) & set(chain) for limb in limbs)]
-    if len(spines) != 1 or len(spines[0]) < 4 or any(len(limb) < 3 for limb in limbs) or min(map(len, limbs[2:])) < 4:
-        return None
-    return Roles(tuple(spines[0]), *limbs)
+    (spine,) = (chain for chain in skeleton.chains if not any(set(limb) & set(chain) for limb in limbs))
+    return Roles(tuple(spine), *limbs)
 
 
 @functools.lru_cache
 def body_from_skeleton(skeleton: Skeleton) -> Body:
-    """Returns the body of a skeleton: a person if it has the limbs of one, and otherwise tubes around its bones."""
+    """Returns the body of a skeleton."""
     builder = _BodyBuilder(skeleton.num_joints)
     roles = roles_from_skeleton(skeleton)
-    if roles is None:
-        for joint, parent in enumerate(skeleton.parents):
-            if parent >= 0:
-                builder.add(parent, joint, 0.035, 0.028, "body")
-        builder.add(0, 0, 0.06, 0.06, "body")
-        return Body(np.stack(builder.rows), tuple(builder.parts), 0, None)
     _add_limbs(builder, roles.left_arm, roles.left_leg, "left")
     _add_limbs(builder, roles.right_arm, roles.right_leg, "right")
     _add_trunk(builder, roles)
@@ -195,9 +190,6 @@ def _add_head(builder: _BodyBuilder, roles: Roles, skeleton: Skeleton) -> int:
 def figure_scale(positions: Float[np.ndarray, "T J 3"], skeleton: Skeleton) -> float:
     """Returns the leg length relative to the reference figure. Radii have to be multiplied by it."""
     roles = roles_from_skeleton(skeleton)
-    if roles is None:
-        height = float(np.ptp(positions[0], axis=0).max())
-        return max(height, 1e-3) / (2 * REFERENCE_LEG)
     bones = [leg[joint : joint + 2] for leg in (roles.left_leg, roles.right_leg) for joint in (0, 1)]
     lengths = [np.linalg.norm(positions[:, end] - positions[:, start], axis=-1) for start, end in bones]
     # The median, because a decoder stretches bones in single frames.
@@ -208,12 +200,9 @@ def figure_points(positions: Float[np.ndarray, "T J 3"], skeleton: Skeleton) -> 
     """Returns the points of `body_from_skeleton` for each frame. The joints come first."""
     body = body_from_skeleton(skeleton)
     points = np.einsum("pj,tjc->tpc", body.weights, positions, optimize=True)
-    if body.face is None:
-        return points.astype(np.float32)
     # Both ends of the face plate. The head looks in the direction of the shoulders, turned by the displacement of the
     # head joint from the neck.
     roles = roles_from_skeleton(skeleton)
-    assert roles is not None
     _, neck, tip = roles.spine[-3:]
     across = _unit(points[:, roles.left_arm[0]] - points[:, roles.right_arm[0]])
     up = _unit(points[:, body.head] - points[:, neck])

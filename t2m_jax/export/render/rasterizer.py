@@ -13,6 +13,12 @@ SEAM_TOLERANCE = 0.0005
 TABLE_SIZE = 128
 """Number of steps, horizontally and vertically, into which surface normals are divided for shading."""
 
+# Strengths in linear light.
+KEY = 0.72
+FILL = 0.16
+SKY = np.array([0.42, 0.46, 0.53])
+GROUND = np.array([0.24, 0.225, 0.21])
+
 ShadeTables = Float[np.ndarray, "N 3"]
 """Colors in sRGB, 0 to 255. Each tint has `TABLE_SIZE` squared rows."""
 
@@ -31,18 +37,6 @@ class Ball(NamedTuple):
 
     radius: float
     """Pixels."""
-
-
-class Lighting(NamedTuple):
-    """Light in view space (x right, y down, z toward the camera), with strengths in linear light."""
-
-    key_direction: Float[np.ndarray, " 3"]
-    fill_direction: Float[np.ndarray, " 3"]
-    sky_direction: Float[np.ndarray, " 3"]
-    key: float
-    fill: float
-    sky: Float[np.ndarray, " 3"]
-    ground: Float[np.ndarray, " 3"]
 
 
 class Canvas(NamedTuple):
@@ -90,18 +84,30 @@ def empty_canvas(size: tuple[int, int], focal: float) -> Canvas:
     return Canvas(np.full(shape, -1, np.int32), np.full(shape, np.inf, np.float32), focal)
 
 
-def make_shade_tables(tints: Float[np.ndarray, "K 3"], lighting: Lighting) -> ShadeTables:
-    """Returns the colors of matte surfaces for all directions. `tints` are linear colors."""
+def make_shade_tables(
+    tints: Float[np.ndarray, "K 3"],
+    key_light: Float[np.ndarray, " 3"],
+    fill_light: Float[np.ndarray, " 3"],
+    up: Float[np.ndarray, " 3"],
+) -> ShadeTables:
+    """Returns the colors of matte surfaces for all directions.
+
+    Args:
+        tints: Linear colors.
+        key_light: Direction toward the main light, as the camera sees it: x right, y down, z toward the camera.
+        fill_light: Direction toward the second light.
+        up: Direction toward the sky.
+    """
     steps = (np.arange(TABLE_SIZE) + 0.5) * (2 / TABLE_SIZE) - 1
     y, x = (grid.ravel() for grid in np.meshgrid(steps, steps, indexing="ij"))
     normals = np.stack([x, y, np.sqrt(np.maximum(1 - x * x - y * y, 0))], axis=-1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    key = lighting.key * np.maximum(normals @ lighting.key_direction, 0)
-    fill = lighting.fill * np.maximum(normals @ lighting.fill_direction, 0)
-    upward = (0.5 + 0.5 * normals @ lighting.sky_direction)[:, None]
+    key = KEY * np.maximum(normals @ key_light, 0)
+    fill = FILL * np.maximum(normals @ fill_light, 0)
+    upward = (0.5 + 0.5 * normals @ up)[:, None]
     # A darker rim separates limbs from each other, like an outline in a drawing.
     rim = 0.62 + 0.38 * np.clip(2.6 * normals[:, 2:], 0, 1)
-    light = rim * ((key + fill)[:, None] + lighting.ground + (lighting.sky - lighting.ground) * upward)
+    light = rim * ((key + fill)[:, None] + GROUND + (SKY - GROUND) * upward)
     return np.concatenate([255 * np.clip(light * tint, 0, 1) ** (1 / 2.2) for tint in tints]).astype(np.float32)
 
 

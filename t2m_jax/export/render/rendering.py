@@ -21,7 +21,6 @@ from t2m_jax.export.render.ground import (
 from t2m_jax.export.render.labels import make_label
 from t2m_jax.export.render.rasterizer import (
     Ball,
-    Lighting,
     ShadeTables,
     color_picture,
     draw_capsule,
@@ -128,20 +127,10 @@ def render_poster(motions: Sequence[Motion], *, num_poses: int = 6, height: int 
 
 def shade_tables(view: View) -> ShadeTables:
     """Returns the colors of all tints, with the light as the camera sees it."""
-    up = np.array([0.0, 1.0, 0.0])
-    key, fill, sky = (view.axes @ direction for direction in (KEY_LIGHT, FILL_LIGHT, up))
-    lighting = Lighting(
-        key_direction=key,
-        fill_direction=fill,
-        sky_direction=sky,
-        key=0.72,
-        fill=0.16,
-        sky=np.array([0.42, 0.46, 0.53]),
-        ground=np.array([0.24, 0.225, 0.21]),
-    )
     # The tables are computed in linear light, so the sRGB colors are decoded with a gamma of 2.2.
     tints = [[(int(TINT_COLORS[tint][i : i + 2], 16) / 255) ** 2.2 for i in (1, 3, 5)] for tint in TINTS]
-    return make_shade_tables(np.array(tints), lighting)
+    lights = (view.axes @ direction for direction in (KEY_LIGHT, FILL_LIGHT, np.array([0.0, 1.0, 0.0])))
+    return make_shade_tables(np.array(tints), *lights)
 
 
 def draw_figures(

@@ -47,7 +47,6 @@ class SceneFigure(NamedTuple):
 
     points: Float[np.ndarray, "T P 3"]
     parts: tuple[BodyPart, ...]
-    head: int
     fps: float
     caption: str
     contacts: tuple[Contact, ...]
@@ -100,7 +99,7 @@ def figure_from_motion(motion: Motion) -> SceneFigure:
     )
     feet = [foot[-1] for foot in (motion.skeleton.left_foot, motion.skeleton.right_foot)]
     contacts = [contact for foot in feet for contact in _contacts(points[:, foot], float(motion.fps), scale)]
-    return SceneFigure(points, parts, body.head, float(motion.fps), motion.caption, tuple(contacts))
+    return SceneFigure(points, parts, float(motion.fps), motion.caption, tuple(contacts))
 
 
 def _contacts(foot: Float[np.ndarray, "T 3"], fps: float, scale: float) -> list[Contact]:

@@ -99,9 +99,8 @@ def _poses(path: Float[np.ndarray, "T 3"]) -> list[int]:
 
 
 def _ends_of_limbs(skeleton: Skeleton) -> list[int]:
-    """Returns the joints whose paths are drawn: wrists and ankles, or none of a figure that is no person."""
-    roles = roles_from_skeleton(skeleton)
-    limbs = () if roles is None else (roles.left_arm, roles.right_arm, roles.left_leg, roles.right_leg)
+    """Returns the joints whose paths are drawn: wrists and ankles, left and right in turn."""
+    _, *limbs = roles_from_skeleton(skeleton)
     return [limb[2] for limb in limbs]
 
 
