@@ -51,6 +51,13 @@ QUALITY_LABELS = {
 }
 
 
+PROMPT_GROUPS = (
+    *("actions", "paces", "manners", "composed"),
+    *("free", "subjects", "typos", "free-paces", "free-manners", "then", "while", "counts", "durations", "all-actions"),
+)
+"""The second line has sentences of somebody who saw neither the code nor any caption."""
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the sub-commands and their options."""
     from t2m_jax.sampling.request import SamplingOptions
@@ -68,11 +75,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_protocol_arguments(generation, needs_evaluator=True)
     for command, left_out in ((generation, ("strategy", "max_codes", "raw")), (prompts, ("strategy", "max_codes"))):
         add_record(command, SamplingOptions, left_out=left_out)
-    groups = "what is asked for: actions, a pace or a manner (both with --data), or two actions in turn"
-    choices = ("actions", "paces", "manners", "composed")
-    prompts.add_argument("--group", choices=choices, default="actions", help=f"{groups} (default: actions)")
-    prompts.add_argument("--data", metavar="DIR", help="data set with which paces and manners are compared")
-    prompts.add_argument("--num-seeds", type=positive, default=20, help="samples per content (default: 20)")
+    what = "what is asked for; docs/evaluation.md describes each group (default: actions)"
+    prompts.add_argument("--group", choices=PROMPT_GROUPS, default="actions", help=what)
+    prompts.add_argument("--data", metavar="DIR", help="data set with whose real clips motion is compared")
+    samples = "samples per line of the table (default: 20; for the groups of free sentences, 4 of each sentence)"
+    prompts.add_argument("--num-seeds", type=positive, help=samples)
     compare.add_argument("reports", nargs=2, type=Path, metavar="REPORT", help="two files of --json")
     table.add_argument("reports", nargs="+", type=Path, metavar="REPORT", help="files of --json")
     styles = ("terminal", "markdown", "latex")
@@ -211,16 +218,33 @@ def _prompt_tests(group: str, data: str | None) -> "list[PromptTest]":
         UserError: The group needs a data set, and none is given, or the other way round.
     """
     from t2m_jax.data import open_dataset
+    from t2m_jax.evaluation.prompts import free
     from t2m_jax.evaluation.prompts.following import action_tests
     from t2m_jax.evaluation.prompts.groups import composed_tests, pace_tests
     from t2m_jax.evaluation.prompts.manners import manner_tests
 
-    with_data = {"paces": pace_tests, "manners": manner_tests}
+    with_data = {
+        "paces": pace_tests,
+        "manners": manner_tests,
+        "free-paces": free.free_pace_tests,
+        "free-manners": free.free_manner_tests,
+        "then": free.then_tests,
+        "all-actions": free.all_action_tests,
+    }
+    plain = {
+        "actions": action_tests,
+        "composed": composed_tests,
+        "free": free.free_tests,
+        "subjects": free.subject_tests,
+        "typos": free.typo_tests,
+        "while": free.while_tests,
+        "counts": free.count_tests,
+        "durations": free.duration_tests,
+    }
     if (group in with_data) != (data is not None):
-        raise UserError("--data: is for --group paces and manners, which compare motion with real clips; they need it")
-    if data is not None:
-        return with_data[group](open_dataset(data))
-    return action_tests() if group == "actions" else composed_tests()
+        names = ", ".join(with_data)
+        raise UserError(f"--data: is for --group {names}, which compare motion with real clips; they need it")
+    return plain[group]() if data is None else with_data[group](open_dataset(data))
 
 
 def run_prompts(args: argparse.Namespace) -> None:
@@ -232,6 +256,7 @@ def run_prompts(args: argparse.Namespace) -> None:
     from t2m_jax.text.coverage import PromptWarning
 
     tests = _prompt_tests(args.group, args.data)
+    num_seeds = args.num_seeds or (20 if args.group in PROMPT_GROUPS[:4] else None)
     options = read_record(SamplingOptions, args)
     model = TextToMotion.load(args.model)
 
@@ -240,7 +265,7 @@ def run_prompts(args: argparse.Namespace) -> None:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PromptWarning)  # whether the model can do what is asked is measured here
-        results = evaluate_prompt_following(tests, generate, num_seeds=args.num_seeds)
+        results = evaluate_prompt_following(tests, generate, num_seeds=num_seeds)
     sys.stdout.write(following_table(results) + "\n")
     if args.json:
         motion = "decoded" if options.raw else "cleaned"

@@ -191,7 +191,7 @@ def _() -> Case:
 
 @case("evaluation.prompts.manners.fit_softmax")
 def _() -> Case:
-    return Case((normal(7, 20, 6), jnp.arange(20) % 7), {"num_steps": 5}, rtol=1e-4, atol=1e-4)
+    return Case((normal(7, 20, 6), jnp.arange(20) % 7), {"num_classes": 7, "num_steps": 5}, rtol=1e-4, atol=1e-4)
 
 
 @case("motion.cleanup.clean_positions")

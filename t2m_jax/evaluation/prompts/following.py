@@ -36,6 +36,8 @@ STILL_HANDS = 0.5
 """Largest speed of a wrist of a person who stands still (95 % of the time), in meters per second."""
 WAVES = 2
 """A raised hand waves if it sweeps to and fro at least this often."""
+SEEDS = 4
+"""Motions of each sentence, if their number is not given."""
 NOTHING = "nothing of these"
 """What a motion does that passes no test."""
 
@@ -52,18 +54,21 @@ def goes_straight(facts: Facts) -> bool:
     return facts.forward >= MOVES_TRAVEL and abs(facts.turn) <= STRAIGHT_TURN
 
 
+def hand_is_up(hands: str, facts: Facts) -> bool:
+    """Returns whether `both` hands, or the `left` or the `right` one alone, were raised."""
+    if hands == "both":
+        return min(facts.above_shoulder) > HAND_UP
+    named, other = facts.above_shoulder if hands == "left" else facts.above_shoulder[::-1]
+    # Otherwise a model that always raises both hands would pass the tests of each.
+    return named > HAND_UP and other < HAND_DOWN
+
+
 def _hand_rule(hands: str, *, waves: bool) -> Rule:
     """Returns the rule of raising or waving `both`, `left` or `right`, in place."""
 
     def holds(facts: Facts) -> bool:
-        if hands == "both":
-            is_up = min(facts.above_shoulder) > HAND_UP
-        else:
-            named, other = facts.above_shoulder if hands == "left" else facts.above_shoulder[::-1]
-            # Otherwise a model that always raises both hands would pass the tests of each.
-            is_up = named > HAND_UP and other < HAND_DOWN
         in_place = facts.travel <= STANDS_TRAVEL and abs(facts.turn) <= STRAIGHT_TURN
-        return is_up and in_place and (facts.waves >= WAVES) == waves
+        return hand_is_up(hands, facts) and in_place and (facts.waves >= WAVES) == waves
 
     if hands == "both":
         words = "both wrists come above their shoulders (less 5 cm)"
@@ -157,21 +162,23 @@ def action_tests() -> list[PromptTest]:
     ]
 
 
-def requests(test: PromptTest, *, num_seeds: int) -> list[tuple[int, str]]:
-    """Returns seeds 0 to `num_seeds` - 1, with the test's sentences in rotation."""
+def requests(test: PromptTest, *, num_seeds: int | None) -> list[tuple[int, str]]:
+    """Returns seeds 0 to `num_seeds` - 1, with the test's sentences in rotation; None asks each of them four times."""
+    if num_seeds is None:
+        num_seeds = SEEDS * len(test.sentences)
     # In turn and not drawn, so that each sentence is asked equally often.
     return [(seed, test.sentences[seed % len(test.sentences)]) for seed in range(num_seeds)]
 
 
 def evaluate_prompt_following(
-    tests: Sequence[PromptTest], generate: Callable[[str, int], Motion], *, num_seeds: int
+    tests: Sequence[PromptTest], generate: Callable[[str, int], Motion], *, num_seeds: int | None
 ) -> list[PromptResult]:
     """Returns one result per test.
 
     Args:
         tests: A group of tests.
         generate: Returns the motion of a sentence and a seed.
-        num_seeds: Samples per test.
+        num_seeds: Samples per test; None for four of each sentence.
     """
     results = []
     for place, test in enumerate(tests):

@@ -2,7 +2,7 @@
 
 import functools
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -36,21 +36,25 @@ def pace_tests(dataset: Dataset) -> list[PromptTest]:
         UserError: The data set has another skeleton than HumanML3D's, or does not show one of the contents.
     """
     check_skeleton(dataset.skeleton, owner="data set")
-    speeds = _clip_speeds(dataset)
+    speeds = clip_speeds(dataset, PACED)
     return [_pace_test(content, pace, speeds[content]) for content in PACED for pace in held_out_paces()]
 
 
-def _clip_speeds(dataset: Dataset) -> Mapping[str, Float[np.ndarray, " N"]]:
-    """Returns the speeds of the training clips of each paced content, in m/s."""
+def clip_speeds(dataset: Dataset, contents: Sequence[str]) -> Mapping[str, Float[np.ndarray, " N"]]:
+    """Returns the speeds of the training clips of each content, in m/s.
+
+    Raises:
+        UserError: The data set does not show one of the contents.
+    """
     index = load_index(dataset.folder)
     found = defaultdict(list)
     for clip in dataset.clips("train", min_frames=2):
         # Labels are `content, style`.
         content = ((index.label(clip.name) if index else None) or "").partition(",")[0]
-        if content in PACED:
+        if content in contents:
             positions = np.asarray(positions_from_features(clip.features, dataset.skeleton))
             found[content].append(measure(positions, fps=dataset.skeleton.fps).speed)
-    for content in PACED:
+    for content in contents:
         if not found[content]:
             raise UserError(f"{dataset.folder}: no training clip has the label {content!r}, whose speed is compared")
     return {content: np.array(values) for content, values in found.items()}
@@ -66,14 +70,14 @@ def _pace_test(content: str, pace: Pace, speeds: Float[np.ndarray, " N"]) -> Pro
 
     def holds(motion: Motion) -> bool:
         facts = measure_motion(motion)
-        if facts is None or not _shows(content, facts):
+        if facts is None or not shows(content, facts):
             return False
         return facts.speed > limit if pace.slower_than is None else facts.speed < limit
 
     return PromptTest(f"{content} {pace.name}", f"as for {content}; {words}", sentences, holds)
 
 
-def _shows(content: str, facts: Facts) -> bool:
+def shows(content: str, facts: Facts) -> bool:
     """Returns whether a motion shows a content at any speed."""
     # The rules of walking and running have limits of speed, which a pace may break.
     return goes_straight(facts) if content in ("walk", "run") else RULES[content].holds(facts)

@@ -1,6 +1,7 @@
 """Whether generated motion has the manner that a sentence asked for, as a classifier of real clips sees it."""
 
 import functools
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -32,52 +33,63 @@ WEIGHT_DECAY = 0.01
 class Classifier(NamedTuple):
     """A linear classifier of the statistics of a clip."""
 
+    classes: tuple[str, ...]
     mean: Float[np.ndarray, " S"]
     std: Float[np.ndarray, " S"]
     weights: Float[np.ndarray, "S K"]
     bias: Float[np.ndarray, " K"]
 
     def recognize(self, features: Float[np.ndarray, "T D"]) -> str:
-        """Returns the manner of raw features."""
+        """Returns the class of raw features."""
         scores = (_statistics(features) - self.mean) / self.std @ self.weights + self.bias
-        return MANNERS[int(scores.argmax())]
+        return self.classes[int(scores.argmax())]
 
 
 def manner_tests(dataset: Dataset) -> list[PromptTest]:
     """Returns a test for each manner; its rule says how well the classifier recognizes real clips of the test split.
 
     Raises:
+        UserError: As for `manner_judge`.
+    """
+    holds, rule = manner_judge(dataset)
+    return [PromptTest(manner, rule, _sentences(manner), functools.partial(holds, manner)) for manner in MANNERS[1:]]
+
+
+def manner_judge(dataset: Dataset) -> tuple[Callable[[str, Motion], bool], str]:
+    """Returns a function that tells whether a motion has a manner, and how far it can be trusted.
+
+    Raises:
         UserError: The data set has another skeleton than HumanML3D's, or does not show all manners.
     """
     check_skeleton(dataset.skeleton, owner="data set")
     # Trained on one split and judged on another: the rule tells how far the classifier can be trusted.
-    classifier = train_classifier(*_labeled_clips(dataset, "train"))
+    classifier = train_classifier(*_labeled_clips(dataset, "train"), classes=MANNERS)
     clips, manners = _labeled_clips(dataset, "test")
     right = [classifier.recognize(clip) == MANNERS[manner] for clip, manner in zip(clips, manners, strict=True)]
     rule = f"a classifier recognizes it; of real test clips, it recognizes {np.mean(right):.0%}"
-    return [
-        PromptTest(manner, rule, _sentences(manner), functools.partial(_has_manner, classifier, manner))
-        for manner in MANNERS[1:]
-    ]
+    return functools.partial(_has_manner, classifier), rule
 
 
-def train_classifier(clips: list[Float[np.ndarray, "_ D"]], manners: Int[np.ndarray, " N"]) -> Classifier:
-    """Returns a classifier of raw features by their manners' numbers (softmax regression)."""
+def train_classifier(
+    clips: list[Float[np.ndarray, "_ D"]], numbers: Int[np.ndarray, " N"], *, classes: Sequence[str]
+) -> Classifier:
+    """Returns a classifier of raw features by the numbers of their classes (softmax regression)."""
     statistics = np.stack([_statistics(clip) for clip in clips])
     mean = statistics.mean(axis=0)
     std = statistics.std(axis=0) + 1e-6  # a feature that never changes
-    weights, bias = fit_softmax(jnp.asarray((statistics - mean) / std), jnp.asarray(manners))
-    return Classifier(mean, std, np.asarray(weights), np.asarray(bias))
+    inputs = jnp.asarray((statistics - mean) / std)
+    weights, bias = fit_softmax(inputs, jnp.asarray(numbers), num_classes=len(classes))
+    return Classifier(tuple(classes), mean, std, np.asarray(weights), np.asarray(bias))
 
 
-@functools.partial(jax.jit, static_argnames="num_steps")
+@functools.partial(jax.jit, static_argnames=("num_classes", "num_steps"))
 def fit_softmax(
-    inputs: Float[Array, "N S"], classes: Int[Array, " N"], *, num_steps: int = NUM_STEPS
+    inputs: Float[Array, "N S"], classes: Int[Array, " N"], *, num_classes: int, num_steps: int = NUM_STEPS
 ) -> tuple[Float[Array, "S K"], Float[Array, " K"]]:
-    """Returns weights and bias of a softmax regression on manners, with decayed weights."""
+    """Returns weights and bias of a softmax regression on classes, with decayed weights."""
     optimizer = optax.adamw(LEARNING_RATE, weight_decay=WEIGHT_DECAY)
     # The loss is convex, so no start is better than another.
-    start = jnp.zeros((inputs.shape[1], len(MANNERS))), jnp.zeros(len(MANNERS))
+    start = jnp.zeros((inputs.shape[1], num_classes)), jnp.zeros(num_classes)
 
     def loss(parameters: tuple[Array, Array]) -> Float[Array, ""]:
         logits = inputs @ parameters[0] + parameters[1][None]

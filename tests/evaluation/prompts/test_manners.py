@@ -22,7 +22,7 @@ def clip(manner, seed, *, frames=40):
 
 def test_manners_are_recognized_in_new_clips():
     labels = np.repeat(np.arange(len(MANNERS)), 20)
-    classifier = train_classifier([clip(manner, seed) for seed, manner in enumerate(labels)], labels)
+    classifier = train_classifier([clip(manner, seed) for seed, manner in enumerate(labels)], labels, classes=MANNERS)
     for manner, name in enumerate(MANNERS):
         assert [classifier.recognize(clip(manner, 1000 + seed)) for seed in range(5)] == [name] * 5
 
