@@ -26,6 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     rig = add(run_rig, "guess which joints of a file are HumanML3D's, as a table for --rig")
     sheet = add(run_sheet, "draw some poses of each clip of a data-set folder on one page")
     merge = add(run_merge, "put several data sets into one folder")
+    compose = add(
+        run_compose, "add motions in turn, at once, repeated or for some time, made of the clips of a data set"
+    )
     replay = add(run_replay, "make a data-set folder of motion that a model generates")
     synthetic = add(run_synthetic, "make a data-set folder of computed motions, without a download")
     check = add(run_check, "count the contents of a data-set folder and find its faults")
@@ -37,15 +40,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     sheet.add_argument("-o", "--output", type=Path, metavar="FILE", help=f"page to write (default: DIR/{SHEET})")
     check.add_argument("--json", type=Path, metavar="FILE", help="write the report to this file, too")
     merge.add_argument("sources", nargs="+", type=Path, metavar="SRC", help="folders to read")
-    for command in (merge, replay, synthetic):
+    compose.add_argument("source", type=Path, metavar="SRC", help="folder to read; index.csv must have labels")
+    for command in (merge, compose, replay, synthetic):
         command.add_argument("destination", type=Path, metavar="DEST", help="folder to make")
     add_model_argument(replay)
     sentences = "what to generate, a sentence per line (default: some captions)"
     replay.add_argument("--sentences", type=Path, metavar="FILE", help=sentences)
     replay.add_argument("--num-clips", type=int, default=120, help="number of motions (default: 120)")
     synthetic.add_argument("--num-clips", type=int, default=200, help="clips before mirroring (default: 200)")
-    for command in (replay, synthetic):
+    _add_compositions(compose)
+    for command in (compose, replay, synthetic):
         command.add_argument("--seed", type=int, default=0)
+
+
+def _add_compositions(compose: argparse.ArgumentParser) -> None:
+    """Adds what can be made of clips."""
+    kinds = {
+        "--turns": "two or three actions in turn",
+        "--at-once": "the legs of one clip and the arms of another",
+        "--repeated": "an action once to five times",
+        "--timed": "an action that lasts two to nine seconds",
+    }
+    for name, shows in kinds.items():
+        compose.add_argument(name, type=int, default=0, metavar="N", help=f"motions to add: {shows} (default: 0)")
+    compose.add_argument("--still", action="store_true", help="add motions of standing still, cut out of clips")
+    compose.add_argument("--slow", action="store_true", help="add slow clips once more, played very slowly")
+    compose.add_argument("--workers", type=int, default=1, help="number of processes (default: 1)")
 
 
 def _add_importers(importer: argparse.ArgumentParser) -> None:
@@ -117,6 +137,14 @@ def run_merge(args: argparse.Namespace) -> "ImportReport":
     from t2m_jax.data.merge import merge_datasets
 
     return merge_datasets(args.sources, args.destination)
+
+
+def run_compose(args: argparse.Namespace) -> "ImportReport":
+    """Writes a folder with more motions for training."""
+    from t2m_jax.data.composing.compose import ComposeOptions, compose_dataset
+
+    options = {field.name: getattr(args, field.name) for field in dataclasses.fields(ComposeOptions)}
+    return compose_dataset(args.source, args.destination, **options)
 
 
 def run_synthetic(args: argparse.Namespace) -> "ImportReport":

@@ -6,6 +6,7 @@ from. The file is optional, and so is every column except `new_name`.
 
 import csv
 import io
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -41,6 +42,18 @@ class IndexEntry(NamedTuple):
     def with_origin(self, dataset: str, licence: str) -> "IndexEntry":
         """Returns the row with a data set and a license, where it has none."""
         return self._replace(dataset=self.dataset or dataset, licence=self.licence or licence)
+
+
+_COUNT = re.compile(r" x \d+$")
+
+
+def label_actions(label: str) -> tuple[str, ...]:
+    """Returns the actions of a label, without its style.
+
+    Labels are `walk, happy`, of actions in turn `walk + bow`, of two at once `walk + clap, at once`, of an action that
+    is repeated `jump x 3`, and of one that lasts some seconds `walk, 5 s`.
+    """
+    return tuple(_COUNT.sub("", action) for action in label.partition(",")[0].split(" + "))
 
 
 class ClipIndex(NamedTuple):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from t2m_jax.data.files import FEATURES, MIRROR_PREFIX, POSITIONS, SPLITS, TEXTS
 from t2m_jax.data.folder import Dataset, DatasetInfo, open_dataset
-from t2m_jax.data.index import IndexEntry, load_index, save_index
+from t2m_jax.data.index import ClipIndex, IndexEntry, load_index, save_index
 from t2m_jax.data.writer import ImportReport, finish_folder, new_folder
 from t2m_jax.errors import UserError
 from t2m_jax.files.reading import load_array, reading
@@ -31,20 +31,21 @@ def merge_datasets(sources: Sequence[str | Path], destination: str | Path) -> Im
     splits: dict[str, list[str]] = {split: [] for split in SPLITS}
     owners: dict[str, Dataset] = {}
     for dataset in datasets:
-        for split in SPLITS:
-            names = dataset.names(split) if (dataset.folder / f"{split}.txt").exists() else ()
+        for split, names in read_splits(dataset).items():
             for name in names:
                 if owners.setdefault(name, dataset) is not dataset:
                     raise UserError(f"{dataset.folder}: {name} is a clip of {owners[name].folder}, too; rename one")
             splits[split] += names
     with new_folder(destination) as folder:
-        frames = sum(_copy_clip(name, dataset, folder) for name, dataset in owners.items())
+        frames = sum(copy_clip(name, dataset, folder) for name, dataset in owners.items())
         sizes = finish_folder(folder, splits, info=_merged_info(datasets), skeleton=first.skeleton)
-        save_index(folder, _labels(owners))
+        owned = {dataset.folder: [name for name, owner in owners.items() if owner is dataset] for dataset in datasets}
+        rows = [row for dataset in datasets for row in index_entries(dataset, owned[dataset.folder])]
+        save_index(folder, rows)
     return ImportReport(len(owners), frames, sizes, {}, ())
 
 
-def _copy_clip(name: str, dataset: Dataset, folder: Path) -> int:
+def copy_clip(name: str, dataset: Dataset, folder: Path) -> int:
     """Copies the files of a clip and returns its number of frames."""
     for part in (f"{FEATURES}/{name}.npy", f"{POSITIONS}/{name}.npy", f"{TEXTS}/{name}.txt"):
         with reading(dataset.folder / part):
@@ -71,13 +72,18 @@ def _merged_info(datasets: Sequence[Dataset]) -> DatasetInfo:
     )
 
 
-def _labels(owners: dict[str, Dataset]) -> list[IndexEntry]:
-    """Returns the rows of all clips of which something is known, with the data set and the license of each."""
-    indices = {dataset.folder: load_index(dataset.folder) for dataset in owners.values()}
-    rows = []
-    for name, dataset in owners.items():
-        index = indices[dataset.folder]
-        # The label of a twin follows from its original's row, if that is here, too.
-        if index is not None and not (name.startswith(MIRROR_PREFIX) and name[1:] in owners):
-            rows.append(index.entry(name).with_origin(dataset.info.name, dataset.info.licence))
-    return rows
+def read_splits(dataset: Dataset) -> dict[str, list[str]]:
+    """Returns the clips of each split; none if a list is missing."""
+    lists = {split: dataset.folder / f"{split}.txt" for split in SPLITS}
+    return {split: list(dataset.names(split)) if path.exists() else [] for split, path in lists.items()}
+
+
+def index_entries(dataset: Dataset, names: Sequence[str]) -> list[IndexEntry]:
+    """Returns the rows of clips of a data set, with its name and its license if they say no other.
+
+    The row of a twin follows from its original's, if that is here, too.
+    """
+    index = load_index(dataset.folder) or ClipIndex({}, {})
+    known = set(names)
+    originals = [name for name in names if not (name.startswith(MIRROR_PREFIX) and name[1:] in known)]
+    return [index.entry(name).with_origin(dataset.info.name, dataset.info.licence) for name in originals]

@@ -1,6 +1,7 @@
 """A record of the data that a model was trained on: the number of clips per action, and the words of the captions."""
 
 import dataclasses
+import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,7 +10,7 @@ import numpy as np
 
 from t2m_jax.data.banks.captions import all_tokens
 from t2m_jax.data.folder import Clip, Dataset
-from t2m_jax.data.index import load_index
+from t2m_jax.data.index import label_actions, load_index
 from t2m_jax.files.writing import save_json
 from t2m_jax.text.coverage import count_actions
 
@@ -60,8 +61,13 @@ def _some_captions(clips: Sequence[Clip]) -> tuple[str, ...]:
 
 def _action(label: str) -> str:
     """Returns a label, or for one such as `walk + wave`, of which there are hundreds, how many actions it has."""
-    count = label.count(" + ") + 1
-    return label if count == 1 else f"{count} actions in turn"
+    actions = label_actions(label)
+    if len(actions) > 1:
+        return f"{len(actions)} actions {'at once' if label.endswith(', at once') else 'in turn'}"
+    # Numbers of times and of seconds are not of interest here.
+    if " x " in label:
+        return f"{actions[0]}, repeated"
+    return re.sub(r", \d+ s$", ", for some seconds", label)
 
 
 def save_training_data(path: Path, data: TrainingData) -> None:

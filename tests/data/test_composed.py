@@ -18,17 +18,9 @@ from t2m_jax.data.composing.extra import (
     write_slow_clips,
     write_stand_clips,
 )
-from t2m_jax.data.composing.turns import (
-    LONGEST,
-    QUIET_SPEED,
-    LabeledPiece,
-    Library,
-    draw_pieces,
-    find_stillness,
-    join_pieces,
-    stand_still,
-    write_composed_captions,
-)
+from t2m_jax.data.composing.pieces import LONGEST, LabeledPiece, Library, join_pieces
+from t2m_jax.data.composing.standing import QUIET_SPEED, find_stillness, stand_still
+from t2m_jax.data.composing.turns import draw_pieces, write_composed_captions
 from t2m_jax.data.files import FEATURES, POSITIONS
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.bandai_namco.importer import import_bandai_namco, labels_from_name

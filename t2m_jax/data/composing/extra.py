@@ -1,9 +1,9 @@
-"""More for training than the recordings: captions of extremes, motion that is slower or still, and actions in turn."""
+"""More for training than the recordings: captions of extremes, and motion that is slower or still."""
 
 import itertools
 import random
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,16 +20,7 @@ from t2m_jax.data.composing.extremes import (
     shows_pace,
     speed_limits,
 )
-from t2m_jax.data.composing.turns import (
-    STAND,
-    STAND_FRAMES,
-    Library,
-    draw_pieces,
-    find_stillness,
-    join_pieces,
-    stand_still,
-    write_composed_captions,
-)
+from t2m_jax.data.composing.standing import STAND, STAND_FRAMES, find_stillness, stand_still
 from t2m_jax.data.files import MIRROR_PREFIX, POSITIONS, TEXTS
 from t2m_jax.data.texts import Caption, load_captions, save_captions
 from t2m_jax.data.writer import mirror, write_twins
@@ -63,6 +54,8 @@ class NewClip(NamedTuple):
     name: str
     label: str
     num_frames: int
+    origins: tuple[str, ...]
+    """Clips of which it is made."""
 
 
 def write_more_captions(folder: Path, names: Sequence[str], labels: Callable[[str], Labels]) -> None:
@@ -131,7 +124,10 @@ def _write_stand_clip(folder: Path, name: str, number: int, still: slice, style:
         compose(labels, generator.choice(wordings), facts=facts, style_share=0.3, generator=generator)
         for _ in range(CAPTIONS_OF_NEW)
     ]
-    return _write(folder, f"{STAND}{number}_{name}", ", ".join(labels), motion, tagged_captions(texts, generator))
+    captions = tagged_captions(texts, generator)
+    return write_new_clip(
+        folder, f"{STAND}{number}_{name}", ", ".join(labels), motion, captions=captions, origins=[name]
+    )
 
 
 def write_slow_clips(folder: Path, names: Sequence[str], labels: Callable[[str], Labels]) -> list[NewClip]:
@@ -159,27 +155,19 @@ def _write_slow_clip(folder: Path, name: str, labels: Labels, *, number: int, fa
     facts = measure(motion, fps=HUMANML3D.fps)
     manners = [load_wordings().extremes[extreme] for extreme, count in SLOW_CAPTIONS.items() for _ in range(count)]
     texts = [_say(labels, facts, generator, manners=one) for one in manners]
-    return _write(folder, f"slow{number}_{name}", ", ".join(labels), motion, tagged_captions(texts, generator))
+    captions = tagged_captions(texts, generator)
+    return write_new_clip(folder, f"slow{number}_{name}", ", ".join(labels), motion, captions=captions, origins=[name])
 
 
-def write_composition(number: int, *, library: Library) -> NewClip:
-    """Writes a motion of two or three actions in turn; the number decides which."""
-    generator = random.Random(f"composition {number}")
-    pieces = draw_pieces(library, generator)
-    captions = write_composed_captions(pieces, count=CAPTIONS_OF_NEW, generator=generator)
-    label = " + ".join(piece.labels.content for piece in pieces)
-    return _write(library.folder, f"composed_{number:05d}", label, join_pieces(pieces), captions)
-
-
-def make_library(folder: Path, labels: Mapping[str, Labels]) -> Library:
-    """Returns the clips that compositions are made of."""
-    clips = defaultdict(list)
-    for name, label in labels.items():
-        clips[label.content].append((name, label.style))
-    return Library(folder, dict(clips))
-
-
-def _write(
-    folder: Path, name: str, label: str, positions: Float[np.ndarray, "T J 3"], captions: Sequence[Caption]
+def write_new_clip(
+    folder: Path,
+    name: str,
+    label: str,
+    positions: Float[np.ndarray, "T J 3"],
+    *,
+    captions: Sequence[Caption],
+    origins: Sequence[str],
 ) -> NewClip:
-    return NewClip(name, label, write_twins(folder, name, positions, captions=captions, skeleton=HUMANML3D))
+    """Writes a clip that was made of others, and its twin."""
+    num_frames = write_twins(folder, name, positions, captions=captions, skeleton=HUMANML3D)
+    return NewClip(name, label, num_frames, tuple(origins))

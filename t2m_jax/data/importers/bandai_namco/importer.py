@@ -1,30 +1,23 @@
 """Importing the Bandai-Namco-Research-Motiondataset (1 and 2): BVH files into a data-set folder with captions."""
 
-import contextlib
 import csv
 import functools
-import multiprocessing
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
 
 import tqdm
 
 from t2m_jax.data.captioning.captions import Labels, write_captions
 from t2m_jax.data.captioning.wordings import load_wordings
-from t2m_jax.data.composing.extra import (
-    NewClip,
-    make_library,
-    write_composition,
-    write_more_captions,
-    write_slow_clips,
-    write_stand_clips,
-)
+from t2m_jax.data.composing.compose import write_turns
+from t2m_jax.data.composing.extra import NewClip, write_more_captions, write_slow_clips, write_stand_clips
+from t2m_jax.data.composing.pieces import make_library
 from t2m_jax.data.files import SPLITS, read_names
 from t2m_jax.data.folder import DatasetInfo
 from t2m_jax.data.index import IndexEntry, save_index
 from t2m_jax.data.splits import split_by_hash
+from t2m_jax.data.workers import Mapper, map_in_processes
 from t2m_jax.data.writer import ImportReport, check_count, finish_folder, new_folder, with_twins, write_twins
 from t2m_jax.errors import UserError
 from t2m_jax.motion.bvh import load_bvh
@@ -62,7 +55,6 @@ INFO = DatasetInfo(
         "of AI-based Motion Editing and Stylization, 2023, arXiv:2306.08861."
     ),
 )
-Mapper: TypeAlias = Callable[..., Iterable[Any]]
 NO_LISTS = "no split lists found: split by a hash of the names, 80/5/15 % of every content and style"
 
 
@@ -161,25 +153,14 @@ def _find_lists(source: Path, splits: str | Path | None) -> Path | None:
     return None
 
 
-@contextlib.contextmanager
-def _map_in_processes(workers: int) -> Iterator[Mapper]:
-    """Yields what applies a function to many arguments, in as many processes."""
-    if workers == 1:
-        yield map
-        return
-    # Fresh interpreters, because forking a process in which JAX has threads may hang.
-    with multiprocessing.get_context("spawn").Pool(workers) as pool:
-        yield functools.partial(pool.imap, chunksize=8)
-
-
 def _write_new_clips(folder: Path, names: Sequence[str], composed: int, run_all: Mapper) -> list[NewClip]:
     """Writes motions that are made of training clips, and returns them."""
     still = write_stand_clips(folder, names, labels_from_name)
     slow = write_slow_clips(folder, names, labels_from_name)
     labels = {name: labels_from_name(name) for name in names}
     labels |= {clip.name: Labels(*clip.label.split(", ")) for clip in still}
-    library = make_library(folder, labels)
-    made = run_all(functools.partial(write_composition, library=library), range(composed))
+    library = make_library(folder, labels, weights={}, reach=float("inf"))
+    made = run_all(functools.partial(write_turns, library=library), range(composed))
     return [*slow, *still, *tqdm.tqdm(made, total=composed, unit="clip", desc="composing")]
 
 
@@ -220,7 +201,7 @@ def import_bandai_namco(
     left_out = {name: f"flagged in {flags_from}" for name in files if name in flagged}
     left_out |= dict.fromkeys(sorted(files.keys() - flagged - wanted.keys()), f"in no list of {lists}")
     workers = min(workers or os.cpu_count() or 1, max(1, len(wanted) // 16))
-    with new_folder(destination) as folder, _map_in_processes(workers) as run_all:
+    with new_folder(destination) as folder, map_in_processes(workers) as run_all:
         done = run_all(functools.partial(_convert, folder=folder), wanted.values())
         frames = sum(tqdm.tqdm(done, total=len(wanted), unit="clip", desc="converting"))
         write_more_captions(folder, divided["train"], labels_from_name)

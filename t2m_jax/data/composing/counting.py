@@ -1,0 +1,78 @@
+"""Counting how often something is done, by the peaks of a height or a distance."""
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from t2m_jax.data.captioning.lexicon import read_words
+from t2m_jax.motion.skeleton import HUMANML3D
+
+NEAR = 5
+"""Fewest frames between two peaks: a quarter of a second."""
+SHARE = 0.5
+"""Part of the largest peak that a peak must have, so that the small swing after a jump does not count."""
+
+
+class CountedContent(NamedTuple):
+    """How a content is counted."""
+
+    signal: str
+    """What has a peak each time."""
+    least: float
+    """Height of the smallest peak, in meters."""
+    weight: float
+    """How often motions of it are made."""
+
+
+def counted_contents() -> dict[str, CountedContent]:
+    """Returns the contents that can be counted."""
+    return {name: CountedContent(**entry) for name, entry in read_words(__package__, "composed")["repeated"].items()}
+
+
+def signal_of(positions: Float[np.ndarray, "T J 3"], signal: str) -> Float[np.ndarray, " T"]:
+    """Returns the height or the distance, in meters, that has a peak each time that something is done."""
+    joint = {name: positions[:, place] for place, name in enumerate(HUMANML3D.joint_names)}
+    height = {name: place[:, 1] for name, place in joint.items()}
+    wrists = [joint[f"{side}_wrist"] - joint[f"{side}_shoulder"] for side in ("left", "right")]
+    if signal == "rise":
+        return height["pelvis"]
+    if signal == "dip":
+        return -height["pelvis"]
+    if signal == "nod":
+        return height["pelvis"] - height["head"]
+    if signal == "foot":
+        return np.maximum(height["left_ankle"], height["right_ankle"])
+    if signal == "hands meet":
+        return -np.linalg.norm(joint["left_wrist"] - joint["right_wrist"], axis=-1)
+    if signal == "reach":
+        return np.max([np.linalg.norm(wrist[:, ::2], axis=-1) for wrist in wrists], axis=0)
+    heights = [wrist[:, 1] for wrist in wrists]
+    return {"left wrist": heights[0], "right wrist": heights[1], "both wrists": np.minimum(*heights)}[signal]
+
+
+def find_peaks(values: Float[np.ndarray, " T"], *, least: float) -> list[int]:
+    """Returns the frames of the peaks of a signal that stand out by `least`, and are not much smaller than others."""
+    from scipy import signal  # here, because it takes long to import
+
+    # The ends are lowered, so that a peak there counts by its one flank.
+    padded = np.concatenate([[values.min()], values, [values.min()]])
+    places, found = signal.find_peaks(padded, prominence=least, distance=NEAR)
+    largest = found["prominences"].max(initial=0)
+    return [int(place) - 1 for place, size in zip(places, found["prominences"], strict=True) if size > SHARE * largest]
+
+
+def count_times(positions: Float[np.ndarray, "T J 3"], content: str) -> int:
+    """Returns how often a content that can be counted is done."""
+    how = counted_contents()[content]
+    return len(find_peaks(signal_of(positions, how.signal), least=how.least))
+
+
+def borders(positions: Float[np.ndarray, "T J 3"], content: str) -> list[int]:
+    """Returns the frames between which something is done once: the first, the lowest between two peaks, the end."""
+    how = counted_contents()[content]
+    values = signal_of(positions, how.signal)
+    peaks = find_peaks(values, least=how.least)
+    between = [one + int(values[one:other].argmin()) for one, other in itertools.pairwise(peaks)]
+    return [0, *between, len(values)]

@@ -1,0 +1,151 @@
+"""Pieces of labeled clips, and how they are joined."""
+
+import functools
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from t2m_jax.data.captioning.captions import Labels
+from t2m_jax.data.captioning.lexicon import read_words
+from t2m_jax.data.files import FEATURES
+from t2m_jax.motion.facts import WALKING_SPEED, Facts, measure
+from t2m_jax.motion.features import features_from_positions, positions_from_features
+from t2m_jax.motion.joining import OVERLAP, find_cut, join_features
+from t2m_jax.motion.skeleton import HUMANML3D
+
+LONGEST = HUMANML3D.max_frames
+SLACK = 20
+"""Frames that may be given up at each side of a join at which the poses are more alike."""
+REACH = 0.22
+"""Meters that the joints of two poses may be apart on average for one clip to follow another. A person who sits is
+about 0.35 from one who stands, and the two ends of a stride are 0.2 apart."""
+FEW_CLIPS = 20
+"""Clips of a content that is drawn as often as one with the weight 1."""
+MOST_WEIGHT = 2.0
+
+
+class LabeledPiece(NamedTuple):
+    """A piece of a clip, and the labels of the clip."""
+
+    labels: Labels
+    features: Float[np.ndarray, "T D"]
+    name: str = ""
+    """Of the clip."""
+
+    @property
+    def facts(self) -> Facts:
+        """Measurements of it."""
+        return measure(self.positions, fps=HUMANML3D.fps)
+
+    @property
+    def positions(self) -> Float[np.ndarray, "T J 3"]:
+        """Its joints; it begins above the origin and faces +Z."""
+        return np.asarray(positions_from_features(self.features, HUMANML3D))
+
+    @property
+    def travels(self) -> bool:
+        """Whether it goes somewhere."""
+        steps = np.linalg.norm(self.features[:, HUMANML3D.layout.root_velocity], axis=1)
+        return bool(steps.mean() * HUMANML3D.fps > WALKING_SPEED)
+
+
+class Library(NamedTuple):
+    """The training clips that pieces are taken from."""
+
+    folder: Path
+    """Of the data set."""
+    clips: Mapping[str, Sequence[tuple[str, str]]]
+    """Content -> names and styles."""
+
+    weights: Mapping[str, float] = {}
+    """Content -> how often it is drawn."""
+    reach: float = float("inf")
+    """Meters that the joints may be apart on average where one clip follows another."""
+
+    def read(self, name: str) -> Float[np.ndarray, "T D"]:
+        """Returns the raw features of a clip."""
+        return np.load(self.folder / FEATURES / f"{name}.npy")
+
+    def piece(self, content: str, name: str, style: str) -> LabeledPiece:
+        """Returns a whole clip."""
+        return LabeledPiece(Labels(content, style), self.read(name), name)
+
+    def following(self, content: str, before: LabeledPiece | None) -> Sequence[tuple[str, str]]:
+        """Returns the clips of a content that begin in about the pose in which a piece ends."""
+        clips = self.clips[content]
+        if before is None or np.isinf(self.reach):
+            return clips
+        starts = np.stack([first_pose(self.folder / FEATURES / f"{name}.npy") for name, _ in clips])
+        distances = np.linalg.norm(starts - pose_of(before.features[-1]), axis=-1).mean(axis=-1)
+        return [clip for clip, distance in zip(clips, distances, strict=True) if distance < self.reach]
+
+
+def make_library(folder: Path, labels: Mapping[str, Labels], *, weights: Mapping[str, float], reach: float) -> Library:
+    """Returns the clips that compositions are made of, by their contents."""
+    clips: dict[str, list[tuple[str, str]]] = {}
+    for name, label in labels.items():
+        clips.setdefault(label.content, []).append((name, label.style))
+    return Library(folder, clips, weights, reach)
+
+
+def drawn_weights(contents: Iterable[str]) -> dict[str, float]:
+    """Returns how often each content is drawn; those that the table does not have, by the number of their clips.
+
+    Args:
+        contents: The content of each clip.
+    """
+    known = read_words(__package__, "composed")["weights"]
+    counts: dict[str, int] = {}
+    for content in contents:
+        counts[content] = counts.get(content, 0) + 1
+    return {content: known.get(content, min(count / FEW_CLIPS, MOST_WEIGHT)) for content, count in counts.items()}
+
+
+@functools.cache
+def first_pose(path: Path) -> Float[np.ndarray, "J 3"]:
+    """Returns the first pose of a file of features."""
+    return pose_of(np.load(path, mmap_mode="r")[0])
+
+
+def pose_of(frame: Float[np.ndarray, " D"]) -> Float[np.ndarray, "J 3"]:
+    """Returns the joints of a frame of features, relative to the root's place and heading."""
+    layout = HUMANML3D.layout
+    root = np.array([[0.0, frame[layout.root_height].item(), 0.0]], np.float32)
+    return np.concatenate([root, frame[layout.positions].reshape(-1, 3)])
+
+
+def join_pieces(pieces: Sequence[LabeledPiece]) -> Float[np.ndarray, "T J 3"]:
+    """Returns the joint positions of pieces, each joined to the one before where the poses are most alike."""
+    whole = pieces[0].features
+    for piece in pieces[1:]:
+        whole = join_at(whole, piece.features, slack=SLACK)
+    return np.asarray(positions_from_features(whole, HUMANML3D))
+
+
+def join_at(
+    first: Float[np.ndarray, "T D"], second: Float[np.ndarray, "U D"], *, slack: int
+) -> Float[np.ndarray, "S D"]:
+    """Returns raw features of one clip after another, joined where the poses are most alike.
+
+    Args:
+        first: Clip that is joined to its beginning.
+        second: Clip that follows.
+        slack: Frames that each of them may give up at most; a quarter of a short clip.
+    """
+    ends, starts = (min(slack, len(features) // 4) for features in (first, second))
+    cut = find_cut(
+        first,
+        second,
+        ends=range(max(len(first) - ends, OVERLAP), len(first) + 1),
+        starts=range(min(starts, len(second) - OVERLAP) + 1),
+        skeleton=HUMANML3D,
+    )
+    return with_constant_bones(join_features(first, second, cut))
+
+
+def with_constant_bones(features: Float[np.ndarray, "T D"]) -> Float[np.ndarray, "T D"]:
+    """Returns features without the last frame, with the bones of the template, which a join does not keep."""
+    return features_from_positions(positions_from_features(features, HUMANML3D), HUMANML3D)

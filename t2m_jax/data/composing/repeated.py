@@ -1,0 +1,67 @@
+"""Training motions in which something is done once to five times."""
+
+import random
+
+import numpy as np
+from jaxtyping import Float
+
+from t2m_jax.data.composing.counting import borders, count_times, counted_contents
+from t2m_jax.data.composing.pieces import LONGEST, LabeledPiece, Library, join_at
+from t2m_jax.errors import UserError
+from t2m_jax.motion.features import positions_from_features
+from t2m_jax.motion.joining import OVERLAP
+from t2m_jax.motion.skeleton import HUMANML3D
+
+MOST = 5
+COUNT_WEIGHTS = (1, 3, 3, 2, 1)
+"""How often motions of one to five times are made; most clips show a thing once or many times already."""
+TRIES = 100
+SLACK = 4
+"""Frames around the lowest point between two times at which a join may be."""
+
+
+def draw_repeated(library: Library, generator: random.Random) -> tuple[LabeledPiece, int]:
+    """Returns a motion in which something is done as often as the number says.
+
+    Raises:
+        UserError: There are no clips of which one can be made.
+    """
+    known = {content: how for content, how in counted_contents().items() if library.clips.get(content)}
+    for _ in range(TRIES if known else 0):
+        (content,) = generator.choices(list(known), [how.weight for how in known.values()])
+        name, style = generator.choice(library.clips[content])
+        (times,) = generator.choices(range(1, MOST + 1), COUNT_WEIGHTS)
+        piece = library.piece(content, name, style)
+        features = repeat(piece.features, content, times)
+        if features is None or len(features) > LONGEST:
+            continue
+        made = piece._replace(features=features)
+        # Who counts again must find the same number: joins may have taken or made one.
+        if count_times(made.positions, content) == times:
+            return made, times
+    raise UserError(f"{library.folder}: no training clips can be repeated; compose without them")
+
+
+def repeat(features: Float[np.ndarray, "T D"], content: str, times: int) -> Float[np.ndarray, "U D"] | None:
+    """Returns a motion that does what a clip shows a number of times; None if the clip does not lend itself to it.
+
+    It begins and ends as the clip. In between, times are left out or done again.
+    """
+    places = borders(np.asarray(positions_from_features(features, HUMANML3D)), content)
+    shown = len(places) - 1
+    if shown == times:
+        return features
+    if shown == 1:
+        whole = features
+        for _ in range(times - 1):
+            whole = join_at(whole, features, slack=4 * SLACK)
+        return whole
+    # Of the times before and after the join; each side has one at least, as many as the clip shows at most.
+    before = (times + 1) // 2
+    after = times - before
+    if not (after >= 1 and before < shown and after < shown):
+        return None
+    half = OVERLAP // 2 + SLACK
+    first = features[: places[before] + half]
+    second = features[max(places[shown - after] - half, 0) :]
+    return join_at(first, second, slack=2 * SLACK)
