@@ -7,13 +7,17 @@ import pytest
 
 from t2m_jax.cli.train import _config
 from t2m_jax.config import load_config, override_config
+from t2m_jax.data.captioning.wordings import load_wordings
+from t2m_jax.data.files import SPLITS
 from t2m_jax.data.folder import DatasetInfo
 from t2m_jax.data.importers.caption_files import find_table
+from t2m_jax.data.importers.caption_table import load_caption_table
 from t2m_jax.train.shipped import find_config, shipped_configs
 from tests.conftest import REPOSITORY
 
 FREE = REPOSITORY / "configs" / "free"
-CONFIGS = sorted(path for path in (REPOSITORY / "configs").rglob("*.yaml") if path.parent != FREE)
+DATA = REPOSITORY / "configs" / "data"
+CONFIGS = sorted(path for path in (REPOSITORY / "configs").rglob("*.yaml") if path.parent not in (FREE, DATA))
 PAIRS = [
     (REPOSITORY / "configs" / folder, tokenizer, generator)
     for folder, tokenizer, generator in (
@@ -85,6 +89,32 @@ def test_the_free_motions_have_captions_and_a_license():
     assert "CMU" in info.licence and "mocap.cs.cmu.edu" in info.attribution
     assert len(captions) > 150 and all(len(said) >= 4 for said in captions.values())
     assert not [row.problem for row in rows if row.problem] and not table.notes
+
+
+@pytest.mark.parametrize("path", sorted(DATA.glob("*.csv")), ids=lambda path: path.stem)
+def test_the_tables_of_the_archives_can_be_read(path):
+    table = load_caption_table(path)
+    rows = [row for same in table.entries.values() for row in same]
+    assert not [row.problem for row in rows if row.problem] and not table.notes
+    assert {"action", "person", "split"} <= set(table.columns)
+    known = load_wordings().contents
+    for row in rows:
+        assert row.cells["split"] in SPLITS and row.cells["person"], row.place
+        assert row.captions or row.cells["action"] in known, f"{row.place}: a clip without words"
+    # Clips of one recording are alike.
+    files = {row.file: {other.cells["split"] for other in rows if other.file == row.file} for row in rows}
+    assert not [file for file, homes in files.items() if len(homes) > 1]
+
+
+def test_the_data_of_the_models_have_licenses():
+    script = (REPOSITORY / "configs" / "demo" / "data.sh").read_text(encoding="utf-8")
+    imports = re.findall(r"^import (\S+) \S+ (\S+)$", script, re.MULTILINE)
+    assert {name for name, _ in imports} == {path.stem for path in DATA.glob("*.csv")}
+    for _, info in imports:
+        found = load_config(DATA / f"{info}.yaml", DatasetInfo)
+        assert found.licence and found.source and "Changed: resampled" in found.attribution
+    (free,) = re.findall(r'^free="(.*)"$', script, re.MULTILINE)
+    assert "berkeley" not in free and "bandai" not in free
 
 
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: f"{path.parent.name}-{path.stem}")

@@ -9,10 +9,8 @@ from jaxtyping import Float
 from t2m_jax.data.captioning.lexicon import read_words
 from t2m_jax.motion.skeleton import HUMANML3D
 
-NEAR = 5
-"""Fewest frames between two peaks: a quarter of a second."""
-SHARE = 0.5
-"""Part of the largest peak that a peak must have, so that the small swing after a jump does not count."""
+SHARE = 0.4
+"""Part of the range of a signal that a peak must have, so that the small swing after a jump does not count."""
 
 
 class CountedContent(NamedTuple):
@@ -54,13 +52,31 @@ def signal_of(positions: Float[np.ndarray, "T J 3"], signal: str) -> Float[np.nd
 
 def find_peaks(values: Float[np.ndarray, " T"], *, least: float) -> list[int]:
     """Returns the frames of the peaks of a signal that stand out by `least`, and are not much smaller than others."""
-    from scipy import signal  # here, because it takes long to import
-
-    # The ends are lowered, so that a peak there counts by its one flank.
-    padded = np.concatenate([[values.min()], values, [values.min()]])
-    places, found = signal.find_peaks(padded, prominence=least, distance=NEAR)
-    largest = found["prominences"].max(initial=0)
-    return [int(place) - 1 for place, size in zip(places, found["prominences"], strict=True) if size > SHARE * largest]
+    size = max(least, SHARE * float(np.ptp(values)))
+    peaks = []
+    # A peak counts when the signal has come up to it and goes down from it, so that it may be flat. One at an end of
+    # the clip counts by its one flank.
+    low = float(values.min())
+    high = -np.inf
+    place = 0
+    rising = True
+    for frame, value in enumerate(map(float, values)):
+        if rising and value > high:
+            high = value
+            place = frame
+        elif rising and value < high - size:
+            if high > low + size:
+                peaks.append(place)
+            rising = False
+            low = value
+        elif not rising:
+            low = min(low, value)
+            rising = value > low + size
+            high = value
+            place = frame
+    if rising and high > low + size:
+        peaks.append(place)
+    return peaks
 
 
 def count_times(positions: Float[np.ndarray, "T J 3"], content: str) -> int:

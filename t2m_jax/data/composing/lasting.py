@@ -13,6 +13,8 @@ from t2m_jax.motion.skeleton import HUMANML3D
 
 SECONDS = range(2, 10)
 TRIES = 100
+KEPT = 12
+"""Frames at both ends of a clip that stay as they are, such as the raising of a hand."""
 STEP = 2
 """Frames between two places of the join that are tried."""
 
@@ -46,7 +48,9 @@ def with_length(features: Float[np.ndarray, "T D"], length: int) -> Float[np.nda
         return features
     # The second part begins so many frames before or after the end of the first one, whatever that is.
     ahead = count - length - OVERLAP
-    ends = range(max(OVERLAP, -ahead), min(count, count - OVERLAP - ahead) + 1, STEP)
+    earliest = max(OVERLAP + KEPT, -ahead)
+    latest = min(count, count - OVERLAP - KEPT - ahead)
+    ends = range(earliest, latest + 1, STEP)
     if not ends:
         return None
     cuts = [

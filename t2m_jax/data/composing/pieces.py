@@ -97,7 +97,8 @@ def drawn_weights(contents: Iterable[str]) -> dict[str, float]:
     Args:
         contents: The content of each clip.
     """
-    known = read_words(__package__, "composed")["weights"]
+    table = read_words(__package__, "composed")
+    known = table["weights"] | table["more_weights"]
     counts: dict[str, int] = {}
     for content in contents:
         counts[content] = counts.get(content, 0) + 1

@@ -54,7 +54,7 @@ def repeat(features: Float[np.ndarray, "T D"], content: str, times: int) -> Floa
     if shown == 1:
         whole = features
         for _ in range(times - 1):
-            whole = join_at(whole, features, slack=4 * SLACK)
+            whole = join_at(whole, features, slack=SLACK)
         return whole
     # Of the times before and after the join; each side has one at least, as many as the clip shows at most.
     before = (times + 1) // 2
