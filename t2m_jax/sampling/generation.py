@@ -82,7 +82,7 @@ def _make_together(model: ModelParts, group: Sequence[ReadRequest], sampling: Sa
     )
     while batch := list(itertools.islice(samples, MAX_BATCH)):
         filled = fill_up(batch)
-        embedding = model.text_encoder([sample.prompt.text for sample in filled])
+        embedding = model.text_encoder([sample.prompt.read for sample in filled])
         keys = jnp.stack([sample.key for sample in filled])
         sampled = model.sample_codes(embedding, keys, sampling, guidance_scale=options.guidance_scale)
         lengths = np.asarray(sampled.code_lengths)
@@ -108,9 +108,9 @@ def make_rows(model: ModelParts, sample: Sample, options: SamplingOptions) -> It
 
 def _make_rows(model: ModelParts, sample: Sample, sampling: Sampling, guidance_scale: float | None) -> Iterator[Motion]:
     """Yields the motions of `make_rows`. A function of its own, so that options are checked before the first one."""
-    text = sample.prompt.text
+    prompt = sample.prompt
     growing = GrowingMotion(model.tokenizer, skeleton=model.skeleton, step=1, max_codes=sampling.max_codes)
-    for row, ended in model.sample_rows(model.text_encoder([text]), sample.key, sampling, guidance_scale):
+    for row, ended in model.sample_rows(model.text_encoder([prompt.read]), sample.key, sampling, guidance_scale):
         motion = growing.add(row, ended=ended)
         if motion is not None:
-            yield from split_rows(dataclasses.replace(motion, caption=text, seed=sample.seed))
+            yield from split_rows(dataclasses.replace(motion, caption=prompt.text, seed=sample.seed))

@@ -122,7 +122,7 @@ def tail_likelihoods(
     read = np.stack([own[: len(own) - num_tail + scored][-size:] for own in codes])
     # One size for one program. The generator is causal, so zeros at the end change nothing before them.
     padded = np.pad(read, ((0, 0), (0, size - read.shape[1]), (0, 0)))
-    texts = model.text_encoder([prompt.text] * len(codes))
+    texts = model.text_encoder([prompt.read] * len(codes))
     likelihoods = np.asarray(model.log_likelihood(jnp.asarray(padded), texts))
     return likelihoods[:, read.shape[1] - scored : read.shape[1]].mean(axis=1)
 

@@ -13,6 +13,7 @@ from t2m_jax.sampling.batches import fill_up
 from t2m_jax.text.coverage import Knowledge, PromptWarning, check_coverage
 from t2m_jax.text.encoder import CuttingTextEncoder, TextEncoder
 from t2m_jax.text.prompts import check_prompt
+from t2m_jax.text.spelling import correct_spelling
 
 MAX_BATCH = 32
 """Motions that are generated together, and most samples to choose one from."""
@@ -22,7 +23,9 @@ class Prompt(NamedTuple):
     """A sentence for the text encoder."""
 
     text: str
-    """What the encoder gets."""
+    """As it was typed, but for spaces and quotes."""
+    read: str
+    """What the encoder gets: without typing mistakes."""
     warning: str
     """Why the motion cannot be what the sentence says, in a line; empty if it may be."""
     unknown_words: tuple[str, ...]
@@ -55,8 +58,10 @@ def read_prompts(captions: Sequence[str], knowledge: Knowledge, encoder: TextEnc
     prompts = []
     for caption in captions:
         text = check_prompt(caption)
-        read_part = encoder.read_part(text) if isinstance(encoder, CuttingTextEncoder) else text
-        prompts.append(Prompt(text, *check_coverage(text, knowledge, read_part=read_part)))
+        read, corrected = correct_spelling(text, knowledge.words)
+        read_part = encoder.read_part(read) if isinstance(encoder, CuttingTextEncoder) else read
+        coverage = check_coverage(read, knowledge, read_part=read_part, corrected=corrected)
+        prompts.append(Prompt(text, read, *coverage))
     # Each once, however many sentences have it.
     for warning in dict.fromkeys(prompt.warning for prompt in prompts):
         if warning:

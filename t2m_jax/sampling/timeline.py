@@ -148,7 +148,7 @@ def sample_segments(
         longest = model.config.generator.max_codes
         limit = longest if segment.num_rows else min(longest, sampling.max_codes + int(lengths.max()))
         given = _given(segment, context, max_codes=limit)
-        texts = model.text_encoder([segment.prompt.text] * batch)
+        texts = model.text_encoder([segment.prompt.read] * batch)
         sampled = model.sample_codes(
             texts, own_keys, sampling._replace(max_codes=limit), guidance_scale=guidance_scale, given=given
         )

@@ -171,7 +171,7 @@ class Scheduler:
         samples = [one.sample for _, one in begun]
         self.slots.begin(
             [slot for slot, _ in begun],
-            [self.embed(sample.prompt.text) for sample in samples],
+            [self.embed(sample.prompt.read) for sample in samples],
             [sample.key for sample in samples],
         )
 

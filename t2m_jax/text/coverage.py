@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from t2m_jax.text.verbs import GENERIC_NOUNS, LIGHT_VERBS, SIDES, Word, word_set, words_of
@@ -71,10 +72,18 @@ def make_knowledge(training_data: Mapping[str, Any] | None) -> Knowledge:
     )
 
 
-def check_coverage(prompt: str, knowledge: Knowledge, *, read_part: str) -> Coverage:
+def check_coverage(
+    prompt: str, knowledge: Knowledge, *, read_part: str, corrected: Mapping[str, str] = MappingProxyType({})
+) -> Coverage:
     """Returns what a model knows of a prompt, of which its text encoder reads only `read_part`.
 
     If there is no record of the model's training data, only what is not read can be told.
+
+    Args:
+        prompt: A checked prompt, without typing mistakes.
+        knowledge: Of the model.
+        read_part: The whole prompt, or its beginning.
+        corrected: Words that were typed -> those in the prompt.
     """
     words = words_of(prompt) if knowledge.words else []
     unknown = [word for word in words if knowledge.words.isdisjoint(word.bases)]
@@ -82,9 +91,9 @@ def check_coverage(prompt: str, knowledge: Knowledge, *, read_part: str) -> Cove
     if read_part != prompt:
         # The end of what is read tells where the prompt was cut.
         problems.append(f"too long, so cut after {_shortened(read_part[::-1])[::-1]!r}")
-    warning = f"{_shortened(prompt)!r}: {'; '.join(problems)}" if problems else ""
-    if problems and knowledge.actions:
-        warning += f"; the model knows {', '.join(knowledge.actions[:MAX_NAMED])}"
+    known = [f"the model knows {', '.join(knowledge.actions[:MAX_NAMED])}"] if problems and knowledge.actions else []
+    said = [*(f"{typed}: read as {read}" for typed, read in corrected.items()), *problems, *known]
+    warning = f"{_shortened(prompt)!r}: {'; '.join(said)}" if said else ""
     return Coverage(warning, tuple(dict.fromkeys(word.text for word in unknown)))
 
 

@@ -18,7 +18,7 @@ from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 from t2m_jax.sampling import Greedy, TextToMotion, TopK, encode_motions
 from t2m_jax.sampling.model import ModelParts
-from t2m_jax.sampling.prompts import MAX_BATCH, sample_key
+from t2m_jax.sampling.prompts import MAX_BATCH, read_prompts, sample_key
 from t2m_jax.sampling.request import MAX_SAMPLES
 from t2m_jax.text.coverage import PromptWarning
 from t2m_jax.text.encoder import TextEncoder
@@ -295,3 +295,12 @@ def test_the_batch_size_hardly_changes_a_code(name, monkeypatch):
         codes = process.submit(codes_by_batch_size, name).result()
     assert sum(np.size(one) for one in codes[1]) > 5000
     assert codes[1] == codes[8] == codes[32]
+
+
+def test_a_typing_mistake_is_read_as_the_word_that_was_meant():
+    model = TextToMotion.load("demo")
+    with pytest.warns(PromptWarning, match=r"^'a person walks forward': wlaks: read as walks$"):
+        (motion,) = model.generate("a person wlaks forward", seed=1, max_codes=4)
+    assert motion.caption == "a person wlaks forward" and motion.unknown_words == ()
+    prompts = read_prompts(["a person walks forward"], model.knowledge, model.text_encoder)
+    assert prompts[0].read == prompts[0].text

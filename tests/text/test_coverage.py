@@ -90,3 +90,14 @@ def test_words_without_actions_still_warn_of_verbs():
 def test_actions_are_counted_by_clip():
     captions = [["a person walks", "someone walks and waves"], ["a person makes a jump", "he walks"], []]
     assert count_actions(captions) == {"walk": 2, "jump": 1, "wave": 1}
+
+
+def test_corrected_words_are_named(demo):
+    corrected = {"wlaks": "walks"}
+    assert check_coverage("he walks", demo, read_part="he walks", corrected=corrected).warning == (
+        "'he walks': wlaks: read as walks"
+    )
+    warning = check_coverage("he walks north", demo, read_part="he walks north", corrected=corrected).warning
+    assert warning.startswith(
+        "'he walks north': wlaks: read as walks; not learned, so without effect: north; the model"
+    )

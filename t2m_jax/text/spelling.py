@@ -1,0 +1,52 @@
+"""Typing mistakes in prompts: words that are no English words, and one letter away from one that a model knows."""
+
+import re
+import string
+from collections.abc import Iterator, Set
+
+from t2m_jax.text.verbs import AUXILIARIES, CLAUSE_STARTS, DETERMINERS, PREPOSITIONS, SUBJECTS, readings
+
+SHORTEST = 4
+"""Letters of the shortest word that is corrected; shorter ones are one letter away from too many others."""
+_WORD = re.compile(r"[^\W\d_]+")
+_GRAMMAR = AUXILIARIES | CLAUSE_STARTS | DETERMINERS | PREPOSITIONS | SUBJECTS
+
+
+def correct_spelling(prompt: str, known: Set[str]) -> tuple[str, dict[str, str]]:
+    """Returns a prompt without the typing mistakes that can be told, and what was read in place of which words.
+
+    Args:
+        prompt: A checked prompt.
+        known: Words that may have been meant, in lower case.
+    """
+    read: dict[str, str] = {}
+
+    def correct(found: re.Match[str]) -> str:
+        word = found[0]
+        # Capital letters inside of a sentence are names, or stand for something.
+        is_name = word[0].isupper() and found.start() > 0
+        meant = None if is_name or len(word) < SHORTEST else _meant(word.lower(), known)
+        if meant is None:
+            return word
+        read[word] = meant
+        return meant
+
+    return _WORD.sub(correct, prompt), read
+
+
+def _meant(word: str, known: Set[str]) -> str | None:
+    """Returns the known word that is one typing mistake away from a word that is none; None if there is none."""
+    if word in known or word in _GRAMMAR or readings(word):
+        return None
+    return next((other for other in _one_mistake_away(word) if other in known), None)
+
+
+def _one_mistake_away(word: str) -> Iterator[str]:
+    """Yields what a word would be without one mistake, the most frequent kinds of mistakes first."""
+    splits = [(word[:place], word[place:]) for place in range(len(word) + 1)]
+    yield from (left + right[1] + right[0] + right[2:] for left, right in splits if len(right) > 1)
+    # A letter that was left out: first such as were doubled ("runing").
+    yield from (left + left[-1] + right for left, right in splits if left)
+    yield from (left + letter + right for left, right in splits for letter in string.ascii_lowercase)
+    yield from (left + right[1:] for left, right in splits if right)
+    yield from (left + letter + right[1:] for left, right in splits if right for letter in string.ascii_lowercase)
