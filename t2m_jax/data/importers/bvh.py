@@ -16,7 +16,7 @@ from t2m_jax.data.folder import DatasetInfo
 from t2m_jax.data.importers.caption_files import Source, clip_name, find_captions, find_table, unused_entries
 from t2m_jax.data.importers.caption_table import CaptionTable, find_entries
 from t2m_jax.data.importers.division import EIGHTY, Division
-from t2m_jax.data.importers.table_parts import Part, find_parts, has_parts
+from t2m_jax.data.importers.table_parts import TablePart, find_parts, has_parts
 from t2m_jax.data.index import IndexEntry, save_index
 from t2m_jax.data.texts import Caption
 from t2m_jax.data.writer import ImportReport, finish_folder, new_folder, with_twins, write_twins
@@ -181,14 +181,14 @@ class _Converter:
                 except UserError as error:
                     self.left_out[part.name] = str(error)
 
-    def _parts(self, motion: Source) -> list[Part]:
+    def _parts(self, motion: Source) -> list[TablePart]:
         """Returns the clips that a motion becomes: those of the table, or one with all of it."""
         key = motion.key(self.source)
         if has_parts(self.table):
             return find_parts(motion, key, find_entries(self.table, motion.keys(self.source)))
-        return [Part(clip_name(key), (0.0, 0.0), "", "", "", ())]
+        return [TablePart(clip_name(key), (0.0, 0.0), "", "", "", ())]
 
-    def _write(self, motion: Source, part: Part, clip: RigClip, folder: Path) -> None:
+    def _write(self, motion: Source, part: TablePart, clip: RigClip, folder: Path) -> None:
         """Writes a clip and its twin.
 
         Raises:

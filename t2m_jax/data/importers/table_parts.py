@@ -21,7 +21,7 @@ STYLE = "normal"
 """Style of all clips of tables, which have no column for it."""
 
 
-class Part(NamedTuple):
+class TablePart(NamedTuple):
     """A part of a motion that becomes a clip."""
 
     name: str
@@ -74,7 +74,7 @@ def has_parts(table: CaptionTable) -> bool:
     return ACTION in table.columns
 
 
-def find_parts(motion: Source, key: str, rows: list[CaptionEntry]) -> list[Part]:
+def find_parts(motion: Source, key: str, rows: list[CaptionEntry]) -> list[TablePart]:
     """Returns the parts of a motion in their order. A motion of several parts numbers them from 1.
 
     Args:
@@ -100,7 +100,7 @@ def find_parts(motion: Source, key: str, rows: list[CaptionEntry]) -> list[Part]
     ]
 
 
-def _make_part(name: str, rows: list[CaptionEntry]) -> Part:
+def _make_part(name: str, rows: list[CaptionEntry]) -> TablePart:
     """Returns the part that some rows describe."""
     known = {}
     for column in (ACTION, PERSON, SPLIT):
@@ -112,4 +112,4 @@ def _make_part(name: str, rows: list[CaptionEntry]) -> Part:
         raise UserError(f"{rows[0].place}: split {known[SPLIT]!r} is not {', '.join(SPLITS)}")
     # The part is the whole clip now.
     captions = [caption._replace(start=0.0, end=0.0) for row in rows for caption in row.captions]
-    return Part(name, rows[0].span, known[ACTION], known[PERSON], known[SPLIT], tuple(dict.fromkeys(captions)))
+    return TablePart(name, rows[0].span, known[ACTION], known[PERSON], known[SPLIT], tuple(dict.fromkeys(captions)))
