@@ -4,7 +4,26 @@ import pytest
 
 from t2m_jax.text.spelling import correct_spelling
 
-KNOWN = frozenset("a person walks walk with the left hand right jumps turns around running both arms now".split())
+KNOWN = frozenset(
+    [
+        "a",
+        "person",
+        "walks",
+        "walk",
+        "with",
+        "the",
+        "left",
+        "hand",
+        "right",
+        "jumps",
+        "turns",
+        "around",
+        "running",
+        "both",
+        "arms",
+        "now",
+    ]
+)
 
 
 @pytest.mark.parametrize(
