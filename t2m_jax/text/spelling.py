@@ -2,22 +2,23 @@
 
 import re
 import string
-from collections.abc import Iterator, Set
+from collections.abc import Iterator
 
-from t2m_jax.text.verbs import AUXILIARIES, CLAUSE_STARTS, DETERMINERS, PREPOSITIONS, SUBJECTS, readings
+from t2m_jax.text.verbs import AUXILIARIES, CLAUSE_STARTS, DETERMINERS, PREPOSITIONS, SUBJECTS, forms, readings
 
 SHORTEST = 4
 """Letters of the shortest word that is corrected; shorter ones are one letter away from too many others."""
-_WORD = re.compile(r"[^\W\d_]+")
+# No parts of "doesn't" or "party-goer".
+_WORD = re.compile(r"(?<![\w'-])[^\W\d_]+(?![\w'-])")
 _GRAMMAR = AUXILIARIES | CLAUSE_STARTS | DETERMINERS | PREPOSITIONS | SUBJECTS
 
 
-def correct_spelling(prompt: str, known: Set[str]) -> tuple[str, dict[str, str]]:
+def correct_spelling(prompt: str, known: frozenset[str]) -> tuple[str, dict[str, str]]:
     """Returns a prompt without the typing mistakes that can be told, and what was read in place of which words.
 
     Args:
         prompt: A checked prompt.
-        known: Words that may have been meant, in lower case.
+        known: Words that may have been meant, in lower case; all forms of them may.
     """
     read: dict[str, str] = {}
 
@@ -34,11 +35,11 @@ def correct_spelling(prompt: str, known: Set[str]) -> tuple[str, dict[str, str]]
     return _WORD.sub(correct, prompt), read
 
 
-def _meant(word: str, known: Set[str]) -> str | None:
+def _meant(word: str, known: frozenset[str]) -> str | None:
     """Returns the known word that is one typing mistake away from a word that is none; None if there is none."""
-    if word in known or word in _GRAMMAR or readings(word):
+    if word in _GRAMMAR or readings(word) or word in known:
         return None
-    return next((other for other in _one_mistake_away(word) if other in known), None)
+    return next((other for other in _one_mistake_away(word) if not known.isdisjoint(forms(other))), None)
 
 
 def _one_mistake_away(word: str) -> Iterator[str]:

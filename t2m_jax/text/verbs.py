@@ -77,8 +77,13 @@ def words_of(caption: str) -> list[Word]:
     return found
 
 
+def forms(word: str) -> frozenset[str]:
+    """Returns a word and its basic forms."""
+    return frozenset({word, *itertools.chain.from_iterable(readings(word).values())})
+
+
 def _word(text: str, action: str) -> Word:
-    return Word(text, frozenset({text, *itertools.chain.from_iterable(readings(text).values())}), action)
+    return Word(text, forms(text), action)
 
 
 def _actions(clause: Sequence[str]) -> list[str]:
