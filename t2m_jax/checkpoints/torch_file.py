@@ -7,7 +7,6 @@ Earlier versions write several pickles, then the storages.
 import math
 import os
 import struct
-import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -86,14 +85,14 @@ def _read_archive(file: BinaryIO) -> Any:
             raise UserError(f"its table of contents is larger than {MAX_PICKLE_BYTES // 1_000_000} MB; not a model")
         # Older versions of PyTorch do not write this member.
         order = archive.read(f"{root}/byteorder") if f"{root}/byteorder" in members else b"little"
-        if order not in (b"little", b"big"):
-            raise UserError(f"its byte order is {order[:20]!r}, which is neither little nor big")
+        if order != b"little":
+            raise UserError(f"its byte order is {order[:20]!r}; only little-endian files can be read")
 
         def read_storage(storage: Storage) -> np.ndarray:
             member = members.get(f"{root}/data/{storage.key}")
             if member is None or member.file_size != storage.length * storage.dtype.itemsize:
                 raise UserError(f"storage {storage.key[:60]!r} is missing or has the wrong size")
-            return _numbers(archive.read(member), storage.dtype, order=order.decode())
+            return _numbers(archive.read(member), storage.dtype)
 
         content = read_pickle(archive.read(f"{root}/data.pkl"))
         return _Content(read_storage, size).plain(content.value)
@@ -129,7 +128,7 @@ def _read_legacy(file: BinaryIO) -> Any:
 
     def read_storage(storage: Storage) -> np.ndarray:
         file.seek(places[storage.key])
-        return _numbers(file.read(storage.length * storage.dtype.itemsize), storage.dtype, order="little")
+        return _numbers(file.read(storage.length * storage.dtype.itemsize), storage.dtype)
 
     return _Content(read_storage, os.fstat(file.fileno()).st_size).plain(content.value)
 
@@ -152,14 +151,11 @@ def _legacy_places(file: BinaryIO, keys: Pickle, storages: dict[str, Storage]) -
     return places
 
 
-def _numbers(content: bytes, dtype: np.dtype, *, order: str) -> np.ndarray:
+def _numbers(content: bytes, dtype: np.dtype) -> np.ndarray:
     """Returns the numbers of a storage."""
     if dtype == np.bool_ and content.strip(b"\0\1"):
         raise UserError("has booleans that are neither true nor false")
-    row = np.frombuffer(content, dtype)
-    if order != sys.byteorder:
-        row = row.view(f"u{dtype.itemsize}").byteswap().view(dtype)
-    return row
+    return np.frombuffer(content, dtype)
 
 
 class _Content:
