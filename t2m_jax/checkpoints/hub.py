@@ -58,13 +58,12 @@ def list_hub_files(name: HubName) -> HubFiles:
     return HubFiles(f"{info.sha}", {file.rfilename: file.size or 0 for file in info.siblings or []})
 
 
-def hub_snapshot(name: HubName, files: Sequence[str], *, cache_dir: Path | None = None, offline: bool = False) -> Path:
+def hub_snapshot(name: HubName, files: Sequence[str], *, offline: bool = False) -> Path:
     """Returns the folder in which the hub's client keeps a revision, with the files of these names that exist.
 
     Args:
         name: The repository.
         files: Names of files; those that are missing on this machine are downloaded.
-        cache_dir: Where to keep the files; None for the client's own folder.
         offline: Nothing is downloaded. The folder may then be incomplete.
 
     Raises:
@@ -78,7 +77,6 @@ def hub_snapshot(name: HubName, files: Sequence[str], *, cache_dir: Path | None 
             revision=name.revision,
             # Without a list, everything would be downloaded, code and pickles included.
             allow_patterns=list(files),
-            cache_dir=cache_dir,
             local_files_only=offline,
         )
     except Exception as error:  # noqa: BLE001 - see `list_hub_files`

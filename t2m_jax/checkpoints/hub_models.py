@@ -6,8 +6,7 @@ downloaded, so that none of them can run code.
 
 import contextlib
 import logging
-import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -93,14 +92,9 @@ def load_card(name_or_path: str | Path) -> str:
     if name is None or folder.exists():
         return load_text(folder / CARD_FILE)
     copy = _find_copy(name)
-    try:
-        files = list_hub_files(name)
-    except UserError as error:
-        if copy is None:
-            raise _not_found(name, error) from None
-        return load_text(copy / CARD_FILE)
-    with _description(name, files, needs=CARD_FILE) as folder:
-        return load_text(folder / CARD_FILE)
+    files = _list_files(name, copy)
+    folder = copy if copy is not None and files is None else _description(name, files, needs=CARD_FILE)
+    return load_text(folder / CARD_FILE)
 
 
 def cached_models() -> Iterator[FoundModel]:
@@ -180,10 +174,6 @@ def push_bundle(folder: Path, name: HubName, *, private: bool = False) -> str:
     return f"{url}/tree/{commit.oid}"
 
 
-def _not_found(name: HubName, reason: UserError) -> UserError:
-    return UserError(f"{name}: there is no such folder, and it cannot be loaded from the hub: {reason}")
-
-
 def _find_copy(name: HubName) -> Path | None:
     """Returns the newest copy on this machine; None if there is none, or not all of its files."""
     with contextlib.suppress(UserError):
@@ -207,49 +197,48 @@ def _check_copy(name: HubName, folder: Path, *, only: tuple[str, ...] | None = N
         raise UserError(f"{name}: {error}".replace(f"{folder}/", "")) from None
 
 
-def _ask_hub(name: HubName, copy: Path | None) -> Path:
-    """Returns the folder with the commit that the hub has now, or `copy` if the hub cannot be asked."""
+def _list_files(name: HubName, copy: Path | None) -> HubFiles | None:
+    """Returns what the hub has, None if it cannot be asked and there is a copy."""
     try:
-        files = list_hub_files(name)
+        return list_hub_files(name)
     except UserError as error:
         if copy is None:
-            raise _not_found(name, error) from None
+            raise UserError(f"{name}: there is no such folder, and it cannot be loaded from the hub: {error}") from None
         logger.info("%s: the hub cannot be asked (%s); using the copy of commit %s", name, error, copy.name)
+        return None
+
+
+def _ask_hub(name: HubName, copy: Path | None) -> Path:
+    """Returns the folder with the commit that the hub has now, or `copy` if the hub cannot be asked."""
+    files = _list_files(name, copy)
+    if copy is not None and (files is None or copy.name == files.commit):
         return copy
-    if copy is not None and copy.name == files.commit:
-        return copy
+    assert files is not None
     # First the small files: what is not a bundle is refused before gigabytes are downloaded.
-    with _description(name, files, needs=CONFIG_FILE) as folder:
-        _check_copy(name, folder, only=DESCRIPTION_FILES)
-        wanted = [MANIFEST, *read_manifest(folder)]
-    _check_size(name, files, wanted, MAX_BYTES)
+    folder = _description(name, files, needs=CONFIG_FILE)
+    _check_copy(name, folder, only=DESCRIPTION_FILES)
     logger.info("%s: downloading commit %s from the hub", name, files.commit)
-    try:
-        # By its name, not by the commit: the client then notes which commit it is, and finds it without network. If the
-        # hub has a newer commit by now, the check of all files shows it.
-        return hub_snapshot(name, wanted)
-    except UserError as error:
-        raise UserError(f"{name}: cannot be downloaded ({error})") from None
+    # By its name, not by the commit: the client then notes which commit it is, and finds it without network. If the hub
+    # has a newer commit by now, the check of all files shows it.
+    return _download(name, files, [MANIFEST, *read_manifest(folder)], most=MAX_BYTES, revision=name.revision)
 
 
-@contextlib.contextmanager
-def _description(name: HubName, files: HubFiles, *, needs: str) -> Iterator[Path]:
-    """Yields a temporary folder with the small files of a bundle. Refused bundles do not fill the client's folder."""
+def _description(name: HubName, files: HubFiles, *, needs: str) -> Path:
+    """Returns the folder with the small files of a bundle, which are downloaded alone."""
     if needs not in files.sizes:
         raise UserError(f"{name}: is not a bundle of t2m_jax, because it has no {needs} on the hub")
-    _check_size(name, files, DESCRIPTION_FILES, MAX_DESCRIPTION_BYTES)
-    with tempfile.TemporaryDirectory() as folder:
-        try:
-            # The commit whose sizes were checked. The branch may have moved since.
-            snapshot = hub_snapshot(name._replace(revision=files.commit), DESCRIPTION_FILES, cache_dir=Path(folder))
-        except UserError as error:
-            raise UserError(f"{name}: cannot be downloaded ({error})") from None
-        yield snapshot
+    # The commit whose sizes were checked. The branch may have moved since.
+    return _download(name, files, DESCRIPTION_FILES, most=MAX_DESCRIPTION_BYTES, revision=files.commit)
 
 
-def _check_size(name: HubName, files: HubFiles, wanted: Iterable[str], most: int) -> None:
+def _download(name: HubName, files: HubFiles, wanted: Sequence[str], *, most: int, revision: str | None) -> Path:
+    """Returns the folder with some files of a revision, if they have at most `most` bytes."""
     size = sum(files.sizes.get(file, 0) for file in wanted)
     if size > most:
         raise UserError(
             f"{name}: {', '.join(sorted(wanted))} have {size:,} bytes on the hub; at most {most:,} are loaded"
         )
+    try:
+        return hub_snapshot(name._replace(revision=revision), wanted)
+    except UserError as error:
+        raise UserError(f"{name}: cannot be downloaded ({error})") from None
