@@ -93,8 +93,9 @@ def load_card(name_or_path: str | Path) -> str:
         return load_text(folder / CARD_FILE)
     copy = _find_copy(name)
     files = _list_files(name, copy)
-    folder = copy if copy is not None and files is None else _description(name, files, needs=CARD_FILE)
-    return load_text(folder / CARD_FILE)
+    if copy is None or copy.name != files.commit:
+        copy = _description(name, files, needs=CARD_FILE)
+    return load_text(copy / CARD_FILE)
 
 
 def cached_models() -> Iterator[FoundModel]:
@@ -197,23 +198,22 @@ def _check_copy(name: HubName, folder: Path, *, only: tuple[str, ...] | None = N
         raise UserError(f"{name}: {error}".replace(f"{folder}/", "")) from None
 
 
-def _list_files(name: HubName, copy: Path | None) -> HubFiles | None:
-    """Returns what the hub has, None if it cannot be asked and there is a copy."""
+def _list_files(name: HubName, copy: Path | None) -> HubFiles:
+    """Returns what the hub has; if it cannot be asked, the commit of the copy."""
     try:
         return list_hub_files(name)
     except UserError as error:
         if copy is None:
             raise UserError(f"{name}: there is no such folder, and it cannot be loaded from the hub: {error}") from None
         logger.info("%s: the hub cannot be asked (%s); using the copy of commit %s", name, error, copy.name)
-        return None
+        return HubFiles(copy.name, {})
 
 
 def _ask_hub(name: HubName, copy: Path | None) -> Path:
     """Returns the folder with the commit that the hub has now, or `copy` if the hub cannot be asked."""
     files = _list_files(name, copy)
-    if copy is not None and (files is None or copy.name == files.commit):
+    if copy is not None and copy.name == files.commit:
         return copy
-    assert files is not None
     # First the small files: what is not a bundle is refused before gigabytes are downloaded.
     folder = _description(name, files, needs=CONFIG_FILE)
     _check_copy(name, folder, only=DESCRIPTION_FILES)

@@ -1,6 +1,8 @@
 """The MOTION section of a BVH file: the number of frames, the frame time and the channel values."""
 
+import contextlib
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,10 +12,6 @@ from jaxtyping import Float
 from t2m_jax.errors import UserError
 from t2m_jax.motion.rig.clip import MAX_VALUE
 
-_NUMBER_BYTES = np.zeros(256, dtype=bool)
-_NUMBER_BYTES[list(b"0123456789+-.eE \t\r\n\f\v")] = True
-_LINE_END = ord("\n")
-_BLANK = ord(" ")
 _RATE_TOLERANCE = 0.015  # 0.033 seconds are 30 frames per second, but 0.08 seconds are not 12
 
 
@@ -42,18 +40,38 @@ def parse_motion(text: bytes, path: Path, *, first_line: int, num_channels: int)
     if num_channels == 0:
         raise UserError(f"{path}:{line}: the hierarchy has no channels, so there is no motion to read")
     first_row = line + 1
-    row_lines = _check_layout(text, path, first_row=first_row, num_frames=num_frames, num_channels=num_channels)
-    try:
-        numbers = np.fromstring(text, dtype=np.float64, sep=" ")
-    except ValueError:
-        raise _bad_word(text, path, first_row) from None
-    if numbers.size != num_frames * num_channels:  # NumPy reads "1-2" as two numbers, but it is one word
-        raise _bad_word(text, path, first_row)
-    values = numbers.reshape(num_frames, num_channels)
-    bad = np.flatnonzero(~(np.abs(values) < MAX_VALUE).all(axis=1))
-    if bad.size:
-        raise UserError(f"{path}:{first_row + row_lines[bad[0]]}: a value is not a finite number below {MAX_VALUE:g}")
+    rows = [(number, words) for number, row in enumerate(text.split(b"\n"), first_row) if (words := row.split())]
+    values = np.zeros((0, 0))
+    with contextlib.suppress(ValueError):  # a word is not a number, or rows have different lengths
+        values = np.array([list(map(float, words)) for _, words in rows])
+    # Python reads 1_000 as a number, but the format does not have it.
+    if values.shape != (num_frames, num_channels) or not (np.abs(values) < MAX_VALUE).all() or b"_" in text:
+        raise _problem([(first_row, []), *rows], path, shape=(num_frames, num_channels))
     return MotionTable(values=values, fps=fps)
+
+
+def _problem(rows: Sequence[tuple[int, list[bytes]]], path: Path, *, shape: tuple[int, int]) -> UserError:
+    """Returns the error for the first row that is not as the header and the hierarchy say; the frames begin at 1."""
+    num_frames, num_channels = shape
+    count = len(rows) - 1
+    for frame, (line, words) in enumerate(rows[1:]):
+        for word in words:
+            shown = word[:24].decode("utf-8", errors="replace")
+            value = None
+            with contextlib.suppress(ValueError):
+                value = float(word)
+            if value is None or b"_" in word:
+                return UserError(f'{path}:{line}: "{shown}" is not a number')
+            if not abs(value) < MAX_VALUE:
+                return UserError(f"{path}:{line}: {shown} is not a finite number below {MAX_VALUE:g}")
+        if len(words) != num_channels:
+            hint = "; is the file truncated?" if frame == count - 1 else ""
+            have = f"frame {frame} has {len(words)} columns, but the hierarchy has {num_channels} channels{hint}"
+            return UserError(f"{path}:{line}: {have}")
+    if count < num_frames:
+        return UserError(f"{path}:{rows[-1][0]}: the file ends after {count} of {num_frames} frames; is it truncated?")
+    message = f"data after the last frame; the header says {num_frames} frames, but there are {count}"
+    return UserError(f"{path}:{rows[num_frames + 1][0]}: {message}")
 
 
 def _read_field(text: bytes, path: Path, *, line: int, field: str, content: str) -> tuple[str, bytes, int]:
@@ -85,50 +103,3 @@ def _frame_rate(text: str, path: Path, *, line: int) -> float:
     same_digits = round(1 / nearest, decimals) == round(seconds, decimals)
     close = abs(nearest * seconds - 1) < _RATE_TOLERANCE
     return float(nearest) if same_digits and close else 1 / seconds
-
-
-def _check_layout(text: bytes, path: Path, *, first_row: int, num_frames: int, num_channels: int) -> np.ndarray:
-    """Returns the line index of each row. Raises an error unless the text is a table of the expected size.
-
-    Words are counted per line on the raw bytes. Then all numbers are parsed at once, and a row that lacks a value
-    cannot take one from the next row.
-    """
-    raw = np.frombuffer(text, dtype=np.uint8)
-    if not _NUMBER_BYTES[raw].all():
-        raise _bad_word(text, path, first_row)
-    inside = np.concatenate(([False], raw > _BLANK, [False]))
-    starts = np.flatnonzero(inside[1:-1] & ~inside[:-2])
-    line_of_word = np.searchsorted(np.flatnonzero(raw == _LINE_END), starts)
-    row_lines, columns = np.unique(line_of_word, return_counts=True)
-    wrong = np.flatnonzero(columns != num_channels)
-    if wrong.size and wrong[0] < num_frames:
-        row = int(wrong[0])
-        hint = "; is the file truncated?" if row == len(columns) - 1 else ""
-        raise UserError(
-            f"{path}:{first_row + row_lines[row]}: frame {row} has {columns[row]} columns, "
-            f"but the hierarchy has {num_channels} channels{hint}"
-        )
-    if len(columns) < num_frames:
-        line = first_row + (int(row_lines[-1]) if len(columns) else 0)
-        message = f"the file ends after {len(columns)} of {num_frames} frames; is it truncated?"
-        raise UserError(f"{path}:{line}: {message}")
-    if len(columns) > num_frames:
-        message = f"data after the last frame; the header says {num_frames} frames, but there are {len(columns)}"
-        raise UserError(f"{path}:{first_row + row_lines[num_frames]}: {message}")
-    return row_lines
-
-
-def _bad_word(text: bytes, path: Path, first_row: int) -> UserError:
-    """Returns the error for the first word that is not a finite number."""
-    for line, row in enumerate(text.split(b"\n"), start=first_row):
-        for word in row.split():
-            shown = word[:24].decode("utf-8", errors="replace")
-            try:
-                finite = np.isfinite(float(word))
-            except ValueError:
-                return UserError(f'{path}:{line}: "{shown}" is not a number')
-            if not finite:
-                return UserError(f"{path}:{line}: {shown} is not a finite number")
-            if b"_" in word:  # Python accepts 1_000, but the format does not
-                return UserError(f'{path}:{line}: "{shown}" is not a number')
-    return UserError(f"{path}:{first_row}: the frames contain something that is not a number")
