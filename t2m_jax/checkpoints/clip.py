@@ -10,14 +10,7 @@ import numpy as np
 from flax import traverse_util
 from tokenizers import Tokenizer
 
-from t2m_jax.checkpoints.clip_files import (
-    CONFIG_FILE,
-    TEXT_PREFIX,
-    WEIGHT_FILES,
-    find_clip,
-    read_clip_config,
-    read_text_arrays,
-)
+from t2m_jax.checkpoints import clip_files
 from t2m_jax.checkpoints.pretrained import check_vocabulary, encoder_fingerprint, params_from_torch
 from t2m_jax.config import config_from_dict
 from t2m_jax.errors import UserError
@@ -88,20 +81,22 @@ def load_clip(name_or_folder: str | Path, *, text_dim: int | None = None) -> Tra
     Raises:
         UserError: It cannot be found, has another width, or a file is missing, damaged or does not fit the others.
     """
-    folder = find_clip(name_or_folder)
-    data = read_clip_config(folder)
+    folder = clip_files.find_clip(name_or_folder)
+    data = clip_files.read_clip_config(folder)
     end_token = data.get(_END_FIELD, _DEFAULT_END)
     fields = {ours: data[theirs] for theirs, ours in _FIELDS.items() if theirs in data}
     fields["end_token"] = None if end_token == _LEGACY_END else end_token
-    config = config_from_dict(ClipTextConfig, fields, source=f"{folder / CONFIG_FILE}")
+    config = config_from_dict(ClipTextConfig, fields, source=f"{folder / clip_files.CONFIG_FILE}")
     if text_dim not in (None, config.text_dim):
         raise UserError(f"{name_or_folder}: has embeddings of {config.text_dim} numbers, but the GPT reads {text_dim}")
     tokenizer = load_clip_bpe(folder)
     check_vocabulary(folder, tokenizer, config.vocabulary_size)
     end = tokenizer.token_to_id(END)
     if config.end_token not in (None, end):
-        raise UserError(f"{folder}: {END!r} is token {end}, but {CONFIG_FILE} says {_END_FIELD} {config.end_token}")
-    path, arrays = read_text_arrays(folder)
+        raise UserError(
+            f"{folder}: {END!r} is token {end}, but {clip_files.CONFIG_FILE} says {_END_FIELD} {config.end_token}"
+        )
+    path, arrays = clip_files.read_text_arrays(folder)
     # Some files are saved without it. Their embeddings are in another space than those that the GPT was trained on.
     if "text_projection.weight" not in arrays:
         raise UserError(f"{path}: array 'text_projection.weight' is missing; give a CLIP saved with its projection")
@@ -118,15 +113,15 @@ def save_clip(folder: Path, clip: TrainedClip, *, half: bool = False) -> None:
     data |= {theirs: fields[ours] for theirs, ours in _FIELDS.items()}
     data[_END_FIELD] = _LEGACY_END if end_token is None else end_token
     data["bos_token_id"] = clip.tokenizer.token_to_id(START)
-    save_json(folder / CONFIG_FILE, data)
+    save_json(folder / clip_files.CONFIG_FILE, data)
     save_bpe(folder, clip.tokenizer)
     arrays = {}
     for names, leaf in traverse_util.flatten_dict(jax.device_get(clip.variables["params"])).items():
         key = _key_from_path(names)
-        key = key if key.startswith(_NAMES["projection"]) else TEXT_PREFIX + key
+        key = key if key.startswith(_NAMES["projection"]) else clip_files.TEXT_PREFIX + key
         array = leaf.T if names[-1] == "kernel" else leaf
         arrays[key] = np.ascontiguousarray(array, np.float16 if half else np.float32)
-    save_weights(folder / WEIGHT_FILES[0], arrays, metadata={"format": "pt"})
+    save_weights(folder / clip_files.WEIGHT_FILES[0], arrays, metadata={"format": "pt"})
 
 
 def param_shapes(config: ClipTextConfig) -> dict[tuple[str, ...], tuple[int, ...]]:

@@ -10,15 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from t2m_jax.checkpoints.bundle import (
-    CARD_FILE,
-    CONFIG_FILE,
-    NO_LICENSE,
-    WEIGHTS_FILE,
-    bundle_path,
-    card_license,
-    load_bundle_config,
-)
+from t2m_jax.checkpoints import bundle
 from t2m_jax.checkpoints.clip_files import CLIP_FILES
 from t2m_jax.checkpoints.hub import HubFiles, HubName, hub_reason, hub_snapshot, list_hub_files, parse_hub_name
 from t2m_jax.checkpoints.run import DATA_FILE, is_run
@@ -32,10 +24,10 @@ from t2m_jax.yaml_file import load_yaml
 
 logger = logging.getLogger(__name__)
 
-DESCRIPTION_FILES = (MANIFEST, CONFIG_FILE, CARD_FILE)
+DESCRIPTION_FILES = (MANIFEST, bundle.CONFIG_FILE, bundle.CARD_FILE)
 """The small files that say what a bundle is. They are checked before the others are downloaded."""
 BUNDLE_FILES = frozenset(
-    {CONFIG_FILE, CARD_FILE, WEIGHTS_FILE, DATA_FILE, MEAN_FILE, STD_FILE, TOKENIZER_FILE}
+    {bundle.CONFIG_FILE, bundle.CARD_FILE, bundle.WEIGHTS_FILE, DATA_FILE, MEAN_FILE, STD_FILE, TOKENIZER_FILE}
     | {
         f"{files.kind}/{name}"
         for files in (CLIP_FILES, SENTENCE_FILES)
@@ -67,7 +59,7 @@ def find_model(name_or_path: str | Path) -> FoundModel:
         UserError: The hub has no such model, or cannot be reached; or the model is damaged or lacks what all models of
             the hub must have.
     """
-    folder = bundle_path(name_or_path)
+    folder = bundle.bundle_path(name_or_path)
     name = parse_hub_name(name_or_path)
     if name is None or folder.exists():
         return FoundModel(folder, f"{name_or_path}")
@@ -87,15 +79,15 @@ def load_card(name_or_path: str | Path) -> str:
     Raises:
         UserError: There is no such bundle, or it has no card.
     """
-    folder = bundle_path(name_or_path)
+    folder = bundle.bundle_path(name_or_path)
     name = parse_hub_name(name_or_path)
     if name is None or folder.exists():
-        return load_text(folder / CARD_FILE)
+        return load_text(folder / bundle.CARD_FILE)
     copy = _find_copy(name)
     files = _list_files(name, copy)
     if copy is None or copy.name != files.commit:
-        copy = _description(name, files, needs=CARD_FILE)
-    return load_text(copy / CARD_FILE)
+        copy = _description(name, files, needs=bundle.CARD_FILE)
+    return load_text(copy / bundle.CARD_FILE)
 
 
 def cached_models() -> Iterator[FoundModel]:
@@ -119,21 +111,22 @@ def cached_models() -> Iterator[FoundModel]:
 
 def check_shareable(folder: Path) -> None:
     """Raises `UserError` if a bundle lacks what users of the hub need: checksums, a version, a card with a license."""
-    if not (folder / CONFIG_FILE).is_file() or is_run(folder):
-        raise UserError(f"is not a bundle of t2m_jax (a bundle has {CONFIG_FILE} and is not a run)")
-    card = load_text(folder / CARD_FILE) if (folder / CARD_FILE).is_file() else None
+    if not (folder / bundle.CONFIG_FILE).is_file() or is_run(folder):
+        raise UserError(f"is not a bundle of t2m_jax (a bundle has {bundle.CONFIG_FILE} and is not a run)")
+    card = load_text(folder / bundle.CARD_FILE) if (folder / bundle.CARD_FILE).is_file() else None
     lacks = {
         f"checksums ({MANIFEST})": not has_manifest(folder),
-        f"format_version in {CONFIG_FILE}": "format_version" not in load_yaml(folder / CONFIG_FILE).data,
-        f"card ({CARD_FILE})": card is None,
-        f"license in the metadata of {CARD_FILE}": card is not None and card_license(card) == NO_LICENSE,
+        f"format_version in {bundle.CONFIG_FILE}": "format_version" not in load_yaml(folder / bundle.CONFIG_FILE).data,
+        f"card ({bundle.CARD_FILE})": card is None,
+        f"license in the metadata of {bundle.CARD_FILE}": card is not None
+        and bundle.card_license(card) == bundle.NO_LICENSE,
     }
     if any(lacks.values()):
         missing = ", ".join(name for name, is_missing in lacks.items() if is_missing)
         raise UserError(f"refused, because it has no {missing}; its authors can add this with `t2m bundle --card FILE`")
-    load_bundle_config(folder)
+    bundle.load_bundle_config(folder)
     listed = read_manifest(folder).keys()
-    if wrong := listed - BUNDLE_FILES or {CONFIG_FILE, CARD_FILE, WEIGHTS_FILE} - listed:
+    if wrong := listed - BUNDLE_FILES or {bundle.CONFIG_FILE, bundle.CARD_FILE, bundle.WEIGHTS_FILE} - listed:
         raise UserError(f"refused, because {MANIFEST} must list the files of a bundle and no others: {min(wrong)}")
 
 
@@ -215,7 +208,7 @@ def _ask_hub(name: HubName, copy: Path | None) -> Path:
     if copy is not None and copy.name == files.commit:
         return copy
     # First the small files: what is not a bundle is refused before gigabytes are downloaded.
-    folder = _description(name, files, needs=CONFIG_FILE)
+    folder = _description(name, files, needs=bundle.CONFIG_FILE)
     _check_copy(name, folder, only=DESCRIPTION_FILES)
     logger.info("%s: downloading commit %s from the hub", name, files.commit)
     # By its name, not by the commit: the client then notes which commit it is, and finds it without network. If the hub

@@ -8,14 +8,7 @@ hinge's while that is bent, close to the natural twist while it is straight, and
 import numpy as np
 from jaxtyping import Complex, Float
 
-from t2m_jax.motion.rotations import (
-    cross_product,
-    quaternion_between,
-    quaternion_inverse,
-    quaternion_multiply,
-    quaternion_normalize,
-    rotate_vectors,
-)
+from t2m_jax.motion import rotations
 
 _NUM_ANGLES = 72
 _MAX_DEGREES_PER_SECOND = 800.0
@@ -45,22 +38,22 @@ def limb_rotations(
     """
     # Rotations of the rest directions to `upper` that turn as little as possible from frame to frame. They are running
     # products, computed by doubling: after k rounds, each entry is the product of the last 2^k factors.
-    first = quaternion_between(rest_directions, upper[0])
-    transported = np.concatenate((first[None], quaternion_between(upper[:-1], upper[1:])))
+    first = rotations.quaternion_between(rest_directions, upper[0])
+    transported = np.concatenate((first[None], rotations.quaternion_between(upper[:-1], upper[1:])))
     shift = 1
     while shift < len(transported):
-        product = quaternion_multiply(transported[shift:], transported[:-shift])
-        transported[shift:] = quaternion_normalize(product)
+        product = rotations.quaternion_multiply(transported[shift:], transported[:-shift])
+        transported[shift:] = rotations.quaternion_normalize(product)
         shift *= 2
-    sideways = cross_product(rest_directions, hinge_axes)
+    sideways = rotations.cross_product(rest_directions, hinge_axes)
 
     def as_twist(axes: Float[np.ndarray, "T L 3"]) -> Complex[np.ndarray, "T L"]:
         """Returns the part of `axes` perpendicular to the bone as complex numbers with the twist as argument."""
-        local = rotate_vectors(quaternion_inverse(transported), axes)
+        local = rotations.rotate_vectors(rotations.quaternion_inverse(transported), axes)
         return np.sum(local * hinge_axes, axis=-1) + 1j * np.sum(local * sideways, axis=-1)
 
-    bend = as_twist(cross_product(upper, lower))
-    natural = as_twist(rotate_vectors(quaternion_between(rest_directions, upper), hinge_axes))
+    bend = as_twist(rotations.cross_product(upper, lower))
+    natural = as_twist(rotations.rotate_vectors(rotations.quaternion_between(rest_directions, upper), hinge_axes))
     # The natural twist is that of the shortest swing. It is unstable, so it gets less weight, if the bone points away
     # from its rest direction.
     along = (1 + np.sum(upper * rest_directions, axis=-1)) / 2
@@ -73,7 +66,7 @@ def limb_rotations(
     twist = _smoothed(path + difference, weights, stiffness)
     half = twist[..., None] / 2
     turns = np.concatenate((np.cos(half), np.sin(half) * rest_directions), axis=-1)
-    return quaternion_multiply(transported, turns)
+    return rotations.quaternion_multiply(transported, turns)
 
 
 def _best_path(evidence: Complex[np.ndarray, "T L"], stiffness: float, fps: float) -> Float[np.ndarray, "T L"]:

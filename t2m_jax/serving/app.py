@@ -21,22 +21,10 @@ from t2m_jax.errors import UserError
 from t2m_jax.export.html import stage_style, viewer_script
 from t2m_jax.motion.changes import Changes
 from t2m_jax.records import record_from
+from t2m_jax.serving import schema
 from t2m_jax.serving.files import make_file, open_file, read_motion
 from t2m_jax.serving.jobs import FINAL_EVENTS, Event, Job, Jobs, QueueFullError
 from t2m_jax.serving.openapi import openapi
-from t2m_jax.serving.schema import (
-    MAX_BODY,
-    SEVERAL,
-    FileBody,
-    FileOptions,
-    FileParameters,
-    HealthData,
-    MotionBody,
-    SceneParameters,
-    motion_request,
-    read_body,
-    read_parameters,
-)
 from t2m_jax.serving.streams import EventResponse, body_of, is_json, while_connected
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1", "[::1]")
@@ -174,7 +162,7 @@ class _Server:
     def health(self, _: Request) -> Response:
         """Answers whether motions can be made."""
         alive = self.jobs.is_alive
-        health: HealthData = {
+        health: schema.HealthData = {
             "status": "ok" if alive else "restarting",
             "model": self.jobs.model_name,
             "waiting": len(self.jobs.waiting),
@@ -187,11 +175,11 @@ class _Server:
 
     def model(self, _: Request) -> Response:
         """Answers with what the page needs to know."""
-        bodies = {"motions": MotionBody, "files": FileParameters, "scene": SceneParameters}
+        bodies = {"motions": schema.MotionBody, "files": schema.FileParameters, "scene": schema.SceneParameters}
         data = self.jobs.model | {
             "examples": EXAMPLES,
-            "formats_of_several": SEVERAL,
-            "body_bytes": MAX_BODY,
+            "formats_of_several": schema.SEVERAL,
+            "body_bytes": schema.MAX_BODY,
             "fields": {name: body.model_json_schema()["properties"] for name, body in bodies.items()},
         }
         return JSONResponse(data)
@@ -200,12 +188,12 @@ class _Server:
         """Generates: answers with server-sent events, or with one JSON object to who asks for it."""
         if not is_json(request):  # a page of another server could only send other types of bodies unasked
             raise HTTPException(415, "the body must be application/json")
-        fields = read_body(MotionBody, await body_of(request))
+        fields = schema.read_body(schema.MotionBody, await body_of(request))
         start = None
         # Files of strangers are not read in the process that generates: a crash there would concern all users.
         if fields.get("start") is not None:
             start = await self._in_process(read_motion, fields["start"], fields.get("start_format", "npz"))
-        job = self.jobs.submit(motion_request(fields, start))
+        job = self.jobs.submit(schema.motion_request(fields, start))
         if "application/json" in request.headers.get("accept", ""):
             return await self._final_answer(job, request.receive)
         return EventResponse(self._events(job))
@@ -245,16 +233,18 @@ class _Server:
 
     async def files(self, request: Request) -> Response:
         """Answers with a file for download."""
-        options = record_from(FileOptions, read_parameters(FileParameters, dict(request.query_params)))
+        options = record_from(
+            schema.FileOptions, schema.read_parameters(schema.FileParameters, dict(request.query_params))
+        )
         body = await body_of(request)
-        inputs = read_body(FileBody, body)["motions"] if is_json(request) else [body]
+        inputs = schema.read_body(schema.FileBody, body)["motions"] if is_json(request) else [body]
         content = await self._in_process(make_file, inputs, options)
         disposition = f'attachment; filename="motion.{options.format}"'
         return Response(content, headers={"Content-Disposition": disposition}, media_type="application/octet-stream")
 
     async def scene(self, request: Request) -> Response:
         """Answers with what the page shows of a motion file."""
-        fields = read_parameters(SceneParameters, dict(request.query_params))
+        fields = schema.read_parameters(schema.SceneParameters, dict(request.query_params))
         suffix = fields.get("format", "npz")
         changes = record_from(Changes, fields)
         return JSONResponse(await self._in_process(open_file, await body_of(request), suffix, changes))

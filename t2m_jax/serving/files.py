@@ -17,22 +17,13 @@ from t2m_jax.export.npz import write_npz
 from t2m_jax.motion.changes import Changes
 from t2m_jax.motion.formats import format_options, load_motion, save_motions
 from t2m_jax.motion.motion import Motion
-from t2m_jax.serving.schema import (
-    LIMITS,
-    MAX_MOTIONS,
-    MAX_TOTAL_SECONDS,
-    SEVERAL,
-    FileOptions,
-    MotionData,
-    OpenedFile,
-    SceneData,
-)
+from t2m_jax.serving import schema
 
-LONGEST_PICTURES = 4 * LIMITS["seconds"]["le"]
+LONGEST_PICTURES = 4 * schema.LIMITS["seconds"]["le"]
 """Seconds of all motions in a video; it takes as long to make."""
 
 
-def make_file(inputs: Sequence[bytes], options: FileOptions) -> bytes:
+def make_file(inputs: Sequence[bytes], options: schema.FileOptions) -> bytes:
     """Returns the bytes of a file with motions.
 
     Args:
@@ -42,7 +33,7 @@ def make_file(inputs: Sequence[bytes], options: FileOptions) -> bytes:
     Raises:
         UserError: A motion cannot be read, changed or written in this format.
     """
-    if not 1 <= len(inputs) <= (MAX_MOTIONS if options.format in SEVERAL else 1):
+    if not 1 <= len(inputs) <= (schema.MAX_MOTIONS if options.format in schema.SEVERAL else 1):
         raise UserError(f"format: a {options.format} file cannot contain {len(inputs)} motions")
     motions = [options.changes.apply(read_motion(data, "npz")) for data in inputs]
     if options.format in ("gif", "mp4") and sum(motion.seconds for motion in motions) > LONGEST_PICTURES:
@@ -55,14 +46,14 @@ def make_file(inputs: Sequence[bytes], options: FileOptions) -> bytes:
         return path.read_bytes()
 
 
-def open_file(data: bytes, suffix: str, changes: Changes) -> OpenedFile:
+def open_file(data: bytes, suffix: str, changes: Changes) -> schema.OpenedFile:
     """Returns what the page shows of a motion file.
 
     Raises:
         UserError: The file cannot be read or changed.
     """
     motion = changes.apply(read_motion(data, suffix))
-    return {"scene": cast(SceneData, scene_record([motion])), "motion": motion_record(motion)}
+    return {"scene": cast(schema.SceneData, scene_record([motion])), "motion": motion_record(motion)}
 
 
 def read_motion(data: bytes, suffix: str) -> Motion:
@@ -76,12 +67,14 @@ def read_motion(data: bytes, suffix: str) -> Motion:
             motion = load_motion(path)
         except UserError as error:
             raise UserError(str(error).replace(str(path), path.name)) from None
-    if motion.seconds > MAX_TOTAL_SECONDS:  # at another frame rate, it could fill the memory
-        raise UserError(f"motion.{suffix}: has {motion.seconds:g} seconds; at most {MAX_TOTAL_SECONDS:g} are read")
+    if motion.seconds > schema.MAX_TOTAL_SECONDS:  # at another frame rate, it could fill the memory
+        raise UserError(
+            f"motion.{suffix}: has {motion.seconds:g} seconds; at most {schema.MAX_TOTAL_SECONDS:g} are read"
+        )
     return motion
 
 
-def motion_record(motion: Motion) -> MotionData:
+def motion_record(motion: Motion) -> schema.MotionData:
     """Returns a motion as plain data for the page."""
     data = io.BytesIO()
     write_npz(data, motion, compress=False)

@@ -12,14 +12,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from t2m_jax.checkpoints.evaluator import WORDS_FILE, load_trained_evaluator, save_evaluator_parts
 from t2m_jax.checkpoints.run import has_checkpoint
-from t2m_jax.data.banks.captions import (
-    CaptionBank,
-    CaptionBatch,
-    all_tokens,
-    caption_batch_at,
-    caption_cuts_at,
-    make_caption_bank,
-)
+from t2m_jax.data.banks import captions
 from t2m_jax.data.folder import Clip, DatasetInfo, samples_from_clip
 from t2m_jax.devices import global_mean, global_rows
 from t2m_jax.errors import UserError
@@ -73,7 +66,7 @@ def init_matching_state(
 
 
 def matching_metrics(
-    params: Any, batch: CaptionBatch, shift: Int[Array, ""], *, config: EvaluatorStepConfig
+    params: Any, batch: captions.CaptionBatch, shift: Int[Array, ""], *, config: EvaluatorStepConfig
 ) -> Metrics:
     """Returns the loss, the mean distances of pairs and of negatives, and `top3`.
 
@@ -104,7 +97,7 @@ def matching_metrics(
 
 
 def matching_train_step(
-    state: TrainState, batch: CaptionBatch, shift: Int[Array, ""], *, config: EvaluatorStepConfig
+    state: TrainState, batch: captions.CaptionBatch, shift: Int[Array, ""], *, config: EvaluatorStepConfig
 ) -> tuple[TrainState, Metrics]:
     """Returns the state after one update and the metrics before it, with the gradient norms before they are limited.
 
@@ -136,19 +129,19 @@ def draw_shift(config: EvaluatorStepConfig, stream: str, step: Int[Array, ""]) -
 
 
 def update(
-    state: TrainState, bank: CaptionBank, *, config: EvaluatorStepConfig, max_frames: int
+    state: TrainState, bank: captions.CaptionBank, *, config: EvaluatorStepConfig, max_frames: int
 ) -> tuple[TrainState, Metrics]:
     """Returns the state after one step on the batch of that step."""
-    batch = caption_batch_at(bank, step=state.step, **window_options(config.loop, "data", window=max_frames))
+    batch = captions.caption_batch_at(bank, step=state.step, **window_options(config.loop, "data", window=max_frames))
     return matching_train_step(state, batch, draw_shift(config, "shift", state.step), config=config)
 
 
 @functools.partial(jax.jit, static_argnames=("config", "max_frames"))
 def validate(
-    state: TrainState, bank: CaptionBank, step: Int[Array, ""], *, config: EvaluatorStepConfig, max_frames: int
+    state: TrainState, bank: captions.CaptionBank, step: Int[Array, ""], *, config: EvaluatorStepConfig, max_frames: int
 ) -> Metrics:
     """Returns the metrics of a batch of held-out motions and captions."""
-    batch = caption_batch_at(bank, step=step, **window_options(config.loop, "validation", window=max_frames))
+    batch = captions.caption_batch_at(bank, step=step, **window_options(config.loop, "validation", window=max_frames))
     return matching_metrics(state.params, batch, draw_shift(config, "validation shift", step), config=config)
 
 
@@ -166,7 +159,7 @@ def make_vocabulary(config: TrainEvaluatorConfig, samples: Sequence[Clip], *, re
         return load_vocabulary(config.words)
     if config.init is not None:
         return load_trained_evaluator(config.init).vocabulary
-    return vocabulary_from_captions(all_tokens(samples), min_count=config.min_count)
+    return vocabulary_from_captions(captions.all_tokens(samples), min_count=config.min_count)
 
 
 def load_table(config: TrainEvaluatorConfig, vocabulary: Vocabulary) -> Array | None:
@@ -203,10 +196,10 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
     table = None if is_restored else load_table(config, vocabulary)
     config = dataclasses.replace(config, model=dataclasses.replace(config.model, num_words=len(vocabulary)))
     options: dict[str, Any] = {"config": compiled_config(config), "max_frames": dataset.info.max_frames}
-    plan = functools.partial(plan_feed, caption_cuts_at, config.loop, window=dataset.info.max_frames)
+    plan = functools.partial(plan_feed, captions.caption_cuts_at, config.loop, window=dataset.info.max_frames)
     validation = None
     if validated:
-        bank = make_caption_bank(validated, normalizer, vocabulary)
+        bank = captions.make_caption_bank(validated, normalizer, vocabulary)
         validation = Validation(bank, len(validated), functools.partial(validate, **options), plan("validation"))
 
     def init() -> TrainState:
@@ -219,7 +212,7 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
     return Setup(
         dataset=dataset,
         clips=train,
-        data=make_caption_bank(samples, normalizer, vocabulary),
+        data=captions.make_caption_bank(samples, normalizer, vocabulary),
         init=init,
         update=Update(update, **options),
         plan=plan("data"),

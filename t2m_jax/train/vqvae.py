@@ -11,21 +11,12 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Int, Key
 
+from t2m_jax import losses
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer, save_tokenizer_parts
 from t2m_jax.data.banks.motions import MotionBank, Windows, batch_at, cuts_at, make_bank
 from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.sources import CodeSource, Reconstruction
-from t2m_jax.losses import (
-    acceleration_loss,
-    bone_loss,
-    facing_loss,
-    joint_loss,
-    reconstruction_loss,
-    velocity_loss,
-    world_acceleration_loss,
-    world_velocity_loss,
-)
 from t2m_jax.metrics.codes import code_usage, perplexity
 from t2m_jax.models.rows import in_precision
 from t2m_jax.models.vqvae import VqVae, VqVaeOutput
@@ -95,23 +86,27 @@ def loss_terms(config: VqVaeStepConfig, normalizer: Normalizer) -> list[LossTerm
     def in_meters(measure: Callable[..., Float[Array, ""]]) -> Callable[..., Float[Array, ""]]:
         return lambda *pair: skeleton.metres_per_unit * measure(*pair, skeleton=skeleton, normalizer=normalizer)
 
-    bones = functools.partial(bone_loss, skeleton=skeleton)
+    bones = functools.partial(losses.bone_loss, skeleton=skeleton)
     # These two are in every log, whatever their weights.
     always = [
-        LossTerm("reconstruction", 1.0, functools.partial(reconstruction_loss, **kind)),
-        LossTerm("velocity", config.velocity_weight, functools.partial(velocity_loss, **kind, **velocity)),
+        LossTerm("reconstruction", 1.0, functools.partial(losses.reconstruction_loss, **kind)),
+        LossTerm("velocity", config.velocity_weight, functools.partial(losses.velocity_loss, **kind, **velocity)),
     ]
     # The order is part of the result: a sum of floats depends on it.
     optional = [
-        LossTerm("acceleration", config.acceleration_weight, functools.partial(acceleration_loss, **kind)),
-        LossTerm("bones", config.bone_weight, bones if config.bone_space == "normalized" else in_meters(bone_loss)),
-        LossTerm("joints", config.joint_weight, in_meters(joint_loss)),
+        LossTerm("acceleration", config.acceleration_weight, functools.partial(losses.acceleration_loss, **kind)),
+        LossTerm(
+            "bones", config.bone_weight, bones if config.bone_space == "normalized" else in_meters(losses.bone_loss)
+        ),
+        LossTerm("joints", config.joint_weight, in_meters(losses.joint_loss)),
         # An angle has no unit of length.
         LossTerm(
-            "facing", config.facing_weight, functools.partial(facing_loss, skeleton=skeleton, normalizer=normalizer)
+            "facing",
+            config.facing_weight,
+            functools.partial(losses.facing_loss, skeleton=skeleton, normalizer=normalizer),
         ),
-        LossTerm("world_velocity", config.world_velocity_weight, in_meters(world_velocity_loss)),
-        LossTerm("world_acceleration", config.world_acceleration_weight, in_meters(world_acceleration_loss)),
+        LossTerm("world_velocity", config.world_velocity_weight, in_meters(losses.world_velocity_loss)),
+        LossTerm("world_acceleration", config.world_acceleration_weight, in_meters(losses.world_acceleration_loss)),
     ]
     return [*always, *(term for term in optional if term.weight)]
 

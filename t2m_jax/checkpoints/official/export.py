@@ -9,14 +9,7 @@ import numpy as np
 from flax import traverse_util
 
 from t2m_jax.checkpoints.bundle import Bundle
-from t2m_jax.checkpoints.official.names import (
-    Weight,
-    constant,
-    gpt_constant_shapes,
-    gpt_weights,
-    vqvae_constant_shapes,
-    vqvae_weights,
-)
+from t2m_jax.checkpoints.official import names
 from t2m_jax.errors import UserError
 from t2m_jax.files.arrays import save_weights
 from t2m_jax.files.writing import atomic_folder, check_new
@@ -32,7 +25,7 @@ def vqvae_state_dict(variables: Mapping[str, Any], config: VqVaeConfig) -> dict[
     """
     if config.num_quantizers != 1 or config.projections:
         raise UserError("tokenizer.num_quantizers, tokenizer.projections: the original code has no such VQ-VAE")
-    return _state_dict(variables, vqvae_weights(config), vqvae_constant_shapes(config))
+    return _state_dict(variables, names.vqvae_weights(config), names.vqvae_constant_shapes(config))
 
 
 def gpt_state_dict(variables: Mapping[str, Any], config: MotionGptConfig) -> dict[str, np.ndarray]:
@@ -44,12 +37,12 @@ def gpt_state_dict(variables: Mapping[str, Any], config: MotionGptConfig) -> dic
     num_base, left_over = divmod(config.num_layers, 2)
     if left_over:
         raise UserError(f"generator.num_layers: {config.num_layers} is odd; the original has two halves of equal depth")
-    weights = gpt_weights(config, num_base=num_base)
-    return _state_dict(variables, weights, gpt_constant_shapes(config, num_base=num_base))
+    weights = names.gpt_weights(config, num_base=num_base)
+    return _state_dict(variables, weights, names.gpt_constant_shapes(config, num_base=num_base))
 
 
 def _state_dict(
-    variables: Mapping[str, Any], weights: Iterable[Weight], constants: Mapping[str, tuple[int, ...]]
+    variables: Mapping[str, Any], weights: Iterable[names.Weight], constants: Mapping[str, tuple[int, ...]]
 ) -> dict[str, np.ndarray]:
     """Returns the arrays by the original's names, and the arrays that the original saves although they are constant."""
     flat = traverse_util.flatten_dict(jax.device_get(dict(variables)))
@@ -57,7 +50,7 @@ def _state_dict(
     for weight in weights:
         array = np.asarray(flat[weight.path], np.float32)
         arrays[weight.key] = np.ascontiguousarray(array.T if weight.is_reversed else array)
-    return arrays | {key: constant(key, shape) for key, shape in constants.items()}
+    return arrays | {key: names.constant(key, shape) for key, shape in constants.items()}
 
 
 def export_official(path: Path, bundle: Bundle) -> None:

@@ -8,17 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import traverse_util
 
-from t2m_jax.checkpoints.official.names import (
-    EVALUATOR_PARTS,
-    Weight,
-    constant,
-    evaluator_weights,
-    gpt_constant_shapes,
-    gpt_weights,
-    is_used,
-    vqvae_constant_shapes,
-    vqvae_weights,
-)
+from t2m_jax.checkpoints.official import names
 from t2m_jax.checkpoints.torch_file import load_torch_file
 from t2m_jax.errors import UserError
 from t2m_jax.files.arrays import fit_arrays, read_arrays
@@ -44,7 +34,7 @@ def vqvae_variables(state_dict: StateDict, config: VqVaeConfig) -> dict[str, Any
     The original does not save the averages of the codebook. They start from the loaded codebook with counts of one. The
     codebook is marked as initialized; the original would replace it in the first training step.
     """
-    variables = _variables(state_dict, vqvae_weights(config))
+    variables = _variables(state_dict, names.vqvae_weights(config))
     if "codebook" in variables:
         codebook = variables["codebook"]["quantizer"]["codebook"]
         variables["codebook"]["quantizer"] |= {
@@ -59,20 +49,20 @@ def gpt_variables(state_dict: StateDict, config: MotionGptConfig, *, num_base: i
     """Returns the collections of a `MotionGpt`; without `num_base`, half of its blocks are the original's base."""
     # All published GPTs have as many blocks in the base as in the head.
     num_base = config.num_layers // 2 if num_base is None else num_base
-    return _variables(state_dict, gpt_weights(config, num_base=num_base))
+    return _variables(state_dict, names.gpt_weights(config, num_base=num_base))
 
 
 def evaluator_variables(
     state_dict: StateDict, config: EvaluatorConfig, word_vectors: np.ndarray | None = None
 ) -> dict[str, Any]:
     """Returns the collections of an `Evaluator`; without word vectors it can embed motions only."""
-    variables = _variables(state_dict, evaluator_weights(config))
+    variables = _variables(state_dict, names.evaluator_weights(config))
     if word_vectors is not None:
         variables["params"]["word_embedding"] = {"embedding": jnp.asarray(word_vectors, jnp.float32)}
     return variables
 
 
-def _variables(state_dict: StateDict, weights: Iterable[Weight]) -> dict[str, Any]:
+def _variables(state_dict: StateDict, weights: Iterable[names.Weight]) -> dict[str, Any]:
     """Returns the arrays of a state dict by our names."""
     flat = {
         weight.path: state_dict[weight.key].T if weight.is_reversed else state_dict[weight.key] for weight in weights
@@ -134,7 +124,9 @@ def load_vqvae(
         ema_decay=ema_decay,
         reset_threshold=reset_threshold,
     )
-    return config, vqvae_variables(_fit(path, state, vqvae_weights(config), vqvae_constant_shapes(config)), config)
+    return config, vqvae_variables(
+        _fit(path, state, names.vqvae_weights(config), names.vqvae_constant_shapes(config)), config
+    )
 
 
 def load_gpt(path: str | Path, *, num_heads: int = 16) -> tuple[MotionGptConfig, dict[str, Any]]:
@@ -163,8 +155,8 @@ def load_gpt(path: str | Path, *, num_heads: int = 16) -> tuple[MotionGptConfig,
         mlp_ratio=_shape(path, state, "trans_base.blocks.0.mlp.0.weight", axes=2)[0] // max(embed_dim, 1),
         block_size=_shape(path, state, "trans_base.pos_embed.embed", axes=3)[0],
     )
-    constants = gpt_constant_shapes(config, num_base=num_base)
-    state = _fit(path, state, gpt_weights(config, num_base=num_base), constants)
+    constants = names.gpt_constant_shapes(config, num_base=num_base)
+    state = _fit(path, state, names.gpt_weights(config, num_base=num_base), constants)
     return config, gpt_variables(state, config, num_base=num_base)
 
 
@@ -202,14 +194,14 @@ def load_evaluator(
         num_parts_of_speech=num_classes,
         **({} if table is None else {"num_words": len(table)}),
     )
-    return config, evaluator_variables(_fit(path, state, evaluator_weights(config), {}), config, table)
+    return config, evaluator_variables(_fit(path, state, names.evaluator_weights(config), {}), config, table)
 
 
 def _load_evaluator_parts(path: Path) -> StateDict:
     """Returns the tensors of an evaluator's file by part and key, without the states of its optimizers."""
     content = load_torch_file(path)
     state: dict[str, np.ndarray] = {}
-    for part in EVALUATOR_PARTS:
+    for part in names.EVALUATOR_PARTS:
         if part not in content:
             raise UserError(f"{path}: {part!r} is missing; give a checkpoint of the original evaluator (finest.tar)")
         state |= {f"{part}.{key}": array for key, array in _tensors(path, content[part], part).items()}
@@ -265,7 +257,7 @@ def _config(path: Path, schema: Callable[..., Config], **sizes: Any) -> Config:
 
 
 def _fit(
-    path: Path, state: StateDict, weights: Iterable[Weight], constants: Mapping[str, tuple[int, ...]]
+    path: Path, state: StateDict, weights: Iterable[names.Weight], constants: Mapping[str, tuple[int, ...]]
 ) -> dict[str, np.ndarray]:
     """Returns the weights in single precision, after checking every key of the file."""
     for key, shape in constants.items():
@@ -273,7 +265,9 @@ def _fit(
             problem = f"has shape {state[key].shape}; its config needs {shape}" if key in state else "is missing"
             raise UserError(f"{path}: {key!r} {problem}")
         # A GPT with learned positions has the same names and shapes, but would make nonsense with our table.
-        if is_used(key) and not np.allclose(state[key], constant(key, shape), rtol=0, atol=POSITION_TOLERANCE):
+        if names.is_used(key) and not np.allclose(
+            state[key], names.constant(key, shape), rtol=0, atol=POSITION_TOLERANCE
+        ):
             raise UserError(f"{path}: {key!r} is not the table that the original computes; only T2M-GPT can be read")
     found = {key: array for key, array in state.items() if key not in constants}
     return fit_arrays(path, found, {weight.key: (weight.shape, np.float32) for weight in weights})
