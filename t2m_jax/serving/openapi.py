@@ -33,7 +33,6 @@ def openapi() -> Schema:
     adapters: list[Any] = [(data.__name__, "validation", TypeAdapter(data)) for data in types]
     # All at once, so that parts that several have, such as scenes, are described once.
     _, schemas = TypeAdapter.json_schemas(adapters, ref_template=TEMPLATE)
-    terms = {"name": "Apache 2.0", "identifier": "Apache-2.0"}
     token = {"type": "http", "scheme": "bearer"}
     return {
         "openapi": "3.1.0",
@@ -41,7 +40,7 @@ def openapi() -> Schema:
             "title": "t2m serve",
             "summary": "Motions from sentences",
             "version": version("t2m-jax"),
-            "license": license,
+            "license": {"name": "Apache 2.0", "identifier": "Apache-2.0"},
         },
         "paths": {path: {"get": answer} for path, answer in _answers().items()}
         | {path: {"post": answer} for path, answer in _makers().items()},
