@@ -35,16 +35,20 @@ HIFIGPT_UPDATES = {
 """The update at which the rate of a stage of T2M-HiFiGPT begins to fall, and its last update, on a data set."""
 
 
+def _folders(skeleton: Skeleton, recipe: str, *stages: str) -> dict[str, Any]:
+    """Returns the data and the runs of a recipe; the last stage is trained, after the tokenizer of the one before."""
+    runs = [Path(f"runs/{skeleton.name}-{recipe}-{stage}") for stage in stages]
+    return {"data": Path(f"data/{skeleton.name}"), "run": runs[-1]} | ({"vqvae": runs[0]} if len(runs) > 1 else {})
+
+
 def official_vqvae(skeleton: Skeleton) -> TrainVqVaeConfig:
     """Returns the config of the published command for the first stage."""
     return TrainVqVaeConfig(
-        data=Path(f"data/{skeleton.name}"),
-        run=Path(f"runs/{skeleton.name}-official-vqvae"),
+        **_folders(skeleton, "official", "vqvae"),
         model=VqVaeConfig(feature_dim=skeleton.feature_dim),
         short_clips="drop",
         statistics=f"checkpoints/{OFFICIAL_FOLDERS[skeleton.name]}/VQVAEV3_CB1024_CMT_H1024_NRES3/meta",
         # The original trains for 300,000 updates after 999 updates of warm-up.
-        optimizer=OptimizerConfig(warmup_steps=1000, milestones=(200_000,)),
         loop=LoopConfig(num_steps=300_999, seed=123),
     )
 
@@ -53,7 +57,7 @@ def paper_vqvae(skeleton: Skeleton) -> TrainVqVaeConfig:
     """Returns the config that the paper describes for the first stage (section 3.1 and implementation details)."""
     return dataclasses.replace(
         official_vqvae(skeleton),
-        run=Path(f"runs/{skeleton.name}-paper-vqvae"),
+        **_folders(skeleton, "paper", "vqvae"),
         velocity="frame_difference",  # equation 3
         commitment_weight=1.0,
         optimizer=OptimizerConfig(milestones=(200_000,)),
@@ -63,16 +67,9 @@ def paper_vqvae(skeleton: Skeleton) -> TrainVqVaeConfig:
 
 def official_gpt(skeleton: Skeleton) -> TrainGptConfig:
     """Returns the config of the published command for the second stage."""
-    return TrainGptConfig(
-        data=Path(f"data/{skeleton.name}"),
-        vqvae=Path(f"runs/{skeleton.name}-official-vqvae"),
-        run=Path(f"runs/{skeleton.name}-official-gpt"),
-        text_encoder="clip",
-        offsets="one",
-        timed_captions="slice",
-        optimizer=OptimizerConfig(learning_rate=1e-4, milestones=(150_000,), betas=(0.5, 0.9), weight_decay=1e-6),
-        loop=LoopConfig(batch_size=128, seed=123),
-    )
+    paths = _folders(skeleton, "official", "vqvae", "gpt")
+    loop = LoopConfig(batch_size=128, seed=123)
+    return TrainGptConfig(**paths, text_encoder="clip", offsets="one", timed_captions="slice", loop=loop)
 
 
 def paper_gpt(skeleton: Skeleton) -> TrainGptConfig:
@@ -82,8 +79,7 @@ def paper_gpt(skeleton: Skeleton) -> TrainGptConfig:
     """
     return dataclasses.replace(
         official_gpt(skeleton),
-        vqvae=Path(f"runs/{skeleton.name}-paper-vqvae"),
-        run=Path(f"runs/{skeleton.name}-paper-gpt"),
+        **_folders(skeleton, "paper", "vqvae", "gpt"),
         tau=0.5 if skeleton is HUMANML3D else "per_motion",
         corrupt_past_end=False,  # the text replaces codes; the code replaces whatever is in their places
         mean_over="tokens",
@@ -93,27 +89,22 @@ def paper_gpt(skeleton: Skeleton) -> TrainGptConfig:
 
 def hifigpt_rvqvae(skeleton: Skeleton) -> TrainRvqVaeConfig:
     """Returns the config of T2M-HiFiGPT's first stage: section 4.1 of its paper, and the sum over depths of 3.2."""
-    constant, last = HIFIGPT_UPDATES["rvqvae", skeleton.name]
+    updates = HIFIGPT_UPDATES["rvqvae", skeleton.name]
     return TrainRvqVaeConfig(
-        data=Path(f"data/{skeleton.name}"),
-        run=Path(f"runs/{skeleton.name}-hifigpt-rvqvae"),
+        **_folders(skeleton, "hifigpt", "rvqvae"),
         model=RvqVaeConfig(feature_dim=skeleton.feature_dim, commitment="sum"),
-        optimizer=OptimizerConfig(betas=(0.9, 0.95), cosine=(constant, last)),
-        loop=LoopConfig(num_steps=last),
+        optimizer=OptimizerConfig(betas=(0.9, 0.95), cosine=updates),
+        loop=LoopConfig(num_steps=updates[1]),
     )
 
 
 def hifigpt_gpt(skeleton: Skeleton) -> TrainHiFiGptConfig:
     """Returns the config of T2M-HiFiGPT's second stage: the default, but with CLIP (section 4.1 of its paper)."""
-    constant, last = HIFIGPT_UPDATES["hifigpt", skeleton.name]
-    config = TrainHiFiGptConfig(
-        data=Path(f"data/{skeleton.name}"),
-        vqvae=Path(f"runs/{skeleton.name}-hifigpt-rvqvae"),
-        run=Path(f"runs/{skeleton.name}-hifigpt-gpt"),
-        text_encoder="clip",
-        loop=LoopConfig(num_steps=last, batch_size=128),
-    )
-    return dataclasses.replace(config, optimizer=dataclasses.replace(config.optimizer, cosine=(constant, last)))
+    updates = HIFIGPT_UPDATES["hifigpt", skeleton.name]
+    optimizer = dataclasses.replace(TrainHiFiGptConfig().optimizer, cosine=updates)
+    loop = LoopConfig(num_steps=updates[1], batch_size=128)
+    paths = _folders(skeleton, "hifigpt", "rvqvae", "gpt")
+    return TrainHiFiGptConfig(**paths, text_encoder="clip", optimizer=optimizer, loop=loop)
 
 
 PRESETS: dict[tuple[str, str], Callable[[Skeleton], Any]] = {
