@@ -11,16 +11,15 @@ import shutil
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any
 
 import jax
 
 from t2m_jax.config import config_text, load_versioned, save_config
 from t2m_jax.distributed import is_writer, wait_for_all
 from t2m_jax.errors import UserError
-from t2m_jax.files.manifest import MANIFEST, check_folder, write_manifest
+from t2m_jax.files.manifest import MANIFEST, check_folder, load_sealed, save_sealed, write_manifest
 from t2m_jax.files.reading import first_line
-from t2m_jax.files.sealed import load_sealed, save_sealed
 from t2m_jax.files.writing import PARTIAL, commit_folder
 
 logger = logging.getLogger(__name__)
@@ -42,16 +41,6 @@ DELETE_SECONDS = 0.1
 CONSTANT_FILES = ("*.npy", "*.yaml", "*.json", "words.txt", f"*/{MANIFEST}")
 """What a run keeps as it was at its start: statistics, sizes, words, and the manifest of the copy of its tokenizer, by
 which it knows that copy."""
-
-
-@runtime_checkable
-class NamedFields(Protocol):
-    """Any `NamedTuple`."""
-
-    def _asdict(self) -> dict[str, Any]: ...
-
-
-State = TypeVar("State", bound=NamedFields)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -156,11 +145,6 @@ class Checkpoints:
         # `isdecimal` also accepts other scripts' digits and `007`, which would be deleted and restored as `7`.
         return sorted((int(name) for name in names if name.isdecimal() and str(int(name)) == name), reverse=True)
 
-    @property
-    def latest_step(self) -> int | None:
-        """The step of the newest intact checkpoint, None if there is none."""
-        return next((step for step in self.steps() if not self.damage(step)), None)
-
     def damage(self, step: int, *, thorough: bool = False) -> str:
         """Returns what is wrong with a checkpoint, "" if it is as it was written; see `check_folder`."""
         try:
@@ -169,28 +153,32 @@ class Checkpoints:
             return str(error)
         return ""
 
+    def newest_intact(self) -> tuple[int | None, dict[int, str]]:
+        """Returns the step of the newest intact checkpoint, and what is wrong with those that are newer."""
+        problems = {}
+        for step in self.steps():
+            if not (problem := self.damage(step)):
+                return step, problems
+            problems[step] = problem
+        return None, problems
+
     def set_aside_damaged(self) -> None:
         """Renames damaged checkpoints that are newer than the newest intact one, and says so.
 
         Raises:
             UserError: There are checkpoints, but all of them are damaged.
         """
+        newest, problems = self.newest_intact()
+        if newest is None and problems:
+            raise UserError(f"{next(iter(problems.values()))} (no older checkpoint is intact)")
         # Renamed, because a step that has a folder would not be saved again. Not deleted, because somebody may still
         # read parts of them.
-        problems: dict[int, str] = {}
-        for step in self.steps():
-            if not (problem := self.damage(step)):
-                break
-            problems[step] = problem
-        else:
-            if problems:
-                raise UserError(f"{next(iter(problems.values()))} (no older checkpoint is intact)")
         for step, problem in problems.items():
             aside = self._folder / f"damaged-{step}-{secrets.token_hex(3)}"
             (self._folder / str(step)).rename(aside)
             logger.warning("%s; checkpoint %d is set aside as %s", problem, step, aside.name)
 
-    def save(self, step: int, state: NamedFields) -> None:
+    def save(self, step: int, state: Any) -> None:
         """Writes a checkpoint unless this step has one; every field of the state that contains arrays is one item.
 
         Raises:
@@ -264,13 +252,11 @@ class Checkpoints:
         Raises:
             UserError: There is no checkpoint, or it does not fit.
         """
-        step = self.latest_step
+        step, problems = self.newest_intact()
         if step is None:
-            found = [self.damage(step) for step in self.steps()]
-            raise UserError(found[0] if found else f"{self._run}: has no checkpoint yet; train it first")
-        for newer in self.steps():
-            if newer > step:
-                logger.warning("%s; checkpoint %d is used instead", self.damage(newer), step)
+            raise UserError(next(iter(problems.values()), f"{self._run}: has no checkpoint yet; train it first"))
+        for problem in problems.values():
+            logger.warning("%s; checkpoint %d is used instead", problem, step)
         return self.restore_step(step, like)
 
     def restore_step(self, step: int, like: Mapping[str, Any]) -> dict[str, Any]:
@@ -299,7 +285,7 @@ def has_checkpoint(run: Path) -> bool:
         return bool(checkpoints.steps())
 
 
-def restore_latest(run: Path, state: State) -> State:
+def restore_latest(run: Path, state: Any) -> Any:
     """Returns the newest checkpoint of a run on the devices of `state`, or `state` if there is none yet.
 
     Newer checkpoints that are damaged are set aside.

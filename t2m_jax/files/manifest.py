@@ -2,7 +2,8 @@
 
 A manifest is a text. Its first line names the format, then follows a line for each file with CRC-32, SHA-256, size in
 bytes and name, sorted by name. The last line is the SHA-256 of the lines before it. There is only one way to write the
-manifest of a folder, so that any change of a byte shows.
+manifest of a folder, so that any change of a byte shows. A text that is written again and again needs no manifest: it
+ends with its own checksum.
 """
 
 import hashlib
@@ -12,12 +13,14 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from t2m_jax.errors import UserError
-from t2m_jax.files.reading import MAX_TEXT, check_input, reading
+from t2m_jax.files.reading import MAX_TEXT, check_input, load_text, reading
 from t2m_jax.files.writing import save_text
 
 MANIFEST = "manifest.txt"
 _TITLE = "t2m_jax manifest 1"
 _CHUNK = 4 * 2**20
+_SEAL = "# SHA-256 of the lines above: "
+"""Begins the last line, which is a comment in YAML."""
 
 
 class Entry(NamedTuple):
@@ -103,3 +106,25 @@ def _render(entries: dict[str, Entry]) -> str:
     lines = [f"{crc32} {sha256} {size} {name}\n" for name, (crc32, sha256, size) in sorted(entries.items())]
     text = "".join([f"{_TITLE}\n", *lines])
     return f"{text}{hashlib.sha256(text.encode()).hexdigest()}\n"
+
+
+def save_sealed(path: Path, text: str) -> None:
+    """Writes lines of text and their checksum."""
+    save_text(path, f"{text}{_seal(text)}")
+
+
+def load_sealed(path: Path) -> str:
+    """Returns a text without its checksum.
+
+    Raises:
+        UserError: It is missing, or has changed since it was written.
+    """
+    found = load_text(path)
+    text, _, _ = found.rpartition(_SEAL)
+    if found != f"{text}{_seal(text)}":
+        raise UserError(f"{path}: has changed since it was written, or is damaged; put the old file back")
+    return text
+
+
+def _seal(text: str) -> str:
+    return f"{_SEAL}{hashlib.sha256(text.encode()).hexdigest()}\n"

@@ -67,7 +67,7 @@ def stop_at(step, monkeypatch, *, is_meant=lambda state: True):
 def newest_checkpoint(run: Path):
     """Returns the step of a run's newest checkpoint and what is in it."""
     with Checkpoints(run) as checkpoints:
-        step = checkpoints.latest_step
+        step = checkpoints.newest_intact()[0]
     return step, read_checkpoint(run, step)
 
 

@@ -93,7 +93,7 @@ def newest(run, tmp_path):
     shutil.rmtree(copy, ignore_errors=True)
     shutil.copytree(run, copy)
     with Checkpoints(copy) as checkpoints:
-        step = checkpoints.latest_step
+        step = checkpoints.newest_intact()[0]
     if step is not None:
         load_tokenizer(copy)
     return step or 0
