@@ -296,12 +296,17 @@ def measure_validation(
             scores = mean_over_batches(
                 lambda batch: devices.measure(validation.measure, state, take(1), batch), num_batches
             )
-        if best is None:
-            return Measured(scores)
-        best.consider(int(state.step), scores, setup.weights(state))
-        return Measured(scores, is_last=best.is_over(int(state.step), patience=setup.patience))
+        return Measured(scores, is_last=_is_over(best, state, scores, setup))
 
     return Measurement("val", "validation", loop.validate_every, measure)
+
+
+def _is_over(best: BestWeights | None, state: Any, metrics: Mapping[str, float], setup: Setup) -> bool:
+    """Keeps the weights if they are the best, and returns whether no better ones came for long enough."""
+    if best is None:
+        return False
+    best.consider(int(state.step), metrics, setup.weights(state))
+    return best.is_over(int(state.step), patience=setup.patience)
 
 
 def measure_evaluation(setup: Setup, held_out: EvaluationTask, best: BestWeights | None) -> Measurement:
@@ -314,13 +319,11 @@ def measure_evaluation(setup: Setup, held_out: EvaluationTask, best: BestWeights
             return None
         # Motions are sampled on the devices of this process alone.
         weights = put_everywhere(jax.device_get(dict(setup.weights(state))))
-        source = evaluation.source(state._replace(**weights), held_out.samples.clips)
+        state = state._replace(**weights)
+        source = evaluation.source(state, held_out.samples.clips)
         metrics = held_out_metrics(held_out, source)
         picture = render_poster(sample_motions(held_out, source, count=NUM_PICTURED))
-        if best is None:
-            return Measured(metrics, picture)
-        best.consider(int(state.step), metrics, weights)
-        return Measured(metrics, picture, is_last=best.is_over(int(state.step), patience=setup.patience))
+        return Measured(metrics, picture, is_last=_is_over(best, state, metrics, setup))
 
     how = f"{SPLIT}, {evaluation.sampling}" if evaluation.sampling else SPLIT
     return Measurement("evaluation", f"evaluation ({how})", evaluation.config.every, measure)
