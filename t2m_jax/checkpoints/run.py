@@ -155,7 +155,7 @@ class Checkpoints:
 
     def newest_intact(self) -> tuple[int | None, dict[int, str]]:
         """Returns the step of the newest intact checkpoint, and what is wrong with those that are newer."""
-        problems = {}
+        problems: dict[int, str] = {}
         for step in self.steps():
             if not (problem := self.damage(step)):
                 return step, problems
