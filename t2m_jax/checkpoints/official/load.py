@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,8 +12,6 @@ from t2m_jax.checkpoints.official import names
 from t2m_jax.checkpoints.torch_file import load_torch_file
 from t2m_jax.errors import UserError
 from t2m_jax.files.arrays import fit_arrays, read_arrays
-from t2m_jax.models.codebook import QuantizerKind
-from t2m_jax.models.convolution import NormKind
 from t2m_jax.models.evaluator import NUM_CONTACTS, EvaluatorConfig
 from t2m_jax.models.motion_gpt import MotionGptConfig
 from t2m_jax.models.vqvae import VqVaeConfig
@@ -70,28 +68,15 @@ def _variables(state_dict: StateDict, weights: Iterable[names.Weight]) -> dict[s
     return traverse_util.unflatten_dict({path: jnp.asarray(array) for path, array in flat.items()})
 
 
-def load_vqvae(
-    path: str | Path,
-    *,
-    dilation_growth: int = 3,
-    activation: Literal["relu", "silu", "gelu"] = "relu",
-    norm: NormKind | None = None,
-    quantizer: QuantizerKind | None = None,
-    ema_decay: float = 0.99,
-    reset_threshold: float = 1.0,
-) -> tuple[VqVaeConfig, dict[str, Any]]:
+def load_vqvae(path: str | Path, **options: Any) -> tuple[VqVaeConfig, dict[str, Any]]:
     """Returns the config and the variables of an original VQ-VAE (`.pth`, `.tar` or `.safetensors`).
-
-    The options are what the file does not contain; see `VqVaeConfig`. The defaults are the published models' values.
 
     Args:
         path: The file.
-        dilation_growth: Ratio of the dilations of neighboring units.
-        activation: Activation inside the residual units.
-        norm: By default what the file has. `LN` and `GN` have the same tensors; the default is then `LN`.
-        quantizer: How the codebook learns; by default `orig` or `ema_reset`, by the name of the codebook's tensor.
-        ema_decay: Share of the old codebook statistics that a training step keeps.
-        reset_threshold: A code is replaced in training if its averaged number of hits per batch is below this.
+        **options: Fields of `VqVaeConfig` that the file does not contain: `dilation_growth`, `activation`, `ema_decay`,
+            `reset_threshold`, and `norm` and `quantizer`, of which it contains a part. The defaults are the published
+            models' values; by default, `norm` is what the file has, or `LN` for the tensors of `LN` and `GN`, and
+            `quantizer` is `orig` or `ema_reset`, by the name of the codebook's tensor.
 
     Raises:
         UserError: The file is damaged or is not a VQ-VAE, or a key is missing, unknown, of another shape or not finite.
@@ -104,9 +89,8 @@ def load_vqvae(
     num_codes, code_dim = _shape(path, state, codebook if is_orig else "vqvae.quantizer.codebook", axes=2)
     # Only batch norms have running means. Layer and group norms cannot be told apart by names and shapes.
     first_norm = "vqvae.encoder.model.2.1.model.0.norm1"
-    default_norm = (
-        "BN" if f"{first_norm}.running_mean" in state else "LN" if f"{first_norm}.weight" in state else "none"
-    )
+    norm = "BN" if f"{first_norm}.running_mean" in state else "LN" if f"{first_norm}.weight" in state else "none"
+    found = {"norm": norm, "quantizer": "orig" if is_orig else "ema_reset"}
     config = _config(
         path,
         VqVaeConfig,
@@ -117,16 +101,10 @@ def load_vqvae(
         # Numbers 0 and 1 are the first convolution and its activation.
         num_stages=_count(state, "vqvae.encoder.model.{}.0.weight", first=2),
         depth=_count(state, "vqvae.encoder.model.2.1.model.{}.conv1.weight"),
-        dilation_growth=dilation_growth,
-        activation=activation,
-        norm=norm or default_norm,
-        quantizer=quantizer or ("orig" if is_orig else "ema_reset"),
-        ema_decay=ema_decay,
-        reset_threshold=reset_threshold,
+        **found | {name: value for name, value in options.items() if value is not None},
     )
-    return config, vqvae_variables(
-        _fit(path, state, names.vqvae_weights(config), names.vqvae_constant_shapes(config)), config
-    )
+    constants = names.vqvae_constant_shapes(config)
+    return config, vqvae_variables(_fit(path, state, names.vqvae_weights(config), constants), config)
 
 
 def load_gpt(path: str | Path, *, num_heads: int = 16) -> tuple[MotionGptConfig, dict[str, Any]]:
