@@ -3,6 +3,7 @@
 Only files with known names are downloaded, and none of them can run code.
 """
 
+import importlib.resources
 from pathlib import Path
 from textwrap import shorten
 from typing import NamedTuple
@@ -11,6 +12,9 @@ import platformdirs
 
 from t2m_jax.checkpoints.hub import HubName, hub_snapshot, parse_hub_name
 from t2m_jax.errors import UserError
+
+PACKAGED_ENCODERS = ("minilm",)
+"""Names of the sentence encoders that are part of the package."""
 
 
 class EncoderFiles(NamedTuple):
@@ -33,12 +37,15 @@ class EncoderFiles(NamedTuple):
 def find_encoder(name_or_folder: str | Path, files: EncoderFiles) -> Path:
     """Returns the folder of a text encoder.
 
-    The first of these is used: the folder with this path; the user's copy in `user_folder`; the hub's cache on this
-    machine; a download from the hub. A name may end with a revision: `owner/name@revision`.
+    The first of these is used: a sentence encoder of the package; the folder with this path; the user's copy in
+    `user_folder`; the hub's cache on this machine; a download from the hub. A name may end with a revision:
+    `owner/name@revision`.
 
     Raises:
         UserError: There is no such folder, and the hub name cannot be downloaded.
     """
+    if str(name_or_folder) in PACKAGED_ENCODERS and files.kind == "sentence":
+        return Path(str(importlib.resources.files("t2m_jax") / "encoders" / str(name_or_folder)))
     if Path(name_or_folder).is_dir():
         return Path(name_or_folder)
     name = str(name_or_folder)

@@ -12,6 +12,30 @@ from tokenizers import Tokenizer
 from t2m_jax.errors import UserError
 from t2m_jax.files.arrays import fit_arrays
 
+SCALE = ".scale"
+"""Ends the name of the scales of a matrix that is stored in 8 bits."""
+
+
+def restore_rows(path: Path, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Returns arrays in which each matrix of 8 bits is multiplied by its scales, as float32.
+
+    A matrix [R, C] has scales [R, G], each for C / G numbers of a row.
+
+    Raises:
+        UserError: A matrix has no scales that fit.
+    """
+    restored = {name: array for name, array in arrays.items() if not name.endswith(SCALE)}
+    for name, array in list(restored.items()):
+        if array.dtype != np.int8:
+            continue
+        scales = arrays.get(name + SCALE, np.zeros(0))
+        fits = array.ndim == scales.ndim == 2 and len(array) == len(scales) and scales.size
+        if not fits or array.shape[1] % scales.shape[1]:
+            raise UserError(f"{path}: array {name[:80]!r} has 8 bits, but no scales that fit its rows")
+        parts = array.reshape(*scales.shape, -1) * scales[:, :, None].astype(np.float32)
+        restored[name] = parts.reshape(array.shape)
+    return restored
+
 
 def params_from_torch(
     path: Path,

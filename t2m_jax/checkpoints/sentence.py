@@ -10,11 +10,12 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import traverse_util
 from tokenizers import Tokenizer, normalizers
 
 from t2m_jax.checkpoints.encoder_files import EncoderFiles, find_encoder
-from t2m_jax.checkpoints.pretrained import check_vocabulary, encoder_fingerprint, params_from_torch
+from t2m_jax.checkpoints.pretrained import check_vocabulary, encoder_fingerprint, params_from_torch, restore_rows
 from t2m_jax.config import config_from_dict
 from t2m_jax.errors import UserError
 from t2m_jax.files.arrays import read_arrays
@@ -235,14 +236,19 @@ def load_sentence_tokenizer(folder: Path, config: SentenceEncoderConfig) -> Toke
     return tokenizer
 
 
+def used_arrays(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Returns the arrays of a file that are weights of the encoder, by their names in a file of the encoder alone."""
+    # Files of a network with a head for another task have its family's name before the names of the encoder.
+    named = {re.sub(r"^(bert|roberta|mpnet)\.", "", key): array for key, array in arrays.items()}
+    # Some files have numbers of positions and of kinds, which are not weights.
+    return {
+        key: a for key, a in named.items() if key.startswith(("embeddings.", "encoder.")) and not key.endswith("_ids")
+    }
+
+
 def _load_params(path: Path, config: SentenceEncoderConfig) -> dict[str, Any]:
     """Returns the parameters of `SentenceEncoder`. What other uses of the network need is not read."""
-    # Files of a network with a head for another task have its family's name before the names of the encoder.
-    arrays = {re.sub(r"^(bert|roberta|mpnet)\.", "", key): array for key, array in read_arrays(path).items()}
-    # Some files have numbers of positions and of kinds, which are not weights.
-    used = {
-        key: a for key, a in arrays.items() if key.startswith(("embeddings.", "encoder.")) and not key.endswith("_ids")
-    }
+    used = restore_rows(path, used_arrays(read_arrays(path)))
     names = _NAMES | _MPNET_NAMES if config.num_buckets else _NAMES
 
     def key_from_path(path: tuple[str, ...]) -> str:

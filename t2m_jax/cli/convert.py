@@ -6,6 +6,8 @@ An evaluator from the files of text-to-motion:
   t2m convert official --evaluator FILE --mean FILE --std FILE --words FILE --word-vectors FILE DIR
 Any T2M-GPT of ours as files for the original code:
   t2m convert official --export-official MODEL DIR
+A small copy of a sentence encoder, with English words and 8 bits for each weight:
+  t2m convert sentence --encoder NAME_OR_FOLDER DIR
 """
 
 import argparse
@@ -24,7 +26,8 @@ _EVALUATOR_FILES = ("evaluator", "mean", "std", "words", "word_vectors")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the options of the command."""
-    parser.add_argument("source", choices=["official"], help="whose files: the original PyTorch code's")
+    kinds = "what is converted: files of the original PyTorch code, or a sentence encoder"
+    parser.add_argument("source", choices=["official", "sentence"], help=kinds)
     parser.add_argument("destination", type=Path, metavar="DIR", help="folder to write")
     files = {
         "vqvae": "VQ-VAE (.pth, .tar or .safetensors)",
@@ -37,6 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     }
     for name, help_ in files.items():
         parser.add_argument(option_of(name), type=Path, metavar="FILE", help=help_)
+    parser.add_argument("--encoder", metavar="NAME_OR_FOLDER", help="sentence encoder of which to make a small copy")
     parser.add_argument("--num-heads", type=int, default=16, help="attention heads of the GPT (default: %(default)s)")
     vqvae = parser.add_argument_group("options of the VQ-VAE that its file does not contain")
     vqvae.add_argument("--dilation-growth", type=int, default=3, help="ratio of dilations (default: %(default)s)")
@@ -57,7 +61,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Writes the folder, and prints its name and the next command."""
     folder = shlex.quote(f"{args.destination}")
-    if args.export_official is not None:
+    if args.source == "sentence" or args.encoder is not None:
+        _convert_sentence_encoder(args)
+        following = f"t2m train gpt CONFIG --text_encoder sentence_states --sentence {folder}"
+    elif args.export_official is not None:
         _check_files(args, "--export-official", ())
         _export(args)
         following = f"load the files of {folder} with the original code"
@@ -115,6 +122,17 @@ def _convert_model(args: argparse.Namespace) -> None:
     card = official_card(files, bundle) if args.card is None else load_text(args.card)
     # Weights keep 32 bits, so that results are those of the original files.
     save_bundle(args.destination, bundle, card=card, half=False, encoder=clip)
+
+
+def _convert_sentence_encoder(args: argparse.Namespace) -> None:
+    from t2m_jax.checkpoints.compact import save_compact_encoder
+    from t2m_jax.checkpoints.encoder_files import find_encoder
+    from t2m_jax.checkpoints.sentence import SENTENCE_FILES
+
+    _check_files(args, "a sentence encoder", ())
+    if args.source != "sentence" or args.encoder is None:
+        raise UserError("convert: give both, `t2m convert sentence --encoder NAME_OR_FOLDER DIR`")
+    save_compact_encoder(args.destination, find_encoder(args.encoder, SENTENCE_FILES))
 
 
 def _convert_evaluator(args: argparse.Namespace) -> None:
