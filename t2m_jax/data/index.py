@@ -56,6 +56,14 @@ def label_actions(label: str) -> tuple[str, ...]:
     return tuple(_COUNT.sub("", action) for action in label.partition(",")[0].split(" + "))
 
 
+def action_of(label: str) -> str:
+    """Returns the action of a label; of several actions, how many there are, in turn or at once."""
+    actions = label_actions(label)
+    if len(actions) == 1:
+        return actions[0]
+    return f"{len(actions)} actions {'at once' if label.endswith(', at once') else 'in turn'}"
+
+
 class ClipIndex(NamedTuple):
     """Recordings and labels by clip name. Mirrored twins need no entry: theirs follow from the original."""
 

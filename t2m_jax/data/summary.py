@@ -10,7 +10,7 @@ import numpy as np
 
 from t2m_jax.data.banks.captions import all_tokens
 from t2m_jax.data.folder import Clip, Dataset
-from t2m_jax.data.index import label_actions, load_index
+from t2m_jax.data.index import action_of, label_actions, load_index
 from t2m_jax.files.writing import save_json
 from t2m_jax.text.coverage import count_actions
 
@@ -61,12 +61,11 @@ def _some_captions(clips: Sequence[Clip]) -> tuple[str, ...]:
 
 def _action(label: str) -> str:
     """Returns a label, or for one such as `walk + wave`, of which there are hundreds, how many actions it has."""
-    actions = label_actions(label)
-    if len(actions) > 1:
-        return f"{len(actions)} actions {'at once' if label.endswith(', at once') else 'in turn'}"
+    if len(label_actions(label)) > 1:
+        return action_of(label)
     # Numbers of times and of seconds are not of interest here.
     if " x " in label:
-        return f"{actions[0]}, repeated"
+        return f"{action_of(label)}, repeated"
     return re.sub(r", \d+ s$", ", for some seconds", label)
 
 

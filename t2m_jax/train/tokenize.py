@@ -2,12 +2,13 @@
 
 import logging
 import zlib
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.data.banks.codes import Captions, CodeBank
@@ -33,6 +34,8 @@ class CodedMotion(NamedTuple):
 
     variants: tuple[Int[np.ndarray, "_ R"], ...]
     captions: tuple[Caption, ...]
+    clip: str = ""
+    """Name of the clip that it is, or is a part of."""
 
 
 def check_tokenizer(tokenizer: TrainedTokenizer, dataset: Dataset, *, may_differ: bool) -> None:
@@ -98,10 +101,11 @@ def encode_clips(
     if long_clips == "windows":
         clips = [window for clip in clips for window in cut_windows(clip, info)]
     if timed_captions == "encode":
-        pieces = [piece for clip in clips for piece in samples_from_clip(clip, info)]
+        found = [(clip.name, piece) for clip in clips for piece in samples_from_clip(clip, info)]
     else:
-        pieces = [clip for clip in clips if info.fits(len(clip.features))]
-    pieces = [piece for piece in pieces if len(piece.features) >= shortest]
+        found = [(clip.name, clip) for clip in clips if info.fits(len(clip.features))]
+    found = [(name, piece) for name, piece in found if len(piece.features) >= shortest]
+    pieces = [piece for _, piece in found]
     left_out = len({clip.name for clip in clips} - {piece.name for piece in pieces})
     if left_out:
         limits = f"shorter than {info.min_frames} or longer than {info.max_frames + 3} frames, or no caption for it all"
@@ -111,9 +115,10 @@ def encode_clips(
     # All at once, in large batches: this takes most of the time before a generator's first update.
     codes = iter(encode_motions(tokenizer, shifted))
     motions = []
-    for piece, frames in zip(pieces, starts, strict=True):
+    for (name, piece), frames in zip(found, starts, strict=True):
         variants = tuple(next(codes) for _ in frames)
-        motions += split_by_captions(variants, piece.captions, codes_per_second=info.fps / downsample)
+        parts = split_by_captions(variants, piece.captions, codes_per_second=info.fps / downsample)
+        motions += [part._replace(clip=name) for part in parts]
     if not motions:
         raise UserError(
             f"{info.name}: no motion with a caption to train on; the split is empty or every clip was left out (see "
@@ -166,7 +171,26 @@ def split_by_captions(
     return motions
 
 
-def make_code_bank(motions: Sequence[CodedMotion], read: Callable[[Sequence[str]], Captions]) -> CodeBank:
+def balanced_shares(labels: Sequence[str], *, power: float, limit: float) -> Float[np.ndarray, " M"]:
+    """Returns the shares of motions in the draws of training, each with those of the motions before it.
+
+    Args:
+        labels: Of each motion.
+        power: The weight of a motion is the number of motions with its label to the power of minus this.
+        limit: Largest weight, as a multiple of the mean.
+    """
+    counts = Counter(labels)
+    weights = np.array([float(counts[label]) ** -power for label in labels])
+    weights = np.minimum(weights, limit * weights.mean())
+    return (np.cumsum(weights) / weights.sum()).astype(np.float32)
+
+
+def make_code_bank(
+    motions: Sequence[CodedMotion],
+    read: Callable[[Sequence[str]], Captions],
+    *,
+    shares: Float[np.ndarray, " M"] | None = None,
+) -> CodeBank:
     """Returns coded motions as NumPy arrays; `read` turns all captions into the input of the text encoder."""
     lengths = np.array([[len(codes) for codes in motion.variants] for motion in motions], np.int32)
     codes = np.zeros((*lengths.shape, int(lengths.max()), motions[0].variants[0].shape[1]), np.int32)
@@ -177,4 +201,4 @@ def make_code_bank(motions: Sequence[CodedMotion], read: Callable[[Sequence[str]
     captions = read([caption.text for motion in motions for caption in motion.captions])
     # The captions of motion m are those from `first[m]` on, `counts[m]` of them.
     first = np.cumsum(counts, dtype=np.int32) - counts
-    return CodeBank(codes, lengths, jax.tree.map(np.asarray, captions), first, counts)
+    return CodeBank(codes, lengths, jax.tree.map(np.asarray, captions), first, counts, shares)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from t2m_jax.data.index import IndexEntry, load_index, save_index
+from t2m_jax.data.index import IndexEntry, action_of, load_index, save_index
 from t2m_jax.errors import UserError
 
 
@@ -25,6 +25,12 @@ def test_the_table_of_humanml3d_is_read_as_it_is(tmp_path):
     (tmp_path / "index.csv").write_text(header + "./pose_data/KIT/3/kick_poses.npy,0,117,000000.npy\n")
     index = load_index(tmp_path)
     assert index.source("M000000") == "./pose_data/KIT/3/kick_poses.npy" and not index.labels
+
+
+def test_a_label_has_one_action_or_a_number_of_them():
+    labels = ["walk", "walk, happy", "walk, 5 s", "jump x 3", "walk + wave + bow", "walk + clap, at once"]
+    expected = ["walk", "walk", "walk", "jump", "3 actions in turn", "2 actions at once"]
+    assert [action_of(label) for label in labels] == expected
 
 
 def test_no_table_is_no_index(tmp_path):

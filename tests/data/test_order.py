@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.data.banks.order import batch_items, draw_below, row_keys, shuffled, split_each
+from t2m_jax.data.banks.order import batch_items, draw_below, row_keys, shared_items, shuffled, split_each
 from tests.jit import assert_jit_equals_eager
 
 order_at = jax.jit(shuffled, static_argnames="size")
@@ -71,6 +71,25 @@ def test_steps_walk_through_epochs_and_drop_the_rest():
 def test_a_small_data_set_fills_the_batch_by_repeating():
     items = np.asarray(batch_items(jax.random.key(1), 7, jnp.arange(8), num_items=3, batch_size=8))
     assert np.bincount(items, minlength=3).tolist() in ([3, 3, 2], [3, 2, 3], [2, 3, 3])
+
+
+def test_items_come_as_often_as_their_shares_say():
+    weights = np.array([0.5, 2.25, 1.0, 0.25, 1.0])
+    shares = jnp.asarray(np.cumsum(weights) / weights.sum(), jnp.float32)
+    items_at = jax.jit(functools.partial(shared_items, jax.random.key(2), shares=shares, batch_size=5))
+    epochs = np.stack([np.bincount(items_at(step, jnp.arange(5)), minlength=5) for step in range(400)])
+    # In each epoch nearly as often, and on average exactly.
+    assert (np.abs(epochs - weights) < 1).all() and len(np.unique(epochs, axis=0)) > 2
+    np.testing.assert_allclose(epochs.mean(axis=0), weights, atol=0.1)
+
+
+def test_shared_items_are_a_function_of_key_step_and_row():
+    shares = jnp.linspace(0.0, 1.0, 12)[1:] ** 2
+    items_at = functools.partial(shared_items, jax.random.key(5), 6, shares=shares, batch_size=8)
+    whole = items_at(jnp.arange(8))
+    for rows in ([0, 1, 2, 3], [6], [7, 0, 3]):
+        np.testing.assert_array_equal(items_at(jnp.array(rows)), whole[jnp.array(rows)])
+    assert not np.array_equal(whole, shared_items(jax.random.key(6), 6, jnp.arange(8), shares, batch_size=8))
 
 
 @pytest.mark.parametrize("num_items", [3, 11, 64])

@@ -18,7 +18,7 @@ from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.text.bpe import tokenize_captions, train_bpe
 from t2m_jax.train import tokenize as train_tokenize
 from t2m_jax.train.gpt import targets_from_codes, training_batch
-from t2m_jax.train.tokenize import encode_clips, make_code_bank
+from t2m_jax.train.tokenize import balanced_shares, encode_clips, make_code_bank
 from tests.tiny import CAPTIONS, LOOP, VQVAE, gpt_training, random_variables
 
 INFO = DatasetInfo(name="fake", min_frames=40, max_frames=196)
@@ -175,3 +175,23 @@ def test_windows_cover_a_clip_and_lose_captions_with_times():
     assert {window.captions for window in windows} == {(Caption("walks on"),)}
     assert train_tokenize.cut_windows(CLIPS[0], INFO) == [CLIPS[0]]
     assert train_tokenize.cut_windows(clip("tiny", 3), INFO)[0].name == "tiny"
+
+
+def test_parts_know_their_clip(first_frames, vqvae):
+    assert [motion.clip for motion in coded(vqvae, CLIPS[:3])] == ["whole", "both", "both", "both", "parts"]
+
+
+def test_shares_balance_labels():
+    labels = ["walk"] * 8 + ["wave"] * 2 + ["jump"]
+
+    def weight_of_labels(**options):
+        weights = np.diff(balanced_shares(labels, **options), prepend=0)
+        return [weights[:8].sum(), weights[8:10].sum(), weights[10]]
+
+    np.testing.assert_allclose(weight_of_labels(power=1.0, limit=100.0), [1 / 3, 1 / 3, 1 / 3], rtol=1e-5)
+    roots = np.sqrt([8, 2, 1])
+    np.testing.assert_allclose(weight_of_labels(power=0.5, limit=100.0), roots / roots.sum(), rtol=1e-5)
+    # A motion has 1.5 times the mean weight at most, before weights are made shares again.
+    weights = np.array([1 / 8, 1.5 * 3 / 11, 1.5 * 3 / 11])
+    expected = weights * [8, 2, 1] / (weights @ [8, 2, 1])
+    np.testing.assert_allclose(weight_of_labels(power=1.0, limit=1.5), expected, rtol=1e-5)

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int, Key, UInt32
+from jaxtyping import Array, Float, Int, Key, UInt32
 
 AnyArray: TypeAlias = Array | np.ndarray
 """An array of a bank: on the host, and on devices during training."""
@@ -78,6 +78,34 @@ def batch_items(
     first = (step % steps_per_epoch) * batch_size
     # The remainder differs only if the data are smaller than a batch.
     return shuffled((first + rows) % num_items, jax.random.fold_in(key, epoch), size=num_items)
+
+
+def shared_items(
+    key: Key[Array, ""],
+    step: Int[Array, ""] | int,
+    rows: Int[Array, " B"],
+    shares: Float[AnyArray, " M"],
+    *,
+    batch_size: int,
+) -> Int[Array, " B"]:
+    """Returns the items of some rows of a step, each as often as its share says (see `batch_items`).
+
+    An epoch has as many draws as there are items. An item whose share is 2.3 of them comes two or three times.
+
+    Args:
+        key: Key of the run's data order. It is not consumed.
+        step: Number of the step.
+        rows: Numbers of rows in the global batch.
+        shares: Of the items up to each one; the last is 1.
+        batch_size: Rows of the global batch.
+    """
+    num_items = shares.shape[0]
+    order_key, start_key = jax.random.split(key)
+    places = batch_items(order_key, step, rows, num_items=num_items, batch_size=batch_size)
+    # Systematic sampling: points at equal distances, from a start that is drawn for each epoch.
+    start = jax.random.uniform(jax.random.fold_in(start_key, step // max(num_items // batch_size, 1)))
+    points = (places + start) / num_items
+    return jnp.minimum(jnp.searchsorted(shares, points, side="right"), num_items - 1).astype(jnp.int32)
 
 
 def row_keys(key: Key[Array, ""], step: Int[Array, ""] | int, rows: Int[Array, " B"]) -> Key[Array, " B"]:
