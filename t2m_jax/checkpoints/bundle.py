@@ -8,18 +8,18 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 from flax import traverse_util
 from tokenizers import Tokenizer
 
 from t2m_jax.checkpoints.derived import add_derived, drop_derived
 from t2m_jax.checkpoints.run import DATA_FILE, run_config_text
 from t2m_jax.checkpoints.text_encoder import (
-    ClipReference,
     PretrainedEncoder,
-    Reference,
-    SentenceReference,
+    find_text_encoder_config,
+    pretrained_reference,
     save_pretrained,
+    trained_network,
+    with_encoder_name,
 )
 from t2m_jax.config import Tagged, load_versioned, save_config
 from t2m_jax.errors import UserError
@@ -27,7 +27,7 @@ from t2m_jax.files.arrays import fingerprint, fit_arrays, read_arrays, save_arra
 from t2m_jax.files.manifest import check_folder, has_manifest, write_manifest
 from t2m_jax.files.reading import load_json, load_text
 from t2m_jax.files.writing import atomic_folder, save_json, save_text
-from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
+from t2m_jax.models.caption_encoder import CaptionEncoderConfig, init_network
 from t2m_jax.models.system import find_generator_config, find_tokenizer_config, variable_shapes
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
 from t2m_jax.motion.skeleton import skeleton_from_name
@@ -44,18 +44,6 @@ BUNDLED = ("demo", "demo-t2m-gpt")
 """Names of the bundles that are part of the package."""
 
 
-def find_text_encoder_config(kind: str) -> type:
-    """Returns the config class of a kind of text encoder.
-
-    Raises:
-        UserError: The kind is unknown.
-    """
-    schemas = {schema.kind: schema for schema in (CaptionEncoderConfig, ClipReference, SentenceReference)}
-    if kind not in schemas:
-        raise UserError(f"{kind!r} is not a text encoder; known: {', '.join(schemas)}")
-    return schemas[kind]
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class BundleConfig:
     """The parts of a model; the `kind` of each section names its type."""
@@ -69,7 +57,7 @@ class BundleConfig:
     generator: Annotated[Any, Tagged(find_generator_config)]
     """Sizes of the generator."""
     text_encoder: Annotated[Any, Tagged(find_text_encoder_config)] = CaptionEncoderConfig()
-    """Sizes of the caption encoder, or the name of a pretrained encoder."""
+    """Sizes of the network that is trained with the generator, and the name of a pretrained encoder; one or both."""
 
     def __post_init__(self) -> None:
         fits = [
@@ -77,8 +65,8 @@ class BundleConfig:
             ("generator.num_codes", self.generator.num_codes, self.tokenizer.num_codes),
             ("generator.num_quantizers", self.generator.num_quantizers, self.tokenizer.num_quantizers),
         ]
-        if isinstance(self.text_encoder, CaptionEncoderConfig):
-            fits.append(("generator.text_dim", self.generator.text_dim, self.text_encoder.text_dim))
+        if (network := trained_network(self.text_encoder)) is not None:
+            fits.append(("generator.text_dim", self.generator.text_dim, network.text_dim))
         for name, found, wanted in fits:
             if found != wanted:
                 raise ValueError(f"{name} is {found}, but the other parts need {wanted}")
@@ -89,10 +77,10 @@ class Bundle(NamedTuple):
 
     config: BundleConfig
     variables: dict[str, Any]
-    """The collections of `tokenizer`, `generator` and, if it was trained with the model, `text_encoder`."""
+    """The collections of `tokenizer`, `generator` and, if a part of it was trained, `text_encoder`."""
     normalizer: Normalizer
     bpe: Tokenizer | None
-    """Subwords of the caption encoder; None with a pretrained encoder."""
+    """Subwords of the caption encoder; None if the model has none."""
     training_data: dict[str, Any] | None = None
     """What the model was trained on: words, actions and their numbers of clips; None if it is not recorded."""
     card: str = ""
@@ -138,8 +126,8 @@ def load_bundle_config(folder: Path) -> BundleConfig:
 def part_kinds(config: BundleConfig) -> dict[str, str]:
     """Returns the kind of each part that has weights, by role; files name the weights of a part by its kind."""
     kinds = {"tokenizer": config.tokenizer.kind, "generator": config.generator.kind}
-    if isinstance(config.text_encoder, CaptionEncoderConfig):
-        kinds["text_encoder"] = config.text_encoder.kind
+    if (network := trained_network(config.text_encoder)) is not None:
+        kinds["text_encoder"] = network.kind
     return kinds
 
 
@@ -147,12 +135,8 @@ def expected_variables(config: BundleConfig) -> dict[str, Any]:
     """Returns the shapes of all variables of a model by role."""
     # Shapes only: a hostile config may ask for more memory than there is, before its weights are seen not to fit.
     shapes = {"tokenizer": variable_shapes(config.tokenizer), "generator": variable_shapes(config.generator)}
-    if isinstance(config.text_encoder, CaptionEncoderConfig):
-        module = CaptionEncoder(config.text_encoder)
-        tokens = jnp.zeros((1, config.text_encoder.max_length), jnp.int32)
-        shapes["text_encoder"] = jax.eval_shape(
-            lambda: module.init(jax.random.key(0), tokens, jnp.ones(tokens.shape, bool), train=False)
-        )
+    if (network := trained_network(config.text_encoder)) is not None:
+        shapes["text_encoder"] = jax.eval_shape(lambda: init_network(network, jax.random.key(0)))
     return shapes
 
 
@@ -178,8 +162,9 @@ def load_bundle(path: Path) -> Bundle:
     normalizer = load_normalizer(path)
     check_statistics_width(path, normalizer, config.tokenizer.feature_dim)
     # The copy in the bundle comes first, so that the model needs no network and no hub name that still exists.
-    if isinstance(config.text_encoder, Reference) and (included := path / config.text_encoder.kind).is_dir():
-        config = dataclasses.replace(config, text_encoder=dataclasses.replace(config.text_encoder, name=str(included)))
+    reference = pretrained_reference(config.text_encoder)
+    if reference is not None and (included := path / reference.kind).is_dir():
+        config = dataclasses.replace(config, text_encoder=with_encoder_name(config.text_encoder, str(included)))
     data = load_training_data(path)
     variables = {role: arrays[kind] for role, kind in kinds.items()}
     card = load_text(path / CARD_FILE) if (path / CARD_FILE).is_file() else ""
@@ -215,7 +200,7 @@ def check_statistics_width(path: Path, normalizer: Normalizer, feature_dim: int)
 
 
 def load_text_tokenizer(path: Path, config: BundleConfig) -> Tokenizer | None:
-    """Returns the subwords of a model's caption encoder, None with a pretrained encoder.
+    """Returns the subwords of a model's caption encoder, None if it has none.
 
     Raises:
         UserError: The file is missing or damaged, or has more tokens than the caption encoder.
@@ -260,8 +245,9 @@ def write_bundle(
         save_bpe(folder, bundle.bpe)
     if bundle.training_data is not None:
         save_json(folder / DATA_FILE, bundle.training_data)
-    if encoder is not None:
-        save_pretrained(folder / bundle.config.text_encoder.kind, encoder)
+    reference = pretrained_reference(bundle.config.text_encoder)
+    if encoder is not None and reference is not None:
+        save_pretrained(folder / reference.kind, encoder)
     # The manifest is last, because it lists all files that are there.
     save_text(folder / CARD_FILE, card)
     write_manifest(folder)

@@ -1,13 +1,18 @@
-"""Which pretrained encoder reads the captions of a model: found by its name, compared, and copied into bundles."""
+"""What reads the captions of a model: a pretrained encoder, a network that is trained with the generator, or both.
+
+A pretrained encoder is found by its name, compared, and copied into bundles.
+"""
 
 import dataclasses
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from t2m_jax.checkpoints.clip import TrainedClip, load_clip, save_clip
+from t2m_jax.checkpoints.encoder_files import PACKAGED_ENCODERS
 from t2m_jax.checkpoints.sentence import TrainedSentenceEncoder, load_sentence_encoder, save_sentence_encoder
 from t2m_jax.errors import UserError
 from t2m_jax.files.arrays import fingerprint
+from t2m_jax.models.caption_encoder import CaptionEncoderConfig, NetworkConfig, StateEncoderConfig
 
 CLIP_NAME = "openai/clip-vit-base-patch32"
 """The CLIP of T2M-GPT on the Hugging Face hub."""
@@ -45,6 +50,61 @@ class SentenceReference:
 
 
 Reference = ClipReference | SentenceReference
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SentenceStatesConfig:
+    """A sentence encoder that is not trained with a model, and a network that is, which reads its token states."""
+
+    kind: ClassVar[str] = "sentence_states"
+
+    encoder: SentenceReference = SentenceReference(name=PACKAGED_ENCODERS[0])
+    """The sentence encoder."""
+    network: StateEncoderConfig = StateEncoderConfig()
+    """Sizes of the network."""
+
+
+TextEncoderConfig = CaptionEncoderConfig | Reference | SentenceStatesConfig
+"""The section `text_encoder` of a model's config."""
+
+
+def find_text_encoder_config(kind: str) -> type:
+    """Returns the config class of a kind of text encoder.
+
+    Raises:
+        UserError: The kind is unknown.
+    """
+    known = (CaptionEncoderConfig, ClipReference, SentenceReference, SentenceStatesConfig)
+    schemas: dict[str, type] = {schema.kind: schema for schema in known}
+    if kind not in schemas:
+        raise UserError(f"{kind!r} is not a text encoder; known: {', '.join(schemas)}")
+    return schemas[kind]
+
+
+def trained_network(config: TextEncoderConfig) -> NetworkConfig | None:
+    """Returns the sizes of the network that is trained with the generator, None if there is none."""
+    if isinstance(config, SentenceStatesConfig):
+        return config.network
+    return config if isinstance(config, CaptionEncoderConfig) else None
+
+
+def pretrained_reference(config: TextEncoderConfig) -> Reference | None:
+    """Returns which encoder is not trained, None if there is none."""
+    if isinstance(config, SentenceStatesConfig):
+        return config.encoder
+    return config if isinstance(config, Reference) else None
+
+
+def with_encoder_name(config: Any, name: str) -> Any:
+    """Returns the config of a text encoder whose pretrained encoder is found by another name."""
+    if isinstance(config, SentenceStatesConfig):
+        return dataclasses.replace(config, encoder=dataclasses.replace(config.encoder, name=name))
+    return dataclasses.replace(config, name=name)
+
+
+def is_packaged(reference: Reference) -> bool:
+    """Returns whether an encoder is part of the package. Models do not contain a copy of it."""
+    return isinstance(reference, SentenceReference) and reference.name in PACKAGED_ENCODERS
 
 
 def encoder_identity(encoder: PretrainedEncoder) -> str:

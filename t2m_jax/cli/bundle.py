@@ -58,7 +58,7 @@ def _pack(args: argparse.Namespace, runs: list[str], destination: Path, name: "H
     from t2m_jax.checkpoints.hub_models import check_shareable
     from t2m_jax.checkpoints.model import load_runs
     from t2m_jax.checkpoints.official import export_official
-    from t2m_jax.checkpoints.text_encoder import Reference, load_pretrained
+    from t2m_jax.checkpoints.text_encoder import is_packaged, load_pretrained, pretrained_reference
     from t2m_jax.files.reading import load_text
     from t2m_jax.files.writing import atomic_folder
 
@@ -66,8 +66,8 @@ def _pack(args: argparse.Namespace, runs: list[str], destination: Path, name: "H
     with atomic_folder(destination) as folder:
         run_folder, bundle = load_runs([Path(path) for path in runs])
         card = load_text(Path(args.card)) if args.card else default_card(run_folder)
-        text_encoder = bundle.config.text_encoder
-        encoder = load_pretrained(text_encoder) if isinstance(text_encoder, Reference) else None
+        reference = pretrained_reference(bundle.config.text_encoder)
+        encoder = None if reference is None or is_packaged(reference) else load_pretrained(reference)
         write_bundle(folder, bundle, card=card, encoder=encoder)
         if name is not None:
             try:

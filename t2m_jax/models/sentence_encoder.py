@@ -117,9 +117,13 @@ class SentenceEncoder(nn.Module):
 
     config: SentenceEncoderConfig
 
-    @nn.compact
     def __call__(self, caption_tokens: Int[Array, "B S"], caption_mask: Bool[Array, "B S"]) -> Float[Array, "B E"]:
         """Returns the text embedding. Tokens where the mask is False have no influence."""
+        return self._pool(self.states(caption_tokens, caption_mask), caption_mask)
+
+    @nn.compact
+    def states(self, caption_tokens: Int[Array, "B S"], caption_mask: Bool[Array, "B S"]) -> Float[Array, "B S W"]:
+        """Returns the state of each token, which depends on all tokens of its caption."""
         chex.assert_rank(caption_tokens, 2)
         chex.assert_equal_shape([caption_tokens, caption_mask])
         config = self.config
@@ -142,7 +146,7 @@ class SentenceEncoder(nn.Module):
         hidden = layer_norm(config, "embedding_norm")(hidden)
         for layer in range(config.num_layers):
             hidden = SentenceBlock(config, name=f"block_{layer}")(hidden, caption_mask[:, None, None, :], bias)
-        return self._pool(hidden, caption_mask)
+        return hidden
 
     def _pool(self, hidden: Float[Array, "B S W"], mask: Bool[Array, "B S"]) -> Float[Array, "B E"]:
         # A caption of no tokens has an embedding of zeros and not NaN.

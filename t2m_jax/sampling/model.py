@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from t2m_jax.checkpoints.bundle import Bundle
-from t2m_jax.checkpoints.text_encoder import Reference
+from t2m_jax.checkpoints.text_encoder import pretrained_reference, with_encoder_name
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.devices import put_everywhere, put_rows
 from t2m_jax.errors import UserError
@@ -73,8 +73,9 @@ class ModelParts:
         """Identifies the model: a digest of sizes, weights, statistics and subwords."""
         config = self.config
         encoder = getattr(self.text_encoder, "fingerprint", None)
-        if encoder is not None and isinstance(config.text_encoder, Reference):  # where the encoder is does not matter
-            config = dataclasses.replace(config, text_encoder=dataclasses.replace(config.text_encoder, name=encoder))
+        # Where the encoder is does not matter.
+        if encoder is not None and pretrained_reference(config.text_encoder) is not None:
+            config = dataclasses.replace(config, text_encoder=with_encoder_name(config.text_encoder, encoder))
         return Bundle(config, self.variables, self._normalizer, self._bpe).fingerprint
 
     @property

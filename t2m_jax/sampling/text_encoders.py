@@ -1,7 +1,7 @@
-"""The text encoder of a model: the caption encoder that was trained with its generator, or a pretrained encoder."""
+"""The text encoder of a model: a network that was trained with its generator, a pretrained encoder, or both."""
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import jax
@@ -9,12 +9,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from tokenizers import Tokenizer
+from tqdm import tqdm
 
 from t2m_jax.checkpoints.bundle import Bundle
 from t2m_jax.checkpoints.clip import TrainedClip
 from t2m_jax.checkpoints.sentence import TrainedSentenceEncoder
-from t2m_jax.checkpoints.text_encoder import PretrainedEncoder, load_pretrained
-from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
+from t2m_jax.checkpoints.text_encoder import (
+    PretrainedEncoder,
+    SentenceReference,
+    SentenceStatesConfig,
+    is_packaged,
+    load_pretrained,
+)
+from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig, StateEncoder, StateEncoderConfig
 from t2m_jax.models.clip_text import ClipText, ClipTextConfig
 from t2m_jax.models.sentence_encoder import SentenceEncoder, SentenceEncoderConfig
 from t2m_jax.sampling.batches import fill_up, padded_batch_size
@@ -74,6 +81,103 @@ def encode_sentence_tokens(
     return SentenceEncoder(config).apply(variables, caption_tokens, caption_mask)
 
 
+@functools.partial(jax.jit, static_argnames="config")
+def sentence_states(
+    variables: Any,
+    caption_tokens: Int[Array, "B S"],
+    caption_mask: Bool[Array, "B S"],
+    *,
+    config: SentenceEncoderConfig,
+) -> Float[Array, "B S C"]:
+    """Returns the token states of captions, given as tokens of a sentence encoder, in 16 bits."""
+    states = SentenceEncoder(config).apply(variables, caption_tokens, caption_mask, method="states")
+    # As they are stored for training.
+    return states.astype(jnp.float16)
+
+
+@functools.partial(jax.jit, static_argnames="config")
+def encode_states(
+    variables: Any, states: Float[Array, "B S C"], state_mask: Bool[Array, "B S"], *, config: StateEncoderConfig
+) -> Float[Array, "B E"]:
+    """Returns the text embeddings of captions, given as token states."""
+    return StateEncoder(config).apply(variables, states.astype(jnp.float32), state_mask, train=False)
+
+
+class SentenceStates:
+    """The token states of captions, by a sentence encoder that is not trained."""
+
+    def __init__(self, reference: SentenceReference, *, state_dim: int | None = None):
+        """Loads the encoder, or if it is part of the package, waits until it is needed.
+
+        Raises:
+            UserError: It cannot be found, has changed, or has states of another width.
+        """
+        self._reference = reference
+        self._state_dim = state_dim
+        if not is_packaged(reference):
+            self.encoder  # noqa: B018 - now, so that a missing encoder shows before any work
+
+    @functools.cached_property
+    def encoder(self) -> TrainedSentenceEncoder:
+        """The sentence encoder, with its weights on the default device."""
+        encoder = load_pretrained(self._reference, text_dim=self._state_dim)
+        assert isinstance(encoder, TrainedSentenceEncoder)
+        return encoder._replace(variables=jax.device_put(encoder.variables))
+
+    @property
+    def fingerprint(self) -> str:
+        """Identifies the encoder."""
+        return self.encoder.fingerprint
+
+    def read_batch(self, captions: Sequence[str]) -> tuple[Float[Array, "B S C"], Bool[Array, "B S"]]:
+        """Returns the states of some captions, and where they are, for a number of captions that is a power of two."""
+        tokens, mask = _sentence_tokens(self.encoder, fill_up(captions))
+        # States are stored and compared across machines, so no device may shorten the products.
+        with jax.default_matmul_precision("highest"):
+            return sentence_states(self.encoder.variables, tokens, mask, config=self.encoder.config), mask
+
+    def read_all(self, captions: Sequence[str]) -> Iterator[tuple[str, Float[np.ndarray, "S C"]]]:
+        """Yields each caption with the states of its tokens, short captions first."""
+        ordered = sorted(captions, key=len)
+        with tqdm(total=len(ordered), desc="reading captions", unit="caption", disable=None) as progress:
+            for first in range(0, len(ordered), MAX_BATCH):
+                batch = ordered[first : first + MAX_BATCH]
+                states, mask = jax.device_get(self.read_batch(batch))
+                for caption, own, used in zip(batch, states, mask, strict=False):
+                    yield caption, own[used]
+                progress.update(len(batch))
+
+
+class StatesTextEncoder:
+    """A `TextEncoder` made of a pretrained sentence encoder and a trained network that reads its token states."""
+
+    def __init__(self, config: StateEncoderConfig, variables: Any, states: SentenceStates):
+        """Keeps the three parts; `variables` are those of `StateEncoder`."""
+        self._config = config
+        self._variables = variables
+        self._states = states
+
+    @property
+    def fingerprint(self) -> str:
+        """Identifies the pretrained encoder."""
+        return self._states.fingerprint
+
+    def __call__(self, captions: Sequence[str]) -> Float[Array, "B E"]:
+        """Returns one embedding per caption; long captions are cut."""
+        states, mask = self._states.read_batch(captions)
+        length = self._config.max_length
+        return encode_states(self._variables, states[:, :length], mask[:, :length], config=self._config)[
+            : len(captions)
+        ]
+
+    def read_part(self, caption: str) -> str:
+        """Returns the caption up to its last subword that is read, besides the marks that the encoder adds."""
+        encoder = self._states.encoder
+        length = min(encoder.config.max_length, self._config.max_length)
+        marks = encoder.tokenizer.num_special_tokens_to_add(False)
+        return read_part(encoder.tokenizer, caption, max_length=max(length - marks, 1))
+
+
 class PretrainedTextEncoder:
     """A `TextEncoder` that was not trained with the generator, with an optional cache on disk."""
 
@@ -126,20 +230,32 @@ def _embed_with_clip(clip: TrainedClip, captions: Sequence[str]) -> Float[Array,
 
 
 def _embed_sentences(encoder: TrainedSentenceEncoder, captions: Sequence[str]) -> Float[Array, "B E"]:
-    tokens, mask = tokenize_captions(encoder.tokenizer, captions, max_length=encoder.config.max_length)
-    width = padded_batch_size(int(mask.sum(axis=1).max()))  # few different widths, so that few programs are compiled
-    tokens = jnp.asarray(tokens[:, :width])
-    mask = jnp.asarray(mask[:, :width])
+    tokens, mask = _sentence_tokens(encoder, captions)
     return encode_sentence_tokens(encoder.variables, tokens, mask, config=encoder.config)
 
 
-def make_text_encoder(bundle: Bundle) -> TextEncoder:
+def _sentence_tokens(
+    encoder: TrainedSentenceEncoder, captions: Sequence[str]
+) -> tuple[Int[Array, "B S"], Bool[Array, "B S"]]:
+    tokens, mask = tokenize_captions(encoder.tokenizer, captions, max_length=encoder.config.max_length)
+    width = padded_batch_size(int(mask.sum(axis=1).max()))  # few different widths, so that few programs are compiled
+    return jnp.asarray(tokens[:, :width]), jnp.asarray(mask[:, :width])
+
+
+def make_text_encoder(bundle: Bundle, *, states: SentenceStates | None = None) -> TextEncoder:
     """Returns the text encoder of a model.
+
+    Args:
+        bundle: The model.
+        states: Its sentence encoder, if it reads token states and the encoder is loaded already.
 
     Raises:
         UserError: It is a pretrained encoder that cannot be found, has changed, or has another width.
     """
     config = bundle.config.text_encoder
+    if isinstance(config, SentenceStatesConfig):
+        states = states or SentenceStates(config.encoder, state_dim=config.network.state_dim)
+        return StatesTextEncoder(config.network, jax.device_put(bundle.variables["text_encoder"]), states)
     if bundle.bpe is not None:
         return CaptionTextEncoder(config, jax.device_put(bundle.variables["text_encoder"]), bundle.bpe)
     return PretrainedTextEncoder(load_pretrained(config, text_dim=bundle.config.generator.text_dim))

@@ -7,35 +7,32 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
-import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, Key
-from tokenizers import Tokenizer
 
-from t2m_jax.checkpoints.bundle import CONFIG_FILE, Bundle, BundleConfig, load_bundle_config, part_kinds
-from t2m_jax.checkpoints.model import load_model
-from t2m_jax.checkpoints.text_encoder import (
-    CLIP_NAME,
-    SENTENCE_NAME,
-    ClipReference,
-    Reference,
-    SentenceReference,
-    encoder_identity,
-    load_pretrained,
-)
+from t2m_jax.checkpoints.bundle import CONFIG_FILE, Bundle, BundleConfig, part_kinds
+from t2m_jax.checkpoints.encoder_files import PACKAGED_ENCODERS
+from t2m_jax.checkpoints.text_encoder import CLIP_NAME
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer, load_tokenizer_config, save_tokenizer_copy
 from t2m_jax.config import check_sizes, flat_fields, save_config
 from t2m_jax.data.banks.codes import Captions, CodeBank, CodeBatch, code_batch_at
 from t2m_jax.data.folder import Clip, Dataset, open_dataset
+from t2m_jax.data.index import INDEX, action_of, load_index
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.sources import CodeSource, make_generation
-from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig
+from t2m_jax.models.caption_encoder import (
+    CaptionEncoderConfig,
+    NetworkConfig,
+    StateEncoderConfig,
+    init_network,
+    network_module,
+)
 from t2m_jax.models.rows import Precision, apply_rows
 from t2m_jax.sampling.pipeline import TextToMotion
 from t2m_jax.sampling.request import SamplingOptions
-from t2m_jax.sampling.text_encoders import PretrainedTextEncoder
-from t2m_jax.text.bpe import load_bpe, save_bpe, tokenize_captions, train_bpe
-from t2m_jax.text.embedding_cache import EmbeddingCache
-from t2m_jax.text.encoder import TextEncoder
+from t2m_jax.text.bpe import save_bpe
+from t2m_jax.text.caption_states import CaptionStates
+from t2m_jax.train.captions import CaptionReader, make_caption_reader, open_text_encoder, state_width
 from t2m_jax.train.config import ExperimentConfig, GenerationEvaluationConfig, StepConfig, compiled_config
 from t2m_jax.train.experiment import Evaluation, Setup, Validation
 from t2m_jax.train.optimizer import OptimizerConfig
@@ -47,6 +44,7 @@ from t2m_jax.train.tokenize import (
     OffsetKind,
     TimedCaptionKind,
     add_rewordings,
+    balanced_shares,
     check_tokenizer,
     encode_clips,
     make_code_bank,
@@ -65,11 +63,14 @@ class GeneratorStepConfig(StepConfig):
     """Sizes of the generator."""
     optimizer: OptimizerConfig
     """Optimizer and schedule."""
-    text_encoder: Literal["caption_encoder", "clip", "sentence"] = "caption_encoder"
-    """What reads the captions: a small transformer that is trained with the generator, or a pretrained encoder, which
-    is not: CLIP or a sentence encoder."""
+    text_encoder: Literal["caption_encoder", "clip", "sentence", "sentence_states"] = "caption_encoder"
+    """What reads the captions: a small transformer that is trained with the generator; a pretrained encoder, which is
+    not (CLIP or a sentence encoder); or a small transformer that is trained and reads the token states of a sentence
+    encoder, which is not."""
     caption_encoder: CaptionEncoderConfig = CaptionEncoderConfig(text_dim=512)
     """Sizes of the caption encoder."""
+    state_encoder: StateEncoderConfig = StateEncoderConfig(text_dim=512)
+    """Sizes of the transformer that reads token states, with `text_encoder: sentence_states`."""
     precision: Precision = "float32"
     """What products are computed in during training."""
     remat: bool = False
@@ -83,11 +84,19 @@ class GeneratorStepConfig(StepConfig):
         check_sizes(self, "num_parts")
         if self.loop.batch_size % self.num_parts:
             raise ValueError(f"num_parts: {self.num_parts} does not divide loop.batch_size {self.loop.batch_size}")
-        if self.text_encoder == "caption_encoder" and self.model.text_dim != self.caption_encoder.text_dim:
+        network = self.text_network
+        if network is not None and self.model.text_dim != network.text_dim:
             raise ValueError(
-                f"caption_encoder.text_dim: {self.caption_encoder.text_dim}, but the generator reads model.text_dim "
+                f"{network.kind}.text_dim: {network.text_dim}, but the generator reads model.text_dim "
                 f"{self.model.text_dim}; set both to the same number"
             )
+
+    @property
+    def text_network(self) -> NetworkConfig | None:
+        """Sizes of the network that reads captions and is trained with the generator, None if there is none."""
+        if self.text_encoder == "caption_encoder":
+            return self.caption_encoder
+        return self.state_encoder if self.text_encoder == "sentence_states" else None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -101,9 +110,16 @@ class TrainGeneratorConfig(GeneratorStepConfig, ExperimentConfig):
     the model shares with it, such as `model.num_codes`, are taken from it."""
     clip: str = CLIP_NAME
     """CLIP model with `text_encoder: clip`: a folder or a name on the Hugging Face hub (`owner/name@revision`)."""
-    sentence: str = SENTENCE_NAME
-    """Sentence encoder with `text_encoder: sentence`: a folder or a name on the Hugging Face hub. Its network is one
-    of the BERT family, as of `sentence-transformers`, and `model.text_dim` is the width of its embeddings."""
+    sentence: str = PACKAGED_ENCODERS[0]
+    """Sentence encoder with `text_encoder: sentence` or `sentence_states`: that of the package (`minilm`), a folder or
+    a name on the Hugging Face hub. Its network is one of the BERT family, as of `sentence-transformers`. With
+    `sentence`, `model.text_dim` is the width of its embeddings."""
+    balance: float = 0.0
+    """Power with which motions of rare actions are drawn more often in training: 0 draws all motions equally often, 1
+    all labels of the data set's `index.csv`, and 0.5 is between. Of a label such as `walk, happy`, only the action
+    counts; composed motions are one label for each number of actions; motions without a label are one, too."""
+    balance_limit: float = 10.0
+    """How many times as often as the average a motion is drawn at most."""
     rewordings: int = 0
     """Further wordings of each caption that are learned, made by rules: another subject, form of the verb, or article
     (`t2m_jax.text.rewording`). They help if there are few captions."""
@@ -123,6 +139,10 @@ class TrainGeneratorConfig(GeneratorStepConfig, ExperimentConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if not 0 <= self.balance <= 1:
+            raise ValueError(f"balance: {self.balance} is not a power from 0 to 1")
+        if not 1 <= self.balance_limit <= 1000:
+            raise ValueError(f"balance_limit: {self.balance_limit} is not from 1 to 1000")
         for name in ("patience", "rewordings"):
             if not 0 <= getattr(self, name) <= 1000:
                 raise ValueError(f"{name}: {getattr(self, name)} is not from 0 to 1000")
@@ -142,23 +162,22 @@ class GeneratorSteps(NamedTuple):
 
 
 def init_caption_encoder(config: GeneratorStepConfig, key: Key[Array, ""]) -> dict[str, Any]:
-    """Returns the parameters of the caption encoder by its kind, if it is trained; `key` is consumed."""
-    if config.text_encoder != "caption_encoder":
-        return {}
-    tokens = jnp.zeros((1, config.caption_encoder.max_length), jnp.int32)
-    module = CaptionEncoder(config.caption_encoder)
-    return {"caption_encoder": module.init(key, tokens, jnp.ones(tokens.shape, bool), train=False)["params"]}
+    """Returns the parameters of the network that reads captions by its kind, if it is trained; `key` is consumed."""
+    network = config.text_network
+    return {} if network is None else {network.kind: init_network(network, key)["params"]}
 
 
 def embed_captions(
     params: Any, captions: Captions, keys: Key[Array, " B"] | None, *, config: GeneratorStepConfig
 ) -> Float[Array, "B E"]:
-    """Returns the text embeddings: of the encoder that is trained (`keys`, consumed, are for dropout), or as given."""
+    """Returns the text embeddings: of the network that is trained (`keys`, consumed, are for dropout), or as given."""
+    network = config.text_network
     # A pretrained encoder is applied once to all captions, and the bank has its embeddings.
-    if isinstance(captions, jax.Array):
+    if network is None:
+        assert isinstance(captions, jax.Array)
         return captions
-    variables = {"params": params["caption_encoder"]}
-    return apply_rows(CaptionEncoder(config.caption_encoder), variables, *captions, keys=keys)
+    inputs = (captions.states, captions.mask) if isinstance(captions, CaptionStates) else captions
+    return apply_rows(network_module(network), {"params": params[network.kind]}, *inputs, keys=keys)
 
 
 def resolve_generator(config: Any, resume: bool) -> Any:
@@ -186,7 +205,11 @@ def resolve_generator(config: Any, resume: bool) -> Any:
             f"{path}: has {tokenizer.num_quantizers} codes per row, but a {config.kind} predicts "
             f"{model.num_quantizers}; choose another tokenizer"
         )
-    return dataclasses.replace(config, model=model)
+    config = dataclasses.replace(config, model=model)
+    if config.text_encoder == "sentence_states":
+        sizes = dataclasses.replace(config.state_encoder, state_dim=state_width(config, resume=resume))
+        config = dataclasses.replace(config, state_encoder=sizes)
+    return config
 
 
 def codes_at(bank: CodeBank, stream: str, step: Int[Array, ""], *, config: GeneratorStepConfig) -> CodeBatch:
@@ -204,52 +227,6 @@ def weights_of(state: Any) -> dict[str, Any]:
     return {name: tree for name, tree in state._asdict().items() if name not in TRAINING_FIELDS}
 
 
-class CaptionReader(NamedTuple):
-    """How captions are read for training."""
-
-    read: Callable[[Sequence[str]], Captions]
-    """From captions to tokens of the caption encoder, or to embeddings of a pretrained encoder."""
-    bpe: Tokenizer | None
-    """Subwords of the caption encoder; None with a pretrained encoder."""
-    encoder: TextEncoder | None
-    """The pretrained encoder; None with a caption encoder, whose weights change."""
-
-
-def open_text_encoder(
-    config: TrainGeneratorConfig, *, resume: bool
-) -> tuple[CaptionEncoderConfig | Reference, PretrainedTextEncoder | None]:
-    """Returns the text encoder of a bundle's config and, if it is pretrained, the encoder.
-
-    Raises:
-        UserError: It cannot be found, has another width than the generator reads, or is not the one of the run.
-    """
-    if config.text_encoder == "caption_encoder":
-        return config.caption_encoder, None
-    reference: Reference = ClipReference(name=config.clip)
-    if config.text_encoder == "sentence":
-        reference = SentenceReference(name=config.sentence)
-    # A run goes on only with the encoder that it began with.
-    known = load_bundle_config(config.run).text_encoder.identity if resume else ""
-    encoder = load_pretrained(dataclasses.replace(reference, identity=known), text_dim=config.model.text_dim)
-    reference = dataclasses.replace(reference, identity=encoder_identity(encoder))
-    return reference, PretrainedTextEncoder(encoder, cache=EmbeddingCache())
-
-
-def make_caption_reader(
-    config: TrainGeneratorConfig, motions: Sequence[CodedMotion], *, encoder: TextEncoder | None, resume: bool
-) -> CaptionReader:
-    """Returns what reads the captions: the pretrained encoder, or the subwords of the run or of `init`, or new ones."""
-    if encoder is not None:
-        return CaptionReader(encoder, None, encoder)
-    sizes = config.caption_encoder
-    # Tokens are rows of a trained table: a model that goes on must read the same subwords.
-    bpe = load_bpe(config.run) if resume else None if config.init is None else load_model(config.init).bpe
-    if bpe is None:
-        captions = [caption.text for motion in motions for caption in motion.captions]
-        bpe = train_bpe(captions, vocabulary_size=sizes.vocabulary_size)
-    return CaptionReader(lambda captions: tokenize_captions(bpe, captions, max_length=sizes.max_length), bpe, None)
-
-
 def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Setup:
     """Returns the setup of a generator's training; the run is a complete model that `TextToMotion.load` reads.
 
@@ -260,17 +237,17 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
     tokenizer = load_tokenizer(config.run if resume else config.vqvae)
     check_tokenizer(tokenizer, dataset, may_differ=config.init is not None)
     clips = dataset.clips("train", fraction=config.data_fraction)
-    text_encoder, encoder = open_text_encoder(config, resume=resume)  # first, because encoding the clips takes long
+    opened = open_text_encoder(config, resume=resume)  # first, because encoding the clips takes long
     motions = code_motions(config, clips, dataset, tokenizer)
     motions = add_rewordings(motions, count=config.rewordings, seed=config.loop.seed)
-    reader = make_caption_reader(config, motions, encoder=encoder, resume=resume)
-    bank = make_code_bank(motions, reader.read)
+    reader = make_caption_reader(config, motions, opened, resume=resume)
+    bank = make_code_bank(motions, reader.read, shares=draw_shares(config, dataset, motions))
     compiled = compiled_config(config)
     parts = BundleConfig(
         skeleton=dataset.skeleton.name,
         tokenizer=tokenizer.config,
         generator=config.model,
-        text_encoder=text_encoder,
+        text_encoder=opened.config,
     )
 
     def write_parts(run: Path) -> None:
@@ -306,6 +283,24 @@ def code_motions(
     return encode_clips(clips, dataset.info, tokenizer, **options)
 
 
+def draw_shares(
+    config: TrainGeneratorConfig, dataset: Dataset, motions: Sequence[CodedMotion]
+) -> Float[np.ndarray, " M"] | None:
+    """Returns the shares of motions in the draws of training (`CodeBank.shares`), None if they are equal.
+
+    Raises:
+        UserError: The data set has no labels.
+    """
+    if not config.balance:
+        return None
+    index = load_index(dataset.folder)
+    labels = [None if index is None else index.label(motion.clip) for motion in motions]
+    if not any(labels):
+        raise UserError(f"{dataset.folder / INDEX}: has no labels of these clips, which balance needs; set it to 0")
+    actions = ["" if label is None else action_of(label) for label in labels]
+    return balanced_shares(actions, power=config.balance, limit=config.balance_limit)
+
+
 def make_validation(
     config: Any, steps: GeneratorSteps, dataset: Dataset, tokenizer: TrainedTokenizer, reader: CaptionReader
 ) -> Validation | None:
@@ -331,7 +326,8 @@ def make_evaluation(config: Any, parts: BundleConfig, tokenizer: TrainedTokenize
             role: {name: tree[kind] for name, tree in weights.items() if kind in tree} for role, kind in kinds.items()
         }
         variables["tokenizer"] = on_device.variables
-        return TextToMotion(Bundle(parts, variables, tokenizer.normalizer, reader.bpe), text_encoder=reader.encoder)
+        bundle = Bundle(parts, variables, tokenizer.normalizer, reader.bpe)
+        return TextToMotion(bundle, text_encoder=reader.make_encoder(bundle))
 
     def source(state: Any, clips: Sequence[Clip]) -> CodeSource:
         return make_generation(model(state), clips, options=options)

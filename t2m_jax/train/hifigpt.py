@@ -21,6 +21,7 @@ from t2m_jax.models.hifigpt import HiFiGpt, HiFiGptConfig
 from t2m_jax.models.rows import Precision, apply_rows, in_precision
 from t2m_jax.models.system import find_part
 from t2m_jax.text.bpe import CaptionTokens
+from t2m_jax.text.caption_states import CaptionStates
 from t2m_jax.train.config import LoopConfig, StepConfig
 from t2m_jax.train.experiment import Trainer
 from t2m_jax.train.generator import (
@@ -81,7 +82,7 @@ class HiFiGptStepConfig(GeneratorStepConfig):
                 raise ValueError(f"{name}: {getattr(self, name)} is not a probability between 0 and 1")
         if self.condition_dropout == 0 and self.model.guidance_scale != 1:
             raise ValueError("condition_dropout: without it, guidance means nothing; set model.guidance_scale to 1")
-        if self.contrastive_weight and self.text_encoder != "caption_encoder":
+        if self.contrastive_weight and self.text_network is None:
             raise ValueError(f"contrastive_weight: the {self.text_encoder} encoder is not trained; set the weight to 0")
         if self.contrastive_weight and self.model.code_embedding == "learned":
             raise ValueError("contrastive_weight: needs the tokenizer's codes; model.code_embedding learned has none")
@@ -248,11 +249,13 @@ def contrastive_loss(
 
     The other motions of the part, on all devices, are the negatives.
     """
-    assert isinstance(batch.captions, CaptionTokens), "the config needs a caption encoder"
+    captions = batch.captions
+    assert isinstance(captions, CaptionTokens | CaptionStates), "the config needs a network that reads captions"
     # True codes, not corrupted inputs: the caption is about this motion.
     rows = codebook["hifigpt"]["codebook"][batch.codes].sum(axis=2)
     embedded = ContrastiveHead().apply({"params": params}, text_embedding, rows, batch.weights > 0)
-    (text, motion), tokens = global_rows((embedded, batch.captions.tokens))
+    tokens = captions.tokens if isinstance(captions, CaptionTokens) else captions.numbers[:, None]
+    (text, motion), tokens = global_rows((embedded, tokens))
     same = jnp.all(tokens[:, None] == tokens[None, :], axis=-1)
     # Weights sum to 1 over the batch. So the losses of its parts add up to their mean.
     return infonce_loss(text, motion, same, temperature=TEMPERATURE) * global_sum(jnp.sum(batch.weights))

@@ -9,6 +9,7 @@ import pytest
 
 from t2m_jax.data.banks.codes import CodeBank, code_batch_at, crop_codes
 from t2m_jax.text.bpe import CaptionTokens
+from t2m_jax.text.caption_states import StateTable
 from tests.jit import assert_jit_equals_eager
 
 NUM_MOTIONS, OFFSETS, LONGEST, DEPTH = 7, 4, 9, 2
@@ -104,6 +105,24 @@ def test_a_bank_smaller_than_a_batch_is_repeated(bank):
     batch = batches(bank, [0], batch_size=2 * NUM_MOTIONS)[0]
     owners = (np.asarray(batch.codes[:, 0, 0]) // 100).tolist()
     assert collections.Counter(owners) == dict.fromkeys(range(NUM_MOTIONS), 2)
+
+
+def test_motions_are_drawn_by_their_shares(bank):
+    weights = np.array([4.0, 1.0, 0.25, 0.25, 0.5, 0.5, 0.5])
+    shared = bank._replace(shares=jnp.asarray(np.cumsum(weights) / weights.sum(), jnp.float32))
+    owners = np.concatenate([batch.codes[:, 0, 0] // 100 for batch in batches(shared, range(200), batch_size=7)])
+    np.testing.assert_allclose(np.bincount(owners, minlength=7) / 200, weights, atol=0.1)
+
+
+def test_token_states_are_those_of_the_drawn_captions(bank):
+    lengths = np.arange(1, 15, dtype=np.int32) % 4 + 1
+    states = np.repeat(np.arange(14), lengths)[:, None].astype(np.float16)
+    table = StateTable(states, np.cumsum(lengths) - lengths, lengths, np.arange(14), np.arange(4))
+    tokens, found = (batches(bank._replace(captions=captions), [3])[0].captions for captions in (bank.captions, table))
+    captions = np.cumsum(NUM_CAPTIONS)[tokens.tokens[:, 0]] - NUM_CAPTIONS[tokens.tokens[:, 0]] + tokens.tokens[:, 1]
+    np.testing.assert_array_equal(found.numbers, captions)
+    np.testing.assert_array_equal(found.mask.sum(axis=1), lengths[captions])
+    np.testing.assert_array_equal(found.states[..., 0], captions[:, None] * found.mask)
 
 
 def test_jit_equals_eager(bank):

@@ -6,12 +6,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
-from t2m_jax.data.banks.order import AnyArray, batch_items, draw_below, row_keys, split_each
+from t2m_jax.data.banks.order import AnyArray, batch_items, draw_below, row_keys, shared_items, split_each
 from t2m_jax.devices import own_rows, split_rows
 from t2m_jax.text.bpe import CaptionTokens
+from t2m_jax.text.caption_states import CaptionStates, StateTable, captions_at
 
-Captions: TypeAlias = CaptionTokens | Float[Array, "B E"]
-"""Captions as tokens for a text encoder that is trained, or as embeddings of one that is not."""
+Captions: TypeAlias = CaptionTokens | CaptionStates | StateTable | Float[Array, "B E"]
+"""Captions as tokens or token states for a network that is trained, or as embeddings of one that is not. The states of
+all captions are a table, those of a batch are not."""
 
 
 class CodeBank(NamedTuple):
@@ -23,6 +25,8 @@ class CodeBank(NamedTuple):
     """One row per caption."""
     first_caption: Int[AnyArray, " M"]
     num_captions: Int[AnyArray, " M"]
+    shares: Float[AnyArray, " M"] | None = None
+    """Of the motions up to each one in the draws, from above 0 to 1; None draws every motion equally often."""
 
 
 class CodeBatch(NamedTuple):
@@ -49,16 +53,19 @@ def code_batch_at(
 ) -> CodeBatch:
     """Returns the batch of a training step: a pure function of the run's data key and the step.
 
-    Every motion comes once per epoch, with a uniformly drawn offset and caption.
+    Every motion comes once per epoch, or as often as its share says, with a uniformly drawn offset and caption.
     """
     bank = jax.tree.map(jnp.asarray, bank)
     order_key, draw_key = jax.random.split(key)
     rows = own_rows(batch_size)
-    motions = batch_items(order_key, step, rows, num_items=bank.codes.shape[0], batch_size=batch_size)
+    if bank.shares is None:
+        motions = batch_items(order_key, step, rows, num_items=bank.codes.shape[0], batch_size=batch_size)
+    else:
+        motions = shared_items(order_key, step, rows, bank.shares, batch_size=batch_size)
     offset_keys, caption_keys, crop_keys = split_each(row_keys(draw_key, step, rows), 3)
     # Another first frame divides a motion into other codes, so the generator sees each motion in several ways.
     offsets = draw_below(offset_keys, bank.codes.shape[1])
     caption = bank.first_caption[motions] + draw_below(caption_keys, bank.num_captions[motions])
     lengths = bank.code_lengths[motions, offsets]
     codes, lengths = crop_codes(bank.codes[motions, offsets], lengths, crop_keys, max_codes=max_codes)
-    return split_rows(CodeBatch(codes, lengths, jax.tree.map(lambda table: table[caption], bank.captions)))
+    return split_rows(CodeBatch(codes, lengths, captions_at(bank.captions, caption)))
