@@ -11,6 +11,8 @@ from t2m_jax.motion.skeleton import HUMANML3D
 
 SHARE = 0.4
 """Part of the range of a signal that a peak must have, so that the small swing after a jump does not count."""
+APART = 0.3
+"""Meters between the wrists from which on it does not matter how far apart they are."""
 
 
 class CountedContent(NamedTuple):
@@ -43,7 +45,8 @@ def signal_of(positions: Float[np.ndarray, "T J 3"], signal: str) -> Float[np.nd
     if signal == "foot":
         return np.maximum(height["left_ankle"], height["right_ankle"])
     if signal == "hands meet":
-        return -np.linalg.norm(joint["left_wrist"] - joint["right_wrist"], axis=-1)
+        # Hanging arms are farther apart than hands between two claps, which would then be too small to count.
+        return -np.minimum(np.linalg.norm(joint["left_wrist"] - joint["right_wrist"], axis=-1), APART)
     if signal == "reach":
         return np.max([np.linalg.norm(wrist[:, ::2], axis=-1) for wrist in wrists], axis=0)
     heights = [wrist[:, 1] for wrist in wrists]
