@@ -18,8 +18,13 @@ from t2m_jax.data.captioning.wordings import load_wordings
 from t2m_jax.data.texts import Caption
 from t2m_jax.motion.facts import Facts
 
+CAPTIONS = 24
+"""Captions of a clip. With fewer, a model that is trained for long learns their subjects and places by heart."""
 STYLE_SHARE = 0.55
 """Share of the captions of a clip that name its style."""
+NORMAL = "normal"
+NORMAL_SHARE = 0.15
+"""The same for clips in a normal style, which few people mention."""
 SPEED_SHARE = 0.5
 """Share of the remaining captions of a clearly slow or fast clip that name its speed."""
 STYLE_SUBJECT_SHARE = 0.3
@@ -82,7 +87,9 @@ def wordings_of(labels: Labels) -> tuple[Wording, ...]:
 def says_pace(text: str, *paces: str) -> bool:
     """Returns whether a part of a caption says how fast already. By default, all paces are searched."""
     marks = load_wordings().marks
-    return any(mark in text for pace in paces or marks for mark in marks[pace])
+    # Marks are beginnings of words: "breakfast" is not fast.
+    text = " " + text.replace("[", "")
+    return any(f" {mark}" in text for pace in paces or marks for mark in marks[pace])
 
 
 def compose(
@@ -139,7 +146,7 @@ def _draw_manner(manners: Iterable[Manner], wording: Wording, generator: random.
     return generator.choice(fitting) if fitting else None
 
 
-def write_captions(name: str, labels: Labels, facts: Facts, *, count: int = 6) -> tuple[Caption, ...]:
+def write_captions(name: str, labels: Labels, facts: Facts, *, count: int = CAPTIONS) -> tuple[Caption, ...]:
     """Returns `count` different captions of a clip, the same for the same name, labels and facts.
 
     If the hands stay low, a caption mentions it or names the style that explains it. The bare "raises the left hand" is
@@ -155,18 +162,16 @@ def write_captions(name: str, labels: Labels, facts: Facts, *, count: int = 6) -
     generator = random.Random(f"captions of {name}")
     wordings = true_wordings(labels, facts)
     low = tuple(wording for wording in wordings if wording.needs == "low")
-    manners = load_wordings().styles[labels.style].manners
-    # Without a manner, a caption of low hands would be bare.
     styled = tuple(one for one in wordings if not any(mark in one.predicate for mark in CLAUSE_MARKS))
     styled = tuple(one for one in styled if one.nominal_form is None)
     used: list[Wording] = []
 
     def draw() -> str:
         candidates = wordings
-        style_share = STYLE_SHARE
-        if low and generator.random() < LOW_SHARE:
+        style_share = NORMAL_SHARE if labels.style == NORMAL else STYLE_SHARE
+        if low and (labels.style == NORMAL or generator.random() < LOW_SHARE):
             candidates = low
-        elif low and manners:
+        elif low:
             candidates = styled
             style_share = 1.0
         # The same wording again would say the same with another subject. With few wordings, it cannot be avoided.

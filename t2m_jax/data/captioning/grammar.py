@@ -132,17 +132,15 @@ def clause(
         manner: How it is done, or None. An adjective is only used in a noun phrase.
     """
     text, place = manner or ("", "end")
+    if place in ("end", "before_verb"):
+        predicate = f"{predicate} {text}".rstrip() if place == "end" else f"{text} {predicate}"
     # These forms have no subject, but still need a possessive.
     possessive = POSSESSIVES.get(form, subject.possessive)
     hands = f"both {limb}s" if side == "both" else f"{possessive} {side} {limb}"
     body = predicate.replace("{limb}", hands).replace("{poss}", possessive).replace("{side}", side)
     body = body.replace("{it}", "them" if side == "both" else "it").replace("{be}", "are" if side == "both" else "is")
     body = re.sub(r"\[(\w+)\]", lambda verb: INFLECTIONS.get(form, str)(verb[1]), body)
-    if place == "before_verb":
-        return f"{text} {body}"
-    if place == "end":
-        return f"{body} {text}" if text else body
-    return with_adjective(body, text) if form == "noun" else body
+    return with_adjective(body, text) if form == "noun" and place != "end" else body
 
 
 def sentence(

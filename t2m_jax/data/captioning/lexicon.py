@@ -94,8 +94,9 @@ def _readings() -> dict[str, dict[str, str]]:
 
 @functools.cache
 def known_words() -> frozenset[str]:
-    """Returns all forms of the words of the vocabulary."""
-    return frozenset(_readings())
+    """Returns all words of the files of this package, also in all forms of the vocabulary."""
+    files = [path for path in importlib.resources.files(__package__).iterdir() if path.name.endswith(".yaml")]
+    return frozenset(_readings()).union(*(words_in(path.read_text(encoding="utf-8")) for path in files))
 
 
 def words_in(text: str) -> list[str]:

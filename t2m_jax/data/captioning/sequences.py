@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from t2m_jax.data.captioning.captions import (
     CLAUSE_MARKS,
+    NORMAL,
     Labels,
     distinct_captions,
     says_pace,
@@ -30,6 +31,8 @@ PLAIN_FORMS = {
     "gerund": ("gerund",),
 }
 """Group of patterns -> forms whose first frame they fit into. All others fit into any frame."""
+PAUSES = {"stop": "[stop]", "halt": "[halt]", "still": "[stand] still", "come": "[come]"}
+"""What is said between moving on and staying."""
 NOBODY = {"imperative": Subject("you", "your"), "gerund": Subject("someone", "the")}
 
 
@@ -98,7 +101,7 @@ def write_count_captions(labels: Labels, times: int, *, count: int, generator: r
         if counted and generator.random() < COUNTED_SHARE:
             known = [one._replace(predicate=one.predicate.replace("{number}", number)) for one in counted]
             return _say(_patterns("counted"), (labels,), [known], generator)
-        words = generator.choice(table["times"].get(times, ()) + table["times"]["more"] * (times > 1))
+        words = generator.choice(table["times"].get(times, table["times"]["more"]))
         return _say(_patterns("count"), (labels,), [once], generator, times=words.format(number=number))
 
     return distinct_captions(draw, count=count, generator=generator)
@@ -127,7 +130,8 @@ def _always(labels: Labels) -> list[Wording]:
 
 def _short(wordings: Iterable[Wording]) -> list[Wording]:
     """Returns the wordings with verbs that have no clause of their own."""
-    marks = (*CLAUSE_MARKS, " and then ")
+    # "claps after the show" would say that it comes second.
+    marks = (*CLAUSE_MARKS, " and then ", " after ")
     return [one for one in wordings if not one.nominal_form and not any(mark in one.predicate for mark in marks)]
 
 
@@ -159,13 +163,13 @@ def _say(
     subject = NOBODY.get(frame.form) or draw_subject((), generator)
     parts = [_draw_part(labels, wordings, generator) for labels, wordings in zip(pieces, known, strict=True)]
     limb = generator.choice(("hand", "hand", "arm"))
-    forms = {"": frame.form_for(subject), "ing": "progressive", "done": "perfect"}
+    forms: dict[str, Form] = {"": frame.form_for(subject), "ing": "progressive", "done": "perfect", "base": "base"}
     for name, form in forms.items():
         slots |= {f"{name}{place}": part.clause(subject, form, limb) for place, part in enumerate(parts)}
-    stop, still = (clause(text, subject, form=forms[""]) for text in ("[stop]", "[stand] still"))
+    slots |= {name: clause(text, subject, form=forms[""]) for name, text in PAUSES.items()}
     positional = [slots.pop(str(place)) for place in range(len(parts))]
     opening, again = (frame.opening(one) for one in (subject, subject.again()))
-    text = pattern.text.format(*positional, **slots, subject=opening, again=again, stop=stop, still=still)
+    text = pattern.text.format(*positional, **slots, subject=opening, again=again)
     travels = all(load_wordings().contents[labels.content].travels for labels in pieces)
     return around(text + frame.ending, frame, travels=travels, generator=generator)
 
@@ -174,5 +178,6 @@ def _draw_part(labels: Labels, wordings: Sequence[Wording], generator: random.Ra
     """Returns one of the wordings, sometimes with the style, but never with a pace: a style is not always slow."""
     manners = [one for one in load_wordings().styles[labels.style].manners if one.place == "end"]
     manners = [one for one in manners if not says_pace(one.text)]
-    manner = generator.choice(manners) if manners and generator.random() < MANNER_SHARE else None
+    share = 0 if labels.style == NORMAL else MANNER_SHARE
+    manner = generator.choice(manners) if manners and generator.random() < share else None
     return SaidPiece(generator.choice(wordings), load_wordings().contents[labels.content].side, manner)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from t2m_jax.data.captioning.grammar import Frame, Manner, Side, Subject, Wording
 from t2m_jax.data.captioning.lexicon import read_words
 
-FILES = ("actions", "hands", "locomotion")
+FILES = ("actions", "body", "hands", "locomotion")
 """Files with the wordings of contents."""
 POSSESSIVES = ("their", "his", "her", "its", "my", "your")
 
@@ -73,7 +73,7 @@ def _subjects(pairs: Iterable[Sequence[str]]) -> tuple[Subject, ...]:
 def _pace_manners(entry: Mapping[str, Sequence[str]]) -> tuple[Manner, ...]:
     """Returns words for a pace at the end of a sentence, adverbs also before the verb, adjectives only before nouns."""
     # "slowly walks", but not "at a slow pace walks".
-    before = [Manner(text, "before_verb") for text in entry["words"] if text.endswith("ly") and " " not in text]
+    before = [Manner(text, "before_verb") for text in entry["words"] if text.endswith("ly")]
     attributes = [Manner(text, "attribute") for text in entry["adjectives"]]
     return (*(Manner(text, "end") for text in entry["words"]), *before, *attributes)
 

@@ -1,9 +1,10 @@
 import random
 import re
+from collections import defaultdict
 
 import pytest
 
-from t2m_jax.data.captioning.captions import Labels, clip_pace, true_facts, write_captions
+from t2m_jax.data.captioning.captions import CAPTIONS, Labels, clip_pace, says_pace, true_facts, write_captions
 from t2m_jax.data.captioning.grammar import Frame, Manner, Subject, clause, sentence
 from t2m_jax.data.captioning.held_out import fingerprint, held_out_fingerprints
 from t2m_jax.data.captioning.lexicon import gerund, known_words, participle, past, tag_words, third_person, words_in
@@ -83,10 +84,96 @@ def test_verbs_of_wordings_are_in_the_vocabulary_and_no_slot_is_left():
 def test_captions_of_a_clip_are_distinct_and_depend_on_its_name_only():
     labels = Labels("wave-left-hand", "active")
     captions = write_captions("clip", labels, USUAL)
-    assert len({caption.text for caption in captions}) == 6
+    assert len({caption.text for caption in captions}) == CAPTIONS
     random.seed(1)
     assert write_captions("clip", labels, USUAL) == captions
     assert write_captions("another", labels, USUAL) != captions
+
+
+def neutral_texts():
+    """All that is said around an action."""
+    surroundings = [text for texts in FRAMES.surroundings.values() for text in texts]
+    subjects = [subject.text for subject in (*FRAMES.usual_subjects, *FRAMES.other_subjects)]
+    return [*surroundings, *subjects, *FRAMES.looks, *FRAMES.nouns]
+
+
+def test_captions_are_wide_in_what_does_not_matter():
+    assert len(set(FRAMES.other_subjects)) >= 300 and len(set(FRAMES.nouns)) >= 1000
+    assert sum(len(set(texts)) for texts in FRAMES.surroundings.values()) >= 250
+    assert sum(len(set(frames)) for frames in FRAMES.by_form.values()) >= 40
+
+
+def test_what_is_around_an_action_names_no_action_side_order_number_or_pace():
+    actions = {word for content in CONTENTS for word in content.split("-")} - {
+        "direct",
+        "short",
+        "long",
+        "up",
+        "down",
+        "pick",
+    }
+    actions |= {
+        "arm",
+        "arms",
+        "chair",
+        "crowbar",
+        "fist",
+        "hand",
+        "hands",
+        "head",
+        "jog",
+        "leg",
+        "march",
+        "spin",
+        "sprint",
+    }
+    order = {
+        "left",
+        "right",
+        "then",
+        "before",
+        "after",
+        "while",
+        "once",
+        "twice",
+        "until",
+        "meanwhile",
+        "times",
+        "seconds",
+    }
+    for text in neutral_texts():
+        words = set(words_in(text))
+        inflected = {form(action) for action in actions for form in (third_person, gerund, past)}
+        assert not words & (actions | inflected | order), text
+        assert not says_pace(text), text
+
+
+def test_every_pace_is_known_from_its_words():
+    manners = {pace: [*load_wordings().extremes[pace], *load_wordings().extremes[f"very_{pace}"]] for pace in PACES}
+    for content in CONTENTS.values():
+        for pace in PACES:
+            manners[pace] += content.paces[pace]
+    for pace, other in (PACES, PACES[::-1]):
+        for manner in manners[pace]:
+            basic = " ".join(token.partition("/")[0] for token in tag_words(manner.text.replace("{poss}", "his")))
+            assert says_pace(basic, pace) and not says_pace(basic, other), manner
+
+
+PACES = ("slow", "fast")
+
+
+def test_no_wording_is_said_of_two_actions():
+    groups = defaultdict(set)
+    for content, entry in CONTENTS.items():
+        for wording in entry.wordings:
+            groups[wording.predicate.replace("{side}", entry.side)].add(ALIKE.get(content, content))
+    assert not {text: found for text, found in groups.items() if len(found) > 1}
+
+
+# Contents that are the same but for the side or the data set, and goodbyes, which are waves.
+ALIKE = {name: "wave" for name in CONTENTS if name.startswith(("wave", "bye"))}
+ALIKE |= {name: "raise" for name in CONTENTS if name.startswith("raise")}
+ALIKE |= {"dance-short": "dance", "dance-long": "dance"}
 
 
 def test_captions_carry_tags_and_no_separator(many_captions):
