@@ -58,7 +58,7 @@ def read_manifest(folder: Path) -> dict[str, Entry]:
         entries = {name: Entry(crc32, sha256, int(size)) for crc32, sha256, size, name in fields}
     except ValueError:
         entries = {}
-    is_intact = found == _render(entries).encode() and all(map(_stays_inside, entries))
+    is_intact = found == _render(entries).encode() and not any(_is_outside(PurePosixPath(name)) for name in entries)
     if not is_intact:
         raise UserError(f"{path}: damaged; copy the folder again")
     return entries
@@ -83,9 +83,8 @@ def check_folder(folder: Path, *, only: Container[str] | None = None, thorough: 
             raise UserError(f"{folder / name}: has changed since it was written, or is damaged; copy the folder again")
 
 
-def _stays_inside(name: str) -> bool:
-    path = PurePosixPath(name)
-    return not path.is_absolute() and ".." not in path.parts
+def _is_outside(path: PurePosixPath) -> bool:
+    return path.is_absolute() or ".." in path.parts
 
 
 def _measure(path: Path, *, sha256: bool = True) -> Entry:

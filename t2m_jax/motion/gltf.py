@@ -83,7 +83,9 @@ def load_gltf(path: Path | str, *, fps: float | None = None) -> dict[str, RigCli
     try:
         glb = _split_chunks(data)
         nodes = _find_nodes(glb.tree)
-        nodes = nodes._replace(scales=nodes.scales * _own_unit(glb.tree))
+        # A length of 1 has another meaning only in files of this package.
+        unit = 0.01 if _own_extra(glb.tree, glb.tree.get("asset", {}), "units") == "cm" else 1.0
+        nodes = nodes._replace(scales=nodes.scales * unit)
         clips: dict[str, RigClip] = {}
         room = MAX_POSES
         for number, animation in enumerate(glb.tree.get("animations", [])):
@@ -116,11 +118,6 @@ def _own_rate(tree: Mapping[str, Any], animation: Mapping[str, Any]) -> float | 
     """Returns the frames per second that this package wrote an animation with."""
     rate = _own_extra(tree, animation, "fps")
     return float(rate) if isinstance(rate, (int, float)) and 0 < rate <= MAX_FPS else None
-
-
-def _own_unit(tree: Mapping[str, Any]) -> float:
-    """Returns the meters of a length of 1, which only files of this package change."""
-    return 0.01 if _own_extra(tree, tree.get("asset", {}), "units") == "cm" else 1.0
 
 
 def _split_chunks(data: bytes) -> _GlbChunks:

@@ -106,11 +106,10 @@ def _static(name: str) -> Callable[[Request], Response]:
 
 
 def _error(status: int, message: str, headers: Any = None) -> Response:
-    return JSONResponse({"error": message} | _retry(headers), status, headers)
-
-
-def _retry(headers: Any) -> dict[str, int]:
-    return {"retry_after": int(headers["Retry-After"])} if headers and "Retry-After" in headers else {}
+    data: schema.ErrorData = {"error": message}
+    if headers and "Retry-After" in headers:
+        data["retry_after"] = int(headers["Retry-After"])
+    return JSONResponse(data, status, headers)
 
 
 class _Guard:

@@ -88,9 +88,8 @@ class Scheduler:
         sample = nothing.waiting[0].sample
         while nothing.is_busy:
             nothing.step()
-        longest = np.zeros(
-            (self.model.config.generator.max_codes, self.model.config.tokenizer.num_quantizers), np.int32
-        )
+        parts = self.model.config
+        longest = np.zeros((parts.generator.max_codes, parts.tokenizer.num_quantizers), np.int32)
         for codes, clean in itertools.product((longest[:1], longest), (True, False)):
             nothing._decode([(sample, codes)], clean=clean)
         nothing._grow().add(longest, ended=True)
@@ -157,23 +156,18 @@ class Scheduler:
             self.slots = self.model.parts.slots(self.num_slots, sampling, guidance_scale=options.guidance_scale)
         if self.slots is None:
             return
-        begun: list[tuple[int, TaskSample]] = []
+        begun: dict[int, Sample] = {}
         for slot in self.slots.free:
-            if self.waiting and self.waiting[0].task.request.options == self.group:
-                begun.append((slot, self.waiting.popleft()))
-        if not begun:
-            return
-        for slot, (task, sample) in begun:
-            self.active[slot] = TaskSample(task, sample)
+            if not self.waiting or self.waiting[0].task.request.options != self.group:
+                break
+            self.active[slot] = one = self.waiting.popleft()
             self.growing[slot] = self._grow()
-            if sample.number == 0:
-                self.send(task.job, "started", {"seed": task.request.seed})
-        samples = [one.sample for _, one in begun]
-        self.slots.begin(
-            [slot for slot, _ in begun],
-            [self.embed(sample.prompt.read) for sample in samples],
-            [sample.key for sample in samples],
-        )
+            begun[slot] = one.sample
+            if one.sample.number == 0:
+                self.send(one.task.job, "started", {"seed": one.task.request.seed})
+        if begun:
+            texts = [self.embed(sample.prompt.read) for sample in begun.values()]
+            self.slots.begin(list(begun), texts, [sample.key for sample in begun.values()])
 
     def _grow(self) -> GrowingMotion:
         longest = self.model.config.generator.max_codes
@@ -211,14 +205,10 @@ class Scheduler:
             places = [place for place, (_, codes) in enumerate(rows) if shorter < len(codes) <= limit]
             for first in range(0, len(places), DECODED_TOGETHER):
                 chosen = places[first : first + DECODED_TOGETHER]
-                found = self._decode_batch([rows[place] for place in chosen], limit, clean=clean)
+                samples, codes = zip(*(rows[place] for place in chosen), strict=True)
+                found = self.model.parts.decode_samples(samples, codes, size=limit, batch=DECODED_TOGETHER, clean=clean)
                 motions |= zip(chosen, found, strict=True)
         return [motions[place] for place in range(len(rows))]
-
-    def _decode_batch(self, rows: Sequence[tuple[Sample, Codes]], limit: int, *, clean: bool) -> list[Motion]:
-        """Returns the motions of codes, filled up to `DECODED_TOGETHER` motions of `limit` rows."""
-        samples, codes = zip(*rows, strict=True)
-        return self.model.parts.decode_samples(samples, codes, size=limit, batch=DECODED_TOGETHER, clean=clean)
 
     def _finish_plain(self, whole: Sequence[tuple[TaskSample, Mapping[int, Codes]]]) -> None:
         """Sends the motions of plain tasks with the same options, each with its last motion."""
