@@ -47,6 +47,7 @@ LARGEST_STRETCH = 0.999
 """Largest share of a leg's length between hip and ankle. So the knee stays bent."""
 
 Clip = Float[Array, "T J 3"]
+Joint = Float[Array, "T 3"]
 Frames = Bool[Array, " T"]
 
 
@@ -193,7 +194,7 @@ def _leg(skeleton: Skeleton, ankle: int, toe: int) -> tuple[int, int, int, int]:
     return skeleton.parents[knee], knee, ankle, toe
 
 
-def _standing(toe: Float[Array, "T 3"], mask: Frames, low: Float[Array, ""], *, fps: float) -> Frames:
+def _standing(toe: Joint, mask: Frames, low: Float[Array, ""], *, fps: float) -> Frames:
     """Returns in which frames a toe stands: it is low and slow, without short gaps and single frames."""
     steps = _length(jnp.diff(toe[:, ::2], axis=0))[:, 0] * fps
     speed = jnp.minimum(jnp.append(steps, steps[-1:]), jnp.concatenate([steps[:1], steps]))
@@ -212,7 +213,7 @@ def _narrowed(frames: Frames) -> Frames:
     return ~_widened(~frames)
 
 
-def lock_shift(toe: Float[Array, "T 3"], standing: Frames, *, fade: int = FADE) -> Float[Array, "T 3"]:
+def lock_shift(toe: Joint, standing: Frames, *, fade: int = FADE) -> Joint:
     """Returns how far to move a foot over the ground, so that it rests at one point while it stands.
 
     The point is the mean of the toe over one stand. Frames that are too far from it do not belong to the stand. The
@@ -234,7 +235,7 @@ def lock_shift(toe: Float[Array, "T 3"], standing: Frames, *, fade: int = FADE) 
     return jnp.where(standing[:, None], shift, faded / jnp.maximum(weights[0] + weights[1], 1.0))
 
 
-def _to_rest(toe: Float[Array, "T 3"], standing: Frames) -> Float[Array, "T 3"]:
+def _to_rest(toe: Joint, standing: Frames) -> Joint:
     """Returns the way over the ground from a toe to its mean over the stand; 0 in other frames."""
     begins = standing & ~jnp.concatenate([jnp.array([False]), standing[:-1]])
     stand = jnp.where(standing, jnp.cumsum(begins), 0)
@@ -248,13 +249,7 @@ def _fade(distance: Int[Array, " T"], fade: int) -> Float[Array, "T 1"]:
     return (0.5 + 0.5 * jnp.cos(jnp.pi * jnp.minimum(distance / (fade + 1), 1.0)))[:, None]
 
 
-def move_foot(
-    hip: Float[Array, "T 3"],
-    knee: Float[Array, "T 3"],
-    ankle: Float[Array, "T 3"],
-    toe: Float[Array, "T 3"],
-    shift: Float[Array, "T 3"],
-) -> tuple[Float[Array, "T 3"], ...]:
+def move_foot(hip: Joint, knee: Joint, ankle: Joint, toe: Joint, shift: Joint) -> tuple[Joint, ...]:
     """Returns knee, ankle and toe of a leg whose foot moves by a shift, as far as it reaches."""
     thigh = _length(knee - hip)
     shin = _length(ankle - knee)

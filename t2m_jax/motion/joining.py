@@ -31,6 +31,13 @@ OVERLAP = 12
 VELOCITY_SECONDS = 0.2
 """A difference of 1 m/s counts as much as a difference of this many meters."""
 
+Clip = Float[np.ndarray, "_ J 3"]
+"""Positions of a motion's joints."""
+Pose = Float[np.ndarray, "J 3"]
+"""Positions of one frame."""
+Features = Float[np.ndarray, "_ D"]
+"""Raw features of a motion."""
+
 HORIZONTAL = np.array([1.0, 0.0, 1.0], np.float32)
 """Leaves out heights."""
 
@@ -54,13 +61,7 @@ class Cut(NamedTuple):
 
 
 def find_cut(
-    first: Float[np.ndarray, "T D"],
-    second: Float[np.ndarray, "U D"],
-    *,
-    ends: range,
-    starts: range,
-    skeleton: Skeleton,
-    overlap: int = OVERLAP,
+    first: Features, second: Features, *, ends: range, starts: range, skeleton: Skeleton, overlap: int = OVERLAP
 ) -> Cut:
     """Returns the cut at which two clips of raw features are most alike.
 
@@ -81,7 +82,7 @@ def find_cut(
     return Cut(ends[end], starts[start], float(costs[end, start]))
 
 
-def _poses(features: Float[np.ndarray, "T D"], skeleton: Skeleton) -> Float[np.ndarray, "T J 6"]:
+def _poses(features: Features, skeleton: Skeleton) -> Float[np.ndarray, "T J 6"]:
     """Returns each frame's joint positions and scaled velocities, relative to the root's heading."""
     layout = skeleton.layout
     count = len(features)
@@ -92,9 +93,7 @@ def _poses(features: Float[np.ndarray, "T D"], skeleton: Skeleton) -> Float[np.n
     return np.concatenate([joints, velocities], axis=2)
 
 
-def join_features(
-    first: Float[np.ndarray, "T D"], second: Float[np.ndarray, "U D"], cut: Cut, *, overlap: int = OVERLAP
-) -> Float[np.ndarray, "S D"]:
+def join_features(first: Features, second: Features, cut: Cut, *, overlap: int = OVERLAP) -> Features:
     """Returns raw features of one clip after another, T' = `cut.end` + U - `cut.start` - `overlap` frames.
 
     In the overlap, all features go smoothly from the first clip's to the second's. The root's velocity and turning
@@ -108,9 +107,7 @@ def join_features(
     return np.concatenate([before[: cut.end - overlap], mixed, after[overlap:]])
 
 
-def fade_features(
-    first: Float[np.ndarray, "T D"], second: Float[np.ndarray, "U D"], *, overlap: int
-) -> tuple[Float[np.ndarray, "T D"], Float[np.ndarray, "U D"]]:
+def fade_features(first: Features, second: Features, *, overlap: int) -> tuple[Features, Features]:
     """Returns raw features of two clips, the second of which follows the first, with all of their frames.
 
     In the `overlap` frames around the join, fewer if a clip is shorter, all features go smoothly from the first clip's
@@ -125,19 +122,13 @@ def fade_features(
     return np.concatenate([first[:-half], mixed[:half]]), np.concatenate([mixed[half:], second[half:]])
 
 
-def place_positions(
-    positions: Float[np.ndarray, "T J 3"],
-    pose: Float[np.ndarray, "J 3"],
-    target: Float[np.ndarray, "J 3"],
-    *,
-    skeleton: Skeleton,
-) -> Float[np.ndarray, "T J 3"]:
+def place_positions(positions: Clip, pose: Pose, target: Pose, *, skeleton: Skeleton) -> Clip:
     """Returns a motion turned and moved on the ground, so that `pose` gets the place and the heading of `target`."""
     turn = quaternion_between(facing(pose, skeleton), facing(target, skeleton))
     return rotate_vectors(turn[None, None], positions - pose[0] * HORIZONTAL) + target[0] * HORIZONTAL
 
 
-def fading_change(differences: Float[np.ndarray, "_ J 3"], count: int) -> Float[np.ndarray, "U J 3"]:
+def fading_change(differences: Clip, count: int) -> Clip:
     """Returns what to add to the `count` frames after a join, so that they follow smoothly from the frames before it.
 
     Args:
@@ -154,15 +145,8 @@ def fading_change(differences: Float[np.ndarray, "_ J 3"], count: int) -> Float[
 
 
 def replace_middle(
-    head: Float[np.ndarray, "_ J 3"],
-    generated: Float[np.ndarray, "T J 3"],
-    tail: Float[np.ndarray, "_ J 3"],
-    *,
-    first: int,
-    last: int,
-    fps: float,
-    skeleton: Skeleton,
-) -> Float[np.ndarray, "U J 3"]:
+    head: Clip, generated: Clip, tail: Clip, *, first: int, last: int, fps: float, skeleton: Skeleton
+) -> Clip:
     """Returns `head`, frames `first` to `last` of a generated motion, and `tail`, moved to where these have come.
 
     The generated motion has frames for head and tail, too. What they differ by at the joins, in pose and in velocity,
@@ -196,9 +180,7 @@ def replace_middle(
     return np.concatenate([head, middle, tail]).astype(np.float32)
 
 
-def join_positions(
-    first: Float[np.ndarray, "T J 3"], second: Float[np.ndarray, "U J 3"], *, fps: float, skeleton: Skeleton
-) -> Float[np.ndarray, "V J 3"]:
+def join_positions(first: Clip, second: Clip, *, fps: float, skeleton: Skeleton) -> Clip:
     """Returns one motion after another, T + U - 1 frames.
 
     The second one is turned and moved, so that its first frame has the place and the heading of the last frame of the
@@ -210,9 +192,7 @@ def join_positions(
     return np.concatenate([first, blended[1:]]).astype(np.float32)
 
 
-def ease_seams(
-    positions: Float[np.ndarray, "T J 3"], seams: Sequence[int], *, fps: float
-) -> Float[np.ndarray, "T J 3"]:
+def ease_seams(positions: Clip, seams: Sequence[int], *, fps: float) -> Clip:
     """Returns a motion that is smoothed near the given frames, so that one action goes over into the next."""
     if not seams:
         return positions
@@ -236,16 +216,14 @@ def ease_seams(
     return result
 
 
-def join_windows(
-    windows: Iterable[Float[np.ndarray, "_ J 3"]], *, count: int, overlap: int
-) -> Float[np.ndarray, "T J 3"]:
+def join_windows(windows: Iterable[Clip], *, count: int, overlap: int) -> Clip:
     """Returns the motion of `count` frames in windows that share `overlap` frames with the one before.
 
     In the middle half of the shared frames, one window fades into the other.
     """
     # Not in the outer quarters: there, one of the two windows was computed almost without what comes next to it.
     share = fade(2 * np.arange(overlap) / overlap - 0.5)[:, None, None].astype(np.float32)
-    result: Float[np.ndarray, "T J 3"] | None = None
+    result: Clip | None = None
     first = 0
     for window in windows:
         if result is None:

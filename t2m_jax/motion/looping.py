@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from t2m_jax.errors import UserError
 from t2m_jax.motion.features import bone_vectors, positions_from_bones
-from t2m_jax.motion.joining import HORIZONTAL, SEAM_SECONDS, VELOCITY_SECONDS, fading_change
+from t2m_jax.motion.joining import HORIZONTAL, SEAM_SECONDS, VELOCITY_SECONDS, Clip, fading_change
 from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 
@@ -44,12 +44,12 @@ def output_fps(fps: float | int, *, asked: float | int | None, loop: bool) -> fl
     return asked or (max(fps, LOOP_FPS) if loop else fps)
 
 
-def keep_in_place(positions: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, "T J 3"]:
+def keep_in_place(positions: Clip) -> Clip:
     """Returns a motion whose root stays above the origin. Heights and heading, and so contacts, keep their timing."""
     return positions - positions[:, :1] * HORIZONTAL
 
 
-def find_loop(positions: Float[np.ndarray, "T J 3"], *, fps: float) -> Loop:
+def find_loop(positions: Clip, *, fps: float) -> Loop:
     """Returns the best loop in a motion. Where it is and where it goes do not matter, but its heading does.
 
     Raises:
@@ -80,9 +80,7 @@ def find_loop(positions: Float[np.ndarray, "T J 3"], *, fps: float) -> Loop:
     return Loop(int(starts[row]), int(end), difference)
 
 
-def close_loop(
-    positions: Float[np.ndarray, "T J 3"], loop: Loop, *, fps: float, skeleton: Skeleton
-) -> Float[np.ndarray, "U J 3"]:
+def close_loop(positions: Clip, loop: Loop, *, fps: float, skeleton: Skeleton) -> Clip:
     """Returns the frames of a loop. The last one has the pose and the velocities of the first, at another place.
 
     Both ends approach the pose and the velocities between theirs with cubic curves. Bones keep their lengths.
@@ -102,9 +100,7 @@ def close_loop(
     return _with_bones_of(part, closed, skeleton).astype(np.float32)
 
 
-def _travel(
-    part: Float[np.ndarray, "T J 3"], speeds: Float[np.ndarray, " J"], skeleton: Skeleton
-) -> Float[np.ndarray, "3"]:
+def _travel(part: Clip, speeds: Float[np.ndarray, " J"], skeleton: Skeleton) -> Float[np.ndarray, "3"]:
     """Returns how far a loop moves over the ground, so that a foot that does not move at the seam stays in place."""
     joints = [0, *skeleton.left_foot, *skeleton.right_foot]
     # The joint that stands decides, and not a mean with those that move. `STILL_SPEED` keeps weights finite.
@@ -112,9 +108,7 @@ def _travel(
     return np.average((part[-1] - part[0])[joints], axis=0, weights=weights) * HORIZONTAL
 
 
-def _with_bones_of(
-    part: Float[np.ndarray, "T J 3"], closed: Float[np.ndarray, "T J 3"], skeleton: Skeleton
-) -> Float[np.ndarray, "T J 3"]:
+def _with_bones_of(part: Clip, closed: Clip, skeleton: Skeleton) -> Clip:
     """Returns `closed` with the bone lengths of `part`, which drift evenly so that both ends have the same ones."""
     lengths = np.linalg.norm(bone_vectors(part, skeleton), axis=-1, keepdims=True)
     lengths += (lengths[0] - lengths[-1]) * np.linspace(0, 1, len(part))[:, None, None]

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from t2m_jax.errors import UserError
 from t2m_jax.motion.cleanup import lock_feet
 from t2m_jax.motion.features import gaussian_kernel
-from t2m_jax.motion.joining import HORIZONTAL
+from t2m_jax.motion.joining import HORIZONTAL, Clip
 from t2m_jax.motion.skeleton import Skeleton
 
 SWAY_SECONDS = 0.4
@@ -30,6 +30,12 @@ FARTHEST = 1000.0
 """Meters. A waypoint that is farther away is probably a mistake."""
 SPLINE_STEP = 0.01
 """Length of the pieces of a curve through waypoints; meters."""
+
+
+Places = Float[np.ndarray, "_ 3"]
+"""Places one after another, over the ground."""
+Way = Float[np.ndarray, " _"]
+"""A number for each place of a path, such as the way to it from the start in meters."""
 
 
 class Route(NamedTuple):
@@ -75,7 +81,7 @@ def check_waypoints(waypoints: Sequence[Sequence[float | int]]) -> Float[np.ndar
     return points
 
 
-def turned_route(positions: Float[np.ndarray, "T J 3"], degrees: float | int, *, fps: float) -> Route:
+def turned_route(positions: Clip, degrees: float | int, *, fps: float) -> Route:
     """Returns the path of a motion, bent evenly over its length, so that its end is turned by an angle to the left.
 
     Raises:
@@ -88,9 +94,7 @@ def turned_route(positions: Float[np.ndarray, "T J 3"], degrees: float | int, *,
     return Route(old, np.concatenate([old[:1], old[0] + np.cumsum(steps, axis=0)]), turns)
 
 
-def route_along(
-    positions: Float[np.ndarray, "T J 3"], waypoints: Sequence[Sequence[float | int]], *, fps: float
-) -> Route:
+def route_along(positions: Clip, waypoints: Sequence[Sequence[float | int]], *, fps: float) -> Route:
     """Returns a path through waypoints, as far as the motion travels. After the last one, it goes straight on.
 
     Raises:
@@ -104,9 +108,7 @@ def route_along(
     return Route(old, new, np.unwrap(headings - _headings(old, way, way)))
 
 
-def follow(
-    positions: Float[np.ndarray, "T J 3"], route: Route, *, fps: float, skeleton: Skeleton
-) -> Float[np.ndarray, "T J 3"]:
+def follow(positions: Clip, route: Route, *, fps: float, skeleton: Skeleton) -> Clip:
     """Returns a motion on its new path. A foot that stands does not turn with the body: the legs bend instead."""
     moved = _rotated(positions - route.old[:, None], route.turns[:, None]) + route.new[:, None]
     locked = _locked(jnp.asarray(moved, jnp.float32), fps=fps, skeleton=skeleton)
@@ -118,9 +120,7 @@ def _locked(positions: Float[jax.Array, "T J 3"], *, fps: float, skeleton: Skele
     return lock_feet(positions, jnp.asarray(len(positions)), skeleton, fps=fps)
 
 
-def _smooth_path(
-    positions: Float[np.ndarray, "T J 3"], fps: float
-) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, " T"]]:
+def _smooth_path(positions: Clip, fps: float) -> tuple[Places, Way]:
     """Returns the path of the root over the ground without its sway, and the way from the start to each frame."""
     kernel = gaussian_kernel(SWAY_SECONDS * fps)
     roots = positions[:, 0].astype(np.float64) * HORIZONTAL
@@ -134,7 +134,7 @@ def _smooth_path(
     return smooth, way
 
 
-def _curve(points: Float[np.ndarray, "N 2"], length: float) -> tuple[Float[np.ndarray, "U 3"], Float[np.ndarray, " U"]]:
+def _curve(points: Float[np.ndarray, "N 2"], length: float) -> tuple[Places, Way]:
     """Returns a smooth curve through points on the ground, extended to a length, and the way to each of its points."""
     from scipy.interpolate import CubicSpline  # here, because it takes long to import
 
@@ -149,16 +149,12 @@ def _curve(points: Float[np.ndarray, "N 2"], length: float) -> tuple[Float[np.nd
     return np.stack([flat[:, 0], 0 * way, flat[:, 1]], axis=1), way
 
 
-def _at(
-    path: Float[np.ndarray, "U 3"], way: Float[np.ndarray, " U"], wanted: Float[np.ndarray, " T"]
-) -> Float[np.ndarray, "T 3"]:
+def _at(path: Places, way: Way, wanted: Way) -> Places:
     """Returns places on a path by their way from its start."""
     return np.stack([np.interp(wanted, way, axis) for axis in path.T], axis=1)
 
 
-def _headings(
-    path: Float[np.ndarray, "U 3"], way: Float[np.ndarray, " U"], wanted: Float[np.ndarray, " T"]
-) -> Float[np.ndarray, " T"]:
+def _headings(path: Places, way: Way, wanted: Way) -> Way:
     """Returns the direction of a path at some places, as an angle from +Z to +X in radians."""
     chords = _at(path, way, wanted + LOOK_AHEAD) - _at(path, way, wanted - LOOK_AHEAD)
     # The angle jumps by a whole turn where a path heads to -Z. A figure must not spin there.

@@ -10,6 +10,11 @@ from jaxtyping import Complex, Float
 
 from t2m_jax.motion import rotations
 
+Directions = Float[np.ndarray, "T L 3"]
+Angles = Float[np.ndarray, "T L"]
+Twists = Complex[np.ndarray, "T L"]
+"""Numbers whose arguments are angles of twist, and whose lengths say how much they count."""
+
 _NUM_ANGLES = 72
 _MAX_DEGREES_PER_SECOND = 800.0
 # Sine of the bend at which a hinge has half of its full weight, and the weight of the natural twist relative to that.
@@ -20,8 +25,8 @@ _SMOOTHNESS = 1 / 400
 
 
 def limb_rotations(
-    upper: Float[np.ndarray, "T L 3"],
-    lower: Float[np.ndarray, "T L 3"],
+    upper: Directions,
+    lower: Directions,
     *,
     rest_directions: Float[np.ndarray, "L 3"],
     hinge_axes: Float[np.ndarray, "L 3"],
@@ -47,7 +52,7 @@ def limb_rotations(
         shift *= 2
     sideways = rotations.cross_product(rest_directions, hinge_axes)
 
-    def as_twist(axes: Float[np.ndarray, "T L 3"]) -> Complex[np.ndarray, "T L"]:
+    def as_twist(axes: Directions) -> Twists:
         """Returns the part of `axes` perpendicular to the bone as complex numbers with the twist as argument."""
         local = rotations.rotate_vectors(rotations.quaternion_inverse(transported), axes)
         return np.sum(local * hinge_axes, axis=-1) + 1j * np.sum(local * sideways, axis=-1)
@@ -69,7 +74,7 @@ def limb_rotations(
     return rotations.quaternion_multiply(transported, turns)
 
 
-def _best_path(evidence: Complex[np.ndarray, "T L"], stiffness: float, fps: float) -> Float[np.ndarray, "T L"]:
+def _best_path(evidence: Twists, stiffness: float, fps: float) -> Angles:
     """Returns the best sequence of twists on a grid of angles (dynamic programming)."""
     step = 2 * np.pi / _NUM_ANGLES
     reach = max(1, int(np.deg2rad(_MAX_DEGREES_PER_SECOND) / fps / step))
@@ -95,9 +100,7 @@ def _best_path(evidence: Complex[np.ndarray, "T L"], stiffness: float, fps: floa
     return angles[choice]
 
 
-def _smoothed(
-    values: Float[np.ndarray, "T L"], weights: Float[np.ndarray, "T L"], stiffness: float
-) -> Float[np.ndarray, "T L"]:
+def _smoothed(values: Angles, weights: Angles, stiffness: float) -> Angles:
     """Returns the curve x that minimizes the sum of weights / 2 (x - values)² and stiffness (step of x)²."""
     ends = np.zeros(len(values))
     ends[1:] += 2 * stiffness

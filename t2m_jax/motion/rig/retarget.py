@@ -17,6 +17,11 @@ from t2m_jax.motion.skeleton import HUMANML3D
 
 RigLike = Rig | str | Mapping[str, str | Sequence[str]]
 
+World = Float[np.ndarray, "T S 3"]
+"""Positions of the joints of a file."""
+Joints = Float[np.ndarray, "T 22 3"]
+"""Positions of the joints of HumanML3D."""
+
 _SPINE = ("pelvis", "spine1", "spine2", "spine3", "neck")
 # Place of a collar joint that the rig does not have: the part of the way from spine3 to the neck, and from there to
 # the shoulder.
@@ -63,7 +68,7 @@ def clip_up(clip: RigClip, rig: Rig) -> Literal["y", "z"]:
     return _find_up(clip, _retarget(clip.positions, clip.parents, index), index)
 
 
-def _find_up(clip: RigClip, positions: Float[np.ndarray, "T 22 3"], index: Mapping[str, int]) -> Literal["y", "z"]:
+def _find_up(clip: RigClip, positions: Joints, index: Mapping[str, int]) -> Literal["y", "z"]:
     """Returns the axis that points up, from the joints of a clip with end sites."""
     up = find_up(positions, _retarget(clip.rest_positions[None], clip.parents, index)[0])
     if up is None:
@@ -104,9 +109,7 @@ def match_clip(clip: RigClip, rig: Rig) -> dict[str, int]:
     return index
 
 
-def _retarget(
-    world: Float[np.ndarray, "T S 3"], parents: Sequence[int], index: Mapping[str, int]
-) -> Float[np.ndarray, "T 22 3"]:
+def _retarget(world: World, parents: Sequence[int], index: Mapping[str, int]) -> Joints:
     """Returns the joints of HumanML3D; those that the rig does not have are placed between their neighbors."""
     joints = {joint: world[:, source] for joint, source in index.items()}
     _place_spine(joints, index, world, parents)
@@ -122,10 +125,7 @@ def _retarget(
 
 
 def _place_spine(
-    joints: dict[str, Float[np.ndarray, "T 3"]],
-    index: Mapping[str, int],
-    world: Float[np.ndarray, "T S 3"],
-    parents: Sequence[int],
+    joints: dict[str, Float[np.ndarray, "T 3"]], index: Mapping[str, int], world: World, parents: Sequence[int]
 ) -> None:
     """Adds the missing joints between pelvis and neck: on the file's own spine, with the template's proportions."""
     template = [HUMANML3D.bone_lengths[HUMANML3D.joint_names.index(name)] for name in _SPINE]
