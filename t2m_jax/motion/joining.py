@@ -7,13 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.motion.features import (
-    bone_vectors,
-    facing,
-    gaussian_kernel,
-    positions_from_bones,
-    smooth_over_time,
-)
+from t2m_jax.motion.features import bone_vectors, facing, gaussian_kernel, positions_from_bones, smooth_over_time
 from t2m_jax.motion.rotations import quaternion_between, rotate_vectors, unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 

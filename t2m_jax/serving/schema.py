@@ -111,21 +111,13 @@ def make_model(name: str, record: type, replaced: Mapping[str, Replacement]) -> 
     return create_model(name, __config__=ConfigDict(extra="forbid", allow_inf_nan=False), **annotated)
 
 
-_PATH: Replacement = (
-    PathText | None,
-    None,
-    'Points on the ground to walk through, such as "0,0 1,2 3,2"; meters.',
-)
+_PATH: Replacement = (PathText | None, None, 'Points on the ground to walk through, such as "0,0 1,2 3,2"; meters.')
 MotionBody = make_model(
     "MotionBody",
     MotionRequest,
     {
         "seed": (int | None, None, "From 0 to 2**32 - 1; by default a random one."),
-        "start": (
-            Base64 | None,
-            None,
-            "A motion to continue. With `span` or `strength`, it is changed instead.",
-        ),
+        "start": (Base64 | None, None, "A motion to continue. With `span` or `strength`, it is changed instead."),
         "start_format": (InputFormat, "npz", "Format of `start`."),
     },
 )

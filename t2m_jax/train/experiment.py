@@ -16,14 +16,7 @@ from typing import Any, NamedTuple
 import jax
 
 from t2m_jax.checkpoints.best import forget_best
-from t2m_jax.checkpoints.run import (
-    DATA_FILE,
-    create_run,
-    has_checkpoint,
-    restore_latest,
-    run_info,
-    save_run_config,
-)
+from t2m_jax.checkpoints.run import DATA_FILE, create_run, has_checkpoint, restore_latest, run_info, save_run_config
 from t2m_jax.data.banks.host import FeedPlan
 from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.data.summary import save_training_data, summarize_training_data
