@@ -50,8 +50,6 @@ class Hub:
         self.asked: list[str] = []
         self.cut_after: dict[str, int] = {}
         """Files of which only so many bytes are sent before the connection ends."""
-        self.sizes: dict[str, int] = {}
-        """Files whose size is said to be another one."""
         self.url, self.cache = "", Path()
 
     def settings(self, home: Path) -> dict[str, str]:
@@ -88,7 +86,7 @@ class Hub:
         """Returns the answer to GET: data, or the commit and the contents of a file."""
         if found := re.fullmatch(r"/api/models/([^/]+/[^/]+)(?:/(revision|tree)/([^/]+))?", path):
             repository, commit = self.find(found[1], unquote(found[3] or "main"), token)
-            sizes = {name: self.sizes.get(name, len(data)) for name, data in repository.commits[commit].items()}
+            sizes = {name: len(data) for name, data in repository.commits[commit].items()}
             if found[2] == "tree":
                 return [{"type": "file", "path": name, "size": sizes[name], "oid": name} for name in sizes]
             siblings = [{"rfilename": name, "size": size} for name, size in sizes.items()]

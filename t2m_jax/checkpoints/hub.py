@@ -26,22 +26,14 @@ class HubName(NamedTuple):
         return self.repository if self.revision is None else f"{self.repository}@{self.revision}"
 
 
-class HubFiles(NamedTuple):
-    """The files of a repository at one commit."""
-
-    commit: str
-    sizes: dict[str, int]
-    """Bytes of each file by its name; 0 if the hub does not say."""
-
-
 def parse_hub_name(name: str | Path) -> HubName | None:
     """Returns the parts of a name of the hub, None if a text cannot be one. A `Path` never is."""
     found = _NAME.fullmatch(name) if isinstance(name, str) else None
     return None if found is None else HubName(found[1], found[2])
 
 
-def list_hub_files(name: HubName) -> HubFiles:
-    """Returns what the hub says that a repository contains.
+def hub_commit(name: HubName) -> str:
+    """Returns the commit that a repository has now.
 
     Raises:
         UserError: The hub cannot be reached, or has no such repository or revision for this user. The message is only
@@ -50,12 +42,10 @@ def list_hub_files(name: HubName) -> HubFiles:
     import huggingface_hub  # slow to import, and only names of the hub need it
 
     try:
-        info = huggingface_hub.HfApi().model_info(
-            name.repository, revision=name.revision, files_metadata=True, timeout=SECONDS
-        )
+        info = huggingface_hub.HfApi().model_info(name.repository, revision=name.revision, timeout=SECONDS)
     except Exception as error:  # noqa: BLE001 - the client passes on whatever its HTTP library raises
         raise UserError(hub_reason(error)) from None
-    return HubFiles(f"{info.sha}", {file.rfilename: file.size or 0 for file in info.siblings or []})
+    return f"{info.sha}"
 
 
 def hub_snapshot(name: HubName, files: Sequence[str], *, offline: bool = False) -> Path:
@@ -79,7 +69,7 @@ def hub_snapshot(name: HubName, files: Sequence[str], *, offline: bool = False) 
             allow_patterns=list(files),
             local_files_only=offline,
         )
-    except Exception as error:  # noqa: BLE001 - see `list_hub_files`
+    except Exception as error:  # noqa: BLE001 - see `hub_commit`
         raise UserError(hub_reason(error)) from None
     return Path(folder)
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from t2m_jax.checkpoints import bundle
 from t2m_jax.checkpoints.clip_files import CLIP_FILES
-from t2m_jax.checkpoints.hub import HubFiles, HubName, hub_reason, hub_snapshot, list_hub_files, parse_hub_name
+from t2m_jax.checkpoints.hub import HubName, hub_commit, hub_reason, hub_snapshot, parse_hub_name
 from t2m_jax.checkpoints.run import DATA_FILE, is_run
 from t2m_jax.checkpoints.sentence import SENTENCE_FILES
 from t2m_jax.errors import UserError
@@ -35,10 +35,6 @@ BUNDLE_FILES = frozenset(
     }
 )
 """What the manifest of a bundle may list."""
-# Those of the packaged models have 9 kB. The rest is for cards with pictures in them.
-MAX_DESCRIPTION_BYTES = 5_000_000
-MAX_BYTES = 20 * 10**9
-"""Largest bundle that is downloaded: several times the largest text-to-motion model that was published."""
 
 
 class FoundModel(NamedTuple):
@@ -84,9 +80,11 @@ def load_card(name_or_path: str | Path) -> str:
     if name is None or folder.exists():
         return load_text(folder / bundle.CARD_FILE)
     copy = _find_copy(name)
-    files = _list_files(name, copy)
-    if copy is None or copy.name != files.commit:
-        copy = _description(name, files, needs=bundle.CARD_FILE)
+    commit = _newest_commit(name, copy)
+    if copy is None or copy.name != commit:
+        copy = _download(name, DESCRIPTION_FILES, revision=commit)
+    if not (copy / bundle.CARD_FILE).is_file():
+        raise UserError(f"{name}: is not a bundle of t2m_jax, because it has no {bundle.CARD_FILE} on the hub")
     return load_text(copy / bundle.CARD_FILE)
 
 
@@ -162,7 +160,7 @@ def push_bundle(folder: Path, name: HubName, *, private: bool = False) -> str:
             revision=name.revision,
             commit_message="Upload a bundle of t2m_jax",
         )
-    except Exception as error:  # noqa: BLE001 - see `list_hub_files`
+    except Exception as error:  # noqa: BLE001 - see `hub_commit`
         again = f"to try again: t2m bundle {folder} --push {name}"
         raise UserError(f"{name}: was not pushed ({hub_reason(error)}); {again}") from None
     return f"{url}/tree/{commit.oid}"
@@ -191,47 +189,33 @@ def _check_copy(name: HubName, folder: Path, *, only: tuple[str, ...] | None = N
         raise UserError(f"{name}: {error}".replace(f"{folder}/", "")) from None
 
 
-def _list_files(name: HubName, copy: Path | None) -> HubFiles:
-    """Returns what the hub has; if it cannot be asked, the commit of the copy."""
+def _newest_commit(name: HubName, copy: Path | None) -> str:
+    """Returns the commit that the hub has now; if it cannot be asked, that of the copy."""
     try:
-        return list_hub_files(name)
+        return hub_commit(name)
     except UserError as error:
         if copy is None:
             raise UserError(f"{name}: there is no such folder, and it cannot be loaded from the hub: {error}") from None
         logger.info("%s: the hub cannot be asked (%s); using the copy of commit %s", name, error, copy.name)
-        return HubFiles(copy.name, {})
+        return copy.name
 
 
 def _ask_hub(name: HubName, copy: Path | None) -> Path:
     """Returns the folder with the commit that the hub has now, or `copy` if the hub cannot be asked."""
-    files = _list_files(name, copy)
-    if copy is not None and copy.name == files.commit:
+    commit = _newest_commit(name, copy)
+    if copy is not None and copy.name == commit:
         return copy
     # First the small files: what is not a bundle is refused before gigabytes are downloaded.
-    folder = _description(name, files, needs=bundle.CONFIG_FILE)
+    folder = _download(name, DESCRIPTION_FILES, revision=commit)
     _check_copy(name, folder, only=DESCRIPTION_FILES)
-    logger.info("%s: downloading commit %s from the hub", name, files.commit)
+    logger.info("%s: downloading commit %s from the hub", name, commit)
     # By its name, not by the commit: the client then notes which commit it is, and finds it without network. If the hub
     # has a newer commit by now, the check of all files shows it.
-    return _download(name, files, [MANIFEST, *read_manifest(folder)], most=MAX_BYTES, revision=name.revision)
+    return _download(name, [MANIFEST, *read_manifest(folder)], revision=name.revision)
 
 
-def _description(name: HubName, files: HubFiles, *, needs: str) -> Path:
-    """Returns the folder with the small files of a bundle, which are downloaded alone."""
-    if needs not in files.sizes:
-        raise UserError(f"{name}: is not a bundle of t2m_jax, because it has no {needs} on the hub")
-    # The commit whose sizes were checked. The branch may have moved since.
-    return _download(name, files, DESCRIPTION_FILES, most=MAX_DESCRIPTION_BYTES, revision=files.commit)
-
-
-def _download(name: HubName, files: HubFiles, wanted: Sequence[str], *, most: int, revision: str | None) -> Path:
-    """Returns the folder with some files of a revision, if they have at most `most` bytes."""
-    size = sum(files.sizes.get(file, 0) for file in wanted)
-    if size > most:
-        raise UserError(
-            f"{name}: {', '.join(sorted(wanted))} have {size:,} bytes on the hub; at most {most:,} are loaded"
-        )
+def _download(name: HubName, files: Sequence[str], *, revision: str | None) -> Path:
     try:
-        return hub_snapshot(name._replace(revision=revision), wanted)
+        return hub_snapshot(name._replace(revision=revision), files)
     except UserError as error:
         raise UserError(f"{name}: cannot be downloaded ({error})") from None

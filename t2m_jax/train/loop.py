@@ -135,26 +135,25 @@ def run_loop(
             step += count
             calls.append(Call(metrics, count))
             asked = asked_to_stop(step)
-            # What is due is a function of the step: a resumed run writes the same lines as another.
-            due = [one for one in measurements if is_due(step, one.every, last=total)]
-            is_kept = asked is not None or step == total or is_due(step, config.checkpoint_every, last=total)
-            # Before anything is saved or measured: this raises if a loss was not finite.
-            if due or is_kept or is_due(step, config.log_every, last=total):
+            due = find_due(step, config, measurements, is_asked=asked is not None)
+            if due.is_logged:  # before anything is saved or measured: this raises if a loss was not finite
                 _log_updates(log, step, calls, speed, progress)
                 calls = []
-            ends_here = _log_measurements(log, step, due, state) or asked is not None
-            if is_kept or ends_here:
+            ends_here = _log_measurements(log, step, due.measurements, state) or asked is not None
+            if due.is_kept or ends_here:
                 checkpoints.save(step, state)
             if ends_here:
                 break
             if not calls:
                 log.restart_clock()  # the time of measurements and checkpoints is not that of updates
     if asked is not None and step < total:
-        name = signal.Signals(asked).name
-        raise Interruption(
-            asked, f"{run}: stopped by {name} after step {step}, which is kept; add --resume to continue"
-        )
+        raise _interruption(run, asked, step)
     return state
+
+
+def _interruption(run: Path, number: int, step: int) -> Interruption:
+    name = signal.Signals(number).name
+    return Interruption(number, f"{run}: stopped by {name} after step {step}, which is kept; add --resume to continue")
 
 
 def next_count(step: int, config: LoopConfig, measurements: Sequence[Measurement]) -> int:
@@ -173,6 +172,28 @@ def next_multiple(step: int, every: int, *, limit: int) -> int:
 def is_due(step: int, every: int, *, last: int) -> bool:
     """Returns whether something is done after `step`: after each `every` steps and the last; never if `every` is 0."""
     return every > 0 and (step % every == 0 or step == last)
+
+
+class Due(NamedTuple):
+    """What is done after a step."""
+
+    is_kept: bool
+    """Whether a checkpoint is written."""
+    is_logged: bool
+    """Whether means of the updates are logged."""
+    measurements: Sequence[Measurement]
+    """What is measured."""
+
+
+def find_due(step: int, config: LoopConfig, measurements: Sequence[Measurement], *, is_asked: bool) -> Due:
+    """Returns what is due after `step`, as a function of the step: a resumed run writes the same lines as another.
+
+    If the run is asked to stop, its state is kept.
+    """
+    total = config.num_steps
+    is_kept = is_asked or step == total or is_due(step, config.checkpoint_every, last=total)
+    now = [one for one in measurements if is_due(step, one.every, last=total)]
+    return Due(is_kept, bool(now) or is_kept or is_due(step, config.log_every, last=total), now)
 
 
 def _log_updates(log: MetricLog, step: int, calls: list[Call], speed: Speed | None, progress: Any) -> None:

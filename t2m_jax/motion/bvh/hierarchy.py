@@ -35,7 +35,7 @@ class Hierarchy(NamedTuple):
         return sum(len(names) for names in self.channels)
 
 
-class _Parser:
+class _HierarchyParser:
     """Reads the words of the section one after another. Errors name the file and the line."""
 
     def __init__(self, lines: Sequence[str], path: Path):
@@ -138,7 +138,7 @@ def parse_hierarchy(lines: Sequence[str], path: Path) -> Hierarchy:
         lines: Lines of text. The first one is line 1 of the file.
         path: The file, for error messages.
     """
-    parser = _Parser(lines, path)
+    parser = _HierarchyParser(lines, path)
     parser.take_word("HIERARCHY")
     parser.take_word("ROOT")
     stack = [parser.open_joint("ROOT", parent=-1)]
