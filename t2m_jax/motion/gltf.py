@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from t2m_jax.errors import UserError
 from t2m_jax.files.reading import first_line, reading
@@ -257,27 +257,14 @@ def _interpolate(track: _Keyframes, times: Float[np.ndarray, " T"], kind: str) -
     if track.interpolation == "STEP":
         return track.values[before, 0]
     if track.interpolation == "CUBICSPLINE":
-        return _cubic(track.values, before, after, length[:, None], share[:, None])
+        t = share[:, None]
+        # A Hermite spline. Tangents are per second.
+        return (
+            (2 * t**3 - 3 * t**2 + 1) * track.values[before, 1]
+            + (t**3 - 2 * t**2 + t) * (length[:, None] * track.values[before, 2])
+            + (3 * t**2 - 2 * t**3) * track.values[after, 1]
+            + (t**3 - t**2) * (length[:, None] * track.values[after, 0])
+        )
     start = track.values[before, 0]
     end = track.values[after, 0]
     return slerp(start, end, share) if kind == "rotation" else start + (end - start) * share[:, None]
-
-
-def _cubic(
-    values: Float[np.ndarray, "K 3 C"],
-    before: Int[np.ndarray, " T"],
-    after: Int[np.ndarray, " T"],
-    length: Float[np.ndarray, "T 1"],
-    t: Float[np.ndarray, "T 1"],
-) -> Float[np.ndarray, "T C"]:
-    """Returns Hermite splines of keys with tangents."""
-    start = values[before, 1]
-    leave = length * values[before, 2]
-    end = values[after, 1]
-    arrive = length * values[after, 0]
-    return (
-        (2 * t**3 - 3 * t**2 + 1) * start
-        + (t**3 - 2 * t**2 + t) * leave
-        + (3 * t**2 - 2 * t**3) * end
-        + (t**3 - t**2) * arrive
-    )

@@ -85,12 +85,6 @@ def quaternion_inverse(quaternions: Float[AnyArray, "*batch 4"]) -> Float[AnyArr
     return xp.concatenate([quaternions[..., :1], -quaternions[..., 1:]], axis=-1)
 
 
-def quaternion_normalize(quaternions: Float[AnyArray, "*batch 4"]) -> Float[AnyArray, "*batch 4"]:
-    """Returns `quaternions` with unit length. Zero stays zero."""
-    chex.assert_shape(quaternions, (..., 4))
-    return unit_vectors(*_float32(quaternions))
-
-
 def rotate_vectors(
     quaternions: Float[AnyArray, "*#batch 4"], vectors: Float[AnyArray, "*#batch 3"]
 ) -> Float[AnyArray, "*batch 3"]:
@@ -171,16 +165,10 @@ def quaternion_from_matrix(matrices: Float[AnyArray, "*batch 3 3"]) -> Float[Any
     return xp.where(quaternions[..., :1] < 0, -quaternions, quaternions)
 
 
-def rotation_6d_from_matrix(matrices: Float[AnyArray, "*batch 3 3"]) -> Float[AnyArray, "*batch 6"]:
-    """Returns the first and the second column of each matrix."""
-    chex.assert_shape(matrices, (..., 3, 3))
-    (matrices,) = _float32(matrices)
-    return namespace_of(matrices).concatenate([matrices[..., 0], matrices[..., 1]], axis=-1)
-
-
 def rotation_6d_from_quaternion(quaternions: Float[AnyArray, "*batch 4"]) -> Float[AnyArray, "*batch 6"]:
     """Returns the first and the second column of each quaternion's matrix."""
-    return rotation_6d_from_matrix(matrix_from_quaternion(quaternions))
+    matrices = matrix_from_quaternion(quaternions)
+    return namespace_of(matrices).concatenate([matrices[..., 0], matrices[..., 1]], axis=-1)
 
 
 def continuous_quaternions(quaternions: Float[AnyArray, "T *batch 4"]) -> Float[AnyArray, "T *batch 4"]:

@@ -48,7 +48,7 @@ def limb_rotations(
     shift = 1
     while shift < len(transported):
         product = rotations.quaternion_multiply(transported[shift:], transported[:-shift])
-        transported[shift:] = rotations.quaternion_normalize(product)
+        transported[shift:] = rotations.unit_vectors(product)
         shift *= 2
     sideways = rotations.cross_product(rest_directions, hinge_axes)
 
