@@ -62,10 +62,7 @@ def find_model(name_or_path: str | Path) -> FoundModel:
     copy = _find_copy(name)
     if copy is None or copy.name != name.revision:  # a commit never changes
         copy = _ask_hub(name, copy)
-    try:
-        _check_copy(name, copy)
-    except UserError as error:
-        raise UserError(f"{error} (its copy is in {copy.parents[1]})") from None
+    _check_copy(name, copy)
     return FoundModel(copy, f"{name.repository}@{copy.name}")
 
 
@@ -186,7 +183,8 @@ def _check_copy(name: HubName, folder: Path, *, only: tuple[str, ...] | None = N
         check_shareable(folder)
         check_folder(folder, only=only, thorough=True)
     except UserError as error:
-        raise UserError(f"{name}: {error}".replace(f"{folder}/", "")) from None
+        place = "" if only else f" (its copy is in {folder.parents[1]})"
+        raise UserError(f"{name}: {error}{place}".replace(f"{folder}/", "")) from None
 
 
 def _newest_commit(name: HubName, copy: Path | None) -> str:

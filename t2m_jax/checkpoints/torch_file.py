@@ -75,12 +75,10 @@ def _read_archive(file: BinaryIO) -> Any:
     with zipfile.ZipFile(file) as archive:
         members = {member.filename: member for member in archive.infolist()}
         _check_members(archive, size)
-        roots = [
-            name.removesuffix("/data.pkl") for name in members if name.count("/") == 1 and name.endswith("/data.pkl")
-        ]
+        roots = [name for name in members if name.count("/") == 1 and name.endswith("/data.pkl")]
         if len(roots) != 1:
             raise UserError("a zip archive, but not of torch.save; use the downloaded file as it is")
-        (root,) = roots
+        root = roots[0].removesuffix("/data.pkl")
         if members[f"{root}/data.pkl"].file_size > MAX_PICKLE_BYTES:
             raise UserError(f"its table of contents is larger than {MAX_PICKLE_BYTES // 1_000_000} MB; not a model")
         # Older versions of PyTorch do not write this member.

@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from t2m_jax.errors import UserError
-from t2m_jax.files.reading import MAX_TEXT, check_input, load_text, reading
+from t2m_jax.files.reading import MAX_TEXT, load_text, reading
 from t2m_jax.files.writing import save_text
 
 MANIFEST = "manifest.txt"
@@ -50,8 +50,7 @@ def read_manifest(folder: Path) -> dict[str, Entry]:
         UserError: The manifest is missing or damaged.
     """
     path = folder / MANIFEST
-    check_input(path, max_bytes=MAX_TEXT)
-    with reading(path):
+    with reading(path, max_bytes=MAX_TEXT):
         found = path.read_bytes()
     try:
         fields = [line.split(" ", 3) for line in found.decode().split("\n")[1:-2]]

@@ -61,12 +61,12 @@ def check_input(path: Path, *, max_bytes: int = sys.maxsize) -> None:
 
 
 @contextlib.contextmanager
-def reading(path: Path) -> Iterator[None]:
+def reading(path: Path, *, max_bytes: int = sys.maxsize) -> Iterator[None]:
     """Turns the errors of a missing or unreadable file, or of text that is not UTF-8, into a `UserError`.
 
-    Pipes and devices are refused (see `check_input`).
+    Pipes, devices and files that are too large are refused (see `check_input`).
     """
-    check_input(path)
+    check_input(path, max_bytes=max_bytes)
     try:
         yield
     except FileNotFoundError:
@@ -83,8 +83,7 @@ def load_text(path: Path, *, max_bytes: int = MAX_TEXT) -> str:
     Raises:
         UserError: The file is missing, cannot be read, is not UTF-8 or is larger than `max_bytes`.
     """
-    check_input(path, max_bytes=max_bytes)
-    with reading(path):
+    with reading(path, max_bytes=max_bytes):
         text = path.read_text(encoding="utf-8")
     return text  # noqa: RET504 - for mypy, a `return` inside `with` may not be reached
 

@@ -183,15 +183,10 @@ def lock_feet(positions: Clip, length: Int[Array, ""], skeleton: Skeleton, *, fp
         shift = lock_shift(toe, _standing(toe, mask, low, fps=fps), fade=fade)
         return jnp.stack(move_foot(hip, knee, ankle, toe, shift), axis=1)
 
-    legs = np.array([_leg(skeleton, *foot) for foot in (skeleton.left_foot, skeleton.right_foot)])
+    knees = [skeleton.parents[ankle] for ankle, _ in (skeleton.left_foot, skeleton.right_foot)]
+    legs = np.column_stack([[skeleton.parents[knee] for knee in knees], knees, feet.reshape(2, 2)])
     moved = jax.vmap(moved_joints, out_axes=1)(jnp.asarray(legs))
     return positions.at[:, legs[:, 1:].ravel()].set(moved.reshape(len(positions), -1, 3))
-
-
-def _leg(skeleton: Skeleton, ankle: int, toe: int) -> tuple[int, int, int, int]:
-    """Returns hip, knee, ankle and toe."""
-    knee = skeleton.parents[ankle]
-    return skeleton.parents[knee], knee, ankle, toe
 
 
 def _standing(toe: Joint, mask: Frames, low: Float[Array, ""], *, fps: float) -> Frames:

@@ -204,12 +204,9 @@ def open_evaluation(setup: Setup) -> EvaluationTask | None:
 def make_best(run: Path, setup: Setup, held_out: EvaluationTask | None) -> BestWeights | None:
     """Returns what keeps the best weights: by a metric of the evaluation if there is one, else by validation loss."""
     if held_out is not None and setup.evaluation is not None:
-        return BestWeights(
-            run,
-            metric=setup.evaluation.config.metric,
-            sampling=setup.evaluation.sampling,
-            evaluator=held_out.evaluator.fingerprint,
-        )
+        metric = setup.evaluation.config.metric
+        digest = held_out.evaluator.fingerprint
+        return BestWeights(run, metric=metric, sampling=setup.evaluation.sampling, evaluator=digest)
     if setup.validation is None:
         return None
     if setup.evaluation is not None:
