@@ -40,21 +40,23 @@ def parse_motion(text: bytes, path: Path, *, first_line: int, num_channels: int)
     if num_channels == 0:
         raise UserError(f"{path}:{line}: the hierarchy has no channels, so there is no motion to read")
     first_row = line + 1
-    rows = [(number, words) for number, row in enumerate(text.split(b"\n"), first_row) if (words := row.split())]
+    rows = [(number, row) for number, row in enumerate(text.split(b"\n"), first_row) if row.strip()]
     values = np.zeros((0, 0))
     with contextlib.suppress(ValueError):  # a word is not a number, or rows have different lengths
-        values = np.array([list(map(float, words)) for _, words in rows])
+        # Row by row, because lists of Python's numbers need four times the memory.
+        values = np.array([np.array(list(map(float, row.split()))) for _, row in rows])
     # Python reads 1_000 as a number, but the format does not have it.
     if values.shape != (num_frames, num_channels) or not (np.abs(values) < MAX_VALUE).all() or b"_" in text:
-        raise _problem([(first_row, []), *rows], path, shape=(num_frames, num_channels))
+        raise _problem([(first_row, b""), *rows], path, shape=(num_frames, num_channels))
     return MotionTable(values=values, fps=fps)
 
 
-def _problem(rows: Sequence[tuple[int, list[bytes]]], path: Path, *, shape: tuple[int, int]) -> UserError:
+def _problem(rows: Sequence[tuple[int, bytes]], path: Path, *, shape: tuple[int, int]) -> UserError:
     """Returns the error for the first row that is not as the header and the hierarchy say; the frames begin at 1."""
     num_frames, num_channels = shape
     count = len(rows) - 1
-    for frame, (line, words) in enumerate(rows[1:]):
+    for frame, (line, row) in enumerate(rows[1:]):
+        words = row.split()
         for word in words:
             shown = word[:24].decode("utf-8", errors="replace")
             value = None
