@@ -6,31 +6,21 @@ import math
 import stat
 import struct
 import sys
-import zipfile
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from tokenize import TokenError
 from typing import Any
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
 from t2m_jax.errors import UserError
 
-DAMAGED_ARRAY = (
-    ValueError,
-    TypeError,
-    EOFError,
-    SyntaxError,
-    TokenError,
-    MemoryError,
-    OverflowError,
-    zipfile.BadZipFile,
-    Warning,
-)
+BAD_ARRAY = (ValueError, TypeError, EOFError, SyntaxError, TokenError, MemoryError, OverflowError, BadZipFile, Warning)
 """What `np.load` raises for damaged files. It parses the header as Python source, trusts the sizes in it, and warns of
 headers that old versions wrote. These warnings may have been made errors."""
-DAMAGED_ARCHIVE = (zlib.error, struct.error, AttributeError, LookupError, RuntimeError)
+BAD_ARCHIVE = (zlib.error, struct.error, AttributeError, LookupError, RuntimeError)
 """What it also raises for damaged archives; `RuntimeError` for encrypted ones and unknown compression."""
 MAX_UNPACKED = 2**28
 """The largest archive of arrays in bytes, unpacked: two hours of motion. A file of 300 kB can claim as much."""
@@ -116,7 +106,7 @@ def load_array(path: Path, *, mmap: bool = False) -> np.ndarray:  # any shape: t
     with reading(path):
         try:
             array = np.load(path, mmap_mode="r" if mmap else None, allow_pickle=False)
-        except DAMAGED_ARRAY as error:
+        except BAD_ARRAY as error:
             raise UserError(f"{path}: is not a complete .npy file ({first_line(error)}); copy it again") from None
     if not isinstance(array, np.ndarray) or array.dtype.kind != "f":
         raise UserError(f"{path}: does not hold one array of floating-point numbers")
@@ -124,7 +114,7 @@ def load_array(path: Path, *, mmap: bool = False) -> np.ndarray:  # any shape: t
 
 
 def _check_unpacked_size(path: Path) -> None:
-    with zipfile.ZipFile(path) as archive:
+    with ZipFile(path) as archive:
         size = sum(entry.file_size for entry in archive.infolist())
     if size > MAX_UNPACKED:
         raise UserError(f"{path}: unpacks to {size:,} bytes; at most {MAX_UNPACKED:,} are read")
@@ -147,7 +137,7 @@ def load_archive(path: Path) -> dict[str, np.ndarray]:
                     arrays[key].dtype  # noqa: B018 - something else than an array is given as its bytes
         except UserError:
             raise
-        except (*DAMAGED_ARRAY, *DAMAGED_ARCHIVE) as error:
+        except (*BAD_ARRAY, *BAD_ARCHIVE) as error:
             where = f"entry {key!r} is damaged or holds Python objects" if key else "this is not a complete .npz file"
             raise UserError(f"{path}: {where} ({first_line(error)})") from None
     return arrays

@@ -1,6 +1,7 @@
 """The optimizer, its learning-rate schedule, and the update that every trainer makes with it."""
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -73,13 +74,8 @@ def learning_rate_at(step: Int[Array, ""] | int, config: OptimizerConfig) -> Flo
 
 def make_optimizer(config: OptimizerConfig) -> optax.GradientTransformation:
     """Returns AdamW (decoupled weight decay, arXiv 1711.05101) with the learning-rate schedule."""
-    adamw = optax.adamw(
-        lambda count: learning_rate_at(count, config),
-        b1=config.betas[0],
-        b2=config.betas[1],
-        eps=1e-8,
-        weight_decay=config.weight_decay,
-    )
+    schedule = functools.partial(learning_rate_at, config=config)
+    adamw = optax.adamw(schedule, *config.betas, eps=1e-8, weight_decay=config.weight_decay)
     # First, because the averages of Adam should not see the outliers.
     if config.clip_norm > 0:
         return optax.chain(optax.clip_by_global_norm(config.clip_norm), adamw)

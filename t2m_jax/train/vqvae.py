@@ -86,7 +86,9 @@ def loss_terms(config: VqVaeStepConfig, normalizer: Normalizer) -> list[LossTerm
     def in_meters(measure: Callable[..., Float[Array, ""]]) -> Callable[..., Float[Array, ""]]:
         return lambda *pair: skeleton.metres_per_unit * measure(*pair, skeleton=skeleton, normalizer=normalizer)
 
-    bones = functools.partial(losses.bone_loss, skeleton=skeleton)
+    in_features = functools.partial(losses.bone_loss, skeleton=skeleton)
+    bones = in_features if config.bone_space == "normalized" else in_meters(losses.bone_loss)
+    facing = functools.partial(losses.facing_loss, skeleton=skeleton, normalizer=normalizer)
     # These two are in every log, whatever their weights.
     always = [
         LossTerm("reconstruction", 1.0, functools.partial(losses.reconstruction_loss, **kind)),
@@ -95,16 +97,10 @@ def loss_terms(config: VqVaeStepConfig, normalizer: Normalizer) -> list[LossTerm
     # The order is part of the result: a sum of floats depends on it.
     optional = [
         LossTerm("acceleration", config.acceleration_weight, functools.partial(losses.acceleration_loss, **kind)),
-        LossTerm(
-            "bones", config.bone_weight, bones if config.bone_space == "normalized" else in_meters(losses.bone_loss)
-        ),
+        LossTerm("bones", config.bone_weight, bones),
         LossTerm("joints", config.joint_weight, in_meters(losses.joint_loss)),
         # An angle has no unit of length.
-        LossTerm(
-            "facing",
-            config.facing_weight,
-            functools.partial(losses.facing_loss, skeleton=skeleton, normalizer=normalizer),
-        ),
+        LossTerm("facing", config.facing_weight, facing),
         LossTerm("world_velocity", config.world_velocity_weight, in_meters(losses.world_velocity_loss)),
         LossTerm("world_acceleration", config.world_acceleration_weight, in_meters(losses.world_acceleration_loss)),
     ]
