@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from t2m_jax.bench.record import BenchReport, Figure, Machine
+from t2m_jax.bench.record import BenchReport, Figure
 from t2m_jax.files.markdown import markdown_table
 
 MISSING = "-"
@@ -24,7 +24,15 @@ def fitted_table(headings: Sequence[str], rows: Sequence[Sequence[str]], *, widt
 
 def report_text(report: BenchReport, *, width: int | None = None) -> str:
     """Returns a report as text: a line on the machine, its peaks, and one table for each benchmark."""
-    parts = [f"{machine_text(report.machine)}; {report.date}.", _peaks_table(report.machine, width)]
+    machine = report.machine
+    devices = f"{machine.num_devices} x {machine.device_kind}"
+    parts = [f"{machine.processor}, {machine.num_cores} cores; {devices}; JAX {machine.jax_version}; {report.date}."]
+    headings = ["measured peak on", "float32 (GFLOP/s)", "bfloat16 (GFLOP/s)", "memory (GB/s)"]
+    cells = []
+    for peak in machine.peaks:
+        rates = (peak.float32, peak.bfloat16, peak.memory)
+        cells.append([f"{peak.num_devices} device(s)", *(f"{rate / 1e9:,.1f}" for rate in rates)])
+    parts.append(fitted_table(headings, cells, width=width))
     for benchmark, title in TITLES.items():
         rows = [row for row in report.rows if row.benchmark == benchmark]
         # Rows that do not have the same figures share a table; cells that are missing are marked.
@@ -40,26 +48,8 @@ def report_text(report: BenchReport, *, width: int | None = None) -> str:
     return "\n\n".join(parts)
 
 
-def machine_text(machine: Machine) -> str:
-    """Returns the machine in words."""
-    devices = f"{machine.num_devices} x {machine.device_kind}"
-    return f"{machine.processor}, {machine.num_cores} cores; {devices}; JAX {machine.jax_version}"
-
-
 def number_text(figure: Figure) -> str:
     """Returns a value with three digits, or with all digits before the point; without a unit, with six digits."""
     if not figure.unit:
         return f"{figure.value:.6g}"
     return f"{figure.value:,.0f}" if abs(figure.value) >= 1000 else f"{figure.value:.3g}"
-
-
-def _peaks_table(machine: Machine, width: int | None) -> str:
-    headings = ("measured peak on", "float32 (GFLOP/s)", "bfloat16 (GFLOP/s)", "memory (GB/s)")
-    rows = [
-        (
-            f"{peak.num_devices} device(s)",
-            *(f"{rate / 1e9:,.1f}" for rate in (peak.float32, peak.bfloat16, peak.memory)),
-        )
-        for peak in machine.peaks
-    ]
-    return fitted_table(headings, rows, width=width)

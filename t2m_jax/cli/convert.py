@@ -60,28 +60,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Writes the folder, and prints its name and the next command."""
+    from t2m_jax.checkpoints.evaluator import save_evaluator
+    from t2m_jax.checkpoints.model import load_model
+    from t2m_jax.checkpoints.official import export_official
+    from t2m_jax.checkpoints.official.bundle import OfficialEvaluatorFiles, load_official_evaluator
+
     folder = shlex.quote(f"{args.destination}")
     if args.source == "sentence" or args.encoder is not None:
         _convert_sentence_encoder(args)
         following = f"t2m train gpt CONFIG --text_encoder sentence_states --sentence {folder}"
     elif args.export_official is not None:
         _check_files(args, "--export-official", ())
-        _export(args)
+        export_official(args.destination, load_model(args.export_official))
         following = f"load the files of {folder} with the original code"
     elif args.evaluator is not None:
-        _check_files(args, "an evaluator", _EVALUATOR_FILES)
-        _convert_evaluator(args)
+        files = OfficialEvaluatorFiles(*_check_files(args, "an evaluator", _EVALUATOR_FILES))
+        save_evaluator(args.destination, load_official_evaluator(files))
         following = f"t2m evaluate generation --data DATA --evaluator {folder}"
     else:
-        _check_files(args, "a model", _MODEL_FILES)
-        _convert_model(args)
+        _convert_model(args, _check_files(args, "a model", _MODEL_FILES))
         following = f't2m generate "a man walks in a circle" --model {folder}'
     sys.stdout.write(f"{args.destination}\n")
     show_next(following)
 
 
-def _check_files(args: argparse.Namespace, task: str, wanted: tuple[str, ...]) -> None:
-    """Raises `UserError` if files are missing, or are given that are not needed."""
+def _check_files(args: argparse.Namespace, task: str, wanted: tuple[str, ...]) -> list[Path]:
+    """Returns the files of a task. Raises `UserError` if some are missing, or are given that are not needed."""
     given = [name for name in dict.fromkeys((*_MODEL_FILES, *_EVALUATOR_FILES)) if getattr(args, name) is not None]
     # A file too many is probably a mistake: nobody gives one to see it ignored.
     extra = [option_of(name) for name in given if name not in wanted]
@@ -90,16 +94,10 @@ def _check_files(args: argparse.Namespace, task: str, wanted: tuple[str, ...]) -
         raise UserError(f"convert: {', '.join(extra)} cannot be used with {task}; leave it out")
     if missing:
         raise UserError(f"convert: {', '.join(missing)} missing; {task} needs {', '.join(map(option_of, wanted))}")
+    return [getattr(args, name) for name in wanted]
 
 
-def _export(args: argparse.Namespace) -> None:
-    from t2m_jax.checkpoints.model import load_model
-    from t2m_jax.checkpoints.official import export_official
-
-    export_official(args.destination, load_model(args.export_official))
-
-
-def _convert_model(args: argparse.Namespace) -> None:
+def _convert_model(args: argparse.Namespace, paths: list[Path]) -> None:
     from t2m_jax.checkpoints.bundle import save_bundle
     from t2m_jax.checkpoints.clip import load_clip
     from t2m_jax.checkpoints.official import load_official
@@ -110,7 +108,7 @@ def _convert_model(args: argparse.Namespace) -> None:
 
     # Before the weights are read, which takes longest.
     check_new(args.destination)
-    files = OfficialFiles(*(getattr(args, name) for name in _MODEL_FILES))
+    files = OfficialFiles(*paths)
     bundle = load_official(files, **{name: getattr(args, name) for name in _MODEL_OPTIONS})
     clip = None
     # A folder is copied into the model. A name is only noted, and found again when the model is loaded.
@@ -133,11 +131,3 @@ def _convert_sentence_encoder(args: argparse.Namespace) -> None:
     if args.source != "sentence" or args.encoder is None:
         raise UserError("convert: give both, `t2m convert sentence --encoder NAME_OR_FOLDER DIR`")
     save_compact_encoder(args.destination, find_encoder(args.encoder, SENTENCE_FILES))
-
-
-def _convert_evaluator(args: argparse.Namespace) -> None:
-    from t2m_jax.checkpoints.evaluator import save_evaluator
-    from t2m_jax.checkpoints.official.bundle import OfficialEvaluatorFiles, load_official_evaluator
-
-    files = OfficialEvaluatorFiles(*(getattr(args, name) for name in _EVALUATOR_FILES))
-    save_evaluator(args.destination, load_official_evaluator(files))

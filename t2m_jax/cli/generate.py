@@ -41,20 +41,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Generates, writes the files, and prints their names and the next command."""
     from t2m_jax.files.writing import claim
+    from t2m_jax.motion.changes import Changes
     from t2m_jax.motion.formats import check_motion_output
     from t2m_jax.text.coverage import PromptWarning
 
+    def show_warning(message: Warning | str, *_: object, **__: object) -> None:
+        sys.stderr.write(f"t2m: warning: {one_line(str(message))}\n")
+
     _check_quotes(args.text)
     requests = list(_requests(args))
+    count = sum(request.num_samples for request in requests)
     outputs = [check_motion_output(output) for output in args.output or ["motion.html"]]
-    writer = _Writer(args, outputs, sum(request.num_samples for request in requests))
-    first = [check_motion_output(writer.file_of(output, 0)) for output in outputs]
+    changes = read_record(Changes, args)
+    options = {output: file_options(output, args, outputs) for output in outputs}
+    from t2m_jax.sampling.pipeline import TextToMotion  # slow, so only now
+
     # The first files are claimed from the start, so that two commands do not mix their motions. The others are claimed
     # one by one, because there may be more of them than a process can have open files.
-    with claim(first), warnings.catch_warnings():
+    with claim([check_motion_output(_file_of(output, 0, count)) for output in outputs]), warnings.catch_warnings():
         warnings.simplefilter("always", PromptWarning)
-        warnings.showwarning = _show_warning  # type: ignore[assignment]  # it needs the message only
-        written = writer.write(requests)
+        warnings.showwarning = show_warning  # type: ignore[assignment]  # it needs the message only
+        motions = map(changes.apply, TextToMotion.load(args.model).make(*requests))
+        written = list(_write(motions, options, count))
     pages = [path for path in written if path.suffix == ".html"]
     convertible = [path for path in written if path.suffix in (".npz", ".bvh", ".glb")]
     if pages:
@@ -87,55 +95,31 @@ def _requests(args: argparse.Namespace) -> "Iterator[MotionRequest]":
         yield read_record(MotionRequest, args, captions=(text, *(args.then or ())), start=start)
 
 
-def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
-    sys.stderr.write(f"t2m: warning: {one_line(str(message))}\n")
-
-
-class _Writer:
-    """Makes motions and writes each as soon as it is there."""
-
-    def __init__(self, args: argparse.Namespace, outputs: list[Path], count: int):
-        """Takes the options, the files as they were given, and the number of motions."""
-        from t2m_jax.motion.changes import Changes
-
-        self.args = args
-        self.outputs = outputs
-        self.count = count
-        self.changes = read_record(Changes, args)
-        self.options = {output: file_options(output, args, outputs) for output in outputs}
-
-    def file_of(self, output: Path, number: int) -> Path:
-        """Returns the file of a motion: `output` if there is only one file, else `output` with a number in its name."""
-        size = _motions_per_file(output)
-        return output if self.count <= size else output.with_stem(f"{output.stem}-{number // size}")
-
-    def write(self, requests: "list[MotionRequest]") -> list[Path]:
-        """Writes the files and returns their names."""
-        from t2m_jax.sampling.pipeline import TextToMotion
-
-        written: list[Path] = []
-        # What the next page needs; with a million samples, not all motions fit into the memory.
-        recent = deque["Motion"](maxlen=MAX_ON_PAGE)
-        for number, motion in enumerate(TextToMotion.load(self.args.model).make(*requests)):
-            recent.append(self.changes.apply(motion))
-            written += self._write_files(list(recent), number)
-        return written
-
-    def _write_files(self, recent: "list[Motion]", number: int) -> Iterator[Path]:
-        """Writes the files that are complete with a motion, the last one of `recent`."""
-        from t2m_jax.files.writing import claim
-        from t2m_jax.motion.formats import save_motions
-
-        for output in self.outputs:
-            size = _motions_per_file(output)
-            if (number + 1) % size and number + 1 < self.count:  # the file gets further motions
-                continue
-            path = self.file_of(output, number)
-            with claim([path]) if number >= size else contextlib.nullcontext():  # `run` has claimed the first
-                save_motions(path, recent[-(number % size + 1) :], **self.options[output])
-            sys.stdout.write(f"{path}\n")
-            yield path
-
-
 def _motions_per_file(output: Path) -> int:
     return MAX_ON_PAGE if output.suffix.lower() == ".html" else 1
+
+
+def _file_of(output: Path, number: int, count: int) -> Path:
+    """Returns the file of a motion: `output` if there is only one file, else `output` with a number in its name."""
+    size = _motions_per_file(output)
+    return output if count <= size else output.with_stem(f"{output.stem}-{number // size}")
+
+
+def _write(motions: "Iterator[Motion]", options: dict[Path, dict[str, str]], count: int) -> Iterator[Path]:
+    """Writes each file as soon as its motions are there, and yields its name; `options` has the outputs."""
+    from t2m_jax.files.writing import claim
+    from t2m_jax.motion.formats import save_motions
+
+    # What the next page needs; with a million samples, not all motions fit into the memory.
+    recent = deque["Motion"](maxlen=MAX_ON_PAGE)
+    for number, motion in enumerate(motions):
+        recent.append(motion)
+        for output in options:
+            size = _motions_per_file(output)
+            if (number + 1) % size and number + 1 < count:  # the file gets further motions
+                continue
+            path = _file_of(output, number, count)
+            with claim([path]) if number >= size else contextlib.nullcontext():  # `run` has claimed the first
+                save_motions(path, list(recent)[-(number % size + 1) :], **options[output])
+            sys.stdout.write(f"{path}\n")
+            yield path

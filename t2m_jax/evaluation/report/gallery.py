@@ -1,7 +1,5 @@
 """One repeat, motion by motion: lengths, codes, ranks, and motions to look at."""
 
-import dataclasses
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -15,7 +13,6 @@ from t2m_jax.evaluation.sources import CodeSource, MotionCodes, encode_pieces
 from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.metrics.retrieval import ranks_of_batches
 from t2m_jax.motion.features import positions_from_features
-from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import Skeleton, skeleton_from_feature_dim
 from t2m_jax.sampling.batches import round_up
 from t2m_jax.sampling.decode import decode_motions
@@ -23,9 +20,7 @@ from t2m_jax.sampling.decode import decode_motions
 REPEAT = 0
 """The repeat that is shown."""
 NUM_EXAMPLES = 4
-"""Captions whose nearest motions are shown."""
-NUM_NEAREST = 3
-"""Nearest motions of each of them."""
+"""Captions drawn by the seed that are shown."""
 NUM_FAILURES = 6
 """Captions with the worst ranks that are shown."""
 
@@ -46,8 +41,6 @@ class RankedRepeat(NamedTuple):
     real_codes: MotionCodes
     codes: MotionCodes
     """Codes of the measured motions."""
-    batches: Int[np.ndarray, "M B"]
-    """Motions that are ranked together."""
     ranks: Int[np.ndarray, " N"]
     """Rank of each caption's own motion in its batch, from 1."""
 
@@ -61,42 +54,43 @@ class RankedRepeat(NamedTuple):
         """The distance of each caption to its own measured motion."""
         return np.linalg.norm(self.text - self.measured, axis=1)
 
-    def decode(self, chosen: Sequence[int]) -> list[Motion]:
-        """Returns some of the measured motions, decoded together and cut where the evaluator cuts them."""
+    def show(self, order: Int[np.ndarray, " N"], count: int) -> "tuple[Example, ...]":
+        """Returns the first captions of an order that differ, with their motions, decoded together."""
+        chosen: dict[str, int] = {}
+        for index in order:
+            # Clips that share a caption would be shown as if it were asked several times.
+            chosen.setdefault(self.captions[index], int(index))
+        indices = list(chosen.values())[:count]
         codes = self.codes.rows
-        motions = decode_motions(self.tokenizer, [codes[index] for index in chosen], skeleton=self.skeleton)
-        return [
-            dataclasses.replace(
-                motion,
-                positions=motion.positions[: self.max_frames],
-                # They would still have the frames that are cut off.
-                features=None,
-                codes=None,
+        motions = decode_motions(self.tokenizer, [codes[index] for index in indices], skeleton=self.skeleton)
+        real_distances = np.linalg.norm(self.text - self.real, axis=1)
+        return tuple(
+            Example(
                 caption=self.captions[index],
+                rank=int(self.ranks[index]),
+                distance=float(self.distances[index]),
+                real_distance=float(real_distances[index]),
+                # Cut where the evaluator cuts it.
+                measured=motion.positions[: self.max_frames],
+                real=positions_from_features(self.pieces[index], self.skeleton) * self.skeleton.metres_per_unit,
             )
-            for index, motion in zip(chosen, motions, strict=True)
-        ]
-
-
-class Candidate(NamedTuple):
-    """A motion that is shown for a caption; the motion has the caption that it was made for."""
-
-    motion: Motion
-    distance: float
-    """Distance to the caption that it is shown for."""
-    own: bool
-    """Whether it was made for this caption."""
+            for index, motion in zip(indices, motions, strict=True)
+        )
 
 
 class Example(NamedTuple):
-    """A caption, and motions to look at: the nearest of its batch, or its own and the real one."""
+    """A caption with its own motion and the real one."""
 
     caption: str
     rank: int
-    """Rank of the caption's own motion, from 1."""
+    """Rank of its own motion, from 1."""
     distance: float
-    """Distance to the caption's own motion."""
-    motions: tuple[Candidate, ...]
+    """Distance to its own motion."""
+    real_distance: float
+    """Distance to the real motion that it describes."""
+    measured: Float[np.ndarray, "T J 3"]
+    """Meters."""
+    real: Float[np.ndarray, "S J 3"]
 
 
 class RepeatDetails(NamedTuple):
@@ -104,7 +98,7 @@ class RepeatDetails(NamedTuple):
 
     kind: str
     """Where the measured motion comes from: `generated` or `reconstruction`."""
-    fps: float
+    skeleton: Skeleton
     real_lengths: Int[np.ndarray, " N"]
     """Frames."""
     measured_lengths: Int[np.ndarray, " N"]
@@ -115,12 +109,10 @@ class RepeatDetails(NamedTuple):
     """How often each code is used by the measured motion."""
     ranks: Int[np.ndarray, " N"]
     """Rank of each caption's own motion in its batch, from 1; motions at the same distance come first."""
-    distances: Float[np.ndarray, " N"]
-    """Distance of each caption to its own motion."""
     examples: tuple[Example, ...]
-    """Drawn captions, each with the nearest motions of its batch."""
+    """Captions drawn by the seed."""
     failures: tuple[Example, ...]
-    """Captions whose own motion has a bad rank, each with its own motion and the real one."""
+    """Captions whose own motion has the worst rank, the farthest first if ranks are equal."""
 
 
 def gather_details(task: EvaluationTask, source: CodeSource) -> RepeatDetails:
@@ -132,15 +124,15 @@ def gather_details(task: EvaluationTask, source: CodeSource) -> RepeatDetails:
     config = source.tokenizer.config
     return RepeatDetails(
         kind=source.kind,
-        fps=ranked.skeleton.fps,
+        skeleton=ranked.skeleton,
         real_lengths=np.minimum([len(piece) for piece in ranked.pieces], task.max_frames),
         measured_lengths=np.minimum(ranked.codes.code_lengths * config.downsample, task.max_frames),
         real_code_counts=ranked.real_codes.count_codes(config.num_codes),
         measured_code_counts=ranked.codes.count_codes(config.num_codes),
         ranks=ranked.ranks,
-        distances=ranked.distances,
-        examples=draw_examples(ranked, seed=task.seed),
-        failures=find_failures(ranked),
+        examples=ranked.show(np.random.default_rng(task.seed).permutation(len(ranked.ranks)), NUM_EXAMPLES),
+        # `lexsort` sorts by its last key first.
+        failures=ranked.show(np.lexsort((-ranked.distances, -ranked.ranks)), NUM_FAILURES),
     )
 
 
@@ -170,53 +162,6 @@ def rank_repeat(task: EvaluationTask, source: CodeSource) -> RankedRepeat:
         measured=measured,
         real_codes=encode_pieces(source.tokenizer, pieces),
         codes=found.codes,
-        batches=batches,
         # The last of equal places: a model with one motion for all captions must not look perfect.
         ranks=np.asarray(ranks.nearer + ranks.tied + 1).ravel()[: len(text)],
     )
-
-
-def draw_examples(ranked: RankedRepeat, *, seed: int) -> tuple[Example, ...]:
-    """Returns captions drawn by the seed, each with the nearest motions of its batch."""
-    order = np.random.default_rng(seed).permutation(len(ranked.captions))
-    size = ranked.batches.shape[1]
-    examples = []
-    for index in _distinct(order, ranked.captions, NUM_EXAMPLES):
-        batch = ranked.batches[index // size]
-        distances = np.linalg.norm(ranked.text[index] - ranked.measured[batch], axis=1)
-        # Stable, so that the page is the same each time if distances are equal.
-        places = np.argsort(distances, kind="stable")[:NUM_NEAREST]
-        candidates = tuple(
-            Candidate(motion, float(distances[place]), bool(place == index % size))
-            for motion, place in zip(ranked.decode(batch[places].tolist()), places, strict=True)
-        )
-        examples.append(_example(ranked, index, candidates))
-    return tuple(examples)
-
-
-def find_failures(ranked: RankedRepeat) -> tuple[Example, ...]:
-    """Returns the captions whose own motion has the worst rank, the farthest first if ranks are equal."""
-    skeleton = ranked.skeleton
-    real_distances = np.linalg.norm(ranked.text - ranked.real, axis=1)
-    # `lexsort` sorts by its last key first.
-    chosen = _distinct(np.lexsort((-ranked.distances, -ranked.ranks)), ranked.captions, NUM_FAILURES)
-    failures = []
-    for index, measured in zip(chosen, ranked.decode(chosen), strict=True):
-        positions = positions_from_features(ranked.pieces[index], skeleton) * np.float32(skeleton.metres_per_unit)
-        real = Motion(positions, skeleton.fps, skeleton=skeleton, caption=ranked.captions[index])
-        own = Candidate(measured, float(ranked.distances[index]), True)
-        failures.append(_example(ranked, index, (own, Candidate(real, float(real_distances[index]), False))))
-    return tuple(failures)
-
-
-def _example(ranked: RankedRepeat, index: int, motions: tuple[Candidate, ...]) -> Example:
-    return Example(ranked.captions[index], int(ranked.ranks[index]), float(ranked.distances[index]), motions)
-
-
-def _distinct(order: Int[np.ndarray, " N"], captions: Sequence[str], count: int) -> list[int]:
-    """Returns the first indices of an order that have different captions."""
-    chosen: dict[str, int] = {}
-    for index in order:
-        # Clips that share a caption would be shown as if it were asked several times.
-        chosen.setdefault(captions[index], int(index))
-    return list(chosen.values())[:count]

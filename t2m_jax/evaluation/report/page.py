@@ -1,6 +1,5 @@
 """A report as one HTML file that loads nothing else: table, plots, and motions to look at."""
 
-import dataclasses
 import html
 import json
 import os
@@ -58,14 +57,15 @@ def report_page(report: Report, details: RepeatDetails, *, viewer: Viewer) -> st
         "retrieval_note": _text(
             f"Each caption ranks the {report.header.batch} motions of its batch by distance. Of {count} captions, "
             f"{first:.1f} % find their own motion nearest; the median rank is {np.median(details.ranks):g}. "
-            f"{len(details.examples)} captions, drawn by the seed, with their nearest motions from left to right:"
+            f"{len(details.examples)} captions, drawn by the seed. Left: {report.kind}; right: the real motion. "
+            "Distances are in the evaluator's space."
         ),
-        "examples": "\n".join(_example(example, stages) for example in details.examples),
         "failures_note": _text(
             f"Captions whose own motion has the worst rank in its batch of {report.header.batch}; if ranks are equal, "
-            f"the farthest first. Left: {report.kind}; right: the real motion. Distances are in the evaluator's space."
+            "the farthest first."
         ),
-        "failures": "\n".join(_failure(failure, report.kind, stages) for failure in details.failures),
+        "examples": "\n".join(_card(example, details, stages) for example in details.examples),
+        "failures": "\n".join(_card(example, details, stages) for example in details.failures),
         "pages": stages.pages_json(),
     }
     return fill_template("t2m_jax.evaluation.report", "assets/report.html", parts)
@@ -107,9 +107,9 @@ def _detail_plots(details: RepeatDetails) -> dict[str, str]:
     kind = details.kind
     frames = {"real": details.real_lengths, kind: details.measured_lengths}
     counts = {"real": details.real_code_counts, kind: details.measured_code_counts}
-    means = [lengths.mean() / details.fps for lengths in frames.values()]
+    means = [lengths.mean() / details.skeleton.fps for lengths in frames.values()]
     lengths = _plot(
-        lengths_plot(frames, fps=details.fps),
+        lengths_plot(frames, fps=details.skeleton.fps),
         f"Lengths of real motion and of {kind}",
         f"Mean length: real motion {means[0]:.2f} s, {kind} {means[1]:.2f} s.",
     )
@@ -129,11 +129,9 @@ class _Stages:
         self.viewer = viewer
         self.pages: list[str] = []
 
-    def add(self, example: Example, labels: Sequence[str], label: str) -> str:
+    def add(self, motions: Sequence[Motion], label: str) -> str:
         """Returns the element of a viewer."""
-        # Viewers write the caption below a motion.
-        pairs = zip(example.motions, labels, strict=True)
-        self.pages.append(self.viewer([dataclasses.replace(one.motion, caption=name) for one, name in pairs]))
+        self.pages.append(self.viewer(motions))
         return f'<div class="stage" role="group" aria-label="{_text(label)}" data-page="{len(self.pages) - 1}"></div>'
 
     def pages_json(self) -> str:
@@ -145,25 +143,15 @@ class _Stages:
         return json.dumps(data).replace("<", "\\u003c")  # in a script element only `<` can do harm
 
 
-def _example(example: Example, stages: _Stages) -> str:
-    labels = []
-    items = []
-    for number, candidate in enumerate(example.motions, start=1):
-        labels.append(f"{number}, its own" if candidate.own else f"{number}")
-        own_mark = ' <span class="own">its own</span>' if candidate.own else ""
-        distance = f'<span class="note">{candidate.distance:.2f}</span>'
-        items.append(f"<li>{number}. {_text(candidate.motion.caption)} {distance}{own_mark}</li>")
-    note = f"own motion: rank {example.rank}, distance {example.distance:.2f}"
-    stage = stages.add(example, labels, f"Motions nearest to: {example.caption}")
-    return _card(example, note, f"{stage}<ol>{''.join(items)}</ol>")
-
-
-def _failure(failure: Example, kind: str, stages: _Stages) -> str:
-    real = failure.motions[1]
-    note = f"rank {failure.rank}, distance {failure.distance:.2f}; the real motion's distance is {real.distance:.2f}"
-    return _card(failure, note, stages.add(failure, [kind, "real"], f"Motion, {kind} and real, of: {failure.caption}"))
-
-
-def _card(example: Example, note: str, content: str) -> str:
-    title = f"<h3>{_text(example.caption)}</h3>"
-    return f'<article class="card">{title}<div class="note">{note}</div>{content}</article>'
+def _card(example: Example, details: RepeatDetails, stages: _Stages) -> str:
+    """Returns a caption with its motions."""
+    skeleton = details.skeleton
+    # Viewers write the caption below a motion.
+    pairs = ((example.measured, details.kind), (example.real, "real"))
+    motions = [Motion(positions, skeleton.fps, skeleton=skeleton, caption=kind) for positions, kind in pairs]
+    return (
+        f'<article class="card"><h3>{_text(example.caption)}</h3>'
+        f'<div class="note">rank {example.rank}, distance {example.distance:.2f}; '
+        f"the real motion's distance is {example.real_distance:.2f}</div>"
+        f"{stages.add(motions, f'Motion, {details.kind} and real, of: {example.caption}')}</article>"
+    )

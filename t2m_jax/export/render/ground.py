@@ -1,5 +1,6 @@
 """The ground of rendered pictures: sky, a grid in perspective, soft shadows and the trails of the roots."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -106,21 +107,8 @@ def add_shadows(
         places = spots.tolist()
         for part in figure.parts:
             _draw_shadow(draw, places[part.start], places[part.end], (part.start_radius, part.end_radius), view)
-    box = mask.getbbox()
-    if box is None:
-        return
-    blur = view.height / 260
-    edge = math.ceil(3 * blur)
-    box = (
-        max(box[0] - edge, 0),
-        max(box[1] - edge, 0),
-        min(box[2] + edge, mask.width),
-        min(box[3] + edge, mask.height),
-    )
-    shadow = mask.crop(box).filter(ImageFilter.GaussianBlur(blur))
-    shadow = shadow.resize((2 * shadow.width, 2 * shadow.height), Image.Resampling.BILINEAR)
-    corner = (2 * box[0], 2 * box[1])
-    picture.paste((18, 24, 34), corner, shadow.point([round(SHADOW * level) for level in range(256)]))
+    mask = mask.filter(ImageFilter.GaussianBlur(view.height / 260)).resize(picture.size, Image.Resampling.BILINEAR)
+    picture.paste((18, 24, 34), (0, 0), mask.point([round(SHADOW * level) for level in range(256)]))
 
 
 def _draw_shadow(
@@ -144,16 +132,10 @@ def _draw_shadow(
 
 def add_trail(picture: Image.Image, view: View, path: Float[np.ndarray, "T 3"], accent: tuple[int, int, int]) -> None:
     """Draws `path` on the ground. Older parts are fainter."""
-    spots = project(view, path * [1, 0, 1])[:, :2]
-    thickness = max(round(view.height / 75), 2)
-    low = np.floor(np.clip(spots.min(axis=0) - thickness, 0, [view.width - 1, view.height - 1])).astype(int)
-    high = np.ceil(np.clip(spots.max(axis=0) + thickness, 1, [view.width, view.height])).astype(int)
-    size = np.maximum(high - low, 1)
-    mask = Image.new("L", tuple((2 * size).tolist()))
+    places = (2 * project(view, path * [1, 0, 1])[:, :2]).tolist()
+    mask = Image.new("L", (2 * view.width, 2 * view.height))
     draw = ImageDraw.Draw(mask)
-    places = (2 * (spots - low)).tolist()
-    count = len(places)
-    for i in range(count - 1):
-        level = round(70 + 120 * math.exp((i - count) / 30))
-        draw.line([*places[i], *places[i + 1]], fill=level, width=thickness)
-    picture.paste(accent, tuple(low.tolist()), mask.reduce(2))
+    for number, (start, end) in enumerate(itertools.pairwise(places)):
+        level = round(70 + 120 * math.exp((number - len(places)) / 30))
+        draw.line([*start, *end], fill=level, width=max(round(view.height / 75), 2))
+    picture.paste(accent, (0, 0), mask.reduce(2))

@@ -14,7 +14,6 @@ from t2m_jax.export.render.scene import SceneFigure, figure_from_motion
 from t2m_jax.export.render.view import YAW_OF_SEVERAL, View, project, views_of_figures
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rotations import matrix_from_euler
-from t2m_jax.motion.skeleton import Skeleton
 
 MOST_POSES = 6
 """Poses that are drawn if the figure goes far enough."""
@@ -43,7 +42,7 @@ def render_trails(motion: Motion, *, height: int = 720) -> Image.Image:
     size = picture_size(len(frames), height)
     poses = [figure._replace(points=figure.points[[frame]]) for frame in frames]
     (view,) = views_of_figures(poses, figure.points[frames, 0][None].astype(np.float64), figure.fps, size)
-    paths = figure.points[:, _ends_of_limbs(motion.skeleton)]
+    paths = figure.points[:, [limb[2] for limb in roles_from_skeleton(motion.skeleton)[1:]]]  # of wrists and ankles
     view = _with_all(view, np.concatenate([part.reshape(-1, 3) for part in (figure.points[frames], paths)]))
     picture = draw_ground(make_ground(view), view)
     add_trail(picture, view, figure.points[:, 0], ACCENTS[0])
@@ -96,12 +95,6 @@ def _poses(path: Float[np.ndarray, "T 3"]) -> list[int]:
     # At equal parts of the path, not of the time, so that figures do not crowd where the motion is slow.
     gone = np.concatenate([[0.0], np.cumsum(steps)])
     return np.searchsorted(gone, np.linspace(0, gone[-1], count)).clip(0, len(path) - 1).tolist()
-
-
-def _ends_of_limbs(skeleton: Skeleton) -> list[int]:
-    """Returns the joints whose paths are drawn: wrists and ankles, left and right in turn."""
-    _, *limbs = roles_from_skeleton(skeleton)
-    return [limb[2] for limb in limbs]
 
 
 def _draw_paths(picture: Image.Image, view: View, paths: Float[np.ndarray, "T K 3"]) -> None:
