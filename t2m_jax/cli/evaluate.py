@@ -9,7 +9,6 @@ model generates from the captions of a split with real motion, in the space of a
 
 import argparse
 import dataclasses
-import functools
 import os
 import shlex
 import sys
@@ -17,7 +16,15 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from t2m_jax.cli.options import add_model_argument, add_record, positive, read_record, show_next, subcommand_adder
+from t2m_jax.cli.options import (
+    add_model_argument,
+    add_record,
+    positive,
+    print_columns,
+    read_record,
+    show_next,
+    subcommand_adder,
+)
 from t2m_jax.errors import UserError, printable
 from t2m_jax.files.writing import check_output, claim, save_json
 
@@ -28,27 +35,6 @@ if TYPE_CHECKING:
     from t2m_jax.evaluation.sources import CodeSource
     from t2m_jax.evaluation.task import EvaluationTask
     from t2m_jax.motion.motion import Motion
-
-LABELS = {
-    "mpjpe_mm": "MPJPE, mm (root-aligned)",
-    "mpjpe_median_clip_mm": "MPJPE of the median clip, mm",
-    "global_mpjpe_mm": "global MPJPE, mm",
-    "acceleration_error_mm": "acceleration error, mm/frame^2",
-    "path_drift_mm": "path drift, mm",
-    "heading_drift_degrees": "heading drift, degrees",
-    "codebook_usage": "codebook usage",
-    "perplexity": "perplexity",
-    "num_clips": "clips",
-    "num_frames": "frames",
-}
-QUALITY_LABELS = {
-    "bone_variation": "bone variation, share of length",
-    "jerk": "jerk, m/s^3",
-    "skating_ratio": "skating, share of contacts",
-    "skating_speed": "speed of feet in contact, m/s",
-    "floating": "floating, share of frames",
-    "penetration": "in the floor, share of frames",
-}
 
 
 PROMPT_GROUPS = (
@@ -130,13 +116,14 @@ def run_reconstruction(args: argparse.Namespace) -> None:
     dataset = open_dataset(args.data)
     task = _make_task(args, dataset, unit=tokenizer.config.downsample) if args.evaluator else None
     figures = evaluate_reconstruction(tokenizer, dataset, split=args.split)
-    for name, label in LABELS.items():
-        value = getattr(figures, name)
-        sys.stdout.write(f"{label:32} {value:,.3f}\n" if isinstance(value, float) else f"{label:32} {value:,}\n")
-    sys.stdout.write(f"\n{'':32} {'real':>10} {'decoded':>10} {'cleaned':>10}\n")
-    measured = (figures.real_quality, figures.quality, figures.cleaned_quality)
-    for name, label in QUALITY_LABELS.items():
-        sys.stdout.write(f"{label:32}" + "".join(f" {getattr(quality, name):10.3f}" for quality in measured) + "\n")
+    # The names are those of the report, which the documentation explains.
+    found = dataclasses.asdict(figures)
+    numbers = [(name, value) for name, value in found.items() if isinstance(value, int | float)]
+    print_columns([(name, f"{value:,.{3 if isinstance(value, float) else 0}f}") for name, value in numbers])
+    sys.stdout.write("\n")
+    kinds = ("real_quality", "quality", "cleaned_quality")
+    lines = [(name, *(f"{found[kind][name]:.3f}" for kind in kinds)) for name in found["quality"]]
+    print_columns([("", "real", "decoded", "cleaned"), *lines])
     if task is not None:
         sys.stdout.write("\n")
         _measure(args, task, Reconstruction(tokenizer), figures)
@@ -203,8 +190,7 @@ def _measure(
         save_report(args.json, report)
         Path(f"{args.json}.partial").unlink(missing_ok=True)
     if args.html:
-        viewer = functools.partial(viewer_html, embed=False)
-        save_page(args.html, report, gather_details(task, source), viewer=viewer)
+        save_page(args.html, report, gather_details(task, source), viewer=viewer_html)
     if args.json:
         show_next(shlex.join(["t2m", "evaluate", "table", str(args.json)]))
     else:

@@ -1,7 +1,7 @@
 """Motions and captions in the evaluator's space, and the quality of motion, in large batches on the device."""
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -149,18 +149,23 @@ def embed_motion(
     return Evaluator(config).apply(variables, motion, lengths, method="embed_motion")
 
 
+def _by_length(pieces: Sequence[Float[np.ndarray, "_ D"]]) -> Iterator[tuple[Int[np.ndarray, " B"], int]]:
+    """Yields batches of pieces of similar lengths, and the frames to pad each to."""
+    lengths = np.array([len(piece) for piece in pieces])
+    for chosen in batches_of(np.argsort(lengths, kind="stable"), BATCH):
+        yield chosen, round_up(int(lengths[chosen].max()), FRAME_BUCKET)
+
+
 def embed_pieces(
     evaluator: TrainedEvaluator, pieces: Sequence[Float[np.ndarray, "_ D"]], *, max_frames: int
 ) -> Float[np.ndarray, "N E"]:
     """Returns the embeddings of real motions (raw features) of at most `max_frames` frames."""
-    lengths = np.array([len(piece) for piece in pieces])
     embeddings = np.zeros((len(pieces), evaluator.config.embedding_dim), np.float32)
-    for chosen in batches_of(np.argsort(lengths, kind="stable"), BATCH):
-        # Here, too, there is no room past `max_frames`; see `embed_codes`.
-        size = min(round_up(int(lengths[chosen].max()), FRAME_BUCKET) + ROOM, max_frames)
+    for chosen, size in _by_length(pieces):
         # Before the padding, so that what follows the end is zero for the evaluator.
         normalized = [evaluator.normalizer.normalize(pieces[index]) for index in chosen]
-        batch = pad_motions(normalized, batch=BATCH, size=size)
+        # Here, too, there is no room past `max_frames`; see `embed_codes`.
+        batch = pad_motions(normalized, batch=BATCH, size=min(size + ROOM, max_frames))
         embeddings[chosen] = embed_motion(evaluator.variables, *put_rows(tuple(batch)), config=evaluator.config)
     return embeddings
 
@@ -213,12 +218,10 @@ def measure_features(
 def measure_plan_motions(task: EvaluationTask, plan: Plan) -> MotionQuality:
     """Returns the quality of a plan's real motions, one figure per motion."""
     pieces = plan.pieces(task.samples.clips, max_frames=task.max_frames)
-    lengths = np.array([len(piece) for piece in pieces])
     quality = np.zeros((len(MotionQuality._fields), len(pieces)), np.float32)
     skeleton = skeleton_from_feature_dim(pieces[0].shape[1])
-    for chosen in batches_of(np.argsort(lengths, kind="stable"), BATCH):
+    for chosen, size in _by_length(pieces):
         # Without room at the end: a mask hides it from these measures, which no convolution extends.
-        size = round_up(int(lengths[chosen].max()), FRAME_BUCKET)
         batch = pad_motions([pieces[index] for index in chosen], batch=BATCH, size=size)
         quality[:, chosen] = measure_features(*put_rows(tuple(batch)), skeleton=skeleton)
     return MotionQuality(*quality)

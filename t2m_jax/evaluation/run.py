@@ -111,9 +111,10 @@ def load_partial(path: Path | None, header: Header) -> list[RepeatMetrics]:
         current = dataclasses.asdict(header) | {name: started[name] for name in ("model", "data")}
         differs = [name for name in current if started.get(name) != current[name]]
         repeats = [RepeatMetrics(real, measured) for real, measured in found["repeats"]]
-        columns = zip(*repeats, strict=True)
-        if not all(_is_sound(metrics, column[0]) for column in columns for metrics in column):
-            raise ValueError("metrics that are not finite, or not the same in all repeats")
+        for column in zip(*repeats, strict=True):
+            same = len({tuple(metrics) for metrics in column}) == 1
+            if not same or not np.isfinite([list(metrics.values()) for metrics in column]).all() or not column[0]:
+                raise ValueError("metrics that are not finite, or not the same in all repeats")
     except (UserError, LookupError, TypeError, ValueError, AttributeError):
         logger.warning("%s: is damaged; the evaluation starts over", path)
         return []
@@ -124,12 +125,6 @@ def load_partial(path: Path | None, header: Header) -> list[RepeatMetrics]:
             "finish that one, or delete the file to start over"
         )
     return repeats
-
-
-def _is_sound(metrics: dict[str, float], first: dict[str, float]) -> bool:
-    """Returns whether the metrics of a file are finite, and those of the first repeat."""
-    finite = all(type(value) is float and np.isfinite(value) for value in metrics.values())
-    return finite and metrics.keys() == first.keys() and len(metrics) > 0
 
 
 def evaluate_repeat(task: EvaluationTask, source: CodeSource, *, repeat: int) -> RepeatMetrics:

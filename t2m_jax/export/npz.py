@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Iterable, Sequence
 from io import BufferedIOBase
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
 import numpy as np
 
@@ -17,30 +17,22 @@ from t2m_jax.files.writing import atomic_file
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, skeleton_from_name
 
-
-class _Entry(NamedTuple):
-    """What an entry of an archive must be: letters of `dtype.kind`, possible numbers of axes, and both in words."""
-
-    kinds: str
-    ndims: tuple[int, ...]
-    description: str
-
-
 REQUIRED_KEYS = ("positions", "fps")
-ENTRIES = {
-    "positions": _Entry("f", (3,), "real numbers [frames, joints, 3]"),
-    "fps": _Entry("fiu", (0,), "one number"),
-    "positions_raw": _Entry("f", (3,), "real numbers [frames, joints, 3]"),
-    "features": _Entry("f", (2,), "real numbers [frames, features]"),
-    "codes": _Entry("iu", (1, 2), "whole numbers [codes] or [codes, layers]"),
-    "caption": _Entry("U", (0,), "one text"),
-    "seed": _Entry("iu", (0,), "one whole number"),
-    "skeleton": _Entry("U", (0,), "one text"),
-    "warning": _Entry("U", (0,), "one text"),
-    "unknown_words": _Entry("U", (1,), "texts"),
-    "part_starts": _Entry("iu", (1,), "whole numbers"),
-    "part_captions": _Entry("U", (1,), "texts"),
+ENTRIES: dict[str, tuple[str, tuple[int, ...], str]] = {
+    "positions": ("f", (3,), "real numbers [frames, joints, 3]"),
+    "fps": ("fiu", (0,), "one number"),
+    "positions_raw": ("f", (3,), "real numbers [frames, joints, 3]"),
+    "features": ("f", (2,), "real numbers [frames, features]"),
+    "codes": ("iu", (1, 2), "whole numbers [codes] or [codes, layers]"),
+    "caption": ("U", (0,), "one text"),
+    "seed": ("iu", (0,), "one whole number"),
+    "skeleton": ("U", (0,), "one text"),
+    "warning": ("U", (0,), "one text"),
+    "unknown_words": ("U", (1,), "texts"),
+    "part_starts": ("iu", (1,), "whole numbers"),
+    "part_captions": ("U", (1,), "texts"),
 }
+"""What an entry of an archive must be: letters of `dtype.kind`, possible numbers of axes, and both in words."""
 TUPLES = ("unknown_words", "part_starts", "part_captions")
 GROWING = ("positions", "features", "codes")
 """Entries that grow with the motion."""

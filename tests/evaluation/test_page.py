@@ -1,7 +1,6 @@
 """The page of a report: self-contained, the same each time, and nothing a caption says does anything."""
 
 import html
-import json
 import os
 import re
 import shutil
@@ -70,7 +69,7 @@ def details(motion):
 
 
 def captions_alone(motions):
-    return "|".join(motion.caption for motion in motions)
+    return f"<iframe>{html.escape('|'.join(motion.caption for motion in motions))}</iframe>"
 
 
 @pytest.fixture
@@ -103,25 +102,14 @@ def test_it_says_what_was_measured(page):
 
 
 def test_viewers_show_whose_motion_is_whose(page):
-    (text,) = re.findall(r'id="pages">(.*?)</script>', page)
-    pages = json.loads(text)
-    numbers = [int(number) for number in re.findall(r'data-page="(\d+)"', page)]
-    shown = [pages["head"] + pages["middles"][number] + pages["tail"] for number in numbers]
-    assert shown == ["generated|real"] * 2
-
-
-def test_viewers_are_stored_once(details, motion):
-    def viewer(motions):
-        return viewer_html(motions, embed=False)
-
-    page = report_page(REPORT, details, viewer=viewer)
-    assert len(page) < 1.2 * len(viewer([motion])) + 100_000
+    shown = [html.unescape(text) for text in re.findall(r"<iframe>(.*?)</iframe>", page)]
+    assert shown == [f"1, generated: {caption}|1, real: {caption}" for caption in ("a person walks", NASTY)]
 
 
 def test_texts_of_the_user_stay_text(page):
     assert "<img" not in page and "<b>mine" not in page
-    assert page.count(html.escape(NASTY)) == 2, "the failure, and the label of its viewer"
-    assert page.count("</script>") == 2
+    assert page.count(html.escape(NASTY)) == 3, "the failure, and the captions of its motions"
+    assert page.count("</script>") == 0
     assert page.count("<table>") == 2, "a caption was taken for a place in the page"
 
 
@@ -175,16 +163,16 @@ def open_in_browser(tmp_path):
     assert not troubles
 
 
-def test_viewers_live_while_they_are_near_the_screen(open_in_browser, details, tmp_path):
+def test_viewers_play_in_the_page(open_in_browser, details, tmp_path):
     path = tmp_path / "page.html"
-    save_page(path, REPORT, details, viewer=lambda motions: viewer_html(motions, embed=False))
+    save_page(path, REPORT, details, viewer=viewer_html)
     page = open_in_browser(path)
-    stages, frames = page.locator(".stage"), page.locator("iframe")
-    assert stages.count() == 2 and frames.count() == 0
+    frames = page.locator("iframe")
+    assert frames.count() == 2
     assert page.evaluate("document.documentElement.scrollWidth") <= 420, "the page is wider than the screen"
-    stages.first.scroll_into_view_if_needed()
-    inside = stages.first.frame_locator("iframe")
+    frames.first.scroll_into_view_if_needed()
+    inside = page.frame_locator("iframe").first
     inside.locator("canvas").wait_for()
-    assert inside.locator(".stage-caption").all_text_contents() == ["generated", "real"]
-    page.evaluate("window.scrollTo(0, 0)")
-    frames.first.wait_for(state="detached")
+    assert inside.locator(".stage-caption").all_text_contents() == [
+        f"1, {kind}: a person walks" for kind in ("generated", "real")
+    ]

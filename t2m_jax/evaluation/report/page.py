@@ -1,8 +1,6 @@
 """A report as one HTML file that loads nothing else: table, plots, and motions to look at."""
 
 import html
-import json
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -21,7 +19,7 @@ from t2m_jax.metrics.codes import code_usage, perplexity
 from t2m_jax.motion.motion import Motion
 
 Viewer = Callable[[Sequence[Motion]], str]
-"""Returns an HTML page that plays motions, side by side if there are several."""
+"""Returns an HTML element that plays motions, side by side if there are several."""
 
 
 def save_page(path: Path, report: Report, details: RepeatDetails, *, viewer: Viewer) -> None:
@@ -35,9 +33,8 @@ def report_page(report: Report, details: RepeatDetails, *, viewer: Viewer) -> st
     Args:
         report: The metrics.
         details: The report's first repeat.
-        viewer: Plays the motions. Its pages are shown in frames that may run scripts and nothing else.
+        viewer: Plays the motions.
     """
-    stages = _Stages(viewer)
     table = make_table([report], [report.kind])
     facts = (
         f"<div><dt>{_text(name.replace('_', ' '))}</dt><dd>{_text(value)}</dd></div>"
@@ -57,16 +54,15 @@ def report_page(report: Report, details: RepeatDetails, *, viewer: Viewer) -> st
         "retrieval_note": _text(
             f"Each caption ranks the {report.header.batch} motions of its batch by distance. Of {count} captions, "
             f"{first:.1f} % find their own motion nearest; the median rank is {np.median(details.ranks):g}. "
-            f"{len(details.examples)} captions, drawn by the seed. Left: {report.kind}; right: the real motion. "
+            f"{len(details.examples)} captions, drawn by the seed, with their own motion and the real one. "
             "Distances are in the evaluator's space."
         ),
         "failures_note": _text(
             f"Captions whose own motion has the worst rank in its batch of {report.header.batch}; if ranks are equal, "
             "the farthest first."
         ),
-        "examples": "\n".join(_card(example, details, stages) for example in details.examples),
-        "failures": "\n".join(_card(example, details, stages) for example in details.failures),
-        "pages": stages.pages_json(),
+        "examples": _motions(details.examples, details, viewer),
+        "failures": _motions(details.failures, details, viewer),
     }
     return fill_template("t2m_jax.evaluation.report", "assets/report.html", parts)
 
@@ -122,36 +118,17 @@ def _detail_plots(details: RepeatDetails) -> dict[str, str]:
     return {"lengths_plot": lengths, "codes_plot": codes}
 
 
-class _Stages:
-    """The places of viewers. The page of a viewer is loaded when its place is near the visible part of the page."""
-
-    def __init__(self, viewer: Viewer):
-        self.viewer = viewer
-        self.pages: list[str] = []
-
-    def add(self, motions: Sequence[Motion], label: str) -> str:
-        """Returns the element of a viewer."""
-        self.pages.append(self.viewer(motions))
-        return f'<div class="stage" role="group" aria-label="{_text(label)}" data-page="{len(self.pages) - 1}"></div>'
-
-    def pages_json(self) -> str:
-        """Returns the middle of each page and, because viewers are large, what all begin and end with only once."""
-        head = os.path.commonprefix(self.pages)  # noqa: RUF071 - texts, not paths
-        rests = [page[len(head) :] for page in self.pages]
-        tail = os.path.commonprefix([rest[::-1] for rest in rests])[::-1]  # noqa: RUF071
-        data = {"head": head, "tail": tail, "middles": [rest[: len(rest) - len(tail)] for rest in rests]}
-        return json.dumps(data).replace("<", "\\u003c")  # in a script element only `<` can do harm
-
-
-def _card(example: Example, details: RepeatDetails, stages: _Stages) -> str:
-    """Returns a caption with its motions."""
-    skeleton = details.skeleton
-    # Viewers write the caption below a motion.
-    pairs = ((example.measured, details.kind), (example.real, "real"))
-    motions = [Motion(positions, skeleton.fps, skeleton=skeleton, caption=kind) for positions, kind in pairs]
-    return (
-        f'<article class="card"><h3>{_text(example.caption)}</h3>'
-        f'<div class="note">rank {example.rank}, distance {example.distance:.2f}; '
-        f"the real motion's distance is {example.real_distance:.2f}</div>"
-        f"{stages.add(motions, f'Motion, {details.kind} and real, of: {example.caption}')}</article>"
-    )
+def _motions(examples: Sequence[Example], details: RepeatDetails, viewer: Viewer) -> str:
+    """Returns a viewer of all examples, and below it a line for each."""
+    motions = []
+    lines = []
+    for number, example in enumerate(examples, start=1):
+        # Viewers write the caption below a motion.
+        for positions, kind in ((example.measured, details.kind), (example.real, "real")):
+            caption = f"{number}, {kind}: {example.caption}"
+            motions.append(Motion(positions, details.skeleton.fps, skeleton=details.skeleton, caption=caption))
+        lines.append(
+            f"<li>{_text(example.caption)}: rank {example.rank}, distance {example.distance:.2f}; the real motion's "
+            f"distance is {example.real_distance:.2f}</li>"
+        )
+    return f"{viewer(motions)}<ol>{''.join(lines)}</ol>"

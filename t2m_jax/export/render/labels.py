@@ -43,25 +43,15 @@ def wrap(text: str, measure: Callable[[str], float], *, width: float, max_lines:
     """
     letters = (letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
     printable = "".join(letter if letter.isprintable() else " " for letter in letters)
+    rest = " ".join(printable.split())
     lines: list[str] = []
-    line = ""
-    for word in printable.split():
-        longer = f"{line} {word}".strip()
-        if measure(longer) <= width:
-            line = longer
-            continue
-        if line:
-            lines.append(line)
-        while measure(word) > width and len(lines) <= max_lines:
-            # The longest prefix that fits, by binary search; at least one letter.
-            length = max(1, bisect.bisect_right(range(1, len(word) + 1), width, key=lambda n: measure(word[:n])))
-            lines.append(word[:length])
-            word = word[length:]
-        line = word
-        if len(lines) > max_lines:
-            break
-    if line:
-        lines.append(line)
+    while rest and len(lines) <= max_lines:
+        # The longest prefix that fits, by binary search; at least one letter.
+        end = max(1, bisect.bisect_right(range(1, len(rest) + 1), width, key=lambda n: measure(rest[:n])))
+        if end < len(rest) and (space := rest.rfind(" ", 0, end + 1)) > 0:
+            end = space
+        lines.append(rest[:end].rstrip())
+        rest = rest[end:].lstrip()
     if len(lines) <= max_lines:
         return lines
     last = lines[max_lines - 1]
