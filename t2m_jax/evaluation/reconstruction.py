@@ -103,14 +103,12 @@ def evaluate_reconstruction(tokenizer: TrainedTokenizer, dataset: Dataset, *, sp
         counts += codes.count_codes(tokenizer.config.num_codes)
     errors, *quality = (np.concatenate(batches, axis=1) for batches in zip(*parts, strict=True))
     lengths = np.array([len(clip) for clip in features])
-    return _make_figures(
-        MotionErrors(*errors), [MotionQuality(*measured) for measured in quality], lengths, counts, split
-    )
+    return _make_figures(MotionErrors(*errors), quality, lengths, counts, split)
 
 
 def _make_figures(
     errors: MotionErrors,
-    quality: Sequence[MotionQuality],
+    quality: Sequence[Float[np.ndarray, "Q B"]],
     lengths: Int[np.ndarray, " B"],
     code_counts: Int[np.ndarray, " K"],
     split: str,
@@ -118,7 +116,7 @@ def _make_figures(
     """Returns the figures of a split from those of its clips; quality of real, decoded and cleaned motion."""
     counts = jnp.asarray(code_counts, jnp.int32)
     real, decoded, cleaned = (
-        QualityFigures(**{name: float(values.mean()) for name, values in measured._asdict().items()})
+        QualityFigures(**{name: float(row.mean()) for name, row in zip(MotionQuality._fields, measured, strict=True)})
         for measured in quality
     )
     return ReconstructionFigures(

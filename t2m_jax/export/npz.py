@@ -74,8 +74,10 @@ def load_npz(path: str | Path) -> Motion:
             raise UserError(f"{path}: entry {key!r} should hold {description}, not {value.dtype} {value.shape}")
     for key, value in archive.items():
         # NumPy makes texts of numbers that are no characters; CPython fails when it uses them.
-        if value.dtype.kind == "U" and _largest_character(value) > sys.maxunicode:
-            raise UserError(f"{path}: entry {key!r} has numbers that are no characters")
+        if value.dtype.kind == "U":
+            native = value.astype(value.dtype.newbyteorder("="))
+            if np.frombuffer(native.tobytes(), np.uint32).max(initial=0) > sys.maxunicode:
+                raise UserError(f"{path}: entry {key!r} has numbers that are no characters")
     fields: dict[str, Any] = {key: value if value.ndim else value.item() for key, value in archive.items()}
     fields |= {key: tuple(archive[key].tolist()) for key in TUPLES if key in archive}
     if "codes" in archive and archive["codes"].ndim == 1:
@@ -84,11 +86,6 @@ def load_npz(path: str | Path) -> Motion:
         return Motion(**fields | {"skeleton": skeleton_from_name(fields.get("skeleton", HUMANML3D.name))})
     except UserError as error:
         raise UserError(f"{path}: {error}") from error
-
-
-def _largest_character(texts: np.ndarray) -> int:
-    native = texts.astype(texts.dtype.newbyteorder("="))
-    return int(np.frombuffer(native.tobytes(), np.uint32).max(initial=0))
 
 
 def save_pieces(path: str | Path, pieces: Iterable[Motion]) -> int:

@@ -22,25 +22,24 @@ class PartnerRanks(NamedTuple):
     """Number of other candidates at exactly the same distance."""
 
 
-def partner_ranks(
-    queries: Float[Array, "B E"], candidates: Float[Array, "B E"], labels: Int[Array, " B"]
-) -> PartnerRanks:
-    """Returns the ranks of the candidates that belong to the queries (same index). Equal labels are not compared."""
-    differences = queries[:, None, :] - candidates[None, :, :]
-    # The dot product of the published codes would be rounded: equal distances would differ, small squares be negative.
-    distances = jnp.sqrt(jnp.sum(differences**2, axis=-1))
-    own = jnp.diagonal(distances)[:, None]
-    others = labels[:, None] != labels[None, :]
-    return PartnerRanks(jnp.sum((distances < own) & others, axis=1), jnp.sum((distances == own) & others, axis=1))
-
-
 @jax.jit
 def ranks_of_batches(
     queries: Float[Array, "M B E"], candidates: Float[Array, "M B E"], labels: Int[Array, "M B"]
 ) -> PartnerRanks:
-    """Returns the ranks of each batch [M, B]; one program for all calls with these shapes."""
+    """Returns the ranks [M, B] of the candidates that belong to the queries. Equal labels are not compared."""
+
+    def ranks(batch: tuple[Float[Array, "B E"], Float[Array, "B E"], Int[Array, " B"]]) -> PartnerRanks:
+        queries, candidates, labels = batch
+        differences = queries[:, None, :] - candidates[None, :, :]
+        # The dot product of the published codes would be rounded: equal distances would differ, small squares be
+        # negative.
+        distances = jnp.sqrt(jnp.sum(differences**2, axis=-1))
+        own = jnp.diagonal(distances)[:, None]
+        others = labels[:, None] != labels[None, :]
+        return PartnerRanks(jnp.sum((distances < own) & others, axis=1), jnp.sum((distances == own) & others, axis=1))
+
     # One batch after another, because all differences at once would be 32 times as large as the embeddings.
-    return jax.lax.map(lambda arguments: partner_ranks(*arguments), (queries, candidates, labels))
+    return jax.lax.map(ranks, (queries, candidates, labels))
 
 
 def _mean_hits(ranks: PartnerRanks, top_k: int, counted: Bool[Array, " N"] | None) -> Float[Array, " K"]:

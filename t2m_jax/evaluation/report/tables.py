@@ -101,8 +101,10 @@ def make_table(reports: Sequence[Report], names: Sequence[str], *, measures: Mea
         _line(title, report.kind, report.measured)._replace(fits_captions=fits_captions(report))
         for report, title in zip(reports, titles, strict=True)
     ]
-    if measures == "quality":
-        lines += [line for report, title in zip(reports, titles, strict=True) for line in _cleaned_line(title, report)]
+    for report, title in zip(reports, titles, strict=True) if measures == "quality" else ():
+        measured = report.measured.items()
+        cleaned = {name.removeprefix(CLEANED): found for name, found in measured if name.startswith(CLEANED)}
+        lines += [_line(f"{title}, cleaned", report.kind, cleaned)] if cleaned else []
     known = {metric for line in (real, *lines) for metric in line.cells}
     wanted = {"captions": COLUMNS, "labels": tuple(map(_by_label, COLUMNS)), "quality": QUALITY_COLUMNS}[measures]
     header = dataclasses.asdict(reports[0].header)
@@ -135,12 +137,6 @@ def _check_comparable(reports: Sequence[Report], names: Sequence[str]) -> None:
 def _line(name: str, kind: str, metrics: dict[str, Metric]) -> TableLine:
     cells = {metric: Cell(found.mean, found.interval) for metric, found in metrics.items()}
     return TableLine(name, kind, max((len(found.repeats) for found in metrics.values()), default=0), cells)
-
-
-def _cleaned_line(title: str, report: Report) -> list[TableLine]:
-    """Returns the quality of a report's motion after the clean-up, if the report has it."""
-    cleaned = {name.removeprefix(CLEANED): found for name, found in report.measured.items() if name.startswith(CLEANED)}
-    return [_line(f"{title}, cleaned", report.kind, cleaned)] if cleaned else []
 
 
 def _by_label(column: Column) -> Column:

@@ -61,16 +61,15 @@ class _BodyBuilder:
         self.rows = list(np.eye(num_joints, dtype=np.float32))
         self.parts: list[BodyPart] = []
 
-    def blend(self, **weights: float) -> int:
-        """Adds and returns a point: the weighted sum of points, given as `p7=0.5`. The weights must add up to one."""
-        row = sum(weight * self.rows[int(name[1:])] for name, weight in weights.items())
+    def blend(self, weights: dict[int, float]) -> int:
+        """Adds and returns a point: the weighted sum of points. The weights must add up to one."""
+        row = sum(weight * self.rows[point] for point, weight in weights.items())
         self.rows.append(np.asarray(row, np.float32))
         return len(self.rows) - 1
 
     def between(self, start: int, end: int, fraction: float) -> int:
         """Adds and returns the point at `fraction` of the way from `start` to `end`, beyond `end` if it is above 1."""
-        self.rows.append(np.asarray((1 - fraction) * self.rows[start] + fraction * self.rows[end], np.float32))
-        return len(self.rows) - 1
+        return self.blend({start: 1 - fraction, end: fraction})
 
     def add(self, start: int, end: int, start_radius: float, end_radius: float, tint: Tint) -> None:
         """Adds a capsule between two points."""
@@ -128,7 +127,7 @@ def _add_limbs(builder: _BodyBuilder, arm: tuple[int, ...], leg: tuple[int, ...]
     hip, knee, ankle = leg[:3]
     toe = leg[-1]
     calf = builder.between(knee, ankle, 0.27)
-    heel = builder.blend(**{f"p{ankle}": 1.38, f"p{knee}": -0.12, f"p{toe}": -0.26})
+    heel = builder.blend({ankle: 1.38, knee: -0.12, toe: -0.26})
     tip = builder.between(heel, toe, 1.28)
     builder.add(hip, knee, 0.086, 0.055, tint)
     builder.add(knee, calf, 0.055, 0.057, tint)
@@ -155,8 +154,8 @@ def _add_trunk(builder: _BodyBuilder, roles: Roles) -> None:
     neck = spine[-1]
     for hip, shoulder, _ in sides:
         outer = builder.between(shoulders, shoulder, 0.62)
-        waist = builder.blend(**{f"p{hips}": 0.25, f"p{hip}": 0.25, f"p{middle}": 0.5})
-        flank = builder.blend(**{f"p{middle}": 0.72, f"p{outer}": 0.28})
+        waist = builder.blend({hips: 0.25, hip: 0.25, middle: 0.5})
+        flank = builder.blend({middle: 0.72, outer: 0.28})
         builder.add(hips, hip, 0.108, 0.096, "body")
         builder.add(hip, waist, 0.096, 0.090, "body")
         builder.add(flank, outer, 0.090, 0.074, "body")
@@ -177,8 +176,7 @@ def _add_head(builder: _BodyBuilder, roles: Roles, skeleton: Skeleton) -> int:
         """Returns the point `distance` meters beyond the last joint, in a direction between those of neck and trunk."""
         along_trunk = 0.6 * distance / trunk_length
         along_neck = 0.4 * distance / neck_length
-        joints = {f"p{tip}": 1 + along_neck, f"p{neck}": along_trunk - along_neck, f"p{chest}": -along_trunk}
-        return builder.blend(**joints)
+        return builder.blend({tip: 1 + along_neck, neck: along_trunk - along_neck, chest: -along_trunk})
 
     jaw = above(0.012)
     crown = above(0.092)
