@@ -222,8 +222,10 @@ def test_wrong_numbers_are_refused(data, tmp_path, options, words):
         compose_dataset(data, tmp_path / "new", **options)
 
 
-def test_labels_are_needed(data, tmp_path):
+def test_labels_are_needed_and_nothing_is_composed_twice(data, tmp_path):
     compose_dataset(data, tmp_path / "new", timed=1)
+    with pytest.raises(UserError, match="timed_00000 is composed already"):
+        compose_dataset(tmp_path / "new", tmp_path / "other", turns=1)
     (tmp_path / "new" / "index.csv").unlink()
     with pytest.raises(UserError, match="no training clip has a label"):
         compose_dataset(tmp_path / "new", tmp_path / "other", timed=1)

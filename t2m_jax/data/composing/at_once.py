@@ -45,15 +45,11 @@ def draw_at_once(library: Library, generator: random.Random) -> TwoAtOnce:
         UserError: There are no clips that fit.
     """
     words = read_words(__package__, "composed")
-    drawn = [
-        {content: weight for content, weight in words[part].items() if library.clips.get(content)}
-        for part in ("legs", "arms")
-    ]
-    for _ in range(TRIES if all(drawn) else 0):
-        legs, arms = (
-            library.piece(content, *generator.choice(library.clips[content]))
-            for (content,) in (generator.choices(list(known), list(known.values())) for known in drawn)
-        )
+    for _ in range(TRIES):
+        legs = library.draw_clip(words["legs"], generator)
+        arms = library.draw_clip(words["arms"], generator)
+        if legs is None or arms is None:
+            break
         fitted = _fit(legs, arms, generator)
         if fitted is None:
             continue
@@ -88,8 +84,8 @@ def put_on_legs(arms: Float[np.ndarray, "T J 3"], legs: Float[np.ndarray, "T J 3
 
     Spine and arms keep their directions relative to the heading. So who bows or waves does it to where the legs go.
     """
-    leading, turning = (heading_quaternions(motion, HUMANML3D) for motion in (legs, arms))
-    turn = np.array(quaternion_multiply(quaternion_inverse(leading), turning))
+    leading = heading_quaternions(legs, HUMANML3D)
+    turn = np.array(quaternion_multiply(quaternion_inverse(leading), heading_quaternions(arms, HUMANML3D)))
     # The heading of the first frame is not smoothed.
     turn[0] = turn[1]
     bones = np.array(bone_vectors(legs, HUMANML3D))

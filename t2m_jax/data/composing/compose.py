@@ -37,6 +37,8 @@ from t2m_jax.data.writer import ImportReport, check_count, finish_folder, new_fo
 from t2m_jax.errors import UserError
 
 Write: TypeAlias = Callable[..., NewClip]
+NAMES = {"turns": "composed", "at_once": "atonce", "repeated": "repeated", "timed": "timed"}
+"""What the names of new clips begin with."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -71,7 +73,7 @@ class ComposeOptions:
             write_repeated: self.repeated,
             write_timed: self.timed,
         }
-        for name in ("turns", "at_once", "repeated", "timed"):
+        for name in NAMES:
             check_count(name, getattr(self, name), least=0)
         if not (any(counts.values()) or self.still or self.slow):
             raise UserError("nothing to compose; give --turns, --at-once, --repeated, --timed, --still or --slow")
@@ -98,6 +100,8 @@ def compose_dataset(source: str | Path, destination: str | Path, **options: Any)
         raise UserError(f"{dataset.folder}: no training clip has a label in index.csv that can be put into words")
     splits = read_splits(dataset)
     names = [name for members in splits.values() for name in members]
+    if composed := [name for name in names if name.partition("_")[0] in NAMES.values()]:
+        raise UserError(f"{dataset.folder}: {composed[0]} is composed already; compose the data set it was made of")
     with new_folder(destination) as folder, map_in_processes(given.workers) as run_all:
         frames = sum(copy_clip(name, dataset, folder) for name in names)
         new = _write_all(folder, labels, given, counts, run_all)
@@ -151,8 +155,9 @@ def _entries(new: Sequence[NewClip], index: ClipIndex, dataset: Dataset) -> list
     for clip in new:
         origins = [index.entry(name) for name in recorded(clip.name)]
         origins = [one.with_origin(dataset.info.name, dataset.info.licence) for one in origins]
-        persons, datasets, licences = (joined(texts) for texts in zip(*(one[3:] for one in origins), strict=True))
-        rows.append(IndexEntry(clip.name, "", clip.label, persons, datasets, licences))
+        persons = joined(one.person for one in origins)
+        datasets = joined(one.dataset for one in origins)
+        rows.append(IndexEntry(clip.name, "", clip.label, persons, datasets, joined(one.licence for one in origins)))
     return rows
 
 
@@ -163,7 +168,7 @@ def write_turns(number: int, *, library: Library, seed: int = 0) -> NewClip:
     captions = write_composed_captions(pieces, count=CAPTIONS_OF_NEW, generator=generator)
     label = " + ".join(piece.labels.content for piece in pieces)
     origins = [piece.name for piece in pieces]
-    name = f"composed_{number:05d}"
+    name = f"{NAMES['turns']}_{number:05d}"
     return write_new_clip(library.folder, name, label, join_pieces(pieces), captions=captions, origins=origins)
 
 
@@ -173,7 +178,7 @@ def write_at_once(number: int, *, library: Library, seed: int = 0) -> NewClip:
     legs, arms, positions = draw_at_once(library, generator)
     captions = write_while_captions(legs.labels, arms.labels, count=CAPTIONS_OF_NEW, generator=generator)
     label = f"{legs.labels.content} + {arms.labels.content}, at once"
-    name = f"atonce_{number:05d}"
+    name = f"{NAMES['at_once']}_{number:05d}"
     return write_new_clip(library.folder, name, label, positions, captions=captions, origins=[legs.name, arms.name])
 
 
@@ -182,7 +187,9 @@ def write_repeated(number: int, *, library: Library, seed: int = 0) -> NewClip:
     generator = _generator("repeated", number, seed)
     piece, times = draw_repeated(library, generator)
     captions = write_count_captions(piece.labels, times, count=CAPTIONS_OF_NEW, generator=generator)
-    return _write_piece(library, f"repeated_{number:05d}", f"{piece.labels.content} x {times}", piece, captions)
+    return _write_piece(
+        library, f"{NAMES['repeated']}_{number:05d}", f"{piece.labels.content} x {times}", piece, captions
+    )
 
 
 def write_timed(number: int, *, library: Library, seed: int = 0) -> NewClip:
@@ -190,7 +197,9 @@ def write_timed(number: int, *, library: Library, seed: int = 0) -> NewClip:
     generator = _generator("timed", number, seed)
     piece, seconds = draw_lasting(library, generator)
     captions = write_duration_captions(piece.labels, seconds, count=CAPTIONS_OF_NEW, generator=generator)
-    return _write_piece(library, f"timed_{number:05d}", f"{piece.labels.content}, {seconds} s", piece, captions)
+    return _write_piece(
+        library, f"{NAMES['timed']}_{number:05d}", f"{piece.labels.content}, {seconds} s", piece, captions
+    )
 
 
 def _write_piece(library: Library, name: str, label: str, piece: LabeledPiece, captions: Any) -> NewClip:

@@ -26,10 +26,10 @@ def draw_lasting(library: Library, generator: random.Random) -> tuple[LabeledPie
         UserError: There are no clips of which one can be made.
     """
     weights = read_words(__package__, "composed")["lasting_contents"]
-    known = {content: weight for content, weight in weights.items() if library.clips.get(content)}
-    for _ in range(TRIES if known else 0):
-        (content,) = generator.choices(list(known), list(known.values()))
-        piece = library.piece(content, *generator.choice(library.clips[content]))
+    for _ in range(TRIES):
+        piece = library.draw_clip(weights, generator)
+        if piece is None:
+            break
         seconds = generator.choice(SECONDS)
         # A frame more, because the last one has no step to another, so that it is lost when features are computed.
         features = with_length(piece.features, round(seconds * HUMANML3D.fps) + 1)

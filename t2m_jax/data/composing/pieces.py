@@ -1,6 +1,7 @@
 """Pieces of labeled clips, and how they are joined."""
 
 import functools
+import random
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -69,6 +70,14 @@ class Library(NamedTuple):
         """Returns the raw features of a clip."""
         return np.load(self.folder / FEATURES / f"{name}.npy")
 
+    def draw_clip(self, weights: Mapping[str, float], generator: random.Random) -> LabeledPiece | None:
+        """Returns a clip of one of the contents, drawn by their weights; None if there are no clips of any."""
+        known = [content for content in weights if self.clips.get(content)]
+        if not known:
+            return None
+        content = generator.choices(known, [weights[one] for one in known])[0]
+        return self.piece(content, *generator.choice(self.clips[content]))
+
     def piece(self, content: str, name: str, style: str) -> LabeledPiece:
         """Returns a whole clip."""
         return LabeledPiece(Labels(content, style), self.read(name), name)
@@ -136,12 +145,13 @@ def join_at(
         second: Clip that follows.
         slack: Frames that each of them may give up at most; a quarter of a short clip.
     """
-    ends, starts = (min(slack, len(features) // 4) for features in (first, second))
+    earliest = len(first) - min(slack, len(first) // 4)
+    latest = min(slack, len(second) // 4)
     cut = find_cut(
         first,
         second,
-        ends=range(max(len(first) - ends, OVERLAP), len(first) + 1),
-        starts=range(min(starts, len(second) - OVERLAP) + 1),
+        ends=range(max(earliest, OVERLAP), len(first) + 1),
+        starts=range(min(latest, len(second) - OVERLAP) + 1),
         skeleton=HUMANML3D,
     )
     return with_constant_bones(join_features(first, second, cut))

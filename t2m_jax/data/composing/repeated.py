@@ -26,12 +26,13 @@ def draw_repeated(library: Library, generator: random.Random) -> tuple[LabeledPi
     Raises:
         UserError: There are no clips of which one can be made.
     """
-    known = {content: how for content, how in counted_contents().items() if library.clips.get(content)}
-    for _ in range(TRIES if known else 0):
-        (content,) = generator.choices(list(known), [how.weight for how in known.values()])
-        name, style = generator.choice(library.clips[content])
-        (times,) = generator.choices(range(1, MOST + 1), COUNT_WEIGHTS)
-        piece = library.piece(content, name, style)
+    weights = {content: how.weight for content, how in counted_contents().items()}
+    for _ in range(TRIES):
+        piece = library.draw_clip(weights, generator)
+        if piece is None:
+            break
+        content = piece.labels.content
+        times = generator.choices(range(1, MOST + 1), COUNT_WEIGHTS)[0]
         features = repeat(piece.features, content, times)
         if features is None or len(features) > LONGEST:
             continue

@@ -46,8 +46,8 @@ class TablePart(NamedTuple):
         Raises:
             UserError: The motion does not have it.
         """
-        first, last = (round(seconds * clip.fps) for seconds in self.span)
-        last = last or clip.num_frames
+        first = round(self.span[0] * clip.fps)
+        last = round(self.span[1] * clip.fps) or clip.num_frames
         # A frame more than the file has is rounding.
         if not 0 <= first < last <= clip.num_frames + 1:
             seconds = clip.num_frames / clip.fps
