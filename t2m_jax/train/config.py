@@ -144,6 +144,23 @@ class ExperimentConfig(StepConfig):
             raise ValueError(f"data_fraction: {self.data_fraction} is not a share above 0 and at most 1")
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class NormalizedConfig(ExperimentConfig):
+    """Fields of a training whose model keeps the statistics of the motion that it reads."""
+
+    statistics: str = FROM_DATA
+    """Mean and standard deviation that normalize the motion: `data` for the data set's own, weighted by `root_weight`;
+    or a folder or a file `mean.npy` (with `std.npy` next to it), or a model, used as they are."""
+    root_weight: float = 25.0
+    """By how much the root's columns and the contacts are scaled up; published evaluators have 25. For its VQ-VAE, the
+    original divides their standard deviations by 5 twice; without it, heading and path drift."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.root_weight > 0:
+            raise ValueError(f"root_weight: {self.root_weight} is not above 0")
+
+
 def compiled_config(config: ExperimentConfig) -> Any:
     """Returns the part of a config that compiled steps read, an instance of `config.step`.
 

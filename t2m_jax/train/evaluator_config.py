@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 from t2m_jax.config import check_amounts, check_limits, check_sizes
 from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT, EvaluatorConfig
 from t2m_jax.text.word_vectors import MIN_COUNT
-from t2m_jax.train.config import FROM_DATA, MAX_WINDOW, ExperimentConfig, LoopConfig, StepConfig
+from t2m_jax.train.config import MAX_WINDOW, LoopConfig, NormalizedConfig, StepConfig
 from t2m_jax.train.optimizer import OptimizerConfig
 
 
@@ -58,7 +58,7 @@ class EvaluatorStepConfig(StepConfig):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class TrainEvaluatorConfig(EvaluatorStepConfig, ExperimentConfig):
+class TrainEvaluatorConfig(EvaluatorStepConfig, NormalizedConfig):
     """Training of the evaluator; sizes, losses and optimizers are by default those of the published one.
 
     The movement encoder is trained first, with a decoder that is not kept. Then it is frozen, and the encoders of
@@ -74,11 +74,6 @@ class TrainEvaluatorConfig(EvaluatorStepConfig, ExperimentConfig):
     """Word list, one per line; by default the words of the training captions."""
     min_count: int = MIN_COUNT
     """How often a word must occur in the training captions to be in the vocabulary."""
-    statistics: str = FROM_DATA
-    """Mean and standard deviation that normalize the motion: `data` for the data set's own, weighted by `root_weight`;
-    or a folder or a file `mean.npy` (with `std.npy` next to it), or a model, used as they are."""
-    root_weight: float = 25.0
-    """By how much the root's columns and the contacts are scaled up for the evaluator; published evaluators have 25."""
     movement_steps: int = 100_000
     """Updates of the movement encoder; the original makes up to 270 passes over every window of the data."""
     patience: int = 20
@@ -88,5 +83,3 @@ class TrainEvaluatorConfig(EvaluatorStepConfig, ExperimentConfig):
         super().__post_init__()
         check_sizes(self, "min_count", "movement_steps")
         check_amounts(self, "patience")
-        if not self.root_weight > 0:
-            raise ValueError(f"root_weight: {self.root_weight} is not above 0")

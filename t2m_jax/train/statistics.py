@@ -35,7 +35,7 @@ def open_training_data(config: Any, *, reader: str, resume: bool) -> tuple[Datas
 
 
 def load_statistics(config: Any, dataset: Dataset) -> Normalizer:
-    """Returns the statistics that a config names (see `TrainVqVaeConfig.statistics`).
+    """Returns the statistics that a config names (see `NormalizedConfig.statistics`).
 
     Raises:
         UserError: They do not exist, or describe motion of another kind than the data. With `init`, this is only a

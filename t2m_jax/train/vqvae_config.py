@@ -8,7 +8,7 @@ from t2m_jax.config import check_limits
 from t2m_jax.losses import ReconstructionKind, VelocityKind
 from t2m_jax.models.rows import Precision
 from t2m_jax.models.vqvae import RvqVaeConfig, VqVaeConfig
-from t2m_jax.train.config import FROM_DATA, MAX_WINDOW, EvaluationConfig, ExperimentConfig, StepConfig
+from t2m_jax.train.config import MAX_WINDOW, EvaluationConfig, NormalizedConfig, StepConfig
 from t2m_jax.train.optimizer import OptimizerConfig
 
 
@@ -61,7 +61,7 @@ class VqVaeStepConfig(StepConfig):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class TrainVqVaeConfig(VqVaeStepConfig, ExperimentConfig):
+class TrainVqVaeConfig(VqVaeStepConfig, NormalizedConfig):
     """Training of the VQ-VAE; the defaults are T2M-GPT's published command."""
 
     kind: ClassVar[str] = "vqvae"
@@ -71,19 +71,8 @@ class TrainVqVaeConfig(VqVaeStepConfig, ExperimentConfig):
     """Run directory to write."""
     short_clips: Literal["pad", "drop"] = "pad"
     """Clips shorter than a window: padded and masked, or left out as in the original."""
-    statistics: str = FROM_DATA
-    """Mean and standard deviation that normalize the motion: `data` for the data set's own, weighted by `root_weight`;
-    or a folder or a file `mean.npy` (with `std.npy` next to it), or a model, used as they are."""
-    root_weight: float = 25.0
-    """By how much the root's columns and the contacts are scaled up for the VQ-VAE. The original divides their standard
-    deviations by 5 twice; without it, heading and path drift."""
     evaluation: EvaluationConfig = EvaluationConfig()
     """Evaluation of reconstructions during training."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.root_weight > 0:
-            raise ValueError(f"root_weight: {self.root_weight} is not above 0")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
