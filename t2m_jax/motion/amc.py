@@ -1,7 +1,7 @@
 """Reading Acclaim motion files: a skeleton (`.asf`) and a motion of it (`.amc`), as in the CMU database."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple, cast
 
@@ -24,6 +24,8 @@ MIN_UNIT = 1e-4
 MAX_BYTES = 2**28
 """The largest file. A frame of 30 bones has about 1 kB, so this is half an hour at 120 frames per second."""
 ROOT = "root"
+_Line = tuple[str, list[str]]
+"""Where a line is, for error messages, and its words."""
 _AXES = "xyz"
 
 
@@ -122,12 +124,16 @@ def _transform(
     return turn.astype(np.float32), moves.astype(np.float32)
 
 
-def _numbered_words(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Returns the number and the words of each line that has some, without comments."""
+def _lines(path: Path) -> Iterator[_Line]:
+    """Yields the lines of a file that have words, without comments."""
     for number, line in enumerate(load_text(path, max_bytes=MAX_BYTES).split("\n"), start=1):
-        words = line.partition("#")[0].split()
-        if words:
-            yield number, words
+        if words := line.partition("#")[0].split():
+            yield f"{path}:{number}", words
+
+
+def _fields(lines: Iterable[_Line]) -> dict[str, _Line]:
+    """Returns lines by their first words."""
+    return {words[0].lower(): (place, words) for place, words in lines}
 
 
 def _numbers(words: list[str], place: str) -> list[float]:
@@ -143,25 +149,23 @@ def _numbers(words: list[str], place: str) -> list[float]:
 def _read_skeleton(path: Path) -> _Skeleton:
     """Returns the figure of an ASF file."""
     # The order of the sections is free, so they are collected first. `:root` and others are words on their own lines.
-    sections: dict[str, list[tuple[str, list[str]]]] = {}
+    sections: dict[str, list[_Line]] = {}
     section = ""
-    for number, words in _numbered_words(path):
+    for place, words in _lines(path):
         if words[0].startswith(":"):
             section = words[0].lower()
-        sections.setdefault(section, []).append((f"{path}:{number}", words))
+        sections.setdefault(section, []).append((place, words))
     missing = [name for name in (":root", ":bonedata", ":hierarchy") if name not in sections]
     if missing:
         raise UserError(f"{path}: is not an ASF file; it has no {' and no '.join(missing)}")
-    units = {words[0].lower(): (place, words) for place, words in sections.get(":units", [])}
+    units = _fields(sections.get(":units", []))
     length = _field(units, "length", 1, ["1.0"])[0]
     if not MIN_UNIT <= length <= 1 / MIN_UNIT:
         raise UserError(f"{units['length'][0]}: length is {length:g}; expected {MIN_UNIT:g} to {1 / MIN_UNIT:g}")
     metres = METERS_PER_INCH / length
-    degrees = units.get("angle", ("", ["angle", "deg"]))[1][1:2] != ["rad"]
-    radians = float(np.deg2rad(1.0)) if degrees else 1.0
-    root = {words[0].lower(): (place, words) for place, words in sections[":root"]}
-    bones = {ROOT: _make_bone(root, metres=metres, radians=radians, is_root=True)}
-    fields: dict[str, tuple[str, list[str]]] = {}
+    radians = 1.0 if units.get("angle", ("", []))[1][1:2] == ["rad"] else float(np.deg2rad(1.0))
+    bones = {ROOT: _make_bone(_fields(sections[":root"]), metres=metres, radians=radians, is_root=True)}
+    fields: dict[str, _Line] = {}
     for place, words in sections[":bonedata"][1:]:
         if words[0].lower() == "begin":
             fields = {}
@@ -175,7 +179,7 @@ def _read_skeleton(path: Path) -> _Skeleton:
     return _Skeleton(bones, _read_hierarchy(sections[":hierarchy"][1:], bones), radians, metres)
 
 
-def _field(fields: Mapping[str, tuple[str, list[str]]], name: str, count: int, default: list[str]) -> list[float]:
+def _field(fields: Mapping[str, _Line], name: str, count: int, default: list[str]) -> list[float]:
     """Returns the numbers of a field."""
     place, words = fields.get(name, (fields.get("place", ("", []))[0], [name, *default]))
     numbers = _numbers(words[1 : count + 1], place)
@@ -184,9 +188,7 @@ def _field(fields: Mapping[str, tuple[str, list[str]]], name: str, count: int, d
     return numbers
 
 
-def _make_bone(
-    fields: Mapping[str, tuple[str, list[str]]], *, metres: float, radians: float, is_root: bool = False
-) -> _Bone:
+def _make_bone(fields: Mapping[str, _Line], *, metres: float, radians: float, is_root: bool = False) -> _Bone:
     """Returns the bone that the fields of its section describe."""
     place, words = fields.get("axis", ("", ["axis", "0", "0", "0", "XYZ"]))
     order = words[-1].upper()
@@ -204,7 +206,7 @@ def _make_bone(
     return _Bone(np.array(direction) * length * metres, axis.astype(np.float64), freedoms)
 
 
-def _read_hierarchy(lines: list[tuple[str, list[str]]], bones: Mapping[str, _Bone]) -> dict[str, str]:
+def _read_hierarchy(lines: list[_Line], bones: Mapping[str, _Bone]) -> dict[str, str]:
     """Returns the parent of each bone, parents first."""
     parents: dict[str, str] = {}
     for place, words in lines:
@@ -222,8 +224,7 @@ def _read_motion(path: Path, figure: _Skeleton) -> dict[str, Float[np.ndarray, "
     """Returns the values of each bone that moves."""
     names = {ROOT, *figure.parents}
     frames: list[dict[str, list[float]]] = []
-    for number, words in _numbered_words(path):
-        place = f"{path}:{number}"
+    for place, words in _lines(path):
         if words[0].startswith(":"):
             continue
         if len(words) == 1 and re.fullmatch(r"\d+", words[0]):
@@ -234,8 +235,7 @@ def _read_motion(path: Path, figure: _Skeleton) -> dict[str, Float[np.ndarray, "
                 f"{place}: expected the number of a frame or a bone that the skeleton has, not {words[0]!r}"
             )
         frames[-1][words[0]] = _numbers(words[1:], place)
-        if len(words) - 1 != len(figure.bones[words[0]].freedoms):
-            wanted = len(figure.bones[words[0]].freedoms)
+        if len(words) - 1 != (wanted := len(figure.bones[words[0]].freedoms)):
             raise UserError(f"{place}: {words[0]} has {len(words) - 1} values, its skeleton says {wanted}")
     # Every frame must have all bones, because a missing line would shift a motion without a sign of it.
     if not frames or ROOT not in frames[0]:
