@@ -1,6 +1,5 @@
 """What pretrained text encoders share: parameters from arrays in PyTorch's layout, and a digest of an encoder."""
 
-import hashlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from flax import traverse_util
 from tokenizers import Tokenizer
 
 from t2m_jax.errors import UserError
-from t2m_jax.files.arrays import fit_arrays
+from t2m_jax.files.arrays import fingerprint, fit_arrays
 
 SCALE = ".scale"
 """Ends the name of the scales of a matrix that is stored in 8 bits."""
@@ -71,8 +70,4 @@ def check_vocabulary(path: Path, tokenizer: Tokenizer, size: int) -> None:
 
 def encoder_fingerprint(config: Any, variables: dict[str, Any], tokenizer: Tokenizer) -> str:
     """Returns a hash of everything that an embedding depends on."""
-    digest = hashlib.sha256(f"{config}\n{tokenizer.to_str()}\n".encode())
-    for name, leaf in sorted(traverse_util.flatten_dict(variables, sep="/").items()):
-        array = np.ascontiguousarray(leaf, "<f4")
-        digest.update(f"{name} {array.shape}\n".encode() + array.tobytes())
-    return digest.hexdigest()
+    return fingerprint(f"{config}\n{tokenizer.to_str()}\n", variables)
