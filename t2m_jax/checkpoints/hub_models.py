@@ -59,9 +59,7 @@ def find_model(name_or_path: str | Path) -> FoundModel:
     name = parse_hub_name(name_or_path)
     if name is None or folder.exists():
         return FoundModel(folder, f"{name_or_path}")
-    copy = _find_copy(name)
-    if copy is None or copy.name != name.revision:  # a commit never changes
-        copy = _ask_hub(name, copy)
+    copy = _newest_copy(name)
     _check_copy(name, copy)
     return FoundModel(copy, f"{name.repository}@{copy.name}")
 
@@ -189,6 +187,8 @@ def _check_copy(name: HubName, folder: Path, *, only: tuple[str, ...] | None = N
 
 def _newest_commit(name: HubName, copy: Path | None) -> str:
     """Returns the commit that the hub has now; if it cannot be asked, that of the copy."""
+    if copy is not None and copy.name == name.revision:  # a commit never changes
+        return copy.name
     try:
         return hub_commit(name)
     except UserError as error:
@@ -198,8 +198,9 @@ def _newest_commit(name: HubName, copy: Path | None) -> str:
         return copy.name
 
 
-def _ask_hub(name: HubName, copy: Path | None) -> Path:
-    """Returns the folder with the commit that the hub has now, or `copy` if the hub cannot be asked."""
+def _newest_copy(name: HubName) -> Path:
+    """Returns the folder with the commit that the hub has now, or the copy here if the hub cannot be asked."""
+    copy = _find_copy(name)
     commit = _newest_commit(name, copy)
     if copy is not None and copy.name == commit:
         return copy
