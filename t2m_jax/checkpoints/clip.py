@@ -93,9 +93,7 @@ def load_clip(name_or_folder: str | Path, *, text_dim: int | None = None) -> Tra
     check_vocabulary(folder, tokenizer, config.vocabulary_size)
     end = tokenizer.token_to_id(END)
     if config.end_token not in (None, end):
-        raise UserError(
-            f"{folder}: {END!r} is token {end}, but {clip_files.CONFIG_FILE} says {_END_FIELD} {config.end_token}"
-        )
+        raise UserError(f"{folder}: {END!r} is token {end}, but config.json says {_END_FIELD} {config.end_token}")
     path, arrays = clip_files.read_text_arrays(folder)
     # Some files are saved without it. Their embeddings are in another space than those that the GPT was trained on.
     if "text_projection.weight" not in arrays:

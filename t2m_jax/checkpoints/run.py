@@ -273,9 +273,8 @@ class Checkpoints:
         try:
             restored = self._checkpointer.restore(self._folder / str(step), args=args.Composite(**items))
         except Exception as error:  # Orbax and TensorStore raise all kinds, also `Exception` itself
-            raise UserError(
-                f"{self._run}: checkpoint {step} is damaged or does not fit its config ({first_line(error)})"
-            ) from error
+            problem = f"is damaged or does not fit its config ({first_line(error)})"
+            raise UserError(f"{self._run}: checkpoint {step} {problem}") from error
         return dict(like) | {name: restored[name][name] for name in saved}
 
 

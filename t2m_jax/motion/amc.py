@@ -231,9 +231,7 @@ def _read_motion(path: Path, figure: _Skeleton) -> dict[str, Float[np.ndarray, "
             frames.append({})
             continue
         if not frames or words[0] not in names or words[0] in frames[-1]:
-            raise UserError(
-                f"{place}: expected the number of a frame or a bone that the skeleton has, not {words[0]!r}"
-            )
+            raise UserError(f"{place}: expected the number of a frame or a bone of the skeleton, not {words[0]!r}")
         frames[-1][words[0]] = _numbers(words[1:], place)
         if len(words) - 1 != (wanted := len(figure.bones[words[0]].freedoms)):
             raise UserError(f"{place}: {words[0]} has {len(words) - 1} values, its skeleton says {wanted}")

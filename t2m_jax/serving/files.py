@@ -68,9 +68,8 @@ def read_motion(data: bytes, suffix: str) -> Motion:
         except UserError as error:
             raise UserError(str(error).replace(str(path), path.name)) from None
     if motion.seconds > schema.MAX_TOTAL_SECONDS:  # at another frame rate, it could fill the memory
-        raise UserError(
-            f"motion.{suffix}: has {motion.seconds:g} seconds; at most {schema.MAX_TOTAL_SECONDS:g} are read"
-        )
+        most = f"at most {schema.MAX_TOTAL_SECONDS:g} are read"
+        raise UserError(f"motion.{suffix}: has {motion.seconds:g} seconds; {most}")
     return motion
 
 

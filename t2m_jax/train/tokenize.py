@@ -120,10 +120,7 @@ def encode_clips(
         parts = split_by_captions(variants, piece.captions, codes_per_second=info.fps / downsample)
         motions += [part._replace(clip=name) for part in parts]
     if not motions:
-        raise UserError(
-            f"{info.name}: no motion with a caption to train on; the split is empty or every clip was left out (see "
-            "`t2m data check`)"
-        )
+        raise UserError(f"{info.name}: no motion with a caption to train on; see `t2m data check` for what is left out")
     return motions
 
 
