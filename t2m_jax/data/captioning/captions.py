@@ -29,6 +29,10 @@ SPEED_SHARE = 0.5
 """Share of the remaining captions of a clearly slow or fast clip that name its speed."""
 STYLE_SUBJECT_SHARE = 0.3
 """Share of the captions whose subject fits the style, for styles that have such subjects."""
+NUM_USUAL = 8
+"""Wordings of a content that most people use. They are the first in its file."""
+USUAL_SHARE = 0.25
+"""Share of the captions that have one of these in any case."""
 LOW_HANDS = 0.02
 """Meters above the shoulder that a wrist must reach before its hand counts as raised, not only lifted to shoulder
 height."""
@@ -176,7 +180,8 @@ def write_captions(name: str, labels: Labels, facts: Facts, *, count: int = CAPT
             style_share = 1.0
         # The same wording again would say the same with another subject. With few wordings, it cannot be avoided.
         fresh = [wording for wording in candidates if wording not in used] or candidates
-        used.append(generator.choice(fresh))
+        usual = generator.random() < USUAL_SHARE
+        used.append(generator.choice(candidates[:NUM_USUAL] if usual else fresh))
         return compose(labels, used[-1], facts=facts, style_share=style_share, generator=generator)
 
     return distinct_captions(draw, count=count, generator=generator)

@@ -40,12 +40,10 @@ class Subject(NamedTuple):
 
     def again(self) -> "Subject":
         """Returns what the same person is called in the next clause: "he", or "the guard" after "a guard"."""
-        article, _, noun = self.text.partition(" ")
-        if self.text in OBJECTS or not noun:
-            return self
         if self.possessive in PRONOUNS:
             return Subject(PRONOUNS[self.possessive], self.possessive)
-        return Subject(f"the {noun}" if article in ("a", "an") else self.text, self.possessive)
+        article, _, noun = self.text.partition(" ")
+        return self._replace(text=f"the {noun}") if article in ("a", "an") else self
 
     def indefinite(self) -> str:
         """Returns who may follow "there is": "a guard" for "the guard", and "someone" for a name."""

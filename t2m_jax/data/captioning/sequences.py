@@ -97,12 +97,12 @@ def write_count_captions(labels: Labels, times: int, *, count: int, generator: r
     once = [one for one in _always(labels) if not any(mark in one.predicate for mark in table["said_times"])]
 
     def draw() -> str:
-        number = generator.choice(_numbers(times))
+        digits, number = _draw_number(times, generator)
         if counted and generator.random() < COUNTED_SHARE:
             known = [one._replace(predicate=one.predicate.replace("{number}", number)) for one in counted]
             return _say(_patterns("counted"), (labels,), [known], generator)
         words = generator.choice(table["times"].get(times, table["times"]["more"]))
-        return _say(_patterns("count"), (labels,), [once], generator, times=words.format(number=number))
+        return _say(_patterns("count"), (labels,), [once], generator, times=words.format(digits=digits, number=number))
 
     return distinct_captions(draw, count=count, generator=generator)
 
@@ -116,8 +116,9 @@ def write_duration_captions(
     lasting = [one for one in _always(labels) if not any(mark in one.predicate for mark in table["said_lengths"])]
 
     def draw() -> str:
-        number = generator.choice(_numbers(round(2 * seconds) / 2))
-        words = generator.choice(table["durations"]).format(number=number)
+        digits, number = _draw_number(round(2 * seconds) / 2, generator)
+        words = generator.choice(table["durations"]).format(digits=digits, number=number)
+        words = words.replace("seconds", "second" if digits == "1" else "seconds")
         return _say(_patterns("duration"), (labels,), [lasting], generator, duration=words)
 
     return distinct_captions(draw, count=count, generator=generator)
@@ -135,12 +136,11 @@ def _short(wordings: Iterable[Wording]) -> list[Wording]:
     return [one for one in wordings if not one.nominal_form and not any(mark in one.predicate for mark in marks)]
 
 
-def _numbers(number: float) -> tuple[str, ...]:
-    """Returns a number in digits and, if it is small and whole, in words."""
+def _draw_number(number: float, generator: random.Random) -> tuple[str, str]:
+    """Returns a number in digits, and in words or digits."""
     words = read_words(__package__, "sequences")["numbers"]
-    if number != int(number):
-        return (f"{number:g}",)
-    return (str(int(number)), words[int(number)]) if number < len(words) else (str(int(number)),)
+    digits = f"{number:g}"
+    return digits, generator.choice((digits, words[int(number)])) if number in range(len(words)) else digits
 
 
 @functools.cache

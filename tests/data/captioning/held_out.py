@@ -1,9 +1,11 @@
-"""Writes the fingerprints of all test sentences: `python -m tests.data.captioning.held_out`.
+"""Writes the fingerprints of all test sentences: `python -m tests.data.captioning.held_out [FILE]...`.
 
 Test sentences are all texts of several words in the files `held_out*.yaml` of the package. Those with `{side}` are
-meant for both sides.
+meant for both sides. Files of other test sentences, one on a line, may be given, so that these need not be in the
+package.
 """
 
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -39,5 +41,7 @@ def _leaves(table: Any) -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    lines = sorted({held_out.fingerprint(text) for text in find_sentences()} | held_out.held_out_fingerprints())
+    private = [line for file in sys.argv[1:] for line in Path(file).read_text(encoding="utf-8").splitlines()]
+    new = {held_out.fingerprint(text) for text in (*find_sentences(), *private)}
+    lines = sorted(new | held_out.held_out_fingerprints())
     (PACKAGE / "data/captioning" / held_out.FILE).write_text("".join(f"{line}\n" for line in lines), encoding="ascii")
