@@ -8,6 +8,7 @@ import pytest
 from t2m_jax.cli import data as cli
 from t2m_jax.cli.main import main
 from t2m_jax.data.audit import audit_dataset
+from t2m_jax.data.captioning.captions import CAPTIONS
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.humanml3d import import_humanml3d
 from t2m_jax.data.index import IndexEntry, save_index
@@ -43,7 +44,7 @@ def test_a_good_folder_has_no_problems(synthetic_folder):
     train = report.splits["train"]
     assert train.clips == 2 * train.mirrored == 32
     assert train.frames == sum(len(clip.features) for clip in open_dataset(synthetic_folder).clips("train"))
-    assert train.captions == 6 * train.clips
+    assert train.captions == CAPTIONS * train.clips
     assert json.loads(json.dumps(dataclasses.asdict(report)))["splits"]["train"]["clips"] == 32
 
 
