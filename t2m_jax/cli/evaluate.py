@@ -3,8 +3,8 @@
 `reconstruction` encodes and decodes every clip of a split with a model's tokenizer. `generation` compares motion that a
 model generates from the captions of a split with real motion, in the space of an evaluator and by a named protocol.
 `prompts` generates from sentences that were held out from training and tests each motion against a kinematic rule.
-`compare` tests whether two reports differ by more than chance, and `table` puts reports into one table.
-`t2m evaluate COMMAND --help` describes the options of each.
+`inbetween` fills gaps in real motion and measures the joins. `compare` tests whether two reports differ by more than
+chance, and `table` puts reports into one table. `t2m evaluate COMMAND --help` describes the options of each.
 """
 
 import argparse
@@ -37,6 +37,26 @@ if TYPE_CHECKING:
     from t2m_jax.motion.motion import Motion
 
 
+LABELS = {
+    "mpjpe_mm": "MPJPE, mm (root-aligned)",
+    "mpjpe_median_clip_mm": "MPJPE of the median clip, mm",
+    "global_mpjpe_mm": "global MPJPE, mm",
+    "acceleration_error_mm": "acceleration error, mm/frame^2",
+    "path_drift_mm": "path drift, mm",
+    "heading_drift_degrees": "heading drift, degrees",
+    "codebook_usage": "codebook usage",
+    "perplexity": "perplexity",
+    "num_clips": "clips",
+    "num_frames": "frames",
+}
+QUALITY_LABELS = {
+    "bone_variation": "bone variation, share of length",
+    "jerk": "jerk, m/s^3",
+    "skating_ratio": "skating, share of contacts",
+    "skating_speed": "speed of feet in contact, m/s",
+    "floating": "floating, share of frames",
+    "penetration": "in the floor, share of frames",
+}
 PROMPT_GROUPS = (
     *("actions", "paces", "manners", "composed"),
     *("free", "subjects", "typos", "free-paces", "free-manners", "then", "while", "counts", "durations", "all-actions"),
@@ -52,6 +72,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     reconstruction = add(run_reconstruction, "measure how well a tokenizer reconstructs real motion")
     generation = add(run_generation, "measure how well generated motion fits captions and real motion")
     prompts = add(run_prompts, "count how often generated motion does what held-out sentences ask for")
+    inbetween = add(run_inbetween, "measure how well a model fills gaps in real motion")
+    add_model_argument(inbetween)
+    _add_data_arguments(inbetween)
+    inbetween.add_argument("--seconds", type=float, default=1.6, help="length of the gaps (default: 1.6)")
+    inbetween.add_argument("--num-clips", type=positive, default=100, help="clips to use (default: 100)")
     compare = add(run_compare, "test two reports for differences")
     table = add(run_table, "print a table of reports")
     for command in (reconstruction, generation, prompts):
@@ -61,6 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_protocol_arguments(generation, needs_evaluator=True)
     for command, left_out in ((generation, ("strategy", "max_codes", "raw")), (prompts, ("strategy", "max_codes"))):
         add_record(command, SamplingOptions, left_out=left_out)
+        command.add_argument("--greedy", action="store_const", dest="temperature", const=0.0, help="--temperature 0")
     what = "what is asked for; docs/evaluation.md describes each group (default: actions)"
     prompts.add_argument("--group", choices=PROMPT_GROUPS, default="actions", help=what)
     prompts.add_argument("--data", metavar="DIR", help="data set with whose real clips motion is compared")
@@ -79,9 +105,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_protocol_arguments(parser: argparse.ArgumentParser, *, needs_evaluator: bool) -> None:
-    parser.add_argument("--data", required=True, metavar="DIR", help="data-set folder")
-    parser.add_argument("--split", default="test", help="split to measure on (default: test)")
-    parser.add_argument("--seed", type=int, default=0, help="start of every random choice (default: 0)")
+    _add_data_arguments(parser)
     evaluator = "folder of an evaluator, or run of `t2m train evaluator`" + ("" if needs_evaluator else " (optional)")
     parser.add_argument("--evaluator", required=needs_evaluator, metavar="E", help=evaluator)
     parser.add_argument(
@@ -90,6 +114,12 @@ def _add_protocol_arguments(parser: argparse.ArgumentParser, *, needs_evaluator:
     parser.add_argument("--num-repeats", type=positive, default=20, help="repeats (default: 20)")
     parser.add_argument("--batch", type=int, default=32, help="pairs ranked together, for small splits (default: 32)")
     parser.add_argument("--html", type=Path, metavar="F", help="also write a page with plots and motions")
+
+
+def _add_data_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--data", required=True, metavar="DIR", help="data-set folder")
+    parser.add_argument("--split", default="test", help="split to measure on (default: test)")
+    parser.add_argument("--seed", type=int, default=0, help="start of every random choice (default: 0)")
 
 
 def run(args: argparse.Namespace) -> None:
@@ -116,13 +146,12 @@ def run_reconstruction(args: argparse.Namespace) -> None:
     dataset = open_dataset(args.data)
     task = _make_task(args, dataset, unit=tokenizer.config.downsample) if args.evaluator else None
     figures = evaluate_reconstruction(tokenizer, dataset, split=args.split)
-    # The names are those of the report, which the documentation explains.
     found = dataclasses.asdict(figures)
-    numbers = [(name, value) for name, value in found.items() if isinstance(value, int | float)]
-    print_columns([(name, f"{value:,.{3 if isinstance(value, float) else 0}f}") for name, value in numbers])
+    numbers = [(label, found[name]) for name, label in LABELS.items()]
+    print_columns([(label, f"{value:,.{3 if isinstance(value, float) else 0}f}") for label, value in numbers])
     sys.stdout.write("\n")
     kinds = ("real_quality", "quality", "cleaned_quality")
-    lines = [(name, *(f"{found[kind][name]:.3f}" for kind in kinds)) for name in found["quality"]]
+    lines = [(label, *(f"{found[kind][name]:.3f}" for kind in kinds)) for name, label in QUALITY_LABELS.items()]
     print_columns([("", "real", "decoded", "cleaned"), *lines])
     if task is not None:
         sys.stdout.write("\n")
@@ -257,6 +286,26 @@ def run_prompts(args: argparse.Namespace) -> None:
         motion = "decoded" if options.raw else "cleaned"
         save_prompt_report(args.json, PromptReport(group=args.group, motion=motion, contents=tuple(results)))
     show_next(shlex.join(["t2m", "generate", "a person walks forward", "--model", args.model]))
+
+
+def run_inbetween(args: argparse.Namespace) -> None:
+    """Prints how well a model fills gaps in real motion, compared with an interpolation."""
+    from t2m_jax.data import open_dataset
+    from t2m_jax.evaluation.inbetween import evaluate_inbetween, format_inbetween
+    from t2m_jax.sampling import TextToMotion
+    from t2m_jax.sampling.request import check_seconds
+    from t2m_jax.text.coverage import PromptWarning
+
+    check_seconds(args.seconds)
+    model = TextToMotion.load(args.model)
+    dataset = open_dataset(args.data)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PromptWarning)
+        figures = evaluate_inbetween(
+            model, dataset, split=args.split, seconds=args.seconds, num_clips=args.num_clips, seed=args.seed
+        )
+    sys.stdout.write(format_inbetween(figures) + "\n")
+    show_next(shlex.join(["t2m", "generate", "a person walks", "--from", "FILE", "--redo", "2.0:4.0"]))
 
 
 def run_compare(args: argparse.Namespace) -> None:

@@ -30,6 +30,15 @@ def test_reconstruction_writes_json(bundle_folder, data_folder, tmp_path, capsys
 
 
 @pytest.mark.slow
+def test_inbetween_prints_a_table(bundle_folder, data_folder, capsys):
+    arguments = ["--model", f"{bundle_folder}", "--data", f"{data_folder}", "--split", "train", "--num-clips", "1"]
+    assert main(["evaluate", "inbetween", *arguments, "--seconds", "0.4"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "| 1 clips | real | generated | interpolated |" and len(lines) == 6
+    assert main(["evaluate", "inbetween", *arguments, "--seconds", "-1"]) == 2
+    assert "seconds: -1 is not a number above 0" in capsys.readouterr().err
+
+
 def test_prompts_writes_json(bundle_folder, tmp_path, capsys):
     output = tmp_path / "figures.json"
     arguments = ["--model", f"{bundle_folder}", "--num-seeds", "1", "--json", f"{output}"]

@@ -1,29 +1,20 @@
-"""Measures how well a model fills gaps in held-out motion, compared with the real motion and with an interpolation.
+"""How well a model fills a gap in held-out motion, compared with the real motion and with an interpolation."""
 
-python docs/measure/gaps.py data/bandai-namco [--model demo] [--seconds 1.6]
-
-The gaps are in the middle of test clips.
-"""
-
-import argparse
-import sys
-import warnings
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from tqdm import tqdm
 
-from t2m_jax.data import Dataset, open_dataset
 from t2m_jax.data.checks import check_feature_dim
+from t2m_jax.data.folder import Dataset
 from t2m_jax.errors import UserError
 from t2m_jax.files.markdown import markdown_table
 from t2m_jax.motion.features import bone_vectors, positions_from_bones, positions_from_features
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
-from t2m_jax.sampling import TextToMotion
-from t2m_jax.text import PromptWarning
+from t2m_jax.sampling.pipeline import TextToMotion
 
 AROUND_SECONDS = 1.0
 """Least motion before and after a gap."""
@@ -42,7 +33,7 @@ class GapFigures(NamedTuple):
     """Difference of a clip's acceleration in the gap from that of the real motion, in m/s^2."""
 
 
-class Gaps(NamedTuple):
+class InbetweenFigures(NamedTuple):
     """What is in the gaps."""
 
     real: GapFigures
@@ -51,15 +42,29 @@ class Gaps(NamedTuple):
     num_clips: int
 
 
-def measure_gaps(model: TextToMotion, dataset: Dataset, *, seconds: float, num_clips: int) -> Gaps:
-    """Returns the figures of gaps in the middle of test clips, which are filled by `model.redo` with the caption."""
+def evaluate_inbetween(
+    model: TextToMotion, dataset: Dataset, *, split: str, seconds: float, num_clips: int, seed: int = 0
+) -> InbetweenFigures:
+    """Returns the figures of gaps in the middle of clips, which are filled by `model.redo` with the clip's caption.
+
+    Args:
+        model: The model.
+        dataset: Data set of the model's skeleton.
+        split: Split whose clips are used, in an order that depends on the seed.
+        seconds: Length of the gaps.
+        num_clips: Clips to use; fewer if the split has fewer that are long enough.
+        seed: Start of every random choice.
+
+    Raises:
+        UserError: The data do not fit the model, or no clip is long enough and has a caption.
+    """
     check_feature_dim(dataset, model.config.tokenizer.feature_dim, reader="the model")
     least = round((seconds + 2 * AROUND_SECONDS) * dataset.skeleton.fps)
-    clips = [clip for clip in dataset.clips("test", min_frames=least) if clip.captions]
+    clips = [clip for clip in dataset.clips(split, min_frames=least) if clip.captions]
     if not clips:
-        raise UserError(f"{dataset.folder}: the test split has no clip of {least} frames with a caption")
+        raise UserError(f"{dataset.folder}: split {split} has no clip of {least} frames with a caption")
     # The same clips for every model, so that their figures can be compared.
-    order = np.random.default_rng(0).permutation(len(clips))[:num_clips]
+    order = np.random.default_rng(seed).permutation(len(clips))[:num_clips]
     found = []
     for number in tqdm(order, desc="filling gaps", unit="clip", disable=None):
         features = clips[number].features
@@ -68,14 +73,14 @@ def measure_gaps(model: TextToMotion, dataset: Dataset, *, seconds: float, num_c
         positions = np.asarray(positions_from_features(features, dataset.skeleton)) * dataset.skeleton.metres_per_unit
         motion = Motion(positions, dataset.skeleton.fps, skeleton=dataset.skeleton)
         begin = (motion.seconds - seconds) / 2
-        (filled,) = model.redo(motion, (begin, begin + seconds), caption)
+        (filled,) = model.redo(motion, (begin, begin + seconds), caption, seed=seed)
         # Where the gap really is: `redo` rounds it to whole rows of codes.
         first, last = filled.part_starts[1:3]
         straight = interpolate_gap(positions, first, last, skeleton=dataset.skeleton)
         candidates = (positions, filled.positions, straight)
         found.append([gap_figures(one, positions, first, last, fps=motion.fps) for one in candidates])
     real, generated, interpolated = (GapFigures(*np.mean(rows, axis=0).tolist()) for rows in zip(*found, strict=True))
-    return Gaps(real, generated, interpolated, len(found))
+    return InbetweenFigures(real, generated, interpolated, len(found))
 
 
 def interpolate_gap(
@@ -105,7 +110,7 @@ def gap_figures(
     return GapFigures(1000 * deviation, deviation * fps, acceleration, abs(acceleration - expected))
 
 
-def format_gaps(figures: Gaps) -> str:
+def format_inbetween(figures: InbetweenFigures) -> str:
     """Returns a table in Markdown."""
     names = (
         "deviation at the joins, mm",
@@ -115,18 +120,3 @@ def format_gaps(figures: Gaps) -> str:
     )
     lines = [(name, *(f"{value:.2f}" for value in values)) for name, *values in zip(names, *figures[:3], strict=True)]
     return markdown_table((f"{figures.num_clips} clips", "real", "generated", "interpolated"), lines)
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("data")
-    parser.add_argument("--model", default="demo")
-    parser.add_argument("--seconds", type=float, default=1.6)
-    parser.add_argument("--num-clips", type=int, default=100)
-    args = parser.parse_args()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PromptWarning)
-        figures = measure_gaps(
-            TextToMotion.load(args.model), open_dataset(args.data), seconds=args.seconds, num_clips=args.num_clips
-        )
-    sys.stdout.write(format_gaps(figures) + "\n")
