@@ -73,4 +73,7 @@ def around(text: str, frame: Frame, *, travels: bool, generator: random.Random) 
         phrase = f"{generator.choice(near)} the {generator.choice(load_frames().nouns)}"
     if kind in ("places", "times") and frame.has_subject and generator.random() < FRONT_SHARE:
         return f"{phrase}, {text}"
-    return f"{text.removesuffix(frame.ending)} {phrase}{frame.ending}"
+    # "is raised by a man in the park", but "can you run in the park?".
+    ending = frame.text.partition("{body}")[2]
+    ending = "" if "{" in ending else ending
+    return f"{text.removesuffix(ending)} {phrase}{ending}"

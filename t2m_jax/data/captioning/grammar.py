@@ -24,8 +24,8 @@ INFLECTIONS = {
 POSSESSIVES = {"imperative": "your", "gerund": "the", "noun": "the", "passive": "the"}
 """Possessives of the forms that have no subject."""
 OBJECTS = {"he": "him", "she": "her", "they": "them", "I": "me"}
-SINGULAR = {"be": "is", "was": "was", "has": "has"}
-PLURAL = {"be": "are", "was": "were", "has": "have"}
+SINGULAR = {"be": "is", "was": "was", "has": "has", "does": "does"}
+PLURAL = {"be": "are", "was": "were", "has": "have", "does": "do"}
 AUXILIARIES = {"I": PLURAL | {"be": "am", "was": "was"}, "they": PLURAL, "you": PLURAL}
 """Subjects whose verbs have another form than those of "he"."""
 PRONOUNS = {"his": "he", "her": "she", "its": "it"}
@@ -94,15 +94,17 @@ class Frame(NamedTuple):
 
     def opening(self, subject: Subject) -> str:
         """Returns what the sentence begins with, such as "a person is "."""
-        text = self.text.partition("{body}")[0]
+        return self._fill(0, subject)
+
+    def _fill(self, part: int, subject: Subject) -> str:
+        text = self.text.partition("{body}")[part]
         words = AUXILIARIES.get(subject.text, SINGULAR)
         known = {"subject": subject.text, "object": OBJECTS.get(subject.text, subject.text)}
         return text.format(**known, indefinite=subject.indefinite(), **words)
 
-    @property
-    def ending(self) -> str:
-        """What follows the clause."""
-        return self.text.partition("{body}")[2]
+    def ending(self, subject: Subject) -> str:
+        """Returns what follows the clause, such as " by a person"."""
+        return self._fill(2, subject)
 
 
 def with_adjective(text: str, adjective: str) -> str:
@@ -146,6 +148,7 @@ def sentence(
 ) -> str:
     """Returns one sentence without a final stop; arguments as for `clause`."""
     body = clause(predicate, subject, form=frame.form_for(subject), side=side, limb=limb, manner=manner)
-    if manner is not None and manner.place == "adjective":
+    # In a noun phrase, the clause has the adjective.
+    if manner is not None and manner.place == "adjective" and frame.form != "noun":
         subject = subject._replace(text=with_adjective(subject.text, manner.text))
-    return frame.opening(subject) + body + frame.ending
+    return frame.opening(subject) + body + frame.ending(subject)

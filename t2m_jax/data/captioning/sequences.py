@@ -84,8 +84,7 @@ def write_then_captions(
 
 def write_while_captions(legs: Labels, arms: Labels, *, count: int, generator: random.Random) -> tuple[Caption, ...]:
     """Returns `count` different captions of one action of the legs and one of the arms at the same time."""
-    # What is said of the arms says nothing of the legs.
-    known = [_always(legs), [one for one in _always(arms) if "stand" not in one.predicate]]
+    known = [_always(legs, without="said_arms"), _always(arms, without="said_legs")]
     draw = functools.partial(_say, _patterns("while"), (legs, arms), known, generator)
     return distinct_captions(draw, count=count, generator=generator)
 
@@ -94,7 +93,7 @@ def write_count_captions(labels: Labels, times: int, *, count: int, generator: r
     """Returns `count` different captions of an action that is done `times` times, 1 or more."""
     table = read_words(__package__, "sequences")
     counted = [one for one in wordings_of(labels) if one.needs == "counted"] if times > 1 else []
-    once = [one for one in _always(labels) if not any(mark in one.predicate for mark in table["said_times"])]
+    once = _always(labels, without="said_times")
 
     def draw() -> str:
         digits, number = _draw_number(times, generator)
@@ -113,7 +112,7 @@ def write_duration_captions(
     """Returns `count` different captions of an action that lasts so many seconds, which are rounded to halves."""
     table = read_words(__package__, "sequences")
     # "takes a few steps for five seconds" would say two lengths.
-    lasting = [one for one in _always(labels) if not any(mark in one.predicate for mark in table["said_lengths"])]
+    lasting = _always(labels, without="said_lengths")
 
     def draw() -> str:
         digits, number = _draw_number(round(2 * seconds) / 2, generator)
@@ -124,9 +123,11 @@ def write_duration_captions(
     return distinct_captions(draw, count=count, generator=generator)
 
 
-def _always(labels: Labels) -> list[Wording]:
-    """Returns the short wordings of a content that need no fact."""
-    return _short(one for one in wordings_of(labels) if not one.needs)
+def _always(labels: Labels, *, without: str) -> list[Wording]:
+    """Returns the short wordings of a content that need no fact and have none of some marks."""
+    marks = read_words(__package__, "sequences")[without]
+    known = _short(one for one in wordings_of(labels) if not one.needs)
+    return [one for one in known if not any(mark in one.predicate for mark in marks)]
 
 
 def _short(wordings: Iterable[Wording]) -> list[Wording]:
@@ -171,7 +172,7 @@ def _say(
     opening, again = (frame.opening(one) for one in (subject, subject.again()))
     text = pattern.text.format(*positional, **slots, subject=opening, again=again)
     travels = all(load_wordings().contents[labels.content].travels for labels in pieces)
-    return around(text + frame.ending, frame, travels=travels, generator=generator)
+    return around(text + frame.ending(subject), frame, travels=travels, generator=generator)
 
 
 def _draw_part(labels: Labels, wordings: Sequence[Wording], generator: random.Random) -> SaidPiece:

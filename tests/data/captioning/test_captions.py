@@ -293,6 +293,8 @@ def test_nominal_wordings():
         "a slow walk with the left hand up"
     )
     assert clause("{limb} {be} raised", SOMEONE, form="passive", side="both") == "both hands are raised"
+    by = Frame("{body} by {object}", "passive")
+    assert sentence(by, "{limb} {be} raised", Subject("he", "his"), side="left") == "the left hand is raised by him"
 
 
 SOMEONE = Subject("someone", "their")
