@@ -12,10 +12,12 @@ from t2m_jax.bench.probes import on_devices
 from t2m_jax.bench.record import BenchResult, Figure, Peaks
 from t2m_jax.bench.timing import compile_program, share, time_calls
 from t2m_jax.config import load_config
-from t2m_jax.data.banks.codes import CodeBank
+from t2m_jax.data.banks.codes import Captions, CodeBank
 from t2m_jax.data.banks.motions import MotionBank
+from t2m_jax.models.caption_encoder import CaptionEncoderConfig
 from t2m_jax.models.rows import Precision
 from t2m_jax.text.bpe import CaptionTokens
+from t2m_jax.text.caption_states import StateTable
 from t2m_jax.train.config import LoopConfig, ShardingConfig
 from t2m_jax.train.experiment import find_trainer
 from t2m_jax.train.gpt import TrainGptConfig, init_gpt_state
@@ -81,13 +83,27 @@ def random_codes(config: TrainGptConfig | TrainHiFiGptConfig) -> CodeBank:
     model = config.model
     generator = np.random.default_rng(0)
     codes = generator.integers(0, model.num_codes, (count, 1, model.max_codes, model.num_quantizers), np.int32)
-    captions: Any = generator.standard_normal((count, model.text_dim), np.float32)
-    if config.text_encoder == "caption_encoder":
-        sizes = config.caption_encoder
-        tokens = generator.integers(1, sizes.vocabulary_size, (count, sizes.max_length), np.int32)
-        captions = CaptionTokens(tokens, np.ones(tokens.shape, bool))
     lengths = np.full((count, 1), model.max_codes, np.int32)
-    return CodeBank(codes, lengths, captions, np.arange(count, dtype=np.int32), np.ones(count, np.int32))
+    numbers = np.arange(count, dtype=np.int32)
+    return CodeBank(codes, lengths, random_captions(config, generator), numbers, np.ones(count, np.int32))
+
+
+def random_captions(config: TrainGptConfig | TrainHiFiGptConfig, generator: np.random.Generator) -> Captions:
+    """Returns random captions of the greatest length, one for each of two batches of motions."""
+    count = 2 * config.loop.batch_size
+    network = config.text_network
+    if network is None:
+        embeddings: Any = generator.standard_normal((count, config.model.text_dim), np.float32)
+        return embeddings
+    length = network.max_length
+    if isinstance(network, CaptionEncoderConfig):
+        tokens = generator.integers(1, network.vocabulary_size, (count, length), np.int32)
+        return CaptionTokens(tokens, np.ones(tokens.shape, bool))
+    states = generator.standard_normal((count * length, network.state_dim), np.float32).astype(np.float16)
+    numbers = np.arange(count, dtype=np.int32)
+    return StateTable(
+        states, numbers * length, np.full(count, length, np.int32), numbers, np.arange(length, dtype=np.int32)
+    )
 
 
 class Work(NamedTuple):

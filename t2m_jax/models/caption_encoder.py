@@ -17,7 +17,8 @@ from t2m_jax.models.projection import WEIGHT_INIT
 from t2m_jax.models.transformer import LAYER_NORM_EPSILON, Block
 
 POSITION_INIT = nn.initializers.normal(0.5)
-"""Of positions, which are added to states of unit variance."""
+"""Of positions, which are added to states of unit variance. With the usual 0.02, the order of two actions was read
+less often: in 35 and not 52 % of sentences with new pairs of actions, after 1,000 updates."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
