@@ -149,7 +149,7 @@ def _entries(new: Sequence[NewClip], index: ClipIndex, dataset: Dataset) -> list
         return [one for origin in made[name].origins for one in recorded(origin)] if name in made else [name]
 
     def joined(texts: Iterable[str]) -> str:
-        return "; ".join(dict.fromkeys(filter(None, texts)))
+        return "; ".join(sorted(set(filter(None, texts))))
 
     rows = []
     for clip in new:
