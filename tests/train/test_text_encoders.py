@@ -101,8 +101,9 @@ def test_the_shipped_configs_name_encoders_of_their_width():
     """CLIP ViT-B/32 and MiniLM have embeddings of 512 and 384 numbers."""
     from t2m_jax.cli.train import _config
 
-    found = {name: _config("gpt", f"text_encoders/{name}") for name in ("clip", "sentence")}
+    found = {name: _config("gpt", f"text_encoders/{name}") for name in ("clip", "sentence", "sentence_states")}
     assert {name: (config.text_encoder, config.model.text_dim) for name, config in found.items()} == {
         "clip": ("clip", 512),
         "sentence": ("sentence", 384),
+        "sentence_states": ("sentence_states", 256),
     }

@@ -20,6 +20,7 @@ from t2m_jax.data.banks.motions import MotionBank, make_bank
 from t2m_jax.data.folder import Clip
 from t2m_jax.data.texts import Caption
 from t2m_jax.masks import mask_from_lengths
+from t2m_jax.models.caption_encoder import StateEncoderConfig, init_network
 from t2m_jax.models.clip_text import ClipText, ClipTextConfig
 from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
 from t2m_jax.models.sentence_encoder import SentenceEncoder, SentenceEncoderConfig
@@ -74,6 +75,7 @@ HIFIGPT = dataclasses.replace(
     TINY_HIFIGPT, num_layers=1, num_residual_layers=1, text_dim=16, code_dim=16, max_codes=8, num_quantizers=2
 )
 TEXT_ENCODER = dataclasses.replace(CAPTION_ENCODER, text_dim=16, max_length=8)
+STATE_ENCODER = StateEncoderConfig(state_dim=16, max_length=8, embed_dim=16, num_layers=1, num_heads=2, text_dim=16)
 CLIP = ClipTextConfig(
     vocabulary_size=20, max_length=6, embed_dim=16, num_layers=1, num_heads=2, mlp_dim=32, text_dim=16
 )
@@ -269,15 +271,33 @@ def _() -> Case:
     return Case((weights(shapes), tokens), {"config": CLIP})
 
 
-@case("sampling.text_encoders.encode_sentence_tokens")
-def _() -> Case:
+def sentence_case(**tolerances: float) -> Case:
+    """Returns the case of a tiny sentence encoder."""
     tokens = jnp.array([[1, 5, 19, 2, 0, 0], [1, 7, 3, 2, 4, 19]])
     mask = jnp.arange(6)[None] < jnp.array([[4], [6]])
     config = SentenceEncoderConfig(
         vocabulary_size=20, max_length=6, embed_dim=16, num_layers=1, num_heads=2, mlp_dim=32, num_buckets=8
     )
     shapes = jax.eval_shape(SentenceEncoder(config).init, jax.random.key(0), tokens, mask)
-    return Case((weights(shapes), tokens, mask), {"config": config})
+    return Case((weights(shapes), tokens, mask), {"config": config}, **tolerances)
+
+
+@case("sampling.text_encoders.encode_sentence_tokens")
+def _() -> Case:
+    return sentence_case()
+
+
+@case("sampling.text_encoders.sentence_states")
+def _() -> Case:
+    # A step of 16 bits.
+    return sentence_case(rtol=1e-3, atol=1e-3)
+
+
+@case("sampling.text_encoders.encode_states")
+def _() -> Case:
+    shapes = jax.eval_shape(lambda: init_network(STATE_ENCODER, jax.random.key(0)))
+    mask = mask_from_lengths(jnp.array([4, 6]), 6)
+    return Case((weights(shapes), normal(1, 2, 6, 16).astype(jnp.float16), mask), {"config": STATE_ENCODER})
 
 
 def evaluator_variables() -> Any:
