@@ -126,10 +126,12 @@ def compose(
     elif not manners and pace and generator.random() < SPEED_SHARE:
         manners = content.paces[pace]
     manner = _draw_manner(manners, wording, generator)
-    if manner is not None and manner.place == "adjective" and frame.form != "noun":
+    described = manner is not None and manner.place == "adjective"
+    if described and frame.form != "noun":
         frame = draw_frame("present", generator)
-    fitting = style.subjects if generator.random() < STYLE_SUBJECT_SHARE else ()
-    subject = draw_subject(fitting, generator, with_noun=manner is not None and manner.place == "adjective")
+    # Not "a sad sad man".
+    fitting = style.subjects if generator.random() < STYLE_SUBJECT_SHARE and not described else ()
+    subject = draw_subject(fitting, generator, with_noun=described)
     limb = generator.choice(("hand", "hand", "arm"))
     text = sentence(frame, wording.predicate, subject, side=content.side, limb=limb, manner=manner)
     return around(text, frame, travels=content.travels, generator=generator)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.data.captioning.captions import Labels, compose, says_pace, tagged_captions, true_wordings
+from t2m_jax.data.captioning.captions import CAPTIONS, Labels, compose, says_pace, tagged_captions, true_wordings
 from t2m_jax.data.captioning.grammar import Manner
 from t2m_jax.data.captioning.wordings import load_wordings
 from t2m_jax.data.composing.extremes import (
@@ -36,15 +36,15 @@ SLOWED_BY = 0.75
 """Smallest factor that the speed of a clip is multiplied with."""
 SLOW_VARIANTS = 2
 """Motions that are made of a clip by playing it more slowly."""
-SLOW_CAPTIONS = {"very_slow": 4, "slow": 2}
+SLOW_CAPTIONS = {"very_slow": 16, "slow": 8}
 """Captions of each of them."""
-MORE_CAPTIONS = 3
+MORE_CAPTIONS = 12
 """Captions of each extreme, and of the style, that a training clip gets besides its own."""
 MOST_OF_A_STYLE = 12
 """Clips of a style from which motions of standing still are made."""
 VARIANTS = 4
 """Motions of standing still that are made of each."""
-CAPTIONS_OF_NEW = 6
+CAPTIONS_OF_NEW = CAPTIONS
 """Captions of a motion that is made of others."""
 
 
@@ -67,13 +67,13 @@ def write_more_captions(folder: Path, names: Sequence[str], labels: Callable[[st
     limits = speed_limits(facts, {name: labels(name).content for name in names})
     for name in names:
         extremes = find_extremes(facts[name], limits.get(labels(name).content))
-        texts = []
+        if extremes and not shows_pace(labels(name).content, facts[name]):
+            extremes = []
         typing = random.Random(f"typing of {name}")
-        if shows_pace(labels(name).content, facts[name]):
-            # Each kind of caption has its own generator, so that none changes when another kind is added.
-            generator = random.Random(f"speed of {name}")
-            manners = [one for extreme in extremes or () for one in [load_wordings().extremes[extreme]] * MORE_CAPTIONS]
-            texts += [_say(labels(name), facts[name], generator, manners=one) for one in manners]
+        # Each kind of caption has its own generator, so that none changes when another kind is added.
+        generator = random.Random(f"speed of {name}")
+        manners = [one for extreme in extremes or () for one in [load_wordings().extremes[extreme]] * MORE_CAPTIONS]
+        texts = [_say(labels(name), facts[name], generator, manners=one) for one in manners]
         if labels(name).style != "normal":
             generator = random.Random(f"style of {name}")
             texts += [_say(labels(name), facts[name], generator) for _ in range(MORE_CAPTIONS)]
