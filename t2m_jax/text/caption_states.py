@@ -99,7 +99,6 @@ def open_state_table(
     number = {text: place for place, text in enumerate(stored.texts)}
     lengths = np.array(stored.lengths, np.int32)
     starts = np.cumsum(lengths, dtype=np.int32) - lengths
-    lengths = np.minimum(lengths, max_length)
     longest = min(-(-int(lengths.max()) // UNIT) * UNIT, max_length)
     numbers = np.array([number[caption] for caption in captions], np.int32)
     return StateTable(stored.states, starts, lengths, numbers, np.arange(longest, dtype=np.int32))

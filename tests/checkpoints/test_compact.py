@@ -1,16 +1,18 @@
 """Small copies of sentence encoders: nearly the same embeddings, and the same tokens of English sentences."""
 
+import json
+
 import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
-from t2m_jax.checkpoints.compact import kept_tokens, quantize_rows, save_compact_encoder
+from t2m_jax.checkpoints.compact import TOKEN_TABLE, kept_tokens, quantize_rows, save_compact_encoder
 from t2m_jax.checkpoints.pretrained import restore_rows
 from t2m_jax.checkpoints.sentence import load_sentence_encoder
 from t2m_jax.cli.main import main
 from t2m_jax.errors import UserError
 from t2m_jax.sampling.text_encoders import PretrainedTextEncoder
-from tests.sentence_golden import BERT, CAPTIONS, ROBERTA
+from tests.sentence_golden import BERT, CAPTIONS, ROBERTA, change_json, copy_encoder
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +42,28 @@ def test_the_copy_has_8_bits_and_the_same_tokens(copy):
     assert other.encode(CAPTIONS[0]).ids[0] == other.token_to_id("[CLS]")
 
 
+def test_special_tokens_may_have_any_numbers(copy, tmp_path):
+    """Here, tokens are numbered from the end, after one of another script."""
+    source = copy_encoder(BERT, tmp_path / "source")
+    tokenizer = json.loads((source / "tokenizer.json").read_text(encoding="utf-8"))
+    last = len(tokenizer["model"]["vocab"])
+    numbers = {token: last - number for token, number in tokenizer["model"]["vocab"].items()}
+    tokenizer["model"]["vocab"] = numbers | {"привет": 0}
+    for token in tokenizer["added_tokens"]:
+        token["id"] = last - token["id"]
+    for token in tokenizer["post_processor"]["special_tokens"].values():
+        token["ids"] = [last - number for number in token["ids"]]
+    (source / "tokenizer.json").write_text(json.dumps(tokenizer), encoding="utf-8")
+    arrays = load_file(source / "model.safetensors")
+    table = arrays[TOKEN_TABLE][:last]
+    arrays[TOKEN_TABLE] = np.concatenate([table[:1], table[::-1]])
+    save_file(arrays, source / "model.safetensors")
+    change_json(source / "config.json", vocab_size=last + 1)
+    save_compact_encoder(tmp_path / "small", source)
+    one, other = (PretrainedTextEncoder(load_sentence_encoder(folder)) for folder in (copy, tmp_path / "small"))
+    np.testing.assert_allclose(one(CAPTIONS[:6]), other(CAPTIONS[:6]), atol=1e-6)
+
+
 def test_other_scripts_are_left_out_and_numbered_anew():
     words = ["[PAD]", "[unused1]", "[CLS]", "walk", "##ing", "跳", "##é", "…", "180", "привет", "‘"]
     kept = kept_tokens({word: number for number, word in enumerate(words)}, special={"[PAD]", "[CLS]"})
@@ -56,12 +80,14 @@ def test_matrices_come_back_within_half_a_step(tmp_path):
     assert (np.abs(found["matrix"] - matrix) <= 0.56 * steps).all()
 
 
-@pytest.mark.parametrize("scales", [None, np.ones((3, 0), np.float16), np.ones(24, np.float16)])
-def test_8_bits_without_their_scales_are_refused(copy, tmp_path, scales):
+@pytest.mark.parametrize("shape", [None, (3, 1), "no scale for a row", (24,)])
+def test_8_bits_without_their_scales_are_refused(copy, tmp_path, shape):
     arrays = load_file(copy / "model.safetensors")
     name = "embeddings.word_embeddings.weight.scale"
-    del arrays[name]
-    save_file(arrays | ({} if scales is None else {name: scales}), tmp_path / "model.safetensors")
+    rows = len(arrays.pop(name))
+    shape = (rows, 0) if isinstance(shape, str) else shape
+    scales = {} if shape is None else {name: np.ones(shape, np.float16)}
+    save_file(arrays | scales, tmp_path / "model.safetensors")
     with pytest.raises(UserError, match=r"word_embeddings.weight' has 8 bits, but no scales that fit its rows"):
         restore_rows(tmp_path / "model.safetensors", load_file(tmp_path / "model.safetensors"))
 
