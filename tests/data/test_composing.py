@@ -9,6 +9,7 @@ import pytest
 
 from t2m_jax.data.audit import audit_dataset
 from t2m_jax.data.captioning.captions import Labels
+from t2m_jax.data.composing import turns
 from t2m_jax.data.composing.at_once import LEGS, draw_at_once, put_on_legs
 from t2m_jax.data.composing.compose import compose_dataset
 from t2m_jax.data.composing.counting import borders, count_times
@@ -184,6 +185,12 @@ def test_what_follows_begins_as_the_other_ends(library):
     assert seen["walk"] and seen["raise-up-left-hand"] and not seen["bow"], "nobody else lies"
     anywhere = [draw_pieces(library._replace(reach=np.inf), random.Random(number)) for number in range(60)]
     assert any(piece.labels.content == "bow" for pieces in anywhere for piece in pieces)
+
+
+def test_short_clips_are_no_turns(library, monkeypatch):
+    monkeypatch.setattr(turns, "SHORTEST", 400)
+    with pytest.raises(UserError, match="no training clips"):
+        draw_pieces(library, random.Random(0))
 
 
 def test_contents_without_a_weight_are_drawn_by_their_number():

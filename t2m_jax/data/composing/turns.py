@@ -12,6 +12,8 @@ from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
 from t2m_jax.motion.joining import OVERLAP
 
+SHORTEST = 40
+"""Frames of the shortest motion. Joins take up to a quarter of both clips."""
 SHORTEST_TRAVEL = 36
 """Frames of the shortest piece that travels; other pieces are whole clips."""
 LONGEST_TRAVEL = 90
@@ -46,9 +48,10 @@ def draw_pieces(library: Library, generator: random.Random) -> list[LabeledPiece
         # Walks that do not turn can be cut anywhere. They share the frames that the other pieces leave.
         cut = [piece.travels and "turn" not in piece.labels.content for piece in pieces]
         # Two pieces share the frames of their overlap.
-        room = LONGEST + (count - 1) * OVERLAP
+        shared = (count - 1) * OVERLAP
+        room = LONGEST + shared
         room -= sum(len(piece.features) for piece, short in zip(pieces, cut, strict=True) if not short)
-        if room < SHORTEST_TRAVEL * sum(cut):
+        if room < SHORTEST_TRAVEL * sum(cut) or sum(len(piece.features) for piece in pieces) - shared < SHORTEST:
             continue
         share = min(LONGEST_TRAVEL, room // max(sum(cut), 1))
         return [_shorten(piece, share, generator) if short else piece for piece, short in zip(pieces, cut, strict=True)]
