@@ -125,7 +125,8 @@ class TrainGeneratorConfig(GeneratorStepConfig, ExperimentConfig):
     (`t2m_jax.text.rewording`). They help if there are few captions."""
     offsets: OffsetKind = "all"
     """Frames at which the first code of a clip may start: all that leave the same number of codes or one fewer, drawn
-    each time, or one drawn for each clip before training (the original)."""
+    each time, or one drawn for each clip before training (the original). `hold` is like `all`, but where a clip begins
+    or ends at rest, its pose is held for some frames instead of cut: so generated motion begins and ends like clips."""
     timed_captions: TimedCaptionKind = "encode"
     """Codes for a caption with times: of those frames alone, or cut out of the codes of the whole clip (the
     original)."""

@@ -1,5 +1,6 @@
 """The data set as codes: every clip is encoded once, before a generator is trained."""
 
+import functools
 import logging
 import zlib
 from collections import Counter
@@ -17,16 +18,21 @@ from t2m_jax.data.folder import Clip, Dataset, DatasetInfo, samples_from_clip
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
+from t2m_jax.motion.skeleton import Skeleton, skeleton_from_name
 from t2m_jax.sampling.programs import encode_motions
 from t2m_jax.text.rewording import reword
 
 logger = logging.getLogger(__name__)
 
-OffsetKind = Literal["all", "one"]
+OffsetKind = Literal["all", "one", "hold"]
 TimedCaptionKind = Literal["encode", "slice"]
 LongClipKind = Literal["drop", "windows"]
 MAX_JOINT_ERROR = 150
 """Largest mean joint error, in millimeters, with which a tokenizer may give other motion back than it learned."""
+
+
+STILL_SPEED = 0.5
+"""Meters per second of the fastest joint in a pose that may be held for some frames."""
 
 
 class CodedMotion(NamedTuple):
@@ -63,11 +69,57 @@ def check_tokenizer(tokenizer: TrainedTokenizer, dataset: Dataset, *, may_differ
 def starting_frames(clip: Clip, *, downsample: int, offsets: OffsetKind, seed: int) -> tuple[int, ...]:
     """Returns the frames at which the first code of a clip may start."""
     # Each start gives other codes of the same motion: augmentation at the cost of encoding it `downsample` times.
-    if offsets == "all":
+    if offsets != "one":
         return tuple(range(downsample))
     # By the name of the clip, so that other clips in the data set do not change its start.
     generator = np.random.default_rng([seed, zlib.crc32(clip.name.encode())])
     return (int(generator.integers(len(clip.features) % downsample + 1)),)
+
+
+def fill_rows(
+    features: Float[np.ndarray, "T D"], start: int, *, downsample: int, most: int, skeleton: Skeleton
+) -> Float[np.ndarray, "U D"]:
+    """Returns a motion that fills whole rows of codes, and that begins and ends as it does, if it does so at rest.
+
+    The pose of the first frame is held for `start` more frames, and that of the last one until a row is full. Where the
+    motion begins or ends on the move, holding would look like a jolt: there, frames are cut.
+
+    Args:
+        features: Raw features.
+        start: Frames to hold or to cut at the beginning.
+        downsample: Frames of a row.
+        most: Rows; a motion that would have more of them is cut.
+        skeleton: Says what the features mean.
+    """
+    is_held = _is_still(features[0], skeleton) and -(-(len(features) + start) // downsample) <= most
+    begun = np.concatenate([_held(features[0], start, skeleton), features]) if is_held else features[start:]
+    left = -len(begun) % downsample
+    if not _is_still(features[-1], skeleton) or (len(begun) + left) // downsample > most:
+        return begun
+    return np.concatenate([begun, _held(features[-1], left, skeleton)])
+
+
+def _start_at(info: DatasetInfo, *, downsample: int, offsets: OffsetKind) -> Callable[[np.ndarray, int], np.ndarray]:
+    """Returns the function that makes the motion to encode from a clip's features and a starting frame."""
+    if offsets != "hold":
+        return lambda features, start: features[start:]
+    # No motion has more rows than the longest one without held frames.
+    most = -(-(info.max_frames + 3) // downsample)
+    skeleton = skeleton_from_name(info.skeleton)
+    return functools.partial(fill_rows, downsample=downsample, most=most, skeleton=skeleton)
+
+
+def _is_still(frame: Float[np.ndarray, " D"], skeleton: Skeleton) -> bool:
+    steps = np.linalg.norm(frame[skeleton.layout.velocities].reshape(-1, 3), axis=1)
+    return bool(steps.max() * skeleton.fps * skeleton.metres_per_unit < STILL_SPEED)
+
+
+def _held(frame: Float[np.ndarray, " D"], count: int, skeleton: Skeleton) -> Float[np.ndarray, "N D"]:
+    """Returns frames in which nothing moves."""
+    still = frame.copy()
+    for moving in (skeleton.layout.root_yaw, skeleton.layout.root_velocity, skeleton.layout.velocities):
+        still[moving] = 0.0
+    return np.repeat(still[None], count, axis=0)
 
 
 def encode_clips(
@@ -87,6 +139,7 @@ def encode_clips(
         info: Limits of lengths.
         tokenizer: Encodes the motions.
         offsets: Frames at which the first code may start: all that leave the same number of codes, or one per clip.
+            With "hold", as many are held as would be cut, where the motion is at rest (`fill_rows`).
         timed_captions: Codes for a caption with times: of those frames alone, or cut out of the codes of the clip.
         long_clips: Leave out clips that are too long (the original), or cut them into windows that overlap by half.
             All captions of a clip without times are taken to describe each of its windows.
@@ -111,7 +164,8 @@ def encode_clips(
         limits = f"shorter than {info.min_frames} or longer than {info.max_frames + 3} frames, or no caption for it all"
         logger.warning("%s: %d of %d clips are not used whole (%s)", info.name, left_out, len(clips), limits)
     starts = [starting_frames(piece, downsample=downsample, offsets=offsets, seed=seed) for piece in pieces]
-    shifted = [piece.features[start:] for piece, frames in zip(pieces, starts, strict=True) for start in frames]
+    begin = _start_at(info, downsample=downsample, offsets=offsets)
+    shifted = [begin(piece.features, start) for piece, frames in zip(pieces, starts, strict=True) for start in frames]
     # All at once, in large batches: this takes most of the time before a generator's first update.
     codes = iter(encode_motions(tokenizer, shifted))
     motions = []

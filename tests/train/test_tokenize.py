@@ -15,10 +15,11 @@ from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
 from t2m_jax.models.system import variable_shapes
 from t2m_jax.motion.normalizer import Normalizer
+from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.text.bpe import tokenize_captions, train_bpe
 from t2m_jax.train import tokenize as train_tokenize
 from t2m_jax.train.gpt import targets_from_codes, training_batch
-from t2m_jax.train.tokenize import balanced_shares, encode_clips, make_code_bank
+from t2m_jax.train.tokenize import balanced_shares, encode_clips, fill_rows, make_code_bank
 from tests.tiny import CAPTIONS, LOOP, VQVAE, gpt_training, random_variables
 
 INFO = DatasetInfo(name="fake", min_frames=40, max_frames=196)
@@ -99,6 +100,48 @@ def test_one_offset_is_drawn_for_each_clip_and_leaves_the_number_of_codes(first_
     assert {len(motion.variants[0]) for motion in coded(vqvae, clips, offsets="one")} == {15}
     even = [clip(f"clip {number}", 64, Caption("walks")) for number in range(20)]
     assert {int(motion.variants[0][0, 0]) for motion in coded(vqvae, even, offsets="one")} == {0}
+
+
+def moving(length, *, still_begin, still_end):
+    """Features of somebody whose joints move at 2 m/s, but for frames at an end; the height tells the frame."""
+    features = np.zeros((length, 263), np.float32)
+    features[:, HUMANML3D.layout.root_height] = np.arange(length)[:, None] + 1
+    features[:, HUMANML3D.layout.root_velocity] = 0.1
+    features[:, HUMANML3D.layout.velocities] = 0.1 / np.sqrt(3)
+    for frame, is_still in ((0, still_begin), (-1, still_end)):
+        if is_still:
+            features[frame, HUMANML3D.layout.velocities] = 0.0
+    return features
+
+
+@pytest.mark.parametrize("start", [0, 3, 7])
+@pytest.mark.parametrize("length", [60, 64, 199])
+def test_poses_at_rest_are_held_until_rows_are_full(length, start):
+    features = moving(length, still_begin=True, still_end=True)
+    filled = fill_rows(features, start, downsample=8, most=25, skeleton=HUMANML3D)
+    height = filled[:, HUMANML3D.layout.root_height.start]
+    assert len(filled) <= 200
+    if (length + start + 7) // 8 <= 25:
+        assert len(filled) % 8 == 0
+        assert (height[: start + 1] == 1).all() and height[start + 1] == 2, "it does not begin as the clip"
+        assert height[-1] == length, "it does not end as the clip"
+        np.testing.assert_array_equal(filled[:start, HUMANML3D.layout.root_velocity], 0.0)
+        np.testing.assert_array_equal(filled[start : start + length], features)
+
+
+def test_motion_that_begins_or_ends_on_the_move_is_cut():
+    features = moving(61, still_begin=False, still_end=False)
+    np.testing.assert_array_equal(fill_rows(features, 3, downsample=8, most=25, skeleton=HUMANML3D), features[3:])
+    ends_still = moving(61, still_begin=False, still_end=True)
+    filled = fill_rows(ends_still, 3, downsample=8, most=25, skeleton=HUMANML3D)
+    assert len(filled) == 64 and (filled[58:, HUMANML3D.layout.root_height.start] == 61).all()
+
+
+def test_held_poses_are_encoded(first_frames, vqvae):
+    still = Clip("still", moving(61, still_begin=True, still_end=True), (Caption("waits"),))
+    (motion,) = coded(vqvae, [still], offsets="hold")
+    assert [len(codes) for codes in motion.variants] == [16, 16, 16, 16]
+    assert len(coded(vqvae, [still], offsets="all")[0].variants[1]) == 15
 
 
 def test_a_motion_too_short_for_every_offset_is_left_out(first_frames, vqvae):
