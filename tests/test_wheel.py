@@ -41,6 +41,7 @@ NOT_RUN = {
     "demo.json": "the report of such a measurement",
     "train vqvae official": MEASUREMENT,
     "train gpt official": MEASUREMENT,
+    "t2m data compose": "thousands of motions of labeled clips; tests/data/test_composing.py makes some",
     "data/humanml3d": "HumanML3D is made from data that need a registration",
     "finest.tar": "the published evaluator is not part of the repository; tests/checkpoints converts small ones",
     "--model t2m-gpt ": "CLIP has 600 MB; the conversion before this command is run",

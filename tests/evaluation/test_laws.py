@@ -40,7 +40,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
     folder = tmp_path_factory.mktemp("laws") / "data"
-    write_synthetic_dataset(folder, num_clips=24, seed=8)
+    write_synthetic_dataset(folder, num_clips=24, seed=9)
     return open_dataset(folder)
 
 
