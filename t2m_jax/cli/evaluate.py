@@ -57,11 +57,11 @@ QUALITY_LABELS = {
     "floating": "floating, share of frames",
     "penetration": "in the floor, share of frames",
 }
-PROMPT_GROUPS = (
-    *("actions", "paces", "manners", "composed"),
+PLAIN_GROUPS = ("actions", "paces", "manners", "composed")
+FREE_GROUPS = (
     *("free", "subjects", "typos", "free-paces", "free-manners", "then", "while", "counts", "durations", "all-actions"),
 )
-"""The second line has sentences of somebody who saw neither the code nor any caption."""
+"""Their sentences are of somebody who saw neither the code nor any caption."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -88,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         add_record(command, SamplingOptions, left_out=left_out)
         command.add_argument("--greedy", action="store_const", dest="temperature", const=0.0, help="--temperature 0")
     what = "what is asked for; docs/evaluation.md describes each group (default: actions)"
-    prompts.add_argument("--group", choices=PROMPT_GROUPS, default="actions", help=what)
+    prompts.add_argument("--group", choices=(*PLAIN_GROUPS, *FREE_GROUPS), default="actions", help=what)
     prompts.add_argument("--data", metavar="DIR", help="data set with whose real clips motion is compared")
     samples = "samples per line of the table (default: 20; for the groups of free sentences, 4 of each sentence)"
     prompts.add_argument("--num-seeds", type=positive, help=samples)
@@ -271,7 +271,7 @@ def run_prompts(args: argparse.Namespace) -> None:
     from t2m_jax.text.coverage import PromptWarning
 
     tests = _prompt_tests(args.group, args.data)
-    num_seeds = args.num_seeds or (20 if args.group in PROMPT_GROUPS[:4] else None)
+    num_seeds = args.num_seeds or (20 if args.group in PLAIN_GROUPS else None)
     options = read_record(SamplingOptions, args)
     model = TextToMotion.load(args.model)
 

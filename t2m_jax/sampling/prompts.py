@@ -60,7 +60,7 @@ def read_prompts(captions: Sequence[str], knowledge: Knowledge, encoder: TextEnc
         text = check_prompt(caption)
         read, corrected = correct_spelling(text, knowledge.words)
         read_part = encoder.read_part(read) if isinstance(encoder, CuttingTextEncoder) else read
-        coverage = check_coverage(read, knowledge, read_part=read_part, corrected=corrected)
+        coverage = check_coverage(read, knowledge, read_part=read_part, typed=text, corrected=corrected)
         prompts.append(Prompt(text, read, *coverage))
     # Each once, however many sentences have it.
     for warning in dict.fromkeys(prompt.warning for prompt in prompts):

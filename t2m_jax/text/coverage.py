@@ -73,7 +73,12 @@ def make_knowledge(training_data: Mapping[str, Any] | None) -> Knowledge:
 
 
 def check_coverage(
-    prompt: str, knowledge: Knowledge, *, read_part: str, corrected: Mapping[str, str] = MappingProxyType({})
+    prompt: str,
+    knowledge: Knowledge,
+    *,
+    read_part: str,
+    typed: str = "",
+    corrected: Mapping[str, str] = MappingProxyType({}),
 ) -> Coverage:
     """Returns what a model knows of a prompt, of which its text encoder reads only `read_part`.
 
@@ -83,6 +88,7 @@ def check_coverage(
         prompt: A checked prompt, without typing mistakes.
         knowledge: Of the model.
         read_part: The whole prompt, or its beginning.
+        typed: The prompt as it was typed, if mistakes were corrected; the warning quotes it.
         corrected: Words that were typed -> those in the prompt.
     """
     words = words_of(prompt) if knowledge.words else []
@@ -93,7 +99,7 @@ def check_coverage(
         problems.append(f"too long, so cut after {_shortened(read_part[::-1])[::-1]!r}")
     known = [f"the model knows {', '.join(knowledge.actions[:MAX_NAMED])}"] if problems and knowledge.actions else []
     said = [*(f"{typed}: read as {read}" for typed, read in corrected.items()), *problems, *known]
-    warning = f"{_shortened(prompt)!r}: {'; '.join(said)}" if said else ""
+    warning = f"{_shortened(typed or prompt)!r}: {'; '.join(said)}" if said else ""
     return Coverage(warning, tuple(dict.fromkeys(word.text for word in unknown)))
 
 

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 
 from t2m_jax.text.verbs import AUXILIARIES, CLAUSE_STARTS, DETERMINERS, PREPOSITIONS, SUBJECTS, forms, readings
 
+MOST_MISTAKES = 3
+"""With more words that may be mistakes, a prompt is hardly English, and each costs hundreds of lookups."""
 SHORTEST = 4
 """Letters of the shortest word that is corrected; shorter ones are one letter away from too many others."""
 # No parts of "doesn't" or "party-goer".
@@ -20,25 +22,24 @@ def correct_spelling(prompt: str, known: frozenset[str]) -> tuple[str, dict[str,
         prompt: A checked prompt.
         known: Words that may have been meant, in lower case; all forms of them may.
     """
-    read: dict[str, str] = {}
+    suspects = {found[0] for found in _WORD.finditer(prompt) if _may_be_mistake(found, known)}
+    if len(suspects) > MOST_MISTAKES:
+        return prompt, {}
+    meant = {word: _meant(word.lower(), known) for word in suspects}
+    read = {word: other for word, other in meant.items() if other is not None}
+    return _WORD.sub(lambda found: read.get(found[0], found[0]), prompt), read
 
-    def correct(found: re.Match[str]) -> str:
-        word = found[0]
-        # Capital letters inside of a sentence are names, or stand for something.
-        is_name = word[0].isupper() and found.start() > 0
-        meant = None if is_name or len(word) < SHORTEST else _meant(word.lower(), known)
-        if meant is None:
-            return word
-        read[word] = meant
-        return meant
 
-    return _WORD.sub(correct, prompt), read
+def _may_be_mistake(found: re.Match[str], known: frozenset[str]) -> bool:
+    """Returns whether a word of a prompt is neither known, nor English, nor a name."""
+    word = found[0].lower()
+    # Capital letters inside of a sentence are names, or stand for something.
+    is_name = found[0][0].isupper() and found.start() > 0
+    return not (is_name or len(word) < SHORTEST or word in _GRAMMAR or word in known or readings(word))
 
 
 def _meant(word: str, known: frozenset[str]) -> str | None:
-    """Returns the known word that is one typing mistake away from a word that is none; None if there is none."""
-    if word in _GRAMMAR or readings(word) or word in known:
-        return None
+    """Returns the known word that is one typing mistake away; None if there is none."""
     return next((other for other in _one_mistake_away(word) if not known.isdisjoint(forms(other))), None)
 
 

@@ -57,7 +57,8 @@ class Word(NamedTuple):
     """Basic form, if the word is a verb here or a noun for what a person does; otherwise empty."""
 
 
-@functools.cache
+# With a limit, because a server is asked for any word, and spelling tries hundreds for one that it does not know.
+@functools.lru_cache(maxsize=20_000)
 def readings(word: str) -> dict[str, tuple[str, ...]]:
     """Returns the basic forms of an English word by part of speech; none for a word that is not in the dictionary."""
     from lemminflect import getAllLemmas  # imported when it is used: its dictionary takes a while to load

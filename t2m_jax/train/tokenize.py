@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.data.banks.codes import Captions, CodeBank
 from t2m_jax.data.checks import find_difference
+from t2m_jax.data.composing.standing import STILL_SPEED
 from t2m_jax.data.folder import Clip, Dataset, DatasetInfo, samples_from_clip
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
@@ -29,10 +30,6 @@ TimedCaptionKind = Literal["encode", "slice"]
 LongClipKind = Literal["drop", "windows"]
 MAX_JOINT_ERROR = 150
 """Largest mean joint error, in millimeters, with which a tokenizer may give other motion back than it learned."""
-
-
-STILL_SPEED = 0.5
-"""Meters per second of the fastest joint in a pose that may be held for some frames."""
 
 
 class CodedMotion(NamedTuple):

@@ -299,7 +299,7 @@ def test_the_batch_size_hardly_changes_a_code(name, monkeypatch):
 
 def test_a_typing_mistake_is_read_as_the_word_that_was_meant():
     model = TextToMotion.load("demo")
-    with pytest.warns(PromptWarning, match=r"^'a person walks forward': wlaks: read as walks$"):
+    with pytest.warns(PromptWarning, match=r"^'a person wlaks forward': wlaks: read as walks$"):
         (motion,) = model.generate("a person wlaks forward", seed=1, max_codes=4)
     assert motion.caption == "a person wlaks forward" and motion.unknown_words == ()
     prompts = read_prompts(["a person walks forward"], model.knowledge, model.text_encoder)

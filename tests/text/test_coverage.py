@@ -94,8 +94,8 @@ def test_actions_are_counted_by_clip():
 
 def test_corrected_words_are_named(demo):
     corrected = {"wlaks": "walks"}
-    assert check_coverage("he walks", demo, read_part="he walks", corrected=corrected).warning == (
-        "'he walks': wlaks: read as walks"
+    assert check_coverage("he walks", demo, read_part="he walks", typed="he wlaks", corrected=corrected).warning == (
+        "'he wlaks': wlaks: read as walks"
     )
     warning = check_coverage("he walks north", demo, read_part="he walks north", corrected=corrected).warning
     assert warning.startswith(

@@ -3,7 +3,7 @@
 import pytest
 
 from t2m_jax.text.spelling import correct_spelling
-from t2m_jax.text.verbs import word_set
+from t2m_jax.text.verbs import readings, word_set
 
 KNOWN = word_set("a person walks walk with the left hand right jumps turns around running both arms now")
 
@@ -50,3 +50,10 @@ def test_the_first_word_may_be_a_mistake_with_a_capital_letter():
 
 def test_exchanged_letters_are_likelier_than_a_missing_one():
     assert correct_spelling("raht", frozenset({"rath", "raght"}))[1] == {"raht": "rath"}
+
+
+def test_many_words_that_are_none_are_not_corrected_and_cost_little():
+    prompt = " ".join(f"wlaks{letter}" for letter in "abcd")
+    before = readings.cache_info().currsize
+    assert correct_spelling(f"{prompt} wlaks", KNOWN) == (f"{prompt} wlaks", {})
+    assert readings.cache_info().currsize <= before + 5

@@ -32,6 +32,7 @@ from t2m_jax.data.files import MIRROR_PREFIX
 from t2m_jax.data.folder import Dataset, open_dataset
 from t2m_jax.data.index import ClipIndex, IndexEntry, load_index, save_index
 from t2m_jax.data.merge import copy_clip, index_entries, read_splits
+from t2m_jax.data.texts import Caption
 from t2m_jax.data.workers import Mapper, map_in_processes
 from t2m_jax.data.writer import ImportReport, check_count, finish_folder, new_folder, with_twins
 from t2m_jax.errors import UserError
@@ -168,7 +169,7 @@ def write_turns(number: int, *, library: Library, seed: int = 0) -> NewClip:
     captions = write_composed_captions(pieces, count=CAPTIONS_OF_NEW, generator=generator)
     label = " + ".join(piece.labels.content for piece in pieces)
     origins = [piece.name for piece in pieces]
-    name = f"{NAMES['turns']}_{number:05d}"
+    name = _name("turns", number)
     return write_new_clip(library.folder, name, label, join_pieces(pieces), captions=captions, origins=origins)
 
 
@@ -178,7 +179,7 @@ def write_at_once(number: int, *, library: Library, seed: int = 0) -> NewClip:
     legs, arms, positions = draw_at_once(library, generator)
     captions = write_while_captions(legs.labels, arms.labels, count=CAPTIONS_OF_NEW, generator=generator)
     label = f"{legs.labels.content} + {arms.labels.content}, at once"
-    name = f"{NAMES['at_once']}_{number:05d}"
+    name = _name("at_once", number)
     return write_new_clip(library.folder, name, label, positions, captions=captions, origins=[legs.name, arms.name])
 
 
@@ -187,9 +188,8 @@ def write_repeated(number: int, *, library: Library, seed: int = 0) -> NewClip:
     generator = _generator("repeated", number, seed)
     piece, times = draw_repeated(library, generator)
     captions = write_count_captions(piece.labels, times, count=CAPTIONS_OF_NEW, generator=generator)
-    return _write_piece(
-        library, f"{NAMES['repeated']}_{number:05d}", f"{piece.labels.content} x {times}", piece, captions
-    )
+    label = f"{piece.labels.content} x {times}"
+    return _write_piece(library, _name("repeated", number), label, piece, captions)
 
 
 def write_timed(number: int, *, library: Library, seed: int = 0) -> NewClip:
@@ -197,12 +197,15 @@ def write_timed(number: int, *, library: Library, seed: int = 0) -> NewClip:
     generator = _generator("timed", number, seed)
     piece, seconds = draw_lasting(library, generator)
     captions = write_duration_captions(piece.labels, seconds, count=CAPTIONS_OF_NEW, generator=generator)
-    return _write_piece(
-        library, f"{NAMES['timed']}_{number:05d}", f"{piece.labels.content}, {seconds} s", piece, captions
-    )
+    label = f"{piece.labels.content}, {seconds} s"
+    return _write_piece(library, _name("timed", number), label, piece, captions)
 
 
-def _write_piece(library: Library, name: str, label: str, piece: LabeledPiece, captions: Any) -> NewClip:
+def _name(kind: str, number: int) -> str:
+    return f"{NAMES[kind]}_{number:05d}"
+
+
+def _write_piece(library: Library, name: str, label: str, piece: LabeledPiece, captions: Sequence[Caption]) -> NewClip:
     return write_new_clip(library.folder, name, label, piece.positions, captions=captions, origins=[piece.name])
 
 

@@ -1,4 +1,7 @@
-"""How often a motion shows an action, counted by the peaks of one curve per action."""
+"""How often a motion shows an action, counted by the peaks of one curve per action.
+
+It judges models, so it is not the rule by which training motions are counted (`data.composing.counting`).
+"""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -63,7 +66,7 @@ def _hand_speed(positions: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, " T"
     return max(speeds, key=np.max) * HUMANML3D.fps
 
 
-def _higher_foot(positions: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, " T"]:
+def _feet_apart(positions: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, " T"]:
     feet = [_joint(positions, f"{side}_ankle")[:, 1] for side in ("left", "right")]
     # Above the other foot, so that a jump is no kick.
     return np.abs(feet[0] - feet[1])
@@ -103,7 +106,7 @@ CURVES: dict[str, tuple[Curve, ...]] = {
     "hop": (Curve(_lower_foot, 0.05),),
     "jump": (Curve(_lower_foot, 0.08),),
     "jumping-jacks": (Curve(_lower_hand, 0.4, 0.0),),
-    "kick": (Curve(_higher_foot, 0.25, 0.35),),
+    "kick": (Curve(_feet_apart, 0.25, 0.35),),
     "punch": (Curve(_reach("left"), 0.12, 0.35), Curve(_reach("right"), 0.12, 0.35)),
     "raise-up-both-hands": (Curve(_lower_hand, 0.3, -0.05),),
     "raise-up-left-hand": (Curve(_hand("left"), 0.3, -0.05),),

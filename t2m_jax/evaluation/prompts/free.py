@@ -15,6 +15,7 @@ from t2m_jax.data.folder import Dataset
 from t2m_jax.evaluation.prompts.counting import CURVES, count_action
 from t2m_jax.evaluation.prompts.following import (
     RULES,
+    STANDS_TRAVEL,
     WAVES,
     PromptTest,
     check_skeleton,
@@ -173,7 +174,7 @@ def while_tests() -> list[PromptTest]:
 
 
 LEGS: dict[str, Callable[[Facts], bool]] = {
-    "stand": lambda facts: facts.travel <= 0.5,
+    "stand": lambda facts: facts.travel <= STANDS_TRAVEL,
     "walk-back": lambda facts: facts.forward <= BACKWARD,
 } | {content: RULES[content].holds for content in ("walk", "run", "walk-turn-left", "walk-turn-right")}
 """What legs do, whatever the arms do."""
