@@ -1,6 +1,7 @@
 """What is checked before a run starts or is resumed."""
 
 import contextlib
+import logging
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -22,6 +23,8 @@ from t2m_jax.files.locks import lock
 from t2m_jax.motion.normalizer import load_normalizer
 from t2m_jax.train.config import ExperimentConfig
 from t2m_jax.train.statistics import load_statistics
+
+logger = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
@@ -136,6 +139,21 @@ def check_same_data(config: ExperimentConfig, dataset: Dataset) -> None:
         f"data: {dataset.folder} is not what {config.run} was started with (changed: {', '.join(changed)}); resume "
         f"with the old data, or start a new run with `--init {config.run}`"
     )
+
+
+def fitting_weights(source: Path, weights: Mapping[str, Any], like: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns `like` with those of `weights` that have the names and shapes of its arrays.
+
+    Raises:
+        UserError: There are none.
+    """
+    given = traverse_util.flatten_dict(dict(weights), sep="/")
+    merged = traverse_util.flatten_dict(dict(like), sep="/", keep_empty_nodes=True)
+    fitting = {name: given[name] for name in merged.keys() & given.keys() if given[name].shape == merged[name].shape}
+    if not fitting:
+        raise UserError(f"init: no array of {source} has a name and a shape of this config")
+    logger.info("%d of %d arrays start from %s, the others at random", len(fitting), len(merged), source)
+    return traverse_util.unflatten_dict(merged | fitting, sep="/")
 
 
 def checked_weights(source: Path, weights: Mapping[str, Any], like: Mapping[str, Any]) -> dict[str, Any]:

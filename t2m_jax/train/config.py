@@ -12,6 +12,8 @@ DrawMode = Literal["greedy", "sampled"]
 """How an evaluation during training chooses codes: the likeliest each time, or drawn."""
 Placement = Literal["auto", "device", "host"]
 """Where the training motion is."""
+InitParts = Literal["all", "fitting"]
+"""Whether a training starts from all weights of a model, or from those that fit."""
 FROM_DATA = "data"
 """The value of `statistics` that means the data set's own."""
 MAX_BATCH = 65_536
@@ -131,6 +133,10 @@ class ExperimentConfig(StepConfig):
     """Run directory to write."""
     init: Path | None = None
     """Bundle, bundled name or run to start from: its weights instead of random ones, of the same sizes."""
+    init_parts: InitParts = "all"
+    """What is taken of `init`: all weights, which must have the sizes of the config and the same codes; or those that
+    have its names and sizes (`fitting`), while the others start at random. So a generator may get another tokenizer
+    or text encoder. What its codes mean has changed then, which it has to learn."""
     sharding: ShardingConfig = ShardingConfig()
     """How devices share the work."""
     placement: Placement = "auto"

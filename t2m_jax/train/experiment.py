@@ -167,7 +167,10 @@ def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
         state = None
         if config.init is not None and not (resume and has_checkpoint(config.run)):
             state = setup.init()
-            weights = checks.checked_weights(config.init, setup.start_from(config.init), setup.weights(state))
+            given = setup.start_from(config.init)
+            if config.init_parts == "fitting":
+                given = checks.fitting_weights(config.init, given, setup.weights(state))
+            weights = checks.checked_weights(config.init, given, setup.weights(state))
             state = state._replace(**weights)
         write_run(config, setup, resume=resume)
         wait_for_all("written")  # the others read what process 0 wrote

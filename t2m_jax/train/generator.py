@@ -35,7 +35,7 @@ from t2m_jax.text.caption_states import CaptionStates
 from t2m_jax.train.captions import CaptionReader, make_caption_reader, open_text_encoder, state_width
 from t2m_jax.train.config import ExperimentConfig, GenerationEvaluationConfig, StepConfig, compiled_config
 from t2m_jax.train.experiment import Evaluation, Setup, Validation
-from t2m_jax.train.optimizer import OptimizerConfig
+from t2m_jax.train.optimizer import Metrics, OptimizerConfig, descend_in_parts
 from t2m_jax.train.program import Update
 from t2m_jax.train.streams import stream_key
 from t2m_jax.train.tokenize import (
@@ -71,6 +71,9 @@ class GeneratorStepConfig(StepConfig):
     """Sizes of the caption encoder."""
     state_encoder: StateEncoderConfig = StateEncoderConfig(text_dim=512)
     """Sizes of the transformer that reads token states, with `text_encoder: sentence_states`."""
+    trained: Literal["all", "text"] = "all"
+    """What is trained. With `text`, and `init`, only the network that reads the captions: it learns to speak to the
+    generator, which stays as it is."""
     precision: Precision = "float32"
     """What products are computed in during training."""
     remat: bool = False
@@ -85,6 +88,8 @@ class GeneratorStepConfig(StepConfig):
         if self.loop.batch_size % self.num_parts:
             raise ValueError(f"num_parts: {self.num_parts} does not divide loop.batch_size {self.loop.batch_size}")
         network = self.text_network
+        if network is None and self.trained == "text":
+            raise ValueError(f"trained: the {self.text_encoder} encoder is not trained, so nothing would be")
         if network is not None and self.model.text_dim != network.text_dim:
             raise ValueError(
                 f"{network.kind}.text_dim: {network.text_dim}, but the generator reads model.text_dim "
@@ -181,12 +186,31 @@ def embed_captions(
     return apply_rows(network_module(network), {"params": params[network.kind]}, *inputs, keys=keys)
 
 
+def update_trained(
+    state: Any, measure: Callable[[Any, Any], Metrics], batch: Any, *, config: GeneratorStepConfig, generator: str
+) -> tuple[Any, Metrics]:
+    """Returns the state after one update of what is trained, and the metrics before it (`descend_in_parts`)."""
+    if config.trained == "all":
+        return descend_in_parts(state, measure, batch, config.optimizer, num_parts=config.num_parts)
+    fixed = {generator: state.params[generator]}
+
+    def measure_text(params: Any, part: Any) -> Metrics:
+        return measure(params | jax.lax.stop_gradient(fixed), part)
+
+    after, metrics = descend_in_parts(state, measure_text, batch, config.optimizer, num_parts=config.num_parts)
+    # Weight decay would change what has no gradient.
+    return after._replace(params=after.params | fixed), metrics
+
+
 def resolve_generator(config: Any, resume: bool) -> Any:
     """Returns the config with its tokenizer, and with the sizes of this.
 
     Raises:
-        UserError: There is no tokenizer, or it has several codes per row and the generator does not.
+        UserError: There is no tokenizer, or it has several codes per row and the generator does not; or the text alone
+            is to be trained, without a generator in `init`.
     """
+    if config.trained == "text" and config.init is None:
+        raise UserError("trained: the text alone needs `init`, the model whose generator reads it")
     if config.vqvae is None:
         config = dataclasses.replace(config, vqvae=config.init)
     path = config.run if resume else config.vqvae
@@ -267,7 +291,7 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
         frames_per_step=config.loop.batch_size * float(bank.code_lengths.mean()) * tokenizer.config.downsample,
         weights=weights_of,
         write_parts=write_parts,
-        start_from=lambda path: start_from_model(path, tokenizer),
+        start_from=lambda path: start_from_model(path, tokenizer, parts=config.init_parts),
         validation=make_validation(config, steps, dataset, tokenizer, reader),
         evaluation=make_evaluation(config, parts, tokenizer, reader),
         # The config counts validations, and the loop updates.

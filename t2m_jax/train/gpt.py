@@ -26,8 +26,9 @@ from t2m_jax.train.generator import (
     init_caption_encoder,
     prepare_generator,
     resolve_generator,
+    update_trained,
 )
-from t2m_jax.train.optimizer import Metrics, OptimizerConfig, TrainState, descend_in_parts, first_state
+from t2m_jax.train.optimizer import Metrics, OptimizerConfig, TrainState, first_state
 from t2m_jax.train.streams import stream_key
 from t2m_jax.train.targets import Targets, draw_corruption, drop_one_code, make_targets
 
@@ -130,7 +131,7 @@ def gpt_metrics(params: Any, batch: GptBatch, *, config: GptStepConfig, precisio
 def gpt_train_step(state: TrainState, batch: GptBatch, *, config: GptStepConfig) -> tuple[TrainState, Metrics]:
     """Returns the state after one update and the metrics before it."""
     measure = functools.partial(gpt_metrics, config=config, precision=config.precision)
-    return descend_in_parts(state, measure, batch, config.optimizer, num_parts=config.num_parts)
+    return update_trained(state, measure, batch, config=config, generator="gpt")
 
 
 def targets_from_codes(codes: Int[Array, "B N"], code_lengths: Int[Array, " B"], *, config: GptStepConfig) -> Targets:

@@ -33,9 +33,10 @@ from t2m_jax.train.generator import (
     init_caption_encoder,
     prepare_generator,
     resolve_generator,
+    update_trained,
 )
 from t2m_jax.train.log import by_depth
-from t2m_jax.train.optimizer import Metrics, OptimizerConfig, descend_in_parts, make_optimizer
+from t2m_jax.train.optimizer import Metrics, OptimizerConfig, make_optimizer
 from t2m_jax.train.streams import stream_key
 
 CorruptionKind = Literal["rows", "codes", "none"]
@@ -271,7 +272,7 @@ def hifigpt_train_step(
 
     # One optimizer trains both; the head is kept apart, because it is no part of the model.
     together = state._replace(params=state.params | state.head)
-    after, metrics = descend_in_parts(together, measure, batch, config.optimizer, num_parts=config.num_parts)
+    after, metrics = update_trained(together, measure, batch, config=config, generator="hifigpt")
     params, head = ({name: after.params[name] for name in part} for part in (state.params, state.head))
     return after._replace(params=params, head=head), metrics
 

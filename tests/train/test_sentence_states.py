@@ -102,6 +102,31 @@ def test_a_network_starts_from_a_model_with_the_same_encoder_only(trained, runs,
     assert not other.run.exists()
 
 
+def test_a_trained_generator_gets_another_text_encoder_and_stays_as_it_is(runs, tmp_path):
+    quick = dataclasses.replace(OPTIMIZER, weight_decay=0.1, warmup_steps=0)
+    loop = dataclasses.replace(SHORT, num_steps=2, validate_every=0)
+    config = with_states(gpt_training(runs.data, runs.vqvae, tmp_path / "run", loop=loop), optimizer=quick)
+    with pytest.raises(UserError, match="the text alone needs `init`"):
+        train(dataclasses.replace(config, trained="text"))
+    config = dataclasses.replace(config, trained="text", init=runs.gpt)
+    with pytest.raises(UserError, match=r"init: array 'params/caption_encoder/.*' of .* is \(.*\), not missing"):
+        train(config)
+    config = dataclasses.replace(config, init_parts="fitting")
+    state = train(config)
+    one_step = dataclasses.replace(config, run=tmp_path / "short", loop=dataclasses.replace(loop, num_steps=1))
+    earlier = train(one_step)
+    expected = load_generator_run(runs.gpt).variables["generator"]["params"]
+    jax.tree.map(np.testing.assert_array_equal, state.params["gpt"], expected)
+    texts = (jax.tree.leaves(other.params["state_encoder"]) for other in (state, earlier))
+    assert any(np.any(one != other) for one, other in zip(*texts, strict=True))
+
+
+def test_only_a_network_that_is_trained_may_be_trained_alone(runs, tmp_path):
+    config = gpt_training(runs.data, runs.vqvae, tmp_path / "run")
+    with pytest.raises(ValueError, match="trained: the sentence encoder is not trained"):
+        dataclasses.replace(config, text_encoder="sentence", trained="text")
+
+
 def test_another_width_of_the_network_is_refused(runs, tmp_path):
     config = gpt_training(runs.data, runs.vqvae, tmp_path / "run")
     with pytest.raises(ValueError, match=r"state_encoder.text_dim: 9, but the generator reads model.text_dim 12"):

@@ -18,6 +18,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.motion.normalizer import save_normalizer
 from t2m_jax.text.verbs import words_of
 from t2m_jax.train import TrainVqVaeConfig, train
+from t2m_jax.train.checks import fitting_weights
 from t2m_jax.train.tokenize import CodedMotion, add_rewordings
 from t2m_jax.train.warm_start import start_from_model
 from tests.tiny import LOOP, OPTIMIZER, VQVAE, gpt_training, vqvae_training
@@ -119,6 +120,20 @@ def test_a_generator_whose_codes_or_statistics_mean_something_else_is_refused(ru
     ):
         with pytest.raises(UserError, match="was trained with another tokenizer"):
             start_from_model(runs.gpt, other)
+        assert set(start_from_model(runs.gpt, other, parts="fitting")) == {"params"}
+
+
+def test_a_model_that_shares_no_array_is_refused_also_in_parts(runs):
+    with pytest.raises(UserError, match=r"init: no array of .* has a name and a shape of this config"):
+        fitting_weights(runs.gpt, {"params": {"a": np.zeros(2)}}, {"params": {"a": np.zeros(3)}, "empty": {}})
+
+
+def test_arrays_that_fit_are_taken_and_the_others_stay():
+    given = {"params": {"same": np.ones(2), "longer": np.ones(4), "unknown": np.ones(1)}}
+    own = {"params": {"same": np.zeros(2), "longer": np.zeros(3), "new": np.zeros(1)}, "empty": {}}
+    merged = fitting_weights(Path("demo"), given, own)
+    expected = {"params": {"same": np.ones(2), "longer": np.zeros(3), "new": np.zeros(1)}, "empty": {}}
+    assert_same(merged, expected, rtol=0)
 
 
 @pytest.mark.slow
