@@ -59,7 +59,8 @@ QUALITY_LABELS = {
 }
 PLAIN_GROUPS = ("actions", "paces", "manners", "composed")
 FREE_GROUPS = (
-    *("free", "subjects", "typos", "free-paces", "free-manners", "then", "while", "counts", "durations", "all-actions"),
+    *("free", "kit", "subjects", "typos", "free-paces", "free-manners", "then", "while", "counts", "durations"),
+    "all-actions",
 )
 """Their sentences are of somebody who saw neither the code nor any caption."""
 
@@ -89,7 +90,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         command.add_argument("--greedy", action="store_const", dest="temperature", const=0.0, help="--temperature 0")
     what = "what is asked for; docs/evaluation.md describes each group (default: actions)"
     prompts.add_argument("--group", choices=(*PLAIN_GROUPS, *FREE_GROUPS), default="actions", help=what)
-    prompts.add_argument("--data", metavar="DIR", help="data set with whose real clips motion is compared")
+    real = "data set with whose real clips motion is compared; with kit, its file of captions"
+    prompts.add_argument("--data", metavar="PATH", help=real)
     samples = "samples per line of the table (default: 20; for the groups of free sentences, 4 of each sentence)"
     prompts.add_argument("--num-seeds", type=positive, help=samples)
     compare.add_argument("reports", nargs=2, type=Path, metavar="REPORT", help="two files of --json")
@@ -237,7 +239,10 @@ def _prompt_tests(group: str, data: str | None) -> "list[PromptTest]":
     from t2m_jax.evaluation.prompts.following import action_tests
     from t2m_jax.evaluation.prompts.groups import composed_tests, pace_tests
     from t2m_jax.evaluation.prompts.manners import manner_tests
+    from t2m_jax.evaluation.prompts.people import kit_tests
 
+    if group == "kit" and data is not None:
+        return kit_tests(Path(data))
     with_data = {
         "paces": pace_tests,
         "manners": manner_tests,
@@ -256,9 +261,12 @@ def _prompt_tests(group: str, data: str | None) -> "list[PromptTest]":
         "counts": free.count_tests,
         "durations": free.duration_tests,
     }
-    if (group in with_data) != (data is not None):
+    if (group not in plain) != (data is not None):
         names = ", ".join(with_data)
-        raise UserError(f"--data: is for --group {names}, which compare motion with real clips; they need it")
+        raise UserError(
+            f"--data: is for --group {names}, which compare motion with real clips, and kit, which reads a file of "
+            "captions; they need it"
+        )
     return plain[group]() if data is None else with_data[group](open_dataset(data))
 
 
