@@ -46,7 +46,10 @@ def summarize_training_data(dataset: Dataset, clips: Sequence[Clip]) -> Training
         num_clips=len(clips),
         clips_per_action=dict(labels.most_common()),
         words=dict(words.most_common()),
-        actions=count_actions([caption.text for caption in clip.captions] for clip in clips),
+        actions=count_actions(
+            ([caption.text for caption in clip.captions] for clip in clips),
+            [_single_action(index.label(clip.name)) for clip in clips] if index else (),
+        ),
         captions=_some_captions(clips),
     )
 
@@ -57,6 +60,11 @@ def _some_captions(clips: Sequence[Clip]) -> tuple[str, ...]:
     generator = np.random.default_rng(0)
     drawn = [captions[generator.integers(len(captions))] for captions in whole if captions]
     return tuple(drawn[place] for place in generator.permutation(len(drawn))[:NUM_CAPTIONS])
+
+
+def _single_action(label: str | None) -> str:
+    """Returns the action of a label, empty if there is none, or several."""
+    return action_of(label) if label and len(label_actions(label)) == 1 else ""
 
 
 def _action(label: str) -> str:

@@ -32,9 +32,10 @@ from t2m_jax.sampling.prompts import Sample
 from t2m_jax.sampling.slots import Slots
 from t2m_jax.sampling.stopping import find_stop_rule
 from t2m_jax.sampling.strategies import Strategy, Temperature
-from t2m_jax.sampling.text_encoders import make_text_encoder
+from t2m_jax.sampling.text_encoders import StatesTextEncoder, make_text_encoder
 from t2m_jax.text.coverage import make_knowledge
 from t2m_jax.text.encoder import TextEncoder
+from t2m_jax.text.meanings import Meanings
 
 
 class ModelParts:
@@ -54,8 +55,11 @@ class ModelParts:
             raise UserError(f"{bundle!r} is not a loaded bundle; use t2m_jax.load({str(bundle)!r})")
         self.config = bundle.config
         self.skeleton = skeleton_from_name(bundle.config.skeleton)
-        self.knowledge = make_knowledge(bundle.training_data)
         self.text_encoder = text_encoder or make_text_encoder(bundle)
+        self.knowledge = make_knowledge(bundle.training_data)
+        if isinstance(self.text_encoder, StatesTextEncoder):
+            meanings = Meanings(self.knowledge.actions, self.text_encoder.sentence_embeddings)
+            self.knowledge = self.knowledge._replace(meanings=meanings)
         self._bpe = bundle.bpe
         self._variables = put_everywhere(bundle.variables)
         self._ready_to_sample = False

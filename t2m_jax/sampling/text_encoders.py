@@ -170,6 +170,16 @@ class StatesTextEncoder:
             : len(captions)
         ]
 
+    def sentence_embeddings(self, sentences: Sequence[str]) -> Float[np.ndarray, "B C"]:
+        """Returns the mean of the token states of each sentence, which says what it means, not only what is learned."""
+        means = []
+        for first in range(0, len(sentences), MAX_BATCH):
+            batch = sentences[first : first + MAX_BATCH]
+            states, mask = jax.device_get(self._states.read_batch(batch))
+            # States that are not used are zero.
+            means.append((states.sum(axis=1) / np.maximum(mask.sum(axis=1, keepdims=True), 1))[: len(batch)])
+        return np.concatenate(means)
+
     def read_part(self, caption: str) -> str:
         """Returns the caption up to its last subword that is read, besides the marks that the encoder adds."""
         encoder = self._states.encoder

@@ -1,20 +1,27 @@
 """What a model can know of a prompt: the words and actions of the captions that it was trained on."""
 
+import itertools
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from t2m_jax.text.meanings import Meanings, Nearest, sentence_of
+from t2m_jax.text.subjects import subject_problems
 from t2m_jax.text.verbs import GENERIC_NOUNS, LIGHT_VERBS, SIDES, Word, word_set, words_of
 
 MIN_USES = 100
 """A word is known if the captions use it this often."""
 USES_SHARE = 1e-4
 """In small data sets, a word is known if this share of all words is it."""
-MIN_CLIPS = 50
+MIN_CLIPS = 20
 """An action is known if the captions of this many clips have the verb."""
 CLIPS_SHARE = 1 / 200
 """In small data sets, an action is known if the captions of this share of the clips have the verb."""
+MIN_LABELS = 30
+"""Labels of a data set that tell verbs of actions from those that any caption may have."""
+GENERIC_SHARE = 0.3
+"""A verb is no action if the captions of this share of the labels have it, such as `show` or `want`."""
 MAX_NAMED = 12
 """Words that a warning names, and actions."""
 
@@ -40,6 +47,8 @@ class Knowledge(NamedTuple):
     """In lower case, as used or in their basic form."""
     actions: tuple[str, ...]
     """Basic forms of verbs, the most frequent first; empty if the model's record does not have them."""
+    meanings: Meanings | None = None
+    """Finds those of the actions that are nearest to another one, if the model has a sentence encoder."""
 
 
 class Coverage(NamedTuple):
@@ -51,12 +60,28 @@ class Coverage(NamedTuple):
     """All words that it did not learn, also those that matter little."""
 
 
-def count_actions(captions: Iterable[Sequence[str]]) -> dict[str, int]:
-    """Returns the number of clips per action of their captions, the most frequent action first."""
-    counts: Counter[str] = Counter()
-    for of_clip in captions:
-        counts.update({word.action for caption in of_clip for word in words_of(caption)} - LIGHT_VERBS - {""})
-    return dict(counts.most_common())
+def count_actions(captions: Iterable[Sequence[str]], labels: Sequence[str] = ()) -> dict[str, int]:
+    """Returns the number of clips per action of their captions, the most frequent action first.
+
+    Args:
+        captions: Of each clip.
+        labels: Of each clip, if they are known; empty for clips without one. Verbs of many labels are then left out.
+    """
+    verbs = [{word.action for caption in of_clip for word in words_of(caption)} for of_clip in captions]
+    counts = Counter(itertools.chain.from_iterable(verbs))
+    left_out = LIGHT_VERBS | {""} | (_generic_verbs(verbs, labels) if labels else set())
+    return {verb: count for verb, count in counts.most_common() if verb not in left_out}
+
+
+def _generic_verbs(verbs: Sequence[set[str]], labels: Sequence[str]) -> set[str]:
+    used: dict[str, set[str]] = {}
+    for of_clip, label in zip(verbs, labels, strict=True):
+        if label:
+            used.setdefault(label, set()).update(of_clip)
+    if len(used) < MIN_LABELS:
+        return set()
+    counts = Counter(itertools.chain.from_iterable(used.values()))
+    return {verb for verb, count in counts.items() if count > GENERIC_SHARE * len(used)}
 
 
 def make_knowledge(training_data: Mapping[str, Any] | None) -> Knowledge:
@@ -103,25 +128,56 @@ def check_coverage(
     return Coverage(warning, tuple(dict.fromkeys(word.text for word in unknown)))
 
 
-def _problems(words: Sequence[Word], unknown: Sequence[Word], knowledge: Knowledge) -> Iterable[str]:
+def _problems(words: Sequence[Word], unknown: Sequence[Word], knowledge: Knowledge) -> Iterator[str]:
     # So many unknown words are hardly a matter of the choice of words.
     is_foreign = 2 * len(unknown) > len(words)
-    named = list(dict.fromkeys(word.text for word in unknown if is_foreign or _is_important(word)))
-    if named:
-        yield f"not learned, so without effect: {', '.join(named[:MAX_NAMED])}{', ...' * (len(named) > MAX_NAMED)}"
+    nearest = {} if is_foreign else _nearest_actions(words, unknown, knowledge)
+    for text, found in nearest.items():
+        if not found.is_same:
+            yield f"{text}: not known; nearest: {', '.join(found.actions)}"
+    named = dict.fromkeys(word.text for word in unknown if is_foreign or _is_important(word))
+    without_effect = [text for text in named if text not in nearest]
+    if without_effect:
+        more = ", ..." * (len(without_effect) > MAX_NAMED)
+        yield f"not learned, so without effect: {', '.join(without_effect[:MAX_NAMED])}{more}"
     if is_foreign:
         yield "write it in the language and style of the training captions"
+    if knowledge.words:
+        yield from subject_problems(words)
+    if knowledge.actions and not nearest and not _has_known_action(words, knowledge):
+        yield from _no_action(words, knowledge)
+
+
+def _nearest_actions(words: Sequence[Word], unknown: Sequence[Word], knowledge: Knowledge) -> dict[str, Nearest]:
+    """Returns what is nearest to each unknown action of a prompt."""
+    if knowledge.meanings is None:
+        return {}
+    texts = {word.text for word in unknown if _is_action(word)}
+    places = [place for place, word in enumerate(words) if word.text in texts][:MAX_NAMED]
+    return {words[place].text: knowledge.meanings.nearest(sentence_of(words, place)) for place in places}
+
+
+def _has_known_action(words: Sequence[Word], knowledge: Knowledge) -> bool:
     actions = set(knowledge.actions)
-    if actions and not any(
-        actions & word.bases and (word.action or word.bases.isdisjoint(GENERIC_NOUNS)) for word in words
-    ):
+    return any(actions & word.bases and (word.action or word.bases.isdisjoint(GENERIC_NOUNS)) for word in words)
+
+
+def _no_action(words: Sequence[Word], knowledge: Knowledge) -> Iterator[str]:
+    """Yields that a prompt has no known action, unless it says one in other words: "goes ahead"."""
+    found = None if knowledge.meanings is None else knowledge.meanings.nearest(" ".join(word.text for word in words))
+    if found is None:
         yield "it has no action that the model knows"
+    elif not found.is_same:
+        yield f"it has no action that the model knows; nearest: {', '.join(found.actions)}"
+
+
+def _is_action(word: Word) -> bool:
+    return bool(word.action) and word.action not in LIGHT_VERBS
 
 
 def _is_important(word: Word) -> bool:
     """Returns whether the motion is another one without the word."""
-    kinds = NUMBERS | DIRECTIONS | SIDES
-    return bool(word.action and word.action not in LIGHT_VERBS) or word.text in kinds or word.text[0].isdigit()
+    return _is_action(word) or word.text in NUMBERS | DIRECTIONS | SIDES or word.text[0].isdigit()
 
 
 def _shortened(text: str, longest: int = 50) -> str:

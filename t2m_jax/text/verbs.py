@@ -25,7 +25,7 @@ PREPOSITIONS = word_set(
     """in on at to from with of by for over under around into onto through toward towards along across near behind
     beside between like above below against off inside outside as than"""
 )
-CLAUSE_STARTS = word_set("and then while before after when or but who that until so if because")
+CLAUSE_STARTS = word_set("and then while before after when or but who that how until so if because")
 SUBJECTS = word_set("he she it they we you i somebody someone everybody everyone nobody people")
 BEFORE_BASE_FORM = word_set("they we you i people not can will would should must could may let to")
 """Words after which a verb is in its basic form. After `to`, only if it cannot be a noun: "to school"."""

@@ -6,7 +6,15 @@ import pytest
 import yaml
 
 from t2m_jax.checkpoints.bundle import bundle_path, load_training_data
-from t2m_jax.text.coverage import MIN_CLIPS, MIN_USES, Knowledge, check_coverage, count_actions, make_knowledge
+from t2m_jax.text.coverage import (
+    MIN_CLIPS,
+    MIN_LABELS,
+    MIN_USES,
+    Knowledge,
+    check_coverage,
+    count_actions,
+    make_knowledge,
+)
 
 PROMPTS = yaml.safe_load((Path(__file__).parent / "prompts.yaml").read_text())
 
@@ -62,13 +70,13 @@ def test_what_a_large_data_set_has_rarely_is_not_known():
     many = {"walk": 10**6, "wave": MIN_USES, "jump": MIN_USES - 1}
     actions = {"jump": MIN_CLIPS - 1, "wave": MIN_CLIPS, "walk": 9000}
     knowledge = make_knowledge({"num_clips": 10**5, "words": many, "actions": actions})
-    assert knowledge == ({"walk", "wave"}, ("walk", "wave"))
+    assert knowledge == Knowledge({"walk", "wave"}, ("walk", "wave"))
 
 
 def test_a_small_data_set_teaches_what_it_has():
     data = {"num_clips": 24, "words": {"he": 24, "walk": 23, "jump": 1}, "actions": {"walk": 23, "jump": 1}}
     knowledge = make_knowledge(data)
-    assert knowledge == ({"he", "walk", "jump"}, ("walk", "jump"))
+    assert knowledge == Knowledge({"he", "walk", "jump"}, ("walk", "jump"))
     assert warned(["he jumps", "he walks left", "he swims"], knowledge) == ["he walks left", "he swims"]
 
 
@@ -90,6 +98,14 @@ def test_words_without_actions_still_warn_of_verbs():
 def test_actions_are_counted_by_clip():
     captions = [["a person walks", "someone walks and waves"], ["a person makes a jump", "he walks"], []]
     assert count_actions(captions) == {"walk": 2, "jump": 1, "wave": 1}
+
+
+def test_verbs_that_any_caption_may_have_are_no_actions():
+    labels = [f"action {number}" for number in range(MIN_LABELS)]
+    captions = [[f"we saw how a person {'walks' if number < 4 else 'jumps'}"] for number in range(MIN_LABELS)]
+    assert count_actions(captions, labels) == {"walk": 4}
+    assert count_actions(captions[1:], labels[1:]) == {"see": 29, "jump": 26, "walk": 3}
+    assert count_actions(captions[:4], ["walk", "", "walk", "walk"]) == {"walk": 4, "see": 4}
 
 
 def test_corrected_words_are_named(demo):

@@ -1,0 +1,85 @@
+"""Which known actions are nearest to another one, with the sentence encoder of the package."""
+
+import numpy as np
+import pytest
+
+from t2m_jax.checkpoints.text_encoder import SentenceReference
+from t2m_jax.models.caption_encoder import StateEncoderConfig
+from t2m_jax.sampling.text_encoders import SentenceStates, StatesTextEncoder
+from t2m_jax.text.coverage import Knowledge, check_coverage
+from t2m_jax.text.meanings import Meanings, Nearest, sentence_of, third_person
+from t2m_jax.text.verbs import words_of
+
+ACTIONS = ("walk", "run", "wave", "jump", "sit", "crawl", "climb", "clap", "punch")
+WORDS = frozenset(
+    ["a", "person", "the", "man", "somebody", "with", "his", "hand", "and", "then", "forward"]
+) | frozenset(ACTIONS)
+
+
+@pytest.fixture(scope="module")
+def encoder():
+    return StatesTextEncoder(StateEncoderConfig(), {}, SentenceStates(SentenceReference(name="minilm")))
+
+
+@pytest.fixture(scope="module")
+def knowledge(encoder):
+    return Knowledge(WORDS, ACTIONS, Meanings(ACTIONS, encoder.sentence_embeddings))
+
+
+def warning(prompt, knowledge):
+    return check_coverage(prompt, knowledge, read_part=prompt).warning
+
+
+@pytest.mark.parametrize("prompt", ["a person strolls", "a man jogs and then walks", "somebody applauds"])
+def test_a_known_action_in_other_words_is_no_reason_to_warn(knowledge, prompt):
+    assert warning(prompt, knowledge) == ""
+
+
+@pytest.mark.parametrize(
+    ("prompt", "verb"),
+    [("a person swims", "swims"), ("the man sleeps and then walks", "sleeps"), ("a person plays the piano", "plays")],
+)
+def test_an_unknown_action_is_named_with_the_nearest_ones(knowledge, prompt, verb):
+    said = warning(prompt, knowledge)
+    assert said.startswith(f"{prompt!r}: {verb}: not known; nearest: ")
+    nearest = said.partition("nearest: ")[2].partition(";")[0].split(", ")
+    assert len(nearest) == 2 and set(nearest) <= {third_person(action) for action in ACTIONS}
+
+
+def test_a_sentence_without_a_verb_that_tells_it_is_compared_as_a_whole(encoder):
+    actions = ("walk", "run", "jump")
+    words = frozenset(["a", "person", "makes", "his", "way", "ahead", "on", "foot", "is", "having", "dinner"])
+    meanings = Meanings(actions, lambda sentences: np.eye(4)[[_axis(text) for text in sentences]])
+    knowledge = Knowledge(words, actions, meanings)
+    assert warning("a person makes his way ahead", knowledge) == ""
+    said = warning("a person is having dinner", knowledge)
+    assert "it has no action that the model knows; nearest: " in said
+
+
+def _axis(sentence):
+    """Of vectors that mean walking, running, jumping, and something else."""
+    words = ("walks", "runs", "jumps")
+    return 0 if "way" in sentence else next((place for place, word in enumerate(words) if word in sentence), 3)
+
+
+def test_embeddings_do_not_depend_on_the_batch(encoder):
+    texts = [f"a person walks {number} steps" for number in range(40)]
+    together = encoder.sentence_embeddings(texts)
+    assert together.shape == (40, 384)
+    np.testing.assert_allclose(encoder.sentence_embeddings(texts[35:36])[0], together[35], atol=1e-3)  # 16-bit states
+
+
+def test_without_actions_nothing_is_near():
+    assert Meanings((), lambda sentences: 1 / 0).nearest("a person swims") == Nearest((), is_same=False)
+
+
+@pytest.mark.parametrize(
+    ("caption", "place", "sentence"),
+    [
+        ("he plays the old piano loudly", 1, "a person plays the old piano"),
+        ("she is swimming across the lake", 2, "a person swims"),
+        ("climbs and walks", 0, "a person climbs"),
+    ],
+)
+def test_a_sentence_has_the_verb_and_its_object(caption, place, sentence):
+    assert sentence_of(words_of(caption), place) == sentence

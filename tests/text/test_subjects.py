@@ -1,0 +1,60 @@
+"""Captions about animals and about several people, which a model of one person cannot show."""
+
+import pytest
+
+from t2m_jax.text.subjects import subject_problems
+from t2m_jax.text.verbs import words_of
+
+
+def problems(caption):
+    return list(subject_problems(words_of(caption)))
+
+
+@pytest.mark.parametrize(
+    ("caption", "animal"),
+    [
+        ("a dog runs across the yard", "dog"),
+        ("the cats are sleeping", "cats"),
+        ("make the horse gallop", "horse"),
+        ("a small bird quickly flies away", "bird"),
+        ("an elephant", "elephant"),
+    ],
+)
+def test_animals_that_move_are_named(caption, animal):
+    assert problems(caption) == [f"{animal}: the model knows how people move, not animals"]
+
+
+@pytest.mark.parametrize(
+    "caption",
+    [
+        "a person walks like a monkey",
+        "a man walks his dog",
+        "somebody rides a horse",
+        "the dog trainer waves",
+        "as a cat would, she sneaks",
+        "a person ducks",
+        "a crane operator raises a hand",
+    ],
+)
+def test_people_with_animals_are_people(caption):
+    assert problems(caption) == []
+
+
+@pytest.mark.parametrize(
+    ("caption", "named"),
+    [
+        ("two people shake hands", "two people"),
+        ("three old men walk", "three old men"),
+        ("they hug each other", "each other"),
+        ("a man waves at another person", "another person"),
+        ("a group of children runs", "group of children"),
+        ("people are dancing", "people"),
+    ],
+)
+def test_several_people_are_named(caption, named):
+    assert problems(caption) == [f"{named}: one person moves, not several"]
+
+
+@pytest.mark.parametrize("caption", ["they walk", "a person takes two steps", "he raises both hands", "two waves"])
+def test_numbers_and_they_are_no_people(caption):
+    assert problems(caption) == []
