@@ -60,7 +60,7 @@ QUALITY_LABELS = {
 PLAIN_GROUPS = ("actions", "paces", "manners", "composed")
 FREE_GROUPS = (
     *("free", "kit", "subjects", "typos", "free-paces", "free-manners", "then", "while", "counts", "durations"),
-    "all-actions",
+    *("all-actions", "warnings"),
 )
 """Their sentences are of somebody who saw neither the code nor any caption."""
 
@@ -260,6 +260,7 @@ def _prompt_tests(group: str, data: str | None) -> "list[PromptTest]":
         "while": free.while_tests,
         "counts": free.count_tests,
         "durations": free.duration_tests,
+        "warnings": free.warning_tests,
     }
     if (group not in plain) != (data is not None):
         names = ", ".join(with_data)

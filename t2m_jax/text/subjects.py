@@ -1,5 +1,6 @@
 """Who moves in a caption: whether it asks for an animal or for several people, where a model has one person."""
 
+import itertools
 from collections.abc import Iterator, Sequence
 
 from t2m_jax.text.verbs import LIGHT_VERBS, Word, readings, word_set
@@ -17,12 +18,15 @@ COMPARED = frozenset({"like", "as", "than", "pretend", "pretends", "pretending",
 """Before an animal: "walks like a monkey"."""
 NEAR = 4
 """Words before an animal among which a comparison is looked for."""
-PEOPLE = word_set(
-    """people persons men women boys girls kids children friends guys adults dancers players fighters boxers soldiers
-    actors students humans figures characters brothers sisters twins strangers runners workers teenagers ladies"""
+PERSON = word_set(
+    """actor adult boxer boy brother character child dancer fighter figure friend girl guy human kid lady man mother
+    father opponent partner person player runner sister soldier stranger student teenager twin woman worker"""
 )
+"""In their basic forms."""
 SEVERAL = word_set("two three four five six seven eight nine ten both several many some few couple pair group crowd")
-TOGETHER = (("each", "other"), ("one", "another"), ("another", "person"), ("another", "man"), ("another", "woman"))
+CROWDS = word_set("people crowd duo trio couple")
+OTHERS = word_set("opponent partner")
+"""Whom somebody moves with."""
 
 
 def subject_problems(words: Sequence[Word]) -> Iterator[str]:
@@ -37,9 +41,7 @@ def subject_problems(words: Sequence[Word]) -> Iterator[str]:
 
 def _animal(words: Sequence[Word]) -> str:
     """Returns the first animal that moves, and is not met, carried or imitated."""
-    for place, word in enumerate(words):
-        if word.action and word.action not in LIGHT_VERBS:
-            return ""
+    for place, word in enumerate(_subject(words)):
         following = readings(words[place + 1].text).keys() if place + 1 < len(words) else set()
         # "a dog walker"
         is_described = following == {"NOUN"}
@@ -49,13 +51,35 @@ def _animal(words: Sequence[Word]) -> str:
     return ""
 
 
+def _subject(words: Sequence[Word]) -> list[Word]:
+    """Returns the words before the first action."""
+    return list(itertools.takewhile(lambda word: not word.action or word.action in LIGHT_VERBS, words))
+
+
 def _several(words: Sequence[Word]) -> str:
     """Returns the words that ask for more than one person."""
     texts = [word.text for word in words]
-    for place, text in enumerate(texts):
-        if tuple(texts[place : place + 2]) in TOGETHER:
-            return " ".join(texts[place : place + 2])
-        if text == "people" or (text in PEOPLE and not SEVERAL.isdisjoint(texts[max(place - 3, 0) : place])):
-            first = next((at for at in range(max(place - 3, 0), place) if texts[at] in SEVERAL), place)
-            return " ".join(texts[first : place + 1])
-    return ""
+    for pair in itertools.pairwise(texts):
+        if pair in (("each", "other"), ("one", "another")):
+            return " ".join(pair)
+    subject = _subject(words)
+    for place, word in enumerate(subject):
+        before = subject[max(place - 3, 0) : place]
+        first = next((at for at, other in enumerate(before) if other.text in SEVERAL), None)
+        if first is not None and (word.text == "people" or (_is_person(word) and word.text not in PERSON)):
+            return " ".join(texts[place - len(before) + first : place + 1])
+        if _is_person(word) and _joins(subject[max(place - 4, 0) : place]):
+            return f"and {' '.join(texts[place - 1 : place + 1])}"
+        # Not "a couple of steps".
+        if word.text in CROWDS and texts[place + 1 : place + 2] != ["of"]:
+            return word.text
+    return next((text for text in texts if text in OTHERS), "")
+
+
+def _joins(words: Sequence[Word]) -> bool:
+    """Returns whether words before a person join another one to it: "a man and a"."""
+    return "and" in (word.text for word in words) and any(map(_is_person, words))
+
+
+def _is_person(word: Word) -> bool:
+    return not PERSON.isdisjoint(word.bases) and not word.action

@@ -45,6 +45,8 @@ SECONDS_OFF = 0.5
 """How far a motion may be from the seconds that were asked for; 10 % if that is more."""
 BACKWARD = -0.5
 """Meters ahead of somebody who walks backward, at most."""
+BEYOND = ("unknown", "other_language", "animals", "two_people")
+"""Groups of sentences for which a model should warn."""
 BEATS = 2
 """Claps or punches of somebody who claps or punches."""
 
@@ -226,6 +228,19 @@ def _lasts(content: str, seconds: float, motion: Motion) -> bool:
     if content in RULES:
         return follows(content, motion)
     return content not in CURVES or count_action(content, motion) >= BEATS
+
+
+def warning_tests() -> list[PromptTest]:
+    """Returns tests of the warnings: for what no model of one person's common actions can show, and only for that."""
+    groups = _sentences()
+    known = tuple(itertools.chain.from_iterable(groups["free"].values()))
+    beyond = {name: [entry if isinstance(entry, str) else entry["text"] for entry in groups[name]] for name in BEYOND}
+    asked = [PromptTest(name, "a warning", tuple(sentences), _is_warned) for name, sentences in beyond.items()]
+    return [*asked, PromptTest("the ten actions", "no warning", known, lambda motion: not _is_warned(motion))]
+
+
+def _is_warned(motion: Motion) -> bool:
+    return bool(motion.warning)
 
 
 def all_action_tests(dataset: Dataset) -> list[PromptTest]:
