@@ -68,15 +68,17 @@ def reconstruct_batch(
     )
 
 
-def evaluate_reconstruction(tokenizer: TrainedTokenizer, dataset: Dataset, *, split: str) -> ReconstructionFigures:
-    """Returns the figures over every clip of a split, whole, each at its own length.
+def evaluate_reconstruction(
+    tokenizer: TrainedTokenizer, dataset: Dataset, *, split: str, fraction: float = 1.0
+) -> ReconstructionFigures:
+    """Returns the figures over every clip of a split, or a fraction of them, whole, each at its own length.
 
     Raises:
         UserError: The data do not fit the tokenizer, or the split has no clips.
     """
     check_feature_dim(dataset, tokenizer.config.feature_dim, reader="the model")
     downsample = tokenizer.config.downsample
-    clips = dataset.clips(split, min_frames=downsample)
+    clips = dataset.clips(split, min_frames=downsample, fraction=fraction)
     if not clips:
         raise UserError(f"{dataset.folder}: split {split} has no clips to evaluate; choose another split")
     # Whole codes, because a tokenizer cannot encode the rest; by length, so that little of a batch is padding.

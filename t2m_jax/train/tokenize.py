@@ -4,12 +4,13 @@ import functools
 import logging
 import zlib
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Literal, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Float, Int
+from tqdm import tqdm
 
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.data.banks.codes import Captions, CodeBank
@@ -30,6 +31,11 @@ TimedCaptionKind = Literal["encode", "slice"]
 LongClipKind = Literal["drop", "windows"]
 MAX_JOINT_ERROR = 150
 """Largest mean joint error, in millimeters, with which a tokenizer may give other motion back than it learned."""
+
+CHECKED_CLIPS = 1000
+"""About how many clips of a data set show this."""
+MOTIONS_TOGETHER = 1024
+"""Motions that are encoded together. Those of similar lengths are in one batch."""
 
 
 class CodedMotion(NamedTuple):
@@ -56,7 +62,8 @@ def check_tokenizer(tokenizer: TrainedTokenizer, dataset: Dataset, *, may_differ
         return
     if not may_differ:
         raise UserError(f"{difference}; {advice}")
-    error = evaluate_reconstruction(tokenizer, dataset, split="train").mpjpe_mm
+    fraction = min(1.0, CHECKED_CLIPS / max(len(dataset.names("train")), 1))
+    error = evaluate_reconstruction(tokenizer, dataset, split="train", fraction=fraction).mpjpe_mm
     text = f"{dataset.folder}: the tokenizer learned other motion, and gives this one back with joint errors of"
     if error > MAX_JOINT_ERROR:
         raise UserError(f"{text} {error:.0f} mm (allowed are {MAX_JOINT_ERROR}); {advice}")
@@ -162,9 +169,7 @@ def encode_clips(
         logger.warning("%s: %d of %d clips are not used whole (%s)", info.name, left_out, len(clips), limits)
     starts = [starting_frames(piece, downsample=downsample, offsets=offsets, seed=seed) for piece in pieces]
     begin = _start_at(info, downsample=downsample, offsets=offsets)
-    shifted = [begin(piece.features, start) for piece, frames in zip(pieces, starts, strict=True) for start in frames]
-    # All at once, in large batches: this takes most of the time before a generator's first update.
-    codes = iter(encode_motions(tokenizer, shifted))
+    codes = _encode_shifted(tokenizer, [piece.features for piece in pieces], starts, begin)
     motions = []
     for (name, piece), frames in zip(found, starts, strict=True):
         variants = tuple(next(codes) for _ in frames)
@@ -173,6 +178,23 @@ def encode_clips(
     if not motions:
         raise UserError(f"{info.name}: no motion with a caption to train on; see `t2m data check` for what is left out")
     return motions
+
+
+def _encode_shifted(
+    tokenizer: TrainedTokenizer,
+    features: Sequence[Float[np.ndarray, "_ D"]],
+    starts: Sequence[Sequence[int]],
+    begin: Callable[[np.ndarray, int], np.ndarray],
+) -> Iterator[Int[np.ndarray, "_ R"]]:
+    """Yields the codes of each motion from each of its starting frames; most of the time before a first update."""
+    pairs = list(zip(features, starts, strict=True))
+    with tqdm(total=len(pairs), desc="encoding", unit="motion", disable=None) as progress:
+        # Not all at once: held frames are copies, many times the size of the data set.
+        for first in range(0, len(pairs), MOTIONS_TOGETHER):
+            some = pairs[first : first + MOTIONS_TOGETHER]
+            shifted = [begin(motion, start) for motion, frames in some for start in frames]
+            yield from encode_motions(tokenizer, shifted, progress=False)
+            progress.update(len(some))
 
 
 def add_rewordings(motions: Sequence[CodedMotion], *, count: int, seed: int) -> list[CodedMotion]:

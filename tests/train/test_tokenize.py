@@ -55,7 +55,7 @@ CLIPS = [
 def first_frames(monkeypatch):
     """Replaces the VQ-VAE: the code of four frames is the number of the first."""
 
-    def encode(_, motions):
+    def encode(_, motions, *, progress):
         return [motion[: len(motion) // 4 * 4 : 4, :1].astype(np.int32) for motion in motions]
 
     monkeypatch.setattr(train_tokenize, "encode_motions", encode)
