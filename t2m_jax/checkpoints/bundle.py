@@ -182,7 +182,7 @@ def load_training_data(folder: Path) -> dict[str, Any] | None:
     if data is not None and not isinstance(data, dict):
         raise UserError(f"{path}: expected an object, got {reprlib.repr(data)}")
     # Warnings, pages and the studio use these, and the file may come from the hub: so types are checked once, here.
-    for name, kind in {"num_clips": int, "words": dict, "actions": dict}.items():
+    for name, kind in {"num_clips": int, "shortest_frames": int, "words": dict, "actions": dict}.items():
         found = (data or {}).get(name, kind())
         numbers = found.values() if isinstance(found, dict) else [found]
         if type(found) is not kind or not all(type(number) is int and number >= 0 for number in numbers):

@@ -17,6 +17,9 @@ from t2m_jax.text.coverage import count_actions
 NUM_CAPTIONS = 300
 """Captions that a record has, if there are so many clips."""
 
+SHORTEST_SHARE = 0.01
+"""Share of the clips that are shorter than the shortest motion that a model should make."""
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TrainingData:
@@ -32,6 +35,8 @@ class TrainingData:
     """Number of uses per lower-case word of the captions, in the basic form if the caption files have tokens."""
     actions: dict[str, int]
     """Number of clips per verb of the captions, in its basic form (`t2m_jax.text.coverage.count_actions`)."""
+    shortest_frames: int
+    """Nearly all clips are at least so long: all but 1 %. Generated motion is, too."""
     captions: tuple[str, ...]
     """Some of the captions, one each of `NUM_CAPTIONS` clips, which `t2m data replay` generates again."""
 
@@ -50,8 +55,13 @@ def summarize_training_data(dataset: Dataset, clips: Sequence[Clip]) -> Training
             ([caption.text for caption in clip.captions] for clip in clips),
             [_single_action(index.label(clip.name)) for clip in clips] if index else (),
         ),
+        shortest_frames=_shortest(clips),
         captions=_some_captions(clips),
     )
+
+
+def _shortest(clips: Sequence[Clip]) -> int:
+    return int(np.quantile([len(clip.features) for clip in clips], SHORTEST_SHARE)) if clips else 0
 
 
 def _some_captions(clips: Sequence[Clip]) -> tuple[str, ...]:

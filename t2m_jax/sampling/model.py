@@ -61,6 +61,9 @@ class ModelParts:
             meanings = Meanings(self.knowledge.actions, self.text_encoder.sentence_embeddings)
             self.knowledge = self.knowledge._replace(meanings=meanings)
         self._bpe = bundle.bpe
+        # No fragments: nearly all motions that the model learned are as long.
+        shortest = (bundle.training_data or {}).get("shortest_frames", 0)
+        self._min_codes = max(shortest // self.config.tokenizer.downsample, 1)
         self._variables = put_everywhere(bundle.variables)
         self._ready_to_sample = False
         self._normalizer = Normalizer(*map(jnp.asarray, bundle.normalizer))
@@ -92,7 +95,7 @@ class ModelParts:
         strategy: Strategy | None = None,
         *,
         max_codes: int | None = None,
-        min_codes: int = 1,
+        min_codes: int | None = None,
         stop_rule: str | None = None,
     ) -> Sampling:
         """Returns how codes are sampled; what is not given is the model's own.
@@ -101,10 +104,11 @@ class ModelParts:
             UserError: The length or the stop rule does not fit the model.
         """
         longest = self.config.generator.max_codes
+        shortest = self._min_codes if min_codes is None else min_codes
         if max_codes is not None and not 1 <= max_codes <= longest:
             raise UserError(f"max-codes: {max_codes} is not between 1 and {longest}")
         rule = find_stop_rule(self.config.generator, stop_rule)
-        return Sampling(strategy or Temperature(), rule, max_codes or longest, min_codes)
+        return Sampling(strategy or Temperature(), rule, max_codes or longest, min(shortest, max_codes or longest))
 
     def guidance_scale(self, given: float | None = None) -> float | None:
         """Returns the strength of the classifier-free guidance: as given, or the model's own; None for none."""

@@ -203,6 +203,7 @@ def test_weights_that_are_not_finite_are_refused(copy):
         '{"actions": {"walk": true}}',
         '{"num_clips": 1.5}',
         '{"num_clips": {}}',
+        '{"shortest_frames": 2.5}',
         '{"captions": "a person walks"}',
         '{"captions": ["a person walks", 3]}',
     ],

@@ -47,6 +47,13 @@ def test_composed_clips_are_counted_by_their_number_of_actions(tmp_path):
     assert found.clips_per_action == {"2 actions in turn": 2, "3 actions in turn": 1, "walk": 1}
 
 
+def test_all_but_the_shortest_clips_say_how_long_motions_are(tmp_path):
+    lengths = [5, *(30 for _ in range(200))]
+    clips = [Clip(f"{number}", np.zeros((length, 263), np.float32), ()) for number, length in enumerate(lengths)]
+    assert summarize_training_data(dataset_in(tmp_path), clips).shortest_frames == 30
+    assert summarize_training_data(dataset_in(tmp_path), clips[:50]).shortest_frames == 17
+
+
 def test_without_labels_no_action_is_counted(tmp_path):
     found = summarize_training_data(dataset_in(tmp_path), [clip("a", Caption("walk"))])
     assert found.clips_per_action == {} and found.words == {"walk": 1}

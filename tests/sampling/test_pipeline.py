@@ -76,6 +76,13 @@ def test_a_motion_is_complete(model, eight):
     assert len({len(motion.codes) for motion in eight}) > 1, "the test wants motions of several lengths"
 
 
+@pytest.mark.parametrize(("frames", "rows"), [(0, 1), (27, 6), (10**6, BUNDLE.generator.max_codes)])
+def test_no_motion_is_shorter_than_nearly_all_clips_of_training(bundle, frames, rows):
+    parts = TextToMotion(bundle._replace(training_data={"shortest_frames": frames})).parts
+    assert (parts.sampling().min_codes, parts.sampling(max_codes=2).min_codes) == (rows, min(rows, 2))
+    assert parts.sampling(min_codes=0).min_codes == 0
+
+
 def test_eight_together_equal_eight_alone(model, eight):
     """The second sample of a sentence cannot be had alone: two are made, and the batch is another one all the same."""
     for number, caption in enumerate(CAPTIONS[:4]):
