@@ -1,6 +1,7 @@
 """The formats that need only a few lines here: BVH, and what is only read (AMC, GLB's animations, NumPy arrays)."""
 
 import dataclasses
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from textwrap import shorten
@@ -15,9 +16,14 @@ from t2m_jax.motion.bvh.writer import Units
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.motion.motion import Motion
-from t2m_jax.motion.rig import retarget
+from t2m_jax.motion.rig import RigClip, retarget
+from t2m_jax.motion.rig.orientation import Up, on_floor, sides_note
+from t2m_jax.motion.rig.retarget import find_rig, resolve_rig
+from t2m_jax.motion.rig.rigs import Rig
 from t2m_jax.motion.rig.tables import JointNames
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
+
+logger = logging.getLogger(__name__)
 
 SKELETONS = (HUMANML3D, KIT_ML)
 
@@ -38,21 +44,32 @@ def save_bvh_file(path: Path, motions: Sequence[Motion], *, names: JointNames = 
     save_bvh(path, only_motion(path, motions), names=names, units=units)
 
 
-def load_bvh_file(path: Path) -> Motion:
-    """Returns the motion of a BVH file, whose rig must be known by name; see `load_bvh`."""
-    return retarget(load_bvh(path))
+def load_bvh_file(path: Path, *, rig: str | None = None) -> Motion:
+    """Returns the motion of a BVH file; see `load_bvh`.
 
-
-def load_amc_file(path: Path) -> Motion:
-    """Returns the motion of an AMC file, whose rig must be known by name; see `load_amc`."""
-    return retarget(load_amc(path))
-
-
-def load_glb_file(path: Path, *, animation: str | None = None) -> Motion:
-    """Returns an animation of a GLB file by its name, with or without the armature's; without a name, the only one.
+    Args:
+        path: The file.
+        rig: Name of a rig or a YAML table; by default the joints are recognized (see `find_rig`).
 
     Raises:
-        UserError: The file is damaged, there are several animations, or none has this name.
+        UserError: The file is damaged, or does not show a person.
+    """
+    table = None if rig is None else resolve_rig(rig)
+    return _motion_of(path, load_bvh(path, rig=table), rig=table)
+
+
+def load_amc_file(path: Path, *, rig: str | None = None) -> Motion:
+    """Returns the motion of an AMC file; see `load_amc`. For `rig` and errors, see `load_bvh_file`."""
+    return _motion_of(path, load_amc(path), rig=rig)
+
+
+def load_glb_file(path: Path, *, animation: str | None = None, rig: str | None = None) -> Motion:
+    """Returns an animation of a GLB file by its name, with or without the armature's; without a name, the only one.
+
+    For `rig`, see `load_bvh_file`.
+
+    Raises:
+        UserError: The file is damaged or does not show a person, there are several animations, or none has this name.
     """
     clips = load_gltf(path)
     chosen = [(own, clip) for own, clip in clips.items() if animation in (None, own, own.rpartition("|")[2])]
@@ -61,7 +78,19 @@ def load_glb_file(path: Path, *, animation: str | None = None) -> Motion:
         raise UserError(f"{path}: has {wanted}; choose one of {shorten(', '.join(clips), 200, placeholder=' ...')}")
     ((own, clip),) = chosen
     # glTF says that Y is up. Blender's export writes "armature|animation".
-    return dataclasses.replace(retarget(clip, up="y"), caption=own.rpartition("|")[2])
+    return dataclasses.replace(_motion_of(path, clip, rig=rig, up="y"), caption=own.rpartition("|")[2])
+
+
+def _motion_of(path: Path, clip: RigClip, *, rig: Rig | str | None, up: Up = "auto") -> Motion:
+    """Returns the motion of a clip on the floor, and says what had to be assumed."""
+    try:
+        found = find_rig(clip, rig)
+        motion = retarget(clip, rig=found, up=up)
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from error
+    for note in filter(None, (*clip.notes, found.note, sides_note(motion.positions))):
+        logger.info("%s: %s", path, note)
+    return dataclasses.replace(motion, positions=on_floor(motion.positions))
 
 
 def load_npy(path: Path) -> Motion:

@@ -14,7 +14,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.files.writing import check_output
 
 READERS = "t2m_jax.motion_readers"
-"""Entry points by suffix: functions of a path that return its motion, and that may take the name of an `animation`."""
+"""Entry points by suffix: functions of a path that return its motion; they may take an `animation` and a `rig`."""
 WRITERS = "t2m_jax.motion_writers"
 """Entry points by suffix: functions of a path, motions and options, each of which has a `Literal` as type."""
 
@@ -24,13 +24,15 @@ def motion_formats() -> tuple[str, ...]:
     return tuple(sorted(_entry_points(WRITERS)))
 
 
-def load_motion(path: str | Path, *, animation: str | None = None) -> Any:
+def load_motion(path: str | Path, *, animation: str | None = None, rig: str | None = None) -> Any:
     """Returns the `Motion` of a file: `.npz`, `.bvh`, `.glb`, `.amc`, or a data set's `.npy` with joints or features.
 
     Args:
         path: The file.
         animation: Name of the animation in a `.glb` file, with or without the armature's name; needed if there are
             several.
+        rig: Name of a rig or a YAML table with joints of the file, such as `pelvis: Hips`, for files of skeletons; by
+            default they are recognized.
 
     Raises:
         UserError: The suffix is unknown, the file does not contain a motion, or it has several and none was chosen.
@@ -39,9 +41,9 @@ def load_motion(path: str | Path, *, animation: str | None = None) -> Any:
     read = _entry_point(READERS, path).load()
     if not path.is_file():
         raise UserError(f"{path}: there is no such file")
-    # Only formats with several motions in a file have a choice; the others need not know about it.
-    chosen = {"animation": animation} if "animation" in inspect.signature(read).parameters else {}
-    return read(path, **chosen)
+    # Only formats with several motions in a file or with any skeleton have a choice; the others need not know of it.
+    known = inspect.signature(read).parameters
+    return read(path, **{name: value for name, value in (("animation", animation), ("rig", rig)) if name in known})
 
 
 def check_motion_output(path: str | Path) -> Path:

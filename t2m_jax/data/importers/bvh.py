@@ -25,8 +25,8 @@ from t2m_jax.motion.amc import AMC_FPS, load_amc
 from t2m_jax.motion.bvh import load_bvh
 from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.motion.rig import RigClip
-from t2m_jax.motion.rig.orientation import Up, left_is_left, rest_frames
-from t2m_jax.motion.rig.retarget import clip_up, find_rig, retarget
+from t2m_jax.motion.rig.orientation import Up, rest_frames, sides_note
+from t2m_jax.motion.rig.retarget import clip_up, find_rig, resolve_rig, retarget
 from t2m_jax.motion.skeleton import HUMANML3D
 
 SUFFIXES = (".bvh", ".glb", ".amc")
@@ -46,17 +46,19 @@ def find_motion_files(source: Path) -> list[Path]:
     return files
 
 
-def open_motion_file(path: Path, *, amc_fps: float = AMC_FPS) -> dict[Source, RigClip]:
-    """Returns the motions of a file.
+def open_motion_file(path: Path, *, amc_fps: float = AMC_FPS, rig: str | None = None) -> dict[Source, RigClip]:
+    """Returns the motions of a file. In a BVH file, the legs of `rig` tell the unit.
 
     Raises:
-        UserError: The file is damaged.
+        UserError: The file is damaged, or there is no such rig.
     """
     suffix = path.suffix.lower()
     if suffix == ".glb":  # Blender writes "armature|action"
         clips = load_gltf(path)
         return {Source(path, name.rpartition("|")[2]): clip for name, clip in clips.items()}
-    return {Source(path, None): load_bvh(path) if suffix == ".bvh" else load_amc(path, fps=amc_fps)}
+    if suffix == ".amc":
+        return {Source(path, None): load_amc(path, fps=amc_fps)}
+    return {Source(path, None): load_bvh(path, rig=None if rig is None else resolve_rig(rig))}
 
 
 @contextlib.contextmanager
@@ -84,6 +86,7 @@ def _prepare(motion: Source, clip: RigClip, *, rig: str | None, up: Up) -> _Prep
     if motion.path.suffix.lower() == ".amc":
         steps.append(f"AMC files do not say their rate; {clip.fps:g} frames per second were assumed (--amc-fps)")
     table = find_rig(clip, rig)
+    steps += [*clip.notes, *([table.note] if table.note else [])]
     if not table.was_tried:
         steps.append(f"rig {table.name}: its table is from documentation, never tried on a real file; see the sheet")
     if up == "auto":
@@ -96,11 +99,10 @@ def _prepare(motion: Source, clip: RigClip, *, rig: str | None, up: Up) -> _Prep
         clip = clip.from_frame(rest)
         steps.append("a rest pose before the motion was cut")
     positions = retarget(clip.resampled(HUMANML3D.fps), rig=table, up=up).positions
-    # Most frames decide: in some, a leg is straight or a foot turned.
-    right = bool(left_is_left(positions).mean() > 0.5)
-    if not right:
-        steps.append("LEFT AND RIGHT may be exchanged, as the knees bend and the feet point; see the sheet")
-    return _Prepared(positions, table.name, right, tuple(steps))
+    exchanged = sides_note(positions)
+    if exchanged:
+        steps.append(f"{exchanged}; see the sheet")
+    return _Prepared(positions, table.name, not exchanged, tuple(steps))
 
 
 def _load_info(source: Path, info: str | Path | None) -> DatasetInfo:
@@ -164,7 +166,7 @@ class _Converter:
     def file(self, path: Path, folder: Path) -> None:
         """Writes the clips of a file."""
         try:
-            motions = open_motion_file(path, amc_fps=self.options.amc_fps)
+            motions = open_motion_file(path, amc_fps=self.options.amc_fps, rig=self.options.rig)
         except UserError as error:
             self.left_out[self._add(Source(path, None))] = str(error)
             return

@@ -2,23 +2,25 @@
 
 import re
 from pathlib import Path
-from typing import Literal, cast
+from typing import cast
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from t2m_jax.errors import UserError
 from t2m_jax.files.reading import reading
 from t2m_jax.motion.bvh.channels import parse_motion
 from t2m_jax.motion.bvh.hierarchy import AXES, POSITION_CHANNELS, ROTATION_CHANNELS, Hierarchy, parse_hierarchy
+from t2m_jax.motion.bvh.offsets import PositionRule, translations_from_channels
 from t2m_jax.motion.part_captions import parts_from_note
 from t2m_jax.motion.rig.clip import RigClip
+from t2m_jax.motion.rig.person import unit_from_leg
+from t2m_jax.motion.rig.recognition import measure_leg
+from t2m_jax.motion.rig.rigs import Rig
 from t2m_jax.motion.rotations import EulerOrder, matrix_from_euler
 
-PositionRule = Literal["auto", "absolute", "add"]
-
-# Largest reach of a figure in the file's unit, and the unit in meters that it means. From the first branching joint to
-# the farthest leaf, a person measures about 1.2 m, and between 0.5 and 3 m in extreme cases.
+# Largest reach of a figure without known legs in the file's unit, and the unit in meters that it means. From the first
+# branching joint to the farthest leaf, a person measures about 1.2 m, and between 0.5 and 3 m in extreme cases.
 _UNITS = ((10.0, 1.0), (300.0, 0.01), (np.inf, 0.001))
 
 
@@ -27,16 +29,21 @@ MAX_HIERARCHY_BYTES = 4_000_000
 
 
 def load_bvh(
-    path: Path | str, *, metres_per_unit: float | None = None, root_positions: PositionRule = "auto"
+    path: Path | str,
+    *,
+    metres_per_unit: float | None = None,
+    root_positions: PositionRule = "auto",
+    rig: Rig | None = None,
 ) -> RigClip:
     """Returns the clip of a BVH file.
 
     Args:
         path: A BVH file with one figure.
-        metres_per_unit: Length of the file's unit in meters. By default the unit is meters, centimeters or
-            millimeters, whichever makes the figure as large as a person.
+        metres_per_unit: Length of the file's unit in meters. By default the unit that makes the figure as large as a
+            person; `notes` of the clip say it, unless it is meters, centimeters or millimeters.
         root_positions: "absolute" if position channels replace OFFSET, "add" if they are added to it. By default
-            "absolute" if the channels of the inner joints repeat their OFFSET, and otherwise "add".
+            found from the channels (see `translations_from_channels`).
+        rig: The rig whose legs tell the size; by default legs are found as `find_rig` does.
 
     Raises:
         UserError: The file cannot be read, or is not correct. The message names the line.
@@ -60,20 +67,25 @@ def load_bvh(
         raise UserError(f"{path}:{len(lines)}: the file has no MOTION section")
     first_line = head.count(b"\n") + 2
     table = parse_motion(data[word.end() :], path, first_line=first_line, num_channels=hierarchy.num_channels)
-    translations = _translations(hierarchy, table.values, rule=root_positions)
+    rotations = _rotations(hierarchy, table.values)
+    channels, moving = _positions(hierarchy, table.values)
+    translations = translations_from_channels(hierarchy, channels, moving, rotations, rule=root_positions)
+    notes: tuple[str, ...] = ()
     if metres_per_unit is None:
-        metres_per_unit = _guess_unit(hierarchy, translations)
+        metres_per_unit, said = _guess_unit(hierarchy, translations, rig)
+        notes = (said,) if said else ()
     return RigClip(
         joint_names=hierarchy.joint_names,
         parents=hierarchy.parents,
         offsets=(hierarchy.offsets * metres_per_unit).astype(np.float32),
-        rotations=_rotations(hierarchy, table.values),
+        rotations=rotations,
         translations=(translations * metres_per_unit).astype(np.float32),
         fps=table.fps,
         metres_per_unit=metres_per_unit,
         end_sites={
             joint: np.array(offset, np.float32) * metres_per_unit for joint, offset in hierarchy.end_sites.items()
         },
+        notes=notes,
         parts=parts_from_note(hierarchy.note, num_frames=len(table.values)),
     )
 
@@ -105,33 +117,30 @@ def _rotations(hierarchy: Hierarchy, values: Float[np.ndarray, "T C"]) -> Float[
     return result
 
 
-def _translations(
-    hierarchy: Hierarchy, values: Float[np.ndarray, "T C"], *, rule: PositionRule
-) -> Float[np.ndarray, "T J 3"]:
-    """Returns the local position of each joint in the file's unit, from OFFSET and position channels."""
-    offsets = np.repeat(hierarchy.offsets[None], len(values), axis=0)
+def _positions(
+    hierarchy: Hierarchy, values: Float[np.ndarray, "T C"]
+) -> tuple[Float[np.ndarray, "T J 3"], Bool[np.ndarray, "J 3"]]:
+    """Returns the values of the position channels, and which joints and axes have one."""
     moving = np.zeros(hierarchy.offsets.shape, dtype=bool)
-    channels = np.zeros_like(offsets)
+    channels = np.zeros((len(values), *hierarchy.offsets.shape))
     for joint, columns in enumerate(_columns(hierarchy)):
         for axis, name in enumerate(POSITION_CHANNELS):
             if name in columns:
                 moving[joint, axis] = True
                 channels[:, joint, axis] = values[:, columns[name]]
-    inner = moving.all(axis=1) & (np.array(hierarchy.parents) >= 0) & np.any(hierarchy.offsets != 0, axis=1)
-    if rule == "auto" and inner.any():
-        # The channels repeat the OFFSET if those of most inner joints are nearer to it than to zero.
-        from_zero = np.linalg.norm(channels[:, inner], axis=-1).mean(axis=0)
-        from_offset = np.linalg.norm(channels[:, inner] - hierarchy.offsets[inner], axis=-1).mean(axis=0)
-        rule = "absolute" if np.median(from_offset - from_zero) < 0 else "add"
-    return np.where(moving, channels, offsets) if rule == "absolute" else offsets + channels
+    return channels, moving
 
 
-def _guess_unit(hierarchy: Hierarchy, translations: Float[np.ndarray, "T J 3"]) -> float:
-    """Returns meters per unit, from the reach of the figure.
+def _guess_unit(hierarchy: Hierarchy, translations: Float[np.ndarray, "T J 3"], rig: Rig | None) -> tuple[float, str]:
+    """Returns meters per unit and what to say of it, from the legs of a person or, without legs, from its reach.
 
     The reach is measured from the first joint with two children, because the bones above it may be a position in a
     studio.
     """
+    bones = np.median(translations, axis=0)
+    leg = measure_leg(hierarchy.joint_names, hierarchy.parents, bones, rig)
+    if leg > 0:
+        return unit_from_leg(leg)
     lengths = np.median(np.linalg.norm(translations, axis=-1), axis=0)
     children = np.bincount([parent for parent in hierarchy.parents if parent >= 0], minlength=len(lengths))
     start = int(np.argmax(children > 1))
@@ -139,4 +148,4 @@ def _guess_unit(hierarchy: Hierarchy, translations: Float[np.ndarray, "T J 3"]) 
     reach[start] = 0.0
     for joint in range(start + 1, len(lengths)):
         reach[joint] = reach[hierarchy.parents[joint]] + lengths[joint]
-    return next(meters for limit, meters in _UNITS if reach.max() < limit)
+    return next(meters for limit, meters in _UNITS if reach.max() < limit), ""

@@ -39,6 +39,8 @@ class RigClip:
     """Joint -> place of its End Site in its frame: the tip of a toe, a hand or the head."""
     parts: Parts = ()
     """Where each sentence begins, in files of this package."""
+    notes: tuple[str, ...] = ()
+    """What the reader had to assume, each a part of a sentence to show."""
 
     @property
     def num_frames(self) -> int:
@@ -72,6 +74,16 @@ class RigClip:
             translations=resampling.resample(self.translations, fps=self.fps, new_fps=fps),
             fps=float(fps),
             parts=(),
+        )
+
+    def scaled(self, factor: float) -> "RigClip":
+        """Returns the clip of a figure that is larger by a factor."""
+        return dataclasses.replace(
+            self,
+            offsets=(self.offsets * factor).astype(np.float32),
+            translations=(self.translations * factor).astype(np.float32),
+            metres_per_unit=self.metres_per_unit * factor,
+            end_sites={joint: (place * factor).astype(np.float32) for joint, place in self.end_sites.items()},
         )
 
     @property

@@ -20,6 +20,10 @@ POP_RATIO = 5.0
 T_POSE_RATIO = 2.0
 """The same after a T-pose, for the fastest joint. Arms are lowered slowly at first."""
 NEXT_FRAMES = 5
+FLOOR_TOLERANCE = 0.05
+"""Joints are above soles, so the lowest joint of a figure that stands on the floor is near y = 0; meters."""
+FLOOR_QUANTILE = 0.05
+"""The floor is this quantile of the heights of the lowest joint: jumps are above it, and wrong frames below."""
 T_POSE = 0.9
 """Arms are spread and legs are straight if they are this much along their axes (cosine)."""
 MAX_REST_SECONDS = 2.0
@@ -58,6 +62,18 @@ def to_y_up(positions: Float[np.ndarray, "T 22 3"]) -> Float[np.ndarray, "T 22 3
     return positions[..., [0, 2, 1]] * np.array([1, 1, -1], positions.dtype)
 
 
+def on_floor(positions: Float[np.ndarray, "T 22 3"]) -> Float[np.ndarray, "T 22 3"]:
+    """Returns motion with Y up whose floor is at y = 0, where the lowest joint of most frames is.
+
+    Files that have it there already are not changed. Others have their origin at the hips, at a place of the room, or
+    above a floor that was not measured.
+    """
+    floor = float(np.quantile(positions[..., 1].min(axis=1), FLOOR_QUANTILE))
+    if abs(floor) <= FLOOR_TOLERANCE:
+        return positions
+    return positions - np.array([0.0, floor, 0.0], positions.dtype)
+
+
 def left_is_left(positions: Float[np.ndarray, "T 22 3"]) -> Bool[np.ndarray, " T"]:
     """Returns for each frame whether the joints that are called left are on the left.
 
@@ -72,6 +88,14 @@ def left_is_left(positions: Float[np.ndarray, "T 22 3"]) -> Bool[np.ndarray, " T
     # Turned axes of the limbs against the line between the hips: the same direction if left is left.
     across = _joint(positions, "left_hip") - _joint(positions, "right_hip")
     return np.sum(across * left, axis=-1) > 0
+
+
+def sides_note(positions: Float[np.ndarray, "T 22 3"]) -> str:
+    """Returns what to say if left and right may be exchanged; nothing otherwise."""
+    # Most frames decide: in some, a leg is straight or a foot turned.
+    if left_is_left(positions).mean() > 0.5:
+        return ""
+    return "LEFT AND RIGHT may be exchanged, as the knees bend and the feet point"
 
 
 def rest_frames(positions: Float[np.ndarray, "T 22 3"], *, fps: float) -> int:

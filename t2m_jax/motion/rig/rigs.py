@@ -9,8 +9,10 @@ from t2m_jax.errors import UserError
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.yaml_file import load_yaml
 
-# A rig may lack these joints. They are placed between their neighbors.
-OPTIONAL_JOINTS = ("spine1", "spine2", "spine3", "left_collar", "right_collar", "head")
+# A rig may lack these joints. They are placed by the proportions of a person.
+OPTIONAL_JOINTS = (
+    "spine1", "spine2", "spine3", "neck", "head", "left_collar", "right_collar", "left_foot", "right_foot"
+)  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -23,6 +25,8 @@ class Rig:
     """Joints of HumanML3D with their names in the rig. The first name that a file has is used."""
     was_tried: bool = True
     """Whether the table was tried on real files, and does not only follow from documentation."""
+    note: str = ""
+    """How a rig without a table was found, as a part of a sentence to show."""
 
 
 def make_rig(table: Mapping[str, str | Sequence[str]], *, name: str, was_tried: bool = True) -> Rig:

@@ -31,6 +31,10 @@ RIGS: dict[str, Rig] = {
 }
 
 
+DOLLS = ("kaykit",)
+"""Rigs of characters that do not have the proportions of a person."""
+
+
 def rig_joint_names(names: JointNames) -> tuple[str, ...]:
     """Returns what the joints of HumanML3D are called in a rig, in their order."""
     table = {joint: spellings[0] for joint, spellings in RIGS[names].sources}
@@ -39,18 +43,29 @@ def rig_joint_names(names: JointNames) -> tuple[str, ...]:
     return tuple(prefix + table[joint] for joint in HUMANML3D.joint_names)
 
 
+def find_table(joint_names: Sequence[str]) -> Rig | None:
+    """Returns the first named rig whose joints are all in `joint_names`, None if there is none."""
+    # In the order of the tables, those that were tried first: several rigs may fit, as Mixamo's names are widespread.
+    complete = (rig for rig in RIGS.values() if len(match_rig(rig, joint_names)) == len(rig.sources))
+    return next(complete, None)
+
+
 def detect_rig(joint_names: Sequence[str]) -> Rig:
     """Returns the first named rig whose joints are all in `joint_names`.
 
     Raises:
         UserError: There is none.
     """
-    # In the order of the tables, those that were tried first: several rigs may fit, as Mixamo's names are widespread.
-    complete = [rig for rig in RIGS.values() if len(match_rig(rig, joint_names)) == len(rig.sources)]
-    if not complete:
-        shown = ", ".join(joint_names[:6])
-        raise UserError(
-            f"no known rig has its joints ({shown}, ...); `t2m data rig FILE` writes the best guess of a table, "
-            "to be checked and given as --rig"
-        )
-    return complete[0]
+    found = find_table(joint_names)
+    if found is None:
+        raise UserError(refusal(joint_names))
+    return found
+
+
+def refusal(joint_names: Sequence[str], missing: Sequence[str] = ()) -> str:
+    """Returns why joints are not read, and what to do."""
+    lacks = f", and {', '.join(missing)} were not recognized" if missing else ""
+    return (
+        f"no known rig has its joints ({', '.join(joint_names[:6])}, ...){lacks}; `t2m data rig FILE` writes the best "
+        "guess of a table, to be checked and given as --rig"
+    )

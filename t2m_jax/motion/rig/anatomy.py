@@ -1,0 +1,188 @@
+"""The joints of a person in a hierarchy that no table knows: found by names, and by how a body is built."""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from t2m_jax.motion.rig.words import JointWords, read_names
+from t2m_jax.motion.skeleton import HUMANML3D
+
+LEG = ("hip", "knee", "ankle")
+ARM = ("shoulder", "elbow", "wrist")
+MAX_LIMB = 16
+"""Most joints of one line from the trunk to a tip that are compared."""
+MIN_TIP = 0.05
+"""A joint that is nearer than this part of the shin or of the spine to the one before it is at the same place."""
+_SPINE_PLACES = {
+    name: float(place)
+    for name, place in zip(
+        ("spine1", "spine2", "spine3"),
+        np.cumsum([HUMANML3D.bone_lengths[joint] for joint in (3, 6, 9)])
+        / sum(HUMANML3D.bone_lengths[joint] for joint in (3, 6, 9, 12)),
+        strict=True,
+    )
+}
+"""Parts of the way from the pelvis to the neck."""
+
+
+class Bones(NamedTuple):
+    """A hierarchy with what its names say. Joints come after their parents."""
+
+    names: Sequence[str]
+    offsets: Float[np.ndarray, "J 3"]
+    """Each joint in its parent's frame, in any unit."""
+    words: Sequence[JointWords]
+    lines: Sequence[Sequence[int]]
+    """The joints from the root to each joint."""
+    reaches: Float[np.ndarray, " J"]
+    """Length of the bones from the root to each joint."""
+
+    def length(self, above: int, below: int) -> float:
+        """Returns the length of the bones from a joint to one below it."""
+        return float(self.reaches[below] - self.reaches[above])
+
+    def meeting(self, *joints: int) -> int:
+        """Returns the last joint that is above all of these, or is one of them."""
+        levels = zip(*(self.lines[joint] for joint in joints), strict=False)
+        return [level[0] for level in levels if len(set(level)) == 1][-1]
+
+    def below(self, joint: int) -> list[int]:
+        """Returns the joints below a joint."""
+        return [other for other, line in enumerate(self.lines) if joint in line[:-1]]
+
+
+class Limb(NamedTuple):
+    """The three joints of a limb that bends."""
+
+    score: float
+    joints: tuple[int, int, int]
+
+
+def make_bones(names: Sequence[str], parents: Sequence[int], offsets: Float[np.ndarray, "J 3"]) -> Bones:
+    """Returns the hierarchy with what its names say."""
+    offsets = np.asarray(offsets, np.float64)
+    lengths = np.linalg.norm(offsets, axis=1)
+    lines: list[list[int]] = []
+    reaches = np.zeros(len(parents))
+    for joint, parent in enumerate(parents):
+        lines.append([*(lines[parent] if parent >= 0 else []), joint])
+        reaches[joint] = reaches[parent] + lengths[joint] if parent >= 0 else 0.0
+    return Bones(names, offsets, read_names(names), lines, reaches)
+
+
+def find_joints(bones: Bones) -> dict[str, int]:
+    """Returns the joints of HumanML3D that were recognized; those that the hierarchy lacks are left out.
+
+    A limb is three joints of one side, one below the other, whose names mean its parts and whose two bones have about
+    the same length. The pelvis is where the legs meet, the chest where the arms do, and the spine is between them.
+    """
+    found: dict[str, int] = {}
+    limbs: dict[str, Limb] = {}
+    for side, (kind, roles) in itertools.product(("left", "right"), (("leg", LEG), ("arm", ARM))):
+        limb = max(_limbs(bones, side, roles), default=None, key=lambda one: one.score)
+        if limb is not None:
+            limbs[f"{side}_{kind}"] = limb
+            found |= {f"{side}_{role}": joint for role, joint in zip(roles, limb.joints, strict=True)}
+    for side in ("left", "right"):
+        if f"{side}_leg" in limbs and (toe := _toe(bones, limbs[f"{side}_leg"], side)) is not None:
+            found[f"{side}_foot"] = toe
+    if {"left_hip", "right_hip"} <= found.keys():
+        found["pelvis"] = bones.meeting(found["left_hip"], found["right_hip"])
+    if "pelvis" in found and {"left_shoulder", "right_shoulder"} <= found.keys():
+        _add_trunk(bones, found)
+    return found
+
+
+def _limbs(bones: Bones, side: str, roles: tuple[str, str, str]) -> Iterator[Limb]:
+    """Yields what may be a leg or an arm of a side."""
+    own = {joint for joint, words in enumerate(bones.words) if words.side == side and not words.is_helper}
+    for end in own:
+        if roles[2] not in bones.words[end].parts:
+            continue
+        above = [joint for joint in bones.lines[end][:-1] if joint in own][-MAX_LIMB:]
+        for first, second in itertools.combinations(above, 2):
+            chosen = (first, second, end)
+            evidence = [bones.words[joint].parts.get(role, 0.0) for joint, role in zip(chosen, roles, strict=True)]
+            upper, lower = bones.length(first, second), bones.length(second, end)
+            # One of the upper joints may have a name that is not known, but not both.
+            if max(evidence[:2]) > 0 and min(upper, lower) > 0:
+                # A bone that is half as long as the other costs as much as a clear name gives.
+                yield Limb(sum(evidence) - 3 * abs(float(np.log(upper / lower))), chosen)
+
+
+def _toe(bones: Bones, leg: Limb, side: str) -> int | None:
+    """Returns the joint at the ball of a foot, or the tip of a foot without one; None without anything there."""
+    _, knee, ankle = leg.joints
+    shin = bones.length(knee, ankle)
+
+    def rank(joint: int) -> tuple[float, float, int, float]:
+        words = bones.words[joint]
+        toe = 0.0 if words.is_helper else words.parts.get("foot", 0.0) + 0.5 * words.parts.get("ankle", 0.0)
+        # Of five toes, the one that reaches farthest is in the middle of the foot.
+        return (toe, -float(words.is_helper), -len(bones.lines[joint]), bones.length(ankle, joint))
+
+    far = [
+        joint
+        for joint in bones.below(ankle)
+        if bones.words[joint].side in ("", side) and bones.length(ankle, joint) > MIN_TIP * shin
+    ]
+    return max(far, key=rank, default=None)
+
+
+def _add_trunk(bones: Bones, found: dict[str, int]) -> None:
+    """Adds spine, neck, head and collars."""
+    chest = bones.meeting(found["left_shoulder"], found["right_shoulder"])
+    head = _head(bones, chest)
+    if head is not None:
+        above = bones.lines[head][bones.lines[head].index(chest) + 1 : -1]
+        necks = [joint for joint in above if "neck" in bones.words[joint].parts] or above
+        # A neck of length zero only marks the end of the chest. Without a neck, the head begins there.
+        long = [joint for joint in necks if np.any(bones.offsets[joint] != 0)]
+        found["neck"] = (long or necks or [head])[0]
+        if found["neck"] != head:
+            found["head"] = head
+    for side in ("left", "right"):
+        line = bones.lines[found[f"{side}_shoulder"]]
+        between = [joint for joint in line[line.index(chest) + 1 : -1] if not bones.words[joint].is_helper]
+        named = [joint for joint in between if "collar" in bones.words[joint].parts]
+        if between:
+            found[f"{side}_collar"] = (named or between)[-1]
+    _add_spine(bones, found, chest)
+
+
+def _head(bones: Bones, chest: int) -> int | None:
+    """Returns the head, or the last joint of a neck that ends without one."""
+    plain = [joint for joint in bones.below(chest) if not (bones.words[joint].side or bones.words[joint].is_helper)]
+    for part, place in (("head", 0), ("neck", -1)):
+        named = [joint for joint in plain if part in bones.words[joint].parts]
+        clearest = max((bones.words[joint].parts[part] for joint in named), default=0.0)
+        if named:
+            return [joint for joint in named if bones.words[joint].parts[part] == clearest][place]
+    return None
+
+
+def _add_spine(bones: Bones, found: dict[str, int], chest: int) -> None:
+    """Adds the joints of the spine that are nearest to where the template has them. The arms are at the last."""
+    top, pelvis = found.get("neck", chest), found["pelvis"]
+    # The spine may begin beside the pelvis, at a joint above both.
+    start = bones.meeting(top, pelvis)
+    line = bones.lines[top]
+    inner = [joint for joint in line[line.index(start) + 1 :] if joint not in (found.get("neck"), pelvis)]
+    whole = bones.length(start, top)
+    if not inner or whole <= 0:
+        return
+    at = {joint: bones.length(start, joint) / whole for joint in inner}
+    roles = list(_SPINE_PLACES)
+    if chest in inner:
+        found[roles.pop()] = chest
+        inner = inner[: inner.index(chest)]
+    inner = [joint for joint in inner if at[joint] > MIN_TIP][:MAX_LIMB]
+    count = min(len(inner), len(roles))
+    chosen = min(
+        itertools.product(itertools.combinations(roles, count), itertools.combinations(inner, count)),
+        key=lambda pair: sum(abs(at[joint] - _SPINE_PLACES[role]) for role, joint in zip(*pair, strict=True)),
+    )
+    found.update(zip(*chosen, strict=True))

@@ -1,0 +1,108 @@
+"""What the names of joints say: the side, and the parts of a body that a name may mean."""
+
+import dataclasses
+import functools
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from t2m_jax.yaml_file import load_yaml
+
+MOST = 0.6
+"""A word in more than this share of the names says nothing of a joint, such as `Bip01` or `mixamorig`."""
+MAX_NAME = 200
+"""Letters of a name that are read, after its namespace. What follows in a longer one says nothing of a joint."""
+MAX_BEGINNING = 40
+"""Longest beginning that is searched."""
+_SIDES = {"l": "left", "left": "left", "lft": "left", "r": "right", "right": "right", "rgt": "right", "rt": "right"}
+_LONG_SIDES = ("left", "right")
+
+
+@dataclasses.dataclass(frozen=True)
+class JointWords:
+    """What one name says."""
+
+    side: str
+    """`left`, `right`, or nothing."""
+    parts: Mapping[str, float]
+    """Parts of the body -> how clearly the name means them, up to 2."""
+    is_helper: bool
+    """Whether it is no joint of the 22: a finger, a twist, an eye, a control."""
+    is_animal: bool
+    """Whether people do not have it: a tail, a wing."""
+
+
+@functools.cache
+def _vocabulary() -> dict[str, dict[str, float]]:
+    """Returns what each word means: parts with weights, from `words.yaml`."""
+    found: dict[str, dict[str, float]] = {}
+    for part, weights in load_yaml(Path(__file__).with_name("words.yaml")).data.items():
+        for weight, words in weights.items():
+            for word in str(words).split():
+                found.setdefault(word, {})[part] = float(weight)
+    return found
+
+
+def read_names(joint_names: Sequence[str]) -> list[JointWords]:
+    """Returns what each name says. Words and beginnings that most names share are left out."""
+    short = _without_shared_beginning([name.rpartition(":")[2][:MAX_NAME] for name in joint_names])
+    words = [[word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", name)] for name in short]
+    uses = Counter(word for parts in words for word in set(parts))
+    # The hands of a figure with all fingers are in most names, too.
+    common = {word for word, count in uses.items() if count > MOST * len(words)} - _SIDES.keys() - _vocabulary().keys()
+    return [_read(tuple(word for word in parts if word not in common) or tuple(parts)) for parts in words]
+
+
+def _without_shared_beginning(names: Sequence[str]) -> list[str]:
+    """Returns names without what most of them begin with, up to a digit or a sign (`Bip01`, `Character1_`)."""
+    counts = Counter(
+        name[:length]
+        for name in names
+        for length in range(1, min(len(name), MAX_BEGINNING))
+        if not name[length - 1].isalpha()
+    )
+    shared = max((text for text, count in counts.items() if count > MOST * len(names)), key=len, default="")
+    return [name.removeprefix(shared) for name in names]
+
+
+@functools.lru_cache(maxsize=4096)
+def _read(words: tuple[str, ...]) -> JointWords:
+    """Returns what a name of these words says; sides are words, or the beginning or the end of the whole name."""
+    letters = tuple(word for word in words if not word.isdigit())
+    sides = [word for word in letters if word in _SIDES]
+    rest = tuple(word for word in letters if word not in _SIDES)
+    side = _SIDES[sides[0]] if sides else ""
+    if not side and rest:
+        side, rest = _fused_side(rest)
+    known = _vocabulary()
+    parts: dict[str, float] = {}
+    whole = "".join(rest)
+    # The whole name says most (`upperleg`), then its last two words (`my_lower_arm`), its last, and any other.
+    for text, weight in ((whole, 1.0), ("".join(rest[-2:]), 0.8), (rest[-1] if rest else "", 0.7)):
+        if text in known and not parts:
+            parts = {part: value * weight for part, value in known[text].items()}
+    meanings = [known.get(word, {}) for word in (whole, *rest)]
+    if not parts:
+        parts = {part: value * 0.5 for meaning in meanings for part, value in meaning.items()}
+    marks = {mark for meaning in meanings for mark in meaning if mark in ("helper", "animal")}
+    own = {part: value for part, value in parts.items() if part not in ("helper", "animal")}
+    return JointWords(side, own, "helper" in marks, "animal" in marks and "helper" not in marks)
+
+
+def _fused_side(words: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
+    """Returns the side in a name without signs, such as `leftarm`, `lthigh` or `armR`, and the words without it."""
+    known, whole = _vocabulary(), "".join(words)
+    if whole in known:
+        return "", words
+    for side in _LONG_SIDES:
+        for rest in (whole.removeprefix(side), whole.removesuffix(side)):
+            if rest and rest != whole:
+                return side, (rest,)
+    for letter, side in (("l", "left"), ("r", "right")):
+        for text, others in ((words[0], words[1:]), (words[-1], words[:-1])):
+            at_start = others == words[1:]
+            rest = text.removeprefix(letter) if at_start else text.removesuffix(letter)
+            if rest != text and (rest in known or "".join((rest, *others) if at_start else (*others, rest)) in known):
+                return side, (rest, *others) if at_start else (*others, rest)
+    return "", words
