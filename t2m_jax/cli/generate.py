@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from t2m_jax.cli.options import add_model_argument, add_record, read_record, show_next
+from t2m_jax.cli.options import add_model_argument, add_record, add_rig_argument, read_record, show_next
 from t2m_jax.cli.view import add_file_arguments, file_options
 from t2m_jax.errors import UserError, one_line
 
@@ -31,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--then", action="append", metavar="TEXT", help="a sentence that follows; can be repeated")
     add_model_argument(parser)
     add_record(parser, MotionRequest, left_out=("captions", "strategy"))
+    add_rig_argument(parser, "the file of --from")
     add_record(parser, Changes)
     add_file_arguments(parser)
     formats = ".npz .bvh .glb .gif .mp4 .png or .html"
@@ -90,7 +91,9 @@ def _requests(args: argparse.Namespace) -> "Iterator[MotionRequest]":
 
     if args.then and len(args.text) > 1:
         raise UserError(f"--then: follows one sentence, not {len(args.text)}; use it for each further sentence")
-    start = None if args.start is None else load_motion(args.start)
+    if args.rig is not None and args.start is None:
+        raise UserError(f"--rig {args.rig}: is for a file to go on from; add --from FILE")
+    start = None if args.start is None else load_motion(args.start, rig=args.rig)
     for text in args.text:
         yield read_record(MotionRequest, args, captions=(text, *(args.then or ())), start=start)
 

@@ -107,6 +107,12 @@ def add_model_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", default="demo", help=f"{text} (default: demo)")
 
 
+def add_rig_argument(parser: argparse.ArgumentParser, files: str) -> None:
+    """Declares the rig of files that are read."""
+    text = f"rig of {files}: a name, or a table as `t2m data rig` writes it (default: recognized from the joints)"
+    parser.add_argument("--rig", metavar="TABLE", help=text)
+
+
 def positive(text: str) -> int:
     """Returns the number of an option that counts things, at least 1."""
     if not text.isdecimal() or int(text) < 1:

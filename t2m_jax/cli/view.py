@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import get_args
 
-from t2m_jax.cli.options import add_record, read_record, show_next
+from t2m_jax.cli.options import add_record, add_rig_argument, read_record, show_next
 from t2m_jax.errors import UserError
 
 FILE_OPTIONS = ("names", "units")
@@ -25,6 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="motions to read: .npz, .bvh, .glb, .amc, or .npy of a data set; several are shown side by side",
     )
     parser.add_argument("--animation", metavar="NAME", help="animation to read from a .glb file that has several")
+    add_rig_argument(parser, "the .bvh, .glb and .amc files")
     add_record(parser, Changes)
     add_file_arguments(parser)
     files = "file to write: .html, .gif, .mp4, .png, .bvh, .glb or .npz; can be repeated"
@@ -70,12 +71,13 @@ def run(args: argparse.Namespace) -> None:
     changes = read_record(Changes, args)
     options = {output: file_options(output, args, args.outputs) for output in args.outputs}
     with claim(args.outputs):
-        motions = [changes.apply(load_motion(path, animation=args.animation)) for path in args.files]
+        motions = [changes.apply(load_motion(path, animation=args.animation, rig=args.rig)) for path in args.files]
         for output in args.outputs:
             save_motions(output, motions, **options[output])
             print(output)
-    # The next command must read the same animation.
-    chosen = [] if args.animation is None else ["--animation", args.animation]
+    # The next command must read the same animation with the same rig.
+    given = {"--animation": args.animation, "--rig": args.rig}
+    chosen = [part for pair in given.items() if pair[1] is not None for part in pair]
     again = ["t2m", "view", *map(str, args.files), *chosen]
     pages = [output for output in args.outputs if output.suffix == ".html"]
     show_next(f"open {pages[0]} in a browser" if pages else f"{shlex.join(again)} -o motion.html")

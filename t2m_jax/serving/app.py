@@ -245,8 +245,9 @@ class _Server:
         """Answers with what the page shows of a motion file."""
         fields = schema.read_parameters(schema.SceneParameters, dict(request.query_params))
         suffix = fields.get("format", "npz")
+        rig = fields.pop("rig", None)
         changes = record_from(Changes, fields)
-        return JSONResponse(await self._in_process(open_file, await body_of(request), suffix, changes))
+        return JSONResponse(await self._in_process(open_file, await body_of(request), suffix, changes, rig))
 
     async def _in_process(self, function: Callable[..., Any], *args: Any) -> Any:
         """Returns what a function returns in a process of its own, which is killed if it takes too long."""

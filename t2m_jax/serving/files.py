@@ -5,6 +5,7 @@ All of it runs in a process of its own (see `app`): files of strangers are read 
 
 import base64
 import io
+import os
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ from t2m_jax.export.npz import write_npz
 from t2m_jax.motion.changes import Changes
 from t2m_jax.motion.formats import format_options, load_motion, save_motions
 from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.rig.tables import RIGS
 from t2m_jax.serving import schema
 
 LONGEST_PICTURES = 4 * schema.LIMITS["seconds"]["le"]
@@ -46,27 +48,36 @@ def make_file(inputs: Sequence[bytes], options: schema.FileOptions) -> bytes:
         return path.read_bytes()
 
 
-def open_file(data: bytes, suffix: str, changes: Changes) -> schema.OpenedFile:
-    """Returns what the page shows of a motion file.
+def open_file(data: bytes, suffix: str, changes: Changes, rig: str | None = None) -> schema.OpenedFile:
+    """Returns what the page shows of a motion file. For `rig`, see `read_motion`.
 
     Raises:
         UserError: The file cannot be read or changed.
     """
-    motion = changes.apply(read_motion(data, suffix))
+    motion = changes.apply(read_motion(data, suffix, rig))
     return {"scene": cast(schema.SceneData, scene_record([motion])), "motion": motion_record(motion)}
 
 
-def read_motion(data: bytes, suffix: str) -> Motion:
+def read_motion(data: bytes, suffix: str, rig: str | None = None) -> Motion:
     """Returns the motion in the bytes of a file.
+
+    Args:
+        data: The file.
+        suffix: Its format.
+        rig: Name of its rig, or the text of a table; never a path, because users may not read files of the server.
 
     Raises:
         UserError: There is none, or it is too long. The message does not say where the file was.
     """
     with motion_file(data, suffix) as path:
+        table = path.with_name("rig.yaml")
+        if rig is not None and rig not in RIGS:
+            table.write_text(rig, encoding="utf-8")
+            rig = str(table)
         try:
-            motion = load_motion(path)
+            motion = load_motion(path, rig=rig)
         except UserError as error:
-            raise UserError(str(error).replace(str(path), path.name)) from None
+            raise UserError(str(error).replace(f"{path.parent}{os.sep}", "")) from None
     if motion.seconds > schema.MAX_TOTAL_SECONDS:  # at another frame rate, it could fill the memory
         most = f"at most {schema.MAX_TOTAL_SECONDS:g} are read"
         raise UserError(f"motion.{suffix}: has {motion.seconds:g} seconds; {most}")

@@ -125,7 +125,13 @@ FileParameters = make_model(
     "FileParameters", FileOptions, {"format": (Literal[motion_formats()], "npz", "Format of the file."), "path": _PATH}
 )
 SceneParameters = make_model(
-    "SceneParameters", Changes, {"format": (InputFormat, "npz", "Format of the body."), "path": _PATH}
+    "SceneParameters",
+    Changes,
+    {
+        "format": (InputFormat, "npz", "Format of the body."),
+        "path": _PATH,
+        "rig": (str | None, None, "Name of the file's rig, or the text of a table. By default, joints are recognized."),
+    },
 )
 
 

@@ -13,6 +13,7 @@ from t2m_jax.motion.formats import load_motion, motion_formats
 from t2m_jax.serving.files import make_file, motion_file, open_file
 from t2m_jax.serving.schema import SEVERAL, FileOptions, decode_base64
 from tests.export.conftest import nasty, walk  # noqa: F401 - fixtures
+from tests.motion.rig.foreign import nameless, nameless_table  # noqa: F401 - fixtures
 
 SIGNATURES = {
     "npz": b"PK",
@@ -101,6 +102,19 @@ def test_a_motion_that_lasts_for_days_is_refused(walk):  # noqa: F811
     for action in (lambda: make_file([slow], FileOptions(changes=changes)), lambda: open_file(slow, "npz", changes)):
         with pytest.raises(UserError, match=r"^motion\.npz: has 8e\+07 seconds; at most 600 are read"):
             action()
+
+
+def test_a_table_of_joints_comes_with_its_file(nameless, nameless_table):  # noqa: F811
+    data, expected = nameless.read_bytes(), load_motion(nameless, rig=str(nameless_table))
+    with pytest.raises(UserError, match=r"^motion\.bvh: no known rig has its joints"):
+        open_file(data, "bvh", Changes())
+    found = open_file(data, "bvh", Changes(), nameless_table.read_text())
+    assert found["motion"]["frames"] == expected.num_frames
+    with pytest.raises(UserError, match=r"^motion\.bvh: rig mixamo: the file has no joint"):
+        open_file(data, "bvh", Changes(), "mixamo")
+    # A path is the text of a table, not a file of the server.
+    with pytest.raises(UserError, match=r"^rig\.yaml"):
+        open_file(data, "bvh", Changes(), str(nameless_table))
 
 
 @pytest.mark.parametrize("data", [b"", b"PK\x03\x04", b"HIERARCHY", b"x" * 100])

@@ -6,30 +6,36 @@ import { makeTake } from "./session.js";
 
 export function listenForFiles(model, onOpen) {
   const input = find("file-input");
-  const open = async (file) => {
+  const open = async (files) => {
     clearMessage();
+    // A table of joints is chosen together with its motion file.
+    const table = files.find(isTable);
+    const file = files.find((one) => one !== table) ?? table;
     try {
-      onOpen(await readTake(file, model));
+      onOpen(await readTake(file, file === table ? undefined : table, model));
     } catch (error) {
       showMessage(error instanceof ServerError ? error.message : `${file.name}: ${error.message}`);
     }
   };
   find("open-file").addEventListener("click", () => input.click());
   input.addEventListener("change", () => {
-    if (input.files[0]) open(input.files[0]);
+    if (input.files[0]) open([...input.files]);
     input.value = ""; // so that the same file can be opened again
   });
   listenForDrops(open);
 }
 
-async function readTake(file, model) {
+const isTable = (file) => /\.ya?ml$/i.test(file.name);
+
+async function readTake(file, table, model) {
   const formats = model.fields.scene.format.enum;
   const format = file.name.split(".").pop().toLowerCase();
+  if (isTable(file)) throw new ServerError(`${file.name}: is a table of joints; open it together with its motion file`);
   if (!formats.includes(format)) throw new ServerError(`${file.name}: is not a motion file; open .${formats.join(", .")}`);
   if (file.size > model.body_bytes) {
     throw new ServerError(`${file.name}: has more than ${Math.round(model.body_bytes / 2 ** 20)} MB`);
   }
-  const { scene, motion } = await readMotion(await file.arrayBuffer(), { format });
+  const { scene, motion } = await readMotion(await file.arrayBuffer(), table ? { format, rig: await table.text() } : { format });
   return makeTake({ kind: "file", request: { seed: motion.seed, name: file.name }, scene, motions: [motion] });
 }
 
@@ -48,6 +54,6 @@ function listenForDrops(open) {
     if (!hasFile(event)) return;
     event.preventDefault();
     hint.hidden = true;
-    open(event.dataTransfer.files[0]);
+    open([...event.dataTransfer.files]);
   });
 }

@@ -4,7 +4,11 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import pytest
 
+from t2m_jax.motion.bvh import save_bvh
+from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.rig.tables import rig_joint_names
 from t2m_jax.motion.rotations import euler_from_matrix, unit_vectors
 from t2m_jax.motion.skeleton import HUMANML3D
 from tests.motion.figures import walking_positions
@@ -108,3 +112,25 @@ def bvh_of(
         columns.append(np.rad2deg(euler_from_matrix(turns, "ZYX")))
     rows = [" ".join(f"{value:.5f}" for value in row) for row in np.concatenate(columns, axis=1)]
     return "\n".join([*lines, "MOTION", f"Frames: {len(rows)}", "Frame Time: 0.05", *rows]) + "\n"
+
+
+@pytest.fixture
+def nameless(tmp_path):
+    """A BVH file whose names say nothing: q0, q1, ..."""
+    path = tmp_path / "nameless.bvh"
+    save_bvh(path, Motion(positions=walking_positions(5), fps=20.0))
+    lines = path.read_text().split("\n")
+    for number, line in enumerate(lines):
+        word, _, name = line.strip().partition(" ")
+        if word in ("ROOT", "JOINT"):
+            lines[number] = f"{word} q{rig_joint_names('lafan1').index(name)}"
+    path.write_text("\n".join(lines))
+    return path
+
+
+@pytest.fixture
+def nameless_table(tmp_path):
+    """The table of `nameless`."""
+    path = tmp_path / "table.yaml"
+    path.write_text("".join(f"{role}: q{number}\n" for number, role in enumerate(ROLES)))
+    return path

@@ -1,0 +1,33 @@
+"""Files whose joints are not recognized, with a table of the user."""
+
+import numpy as np
+import pytest
+
+from t2m_jax.cli.main import main
+from t2m_jax.motion.formats import load_motion
+from tests.motion.figures import walking_positions
+from tests.motion.rig.foreign import nameless, nameless_table  # noqa: F401 - fixtures
+
+
+def test_view_takes_a_table(nameless, nameless_table, tmp_path, capsys):  # noqa: F811
+    output = tmp_path / "walk.npz"
+    assert main(["view", str(nameless), "-o", str(output)]) == 2
+    assert "nameless.bvh: no known rig has its joints (q0, q1" in capsys.readouterr().err
+    assert main(["view", str(nameless), "--rig", str(nameless_table), "-o", str(output)]) == 0
+    assert np.abs(load_motion(output).positions - walking_positions(5)).max() < 0.05
+    assert f"--rig {nameless_table}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--rig", "mixamo"], "--rig mixamo: is for a file to go on from; add --from FILE"),
+        (["--from", "FILE", "--rig", "mixamo"], 'rig mixamo: the file has no joint "Hips" for pelvis'),
+        (["--from", "FILE", "--rig", "none.yaml"], "none.yaml: no such config file"),
+        (["--from", "FILE"], "no known rig has its joints (q0, q1"),
+    ],
+)
+def test_generate_reads_the_file_to_go_on_from_with_a_table(nameless, capsys, arguments, says):  # noqa: F811
+    given = [str(nameless) if one == "FILE" else one for one in arguments]
+    assert main(["generate", "a person waves", *given]) == 2
+    assert says in capsys.readouterr().err
