@@ -22,10 +22,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         type=Path,
         metavar="FILE",
-        help="motions to read: .npz, .bvh, .glb, .amc, or .npy of a data set; several are shown side by side",
+        help="motions to read: .npz, .bvh, .glb, .vrma, .amc, or .npy of a data set; several are shown side by side",
     )
     parser.add_argument("--animation", metavar="NAME", help="animation to read from a .glb file that has several")
-    add_rig_argument(parser, "the .bvh, .glb and .amc files")
+    add_rig_argument(parser, "files with other joints")
     add_record(parser, Changes)
     add_file_arguments(parser)
     files = "file to write: .html, .gif, .mp4, .png, .bvh, .glb or .npz; can be repeated"

@@ -4,7 +4,6 @@ import dataclasses
 import logging
 from collections.abc import Sequence
 from pathlib import Path
-from textwrap import shorten
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from t2m_jax.motion.amc import load_amc
 from t2m_jax.motion.bvh import load_bvh, save_bvh
 from t2m_jax.motion.bvh.writer import Units
 from t2m_jax.motion.features import positions_from_features
-from t2m_jax.motion.gltf import load_gltf
+from t2m_jax.motion.gltf import load_gltf_animation
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rig import RigClip, retarget
 from t2m_jax.motion.rig.orientation import Up, on_floor, sides_note
@@ -64,19 +63,14 @@ def load_amc_file(path: Path, *, rig: str | None = None) -> Motion:
 
 
 def load_glb_file(path: Path, *, animation: str | None = None, rig: str | None = None) -> Motion:
-    """Returns an animation of a GLB file by its name, with or without the armature's; without a name, the only one.
+    """Returns an animation of a GLB, VRM or VRMA file by its name; see `load_gltf_animation`.
 
     For `rig`, see `load_bvh_file`.
 
     Raises:
         UserError: The file is damaged or does not show a person, there are several animations, or none has this name.
     """
-    clips = load_gltf(path)
-    chosen = [(own, clip) for own, clip in clips.items() if animation in (None, own, own.rpartition("|")[2])]
-    if len(chosen) != 1:
-        wanted = "several animations" if animation is None else f"no animation {animation!r}"
-        raise UserError(f"{path}: has {wanted}; choose one of {shorten(', '.join(clips), 200, placeholder=' ...')}")
-    ((own, clip),) = chosen
+    own, clip = load_gltf_animation(path, animation)
     # glTF says that Y is up. Blender's export writes "armature|animation".
     return dataclasses.replace(_motion_of(path, clip, rig=rig, up="y"), caption=own.rpartition("|")[2])
 

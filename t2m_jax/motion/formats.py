@@ -25,7 +25,7 @@ def motion_formats() -> tuple[str, ...]:
 
 
 def load_motion(path: str | Path, *, animation: str | None = None, rig: str | None = None) -> Any:
-    """Returns the `Motion` of a file: `.npz`, `.bvh`, `.glb`, `.amc`, or a data set's `.npy` with joints or features.
+    """Returns the `Motion` of a file: `.npz`, `.bvh`, `.glb`, `.vrma`, `.amc`, or a data set's `.npy`.
 
     Args:
         path: The file.

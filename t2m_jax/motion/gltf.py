@@ -5,8 +5,9 @@ Scales are taken as equal along x, y and z and as constant, which they are in fi
 
 import json
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from textwrap import shorten
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,10 +15,12 @@ from jaxtyping import Float
 
 from t2m_jax.errors import UserError
 from t2m_jax.files.reading import first_line, reading
+from t2m_jax.motion.gltf_nodes import W_FIRST, Nodes, find_nodes
 from t2m_jax.motion.part_captions import checked_parts
 from t2m_jax.motion.resampling import MAX_FPS
 from t2m_jax.motion.rig.clip import RigClip
-from t2m_jax.motion.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
+from t2m_jax.motion.rig.recognition import in_human_size
+from t2m_jax.motion.rotations import matrix_from_quaternion, slerp
 from t2m_jax.motion.skeleton import HUMANML3D
 
 MAX_SECONDS = 3600.0
@@ -33,8 +36,6 @@ BINARY_CHUNK = 0x004E4942
 # Components of a type and NumPy's types of its numbers, by the numbers of OpenGL. Animations have no others.
 _SIZES = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 _TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5126: np.float32}
-_W_FIRST = [3, 0, 1, 2]
-"""glTF's quaternions are x, y, z, w."""
 
 
 class _GlbChunks(NamedTuple):
@@ -51,19 +52,6 @@ class _Keyframes(NamedTuple):
     interpolation: str
 
 
-class _Nodes(NamedTuple):
-    """The nodes that move the joints, parents first."""
-
-    names: tuple[str, ...]
-    parents: tuple[int, ...]
-    numbers: dict[int, int]
-    """Number in the file -> place in this table."""
-    translations: Float[np.ndarray, "J 3"]
-    rotations: Float[np.ndarray, "J 4"]
-    scales: Float[np.ndarray, " J"]
-    """Of each joint's parent and all nodes above it."""
-
-
 def load_gltf(path: Path | str, *, fps: float | None = None) -> dict[str, RigClip]:
     """Returns the animations of a GLB file by name. Equal names get a number.
 
@@ -75,34 +63,70 @@ def load_gltf(path: Path | str, *, fps: float | None = None) -> dict[str, RigCli
             other files 20, after a filter.
 
     Raises:
-        UserError: The file cannot be read, is damaged, or has no skin or no animation.
+        UserError: The file cannot be read, is damaged, or has no joints or no animation.
     """
-    path = Path(path)
+    return _load(Path(path), fps, lambda titles: titles)
+
+
+def load_gltf_animation(path: Path | str, animation: str | None = None) -> tuple[str, RigClip]:
+    """Returns one animation of a GLB file and its name; the others are not read.
+
+    Args:
+        path: The file.
+        animation: Its name, with or without the armature's; by default the only one.
+
+    Raises:
+        UserError: As for `load_gltf`, or there are several animations, or none has this name.
+    """
+
+    def choose(titles: list[str]) -> list[str]:
+        chosen = [title for title in titles if animation in (None, title, title.rpartition("|")[2])]
+        if len(chosen) != 1:
+            wanted = "several animations" if animation is None else f"no animation {animation!r}"
+            raise UserError(f"has {wanted}; choose one of {shorten(', '.join(titles), 200, placeholder=' ...')}")
+        return chosen
+
+    ((name, clip),) = _load(Path(path), None, choose).items()
+    return name, clip
+
+
+def _load(path: Path, fps: float | None, choose: Callable[[list[str]], list[str]]) -> dict[str, RigClip]:
+    """Returns the animations that a function chooses from all names."""
     with reading(path):
         data = path.read_bytes()
     try:
         glb = _split_chunks(data)
-        nodes = _find_nodes(glb.tree)
+        animations = _titles(glb.tree.get("animations", []))
+        if not animations:
+            raise UserError("has no animation")
+        nodes = find_nodes(glb.tree)
         # A length of 1 has another meaning only in files of this package.
         unit = 0.01 if _own_extra(glb.tree, glb.tree.get("asset", {}), "units") == "cm" else 1.0
         nodes = nodes._replace(scales=nodes.scales * unit)
         clips: dict[str, RigClip] = {}
         room = MAX_POSES
-        for number, animation in enumerate(glb.tree.get("animations", [])):
-            name = str(animation.get("name") or f"animation_{number}")
+        for title in choose(list(animations)):
+            animation = animations[title]
             with np.errstate(over="ignore", invalid="ignore"):  # what is too large is then found not to be finite
                 rate = fps or _own_rate(glb.tree, animation)
                 clip = _sample(glb, nodes, animation, fps=rate or DENSE_FPS, room=room)
-            clip = clip if rate else clip.resampled(HUMANML3D.fps)
+            clip = in_human_size(clip if rate else clip.resampled(HUMANML3D.fps))
             room -= clip.num_frames * len(nodes.names)
-            clips[name if name not in clips else f"{name}_{number}"] = clip
+            clips[title] = clip
     except UserError as error:
         raise UserError(f"{path}: {error}") from error
     except (LookupError, TypeError, ValueError, AttributeError, struct.error, RecursionError) as error:
         raise UserError(f"{path}: is not a correct GLB file ({first_line(error)})") from error
-    if not clips:
-        raise UserError(f"{path}: has no animation")
     return clips
+
+
+def _titles(animations: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
+    """Returns animations by names, of which no two are equal."""
+    found: dict[str, Mapping[str, Any]] = {}
+    for number, animation in enumerate(animations):
+        name = str(animation.get("name") or f"animation_{number}")
+        found[name if name not in found else f"{name}_{number}"] = animation
+    return found
 
 
 def _own_extra(tree: Mapping[str, Any], part: Mapping[str, Any], name: str) -> Any:
@@ -136,50 +160,7 @@ def _split_chunks(data: bytes) -> _GlbChunks:
     return _GlbChunks(tree, chunks.get(BINARY_CHUNK, b""))
 
 
-def _find_nodes(tree: Mapping[str, Any]) -> _Nodes:
-    """Returns the joints of all skins and the nodes above them."""
-    nodes = tree.get("nodes", [])
-    above = {child: number for number, node in enumerate(nodes) for child in node.get("children", [])}
-    wanted = {joint for skin in tree.get("skins", []) for joint in skin["joints"]}
-    if not wanted:
-        raise UserError("has no skin, so it is not known which of its nodes are joints")
-    # From each joint upwards to a node whose depth is known; without recursion, because a file may have any depth.
-    depths: dict[int, int] = {}
-    for joint in wanted:
-        line: list[int] = []
-        number: int | None = joint
-        while number is not None and number not in depths:
-            line.append(number)
-            number = above.get(number)
-            if len(line) > len(nodes):
-                raise ValueError("its nodes are their own parents")
-        start = -1 if number is None else depths[number]
-        depths |= {below: start + place for place, below in enumerate(reversed(line), start=1)}
-    order = sorted(depths, key=lambda number: (depths[number], number))
-    numbers = {number: place for place, number in enumerate(order)}
-    parents = tuple(numbers[above[number]] if number in above else -1 for number in order)
-    poses = [_rest_pose(nodes[number]) for number in order]
-    scales = np.ones(len(order))
-    for place, parent in enumerate(parents):
-        # Parents come first in this order, so their scale is known.
-        scales[place] = 1.0 if parent < 0 else scales[parent] * poses[parent][2]
-    names = tuple(str(nodes[number].get("name", f"node_{number}")) for number in order)
-    translations, rotations, _ = map(np.stack, zip(*poses, strict=True))
-    return _Nodes(names, parents, numbers, translations, rotations, scales)
-
-
-def _rest_pose(node: Mapping[str, Any]) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 4"], float]:
-    """Returns translation, rotation (w first) and scale of a node."""
-    if "matrix" in node:
-        matrix = np.array(node["matrix"], float).reshape(4, 4).T
-        scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
-        return matrix[:3, 3], quaternion_from_matrix(matrix[:3, :3] / scale).astype(float), scale
-    translation = np.array(node.get("translation", (0, 0, 0)), float).reshape(3)
-    rotation = np.array(node.get("rotation", (0, 0, 0, 1)), float).reshape(4)[_W_FIRST]
-    return translation, rotation, float(np.mean(np.array(node.get("scale", 1), float)))
-
-
-def _sample(glb: _GlbChunks, nodes: _Nodes, animation: Mapping[str, Any], *, fps: float, room: int) -> RigClip:
+def _sample(glb: _GlbChunks, nodes: Nodes, animation: Mapping[str, Any], *, fps: float, room: int) -> RigClip:
     """Returns one animation at `fps` frames per second, if it has at most `room` poses of joints."""
     tracks: dict[tuple[int, str], _Keyframes] = {}
     for channel in animation["channels"]:
@@ -211,6 +192,7 @@ def _sample(glb: _GlbChunks, nodes: _Nodes, animation: Mapping[str, Any], *, fps
         translations=(translations * nodes.scales[:, None]).astype(np.float32),
         fps=fps,
         metres_per_unit=1.0,
+        is_person=nodes.is_person,
         parts=checked_parts(*said, num_frames=len(times)),
     )
 
@@ -221,7 +203,7 @@ def _read_track(glb: _GlbChunks, sampler: Mapping[str, Any]) -> _Keyframes:
     values = _read_accessor(glb, sampler["output"])
     per_key = 3 if interpolation == "CUBICSPLINE" else 1
     if values.shape[1] == 4:
-        values = values[:, _W_FIRST]
+        values = values[:, W_FIRST]
     if not (len(times) and len(values) == per_key * len(times) and np.all(np.diff(times) >= 0)):
         raise ValueError("an animation has as many times as it has no values, or times that go back")
     return _Keyframes(times, values.reshape(len(times), per_key, -1), interpolation)

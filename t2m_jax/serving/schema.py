@@ -54,7 +54,7 @@ PYTHON_ONLY = ("strategy", "max_codes")
 """Fields that HTTP does not have: an object of Python, and a length of which each is a program of its own."""
 SEVERAL = ("glb", "html", "mp4", "gif", "png")
 """Formats that can contain several motions."""
-InputFormat = Literal["npz", "bvh", "glb"]
+InputFormat = Literal["npz", "bvh", "glb", "vrma"]
 
 
 def decode_base64(text: object) -> bytes:

@@ -46,7 +46,8 @@ from t2m_jax.train.log import _keep_rows
 from tests.bench.conftest import report as bench_report
 from tests.data.bvh_files import write_bvh
 from tests.motion.acclaim_files import write_acclaim
-from tests.motion.glb_files import write_person
+from tests.motion.glb_files import edited, name_bones, write_person
+from tests.motion.rig.test_retarget import BANDAI
 from tests.tiny import LOOP, random_bundle, random_evaluator, vqvae_training
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -85,6 +86,12 @@ def _make_motions(root: Path) -> None:
     walk.save(root / "motion.npz")
     walk.save(root / "own.glb")
     walk.save(root / "own.bvh")
+    # Joints that no table knows, and an animation without a skin.
+    (root / "foreign.bvh").write_text(
+        (root / "own.bvh").read_text().replace("Left", "char_L_").replace("Right", "char_R_")
+    )
+    vrm = write_person(root / "vrm.glb", BANDAI, {"quarter": 90.0})
+    edited(vrm, lambda tree: (tree.pop("skins"), name_bones(tree, "VRMC_vrm_animation")))
     np.save(root / "joints.npy", make_motion("walk", seed=1, num_frames=4).astype(np.float32))
 
 
@@ -118,6 +125,8 @@ FILES: Mapping[str, Callable[[Path], object]] = {
     "amc/02_01.amc": lambda root: load_amc(root / "amc" / "02_01.amc"),
     "asf/02.asf": lambda root: load_amc(root / "asf" / "02_01.amc"),
     "own.glb": lambda root: load_motion(root / "own.glb"),
+    "foreign.bvh": lambda root: load_motion(root / "foreign.bvh"),
+    "vrm.glb": lambda root: load_motion(root / "vrm.glb"),
     "own.bvh": lambda root: load_motion(root / "own.bvh"),
     "motion.npz": lambda root: load_motion(root / "motion.npz"),
     "joints.npy": lambda root: load_motion(root / "joints.npy"),

@@ -84,3 +84,39 @@ def write_person(path: Path, joints: dict, animations: dict[str, float], *, seco
             name, [(numbers[next(iter(joints))], "rotation", [0, seconds], about_y([0, degrees]), "LINEAR", "f4")]
         )
     return writer.save(path)
+
+
+BONES = {
+    "Hips": "hips", "Spine": "spine", "Chest": "chest", "Neck": "neck", "Head": "head",
+    "UpperLeg_{S}": "{side}UpperLeg", "LowerLeg_{S}": "{side}LowerLeg", "Foot_{S}": "{side}Foot",
+    "Toes_{S}": "{side}Toes", "Shoulder_{S}": "{side}Shoulder", "UpperArm_{S}": "{side}UpperArm",
+    "LowerArm_{S}": "{side}LowerArm", "Hand_{S}": "{side}Hand",
+}  # fmt: skip
+"""Joints of Bandai-Namco's rig -> bones of VRM."""
+
+
+def edited(path: Path, change) -> Path:
+    """Changes the JSON of a GLB file."""
+    data = path.read_bytes()
+    size = struct.unpack_from("<I", data, 12)[0]
+    tree = json.loads(data[20 : 20 + size])
+    change(tree)
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    rest = struct.pack("<II", len(text), 0x4E4F534A) + text + data[20 + size :]
+    path.write_bytes(struct.pack("<III", 0x46546C67, 2, 12 + len(rest)) + rest)
+    return path
+
+
+def name_bones(tree: dict, version: str) -> None:
+    """Makes a file of Bandai-Namco's rig a VRM file, whose nodes have names that say nothing."""
+    numbers = {node["name"]: number for number, node in enumerate(tree["nodes"])}
+    table = {
+        theirs.format(side=side): {"node": numbers[ours.format(S=side[:1].upper())]}
+        for side in ("left", "right")
+        for ours, theirs in BONES.items()
+    }
+    rows = [{"bone": bone} | place for bone, place in table.items()]
+    tree["extensions"] = {version: {"humanoid": {"humanBones": rows if version == "VRM" else table}}}
+    for number, node in enumerate(tree["nodes"]):
+        node["name"] = f"Tail_{number}"

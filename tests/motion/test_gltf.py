@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
+from t2m_jax.export.formats import load_glb_file
 from t2m_jax.motion import gltf
 from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.motion.rig import retarget
 from t2m_jax.motion.rig.tables import detect_rig
+from t2m_jax.motion.skeleton import HUMANML3D
 
-from .glb_files import GlbWriter, about_y, write_person
+from .glb_files import GlbWriter, about_y, edited, name_bones, write_person
 from .rig.test_retarget import BANDAI
 
 ARM = {"Root": (None, (0.0, 100.0, 0.0)), "Arm": ("Root", (50.0, 0.0, 0.0)), "Hand": ("Arm", (0.0, 0.0, 20.0))}
@@ -90,7 +92,12 @@ def broken(change):
     [
         (b"", "not a GLB file"),
         (b"{}" * 20, "not a GLB file"),
-        (broken(lambda tree: tree.pop("skins")), "no skin"),
+        (
+            broken(lambda tree: (tree.pop("skins"), tree["animations"][0]["channels"][0]["target"].pop("node"))),
+            "neither a skin nor an animation of a node",
+        ),
+        (broken(lambda tree: tree.update(extensions={"VRMC_vrm": {}})), "not a correct GLB"),
+        (broken(lambda tree: tree.update(extensions={"VRM": {"humanoid": {"humanBones": [3]}}})), "not a correct GLB"),
         (broken(lambda tree: tree.update(animations=[])), "no animation"),
         (broken(lambda tree: tree["nodes"][1].update(children=[0])), "their own parents"),
         (broken(lambda tree: tree["accessors"][0].update(count=10**9)), "not a correct GLB"),
@@ -144,3 +151,60 @@ def test_damaged_files_are_read_or_refused(tmp_path):
         except UserError:
             continue
         assert all(np.isfinite(clip.positions).all() for clip in clips.values())
+
+
+def test_a_file_with_only_an_animation_is_read_as_one_with_a_skin(tmp_path):
+    path = write_person(tmp_path / "person.glb", BANDAI, {"turn": 40.0})
+    expected = load_glb_file(path)
+    path = edited(path, lambda tree: tree.pop("skins"))
+    np.testing.assert_array_equal(load_glb_file(path).positions, expected.positions)
+
+
+@pytest.mark.parametrize("version", ["VRM", "VRMC_vrm", "VRMC_vrm_animation"])
+def test_bones_that_a_vrm_file_names_are_a_person_whatever_its_nodes_are_called(tmp_path, version):
+    path = write_person(tmp_path / "person.glb", BANDAI, {"turn": 40.0})
+    expected = load_glb_file(path)
+
+    path = edited(path, lambda tree: name_bones(tree, version))
+    np.testing.assert_allclose(load_glb_file(path).positions, expected.positions, atol=0.06)
+
+
+def test_a_vrm_animation_of_another_program(shared_data):
+    motion = load_glb_file(shared_data("foreign-files") / "foreign-files/three-vrm_test.vrma")
+    pose = dict(zip(HUMANML3D.joint_names, motion.positions[0], strict=True))
+    assert motion.num_frames == 61 and pose["pelvis"][1] == pytest.approx(0.85, abs=1e-3)
+    assert abs(motion.positions[..., 1].min()) < 0.01 and pose["left_hip"][0] > 0 > pose["right_hip"][0]
+    moving = np.ptp(motion.positions, axis=0).max(axis=-1) > 1e-3
+    assert [name for name, moves in zip(HUMANML3D.joint_names, moving, strict=True) if moves] == [
+        "right_elbow", "right_wrist"
+    ]  # fmt: skip
+
+
+def test_a_rig_without_an_animation_is_said(shared_data):
+    with pytest.raises(UserError, match=r"m2m_rig_human\.glb: has no animation$"):
+        load_glb_file(shared_data("foreign-files") / "foreign-files/m2m_rig_human.glb")
+
+
+def test_lengths_of_a_file_in_centimeters_are_meters(tmp_path, caplog):
+    caplog.set_level("INFO")
+    path = write_person(tmp_path / "person.glb", BANDAI, {"turn": 40.0})
+    expected = load_glb_file(path)
+    assert not caplog.text
+    path = edited(path, lambda tree: tree["nodes"][0].pop("scale"))
+    np.testing.assert_allclose(load_glb_file(path).positions, expected.positions, atol=1e-4)
+    assert "lengths are taken as centimeters" in caplog.text
+
+
+def test_only_the_animation_that_is_asked_for_is_read(tmp_path, monkeypatch):
+    path = write_person(tmp_path / "person.glb", BANDAI, {"a": 10.0, "Armature|b": 20.0, "c": 30.0})
+    read = []
+    sample = gltf._sample
+    monkeypatch.setattr(
+        gltf,
+        "_sample",
+        lambda glb, nodes, animation, **o: read.append(animation["name"]) or sample(glb, nodes, animation, **o),
+    )
+    assert load_glb_file(path, animation="b").caption == "b" and read == ["Armature|b"]
+    with pytest.raises(UserError, match=r"has several animations; choose one of a, Armature\|b, c"):
+        load_glb_file(path)
+    assert read == ["Armature|b"]

@@ -39,6 +39,8 @@ class RigClip:
     """Joint -> place of its End Site in its frame: the tip of a toe, a hand or the head."""
     parts: Parts = ()
     """Where each sentence begins, in files of this package."""
+    is_person: bool = False
+    """Whether the file itself says which of its joints are those of a person, as VRM files do."""
     notes: tuple[str, ...] = ()
     """What the reader had to assume, each a part of a sentence to show."""
 

@@ -1,5 +1,6 @@
 """The rig of a clip that nobody named: a known table, or what the names and the bones say."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -8,10 +9,13 @@ from jaxtyping import Float
 from t2m_jax.errors import UserError
 from t2m_jax.motion.rig.anatomy import Bones, find_joints, make_bones
 from t2m_jax.motion.rig.clip import MAX_JOINTS, RigClip
-from t2m_jax.motion.rig.person import leg_length
+from t2m_jax.motion.rig.person import COMMON_UNITS, STATURE_PER_LEG, leg_length, unit_from_leg
 from t2m_jax.motion.rig.rigs import OPTIONAL_JOINTS, Rig, match_rig
 from t2m_jax.motion.rig.tables import find_table, refusal
 from t2m_jax.motion.skeleton import HUMANML3D
+
+POSSIBLE_HEIGHTS = (0.4, 3.0)
+"""Heights in meters, by the length of legs, of figures in formats that are in meters by definition: dolls, giants."""
 
 
 def clip_bones(clip: RigClip) -> Bones:
@@ -31,6 +35,16 @@ def measure_leg(
     found: Mapping[str, int] = match_rig(table, names) if table else {}
     # A table may name joints of which the file has none.
     return leg_length(figure, found) or leg_length(figure, find_joints(figure))
+
+
+def in_human_size(clip: RigClip) -> RigClip:
+    """Returns a clip whose lengths should be meters; a figure that no person can be is scaled, and `notes` say it."""
+    leg = measure_leg(clip.joint_names, clip.parents, np.median(clip.translations, axis=0), None)
+    if leg == 0 or POSSIBLE_HEIGHTS[0] <= STATURE_PER_LEG * leg <= POSSIBLE_HEIGHTS[1]:
+        return clip
+    unit, said = unit_from_leg(leg)
+    said = said or f"lengths are taken as {COMMON_UNITS[unit]}"
+    return dataclasses.replace(clip.scaled(unit), notes=(*clip.notes, said))
 
 
 def recognize(clip: RigClip) -> Rig:

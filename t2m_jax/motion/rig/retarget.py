@@ -72,7 +72,7 @@ def find_rig(clip: RigClip, rig: RigLike | None) -> Rig:
     """
     if rig is None:
         found = find_table(clip.with_end_sites().joint_names) or recognize(clip)
-        if found.name not in DOLLS:
+        if not clip.is_person and found.name not in DOLLS:
             _check_is_person(clip, found)
         return found
     return resolve_rig(rig)
