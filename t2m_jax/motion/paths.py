@@ -1,6 +1,7 @@
 """Other paths over the ground for a motion: each frame is turned and moved as a whole, so its pose stays as it is."""
 
 import functools
+import logging
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -16,6 +17,8 @@ from t2m_jax.motion.features import gaussian_kernel
 from t2m_jax.motion.joining import HORIZONTAL, Clip
 from t2m_jax.motion.skeleton import Skeleton
 
+logger = logging.getLogger(__name__)
+
 SWAY_SECONDS = 0.4
 """Standard deviation of the Gaussian that smooths the path of the root, so that the sway of a step is not a turn."""
 LOOK_AHEAD = 0.25
@@ -28,6 +31,8 @@ SHARPEST_CORNER = 135.0
 """Degrees by which a path may turn at one point; a figure cannot turn back on the spot while it walks."""
 FARTHEST = 1000.0
 """Meters. A waypoint that is farther away is probably a mistake."""
+REACHED = 0.95
+"""A motion that travels this part of its path reaches the end."""
 SPLINE_STEP = 0.01
 """Length of the pieces of a curve through waypoints; meters."""
 
@@ -97,12 +102,24 @@ def turned_route(positions: Clip, degrees: float | int, *, fps: float) -> Route:
 def route_along(positions: Clip, waypoints: Sequence[Sequence[float | int]], *, fps: float) -> Route:
     """Returns a path through waypoints, as far as the motion travels. After the last one, it goes straight on.
 
+    A warning says how long a motion would have to be that does not reach the last one.
+
     Raises:
         UserError: The waypoints are not a path, or the motion does not travel.
     """
     points = check_waypoints(waypoints)
     old, way = _smooth_path(positions, fps)
     curve, curve_way = _curve(points, way[-1] + LOOK_AHEAD)
+    length = curve_way[-2]  # the last piece is the straight line after the path
+    if way[-1] < REACHED * length:
+        seconds = len(positions) / fps * length / way[-1]
+        logger.warning(
+            "path: it is %.1f m long, and the motion travels %.1f m, so its end is not reached; a motion of about "
+            "%.0f s would reach it",
+            length,
+            way[-1],
+            seconds,
+        )
     new = _at(curve, curve_way, way)
     headings = _headings(curve, curve_way, way)
     return Route(old, new, np.unwrap(headings - _headings(old, way, way)))

@@ -140,3 +140,13 @@ def test_motion_that_does_not_travel_has_no_path():
     for still in (make("wave-left-hand"), make()[:1]):
         with pytest.raises(UserError, match=r"path: the motion travels 0\.\d\d m; 0\.5 m or more are needed"):
             still.turned(90)
+
+
+def test_a_path_that_is_longer_than_the_motion_is_said(caplog):
+    motion = make()
+    travelled = float(np.linalg.norm(motion.positions[-1, 0, [0, 2]] - motion.positions[0, 0, [0, 2]]))
+    motion.along([(0, 0), (0, 0.9 * travelled)])
+    assert not caplog.text
+    motion.along([(0, 0), (0, 3 * travelled)])
+    assert f"path: it is {3 * travelled:.1f} m long" in caplog.text
+    assert f"a motion of about {3 * motion.seconds:.0f} s would reach it" in caplog.text

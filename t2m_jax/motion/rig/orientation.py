@@ -13,6 +13,8 @@ Up = Literal["auto", "y", "z"]
 
 UPRIGHT = 0.8
 """A figure stands along an axis if the line from its feet to its neck is this much along it (cosine)."""
+BENT = 0.4
+"""The same for a figure whose rest pose stands along this axis, and which may bend."""
 POP_SPEED = 3.0
 """A frame is a rest pose before the motion if the joints then move faster than this; meters per second."""
 POP_RATIO = 5.0
@@ -47,12 +49,17 @@ def find_up(positions: Float[np.ndarray, "T 22 3"], rest: Float[np.ndarray, "22 
         positions: The motion.
         rest: The pose without rotations, in which most figures stand.
     """
-    stands_y, stands_z = (float(np.mean(_upward(positions)[:, axis] > UPRIGHT)) for axis in (1, 2))
+    upward = _upward(positions)
+    stands_y, stands_z = (float(np.mean(upward[:, axis] > UPRIGHT)) for axis in (1, 2))
     rests_y, rests_z = (bool(_upward(rest[None])[0, axis] > UPRIGHT) for axis in (1, 2))
     # A rest pose that stands along Y settles it, also for a figure that lies in every frame.
     if rests_y or (stands_y > 0 and stands_y >= stands_z):
         return "y"
     if rests_z and stands_z > 0:
+        return "z"
+    # Somebody who crouches in a single pose still has the feet below the neck.
+    _, along_y, along_z = upward.mean(axis=0)
+    if rests_z and along_z > max(abs(along_y), BENT):
         return "z"
     return None if rests_z or stands_z > 0 else "y"
 
