@@ -46,6 +46,7 @@ from t2m_jax.train.tokenize import (
     add_rewordings,
     balanced_shares,
     check_tokenizer,
+    draw_captions,
     encode_clips,
     make_code_bank,
 )
@@ -125,6 +126,9 @@ class TrainGeneratorConfig(GeneratorStepConfig, ExperimentConfig):
     counts; composed motions are one label for each number of actions; motions without a label are one, too."""
     balance_limit: float = 10.0
     """How many times as often as the average a motion is drawn at most."""
+    max_captions: int = 0
+    """Captions of each motion that are learned, drawn once; 0 for all. Fewer take less time to read and less space on
+    disk with `text_encoder: sentence_states`."""
     rewordings: int = 0
     """Further wordings of each caption that are learned, made by rules: another subject, form of the verb, or article
     (`t2m_jax.text.rewording`). They help if there are few captions."""
@@ -149,7 +153,7 @@ class TrainGeneratorConfig(GeneratorStepConfig, ExperimentConfig):
             raise ValueError(f"balance: {self.balance} is not a power from 0 to 1")
         if not 1 <= self.balance_limit <= 1000:
             raise ValueError(f"balance_limit: {self.balance_limit} is not from 1 to 1000")
-        for name in ("patience", "rewordings"):
+        for name in ("patience", "rewordings", "max_captions"):
             if not 0 <= getattr(self, name) <= 1000:
                 raise ValueError(f"{name}: {getattr(self, name)} is not from 0 to 1000")
 
@@ -264,6 +268,7 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
     clips = dataset.clips("train", fraction=config.data_fraction)
     opened = open_text_encoder(config, resume=resume)  # first, because encoding the clips takes long
     motions = code_motions(config, clips, dataset, tokenizer)
+    motions = draw_captions(motions, count=config.max_captions, seed=config.loop.seed)
     motions = add_rewordings(motions, count=config.rewordings, seed=config.loop.seed)
     reader = make_caption_reader(config, motions, opened, resume=resume)
     bank = make_code_bank(motions, reader.read, shares=draw_shares(config, dataset, motions))

@@ -197,6 +197,19 @@ def _encode_shifted(
             progress.update(len(some))
 
 
+def draw_captions(motions: Sequence[CodedMotion], *, count: int, seed: int) -> list[CodedMotion]:
+    """Returns motions with at most `count` of their captions each, 0 for all."""
+    if not count:
+        return list(motions)
+    generator = np.random.default_rng([seed, zlib.crc32(b"captions")])
+
+    def drawn(captions: tuple[Caption, ...]) -> tuple[Caption, ...]:
+        chosen = generator.permutation(len(captions))[:count]
+        return tuple(captions[place] for place in sorted(chosen))
+
+    return [motion._replace(captions=drawn(motion.captions)) for motion in motions]
+
+
 def add_rewordings(motions: Sequence[CodedMotion], *, count: int, seed: int) -> list[CodedMotion]:
     """Returns motions with `count` further wordings of each of their captions."""
     generator = np.random.default_rng([seed, zlib.crc32(b"rewordings")])

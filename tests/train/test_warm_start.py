@@ -19,7 +19,7 @@ from t2m_jax.motion.normalizer import save_normalizer
 from t2m_jax.text.verbs import words_of
 from t2m_jax.train import TrainVqVaeConfig, train
 from t2m_jax.train.checks import fitting_weights
-from t2m_jax.train.tokenize import CodedMotion, add_rewordings
+from t2m_jax.train.tokenize import CodedMotion, add_rewordings, draw_captions
 from t2m_jax.train.warm_start import start_from_model
 from tests.tiny import LOOP, OPTIMIZER, VQVAE, gpt_training, vqvae_training
 
@@ -184,6 +184,16 @@ def test_training_ends_when_the_loss_was_not_lower_for_some_validations(runs, tm
     assert int(state.step) == 2 + 3 * 2
     with pytest.raises(ValueError, match="patience: -1 is not from 0 to 1000"):
         dataclasses.replace(still, patience=-1)
+
+
+def test_some_captions_of_each_motion_are_drawn():
+    captions = tuple(Caption(f"wave {number}") for number in range(9))
+    motions = [CodedMotion((np.zeros((2, 1), np.int32),), captions[:length]) for length in (9, 2, 9)]
+    found = [motion.captions for motion in draw_captions(motions, count=4, seed=0)]
+    assert [len(said) for said in found] == [4, 2, 4] and found[0] != found[2]
+    assert all(set(said) <= set(captions) for said in found) and found[1] == captions[:2]
+    assert draw_captions(motions, count=0, seed=0) == motions
+    assert [motion.captions for motion in draw_captions(motions, count=4, seed=1)] != found
 
 
 def test_captions_are_also_learned_in_other_words():
