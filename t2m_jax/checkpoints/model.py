@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import jax
-import numpy as np
 
 from t2m_jax.checkpoints.best import restore_trained
 from t2m_jax.checkpoints.bundle import (
@@ -19,7 +18,7 @@ from t2m_jax.checkpoints.bundle import (
 )
 from t2m_jax.checkpoints.hub_models import find_model
 from t2m_jax.checkpoints.run import is_run, run_info
-from t2m_jax.checkpoints.tokenizer import load_tokenizer
+from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer
 from t2m_jax.errors import UserError
 
 
@@ -65,8 +64,8 @@ def load_generator_run(path: Path) -> Bundle:
 def load_runs(paths: Sequence[Path]) -> tuple[Path, Bundle]:
     """Returns the one generator's run among some run directories, and its model.
 
-    Runs of tokenizers may be given too. The generator's run contains a copy of its tokenizer, so the others are only
-    compared with that copy.
+    The generator's run contains a copy of its tokenizer. The run of a tokenizer may be given, too, whose decoder was
+    trained further (`trained: decoder`): the model then has this decoder.
 
     Raises:
         UserError: There is not exactly one generator's run, or a tokenizer is not the one that it was trained with.
@@ -79,11 +78,10 @@ def load_runs(paths: Sequence[Path]) -> tuple[Path, Bundle]:
         if path == generators[0]:
             continue
         tokenizer = load_tokenizer(path)
+        own = TrainedTokenizer(bundle.config.tokenizer, bundle.variables["tokenizer"], bundle.normalizer)
         # The copy was made when the generator's training began. A tokenizer that was trained further since has other
         # codes.
-        same = tokenizer.config == bundle.config.tokenizer and jax.tree.all(
-            jax.tree.map(np.array_equal, jax.device_get(tokenizer.variables), bundle.variables["tokenizer"])
-        )
-        if not same:
+        if not tokenizer.has_codes_of(own):
             raise UserError(f"{path}: is not the tokenizer that {generators[0]} was trained with")
+        bundle = bundle._replace(variables=bundle.variables | {"tokenizer": jax.device_get(tokenizer.variables)})
     return generators[0], bundle

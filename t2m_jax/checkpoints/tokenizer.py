@@ -4,6 +4,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import numpy as np
+from flax import traverse_util
 
 from t2m_jax.checkpoints.best import restore_trained
 from t2m_jax.checkpoints.bundle import CONFIG_FILE, bundle_path, check_statistics_width, load_bundle, load_bundle_config
@@ -14,7 +16,13 @@ from t2m_jax.errors import UserError
 from t2m_jax.files.arrays import fingerprint, load_arrays, save_arrays
 from t2m_jax.files.manifest import check_folder, write_manifest
 from t2m_jax.models.system import TokenizerConfig, find_part, make_module, variable_shapes
+from t2m_jax.models.vqvae import DECODER_PARTS
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
+
+SAME_WEIGHTS = 2e-3
+"""Relative and absolute tolerance for the weights of one tokenizer: bundles store them in 16 bits."""
+DECODER_WEIGHTS = tuple(f"codes/params/{part}/" for part in DECODER_PARTS)
+"""How the names of weights begin that do not change the codes of motion."""
 
 
 class TrainedTokenizer(NamedTuple):
@@ -33,6 +41,18 @@ class TrainedTokenizer(NamedTuple):
     def fingerprint(self) -> str:
         """Identifies the tokenizer: a digest of sizes, weights and statistics."""
         return fingerprint(repr(self.config), jax.device_get(self.variables), self.normalizer._asdict())
+
+    def has_codes_of(self, other: "TrainedTokenizer") -> bool:
+        """Returns whether code k means the same motion as with another tokenizer; only decoders may differ."""
+        parts = (
+            {"codes": tokenizer.variables, "statistics": tokenizer.normalizer._asdict()} for tokenizer in (self, other)
+        )
+        own, given = (traverse_util.flatten_dict(part, sep="/") for part in parts)
+        return self.config == other.config and all(
+            np.allclose(own[name], given[name], rtol=SAME_WEIGHTS, atol=SAME_WEIGHTS)
+            for name in given
+            if not name.startswith(DECODER_WEIGHTS)
+        )
 
 
 def load_tokenizer_config(path: str | Path) -> TokenizerConfig:

@@ -18,6 +18,8 @@ from t2m_jax.models.convolution import GROUPS, Decoder, Encoder, NormKind, Resid
 from t2m_jax.models.quantizer import CodebookUpdate, CommitmentKind, Quantizer
 from t2m_jax.models.system import Part
 
+DECODER_PARTS = ("decoder", "project_out")
+"""The parameters that read codes."""
 MAX_DILATION = 100_000
 """Largest distance in frames between the taps of a convolution; published models have 9."""
 

@@ -19,7 +19,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.evaluation.sources import CodeSource, Reconstruction
 from t2m_jax.metrics.codes import code_usage, perplexity
 from t2m_jax.models.rows import in_precision
-from t2m_jax.models.vqvae import VqVae, VqVaeOutput
+from t2m_jax.models.vqvae import DECODER_PARTS, VqVae, VqVaeOutput
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import skeleton_from_feature_dim
 from t2m_jax.train.config import compiled_config
@@ -30,9 +30,6 @@ from t2m_jax.train.program import Update
 from t2m_jax.train.statistics import open_training_data
 from t2m_jax.train.streams import plan_feed, stream_key, window_options
 from t2m_jax.train.vqvae_config import TrainRvqVaeConfig, TrainVqVaeConfig, VqVaeStepConfig
-
-DECODER_PARTS = ("decoder", "project_out")
-"""The parameters that read codes."""
 
 
 class VqVaeState(NamedTuple):

@@ -10,14 +10,12 @@ from t2m_jax.config import load_config, override_config
 from t2m_jax.data.captioning.wordings import load_wordings
 from t2m_jax.data.files import SPLITS
 from t2m_jax.data.folder import DatasetInfo
-from t2m_jax.data.importers.caption_files import find_table
 from t2m_jax.data.importers.caption_table import load_caption_table
 from t2m_jax.train.shipped import find_config, shipped_configs
 from tests.conftest import REPOSITORY
 
-FREE = REPOSITORY / "configs" / "free"
 DATA = REPOSITORY / "configs" / "data"
-CONFIGS = sorted(path for path in (REPOSITORY / "configs").rglob("*.yaml") if path.parent not in (FREE, DATA))
+CONFIGS = sorted(path for path in (REPOSITORY / "configs").rglob("*.yaml") if path.parent != DATA)
 PAIRS = [
     (REPOSITORY / "configs" / folder, tokenizer, generator)
     for folder, tokenizer, generator in (
@@ -68,27 +66,21 @@ def test_the_stages_of_a_folder_fit(folder, tokenizer, generator):
 
 def test_the_script_of_the_demo_fits_its_configs():
     script = (REPOSITORY / "configs" / "demo" / "make.sh").read_text(encoding="utf-8").splitlines()
-    single, _, _, merge, *trainings, bundle = (shlex.split(line)[1:] for line in script if line.startswith("t2m "))
+    single, *trainings, bundle = (shlex.split(line)[1:] for line in script if line.startswith("t2m "))
     configs = [config_of(kind, str(REPOSITORY / path), options) for _, kind, path, *options in trainings]
-    tokenizer, decoder, first, *later = configs
-    assert [f"{config.data}" for config in configs] == [merge[-1], merge[-1], single[-1], *[merge[-1]] * 9]
+    tokenizer, decoder, first, *later, last_decoder = configs
+    assert f"{first.data}" == single[4] and {f"{config.data}" for config in later} == {"data/demo"}
     assert (decoder.init, decoder.model) == (tokenizer.run, tokenizer.model)
+    assert (last_decoder.init, last_decoder.model) == (decoder.run, decoder.model)
     for before, config in zip((first, *later), later, strict=False):
         assert config.init == before.run
     assert {config.vqvae for config in (first, *later)} == {decoder.run}
-    assert {repr((config.model, config.caption_encoder)) for config in (first, *later)} == {
-        repr((first.model, first.caption_encoder))
-    }
-    assert bundle[:3] == ["bundle", f"{later[-1].run}", "t2m_jax/bundles/demo"] and (REPOSITORY / bundle[-1]).is_file()
-
-
-def test_the_free_motions_have_captions_and_a_license():
-    info, table = load_config(FREE / "dataset.yaml", DatasetInfo), find_table(FREE, None, files=())
-    rows = [row for same in table.entries.values() for row in same]
-    captions = {row.file: [other for other in rows if other.file == row.file] for row in rows}
-    assert "CMU" in info.licence and "mocap.cs.cmu.edu" in info.attribution
-    assert len(captions) > 150 and all(len(said) >= 4 for said in captions.values())
-    assert not [row.problem for row in rows if row.problem] and not table.notes
+    assert {repr(config.model) for config in (first, *later)} == {repr(first.model)}
+    changed = [config.init_parts for config in later].index("fitting")
+    assert len({repr(config.text_network) for config in (first, *later[:changed])}) == 1
+    assert len({repr(config.text_network) for config in later[changed:]}) == 1
+    runs = [f"{later[-1].run}", f"{last_decoder.run}"]
+    assert bundle[:4] == ["bundle", *runs, "t2m_jax/bundles/demo"] and (REPOSITORY / bundle[-1]).is_file()
 
 
 @pytest.mark.parametrize("path", sorted(DATA.glob("*.csv")), ids=lambda path: path.stem)

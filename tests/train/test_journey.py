@@ -174,6 +174,8 @@ def test_bundles_are_made_from_the_runs_that_belong_together(runs, tmp_path):
     folder, bundle = load_runs([runs.vqvae, runs.gpt])
     assert folder == runs.gpt
     assert bundle.config == BUNDLE
+    decoder = load_tokenizer(runs.vqvae).variables["params"]["decoder"]
+    jax.tree.map(np.testing.assert_array_equal, bundle.variables["tokenizer"]["params"]["decoder"], decoder)
     with pytest.raises(UserError, match="0 of 1"):
         load_runs([runs.vqvae])
     with pytest.raises(UserError, match="is the run of a vqvae only"):
