@@ -35,6 +35,9 @@ NUMBERS = word_set(
     eighteen nineteen twenty thirty forty fifty sixty seventy eighty ninety hundred thousand dozen twice thrice"""
 )
 
+OPTIONS = {"degree": "the option `turn` bends the path by degrees", "second": "the option `seconds` sets the length"}
+"""What a person may use in place of words, by the unit of a number that has no effect."""
+
 
 class PromptWarning(UserWarning):
     """The model cannot know what the prompt asks for."""
@@ -140,12 +143,21 @@ def _problems(words: Sequence[Word], unknown: Sequence[Word], knowledge: Knowled
     if without_effect:
         more = ", ..." * (len(without_effect) > MAX_NAMED)
         yield f"not learned, so without effect: {', '.join(without_effect[:MAX_NAMED])}{more}"
+    yield from _options(words, unknown)
     if is_foreign:
         yield "write it in the language and style of the training captions"
     if knowledge.words:
         yield from subject_problems(words)
     if knowledge.actions and not nearest and not _has_known_action(words, knowledge):
         yield from _no_action(words, knowledge)
+
+
+def _options(words: Sequence[Word], unknown: Sequence[Word]) -> Iterator[str]:
+    """Yields the options that do what a number asks for, if it or its unit was not learned."""
+    for number, unit in itertools.pairwise(words):
+        is_number = number.text in NUMBERS or number.text[0].isdigit()
+        if is_number and (number in unknown or unit in unknown):
+            yield from (option for name, option in OPTIONS.items() if name in unit.bases)
 
 
 def _nearest_actions(words: Sequence[Word], unknown: Sequence[Word], knowledge: Knowledge) -> dict[str, Nearest]:

@@ -39,7 +39,14 @@ def test_the_demo_knows_what_it_can_show(demo):
     [
         ("a person swims north", "not learned, so without effect: swims, north; it has no action that the model knows"),
         ("a person walks four steps", "not learned, so without effect: four"),
-        ("a person walks 90 degrees left", "not learned, so without effect: 90"),
+        (
+            "a person walks 90 degrees left",
+            "not learned, so without effect: 90; the option `turn` bends the path by degrees",
+        ),
+        (
+            "a person walks for seventeen seconds",
+            "not learned, so without effect: seventeen; the option `seconds` sets the length",
+        ),
         ("a man does a backflip", "it has no action that the model knows"),
         ("asdf qwer", "not learned, so without effect: asdf, qwer; write it in the language and style of the training"),
         ("une personne marche lentement", "not learned, so without effect: une, personne, marche, lentement; write it"),
