@@ -22,6 +22,10 @@ MIN_LABELS = 30
 """Labels of a data set that tell verbs of actions from those that any caption may have."""
 GENERIC_SHARE = 0.3
 """A verb is no action if the captions of this share of the labels have it, such as `show` or `want`."""
+OWN_SHARE = 0.3
+"""A verb is an action if this share of the clips of a label has it: of sitting down, `sit` and not `eat`."""
+OWN_CLIPS = 8
+"""Clips of such a label, at least."""
 MAX_NAMED = 12
 """Words that a warning names, and actions."""
 
@@ -68,23 +72,30 @@ def count_actions(captions: Iterable[Sequence[str]], labels: Sequence[str] = ())
 
     Args:
         captions: Of each clip.
-        labels: Of each clip, if they are known; empty for clips without one. Verbs of many labels are then left out.
+        labels: Of each clip, if they are known; empty for clips without one. With many labels, verbs of many of them
+            are left out, and verbs that no label has often.
     """
     verbs = [{word.action for caption in of_clip for word in words_of(caption)} for of_clip in captions]
     counts = Counter(itertools.chain.from_iterable(verbs))
-    left_out = LIGHT_VERBS | {""} | (_generic_verbs(verbs, labels) if labels else set())
-    return {verb: count for verb, count in counts.most_common() if verb not in left_out}
+    is_action = _find_own_verbs(verbs, labels) if len(set(labels) - {""}) >= MIN_LABELS else counts.keys()
+    return {verb: count for verb, count in counts.most_common() if verb in is_action and verb not in LIGHT_VERBS | {""}}
 
 
-def _generic_verbs(verbs: Sequence[set[str]], labels: Sequence[str]) -> set[str]:
-    used: dict[str, set[str]] = {}
+def _find_own_verbs(verbs: Sequence[set[str]], labels: Sequence[str]) -> set[str]:
+    """Returns the verbs that some labels have often, and few have at all."""
+    uses: dict[str, Counter[str]] = {}
+    clips = Counter(labels)
     for of_clip, label in zip(verbs, labels, strict=True):
         if label:
-            used.setdefault(label, set()).update(of_clip)
-    if len(used) < MIN_LABELS:
-        return set()
-    counts = Counter(itertools.chain.from_iterable(used.values()))
-    return {verb for verb, count in counts.items() if count > GENERIC_SHARE * len(used)}
+            uses.setdefault(label, Counter()).update(of_clip)
+    num_labels = Counter(itertools.chain.from_iterable(uses.values()))
+    own = {
+        verb
+        for label, counts in uses.items()
+        for verb, count in counts.items()
+        if clips[label] >= OWN_CLIPS and count >= OWN_SHARE * clips[label]
+    }
+    return {verb for verb in own if num_labels[verb] <= GENERIC_SHARE * len(uses)}
 
 
 def make_knowledge(training_data: Mapping[str, Any] | None) -> Knowledge:
@@ -176,11 +187,14 @@ def _has_known_action(words: Sequence[Word], knowledge: Knowledge) -> bool:
 
 def _no_action(words: Sequence[Word], knowledge: Knowledge) -> Iterator[str]:
     """Yields that a prompt has no known action, unless it says one in other words: "goes ahead"."""
-    found = None if knowledge.meanings is None else knowledge.meanings.nearest(" ".join(word.text for word in words))
-    if found is None:
+    if knowledge.meanings is None:
         yield "it has no action that the model knows"
-    elif not found.is_same:
-        yield f"it has no action that the model knows; nearest: {', '.join(found.actions)}"
+        return
+    places = [place for place, word in enumerate(words) if _is_action(word)][:MAX_NAMED]
+    whole = " ".join(word.text for word in words)
+    found = [knowledge.meanings.nearest(text) for text in [*(sentence_of(words, place) for place in places), whole]]
+    if not any(near.is_same for near in found):
+        yield f"it has no action that the model knows; nearest: {', '.join(found[0].actions)}"
 
 
 def _is_action(word: Word) -> bool:

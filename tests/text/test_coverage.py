@@ -10,6 +10,7 @@ from t2m_jax.text.coverage import (
     MIN_CLIPS,
     MIN_LABELS,
     MIN_USES,
+    OWN_CLIPS,
     Knowledge,
     check_coverage,
     count_actions,
@@ -108,11 +109,15 @@ def test_actions_are_counted_by_clip():
 
 
 def test_verbs_that_any_caption_may_have_are_no_actions():
-    labels = [f"action {number}" for number in range(MIN_LABELS)]
-    captions = [[f"we saw how a person {'walks' if number < 4 else 'jumps'}"] for number in range(MIN_LABELS)]
-    assert count_actions(captions, labels) == {"walk": 4}
-    assert count_actions(captions[1:], labels[1:]) == {"see": 29, "jump": 26, "walk": 3}
-    assert count_actions(captions[:4], ["walk", "", "walk", "walk"]) == {"walk": 4, "see": 4}
+    labels = [f"action {number % MIN_LABELS}" for number in range(OWN_CLIPS * MIN_LABELS)]
+    captions = [[f"we saw how a person {'walks' if label == 'action 4' else 'jumps'}"] for label in labels]
+    captions[4] = ["a person trots"]
+    walks = OWN_CLIPS - 1
+    assert count_actions(captions, labels) == {"walk": walks}
+    few = [label.replace("7", "6") for label in labels]
+    assert count_actions(captions, few) == {"see": len(labels) - 1, "jump": len(labels) - 8, "walk": walks, "trot": 1}
+    assert count_actions(captions[1:], labels[1:])["walk"] == walks
+    assert count_actions(captions[: 7 * MIN_LABELS], labels[: 7 * MIN_LABELS]) == {}
 
 
 def test_corrected_words_are_named(demo):
