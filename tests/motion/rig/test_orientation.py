@@ -69,7 +69,7 @@ def test_what_cannot_be_told_is_refused():
     assert find_up(along_z, along_z[0]) == "z" and find_up(along_z, positions[0]) == "y"
     assert find_up(positions, sideways) == "y"
     # Somebody who bends in every frame, in a file with Z up.
-    bent = matrix_from_euler(np.array([np.deg2rad(42), 0.0, 0.0]), "XYZ")
+    bent = matrix_from_euler(np.array([np.deg2rad(33), 0.0, 0.0]), "XYZ")
     assert find_up((along_z @ bent.T).astype(np.float32), along_z[0]) == "z"
 
 
