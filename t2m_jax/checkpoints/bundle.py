@@ -12,6 +12,7 @@ from flax import traverse_util
 from tokenizers import Tokenizer
 
 from t2m_jax.checkpoints.derived import add_derived, drop_derived
+from t2m_jax.checkpoints.pretrained import check_vocabulary
 from t2m_jax.checkpoints.run import DATA_FILE, run_config_text
 from t2m_jax.checkpoints.text_encoder import (
     PretrainedEncoder,
@@ -31,7 +32,7 @@ from t2m_jax.models.caption_encoder import CaptionEncoderConfig, init_network
 from t2m_jax.models.system import find_generator_config, find_tokenizer_config, variable_shapes
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
 from t2m_jax.motion.skeleton import skeleton_from_name
-from t2m_jax.text.bpe import load_bpe, save_bpe
+from t2m_jax.text.bpe import TOKENIZER_FILE, load_bpe, save_bpe
 
 CONFIG_FILE = "bundle.yaml"
 WEIGHTS_FILE = "weights.safetensors"
@@ -203,13 +204,12 @@ def load_text_tokenizer(path: Path, config: BundleConfig) -> Tokenizer | None:
     """Returns the subwords of a model's caption encoder, None if it has none.
 
     Raises:
-        UserError: The file is missing or damaged, or has more tokens than the caption encoder.
+        UserError: The file is missing or damaged, or has a token that the caption encoder does not know.
     """
     if not isinstance(config.text_encoder, CaptionEncoderConfig):
         return None
     bpe = load_bpe(path)
-    if bpe.get_vocab_size() > config.text_encoder.vocabulary_size:
-        raise UserError(f"{path}: the tokenizer has more tokens than text_encoder.vocabulary_size")
+    check_vocabulary(path / TOKENIZER_FILE, bpe, config.text_encoder.vocabulary_size)
     return bpe
 
 

@@ -10,6 +10,7 @@ from tokenizers import Tokenizer
 
 from t2m_jax.errors import UserError
 from t2m_jax.files.arrays import fingerprint, fit_arrays
+from t2m_jax.text.bpe import largest_token
 
 SCALE = ".scale"
 """Ends the name of the scales of a matrix that is stored in 8 bits."""
@@ -63,9 +64,8 @@ def params_from_torch(
 def check_vocabulary(path: Path, tokenizer: Tokenizer, size: int) -> None:
     """Raises `UserError` if a tokenizer has tokens that its encoder does not know."""
     # JAX reads NaN after the end of a table of embeddings, without an error.
-    largest = max(tokenizer.get_vocab(with_added_tokens=True).values(), default=0)
-    if largest >= size:
-        raise UserError(f"{path}: the tokenizer has a token {largest}, but vocab_size is {size}")
+    if (largest := largest_token(tokenizer)) >= size:
+        raise UserError(f"{path}: the tokenizer has a token {largest}, but its encoder knows {size} tokens")
 
 
 def encoder_fingerprint(config: Any, variables: dict[str, Any], tokenizer: Tokenizer) -> str:

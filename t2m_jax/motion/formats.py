@@ -11,8 +11,14 @@ from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from t2m_jax.errors import UserError
+from t2m_jax.files.reading import first_line
 from t2m_jax.files.writing import check_output
+from t2m_jax.motion.resampling import MAX_FPS
 
+MAX_FRAMES = 1_000_000
+"""Frames that are read of a file; an hour of motion capture has fewer."""
+MAX_SECONDS = 4 * 3600.0
+"""A longer motion is taken as an error in its file; at another rate it could fill the memory."""
 READERS = "t2m_jax.motion_readers"
 """Entry points by suffix: functions of a path that return its motion; they may take an `animation` and a `rig`."""
 WRITERS = "t2m_jax.motion_writers"
@@ -35,7 +41,8 @@ def load_motion(path: str | Path, *, animation: str | None = None, rig: str | No
             default they are recognized.
 
     Raises:
-        UserError: The suffix is unknown, the file does not contain a motion, or it has several and none was chosen.
+        UserError: The suffix is unknown, the file does not contain a motion, is too long, or has several motions and
+            none was chosen.
     """
     path = Path(path)
     read = _entry_point(READERS, path).load()
@@ -43,7 +50,25 @@ def load_motion(path: str | Path, *, animation: str | None = None, rig: str | No
         raise UserError(f"{path}: there is no such file")
     # Only formats with several motions in a file or with any skeleton have a choice; the others need not know of it.
     known = inspect.signature(read).parameters
-    return read(path, **{name: value for name, value in (("animation", animation), ("rig", rig)) if name in known})
+    chosen = {name: value for name, value in (("animation", animation), ("rig", rig)) if name in known}
+    try:
+        motion = read(path, **chosen)
+    except (UserError, OSError, MemoryError):
+        raise
+    except Exception as error:  # a file may say anything, and no list of errors of all libraries is complete
+        raise UserError(f"{path}: is not a correct {path.suffix} file ({first_line(error)})") from error
+    _check_size(path, motion)
+    return motion
+
+
+def _check_size(path: Path, motion: Any) -> None:
+    """Raises `UserError` if a number of a file makes its motion too large to work with."""
+    if motion.fps > MAX_FPS:
+        raise UserError(f"{path}: has {motion.fps:g} frames per second; at most {MAX_FPS:g} are read")
+    if motion.num_frames > MAX_FRAMES:
+        raise UserError(f"{path}: has {motion.num_frames:,} frames; at most {MAX_FRAMES:,} are read")
+    if motion.seconds > MAX_SECONDS:
+        raise UserError(f"{path}: has {motion.seconds:g} seconds; at most {MAX_SECONDS:g} are read")
 
 
 def check_motion_output(path: str | Path) -> Path:

@@ -3,7 +3,6 @@
 Scales are taken as equal along x, y and z and as constant, which they are in files of people.
 """
 
-import json
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
-from t2m_jax.files.reading import first_line, reading
+from t2m_jax.files.reading import first_line, parse_json, reading
 from t2m_jax.motion.gltf_nodes import W_FIRST, Nodes, find_nodes
 from t2m_jax.motion.part_captions import checked_parts
 from t2m_jax.motion.resampling import MAX_FPS
@@ -115,7 +114,7 @@ def _load(path: Path, fps: float | None, choose: Callable[[list[str]], list[str]
             clips[title] = clip
     except UserError as error:
         raise UserError(f"{path}: {error}") from error
-    except (LookupError, TypeError, ValueError, AttributeError, struct.error, RecursionError) as error:
+    except Exception as error:  # a file may say anything, and each part of it has errors of its own
         raise UserError(f"{path}: is not a correct GLB file ({first_line(error)})") from error
     return clips
 
@@ -154,7 +153,7 @@ def _split_chunks(data: bytes) -> _GlbChunks:
         size, kind = struct.unpack_from("<II", data, start)
         chunks.setdefault(kind, data[start + 8 : start + 8 + size])
         start += 8 + size
-    tree = json.loads(chunks[JSON_CHUNK])
+    tree = parse_json(chunks[JSON_CHUNK].decode())
     if not isinstance(tree, dict):
         raise ValueError("its JSON is not an object")
     return _GlbChunks(tree, chunks.get(BINARY_CHUNK, b""))

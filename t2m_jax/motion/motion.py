@@ -21,6 +21,9 @@ from t2m_jax.motion.paths import Route, follow, route_along, turned_route
 from t2m_jax.motion.resampling import check_speed, resample_positions
 from t2m_jax.motion.skeleton import HUMANML3D, Skeleton
 
+MAX_METERS = 1e6
+"""Largest coordinate. Farther joints would jump in single precision, and their squares would overflow."""
+
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Motion:
@@ -89,6 +92,10 @@ class Motion:
         if not np.isfinite(positions).all():
             frame = int(np.argwhere(~np.isfinite(positions))[0, 0])
             raise UserError(f"{name} of frame {frame} are not finite numbers")
+        if (farthest := float(np.abs(positions).max())) > MAX_METERS:
+            raise UserError(
+                f"{name} are up to {farthest:.3g} m from the origin; at most {MAX_METERS:,.0f} m are allowed"
+            )
 
     @property
     def num_frames(self) -> int:

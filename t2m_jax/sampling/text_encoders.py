@@ -21,6 +21,7 @@ from t2m_jax.checkpoints.text_encoder import (
     is_packaged,
     load_pretrained,
 )
+from t2m_jax.errors import UserError
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig, StateEncoder, StateEncoderConfig
 from t2m_jax.models.clip_text import ClipText, ClipTextConfig
 from t2m_jax.models.sentence_encoder import SentenceEncoder, SentenceEncoderConfig
@@ -54,7 +55,7 @@ class CaptionTextEncoder:
     def __call__(self, captions: Sequence[str]) -> Float[Array, "B E"]:
         """Returns one embedding per caption; long captions are cut."""
         tokens, mask = tokenize_captions(self._bpe, captions, max_length=self._config.max_length)
-        return encode_captions(self._variables, jnp.asarray(tokens), jnp.asarray(mask), config=self._config)
+        return _finite(encode_captions(self._variables, jnp.asarray(tokens), jnp.asarray(mask), config=self._config))
 
     def read_part(self, caption: str) -> str:
         """Returns the caption up to its last subword that is read."""
@@ -166,9 +167,8 @@ class StatesTextEncoder:
         """Returns one embedding per caption; long captions are cut."""
         states, mask = self._states.read_batch(captions)
         length = self._config.max_length
-        return encode_states(self._variables, states[:, :length], mask[:, :length], config=self._config)[
-            : len(captions)
-        ]
+        found = encode_states(self._variables, states[:, :length], mask[:, :length], config=self._config)
+        return _finite(found[: len(captions)])
 
     def sentence_embeddings(self, sentences: Sequence[str]) -> Float[np.ndarray, "B C"]:
         """Returns the mean of the token states of each sentence, which says what it means, not only what is learned."""
@@ -231,7 +231,18 @@ class PretrainedTextEncoder:
                 embeddings = _embed_with_clip(encoder, filled)
             else:
                 embeddings = _embed_sentences(encoder, filled)
-        return np.asarray(embeddings)[: len(captions)]
+        return np.asarray(_finite(embeddings))[: len(captions)]
+
+
+def _finite(embeddings: Float[Array, "B E"]) -> Float[Array, "B E"]:
+    """Returns embeddings. From others, every motion would be the same one, without a word.
+
+    Raises:
+        UserError: A number is not finite.
+    """
+    if not np.isfinite(np.asarray(embeddings)).all():
+        raise UserError("the text encoder makes numbers that are not finite; its files are damaged or of another model")
+    return embeddings
 
 
 def _embed_with_clip(clip: TrainedClip, captions: Sequence[str]) -> Float[Array, "B E"]:

@@ -3,11 +3,12 @@
 import asyncio
 import hmac
 import importlib.resources
+import re
 from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 import anyio
-from anyio import BrokenWorkerProcess, CapacityLimiter, to_process
+from anyio import BrokenWorkerProcess, CapacityLimiter, to_process, to_thread
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
@@ -22,10 +23,10 @@ from t2m_jax.export.html import stage_style, viewer_script
 from t2m_jax.motion.changes import Changes
 from t2m_jax.records import record_from
 from t2m_jax.serving import schema
-from t2m_jax.serving.files import make_file, open_file, read_motion
+from t2m_jax.serving.files import apart, make_file, open_file, read_motion
 from t2m_jax.serving.jobs import FINAL_EVENTS, Event, Job, Jobs, QueueFullError
 from t2m_jax.serving.openapi import openapi
-from t2m_jax.serving.streams import EventResponse, body_of, is_json, while_connected
+from t2m_jax.serving.streams import Bodies, EventResponse, is_json, while_connected
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1", "[::1]")
 ANSWER_SECONDS = 600.0
@@ -51,6 +52,8 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
+HOST = re.compile(rb"([\w.-]+|\[[0-9A-Fa-f:.]+\])(:[0-9]{1,5})?", re.ASCII)
+"""What the header `Host` may be: a name or an address, and perhaps a port."""
 MEDIA_TYPES = {"html": "text/html; charset=utf-8", "css": "text/css", "js": "text/javascript"}
 
 
@@ -125,27 +128,38 @@ class _Guard:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        request = Request(scope)
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 message["headers"] += [(key.lower().encode(), value.encode()) for key, value in HEADERS.items()]
             await send(message)
 
-        answer = self._refusal(request)
+        answer = self._refusal(scope)
         await (answer or self.app)(scope, receive, send_with_headers)
 
-    def _refusal(self, request: Request) -> Response | None:
+    def _refusal(self, scope: Scope) -> Response | None:
+        """Returns the answer to a request that is refused by its headers."""
+        headers: dict[bytes, list[bytes]] = {}
+        for name, value in scope["headers"]:
+            headers.setdefault(name, []).append(value)
+        # Request smuggling (RFC 9112, 6.1): a proxy may have taken the other one of the two for the length of the body.
+        if b"content-length" in headers and b"transfer-encoding" in headers:
+            closing = {"Connection": "close"}
+            return _error(400, "a request has Content-Length or Transfer-Encoding, not both", closing)
+        hosts = headers.get(b"host", [])
+        if len(hosts) != 1 or not HOST.fullmatch(hosts[0]):
+            return _error(400, "the header Host must be there once, as NAME or NAME:PORT")
         # Against CSRF: browsers say which page sends a request, and only the page of this server may.
-        origin = request.headers.get("origin")
-        if origin is not None and origin.partition("://")[2] != request.headers.get("host"):
+        own = scope["scheme"].encode() + b"://" + hosts[0]
+        if any(origin != own for origin in headers.get(b"origin", [])):
             return _error(403, "requests from other pages are refused")
-        path = request.url.path
+        # Not the path of `request.url`: in old versions of Starlette, the header Host is a part of that.
+        path = scope["path"]
         if self.token is None or path in self.OPEN or path.startswith("/assets/"):
             return None
-        given = request.headers.get("authorization", "").removeprefix("Bearer ")
+        scheme, _, given = b",".join(headers.get(b"authorization", [])).partition(b" ")
         # In constant time, so that answers do not tell how much of a guess is right.
-        if hmac.compare_digest(given.encode(), self.token.encode()):
+        if hmac.compare_digest(given.strip(), self.token.encode()) and scheme.lower() == b"bearer":
             return None
         return _error(401, "a token is needed: Authorization: Bearer TOKEN", {"WWW-Authenticate": "Bearer"})
 
@@ -157,6 +171,7 @@ class _Server:
         self.jobs = jobs
         self.file_limit = CapacityLimiter(1)
         self.files_waiting = 0
+        self.bodies = Bodies()
 
     def health(self, _: Request) -> Response:
         """Answers whether motions can be made."""
@@ -187,11 +202,12 @@ class _Server:
         """Generates: answers with server-sent events, or with one JSON object to who asks for it."""
         if not is_json(request):  # a page of another server could only send other types of bodies unasked
             raise HTTPException(415, "the body must be application/json")
-        fields = schema.read_body(schema.MotionBody, await body_of(request))
-        start = None
-        # Files of strangers are not read in the process that generates: a crash there would concern all users.
-        if fields.get("start") is not None:
-            start = await self._in_process(read_motion, fields["start"], fields.get("start_format", "npz"))
+        async with self.bodies.read(request) as body:
+            fields = await to_thread.run_sync(schema.read_body, schema.MotionBody, body)
+            start = None
+            # Files of strangers are not read in the process that generates: a crash there would concern all users.
+            if fields.get("start") is not None:
+                start = await self._in_process(read_motion, fields["start"], fields.get("start_format", "npz"))
         job = self.jobs.submit(schema.motion_request(fields, start))
         if "application/json" in request.headers.get("accept", ""):
             return await self._final_answer(job, request.receive)
@@ -235,9 +251,11 @@ class _Server:
         options = record_from(
             schema.FileOptions, schema.read_parameters(schema.FileParameters, dict(request.query_params))
         )
-        body = await body_of(request)
-        inputs = schema.read_body(schema.FileBody, body)["motions"] if is_json(request) else [body]
-        content = await self._in_process(make_file, inputs, options)
+        async with self.bodies.read(request) as body:
+            inputs = [body]
+            if is_json(request):
+                inputs = (await to_thread.run_sync(schema.read_body, schema.FileBody, body))["motions"]
+            content = await self._in_process(make_file, inputs, options)
         disposition = f'attachment; filename="motion.{options.format}"'
         return Response(content, headers={"Content-Disposition": disposition}, media_type="application/octet-stream")
 
@@ -247,7 +265,9 @@ class _Server:
         suffix = fields.get("format", "npz")
         rig = fields.pop("rig", None)
         changes = record_from(Changes, fields)
-        return JSONResponse(await self._in_process(open_file, await body_of(request), suffix, changes, rig))
+        async with self.bodies.read(request) as body:
+            opened = await self._in_process(open_file, body, suffix, changes, rig)
+        return Response(opened, media_type="application/json")
 
     async def _in_process(self, function: Callable[..., Any], *args: Any) -> Any:
         """Returns what a function returns in a process of its own, which is killed if it takes too long."""
@@ -257,7 +277,7 @@ class _Server:
         try:
             # A thread could not be stopped if a file takes forever, and would not survive a crash of a decoder.
             with anyio.fail_after(FILE_SECONDS):
-                return await to_process.run_sync(function, *args, cancellable=True, limiter=self.file_limit)
+                return await to_process.run_sync(apart, function, *args, cancellable=True, limiter=self.file_limit)
         except BrokenWorkerProcess:
             raise HTTPException(503, "the process that makes files has died; try again", {"Retry-After": "1"}) from None
         except TimeoutError:

@@ -4,13 +4,15 @@ All of it runs in a process of its own (see `app`): files of strangers are read 
 """
 
 import base64
+import contextlib
 import io
+import json
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 from t2m_jax.errors import UserError
 from t2m_jax.export.html import scene_record
@@ -25,6 +27,30 @@ LONGEST_PICTURES = 4 * schema.LIMITS["seconds"]["le"]
 """Seconds of all motions in a video; it takes as long to make."""
 
 
+MAX_FRAMES = int(schema.MAX_TOTAL_SECONDS * schema.LIMITS["fps"]["le"])
+"""Of a motion, as read and as changed."""
+MAX_MEMORY = 2 * 2**30
+"""Bytes that the process may use for its data."""
+
+
+def apart(function: Callable[..., Any], *args: Any) -> Any:
+    """Returns what a function returns; runs in the process of files, and limits its memory.
+
+    Raises:
+        UserError: It needs more memory, or the function raised it.
+    """
+    with contextlib.suppress(ModuleNotFoundError):  # Windows has no such limits
+        import resource
+
+        hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
+        most = MAX_MEMORY if hard == resource.RLIM_INFINITY else min(MAX_MEMORY, hard)
+        resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
+    try:
+        return function(*args)
+    except MemoryError:
+        raise UserError("the file needs too much memory; give a shorter motion") from None
+
+
 def make_file(inputs: Sequence[bytes], options: schema.FileOptions) -> bytes:
     """Returns the bytes of a file with motions.
 
@@ -37,7 +63,7 @@ def make_file(inputs: Sequence[bytes], options: schema.FileOptions) -> bytes:
     """
     if not 1 <= len(inputs) <= (schema.MAX_MOTIONS if options.format in schema.SEVERAL else 1):
         raise UserError(f"format: a {options.format} file cannot contain {len(inputs)} motions")
-    motions = [options.changes.apply(read_motion(data, "npz")) for data in inputs]
+    motions = [_changed(read_motion(data, "npz"), options.changes) for data in inputs]
     if options.format in ("gif", "mp4") and sum(motion.seconds for motion in motions) > LONGEST_PICTURES:
         raise UserError(f"format: a video of more than {LONGEST_PICTURES:g} seconds takes too long; use .glb or .html")
     with motion_file(b"", options.format) as path:
@@ -48,14 +74,35 @@ def make_file(inputs: Sequence[bytes], options: schema.FileOptions) -> bytes:
         return path.read_bytes()
 
 
-def open_file(data: bytes, suffix: str, changes: Changes, rig: str | None = None) -> schema.OpenedFile:
-    """Returns what the page shows of a motion file. For `rig`, see `read_motion`.
+def open_file(data: bytes, suffix: str, changes: Changes, rig: str | None = None) -> bytes:
+    """Returns what the page shows of a motion file, a `schema.OpenedFile` as JSON. For `rig`, see `read_motion`.
 
     Raises:
         UserError: The file cannot be read or changed.
     """
-    motion = changes.apply(read_motion(data, suffix, rig))
-    return {"scene": cast(schema.SceneData, scene_record([motion])), "motion": motion_record(motion)}
+    motion = _changed(read_motion(data, suffix, rig), changes)
+    scene = cast(schema.SceneData, scene_record([motion]))
+    opened: schema.OpenedFile = {"scene": scene, "motion": motion_record(motion)}
+    # As JSON, because the server's event loop would stand still while it makes a long text.
+    return json.dumps(opened, separators=(",", ":"), allow_nan=False).encode()
+
+
+def _changed(motion: Motion, changes: Changes) -> Motion:
+    """Returns the changed motion.
+
+    Raises:
+        UserError: A change does not fit the motion, or the result would be too long.
+    """
+    end = motion.seconds if changes.end is None else min(changes.end, motion.seconds)
+    seconds = (end - min(changes.begin or 0.0, end)) / changes.speed
+    _check_frames(seconds * (changes.fps or motion.fps), "the changed motion")
+    return changes.apply(motion)
+
+
+def _check_frames(frames: float, name: str) -> None:
+    """Raises `UserError` if a motion has too many frames, which could fill the memory."""
+    if frames > MAX_FRAMES:
+        raise UserError(f"{name}: has {frames:,.0f} frames; at most {MAX_FRAMES:,} are allowed")
 
 
 def read_motion(data: bytes, suffix: str, rig: str | None = None) -> Motion:
@@ -81,6 +128,7 @@ def read_motion(data: bytes, suffix: str, rig: str | None = None) -> Motion:
     if motion.seconds > schema.MAX_TOTAL_SECONDS:  # at another frame rate, it could fill the memory
         most = f"at most {schema.MAX_TOTAL_SECONDS:g} are read"
         raise UserError(f"motion.{suffix}: has {motion.seconds:g} seconds; {most}")
+    _check_frames(motion.num_frames, f"motion.{suffix}")
     return motion
 
 

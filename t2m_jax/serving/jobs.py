@@ -35,7 +35,7 @@ RESTART_SECONDS = 0.2
 END_SECONDS = 5.0
 """Time for the process to end by itself."""
 MAX_TRIES = 3
-"""How often a request is given to a process that then dies. It may be the reason."""
+"""How often a request is given to a process that then dies."""
 FINAL_EVENTS = ("done", "failed")
 HISTOGRAM_SECONDS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 60.0)
 
@@ -87,12 +87,19 @@ class Job:
     tries: int = 0
     start: float = 0.0
     """When the process got it."""
+    is_started: bool = False
+    """Whether the process has begun to work on it."""
     timer: asyncio.TimerHandle | None = None
     events: "asyncio.Queue[Event]" = dataclasses.field(default_factory=asyncio.Queue)
 
     def tell(self, name: str, data: Mapping[str, Any]) -> None:
         """Adds an event, with the seed."""
         self.events.put_nowait(Event(name, json.dumps({**data, "seed": self.request.seed})))
+
+    @property
+    def is_suspect(self) -> bool:
+        """Whether it may have ended the process that worked on it: other requests have nothing but sentences."""
+        return self.is_started and self.request.start is not None
 
     def stop_timer(self) -> None:
         """Ends the limit of the time of work."""
@@ -202,6 +209,7 @@ class Jobs:
             self._on_state(name, json.loads(data))
             return
         if number in self.running:  # it may have been canceled
+            self.running[number].is_started = True
             self.running[number].events.put_nowait(Event(name, data))
         if name in (*FINAL_EVENTS, "dropped"):
             self.running.pop(number, None)
@@ -244,8 +252,8 @@ class Jobs:
         self.measures.restarts.inc()
         # Backwards, because each goes to the front of the queue.
         for job in reversed(self.running.values()):
-            if job.tries >= MAX_TRIES:
-                job.tell("failed", {"error": "the process that generates has died each time; try again"})
+            if job.is_suspect or job.tries >= MAX_TRIES:
+                job.tell("failed", {"error": "the process that generates has died while it worked on this; try again"})
             else:
                 self.waiting.appendleft(job)
         self.running.clear()

@@ -105,14 +105,12 @@ class Scheduler:
         if not task.request.is_plain:
             _call(self.editing, self._edit, task)
             return
-        try:
+        with self._failing(task):
             self._sampling(task.request.options)
             (prompt,) = read_prompts(task.request.captions, self.model.knowledge, self.model.text_encoder)
-        except UserError as error:
-            self._fail(task, error)
-            return
-        for number in range(task.request.num_samples):
-            self.waiting.append(TaskSample(task, Sample(prompt, task.request.seed, number)))
+            self.embed(prompt.read)  # here, because an error would concern one request only
+            for number in range(task.request.num_samples):
+                self.waiting.append(TaskSample(task, Sample(prompt, task.request.seed, number)))
 
     def cancel(self, job: int) -> None:
         """Forgets a plain task if it has not ended."""
@@ -217,17 +215,19 @@ class Scheduler:
             for last, found in whole
             for number, codes in sorted(found.items())
         ]
-        motions = iter(self._decode(rows, clean=not whole[0][0].task.request.options.raw))
-        for last, found in whole:
-            self._finish(last.task, list(itertools.islice(motions, len(found))))
+        made: list[tuple[Task, list[Motion]]] = []
+        with self._failing(*(last.task for last, _ in whole)):
+            motions = iter(self._decode(rows, clean=not whole[0][0].task.request.options.raw))
+            made = [(last.task, list(itertools.islice(motions, len(found)))) for last, found in whole]
+        for task, its in made:
+            with self._failing(task):
+                self._finish(task, its)
 
     def _edit(self, task: Task) -> None:
         """Makes the motions of a task that is not plain."""
         self.send(task.job, "started", {"seed": task.request.seed})
-        try:
+        with self._failing(task):
             self._finish(task, list(self.model.make(task.request)))
-        except UserError as error:
-            self._fail(task, error)
 
     def _finish(self, task: Task, motions: Sequence[Motion]) -> None:
         """Sends the motions of a request."""
@@ -236,8 +236,19 @@ class Scheduler:
         records = [motion_record(motion) for motion in motions]
         self.send(task.job, "done", {"seed": task.request.seed, "scene": scene_record(motions), "motions": records})
 
-    def _fail(self, task: Task, error: UserError) -> None:
-        self.send(task.job, "failed", {"error": str(error), "seed": task.request.seed})
+    @contextlib.contextmanager
+    def _failing(self, *tasks: Task) -> Iterator[None]:
+        """Fails some tasks if the block raises an exception, so that others do not notice it."""
+        try:
+            yield
+        except Exception as error:  # noqa: BLE001 - also a bug, or too little memory, which must not end the process
+            if not isinstance(error, UserError):
+                traceback.print_exc()
+            told = (
+                str(error) if isinstance(error, UserError) else "the motion cannot be made; the server's log says why"
+            )
+            for task in tasks:
+                self.send(task.job, "failed", {"error": told, "seed": task.request.seed})
 
 
 def _call(executor: Executor | None, function: Callable[..., None], *args: Any) -> None:

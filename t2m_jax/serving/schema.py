@@ -6,6 +6,7 @@ import dataclasses
 import difflib
 import reprlib
 import secrets
+import string
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, NotRequired
 
@@ -28,6 +29,8 @@ MAX_TOTAL_SECONDS = 600.0
 """Of all samples of a request, if it says how long they are, and of a file."""
 MAX_BODY = 16 * 2**20
 """Bytes of a request: a motion of ten minutes."""
+MAX_JSON = 2**16
+"""Bytes of a JSON body without the motions in it. Sentences need a third of it."""
 MAX_MOTIONS = 32
 """Motions in one file."""
 LIMITS: Mapping[str, Mapping[str, Any]] = {
@@ -54,6 +57,9 @@ PYTHON_ONLY = ("strategy", "max_codes")
 """Fields that HTTP does not have: an object of Python, and a length of which each is a program of its own."""
 SEVERAL = ("glb", "html", "mp4", "gif", "png")
 """Formats that can contain several motions."""
+BASE64_LETTERS = (string.ascii_letters + string.digits + "+/=").encode()
+LONG_TEXT = 1000
+"""Bytes of a text that may be a motion; an empty archive has as many."""
 InputFormat = Literal["npz", "bvh", "glb", "vrma"]
 
 
@@ -148,11 +154,23 @@ def read_body(model: type[BaseModel], body: bytes) -> dict[str, Any]:
     Raises:
         UserError: It is not JSON, or a field is unknown, missing or has a value that cannot be used.
     """
+    _check_size(body)
     try:
         # Strict, so that `true` is no number and 1.5 no seed.
         return _given(model.model_validate_json(body, strict=True))
     except ValidationError as error:
         raise _explained(error, model, "request") from None
+
+
+def _check_size(body: bytes) -> None:
+    """Raises `UserError` if a body is large without its motions: its items would be made before they are counted."""
+    if len(body) <= MAX_JSON:
+        return
+    # Motions are long texts in base64. Between two quotes there may be anything else, such as a million numbers.
+    parts = body.split(b'"', MAX_JSON)
+    motions = [part for part in parts if len(part) > LONG_TEXT and not part.translate(None, BASE64_LETTERS)]
+    if len(body) - sum(map(len, motions)) > MAX_JSON:
+        raise UserError(f"request: has more than {MAX_JSON:,} bytes without the motions in it")
 
 
 def read_parameters(model: type[BaseModel], query: Mapping[str, str]) -> dict[str, Any]:

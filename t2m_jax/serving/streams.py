@@ -1,7 +1,7 @@
 """Bodies of requests and server-sent events, with limits, so that slow clients do not keep their places forever."""
 
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
 
 import anyio
 from starlette.exceptions import HTTPException
@@ -10,10 +10,12 @@ from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
 from t2m_jax.serving.jobs import Event
-from t2m_jax.serving.schema import MAX_BODY
+from t2m_jax.serving.schema import MAX_BODY, MAX_JSON
 
 BODY_SECONDS = 20.0
 """Time in which the body of a request must come."""
+MAX_BODIES = 8 * MAX_BODY
+"""Bytes of all large bodies that are in memory at the same time."""
 SEND_SECONDS = 20.0
 """Time in which a reader must take what was sent."""
 
@@ -58,25 +60,53 @@ async def while_connected(receive: Receive) -> AsyncIterator[None]:
         tasks.cancel_scope.cancel()
 
 
-async def body_of(request: Request) -> bytes:
-    """Returns the body of a request.
+class Bodies:
+    """The bodies of requests, with a limit for each and for those that are in memory at the same time."""
 
-    Raises:
-        HTTPException: It is too large, or too slow (slowloris).
-    """
-    parts = []
-    size = 0
+    def __init__(self) -> None:
+        self.size = 0
+        """Bytes of large bodies."""
+
+    @asynccontextmanager
+    async def read(self, request: Request) -> AsyncIterator[bytes]:
+        """Gives the body of a request to the block, after which it is no longer in memory.
+
+        Raises:
+            HTTPException: It is too large, or too slow (slowloris), or there are too many.
+        """
+        parts = []
+        size = 0
+        counted = 0
+        try:
+            with _in_time():
+                async for part in request.stream():
+                    # Counted here, because `Content-Length` may be missing or wrong.
+                    size += len(part)
+                    if size > MAX_BODY:
+                        raise HTTPException(413, f"the body has more than {MAX_BODY:,} bytes")
+                    parts.append(part)
+                    # Small bodies always have room, so that nobody's files stop the sentences of others.
+                    if size > MAX_JSON:
+                        self.size += size - counted
+                        counted = size
+                    if counted and self.size > MAX_BODIES:
+                        raise HTTPException(
+                            429, "too many files are being sent; try again in 5 s", {"Retry-After": "5"}
+                        )
+            body = b"".join(parts)
+            parts.clear()
+            yield body
+        finally:
+            self.size -= counted
+
+
+@contextmanager
+def _in_time() -> Iterator[None]:
     try:
         with anyio.fail_after(BODY_SECONDS):
-            async for part in request.stream():
-                # Counted here, because `Content-Length` may be missing or wrong.
-                size += len(part)
-                if size > MAX_BODY:
-                    raise HTTPException(413, f"the body has more than {MAX_BODY:,} bytes")
-                parts.append(part)
+            yield
     except TimeoutError:
         raise HTTPException(408, f"the body did not come in {BODY_SECONDS:g} s") from None
-    return b"".join(parts)
 
 
 def is_json(request: Request) -> bool:

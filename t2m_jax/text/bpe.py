@@ -1,7 +1,7 @@
 """Subword tokens of captions (byte-pair encoding), by the `tokenizers` library."""
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,12 +10,14 @@ from jaxtyping import Array, Bool, Int
 from tokenizers import Tokenizer, models, normalizers, pre_tokenizers, trainers
 
 from t2m_jax.errors import UserError
-from t2m_jax.files.reading import first_line, load_text
+from t2m_jax.files.reading import first_line, load_json
 from t2m_jax.files.writing import save_text
 
 PAD = "[pad]"
 UNKNOWN = "[unk]"
 TOKENIZER_FILE = "tokenizer.json"
+MAX_TOKEN = 1_000_000
+"""Largest number of a token; vocabularies of all languages have a quarter as many."""
 
 
 class CaptionTokens(NamedTuple):
@@ -65,17 +67,52 @@ def load_bpe(folder: Path) -> Tokenizer:
     """Returns the tokenizer of `folder`.
 
     Raises:
-        UserError: The file is missing or is not a tokenizer.
+        UserError: The file is missing, is not a tokenizer, or has a token of a very large number.
     """
     path = folder / TOKENIZER_FILE
-    text = load_text(path)
+    tree = load_json(path)
+    if not isinstance(tree, dict):
+        raise UserError(f"{path}: not a tokenizer file (it is not an object); copy it again")
+    # Before the library reads it: it would make a table of as many tokens as the largest number.
+    if (largest := max(_token_ids(tree), default=0)) > MAX_TOKEN:
+        raise UserError(f"{path}: has a token {largest}; at most {MAX_TOKEN:,} are read; copy it again")
     try:
-        tokenizer = Tokenizer.from_str(text)
+        # Not the text of the file: in one with two objects of a name, the library could read the other one.
+        tokenizer = Tokenizer.from_str(json.dumps(tree))
     except Exception as error:  # noqa: BLE001 - the library raises nothing narrower for content it cannot read
         raise UserError(f"{path}: not a tokenizer file ({first_line(error)}); copy it again") from None
     if missing := _undefined_tokens(json.loads(tokenizer.to_str())["post_processor"]):
         raise UserError(f"{path}: adds a token {min(missing)[:80]!r}, which it does not define; copy it again")
+    # Of its last use. Whoever needs it does it again; the file could ask for any length.
+    tokenizer.no_padding()
     return tokenizer
+
+
+def largest_token(tokenizer: Tokenizer) -> int:
+    """Returns the largest number that a tokenizer gives to a token, also to one that it only adds."""
+    return max(_token_ids(json.loads(tokenizer.to_str())), default=0)
+
+
+def _token_ids(tree: Any) -> Iterator[int]:
+    """Yields the numbers of tokens in the data of a tokenizer, or what stands in their place."""
+    model = tree.get("model")
+    vocabulary = model.get("vocab") if isinstance(model, dict) else None
+    if isinstance(vocabulary, list):  # of Unigram: a token's number is its place
+        yield len(vocabulary) - 1
+    yield from _numbers(vocabulary if isinstance(vocabulary, dict) else None)
+    yield from _numbers(tree.get("added_tokens"))
+    yield from _numbers(tree.get("post_processor"))
+
+
+def _numbers(tree: Any) -> Iterator[int]:
+    """Yields all whole numbers in nested data."""
+    waiting = [tree]
+    while waiting:
+        part = waiting.pop()
+        if isinstance(part, (dict, list)):
+            waiting += part.values() if isinstance(part, dict) else part
+        elif type(part) is int:
+            yield part
 
 
 def _undefined_tokens(processor: dict[str, Any] | None) -> set[str]:

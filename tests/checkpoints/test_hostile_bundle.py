@@ -6,6 +6,7 @@ import random
 import shutil
 import struct
 
+import jax
 import numpy as np
 import pytest
 import yaml
@@ -22,6 +23,7 @@ from t2m_jax.checkpoints.bundle import (
 from t2m_jax.errors import UserError
 from t2m_jax.files.arrays import load_arrays
 from t2m_jax.motion.normalizer import load_normalizer
+from t2m_jax.sampling import TextToMotion
 from t2m_jax.text.bpe import load_bpe
 from tests.tiny import BUNDLE, random_bundle, trust_manifests
 
@@ -222,3 +224,72 @@ def test_tokenizers_that_are_none(copy, content):
     (copy / TOKENIZER).write_bytes(content)
     with pytest.raises(UserError, match=TOKENIZER):
         load_bpe(copy)
+
+
+def with_tokenizer(copy, change):
+    path = copy / TOKENIZER
+    tree = json.loads(path.read_text())
+    change(tree)
+    path.write_text(json.dumps(tree))
+
+
+def template(token: int) -> dict:
+    """A post-processor that adds a token which is not in the vocabulary."""
+    special = {"id": "[x]", "ids": [token], "tokens": ["[x]"]}
+    pieces = [{"SpecialToken": {"id": "[x]", "type_id": 0}}, {"Sequence": {"id": "A", "type_id": 0}}]
+    return {"type": "TemplateProcessing", "single": pieces, "pair": pieces, "special_tokens": {"[x]": special}}
+
+
+def raise_vocabulary(by: int):
+    return lambda tree: tree["model"]["vocab"].update(a=tree["model"]["vocab"]["a"] + by)
+
+
+def raise_added(by: int):
+    return lambda tree: tree["added_tokens"].append(tree["added_tokens"][1] | {"id": by, "content": "[new]"})
+
+
+CHANGES = {
+    "vocabulary": raise_vocabulary,
+    "added": raise_added,
+    "template": lambda by: lambda tree: tree.update(post_processor=template(by)),
+    "bert": lambda by: (
+        lambda tree: tree.update(post_processor={"type": "BertProcessing", "sep": ["a", by], "cls": ["b", 2]})
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_tokens_outside_the_table_of_embeddings(copy, name):
+    with_tokenizer(copy, CHANGES[name](100_000))
+    with pytest.raises(UserError, match=r"tokenizer\.json: the tokenizer has a token \d+"):
+        load_bundle(copy)
+
+
+@pytest.mark.parametrize("token", [2**31, 2**32 - 1, 10**30, 10**400])
+@pytest.mark.parametrize("name", CHANGES)
+def test_numbers_of_tokens_that_would_fill_the_memory(copy, name, token):
+    with_tokenizer(copy, CHANGES[name](token))
+    with pytest.raises(UserError, match=r"tokenizer\.json: "):
+        load_bpe(copy)
+
+
+def test_padding_of_a_tokenizer_that_would_fill_the_memory(copy):
+    padding = {"direction": "Right", "pad_id": 0, "pad_type_id": 0, "pad_token": "[pad]", "pad_to_multiple_of": None}
+    with_tokenizer(copy, lambda tree: tree.update(padding=padding | {"strategy": {"Fixed": 2**31}}))
+    assert len(load_bpe(copy).encode("a").ids) == 1
+
+
+def test_what_is_checked_of_a_tokenizer_is_what_is_read(copy):
+    path = copy / TOKENIZER
+    text = path.read_text()
+    hidden = json.dumps(json.loads(text)["model"] | {"vocab": {"a": 2**31}})
+    path.write_text('{"model": ' + hidden + ", " + text.lstrip()[1:])
+    load_bpe(copy)
+
+
+def test_embeddings_that_are_not_finite_are_refused():
+    bundle = random_bundle()
+    bad = jax.tree.map(lambda leaf: leaf * np.nan, bundle.variables["text_encoder"])
+    model = TextToMotion(bundle._replace(variables=bundle.variables | {"text_encoder": bad}))
+    with pytest.raises(UserError, match="not finite"):
+        model.generate("a person walks", seed=1)

@@ -120,3 +120,12 @@ def name_bones(tree: dict, version: str) -> None:
     tree["extensions"] = {version: {"humanoid": {"humanBones": rows if version == "VRM" else table}}}
     for number, node in enumerate(tree["nodes"]):
         node["name"] = f"Tail_{number}"
+
+
+def glb_with(*, node: dict | None = None, accessor: dict | None = None) -> bytes:
+    """Returns a GLB file of one joint whose node and first accessor have some other values."""
+    writer = GlbWriter()
+    root = writer.joint("Root", **{"translation": [0, 1, 0]} | (node or {}))
+    writer.animation("move", [(root, "rotation", [0, 1], about_y([0, 90]), "LINEAR", "f4")])
+    writer.tree["accessors"][0] |= accessor or {}
+    return writer.data()

@@ -47,6 +47,7 @@ def test_a_bug_is_told_as_json_with_the_usual_headers(monkeypatch):
 
     scope = {
         "type": "http",
+        "scheme": "http",
         "method": "GET",
         "path": "/metrics",
         "query_string": b"",

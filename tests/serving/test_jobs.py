@@ -3,9 +3,11 @@
 import asyncio
 import json
 
+import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
+from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling.request import MotionRequest
 from t2m_jax.serving import jobs as module
 from t2m_jax.serving.jobs import Jobs, QueueFullError
@@ -168,6 +170,23 @@ def test_after_a_death_requests_are_tried_again(monkeypatch):
             assert len(jobs.sent) == alive
         assert names(job)[-1] == "failed" and jobs.is_alive
         assert b"t2m_worker_restarts_total 3.0" in jobs.measures.text()
+
+    with_queue(test)
+
+
+def test_a_file_that_may_have_ended_the_process_is_not_tried_again(monkeypatch):
+    monkeypatch.setattr(module, "RESTART_SECONDS", 0.0)
+    motion = Motion(np.zeros((4, 22, 3)), 20.0)
+    vary = MotionRequest(captions=("a person walks",), start=motion, strength=0.5)
+
+    async def test(jobs):
+        guilty, waiting, plain = jobs.submit(vary), jobs.submit(vary), jobs.submit(PLAIN)
+        for job in (guilty, plain):
+            jobs.say("started", {}, job.number)
+        jobs._on_death()
+        assert names(guilty)[-1] == "failed"
+        await asyncio.sleep(0.05)
+        assert [task.job for task in jobs.sent] == [plain.number, waiting.number]
 
     with_queue(test)
 

@@ -39,3 +39,17 @@ def test_few_programs_are_kept(scheduler, monkeypatch):
         scheduler.add(task(temperature=temperature))
         scheduler.add(task(temperature=temperature, raw=True, guidance_scale=2.0))  # the same program
     assert cleared == [3] and len(scheduler.programs) == 1
+
+
+def test_an_exception_that_nobody_foresaw_fails_one_request(scheduler, sent, monkeypatch, capsys):
+    def fail(*_):
+        raise OverflowError("int too large")
+
+    chain = Task(1, MotionRequest(captions=("a person walks", "a person waves")))
+    monkeypatch.setattr(scheduler.model, "make", fail)
+    scheduler.add(chain)
+    scheduler.embed = fail
+    scheduler.add(task())
+    assert [(job, name) for job, name, _ in sent if name == "failed"] == [(1, "failed"), (0, "failed")]
+    assert "log" in sent[-1][2]["error"] and "OverflowError" in capsys.readouterr().err
+    assert not scheduler.is_busy
