@@ -105,7 +105,7 @@ def broken(change):
         (broken(lambda tree: tree["bufferViews"][0].update(buffer=1)), "another file"),
         (broken(lambda tree: tree["animations"][0].update(channels=7)), "not a correct GLB"),
         (broken(lambda tree: tree["nodes"][0].update(translation=[1, 2])), "not a correct GLB"),
-        (broken(lambda tree: tree["nodes"][0].update(translation=[1, 2, float("nan")])), "not finite"),
+        (broken(lambda tree: tree["nodes"][0].update(translation=[1, 2, float("nan")])), "not a finite number"),
     ],
 )
 def test_refusals_name_the_file(tmp_path, data, words):

@@ -24,11 +24,11 @@ def write_page(path, motions):
 
 
 def read_lines(path):
-    return f"motion of {path.read_text()}"
+    return Motion(standing(), 20.0, caption=f"motion of {path.read_text()}")
 
 
 def read_chosen(path, *, animation=None):
-    return f"{animation} of {path.read_text()}"
+    return Motion(standing(), 20.0, caption=f"{animation} of {path.read_text()}")
 
 
 def register(monkeypatch, **functions):
@@ -127,9 +127,9 @@ def test_loading_goes_by_the_suffix(monkeypatch, tmp_path):
     register(monkeypatch, txt="read_lines", two="read_chosen")
     for suffix in ("TXT", "two"):
         (tmp_path / f"wave.{suffix}").write_text("a file")
-    assert Motion.load(str(tmp_path / "wave.TXT")) == "motion of a file"
-    assert formats.load_motion(tmp_path / "wave.TXT", animation="b") == "motion of a file"
-    assert formats.load_motion(tmp_path / "wave.two", animation="b") == "b of a file"
+    assert Motion.load(str(tmp_path / "wave.TXT")).caption == "motion of a file"
+    assert formats.load_motion(tmp_path / "wave.TXT", animation="b").caption == "motion of a file"
+    assert formats.load_motion(tmp_path / "wave.two", animation="b").caption == "b of a file"
     with pytest.raises(
         UserError, match=r"wave\.npz: cannot read motions with the suffix '\.npz'; use one of \.two, \.txt"
     ):
