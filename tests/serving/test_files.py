@@ -109,7 +109,7 @@ def test_a_table_of_joints_comes_with_its_file(nameless, nameless_table):  # noq
     data, expected = nameless.read_bytes(), load_motion(nameless, rig=str(nameless_table))
     with pytest.raises(UserError, match=r"^motion\.bvh: no known rig has its joints"):
         open_file(data, "bvh", Changes())
-    found = open_file(data, "bvh", Changes(), nameless_table.read_text())
+    found = json.loads(open_file(data, "bvh", Changes(), nameless_table.read_text()))
     assert found["motion"]["frames"] == expected.num_frames
     with pytest.raises(UserError, match=r"^motion\.bvh: rig mixamo: the file has no joint"):
         open_file(data, "bvh", Changes(), "mixamo")
