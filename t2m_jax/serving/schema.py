@@ -6,7 +6,6 @@ import dataclasses
 import difflib
 import reprlib
 import secrets
-import string
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, NotRequired
 
@@ -57,9 +56,7 @@ PYTHON_ONLY = ("strategy", "max_codes")
 """Fields that HTTP does not have: an object of Python, and a length of which each is a program of its own."""
 SEVERAL = ("glb", "html", "mp4", "gif", "png")
 """Formats that can contain several motions."""
-BASE64_LETTERS = (string.ascii_letters + string.digits + "+/=").encode()
-LONG_TEXT = 1000
-"""Bytes of a text that may be a motion; an empty archive has as many."""
+BASE64_LETTERS = b"abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789+/="
 InputFormat = Literal["npz", "bvh", "glb", "vrma"]
 
 
@@ -166,9 +163,9 @@ def _check_size(body: bytes) -> None:
     """Raises `UserError` if a body is large without its motions: its items would be made before they are counted."""
     if len(body) <= MAX_JSON:
         return
-    # Motions are long texts in base64. Between two quotes there may be anything else, such as a million numbers.
+    # Motions are texts in base64 of more than 1000 bytes. Other parts between quotes may be a million numbers.
     parts = body.split(b'"', MAX_JSON)
-    motions = [part for part in parts if len(part) > LONG_TEXT and not part.translate(None, BASE64_LETTERS)]
+    motions = [part for part in parts if len(part) > 1000 and not part.translate(None, BASE64_LETTERS)]
     if len(body) - sum(map(len, motions)) > MAX_JSON:
         raise UserError(f"request: has more than {MAX_JSON:,} bytes without the motions in it")
 
