@@ -30,7 +30,6 @@ from t2m_jax.files.writing import check_output, claim, save_json
 
 if TYPE_CHECKING:
     from t2m_jax.data import Dataset
-    from t2m_jax.evaluation.prompts.following import PromptTest
     from t2m_jax.evaluation.report.record import ReconstructionFigures
     from t2m_jax.evaluation.sources import CodeSource
     from t2m_jax.evaluation.task import EvaluationTask
@@ -228,58 +227,16 @@ def _measure(
         show_next("the same with --json F.json, then `t2m evaluate table F.json`")
 
 
-def _prompt_tests(group: str, data: str | None) -> "list[PromptTest]":
-    """Returns the tests of a group.
-
-    Raises:
-        UserError: The group needs a data set, and none is given, or the other way round.
-    """
-    from t2m_jax.data import open_dataset
-    from t2m_jax.evaluation.prompts import free
-    from t2m_jax.evaluation.prompts.following import action_tests
-    from t2m_jax.evaluation.prompts.groups import composed_tests, pace_tests
-    from t2m_jax.evaluation.prompts.manners import manner_tests
-    from t2m_jax.evaluation.prompts.people import kit_tests
-
-    if group == "kit" and data is not None:
-        return kit_tests(Path(data))
-    with_data = {
-        "paces": pace_tests,
-        "manners": manner_tests,
-        "free-paces": free.free_pace_tests,
-        "free-manners": free.free_manner_tests,
-        "then": free.then_tests,
-        "all-actions": free.all_action_tests,
-    }
-    plain = {
-        "actions": action_tests,
-        "composed": composed_tests,
-        "free": free.free_tests,
-        "subjects": free.subject_tests,
-        "typos": free.typo_tests,
-        "while": free.while_tests,
-        "counts": free.count_tests,
-        "durations": free.duration_tests,
-        "warnings": free.warning_tests,
-    }
-    if (group not in plain) != (data is not None):
-        names = ", ".join(with_data)
-        raise UserError(
-            f"--data: is for --group {names}, which compare motion with real clips, and kit, which reads a file of "
-            "captions; they need it"
-        )
-    return plain[group]() if data is None else with_data[group](open_dataset(data))
-
-
 def run_prompts(args: argparse.Namespace) -> None:
     """Prints how often generated motion does what was asked."""
+    from t2m_jax.evaluation.prompts.catalog import prompt_tests
     from t2m_jax.evaluation.prompts.following import evaluate_prompt_following
     from t2m_jax.evaluation.prompts.results import PromptReport, following_table, save_prompt_report
     from t2m_jax.sampling import TextToMotion
     from t2m_jax.sampling.request import MotionRequest, SamplingOptions
     from t2m_jax.text.coverage import PromptWarning
 
-    tests = _prompt_tests(args.group, args.data)
+    tests = prompt_tests(args.group, args.data)
     num_seeds = args.num_seeds or (20 if args.group in PLAIN_GROUPS else None)
     options = read_record(SamplingOptions, args)
     model = TextToMotion.load(args.model)

@@ -8,11 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from t2m_jax.cli.evaluate import FREE_GROUPS, PLAIN_GROUPS, _measure, _prompt_tests
+from t2m_jax.cli.evaluate import FREE_GROUPS, PLAIN_GROUPS, _measure
 from t2m_jax.cli.main import main
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation import run
 from t2m_jax.evaluation.prompts import following
+from t2m_jax.evaluation.prompts.catalog import prompt_tests
 from t2m_jax.evaluation.report.record import Header, Metric, Report
 
 
@@ -127,6 +128,6 @@ def test_mistakes_are_told_in_one_line(refusal, bundle_folder, data_folder, tmp_
 @pytest.mark.parametrize("group", (*PLAIN_GROUPS, *FREE_GROUPS))
 def test_each_group_of_prompts_has_tests_or_asks_for_data(group):
     try:
-        assert _prompt_tests(group, None)
+        assert prompt_tests(group, None)
     except UserError as error:
         assert group in f"{error}" and "--data" in f"{error}"

@@ -30,16 +30,16 @@ def warned(prompts, knowledge, limit=200):
 
 
 def test_the_demo_knows_what_it_can_show(demo):
-    assert len(PROMPTS["knows"]) == len(PROMPTS["warn"]) == 30
-    assert len(warned(PROMPTS["knows"], demo)) <= 1
-    assert len(warned(PROMPTS["warn"], demo)) >= 27
+    assert (len(PROMPTS["knows"]), len(PROMPTS["warn"])) == (36, 24)
+    assert len(warned(PROMPTS["knows"], demo)) <= 2
+    assert len(warned(PROMPTS["warn"], demo)) >= 20
 
 
 @pytest.mark.parametrize(
     ("prompt", "said"),
     [
         ("a person swims north", "not learned, so without effect: swims, north; it has no action that the model knows"),
-        ("a person walks four steps", "not learned, so without effect: four"),
+        ("a person walks seventeen steps", "not learned, so without effect: seventeen"),
         (
             "a person walks 90 degrees left",
             "not learned, so without effect: 90; the option `turn` bends the path by degrees",
@@ -52,8 +52,8 @@ def test_the_demo_knows_what_it_can_show(demo):
         ("asdf qwer", "not learned, so without effect: asdf, qwer; write it in the language and style of the training"),
         ("une personne marche lentement", "not learned, so without effect: une, personne, marche, lentement; write it"),
         (
-            "b c d e f g h i j k l m n o",
-            "not learned, so without effect: b, c, d, e, f, g, h, i, j, k, l, m, ...; write it",
+            "b c d e f g h j k l m n o",
+            "not learned, so without effect: b, c, d, e, f, g, h, j, k, l, m, n, ...; write it",
         ),
     ],
 )
@@ -65,8 +65,8 @@ def test_a_warning_names_what_has_no_effect_and_what_the_model_knows(demo, promp
 
 
 def test_words_that_matter_little_are_only_listed(demo):
-    prompt = "My robot walks forward in the park, robot"
-    assert check_coverage(prompt, demo, read_part=prompt) == ("", ("my", "robot", "park"))
+    prompt = "My cousin walks forward in the cathedral, the cathedral"
+    assert check_coverage(prompt, demo, read_part=prompt) == ("", ("cathedral",))
 
 
 def test_a_prompt_that_is_cut_says_where(demo):
