@@ -159,7 +159,6 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
     clips = dataset.clips("train", fraction=config.data_fraction)
     opened = open_text_encoder(config, resume=resume)  # first, because encoding the clips takes long
     motions = code_motions(config, clips, dataset, tokenizer)
-    motions = draw_captions(motions, count=config.max_captions, seed=config.loop.seed)
     motions = add_rewordings(motions, count=config.rewordings, seed=config.loop.seed)
     reader = make_caption_reader(config, motions, opened, resume=resume)
     bank = make_code_bank(motions, reader.read, shares=draw_shares(config, dataset, motions))
@@ -201,7 +200,8 @@ def code_motions(
     """Returns clips as codes, as the config asks for."""
     options = {name: getattr(config, name) for name in ("offsets", "timed_captions", "long_clips")}
     options["seed"] = config.loop.seed  # not of the evaluation: clips have the same offsets in all of a run
-    return encode_clips(clips, dataset.info, tokenizer, **options)
+    motions = encode_clips(clips, dataset.info, tokenizer, **options)
+    return draw_captions(motions, count=config.max_captions, seed=config.loop.seed)
 
 
 def draw_shares(
