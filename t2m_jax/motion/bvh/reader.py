@@ -49,13 +49,7 @@ def load_bvh(
         UserError: The file cannot be read, or is not correct. The message names the line.
     """
     path = Path(path)
-    with reading(path):
-        data = path.read_bytes().removeprefix(b"\xef\xbb\xbf")
-    if not data.strip():
-        raise UserError(f"{path}:1: the file is empty")
-    if b"\0" in data[:4096] or not re.match(rb"\s*HIERARCHY\b", data, flags=re.IGNORECASE):
-        start = data.lstrip()[:12].decode("utf-8", errors="replace")
-        raise UserError(f"{path}:1: not a BVH file: it starts with {start!r} instead of HIERARCHY")
+    data = _read_bytes(path)
     # Only the hierarchy becomes text: the numbers are the larger part, and NumPy parses bytes.
     word = re.search(rb"^[ \t]*MOTION[ \t\r]*$\n?", data, flags=re.IGNORECASE | re.MULTILINE)
     head = data[: word.start()] if word else data
@@ -88,6 +82,18 @@ def load_bvh(
         notes=notes,
         parts=parts_from_note(hierarchy.note, num_frames=len(table.values)),
     )
+
+
+def _read_bytes(path: Path) -> bytes:
+    """Returns what is in a file that begins as BVH files do."""
+    with reading(path):
+        data = path.read_bytes().removeprefix(b"\xef\xbb\xbf")
+    if not data.strip():
+        raise UserError(f"{path}:1: the file is empty")
+    if b"\0" in data[:4096] or not re.match(rb"\s*HIERARCHY\b", data, flags=re.IGNORECASE):
+        start = data.lstrip()[:12].decode("utf-8", errors="replace")
+        raise UserError(f"{path}:1: not a BVH file: it starts with {start!r} instead of HIERARCHY")
+    return data
 
 
 def _columns(hierarchy: Hierarchy) -> list[dict[str, int]]:
