@@ -173,7 +173,7 @@ def _options(words: Sequence[Word], unknown: Sequence[Word]) -> Iterator[str]:
 
 def _nearest_actions(words: Sequence[Word], unknown: Sequence[Word], knowledge: Knowledge) -> dict[str, Nearest]:
     """Returns what is nearest to each unknown action of a prompt."""
-    if knowledge.meanings is None:
+    if knowledge.meanings is None or not knowledge.actions:
         return {}
     texts = {word.text for word in unknown if _is_action(word)}
     places = [place for place, word in enumerate(words) if word.text in texts][:MAX_NAMED]

@@ -70,7 +70,10 @@ def test_embeddings_do_not_depend_on_the_batch(encoder):
 
 
 def test_without_actions_nothing_is_near():
-    assert Meanings((), lambda sentences: 1 / 0).nearest("a person swims") == Nearest((), is_same=False)
+    meanings = Meanings((), lambda sentences: 1 / 0)
+    assert meanings.nearest("a person swims") == Nearest((), is_same=False)
+    said = warning("a person swims", Knowledge(WORDS, (), meanings))
+    assert said == "'a person swims': not learned, so without effect: swims"
 
 
 @pytest.mark.parametrize(
