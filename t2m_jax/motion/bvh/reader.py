@@ -64,22 +64,17 @@ def load_bvh(
     rotations = _rotations(hierarchy, table.values)
     channels, moving = _positions(hierarchy, table.values)
     translations = translations_from_channels(hierarchy, channels, moving, rotations, rule=root_positions)
-    notes: tuple[str, ...] = ()
-    if metres_per_unit is None:
-        metres_per_unit, said = _guess_unit(hierarchy, translations, rig)
-        notes = (said,) if said else ()
+    unit, said = (metres_per_unit, "") if metres_per_unit else _guess_unit(hierarchy, translations, rig)
     return RigClip(
         joint_names=hierarchy.joint_names,
         parents=hierarchy.parents,
-        offsets=(hierarchy.offsets * metres_per_unit).astype(np.float32),
+        offsets=(hierarchy.offsets * unit).astype(np.float32),
         rotations=rotations,
-        translations=(translations * metres_per_unit).astype(np.float32),
+        translations=(translations * unit).astype(np.float32),
         fps=table.fps,
-        metres_per_unit=metres_per_unit,
-        end_sites={
-            joint: np.array(offset, np.float32) * metres_per_unit for joint, offset in hierarchy.end_sites.items()
-        },
-        notes=notes,
+        metres_per_unit=unit,
+        end_sites={joint: np.array(place, np.float32) * unit for joint, place in hierarchy.end_sites.items()},
+        notes=(said,) if said else (),
         parts=parts_from_note(hierarchy.note, num_frames=len(table.values)),
     )
 
