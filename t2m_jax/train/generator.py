@@ -81,7 +81,7 @@ def embed_captions(
     return apply_rows(network_module(network), {"params": params[network.kind]}, *inputs, keys=keys)
 
 
-def update_trained(
+def descend_trained(
     state: Any, measure: Callable[[Any, Any], Metrics], batch: Any, *, config: GeneratorStepConfig, generator: str
 ) -> tuple[Any, Metrics]:
     """Returns the state after one update of what is trained, and the metrics before it (`descend_in_parts`)."""

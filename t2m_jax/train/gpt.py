@@ -26,7 +26,7 @@ from t2m_jax.train.generator import (
     init_caption_encoder,
     prepare_generator,
     resolve_generator,
-    update_trained,
+    descend_trained,
 )
 from t2m_jax.train.optimizer import Metrics, OptimizerConfig, TrainState, first_state
 from t2m_jax.train.streams import stream_key
@@ -131,7 +131,7 @@ def gpt_metrics(params: Any, batch: GptBatch, *, config: GptStepConfig, precisio
 def gpt_train_step(state: TrainState, batch: GptBatch, *, config: GptStepConfig) -> tuple[TrainState, Metrics]:
     """Returns the state after one update and the metrics before it."""
     measure = functools.partial(gpt_metrics, config=config, precision=config.precision)
-    return update_trained(state, measure, batch, config=config, generator="gpt")
+    return descend_trained(state, measure, batch, config=config, generator="gpt")
 
 
 def targets_from_codes(codes: Int[Array, "B N"], code_lengths: Int[Array, " B"], *, config: GptStepConfig) -> Targets:

@@ -33,7 +33,7 @@ from t2m_jax.train.generator import (
     init_caption_encoder,
     prepare_generator,
     resolve_generator,
-    update_trained,
+    descend_trained,
 )
 from t2m_jax.train.log import by_depth
 from t2m_jax.train.optimizer import Metrics, OptimizerConfig, make_optimizer
@@ -272,7 +272,7 @@ def hifigpt_train_step(
 
     # One optimizer trains both; the head is kept apart, because it is no part of the model.
     together = state._replace(params=state.params | state.head)
-    after, metrics = update_trained(together, measure, batch, config=config, generator="hifigpt")
+    after, metrics = descend_trained(together, measure, batch, config=config, generator="hifigpt")
     params, head = ({name: after.params[name] for name in part} for part in (state.params, state.head))
     return after._replace(params=params, head=head), metrics
 

@@ -265,7 +265,7 @@ def test_arrays_that_do_not_fit_are_named(change, reason, copy):
         ({"text_config__num_hidden_layers": 10**12}, "num_layers: 1000000000000 is more than"),
         ({"text_config__hidden_size": 2**70}, "embed_dim: 1180591620717411303424 is more than"),
         ({"text_config__hidden_size": 0}, "embed_dim: 0"),
-        ({"text_config__vocab_size": 700}, "the tokenizer has a token 763, but vocab_size is 700"),
+        ({"text_config__vocab_size": 700}, "the tokenizer has a token 763, but its encoder knows 700 tokens"),
         ({"text_config__vocab_size": 800}, "its config needs (800, 32)"),
         ({"text_config__num_attention_heads": 5}, "num_heads: 5"),
         ({"text_config__hidden_act": "gelu_new"}, "activation"),

@@ -129,7 +129,7 @@ NO_SEP = {
         ),
         ("config.json", {"hidden_size": 2**70}, "embed_dim: 1180591620717411303424 is more than"),
         ("config.json", {"num_hidden_layers": 3}, "array 'encoder.layer.2.attention.output.LayerNorm.bias' is missing"),
-        ("config.json", {"vocab_size": 100}, "has a token 249, but vocab_size is 100"),
+        ("config.json", {"vocab_size": 100}, "has a token 249, but its encoder knows 100 tokens"),
         (LENGTH, {"max_seq_length": 2}, "adds 2 special tokens; expected at least 1, and fewer than 2"),
         (LENGTH, {"max_seq_length": -5}, "max_length: -5"),
         (PROMPTS, {"default_prompt_name": "query"}, "has a default prompt, which is not supported"),

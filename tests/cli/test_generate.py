@@ -123,7 +123,7 @@ def test_every_field_of_the_records_is_an_option():
     options = {action.dest for action in parser._actions}
     fields = {field.name for record in (MotionRequest, Changes) for field in fields_of(record)}
     assert fields - options == {"captions", "strategy", "begin", "end"}  # sentences, only in Python, and --trim
-    assert options - fields == {"text", "then", "trim", "help", "model", "names", "units", "output"}
+    assert options - fields == {"text", "then", "trim", "help", "model", "names", "units", "output", "rig"}
 
 
 def test_a_folder_in_the_place_of_the_file_is_refused(refusal, bundle_folder, tmp_path):
@@ -185,8 +185,8 @@ def test_what_the_model_does_not_know_is_one_line_and_in_the_file(tmp_path, caps
     assert main(["generate", *sentences, "--num-samples", "2", "-o", f"{output}"]) == 0
     warnings = [line for line in capsys.readouterr().err.splitlines() if line.startswith("t2m: warning: ")]
     (line,) = warnings
-    assert line.startswith("t2m: warning: 'a robot swims to the north': not learned, so without effect: swims, north;")
-    for number, (warning, words) in enumerate([(line[14:], ("robot", "swims", "north"))] * 2 + [("", ())] * 2):
+    assert line.startswith("t2m: warning: 'a robot swims to the north': swims: not known; nearest: ")
+    for number, (warning, words) in enumerate([(line[14:], ("swims", "north"))] * 2 + [("", ())] * 2):
         motion = load_motion(tmp_path / f"out-{number}.npz")
         assert (motion.warning, motion.unknown_words) == (warning, words)
 

@@ -241,9 +241,9 @@ def test_a_model_warns_of_what_it_does_not_know(bundle):
     with pytest.warns(
         PromptWarning, match=r"'a person jumps': not learned, so without effect: jumps; .* knows walk, wave"
     ):
-        jump, walk = model.generate(["a person jumps", "a gorilla walks forward"])
+        jump, walk = model.generate(["a person jumps", "a plumber walks forward"])
     assert jump.unknown_words == ("jumps",) and "jumps" in jump.warning
-    assert walk.unknown_words == ("gorilla",) and walk.warning == ""
+    assert walk.unknown_words == ("plumber",) and walk.warning == ""
     with pytest.warns(PromptWarning, match="jumps"):
         next(model.stream("a person jumps"))
     limit = bundle.config.text_encoder.max_length
