@@ -11,10 +11,20 @@ from typing import NamedTuple
 
 import pytest
 
+import tests
 from t2m_jax.checkpoints.bundle import save_bundle
 from tests.tiny import HIFIGPT_BUNDLE, random_bundle
 
 START_SECONDS = 120
+
+
+@pytest.fixture(scope="session", autouse=True)
+def main_module():
+    """Gives the main program a file, which processes of pytest-xdist lack: AnyIO's processes run it before files."""
+    with pytest.MonkeyPatch.context() as patch:
+        if getattr(sys.modules["__main__"], "__file__", None) is None:
+            patch.setattr(sys.modules["__main__"], "__file__", tests.__file__, raising=False)
+        yield
 
 
 class Answer(NamedTuple):
