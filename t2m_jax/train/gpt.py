@@ -18,16 +18,15 @@ from t2m_jax.models.rows import Precision, apply_rows, in_precision
 from t2m_jax.train.config import LoopConfig, StepConfig
 from t2m_jax.train.experiment import Trainer
 from t2m_jax.train.generator import (
-    GeneratorStepConfig,
     GeneratorSteps,
-    TrainGeneratorConfig,
     codes_at,
+    descend_trained,
     embed_captions,
     init_caption_encoder,
     prepare_generator,
     resolve_generator,
-    descend_trained,
 )
+from t2m_jax.train.generator_config import GeneratorStepConfig, TrainGeneratorConfig
 from t2m_jax.train.optimizer import Metrics, OptimizerConfig, TrainState, first_state
 from t2m_jax.train.streams import stream_key
 from t2m_jax.train.targets import Targets, draw_corruption, drop_one_code, make_targets

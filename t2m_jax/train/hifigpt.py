@@ -25,16 +25,15 @@ from t2m_jax.text.caption_states import CaptionStates
 from t2m_jax.train.config import LoopConfig, StepConfig
 from t2m_jax.train.experiment import Trainer
 from t2m_jax.train.generator import (
-    GeneratorStepConfig,
     GeneratorSteps,
-    TrainGeneratorConfig,
     codes_at,
+    descend_trained,
     embed_captions,
     init_caption_encoder,
     prepare_generator,
     resolve_generator,
-    descend_trained,
 )
+from t2m_jax.train.generator_config import GeneratorStepConfig, TrainGeneratorConfig
 from t2m_jax.train.log import by_depth
 from t2m_jax.train.optimizer import Metrics, OptimizerConfig, make_optimizer
 from t2m_jax.train.streams import stream_key
