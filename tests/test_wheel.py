@@ -113,6 +113,7 @@ def folder(tmp_path_factory, golden_dir):
         Motion(make_motion(kind, seed=number, num_frames=60), 20.0).save(folder / "my-bvh" / name)
         rows.append(f"{name},a person does {kind}")
     (folder / "my-bvh" / "captions.csv").write_text("\n".join(rows) + "\n")
+    shutil.copy(folder / "my-bvh" / "0.bvh", folder / "take_07.bvh")
     for name, published in {"net_last": "ckpt_vqvae_small", "net_best_fid": "ckpt_gpt_small"}.items():
         (folder / f"{name}.pth").write_bytes((golden_dir / "t2m_gpt" / f"{published}.pth").read_bytes())
     (folder / "card.md").write_text("---\nlicense: cc0-1.0\n---\n# Mine\n")
