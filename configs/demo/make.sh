@@ -1,5 +1,6 @@
 #!/bin/sh
-# Makes the packaged model `demo` again, from the data to the bundle. About nine hours on two CPU cores.
+# Makes the packaged model `demo` again, from the data to the bundle. About nine hours on two CPU cores, by the sum of its parts, which were run
+# one by one.
 #   sh configs/demo/make.sh ARCHIVES
 # ARCHIVES is the folder that configs/demo/data.sh reads.
 # A training that was interrupted goes on with `t2m train rvqvae --run runs/demo-rvqvae --resume` (hifigpt: runs/demo).
