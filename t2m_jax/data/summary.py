@@ -17,8 +17,6 @@ from t2m_jax.text.coverage import count_actions
 NUM_CAPTIONS = 300
 """Captions that a record has, if there are so many clips."""
 
-OTHER = "other"
-"""Label of clips whose actions are not worth a label."""
 SHORTEST_SHARE = 0.01
 """Share of the clips that are shorter than the shortest motion that a model should make."""
 
@@ -53,7 +51,10 @@ def summarize_training_data(dataset: Dataset, clips: Sequence[Clip]) -> Training
         num_clips=len(clips),
         clips_per_action=dict(labels.most_common()),
         words=dict(words.most_common()),
-        actions=_count_actions(clips, [(index.label(clip.name) if index else None) or "" for clip in clips]),
+        actions=count_actions(
+            ([caption.text for caption in clip.captions] for clip in clips),
+            [_single_action(index.label(clip.name) or "") for clip in clips] if index else (),
+        ),
         shortest_frames=_shortest(clips),
         captions=_some_captions(clips),
     )
@@ -71,11 +72,9 @@ def _some_captions(clips: Sequence[Clip]) -> tuple[str, ...]:
     return tuple(drawn[place] for place in generator.permutation(len(drawn))[:NUM_CAPTIONS])
 
 
-def _count_actions(clips: Sequence[Clip], labels: Sequence[str]) -> dict[str, int]:
-    # Of clips that show this and that, each action has too few to learn it.
-    named = [([] if label == OTHER else clip.captions) for clip, label in zip(clips, labels, strict=True)]
-    single = [action_of(label) if len(label_actions(label)) == 1 else "" for label in labels]
-    return count_actions(([caption.text for caption in captions] for captions in named), single if any(labels) else ())
+def _single_action(label: str) -> str:
+    """Returns the action of a label, empty if there is none, or several."""
+    return action_of(label) if len(label_actions(label)) == 1 else ""
 
 
 def _action(label: str) -> str:
