@@ -15,7 +15,7 @@ from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer, load
 from t2m_jax.config import flat_fields, save_config
 from t2m_jax.data.banks.codes import Captions, CodeBank, CodeBatch, code_batch_at
 from t2m_jax.data.folder import Clip, Dataset, open_dataset
-from t2m_jax.data.index import INDEX, action_of, load_index
+from t2m_jax.data.index import INDEX, label_actions, load_index
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.sources import CodeSource, make_generation
 from t2m_jax.models.caption_encoder import (
@@ -218,7 +218,7 @@ def draw_shares(
     labels = [None if index is None else index.label(motion.clip) for motion in motions]
     if not any(labels):
         raise UserError(f"{dataset.folder / INDEX}: has no labels of these clips, which balance needs; set it to 0")
-    actions = ["" if label is None else action_of(label) for label in labels]
+    actions = [("",) if label is None else label_actions(label) for label in labels]
     return balanced_shares(actions, power=config.balance, limit=config.balance_limit)
 
 

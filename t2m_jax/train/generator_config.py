@@ -80,8 +80,8 @@ class TrainGeneratorConfig(GeneratorStepConfig, ExperimentConfig):
     `sentence`, `model.text_dim` is the width of its embeddings."""
     balance: float = 0.0
     """Power with which motions of rare actions are drawn more often in training: 0 draws all motions equally often, 1
-    all labels of the data set's `index.csv`, and 0.5 is between. Of a label such as `walk, happy`, only the action
-    counts; composed motions are one label for each number of actions; motions without a label are one, too."""
+    all actions of the data set's `index.csv`, and 0.5 is between. Of a label such as `walk, happy`, only the action
+    counts. A motion of several actions is drawn as often as their mean; motions without a label are one action."""
     balance_limit: float = 10.0
     """How many times as often as the average a motion is drawn at most."""
     max_captions: int = 0

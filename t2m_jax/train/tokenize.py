@@ -254,16 +254,17 @@ def split_by_captions(
     return motions
 
 
-def balanced_shares(labels: Sequence[str], *, power: float, limit: float) -> Float[np.ndarray, " M"]:
+def balanced_shares(actions: Sequence[Sequence[str]], *, power: float, limit: float) -> Float[np.ndarray, " M"]:
     """Returns the shares of motions in the draws of training, each with those of the motions before it.
 
     Args:
-        labels: Of each motion.
-        power: The weight of a motion is the number of motions with its label to the power of minus this.
-        limit: Largest weight, as a multiple of the mean.
+        actions: Of each motion, at least one.
+        power: The weight of an action is the number of motions that have it to the power of minus this. A motion of
+            several actions has the mean of their weights.
+        limit: Largest weight of a motion, as a multiple of the mean.
     """
-    counts = Counter(labels)
-    weights = np.array([float(counts[label]) ** -power for label in labels])
+    counts = Counter(action for names in actions for action in set(names))
+    weights = np.array([np.mean([float(counts[action]) ** -power for action in names]) for names in actions])
     weights = np.minimum(weights, limit * weights.mean())
     return (np.cumsum(weights) / weights.sum()).astype(np.float32)
 

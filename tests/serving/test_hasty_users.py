@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 @pytest.mark.parametrize("viewport", [WIDE, PHONE])
 def test_accessibility_of_dialogs_and_errors(open_studio, viewport):  # noqa: F811
     page = open_studio(viewport=viewport)
-    page.get_by_role("button", name="Generate").click()
+    page.get_by_role("button", name="Generate", exact=True).click()
     expect(page.get_by_role("alert")).to_have_text("Write a sentence first.")
     page.locator("#add-sentence").click()
     assert serious_faults(page) == []
@@ -44,9 +44,9 @@ def test_accessibility_of_dialogs_and_errors(open_studio, viewport):  # noqa: F8
 def test_a_double_click_is_one_click(open_studio):  # noqa: F811
     page = open_studio()
     page.get_by_role("textbox", name="Sentence").fill(WALK)
-    page.get_by_role("button", name="Generate").dblclick()
+    page.get_by_role("button", name="Generate", exact=True).dblclick()
     expect(page.locator(".take")).to_have_count(1, timeout=60_000)
-    page.get_by_role("button", name="Generate").click()
+    page.get_by_role("button", name="Generate", exact=True).click()
     expect(page.locator(".take")).to_have_count(2, timeout=60_000)
     page.get_by_role("button", name=f"Delete {WALK}").first.dblclick()
     page.wait_for_timeout(300)
@@ -58,7 +58,7 @@ def test_messages_cover_no_buttons(open_studio):  # noqa: F811
     generate(page, WALK)
     page.get_by_role("spinbutton", name="Begin").fill("0.2")
     page.get_by_role("textbox", name="Sentence").fill("")
-    page.get_by_role("button", name="Generate").click()
+    page.get_by_role("button", name="Generate", exact=True).click()
     expect(page.get_by_role("alert")).to_have_text("Write a sentence first.")
     for name in ("Whole motion", "Continue with …", "Download GLB", "Generate", "Open file", "Help"):
         page.get_by_role("button", name=name).click(trial=True, timeout=2_000)

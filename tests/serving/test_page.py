@@ -66,7 +66,9 @@ def generate(page, *sentences, samples=1, takes=1):
     for number, sentence in enumerate(sentences[1:], start=2):
         page.locator("#add-sentence").click()
         page.get_by_role("textbox", name=f"Sentence {number}").fill(sentence)
-    page.keyboard.press("Enter") if len(sentences) > 1 else page.get_by_role("button", name="Generate").click()
+    page.keyboard.press("Enter") if len(sentences) > 1 else page.get_by_role(
+        "button", name="Generate", exact=True
+    ).click()
     expect(page.locator(".take")).to_have_count(takes, timeout=60_000)
 
 
@@ -153,7 +155,7 @@ def test_sentences_follow_each_other_and_a_part_is_made_again(open_studio):
     generate(page, WALK, takes=4)
     assert num_frames(page) > frames
     page.get_by_role("radio", name="Vary").check(force=True)
-    page.get_by_role("button", name="Generate").click()
+    page.get_by_role("button", name="Generate", exact=True).click()
     expect(page.locator(".take")).to_have_count(5, timeout=60_000)
 
 
@@ -187,7 +189,7 @@ def test_every_field_of_the_interface_has_a_control(open_studio):
     expected = {"temperature": 0.5, "top_k": 20, "seconds": 1.5, "stop_rule": "argmax", "raw": True, "seed": 7}
     assert sent == [expected | {"captions": [WALK], "num_samples": 1}] and num_frames(page) == 32
     page.get_by_role("spinbutton", name="Temperature").fill("2.1")
-    page.get_by_role("button", name="Generate").click()
+    page.get_by_role("button", name="Generate", exact=True).click()
     expect(page.get_by_role("alert")).to_contain_text("Temperature: ")
 
 
@@ -238,7 +240,7 @@ def test_the_history_survives(open_studio):
 def test_nothing_is_lost_if_something_fails(open_studio):
     page = open_studio(may_fail=["429", "503"])
     sentence, alert = page.get_by_role("textbox", name="Sentence"), page.get_by_role("alert")
-    page.get_by_role("button", name="Generate").click()
+    page.get_by_role("button", name="Generate", exact=True).click()
     expect(alert).to_have_text("Write a sentence first.")
     expect(sentence).to_be_focused()
     generate(page, WALK)
@@ -306,11 +308,11 @@ def test_a_request_can_be_cancelled(open_studio):
     page.route("**/motions", lambda route: None)
     sentence = page.get_by_role("textbox", name="Sentence")
     sentence.fill(WALK)
-    page.get_by_role("button", name="Generate").click()
+    page.get_by_role("button", name="Generate", exact=True).click()
     expect(page.get_by_role("button", name="Cancel")).to_be_focused()
     page.keyboard.press("Escape")
     expect(page.locator("#status")).to_have_text("Canceled.")
-    expect(page.get_by_role("button", name="Generate")).to_be_focused()
+    expect(page.get_by_role("button", name="Generate", exact=True)).to_be_focused()
     expect(sentence).to_have_value(WALK)
 
 
@@ -368,7 +370,7 @@ def test_accessibility(open_studio, scheme, viewport):
     page.get_by_text("Words that the model knows").click()
     assert serious_faults(page) == []
     page.get_by_role("combobox", name="Samples").select_option("8")
-    page.get_by_role("button", name="Generate").click()
+    page.get_by_role("button", name="Generate", exact=True).click()
     expect(page.locator("#take-facts")).to_contain_text("of 8", timeout=60_000)
     assert serious_faults(page) == []
 

@@ -224,11 +224,11 @@ def test_parts_know_their_clip(first_frames, vqvae):
     assert [motion.clip for motion in coded(vqvae, CLIPS[:3])] == ["whole", "both", "both", "both", "parts"]
 
 
-def test_shares_balance_labels():
-    labels = ["walk"] * 8 + ["wave"] * 2 + ["jump"]
+def test_shares_balance_actions():
+    actions = [["walk"]] * 8 + [["wave"]] * 2 + [["jump"]]
 
     def weight_of_labels(**options):
-        weights = np.diff(balanced_shares(labels, **options), prepend=0)
+        weights = np.diff(balanced_shares(actions, **options), prepend=0)
         return [weights[:8].sum(), weights[8:10].sum(), weights[10]]
 
     np.testing.assert_allclose(weight_of_labels(power=1.0, limit=100.0), [1 / 3, 1 / 3, 1 / 3], rtol=1e-5)
@@ -238,3 +238,11 @@ def test_shares_balance_labels():
     weights = np.array([1 / 8, 1.5 * 3 / 11, 1.5 * 3 / 11])
     expected = weights * [8, 2, 1] / (weights @ [8, 2, 1])
     np.testing.assert_allclose(weight_of_labels(power=1.0, limit=1.5), expected, rtol=1e-5)
+
+
+def test_a_motion_of_several_actions_is_drawn_as_often_as_these():
+    actions = [["walk"], ["walk"], ["jump"], ["walk", "jump"], ["walk", "walk"]]
+    weights = np.diff(balanced_shares(actions, power=1.0, limit=100.0), prepend=0)
+    # Four motions have a walk, two a jump.
+    expected = np.array([1 / 4, 1 / 4, 1 / 2, 3 / 8, 1 / 4])
+    np.testing.assert_allclose(weights, expected / expected.sum(), rtol=1e-5)
