@@ -66,9 +66,10 @@ def generate(page, *sentences, samples=1, takes=1):
     for number, sentence in enumerate(sentences[1:], start=2):
         page.locator("#add-sentence").click()
         page.get_by_role("textbox", name=f"Sentence {number}").fill(sentence)
-    page.keyboard.press("Enter") if len(sentences) > 1 else page.get_by_role(
-        "button", name="Generate", exact=True
-    ).click()
+    if len(sentences) > 1:
+        page.keyboard.press("Enter")
+    else:
+        page.get_by_role("button", name="Generate", exact=True).click()
     expect(page.locator(".take")).to_have_count(takes, timeout=60_000)
 
 
