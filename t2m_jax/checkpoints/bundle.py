@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib.resources
+import itertools
 import re
 import reprlib
 from pathlib import Path
@@ -41,6 +42,8 @@ NO_LICENSE = "unknown"
 """The license of a model whose card does not have one. It cannot be shared on the hub."""
 FORMAT_VERSION = 3
 """Version of bundles: they have a manifest."""
+NUM_EXAMPLES = 5
+"""Captions of the training data that are examples of a model whose card has none."""
 BUNDLED = ("demo", "demo-t2m-gpt")
 """Names of the bundles that are part of the package."""
 
@@ -95,6 +98,12 @@ class Bundle(NamedTuple):
         return card_license(self.card)
 
     @property
+    def examples(self) -> tuple[str, ...]:
+        """Sentences to try: those of the card (see `card_examples`), else some captions of the training data."""
+        captions = tuple((self.training_data or {}).get("captions", ()))
+        return card_examples(self.card) or captions[:NUM_EXAMPLES]
+
+    @property
     def fingerprint(self) -> str:
         """Identifies the model: a digest of sizes, weights, statistics and subwords."""
         words = "" if self.bpe is None else self.bpe.to_str()
@@ -110,9 +119,21 @@ def bundle_path(name_or_path: str | Path) -> Path:
 
 def card_license(card: str) -> str:
     """Returns the license in the metadata of a card, as on the Hugging Face hub; `NO_LICENSE` if it has none."""
-    start, _, metadata = card.partition("---\n")
-    found = re.search(r"^license: *[\"']?([\w.-]+)[\"']? *$", metadata.partition("\n---\n")[0], re.MULTILINE)
-    return found[1] if found and not start else NO_LICENSE
+    found = re.search(r"^license: *[\"']?([\w.-]+)[\"']? *$", _card_metadata(card), re.MULTILINE)
+    return found[1] if found else NO_LICENSE
+
+
+def card_examples(card: str) -> tuple[str, ...]:
+    """Returns the sentences under `widget` in the metadata of a card, as on the Hugging Face hub."""
+    _, _, widget = f"\n{_card_metadata(card)}".partition("\nwidget:\n")
+    items = itertools.takewhile(lambda line: line.lstrip().startswith("- text:"), widget.splitlines())
+    return tuple(item.partition("text:")[2].strip().strip("\"'") for item in items)
+
+
+def _card_metadata(card: str) -> str:
+    """Returns what is between the first two lines `---` of a card, empty if it does not begin with one."""
+    start, _, rest = card.partition("---\n")
+    return "" if start else rest.partition("\n---\n")[0]
 
 
 def load_bundle_config(folder: Path) -> BundleConfig:

@@ -80,7 +80,10 @@ def _read_archive(file: BinaryIO) -> Any:
             raise UserError("a zip archive, but not of torch.save; use the downloaded file as it is")
         root = roots[0].removesuffix("/data.pkl")
         if members[f"{root}/data.pkl"].file_size > MAX_PICKLE_BYTES:
-            raise UserError(f"its table of contents is larger than {MAX_PICKLE_BYTES // 1_000_000} MB; not a model")
+            raise UserError(
+                f"its pickle is larger than {MAX_PICKLE_BYTES // 1_000_000} MB: not a model, or its weights are NumPy "
+                "arrays; save them as tensors"
+            )
         # Older versions of PyTorch do not write this member.
         order = archive.read(f"{root}/byteorder") if f"{root}/byteorder" in members else b"little"
         if order != b"little":

@@ -35,11 +35,13 @@ DTYPES: dict[str, np.dtype] = {
 """The type of the numbers in each kind of storage."""
 
 _ORDERED_DICT = "collections.OrderedDict"
+_COUNTER = "collections.Counter"
+"""Schedules of the learning rate, such as MultiStepLR, have one."""
 _SIZE = "torch.Size"
 _TENSOR = "torch._utils._rebuild_tensor_v2"
 _PARAMETER = "torch._utils._rebuild_parameter"
 _STORAGES = {f"{module}.{name}": dtype for module in ("torch", "torch.cuda") for name, dtype in DTYPES.items()}
-_NAMES = frozenset((_ORDERED_DICT, _SIZE, _TENSOR, _PARAMETER, *_STORAGES))
+_NAMES = frozenset((_ORDERED_DICT, _COUNTER, _SIZE, _TENSOR, _PARAMETER, *_STORAGES))
 _DAMAGED = (LookupError, ValueError, TypeError, AttributeError, EOFError, struct.error, pickle.UnpicklingError)
 """What Python's machine raises for a pickle that breaks the rules of the language."""
 
@@ -205,6 +207,8 @@ def _made(name: Any, arguments: Any) -> Any:
     if isinstance(name, Name) and isinstance(arguments, tuple):
         if name.text == _ORDERED_DICT and not arguments:
             return {}
+        if name.text == _COUNTER and len(arguments) == 1 and type(arguments[0]) is dict:
+            return arguments[0]
         if name.text == _SIZE and len(arguments) == 1 and isinstance(arguments[0], tuple):
             return arguments[0]
         if name.text == _PARAMETER and len(arguments) == 3 and isinstance(arguments[0], Tensor):

@@ -50,6 +50,7 @@ class TextToMotion:
         self.knowledge = self.parts.knowledge
         self.training_data = bundle.training_data
         self.license = bundle.license
+        self.examples = bundle.examples
         self.source = bundle.source
 
     @classmethod

@@ -37,13 +37,6 @@ FILE_SECONDS = 120.0
 """Longest time to make a file."""
 MAX_FILES = 16
 """Requests for files that may wait; one is worked on."""
-EXAMPLES = (
-    "a person walks forward",
-    "a person waves with the left hand",
-    "a person runs in a circle",
-    "a person dances happily",
-    "a person bows politely",
-)
 HEADERS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data: blob:; base-uri 'none'; form-action 'none'; "
     "frame-ancestors 'none'",
@@ -191,7 +184,6 @@ class _Server:
         """Answers with what the page needs to know."""
         bodies = {"motions": schema.MotionBody, "files": schema.FileParameters, "scene": schema.SceneParameters}
         data = self.jobs.model | {
-            "examples": EXAMPLES,
             "formats_of_several": schema.SEVERAL,
             "body_bytes": schema.MAX_BODY,
             "fields": {name: body.model_json_schema()["properties"] for name, body in bodies.items()},

@@ -266,7 +266,7 @@ class ModelData(TypedDict):
     stop_rules: list[str]
     actions: list[str]
     words: list[str]
-    examples: NotRequired[list[str]]
+    examples: list[str]
     formats_of_several: NotRequired[list[str]]
     body_bytes: NotRequired[int]
     fields: NotRequired[dict[str, dict[str, Any]]]

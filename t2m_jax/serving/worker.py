@@ -68,6 +68,7 @@ def describe_model(model: TextToMotion, name: str) -> ModelData:
         "stop_rules": _stop_rules(model),
         "actions": list(model.knowledge.actions),
         "words": sorted(model.knowledge.words),
+        "examples": list(model.examples),
     }
 
 

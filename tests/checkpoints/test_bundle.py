@@ -230,6 +230,16 @@ def test_the_license_is_that_of_the_metadata_of_the_card(copy, card, license_):
     assert load_bundle(copy).license == license_
 
 
+def test_examples_are_those_of_the_card_or_captions(copy):
+    captions = ("one", "two", "three", "four", "five", "six")
+    bundle = load_bundle(copy)
+    assert bundle._replace(training_data=None).examples == ()
+    bundle = bundle._replace(training_data={"captions": captions}, card="# mine\n---\nwidget:\n- text: he walks\n---\n")
+    assert bundle.examples == captions[:5]
+    metadata = 'license: mit\nwidget:\n- text: he walks\n  - text: "she: waves"\ntags: []'
+    assert bundle._replace(card=f"---\n{metadata}\n---\n").examples == ("he walks", "she: waves")
+
+
 def test_statistics_of_another_width_are_refused(copy):
     for name in ("Mean", "Std"):
         np.save(copy / f"{name}.npy", np.ones(251, np.float32))

@@ -212,7 +212,7 @@ def test_tensors_cannot_share_a_storage_without_end(tmp_path):
 
 def test_long_pickles_are_not_read(tmp_path):
     path = write_archive(tmp_path / "x.pth", b"\x80\x02}" + b"N" * MAX_PICKLE_BYTES + b".")
-    assert "table of contents is larger than 1 MB" in refusal(path)
+    assert "its pickle is larger than 1 MB" in refusal(path)
 
 
 def test_archives_that_unpack_to_more_are_refused(tmp_path):

@@ -183,11 +183,23 @@ def test_names_may_carry_the_mark_of_parallel_training(golden_dir, tmp_path):
     assert all(np.array_equal(back[key], array) for key, array in state.items())
 
 
-def test_half_precision_and_doubles_are_read(golden_dir, tmp_path):
-    state, _ = golden(golden_dir, VQVAE_NAMES[0])
-    for dtype in (np.float16, np.float64):
-        _, variables = load_vqvae(written(tmp_path, {key: array.astype(dtype) for key, array in state.items()}))
-        assert {leaf.dtype for leaf in jax.tree.leaves(variables["params"])} == {np.dtype(np.float32)}
+@pytest.mark.parametrize("prefix", ["model.", "trans.", "model.trans.module."])
+def test_names_may_carry_the_prefixes_of_trainers(golden_dir, tmp_path, prefix):
+    state, sizes = golden(golden_dir, "gpt_l2")
+    marked = {f"{prefix}{key}": array for key, array in state.items()}
+    config, variables = load_gpt(written(tmp_path, marked), num_heads=sizes["n_head"])
+    back = gpt_state_dict(variables, config)
+    assert all(np.array_equal(back[key], state[key]) for key in back if key not in (UNUSED, POSITIONS))
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float64])
+@pytest.mark.parametrize(("load", "name"), [(load_vqvae, VQVAE_NAMES[0]), (load_gpt, "gpt_l2")])
+def test_half_precision_and_doubles_are_read(golden_dir, tmp_path, load, name, dtype):
+    state, sizes = golden(golden_dir, name)
+    options = {"num_heads": sizes["n_head"]} if load is load_gpt else {}
+    arrays = {key: array.astype(dtype) for key, array in state.items()}
+    _, variables = load(written(tmp_path, arrays), **options)
+    assert {leaf.dtype for leaf in jax.tree.leaves(variables["params"])} == {np.dtype(np.float32)}
 
 
 def refusal(load, path, **options) -> str:

@@ -1,6 +1,7 @@
 """Files of `torch.save`: what PyTorch wrote comes back. For what is refused, see test_hostile_torch_file.py."""
 
 import pickle
+from collections import Counter
 
 import ml_dtypes
 import numpy as np
@@ -99,6 +100,11 @@ def test_plain_values_come_back_as_pickle_itself_reads_them(tmp_path_factory, co
     path = tmp_path_factory.mktemp("plain") / "x.pth"
     found = load_torch_file(write_archive(path, pickle.dumps(content, protocol=protocol)))
     assert repr(found) == repr(content)
+
+
+def test_a_counter_is_read_as_a_dictionary(tmp_path):
+    content = {"milestones": Counter({150_000: 1, 250_000: 1})}
+    assert load_torch_file(write_archive(tmp_path / "x.pth", pickle.dumps(content, protocol=2))) == content
 
 
 def test_what_is_no_file_of_torch_save(tmp_path):

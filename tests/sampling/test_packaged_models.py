@@ -36,6 +36,14 @@ def test_they_do_what_is_asked_and_the_same_as_before(name):
 
 
 @pytest.mark.parametrize("name", BUNDLED)
+def test_their_examples_need_no_warning_and_are_no_fragments(name):
+    model = TextToMotion.load(name)
+    motions = model.generate(model.examples, seed=1)
+    assert [motion.warning for motion in motions] == [""] * len(model.examples)
+    assert min(motion.num_frames for motion in motions) >= 24
+
+
+@pytest.mark.parametrize("name", BUNDLED)
 def test_their_cards_say_what_the_license_is(name):
     card = (FOLDER / name / "README.md").read_text()
     assert "CC BY-NC 4.0" in card and "Bandai Namco Research" in card and "@@" not in card

@@ -22,6 +22,8 @@ Config = TypeVar("Config")
 
 WRAPPERS = {"net": "a VQ-VAE", "trans": "a GPT"}
 """The key under which the original saves each model."""
+OTHER_WRAPPERS = ("state_dict", "model")
+"""Keys under which trainers such as Lightning save a model. These and `DataParallel` put a prefix before its names."""
 POSITION_TOLERANCE = 1e-4
 """Largest difference between a file's fixed position table and ours; rounding alone makes 3e-7."""
 
@@ -193,10 +195,12 @@ def _load_state_dict(path: Path, *, wrapper: str) -> StateDict:
     for key, kind in WRAPPERS.items():
         if key != wrapper and isinstance(content.get(key), dict) and wrapper not in content:
             raise UserError(f"{path}: contains {kind} ({key!r}), but {WRAPPERS[wrapper]} is needed")
-    state = _tensors(path, content.get(wrapper, content), wrapper)
-    # `DataParallel` puts this before every key.
-    prefix = "module." if all(key.startswith("module.") for key in state) else ""
-    return {key.removeprefix(prefix): value for key, value in state.items()}
+    found = next((name for name in (wrapper, *OTHER_WRAPPERS) if name in content), None)
+    state = _tensors(path, content if found is None else content[found], found or wrapper)
+    for prefix in ("model.", f"{wrapper}.", "module."):
+        if all(key.startswith(prefix) for key in state):
+            state = {key.removeprefix(prefix): value for key, value in state.items()}
+    return state
 
 
 def _tensors(path: Path, state: Any, name: str) -> StateDict:
@@ -243,9 +247,15 @@ def _fit(
             problem = f"has shape {state[key].shape}; its config needs {shape}" if key in state else "is missing"
             raise UserError(f"{path}: {key!r} {problem}")
         # A GPT with learned positions has the same names and shapes, but would make nonsense with our table.
-        if names.is_used(key) and not np.allclose(
-            state[key], names.constant(key, shape), rtol=0, atol=POSITION_TOLERANCE
-        ):
+        if names.is_used(key) and not _is_table(state[key], names.constant(key, shape)):
             raise UserError(f"{path}: {key!r} is not the table that the original computes; only T2M-GPT can be read")
     found = {key: array for key, array in state.items() if key not in constants}
     return fit_arrays(path, found, {weight.key: (weight.shape, np.float32) for weight in weights})
+
+
+def _is_table(found: np.ndarray, table: np.ndarray) -> bool:
+    """Returns whether an array is a table, in its own precision."""
+    found = np.asarray(found)
+    with np.errstate(all="ignore"):
+        rounded = table.astype(found.dtype)
+    return bool(np.allclose(found.astype(np.float64), rounded.astype(np.float64), rtol=0, atol=POSITION_TOLERANCE))
