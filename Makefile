@@ -43,10 +43,12 @@ $(BIN)/python:
 
 # These files record which extras are installed in .venv. A change of pyproject.toml makes them out of date.
 $(VENV)/.base: pyproject.toml | $(BIN)/python
+	@echo "Installing t2m_jax and what it needs into $(VENV): a minute or two."
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml | $(BIN)/python
+	@echo "Installing t2m_jax and the tools of its tests into $(VENV): a minute or two."
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $(VENV)/.base $@
 
@@ -71,6 +73,7 @@ $(VENV)/.docs: pyproject.toml | $(BIN)/python
 demo: $(VENV)/.base
 	@mkdir -p demo
 	$(BIN)/t2m generate "$(PROMPT)" -o demo/wave.html -o demo/wave.gif -o demo/wave.bvh
+	@echo "To use the command t2m in this terminal: source $(VENV)/bin/activate"
 
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest $(FAST) $(or $(PYTEST_ARGS),$(BY_FILE))

@@ -12,11 +12,15 @@ from t2m_jax.cli.options import add_model_argument, show_next, subcommand_adder
 from t2m_jax.errors import UserError, printable
 
 if TYPE_CHECKING:
+    from t2m_jax.data.audit import AuditReport
     from t2m_jax.data.writer import ImportReport
 
 MAX_LINES = 20
 """Number of clips or problems that are printed; `check --json` has all problems, a contact sheet all of an import."""
 SHEET = "contact-sheet.html"
+SYNTHETIC_NAME = "synthetic"
+MANY_CLIPS = 10_000
+"""A set with so many clips in training, with twins, is large enough for the published recipes (HumanML3D: 23,384)."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -226,10 +230,19 @@ def check_dataset(folder: Path, report_file: Path | None) -> None:
         _show(f"  {len(report.problems)} problems:")
         _print_lines(report.problems)
         sys.exit(1)
-    recipe = "kit_ml/official" if report.skeleton == "kit_ml" else "official"
     run_folder = shlex.quote(f"runs/{folder.resolve().name}-vqvae")
     _show("  no problems found")
-    show_next(f"t2m train vqvae {recipe} --statistics data --data {shlex.quote(str(folder))} --run {run_folder}")
+    given = f"--data {shlex.quote(str(folder))} --run {run_folder}"
+    show_next(f"t2m train vqvae {_recipe(report)} --statistics data {given}")
+
+
+def _recipe(report: "AuditReport") -> str:
+    """Returns the config of a VQ-VAE that suits a data set: the published one only for sets of the published sizes."""
+    if report.name == SYNTHETIC_NAME:
+        return "synthetic/vqvae"
+    if report.skeleton == "kit_ml":
+        return "kit_ml/official"
+    return "official" if report.splits["train"].clips >= MANY_CLIPS else "t2m-gpt/vqvae"
 
 
 def _print_lines(lines: Sequence[str], *, indent: str = "    ") -> None:

@@ -63,6 +63,11 @@ EXIT_USER_ERROR = 2
 EXIT_BROKEN_PIPE = 141  # 128 and the number of SIGPIPE, as a shell reports it
 EXIT_SIGNAL = 128
 """Added to the number of the signal that ended a command: 130 after Ctrl-C, 143 after SIGTERM."""
+FIRST_COMMANDS = """
+  t2m generate "a person waves" -o wave.html -o wave.bvh
+  t2m view wave.bvh -o wave.gif
+  t2m models demo
+"""
 REPORT = "run it again with --debug, and report what that prints"
 
 
@@ -207,7 +212,7 @@ def _run_without_command(arguments: list[str]) -> int:
         description="Converts text to human motion.",
         epilog="commands:\n"
         + "\n".join(f"  {name:{width}}  {help_}" for name, help_ in COMMANDS.items())
-        + "\n\n`t2m COMMAND --help` describes a command.",
+        + f"\n\n`t2m COMMAND --help` describes a command. To start:\n{FIRST_COMMANDS}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )

@@ -35,6 +35,8 @@ logger = logging.getLogger(__name__)
 # Above the number of any repeat, so that no two passes are the same.
 SECOND_PASS = 1_000_000
 """Added to a repeat's number for the second set of real motions, against which FID of the first is measured."""
+MOTIONS_PER_DIMENSION = 2
+"""With fewer motions than this times the width of the embeddings, FID depends more on the sample than on the model."""
 
 
 class RepeatMetrics(NamedTuple):
@@ -77,6 +79,7 @@ def evaluate(
             an evaluation with the same header.
     """
     header = make_header(task, source, model=model)
+    warn_of_few_motions(task)
     # A repeat does not depend on how many follow, so those of a longer evaluation serve a shorter one.
     repeats = load_partial(partial, header)[:num_repeats]
     start = time.monotonic()
@@ -94,6 +97,20 @@ def evaluate(
         for column in zip(*repeats, strict=True)
     )
     return Report(header=header, kind=source.kind, real=real, measured=measured)
+
+
+def warn_of_few_motions(task: EvaluationTask) -> None:
+    """Logs a warning if there are too few motions for FID."""
+    count = len(task.plan(0).samples)
+    size = task.evaluator.config.embedding_dim
+    if count < MOTIONS_PER_DIMENSION * size:
+        logger.warning(
+            "FID of %d motions with %d numbers each is not sure: a small sample changes it more than the model; use %d "
+            "motions or more",
+            count,
+            size,
+            MOTIONS_PER_DIMENSION * size,
+        )
 
 
 def load_partial(path: Path | None, header: Header) -> list[RepeatMetrics]:

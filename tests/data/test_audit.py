@@ -177,7 +177,7 @@ def test_check_prints_counts_and_writes_json(synthetic_folder, tmp_path, capsys)
     printed = capsys.readouterr()
     assert "no problems found" in printed.out
     places = f"--data {synthetic_folder} --run runs/{synthetic_folder.name}-vqvae"
-    assert printed.err.splitlines()[-1] == f"next: t2m train vqvae official --statistics data {places}"
+    assert printed.err.splitlines()[-1] == f"next: t2m train vqvae synthetic/vqvae --statistics data {places}"
     assert json.loads((tmp_path / "report.json").read_text())["problems"] == []
 
 

@@ -161,6 +161,14 @@ def test_a_partial_result_of_something_else_is_not_used(task, generation, conten
     assert load_partial(tmp_path / "partial", make_header(task, generation, model="")) == []
 
 
+def test_fid_of_few_motions_has_a_warning(task, caplog):
+    repeats.warn_of_few_motions(task)
+    assert not caplog.text
+    config = dataclasses.replace(task.evaluator.config, embedding_dim=len(task.plan(0).samples))
+    repeats.warn_of_few_motions(task._replace(evaluator=task.evaluator._replace(config=config)))
+    assert "is not sure: a small sample changes it more" in caplog.text
+
+
 @pytest.mark.parametrize(
     "repeats",
     [
