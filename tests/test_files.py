@@ -17,7 +17,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.files.locks import lock
 from t2m_jax.files.manifest import MANIFEST, check_folder, read_manifest, write_manifest
 from t2m_jax.files.reading import MAX_TEXT, load_json, load_text
-from t2m_jax.files.writing import ABANDONED_SECONDS, atomic_file, atomic_folder, check_output, claim
+from t2m_jax.files.writing import ABANDONED_SECONDS, atomic_file, atomic_folder, check_output, claim, save_text
 
 
 def names(folder):
@@ -227,6 +227,17 @@ def test_texts_that_would_fill_the_memory_are_refused(listed, tmp_path):
             file.truncate(MAX_TEXT + 1)  # takes no room on the disk
         with pytest.raises(UserError, match=rf"{path.name}: has 67,108,865 bytes; at most 67,108,864 are read"):
             check_folder(listed) if read is None else read(path)
+
+
+def test_text_with_half_a_character_is_refused(tmp_path):
+    with pytest.raises(UserError, match=r"a\.txt: cannot be written, '\\ud83d' is half a character"):
+        save_text(tmp_path / "a.txt", "a \ud83d person")
+    assert not names(tmp_path)
+
+
+def test_a_name_with_a_nul_is_refused():
+    with pytest.raises(UserError, match=r"no file can have this name"):
+        load_text(Path("a\0b"))
 
 
 @pytest.mark.skipif(not os.path.isdir("/dev/fd"), reason="pipes have no names")

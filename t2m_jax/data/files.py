@@ -6,6 +6,7 @@ new_joint_vecs/<id>.npy [T, D] float32, raw    new_joints/<id>.npy [T, J, 3] (op
 train.txt val.txt test.txt    Mean.npy Std.npy    dataset.yaml (optional)    index.csv (optional)
 """
 
+import unicodedata
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,6 +24,8 @@ INFO = "dataset.yaml"
 SPLITS = ("train", "val", "test")
 MIRROR_PREFIX = "M"
 
+MAX_NAME = 240
+"""Bytes of a clip's name; file systems allow 255 with the suffix and what is added while a file is written."""
 MIN_FRAMES = 2
 """Fewest frames of a usable clip: with one there is no step from one frame to the next."""
 
@@ -82,11 +85,16 @@ def read_names(path: Path) -> tuple[str, ...]:
     """Returns the clip names in a split list: one per line, without blank lines.
 
     Raises:
-        UserError: The list is missing or is not UTF-8, or a name in it points to another folder.
+        UserError: The list is missing or is not UTF-8, or a name in it points to another folder, is too long or has
+            control characters.
     """
-    lines = load_text(path).split("\n")
-    for number, line in enumerate(lines, start=1):
+    names = [line.strip() for line in load_text(path).split("\n")]
+    for number, name in enumerate(names, start=1):
         # Lists come from strangers, too, and a name with a folder would read a file outside of the data set.
-        if "/" in line or "\\" in line:
-            raise UserError(f"{path}:{number}: '{line}' is not a clip name; remove the folder from it")
-    return tuple(line.strip() for line in lines if line.strip())
+        if "/" in name or "\\" in name:
+            raise UserError(f"{path}:{number}: '{name}' is not a clip name; remove the folder from it")
+        if any(unicodedata.category(character) == "Cc" for character in name):
+            raise UserError(f"{path}:{number}: '{name}' is not a clip name; remove the control characters from it")
+        if len(name.encode()) > MAX_NAME:
+            raise UserError(f"{path}:{number}: '{name}' is not a clip name; it has more than {MAX_NAME} bytes")
+    return tuple(filter(None, names))

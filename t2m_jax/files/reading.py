@@ -38,6 +38,8 @@ def check_input(path: Path, *, max_bytes: int = sys.maxsize) -> None:
 
     What is missing or cannot be read is left to the reader, which says more.
     """
+    if "\0" in str(path):  # a name that a file gave; Python's functions raise a `ValueError`
+        raise UserError(f"{path}: no file can have this name, which has a NUL; correct it where it is written")
     try:
         found = path.stat()
     except OSError:

@@ -98,6 +98,25 @@ def test_overlap_counts_twins(folder):
     assert audit_dataset(folder).problems == [f"test.txt: {name} or its mirrored twin is in train.txt, too"]
 
 
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("a\0b", "remove the control characters"),
+        ("a\x1b[2Jb", "remove the control characters"),
+        ("é" * 130, "more than 240 bytes"),
+        ("../a", "remove the folder"),
+    ],
+)
+@pytest.mark.parametrize("command", [["data", "check"], ["check"]])
+def test_names_that_no_file_can_have_are_named_with_their_line(folder, capsys, command, name, words):
+    with (folder / "val.txt").open("a") as file:
+        file.write(f"{name}\n")
+    assert main([*command, str(folder)]) == 1  # problems were found
+    printed = capsys.readouterr()
+    line = len((folder / "val.txt").read_text().splitlines())
+    assert f"val.txt:{line}: " in printed.out and words in printed.out and "bug" not in printed.out + printed.err
+
+
 def test_recordings_shared_with_training_are_noted(folder):
     dataset = open_dataset(folder)
     trained, held_out = (next(n for n in dataset.names(split) if n[0] != "M") for split in ("train", "test"))
