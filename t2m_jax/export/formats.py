@@ -70,9 +70,9 @@ def load_glb_file(path: Path, *, animation: str | None = None, rig: str | None =
     Raises:
         UserError: The file is damaged or does not show a person, there are several animations, or none has this name.
     """
-    own, clip = load_gltf_animation(path, animation)
-    # glTF says that Y is up. Blender's export writes "armature|animation".
-    return dataclasses.replace(_motion_of(path, clip, rig=rig, up="y"), caption=own.rpartition("|")[2])
+    clip = load_gltf_animation(path, animation)
+    # glTF says that Y is up.
+    return dataclasses.replace(_motion_of(path, clip, rig=rig, up="y"), caption=clip.caption)
 
 
 def _motion_of(path: Path, clip: RigClip, *, rig: Rig | str | None, up: Up = "auto") -> Motion:

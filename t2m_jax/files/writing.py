@@ -208,9 +208,18 @@ def _sync(path: Path) -> None:
 
 
 def save_text(path: str | os.PathLike[str], text: str) -> None:
-    """Writes text as UTF-8; each line ends with a line feed on every system."""
+    """Writes text as UTF-8; each line ends with a line feed on every system.
+
+    Raises:
+        UserError: The text has half of a character (a lone surrogate), or the file cannot be written.
+    """
+    try:
+        data = text.encode()
+    except UnicodeEncodeError as error:
+        wrong = ascii(text[error.start : error.end])
+        raise UserError(f"{path}: cannot be written, {wrong} is half a character; remove it from the text") from None
     with atomic_file(path) as partial:
-        partial.write_text(text, encoding="utf-8", newline="\n")
+        partial.write_bytes(data)
 
 
 def save_json(path: str | os.PathLike[str], data: Any) -> None:

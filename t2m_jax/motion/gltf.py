@@ -3,6 +3,7 @@
 Scales are taken as equal along x, y and z and as constant, which they are in files of people.
 """
 
+import dataclasses
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -64,33 +65,35 @@ def load_gltf(path: Path | str, *, fps: float | None = None) -> dict[str, RigCli
     Raises:
         UserError: The file cannot be read, is damaged, or has no joints or no animation.
     """
-    return _load(Path(path), fps, lambda titles: titles)
+    return _load(Path(path), fps, list)
 
 
-def load_gltf_animation(path: Path | str, animation: str | None = None) -> tuple[str, RigClip]:
-    """Returns one animation of a GLB file and its name; the others are not read.
+def load_gltf_animation(path: Path | str, animation: str | None = None) -> RigClip:
+    """Returns one animation of a GLB file; the others are not read.
 
     Args:
         path: The file.
-        animation: Its name, with or without the armature's; by default the only one.
+        animation: Its name or its caption; by default the only one.
 
     Raises:
         UserError: As for `load_gltf`, or there are several animations, or none has this name.
     """
 
-    def choose(titles: list[str]) -> list[str]:
-        chosen = [title for title in titles if animation in (None, title, title.rpartition("|")[2])]
+    def choose(captions: Mapping[str, str]) -> list[str]:
+        if animation is not None and animation in captions:  # others may have it as their caption
+            return [animation]
+        chosen = [title for title, caption in captions.items() if animation in (None, caption)]
         if len(chosen) != 1:
-            wanted = "several animations" if animation is None else f"no animation {animation!r}"
-            raise UserError(f"has {wanted}; choose one of {shorten(', '.join(titles), 200, placeholder=' ...')}")
+            wanted = "several animations" if animation is None or chosen else f"no animation {animation!r}"
+            raise UserError(f"has {wanted}; choose one of {shorten(', '.join(captions), 200, placeholder=' ...')}")
         return chosen
 
-    ((name, clip),) = _load(Path(path), None, choose).items()
-    return name, clip
+    (clip,) = _load(Path(path), None, choose).values()
+    return clip
 
 
-def _load(path: Path, fps: float | None, choose: Callable[[list[str]], list[str]]) -> dict[str, RigClip]:
-    """Returns the animations that a function chooses from all names."""
+def _load(path: Path, fps: float | None, choose: Callable[[Mapping[str, str]], list[str]]) -> dict[str, RigClip]:
+    """Returns the animations that a function chooses from the captions of all, by name."""
     with reading(path):
         data = path.read_bytes()
     try:
@@ -104,14 +107,15 @@ def _load(path: Path, fps: float | None, choose: Callable[[list[str]], list[str]
         nodes = nodes._replace(scales=nodes.scales * unit)
         clips: dict[str, RigClip] = {}
         room = MAX_POSES
-        for title in choose(list(animations)):
+        captions = {title: _caption(glb.tree, animation, title) for title, animation in animations.items()}
+        for title in choose(captions):
             animation = animations[title]
             with np.errstate(over="ignore", invalid="ignore"):  # what is too large is then found not to be finite
                 rate = fps or _own_rate(glb.tree, animation)
                 clip = _sample(glb, nodes, animation, fps=rate or DENSE_FPS, room=room)
             clip = in_human_size(clip if rate else clip.resampled(HUMANML3D.fps))
             room -= clip.num_frames * len(nodes.names)
-            clips[title] = clip
+            clips[title] = dataclasses.replace(clip, caption=captions[title])
     except UserError as error:
         raise UserError(f"{path}: {error}") from error
     except Exception as error:  # a file may say anything, and each part of it has errors of its own
@@ -126,6 +130,18 @@ def _titles(animations: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, A
         name = str(animation.get("name") or f"animation_{number}")
         found[name if name not in found else f"{name}_{number}"] = animation
     return found
+
+
+def _caption(tree: Mapping[str, Any], animation: Mapping[str, Any], title: str) -> str:
+    """Returns what this package wrote about an animation, or its name without those of nodes before a `|`."""
+    own = _own_extra(tree, animation, "caption")
+    if isinstance(own, str):
+        return own
+    # Blender writes "armature|action"; other text before a `|` is a part of the name.
+    armatures = {str(node.get("name")) for node in tree.get("nodes", [])}
+    while "|" in title and title.partition("|")[0] in armatures:
+        title = title.partition("|")[2]
+    return title
 
 
 def _own_extra(tree: Mapping[str, Any], part: Mapping[str, Any], name: str) -> Any:

@@ -25,6 +25,14 @@ MAX_METERS = 1e6
 """Largest coordinate. Farther joints would jump in single precision, and their squares would overflow."""
 
 
+def _without_halves(text: str) -> str:
+    """Returns a text with a mark in place of half characters (lone surrogates), which files cannot hold.
+
+    JSON and NumPy's arrays can have them, as can names of files.
+    """
+    return text.encode("utf-16", "surrogatepass").decode("utf-16", "replace")
+
+
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Motion:
     """A moving skeleton. Features and codes are optional."""
@@ -61,6 +69,10 @@ class Motion:
         for name, dtype in (("positions", "f4"), ("positions_raw", "f4"), ("features", "f4"), ("codes", None)):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, np.asarray(getattr(self, name), dtype))
+        for name in ("caption", "warning"):
+            object.__setattr__(self, name, _without_halves(getattr(self, name)))
+        for name in ("unknown_words", "part_captions"):
+            object.__setattr__(self, name, tuple(map(_without_halves, getattr(self, name))))
         self._check_positions("positions", self.positions)
         if self.positions_raw is not None:
             self._check_positions("positions_raw", self.positions_raw)

@@ -10,14 +10,18 @@ import pytest
 
 from t2m_jax import Motion
 from t2m_jax.cli.main import main
+from t2m_jax.data.importers.bvh import open_motion_file
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
 from t2m_jax.export.glb import save_glb
 from t2m_jax.export.skin import make_skin
+from t2m_jax.motion.formats import load_motion
 from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.motion.kinematics import forward_kinematics
 from t2m_jax.motion.rig.tables import rig_joint_names
 from t2m_jax.motion.skeleton import HUMANML3D
+from tests.motion.glb_files import write_person
+from tests.motion.rig.test_retarget import BANDAI
 
 NAMES = ("lafan1", "humanml3d", "mixamo", "vrm", "unreal")
 COMPONENTS = {5126: "<f4", 5123: "<u2", 5125: "<u4", 5121: "u1"}
@@ -174,10 +178,24 @@ def test_several_motions_are_several_animations(tmp_path, capsys):
     assert main(["view", f"{tmp_path / 'all.glb'}", "--animation", "a person walks 2", *output]) == 0
     again = Motion.load(tmp_path / "b.npz")
     np.testing.assert_allclose(again.positions, motions[1].positions, atol=1e-4)
-    assert again.caption == "a person walks 2"
+    assert again.caption == "a person walks"
     capsys.readouterr()
     assert main(["view", f"{tmp_path / 'all.glb'}", *output]) == 2
     assert "has several animations; choose one of" in capsys.readouterr().err
+
+
+def test_a_caption_keeps_what_is_before_a_bar(tmp_path):
+    make(caption="left | right | a person walks").save(tmp_path / "a.glb")
+    assert Motion.load(tmp_path / "a.glb").caption == "left | right | a person walks"
+    path = write_person(tmp_path / "b.glb", BANDAI, {"Armature|walk | fast": 20.0, "fast": 0.0})
+    assert load_motion(path, animation="walk | fast").caption == "walk | fast"
+    assert {motion.animation for motion in open_motion_file(path)} == {"walk | fast", "fast"}
+
+
+def test_animations_of_two_armatures_keep_their_names(tmp_path):
+    animations = {"Armature|walk": 20.0, "Hips|walk": 0.0, "a|b": 0.0, "b": 0.0}
+    found = open_motion_file(write_person(tmp_path / "a.glb", BANDAI, animations))
+    assert [motion.animation for motion in found] == ["Armature|walk", "Hips|walk", "a|b", "b"]
 
 
 @pytest.mark.parametrize("caption", ["", 'ein Mann läuft \N{WAVING HAND SIGN} "quoted" \\ </script>', "\u2028" * 50])

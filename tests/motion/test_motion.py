@@ -134,3 +134,13 @@ def test_loading_goes_by_the_suffix(monkeypatch, tmp_path):
         UserError, match=r"wave\.npz: cannot read motions with the suffix '\.npz'; use one of \.two, \.txt"
     ):
         Motion.load(tmp_path / "wave.npz")
+
+
+def test_half_characters_in_texts_are_marked(tmp_path):
+    half = "a \ud83d person"
+    texts = {"caption": half, "warning": half, "unknown_words": (half,), "part_starts": (0,), "part_captions": (half,)}
+    motion = Motion(standing(20) + np.arange(22)[:, None] / 10, 20.0, **texts)
+    assert {motion.caption, motion.warning, *motion.unknown_words, *motion.part_captions} == {"a \ufffd person"}
+    for suffix in ("html", "npz", "glb", "bvh"):
+        save_motions(tmp_path / f"a.{suffix}", [motion])
+    assert Motion(standing(), 20.0, caption="\ud83d\udc4b").caption == "\N{WAVING HAND SIGN}"

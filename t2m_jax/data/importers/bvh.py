@@ -2,7 +2,7 @@
 
 import contextlib
 import dataclasses
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -53,9 +53,11 @@ def open_motion_file(path: Path, *, amc_fps: float = AMC_FPS, rig: str | None = 
         UserError: The file is damaged, or there is no such rig.
     """
     suffix = path.suffix.lower()
-    if suffix == ".glb":  # Blender writes "armature|action"
+    if suffix == ".glb":
         clips = load_gltf(path)
-        return {Source(path, name.rpartition("|")[2]): clip for name, clip in clips.items()}
+        # Animations of two armatures may have equal captions; their names differ.
+        counts = Counter(clip.caption for clip in clips.values())
+        return {Source(path, clip.caption if counts[clip.caption] == 1 else name): clip for name, clip in clips.items()}
     if suffix == ".amc":
         return {Source(path, None): load_amc(path, fps=amc_fps)}
     return {Source(path, None): load_bvh(path, rig=None if rig is None else resolve_rig(rig))}

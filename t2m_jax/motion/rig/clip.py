@@ -37,6 +37,8 @@ class RigClip:
     """Factor by which the numbers of the file were multiplied."""
     end_sites: Mapping[int, Float[np.ndarray, " 3"]] = dataclasses.field(default_factory=dict)
     """Joint -> place of its End Site in its frame: the tip of a toe, a hand or the head."""
+    caption: str = ""
+    """What this package wrote about it in a GLB file, or there the name of the animation without the armature's."""
     parts: Parts = ()
     """Where each sentence begins, in files of this package."""
     is_person: bool = False
