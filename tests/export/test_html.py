@@ -84,7 +84,8 @@ def test_captions_stay_text(walk, caption):
     plain = Elements(viewer_html([Motion(walk.positions, 20.0)], embed=False))
     nasty = Elements(viewer_html([motion], embed=False))
     assert nasty.tags == plain.tags
-    assert json.loads(nasty.data)["figures"][0]["caption"] == caption
+    # A motion has a mark in place of half a character.
+    assert json.loads(nasty.data)["figures"][0]["caption"] == caption.replace("\ud800", "\ufffd")
 
 
 def test_a_strange_caption_is_written_to_disk(tmp_path, walk):
