@@ -4,7 +4,8 @@
 #   sh configs/demo/make.sh ARCHIVES
 # ARCHIVES is the folder that configs/demo/data.sh reads.
 # A training that was interrupted goes on with `t2m train rvqvae --run runs/demo-rvqvae --resume` (hifigpt: runs/demo).
-# The packaged weights were trained up to runs/demo-tenth with less data and other captions (docs/ablations.md), so a new run gives others.
+# The packaged weights were trained up to runs/demo-tenth with less data and other captions (docs/ablations.md),
+# and up to runs/demo-eleventh with motions of several actions drawn more rarely, so a new run gives others.
 set -eu
 sh configs/demo/data.sh "$1"
 t2m data import bandai-namco "$1/bandai-namco" data/bandai-namco --splits "$1/splits/bandai-namco"
@@ -22,6 +23,10 @@ t2m train hifigpt configs/demo/hifigpt_last.yaml --init runs/demo-eighth --run r
 t2m train hifigpt configs/demo/hifigpt_last.yaml --init runs/demo-ninth --run runs/demo-tenth --loop.seed 6 --loop.num_steps 1600 --optimizer.learning_rate 3e-4 --optimizer.cosine 200 1600
 t2m train hifigpt configs/demo/text.yaml
 t2m train hifigpt configs/demo/all_actions.yaml
+t2m train hifigpt configs/demo/all_actions.yaml --init runs/demo-eleventh --run runs/demo-twelfth --loop.seed 1 --loop.num_steps 3200 --optimizer.cosine 300 3200
 t2m train rvqvae configs/demo/decoder_all.yaml
+for run in demo-eleventh demo-twelfth; do
+    t2m bundle "runs/$run" runs/demo-decoder-all "runs/$run-bundle"
+done
 rm -rf t2m_jax/bundles/demo
-t2m bundle runs/demo runs/demo-decoder-all t2m_jax/bundles/demo --card configs/demo/card.md
+python configs/demo/average.py runs/demo-eleventh-bundle runs/demo-twelfth-bundle t2m_jax/bundles/demo configs/demo/card.md
