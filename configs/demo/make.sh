@@ -25,8 +25,7 @@ t2m train hifigpt configs/demo/text.yaml
 t2m train hifigpt configs/demo/all_actions.yaml
 t2m train hifigpt configs/demo/all_actions.yaml --init runs/demo-eleventh --run runs/demo-twelfth --loop.seed 1 --loop.num_steps 3200 --optimizer.cosine 300 3200
 t2m train rvqvae configs/demo/decoder_all.yaml
-for run in demo-eleventh demo-twelfth; do
-    t2m bundle "runs/$run" runs/demo-decoder-all "runs/$run-bundle"
-done
+t2m bundle runs/demo-eleventh runs/demo-decoder-all runs/demo-eleventh-bundle
+t2m bundle runs/demo-twelfth runs/demo-decoder-all runs/demo-twelfth-bundle
 rm -rf t2m_jax/bundles/demo
 python configs/demo/average.py runs/demo-eleventh-bundle runs/demo-twelfth-bundle t2m_jax/bundles/demo configs/demo/card.md

@@ -66,7 +66,7 @@ def test_the_stages_of_a_folder_fit(folder, tokenizer, generator):
 
 def test_the_script_of_the_demo_fits_its_configs():
     script = (REPOSITORY / "configs" / "demo" / "make.sh").read_text(encoding="utf-8").splitlines()
-    single, *trainings, bundle = (shlex.split(line)[1:] for line in script if line.startswith("t2m "))
+    single, *trainings, first_bundle, last_bundle = (shlex.split(line)[1:] for line in script if line.startswith("t2m "))
     configs = [config_of(kind, str(REPOSITORY / path), options) for _, kind, path, *options in trainings]
     tokenizer, decoder, first, *later, last_decoder = configs
     assert f"{first.data}" == single[4] and {f"{config.data}" for config in later} == {"data/demo"}
@@ -79,8 +79,11 @@ def test_the_script_of_the_demo_fits_its_configs():
     changed = [config.init_parts for config in later].index("fitting")
     assert len({repr(config.text_network) for config in (first, *later[:changed])}) == 1
     assert len({repr(config.text_network) for config in later[changed:]}) == 1
-    runs = [f"{later[-1].run}", f"{last_decoder.run}"]
-    assert bundle[:4] == ["bundle", *runs, "t2m_jax/bundles/demo"] and (REPOSITORY / bundle[-1]).is_file()
+    for bundle, config in zip((first_bundle, last_bundle), later[-2:], strict=True):
+        assert bundle == ["bundle", f"{config.run}", f"{last_decoder.run}", f"{config.run}-bundle"]
+    _, average, *bundles, destination, card = shlex.split(script[-1])
+    assert bundles == [first_bundle[-1], last_bundle[-1]] and destination == "t2m_jax/bundles/demo"
+    assert all((REPOSITORY / path).is_file() for path in (average, card))
 
 
 @pytest.mark.parametrize("path", sorted(DATA.glob("*.csv")), ids=lambda path: path.stem)

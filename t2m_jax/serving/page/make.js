@@ -73,6 +73,7 @@ export class MakePanel {
     const { minimum, maximum } = plain(fields.strength);
     Object.assign(find("strength"), { min: minimum, max: maximum, value: START_STRENGTH });
     this.largestSeed = plain(fields.seed).maximum;
+    find("examples").parentElement.hidden = model.examples.length === 0;
     find("examples").append(...model.examples.map((text) => {
       const choose = () => {
         this.#drafts.new = [text];
