@@ -66,7 +66,9 @@ def test_the_stages_of_a_folder_fit(folder, tokenizer, generator):
 
 def test_the_script_of_the_demo_fits_its_configs():
     script = (REPOSITORY / "configs" / "demo" / "make.sh").read_text(encoding="utf-8").splitlines()
-    single, *trainings, first_bundle, last_bundle = (shlex.split(line)[1:] for line in script if line.startswith("t2m "))
+    single, *trainings, first_bundle, last_bundle = (
+        shlex.split(line)[1:] for line in script if line.startswith("t2m ")
+    )
     configs = [config_of(kind, str(REPOSITORY / path), options) for _, kind, path, *options in trainings]
     tokenizer, decoder, first, *later, last_decoder = configs
     assert f"{first.data}" == single[4] and {f"{config.data}" for config in later} == {"data/demo"}
