@@ -12,6 +12,7 @@ import zipfile
 import numpy as np
 import pytest
 
+from t2m_jax.cli.main import FIRST_COMMANDS
 from t2m_jax.data.importers.synthetic import KINDS, make_motion
 from t2m_jax.motion.motion import Motion
 from tests.conftest import REPOSITORY
@@ -60,7 +61,7 @@ def is_run(page, command):
 
 def steps():
     """Returns language and code of what is run, in order: each command once, and the Python blocks of how-tos."""
-    found = []
+    found = [("sh", command) for command in commands(FIRST_COMMANDS)]
     for page in PAGES:
         for language, text in code_blocks(page, "sh|python" if page.parent.name == "howto" else "sh"):
             parts = [text] if language == "python" else [part for part in commands(text) if is_run(page, part)]

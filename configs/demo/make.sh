@@ -1,9 +1,9 @@
 #!/bin/sh
-# Makes the packaged model `demo` again, from the data to the bundle. About nine hours on two CPU cores, by the sum of its parts, which were run
+# Makes the packaged model `demo` again, from the data to the bundle. About ten hours on two CPU cores, by the sum of its parts, which were run
 # one by one.
 #   sh configs/demo/make.sh ARCHIVES
 # ARCHIVES is the folder that configs/demo/data.sh reads.
-# A training that was interrupted goes on with `t2m train rvqvae --run runs/demo-rvqvae --resume` (hifigpt: runs/demo).
+# A training that was interrupted goes on with `t2m train rvqvae --run runs/demo-rvqvae --resume` (hifigpt: the run of its step).
 # The packaged weights were trained up to runs/demo-tenth with less data and other captions (docs/ablations.md),
 # and up to runs/demo-eleventh with motions of several actions drawn more rarely, so a new run gives others.
 set -eu

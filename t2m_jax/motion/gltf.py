@@ -4,8 +4,9 @@ Scales are taken as equal along x, y and z and as constant, which they are in fi
 """
 
 import dataclasses
+import itertools
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from pathlib import Path
 from textwrap import shorten
 from typing import Any, NamedTuple
@@ -107,7 +108,8 @@ def _load(path: Path, fps: float | None, choose: Callable[[Mapping[str, str]], l
         nodes = nodes._replace(scales=nodes.scales * unit)
         clips: dict[str, RigClip] = {}
         room = MAX_POSES
-        captions = {title: _caption(glb.tree, animation, title) for title, animation in animations.items()}
+        owners = {str(node.get("name")) for node in glb.tree.get("nodes", [])}
+        captions = {title: _caption(glb.tree, animation, title, owners) for title, animation in animations.items()}
         for title in choose(captions):
             animation = animations[title]
             with np.errstate(over="ignore", invalid="ignore"):  # what is too large is then found not to be finite
@@ -132,16 +134,14 @@ def _titles(animations: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, A
     return found
 
 
-def _caption(tree: Mapping[str, Any], animation: Mapping[str, Any], title: str) -> str:
-    """Returns what this package wrote about an animation, or its name without those of nodes before a `|`."""
+def _caption(tree: Mapping[str, Any], animation: Mapping[str, Any], title: str, owners: Set[str]) -> str:
+    """Returns what this package wrote about an animation, or its name without those of nodes (owners) before a `|`."""
     own = _own_extra(tree, animation, "caption")
     if isinstance(own, str):
         return own
     # Blender writes "armature|action"; other text before a `|` is a part of the name.
-    armatures = {str(node.get("name")) for node in tree.get("nodes", [])}
-    while "|" in title and title.partition("|")[0] in armatures:
-        title = title.partition("|")[2]
-    return title
+    *before, last = title.split("|")
+    return "|".join([*itertools.dropwhile(owners.__contains__, before), last])
 
 
 def _own_extra(tree: Mapping[str, Any], part: Mapping[str, Any], name: str) -> Any:

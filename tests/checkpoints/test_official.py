@@ -202,6 +202,12 @@ def test_half_precision_and_doubles_are_read(golden_dir, tmp_path, load, name, d
     assert {leaf.dtype for leaf in jax.tree.leaves(variables["params"])} == {np.dtype(np.float32)}
 
 
+def test_whole_numbers_are_no_table_of_positions(golden_dir, tmp_path):
+    state, sizes = golden(golden_dir, "gpt_l2")
+    path = written(tmp_path, state | {POSITIONS: state[POSITIONS].astype(np.int64)})
+    assert "is not the table that the original computes" in refusal(load_gpt, path, num_heads=sizes["n_head"])
+
+
 def refusal(load, path, **options) -> str:
     with pytest.raises(UserError) as caught:
         load(path, **options)

@@ -227,17 +227,17 @@ def test_parts_know_their_clip(first_frames, vqvae):
 def test_shares_balance_actions():
     actions = [["walk"]] * 8 + [["wave"]] * 2 + [["jump"]]
 
-    def weight_of_labels(**options):
+    def weight_of_actions(**options):
         weights = np.diff(balanced_shares(actions, **options), prepend=0)
         return [weights[:8].sum(), weights[8:10].sum(), weights[10]]
 
-    np.testing.assert_allclose(weight_of_labels(power=1.0, limit=100.0), [1 / 3, 1 / 3, 1 / 3], rtol=1e-5)
+    np.testing.assert_allclose(weight_of_actions(power=1.0, limit=100.0), [1 / 3, 1 / 3, 1 / 3], rtol=1e-5)
     roots = np.sqrt([8, 2, 1])
-    np.testing.assert_allclose(weight_of_labels(power=0.5, limit=100.0), roots / roots.sum(), rtol=1e-5)
+    np.testing.assert_allclose(weight_of_actions(power=0.5, limit=100.0), roots / roots.sum(), rtol=1e-5)
     # A motion has 1.5 times the mean weight at most, before weights are made shares again.
     weights = np.array([1 / 8, 1.5 * 3 / 11, 1.5 * 3 / 11])
     expected = weights * [8, 2, 1] / (weights @ [8, 2, 1])
-    np.testing.assert_allclose(weight_of_labels(power=1.0, limit=1.5), expected, rtol=1e-5)
+    np.testing.assert_allclose(weight_of_actions(power=1.0, limit=1.5), expected, rtol=1e-5)
 
 
 def test_a_motion_of_several_actions_is_drawn_as_often_as_these():

@@ -254,8 +254,6 @@ def _fit(
 
 
 def _is_table(found: np.ndarray, table: np.ndarray) -> bool:
-    """Returns whether an array is a table, in its own precision."""
-    found = np.asarray(found)
-    with np.errstate(all="ignore"):
-        rounded = table.astype(found.dtype)
-    return bool(np.allclose(found.astype(np.float64), rounded.astype(np.float64), rtol=0, atol=POSITION_TOLERANCE))
+    """Returns whether an array of numbers from -1 to 1 is a table, but for the rounding of its own precision."""
+    rounding = float(jnp.finfo(found.dtype).eps) if jnp.issubdtype(found.dtype, jnp.floating) else 0.0
+    return bool(np.allclose(found.astype(np.float64), table, rtol=0, atol=max(POSITION_TOLERANCE, rounding)))
