@@ -3,12 +3,11 @@
 import dataclasses
 import datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from t2m_jax.config import config_from_dict, config_to_dict
 from t2m_jax.errors import UserError
-from t2m_jax.files.reading import load_json
-from t2m_jax.files.writing import save_json
+from t2m_jax.files.manifest import load_sealed_json, save_sealed_json
 
 FORMAT_VERSION = 1
 """Version of the files that `save_report` writes."""
@@ -112,7 +111,7 @@ class BenchReport(_Shown):
 
 def save_report(path: Path, report: BenchReport) -> None:
     """Writes a report as JSON."""
-    save_json(path, config_to_dict(report))
+    save_sealed_json(path, config_to_dict(report))
 
 
 def load_report(path: Path) -> BenchReport:
@@ -122,8 +121,8 @@ def load_report(path: Path) -> BenchReport:
         UserError: The file is missing, or is something else.
     """
     # A report may come from somewhere else: the version first, so that the error is about the right thing.
-    data: Any = load_json(path)
-    if not isinstance(data, dict) or data.get("format_version") != FORMAT_VERSION:
+    data = load_sealed_json(path, entries=[field.name for field in dataclasses.fields(BenchReport)])
+    if data.get("format_version") != FORMAT_VERSION:
         expected = f"a benchmark report of format_version {FORMAT_VERSION}"
         raise UserError(f"{path}: is not {expected}; write one with `t2m bench all --json`")
     return config_from_dict(BenchReport, data, source=f"{path}")

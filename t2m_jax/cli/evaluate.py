@@ -26,7 +26,7 @@ from t2m_jax.cli.options import (
     subcommand_adder,
 )
 from t2m_jax.errors import UserError, printable
-from t2m_jax.files.writing import check_output, claim, save_json
+from t2m_jax.files.writing import check_output, claim
 
 if TYPE_CHECKING:
     from t2m_jax.data import Dataset
@@ -139,6 +139,7 @@ def run_reconstruction(args: argparse.Namespace) -> None:
     from t2m_jax.checkpoints import load_tokenizer
     from t2m_jax.data import open_dataset
     from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
+    from t2m_jax.evaluation.report.record import save_reconstruction
     from t2m_jax.evaluation.sources import Reconstruction
     from t2m_jax.sampling.compilation import use_compilation_cache
 
@@ -159,7 +160,7 @@ def run_reconstruction(args: argparse.Namespace) -> None:
         _measure(args, task, Reconstruction(tokenizer), figures)
         return
     if args.json:
-        save_json(args.json, dataclasses.asdict(figures))
+        save_reconstruction(args.json, figures)
     options = shlex.join(["--model", args.model, "--data", args.data])
     show_next(f"t2m evaluate reconstruction {options} --evaluator RUN --json reconstruction.json")
 

@@ -22,8 +22,7 @@ from t2m_jax.evaluation.protocols import Plan
 from t2m_jax.evaluation.report.record import CLEANED, MAX_REPORT, Header, Metric, Report
 from t2m_jax.evaluation.sources import CodeSource
 from t2m_jax.evaluation.task import EvaluationTask
-from t2m_jax.files.reading import load_json
-from t2m_jax.files.writing import save_json
+from t2m_jax.files.manifest import load_sealed_json, save_sealed_json
 from t2m_jax.metrics.frechet import fid
 from t2m_jax.metrics.quality import MotionQuality
 from t2m_jax.metrics.retrieval import label_bound, matching_score, r_precision
@@ -88,7 +87,7 @@ def evaluate(
         repeats.append(evaluate_repeat(task, source, repeat=repeat))
         if partial is not None:
             # After each repeat, so that an interruption costs no more than one.
-            save_json(partial, {"header": dataclasses.asdict(header), "repeats": repeats})
+            save_sealed_json(partial, {"header": dataclasses.asdict(header), "repeats": repeats})
         seconds = (time.monotonic() - start) / (repeat + 1 - done_before)
         left = seconds * (num_repeats - repeat - 1)
         logger.info("repeat %d of %d, %.0f s each, %.0f s left", repeat + 1, num_repeats, seconds, left)
@@ -122,7 +121,7 @@ def load_partial(path: Path | None, header: Header) -> list[RepeatMetrics]:
     if path is None or not path.exists():
         return []
     try:
-        found = load_json(path, max_bytes=MAX_REPORT)
+        found = load_sealed_json(path, max_bytes=MAX_REPORT, entries=("header", "repeats"))
         started = found["header"]
         # What the user called model and data may change; the fingerprints tell what they are.
         current = dataclasses.asdict(header) | {name: started[name] for name in ("model", "data")}

@@ -3,20 +3,23 @@
 A manifest is a text. Its first line names the format, then follows a line for each file with CRC-32, SHA-256, size in
 bytes and name, sorted by name. The last line is the SHA-256 of the lines before it. There is only one way to write the
 manifest of a folder, so that any change of a byte shows. A text that is written again and again needs no manifest: it
-ends with its own checksum.
+ends with its own checksum. JSON, which has no comments, has it as an entry.
 """
 
 import hashlib
+import json
 import zlib
-from collections.abc import Container, Iterable
+from collections.abc import Container, Iterable, Mapping
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from t2m_jax.errors import UserError
-from t2m_jax.files.reading import MAX_TEXT, load_text, reading
-from t2m_jax.files.writing import save_text
+from t2m_jax.files.reading import MAX_TEXT, load_json, load_text, reading
+from t2m_jax.files.writing import save_json, save_text
 
 MANIFEST = "manifest.txt"
+CHECKSUM = "checksum"
+"""Entry of a JSON file."""
 _TITLE = "t2m_jax manifest 1"
 _CHUNK = 4 * 2**20
 _SEAL = "# SHA-256 of the lines above: "
@@ -126,3 +129,42 @@ def load_sealed(path: Path) -> str:
 
 def _seal(text: str) -> str:
     return f"{_SEAL}{hashlib.sha256(text.encode()).hexdigest()}\n"
+
+
+def save_sealed_json(path: Path, data: Mapping[str, Any]) -> None:
+    """Writes named entries as JSON, with a checksum as one more entry.
+
+    Raises:
+        ValueError: A number is not finite.
+    """
+    save_json(path, {**data, CHECKSUM: _entries_checksum(data)})
+
+
+def load_sealed_json(path: Path, *, max_bytes: int = MAX_TEXT, entries: Iterable[str]) -> dict[str, Any]:
+    """Returns the entries of a JSON file without their checksum, which files of older versions do not have.
+
+    Args:
+        path: The file.
+        max_bytes: The largest file that is read.
+        entries: Names that the entries of a file without a checksum may have: the name of the checksum may be damaged.
+
+    Raises:
+        UserError: It is missing, is not a JSON object, or has changed since it was written.
+    """
+    data = load_json(path, max_bytes=max_bytes)
+    if not isinstance(data, dict):
+        raise UserError(f"{path}: is not a report; it has no named entries (a JSON object)")
+    checksum = data.pop(CHECKSUM, None)
+    if checksum is not None and checksum != _entries_checksum(data):
+        raise UserError(f"{path}: has changed since it was written, or is damaged; its checksum does not fit")
+    unknown = () if checksum is not None else sorted(data.keys() - set(entries))
+    if unknown:
+        raise UserError(f"{path}: is not a report, or damaged; it has an unknown entry {unknown[0]!r} and no checksum")
+    return data
+
+
+def _entries_checksum(data: Mapping[str, Any]) -> str:
+    """Returns the checksum of values, which does not depend on spaces and the order of entries."""
+    # Twice, so that keys are the texts that they are in the file.
+    plain = json.loads(json.dumps(data, allow_nan=False))
+    return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()

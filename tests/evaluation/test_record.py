@@ -1,11 +1,13 @@
 """Report files: what is written is read back, other files are refused."""
 
+import contextlib
 import dataclasses
 import json
 
 import pytest
 
 from t2m_jax.errors import UserError
+from t2m_jax.evaluation.prompts.results import PromptReport, PromptResult, load_prompt_report, save_prompt_report
 from t2m_jax.evaluation.report.record import (
     MAX_REPORT,
     Header,
@@ -13,7 +15,9 @@ from t2m_jax.evaluation.report.record import (
     QualityFigures,
     ReconstructionFigures,
     Report,
+    load_reconstruction,
     load_report,
+    save_reconstruction,
     save_report,
 )
 
@@ -66,6 +70,28 @@ def test_figures_of_a_reconstruction_are_beside_the_header(tmp_path):
     save_report(tmp_path / "report.json", report)
     found = json.loads((tmp_path / "report.json").read_text())
     assert dataclasses.asdict(FIGURES).items() <= found.items() and HEADER.items() <= found.items()
+
+
+def saved_reports(folder):
+    """Writes a report of each kind, and returns what reads each."""
+    header, metrics = Header(**HEADER), {"fid": Metric.from_repeats([1.0, 2.0, 4.0])}
+    save_report(folder / "all.json", Report(header=header, kind="generated", real=metrics, measured=metrics))
+    save_reconstruction(folder / "figures.json", FIGURES)
+    result = PromptResult(name="walk", right=1, samples=2, failures=("a man walks",), instead=(("run", 1),))
+    save_prompt_report(folder / "prompts.json", PromptReport(group="kit", motion="cleaned", contents=(result,)))
+    return {"all": load_report, "figures": load_reconstruction, "prompts": load_prompt_report}
+
+
+@pytest.mark.parametrize("name", ["all", "figures", "prompts"])
+def test_a_flipped_bit_is_noticed_or_without_effect(name, tmp_path):
+    load, path = saved_reports(tmp_path)[name], tmp_path / f"{name}.json"
+    content, intact = path.read_bytes(), load(path)
+    for place in range(0, 8 * len(content), 13):
+        flipped = bytearray(content)
+        flipped[place // 8] ^= 1 << place % 8
+        path.write_bytes(flipped)
+        with contextlib.suppress(UserError):
+            assert load(path) == intact, place
 
 
 @pytest.mark.parametrize(

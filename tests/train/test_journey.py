@@ -20,6 +20,7 @@ from t2m_jax.data.folder import open_dataset
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.prompts.following import RULES
 from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
+from t2m_jax.evaluation.report.record import load_reconstruction
 from t2m_jax.motion.formats import load_motion
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.train import TrainVqVaeConfig, train
@@ -95,8 +96,7 @@ def test_reconstruction_is_measured(runs, tmp_path, capsys):
     report = evaluate_reconstruction(load_tokenizer(runs.vqvae), dataset, split="test")
     arguments = ["--model", f"{runs.vqvae}", "--data", f"{runs.data}", "--json", f"{tmp_path}/figures.json"]
     assert main(["evaluate", "reconstruction", *arguments]) == 0
-    figures = json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))
-    assert figures == dataclasses.asdict(report)
+    assert load_reconstruction(tmp_path / "figures.json") == report
     assert f"{report.mpjpe_mm:,.3f}" in capsys.readouterr().out
     assert (report.split, report.num_clips) == ("test", len(dataset.clips("test")))
     assert 10 < report.mpjpe_mm < 2000

@@ -5,10 +5,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation.report.record import MAX_REPORT, fields_of, reading_report
+from t2m_jax.evaluation.report.record import MAX_REPORT, fields_of, names_of, reading_report
+from t2m_jax.files.manifest import load_sealed_json, save_sealed_json
 from t2m_jax.files.markdown import markdown_table
-from t2m_jax.files.reading import load_json
-from t2m_jax.files.writing import save_json
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -91,7 +90,7 @@ def save_prompt_report(path: Path, report: PromptReport) -> None:
         }
         for result in report.contents
     }
-    save_json(path, data)
+    save_sealed_json(path, data)
 
 
 def load_prompt_report(path: Path) -> PromptReport:
@@ -100,7 +99,8 @@ def load_prompt_report(path: Path) -> PromptReport:
     Raises:
         UserError: The file is missing, or is something else.
     """
-    data = load_json(path, max_bytes=MAX_REPORT)
+    known = (*names_of(PromptReport), "num_samples", "prompt_following")
+    data = load_sealed_json(path, max_bytes=MAX_REPORT, entries=known)
     with reading_report(path, "with the counts of prompts", command="t2m evaluate prompts --json"):
         contents = [
             {"name": name, **entry, "instead": list(entry["instead"].items())}

@@ -10,8 +10,7 @@ import numpy as np
 
 from t2m_jax.config import config_from_dict
 from t2m_jax.errors import UserError
-from t2m_jax.files.reading import load_json
-from t2m_jax.files.writing import save_json
+from t2m_jax.files.manifest import load_sealed_json, save_sealed_json
 
 T = TypeVar("T")
 
@@ -185,7 +184,12 @@ def report_as_json(report: Report) -> dict[str, Any]:
 
 def save_report(path: Path, report: Report) -> None:
     """Writes a report as JSON."""
-    save_json(path, report_as_json(report))
+    save_sealed_json(path, report_as_json(report))
+
+
+def save_reconstruction(path: Path, figures: ReconstructionFigures) -> None:
+    """Writes the figures of a tokenizer as JSON."""
+    save_sealed_json(path, dataclasses.asdict(figures))
 
 
 @contextlib.contextmanager
@@ -204,7 +208,8 @@ def load_report(path: Path) -> Report:
     Raises:
         UserError: The file is missing, or is something else.
     """
-    data = load_json(path, max_bytes=MAX_REPORT)
+    known = (*names_of(Header, ReconstructionFigures), "rows")
+    data = load_sealed_json(path, max_bytes=MAX_REPORT, entries=known)
     with reading_report(path, "with the metrics of an evaluator", command="t2m evaluate generation --json"):
         sets = data["rows"]
         # A comparison needs exactly one kind beside real motion.
@@ -226,10 +231,15 @@ def load_reconstruction(path: Path) -> ReconstructionFigures:
     Raises:
         UserError: The file is missing, or is something else.
     """
-    data = load_json(path, max_bytes=MAX_REPORT)
+    data = load_sealed_json(path, max_bytes=MAX_REPORT, entries=names_of(ReconstructionFigures))
     with reading_report(path, "with the figures of a tokenizer", command="t2m evaluate reconstruction --json"):
         figures = fields_of(ReconstructionFigures, data)
     return figures  # noqa: RET504 - for mypy, a `return` inside `with` may not be reached
+
+
+def names_of(*schemas: type) -> list[str]:
+    """Returns the names of the fields of some dataclasses."""
+    return [field.name for schema in schemas for field in dataclasses.fields(schema)]
 
 
 def fields_of(schema: type[T], data: Mapping[str, Any]) -> T:
