@@ -6,6 +6,8 @@ MAX_LINE = 380
 """Characters of the longest message; a longer one quotes a long text of a file, or a long list. A line that begins with
 `t2m: error:` has at most 400."""
 GAP = " ... "
+OUT_OF_MEMORY = ("RESOURCE_EXHAUSTED", "std::bad_alloc", "can't start new thread", "[Errno 12]")
+"""Begins the texts of the errors of XLA, C++, Python and the system for memory that is full."""
 ENDING_SIGNALS = ("SIGINT", "SIGTERM", "SIGUSR1")
 """Ctrl-C, the end of a cluster's job, and the notice that a machine is taken away; Windows has no SIGUSR1."""
 
@@ -40,3 +42,14 @@ class Interruption(KeyboardInterrupt):
         """Takes the number of the signal."""
         super().__init__(message or f"interrupted by {signal.Signals(number).name}")
         self.number = number
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Returns whether an error, or one that led to it, says that the memory of the machine or of a device is full."""
+    found: BaseException | None = error
+    while found is not None:
+        # By the text: the class of XLA's errors is that of all of its faults.
+        if isinstance(found, MemoryError) or str(found).startswith(OUT_OF_MEMORY):
+            return True
+        found = found.__cause__ or (None if found.__suppress_context__ else found.__context__)
+    return False

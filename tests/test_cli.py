@@ -10,6 +10,7 @@ import sys
 import time
 import types
 
+import jax
 import numpy as np
 import pytest
 
@@ -133,9 +134,18 @@ def test_a_bug_is_one_line_that_says_where_it_happened(command, capsys, error, s
 
 
 def test_too_little_memory_is_no_bug(command, capsys):
-    command(raising(MemoryError()))
-    assert main(["fake"]) == 2
-    assert capsys.readouterr().err == "t2m: error: out of memory; give fewer or smaller inputs at once\n"
+    wrapped = RuntimeError("a motion was not made")
+    wrapped.__cause__ = MemoryError()
+    full = "RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes."
+    for error in (
+        MemoryError(),
+        wrapped,
+        jax.errors.JaxRuntimeError(full),
+        OSError(errno.ENOMEM, "Cannot allocate memory"),
+    ):
+        command(raising(error))
+        assert main(["fake"]) == 2
+        assert capsys.readouterr().err == "t2m: error: out of memory; give fewer or smaller inputs at once\n"
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 
-from t2m_jax.errors import ENDING_SIGNALS, Interruption, UserError, one_line, printable
+from t2m_jax.errors import ENDING_SIGNALS, Interruption, UserError, is_out_of_memory, one_line, printable
 
 COMMANDS = {
     "generate": "convert text to motion files",
@@ -116,11 +116,11 @@ def _explain(error: BaseException) -> tuple[str, int]:
         return str(error) or "interrupted", EXIT_SIGNAL + getattr(error, "number", signal.SIGINT)
     if isinstance(error, UserError):
         return str(error), EXIT_USER_ERROR
+    if is_out_of_memory(error):
+        return "out of memory; give fewer or smaller inputs at once", EXIT_USER_ERROR
     if isinstance(error, OSError):
         reason = (error.strerror or str(error)).rstrip(".")
         return (f"{error.filename}: {reason}" if error.filename is not None else reason), EXIT_USER_ERROR
-    if isinstance(error, MemoryError):
-        return "out of memory; give fewer or smaller inputs at once", EXIT_USER_ERROR
     last = traceback.extract_tb(error.__traceback__)[-1]
     place = f"{Path(last.filename).name}:{last.lineno}"
     return f"{type(error).__name__} in {place}: {error} (a bug of t2m_jax: {REPORT})", EXIT_BUG
