@@ -1,9 +1,12 @@
 """Where compiled programs are kept."""
 
+import os
+
 import jax
 import platformdirs
 import pytest
 
+from t2m_jax.sampling import compilation
 from t2m_jax.sampling.compilation import DISABLE_VARIABLE, use_compilation_cache
 
 OPTIONS = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
@@ -32,6 +35,27 @@ def test_a_folder_the_user_chose_is_left_alone(tmp_path):
     jax.config.update("jax_compilation_cache_dir", str(tmp_path / "mine"))
     assert use_compilation_cache() == tmp_path / "mine"
     assert not (tmp_path / "cache").exists()
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="the system has no modes of files")
+@pytest.mark.parametrize("chosen", [False, True])
+@pytest.mark.parametrize("place", ["cache/t2m_jax/xla", "cache"])
+def test_a_folder_in_which_others_can_write_is_not_used(tmp_path, caplog, chosen, place):
+    folder = tmp_path / "cache" / "t2m_jax" / "xla"
+    folder.mkdir(parents=True)
+    (tmp_path / place).chmod(0o777)
+    jax.config.update("jax_compilation_cache_dir", str(folder) if chosen else None)
+    assert use_compilation_cache() is None
+    assert jax.config.values["jax_compilation_cache_dir"] is None
+    assert f"{folder}: compiled programs are not kept or read here: " in caplog.text and "can write in" in caplog.text
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="the system has no modes of files")
+def test_a_folder_of_somebody_else_is_not_used(tmp_path, caplog, monkeypatch):
+    assert use_compilation_cache().stat().st_mode & 0o777 == 0o700
+    monkeypatch.setattr(compilation, "SYSTEM", -1)
+    monkeypatch.setattr(os, "getuid", lambda: os.geteuid() + 1)
+    assert use_compilation_cache() is None and "belongs to somebody else" in caplog.text
 
 
 def test_it_can_be_turned_off(monkeypatch, tmp_path):
