@@ -20,6 +20,8 @@ from t2m_jax.motion.motion import Motion
 
 VIEWER_SCRIPTS = ("vendor/three.min.js", "figures.js", "camera.js", "body.js", "ground.js", "stage.js")
 """The renderer, in this order; other pages use it, too."""
+LICENSE = "vendor/LICENSE"
+"""That of three.js, which every copy must have."""
 FINEST_STEP = 4e-4
 """Meters. Points are stored in steps of this size, or in larger steps if a figure travels beyond 3 m."""
 
@@ -40,7 +42,7 @@ def scene_record(motions: Sequence[Motion]) -> dict[str, Any]:
 
 def viewer_script(*more: str) -> str:
     """Returns the renderer, which defines `window.T2M`, and more scripts of the viewer as one program."""
-    files = [_asset(name) for name in (*VIEWER_SCRIPTS, *more)]
+    files = [f"/*!\n{_asset(LICENSE)}\n*/", *(_asset(name) for name in (*VIEWER_SCRIPTS, *more))]
     return "(() => {\n" + "\n".join(['"use strict";', *files]) + "\n})();"
 
 
@@ -59,6 +61,8 @@ def viewer_html(motions: Sequence[Motion], *, embed: bool = True) -> str:
     data = json.dumps(scene_record(motions), ensure_ascii=True, separators=(",", ":"))  # keeps lone surrogates
     style = f"{_asset('viewer.css')}\n{stage_style()}"
     parts = {"style": style, "script": _compressed(viewer_script("viewer.js")), "data": _compressed(data)}
+    # Readable, too: the program is compressed.
+    parts["license"] = _asset(LICENSE)
     page = fill_template("t2m_jax.export", "viewer/viewer.html", parts)
     return notebook_frame(page) if embed else page
 

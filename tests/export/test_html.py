@@ -1,5 +1,6 @@
 import base64
 import html.parser
+import importlib.resources
 import json
 import re
 import zlib
@@ -7,7 +8,7 @@ import zlib
 import numpy as np
 import pytest
 
-from t2m_jax.export.html import save_html, viewer_html
+from t2m_jax.export.html import save_html, viewer_html, viewer_script
 from t2m_jax.export.render.scene import figure_from_motion
 from t2m_jax.motion.motion import Motion
 from tests.export.conftest import NASTY_CAPTION
@@ -47,6 +48,15 @@ def test_the_page_is_small_and_whole(tmp_path, walk):
     page = page.replace("http://www.w3.org/1999/xhtml", "")  # a name that three.js gives to elements, not an address
     assert not re.search(r"""(src|href)\s*=\s*["'](?!data:)|@import|url\(|https?://""", page)
     assert "default-src 'none'" in page
+
+
+def test_a_page_has_the_license_of_three_js(walk):
+    page = viewer_html([walk], embed=False)
+    folder = importlib.resources.files("t2m_jax.export") / "viewer" / "vendor"
+    text = (folder / "LICENSE").read_text(encoding="utf-8").strip()
+    assert "Permission is hereby granted" in text
+    assert text in page and text in Elements(page).program
+    assert text in viewer_script()  # of the studio
 
 
 def test_a_page_with_many_motions_is_small(walk):
