@@ -14,6 +14,7 @@ from t2m_jax.bench.timing import compile_program, share, speed, time_calls
 from t2m_jax.bench.train import random_motions
 from t2m_jax.data.banks.motions import batch_at
 from t2m_jax.data.folder import open_dataset
+from t2m_jax.keys import new_key
 from t2m_jax.train.config import LoopConfig, ShardingConfig
 from t2m_jax.train.program import Devices
 from t2m_jax.train.vqvae_config import TrainVqVaeConfig
@@ -32,7 +33,7 @@ def benchmark_windows(*, peaks: Peaks) -> BenchResult:
     """
     config = TrainVqVaeConfig(loop=LoopConfig(batch_size=BATCH), window=WINDOW)
     devices = Devices(ShardingConfig(devices=peaks.num_devices), batch_size=BATCH)
-    arguments = (devices.put_data(random_motions(config)), jax.random.key(0), np.int32(0))
+    arguments = (devices.put_data(random_motions(config)), new_key(0), np.int32(0))
     draw = jax.jit(functools.partial(batch_at, batch_size=BATCH, window=WINDOW))
     with jax.set_mesh(devices.mesh):
         program = compile_program(lambda: draw.lower(*arguments))

@@ -10,6 +10,7 @@ from t2m_jax.bench.probes import first_devices, on_devices, place
 from t2m_jax.bench.record import BenchResult, Peaks
 from t2m_jax.bench.timing import compile_program, share, speed, time_calls
 from t2m_jax.evaluation.embedding import BATCH, embed_motion, embed_text
+from t2m_jax.keys import new_key
 from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
 
 FRAMES = 196
@@ -34,7 +35,7 @@ def benchmark_embedding(config: EvaluatorConfig, *, peaks: Peaks) -> list[BenchR
         (f"captions, {BATCH}x{WORDS}", embed_text, (words, parts, np.full(BATCH, WORDS, np.int32))),
     ]
     # The speed does not depend on the weights, so one key for all of them is enough.
-    key = jax.random.key(0)
+    key = new_key(0)
     drawn = jax.tree.map(lambda leaf: 0.02 * jax.random.normal(key, leaf.shape, leaf.dtype), evaluator_shapes(config))
     variables = place(drawn, mesh)
     rows = []

@@ -12,6 +12,7 @@ from t2m_jax.bench.flops import count_flops
 from t2m_jax.bench.probes import first_devices, on_devices, place
 from t2m_jax.bench.record import BenchResult, Figure, Peaks
 from t2m_jax.bench.timing import compile_program, share, time_calls
+from t2m_jax.keys import new_key
 from t2m_jax.models.system import GeneratorConfig, PartConfig, TokenizerConfig, find_part, make_module
 from t2m_jax.sampling.loop import CHUNK, Sampling
 from t2m_jax.sampling.programs import generate_codes, sampling_variables
@@ -27,7 +28,7 @@ TOKENIZERS = {"gpt": "vqvae", "hifigpt": "rvqvae"}
 def random_variables(config: PartConfig) -> dict[str, Any]:
     """Returns the variables of a generator or of a tokenizer before training."""
     example = find_part(config.kind).example(config)
-    return jax.jit(make_module(config).init, static_argnames="train")(jax.random.key(0), *example, train=False)
+    return jax.jit(make_module(config).init, static_argnames="train")(new_key(0), *example, train=False)
 
 
 class MeasuredSystem(NamedTuple):
@@ -79,8 +80,8 @@ def benchmark_sampling(system: MeasuredSystem, *, batch: int, peaks: Peaks) -> B
     config = system.generator
     num_codes = min(NUM_CODES, config.max_codes)
     mesh = first_devices(peaks.num_devices, batch=batch)
-    text = place(jax.random.normal(jax.random.key(1), (batch, config.text_dim)), mesh, by_rows=True)
-    keys = place(jax.random.split(jax.random.key(2), batch), mesh, by_rows=True)
+    text = place(jax.random.normal(new_key(1), (batch, config.text_dim)), mesh, by_rows=True)
+    keys = place(jax.random.split(new_key(2), batch), mesh, by_rows=True)
     # One more row than the maximum as minimum: rules that keep the last row would end one row before the minimum.
     sampling = Sampling(Temperature(), find_stop_rule(config), num_codes, min_codes=num_codes + 1)
     scale = None if system.guidance_scale is None else jnp.float32(system.guidance_scale)
@@ -116,7 +117,7 @@ def encode_and_decode(system: MeasuredSystem, size: tuple[int, int], *, mesh: Me
         codes = tokenizer.apply(variables, motion, method="encode")
         return tokenizer.apply(variables, codes, method="decode")
 
-    motion = place(jax.random.normal(jax.random.key(3), (*size, system.tokenizer.feature_dim)), mesh, by_rows=True)
+    motion = place(jax.random.normal(new_key(3), (*size, system.tokenizer.feature_dim)), mesh, by_rows=True)
     variables = place(system.variables["tokenizer"], mesh)
     # One program for both, as a tokenizer is used for reconstruction.
     timing = time_calls(lambda: there_and_back(variables, motion))

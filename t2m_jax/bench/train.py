@@ -14,6 +14,7 @@ from t2m_jax.bench.timing import compile_program, share, time_calls
 from t2m_jax.config import load_config
 from t2m_jax.data.banks.codes import Captions, CodeBank
 from t2m_jax.data.banks.motions import MotionBank
+from t2m_jax.keys import new_key
 from t2m_jax.models.caption_encoder import CaptionEncoderConfig
 from t2m_jax.models.rows import Precision
 from t2m_jax.text.bpe import CaptionTokens
@@ -138,7 +139,7 @@ def update_flops(config: TrainConfig) -> float:
     if not isinstance(config, TrainVqVaeConfig):
         config = dataclasses.replace(config, remat=False, num_parts=1)
     work = make_work(config)
-    state = jax.eval_shape(lambda key: work.init(config, key), jax.random.key(0))
+    state = jax.eval_shape(lambda key: work.init(config, key), new_key(0))
     return count_flops(lambda state, data: work.update(state, data, config=config), state, work.data)
 
 
@@ -157,7 +158,7 @@ def benchmark_training(config: TrainConfig, *, size: str, peaks: Peaks) -> Bench
     work = make_work(config)
     count = config.loop.steps_per_call
     update = Update(work.update, config=config)
-    state = devices.put_state(work.init(config, jax.random.key(0)))
+    state = devices.put_state(work.init(config, new_key(0)))
     data = devices.put_data(work.data)
     program = compile_program(lambda: devices.lower(update, state, data, size=count))
     # The state is donated to each call, so the next one needs the new state. The first loss tells whether several

@@ -29,6 +29,7 @@ from t2m_jax.files.arrays import fingerprint, fit_arrays, read_arrays, save_arra
 from t2m_jax.files.manifest import check_folder, has_manifest, write_manifest
 from t2m_jax.files.reading import load_json, load_text
 from t2m_jax.files.writing import atomic_folder, save_json, save_text
+from t2m_jax.keys import new_key
 from t2m_jax.models.caption_encoder import CaptionEncoderConfig, init_network
 from t2m_jax.models.system import find_generator_config, find_tokenizer_config, variable_shapes
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
@@ -158,7 +159,7 @@ def expected_variables(config: BundleConfig) -> dict[str, Any]:
     # Shapes only: a hostile config may ask for more memory than there is, before its weights are seen not to fit.
     shapes = {"tokenizer": variable_shapes(config.tokenizer), "generator": variable_shapes(config.generator)}
     if (network := trained_network(config.text_encoder)) is not None:
-        shapes["text_encoder"] = jax.eval_shape(lambda: init_network(network, jax.random.key(0)))
+        shapes["text_encoder"] = jax.eval_shape(lambda: init_network(network, new_key(0)))
     return shapes
 
 

@@ -16,6 +16,7 @@ from t2m_jax.config import config_from_dict
 from t2m_jax.errors import UserError
 from t2m_jax.files.arrays import save_weights
 from t2m_jax.files.writing import save_json
+from t2m_jax.keys import new_key
 from t2m_jax.models.clip_text import ClipText, ClipTextConfig
 from t2m_jax.text.bpe import save_bpe
 from t2m_jax.text.clip_bpe import END, START, load_clip_bpe
@@ -125,7 +126,7 @@ def save_clip(folder: Path, clip: TrainedClip, *, half: bool = False) -> None:
 def param_shapes(config: ClipTextConfig) -> dict[tuple[str, ...], tuple[int, ...]]:
     """Returns the shape of every parameter of `ClipText` by its path."""
     tokens = jnp.zeros((1, config.max_length), jnp.int32)
-    params = jax.eval_shape(lambda: ClipText(config).init(jax.random.key(0), tokens))["params"]
+    params = jax.eval_shape(lambda: ClipText(config).init(new_key(0), tokens))["params"]
     return {names: leaf.shape for names, leaf in traverse_util.flatten_dict(params).items()}
 
 

@@ -20,6 +20,7 @@ from t2m_jax.config import config_from_dict
 from t2m_jax.errors import UserError
 from t2m_jax.files.arrays import read_arrays
 from t2m_jax.files.reading import load_json
+from t2m_jax.keys import new_key
 from t2m_jax.models.sentence_encoder import SentenceEncoder, SentenceEncoderConfig
 from t2m_jax.text.bpe import TOKENIZER_FILE, load_bpe
 
@@ -141,7 +142,7 @@ def save_sentence_encoder(folder: Path, encoder: TrainedSentenceEncoder) -> None
 def param_shapes(config: SentenceEncoderConfig) -> dict[tuple[str, ...], tuple[int, ...]]:
     """Returns the shape of every parameter of `SentenceEncoder` by its path."""
     tokens = jnp.zeros((1, 1), jnp.int32)
-    params = jax.eval_shape(lambda: SentenceEncoder(config).init(jax.random.key(0), tokens, tokens == 0))["params"]
+    params = jax.eval_shape(lambda: SentenceEncoder(config).init(new_key(0), tokens, tokens == 0))["params"]
     return {names: leaf.shape for names, leaf in traverse_util.flatten_dict(params).items()}
 
 

@@ -184,12 +184,18 @@ def _run(arguments: list[str]) -> int:
             parser.error(f"unknown argument '{unknown[0]}'" + (f"; did you mean '{near[0]}'?" if near else ""))
         # If a signal raised an exception while JAX is imported, its C++ code would crash. Until then, a signal ends the
         # process without ceremony: nothing has been written.
-        importlib.import_module("jax")
+        _import_jax()
         with _ended_by_signals():
             module.run(args)
     except SystemExit as exit_:  # raised by argparse and tyro after --help
         return exit_.code if isinstance(exit_.code, int) else EXIT_OK
     return EXIT_OK
+
+
+def _import_jax() -> None:
+    """Imports JAX for numbers of 32 bits, which all models have, also in processes that the command starts."""
+    os.environ.pop("JAX_ENABLE_X64", None)
+    importlib.import_module("jax").config.update("jax_enable_x64", False)
 
 
 def _options(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> list[str]:

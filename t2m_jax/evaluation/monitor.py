@@ -11,6 +11,7 @@ from t2m_jax.evaluation.protocols import find_protocol
 from t2m_jax.evaluation.run import evaluate_repeat
 from t2m_jax.evaluation.sources import CodeSource
 from t2m_jax.evaluation.task import EvaluationTask, make_task
+from t2m_jax.keys import new_key
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import skeleton_from_feature_dim
 from t2m_jax.sampling.decode import decode_motions
@@ -47,7 +48,7 @@ def sample_motions(task: EvaluationTask, source: CodeSource, *, count: int) -> l
         starts=plan.starts[:count],
         lengths=plan.lengths[:count],
     )
-    key = jax.random.fold_in(jax.random.key(task.seed), REPEAT)
+    key = jax.random.fold_in(new_key(task.seed), REPEAT)
     found = source.make(task.samples.clips, task.protocol, few, key)
     captions = [caption.text for caption in few.chosen_captions(task.samples.clips)]
     skeleton = skeleton_from_feature_dim(source.tokenizer.config.feature_dim)

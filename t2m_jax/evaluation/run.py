@@ -23,6 +23,7 @@ from t2m_jax.evaluation.report.record import CLEANED, MAX_REPORT, Header, Metric
 from t2m_jax.evaluation.sources import CodeSource
 from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.files.manifest import load_sealed_json, save_sealed_json
+from t2m_jax.keys import new_key
 from t2m_jax.metrics.frechet import fid
 from t2m_jax.metrics.quality import MotionQuality
 from t2m_jax.metrics.retrieval import label_bound, matching_score, r_precision
@@ -148,7 +149,7 @@ def evaluate_repeat(task: EvaluationTask, source: CodeSource, *, repeat: int) ->
     plan = task.plan(repeat)
     text = embed_plan_captions(task, plan)
     real = embed_plan_motions(task, plan)
-    key = jax.random.fold_in(jax.random.key(task.seed), repeat)
+    key = jax.random.fold_in(new_key(task.seed), repeat)
     found = source.make(task.samples.clips, task.protocol, plan, key)
     embeddings, quality = embed_decoded(task, source.tokenizer, found.codes)
     # Only the first sample of each item counts here; the others are for variety.

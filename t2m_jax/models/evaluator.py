@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from t2m_jax.config import check_limits, check_sizes
+from t2m_jax.keys import new_key
 from t2m_jax.models.recurrent import BiGru
 
 FRAMES_PER_MOVEMENT = 4
@@ -223,4 +224,4 @@ def evaluator_shapes(config: EvaluatorConfig) -> dict[str, dict]:
     motion = jnp.zeros((1, FRAMES_PER_MOVEMENT, config.feature_dim))
     words = jnp.zeros((1, 1), jnp.int32)
     length = jnp.ones(1, jnp.int32)
-    return jax.eval_shape(lambda: Evaluator(config).init(jax.random.key(0), motion, 4 * length, words, words, length))
+    return jax.eval_shape(lambda: Evaluator(config).init(new_key(0), motion, 4 * length, words, words, length))

@@ -22,6 +22,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from t2m_jax.errors import UserError
+from t2m_jax.keys import new_key
 
 GROUP = "t2m_jax.systems"
 """The entry-point group of parts."""
@@ -172,7 +173,7 @@ def variable_shapes(config: PartConfig) -> dict[str, Any]:
     """Returns the shapes of a part's variables by collection."""
     module = make_module(config)
     example = find_part(config.kind).example
-    return jax.eval_shape(lambda: module.init(jax.random.key(0), *example(config), train=False))
+    return jax.eval_shape(lambda: module.init(new_key(0), *example(config), train=False))
 
 
 def draw_each(strategy: Draw, logits: Float[Array, "B V"], keys: Key[Array, " B"]) -> Int[Array, " B"]:

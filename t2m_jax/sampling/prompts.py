@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Key
 
+from t2m_jax.keys import new_key
 from t2m_jax.sampling.batches import fill_up
 from t2m_jax.text.coverage import Knowledge, PromptWarning, check_coverage
 from t2m_jax.text.encoder import CuttingTextEncoder, TextEncoder
@@ -72,7 +73,7 @@ def read_prompts(captions: Sequence[str], knowledge: Knowledge, encoder: TextEnc
 def sample_key(seed: int, caption: str, sample: int) -> Key[Array, ""]:
     """Returns the key of one sample: a function of seed, caption and number, independent of the batch."""
     # Not `hash`, which differs from process to process.
-    key = jax.random.fold_in(jax.random.key(seed), zlib.crc32(caption.encode()))
+    key = jax.random.fold_in(new_key(seed), zlib.crc32(caption.encode()))
     return jax.random.fold_in(key, sample)
 
 

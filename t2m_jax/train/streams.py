@@ -9,13 +9,14 @@ from jaxtyping import Array, Int, Key
 
 from t2m_jax.data.banks.host import FeedPlan
 from t2m_jax.data.banks.motions import Cuts
+from t2m_jax.keys import new_key
 from t2m_jax.train.config import LoopConfig
 
 
 def stream_key(seed: int, name: str) -> Key[Array, ""]:
     """Returns the key of stream `name` of a run. Fold the step into it before use."""
     # The checksum is the same on every platform and in every process, unlike `hash`.
-    return jax.random.fold_in(jax.random.key(seed), zlib.crc32(name.encode()))
+    return jax.random.fold_in(new_key(seed), zlib.crc32(name.encode()))
 
 
 def window_options(loop: LoopConfig, stream: str, *, window: int) -> dict[str, Any]:

@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 
+import jax
 import numpy as np
 import pytest
 
@@ -18,6 +19,20 @@ from t2m_jax.records import fields_of
 from t2m_jax.sampling.model import ModelParts
 from t2m_jax.sampling.request import MotionRequest
 from tests.export.test_html import Elements
+
+
+def test_64_bits_of_the_environment_do_not_change_a_motion(bundle_folder, tmp_path, monkeypatch):
+    command = ["generate", "a person walks", "--model", f"{bundle_folder}", "-o"]
+    assert main([*command, f"{tmp_path / 'a.npz'}"]) == 0
+    monkeypatch.setenv("JAX_ENABLE_X64", "1")
+    jax.config.update("jax_enable_x64", True)
+    try:
+        assert main([*command, f"{tmp_path / 'b.npz'}"]) == 0
+    finally:
+        jax.config.update("jax_enable_x64", False)
+    assert "JAX_ENABLE_X64" not in os.environ  # for the processes that a command starts
+    one, other = (Motion.load(tmp_path / f"{name}.npz") for name in "ab")
+    np.testing.assert_array_equal(one.positions, other.positions)
 
 
 @pytest.mark.parametrize(

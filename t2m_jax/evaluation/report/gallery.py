@@ -11,6 +11,7 @@ from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.evaluation.embedding import embed_decoded, embed_plan_captions, embed_plan_motions
 from t2m_jax.evaluation.sources import CodeSource, MotionCodes, encode_pieces
 from t2m_jax.evaluation.task import EvaluationTask
+from t2m_jax.keys import new_key
 from t2m_jax.metrics.retrieval import ranks_of_batches
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.skeleton import Skeleton, skeleton_from_feature_dim
@@ -141,7 +142,7 @@ def rank_repeat(task: EvaluationTask, source: CodeSource) -> RankedRepeat:
     plan = task.plan(REPEAT)
     # Without the further samples of each caption, which are only for variety.
     brief = plan._replace(varied=plan.varied[:0])
-    key = jax.random.fold_in(jax.random.key(task.seed), REPEAT)
+    key = jax.random.fold_in(new_key(task.seed), REPEAT)
     clips = task.samples.clips
     found = source.make(clips, task.protocol, brief, key)
     text = embed_plan_captions(task, plan)
