@@ -17,6 +17,8 @@ from t2m_jax.data.importers.synthetic import KINDS, make_motion
 from t2m_jax.motion.motion import Motion
 from tests.conftest import REPOSITORY
 from tests.documents import PAGES, code_blocks, commands, name_of
+from tests.motion.character_files import write_character
+from tests.motion.rig.test_retarget import BANDAI
 from tests.sentence_golden import wide_encoder
 
 TRAINING = "--loop.num_steps 2 --loop.batch_size 4 --loop.validate_every 0"
@@ -115,6 +117,8 @@ def folder(tmp_path_factory, golden_dir):
         rows.append(f"{name},a person does {kind}")
     (folder / "my-bvh" / "captions.csv").write_text("\n".join(rows) + "\n")
     shutil.copy(folder / "my-bvh" / "0.bvh", folder / "take_07.bvh")
+    for name in ("hero.glb", "avatar.vrm"):
+        write_character(folder / name, BANDAI)
     for name, published in {"net_last": "ckpt_vqvae_small", "net_best_fid": "ckpt_gpt_small"}.items():
         (folder / f"{name}.pth").write_bytes((golden_dir / "t2m_gpt" / f"{published}.pth").read_bytes())
     (folder / "card.md").write_text("---\nlicense: cc0-1.0\n---\n# Mine\n")

@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     synthetic = add(run_synthetic, "make a data-set folder of computed motions, without a download")
     check = add(run_check, "count the contents of a data-set folder and find its faults")
     _add_importers(importer)
-    rig.add_argument("file", type=Path, metavar="FILE", help="a .bvh, .glb or .amc file")
+    rig.add_argument("file", type=Path, metavar="FILE", help="a .bvh, .glb, .vrm or .amc file")
     rig.add_argument("-o", "--output", type=Path, metavar="FILE", help="table to write (default: print it)")
     for command in (sheet, check):
         command.add_argument("folder", type=Path, metavar="DIR")
@@ -177,11 +177,13 @@ def run_rig(args: argparse.Namespace) -> None:
     """Prints or writes the best guess of a rig's table."""
     from t2m_jax.data.importers.bvh import open_motion_file
     from t2m_jax.files.writing import check_output, save_text
+    from t2m_jax.motion.gltf import load_gltf_joints
     from t2m_jax.motion.rig.guess import rig_table_text
 
     place = None if args.output is None else check_output(args.output)
-    # Any animation: only the joints are read.
-    clip = next(iter(open_motion_file(args.file).values()))
+    # Any animation: only the joints are read. A character may have none.
+    is_gltf = args.file.suffix.lower() in (".glb", ".vrm", ".vrma")
+    clip = load_gltf_joints(args.file) if is_gltf else next(iter(open_motion_file(args.file).values()))
     text = rig_table_text(clip, source=args.file.name)
     if place is None:
         for line in text.splitlines():

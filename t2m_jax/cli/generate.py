@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from t2m_jax.cli.options import add_model_argument, add_record, add_rig_argument, read_record, show_next
-from t2m_jax.cli.view import add_file_arguments, file_options
+from t2m_jax.cli.view import add_file_arguments, file_options, open_character, save
 from t2m_jax.errors import UserError, one_line
 
 if TYPE_CHECKING:
+    from t2m_jax.motion.character import Character
     from t2m_jax.motion.motion import Motion
     from t2m_jax.sampling.request import MotionRequest
 
@@ -55,6 +56,7 @@ def run(args: argparse.Namespace) -> None:
     outputs = [check_motion_output(output) for output in args.output or ["motion.html"]]
     changes = read_record(Changes, args)
     options = {output: file_options(output, args, outputs) for output in outputs}
+    character = open_character(args, outputs)
     from t2m_jax.sampling.pipeline import TextToMotion  # slow, so only now
 
     # The first files are claimed from the start, so that two commands do not mix their motions. The others are claimed
@@ -63,9 +65,11 @@ def run(args: argparse.Namespace) -> None:
         warnings.simplefilter("always", PromptWarning)
         warnings.showwarning = show_warning  # type: ignore[assignment]  # it needs the message only
         motions = map(changes.apply, TextToMotion.load(args.model).make(*requests))
-        written = list(_write(motions, options, count))
+        written = list(_write(motions, options, count, character))
     pages = [path for path in written if path.suffix == ".html"]
-    convertible = [path for path in written if path.suffix in (".npz", ".bvh", ".glb")]
+    # The file of a character may have other animations, too.
+    formats = (".npz", ".bvh") if character is not None else (".npz", ".bvh", ".glb")
+    convertible = [path for path in written if path.suffix in formats]
     if pages:
         show_next(f"open {shlex.quote(str(pages[0]))} in a browser")
     elif convertible:
@@ -91,9 +95,10 @@ def _requests(args: argparse.Namespace) -> "Iterator[MotionRequest]":
 
     if args.then and len(args.text) > 1:
         raise UserError(f"--then: follows one sentence, not {len(args.text)}; use it for each further sentence")
-    if args.rig is not None and args.start is None:
+    if args.rig is not None and args.start is None and args.character is None:
         raise UserError(f"--rig {args.rig}: is for a file to go on from; add --from FILE")
-    start = None if args.start is None else load_motion(args.start, rig=args.rig)
+    rig = args.rig if args.character is None else None
+    start = None if args.start is None else load_motion(args.start, rig=rig)
     for text in args.text:
         yield read_record(MotionRequest, args, captions=(text, *(args.then or ())), start=start)
 
@@ -108,10 +113,11 @@ def _file_of(output: Path, number: int, count: int) -> Path:
     return output if count <= size else output.with_stem(f"{output.stem}-{number // size}")
 
 
-def _write(motions: "Iterator[Motion]", options: dict[Path, dict[str, str]], count: int) -> Iterator[Path]:
+def _write(
+    motions: "Iterator[Motion]", options: dict[Path, dict[str, str]], count: int, character: "Character | None"
+) -> Iterator[Path]:
     """Writes each file as soon as its motions are there, and yields its name; `options` has the outputs."""
     from t2m_jax.files.writing import claim
-    from t2m_jax.motion.formats import save_motions
 
     # What the next page needs; with a million samples, not all motions fit into the memory.
     recent = deque["Motion"](maxlen=MAX_ON_PAGE)
@@ -123,6 +129,6 @@ def _write(motions: "Iterator[Motion]", options: dict[Path, dict[str, str]], cou
                 continue
             path = _file_of(output, number, count)
             with claim([path]) if number >= size else contextlib.nullcontext():  # `run` has claimed the first
-                save_motions(path, list(recent)[-(number % size + 1) :], **options[output])
+                save(path, list(recent)[-(number % size + 1) :], options[output], character)
             sys.stdout.write(f"{path}\n")
             yield path

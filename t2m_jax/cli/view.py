@@ -2,12 +2,16 @@
 
 import argparse
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
 from t2m_jax.cli.options import add_record, add_rig_argument, read_record, show_next
 from t2m_jax.errors import UserError
+
+if TYPE_CHECKING:
+    from t2m_jax.motion.character import Character
+    from t2m_jax.motion.motion import Motion
 
 FILE_OPTIONS = ("names", "units")
 """Options of .bvh and .glb files."""
@@ -35,13 +39,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_file_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares `FILE_OPTIONS`; `t2m generate` has them, too."""
+    """Declares `FILE_OPTIONS` and `--character`; `t2m generate` has them, too."""
     from t2m_jax.motion.bvh.writer import Units
     from t2m_jax.motion.rig.tables import JointNames
 
     names = "names of the joints in .bvh and .glb files (default: lafan1)"
     parser.add_argument("--names", choices=get_args(JointNames), help=names)
     parser.add_argument("--units", choices=get_args(Units), help="units of .bvh and .glb files (default: m)")
+    text = "your character, a .glb or .vrm file: .glb files are copies of it that move; --rig is then its table"
+    parser.add_argument("--character", type=Path, metavar="FILE", help=text)
 
 
 def file_options(output: Path, args: argparse.Namespace, outputs: Sequence[Path]) -> dict[str, str]:
@@ -53,30 +59,67 @@ def file_options(output: Path, args: argparse.Namespace, outputs: Sequence[Path]
     from t2m_jax.motion.formats import format_options
 
     given = {name: getattr(args, name) for name in FILE_OPTIONS if getattr(args, name) is not None}
+    known = {one: () if _shows_character(one, args) else format_options(one) for one in outputs}
     for name in given:
-        if not any(name in format_options(one) for one in outputs):
-            raise UserError(f"--{name}: is for .bvh and .glb files, and none is written; add -o FILE.glb")
-    return {name: value for name, value in given.items() if name in format_options(output)}
+        if not any(name in options for options in known.values()):
+            kept = " (a character keeps its own)" if args.character is not None else ""
+            raise UserError(f"--{name}: is for .bvh and .glb files, and none is written; add -o FILE.glb{kept}")
+    return {name: value for name, value in given.items() if name in known[output]}
+
+
+def _shows_character(output: Path, args: argparse.Namespace) -> bool:
+    return args.character is not None and output.suffix.lower() == ".glb"
+
+
+def open_character(args: argparse.Namespace, outputs: Sequence[Path]) -> "Character | None":
+    """Returns the character that was given.
+
+    Raises:
+        UserError: It cannot be used, or no `.glb` file is written.
+    """
+    if args.character is None:
+        return None
+    if not any(_shows_character(output, args) for output in outputs):
+        raise UserError(f"--character {args.character}: is for .glb files, and none is written; add -o FILE.glb")
+    from t2m_jax.motion.character import load_character
+
+    character = load_character(args.character, rig=args.rig)
+    for output in outputs:
+        if _shows_character(output, args):
+            character.check_copy(output)
+    return character
+
+
+def save(output: Path, motions: "Sequence[Motion]", options: Mapping[str, str], character: "Character | None") -> None:
+    """Writes motions into a file: on the character if it is a `.glb` file and there is one."""
+    from t2m_jax.motion.formats import save_motions
+
+    if character is not None and output.suffix.lower() == ".glb":
+        character.save(output, motions)
+    else:
+        save_motions(output, motions, **options)
 
 
 def run(args: argparse.Namespace) -> None:
     """Reads the motions, writes all outputs, and prints their names and the next command."""
     from t2m_jax.files.writing import claim
     from t2m_jax.motion.changes import Changes
-    from t2m_jax.motion.formats import check_motion_output, load_motion, save_motions
+    from t2m_jax.motion.formats import check_motion_output, load_motion
 
     # All that can be wrong with the options is said before the first file is read.
     for output in args.outputs:
         check_motion_output(output)
     changes = read_record(Changes, args)
     options = {output: file_options(output, args, args.outputs) for output in args.outputs}
+    character = open_character(args, args.outputs)
+    rig = args.rig if character is None else None
     with claim(args.outputs):
-        motions = [changes.apply(load_motion(path, animation=args.animation, rig=args.rig)) for path in args.files]
+        motions = [changes.apply(load_motion(path, animation=args.animation, rig=rig)) for path in args.files]
         for output in args.outputs:
-            save_motions(output, motions, **options[output])
+            save(output, motions, options[output], character)
             print(output)
     # The next command must read the same animation with the same rig.
-    given = {"--animation": args.animation, "--rig": args.rig}
+    given = {"--animation": args.animation, "--rig": rig}
     chosen = [part for pair in given.items() if pair[1] is not None for part in pair]
     again = ["t2m", "view", *map(str, args.files), *chosen]
     pages = [output for output in args.outputs if output.suffix == ".html"]

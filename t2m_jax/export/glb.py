@@ -1,67 +1,31 @@
 """GLB files (binary glTF 2.0): a skinned figure with a T-pose as rest pose, and an animation per motion."""
 
-import json
-import struct
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.errors import UserError
 from t2m_jax.export.render.rendering import TINT_COLORS
 from t2m_jax.export.skin import SkinPart, make_skin
 from t2m_jax.files.writing import atomic_file
 from t2m_jax.motion.bvh.writer import UNITS_PER_METER, Units
 from t2m_jax.motion.features import bone_vectors
-from t2m_jax.motion.gltf import BINARY_CHUNK, JSON_CHUNK, MAGIC
+from t2m_jax.motion.glb_file import GlbWriter, Track, check_motions
 from t2m_jax.motion.inverse_kinematics import FittedRig, fit_rig
 from t2m_jax.motion.kinematics import forward_kinematics
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rig.tables import JointNames, rig_joint_names
-from t2m_jax.motion.rotations import continuous_quaternions, quaternion_from_matrix
+from t2m_jax.motion.rotations import quaternion_from_matrix
 from t2m_jax.motion.skeleton import HUMANML3D
 
 NEAR = 1e-4
 """Meters by which a joint may be away from where the figure's rigid bones lead, before its translation is animated."""
 
-_KINDS = {np.dtype("<f4"): 5126, np.dtype("<u2"): 5123, np.dtype("<u4"): 5125, np.dtype("u1"): 5121}
-_TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 # OpenGL's numbers of an array buffer and an element array buffer.
 _VERTICES = 34962
 _INDICES = 34963
-
-
-class _GlbWriter:
-    """Collects the JSON tree and the binary data of a file."""
-
-    def __init__(self) -> None:
-        self.binary = bytearray()
-        self.tree: dict[str, Any] = {"bufferViews": [], "accessors": []}
-
-    def add(self, values: Any, kind: str = "<f4", *, target: int | None = None, **fields: Any) -> int:
-        """Adds an array and returns the number of its accessor. Floats get their extremes, as glTF asks of some."""
-        array = np.ascontiguousarray(values, dtype=np.dtype(kind))
-        view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self.binary), "byteLength": array.nbytes}
-        self.tree["bufferViews"].append(view | ({} if target is None else {"target": target}))
-        self.binary += array.tobytes() + b"\0" * (-array.nbytes % 4)
-        rows = array.reshape(len(array), -1)
-        if kind == "<f4":
-            fields |= {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
-        accessor = {"bufferView": len(self.tree["bufferViews"]) - 1, "componentType": _KINDS[array.dtype]}
-        self.tree["accessors"].append(accessor | {"count": len(rows), "type": _TYPES[rows.shape[1]], **fields})
-        return len(self.tree["accessors"]) - 1
-
-    def data(self) -> bytes:
-        """Returns the bytes of the file."""
-        tree = self.tree | {"buffers": [{"byteLength": len(self.binary)}]}
-        text = json.dumps(tree, ensure_ascii=False, separators=(",", ":")).encode()
-        text += b" " * (-len(text) % 4)
-        chunks = struct.pack("<II", len(text), JSON_CHUNK) + text
-        chunks += struct.pack("<II", len(self.binary), BINARY_CHUNK) + self.binary
-        return struct.pack("<III", MAGIC, 2, 12 + len(chunks)) + chunks
 
 
 def save_glb(path: Path, motions: Sequence[Motion], *, names: JointNames = "lafan1", units: Units = "m") -> None:
@@ -80,27 +44,20 @@ def save_glb(path: Path, motions: Sequence[Motion], *, names: JointNames = "lafa
     Raises:
         UserError: There is no motion, or one of another skeleton.
     """
-    if not motions:
-        raise UserError(f"{path}: there is no motion to write; give at least one")
-    other = [motion.skeleton.name for motion in motions if motion.skeleton.joint_names != HUMANML3D.joint_names]
-    if other:
-        raise UserError(f"{path}: GLB files are written for the skeleton {HUMANML3D.name}, not {other[0]}")
+    check_motions(path, motions)
     rigs = [fit_rig(motion.positions, fps=motion.fps) for motion in motions]
     scale = UNITS_PER_METER[units]
-    glb = _GlbWriter()
+    glb = GlbWriter()
     # The reader trusts what is in `extras` only of files with this generator.
-    generator = f"t2m_jax {version('t2m-jax')}"
-    glb.tree["asset"] = {"version": "2.0", "generator": generator, "extras": {"units": units}}
+    glb.tree["asset"] = {"version": "2.0", "generator": glb.generator, "extras": {"units": units}}
     _add_figure(glb, rigs[0], rig_joint_names(names), scale)
-    glb.tree["animations"] = [
-        {"name": title, **_animation(glb, rig, motion, rigs[0], scale)}
-        for rig, motion, title in zip(rigs, motions, _titles(motions), strict=True)
-    ]
+    for rig, motion in zip(rigs, motions, strict=True):
+        glb.add_animation(motion, _tracks(rig, motion, rigs[0], scale))
     with atomic_file(path) as partial:
         partial.write_bytes(glb.data())
 
 
-def _add_figure(glb: _GlbWriter, rig: FittedRig, names: Sequence[str], scale: float) -> None:
+def _add_figure(glb: GlbWriter, rig: FittedRig, names: Sequence[str], scale: float) -> None:
     """Adds the joints, which are the first nodes, and the mesh around them."""
     identity = np.tile(np.eye(3), (len(names), 1, 1))
     rest = np.asarray(forward_kinematics(identity, rig.offsets, HUMANML3D.parents).positions, np.float64)
@@ -133,7 +90,7 @@ def _material(tint: str) -> dict[str, Any]:
     return {"name": tint, "pbrMetallicRoughness": surface}
 
 
-def _primitive(glb: _GlbWriter, part: SkinPart, material: int, scale: float) -> dict[str, Any]:
+def _primitive(glb: GlbWriter, part: SkinPart, material: int, scale: float) -> dict[str, Any]:
     """Adds the arrays of a part of the mesh, and returns its description."""
     # A vertex may follow four joints. Here it follows one, with all of its weight.
     joints, weights = np.zeros((2, len(part.joints), 4), np.uint8)
@@ -153,15 +110,6 @@ def _primitive(glb: _GlbWriter, part: SkinPart, material: int, scale: float) -> 
     }
 
 
-def _titles(motions: Sequence[Motion]) -> list[str]:
-    """Returns a name per motion, all different: its caption, with a number if it is not the first."""
-    titles: list[str] = []
-    for number, motion in enumerate(motions):
-        title = motion.caption or "motion"
-        titles.append(title if title not in titles else f"{title} {number + 1}")
-    return titles
-
-
 def _translations(rig: FittedRig, motion: Motion) -> Float[np.ndarray, "T J 3"]:
     """Returns the place of each joint in its parent's frame with which all joints are where the motion has them."""
     turned = np.asarray(forward_kinematics(rig.rotations, rig.translations, HUMANML3D.parents).rotations)
@@ -171,23 +119,14 @@ def _translations(rig: FittedRig, motion: Motion) -> Float[np.ndarray, "T J 3"]:
     return np.concatenate([motion.positions[:, :1], local], axis=1)
 
 
-def _animation(glb: _GlbWriter, rig: FittedRig, motion: Motion, figure: FittedRig, scale: float) -> dict[str, Any]:
-    """Adds the arrays of an animation, and returns its description."""
-    times = glb.add(np.arange(motion.num_frames) / motion.fps)
-    quaternions = continuous_quaternions(quaternion_from_matrix(rig.rotations))[..., [1, 2, 3, 0]]
+def _tracks(rig: FittedRig, motion: Motion, figure: FittedRig, scale: float) -> list[Track]:
+    """Returns the animation of the figure for a motion."""
+    quaternions = quaternion_from_matrix(rig.rotations)
     places = _translations(rig, motion)
-    tracks = [(0, "translation", times, glb.add(scale * places[:, 0]))]
+    tracks = [Track(0, "translation", scale * places[:, 0])]
     for joint in range(quaternions.shape[1]):
-        tracks.append((joint, "rotation", times, glb.add(quaternions[:, joint])))
+        tracks.append(Track.of_rotation(joint, quaternions[:, joint]))
         # Other joints move only if bones are not rigid; a track of each would add three quarters to the animation.
         if joint and np.abs(places[:, joint] - figure.offsets[joint]).max() > NEAR:
-            tracks.append((joint, "translation", times, glb.add(scale * places[:, joint])))
-    return {
-        "channels": [
-            {"sampler": number, "target": {"node": node, "path": path}}
-            for number, (node, path, _, _) in enumerate(tracks)
-        ],
-        "samplers": [{"input": inputs, "output": outputs} for _, _, inputs, outputs in tracks],
-        "extras": {"caption": motion.caption, "fps": motion.fps, "frames": motion.num_frames}
-        | ({"part_starts": motion.part_starts, "part_captions": motion.part_captions} if motion.part_starts else {}),
-    }
+            tracks.append(Track(joint, "translation", scale * places[:, joint]))
+    return tracks

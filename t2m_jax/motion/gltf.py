@@ -5,7 +5,6 @@ Scales are taken as equal along x, y and z and as constant, which they are in fi
 
 import dataclasses
 import itertools
-import struct
 from collections.abc import Callable, Mapping, Sequence, Set
 from pathlib import Path
 from textwrap import shorten
@@ -15,8 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
-from t2m_jax.files.reading import first_line, parse_json, reading
-from t2m_jax.motion.gltf_nodes import W_FIRST, Nodes, find_nodes
+from t2m_jax.motion.glb_file import GlbChunks, own_extra, read_accessor, read_bytes, reading_glb, split_chunks
+from t2m_jax.motion.gltf_nodes import W_FIRST, Nodes, find_nodes, rest_clip
 from t2m_jax.motion.part_captions import checked_parts
 from t2m_jax.motion.resampling import MAX_FPS
 from t2m_jax.motion.rig.clip import RigClip
@@ -30,18 +29,6 @@ DENSE_FPS = 60.0
 """Rate to sample keys at, for a filter that makes it lower: lines between keys bend at each key."""
 MAX_POSES = 20_000_000
 """Joints times frames of all animations; an hour of 60 joints at 20 frames per second has 4 million."""
-# The bytes "glTF", "JSON" and "BIN" as little-endian numbers.
-MAGIC = 0x46546C67
-JSON_CHUNK = 0x4E4F534A
-BINARY_CHUNK = 0x004E4942
-# Components of a type and NumPy's types of its numbers, by the numbers of OpenGL. Animations have no others.
-_SIZES = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
-_TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5126: np.float32}
-
-
-class _GlbChunks(NamedTuple):
-    tree: Mapping[str, Any]
-    binary: bytes
 
 
 class _Keyframes(NamedTuple):
@@ -93,18 +80,33 @@ def load_gltf_animation(path: Path | str, animation: str | None = None) -> RigCl
     return clip
 
 
+def load_gltf_joints(path: Path | str) -> RigClip:
+    """Returns the first animation of a GLB file, or its rest pose as one frame if it has none.
+
+    Raises:
+        UserError: The file cannot be read, is damaged, or has no joints.
+    """
+    path = Path(path)
+    data = read_bytes(path)
+    with reading_glb(path):
+        tree = split_chunks(data).tree
+        if not tree.get("animations"):
+            return rest_clip(find_nodes(tree))
+    (clip,) = _load(path, None, lambda captions: list(captions)[:1]).values()
+    return clip
+
+
 def _load(path: Path, fps: float | None, choose: Callable[[Mapping[str, str]], list[str]]) -> dict[str, RigClip]:
     """Returns the animations that a function chooses from the captions of all, by name."""
-    with reading(path):
-        data = path.read_bytes()
-    try:
-        glb = _split_chunks(data)
+    data = read_bytes(path)
+    with reading_glb(path):
+        glb = split_chunks(data)
         animations = _titles(glb.tree.get("animations", []))
         if not animations:
             raise UserError("has no animation")
         nodes = find_nodes(glb.tree)
         # A length of 1 has another meaning only in files of this package.
-        unit = 0.01 if _own_extra(glb.tree, glb.tree.get("asset", {}), "units") == "cm" else 1.0
+        unit = 0.01 if own_extra(glb.tree, glb.tree.get("asset", {}), "units") == "cm" else 1.0
         nodes = nodes._replace(scales=nodes.scales * unit)
         clips: dict[str, RigClip] = {}
         room = MAX_POSES
@@ -118,10 +120,6 @@ def _load(path: Path, fps: float | None, choose: Callable[[Mapping[str, str]], l
             clip = in_human_size(clip if rate else clip.resampled(HUMANML3D.fps))
             room -= clip.num_frames * len(nodes.names)
             clips[title] = dataclasses.replace(clip, caption=captions[title])
-    except UserError as error:
-        raise UserError(f"{path}: {error}") from error
-    except Exception as error:  # a file may say anything, and each part of it has errors of its own
-        raise UserError(f"{path}: is not a correct GLB file ({first_line(error)})") from error
     return clips
 
 
@@ -136,7 +134,7 @@ def _titles(animations: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, A
 
 def _caption(tree: Mapping[str, Any], animation: Mapping[str, Any], title: str, owners: Set[str]) -> str:
     """Returns what this package wrote about an animation, or its name without those of nodes (owners) before a `|`."""
-    own = _own_extra(tree, animation, "caption")
+    own = own_extra(tree, animation, "caption")
     if isinstance(own, str):
         return own
     # Blender writes "armature|action"; other text before a `|` is a part of the name.
@@ -144,38 +142,13 @@ def _caption(tree: Mapping[str, Any], animation: Mapping[str, Any], title: str, 
     return "|".join([*itertools.dropwhile(owners.__contains__, before), last])
 
 
-def _own_extra(tree: Mapping[str, Any], part: Mapping[str, Any], name: str) -> Any:
-    """Returns what this package noted at a part of a file; None in files of other programs, whose notes may differ."""
-    extras = part.get("extras")
-    generator = tree.get("asset", {}).get("generator")
-    if not (isinstance(extras, dict) and isinstance(generator, str) and generator.startswith("t2m_jax ")):
-        return None
-    return extras.get(name)
-
-
 def _own_rate(tree: Mapping[str, Any], animation: Mapping[str, Any]) -> float | None:
     """Returns the frames per second that this package wrote an animation with."""
-    rate = _own_extra(tree, animation, "fps")
+    rate = own_extra(tree, animation, "fps")
     return float(rate) if isinstance(rate, (int, float)) and 0 < rate <= MAX_FPS else None
 
 
-def _split_chunks(data: bytes) -> _GlbChunks:
-    """Returns the two chunks of a GLB file."""
-    if len(data) < 20 or struct.unpack_from("<I", data)[0] != MAGIC:
-        raise UserError("is not a GLB file; export as glTF binary (.glb)")
-    chunks: dict[int, bytes] = {}
-    start = 12
-    while start + 8 <= len(data):
-        size, kind = struct.unpack_from("<II", data, start)
-        chunks.setdefault(kind, data[start + 8 : start + 8 + size])
-        start += 8 + size
-    tree = parse_json(chunks[JSON_CHUNK].decode())
-    if not isinstance(tree, dict):
-        raise ValueError("its JSON is not an object")
-    return _GlbChunks(tree, chunks.get(BINARY_CHUNK, b""))
-
-
-def _sample(glb: _GlbChunks, nodes: Nodes, animation: Mapping[str, Any], *, fps: float, room: int) -> RigClip:
+def _sample(glb: GlbChunks, nodes: Nodes, animation: Mapping[str, Any], *, fps: float, room: int) -> RigClip:
     """Returns one animation at `fps` frames per second, if it has at most `room` poses of joints."""
     tracks: dict[tuple[int, str], _Keyframes] = {}
     for channel in animation["channels"]:
@@ -198,7 +171,7 @@ def _sample(glb: _GlbChunks, nodes: Nodes, animation: Mapping[str, Any], *, fps:
     if not (np.isfinite(translations).all() and np.isfinite(rotations).all()):
         raise ValueError("an animation has values that are not finite")
     own = fps == _own_rate(glb.tree, animation)  # at another rate, sentences begin at other frames
-    said = [_own_extra(glb.tree, animation, name) if own else () for name in ("part_starts", "part_captions")]
+    said = [own_extra(glb.tree, animation, name) if own else () for name in ("part_starts", "part_captions")]
     return RigClip(
         joint_names=nodes.names,
         parents=nodes.parents,
@@ -212,36 +185,16 @@ def _sample(glb: _GlbChunks, nodes: Nodes, animation: Mapping[str, Any], *, fps:
     )
 
 
-def _read_track(glb: _GlbChunks, sampler: Mapping[str, Any]) -> _Keyframes:
+def _read_track(glb: GlbChunks, sampler: Mapping[str, Any]) -> _Keyframes:
     interpolation = sampler.get("interpolation", "LINEAR")
-    times = _read_accessor(glb, sampler["input"])[:, 0]
-    values = _read_accessor(glb, sampler["output"])
+    times = read_accessor(glb, sampler["input"])[:, 0]
+    values = read_accessor(glb, sampler["output"])
     per_key = 3 if interpolation == "CUBICSPLINE" else 1
     if values.shape[1] == 4:
         values = values[:, W_FIRST]
     if not (len(times) and len(values) == per_key * len(times) and np.all(np.diff(times) >= 0)):
         raise ValueError("an animation has as many times as it has no values, or times that go back")
     return _Keyframes(times, values.reshape(len(times), per_key, -1), interpolation)
-
-
-def _read_accessor(glb: _GlbChunks, number: int) -> Float[np.ndarray, "N C"]:
-    """Returns the numbers of an accessor; integers are shares of their largest value, as rotations may be stored."""
-    accessor = glb.tree["accessors"][number]
-    if "sparse" in accessor:
-        raise UserError("sparse accessors are not supported")
-    view = glb.tree["bufferViews"][accessor["bufferView"]]
-    if view["buffer"] or "uri" in glb.tree["buffers"][0]:
-        raise UserError("its animations are in another file; export everything into one .glb")
-    dtype = np.dtype(_TYPES[accessor["componentType"]])
-    columns = _SIZES[accessor["type"]]
-    count = accessor["count"]
-    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-    # A stride is how vertices are mixed with other data; keys of animations are not. `frombuffer` takes -1 as "all".
-    if min(start, count) < 0 or view.get("byteStride", columns * dtype.itemsize) != columns * dtype.itemsize:
-        raise ValueError("an accessor's place is not supported")
-    values = np.frombuffer(glb.binary, dtype, count=count * columns, offset=start).reshape(count, columns)
-    scale = 1.0 if dtype.kind == "f" else 1.0 / int(np.iinfo(str(dtype)).max)
-    return np.maximum(values * scale, -1.0) if dtype.kind == "i" else values * scale
 
 
 def _interpolate(track: _Keyframes, times: Float[np.ndarray, " T"], kind: str) -> Float[np.ndarray, "T C"]:

@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.rotations import quaternion_from_matrix
+from t2m_jax.motion.rig.clip import RigClip
+from t2m_jax.motion.rotations import matrix_from_quaternion, quaternion_from_matrix
 
 W_FIRST = [3, 0, 1, 2]
 """glTF's quaternions are x, y, z, w."""
@@ -71,6 +72,23 @@ def find_nodes(tree: Mapping[str, Any]) -> Nodes:
     return Nodes(names, parents, numbers, translations, rotations, scales, bool(bones))
 
 
+def rest_clip(nodes: Nodes) -> RigClip:
+    """Returns the rest pose as a clip of one frame, in the unit of the file."""
+    offsets = (nodes.translations * nodes.scales[:, None]).astype(np.float32)
+    if not (np.isfinite(offsets).all() and np.isfinite(nodes.rotations).all()):
+        raise ValueError("its nodes have values that are not finite")
+    return RigClip(
+        joint_names=nodes.names,
+        parents=nodes.parents,
+        offsets=offsets,
+        rotations=matrix_from_quaternion(nodes.rotations.astype(np.float32))[None],
+        translations=offsets[None],
+        fps=1.0,
+        metres_per_unit=1.0,
+        is_person=nodes.is_person,
+    )
+
+
 def _human_bones(tree: Mapping[str, Any]) -> dict[int, str]:
     """Returns the nodes that a VRM avatar or a VRM animation names as bones of a person."""
     extensions = tree.get("extensions", {})
@@ -109,3 +127,29 @@ def _rest_pose(node: Mapping[str, Any]) -> tuple[Float[np.ndarray, " 3"], Float[
     translation = np.array(node.get("translation", (0, 0, 0)), float).reshape(3)
     rotation = np.array(node.get("rotation", (0, 0, 0, 1)), float).reshape(4)[W_FIRST]
     return translation, rotation, float(np.mean(np.array(node.get("scale", 1), float)))
+
+
+def world_matrix(tree: Mapping[str, Any], number: int) -> Float[np.ndarray, "4 4"]:
+    """Returns where a node is in the world, with its scale."""
+    above = {child: parent for parent, node in enumerate(tree["nodes"]) for child in node.get("children", [])}
+    matrix = np.eye(4)
+    line: list[int] = []
+    while number not in line:
+        line.append(number)
+        translation, rotation, scale = _rest_pose(tree["nodes"][number])
+        pose = np.eye(4)
+        pose[:3, :3] = scale * matrix_from_quaternion(rotation)
+        pose[:3, 3] = translation
+        matrix = pose @ matrix
+        number = above.get(number, number)
+    return matrix
+
+
+def without_matrix(node: dict[str, Any]) -> None:
+    """Writes the matrix of a node as translation, rotation and scale, since only these can be animated."""
+    if "matrix" in node:
+        translation, rotation, scale = _rest_pose(node)
+        del node["matrix"]
+        node["translation"] = translation.tolist()
+        node["rotation"] = rotation[[1, 2, 3, 0]].tolist()
+        node["scale"] = [scale] * 3

@@ -138,7 +138,8 @@ def test_every_field_of_the_records_is_an_option():
     options = {action.dest for action in parser._actions}
     fields = {field.name for record in (MotionRequest, Changes) for field in fields_of(record)}
     assert fields - options == {"captions", "strategy", "begin", "end"}  # sentences, only in Python, and --trim
-    assert options - fields == {"text", "then", "trim", "help", "model", "names", "units", "output", "rig"}
+    files = {"names", "units", "output", "rig", "character"}
+    assert options - fields == {"text", "then", "trim", "help", "model"} | files
 
 
 def test_a_folder_in_the_place_of_the_file_is_refused(refusal, bundle_folder, tmp_path):

@@ -32,6 +32,7 @@ from t2m_jax.evaluation.run import load_partial
 from t2m_jax.files.arrays import read_arrays
 from t2m_jax.files.manifest import read_manifest
 from t2m_jax.motion.amc import load_amc
+from t2m_jax.motion.character import load_character
 from t2m_jax.motion.formats import load_motion
 from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.motion.motion import Motion
@@ -46,6 +47,7 @@ from t2m_jax.train.log import _keep_rows
 from tests.bench.conftest import report as bench_report
 from tests.data.bvh_files import write_bvh
 from tests.motion.acclaim_files import write_acclaim
+from tests.motion.character_files import write_character
 from tests.motion.glb_files import edited, name_bones, write_person
 from tests.motion.rig.test_retarget import BANDAI
 from tests.tiny import LOOP, random_bundle, random_evaluator, vqvae_training
@@ -55,6 +57,7 @@ GLB_ARM = {"Root": (None, (0.0, 100.0, 0.0)), "Arm": ("Root", (50.0, 0.0, 0.0)),
 HEADER = {"protocol": "strict", "data": "d_1", "split": "test", "evaluator": "ab%c", "weights": "ab", "contents": "cd"}
 HEADER |= {"num_samples": 64, "seed": 0, "unit": 4, "batch": 32}
 METRIC = {"mean": 1.5, "interval": 0.5, "repeats": [1.0, 2.0]}
+WALK = Motion(positions=make_motion("walk", seed=1, num_frames=8), fps=20.0)
 CAPTIONS = "a man waves.#a/DET man/NOUN wave/VERB#0.0#0.0\nhe turns left#he/PRON turn/VERB left/ADV#0.5#2.5\n"
 
 
@@ -82,7 +85,7 @@ def _make_motions(root: Path) -> None:
         (root / folder).mkdir()
         write_acclaim(root / folder)
     parts = {"part_starts": (0, 4), "part_captions": ("a person walks", "somebody waves")}
-    walk = Motion(positions=make_motion("walk", seed=1, num_frames=8), fps=20.0, **parts)
+    walk = dataclasses.replace(WALK, **parts)
     walk.save(root / "motion.npz")
     walk.save(root / "own.glb")
     walk.save(root / "own.bvh")
@@ -92,6 +95,7 @@ def _make_motions(root: Path) -> None:
     )
     vrm = write_person(root / "vrm.glb", BANDAI, {"quarter": 90.0})
     edited(vrm, lambda tree: (tree.pop("skins"), name_bones(tree, "VRMC_vrm_animation")))
+    write_character(root / "hero.glb", BANDAI)
     np.save(root / "joints.npy", make_motion("walk", seed=1, num_frames=4).astype(np.float32))
 
 
@@ -115,6 +119,10 @@ def read_partial(path: Path) -> object:
     return load_partial(path, Header(**HEADER))
 
 
+def read_character(path: Path) -> object:
+    return load_character(path).save(path.with_name("moved.glb"), [WALK])
+
+
 def read_sentence_tokens(folder: Path) -> object:
     return load_sentence_tokenizer(folder, read_sentence_config(folder)).encode("a man waves").ids
 
@@ -127,6 +135,7 @@ FILES: Mapping[str, Callable[[Path], object]] = {
     "own.glb": lambda root: load_motion(root / "own.glb"),
     "foreign.bvh": lambda root: load_motion(root / "foreign.bvh"),
     "vrm.glb": lambda root: load_motion(root / "vrm.glb"),
+    "hero.glb": lambda root: read_character(root / "hero.glb"),
     "own.bvh": lambda root: load_motion(root / "own.bvh"),
     "motion.npz": lambda root: load_motion(root / "motion.npz"),
     "joints.npy": lambda root: load_motion(root / "joints.npy"),

@@ -94,6 +94,7 @@ WRITERS = {
     "t2m_jax.export.npz",
     "t2m_jax.files.locks",
     "t2m_jax.files.writing",
+    "t2m_jax.motion.character",
     "t2m_jax.motion.normalizer",
     "t2m_jax.serving.files",
     "t2m_jax.text.caption_states",

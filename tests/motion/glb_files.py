@@ -29,7 +29,7 @@ class GlbWriter:
 
     def accessor(self, values, kind="f4"):
         values = np.asarray(values)
-        types = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+        types = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
         columns = 1 if values.ndim == 1 else values.shape[1]
         data = values.astype(f"<{kind}").tobytes()
         view = {"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(data)}

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.motion import resampling
-from t2m_jax.motion.kinematics import forward_kinematics
+from t2m_jax.motion.kinematics import JointPoses, forward_kinematics
 from t2m_jax.motion.part_captions import Parts
 from t2m_jax.motion.rotations import continuous_quaternions, matrix_from_quaternion, quaternion_from_matrix
 
@@ -54,7 +54,12 @@ class RigClip:
     @property
     def positions(self) -> Float[np.ndarray, "T J 3"]:
         """World positions of all joints in meters."""
-        return forward_kinematics(self.rotations, self.translations, self.parents).positions
+        return self.poses.positions
+
+    @property
+    def poses(self) -> JointPoses:
+        """World positions and rotations of all joints."""
+        return forward_kinematics(self.rotations, self.translations, self.parents)
 
     def from_frame(self, frame: int, end: int | None = None) -> "RigClip":
         """Returns the clip without the frames before `frame`, and without those from `end`."""
