@@ -45,6 +45,7 @@ class IndexEntry(NamedTuple):
 
 
 _COUNT = re.compile(r" x \d+$")
+_SECONDS = re.compile(r" \d+ s")
 
 
 def label_actions(label: str) -> tuple[str, ...]:
@@ -54,6 +55,12 @@ def label_actions(label: str) -> tuple[str, ...]:
     is repeated `jump x 3`, and of one that lasts some seconds `walk, 5 s`.
     """
     return tuple(_COUNT.sub("", action) for action in label.partition(",")[0].split(" + "))
+
+
+def is_single(label: str) -> bool:
+    """Returns whether a label is of one action that is done once, not of several, a number of times or some seconds."""
+    actions, _, style = label.partition(",")
+    return " + " not in actions and not _COUNT.search(actions) and not _SECONDS.fullmatch(style)
 
 
 def action_of(label: str) -> str:

@@ -15,7 +15,7 @@ from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer, load
 from t2m_jax.config import flat_fields, save_config
 from t2m_jax.data.banks.codes import Captions, CodeBank, CodeBatch, code_batch_at
 from t2m_jax.data.folder import Clip, Dataset, open_dataset
-from t2m_jax.data.index import INDEX, label_actions, load_index
+from t2m_jax.data.index import INDEX, is_single, label_actions, load_index
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.sources import CodeSource, make_generation
 from t2m_jax.models.caption_encoder import (
@@ -37,11 +37,12 @@ from t2m_jax.train.streams import stream_key
 from t2m_jax.train.tokenize import (
     CodedMotion,
     add_rewordings,
-    balanced_shares,
+    balanced_weights,
     check_tokenizer,
     draw_captions,
     encode_clips,
     make_code_bank,
+    with_share,
 )
 from t2m_jax.train.warm_start import start_from_model
 
@@ -210,16 +211,22 @@ def draw_shares(
     """Returns the shares of motions in the draws of training (`CodeBank.shares`), None if they are equal.
 
     Raises:
-        UserError: The data set has no labels.
+        UserError: The data set has no labels, or `single_share` is given and all motions are of one kind.
     """
-    if not config.balance:
+    if not config.balance and config.single_share is None:
         return None
     index = load_index(dataset.folder)
     labels = [None if index is None else index.label(motion.clip) for motion in motions]
     if not any(labels):
-        raise UserError(f"{dataset.folder / INDEX}: has no labels of these clips, which balance needs; set it to 0")
+        raise UserError(f"{dataset.folder / INDEX}: has no labels of these clips, which balance and single_share need")
     actions = [("",) if label is None else label_actions(label) for label in labels]
-    return balanced_shares(actions, power=config.balance, limit=config.balance_limit)
+    weights = balanced_weights(actions, power=config.balance, limit=config.balance_limit)
+    if config.single_share is not None:
+        single = np.array([label is None or is_single(label) for label in labels])
+        if single.all() or not single.any():
+            raise UserError(f"single_share: {dataset.folder} has only motions of one kind; leave it out")
+        weights = with_share(weights, single, config.single_share)
+    return (np.cumsum(weights) / weights.sum()).astype(np.float32)
 
 
 def make_validation(

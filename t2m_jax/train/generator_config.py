@@ -84,6 +84,9 @@ class TrainGeneratorConfig(GeneratorStepConfig, ExperimentConfig):
     counts. A motion of several actions is drawn as often as their mean; motions without a label are one action."""
     balance_limit: float = 10.0
     """How many times as often as the average a motion is drawn at most."""
+    single_share: float | None = None
+    """Share of the draws that motions of one action have which is done once, as the labels of `index.csv` say. The rest
+    are those of several actions, in turn or at once, of counted and of timed ones. null draws by `balance` alone."""
     max_captions: int = 0
     """Captions of each motion that are learned, drawn once; 0 for all. Fewer take less time to read and less space on
     disk with `text_encoder: sentence_states`."""
@@ -111,6 +114,8 @@ class TrainGeneratorConfig(GeneratorStepConfig, ExperimentConfig):
             raise ValueError(f"balance: {self.balance} is not a power from 0 to 1")
         if not 1 <= self.balance_limit <= 1000:
             raise ValueError(f"balance_limit: {self.balance_limit} is not from 1 to 1000")
+        if self.single_share is not None and not 0 < self.single_share < 1:
+            raise ValueError(f"single_share: {self.single_share} is not a share between 0 and 1")
         for name in ("patience", "rewordings", "max_captions"):
             if not 0 <= getattr(self, name) <= 1000:
                 raise ValueError(f"{name}: {getattr(self, name)} is not from 0 to 1000")

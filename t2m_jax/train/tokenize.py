@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
@@ -254,8 +254,8 @@ def split_by_captions(
     return motions
 
 
-def balanced_shares(actions: Sequence[Sequence[str]], *, power: float, limit: float) -> Float[np.ndarray, " M"]:
-    """Returns the shares of motions in the draws of training, each with those of the motions before it.
+def balanced_weights(actions: Sequence[Sequence[str]], *, power: float, limit: float) -> Float[np.ndarray, " M"]:
+    """Returns how often motions are drawn in training, relative to each other.
 
     Args:
         actions: Of each motion, at least one.
@@ -265,8 +265,14 @@ def balanced_shares(actions: Sequence[Sequence[str]], *, power: float, limit: fl
     """
     counts = Counter(action for names in actions for action in set(names))
     weights = np.array([np.mean([float(counts[action]) ** -power for action in names]) for names in actions])
-    weights = np.minimum(weights, limit * weights.mean())
-    return (np.cumsum(weights) / weights.sum()).astype(np.float32)
+    return np.minimum(weights, limit * weights.mean())
+
+
+def with_share(
+    weights: Float[np.ndarray, " M"], chosen: Bool[np.ndarray, " M"], share: float
+) -> Float[np.ndarray, " M"]:
+    """Returns weights of which those of the chosen motions sum to `share`, and the others to the rest of 1."""
+    return weights * np.where(chosen, share / weights[chosen].sum(), (1 - share) / weights[~chosen].sum())
 
 
 def make_code_bank(

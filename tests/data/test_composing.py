@@ -18,7 +18,7 @@ from t2m_jax.data.composing.pieces import REACH, drawn_weights, make_library
 from t2m_jax.data.composing.repeated import draw_repeated, repeat
 from t2m_jax.data.composing.turns import draw_pieces
 from t2m_jax.data.folder import DatasetInfo, open_dataset
-from t2m_jax.data.index import IndexEntry, label_actions, load_index, save_index
+from t2m_jax.data.index import IndexEntry, is_single, label_actions, load_index, save_index
 from t2m_jax.data.texts import Caption
 from t2m_jax.data.writer import finish_folder, new_folder, with_twins, write_twins
 from t2m_jax.errors import UserError
@@ -242,6 +242,10 @@ def test_actions_of_labels():
     assert label_actions("walk, happy") == label_actions("walk, 5 s") == label_actions("walk x 3") == ("walk",)
     assert label_actions("walk + wave-left-hand, at once") == ("walk", "wave-left-hand")
     assert label_actions("walk + bow + run") == ("walk", "bow", "run")
+    composed = ("walk, 5 s", "walk x 3", "walk + bow", "walk + wave-left-hand, at once")
+    assert [is_single(label) for label in ("walk", "walk, happy", "walk, slow x 3", *composed)] == [True] * 3 + [
+        False
+    ] * 4
 
 
 def test_no_person_of_berkeley_is_in_two_splits():

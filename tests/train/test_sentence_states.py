@@ -10,11 +10,15 @@ import pytest
 from t2m_jax.checkpoints.bundle import load_bundle
 from t2m_jax.checkpoints.model import load_generator_run
 from t2m_jax.cli.main import main
+from t2m_jax.data.folder import open_dataset
+from t2m_jax.data.index import IndexEntry, save_index
 from t2m_jax.errors import UserError
 from t2m_jax.models.caption_encoder import StateEncoderConfig
 from t2m_jax.sampling.pipeline import TextToMotion
 from t2m_jax.text.encoder import CuttingTextEncoder
 from t2m_jax.train import train
+from t2m_jax.train.generator import draw_shares
+from t2m_jax.train.tokenize import CodedMotion
 from tests.sentence_golden import BERT, ROBERTA
 from tests.tiny import LOOP, OPTIMIZER, gpt_training, hifigpt_training, rvqvae_training
 from tests.train.conftest import assert_same_checkpoint, stop_at
@@ -139,7 +143,26 @@ def test_balance_needs_labels(runs, tmp_path):
     data = shutil.copytree(runs.data, tmp_path / "data")
     (data / "index.csv").unlink()
     config = dataclasses.replace(gpt_training(data, runs.vqvae, tmp_path / "run"), balance=1.0)
-    with pytest.raises(UserError, match=r"index.csv: has no labels of these clips, which balance needs"):
+    with pytest.raises(
+        UserError, match=r"index.csv: has no labels of these clips, which balance and single_share need"
+    ):
         train(config)
     with pytest.raises(ValueError, match=r"balance: 1.5 is not a power from 0 to 1"):
         dataclasses.replace(config, balance=1.5)
+
+
+def test_single_motions_get_their_share_of_the_draws(runs, tmp_path):
+    data = shutil.copytree(runs.data, tmp_path / "data")
+    config = dataclasses.replace(gpt_training(data, runs.vqvae, tmp_path / "run"), single_share=0.25)
+    with pytest.raises(UserError, match=r"single_share: .* has only motions of one kind"):
+        train(config)
+    dataset = open_dataset(data)
+    motions = [CodedMotion((), (), name) for name in dataset.names("train")]
+    names = [name for name in dataset.names("train") if not name.startswith("M")]
+    labels = dict(zip(names[:2], ("walk + bow", "jump x 3"), strict=True))
+    save_index(data, [IndexEntry(name, "", label) for name, label in labels.items()])
+    shares = np.diff(draw_shares(config, dataset, motions), prepend=0)
+    single = [motion.clip.removeprefix("M") not in labels for motion in motions]
+    np.testing.assert_allclose(shares[single].sum(), 0.25, rtol=1e-6)
+    with pytest.raises(ValueError, match=r"single_share: 1.0 is not a share between 0 and 1"):
+        dataclasses.replace(config, single_share=1.0)

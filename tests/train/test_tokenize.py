@@ -19,7 +19,7 @@ from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.text.bpe import tokenize_captions, train_bpe
 from t2m_jax.train import tokenize as train_tokenize
 from t2m_jax.train.gpt import targets_from_codes, training_batch
-from t2m_jax.train.tokenize import balanced_shares, encode_clips, fill_rows, make_code_bank
+from t2m_jax.train.tokenize import balanced_weights, encode_clips, fill_rows, make_code_bank, with_share
 from tests.tiny import CAPTIONS, LOOP, VQVAE, gpt_training, random_variables
 
 INFO = DatasetInfo(name="fake", min_frames=40, max_frames=196)
@@ -228,8 +228,8 @@ def test_shares_balance_actions():
     actions = [["walk"]] * 8 + [["wave"]] * 2 + [["jump"]]
 
     def weight_of_actions(**options):
-        weights = np.diff(balanced_shares(actions, **options), prepend=0)
-        return [weights[:8].sum(), weights[8:10].sum(), weights[10]]
+        weights = balanced_weights(actions, **options)
+        return np.array([weights[:8].sum(), weights[8:10].sum(), weights[10]]) / weights.sum()
 
     np.testing.assert_allclose(weight_of_actions(power=1.0, limit=100.0), [1 / 3, 1 / 3, 1 / 3], rtol=1e-5)
     roots = np.sqrt([8, 2, 1])
@@ -242,7 +242,12 @@ def test_shares_balance_actions():
 
 def test_a_motion_of_several_actions_is_drawn_as_often_as_these():
     actions = [["walk"], ["walk"], ["jump"], ["walk", "jump"], ["walk", "walk"]]
-    weights = np.diff(balanced_shares(actions, power=1.0, limit=100.0), prepend=0)
+    weights = balanced_weights(actions, power=1.0, limit=100.0)
     # Four motions have a walk, two a jump.
     expected = np.array([1 / 4, 1 / 4, 1 / 2, 3 / 8, 1 / 4])
-    np.testing.assert_allclose(weights, expected / expected.sum(), rtol=1e-5)
+    np.testing.assert_allclose(weights, expected, rtol=1e-5)
+
+
+def test_chosen_motions_get_their_share_and_keep_their_proportions():
+    weights = with_share(np.array([1.0, 3.0, 5.0, 15.0]), np.array([True, True, False, False]), 0.8)
+    np.testing.assert_allclose(weights, [0.2, 0.6, 0.05, 0.15])
