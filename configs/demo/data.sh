@@ -1,6 +1,6 @@
 #!/bin/sh
 # Makes the data of the packaged models, each with its composed motions: DATA/demo of everything, and DATA/demo-free without the
-# Bandai-Namco motions (CC BY-NC) and Berkeley MHAD (license not confirmed). DATA/all is everything without composed motions. About ten minutes
+# Bandai-Namco motions (CC BY-NC) and Berkeley MHAD (license not confirmed). DATA/all is everything without composed motions. About 25 minutes
 # on one CPU core.
 #   sh configs/demo/data.sh ARCHIVES [DATA]
 # ARCHIVES has the folders bandai-namco, accad, berkeley-mhad, cmu-asfamc, cmu-misc, cmu-walks, cmu-bvh, cmu-dance and cc0-glb, and
@@ -24,7 +24,7 @@ import cmu-dance cmu-dance cmu
 import cc0-glb cc0-glb cc0-glb
 free="accad cmu-asfamc cmu-misc cmu-walks cmu-bvh cmu-dance cc0-glb"
 (cd "$data/parts" && t2m data merge $free all-free && t2m data merge bandai-namco berkeley-mhad $free all)
-t2m data compose "$data/parts/all" "$data/demo" --still --slow --turns 3000 --at-once 800 --repeated 600 --timed 400
-t2m data compose "$data/parts/all-free" "$data/demo-free" --still --slow --turns 1200 --at-once 300 --repeated 300 --timed 300
+t2m data compose "$data/parts/all" "$data/demo" --still --slow --turns 8000 --at-once 2500 --repeated 2500 --timed 1500
+t2m data compose "$data/parts/all-free" "$data/demo-free" --still --slow --turns 4000 --at-once 1200 --repeated 1200 --timed 800
 mv "$data/parts/all" "$data/all"
 rm -r "$data/parts"

@@ -157,7 +157,7 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
     dataset = open_dataset(config.data)
     tokenizer = load_tokenizer(config.run if resume else config.vqvae)
     check_tokenizer(tokenizer, dataset, may_differ=config.init is not None)
-    clips = dataset.clips("train", fraction=config.data_fraction)
+    clips = training_clips(config, dataset, "train", fraction=config.data_fraction)
     opened = open_text_encoder(config, resume=resume)  # first, because encoding the clips takes long
     motions = code_motions(config, clips, dataset, tokenizer)
     motions = add_rewordings(motions, count=config.rewordings, seed=config.loop.seed)
@@ -195,14 +195,19 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
     )
 
 
+def training_clips(config: TrainGeneratorConfig, dataset: Dataset, split: str, **options: Any) -> list[Clip]:
+    """Returns the clips of a split with the captions that are learned, which are also those that the run records."""
+    clips = dataset.clips(split, **options)
+    return draw_captions(clips, count=config.max_captions, seed=config.loop.seed)
+
+
 def code_motions(
     config: Any, clips: Sequence[Clip], dataset: Dataset, tokenizer: TrainedTokenizer
 ) -> list[CodedMotion]:
     """Returns clips as codes, as the config asks for."""
     options = {name: getattr(config, name) for name in ("offsets", "timed_captions", "long_clips")}
     options["seed"] = config.loop.seed  # not of the evaluation: clips have the same offsets in all of a run
-    motions = encode_clips(clips, dataset.info, tokenizer, **options)
-    return draw_captions(motions, count=config.max_captions, seed=config.loop.seed)
+    return encode_clips(clips, dataset.info, tokenizer, **options)
 
 
 def draw_shares(
@@ -233,7 +238,7 @@ def make_validation(
     config: Any, steps: GeneratorSteps, dataset: Dataset, tokenizer: TrainedTokenizer, reader: CaptionReader
 ) -> Validation | None:
     """Returns the validation on one pass over the validation split, None if it is empty or turned off."""
-    clips = dataset.clips("val") if config.loop.validate_every else []
+    clips = training_clips(config, dataset, "val") if config.loop.validate_every else []
     if not clips:
         return None
     motions = code_motions(config, clips, dataset, tokenizer)

@@ -197,17 +197,17 @@ def _encode_shifted(
             progress.update(len(some))
 
 
-def draw_captions(motions: Sequence[CodedMotion], *, count: int, seed: int) -> list[CodedMotion]:
-    """Returns motions with at most `count` of their captions each, 0 for all."""
+def draw_captions(clips: Sequence[Clip], *, count: int, seed: int) -> list[Clip]:
+    """Returns clips with at most `count` of their captions each, 0 for all."""
     if not count:
-        return list(motions)
+        return list(clips)
     generator = np.random.default_rng([seed, zlib.crc32(b"captions")])
 
     def drawn(captions: tuple[Caption, ...]) -> tuple[Caption, ...]:
         chosen = generator.permutation(len(captions))[:count]
         return tuple(captions[place] for place in sorted(chosen))
 
-    return [motion._replace(captions=drawn(motion.captions)) for motion in motions]
+    return [clip._replace(captions=drawn(clip.captions)) for clip in clips]
 
 
 def add_rewordings(motions: Sequence[CodedMotion], *, count: int, seed: int) -> list[CodedMotion]:

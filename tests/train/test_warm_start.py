@@ -13,12 +13,14 @@ from t2m_jax.checkpoints import load_tokenizer, save_bundle
 from t2m_jax.checkpoints.model import load_generator_run
 from t2m_jax.config import load_config
 from t2m_jax.data import open_dataset
+from t2m_jax.data.folder import Clip
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
 from t2m_jax.motion.normalizer import save_normalizer
 from t2m_jax.text.verbs import words_of
 from t2m_jax.train import TrainVqVaeConfig, train
 from t2m_jax.train.checks import fitting_weights
+from t2m_jax.train.experiment import find_trainer
 from t2m_jax.train.tokenize import CodedMotion, add_rewordings, draw_captions
 from t2m_jax.train.warm_start import start_from_model
 from tests.tiny import LOOP, OPTIMIZER, VQVAE, gpt_training, vqvae_training
@@ -186,14 +188,23 @@ def test_training_ends_when_the_loss_was_not_lower_for_some_validations(runs, tm
         dataclasses.replace(still, patience=-1)
 
 
-def test_some_captions_of_each_motion_are_drawn():
+def test_some_captions_of_each_clip_are_drawn():
     captions = tuple(Caption(f"wave {number}") for number in range(9))
-    motions = [CodedMotion((np.zeros((2, 1), np.int32),), captions[:length]) for length in (9, 2, 9)]
-    found = [motion.captions for motion in draw_captions(motions, count=4, seed=0)]
+    clips = [Clip("wave", np.zeros((2, 1), np.float32), captions[:length]) for length in (9, 2, 9)]
+    found = [clip.captions for clip in draw_captions(clips, count=4, seed=0)]
     assert [len(said) for said in found] == [4, 2, 4] and found[0] != found[2]
     assert all(set(said) <= set(captions) for said in found) and found[1] == captions[:2]
-    assert draw_captions(motions, count=0, seed=0) == motions
-    assert [motion.captions for motion in draw_captions(motions, count=4, seed=1)] != found
+    assert [clip.captions for clip in draw_captions(clips, count=0, seed=0)] == [clip.captions for clip in clips]
+    assert [clip.captions for clip in draw_captions(clips, count=4, seed=1)] != found
+
+
+def test_a_run_records_the_captions_that_it_learns(runs, tmp_path):
+    config = dataclasses.replace(gpt_training(runs.data, runs.vqvae, tmp_path / "run"), max_captions=1)
+    trainer = find_trainer("gpt")
+    setup = trainer.prepare(trainer.resolve(config, False), False)
+    assert max(len(clip.captions) for clip in open_dataset(runs.data).clips("train")) > 1
+    assert {len(clip.captions) for clip in setup.clips} == {1}
+    assert set(np.asarray(setup.data.num_captions)) == {1}
 
 
 def test_captions_are_also_learned_in_other_words():
