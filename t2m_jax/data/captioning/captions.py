@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 from t2m_jax.data.captioning.frames import around, draw_frame, draw_subject
-from t2m_jax.data.captioning.grammar import Manner, Wording, sentence
+from t2m_jax.data.captioning.grammar import Frame, Manner, Subject, Wording, sentence
 from t2m_jax.data.captioning.held_out import fingerprint, held_out_fingerprints
 from t2m_jax.data.captioning.lexicon import tag_words
 from t2m_jax.data.captioning.typing_habits import as_typed
@@ -33,6 +33,13 @@ NUM_USUAL = 8
 """Wordings of a content that most people use. They are the first in its file."""
 USUAL_SHARE = 0.25
 """Share of the captions that have one of these in any case."""
+PLAIN_SHARE = 0.1
+"""Share of the captions that say what somebody does and nothing else, as people write first of all."""
+PLAIN_SUBJECTS = (
+    *[Subject(text, "their") for text in ("a person", "a person", "a person", "the person", "someone")],
+    Subject("a man", "his"),
+    Subject("a woman", "her"),
+)
 LOW_HANDS = 0.02
 """Meters above the shoulder that a wrist must reach before its hand counts as raised, not only lifted to shoulder
 height."""
@@ -137,6 +144,14 @@ def compose(
     return around(text, frame, travels=content.travels, generator=generator)
 
 
+def compose_plainly(labels: Labels, wording: Wording, generator: random.Random) -> str:
+    """Returns a short sentence for a clip: somebody and a wording that has a verb, without anything around it."""
+    content = load_wordings().contents[labels.content]
+    subject = generator.choice(PLAIN_SUBJECTS)
+    limb = generator.choice(("hand", "arm"))
+    return sentence(Frame("{subject} {body}", "present"), wording.predicate, subject, side=content.side, limb=limb)
+
+
 def _draw_manner(manners: Iterable[Manner], wording: Wording, generator: random.Random) -> Manner | None:
     """Returns one of the manners that fit to a wording, or None."""
     places = {"end", "before_verb", "adjective"}
@@ -182,6 +197,9 @@ def write_captions(name: str, labels: Labels, facts: Facts, *, count: int = CAPT
             style_share = 1.0
         # The same wording again would say the same with another subject. With few wordings, it cannot be avoided.
         fresh = [wording for wording in candidates if wording not in used] or candidates
+        if verbal := [wording for wording in candidates[:NUM_USUAL] if wording.nominal_form is None]:
+            if style_share < 1 and generator.random() < PLAIN_SHARE:
+                return compose_plainly(labels, generator.choice(verbal), generator)
         usual = generator.random() < USUAL_SHARE
         used.append(generator.choice(candidates[:NUM_USUAL] if usual else fresh))
         return compose(labels, used[-1], facts=facts, style_share=style_share, generator=generator)

@@ -345,3 +345,15 @@ def test_tags_of_unknown_words_are_guessed():
 )
 def test_verb_forms(base, third, ing, ed, done):
     assert (third_person(base), gerund(base), past(base), participle(base)) == (third, ing, ed, done)
+
+
+def test_some_captions_say_only_what_somebody_does():
+    """These are what people type first; a model that never read them gives anything for them."""
+    texts = [
+        normal_form(caption.text)
+        for number in range(40)
+        for caption in write_captions(f"walk {number}", Labels("walk", "normal"), USUAL)
+    ]
+    plain = {f"{subject} walks{rest}" for subject in ("a person", "a man", "a woman") for rest in ("", " forward")}
+    assert {"a person walks", "a person walks forward"} <= set(texts)
+    assert 0.005 < sum(text in plain for text in texts) / len(texts) < 0.2
