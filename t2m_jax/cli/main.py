@@ -24,6 +24,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 
+from t2m_jax.cli.completion import SHELLS, completion_script
 from t2m_jax.errors import ENDING_SIGNALS, Interruption, UserError, is_out_of_memory, one_line, printable
 
 COMMANDS = {
@@ -214,7 +215,7 @@ def _run_without_command(arguments: list[str]) -> int:
     width = max(map(len, COMMANDS))
     parser = _Parser(
         prog="t2m",
-        usage="t2m [--help] [--version] [--debug] COMMAND ...",
+        usage="t2m [--help] [--version] [--debug] [--completion SHELL] COMMAND ...",
         description="Converts text to human motion.",
         epilog="commands:\n"
         + "\n".join(f"  {name:{width}}  {help_}" for name, help_ in COMMANDS.items())
@@ -225,8 +226,13 @@ def _run_without_command(arguments: list[str]) -> int:
     version = f"t2m_jax {importlib.metadata.version('t2m-jax')}"
     parser.add_argument("--version", action="version", version=version, help="show the version and exit")
     parser.add_argument("--debug", action="store_true", help="show tracebacks and the warnings of libraries")
-    parser.parse_args(arguments)
-    parser.print_help()
+    shells = "print the script that completes commands and options in this shell: " + ", ".join(SHELLS)
+    parser.add_argument("--completion", choices=SHELLS, default=None, metavar="SHELL", help=shells)
+    shell = parser.parse_args(arguments).completion
+    if shell is None:
+        parser.print_help()
+    else:
+        sys.stdout.write(completion_script(COMMANDS, shell))
     return EXIT_OK
 
 
