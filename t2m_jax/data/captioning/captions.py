@@ -197,9 +197,9 @@ def write_captions(name: str, labels: Labels, facts: Facts, *, count: int = CAPT
             style_share = 1.0
         # The same wording again would say the same with another subject. With few wordings, it cannot be avoided.
         fresh = [wording for wording in candidates if wording not in used] or candidates
-        if verbal := [wording for wording in candidates[:NUM_USUAL] if wording.nominal_form is None]:
-            if style_share < 1 and generator.random() < PLAIN_SHARE:
-                return compose_plainly(labels, generator.choice(verbal), generator)
+        verbal = [wording for wording in candidates[:NUM_USUAL] if wording.nominal_form is None]
+        if verbal and style_share < 1 and generator.random() < PLAIN_SHARE:
+            return compose_plainly(labels, generator.choice(verbal), generator)
         usual = generator.random() < USUAL_SHARE
         used.append(generator.choice(candidates[:NUM_USUAL] if usual else fresh))
         return compose(labels, used[-1], facts=facts, style_share=style_share, generator=generator)
