@@ -10,29 +10,23 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.data.banks.captions import caption_tokens
+from t2m_jax.data.body_checks import check_twin
 from t2m_jax.data.cache import cache_places, damage, scan_sources
+from t2m_jax.data.caption_checks import check_speeds, check_twin_captions
 from t2m_jax.data.checks import compare_statistics
-from t2m_jax.data.files import FEATURES, INFO, MIN_FRAMES, MIRROR_PREFIX, POSITIONS, SPLITS, TEXTS
+from t2m_jax.data.clip_audit import AuditedClip, audit_clip
+from t2m_jax.data.files import FEATURES, INFO, MIRROR_PREFIX, POSITIONS, SPLITS, TEXTS
 from t2m_jax.data.folder import Dataset, DatasetInfo, open_dataset
 from t2m_jax.data.index import load_index
-from t2m_jax.data.texts import Caption, read_captions
+from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
-from t2m_jax.files.reading import load_array
-from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.normalizer import normalizer_from_clips
+from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.text.word_vectors import MAX_WORDS, MIN_COUNT, UNKNOWN, vocabulary_from_captions
 
-MAX_JOINT_SPEED = 30.0
-"""Meters per second; no limb moves faster."""
-FLOOR_RANGE = (-0.1, 0.5)
-"""Height in meters that the lowest joint of a clip may have."""
 STATISTICS_TOLERANCE = 0.05
 """Allowed difference of the statistics, in standard deviations. HumanML3D's published statistics were summed in single
 precision, which costs up to 0.4 %."""
-MAX_OVERRUN = 0.5
-"""Seconds by which a caption may end after its clip; annotators round."""
-QUOTED = 60
-"""Characters of a caption that a message repeats."""
 MANY_MISSING = 20
 """If more files are missing, they are counted; otherwise each one is named."""
 HUMANML3D_PAGE = "https://github.com/EricGuo5513/HumanML3D"
@@ -81,45 +75,6 @@ class AuditReport:
     """Information that is not about a fault."""
 
 
-def check_features(features: Float[np.ndarray, "T D"], dataset: Dataset) -> list[str]:
-    """Returns the faults of the features of one clip."""
-    # All later faults would only follow from this one.
-    if not np.all(np.isfinite(features)):
-        return [f"has {int(np.sum(~np.isfinite(features)))} values that are NaN or infinite"]
-    if len(features) < MIN_FRAMES:
-        return [f"has {len(features)} frames"]
-    meters = positions_from_features(features, dataset.skeleton) * dataset.skeleton.metres_per_unit
-    # Finite but huge features overflow on the way.
-    if not np.all(np.isfinite(meters)):
-        return ["decodes to positions that are not finite"]
-    problems = []
-    speed = float(np.linalg.norm(np.diff(meters, axis=0), axis=-1).max()) * dataset.info.fps
-    if speed > MAX_JOINT_SPEED:
-        problems.append(f"a joint moves at {speed:.0f} m/s; frames are missing or the unit is wrong")
-    lowest = float(meters[..., 1].min())
-    if not FLOOR_RANGE[0] <= lowest <= FLOOR_RANGE[1]:
-        problems.append(f"its lowest joint is at {lowest:.2f} m, not on the floor")
-    return problems
-
-
-def check_captions(captions: Iterable[Caption], *, seconds: float) -> list[str]:
-    """Returns the faults of the captions of one clip that lasts `seconds`."""
-    captions = tuple(captions)
-    problems = [] if captions else ["has no caption"]
-    for caption in captions:
-        quoted = f"caption '{caption.text[:QUOTED]}{'...' * (len(caption.text) > QUOTED)}'"
-        if not caption.tokens:
-            problems.append(f"{quoted} has no word/POS tokens")
-        # An evaluator splits tokens at their only slash.
-        elif any(token.count("/") != 1 or not all(token.split("/")) for token in caption.tokens):
-            problems.append(f"{quoted} has a token that is not word/POS")
-        if not 0.0 <= caption.start <= caption.end:
-            problems.append(f"{quoted} has times {caption.start} to {caption.end}")
-        elif caption.end > seconds + MAX_OVERRUN:
-            problems.append(f"{quoted} ends at {caption.end} s, the clip at {seconds:.2f} s")
-    return problems
-
-
 def missing_files(dataset: Dataset, names: Iterable[str]) -> tuple[str, set[str]]:
     """Returns a line about clips without features or captions, if they are many, and the names of these clips.
 
@@ -139,37 +94,6 @@ def missing_files(dataset: Dataset, names: Iterable[str]) -> tuple[str, set[str]
     return f"{counts} missing (such as {next(iter(told.values()))[0]}); {where}", set().union(*told.values())
 
 
-def _check_clip(dataset: Dataset, name: str) -> tuple[list[str], int, tuple[Caption, ...]]:
-    """Returns the problems of one clip, its number of frames (0 if they cannot be read) and its captions."""
-    problems = []
-    frames = 0
-    captions: tuple[Caption, ...] = ()
-    try:
-        features = dataset.features(name)
-        frames = len(features)
-        problems += [f"{FEATURES}/{name}.npy: {problem}" for problem in check_features(features, dataset)]
-    except UserError as error:
-        problems.append(str(error))
-    try:
-        captions, broken = read_captions(dataset.folder / TEXTS / f"{name}.txt")
-        problems += broken
-        seconds = frames / dataset.info.fps
-        # A file in which every line is broken has a message for each; that it has no caption would be one more.
-        if captions or not broken:
-            problems += [f"{TEXTS}/{name}.txt: {problem}" for problem in check_captions(captions, seconds=seconds)]
-    except UserError as error:
-        problems.append(str(error))
-    positions = dataset.folder / POSITIONS / f"{name}.npy"
-    shape = (dataset.skeleton.num_joints, 3)
-    try:
-        # The header is enough; the frames of a data set have gigabytes.
-        if positions.exists() and load_array(positions, mmap=True).shape[1:] != shape:
-            problems.append(f"{POSITIONS}/{name}.npy: does not have the shape T x {shape[0]} x 3 of its skeleton")
-    except UserError as error:
-        problems.append(str(error))
-    return problems, frames, captions
-
-
 def check_overlap(splits: dict[str, tuple[str, ...]]) -> list[str]:
     """Returns the clips that are in two lists or twice in one. A clip and its mirrored twin count as one."""
     problems = []
@@ -182,6 +106,31 @@ def check_overlap(splits: dict[str, tuple[str, ...]]) -> list[str]:
                 problems.append(f"{split}.txt: {original} or its mirrored twin is in {home[original]}.txt, too")
             home.setdefault(original, split)
     return problems
+
+
+def check_rate(info: DatasetInfo, skeleton: Skeleton) -> list[str]:
+    """Returns whether a data set has another frame rate than its skeleton, at which models show all motion."""
+    if info.fps == skeleton.fps:
+        return []
+    return [
+        f"{INFO}: fps: {info.fps:g}, but features of skeleton {skeleton.name} have {skeleton.fps:g} frames per second, "
+        "and models show them so; correct it, or import the motion again"
+    ]
+
+
+def check_clips_together(
+    clips: Mapping[str, AuditedClip], splits: Mapping[str, Iterable[str]], skeleton: Skeleton
+) -> list[str]:
+    """Returns twins that are not mirrored, and captions that fit other clips."""
+    bodies = {name: clip.body for name, clip in clips.items() if clip.body is not None}
+    captions = {name: clip.captions for name, clip in clips.items()}
+    problems = []
+    for name, body in bodies.items():
+        original = bodies.get(name[len(MIRROR_PREFIX) :]) if name.startswith(MIRROR_PREFIX) else None
+        if original is not None:
+            problems += [f"{FEATURES}/{name}.npy: {problem}" for problem in check_twin(original, body, skeleton)]
+            problems += [f"{TEXTS}/{name}.txt: {problem}" for problem in check_twin_captions(name, captions)]
+    return problems + check_speeds(captions, bodies)
 
 
 def check_stored_statistics(dataset: Dataset, splits: dict[str, tuple[str, ...]]) -> list[str]:
@@ -274,15 +223,15 @@ def caption_notes(captions: Mapping[str, Sequence[Caption]], *, training: Iterab
     return [f"{len(names)} {note.format(names[0])}" for note, names in notes.items() if names]
 
 
-def _count_clips(lengths: dict[str, int], info: DatasetInfo, *, num_captions: int) -> SplitCounts:
-    """Returns the counts of a split from the numbers of frames of its clips."""
-    frames = lengths.values()
+def _count_clips(clips: Mapping[str, AuditedClip], info: DatasetInfo) -> SplitCounts:
+    """Returns the counts of a split from its clips."""
+    frames = [clip.num_frames for clip in clips.values()]
     return SplitCounts(
         clips=len(frames),
-        mirrored=sum(name.startswith(MIRROR_PREFIX) for name in lengths),
+        mirrored=sum(name.startswith(MIRROR_PREFIX) for name in clips),
         frames=sum(frames),
         hours=round(sum(frames) / info.fps / 3600, 4),
-        captions=num_captions,
+        captions=sum(len(clip.captions) for clip in clips.values()),
         shortest=min(frames, default=0),
         longest=max(frames, default=0),
         out_of_range=sum(not info.min_frames <= length <= info.max_frames for length in frames),
@@ -299,9 +248,7 @@ def audit_dataset(folder: str | Path) -> AuditReport:
     info = dataset.info
     splits: dict[str, tuple[str, ...]] = {}
     counts: dict[str, SplitCounts] = {}
-    captions: dict[str, tuple[Caption, ...]] = {}
     problems: list[str] = []
-    notes: list[str] = []
     for split in SPLITS:
         try:
             splits[split] = dataset.names(split)
@@ -309,17 +256,18 @@ def audit_dataset(folder: str | Path) -> AuditReport:
             problems.append(str(error))
     line, absent = missing_files(dataset, list(itertools.chain(*splits.values())))
     problems += [line] * bool(line)
+    clips: dict[str, AuditedClip] = {}
     for split, names in splits.items():
-        lengths = {}
-        for name in (name for name in names if name not in absent):
-            found, lengths[name], captions[name] = _check_clip(dataset, name)
-            problems += found
-        counts[split] = _count_clips(lengths, info, num_captions=sum(len(captions[name]) for name in lengths))
-    problems += check_overlap(splits) + check_stored_statistics(dataset, splits)
+        found = {name: audit_clip(dataset, name) for name in names if name not in absent}
+        clips |= found
+        counts[split] = _count_clips(found, info)
+    problems += itertools.chain.from_iterable(clip.problems for clip in clips.values())
+    problems += check_overlap(splits) + check_rate(info, dataset.skeleton) + check_stored_statistics(dataset, splits)
+    problems += check_clips_together(clips, splits, dataset.skeleton)
     problems += _check_folder(dataset, set(itertools.chain(*splits.values())))
+    captions = {name: clip.captions for name, clip in clips.items()}
     outside = sum(count.out_of_range for count in counts.values())
-    if outside:
-        notes.append(f"{outside} clips outside {info.min_frames} to {info.max_frames} frames")
+    notes = [f"{outside} clips outside {info.min_frames} to {info.max_frames} frames"] * bool(outside)
     notes += caption_notes(captions, training=splits.get("train", ()))
     try:
         notes += recording_notes(dataset, splits)
