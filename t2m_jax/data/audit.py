@@ -15,6 +15,7 @@ from t2m_jax.data.cache import cache_places, damage, scan_sources
 from t2m_jax.data.caption_checks import check_speeds, check_twin_captions
 from t2m_jax.data.checks import compare_statistics
 from t2m_jax.data.clip_audit import AuditedClip, audit_clip
+from t2m_jax.data.copy_checks import check_copies
 from t2m_jax.data.files import FEATURES, INFO, MIRROR_PREFIX, POSITIONS, SPLITS, TEXTS
 from t2m_jax.data.folder import Dataset, DatasetInfo, open_dataset
 from t2m_jax.data.index import load_index
@@ -121,7 +122,7 @@ def check_rate(info: DatasetInfo, skeleton: Skeleton) -> list[str]:
 def check_clips_together(
     clips: Mapping[str, AuditedClip], splits: Mapping[str, Iterable[str]], skeleton: Skeleton
 ) -> list[str]:
-    """Returns twins that are not mirrored, and captions that fit other clips."""
+    """Returns twins that are not mirrored, motions that two splits have, and captions that fit other clips."""
     bodies = {name: clip.body for name, clip in clips.items() if clip.body is not None}
     captions = {name: clip.captions for name, clip in clips.items()}
     problems = []
@@ -130,7 +131,8 @@ def check_clips_together(
         if original is not None:
             problems += [f"{FEATURES}/{name}.npy: {problem}" for problem in check_twin(original, body, skeleton)]
             problems += [f"{TEXTS}/{name}.txt: {problem}" for problem in check_twin_captions(name, captions)]
-    return problems + check_speeds(captions, bodies)
+    homes = {name: split for split, names in splits.items() for name in names}
+    return problems + check_copies(bodies, homes) + check_speeds(captions, bodies)
 
 
 def check_stored_statistics(dataset: Dataset, splits: dict[str, tuple[str, ...]]) -> list[str]:

@@ -116,6 +116,23 @@ def half_as_large(folder):
     scale(folder, names_of(folder)[:1], 0.5)
 
 
+def copy_a_test_clip(folder):
+    name = open_dataset(folder).names("test")[0].removeprefix("M")
+    for part in ("new_joint_vecs", "new_joints", "texts"):
+        (found,) = (folder / part).glob(f"{name}.*")
+        shutil.copy(found, folder / part / f"other{found.suffix}")
+    save_captions(folder / "texts" / "other.txt", load_captions(folder / "texts" / f"{name}.txt")[:1])
+    with (folder / "train.txt").open("a") as file:
+        file.write("other\n")
+
+
+def copy_the_twin_of_a_test_clip(folder):
+    copy_a_test_clip(folder)
+    name = open_dataset(folder).names("test")[0].removeprefix("M")
+    shutil.copy(folder / "new_joint_vecs" / f"M{name}.npy", folder / "new_joint_vecs" / "other.npy")
+    shutil.copy(folder / "new_joints" / f"M{name}.npy", folder / "new_joints" / "other.npy")
+
+
 def stand_still(folder):
     encode_again(folder, names_of(folder)[:1], lambda positions: np.repeat(positions[:1], len(positions), axis=0))
 
@@ -204,6 +221,8 @@ FAULTS = {
     mirror_axis: "one axis is mirrored",
     in_inches: "2.54 times the lengths",
     half_as_large: "0.50 times the lengths",
+    copy_a_test_clip: "has the motion of other, which is in train.txt",
+    copy_the_twin_of_a_test_clip: "has the motion of other, which is in train.txt",
     stand_still: "nothing moves",
     reverse_rows: "time is reversed",
     reverse_time: "tells of the other direction",
