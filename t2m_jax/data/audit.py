@@ -21,6 +21,7 @@ from t2m_jax.data.folder import Dataset, DatasetInfo, open_dataset
 from t2m_jax.data.index import load_index
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
+from t2m_jax.files.manifest import MANIFEST, changes, has_manifest
 from t2m_jax.motion.normalizer import normalizer_from_clips
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.text.word_vectors import MAX_WORDS, MIN_COUNT, UNKNOWN, vocabulary_from_captions
@@ -164,9 +165,27 @@ def check_stored_statistics(dataset: Dataset, splits: dict[str, tuple[str, ...]]
     return [f"Mean.npy, Std.npy: differ from the clips by {min(differences):.2f} of their spread; import them again"]
 
 
+def check_manifest(folder: Path) -> list[str]:
+    """Returns the files that have changed since an import, a merge or a composition wrote the folder.
+
+    Data sets of others, which have no manifest, are not compared. That a file of a clip is missing is said elsewhere.
+    """
+    if not has_manifest(folder):
+        return []
+    hint = f"if it was on purpose, delete {MANIFEST}; otherwise import again"
+    try:
+        found = changes(folder, thorough=True)
+        lines = [line for name, line in found if "/" not in name or (folder / name).exists()]
+    except UserError as error:
+        lines = [str(error).partition(";")[0]]
+    if len(lines) > MANY_MISSING:
+        return [f"{len(lines):,} files have changed since they were written, such as {lines[0]}; {hint}"]
+    return [f"{line}; {hint}" for line in lines]
+
+
 def _check_folder(dataset: Dataset, names: set[str]) -> list[str]:
-    """Returns files of clips that are in no list, and damage of the cache. Opening a cache checks only a sample."""
-    problems = []
+    """Returns changed files, those of clips that are in no list, and damage of the cache."""
+    problems = check_manifest(dataset.folder)
     for folder, suffix in ((FEATURES, ".npy"), (POSITIONS, ".npy"), (TEXTS, ".txt")):
         orphans = sorted({path.stem for path in (dataset.folder / folder).glob(f"*{suffix}")} - names)
         if orphans:

@@ -13,6 +13,7 @@ from t2m_jax.data.files import FEATURES, INFO, MIRROR_PREFIX, POSITIONS, SPLITS,
 from t2m_jax.data.folder import DatasetInfo
 from t2m_jax.data.texts import Caption, save_captions
 from t2m_jax.errors import UserError
+from t2m_jax.files.manifest import write_manifest
 from t2m_jax.files.writing import atomic_folder, save_text
 from t2m_jax.motion.features import features_from_positions, positions_from_features
 from t2m_jax.motion.mirroring import mirror_caption, mirror_positions
@@ -48,7 +49,7 @@ def check_count(name: str, count: int, *, least: int) -> None:
 def new_folder(destination: str | Path, *, parts: Sequence[str] = (FEATURES, POSITIONS, TEXTS)) -> Iterator[Path]:
     """Yields a folder with the sub-folders of a data set, which is renamed to `destination` when the block ends.
 
-    If the block fails, the folder is deleted.
+    Then it also has a manifest of its files. If the block fails, the folder is deleted.
 
     Raises:
         UserError: `destination` exists already and is not an empty folder, or it cannot be written.
@@ -57,6 +58,7 @@ def new_folder(destination: str | Path, *, parts: Sequence[str] = (FEATURES, POS
         for part in parts:
             (folder / part).mkdir()
         yield folder
+        write_manifest(folder)
 
 
 def write_clip(

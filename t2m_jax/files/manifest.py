@@ -9,7 +9,7 @@ ends with its own checksum. JSON, which has no comments, has it as an entry.
 import hashlib
 import json
 import zlib
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
@@ -67,22 +67,39 @@ def read_manifest(folder: Path) -> dict[str, Entry]:
 
 
 def check_folder(folder: Path, *, only: Container[str] | None = None, thorough: bool = False) -> None:
-    """Compares the files of a folder with its manifest: sizes and CRC-32, which finds damage.
+    """Compares the files of a folder with its manifest, and stops at the first that has changed.
 
     Args:
         folder: The folder.
         only: Names of the files to compare; None for all of the manifest.
-        thorough: Compare SHA-256, too, which also finds changes that were made to look like none.
+        thorough: Compare SHA-256, too, as `changes` says.
 
     Raises:
         UserError: A file is missing or has changed, or the manifest is missing or damaged.
     """
+    for _, problem in changes(folder, only=only, thorough=thorough):
+        raise UserError(f"{problem}; copy the folder again")
+
+
+def changes(folder: Path, *, only: Container[str] | None = None, thorough: bool = False) -> Iterator[tuple[str, str]]:
+    """Yields the name of each file of a folder that is missing or differs from the manifest, and a line about it.
+
+    Sizes and CRC-32 are compared, which finds damage; if `thorough`, SHA-256, too, which also finds changes that were
+    made to look like none.
+
+    Raises:
+        UserError: The manifest is missing or damaged.
+    """
     for name, expected in read_manifest(folder).items():
         if only is not None and name not in only:
             continue
-        found = _measure(folder / name, sha256=thorough)
+        try:
+            found = _measure(folder / name, sha256=thorough)
+        except UserError as error:
+            yield name, str(error)
+            continue
         if found != (expected if thorough else expected._replace(sha256="")):
-            raise UserError(f"{folder / name}: has changed since it was written, or is damaged; copy the folder again")
+            yield name, f"{folder / name}: has changed since it was written, or is damaged"
 
 
 def _is_outside(path: PurePosixPath) -> bool:

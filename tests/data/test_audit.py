@@ -12,13 +12,17 @@ from t2m_jax.data.captioning.captions import CAPTIONS
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.humanml3d import import_humanml3d
 from t2m_jax.data.index import IndexEntry, save_index
+from t2m_jax.data.writer import new_folder
 from t2m_jax.errors import UserError
+from t2m_jax.files.manifest import MANIFEST, has_manifest
 
 
 @pytest.fixture
 def folder(synthetic_folder, tmp_path):
-    """A copy that a test may break."""
-    return shutil.copytree(synthetic_folder, tmp_path / "data")
+    """A copy that a test may break. Its manifest would name every change."""
+    copy = shutil.copytree(synthetic_folder, tmp_path / "data")
+    (copy / MANIFEST).unlink()
+    return copy
 
 
 def change_features(folder, change):
@@ -180,6 +184,42 @@ def test_humanml3d_folders_are_copied_without_what_is_missing(folder, tmp_path):
     assert (dataset.folder / "dataset.yaml").exists() and name not in dataset.names("val")
     np.testing.assert_array_equal(dataset.normalizer.mean, open_dataset(folder).normalizer.mean)
     assert audit_dataset(tmp_path / "copy").problems == []
+
+
+@pytest.mark.parametrize(
+    "pattern", ["new_joint_vecs/*", "new_joints/*", "texts/*", "train.txt", "Mean.npy", "dataset.yaml", "index.csv"]
+)
+def test_a_changed_bit_is_named_after_an_import(synthetic_folder, tmp_path, pattern):
+    folder = shutil.copytree(synthetic_folder, tmp_path / "data")
+    path = sorted(folder.glob(pattern))[0]
+    content = bytearray(path.read_bytes())
+    content[8 if pattern == "dataset.yaml" else -2] ^= 1  # another letter or digit, which reads well
+    path.write_bytes(content)
+    assert main(["check", str(folder)]) == 1
+    problems = [problem for problem in audit_dataset(folder).problems if MANIFEST in problem]
+    assert problems == [
+        f"{path}: has changed since it was written, or is damaged; if it was on purpose, delete {MANIFEST}; otherwise "
+        "import again"
+    ]
+
+
+def test_many_changed_files_are_one_line_and_a_damaged_manifest_is_another(synthetic_folder, tmp_path):
+    folder = shutil.copytree(synthetic_folder, tmp_path / "data")
+    paths = sorted(folder.glob("texts/*"))
+    for path in paths:
+        path.write_text(path.read_text() + "a person#a/DET person/NOUN#0.0#0.0\n")
+    (problem,) = audit_dataset(folder).problems
+    assert problem.startswith(f"{len(paths)} files have changed since they were written, such as {paths[0]}: ")
+    with (folder / MANIFEST).open("a") as file:
+        file.write("\n")
+    (problem,) = audit_dataset(folder).problems
+    assert problem.startswith(f"{folder / MANIFEST}: damaged; ")
+
+
+def test_every_folder_that_is_made_has_a_manifest(tmp_path):
+    with new_folder(tmp_path / "data") as folder:
+        (folder / "texts" / "a.txt").write_text("a")
+    assert has_manifest(tmp_path / "data")
 
 
 def run_cli(*arguments):

@@ -12,6 +12,7 @@ from t2m_jax.data.importers.bvh import import_bvh_folder
 from t2m_jax.data.importers.synthetic import KINDS, write_synthetic_dataset
 from t2m_jax.data.texts import load_captions, save_captions
 from t2m_jax.data.writer import mirror, write_clip
+from t2m_jax.files.manifest import MANIFEST
 from t2m_jax.motion.features import features_from_positions
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D
@@ -38,7 +39,9 @@ def sets(tmp_path_factory):
 @pytest.fixture(params=["computed", "imported"])
 def folder(request, sets, tmp_path):
     """A copy that a test may break."""
-    return shutil.copytree(sets / request.param, tmp_path / "data")
+    copy = shutil.copytree(sets / request.param, tmp_path / "data")
+    (copy / MANIFEST).unlink()  # it would name every change
+    return copy
 
 
 def names_of(folder, word=""):
