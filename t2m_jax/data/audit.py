@@ -184,7 +184,7 @@ def check_manifest(folder: Path) -> list[str]:
 
 
 def _check_folder(dataset: Dataset, names: set[str]) -> list[str]:
-    """Returns changed files, those of clips that are in no list, and damage of the cache."""
+    """Returns changed files, those of clips that are in no list, and caches that are damaged or of other contents."""
     problems = check_manifest(dataset.folder)
     for folder, suffix in ((FEATURES, ".npy"), (POSITIONS, ".npy"), (TEXTS, ".txt")):
         orphans = sorted({path.stem for path in (dataset.folder / folder).glob(f"*{suffix}")} - names)
@@ -192,7 +192,7 @@ def _check_folder(dataset: Dataset, names: set[str]) -> list[str]:
             problems.append(f"{folder}: {len(orphans)} files of clips in no split list, such as {orphans[0]}{suffix}")
     sources = scan_sources(dataset.folder, feature_dim=dataset.skeleton.feature_dim)
     for place in cache_places(dataset.folder):
-        problem = damage(place, sources) if place.exists() else ""
+        problem = damage(place, dataset.folder, sources) if place.exists() else ""
         if problem:
             problems.append(f"{place}: {problem}; delete it, and it will be rebuilt")
     return problems

@@ -2,10 +2,12 @@
 
 The cache is a folder. `frames.npy` has the frames of all usable clips end to end (float32, training clips first).
 `index.json` has the clips' names, lengths and captions, the reasons for clips that are left out, and checksums. The
-cache is made when the data set is first read, and again when its files have changed. It is in `.t2m-cache` next to the
-data or, if that folder is not writable, in the user's cache folder.
+cache is made when the data set is first read, and again when names, sizes or times of its files have changed. `t2m
+check` also compares the contents of the files. The cache is in `.t2m-cache` next to the data or, if that folder is not
+writable, in the user's cache folder.
 """
 
+import contextlib
 import hashlib
 import itertools
 import json
@@ -26,7 +28,7 @@ from tqdm import tqdm
 from t2m_jax.data.files import FEATURES, SPLITS, TEXTS, clip_or_reason, read_names
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
-from t2m_jax.files.reading import load_array, load_json
+from t2m_jax.files.reading import load_array, load_json, reading
 from t2m_jax.files.writing import atomic_folder, save_text
 
 logger = logging.getLogger(__name__)
@@ -185,6 +187,8 @@ def load_cache(path: Path, sources: Sources, names: Collection[str] | None = ())
         # First of all, because nothing in a damaged index can be believed.
         if index.pop("checksum") != _checksum(index):
             raise _UnusableError("its index is damaged")
+        if "files" not in index:
+            raise _StaleError("made by an older version")
         if index["fingerprint"] != sources.fingerprint:
             raise _StaleError("the data set has changed since")
         clips = _clips_from_index(index, np.asarray(load_array(path / FRAMES, mmap=True)))
@@ -201,13 +205,17 @@ def load_cache(path: Path, sources: Sources, names: Collection[str] | None = ())
         raise _UnusableError("damaged") from error
 
 
-def damage(path: Path, sources: Sources) -> str:
-    """Returns a description of the damage in a cache, or "" if it is intact.
+def damage(path: Path, folder: Path, sources: Sources) -> str:
+    """Returns a description of the damage in the cache of a folder, or "" if it is intact.
 
-    A stale cache is never used, so damage in it does no harm and is not reported.
+    All is read: a file that was changed without another size or time is damage, too. A stale cache is never used, so
+    damage in it does no harm and is not reported.
     """
     try:
         load_cache(path, sources, None)
+        for name, checksum in load_json(path / INDEX, max_bytes=MAX_INDEX)["files"].items():
+            if checksum != _files_checksum(folder, name):
+                return f"the files of clip {name} have changed since, with their size and time kept"
     except _StaleError:
         return ""
     except _UnusableError as error:
@@ -218,6 +226,16 @@ def damage(path: Path, sources: Sources) -> str:
 def _checksum(index: Mapping[str, Any]) -> int:
     """Returns the checksum of an index."""
     return zlib.crc32(json.dumps(index).encode())
+
+
+def _files_checksum(folder: Path, name: str) -> int:
+    """Returns the checksum of the files of a clip."""
+    checksum = 0
+    for path in (folder / FEATURES / f"{name}.npy", folder / TEXTS / f"{name}.txt"):
+        # A file that cannot be read is a clip that is left out, which says why.
+        with contextlib.suppress(UserError), reading(path):
+            checksum = zlib.crc32(path.read_bytes(), checksum)
+    return checksum
 
 
 def _block_checksum(file: BinaryIO, block: int) -> int:
@@ -266,7 +284,8 @@ def _build(path: Path, folder: Path, sources: Sources, *, feature_dim: int) -> N
     shutil.rmtree(path, ignore_errors=True)
     with atomic_folder(path, seconds=WAIT_SECONDS) as partial, (partial / FRAMES).open("w+b") as file:
         index = _write_clips(file, folder, sources.names, feature_dim=feature_dim)
-        index |= {"fingerprint": sources.fingerprint}
+        files = {name: _files_checksum(folder, name) for name in sorted(sources.names)}
+        index |= {"fingerprint": sources.fingerprint, "files": files}
         count = -(-file.seek(0, os.SEEK_END) // BLOCK)
         index |= {"blocks": [_block_checksum(file, block) for block in range(count)]}
         save_text(partial / INDEX, json.dumps(index | {"checksum": _checksum(index)}))

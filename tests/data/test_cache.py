@@ -251,9 +251,9 @@ def test_every_bit_counts(folder):
     for file, content in contents(folder).items():
         for position in (*generator.integers(len(content), size=40), *generator.integers(128, size=10)):
             (place(folder) / file).write_bytes(flipped(content, int(position)))
-            assert cache.damage(place(folder), sources)
+            assert cache.damage(place(folder), folder, sources)
         (place(folder) / file).write_bytes(content)
-        assert cache.damage(place(folder), sources) == ""
+        assert cache.damage(place(folder), folder, sources) == ""
 
 
 def test_the_frames_that_are_read_are_checked_and_the_audit_checks_all(folder, monkeypatch):
@@ -281,6 +281,26 @@ def test_a_stale_cache_is_no_problem(folder):
     read(folder)
     touch(folder)
     assert not any(CACHE_FOLDER in problem for problem in audit_dataset(folder).problems)
+
+
+@pytest.mark.parametrize("file", [f"{FEATURES}/a.npy", f"{TEXTS}/a.txt"])
+def test_the_audit_finds_a_file_that_changed_with_size_and_time_kept(folder, file):
+    read(folder)
+    assert not any(CACHE_FOLDER in problem for problem in audit_dataset(folder).problems)
+    status = (folder / file).stat()
+    (folder / file).write_bytes(flipped((folder / file).read_bytes(), -3))
+    os.utime(folder / file, ns=(status.st_atime_ns, status.st_mtime_ns))
+    (problem,) = [problem for problem in audit_dataset(folder).problems if CACHE_FOLDER in problem]
+    assert "the files of clip a have changed since, with their size and time kept; delete it" in problem
+
+
+def test_a_cache_of_an_older_version_is_made_again(folder, caplog):
+    read(folder)
+    index = json.loads(contents(folder)[INDEX])
+    del index["files"], index["checksum"]
+    (place(folder) / INDEX).write_text(json.dumps(index | {"checksum": cache._checksum(index)}))
+    check_whole(folder)
+    assert "made by an older version; the cache is rebuilt" in caplog.text
 
 
 def test_an_interrupted_build_leaves_nothing(folder, monkeypatch):
