@@ -17,11 +17,12 @@ from t2m_jax.evaluation.embedding import embed_captions
 from t2m_jax.evaluation.protocols import find_protocol, make_plan
 from t2m_jax.evaluation.report.record import load_report
 from t2m_jax.evaluation.task import load_samples
+from t2m_jax.files.manifest import MANIFEST
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from tests.tiny import EVALUATOR, LOOP
 
-SOUND = "a person walks#a/DET person/NOUN walk/VERB#0.0#0.0"
-OTHER = "someone waves#someone/PRON wave/VERB#0.0#0.0"
+SOUND = "a person moves#a/DET person/NOUN move/VERB#0.0#0.0"
+OTHER = "someone acts#someone/PRON act/VERB#0.0#0.0"
 LONG = "a person walks " * 100
 FAULTS = {
     "broken": f"{SOUND}\nno line of a caption at all\n",
@@ -42,6 +43,7 @@ class Faulty:
         self.names = dict(zip(FAULTS, open_dataset(folder).names("train"), strict=False))
         for path in (folder / "texts").iterdir():
             path.write_text(f"{SOUND}\n{OTHER}\n", encoding="utf-8")
+        (folder / MANIFEST).unlink()  # the faults are those of a folder that somebody wrote by hand
         for fault, text in FAULTS.items():
             self.file(fault).write_text(text, encoding="utf-8")
 

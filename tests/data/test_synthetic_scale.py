@@ -40,6 +40,7 @@ def test_layout_and_clips_are_those_of_humanml3d(folder):
         [
             "Mean.npy",
             "Std.npy",
+            "manifest.txt",
             "new_joint_vecs",
             "texts",
             *(f"{n}.txt" for n in ("all", "test", "train", "train_val", "val")),
