@@ -231,7 +231,7 @@ def in_two_trees(tree):
     ("change", "message"),
     [
         (without_figure, "has no skin and no mesh, so it is not a character"),
-        (without_person, r"no known rig has its joints \(.*\), and pelvis, left_hip, .* were not recognized"),
+        (without_person, r"no known rig has its joints \(.*\), and pelvis, left_hi.* were not recognized"),
         (without_legs, "left_hip, right_hip, left_knee, .* were not recognized; `t2m data rig FILE`"),
         (with_other_file, "its data are in another file; export everything into one .glb"),
         (uneven, "the scale of 'Spine' is zero, mirrored or uneven"),
