@@ -94,7 +94,7 @@ def test_another_motion_can_be_shown_while_one_is_made(open_studio):  # noqa: F8
     generate(page, WAVE)
     frames = num_frames(page)
     page.evaluate(SLOW_STREAM)
-    page.get_by_role("textbox", name="Seed").fill("2")  # a long walk, which comes in several pieces
+    page.get_by_role("textbox", name="Seed").fill("4")  # a long walk, which comes in several pieces
     page.get_by_role("textbox", name="Sentence").fill(WALK)
     page.keyboard.press("Enter")
     wait_until(page, "window.next !== undefined")
