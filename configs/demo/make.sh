@@ -1,5 +1,5 @@
 #!/bin/sh
-# Makes the packaged model `demo`, from the data to the bundle: about half an hour with a GPU, or 26 hours on two CPU cores.
+# Makes the packaged model `demo`, from the data to the bundle. By the sum of its parts, half an hour with a GPU, or 26 hours on two CPU cores.
 #   sh configs/demo/make.sh ARCHIVES
 # ARCHIVES is the folder that configs/demo/data.sh reads.
 # A training that was interrupted goes on with `t2m train rvqvae --run runs/demo-rvqvae --resume` (hifigpt: runs/demo).

@@ -68,7 +68,10 @@ def test_the_script_of_the_demo_fits_its_configs():
     tokenizer, generator = (config_of(kind, str(REPOSITORY / path), options) for _, kind, path, *options in trainings)
     assert (f"{tokenizer.data}", f"{generator.data}") == ("data/all", "data/demo")
     assert generator.vqvae == tokenizer.run
-    assert bundle[1] == f"{generator.run}"
+    for name in ("num_codes", "num_quantizers"):
+        assert getattr(generator.model, name) == getattr(tokenizer.model, name)
+    assert bundle == ["bundle", f"{generator.run}", "t2m_jax/bundles/demo", "--card", "configs/demo/card.md"]
+    assert (REPOSITORY / bundle[-1]).is_file()
 
 
 @pytest.mark.parametrize("path", sorted(DATA.glob("*.csv")), ids=lambda path: path.stem)

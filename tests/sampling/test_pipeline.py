@@ -297,13 +297,13 @@ def codes_by_batch_size(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BUNDLED)
 def test_the_batch_size_hardly_changes_a_code(name, monkeypatch):
-    """Another batch size changes the last bits of the logits. The promise is one changed code in 100,000."""
+    """Another batch size changes the last bits of the logits, and so one code in many thousands."""
     with process_of_user(monkeypatch) as process:
         codes = process.submit(codes_by_batch_size, name).result()
     assert sum(np.size(one) for one in codes[1]) > 5000
+    assert codes[8] == codes[32]
     # After a changed code, the rest of a motion is another one.
-    for size in (8, 32):
-        assert sum(one != other for one, other in zip(codes[1], codes[size], strict=True)) <= 1
+    assert sum(one != other for one, other in zip(codes[1], codes[8], strict=True)) <= 1
 
 
 def test_a_typing_mistake_is_read_as_the_word_that_was_meant():
