@@ -36,6 +36,17 @@ def attributes(page: Path, name: str) -> set[str]:
     return {str(token.attrs[name]) for token in elements if name in token.attrs}
 
 
+def test_each_promise_names_a_test_that_exists():
+    text = (REPOSITORY / "SECURITY.md").read_text(encoding="utf-8")
+    promises = [line for line in text.splitlines() if line.startswith("| **")]
+    assert len(promises) > 12
+    for promise in promises:
+        shown_by = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", promise)
+        assert shown_by, promise
+        for file, test in shown_by:
+            assert f"\ndef {test}(" in (REPOSITORY / file).read_text(encoding="utf-8"), f"{file}::{test}"
+
+
 @pytest.mark.parametrize("page", LINKING, ids=name_of)
 def test_links_lead_somewhere(page):
     broken = []
