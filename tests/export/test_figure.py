@@ -29,7 +29,7 @@ def test_the_face_looks_ahead(walk, kit_walk):
     for motion in (walk, kit_walk):
         figure = figure_from_motion(motion)
         body = body_from_skeleton(motion.skeleton)
-        face = figure.points[:, body.face : body.face + 2].mean(axis=1) - figure.points[:, body.head]
+        face = figure.points[:, len(body.weights) :].mean(axis=1) - figure.points[:, body.head]
         sides = {part.tint: figure.points[:, part.end] for part in reversed(figure.parts)}
         across = (sides["left"] - sides["right"])[0] * [1, 0, 1]
         assert np.linalg.norm(face, axis=-1) == pytest.approx(0.067, abs=0.03)

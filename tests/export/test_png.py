@@ -8,8 +8,7 @@ from t2m_jax import Motion
 from t2m_jax.cli.main import main
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
-from t2m_jax.export.png import save_png
-from t2m_jax.export.render.trails import render_trails
+from t2m_jax.export.png import render_trails, save_png
 from t2m_jax.motion.formats import save_motions
 
 

@@ -40,9 +40,6 @@ class Body(NamedTuple):
     head: int
     """Center of the head."""
 
-    face: int
-    """First of two additional points, on the face, that depend on the direction of view."""
-
 
 class Roles(NamedTuple):
     """Joints of a person: limbs from the trunk outwards, and the spine from the root to the head."""
@@ -110,7 +107,7 @@ def body_from_skeleton(skeleton: Skeleton) -> Body:
     face = len(weights)
     # The two points of the face come after all weighted points (see `figure_points`).
     builder.add(face, face + 1, 0.036, 0.036, "face")
-    return Body(weights, tuple(builder.parts), head, face)
+    return Body(weights, tuple(builder.parts), head)
 
 
 def _add_limbs(builder: _BodyBuilder, arm: tuple[int, ...], leg: tuple[int, ...], tint: Tint) -> None:

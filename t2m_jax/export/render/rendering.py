@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from PIL import Image, ImageDraw
+from PIL import Image, ImageColor, ImageDraw
 
+from t2m_jax.export.render import rasterizer
 from t2m_jax.export.render.figure import TINTS, Tint
 from t2m_jax.export.render.ground import (
     ACCENTS,
@@ -19,14 +20,6 @@ from t2m_jax.export.render.ground import (
     make_ground,
 )
 from t2m_jax.export.render.labels import make_label
-from t2m_jax.export.render.rasterizer import (
-    Ball,
-    ShadeTables,
-    color_picture,
-    draw_capsule,
-    empty_canvas,
-    make_shade_tables,
-)
 from t2m_jax.export.render.scene import SceneFigure, figures_from_motions
 from t2m_jax.export.render.view import View, project, sample_figure, smooth_path, views_of_figures
 from t2m_jax.motion.motion import Motion
@@ -125,19 +118,19 @@ def render_poster(motions: Sequence[Motion], *, num_poses: int = 6, height: int 
     return np.concatenate(rows)
 
 
-def shade_tables(view: View) -> ShadeTables:
+def shade_tables(view: View) -> rasterizer.ShadeTables:
     """Returns the colors of all tints, with the light as the camera sees it."""
     # The tables are computed in linear light, so the sRGB colors are decoded with a gamma of 2.2.
-    tints = [[(int(TINT_COLORS[tint][i : i + 2], 16) / 255) ** 2.2 for i in (1, 3, 5)] for tint in TINTS]
+    tints = [[(level / 255) ** 2.2 for level in ImageColor.getrgb(TINT_COLORS[tint])] for tint in TINTS]
     lights = (view.axes @ direction for direction in (KEY_LIGHT, FILL_LIGHT, np.array([0.0, 1.0, 0.0])))
-    return make_shade_tables(np.array(tints), *lights)
+    return rasterizer.make_shade_tables(np.array(tints), *lights)
 
 
 def draw_figures(
     picture: Image.Image,
     view: View,
     figures: Sequence[tuple[SceneFigure, Float[np.ndarray, "_ 3"]]],
-    tables: ShadeTables,
+    tables: rasterizer.ShadeTables,
 ) -> Image.Image:
     """Returns a picture of the ground with figures at given points, and their shadows."""
     add_shadows(picture, view, figures)
@@ -148,14 +141,14 @@ def draw_figures(
             ends = []
             for point, radius in ((part.start, part.start_radius), (part.end, part.end_radius)):
                 x, y, depth = spots[point]
-                ends.append(Ball(x, y, depth, max(radius * view.focal / depth, 0.5)))
+                ends.append(rasterizer.Ball(x, y, depth, max(radius * view.focal / depth, 0.5)))
             capsules.append((ends[0], ends[1], TINTS.index(part.tint)))
     # Far limbs are drawn first, so that soft edges blend with the limbs behind them.
     capsules.sort(key=lambda capsule: -capsule[0].depth - capsule[1].depth)
-    canvas = empty_canvas(picture.size, view.focal)
-    edges = [draw_capsule(canvas, start, end, tint) for start, end, tint in capsules]
+    canvas = rasterizer.empty_canvas(picture.size, view.focal)
+    edges = [rasterizer.draw_capsule(canvas, start, end, tint) for start, end, tint in capsules]
     pixels = np.array(picture)
-    color_picture(pixels, canvas, [edge for edge in edges if edge is not None], tables)
+    rasterizer.color_picture(pixels, canvas, [edge for edge in edges if edge is not None], tables)
     return Image.fromarray(pixels)
 
 
