@@ -4,7 +4,7 @@ import dataclasses
 import math
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.looping import output_fps
+from t2m_jax.motion.looping import LOOP_FPS
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.paths import check_turn, check_waypoints
 from t2m_jax.motion.resampling import check_fps, check_speed
@@ -87,7 +87,7 @@ class Changes:
         if self.path:
             motion = motion.along(self.path)
         # After speed and path, which are computed at the motion's own rate.
-        fps = output_fps(motion.fps, asked=self.fps, loop=self.loop)
+        fps = self.fps or (max(motion.fps, LOOP_FPS) if self.loop else motion.fps)
         if fps != motion.fps:
             motion = motion.resampled(fps)
         if self.loop:

@@ -6,7 +6,7 @@ import chex
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.motion.skeleton import HUMANML3D, Skeleton
+from t2m_jax.motion.skeleton import HUMANML3D
 
 WALKING_SPEED = 0.3
 """Meters per second of the root above which a clip counts as traveling."""
@@ -25,8 +25,6 @@ class Facts(NamedTuple):
     """Meters from the first place to the last, over the ground."""
     forward: float
     """Meters traveled along the heading of each frame; negative for walking backward."""
-    leftward: float
-    """Meters traveled to the actor's own left."""
     above_head: tuple[float, float]
     """Largest height in meters of the left and the right wrist above the head joint; negative if they stay below it."""
     above_shoulder: tuple[float, float]
@@ -35,9 +33,9 @@ class Facts(NamedTuple):
     """Number of times that the more active wrist goes from side to side and back, relative to the body."""
 
 
-def heading_angles(positions: Float[np.ndarray, "T J 3"], skeleton: Skeleton = HUMANML3D) -> Float[np.ndarray, " T"]:
+def _heading_angles(positions: Float[np.ndarray, "T 22 3"]) -> Float[np.ndarray, " T"]:
     """Returns the direction that hips and shoulders face, in radians about +Y from +Z, without jumps of a full turn."""
-    joints = {name: positions[:, index] for index, name in enumerate(skeleton.joint_names)}
+    joints = {name: positions[:, index] for index, name in enumerate(HUMANML3D.joint_names)}
     across = joints["left_hip"] - joints["right_hip"] + joints["left_shoulder"] - joints["right_shoulder"]
     forward = np.cross(across, np.array([0.0, 1.0, 0.0]))
     return np.unwrap(np.arctan2(forward[:, 0], forward[:, 2]))
@@ -62,12 +60,12 @@ def _count_waves(sway: Float[np.ndarray, " T"]) -> int:
     return turns // 2
 
 
-def measure(positions: Float[np.ndarray, "T J 3"], *, fps: float, skeleton: Skeleton = HUMANML3D) -> Facts:
+def measure(positions: Float[np.ndarray, "T 22 3"], *, fps: float) -> Facts:
     """Returns the measurements of a clip of at least two frames."""
-    chex.assert_shape(positions, (None, skeleton.num_joints, 3))
-    names = skeleton.joint_names
+    chex.assert_shape(positions, (None, HUMANML3D.num_joints, 3))
+    names = HUMANML3D.joint_names
     root = positions[:, 0]
-    headings = heading_angles(positions, skeleton)
+    headings = _heading_angles(positions)
     wrists = positions[:, [names.index("left_wrist"), names.index("right_wrist")]]
     shoulders = positions[:, [names.index("left_shoulder"), names.index("right_shoulder")]]
     head = positions[:, [names.index("head")] * 2]
@@ -89,7 +87,6 @@ def measure(positions: Float[np.ndarray, "T J 3"], *, fps: float, skeleton: Skel
         turn=float(np.rad2deg(headings[-1] - headings[0])),
         travel=float(np.linalg.norm(root[-1, [0, 2]] - root[0, [0, 2]])),
         forward=float(steps[:, 1].sum()),
-        leftward=float(steps[:, 0].sum()),
         above_head=tuple(above_head),
         above_shoulder=tuple(above_shoulder),
         waves=max(_count_waves(line) for line in sway),

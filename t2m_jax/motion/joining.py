@@ -54,22 +54,19 @@ class Cut(NamedTuple):
     """Mean distance of the joints in the middle of the overlap, in the skeleton's unit, and of their velocities."""
 
 
-def find_cut(
-    first: Features, second: Features, *, ends: range, starts: range, skeleton: Skeleton, overlap: int = OVERLAP
-) -> Cut:
+def find_cut(first: Features, second: Features, *, ends: range, starts: range, skeleton: Skeleton) -> Cut:
     """Returns the cut at which two clips of raw features are most alike.
 
     Args:
         first: Clip that is joined to its beginning.
         second: Clip that follows.
-        ends: Frames of the first clip that may be kept; at least `overlap`.
-        starts: First frames of the second clip that may be used; `overlap` frames must follow.
+        ends: Frames of the first clip that may be kept; at least `OVERLAP`.
+        starts: First frames of the second clip that may be used; `OVERLAP` frames must follow.
         skeleton: Of both clips.
-        overlap: Frames in which one fades into the other.
     """
     # Poses are compared where both clips count the same, in the middle of the overlap.
-    half = overlap // 2
-    leaving = _poses(first, skeleton)[np.array(ends) - overlap + half]
+    half = OVERLAP // 2
+    leaving = _poses(first, skeleton)[np.array(ends) - OVERLAP + half]
     arriving = _poses(second, skeleton)[np.array(starts) + half]
     costs = np.linalg.norm(leaving[:, None] - arriving[None], axis=-1).mean(axis=-1)
     end, start = np.unravel_index(costs.argmin(), costs.shape)

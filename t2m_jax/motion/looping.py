@@ -39,11 +39,6 @@ class Loop(NamedTuple):
     """Root mean square over the joints, of their distance in meters and of the scaled difference of velocities."""
 
 
-def output_fps(fps: float | int, *, asked: float | int | None, loop: bool) -> float | int:
-    """Returns the rate at which a motion of `fps` is written: what was asked for, or its own, for a loop `LOOP_FPS`."""
-    return asked or (max(fps, LOOP_FPS) if loop else fps)
-
-
 def keep_in_place(positions: Clip) -> Clip:
     """Returns a motion whose root stays above the origin. Heights and heading, and so contacts, keep their timing."""
     return positions - positions[:, :1] * HORIZONTAL

@@ -23,7 +23,6 @@ USUAL = Facts(
     turn=90.0,
     travel=5.0,
     forward=5.0,
-    leftward=0.0,
     above_head=(0.1, 0.1),
     above_shoulder=(0.3, 0.3),
     waves=5,
