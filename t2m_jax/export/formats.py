@@ -18,13 +18,10 @@ from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rig import RigClip, retarget
 from t2m_jax.motion.rig.orientation import Up, on_floor, sides_note
 from t2m_jax.motion.rig.retarget import find_rig, resolve_rig
-from t2m_jax.motion.rig.rigs import Rig
-from t2m_jax.motion.rig.tables import JointNames
-from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
+from t2m_jax.motion.rig.rigs import JointNames, Rig
+from t2m_jax.motion.skeleton import SKELETONS
 
 logger = logging.getLogger(__name__)
-
-SKELETONS = (HUMANML3D, KIT_ML)
 
 
 def only_motion(path: Path, motions: Sequence[Motion]) -> Motion:

@@ -5,7 +5,7 @@ NumPy or JAX arrays with leading batch axes, and return float32 arrays of the sa
 results.
 """
 
-from typing import Literal
+from typing import Any, Literal
 
 import chex
 from jaxtyping import Float
@@ -22,10 +22,10 @@ def _dot(a: Float[AnyArray, "*#batch C"], b: Float[AnyArray, "*#batch C"]) -> Fl
     return namespace_of(a, b).sum(a * b, axis=-1, keepdims=True)
 
 
-def _float32(*arrays: AnyArray) -> tuple[AnyArray, ...]:
-    """Returns `arrays` as float32 arrays of one library."""
-    xp = namespace_of(*arrays)
-    return tuple(xp.asarray(array, dtype=xp.float32) for array in arrays)
+def _float32(*arrays: AnyArray) -> tuple[Any, ...]:
+    """Returns the library of `arrays`, and then each of them in it as float32."""
+    xp: Any = namespace_of(*arrays)
+    return (xp, *(xp.asarray(array, dtype=xp.float32) for array in arrays))
 
 
 def unit_vectors(vectors: Float[AnyArray, "*batch C"]) -> Float[AnyArray, "*batch C"]:
@@ -52,7 +52,7 @@ def matrix_multiply(
 ) -> Float[AnyArray, "*batch 3 3"]:
     """Returns the matrix products `a @ b` in full float32 precision."""
     chex.assert_shape([a, b], (..., 3, 3))
-    a, b = _float32(a, b)
+    _, a, b = _float32(a, b)
     # A sum of products, because accelerators compute `@` of float32 with fewer bits by default.
     return (a[..., :, :, None] * b[..., None, :, :]).sum(-2)
 
@@ -62,8 +62,7 @@ def quaternion_multiply(
 ) -> Float[AnyArray, "*batch 4"]:
     """Returns the Hamilton products `a * b`: the rotation by `b`, then by `a`."""
     chex.assert_shape([a, b], (..., 4))
-    a, b = _float32(a, b)
-    xp = namespace_of(a, b)
+    xp, a, b = _float32(a, b)
     aw, ax, ay, az = (a[..., i] for i in range(4))
     bw, bx, by, bz = (b[..., i] for i in range(4))
     return xp.stack(
@@ -80,8 +79,7 @@ def quaternion_multiply(
 def quaternion_inverse(quaternions: Float[AnyArray, "*batch 4"]) -> Float[AnyArray, "*batch 4"]:
     """Returns the conjugates, which are the inverses of unit quaternions."""
     chex.assert_shape(quaternions, (..., 4))
-    (quaternions,) = _float32(quaternions)
-    xp = namespace_of(quaternions)
+    xp, quaternions = _float32(quaternions)
     return xp.concatenate([quaternions[..., :1], -quaternions[..., 1:]], axis=-1)
 
 
@@ -90,7 +88,7 @@ def rotate_vectors(
 ) -> Float[AnyArray, "*batch 3"]:
     """Returns `vectors` rotated by unit `quaternions`."""
     chex.assert_shape([quaternions, vectors], [(..., 4), (..., 3)])
-    quaternions, vectors = _float32(quaternions, vectors)
+    _, quaternions, vectors = _float32(quaternions, vectors)
     w = quaternions[..., :1]
     u = quaternions[..., 1:]
     # q v q* without the products that cancel: v + 2 w (u × v) + 2 u × (u × v).
@@ -105,8 +103,9 @@ def quaternion_between(a: Float[AnyArray, "*#batch 3"], b: Float[AnyArray, "*#ba
     zero vector gives the identity.
     """
     chex.assert_shape([a, b], (..., 3))
-    a, b = map(unit_vectors, _float32(a, b))
-    xp = namespace_of(a, b)
+    xp, a, b = _float32(a, b)
+    a = unit_vectors(a)
+    b = unit_vectors(b)
     cosine = _dot(a, b)
     # Near opposite directions, a × b and 1 + cos cancel. a × (a + b) and sin² / (1 − cos) are equal and do not.
     axis = cross_product(a, xp.where(cosine < 0, a + b, b))
@@ -127,8 +126,7 @@ def quaternion_between(a: Float[AnyArray, "*#batch 3"], b: Float[AnyArray, "*#ba
 def matrix_from_quaternion(quaternions: Float[AnyArray, "*batch 4"]) -> Float[AnyArray, "*batch 3 3"]:
     """Returns rotation matrices. The length of the quaternions does not matter."""
     chex.assert_shape(quaternions, (..., 4))
-    (quaternions,) = _float32(quaternions)
-    xp = namespace_of(quaternions)
+    xp, quaternions = _float32(quaternions)
     scale = 2 / xp.maximum(_dot(quaternions, quaternions)[..., 0], _TINY)
     w, x, y, z = (quaternions[..., i] for i in range(4))
     xs, ys, zs = (part * scale for part in (x, y, z))
@@ -143,8 +141,7 @@ def matrix_from_quaternion(quaternions: Float[AnyArray, "*batch 4"]) -> Float[An
 def quaternion_from_matrix(matrices: Float[AnyArray, "*batch 3 3"]) -> Float[AnyArray, "*batch 4"]:
     """Returns the unit quaternions of rotation matrices, with w >= 0."""
     chex.assert_shape(matrices, (..., 3, 3))
-    (matrices,) = _float32(matrices)
-    xp = namespace_of(matrices)
+    xp, matrices = _float32(matrices)
     m = [[matrices[..., i, j] for j in range(3)] for i in range(3)]
     # Each name is four times the product of two components: wx is 4 w x.
     wx = m[2][1] - m[1][2]
@@ -174,8 +171,7 @@ def rotation_6d_from_quaternion(quaternions: Float[AnyArray, "*batch 4"]) -> Flo
 def continuous_quaternions(quaternions: Float[AnyArray, "T *batch 4"]) -> Float[AnyArray, "T *batch 4"]:
     """Returns the same rotations, with signs for which consecutive quaternions have inner products >= 0."""
     chex.assert_shape(quaternions, (..., 4))
-    (quaternions,) = _float32(quaternions)
-    xp = namespace_of(quaternions)
+    xp, quaternions = _float32(quaternions)
     # A sign depends on all flips before it, so the product of the flips so far is the sign.
     flips = xp.where(_dot(quaternions[1:], quaternions[:-1]) < 0, xp.float32(-1), xp.float32(1))
     signs = xp.concatenate([xp.ones_like(quaternions[:1, ..., :1]), xp.cumprod(flips, axis=0)], axis=0)
@@ -188,8 +184,7 @@ def matrix_from_euler(angles: Float[AnyArray, "*batch 3"], order: EulerOrder) ->
     "ZXY" means Rz(angles[0]) @ Rx(angles[1]) @ Ry(angles[2]), so the rotation of the last letter is applied first.
     """
     chex.assert_shape(angles, (..., 3))
-    (angles,) = _float32(angles)
-    xp = namespace_of(angles)
+    xp, angles = _float32(angles)
     cosines = xp.cos(angles)
     sines = xp.sin(angles)
     zero = xp.zeros_like(angles[..., 0])
@@ -213,8 +208,7 @@ def euler_from_matrix(matrices: Float[AnyArray, "*batch 3 3"], order: EulerOrder
     The angles always give the same matrix, even if the middle one is ±π/2 and the others are not unique.
     """
     chex.assert_shape(matrices, (..., 3, 3))
-    (matrices,) = _float32(matrices)
-    xp = namespace_of(matrices)
+    xp, matrices = _float32(matrices)
     i, j, k = ("XYZ".index(letter) for letter in order)
     # The formulas are those of a cyclic order; in the others, sines have the other sign.
     sign = 1.0 if (j - i) % 3 == 1 else -1.0
@@ -235,8 +229,7 @@ def slerp(
 ) -> Float[AnyArray, "*batch 4"]:
     """Returns unit quaternions on the shorter arc from `a` to `b`, at the fraction `weight` (0 … 1) of the angle."""
     chex.assert_shape([a, b], (..., 4))
-    a, b = _float32(a, b)
-    xp = namespace_of(a, b)
+    xp, a, b = _float32(a, b)
     share = xp.asarray(weight, dtype=xp.float32)
     share = share[..., None] if share.ndim else share
     # q and -q are one rotation; the arc to the nearer of the two is the shorter one.

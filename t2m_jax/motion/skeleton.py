@@ -186,7 +186,7 @@ KIT_ML = Skeleton(
 )
 # fmt: on
 
-_SKELETONS = (HUMANML3D, KIT_ML)
+SKELETONS = (HUMANML3D, KIT_ML)
 
 
 def skeleton_from_name(name: str) -> Skeleton:
@@ -195,11 +195,10 @@ def skeleton_from_name(name: str) -> Skeleton:
     Raises:
         UserError: No skeleton has this name.
     """
-    for skeleton in _SKELETONS:
-        if skeleton.name == name:
-            return skeleton
-    known = ", ".join(skeleton.name for skeleton in _SKELETONS)
-    raise UserError(f"unknown skeleton {name!r}; use one of: {known}")
+    known = {skeleton.name: skeleton for skeleton in SKELETONS}
+    if name not in known:
+        raise UserError(f"unknown skeleton {name!r}; use one of: {', '.join(known)}")
+    return known[name]
 
 
 def skeleton_from_feature_dim(feature_dim: int) -> Skeleton:
@@ -208,8 +207,8 @@ def skeleton_from_feature_dim(feature_dim: int) -> Skeleton:
     Raises:
         UserError: No skeleton has features of this width.
     """
-    for skeleton in _SKELETONS:
+    for skeleton in SKELETONS:
         if skeleton.feature_dim == feature_dim:
             return skeleton
-    known = ", ".join(f"{skeleton.feature_dim} ({skeleton.name})" for skeleton in _SKELETONS)
+    known = ", ".join(f"{skeleton.feature_dim} ({skeleton.name})" for skeleton in SKELETONS)
     raise UserError(f"no skeleton has motion features of width {feature_dim}; known widths: {known}")
