@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_file_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares `FILE_OPTIONS` and `--character`; `t2m generate` has them, too."""
     from t2m_jax.motion.bvh.writer import Units
-    from t2m_jax.motion.rig.tables import JointNames
+    from t2m_jax.motion.rig.rigs import JointNames
 
     names = "names of the joints in .bvh and .glb files (default: lafan1)"
     parser.add_argument("--names", choices=get_args(JointNames), help=names)

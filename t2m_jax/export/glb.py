@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from PIL import ImageColor
 
+from t2m_jax.export.render.figure import Tint
 from t2m_jax.export.render.rendering import TINT_COLORS
 from t2m_jax.export.skin import SkinPart, make_skin
 from t2m_jax.files.writing import atomic_file
@@ -14,9 +16,9 @@ from t2m_jax.motion.bvh.writer import UNITS_PER_METER, Units
 from t2m_jax.motion.features import bone_vectors
 from t2m_jax.motion.glb_file import GlbWriter, Track, check_motions
 from t2m_jax.motion.inverse_kinematics import FittedRig, fit_rig
-from t2m_jax.motion.kinematics import forward_kinematics
+from t2m_jax.motion.kinematics import forward_kinematics, rest_positions
 from t2m_jax.motion.motion import Motion
-from t2m_jax.motion.rig.tables import JointNames, rig_joint_names
+from t2m_jax.motion.rig.rigs import JointNames, rig_joint_names
 from t2m_jax.motion.rotations import quaternion_from_matrix
 from t2m_jax.motion.skeleton import HUMANML3D
 
@@ -59,8 +61,7 @@ def save_glb(path: Path, motions: Sequence[Motion], *, names: JointNames = "lafa
 
 def _add_figure(glb: GlbWriter, rig: FittedRig, names: Sequence[str], scale: float) -> None:
     """Adds the joints, which are the first nodes, and the mesh around them."""
-    identity = np.tile(np.eye(3), (len(names), 1, 1))
-    rest = np.asarray(forward_kinematics(identity, rig.offsets, HUMANML3D.parents).positions, np.float64)
+    rest = rest_positions(rig.offsets, HUMANML3D.parents).astype(np.float64)
     rest[:, 1] -= rest[:, 1].min()
     nodes: list[dict[str, Any]] = []
     for joint, name in enumerate(names):
@@ -82,9 +83,9 @@ def _add_figure(glb: GlbWriter, rig: FittedRig, names: Sequence[str], scale: flo
     }
 
 
-def _material(tint: str) -> dict[str, Any]:
+def _material(tint: Tint) -> dict[str, Any]:
     """Returns the material of a color, decoded with the curve of sRGB."""
-    levels = np.array([int(TINT_COLORS[tint][place : place + 2], 16) for place in (1, 3, 5)]) / 255  # type: ignore[index]
+    levels = np.array(ImageColor.getrgb(TINT_COLORS[tint])) / 255
     linear = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4)
     surface = {"baseColorFactor": [*linear.round(4).tolist(), 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8}
     return {"name": tint, "pbrMetallicRoughness": surface}

@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 from t2m_jax.errors import UserError
-from t2m_jax.files.reading import MAX_TEXT, load_json, load_text, reading
+from t2m_jax.files.reading import MAX_TEXT, load_bytes, load_json, load_text, reading
 from t2m_jax.files.writing import save_json, save_text
 
 MANIFEST = "manifest.txt"
@@ -53,8 +53,7 @@ def read_manifest(folder: Path) -> dict[str, Entry]:
         UserError: The manifest is missing or damaged.
     """
     path = folder / MANIFEST
-    with reading(path, max_bytes=MAX_TEXT):
-        found = path.read_bytes()
+    found = load_bytes(path, max_bytes=MAX_TEXT)
     try:
         fields = [line.split(" ", 3) for line in found.decode().split("\n")[1:-2]]
         entries = {name: Entry(crc32, sha256, int(size)) for crc32, sha256, size, name in fields}

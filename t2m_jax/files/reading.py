@@ -67,6 +67,17 @@ def reading(path: Path, *, max_bytes: int = sys.maxsize) -> Iterator[None]:
         raise UserError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from None
 
 
+def load_bytes(path: Path, *, max_bytes: int = sys.maxsize) -> bytes:
+    """Returns the bytes of a file.
+
+    Raises:
+        UserError: The file is missing, cannot be read or is larger than `max_bytes`.
+    """
+    with reading(path, max_bytes=max_bytes):
+        data = path.read_bytes()
+    return data  # noqa: RET504 - for mypy, a `return` inside `with` may not be reached
+
+
 def load_text(path: Path, *, max_bytes: int = MAX_TEXT) -> str:
     """Returns the text of a UTF-8 file.
 

@@ -13,10 +13,11 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
+from t2m_jax.files.reading import load_bytes
 from t2m_jax.files.writing import atomic_file
-from t2m_jax.motion.bind_pose import bind_pose, same_rotation
-from t2m_jax.motion.glb_file import GlbChunks, GlbWriter, Track, check_motions, read_bytes, reading_glb, split_chunks
-from t2m_jax.motion.gltf_nodes import Nodes, find_nodes, rest_clip, without_matrix
+from t2m_jax.motion.glb_file import GlbChunks, GlbWriter, Track, check_motions, reading_glb, split_chunks
+from t2m_jax.motion.gltf_nodes import Nodes, bind_pose, find_nodes, rest_clip, same_rotation, without_matrix
+from t2m_jax.motion.kinematics import line_to
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rig.clip import RigClip
 from t2m_jax.motion.rig.placing import place_joints
@@ -110,8 +111,9 @@ class Character:
     def _places(self, top: int, places: Float[np.ndarray, "T 3"], start: Float[np.ndarray, "3"]) -> Iterator[Track]:
         """Yields the translations that put the highest bone that moves at places of the world."""
         # A root bone takes with it what is not the figure's body: helpers of feet, a cape, badly weighted vertices.
-        line = self._line(top)[:-1]
-        root = next((place for place in line if self.numbers[place] in self._skinned), None)
+        line = line_to(top, self.nodes.parents)[:-1]
+        skinned = {joint for skin in self.glb.tree.get("skins", []) for joint in skin["joints"]}
+        root = next((place for place in line if self.numbers[place] in skinned), None)
         if root is not None:
             travel = (places - start) * _FLOOR
             yield self._translation(root, self.clip.poses.positions[0, root] + travel)
@@ -132,7 +134,7 @@ class Character:
         nodes = self.nodes
         rest = quaternion_from_matrix(self.clip.poses.rotations[0])
         world: dict[int, Any] = {-1: np.array([[1.0, 0.0, 0.0, 0.0]], np.float32)}
-        for place in sorted({above for one in moved for above in self._line(one)}):
+        for place in sorted({above for one in moved for above in line_to(one, nodes.parents)}):
             above = world[nodes.parents[place]]
             if place in moved:
                 world[place] = quaternion_multiply(movement.turns[:, moved[place]], rest[place])
@@ -149,21 +151,10 @@ class Character:
         """Numbers in the file of the places in `nodes`."""
         return {place: number for number, place in self.nodes.numbers.items()}
 
-    @property
-    def _skinned(self) -> set[int]:
-        return {joint for skin in self.glb.tree.get("skins", []) for joint in skin["joints"]}
-
-    def _line(self, place: int) -> list[int]:
-        """Returns a node and those above it, from the root."""
-        line = [place]
-        while (parent := self.nodes.parents[line[-1]]) >= 0:
-            line.append(parent)
-        return line[::-1]
-
     @functools.cached_property
     def moved(self) -> dict[int, int]:
         """Returns the nodes that the animation turns -> the joint of HumanML3D whose rotation they get."""
-        lines = [self._line(place) for place in self.index.values()]
+        lines = [line_to(place, self.nodes.parents) for place in self.index.values()]
         # In some files, the spine is beside the pelvis: then what is above both moves as the pelvis does.
         above = os.path.commonprefix(lines)  # noqa: RUF071 - of lists, not paths
         if not above:
@@ -188,7 +179,7 @@ def load_character(path: Path | str, *, rig: str | None = None) -> Character:
             were not found.
     """
     path = Path(path)
-    data = read_bytes(path)
+    data = load_bytes(path)
     with reading_glb(path):
         glb = split_chunks(data)
         _check_arrays(glb)

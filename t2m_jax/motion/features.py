@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
+from t2m_jax.motion.kinematics import line_to
 from t2m_jax.motion.namespace import AnyArray, namespace_of
 from t2m_jax.motion.rotations import (
     quaternion_between,
@@ -107,19 +108,13 @@ def positions_from_bones(
     bones = xp.concatenate([xp.zeros_like(root), bones], axis=-2)
     # A joint's position is the sum of the bones on its path to the root. All paths have one length after padding with
     # the root, whose bone is zero, so that one sum serves all joints.
-    paths = []
-    for joint in range(skeleton.num_joints):
-        path = [joint]
-        while path[-1] > 0:
-            path.append(skeleton.parents[path[-1]])
-        paths.append(path)
+    paths = [line_to(joint, skeleton.parents)[::-1] for joint in range(skeleton.num_joints)]
     padded = np.array(list(itertools.zip_longest(*paths, fillvalue=0))).T
     return root + bones[..., padded, :].sum(-2)
 
 
 def ground_positions(positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton) -> Float[AnyArray, "*batch T J 3"]:
     """Returns the motion with its lowest joint at height 0. It starts above the origin and faces +Z."""
-    positions = _checked_positions(positions, skeleton)
     xp = namespace_of(positions)
     # Of the whole clip, so that a jump stays above the floor.
     floor = positions[..., 1].min(axis=(-2, -1))
@@ -176,7 +171,6 @@ def heading_quaternions(
     The hips contribute with the opposite sign of the shoulders. This is an error of the original code, which all
     published data contain. The smoothing makes it harmless.
     """
-    positions = _checked_positions(positions, skeleton)
     xp = namespace_of(positions)
     right_hip, left_hip, right_shoulder, left_shoulder = (positions[..., j, :] for j in skeleton.face_joints)
     across = unit_vectors((left_hip - right_hip) + (right_shoulder - left_shoulder))
@@ -195,7 +189,6 @@ def swing_rotations(
     start at the heading. A bone opposite to its rest axis swings about an arbitrary axis. A bone of length zero does
     not swing.
     """
-    positions = _checked_positions(positions, skeleton)
     chex.assert_shape(headings, (*positions.shape[:-2], 4))
     bones = bone_vectors(positions, skeleton)
     axes = _constant(skeleton.rest_axes[1:], bones, bones.ndim)

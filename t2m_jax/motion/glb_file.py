@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
-from t2m_jax.files.reading import first_line, parse_json, reading
+from t2m_jax.files.reading import first_line, parse_json
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rotations import continuous_quaternions
 from t2m_jax.motion.skeleton import HUMANML3D
@@ -61,17 +61,6 @@ def reading_glb(path: Path) -> Iterator[None]:
         raise UserError(f"{path}: {error}") from error
     except Exception as error:  # a file may say anything, and each part of it has errors of its own
         raise UserError(f"{path}: is not a correct GLB file ({first_line(error)})") from error
-
-
-def read_bytes(path: Path) -> bytes:
-    """Returns the bytes of a file.
-
-    Raises:
-        UserError: It is missing or cannot be read.
-    """
-    with reading(path):
-        data = path.read_bytes()
-    return data  # noqa: RET504 - for mypy, a `return` inside `with` may not be reached
 
 
 def split_chunks(data: bytes) -> GlbChunks:

@@ -14,7 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.glb_file import GlbChunks, own_extra, read_accessor, read_bytes, reading_glb, split_chunks
+from t2m_jax.files.reading import load_bytes
+from t2m_jax.motion.glb_file import GlbChunks, own_extra, read_accessor, reading_glb, split_chunks
 from t2m_jax.motion.gltf_nodes import W_FIRST, Nodes, find_nodes, rest_clip
 from t2m_jax.motion.part_captions import checked_parts
 from t2m_jax.motion.resampling import MAX_FPS
@@ -87,7 +88,7 @@ def load_gltf_joints(path: Path | str) -> RigClip:
         UserError: The file cannot be read, is damaged, or has no joints.
     """
     path = Path(path)
-    data = read_bytes(path)
+    data = load_bytes(path)
     with reading_glb(path):
         tree = split_chunks(data).tree
         if not tree.get("animations"):
@@ -98,7 +99,7 @@ def load_gltf_joints(path: Path | str) -> RigClip:
 
 def _load(path: Path, fps: float | None, choose: Callable[[Mapping[str, str]], list[str]]) -> dict[str, RigClip]:
     """Returns the animations that a function chooses from the captions of all, by name."""
-    data = read_bytes(path)
+    data = load_bytes(path)
     with reading_glb(path):
         glb = split_chunks(data)
         animations = _titles(glb.tree.get("animations", []))

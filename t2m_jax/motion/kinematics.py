@@ -44,6 +44,20 @@ def forward_kinematics(
     )
 
 
+def rest_positions(offsets: Float[np.ndarray, "J 3"], parents: Sequence[int]) -> Float[np.ndarray, "J 3"]:
+    """Returns the world positions of joints without any rotation."""
+    still = np.broadcast_to(np.eye(3), (len(parents), 3, 3))
+    return forward_kinematics(still, offsets, parents).positions
+
+
+def line_to(joint: int, parents: Sequence[int]) -> list[int]:
+    """Returns a joint and those above it, from the root."""
+    line = [joint]
+    while (parent := parents[line[-1]]) >= 0:
+        line.append(parent)
+    return line[::-1]
+
+
 def rigid_rotations(
     rest: Float[np.ndarray, "N 3"], vectors: Float[np.ndarray, "*batch N 3"]
 ) -> Float[np.ndarray, "*batch 3 3"]:

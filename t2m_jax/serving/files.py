@@ -20,7 +20,7 @@ from t2m_jax.export.npz import write_npz
 from t2m_jax.motion.changes import Changes
 from t2m_jax.motion.formats import format_options, load_motion, save_motions
 from t2m_jax.motion.motion import Motion
-from t2m_jax.motion.rig.tables import RIGS
+from t2m_jax.motion.rig.rigs import RIGS
 from t2m_jax.serving import schema
 
 LONGEST_PICTURES = 4 * schema.LIMITS["seconds"]["le"]

@@ -19,7 +19,7 @@ from t2m_jax.motion.formats import motion_formats
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.paths import LARGEST_TURN
 from t2m_jax.motion.resampling import MAX_SPEED
-from t2m_jax.motion.rig.tables import JointNames
+from t2m_jax.motion.rig.rigs import JointNames
 from t2m_jax.records import fields_of, record_from
 from t2m_jax.sampling.prompts import MAX_BATCH
 from t2m_jax.sampling.request import MotionRequest

@@ -16,7 +16,7 @@ from t2m_jax.export.skin import make_skin
 from t2m_jax.motion.formats import load_motion
 from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.motion.kinematics import forward_kinematics
-from t2m_jax.motion.rig.tables import rig_joint_names
+from t2m_jax.motion.rig.rigs import rig_joint_names
 from t2m_jax.motion.skeleton import HUMANML3D
 from tests.export.validator import validator_issues
 from tests.motion.glb_files import write_person

@@ -8,7 +8,7 @@ from t2m_jax.export.formats import load_glb_file
 from t2m_jax.motion import gltf
 from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.motion.rig import retarget
-from t2m_jax.motion.rig.tables import detect_rig
+from t2m_jax.motion.rig.rigs import RIGS, find_table
 from t2m_jax.motion.skeleton import HUMANML3D
 
 from .glb_files import GlbWriter, about_y, edited, name_bones, write_person
@@ -75,7 +75,7 @@ def test_rotations_may_be_integers_and_nodes_may_be_matrices(tmp_path):
 def test_a_rig_is_found_and_a_person_stands(tmp_path):
     path = write_person(tmp_path / "person.glb", BANDAI, {"a": 10.0, "Armature|a": 20.0})
     clip = load_gltf(path, fps=20.0)["a"]
-    assert detect_rig(clip.joint_names).name == "bandai-namco"
+    assert find_table(clip.joint_names) is RIGS["bandai-namco"]
     positions = retarget(clip).positions
     assert 0.8 < positions[0, 0, 1] < 1.0 and positions[0, 15, 1] > positions[0, 0, 1] > positions[0, 7, 1]
 

@@ -8,7 +8,7 @@ from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
 from t2m_jax.motion.bvh import load_bvh
 from t2m_jax.motion.features import facing
-from t2m_jax.motion.rig.tables import rig_joint_names
+from t2m_jax.motion.rig.rigs import rig_joint_names
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 
 

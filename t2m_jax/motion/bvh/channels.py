@@ -4,7 +4,6 @@ import contextlib
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -15,15 +14,10 @@ from t2m_jax.motion.rig.clip import MAX_VALUE
 _RATE_TOLERANCE = 0.015  # 0.033 seconds are 30 frames per second, but 0.08 seconds are not 12
 
 
-class MotionTable(NamedTuple):
-    """The numbers of the section, one row per frame."""
-
-    values: Float[np.ndarray, "T C"]
-    fps: float
-
-
-def parse_motion(text: bytes, path: Path, *, first_line: int, num_channels: int) -> MotionTable:
-    """Returns the table that follows the word MOTION.
+def parse_motion(
+    text: bytes, path: Path, *, first_line: int, num_channels: int
+) -> tuple[Float[np.ndarray, "T C"], float]:
+    """Returns the numbers that follow the word MOTION, one row per frame, and the frames per second.
 
     Args:
         text: The file after the line MOTION.
@@ -48,7 +42,7 @@ def parse_motion(text: bytes, path: Path, *, first_line: int, num_channels: int)
     # Python reads 1_000 as a number, but the format does not have it.
     if values.shape != (num_frames, num_channels) or not (np.abs(values) < MAX_VALUE).all() or b"_" in text:
         raise _problem([(first_row, b""), *rows], path, shape=(num_frames, num_channels))
-    return MotionTable(values=values, fps=fps)
+    return values, fps
 
 
 def _problem(rows: Sequence[tuple[int, bytes]], path: Path, *, shape: tuple[int, int]) -> UserError:

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from t2m_jax.motion.bvh.hierarchy import Hierarchy
-from t2m_jax.motion.kinematics import forward_kinematics
+from t2m_jax.motion.kinematics import forward_kinematics, rest_positions
 
 PositionRule = Literal["auto", "absolute", "add"]
 
@@ -77,7 +77,8 @@ def _is_place(
     still = translations.copy()
     still[:, joint] = 0.0
     pose = forward_kinematics(rotations, still.astype(np.float32), hierarchy.parents).positions
-    up = 2 if _is_along_z(pose) and _is_along_z(_rest_pose(hierarchy)) else 1
+    rest = rest_positions(hierarchy.offsets, hierarchy.parents)
+    up = 2 if _is_along_z(pose) and _is_along_z(rest[None]) else 1
     offset = float(hierarchy.offsets[joint, up])
     if offset == 0 or np.median(channels[:, up]) / offset < NO_MOVE:
         return False
@@ -90,8 +91,3 @@ def _is_place(
 def _is_along_z(positions: Float[np.ndarray, "T J 3"]) -> bool:
     _, along_y, along_z = np.median(np.ptp(positions, axis=1), axis=0)
     return bool(along_z > MUCH_LONGER * along_y)
-
-
-def _rest_pose(hierarchy: Hierarchy) -> Float[np.ndarray, "1 J 3"]:
-    still = np.broadcast_to(np.eye(3, dtype=np.float32), (1, len(hierarchy.parents), 3, 3))
-    return forward_kinematics(still, hierarchy.offsets[None].astype(np.float32), hierarchy.parents).positions

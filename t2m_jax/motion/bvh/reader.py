@@ -8,14 +8,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from t2m_jax.errors import UserError
-from t2m_jax.files.reading import reading
+from t2m_jax.files.reading import load_bytes
 from t2m_jax.motion.bvh.channels import parse_motion
 from t2m_jax.motion.bvh.hierarchy import AXES, POSITION_CHANNELS, ROTATION_CHANNELS, Hierarchy, parse_hierarchy
 from t2m_jax.motion.bvh.offsets import PositionRule, translations_from_channels
 from t2m_jax.motion.part_captions import parts_from_note
 from t2m_jax.motion.rig.clip import RigClip
-from t2m_jax.motion.rig.person import unit_from_leg
-from t2m_jax.motion.rig.recognition import measure_leg
+from t2m_jax.motion.rig.recognition import measure_leg, unit_from_leg
 from t2m_jax.motion.rig.rigs import Rig
 from t2m_jax.motion.rotations import EulerOrder, matrix_from_euler
 
@@ -60,9 +59,9 @@ def load_bvh(
     if not word:
         raise UserError(f"{path}:{len(lines)}: the file has no MOTION section")
     first_line = head.count(b"\n") + 2
-    table = parse_motion(data[word.end() :], path, first_line=first_line, num_channels=hierarchy.num_channels)
-    rotations = _rotations(hierarchy, table.values)
-    channels, moving = _positions(hierarchy, table.values)
+    values, fps = parse_motion(data[word.end() :], path, first_line=first_line, num_channels=hierarchy.num_channels)
+    rotations = _rotations(hierarchy, values)
+    channels, moving = _positions(hierarchy, values)
     translations = translations_from_channels(hierarchy, channels, moving, rotations, rule=root_positions)
     unit, said = (metres_per_unit, "") if metres_per_unit else _guess_unit(hierarchy, translations, rig)
     return RigClip(
@@ -71,18 +70,17 @@ def load_bvh(
         offsets=(hierarchy.offsets * unit).astype(np.float32),
         rotations=rotations,
         translations=(translations * unit).astype(np.float32),
-        fps=table.fps,
+        fps=fps,
         metres_per_unit=unit,
         end_sites={joint: np.array(place, np.float32) * unit for joint, place in hierarchy.end_sites.items()},
         notes=(said,) if said else (),
-        parts=parts_from_note(hierarchy.note, num_frames=len(table.values)),
+        parts=parts_from_note(hierarchy.note, num_frames=len(values)),
     )
 
 
 def _read_bytes(path: Path) -> bytes:
     """Returns what is in a file that begins as BVH files do."""
-    with reading(path):
-        data = path.read_bytes().removeprefix(b"\xef\xbb\xbf")
+    data = load_bytes(path).removeprefix(b"\xef\xbb\xbf")
     if not data.strip():
         raise UserError(f"{path}:1: the file is empty")
     if b"\0" in data[:4096] or not re.match(rb"\s*HIERARCHY\b", data, flags=re.IGNORECASE):

@@ -12,7 +12,7 @@ from t2m_jax.files.writing import save_text
 from t2m_jax.motion.inverse_kinematics import fit_rig
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.part_captions import parts_note
-from t2m_jax.motion.rig.tables import JointNames, rig_joint_names
+from t2m_jax.motion.rig.rigs import JointNames, rig_joint_names
 from t2m_jax.motion.rotations import EulerOrder, euler_from_matrix
 from t2m_jax.motion.skeleton import HUMANML3D
 

@@ -1,14 +1,15 @@
 """The joints of a person in a hierarchy that no table knows: found by names, and by how a body is built."""
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from t2m_jax.motion.kinematics import line_to
+from t2m_jax.motion.rig.placing import SPINE_HEIGHTS
 from t2m_jax.motion.rig.words import JointWords, read_names
-from t2m_jax.motion.skeleton import HUMANML3D
 
 LEG = ("hip", "knee", "ankle")
 ARM = ("shoulder", "elbow", "wrist")
@@ -16,15 +17,7 @@ MAX_LIMB = 16
 """Most joints of one line from the trunk to a tip that are compared."""
 MIN_TIP = 0.05
 """A joint that is nearer than this part of the shin or of the spine to the one before it is at the same place."""
-_SPINE_PLACES = {
-    name: float(place)
-    for name, place in zip(
-        ("spine1", "spine2", "spine3"),
-        np.cumsum([HUMANML3D.bone_lengths[joint] for joint in (3, 6, 9)])
-        / sum(HUMANML3D.bone_lengths[joint] for joint in (3, 6, 9, 12)),
-        strict=True,
-    )
-}
+_SPINE_PLACES = {name: SPINE_HEIGHTS[name] / SPINE_HEIGHTS["neck"] for name in ("spine1", "spine2", "spine3")}
 """Parts of the way from the pelvis to the neck."""
 
 
@@ -54,21 +47,13 @@ class Bones(NamedTuple):
         return [other for other, line in enumerate(self.lines) if joint in line[:-1]]
 
 
-class Limb(NamedTuple):
-    """The three joints of a limb that bends."""
-
-    score: float
-    joints: tuple[int, int, int]
-
-
 def make_bones(names: Sequence[str], parents: Sequence[int], offsets: Float[np.ndarray, "J 3"]) -> Bones:
     """Returns the hierarchy with what its names say."""
     offsets = np.asarray(offsets, np.float64)
     lengths = np.linalg.norm(offsets, axis=1)
-    lines: list[list[int]] = []
+    lines = [line_to(joint, parents) for joint in range(len(parents))]
     reaches = np.zeros(len(parents))
     for joint, parent in enumerate(parents):
-        lines.append([*(lines[parent] if parent >= 0 else []), joint])
         reaches[joint] = reaches[parent] + lengths[joint] if parent >= 0 else 0.0
     return Bones(names, offsets, read_names(names), lines, reaches)
 
@@ -80,14 +65,13 @@ def find_joints(bones: Bones) -> dict[str, int]:
     the same length. The pelvis is where the legs meet, the chest where the arms do, and the spine is between them.
     """
     found: dict[str, int] = {}
-    limbs: dict[str, Limb] = {}
-    for side, (kind, roles) in itertools.product(("left", "right"), (("leg", LEG), ("arm", ARM))):
-        limb = max(_limbs(bones, side, roles), default=None, key=lambda one: one.score)
-        if limb is not None:
-            limbs[f"{side}_{kind}"] = limb
-            found |= {f"{side}_{role}": joint for role, joint in zip(roles, limb.joints, strict=True)}
+    for side, roles in itertools.product(("left", "right"), (LEG, ARM)):
+        limbs = _limbs(bones, side, roles)
+        if limbs:
+            best = max(limbs, key=limbs.__getitem__)
+            found |= {f"{side}_{role}": joint for role, joint in zip(roles, best, strict=True)}
     for side in ("left", "right"):
-        if f"{side}_leg" in limbs and (toe := _toe(bones, limbs[f"{side}_leg"], side)) is not None:
+        if f"{side}_ankle" in found and (toe := _toe(bones, found, side)) is not None:
             found[f"{side}_foot"] = toe
     if {"left_hip", "right_hip"} <= found.keys():
         found["pelvis"] = bones.meeting(found["left_hip"], found["right_hip"])
@@ -96,8 +80,9 @@ def find_joints(bones: Bones) -> dict[str, int]:
     return found
 
 
-def _limbs(bones: Bones, side: str, roles: tuple[str, str, str]) -> Iterator[Limb]:
-    """Yields what may be a leg or an arm of a side."""
+def _limbs(bones: Bones, side: str, roles: tuple[str, str, str]) -> dict[tuple[int, int, int], float]:
+    """Returns the three joints of what may be a leg or an arm of a side -> how likely it is."""
+    found = {}
     own = {joint for joint, words in enumerate(bones.words) if words.side == side and not words.is_helper}
     for end in own:
         if roles[2] not in bones.words[end].parts:
@@ -110,13 +95,14 @@ def _limbs(bones: Bones, side: str, roles: tuple[str, str, str]) -> Iterator[Lim
             # One of the upper joints may have a name that is not known, but not both.
             if max(evidence[:2]) > 0 and min(upper, lower) > 0:
                 # A bone that is half as long as the other costs as much as a clear name gives.
-                yield Limb(sum(evidence) - 3 * abs(float(np.log(upper / lower))), chosen)
+                found[chosen] = sum(evidence) - 3 * abs(float(np.log(upper / lower)))
+    return found
 
 
-def _toe(bones: Bones, leg: Limb, side: str) -> int | None:
+def _toe(bones: Bones, found: Mapping[str, int], side: str) -> int | None:
     """Returns the joint at the ball of a foot, or the tip of a foot without one; None without anything there."""
-    _, knee, ankle = leg.joints
-    shin = bones.length(knee, ankle)
+    ankle = found[f"{side}_ankle"]
+    shin = bones.length(found[f"{side}_knee"], ankle)
 
     def rank(joint: int) -> tuple[float, float, int, float]:
         words = bones.words[joint]

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.motion import resampling
-from t2m_jax.motion.kinematics import JointPoses, forward_kinematics
+from t2m_jax.motion.kinematics import JointPoses, forward_kinematics, rest_positions
 from t2m_jax.motion.part_captions import Parts
 from t2m_jax.motion.rotations import continuous_quaternions, matrix_from_quaternion, quaternion_from_matrix
 
@@ -98,8 +98,7 @@ class RigClip:
     @property
     def rest_positions(self) -> Float[np.ndarray, "J 3"]:
         """World positions of all joints without any rotation, in meters."""
-        still = np.broadcast_to(np.eye(3, dtype=np.float32), (1, len(self.offsets), 3, 3))
-        return forward_kinematics(still, self.offsets[None], self.parents).positions[0]
+        return rest_positions(self.offsets, self.parents)
 
     def with_end_sites(self) -> "RigClip":
         """Returns the clip with a joint at each End Site, named "<joint> End Site"."""

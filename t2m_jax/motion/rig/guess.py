@@ -1,27 +1,12 @@
 """The best guess of a table for a rig that is not known by name, for a person to check."""
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.rig.anatomy import find_joints
-from t2m_jax.motion.rig.clip import MAX_JOINTS, RigClip
+from t2m_jax.motion.rig.clip import RigClip
 from t2m_jax.motion.rig.orientation import left_is_left
-from t2m_jax.motion.rig.recognition import clip_bones
+from t2m_jax.motion.rig.recognition import guess_table
 from t2m_jax.motion.rig.retarget import find_rig, retarget
 from t2m_jax.motion.rig.rigs import OPTIONAL_JOINTS
-from t2m_jax.motion.rig.tables import refusal
 from t2m_jax.motion.skeleton import HUMANML3D
-
-
-def guess_table(clip: RigClip) -> dict[str, str]:
-    """Returns joints of HumanML3D -> the joints of a clip that were recognized by their names and by anatomy.
-
-    Raises:
-        UserError: The figure has too many joints.
-    """
-    if len(clip.joint_names) > MAX_JOINTS:
-        raise UserError(refusal(clip.joint_names))
-    bones = clip_bones(clip)
-    found = find_joints(bones)
-    return {role: bones.names[found[role]] for role in HUMANML3D.joint_names if role in found}
 
 
 def rig_table_text(clip: RigClip, *, source: str) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from t2m_jax.motion.kinematics import line_to
 from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import HUMANML3D
 
@@ -17,6 +18,10 @@ Placed = dict[str, Float[np.ndarray, "T 3"]]
 """Positions by the names of HumanML3D's joints."""
 
 _SPINE = ("pelvis", "spine1", "spine2", "spine3", "neck")
+SPINE_HEIGHTS = dict(
+    zip(_SPINE, np.cumsum([HUMANML3D.bone_lengths[HUMANML3D.joint_names.index(name)] for name in _SPINE]), strict=True)
+)
+"""Length of the template's bones from the pelvis to each joint of the spine."""
 # Place of a collar joint that the rig does not have: the part of the way from spine3 to the neck, and from there to
 # the shoulder.
 _COLLAR_UP = 0.5
@@ -52,35 +57,35 @@ def place_joints(world: World, parents: Sequence[int], index: Mapping[str, int])
 
 def _place_spine(joints: Placed, index: Mapping[str, int], world: World, parents: Sequence[int]) -> None:
     """Adds the missing joints between pelvis and neck: on the file's own spine, with the template's proportions."""
-    template = [HUMANML3D.bone_lengths[HUMANML3D.joint_names.index(name)] for name in _SPINE]
-    heights = dict(zip(_SPINE, np.cumsum(template), strict=True))
     known = [name for name in _SPINE if name in index]
     for below, above in itertools.pairwise(known):
-        chain = [index[above]]
-        while chain[-1] != index[below] and parents[chain[-1]] >= 0:
-            chain.append(parents[chain[-1]])
-        if chain[-1] != index[below]:  # the upper joint is not a descendant of the lower one
-            chain = [index[above], index[below]]
-        path = world[:, chain[::-1]]
+        first = index[below]
+        line = line_to(index[above], parents)
+        # In some files, the upper joint is not a descendant of the lower one.
+        chain = line[line.index(first) :] if first in line else [first, index[above]]
+        path = world[:, chain]
         lengths = np.linalg.norm(np.diff(path, axis=1), axis=-1).mean(axis=0)
         ends = np.cumsum(lengths)
         for name in _SPINE[_SPINE.index(below) + 1 : _SPINE.index(above)]:
-            fraction = (heights[name] - heights[below]) / (heights[above] - heights[below])
-            place = fraction * lengths.sum()
+            place = _share(name, below, above) * lengths.sum()
             segment = min(int(np.searchsorted(ends, place)), len(lengths) - 1)
             weight = 1 - (ends[segment] - place) / max(lengths[segment], 1e-9)
             joints[name] = path[:, segment] * (1 - weight) + path[:, segment + 1] * weight
     if "neck" not in joints:
-        _place_neck(joints, heights, top=known[-1])
+        _place_neck(joints, top=known[-1])
 
 
-def _place_neck(joints: Placed, heights: Mapping[str, float], *, top: str) -> None:
+def _share(name: str, below: str, above: str) -> float:
+    """Returns where the template has a joint of the spine: the part of the way from a lower to a higher one."""
+    return (SPINE_HEIGHTS[name] - SPINE_HEIGHTS[below]) / (SPINE_HEIGHTS[above] - SPINE_HEIGHTS[below])
+
+
+def _place_neck(joints: Placed, *, top: str) -> None:
     """Adds a neck above the shoulders, and the joints between it and the highest joint of the spine that is known."""
     shoulders = (joints["left_shoulder"] + joints["right_shoulder"]) / 2
     joints["neck"] = shoulders + _NECK_UP * (shoulders - joints["pelvis"])
     for name in _SPINE[_SPINE.index(top) + 1 : -1]:
-        share = (heights[name] - heights[top]) / (heights["neck"] - heights[top])
-        joints[name] = joints[top] + share * (joints["neck"] - joints[top])
+        joints[name] = joints[top] + _share(name, top, "neck") * (joints["neck"] - joints[top])
 
 
 def _toes(joints: Placed, side: str) -> Float[np.ndarray, "T 3"]:

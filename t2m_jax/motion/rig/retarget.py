@@ -7,11 +7,9 @@ from t2m_jax.errors import UserError
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rig.clip import RigClip
 from t2m_jax.motion.rig.orientation import Up, find_up, to_y_up
-from t2m_jax.motion.rig.person import check_is_person
 from t2m_jax.motion.rig.placing import Joints, place_joints
-from t2m_jax.motion.rig.recognition import clip_bones, recognize
-from t2m_jax.motion.rig.rigs import Rig, load_rig, make_rig, match_rig
-from t2m_jax.motion.rig.tables import DOLLS, RIGS, find_table
+from t2m_jax.motion.rig.recognition import check_is_person, clip_bones, recognize
+from t2m_jax.motion.rig.rigs import DOLLS, RIGS, Rig, find_table, load_rig, make_rig, match_rig
 
 RigLike = Rig | str | Mapping[str, str | Sequence[str]]
 

@@ -8,7 +8,7 @@ import pytest
 
 from t2m_jax.motion.bvh import save_bvh
 from t2m_jax.motion.motion import Motion
-from t2m_jax.motion.rig.tables import rig_joint_names
+from t2m_jax.motion.rig.rigs import rig_joint_names
 from t2m_jax.motion.rotations import euler_from_matrix, unit_vectors
 from t2m_jax.motion.skeleton import HUMANML3D
 from tests.motion.figures import walking_positions
