@@ -105,6 +105,7 @@ def run(args: argparse.Namespace) -> None:
     from t2m_jax.files.writing import claim
     from t2m_jax.motion.changes import Changes
     from t2m_jax.motion.formats import check_motion_output, load_motion
+    from t2m_jax.sampling.compilation import use_compilation_cache
 
     # All that can be wrong with the options is said before the first file is read.
     for output in args.outputs:
@@ -113,6 +114,8 @@ def run(args: argparse.Namespace) -> None:
     options = {output: file_options(output, args, args.outputs) for output in args.outputs}
     character = open_character(args, args.outputs)
     rig = args.rig if character is None else None
+    if changes.clean:
+        use_compilation_cache()  # the clean-up takes longer to compile than to run
     with claim(args.outputs):
         motions = [changes.apply(load_motion(path, animation=args.animation, rig=rig)) for path in args.files]
         for output in args.outputs:

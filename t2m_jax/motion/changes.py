@@ -32,6 +32,8 @@ class Changes:
     """Seconds at which the motion begins; what is before is cut off."""
     end: float | None = None
     """Seconds at which the motion ends; what is after is cut off."""
+    clean: bool = False
+    """Whether trembling is smoothed, bones get constant lengths, and feet stand still, as in generated motion."""
     mirror: bool = False
     """Whether left and right are exchanged, also in the caption."""
     speed: float = 1.0
@@ -78,6 +80,8 @@ class Changes:
         """
         if self.begin is not None or self.end is not None:
             motion = motion.trimmed(self.begin, self.end)
+        if self.clean:
+            motion = motion.cleaned()
         if self.mirror:
             motion = motion.mirrored()
         if self.speed != 1:

@@ -2,22 +2,24 @@
 
 A decoder predicts each joint by itself. So joints tremble, bones stretch, and standing feet slide. Each step below is a
 function of positions alone and moves most joints by a few millimeters. A foot that would have to move by more than
-`LARGEST_SHIFT` is left where it is. Positions are in meters with Y up.
+`LARGEST_SHIFT` is left where it is. No knee turns faster than before. Positions are in meters with Y up.
 """
 
+import dataclasses
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from t2m_jax.masks import mask_from_lengths
-from t2m_jax.motion.features import gaussian_kernel
+from t2m_jax.motion.features import bone_vectors, gaussian_kernel
 from t2m_jax.motion.joining import join_windows
+from t2m_jax.motion.legs import Frames, Joint, eased_bends, knee_bends, lengths_of, limit_speed, move_foot
 from t2m_jax.motion.rotations import cross_product, unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 
@@ -43,12 +45,14 @@ OVERLAP_SECONDS = 2.0
 """Frames that two windows of a long motion share. A frame depends on the stands of feet around it."""
 CLEANED_WINDOWS = 8
 """Windows that are cleaned together."""
-LARGEST_STRETCH = 0.999
-"""Largest share of a leg's length between hip and ankle. So the knee stays bent."""
+CLEANED_SECONDS = 10.0
+"""Longest windows of motion from a file."""
+CLEANED_FRAMES = (40, 1200)
+"""Fewest and most frames of these windows: a filter over time has a matrix of frames by frames."""
 
 Clip = Float[Array, "T J 3"]
-Joint = Float[Array, "T 3"]
-Frames = Bool[Array, " T"]
+Bones = Float[Array, " _"]
+"""Length of the bone that ends at each joint but the root, in meters."""
 
 
 @functools.partial(jax.jit, static_argnames="skeleton")
@@ -56,15 +60,35 @@ def clean_positions(
     positions: Float[Array, "B T J 3"], lengths: Int[Array, " B"], *, skeleton: Skeleton
 ) -> Float[Array, "B T J 3"]:
     """Returns cleaned clips, in meters at the skeleton's frame rate; frames after the end of a clip have no meaning."""
-    chex.assert_shape([positions, lengths], [(None, None, skeleton.num_joints, 3), (len(positions),)])
-    return jax.vmap(functools.partial(_clean_clip, skeleton=skeleton))(positions, lengths)
-
-
-def _clean_clip(positions: Clip, length: Int[Array, ""], *, skeleton: Skeleton) -> Clip:
+    calm = _calm_clips(positions, lengths, skeleton=skeleton, bones=None)
     # Feet last: the other steps move joints a little, also those of a foot that must not slide.
-    smooth = smooth_over_clip(positions, length, sigma=SIGMA * skeleton.fps)
-    calm = calm_torso(fix_bones(smooth, skeleton), length, skeleton)
-    return lock_feet(calm, length, skeleton)
+    return _lock_clips(calm, positions, lengths, skeleton=skeleton)
+
+
+@functools.partial(jax.jit, static_argnames="skeleton")
+def _calm_clips(
+    positions: Float[Array, "B T J 3"], lengths: Int[Array, " B"], *, skeleton: Skeleton, bones: Bones | None
+) -> Float[Array, "B T J 3"]:
+    """Returns clips that tremble less and whose bones have constant lengths."""
+    chex.assert_shape([positions, lengths], [(None, None, skeleton.num_joints, 3), (len(positions),)])
+
+    def calm_clip(positions: Clip, length: Int[Array, ""]) -> Clip:
+        smooth = smooth_over_clip(positions, length, sigma=SIGMA * skeleton.fps)
+        return calm_torso(fix_bones(smooth, skeleton, bones), length, skeleton)
+
+    return jax.vmap(calm_clip)(positions, lengths)
+
+
+@functools.partial(jax.jit, static_argnames="skeleton")
+def _lock_clips(
+    calm: Float[Array, "B T J 3"], before: Float[Array, "B T J 3"], lengths: Int[Array, " B"], *, skeleton: Skeleton
+) -> Float[Array, "B T J 3"]:
+    """Returns calm clips whose feet are locked; `before` has the clips as they were given."""
+
+    def lock_clip(calm: Clip, length: Int[Array, ""], before: Clip) -> Clip:
+        return lock_feet(calm, length, skeleton, before=before)
+
+    return jax.vmap(lock_clip)(calm, lengths, before)
 
 
 def smooth_over_clip(positions: Clip, length: Int[Array, ""], *, sigma: float) -> Clip:
@@ -94,25 +118,27 @@ def smooth_over_clip(positions: Clip, length: Int[Array, ""], *, sigma: float) -
     return jnp.einsum("ts,sjc->tjc", jnp.asarray(matrix, jnp.float32), longer)
 
 
-def fix_bones(positions: Clip, skeleton: Skeleton) -> Clip:
-    """Returns positions with the skeleton's bone lengths; the root stays where it is.
+def fix_bones(positions: Clip, skeleton: Skeleton, lengths: Bones | None = None) -> Clip:
+    """Returns positions with bones of these lengths, by default the skeleton's; the root stays where it is.
 
     Each round moves both ends of every bone toward its length, so that one wrong bone does not move a whole limb. The
     small rest is corrected from the root outwards.
     """
     # Row j of `ends` has -1 for the bones that begin at joint j, and 1 for the one that ends there.
     ends, chains = _bone_matrices(skeleton)
-    lengths = np.array(skeleton.bone_lengths[1:], np.float32)[None, :, None] * np.float32(skeleton.metres_per_unit)
+    if lengths is None:
+        lengths = jnp.array(skeleton.bone_lengths[1:], jnp.float32) * skeleton.metres_per_unit
+    lengths = lengths[None, :, None]
     share = (0.5 * BONE_STEP / np.abs(ends).sum(axis=1))[None, :, None].astype(np.float32)
 
     def one_round(_: Any, positions: Clip) -> Clip:
         bones = jnp.einsum("jb,tjc->tbc", ends, positions)
-        excess = bones * (1 - lengths / _length(bones))
+        excess = bones * (1 - lengths / lengths_of(bones))
         return positions - share * jnp.einsum("jb,tbc->tjc", ends, excess)
 
     near = jax.lax.fori_loop(0, BONE_ROUNDS, one_round, positions)
     bones = jnp.einsum("jb,tjc->tbc", ends, near)
-    return positions[:, :1] + jnp.einsum("jb,tbc->tjc", chains, bones * (lengths / _length(bones)))
+    return positions[:, :1] + jnp.einsum("jb,tbc->tjc", chains, bones * (lengths / lengths_of(bones)))
 
 
 def calm_torso(positions: Clip, length: Int[Array, ""], skeleton: Skeleton) -> Clip:
@@ -134,7 +160,7 @@ def calm_torso(positions: Clip, length: Int[Array, ""], skeleton: Skeleton) -> C
     frame = jnp.stack([across, up, cross_product(across, up)], axis=1)
     seen = jnp.einsum("tac,tbc->tba", frame, bones[:, torso])
     calm = smooth_over_clip(seen, length, sigma=TORSO_SIGMA * skeleton.fps)
-    calm = calm * (_length(seen) / _length(calm))
+    calm = calm * (lengths_of(seen) / lengths_of(calm))
     bones = bones.at[:, torso].set(jnp.einsum("tac,tba->tbc", frame, calm))
     return positions[:, :1] + jnp.einsum("jb,tbc->tjc", chains, bones)
 
@@ -161,7 +187,9 @@ def _bone_matrices(skeleton: Skeleton) -> tuple[np.ndarray, np.ndarray]:
     return ends, chains
 
 
-def lock_feet(positions: Clip, length: Int[Array, ""], skeleton: Skeleton, *, fps: float | None = None) -> Clip:
+def lock_feet(
+    positions: Clip, length: Int[Array, ""], skeleton: Skeleton, *, fps: float | None = None, before: Clip | None = None
+) -> Clip:
     """Returns positions in which a toe that stands does not move over the ground; the legs bend as needed.
 
     Args:
@@ -169,7 +197,9 @@ def lock_feet(positions: Clip, length: Int[Array, ""], skeleton: Skeleton, *, fp
         length: Frames of the clip.
         skeleton: Of the clip.
         fps: Frames per second; by default the skeleton's.
+        before: The clip before any change: knees turn no faster than in it. By default `positions`.
     """
+    before = positions if before is None else before
     fps = skeleton.fps if fps is None else fps
     fade = max(FADE, round(FADE * fps / 20))
     mask = mask_from_lengths(length[None], len(positions))[0]
@@ -181,7 +211,9 @@ def lock_feet(positions: Clip, length: Int[Array, ""], skeleton: Skeleton, *, fp
     def moved_joints(leg: Int[Array, " 4"]) -> Float[Array, "T 3 3"]:
         hip, knee, ankle, toe = jnp.moveaxis(positions[:, leg], 1, 0)
         shift = lock_shift(toe, _standing(toe, mask, low, fps=fps), fade=fade)
-        return jnp.stack(move_foot(hip, knee, ankle, toe, shift), axis=1)
+        as_before = knee_bends(*jnp.moveaxis(before[:, leg[:3]], 1, 0))
+        bends = limit_speed(eased_bends(hip, knee, ankle, shift), as_before, mask, fps=fps)
+        return jnp.stack(move_foot(hip, knee, ankle, toe, shift, bends), axis=1)
 
     knees = [skeleton.parents[ankle] for ankle, _ in (skeleton.left_foot, skeleton.right_foot)]
     legs = np.column_stack([[skeleton.parents[knee] for knee in knees], knees, feet.reshape(2, 2)])
@@ -191,21 +223,23 @@ def lock_feet(positions: Clip, length: Int[Array, ""], skeleton: Skeleton, *, fp
 
 def _standing(toe: Joint, mask: Frames, low: Float[Array, ""], *, fps: float) -> Frames:
     """Returns in which frames a toe stands: it is low and slow, without short gaps and single frames."""
-    steps = _length(jnp.diff(toe[:, ::2], axis=0))[:, 0] * fps
+    steps = lengths_of(jnp.diff(toe[:, ::2], axis=0))[:, 0] * fps
     speed = jnp.minimum(jnp.append(steps, steps[-1:]), jnp.concatenate([steps[:1], steps]))
     standing = (toe[:, 1] < low) & (speed < CONTACT_SPEED) & mask
-    # A closing and an opening, as in image processing, each by one frame on both sides.
-    return _widened(_narrowed(_narrowed(_widened(standing)))) & mask
+    # A closing and an opening, as in image processing, each by this many frames on both sides.
+    reach = max(1, round(fps / 20))
+    closed = _narrowed(_widened(standing, reach), reach)
+    return _widened(_narrowed(closed, reach), reach) & mask
 
 
-def _widened(frames: Frames) -> Frames:
-    """Returns frames and their neighbors."""
-    return frames | jnp.append(frames[1:], False) | jnp.concatenate([jnp.array([False]), frames[:-1]])
+def _widened(frames: Frames, reach: int) -> Frames:
+    """Returns frames and their neighbors up to `reach` frames away."""
+    return jax.lax.reduce_window(frames, False, jax.lax.bitwise_or, (2 * reach + 1,), (1,), "SAME")
 
 
-def _narrowed(frames: Frames) -> Frames:
-    """Returns frames whose neighbors are among them, too."""
-    return ~_widened(~frames)
+def _narrowed(frames: Frames, reach: int) -> Frames:
+    """Returns frames whose neighbors up to `reach` frames away are among them, too."""
+    return ~_widened(~frames, reach)
 
 
 def lock_shift(toe: Joint, standing: Frames, *, fade: int = FADE) -> Joint:
@@ -216,12 +250,12 @@ def lock_shift(toe: Joint, standing: Frames, *, fade: int = FADE) -> Joint:
     """
 
     def trimmed(_: Any, standing: Frames) -> Frames:
-        return standing & (_length(_to_rest(toe, standing))[:, 0] <= LARGEST_SHIFT)
+        return standing & (lengths_of(_to_rest(toe, standing))[:, 0] <= LARGEST_SHIFT)
 
     standing = jax.lax.fori_loop(0, TRIMS, trimmed, standing)
     shift = _to_rest(toe, standing)
     frames = jnp.arange(len(standing))
-    shift = jnp.where(_length(shift) > LARGEST_SHIFT, 0.0, shift)
+    shift = jnp.where(lengths_of(shift) > LARGEST_SHIFT, 0.0, shift)
     # The last frame of a stand at or before each frame, and the first one at or after it.
     before = jax.lax.cummax(jnp.where(standing, frames, -fade - 1))
     after = jax.lax.cummin(jnp.where(standing, frames, len(frames) + fade), reverse=True)
@@ -244,43 +278,35 @@ def _fade(distance: Int[Array, " T"], fade: int) -> Float[Array, "T 1"]:
     return (0.5 + 0.5 * jnp.cos(jnp.pi * jnp.minimum(distance / (fade + 1), 1.0)))[:, None]
 
 
-def move_foot(hip: Joint, knee: Joint, ankle: Joint, toe: Joint, shift: Joint) -> tuple[Joint, ...]:
-    """Returns knee, ankle and toe of a leg whose foot moves by a shift, as far as it reaches."""
-    thigh = _length(knee - hip)
-    shin = _length(ankle - knee)
-    wanted = ankle + shift - hip
-    # A leg that is straighter than the limit may stay so, but not become straighter.
-    longest = jnp.maximum(LARGEST_STRETCH * (thigh + shin), _length(ankle - hip))
-    reach = jnp.clip(_length(wanted), jnp.abs(thigh - shin) + 1e-4, longest)
-    direction = wanted / _length(wanted)
-    # The knee is on a circle around the line from hip to ankle, on the side on which it was.
-    along = (thigh**2 - shin**2 + reach**2) / (2 * reach)
-    bend = (knee - hip) - jnp.sum((knee - hip) * direction, axis=-1, keepdims=True) * direction
-    aside = jnp.sqrt(jnp.maximum(thigh**2 - along**2, 0.0)) * bend / _length(bend)
-    new_ankle = hip + reach * direction
-    return hip + along * direction + aside, new_ankle, toe + new_ankle - ankle
+def clean_motion(positions: Float[np.ndarray, "T J 3"], *, fps: float, skeleton: Skeleton) -> np.ndarray:
+    """Returns a cleaned motion of any length, rate and figure, whose bones get the medians of their lengths."""
+    bones = np.median(np.linalg.norm(bone_vectors(positions, skeleton), axis=-1), axis=0)
+    size = int(np.clip(round(CLEANED_SECONDS * fps), *CLEANED_FRAMES))
+    return clean_long(positions, skeleton=dataclasses.replace(skeleton, fps=fps), size=size, bones=jnp.asarray(bones))
 
 
-def _length(vectors: Float[Array, "*B C"]) -> Float[Array, "*B 1"]:
-    """Returns lengths, at least 1e-6, so that they can be divided by."""
-    return jnp.maximum(jnp.linalg.norm(vectors, axis=-1, keepdims=True), 1e-6)
-
-
-def clean_long(positions: Float[np.ndarray, "T J 3"], *, skeleton: Skeleton, size: int) -> Float[np.ndarray, "T J 3"]:
+def clean_long(
+    positions: Float[np.ndarray, "T J 3"], *, skeleton: Skeleton, size: int, bones: Bones | None = None
+) -> Float[np.ndarray, "T J 3"]:
     """Returns a cleaned motion of any length, by overlapping windows of `size` frames with a cross-fade.
 
-    A motion that fits into one window is cleaned as `generate` does it.
+    A motion that fits into one window is cleaned as `generate` does it. Bones get these lengths, by default the
+    skeleton's.
     """
     overlap = min(round(OVERLAP_SECONDS * skeleton.fps), size // 2)
     firsts = range(0, max(1, len(positions) - overlap), size - overlap)
-    windows = _cleaned_windows(positions, firsts, size, skeleton)
-    return join_windows(windows, count=len(positions), overlap=overlap)
+    calm = functools.partial(_calm_clips, skeleton=skeleton, bones=bones)
+    joined = join_windows(_calm_windows(positions, firsts, size, calm), count=len(positions), overlap=overlap)
+    # Feet are locked in the whole motion: its floor is not that of a window, and a cross-fade could move a knee.
+    padding = [(0, -len(positions) % size), (0, 0), (0, 0)]
+    clips = (np.pad(clip, padding)[None].astype(np.float32) for clip in (joined, positions))
+    return np.array(_lock_clips(*clips, np.array([len(positions)], np.int32), skeleton=skeleton))[0, : len(positions)]
 
 
-def _cleaned_windows(
-    positions: Float[np.ndarray, "T J 3"], firsts: Sequence[int], size: int, skeleton: Skeleton
+def _calm_windows(
+    positions: Float[np.ndarray, "T J 3"], firsts: Sequence[int], size: int, calm: Callable[..., Array]
 ) -> Iterator[Float[np.ndarray, "_ J 3"]]:
-    """Yields the windows that begin at some frames, each cleaned by itself."""
+    """Yields the windows that begin at some frames, each smoothed by itself."""
     batch = CLEANED_WINDOWS if len(firsts) > 1 else 1
     for number in range(0, len(firsts), batch):
         windows = [positions[first : first + size] for first in firsts[number : number + batch]]
@@ -289,5 +315,5 @@ def _cleaned_windows(
         for place, window in enumerate(windows):
             padded[place, : len(window)] = window
             lengths[place] = len(window)
-        cleaned = np.array(clean_positions(padded, lengths, skeleton=skeleton))
-        yield from (cleaned[place, : len(window)] for place, window in enumerate(windows))
+        found = np.array(calm(padded, lengths))
+        yield from (found[place, : len(window)] for place, window in enumerate(windows))

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from t2m_jax.errors import UserError
+from t2m_jax.motion.cleanup import clean_motion
 from t2m_jax.motion.formats import load_motion, notebook_frame, save_motions
 from t2m_jax.motion.inverse_kinematics import fit_rig
 from t2m_jax.motion.joining import join_positions
@@ -153,6 +154,15 @@ class Motion:
             stop = self.seconds if end is None else end
             raise UserError(f"begin: {begin or 0:g} to {stop:g} s has no frame; the motion has {self.seconds:.2f} s")
         return self[first:last]
+
+    def cleaned(self) -> "Motion":
+        """Returns the motion with less trembling, constant bones and feet that stand still (`t2m_jax.motion.cleanup`).
+
+        Bones get the medians of their lengths. The positions before are `positions_raw`, unless the motion has some.
+        """
+        positions = clean_motion(self.positions, fps=self.fps, skeleton=self.skeleton)
+        raw = self.positions if self.positions_raw is None else self.positions_raw
+        return dataclasses.replace(self, positions=positions, positions_raw=raw)
 
     def resampled(self, fps: float | int) -> "Motion":
         """Returns the same motion at another frame rate, without features and codes (`resampling.resample_positions`).

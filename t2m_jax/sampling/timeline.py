@@ -201,7 +201,7 @@ def join_segments(
         size = model.config.generator.max_codes * downsample
         seams = [piece.first * downsample for piece in placed if piece.first]
         eased = ease_seams(positions, seams, fps=model.skeleton.fps)
-        # A clean-up by windows as long as the longest motion of one sentence needs no further program.
+        # Windows as long as the longest motion of one sentence share a program.
         cleaned = clean_long(eased, skeleton=model.skeleton, size=size)
     return Motion(
         positions if cleaned is None else cleaned,

@@ -35,6 +35,16 @@ def test_a_loop_has_at_least_60_frames_a_second_without_a_rate(walk, tmp_path):
         np.testing.assert_allclose(loop.positions, Motion.load(path).resampled(fps).looped().positions, atol=1e-5)
 
 
+def test_a_recording_is_cleaned(tmp_path):
+    noise = 0.004 * np.random.default_rng(0).standard_normal((60, 22, 3))
+    Motion(make_motion("wave-left-hand", seed=0, num_frames=60) + noise, 20.0).save(tmp_path / "take.bvh")
+    assert main(["view", f"{tmp_path / 'take.bvh'}", "--clean", "-o", f"{tmp_path / 'calm.npz'}"]) == 0
+    take, calm = Motion.load(tmp_path / "take.bvh"), Motion.load(tmp_path / "calm.npz")
+    np.testing.assert_allclose(calm.positions, take.cleaned().positions, atol=1e-5)
+    before, after = (np.abs(np.diff(motion.positions, n=3, axis=0)).mean() for motion in (take, calm))
+    assert after < 0.7 * before and calm.num_frames == take.num_frames
+
+
 def test_without_options_nothing_changes(walk, tmp_path):
     assert main(["view", f"{walk}", "-o", f"{tmp_path / 'same.npz'}"]) == 0
     np.testing.assert_array_equal(Motion.load(tmp_path / "same.npz").positions, Motion.load(walk).positions)

@@ -48,6 +48,7 @@ def test_no_change_is_the_same_motion(walk):
 
 STEPS = {
     "end": (5.0, lambda motion: motion.trimmed(None, 5.0)),
+    "clean": (True, lambda motion: motion.cleaned()),
     "mirror": (True, lambda motion: motion.mirrored()),
     "speed": (1.25, lambda motion: motion.at_speed(1.25)),
     "turn": (40.0, lambda motion: motion.turned(40.0)),

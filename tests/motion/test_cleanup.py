@@ -20,14 +20,16 @@ from t2m_jax.motion.cleanup import (
     fix_bones,
     lock_feet,
     lock_shift,
-    move_foot,
     smooth_over_clip,
 )
+from t2m_jax.motion.legs import eased_bends, limit_speed, move_foot
+from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.resampling import resample_positions
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 
 FRAMES = 60
 ALL = jnp.asarray(FRAMES)
+EVERY = jnp.ones(FRAMES, bool)
 LEFT_LEG, LEFT_FOOT = (1, 4, 7, 10), 10
 smooth = jax.jit(functools.partial(smooth_over_clip, sigma=0.9))
 fix = jax.jit(functools.partial(fix_bones, skeleton=HUMANML3D))
@@ -146,7 +148,8 @@ def slide_of(seed, size):
     time = np.arange(FRAMES)[:, None] / 20
     slide = np.zeros((FRAMES, 3), np.float32)
     slide[:, ::2] = size * np.sin(2 * np.pi * 0.7 * time + phases)
-    moved = move_foot(*[jnp.asarray(positions[:, joint]) for joint in LEFT_LEG], jnp.asarray(slide))
+    leg = [jnp.asarray(positions[:, joint]) for joint in LEFT_LEG]
+    moved = move_foot(*leg, jnp.asarray(slide), eased_bends(*leg[:3], jnp.asarray(slide)))
     for joint, values in zip(LEFT_LEG[1:], moved, strict=True):
         positions[:, joint] = values
     return positions
@@ -214,10 +217,82 @@ def test_between_two_stands_the_shift_is_between_theirs():
 def test_a_leg_reaches_no_further_than_it_is_long():
     leg = [jnp.asarray(walk()[:, joint]) for joint in LEFT_LEG]
     far = jnp.tile(jnp.array([[0.0, -5.0, 0.0]]), (FRAMES, 1))
-    knee, ankle, toe = move_foot(*leg, far)
+    knee, ankle, toe = move_foot(*leg, far, eased_bends(*leg[:3], far))
     np.testing.assert_allclose(distances(knee, leg[0]), distances(leg[1], leg[0]), atol=1e-4)
     np.testing.assert_allclose(distances(ankle, knee), distances(leg[2], leg[1]), atol=1e-4)
     np.testing.assert_allclose(distances(toe, ankle), distances(leg[3], leg[2]), atol=1e-4)
+
+
+def knee_angles(positions):
+    """Returns the angles of both knees, 180 degrees for a straight leg."""
+    hips, knees, ankles = (np.asarray(positions, np.float64)[:, joints] for joints in ((1, 2), (4, 5), (7, 8)))
+    thighs, shins = hips - knees, ankles - knees
+    return np.degrees(np.arctan2(np.linalg.norm(np.cross(thighs, shins), axis=-1), np.sum(thighs * shins, axis=-1)))
+
+
+def excess_of_knees(found, before, fps):
+    """Returns by how much a knee is faster than it was in the 0.1 s around, in degrees per second."""
+    reach = round(0.1 * fps)
+    new, old = (fps * np.abs(np.diff(knee_angles(one), axis=0)) for one in (found, before))
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(old, ((reach, reach), (0, 0))), 2 * reach + 1, axis=0)
+    return float((new - around.max(axis=-1)).max())
+
+
+@pytest.mark.parametrize("fps", [20.0, 60.0])
+def test_a_lock_makes_no_knee_faster(fps):
+    """Its legs are nearly straight when a foot comes down, so that each millimeter further turns a knee by degrees."""
+    positions = resample_positions(walk(seed=1), fps=20.0, new_fps=fps, skeleton=HUMANML3D)
+    locked = np.asarray(lock_feet(jnp.asarray(positions), jnp.asarray(len(positions)), HUMANML3D, fps=fps))
+    assert distances(locked, positions)[:, (7, 8)].max() > 0.03
+    assert excess_of_knees(locked, positions, fps) < 1
+
+
+def test_the_clean_up_makes_no_knee_faster():
+    """Not even where the knee of a recording flips to the other side of its leg, and smoothing takes it through it."""
+    positions = walk(seed=1)
+    flipped = positions.copy()
+    hip, knee, ankle = (positions[30:33, joint] for joint in LEFT_LEG[:3])
+    line = (ankle - hip) / np.linalg.norm(ankle - hip, axis=-1, keepdims=True)
+    flipped[30:33, LEFT_LEG[1]] -= 2 * ((knee - hip) - np.sum((knee - hip) * line, axis=-1, keepdims=True) * line)
+    for one in (positions, trembling(positions, 0.006), flipped):
+        assert excess_of_knees(cleaned(one), one, 20) < 1
+
+
+def test_bends_change_as_fast_as_before_and_slow_ones_stay():
+    time = np.arange(FRAMES, dtype=np.float32)
+    before = np.where(time < 30, 0.1 * time, 3.0)
+    bends = np.where(time < 20, 0.05 * time, 1.0) + 0.5 * (time == 40)
+    found = np.asarray(limit_speed(*(jnp.asarray(one, jnp.float32) for one in (bends, before)), EVERY, fps=20.0))
+    steps = np.abs(np.diff(found))
+    assert steps[:31].max() < 0.1001 and steps[32:].max() < 1e-5
+    np.testing.assert_allclose(found[:20], bends[:20], atol=1e-5)
+
+
+def test_no_knee_is_faster_in_a_long_motion_of_many_windows():
+    """A cross-fade of two windows moves a foot, too."""
+    fps = 120.0
+    slow = make_motion("walk", seed=2, num_frames=500).astype(np.float32)
+    positions = resample_positions(slow, fps=20.0, new_fps=fps, skeleton=HUMANML3D)
+    assert excess_of_knees(Motion(positions, fps).cleaned().positions, positions, fps) < 1
+
+
+def test_any_motion_is_cleaned_at_its_own_rate_with_its_own_bones():
+    still = 1.1 * walk(seed=3, kind="wave-left-hand")
+    positions = resample_positions(still, fps=20.0, new_fps=30.0, skeleton=HUMANML3D)
+    shaken = Motion(trembling(positions, 0.004), 30.0, caption="a person waves", codes=np.zeros(3, int))
+    motion = shaken.cleaned()
+    np.testing.assert_allclose(bone_lengths(motion.positions)[0], bone_lengths(positions)[0], rtol=0.02)
+    assert np.ptp(bone_lengths(motion.positions), axis=0).max() < 1e-4
+    assert distances(motion.positions, positions).mean() < 0.8 * distances(shaken.positions, positions).mean()
+    np.testing.assert_array_equal(motion.positions_raw, shaken.positions)
+    assert (motion.fps, motion.caption, len(motion.codes)) == (30.0, "a person waves", 3)
+    np.testing.assert_array_equal(motion.cleaned().positions_raw, shaken.positions)
+
+
+@pytest.mark.parametrize(("count", "fps"), [(1, 30.0), (3, 1.0), (50, 1000.0)])
+def test_motions_of_all_rates_and_lengths_can_be_cleaned(count, fps):
+    positions = make_motion("walk", seed=0, num_frames=max(2, count))[:count]
+    assert Motion(positions, fps).cleaned().positions.shape == positions.shape
 
 
 @pytest.mark.parametrize("kind", ["walk", "wave-left-hand", "squat"])

@@ -8,6 +8,7 @@ const LABELS = {
   speed: "Speed factor",
   turn: "Turn, degrees",
   path: "Path in meters",
+  clean: "Cleaned",
   mirror: "Mirrored",
   fps: "Frames per second",
   loop: "As a loop",
