@@ -17,6 +17,8 @@ from t2m_jax.errors import UserError
 from t2m_jax.files.writing import save_json
 from tests.tiny import random_bundle, random_evaluator
 
+pytestmark = pytest.mark.slow
+
 CALLS = ("fsync", "replace", "rename", "mkdir", "open", "chmod")
 """Functions of `os` with which writers change the disk."""
 FIELDS = {"params": {"a": np.arange(4.0)}}

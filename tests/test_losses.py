@@ -25,7 +25,7 @@ from tests.jit import assert_jit_equals_eager
 from tests.motion.figures import walking_positions
 
 
-@pytest.mark.parametrize("joints", [22, 21])
+@pytest.mark.parametrize("joints", [22, pytest.param(21, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", ["l1", "l2", "l1_smooth"])
 def test_golden_losses(golden_dir, joints, kind):
     arrays = np.load(golden_dir / "t2m_gpt" / "losses.npz")
@@ -181,6 +181,7 @@ def test_the_facing_loss_is_an_angle(walk):
     assert facing_loss(raised, motion, mask, **IN_METERS) < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measure", [joint_loss, bone_loss, facing_loss, world_velocity_loss, world_acceleration_loss])
 def test_losses_in_meters_leave_out_padding_and_have_gradients_at_zero(walk, measure):
     motion, mask = walk

@@ -41,9 +41,9 @@ def tiny_models(monkeypatch):
     [
         pytest.param(["train", "--batch", "4"], 2, marks=pytest.mark.slow),
         (["train", "--kind", "vqvae", "--devices", "1"], 1),
-        (["sample", "--model", "MODEL", "--batch", "1", "2"], 2),
+        pytest.param(["sample", "--model", "MODEL", "--batch", "1", "2"], 2, marks=pytest.mark.slow),
         pytest.param(["evaluate"], 2, marks=pytest.mark.slow),
-        (["data", "--data", "DATA"], 2),
+        pytest.param(["data", "--data", "DATA"], 2, marks=pytest.mark.slow),
         pytest.param(["sample", "--full-size", "--batch", "2"], 3, marks=pytest.mark.slow),
         pytest.param(["all"], 11, marks=pytest.mark.slow),
     ],

@@ -25,6 +25,8 @@ from t2m_jax.train import LoopConfig
 from tests import tiny
 from tests.bench.conftest import PEAKS
 
+pytestmark = pytest.mark.slow
+
 
 def check(row, *names):
     assert set(names) <= {figure.name for figure in row.figures}
@@ -59,7 +61,6 @@ def test_training_of_a_vqvae():
     assert row.name == "vqvae tiny 4x32 float32"
 
 
-@pytest.mark.slow
 def test_training_of_a_gpt():
     plain = tiny.gpt_training(Path(), Path(), Path(), loop=LoopConfig(batch_size=4))
     config = dataclasses.replace(plain, text_encoder="clip", remat=True, num_parts=2, precision="bfloat16")
@@ -93,7 +94,6 @@ def test_sampling(monkeypatch):
     assert sizes == [(3, 9 * 4)], "as many frames as are sampled"
 
 
-@pytest.mark.slow
 def test_sampling_with_several_codes_per_row():
     system = tiny_system(tiny.HIFIGPT, tiny.RVQVAE, guidance_scale=3.0)
     row = benchmark_sampling(system, batch=2, peaks=PEAKS)
@@ -119,7 +119,6 @@ def test_encoding_and_decoding(monkeypatch):
     assert figure.value == pytest.approx(1e3 * 6.0 / (3 * 20))
 
 
-@pytest.mark.slow
 def test_embedding(monkeypatch):
     monkeypatch.setattr(evaluate_module, "BATCH", 2)
     monkeypatch.setattr(evaluate_module, "FRAMES", 8)
@@ -135,7 +134,6 @@ def test_windows_and_opening(monkeypatch, data_folder):
     check(benchmark_opening(data_folder), "speed", "first opening")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["rvqvae", "hifigpt"])
 def test_training_of_the_second_system(kind):
     loop = {"loop": LoopConfig(batch_size=4)}

@@ -47,6 +47,7 @@ def problems(path):
     return {part.name: part.problem for part in audit_model(path) if part.problem}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["bundle", "evaluator", "run"])
 def test_sound_models_are_intact(models, name, capsys):
     assert is_model_folder(models / name) and not problems(models / name)

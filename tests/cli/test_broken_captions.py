@@ -73,6 +73,7 @@ def evaluator_folder(faulty):
     return run
 
 
+@pytest.mark.slow
 def test_the_audit_reports_each(faulty, tmp_path, capsys):
     assert main(["data", "check", f"{faulty.folder}", "--json", f"{tmp_path / 'report.json'}"]) == 1
     report = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))

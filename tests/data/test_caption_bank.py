@@ -79,6 +79,7 @@ def test_a_batch_is_a_function_of_key_and_step(bank):
     jax.tree.map(np.testing.assert_array_equal, one, other)
 
 
+@pytest.mark.slow
 def test_jit_equals_eager(bank):
     draw = jax.jit(caption_batch_at, static_argnames=("batch_size", "window"))
     assert_jit_equals_eager(draw, bank, jax.random.key(1), 5, rtol=0, batch_size=3, window=MAX_FRAMES)

@@ -125,5 +125,6 @@ def test_token_states_are_those_of_the_drawn_captions(bank):
     np.testing.assert_array_equal(found.states[..., 0], captions[:, None] * found.mask)
 
 
+@pytest.mark.slow
 def test_jit_equals_eager(bank):
     assert_jit_equals_eager(batch_at, bank, jax.random.key(0), 3, rtol=0, batch_size=3, max_codes=4)

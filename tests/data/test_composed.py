@@ -34,6 +34,8 @@ from t2m_jax.motion.skeleton import HUMANML3D
 from tests.data.bvh_files import write_bvh
 from tests.motion.figures import INDEX, standing_offsets, walking_positions
 
+pytestmark = pytest.mark.slow
+
 
 def standing(num_frames, *, raised=()):
     """A figure that stands still; in the frames `raised`, the left hand is up."""
@@ -197,7 +199,6 @@ def test_nothing_is_called_slow_among_few_clips(tmp_path):
     assert captions[1].text == "walks slowly", "what it had is not judged"
 
 
-@pytest.mark.slow
 def test_one_wave_is_not_called_slow(tmp_path):
     names = [f"dataset-2_wave-left-hand_elderly_{number:03d}" for number in range(60)]
     with new_folder(tmp_path / "data") as folder:

@@ -198,6 +198,7 @@ def test_contents_without_a_weight_are_drawn_by_their_number():
     assert weights == {"walk": 5, "kick-ball": 0.5, "jump": 2.0}
 
 
+@pytest.mark.slow
 def test_a_data_set_is_composed(data, tmp_path):
     options = {"turns": 6, "at_once": 4, "repeated": 3, "timed": 4, "still": True}
     report = compose_dataset(data, tmp_path / "new", **options)

@@ -64,6 +64,7 @@ def fed(data, first_step, windows):
     return data._replace(frames=frames)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make_case", [window_case, caption_case])
 @pytest.mark.parametrize(("first_step", "size"), [(0, 1), (0, 5), (3, 1), (3, 5)])
 def test_batches_are_those_of_a_bank_on_the_device_to_the_last_bit(tmp_path, make_case, first_step, size):

@@ -123,6 +123,7 @@ def test_split_keys_differ_and_belong_to_their_row():
         np.testing.assert_array_equal(bits(part)[2:3], bits(alone))
 
 
+@pytest.mark.slow
 def test_jit_equals_eager():
     items_at = jax.jit(batch_items, static_argnames=("num_items", "batch_size"))
     assert_jit_equals_eager(items_at, jax.random.key(0), 9, jnp.arange(4), rtol=0, num_items=11, batch_size=4)

@@ -21,25 +21,34 @@ SPLITS = ("train", "val", "test")
 
 
 @pytest.fixture(scope="module")
-def sets(tmp_path_factory):
-    """Returns a computed set, and one that is imported from BVH files of its clips."""
-    folder = tmp_path_factory.mktemp("sets")
-    write_synthetic_dataset(folder / "computed", num_clips=20, seed=3)
-    dataset, lines = open_dataset(folder / "computed"), ["file,caption"]
-    (folder / "files").mkdir()
-    for name in sorted(name for split in SPLITS for name in dataset.names(split) if not name.startswith("M")):
-        positions = np.load(dataset.folder / "new_joints" / f"{name}.npy")
-        Motion(positions, HUMANML3D.fps).save(folder / "files" / f"{name}.bvh")
-        lines += [f'{name},"{caption.text}"' for caption in dataset.captions(name)]
-    (folder / "files" / "captions.csv").write_text("\n".join(lines) + "\n")
-    import_bvh_folder(folder / "files", folder / "imported")
+def computed(tmp_path_factory):
+    """Returns a computed set."""
+    folder = tmp_path_factory.mktemp("sets") / "computed"
+    write_synthetic_dataset(folder, num_clips=20, seed=3)
     return folder
 
 
-@pytest.fixture(params=["computed", "imported"])
-def folder(request, sets, tmp_path):
+@pytest.fixture(scope="module")
+def imported(computed):
+    """Returns a set that is imported from BVH files of the clips of the computed one."""
+    dataset, lines, files = open_dataset(computed), ["file,caption"], computed.parent / "files"
+    files.mkdir()
+    for name in sorted(name for split in SPLITS for name in dataset.names(split) if not name.startswith("M")):
+        positions = np.load(dataset.folder / "new_joints" / f"{name}.npy")
+        Motion(positions, HUMANML3D.fps).save(files / f"{name}.bvh")
+        lines += [f'{name},"{caption.text}"' for caption in dataset.captions(name)]
+    (files / "captions.csv").write_text("\n".join(lines) + "\n")
+    import_bvh_folder(files, computed.parent / "imported")
+    return computed.parent / "imported"
+
+
+SETS = ["computed", pytest.param("imported", marks=pytest.mark.slow)]
+
+
+@pytest.fixture
+def folder(request, tmp_path):
     """A copy that a test may break."""
-    copy = shutil.copytree(sets / request.param, tmp_path / "data")
+    copy = shutil.copytree(request.getfixturevalue(request.param), tmp_path / "data")
     (copy / MANIFEST).unlink()  # it would name every change
     return copy
 
@@ -242,10 +251,12 @@ FAULTS = {
 }
 
 
-def test_the_sets_have_no_fault(sets):
-    assert [audit_dataset(sets / name).problems for name in ("computed", "imported")] == [[], []]
+@pytest.mark.parametrize("name", SETS)
+def test_the_sets_have_no_fault(request, name):
+    assert audit_dataset(request.getfixturevalue(name)).problems == []
 
 
+@pytest.mark.parametrize("folder", SETS, indirect=True)
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.__name__)
 def test_a_fault_is_named(folder, fault):
     fault(folder)

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
 from t2m_jax.data.folder import Clip, Dataset, DatasetInfo, open_dataset
 from t2m_jax.data.importers.synthetic import KINDS
@@ -64,6 +65,7 @@ def test_actions_are_counted_by_the_text_of_captions(tmp_path):
     assert summarize_training_data(dataset_in(tmp_path), clips).actions == {"wave": 1, "walk": 1}
 
 
+@pytest.mark.slow
 def test_a_data_set_on_disk(synthetic_folder, tmp_path):
     dataset = open_dataset(synthetic_folder)
     clips = dataset.clips("train")

@@ -24,6 +24,8 @@ from t2m_jax.metrics.retrieval import r_precision
 from t2m_jax.sampling import TextToMotion
 from tests.tiny import random_bundle, random_evaluator
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def task(tmp_path_factory):
@@ -82,7 +84,6 @@ def test_the_motions_are_those_of_the_first_repeat(task, source, details):
     check_against_table(task, source, details)
 
 
-@pytest.mark.slow
 def test_the_motions_are_the_same_if_the_last_sample_counts_and_a_batch_is_not_full(task, source):
     protocol = dataclasses.replace(
         find_protocol("strict"), generated_length="real", first_counts=False, multimodality_captions=2
@@ -106,7 +107,6 @@ def test_it_has_one_value_a_motion_and_a_count_a_code(details):
     assert (details.real_code_counts != details.measured_code_counts).any()
 
 
-@pytest.mark.slow
 def test_real_codes_are_those_of_each_piece_alone(task, source, details):
     tokenizer = source.tokenizer
     encode = jax.jit(lambda motion: tokenizer.module.apply(tokenizer.variables, motion, method="encode"))

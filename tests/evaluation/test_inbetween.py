@@ -13,6 +13,8 @@ from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.sampling import TextToMotion
 from tests import tiny
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def model():

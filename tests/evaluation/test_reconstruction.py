@@ -36,6 +36,7 @@ def report(tokenizer, dataset):
     return evaluate_reconstruction(tokenizer, dataset, split="test")
 
 
+@pytest.mark.slow
 def test_figures_equal_a_plain_computation(tokenizer, dataset, report):
     encode, decode = (jax.jit(functools.partial(VqVae(VQVAE).apply, method=name)) for name in ("encode", "decode"))
     errors, per_clip, used = [], [], set()
@@ -55,6 +56,7 @@ def test_figures_equal_a_plain_computation(tokenizer, dataset, report):
     assert report.num_frames == sum(map(len, errors))
 
 
+@pytest.mark.slow
 def test_the_batch_does_not_matter(tokenizer, dataset, report, monkeypatch):
     monkeypatch.setattr(reconstruction, "BATCH", 2)
     other = evaluate_reconstruction(tokenizer, dataset, split="test")

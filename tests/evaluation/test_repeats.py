@@ -38,6 +38,8 @@ from t2m_jax.sampling.strategies import Temperature
 from t2m_jax.text.word_vectors import vocabulary_from_captions
 from tests.tiny import random_bundle, random_variables, walking_normalizer
 
+pytestmark = pytest.mark.slow
+
 SMALL = EvaluatorConfig(
     movement_hidden=8, movement_dim=8, motion_hidden=8, text_hidden=8, embedding_dim=6, word_dim=5, num_words=40
 )
@@ -246,7 +248,6 @@ def test_what_is_expected_of_the_lengths_changes_no_motion(generation):
     np.testing.assert_array_equal(found.codes[lengths > 0], np.asarray(whole.codes)[lengths > 0])
 
 
-@pytest.mark.slow
 def test_strict_counts_every_caption(task, generation):
     # Two clips with the same caption would each have a part of its rank.
     texts = Counter(caption.text for clip in task.samples.clips[:20] for caption in clip.captions)
@@ -377,7 +378,6 @@ def test_the_unit_is_of_the_tokenizer_and_the_evaluator(evaluator, synthetic_fol
     assert shortest[4] < 64 <= shortest[64], "a motion without a whole unit is left out"
 
 
-@pytest.mark.slow
 def test_a_small_split_needs_a_smaller_batch(folders, synthetic_folder, capsys):
     path, data = folders / "report.json", shutil.copytree(synthetic_folder, folders / "data")
     (data / "few.txt").write_text("\n".join(open_dataset(data).names("train")[:6]))

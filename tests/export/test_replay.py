@@ -10,6 +10,8 @@ from t2m_jax.export.replay import write_replay
 from t2m_jax.sampling import TextToMotion
 from tests.tiny import random_bundle
 
+pytestmark = pytest.mark.slow
+
 CAPTIONS = ["a person walks", "someone waves", "a man turns left"]
 
 

@@ -311,6 +311,7 @@ def test_a_tap_selects_and_all_can_be_removed(open_viewer, walk):
     assert page.locator(".stage canvas, .stage-cell").count() == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [6, 24])
 def test_many_can_be_read_on_a_phone(open_viewer, walk, count):
     motions = [Motion(walk.positions, 20.0, caption=f"a person walks, take {number}") for number in range(count)]

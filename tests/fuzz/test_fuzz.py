@@ -8,8 +8,10 @@ from tests.fuzz import attack
 from tests.fuzz.soak import CORPUS
 from tests.fuzz.targets import FILES, FOLDERS, make_files
 
-INPUTS, FOLDER_INPUTS, FLIPS = 250, 15, 30
-"""Of each target: about half a minute for all."""
+INPUTS = 60
+FOLDER_INPUTS = 5
+FLIPS = 10
+"""Of each target: some seconds for all."""
 
 
 # After a checkpoint was refused, a thread of Orbax may still report to its event loop, which is closed.

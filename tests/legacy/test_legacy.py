@@ -16,6 +16,8 @@ from t2m_jax.checkpoints.run import run_info
 from t2m_jax.cli.main import main
 from t2m_jax.data.importers.synthetic import write_synthetic_dataset
 
+pytestmark = pytest.mark.slow
+
 SAMPLES = Path(__file__).parent
 RUNS = ("vqvae", "gpt", "evaluator")
 EXPECTED = json.loads((SAMPLES / "expected.json").read_text(encoding="utf-8"))
@@ -90,7 +92,6 @@ def test_best_weights_are_read(samples, run):
     assert dataclasses.asdict(find_best(samples / run)) == EXPECTED["best"][run]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("run", ["vqvae", "gpt"])
 def test_a_run_is_resumed(samples_with_data, run):
     run_command("train", run, "--run", run, "--resume", "--loop.num_steps", 12)
@@ -103,7 +104,6 @@ def test_a_run_is_resumed(samples_with_data, run):
         assert_codes(samples_with_data, run, EXPECTED["codes_after_resuming"])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("stage", RUNS)
 def test_a_new_run_starts_from_the_weights_of_an_old_one(samples_with_data, stage):
     config = samples_with_data / f"{stage}.yaml"
@@ -136,7 +136,6 @@ def test_a_run_reconstructs_as_its_report_says(samples_with_data):
 
 # Slow tests run with the oldest Python, and so with JAX 0.10, as the sample. With JAX 0.12, one motion of a repeat has
 # another rank, because sums have another order.
-@pytest.mark.slow
 def test_an_evaluation_with_the_evaluator_gives_the_report(samples_with_data):
     arguments = ("--model", "gpt", "--data", "data", "--evaluator", "evaluator", "--num-repeats", 2)
     run_command("evaluate", "generation", *arguments, "--json", "new.json")

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from t2m_jax.metrics.positions import joint_errors, mpjpe
 from tests.jit import assert_jit_equals_eager
@@ -35,6 +36,7 @@ def test_nothing_past_the_end_counts():
     np.testing.assert_array_equal(mpjpe(spoiled, REFERENCE, MASK), mpjpe(POSITIONS, REFERENCE, MASK))
 
 
+@pytest.mark.slow
 def test_jit_equals_eager():
     calls = [(mpjpe, (POSITIONS, REFERENCE, MASK)), (joint_errors, (POSITIONS, REFERENCE))]
     for function, arguments in calls:

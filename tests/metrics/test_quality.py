@@ -130,6 +130,7 @@ def test_one_frame_and_an_empty_clip_have_finite_figures():
             assert all(np.isfinite(value).all() for value in found)
 
 
+@pytest.mark.slow
 def test_jit_equals_eager():
     assert_jit_equals_eager(quality, clips(noise=0.02), MASK)
     assert_jit_equals_eager(errors, clips(noise=0.02), clips(seed=1), MASK)

@@ -115,6 +115,7 @@ def test_equal_samples_have_no_variety():
     np.testing.assert_allclose(multimodality(one_differs, pairs), np.sqrt(16) / (8 * 10), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_jit_equals_eager():
     text, motion = embeddings(0, 64), embeddings(1, 64)
     pairs = jnp.arange(20).reshape(10, 2)

@@ -36,6 +36,7 @@ def test_the_order_of_the_halves_counts():
     np.testing.assert_allclose(motion, within, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [ROWS, jnp.zeros_like(ROWS)])
 def test_gradients_are_finite(rows):
     def loss(variables):

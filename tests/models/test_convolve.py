@@ -82,6 +82,7 @@ def test_the_form_is_that_of_the_backend(monkeypatch):
     assert not has_own_gradient()
 
 
+@pytest.mark.slow
 def test_a_vqvae_is_trained_in_a_loop_by_convolutions_that_the_cpu_backend_is_fast_at():
     """In a loop, XLA calls its library for no other order of axes; the rest runs a hundred times slower."""
     model = VqVae(VQVAE)

@@ -88,6 +88,7 @@ def training_config(case, **options):
     return TrainRvqVaeConfig(model=case.config, **options)
 
 
+@pytest.mark.slow
 def test_losses_and_gradients(case):
     arrays = case.arrays
     motion = jnp.asarray(arrays["motion"])
@@ -148,6 +149,7 @@ def test_losses_of_given_motion(golden_dir, joints, part, space):
     np.testing.assert_allclose(gradient, theirs, atol=2e-5 * np.abs(theirs).max())
 
 
+@pytest.mark.slow
 def test_three_training_steps(golden_dir):
     case = Case(golden_dir / "hifigpt" / "rvqvae_train_d263.npz", reset_threshold=0.0)
     arrays, optimizer = case.arrays, OptimizerConfig(learning_rate=case.sizes["lr"], betas=tuple(case.sizes["betas"]))

@@ -23,6 +23,7 @@ CONFIGS = {
     "learned": dataclasses.replace(HIFIGPT, code_embedding="learned"),
     "one_depth": dataclasses.replace(HIFIGPT, num_quantizers=1),
 }
+VARIANTS = ["default", *(pytest.param(name, marks=pytest.mark.slow) for name in CONFIGS if name != "default")]
 TEXT = jax.random.normal(jax.random.key(0), (3, HIFIGPT.text_dim))
 KEYS = jax.random.split(jax.random.key(1), 3)
 
@@ -36,7 +37,7 @@ def draw_codes(config, rows=6, seed=2):
     return jax.random.randint(jax.random.key(seed), (3, rows, config.num_quantizers), 0, config.num_codes)
 
 
-@pytest.mark.parametrize("name", CONFIGS)
+@pytest.mark.parametrize("name", VARIANTS)
 def test_a_prediction_sees_earlier_codes_only(name):
     """Codes of row t and depth w change neither earlier rows, nor depths up to w of the row, nor earlier stops."""
     config = CONFIGS[name]
@@ -54,7 +55,7 @@ def test_a_prediction_sees_earlier_codes_only(name):
         assert not stops[:row].any() and stops[row:].all()
 
 
-@pytest.mark.parametrize("name", CONFIGS)
+@pytest.mark.parametrize("name", VARIANTS)
 @pytest.mark.parametrize("scale", [pytest.param(None, marks=pytest.mark.slow), 2.5])
 def test_sampled_rows_are_those_of_the_whole_sequence(name, scale):
     """Greedy codes, read with a cache, are the likeliest under teacher forcing; so are the stops."""
@@ -72,6 +73,7 @@ def test_sampled_rows_are_those_of_the_whole_sequence(name, scale):
         np.testing.assert_array_equal(jnp.argmax(logits[row, :length], axis=-1), sampled.codes[row, :length])
 
 
+@pytest.mark.slow
 def test_a_guidance_of_one_is_no_guidance():
     module, variables = make(HIFIGPT)
     sampling = Sampling(Temperature(), StopAtThreshold(), HIFIGPT.max_codes)
@@ -115,6 +117,7 @@ def test_every_code_has_a_key_of_its_own():
         assert len(np.unique(drawn)) == drawn.size
 
 
+@pytest.mark.slow
 def test_products_are_in_bfloat16_and_scores_finite():
     module, variables = make(HIFIGPT)
     codes, text = draw_codes(HIFIGPT), TEXT.astype(jnp.bfloat16)

@@ -10,6 +10,8 @@ import pytest
 from t2m_jax.models.convolution import GROUPS, normalized
 from t2m_jax.models.vqvae import VqVae, VqVaeConfig
 
+pytestmark = pytest.mark.slow
+
 NORMS = ["LN", "GN", "BN"]
 LENGTHS = np.array([7, 12, 4])
 

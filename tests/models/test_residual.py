@@ -64,6 +64,7 @@ def test_residuals_never_grow_if_zero_is_a_code(seed):
     assert (norms[-1] < norms[0]).mean() > 0.5
 
 
+@pytest.mark.slow
 def test_partial_sums_are_what_the_decoder_reads():
     """The sum over all depths is the quantized latent, to the last bit; so is that of `lookup`, of fewer depths too."""
     module = quantizer()
@@ -76,6 +77,7 @@ def test_partial_sums_are_what_the_decoder_reads():
         np.testing.assert_array_equal(total.reshape(-1, 4), found.totals[depth - 1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("update", "same"), [("joint", True), ("per_depth", False)])
 def test_training_and_evaluation_choose_the_same_codes_with_joint_updates(update, same):
     """With an update after each depth, later depths read another codebook than evaluation: the reason for `joint`."""
@@ -146,6 +148,7 @@ def test_dead_codes_are_replaced_by_different_vectors():
     assert expired.sum() == 0
 
 
+@pytest.mark.slow
 def test_depth_dropout_uses_the_first_depths_of_a_step():
     module = quantizer(depth_dropout=1.0)
     variables = first_variables(module)
@@ -165,6 +168,7 @@ def test_depth_dropout_uses_the_first_depths_of_a_step():
     assert (output.code_counts.sum(axis=1) == MASK.sum()).all(), "evaluation uses all depths"
 
 
+@pytest.mark.slow
 def test_a_codebook_that_learns_by_gradient_works_with_depths():
     module = Quantizer(16, 4, "orig", 0.9, 1.0, num_quantizers=3)
     variables = module.init(jax.random.key(0), LATENTS, MASK, train=True)

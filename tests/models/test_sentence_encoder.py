@@ -34,6 +34,7 @@ def batch():
     return tokens, np.arange(9) < np.array([[9], [4], [1]])
 
 
+@pytest.mark.slow
 def test_padding_does_not_change_an_embedding(embed, batch):
     tokens, mask = batch
     wanted = embed(tokens, mask)
@@ -43,6 +44,7 @@ def test_padding_does_not_change_an_embedding(embed, batch):
     assert np.abs(embed(29 - tokens, mask) - wanted).max() > 1e-2
 
 
+@pytest.mark.slow
 def test_an_embedding_does_not_depend_on_its_neighbors(embed, batch):
     tokens, mask = batch
     alone = [embed(tokens[row : row + 1], mask[row : row + 1])[0] for row in range(3)]

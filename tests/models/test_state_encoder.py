@@ -41,6 +41,7 @@ def test_the_order_of_states_matters(variables):
     assert np.abs(embed(variables, STATES[:, [0, 2, 1, 3, 4, 5, 6]]) - found).max(axis=1).min() > 1e-2
 
 
+@pytest.mark.slow
 def test_training_hides_tokens_but_never_the_first(variables):
     keys = jax.random.split(jax.random.key(3), 200)
     states, mask = (jnp.repeat(array[1:], 200, axis=0) for array in (STATES, MASK))

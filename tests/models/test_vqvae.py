@@ -28,6 +28,7 @@ def test_shapes(model_and_variables):
     assert model.apply(variables, output.codes, method="decode").shape == (3, 16, 7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", [4, 9, 13, 18])
 def test_padding_changes_nothing(model_and_variables, length):
     """A clip alone and the same clip in a padded batch, whatever fills the padding."""

@@ -399,6 +399,7 @@ def test_files_that_would_take_long_are_refused_at_once(tmp_path, text, says):
     assert time.process_time() - start < SECONDS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "num_joints"),
     [

@@ -194,6 +194,7 @@ def test_batch_axes_are_clips_of_their_own(golden):
         np.testing.assert_allclose(positions[1, 0], back(features[1, 0], HUMANML3D), atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("function", [positions_from_features, positions_from_rotations])
 def test_jit_and_vmap_change_nothing(golden, function):
     clips = jnp.asarray(golden["synth22_walk"]["features"][:16].reshape(2, 8, -1))

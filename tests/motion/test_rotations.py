@@ -233,6 +233,7 @@ def test_slerp_takes_a_weight_a_rotation(asarray):
     np.testing.assert_allclose(slerp(asarray(a), asarray(b), asarray(weights)), np.stack(one_by_one), atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "function",
     [

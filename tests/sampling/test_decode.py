@@ -30,7 +30,7 @@ BUNDLES = {
 }
 
 
-@pytest.fixture(scope="module", params=BUNDLES)
+@pytest.fixture(scope="module", params=["gpt", pytest.param("hifigpt", marks=pytest.mark.slow), "GN"])
 def tokenizer(request):
     return TextToMotion(tiny.random_bundle(BUNDLES[request.param])).tokenizer
 
@@ -106,6 +106,7 @@ def test_a_growing_motion_gives_each_frame_once_when_it_is_final(tokenizer):
         np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_motions_of_a_batch_do_not_depend_on_the_others(tokenizer):
     short, long = random_codes(tokenizer, 5), random_codes(tokenizer, 9)
     options = {"skeleton": HUMANML3D, "size": 12, "batch": 4, "clean": True}

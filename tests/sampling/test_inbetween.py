@@ -36,6 +36,7 @@ def likelihoods(model, codes):
     return np.asarray(model.parts.log_likelihood(codes, model.text_encoder([CAPTION] * len(codes))))
 
 
+@pytest.mark.slow
 def test_probabilities_of_all_rows_add_up_to_one(model):
     config = model.config.tokenizer
     rows = np.array(list(itertools.product(range(config.num_codes), repeat=config.num_quantizers)), np.int32)
@@ -93,6 +94,7 @@ def test_the_sentence_of_a_middle_has_its_place(model, walk):
     assert list(again.part_starts) == sorted(again.part_starts)
 
 
+@pytest.mark.slow
 def test_the_best_middles_come_first(model, walk):
     best, second = model.redo(walk, (1.2, 2.4), CAPTION, num_samples=2, num_candidates=4)
     (alone,) = model.redo(walk, (1.2, 2.4), CAPTION, num_candidates=4)
@@ -102,6 +104,7 @@ def test_the_best_middles_come_first(model, walk):
     assert (best.positions != other.positions).any()
 
 
+@pytest.mark.slow
 def test_a_middle_may_be_longer_than_the_generator_can_read(model):
     rows = model.config.generator.max_codes + 5
     frames = model.config.tokenizer.downsample * (rows + 4)

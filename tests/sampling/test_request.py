@@ -101,6 +101,7 @@ def assert_equal(found, expected):
             assert getattr(one, name) == getattr(other, name)
 
 
+@pytest.mark.slow
 def test_make_is_what_the_methods_return(model):
     options = {"temperature": 0.7, "raw": True}
     shared = {"seed": 3, "num_samples": 2, "options": SamplingOptions(**options)}
@@ -151,6 +152,7 @@ def test_what_does_not_fit_the_model_is_said_at_once(model):
                 verb(MotionRequest(captions=(FIRST,), options=SamplingOptions(**fields)))
 
 
+@pytest.mark.slow
 def test_pieces_of_all_requests_are_the_motion(model):
     options = SamplingOptions(temperature=0.5, raw=True)
     for fields in ({"captions": (FIRST,)}, {"captions": (FIRST, SECOND), "seconds": 2.0, "start": WALK}):

@@ -40,6 +40,7 @@ def test_temperature_flattens():
     np.testing.assert_allclose(shares(Temperature(temperature=2.0)), weights / weights.sum(), atol=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", [Greedy(), Temperature(), TopK(k=3), TopP(p=0.8)])
 def test_jit_equals_eager(strategy):
     assert_jit_equals_eager(jax.jit(strategy), LOGITS, jax.random.key(2))

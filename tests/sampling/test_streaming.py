@@ -84,6 +84,7 @@ def test_a_stop_rule_of_other_scores_is_refused(model):
         model.parts.sampling(stop_rule=wrong)
 
 
+@pytest.mark.slow
 def test_a_random_end_is_the_same_in_a_stream():
     config = CONFIGS["hifigpt"]
     sampled = dataclasses.replace(config, generator=dataclasses.replace(config.generator, stop_rule="sampled"))

@@ -54,6 +54,7 @@ def check(schema: dict, data: object) -> None:
         check(schema["items"], data[0])
 
 
+@pytest.mark.slow
 def test_answers_are_as_described(server, walk):  # noqa: F811
     assert server.ask("GET", "/openapi.json").json == json.loads(json.dumps(DESCRIPTION))
     check({"$ref": "/ModelData"}, server.ask("GET", "/model").json)

@@ -217,6 +217,7 @@ def test_a_full_queue_answers_429(server):
     assert set(statuses) == {200, 429}
 
 
+@pytest.mark.slow
 def test_the_process_that_generates_may_die(server):
     command = ["pgrep", "-P", str(server.pid), "-f", "spawn_main"]
     children = [int(pid) for pid in subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()]

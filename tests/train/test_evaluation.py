@@ -35,7 +35,7 @@ from t2m_jax.train.gpt import TrainGptConfig
 from tests.tiny import gpt_training, random_evaluator, vqvae_training
 from tests.train.conftest import assert_same_checkpoint, stop_at
 
-STAGES = (pytest.param("vqvae", marks=pytest.mark.slow), "gpt")
+STAGES = ("vqvae", pytest.param("gpt", marks=pytest.mark.slow))
 """With the stages that the fast tests leave out."""
 STEPS = [3, 6, 8]
 """Where runs of eight updates are evaluated every three."""
@@ -129,6 +129,7 @@ def loaded(run, stage):
     return {"params": {kind: variables[role]["params"] for kind, role in roles.items()}}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", STAGES)
 def test_a_run_stands_for_its_best(training, stage, tmp_path):
     """Asked of runs that keep every checkpoint, so that the weights of the best step are known from elsewhere."""
@@ -340,5 +341,6 @@ def test_the_start_says_what_chooses_the_weights_without_an_evaluator(data, tmp_
     assert "lowest validation loss" in caplog.text and "FID" in caplog.text
 
 
+@pytest.mark.slow
 def test_a_picture_is_made_at_each_evaluation(finished):
     assert sorted(path.stem for path in (finished("gpt") / "pictures").iterdir()) == ["3", "6", "8"]

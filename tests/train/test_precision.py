@@ -16,6 +16,8 @@ from t2m_jax.train.targets import make_targets
 from t2m_jax.train.vqvae import init_vqvae_state, vqvae_train_step
 from tests.tiny import CAPTION_ENCODER, GPT, OPTIMIZER, VQVAE, walking_normalizer
 
+pytestmark = pytest.mark.slow
+
 GPT_TRAINING = TrainGptConfig(
     model=dataclasses.replace(GPT, block_size=9),
     caption_encoder=CAPTION_ENCODER,
@@ -89,7 +91,6 @@ def test_bfloat16_keeps_the_state_of_a_gpt_in_float32(state, plain):
     np.testing.assert_allclose(metrics["loss"], plain[1]["loss"], rtol=0.02)
 
 
-@pytest.mark.slow
 def test_bfloat16_keeps_the_state_of_a_vqvae_in_float32():
     mask = jnp.array([[True] * 16, [True] * 9 + [False] * 7])
     windows = Windows(jax.random.normal(jax.random.key(1), (2, 16, 263)) * mask[:, :, None], mask)

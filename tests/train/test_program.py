@@ -135,6 +135,7 @@ def test_updates_are_equal_if_function_and_options_are():
     assert Update(descent, rate=1, other=2) == Update(descent, other=2, rate=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [1, 3])
 def test_jit_equals_eager(size):
     compiled = compile_updates(Update(descent, rate=0.1), size=size, shares=1)

@@ -17,7 +17,7 @@ from t2m_jax.train import train
 from tests.tiny import LOOP, gpt_training, vqvae_training
 from tests.train.conftest import assert_same_checkpoint, newest_checkpoint, read_checkpoint, stop_at
 
-STAGES = ["vqvae", "gpt"]
+STAGES = ["vqvae", pytest.param("gpt", marks=pytest.mark.slow)]
 STOP = 7
 """The update that never ends; the newest checkpoint is then that of step 4, and rows past it were written."""
 

@@ -43,6 +43,7 @@ def trained(runs, tmp_path_factory):
     return config
 
 
+@pytest.mark.slow
 def test_a_model_is_trained_bundled_and_used_without_its_old_encoder(trained, tmp_path):
     model = TextToMotion.load(trained.run)
     texts = ["a person walks", "someone raises both arms"]
@@ -64,6 +65,7 @@ def test_a_model_is_trained_bundled_and_used_without_its_old_encoder(trained, tm
     (tmp_path / "elsewhere").rename(encoder)
 
 
+@pytest.mark.slow
 def test_states_are_computed_once_for_a_data_set(trained, runs, tmp_path, monkeypatch):
     """Training, resuming and a second training read them from the cache in the data set's folder."""
     monkeypatch.setattr("t2m_jax.sampling.text_encoders.SentenceStates.read_batch", None)
@@ -72,6 +74,7 @@ def test_states_are_computed_once_for_a_data_set(trained, runs, tmp_path, monkey
     assert int(train(dataclasses.replace(longer, run=run), resume=True).step) == 5
 
 
+@pytest.mark.slow
 def test_a_resumed_run_with_balance_equals_one_that_never_stopped(runs, tmp_path, monkeypatch):
     config = with_states(gpt_training(runs.data, runs.vqvae, tmp_path / "whole"), balance=0.5)
     train(config)
@@ -84,6 +87,7 @@ def test_a_resumed_run_with_balance_equals_one_that_never_stopped(runs, tmp_path
     assert_same_checkpoint(resumed.run, config.run)
 
 
+@pytest.mark.slow
 def test_the_double_tier_gpt_learns_with_the_contrastive_loss(data, tmp_path):
     train(rvqvae_training(data, tmp_path / "rvqvae", loop=SHORT))
     config = hifigpt_training(data, tmp_path / "rvqvae", tmp_path / "run", loop=SHORT)
@@ -93,6 +97,7 @@ def test_the_double_tier_gpt_learns_with_the_contrastive_loss(data, tmp_path):
     assert np.isfinite(jax.tree.leaves(before)[0]).all()
 
 
+@pytest.mark.slow
 def test_a_network_starts_from_a_model_with_the_same_encoder_only(trained, runs, tmp_path):
     still = dataclasses.replace(OPTIMIZER, learning_rate=0.0, warmup_steps=0)
     loop = dataclasses.replace(SHORT, num_steps=1, validate_every=0)
@@ -106,6 +111,7 @@ def test_a_network_starts_from_a_model_with_the_same_encoder_only(trained, runs,
     assert not other.run.exists()
 
 
+@pytest.mark.slow
 def test_a_trained_generator_gets_another_text_encoder_and_stays_as_it_is(runs, tmp_path):
     quick = dataclasses.replace(OPTIMIZER, weight_decay=0.1, warmup_steps=0)
     loop = dataclasses.replace(SHORT, num_steps=2, validate_every=0)

@@ -44,6 +44,7 @@ def gpt_batch() -> GptBatch:
     return make_gpt_batch(targets, captions, config=GPT_TRAINING, dropout_keys=keys)
 
 
+@pytest.mark.slow
 def test_what_lies_past_the_end_teaches_nothing():
     state = init_vqvae_state(VQVAE_TRAINING, jax.random.key(0))
     clean = windows()
@@ -58,6 +59,7 @@ def test_what_lies_past_the_end_teaches_nothing():
         np.testing.assert_array_equal(left, right)
 
 
+@pytest.mark.slow
 def test_the_caption_reaches_the_loss():
     state = init_gpt_state(GPT_TRAINING, jax.random.key(0))
     step = jax.jit(gpt_train_step, static_argnames="config")

@@ -180,6 +180,7 @@ def test_the_bank_can_hold_embeddings(first_frames, vqvae):
     assert bank.captions.shape == (7, 1)
 
 
+@pytest.mark.slow
 def test_targets_of_a_batch(tmp_path):
     """In validation the codes stay; in training some motions lose one code, at either end, and none gains."""
     config = gpt_training(tmp_path, tmp_path, tmp_path, loop=dataclasses.replace(LOOP, batch_size=200))

@@ -111,6 +111,7 @@ def test_a_run_that_cannot_start_from_a_model_is_not_made(runs, tmp_path, init):
         assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 def test_a_generator_whose_codes_or_statistics_mean_something_else_is_refused(runs):
     tokenizer = load_tokenizer(runs.vqvae)
     codebook = jax.tree.map(lambda leaf: leaf[::-1] if leaf.ndim else leaf, tokenizer.variables["codebook"])
@@ -216,6 +217,7 @@ def test_captions_are_also_learned_in_other_words():
     assert add_rewordings(motions, count=5, seed=0) == [found] != add_rewordings(motions, count=5, seed=1)
 
 
+@pytest.mark.slow
 def test_a_generator_of_another_tokenizer_is_refused(runs, tmp_path):
     loop = dataclasses.replace(SHORT, seed=9)
     train(vqvae_training(runs.data, tmp_path / "other", loop=loop))

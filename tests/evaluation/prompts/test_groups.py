@@ -46,6 +46,7 @@ def at_speed(speed):
     return Motion(positions - positions[:, :1] * [1, 0, 1] + places[:, None], 20.0)
 
 
+@pytest.mark.slow
 def test_limits_are_shares_of_real_clips(tests_of_pace):
     assert list(tests_of_pace) == [f"{content} {pace.name}" for content in CONTENTS for pace in held_out_paces()]
     slowest, slow, fast = (limit(tests_of_pace[f"walk {pace}"]) for pace in ("very slowly", "slowly", "fast"))

@@ -34,6 +34,7 @@ def dataset(tmp_path_factory):
     return open_dataset(folder)
 
 
+@pytest.mark.slow
 def test_without_labels_of_manners_it_is_refused(dataset):
     with pytest.raises(UserError, match="no clip of the split train has a label in the style 'normal'"):
         manner_tests(dataset)

@@ -11,6 +11,8 @@ from t2m_jax.motion.joining import join_positions
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):

@@ -128,6 +128,7 @@ def test_a_t_pose_that_stands_in_place_is_cut(held):
     assert rest_frames(pose.repeat(40, 0), fps=20.0) == 0
 
 
+@pytest.mark.slow
 def test_rest_poses_of_real_recordings(shared_data):
     """The T-poses that the table of the CMU files lists."""
     folder = shared_data("cmu-bvh")
