@@ -1,6 +1,8 @@
 """The exceptions that end a command with one line, and text that is safe to print."""
 
+import contextlib
 import signal
+from collections.abc import Iterator
 
 MAX_LINE = 380
 """Characters of the longest message; a longer one quotes a long text of a file, or a long list. A line that begins with
@@ -33,6 +35,15 @@ class UserError(ValueError):
     def __init__(self, message: str):
         """Takes the message, which may quote text of the user."""
         super().__init__(one_line(message))
+
+
+@contextlib.contextmanager
+def naming(place: object) -> Iterator[None]:
+    """Adds the name of a file, or of a part of it, to the mistakes that a block finds there."""
+    try:
+        yield
+    except UserError as error:
+        raise UserError(f"{place}: {error}") from error
 
 
 class Interruption(KeyboardInterrupt):

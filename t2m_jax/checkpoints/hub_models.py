@@ -15,7 +15,7 @@ from t2m_jax.checkpoints.clip_files import CLIP_FILES
 from t2m_jax.checkpoints.hub import HubName, hub_commit, hub_reason, hub_snapshot, parse_hub_name
 from t2m_jax.checkpoints.run import DATA_FILE, is_run
 from t2m_jax.checkpoints.sentence import SENTENCE_FILES
-from t2m_jax.errors import UserError
+from t2m_jax.errors import UserError, naming
 from t2m_jax.files.manifest import MANIFEST, check_folder, has_manifest, read_manifest
 from t2m_jax.files.reading import load_text
 from t2m_jax.motion.normalizer import MEAN_FILE, STD_FILE
@@ -133,10 +133,8 @@ def push_bundle(folder: Path, name: HubName, *, private: bool = False) -> str:
     """
     import huggingface_hub
 
-    try:
+    with naming(folder):
         check_shareable(folder)
-    except UserError as error:
-        raise UserError(f"{folder}: {error}") from None
     # Users check SHA-256 of what they download. Damage must show here, not there.
     check_folder(folder, thorough=True)
     api = huggingface_hub.HfApi()

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from t2m_jax.cli.options import show_next
-from t2m_jax.errors import UserError
+from t2m_jax.errors import UserError, naming
 
 if TYPE_CHECKING:
     from t2m_jax.checkpoints.hub import HubName
@@ -70,10 +70,8 @@ def _pack(args: argparse.Namespace, runs: list[str], destination: Path, name: "H
         encoder = None if reference is None or is_packaged(reference) else load_pretrained(reference)
         write_bundle(folder, bundle, card=card, encoder=encoder)
         if name is not None:
-            try:
+            with naming(destination):
                 check_shareable(folder)
-            except UserError as error:
-                raise UserError(f"{destination}: {error}") from None
         if args.export_official:
             export_official(folder / "official", bundle)
     sys.stdout.write(f"{destination}\n")

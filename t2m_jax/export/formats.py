@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from t2m_jax.errors import UserError
+from t2m_jax.errors import UserError, naming
 from t2m_jax.files.reading import load_array
 from t2m_jax.motion.amc import load_amc
 from t2m_jax.motion.bvh import load_bvh, save_bvh
@@ -74,11 +74,9 @@ def load_glb_file(path: Path, *, animation: str | None = None, rig: str | None =
 
 def _motion_of(path: Path, clip: RigClip, *, rig: Rig | str | None, up: Up = "auto") -> Motion:
     """Returns the motion of a clip on the floor, and says what had to be assumed."""
-    try:
+    with naming(path):
         found = find_rig(clip, rig)
         motion = retarget(clip, rig=found, up=up)
-    except UserError as error:
-        raise UserError(f"{path}: {error}") from error
     for note in filter(None, (*clip.notes, found.note, sides_note(motion.positions))):
         logger.info("%s: %s", path, note)
     return dataclasses.replace(motion, positions=on_floor(motion.positions))
@@ -100,9 +98,7 @@ def load_npy(path: Path) -> Motion:
             features = array.astype(np.float32) if has_features else None
             positions = array if features is None else positions_from_features(features, skeleton)
             meters = np.asarray(positions, np.float32) * np.float32(skeleton.metres_per_unit)
-        try:
+        with naming(path):
             return Motion(positions=meters, fps=skeleton.fps, skeleton=skeleton, features=features)
-        except UserError as error:
-            raise UserError(f"{path}: {error}") from error
     known = " or ".join(f"[T, {skeleton.num_joints}, 3], [T, {skeleton.feature_dim}]" for skeleton in SKELETONS)
     raise UserError(f"{path}: an array of shape {list(array.shape)} is not a motion; it needs {known}")

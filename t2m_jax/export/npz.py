@@ -10,7 +10,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from t2m_jax.errors import UserError
+from t2m_jax.errors import UserError, naming
 from t2m_jax.export.formats import only_motion
 from t2m_jax.files.reading import load_archive
 from t2m_jax.files.writing import atomic_file
@@ -72,7 +72,6 @@ def load_npz(path: str | Path) -> Motion:
         kinds, ndims, description = ENTRIES[key]
         if value.dtype.kind not in kinds or value.ndim not in ndims:
             raise UserError(f"{path}: entry {key!r} should hold {description}, not {value.dtype} {value.shape}")
-    for key, value in archive.items():
         # NumPy makes texts of numbers that are no characters; CPython fails when it uses them.
         if value.dtype.kind == "U":
             native = value.astype(value.dtype.newbyteorder("="))
@@ -82,10 +81,9 @@ def load_npz(path: str | Path) -> Motion:
     fields |= {key: tuple(archive[key].tolist()) for key in TUPLES if key in archive}
     if "codes" in archive and archive["codes"].ndim == 1:
         fields["codes"] = archive["codes"][:, None]
-    try:
-        return Motion(**fields | {"skeleton": skeleton_from_name(fields.get("skeleton", HUMANML3D.name))})
-    except UserError as error:
-        raise UserError(f"{path}: {error}") from error
+    with naming(path):
+        motion = Motion(**fields | {"skeleton": skeleton_from_name(fields.get("skeleton", HUMANML3D.name))})
+    return motion  # noqa: RET504 - for mypy, a `return` inside `with` may not be reached
 
 
 def save_pieces(path: str | Path, pieces: Iterable[Motion]) -> int:

@@ -1,9 +1,7 @@
 """Importing a folder of BVH, GLB and AMC files of any known rig, with captions from a table, text files or names."""
 
-import contextlib
 import dataclasses
 from collections import Counter, defaultdict
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +18,7 @@ from t2m_jax.data.importers.table_parts import TablePart, find_parts, has_parts
 from t2m_jax.data.index import IndexEntry, save_index
 from t2m_jax.data.texts import Caption
 from t2m_jax.data.writer import ImportReport, finish_folder, new_folder, with_twins, write_twins
-from t2m_jax.errors import UserError
+from t2m_jax.errors import UserError, naming
 from t2m_jax.motion.amc import AMC_FPS, load_amc
 from t2m_jax.motion.bvh import load_bvh
 from t2m_jax.motion.gltf import load_gltf
@@ -61,15 +59,6 @@ def open_motion_file(path: Path, *, amc_fps: float = AMC_FPS, rig: str | None = 
     if suffix == ".amc":
         return {Source(path, None): load_amc(path, fps=amc_fps)}
     return {Source(path, None): load_bvh(path, rig=None if rig is None else resolve_rig(rig))}
-
-
-@contextlib.contextmanager
-def naming(motion: Source) -> Iterator[None]:
-    """Adds the name of a motion to the errors of a block."""
-    try:
-        yield
-    except UserError as error:
-        raise UserError(f"{motion}: {error}") from error
 
 
 class _Prepared(NamedTuple):
