@@ -173,15 +173,11 @@ def _sample(glb: GlbChunks, nodes: Nodes, animation: Mapping[str, Any], *, fps: 
         raise ValueError("an animation has values that are not finite")
     own = fps == _own_rate(glb.tree, animation)  # at another rate, sentences begin at other frames
     said = [own_extra(glb.tree, animation, name) if own else () for name in ("part_starts", "part_captions")]
-    return RigClip(
-        joint_names=nodes.names,
-        parents=nodes.parents,
-        offsets=(nodes.translations * nodes.scales[:, None]).astype(np.float32),
+    return dataclasses.replace(
+        rest_clip(nodes),
         rotations=matrix_from_quaternion(rotations.astype(np.float32)),
         translations=(translations * nodes.scales[:, None]).astype(np.float32),
         fps=fps,
-        metres_per_unit=1.0,
-        is_person=nodes.is_person,
         parts=checked_parts(*said, num_frames=len(times)),
     )
 

@@ -42,7 +42,7 @@ def translations_from_channels(
     if rule != "auto":
         return replaced if rule == "absolute" else added
     placed = moving.all(axis=1) & np.any(hierarchy.offsets != 0, axis=1)
-    trunk = _trunk(hierarchy)
+    trunk = trunk_of(hierarchy)
     inner = placed & (np.array(hierarchy.parents) >= 0)
     if inner[[joint for joint in range(len(inner)) if joint not in trunk]].any():
         # The channels repeat the OFFSET if those of most inner joints are nearer to it than to zero.
@@ -57,7 +57,7 @@ def translations_from_channels(
     return added
 
 
-def _trunk(hierarchy: Hierarchy) -> list[int]:
+def trunk_of(hierarchy: Hierarchy) -> list[int]:
     """Returns the joints from the root to the first with several children: those that carry the whole figure."""
     children = np.bincount([parent for parent in hierarchy.parents if parent >= 0], minlength=len(hierarchy.parents))
     return list(range(int(np.argmax(children > 1)) + 1))

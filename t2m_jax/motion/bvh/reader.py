@@ -11,7 +11,8 @@ from t2m_jax.errors import UserError
 from t2m_jax.files.reading import load_bytes
 from t2m_jax.motion.bvh.channels import parse_motion
 from t2m_jax.motion.bvh.hierarchy import AXES, POSITION_CHANNELS, ROTATION_CHANNELS, Hierarchy, parse_hierarchy
-from t2m_jax.motion.bvh.offsets import PositionRule, translations_from_channels
+from t2m_jax.motion.bvh.offsets import PositionRule, translations_from_channels, trunk_of
+from t2m_jax.motion.kinematics import line_to
 from t2m_jax.motion.part_captions import parts_from_note
 from t2m_jax.motion.rig.clip import RigClip
 from t2m_jax.motion.rig.recognition import measure_leg, unit_from_leg
@@ -120,13 +121,11 @@ def _positions(
     hierarchy: Hierarchy, values: Float[np.ndarray, "T C"]
 ) -> tuple[Float[np.ndarray, "T J 3"], Bool[np.ndarray, "J 3"]]:
     """Returns the values of the position channels, and which joints and axes have one."""
-    moving = np.zeros(hierarchy.offsets.shape, dtype=bool)
-    channels = np.zeros((len(values), *hierarchy.offsets.shape))
-    for joint, columns in enumerate(_columns(hierarchy)):
-        for axis, name in enumerate(POSITION_CHANNELS):
-            if name in columns:
-                moving[joint, axis] = True
-                channels[:, joint, axis] = values[:, columns[name]]
+    places = [columns.get(name, -1) for columns in _columns(hierarchy) for name in POSITION_CHANNELS]
+    picked = np.reshape(places, hierarchy.offsets.shape)
+    moving = picked >= 0
+    channels = values[:, picked]
+    channels[:, ~moving] = 0.0
     return channels, moving
 
 
@@ -141,10 +140,7 @@ def _guess_unit(hierarchy: Hierarchy, translations: Float[np.ndarray, "T J 3"], 
     if leg > 0:
         return unit_from_leg(leg)
     lengths = np.median(np.linalg.norm(translations, axis=-1), axis=0)
-    children = np.bincount([parent for parent in hierarchy.parents if parent >= 0], minlength=len(lengths))
-    start = int(np.argmax(children > 1))
-    reach = np.full(len(lengths), -np.inf)
-    reach[start] = 0.0
-    for joint in range(start + 1, len(lengths)):
-        reach[joint] = reach[hierarchy.parents[joint]] + lengths[joint]
-    return next(meters for limit, meters in _UNITS if reach.max() < limit), ""
+    start = trunk_of(hierarchy)[-1]
+    lines = [line_to(joint, hierarchy.parents) for joint in range(len(lengths))]
+    reach = max(lengths[line[line.index(start) + 1 :]].sum() for line in lines if start in line)
+    return next(meters for limit, meters in _UNITS if reach < limit), ""
