@@ -51,21 +51,16 @@ def make_skin(rest: Float[np.ndarray, "J 3"], skeleton: Skeleton) -> list[SkinPa
 
 def _owner(place: Float[np.ndarray, " 3"], rest: Float[np.ndarray, "J 3"], skeleton: Skeleton) -> int:
     """Returns the joint that moves what is at a place: that of the nearest bone from a joint to its child."""
-    best = np.inf
-    owner = 0
-    for joint, parent in enumerate(skeleton.parents):
-        bones = [(parent, rest[parent], rest[joint])] if parent >= 0 else []
-        if parent >= 0 and not skeleton.children(joint):
-            bones.append((joint, rest[joint], rest[joint] + _LAST_BONE * (rest[joint] - rest[parent])))
-        for moving, start, end in bones:
-            along = end - start
-            share = np.clip((place - start) @ along / max(along @ along, 1e-12), 0, 1)
-            distance = float(np.linalg.norm(place - start - share * along))
-            # Both bones of a joint may be equally near; rounding must not choose between them.
-            if distance < best - 1e-9:
-                best = distance
-                owner = moving
-    return owner
+    parents = np.array(skeleton.parents)
+    tips = [joint for joint in range(1, len(parents)) if not skeleton.children(joint)]
+    owners = np.concatenate([parents[1:], tips])
+    starts = rest[owners]
+    ends = np.concatenate([rest[1:], rest[tips] + _LAST_BONE * (rest[tips] - rest[parents[tips]])])
+    along = ends - starts
+    shares = np.sum((place - starts) * along, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-12)
+    distances = np.linalg.norm(place - starts - np.clip(shares, 0, 1)[:, None] * along, axis=1)
+    # Both bones of a joint may be equally near; rounding must not choose between them.
+    return int(owners[np.argmax(distances < distances.min() + 1e-9)])
 
 
 def _capsule(

@@ -110,17 +110,14 @@ def _transform(
     """Returns how a bone turns and moves in its parent's frame."""
     if values is None:
         return np.eye(3, dtype=np.float32)[None], np.zeros((1, 3), np.float32)
-    turns = [(column, name[1]) for column, name in enumerate(bone.freedoms) if name[0] == "r"]
-    angles = np.zeros((len(values), 3))
+    columns = dict(zip(bone.freedoms, values.T, strict=True))
+    missing = np.zeros(len(values))
+    turns = [name[1] for name in bone.freedoms if name[0] == "r"]
     # The first angle of the list turns first, so that it is the last factor of the product.
-    order = [axis for _, axis in turns][::-1] + [axis for axis in _AXES if axis not in {axis for _, axis in turns}]
-    for column, axis in turns:
-        angles[:, order.index(axis)] = values[:, column] * figure.radians_per_unit
+    order = turns[::-1] + [axis for axis in _AXES if axis not in turns]
+    angles = np.stack([columns.get(f"r{axis}", missing) for axis in order], axis=1) * figure.radians_per_unit
     turn = bone.axis @ matrix_from_euler(angles, cast(EulerOrder, "".join(order).upper())) @ bone.axis.T
-    moves = np.zeros((len(values), 3))
-    for column, name in enumerate(bone.freedoms):
-        if name[0] == "t":
-            moves[:, _AXES.index(name[1])] = values[:, column] * figure.metres_per_unit
+    moves = np.stack([columns.get(f"t{axis}", missing) for axis in _AXES], axis=1) * figure.metres_per_unit
     return turn.astype(np.float32), moves.astype(np.float32)
 
 
