@@ -100,7 +100,9 @@ def programs(wheel, tmp_path_factory):
     folder = tmp_path_factory.mktemp("environment")
     venv.create(folder, with_pip=True)
     programs = folder / ("Scripts" if os.name == "nt" else "bin")
-    subprocess.run([programs / "python", "-m", "pip", "install", "--quiet", f"{wheel}[video]"], check=True, cwd=folder)
+    subprocess.run(
+        [programs / "python", "-m", "pip", "install", "--quiet", f"{wheel}[plot,video]"], check=True, cwd=folder
+    )
     return programs
 
 

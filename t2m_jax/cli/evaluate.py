@@ -98,6 +98,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     styles = ("terminal", "markdown", "latex")
     table.add_argument("--format", choices=styles, default="terminal", help="how to print (default: terminal)")
     table.add_argument("--names", nargs="+", metavar="NAME", help="names of the rows (default: names of the files)")
+    plot = "also draw the table into this file (.png, .svg or .pdf; needs the extra `plot`)"
+    table.add_argument("--plot", type=Path, metavar="FILE", help=plot)
     by_label = "R-precision that does not count motions of the same label as errors"
     quality = "bones, jerk and feet instead of the evaluator's metrics"
     measures = table.add_mutually_exclusive_group()
@@ -129,7 +131,7 @@ def run(args: argparse.Namespace) -> None:
     if getattr(args, "html", None) and args.evaluator is None:
         raise UserError("--html: the page shows motions as an evaluator ranks them; use it with --evaluator")
     # Before the measurement, which may take hours.
-    outputs = [check_output(path) for name in ("json", "html") if (path := getattr(args, name, None))]
+    outputs = [check_output(path) for name in ("json", "html", "plot") if (path := getattr(args, name, None))]
     with claim(outputs):
         args.run_command(args)
 
@@ -291,6 +293,10 @@ def run_table(args: argparse.Namespace) -> None:
     from t2m_jax.evaluation.report.record import load_report
     from t2m_jax.evaluation.report.tables import make_table
 
+    if args.plot is not None:
+        from t2m_jax.evaluation.report.charts import check_chart, save_chart, table_chart
+
+        check_chart(args.plot)
     # Short names, but reports of different folders may have the same one.
     stems = [path.stem for path in args.reports]
     names = args.names or (stems if len(set(stems)) == len(stems) else list(map(str, args.reports)))
@@ -298,5 +304,7 @@ def run_table(args: argparse.Namespace) -> None:
     # https://no-color.org; files and pipes get no codes of colors either.
     color = sys.stdout.isatty() and "NO_COLOR" not in os.environ
     sys.stdout.write(format_table(table, style=args.format, color=color) + "\n")
+    if args.plot is not None:
+        save_chart(args.plot, table_chart(table))
     others = [str(path) for path in args.reports[1:2]] or ["OTHER.json"]
     show_next(shlex.join(["t2m", "evaluate", "compare", str(args.reports[0]), *others]))
