@@ -35,8 +35,6 @@ logger = logging.getLogger(__name__)
 # Above the number of any repeat, so that no two passes are the same.
 SECOND_PASS = 1_000_000
 """Added to a repeat's number for the second set of real motions, against which FID of the first is measured."""
-MOTIONS_PER_DIMENSION = 2
-"""With fewer motions than this times the width of the embeddings, FID depends more on the sample than on the model."""
 
 
 class RepeatMetrics(NamedTuple):
@@ -61,12 +59,14 @@ def make_header(task: EvaluationTask, source: CodeSource, *, model: str) -> Head
         seed=task.seed,
         unit=task.unit,
         batch=task.protocol.batch,
+        fid_motions=len(np.unique(task.plan(0).samples)),
+        embedding_dim=task.evaluator.config.embedding_dim,
         **source.sampling,
     )
 
 
 def evaluate(
-    task: EvaluationTask, source: CodeSource, *, num_repeats: int, model: str = "", partial: Path | None = None
+    task: EvaluationTask, source: CodeSource, *, num_repeats: int, model: str = "", partial: str | Path | None = None
 ) -> Report:
     """Returns the metrics over some repeats.
 
@@ -79,7 +79,8 @@ def evaluate(
             an evaluation with the same header.
     """
     header = make_header(task, source, model=model)
-    warn_of_few_motions(task)
+    if header.fid_warning:
+        logger.warning(header.fid_warning)  # now, because an evaluation may take hours; tables say it, too
     # A repeat does not depend on how many follow, so those of a longer evaluation serve a shorter one.
     repeats = load_partial(partial, header)[:num_repeats]
     start = time.monotonic()
@@ -99,27 +100,13 @@ def evaluate(
     return Report(header=header, kind=source.kind, real=real, measured=measured)
 
 
-def warn_of_few_motions(task: EvaluationTask) -> None:
-    """Logs a warning if there are too few motions for FID."""
-    count = len(task.plan(0).samples)
-    size = task.evaluator.config.embedding_dim
-    if count < MOTIONS_PER_DIMENSION * size:
-        logger.warning(
-            "FID of %d motions with %d numbers each is not sure: a small sample changes it more than the model; use %d "
-            "motions or more",
-            count,
-            size,
-            MOTIONS_PER_DIMENSION * size,
-        )
-
-
-def load_partial(path: Path | None, header: Header) -> list[RepeatMetrics]:
+def load_partial(path: str | Path | None, header: Header) -> list[RepeatMetrics]:
     """Returns the finished repeats of an interrupted evaluation with the same header; none if there was none.
 
     Raises:
         UserError: The file belongs to another evaluation.
     """
-    if path is None or not path.exists():
+    if path is None or not Path(path).exists():
         return []
     try:
         found = load_sealed_json(path, max_bytes=MAX_REPORT, entries=("header", "repeats"))

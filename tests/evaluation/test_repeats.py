@@ -164,12 +164,14 @@ def test_a_partial_result_of_something_else_is_not_used(task, generation, conten
     assert load_partial(tmp_path / "partial", make_header(task, generation, model="")) == []
 
 
-def test_fid_of_few_motions_has_a_warning(task, caplog):
-    repeats.warn_of_few_motions(task)
-    assert not caplog.text
-    config = dataclasses.replace(task.evaluator.config, embedding_dim=len(task.plan(0).samples))
-    repeats.warn_of_few_motions(task._replace(evaluator=task.evaluator._replace(config=config)))
-    assert "is not sure: a small sample changes it more" in caplog.text
+@pytest.mark.parametrize(("per_number", "is_few"), [(2, False), (1.9, True)])
+def test_fid_of_few_motions_has_a_warning(task, generation, per_number, is_few):
+    """`strict` uses a motion once for each caption. What counts is how many motions there are."""
+    count = len(np.unique(task.plan(0).samples))
+    config = dataclasses.replace(task.evaluator.config, embedding_dim=round(count / per_number))
+    header = make_header(task._replace(evaluator=task.evaluator._replace(config=config)), generation, model="")
+    assert bool(header.fid_warning) == is_few
+    assert not is_few or f"FID is not reliable: {count} motions are too few" in header.fid_warning
 
 
 @pytest.mark.parametrize(

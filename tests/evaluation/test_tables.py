@@ -63,6 +63,29 @@ def test_the_terminal_shows_columns_in_line(two):
     )
 
 
+@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
+def test_a_table_is_drawn(tmp_path, suffix, capsys):
+    paths = [tmp_path / f"{name}.json" for name in ("first", "a$b_c$d")]
+    for path, fid in zip(paths, (0.1, 0.2), strict=True):
+        save_report(path, report(real=REAL | FITS, fid=(fid, 0.01), diversity=(9.0, 0.1), **FITS))
+    plot = tmp_path / f"plot.{suffix}"
+    assert main(["evaluate", "table", *map(str, paths), "--plot", f"{plot}"]) == 0
+    assert plot.read_bytes()[:5] in (b"\x89PNG\r", b"<?xml", b"%PDF-")
+    assert "FID" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("style", ["terminal", "markdown", "latex"])
+def test_tables_with_fid_say_if_it_is_of_few_motions(style):
+    few = dataclasses.replace(HEADER, fid_motions=64, embedding_dim=33)
+    enough, old = dataclasses.replace(few, embedding_dim=32), dataclasses.replace(few, fid_motions=None)
+    quality = {"bone_variation": (1.0, 0.1)}
+    tables = [
+        make_table([report(header=header, real=REAL | quality, fid=(0.1, 0.01), **quality)], ["a"], measures=measures)
+        for header, measures in ((few, "captions"), (few, "quality"), (enough, "captions"), (old, "captions"))
+    ]
+    assert ["Use 66 motions or more." in format_table(table, style=style) for table in tables] == [True] + [False] * 3
+
+
 def test_bold_of_the_terminal_takes_no_room(two):
     plain, colored = (format_table(two, style="terminal", color=color) for color in (False, True))
     assert colored.replace("\033[1m", "").replace("\033[0m", "") == plain

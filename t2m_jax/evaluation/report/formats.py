@@ -28,17 +28,13 @@ def interval_text(cell: Cell) -> str:
     return f"{cell.interval:.{DIGITS}f}".removeprefix("0")
 
 
-def repeats_text(table: Table) -> str:
-    """Returns what the figures of a table are: mean and interval over how many repeats."""
+def facts_text(table: Table) -> str:
+    """Returns sentences that say what the figures are, what all lines share, and what a reader must know."""
     counts = sorted({line.num_repeats for line in table.lines})
     repeats = "1 repeat" if counts == [1] else " to ".join(map(str, [*counts[:1], *counts[1:][-1:]])) + " repeats"
-    return f"Mean and 95 % interval over {repeats}"
-
-
-def facts_text(table: Table) -> str:
-    """Returns a sentence that says what the figures are and what all lines share."""
     shared = printable(", ".join(f"{name.replace('_', ' ')} {value}" for name, value in table.facts.items()))
-    return f"{repeats_text(table)}; {shared}." if shared else f"{repeats_text(table)}."
+    figures = f"Mean and 95 % interval over {repeats}" + (f"; {shared}." if shared else ".")
+    return f"{figures} {table.note}".rstrip()
 
 
 def format_table(table: Table, *, style: Literal["terminal", "markdown", "latex"], color: bool = False) -> str:

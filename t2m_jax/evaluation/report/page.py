@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
-from t2m_jax.evaluation.report.formats import MISSING, heading, interval_text, mean_text, repeats_text, table_grid
+from t2m_jax.evaluation.report.formats import MISSING, facts_text, heading, interval_text, mean_text, table_grid
 from t2m_jax.evaluation.report.gallery import Example, RepeatDetails
 from t2m_jax.evaluation.report.plots import codes_plot, lengths_plot
 from t2m_jax.evaluation.report.record import Report, report_as_json
@@ -22,7 +22,7 @@ Viewer = Callable[[Sequence[Motion]], str]
 """Returns an HTML element that plays motions, side by side if there are several."""
 
 
-def save_page(path: Path, report: Report, details: RepeatDetails, *, viewer: Viewer) -> None:
+def save_page(path: str | Path, report: Report, details: RepeatDetails, *, viewer: Viewer) -> None:
     """Writes the page."""
     save_text(path, report_page(report, details, viewer=viewer))
 
@@ -48,7 +48,7 @@ def report_page(report: Report, details: RepeatDetails, *, viewer: Viewer) -> st
         "title": _text(f"Evaluation of {report.header.model}" if report.header.model else "Evaluation"),
         "facts": "".join(facts),
         "table": _table(table),
-        "table_note": _text(f"{repeats_text(table)}."),
+        "table_note": _text(facts_text(table._replace(facts={}))),
         "quality": _table(make_table([report], [report.kind], measures="quality")),
         **_detail_plots(details),
         "retrieval_note": _text(

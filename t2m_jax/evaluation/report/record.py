@@ -22,6 +22,8 @@ CLEANED = "cleaned_"
 """Prefix of the names of metrics of cleaned motion."""
 MAX_REPORT = 2_000_000
 """The largest report in bytes. One of 1,000 repeats of 28 metrics has 0.9 MB."""
+MOTIONS_PER_DIMENSION = 2
+"""FID needs so many motions for each number of an embedding: fewer do not determine a covariance well."""
 COMPARABLE = ("protocol", "data", "split", "num_samples", "evaluator", "seed", "batch")
 """Fields of the header that reports must share to be in one table."""
 
@@ -68,6 +70,21 @@ class Header:
     """What all metrics measure, except for those that are called `cleaned`: motion as decoded."""
     stop_rule: str | None = None
     """Rule that ended motions; None for reconstructions."""
+    fid_motions: int | None = None
+    """Different motions from which FID is computed; None in reports of earlier versions."""
+    embedding_dim: int | None = None
+    """Numbers in an embedding of the evaluator; None in reports of earlier versions."""
+
+    @property
+    def fid_warning(self) -> str:
+        """What a reader of FID must know if it is of too few motions; empty if there are enough."""
+        wanted = MOTIONS_PER_DIMENSION * (self.embedding_dim or 0)
+        if self.fid_motions is None or self.fid_motions >= wanted:
+            return ""
+        return (
+            f"FID is not reliable: {self.fid_motions} motions are too few to estimate the covariance of embeddings of "
+            f"{self.embedding_dim} dimensions, so FID is noisy and too high. Use {wanted} motions or more."
+        )
 
 
 def first_difference(one: Header, other: Header, names: Sequence[str]) -> tuple[str, Any, Any] | None:
@@ -182,7 +199,7 @@ def report_as_json(report: Report) -> dict[str, Any]:
     return {**figures, **dataclasses.asdict(report.header), "rows": sets}
 
 
-def save_report(path: Path, report: Report) -> None:
+def save_report(path: str | Path, report: Report) -> None:
     """Writes a report as JSON."""
     save_sealed_json(path, report_as_json(report))
 
@@ -193,7 +210,7 @@ def save_reconstruction(path: Path, figures: ReconstructionFigures) -> None:
 
 
 @contextlib.contextmanager
-def reading_report(path: Path, contents: str, *, command: str) -> Iterator[None]:
+def reading_report(path: str | Path, contents: str, *, command: str) -> Iterator[None]:
     """Turns what damaged data raise in the block into a `UserError`, which says what was expected in the file."""
     try:
         yield
@@ -202,7 +219,7 @@ def reading_report(path: Path, contents: str, *, command: str) -> Iterator[None]
         raise UserError(f"{path}: is not a report {contents}{reason}; write one with `{command}`") from None
 
 
-def load_report(path: Path) -> Report:
+def load_report(path: str | Path) -> Report:
     """Returns a report of `t2m evaluate generation`, or of `reconstruction` with an evaluator.
 
     Raises:

@@ -77,6 +77,8 @@ class Table(NamedTuple):
     """What all lines share: protocol, data, evaluator and so on."""
     columns: tuple[Column, ...]
     lines: tuple[TableLine, ...]
+    note: str = ""
+    """What a reader of the figures must know, if there is anything."""
 
 
 def make_table(reports: Sequence[Report], names: Sequence[str], *, measures: Measures = "captions") -> Table:
@@ -119,7 +121,8 @@ def make_table(reports: Sequence[Report], names: Sequence[str], *, measures: Mea
     for column in columns:
         for line in _best_lines(column, real, lines):
             line.cells[column.metric] = line.cells[column.metric]._replace(best=True)
-    return Table(facts, columns, (real, *lines))
+    warnings = [report.header.fid_warning for report in reports if "fid" in (column.metric for column in columns)]
+    return Table(facts, columns, (real, *lines), next(filter(None, warnings), ""))
 
 
 def _check_comparable(reports: Sequence[Report], names: Sequence[str]) -> None:
