@@ -109,12 +109,12 @@ class BenchReport(_Shown):
     """Version of the file."""
 
 
-def save_report(path: Path, report: BenchReport) -> None:
+def save_report(path: str | Path, report: BenchReport) -> None:
     """Writes a report as JSON."""
     save_sealed_json(path, config_to_dict(report))
 
 
-def load_report(path: Path) -> BenchReport:
+def load_report(path: str | Path) -> BenchReport:
     """Returns the report in a file.
 
     Raises:

@@ -163,12 +163,13 @@ def expected_variables(config: BundleConfig) -> dict[str, Any]:
     return shapes
 
 
-def load_bundle(path: Path) -> Bundle:
+def load_bundle(path: str | Path) -> Bundle:
     """Returns the model of a bundle folder.
 
     Raises:
         UserError: A file is missing or damaged, or the parts do not fit each other.
     """
+    path = Path(path)
     if not path.is_dir():
         known = ", ".join(BUNDLED)
         raise UserError(f"{path}: no such model; give a bundle folder, a run folder, or a bundled name ({known})")
@@ -236,7 +237,7 @@ def load_text_tokenizer(path: Path, config: BundleConfig) -> Tokenizer | None:
 
 
 def save_bundle(
-    path: Path, bundle: Bundle, *, card: str, half: bool = True, encoder: PretrainedEncoder | None = None
+    path: str | Path, bundle: Bundle, *, card: str, half: bool = True, encoder: PretrainedEncoder | None = None
 ) -> None:
     """Writes a bundle folder; it appears complete or not at all.
 
@@ -250,7 +251,7 @@ def save_bundle(
     Raises:
         UserError: `path` exists already.
     """
-    with atomic_folder(path) as folder:
+    with atomic_folder(Path(path)) as folder:
         write_bundle(folder, bundle, card=card, half=half, encoder=encoder)
 
 

@@ -55,13 +55,13 @@ def make_trained_evaluator(
     return TrainedEvaluator(config, variables, normalizer, vocabulary, digest)
 
 
-def save_evaluator(path: Path, trained: TrainedEvaluator) -> None:
+def save_evaluator(path: str | Path, trained: TrainedEvaluator) -> None:
     """Writes an evaluator into a new folder.
 
     Raises:
         UserError: The folder exists already.
     """
-    with atomic_folder(path) as folder:
+    with atomic_folder(Path(path)) as folder:
         save_evaluator_parts(folder, trained.config, trained.normalizer, trained.vocabulary)
         save_arrays(folder / WEIGHTS_FILE, trained.variables)
         write_manifest(folder)

@@ -102,13 +102,13 @@ class ClipIndex(NamedTuple):
         return frozenset(name for name in names if self.source(name) in recordings)
 
 
-def load_index(folder: Path) -> ClipIndex | None:
+def load_index(folder: str | Path) -> ClipIndex | None:
     """Returns the table of a data-set folder, or None if there is none.
 
     Raises:
         UserError: The file cannot be read, or has no column `new_name`.
     """
-    path = folder / INDEX
+    path = Path(folder) / INDEX
     if not path.exists():
         return None
     try:
@@ -129,7 +129,7 @@ def load_index(folder: Path) -> ClipIndex | None:
     return ClipIndex(sources, labels, known)
 
 
-def save_index(folder: Path, entries: Iterable[IndexEntry]) -> None:
+def save_index(folder: str | Path, entries: Iterable[IndexEntry]) -> None:
     """Writes `index.csv`. Mirrored twins need no entry. Columns of origins are left out if all of them are empty."""
     rows = list(entries)
     width = 6 if any(any(entry[3:]) for entry in rows) else 3
@@ -137,4 +137,4 @@ def save_index(folder: Path, entries: Iterable[IndexEntry]) -> None:
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow((NAME, SOURCE, LABEL, *ORIGINS)[:width])
     writer.writerows(entry[:width] for entry in rows)
-    save_text(folder / INDEX, table.getvalue())
+    save_text(Path(folder) / INDEX, table.getvalue())

@@ -62,9 +62,15 @@ def new_folder(destination: str | Path, *, parts: Sequence[str] = (FEATURES, POS
 
 
 def write_clip(
-    folder: Path, name: str, features: Float[np.ndarray, "T D"], *, captions: Sequence[Caption], skeleton: Skeleton
+    folder: str | Path,
+    name: str,
+    features: Float[np.ndarray, "T D"],
+    *,
+    captions: Sequence[Caption],
+    skeleton: Skeleton,
 ) -> None:
     """Writes the files of one clip: features, the joint positions that follow from them, and captions."""
+    folder = Path(folder)
     np.save(folder / FEATURES / f"{name}.npy", features.astype(np.float32, copy=False))
     np.save(folder / POSITIONS / f"{name}.npy", positions_from_features(features, skeleton))
     save_captions(folder / TEXTS / f"{name}.txt", captions)
@@ -111,7 +117,7 @@ def save_split(folder: Path, split: str, names: Sequence[str]) -> None:
 
 
 def finish_folder(
-    folder: Path, splits: Mapping[str, Sequence[str]], *, info: DatasetInfo, skeleton: Skeleton
+    folder: str | Path, splits: Mapping[str, Sequence[str]], *, info: DatasetInfo, skeleton: Skeleton
 ) -> dict[str, int]:
     """Writes split lists, statistics and `dataset.yaml`, and returns the sizes of the splits.
 
@@ -121,6 +127,7 @@ def finish_folder(
     Raises:
         UserError: The training split is empty.
     """
+    folder = Path(folder)
     # Statistics are those of this split, so nothing could be normalized.
     if not splits.get("train"):
         raise UserError(f"{info.name}: no clip is left for training; check the split lists and the captions")

@@ -147,7 +147,7 @@ def _seal(text: str) -> str:
     return f"{_SEAL}{hashlib.sha256(text.encode()).hexdigest()}\n"
 
 
-def save_sealed_json(path: Path, data: Mapping[str, Any]) -> None:
+def save_sealed_json(path: str | Path, data: Mapping[str, Any]) -> None:
     """Writes named entries as JSON, with a checksum as one more entry.
 
     Raises:
@@ -156,7 +156,7 @@ def save_sealed_json(path: Path, data: Mapping[str, Any]) -> None:
     save_json(path, {**data, CHECKSUM: _entries_checksum(data)})
 
 
-def load_sealed_json(path: Path, *, max_bytes: int = MAX_TEXT, entries: Iterable[str]) -> dict[str, Any]:
+def load_sealed_json(path: str | Path, *, max_bytes: int = MAX_TEXT, entries: Iterable[str]) -> dict[str, Any]:
     """Returns the entries of a JSON file without their checksum, which files of older versions do not have.
 
     Args:
@@ -167,7 +167,7 @@ def load_sealed_json(path: Path, *, max_bytes: int = MAX_TEXT, entries: Iterable
     Raises:
         UserError: It is missing, is not a JSON object, or has changed since it was written.
     """
-    data = load_json(path, max_bytes=max_bytes)
+    data = load_json(Path(path), max_bytes=max_bytes)
     if not isinstance(data, dict):
         raise UserError(f"{path}: is not a report; it has no named entries (a JSON object)")
     checksum = data.pop(CHECKSUM, None)

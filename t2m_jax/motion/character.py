@@ -86,8 +86,9 @@ class Character:
         with atomic_file(path) as partial:
             partial.write_bytes(data)
 
-    def check_copy(self, path: Path) -> None:
+    def check_copy(self, path: str | Path) -> None:
         """Raises `UserError` if a path is not that of another `.glb` file."""
+        path = Path(path)
         if path.suffix.lower() != ".glb":
             raise UserError(f"{path}: a character is written as .glb file, not {path.suffix or 'without a suffix'}")
         if path.exists() and path.samefile(self.path):

@@ -53,12 +53,13 @@ def _state_dict(
     return arrays | {key: names.constant(key, shape) for key, shape in constants.items()}
 
 
-def export_official(path: Path, bundle: Bundle) -> None:
+def export_official(path: str | Path, bundle: Bundle) -> None:
     """Writes VQ-VAE, GPT and statistics into a new folder, with the original's names and order of axes.
 
     Raises:
         UserError: The folder exists already, or the original has no such model.
     """
+    path = Path(path)
     # Before the work, so that a wrong path is reported at once.
     check_new(path)
     tokenizer = bundle.config.tokenizer
