@@ -32,6 +32,18 @@ def parse_hub_name(name: str | Path) -> HubName | None:
     return None if found is None else HubName(found[1], found[2])
 
 
+def hub_name(text: str) -> HubName:
+    """Returns the parts of a name of the hub.
+
+    Raises:
+        UserError: A text cannot be one.
+    """
+    name = parse_hub_name(text)
+    if name is None:
+        raise UserError(f"{text} is not a name on the hub; give user/name or user/name@branch")
+    return name
+
+
 def hub_commit(name: HubName) -> str:
     """Returns the commit that a repository has now.
 

@@ -5,16 +5,19 @@ downloaded, so that none of them can run code.
 """
 
 import contextlib
+import dataclasses
 import logging
+import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from t2m_jax.checkpoints import bundle
 from t2m_jax.checkpoints.clip_files import CLIP_FILES
-from t2m_jax.checkpoints.hub import HubName, hub_commit, hub_reason, hub_snapshot, parse_hub_name
+from t2m_jax.checkpoints.hub import HubName, hub_commit, hub_name, hub_reason, hub_snapshot, parse_hub_name
 from t2m_jax.checkpoints.run import DATA_FILE, is_run
 from t2m_jax.checkpoints.sentence import SENTENCE_FILES
+from t2m_jax.checkpoints.text_encoder import included_encoder, pretrained_reference, with_encoder_name
 from t2m_jax.errors import UserError, naming
 from t2m_jax.files.manifest import MANIFEST, check_folder, has_manifest, read_manifest
 from t2m_jax.files.reading import load_text
@@ -35,6 +38,8 @@ BUNDLE_FILES = frozenset(
     }
 )
 """What the manifest of a bundle may list."""
+_LICENSED = "---\nlicense: mit\n---\n"
+"""A card with a license."""
 
 
 class FoundModel(NamedTuple):
@@ -123,6 +128,37 @@ def check_shareable(folder: Path) -> None:
         raise UserError(f"refused, because {MANIFEST} must list the files of a bundle and no others: {min(wrong)}")
 
 
+def push_model(
+    model: bundle.Bundle, name: str, *, card: str | None = None, private: bool = False, half: bool = True
+) -> str:
+    """Uploads a model to a repository of the hub, which is created if it does not exist. Returns the address.
+
+    A pretrained text encoder goes with it, unless it is part of the package.
+
+    Args:
+        model: The model.
+        name: `user/name` or `user/name@branch`.
+        card: Markdown with a license in its metadata; by default the model's own card.
+        private: Whether only you can see the repository.
+        half: As in `save_bundle`.
+
+    Raises:
+        UserError: There is no license, `name` is not a name of the hub, or the hub refuses the model.
+    """
+    place = hub_name(name)
+    card = model.card if card is None else card
+    if bundle.card_license(card) == bundle.NO_LICENSE:
+        raise UserError(f"{name}: the model has no license; give a card that begins with {_LICENSED!r}")
+    reference = pretrained_reference(model.config.text_encoder)
+    encoder = included_encoder(model.config.text_encoder)
+    if reference is not None and encoder is not None:  # its name may be a folder on this machine
+        named = with_encoder_name(model.config.text_encoder, type(reference)().name)
+        model = model._replace(config=dataclasses.replace(model.config, text_encoder=named))
+    with tempfile.TemporaryDirectory() as folder:
+        bundle.write_bundle(Path(folder), model, card=card, half=half, encoder=encoder)
+        return _upload(Path(folder), place, private=private)
+
+
 def push_bundle(folder: Path, name: HubName, *, private: bool = False) -> str:
     """Uploads a bundle to a repository of the hub, which is created if it does not exist. Returns the address.
 
@@ -131,12 +167,20 @@ def push_bundle(folder: Path, name: HubName, *, private: bool = False) -> str:
     Raises:
         UserError: The bundle is damaged or lacks a license; or the hub refuses it.
     """
-    import huggingface_hub
-
     with naming(folder):
         check_shareable(folder)
     # Users check SHA-256 of what they download. Damage must show here, not there.
     check_folder(folder, thorough=True)
+    try:
+        return _upload(folder, name, private=private)
+    except UserError as error:
+        raise UserError(f"{error}; to try again: t2m bundle {folder} --push {name}") from None
+
+
+def _upload(folder: Path, name: HubName, *, private: bool) -> str:
+    """Uploads the files of a complete bundle."""
+    import huggingface_hub
+
     api = huggingface_hub.HfApi()
     files = [MANIFEST, *read_manifest(folder)]
     try:
@@ -154,8 +198,7 @@ def push_bundle(folder: Path, name: HubName, *, private: bool = False) -> str:
             commit_message="Upload a bundle of t2m_jax",
         )
     except Exception as error:  # noqa: BLE001 - see `hub_commit`
-        again = f"to try again: t2m bundle {folder} --push {name}"
-        raise UserError(f"{name}: was not pushed ({hub_reason(error)}); {again}") from None
+        raise UserError(f"{name}: was not pushed ({hub_reason(error)})") from None
     return f"{url}/tree/{commit.oid}"
 
 

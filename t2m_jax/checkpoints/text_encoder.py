@@ -141,6 +141,16 @@ def load_pretrained(reference: Reference, *, text_dim: int | None = None) -> Pre
     return encoder
 
 
+def included_encoder(config: TextEncoderConfig) -> PretrainedEncoder | None:
+    """Returns the encoder that a complete bundle of a model contains; None if there is none, or it is packaged.
+
+    Raises:
+        UserError: It cannot be loaded.
+    """
+    reference = pretrained_reference(config)
+    return None if reference is None or is_packaged(reference) else load_pretrained(reference)
+
+
 def save_pretrained(folder: Path, encoder: PretrainedEncoder) -> None:
     """Writes the files of an encoder into a new folder."""
     if isinstance(encoder, TrainedClip):

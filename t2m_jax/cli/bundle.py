@@ -30,13 +30,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Writes or pushes the bundle, and prints its name and the next command."""
-    from t2m_jax.checkpoints.hub import parse_hub_name
+    from t2m_jax.checkpoints.hub import hub_name
 
     # The destination is the last path, as with `cp`, which argparse cannot declare with two arguments.
     *runs, folder = args.paths
-    name = None if args.push is None else parse_hub_name(args.push)
-    if name is None and args.push is not None:
-        raise UserError(f"--push: {args.push} is not a name on the hub; give user/name or user/name@branch")
+    name = None if args.push is None else hub_name(args.push)
     if name is None and args.private:
         raise UserError("--private: is for --push; without it, nothing is uploaded")
     if not runs and (name is None or args.card or args.export_official):
@@ -58,7 +56,7 @@ def _pack(args: argparse.Namespace, runs: list[str], destination: Path, name: "H
     from t2m_jax.checkpoints.hub_models import check_shareable
     from t2m_jax.checkpoints.model import load_runs
     from t2m_jax.checkpoints.official import export_official
-    from t2m_jax.checkpoints.text_encoder import is_packaged, load_pretrained, pretrained_reference
+    from t2m_jax.checkpoints.text_encoder import included_encoder
     from t2m_jax.files.reading import load_text
     from t2m_jax.files.writing import atomic_folder
 
@@ -66,9 +64,7 @@ def _pack(args: argparse.Namespace, runs: list[str], destination: Path, name: "H
     with atomic_folder(destination) as folder:
         run_folder, bundle = load_runs([Path(path) for path in runs])
         card = load_text(Path(args.card)) if args.card else default_card(run_folder)
-        reference = pretrained_reference(bundle.config.text_encoder)
-        encoder = None if reference is None or is_packaged(reference) else load_pretrained(reference)
-        write_bundle(folder, bundle, card=card, encoder=encoder)
+        write_bundle(folder, bundle, card=card, encoder=included_encoder(bundle.config.text_encoder))
         if name is not None:
             with naming(destination):
                 check_shareable(folder)

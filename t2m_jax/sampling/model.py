@@ -60,7 +60,7 @@ class ModelParts:
         if isinstance(self.text_encoder, StatesTextEncoder):
             meanings = Meanings(self.knowledge.actions, self.text_encoder.sentence_embeddings)
             self.knowledge = self.knowledge._replace(meanings=meanings)
-        self._bpe = bundle.bpe
+        self._rest = bundle._replace(variables={})
         # No fragments: nearly all motions that the model learned are as long.
         shortest = (bundle.training_data or {}).get("shortest_frames", 0)
         self._min_codes = max(shortest // self.config.tokenizer.downsample, 1)
@@ -76,6 +76,11 @@ class ModelParts:
         return self._variables | {"generator": restore_kernels(self._variables["generator"])}
 
     @property
+    def bundle(self) -> Bundle:
+        """The model as files have it."""
+        return self._rest._replace(variables=self.variables)
+
+    @property
     def fingerprint(self) -> str:
         """Identifies the model: a digest of sizes, weights, statistics and subwords."""
         config = self.config
@@ -83,7 +88,7 @@ class ModelParts:
         # Where the encoder is does not matter.
         if encoder is not None and pretrained_reference(config.text_encoder) is not None:
             config = dataclasses.replace(config, text_encoder=with_encoder_name(config.text_encoder, encoder))
-        return Bundle(config, self.variables, self._normalizer, self._bpe).fingerprint
+        return self.bundle._replace(config=config).fingerprint
 
     @property
     def tokenizer(self) -> TrainedTokenizer:

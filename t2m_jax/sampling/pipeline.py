@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Int
 
 from t2m_jax.checkpoints.bundle import Bundle, part_kinds
+from t2m_jax.checkpoints.hub_models import push_model
 from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.errors import UserError
@@ -25,7 +26,7 @@ from t2m_jax.text.encoder import TextEncoder
 
 
 class TextToMotion:
-    """A loaded model: `TextToMotion.load("demo").generate(["a person walks forward"])`.
+    """A loaded model: `TextToMotion.from_pretrained("demo").generate(["a person walks forward"])`.
 
     `make` and `make_pieces` take a `MotionRequest`, and the other methods are short ways to them. Their `**options` are
     the fields of `SamplingOptions`: how codes are chosen, when motions end, and whether they are cleaned. All of them
@@ -54,14 +55,32 @@ class TextToMotion:
         self.source = bundle.source
 
     @classmethod
-    def load(cls, name_or_path: str | Path) -> "TextToMotion":
-        """Returns a model by bundled name ("demo"), bundle folder or run directory; turns on the compilation cache.
+    def from_pretrained(cls, name_or_path: str | Path) -> "TextToMotion":
+        """Returns a model by bundled name ("demo"), bundle folder, run directory, or name on the Hugging Face hub.
+
+        `t2m_jax.load` and `TextToMotion.load` do the same. The compilation cache is turned on.
 
         Raises:
             UserError: There is no such model, or it is damaged.
         """
         use_compilation_cache()
         return cls(load_model(name_or_path))
+
+    load = from_pretrained
+
+    def push_to_hub(self, name: str, *, card: str | None = None, private: bool = False, half: bool = True) -> str:
+        """Uploads the model to the Hugging Face hub, after `hf auth login`. Returns the address.
+
+        Args:
+            name: `user/name`, which is created if it does not exist, or `user/name@branch`.
+            card: Markdown with a license in its metadata; by default the model's own card.
+            private: Whether only you can see the repository.
+            half: Whether weights are stored in 16 bits, as `t2m bundle` does.
+
+        Raises:
+            UserError: The card has no license, `name` is not a name of the hub, or the hub refuses the model.
+        """
+        return push_model(self.parts.bundle, name, card=card, private=private, half=half)
 
     def __repr__(self) -> str:
         """Returns sizes, data, license, source and what the model knows, in some lines."""
@@ -191,11 +210,8 @@ class TextToMotion:
 
         Arguments and errors are those of `generate`.
         """
-        sampling = SamplingOptions(**options)
-        requests = [
-            MotionRequest(captions=(caption,), seed=seed, num_samples=num_samples, options=sampling)
-            for caption in sentences(captions)
-        ]
+        counts = {"seed": seed, "num_samples": num_samples}
+        requests = [_request(caption, options, **counts) for caption in sentences(captions)]
         return self.make(*requests, on_progress=on_progress)
 
     def generate_chain(
@@ -222,14 +238,7 @@ class TextToMotion:
             num_samples: Motions to return.
             **options: Of `SamplingOptions`.
         """
-        request = MotionRequest(
-            captions=sentences(captions),
-            start=start,
-            seconds=None if seconds is None else float(seconds),
-            seed=seed,
-            num_samples=num_samples,
-            options=SamplingOptions(**options),
-        )
+        request = _request(captions, options, start=start, seconds=seconds, seed=seed, num_samples=num_samples)
         # A single sentence is not sampled as a chain, but says the same.
         parts: dict[str, Any] = {"part_starts": (0,), "part_captions": request.captions} if request.is_plain else {}
         return [dataclasses.replace(motion, **parts) for motion in self.make(request)]
@@ -259,16 +268,8 @@ class TextToMotion:
             num_candidates: Middles to choose them from.
             **options: Of `SamplingOptions`; `raw` leaves the middle as decoded.
         """
-        request = MotionRequest(
-            captions=(caption,),
-            start=motion,
-            span=span,
-            seed=seed,
-            num_samples=num_samples,
-            candidates=num_candidates,
-            options=SamplingOptions(**options),
-        )
-        return list(self.make(request))
+        counts = {"num_samples": num_samples, "candidates": num_candidates}
+        return list(self.make(_request(caption, options, start=motion, span=span, seed=seed, **counts)))
 
     def vary(
         self,
@@ -291,15 +292,9 @@ class TextToMotion:
             num_samples: Variations to return.
             **options: Of `SamplingOptions`.
         """
-        request = MotionRequest(
-            captions=(motion.caption if caption is None else caption,),
-            start=motion,
-            strength=float(strength),
-            seed=seed,
-            num_samples=num_samples,
-            options=SamplingOptions(**options),
-        )
-        return list(self.make(request))
+        caption = motion.caption if caption is None else caption
+        fields = {"start": motion, "strength": strength, "seed": seed, "num_samples": num_samples}
+        return list(self.make(_request(caption, options, **fields)))
 
     def stream(self, caption: str, *, seed: int = 0, sample: int = 0, **options: Any) -> Iterator[Motion]:
         """Returns an iterator over the motion of a caption while it is generated: a piece for each row of codes.
@@ -313,8 +308,7 @@ class TextToMotion:
             sample: Number of the motion among the samples of `generate`.
             **options: Of `SamplingOptions`.
         """
-        request = MotionRequest(captions=(caption,), seed=seed, options=SamplingOptions(**options))
-        return self.make_pieces(request, sample=sample)
+        return self.make_pieces(_request(caption, options, seed=seed), sample=sample)
 
     def stream_chain(
         self,
@@ -329,12 +323,12 @@ class TextToMotion:
 
         Arguments, warnings and errors are those of `generate_chain`. See `make_pieces`.
         """
-        request = MotionRequest(
-            captions=sentences(captions),
-            start=start,
-            seconds=None if seconds is None else float(seconds),
-            seed=seed,
-            options=SamplingOptions(**options),
-        )
+        request = _request(captions, options, start=start, seconds=seconds, seed=seed)
         prompts = read_prompts(request.captions, self.knowledge, self.text_encoder)
         return make_chain_pieces(self.parts, request, prompts, find_sampling(self.parts, request.options))
+
+
+def _request(captions: Sequence[str] | str, options: dict[str, Any], **fields: Any) -> MotionRequest:
+    """Returns what a method is asked for. Whole numbers may stand for seconds and shares."""
+    numbers = {name: float(fields[name]) for name in ("seconds", "strength") if fields.get(name) is not None}
+    return MotionRequest(captions=sentences(captions), options=SamplingOptions(**options), **fields | numbers)

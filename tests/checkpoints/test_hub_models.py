@@ -1,5 +1,6 @@
 """Models of the hub: downloaded once, used without network, and refused if they are not complete."""
 
+import dataclasses
 import shutil
 from pathlib import Path
 
@@ -11,13 +12,15 @@ from huggingface_hub import constants
 
 from t2m_jax.checkpoints.bundle import save_bundle
 from t2m_jax.checkpoints.hub import HubName, parse_hub_name
-from t2m_jax.checkpoints.hub_models import BUNDLE_FILES, cached_models, find_model, load_card, push_bundle
+from t2m_jax.checkpoints.hub_models import BUNDLE_FILES, cached_models, find_model, load_card, push_bundle, push_model
 from t2m_jax.checkpoints.model import load_model
+from t2m_jax.checkpoints.text_encoder import SentenceReference
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.errors import UserError
 from t2m_jax.files.manifest import MANIFEST, check_folder, write_manifest
 from tests.hub_server import TOKEN
-from tests.tiny import random_bundle
+from tests.sentence_golden import BERT
+from tests.tiny import BUNDLE, random_bundle
 
 NAME = "someone/tiny"
 OLD_PROTOCOL = pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")
@@ -288,6 +291,16 @@ def test_what_is_pushed_can_be_loaded(hub, copy, monkeypatch):
     assert load_card(NAME) == CARD
     assert load_card(f"{NAME}@v2") == f"{CARD}new\n"
     push_bundle(copy, HubName(NAME, "v2"))  # the branch exists
+
+
+@OLD_PROTOCOL
+def test_a_text_encoder_goes_with_its_model_and_folders_of_this_machine_do_not(hub, monkeypatch):
+    monkeypatch.setenv("HF_TOKEN", TOKEN)
+    generator = dataclasses.replace(BUNDLE.generator, text_dim=24)
+    reader = SentenceReference(name=f"{BERT}")
+    push_model(random_bundle(dataclasses.replace(BUNDLE, generator=generator, text_encoder=reader)), NAME, card=CARD)
+    assert f"{BERT}".encode() not in hub.files(NAME)["bundle.yaml"]
+    assert load_model(NAME).config.text_encoder.name == f"{find_model(NAME).folder / 'sentence'}"
 
 
 @OLD_PROTOCOL

@@ -9,6 +9,8 @@ import pytest
 import t2m_jax
 from t2m_jax.checkpoints.bundle import save_bundle
 from t2m_jax.cli.main import main
+from t2m_jax.errors import UserError
+from t2m_jax.sampling import TextToMotion
 from tests.hub_server import TOKEN
 from tests.tiny import random_bundle
 
@@ -35,6 +37,28 @@ def test_motion_is_generated_by_name_and_revision(hub, shared, tmp_path, caplog)
 def test_python_loads_by_name_and_says_where_a_model_is_from(hub, shared):
     commit = hub.add(NAME, shared)
     assert f"source: {NAME}@{commit}\n" in repr(t2m_jax.load(NAME))
+
+
+@pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")
+def test_python_pushes_a_loaded_model_and_loads_it_again(hub, shared, monkeypatch):
+    monkeypatch.setenv("HF_TOKEN", TOKEN)
+    model = TextToMotion.from_pretrained(shared)
+    assert model.push_to_hub(NAME, private=True).startswith(f"{hub.url}/{NAME}/tree/")
+    assert hub.repositories[NAME].private
+    again = TextToMotion.from_pretrained(NAME)
+    assert again.fingerprint == model.fingerprint
+    assert (again.license, again.training_data) == (model.license, model.training_data)
+
+
+def test_python_pushes_no_model_without_a_license_or_a_name(hub):
+    model = TextToMotion(random_bundle())
+    with pytest.raises(UserError, match=f"{NAME}: the model has no license; give a card"):
+        model.push_to_hub(NAME)
+    with pytest.raises(UserError, match="tiny is not a name on the hub"):
+        model.push_to_hub("tiny", card=CARD)
+    with pytest.raises(UserError, match=rf"{NAME}: was not pushed \(.*log in with `hf auth login` or set HF_TOKEN\)$"):
+        model.push_to_hub(NAME, card=CARD)
+    assert hub.repositories == {}
 
 
 def test_downloaded_models_are_listed_after_the_packaged_ones(hub, shared, capsys):
@@ -81,7 +105,7 @@ def test_a_bundle_is_pushed_and_the_next_command_loads_it(hub, shared, monkeypat
     ("arguments", "said"),
     [
         (["FOLDER"], "only --push takes a bundle alone"),
-        (["FOLDER", "--push", "tiny"], "--push: tiny is not a name on the hub"),
+        (["FOLDER", "--push", "tiny"], "tiny is not a name on the hub"),
         (["FOLDER", "--push", NAME, "--card", "card.md"], "only --push takes a bundle alone"),
         (["run", "FOLDER", "--private"], "--private: is for --push"),
         (["no/such", "--push", NAME], "no/such: is not a bundle"),
