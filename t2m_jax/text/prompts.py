@@ -16,11 +16,11 @@ _CLEANED = str.maketrans({"`": "'", "\u00b4": "'", "\u00b0": " degrees "} | _INV
 _REFUSED_CATEGORIES = {
     "Cc": "a control character",
     "Cf": "an invisible formatting character",
-    "Cs": "a lone surrogate",
-    "Co": "a private-use character",
-    "Cn": "an unassigned character",
-    "So": "a symbol or emoji",
-    "Sk": "a modifier symbol",
+    "Cs": "half of a character",
+    "Co": "a character without a meaning",
+    "Cn": "a character without a meaning",
+    "So": "the emoji or symbol",
+    "Sk": "the symbol",
 }
 
 
@@ -43,7 +43,8 @@ def check_prompt(prompt: str) -> str:
         category = unicodedata.category(character)
         if category in _REFUSED_CATEGORIES and character not in "\t\n\r":
             kind = _REFUSED_CATEGORIES[category]
-            raise UserError(f"prompt: {kind} ({character!a}, U+{ord(character):04X}); describe the motion in words")
+            shown = character if character.isprintable() else f"(U+{ord(character):04X})"
+            raise UserError(f"prompt: {kind} {shown} cannot be read; leave it out and describe the motion in words")
     folded = " ".join(prompt.split())
     if not any(character.isalnum() for character in folded):
         raise UserError(f"prompt: {folded!r} has no words; describe the motion, e.g. 'a person walks forward'")

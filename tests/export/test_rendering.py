@@ -1,7 +1,11 @@
+import importlib.util
+from pathlib import Path
+
 import numpy as np
 import pytest
 from PIL import Image
 
+from t2m_jax.export.render import labels
 from t2m_jax.export.render.ground import draw_ground, make_ground
 from t2m_jax.export.render.labels import make_label, wrap
 from t2m_jax.export.render.rasterizer import (
@@ -146,6 +150,33 @@ def test_captions_wrap_and_end():
     assert len(lines) == 3 and lines[-1].endswith("…")
     assert make_label(" \n ", size=12, width=100, max_lines=2) is None
     assert make_label("x" * 10_000, size=12, width=100, max_lines=2).width <= 100
+
+
+@pytest.fixture
+def fonts(monkeypatch):
+    """Returns a function that sets which fonts of this machine may be used."""
+    labels.find_font.cache_clear()
+    yield lambda *names: monkeypatch.setattr(labels, "FONTS", names)
+    labels.find_font.cache_clear()
+
+
+def test_captions_keep_characters_that_a_font_of_this_machine_has(fonts, caplog):
+    matplotlib = Path(importlib.util.find_spec("matplotlib").origin).parent
+    fonts("no such font.ttf", f"{matplotlib / 'mpl-data' / 'fonts' / 'ttf' / 'DejaVuSans.ttf'}")
+    assert labels.find_font("a person waves", 20)[0].getname()[0] == "Aileron"  # Pillow's, the same everywhere
+    for text, expected in {"Zoe\u0308 grüßt": "Zoë grüßt", "Зоя машет": "Зоя машет"}.items():
+        font, shown = labels.find_font(text, 20)
+        assert (font.getname()[0], shown) == ("DejaVu Sans", expected)
+    assert not caplog.text
+    plain, accents = (np.asarray(make_label(text, size=20, width=400, max_lines=1)) for text in ("Zoe", "Zoë"))
+    assert plain.shape != accents.shape or (plain != accents).any()
+
+
+def test_a_caption_that_no_font_can_show_is_said_once(fonts, caplog):
+    fonts()
+    for _ in range(2):
+        assert labels.find_font("Zoë 走路", 20)[1] == "Zoe 走路"
+    assert caplog.messages == ["captions in pictures: no font on this machine has 走路; install Noto Sans CJK"]
 
 
 def test_a_poster_has_a_row_of_poses_and_a_caption_per_motion(walk, kit_walk):

@@ -1,11 +1,26 @@
-"""Captions in rendered pictures, in Pillow's own font."""
+"""Captions in rendered pictures: in Pillow's own font, or in one of this machine that has more characters."""
 
 import bisect
+import contextlib
+import functools
+import logging
 import unicodedata
 from collections.abc import Callable
 
 from PIL import Image, ImageDraw, ImageFont
 
+logger = logging.getLogger(__name__)
+
+Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
+
+FONTS = (
+    *("DejaVuSans.ttf", "NotoSans-Regular.ttf", "arial.ttf", "Arial Unicode.ttf", "NotoSansCJK-Regular.ttc"),
+    *("DroidSansFallbackFull.ttf", "wqy-zenhei.ttc", "wqy-microhei.ttc", "msyh.ttc", "msgothic.ttc", "malgun.ttf"),
+    *("Hiragino Sans GB.ttc", "AppleSDGothicNeo.ttc"),
+)
+"""Files of fonts that Linux, Windows and macOS have. Pillow knows in which folders."""
+NO_GLYPH = "\U0010ffff"
+"""A character that no font has."""
 TEXT = (29, 37, 48, 255)
 PANEL = (255, 255, 255, 205)
 ELLIPSIS = "…"
@@ -20,7 +35,7 @@ def make_label(caption: str, *, size: int, width: int, max_lines: int) -> Image.
         width: Largest width of the panel in pixels.
         max_lines: Largest number of lines.
     """
-    font = ImageFont.load_default(size)
+    font, caption = find_font(" ".join(caption.split()), size)
     margin = round(0.7 * size)
     lines = wrap(caption, font.getlength, width=float(width - 2 * margin), max_lines=max_lines)
     if not lines:
@@ -36,13 +51,38 @@ def make_label(caption: str, *, size: int, width: int, max_lines: int) -> Image.
     return panel
 
 
+@functools.lru_cache(maxsize=64)
+def find_font(text: str, size: int) -> tuple[Font, str]:
+    """Returns a font, and the text in characters that it has: Pillow's own font if it can, else one of `FONTS`.
+
+    If no font has all characters, accents are removed, and a warning names the characters that are missing.
+    """
+    own = ImageFont.load_default(size)
+    composed = unicodedata.normalize("NFC", text)
+    for name in ("", *FONTS):
+        with contextlib.suppress(OSError):  # there is no such font here
+            font = ImageFont.truetype(name, size) if name else own
+            if not missing_characters(font, composed):
+                return font, composed
+    plain = "".join(letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
+    if missing := missing_characters(own, plain):
+        logger.warning("captions in pictures: no font on this machine has %s; install Noto Sans CJK", missing[:20])
+    return own, plain
+
+
+def missing_characters(font: Font, text: str) -> str:
+    """Returns the characters of a text that a font does not have."""
+    box = bytes(font.getmask(NO_GLYPH))
+    letters = filter(str.isprintable, dict.fromkeys(text))
+    return "".join(letter for letter in letters if bytes(font.getmask(letter)) == box)
+
+
 def wrap(text: str, measure: Callable[[str], float], *, width: float, max_lines: int) -> list[str]:
     """Returns the text in lines that are not wider than `width`. An ellipsis replaces what does not fit.
 
-    Words longer than a line are split. Accents are removed, because the font does not have them.
+    Words longer than a line are split.
     """
-    letters = (letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
-    printable = "".join(letter if letter.isprintable() else " " for letter in letters)
+    printable = "".join(letter if letter.isprintable() else " " for letter in text)
     rest = " ".join(printable.split())
     lines: list[str] = []
     while rest and len(lines) <= max_lines:
