@@ -53,10 +53,12 @@ $(VENV)/.dev: pyproject.toml | $(BIN)/python
 	@touch $(VENV)/.base $@
 
 $(VENV)/.notebooks: pyproject.toml | $(BIN)/python
+	@echo "Installing what the notebooks need into $(VENV): a minute or two."
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[notebooks]'
 	@touch $(VENV)/.base $@
 
 $(VENV)/.docs: pyproject.toml | $(BIN)/python
+	@echo "Installing what the documentation needs into $(VENV): a minute or two."
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	@touch $(VENV)/.base $@
 
@@ -66,6 +68,7 @@ $(VENV)/.docs: pyproject.toml | $(BIN)/python
 .venv-lowest/.dev .venv-oldest/.dev: VERSION_PATH = $(OLDEST)
 .venv-%/.dev: VERSION_PATH = $(shell .ci/find-python $(patsubst python%,%,$*))
 .venv-%/.dev: pyproject.toml $(VENV)/.dev
+	@echo "Installing t2m_jax and the tools of its tests into .venv-$*: a minute or two."
 	$(BIN)/uv venv --quiet --clear --seed --no-python-downloads --python "$(VERSION_PATH)" .venv-$*
 	$(BIN)/uv pip install --quiet --python .venv-$*/bin/python --resolution $(or $(RESOLUTION),highest) --editable '.[dev]'
 	@touch $@
