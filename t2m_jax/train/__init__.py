@@ -7,6 +7,7 @@ from t2m_jax.train.gpt import TrainGptConfig
 from t2m_jax.train.hifigpt import TrainHiFiGptConfig
 from t2m_jax.train.optimizer import OptimizerConfig
 from t2m_jax.train.presets import load_preset
+from t2m_jax.train.vqvae import init_vqvae_state, vqvae_train_step
 from t2m_jax.train.vqvae_config import TrainRvqVaeConfig, TrainVqVaeConfig
 
 __all__ = [
@@ -20,6 +21,8 @@ __all__ = [
     "TrainRvqVaeConfig",
     "TrainVqVaeConfig",
     "Trainer",
+    "init_vqvae_state",
     "load_preset",
     "train",
+    "vqvae_train_step",
 ]

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from typing import Any
 
 import chex
 import jax
@@ -15,6 +16,7 @@ from t2m_jax.train import TrainVqVaeConfig
 from t2m_jax.train.gpt import GptBatch, TrainGptConfig, gpt_train_step, init_gpt_state, make_gpt_batch
 from t2m_jax.train.targets import make_targets
 from t2m_jax.train.vqvae import init_vqvae_state, vqvae_train_step
+from tests.documents import code_blocks
 from tests.tiny import CAPTION_ENCODER, GPT, OPTIMIZER, VQVAE, walking_normalizer
 
 # Without jit every operation is compiled for every shape: few layers, and widths that agree.
@@ -76,6 +78,20 @@ def test_accuracy_is_over_tokens_whatever_the_loss_is():
     np.testing.assert_array_equal(batches[0].accuracy_weights, batches[1].accuracy_weights)
     np.testing.assert_array_equal(batches[1].loss_weights, batches[1].accuracy_weights)
     assert not np.array_equal(batches[0].loss_weights, batches[1].loss_weights)
+
+
+@pytest.mark.slow
+def test_the_loop_of_the_page_learns(data, repository, tmp_path, monkeypatch, capsys):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "synthetic").symlink_to(data)
+    monkeypatch.chdir(tmp_path)
+    ((_, code),) = code_blocks(repository / "docs" / "howto" / "training_loop.md", "python")
+    assert len(code.splitlines()) <= 45
+    names: dict[str, Any] = {}
+    exec(code, names)  # noqa: S102 - the page's code is run as it is
+    losses = names["losses"]
+    assert np.mean(losses[-5:]) < 0.9 * np.mean(losses[:5])
+    assert capsys.readouterr().out.endswith(" mm\n")
 
 
 @pytest.mark.parametrize("name", ["vqvae", "gpt"])

@@ -220,6 +220,14 @@ def cuts_at(bank: MotionBank, key: Key[Array, ""], step: Int[Array, ""] | int, *
 def batch_at(
     bank: MotionBank, key: Key[Array, ""], step: Int[Array, ""] | int, *, batch_size: int, window: int
 ) -> Windows:
-    """Returns the batch of a training step: the windows of `cuts_at`."""
+    """Returns the batch of a training step: normalized windows [B, W, D], and where they have motion.
+
+    Args:
+        bank: The clips.
+        key: The data key of the training. Each epoch has its own order of the clips.
+        step: Number of the step; the same number always gives the same batch.
+        batch_size: Windows of a batch.
+        window: Frames of a window.
+    """
     cuts = cuts_at(bank, key, step, batch_size=batch_size, window=window)
     return split_rows(windows_at(bank, step, cuts, window=window))
