@@ -131,9 +131,10 @@ class _Machine(pickle._Unpickler):
         text = f"{module}.{name}" if isinstance(module, str) and isinstance(name, str) else "something without a name"
         # The name must not contain dots: `a.b` would give access to the attributes of `a`.
         if text not in _NAMES or "." in name:
+            advice = "; save NumPy arrays as tensors" if text.startswith("numpy.") else ""
             raise UserError(
                 f"contains {_shown(text)}, which is not a tensor, dictionary, number or string; "
-                "refused, nothing was run"
+                f"refused, nothing was run{advice}"
             )
         return Name(text)
 

@@ -75,6 +75,12 @@ def test_what_is_no_tensor_is_refused_by_name(golden_dir, name, word):
         load_torch_file(golden_dir / "torch" / name)
 
 
+def test_numpy_arrays_are_refused_with_what_to_do(tmp_path):
+    path = write_archive(tmp_path / "x.pth", pickle.dumps({"net": {"weight": np.zeros(3)}}, protocol=2))
+    with pytest.raises(UserError, match=r"contains 'numpy\..*, nothing was run; save NumPy arrays as tensors"):
+        load_torch_file(path)
+
+
 def test_storages_are_shared_and_cannot_be_written_to(golden_dir):
     content = load_torch_file(golden_dir / "torch" / "zip.pth")
     assert np.shares_memory(content["rows"], content["transposed"])
