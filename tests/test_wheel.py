@@ -6,7 +6,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-import venv
 import zipfile
 
 import numpy as np
@@ -98,11 +97,11 @@ def wheel(tmp_path_factory):
 def programs(wheel, tmp_path_factory):
     """The folder of the programs of a new environment that has the wheel and what it needs, and nothing else."""
     folder = tmp_path_factory.mktemp("environment")
-    venv.create(folder, with_pip=True)
-    programs = folder / ("Scripts" if os.name == "nt" else "bin")
-    subprocess.run(
-        [programs / "python", "-m", "pip", "install", "--quiet", f"{wheel}[plot,video]"], check=True, cwd=folder
-    )
+    uv = [sys.executable, "-m", "uv"]
+    subprocess.run([*uv, "venv", "--quiet", "--python", sys.executable, "environment"], check=True, cwd=folder)
+    programs = folder / "environment" / ("Scripts" if os.name == "nt" else "bin")
+    install = ["pip", "install", "--quiet", "--python", f"{programs / 'python'}", f"{wheel}[plot,video]"]
+    subprocess.run([*uv, *install], check=True, cwd=folder)
     return programs
 
 
