@@ -36,16 +36,17 @@ def tiny_models(monkeypatch):
     monkeypatch.setattr(evaluator_module, "EvaluatorConfig", lambda: tiny.EVALUATOR)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "count"),
     [
-        pytest.param(["train", "--batch", "4"], 2, marks=pytest.mark.slow),
+        (["train", "--batch", "4"], 2),
         (["train", "--kind", "vqvae", "--devices", "1"], 1),
-        pytest.param(["sample", "--model", "MODEL", "--batch", "1", "2"], 2, marks=pytest.mark.slow),
-        pytest.param(["evaluate"], 2, marks=pytest.mark.slow),
-        pytest.param(["data", "--data", "DATA"], 2, marks=pytest.mark.slow),
-        pytest.param(["sample", "--full-size", "--batch", "2"], 3, marks=pytest.mark.slow),
-        pytest.param(["all"], 11, marks=pytest.mark.slow),
+        (["sample", "--model", "MODEL", "--batch", "1", "2"], 2),
+        (["evaluate"], 2),
+        (["data", "--data", "DATA"], 2),
+        (["sample", "--full-size", "--batch", "2"], 3),
+        (["all"], 11),
     ],
 )
 def test_measurements_are_printed_and_stored(

@@ -64,6 +64,7 @@ def test_the_batch_does_not_matter(tokenizer, dataset, report, monkeypatch):
     assert other.codebook_usage == report.codebook_usage
 
 
+@pytest.mark.slow
 def test_codes_after_the_end_are_zero(tokenizer, dataset):
     features = jnp.asarray(dataset.clips("test")[0].features[None, :16])
     statistics = jax.tree.map(jnp.asarray, tokenizer.normalizer)

@@ -115,6 +115,7 @@ def test_a_figure_is_drawn_and_moves(open_viewer, walk):
     assert changed(first, picture(page)) > 0.01
 
 
+@pytest.mark.slow
 def test_dark_pages_are_dark(open_viewer, walk):
     light, dark = (picture(open_viewer([walk], color_scheme=scheme)) for scheme in ("light", "dark"))
     assert light[-5:].mean() > 200 and dark[-5:].mean() < 60
@@ -137,6 +138,7 @@ def test_playing_and_pausing(open_viewer, walk):
     assert viewer(page, "speed") == 2
 
 
+@pytest.mark.slow
 def test_speed_is_the_rate_of_time(open_viewer, walk):
     page = open_viewer([walk])
     advanced = page.evaluate("""() => {
@@ -167,6 +169,7 @@ def test_scrubbing_and_keys(open_viewer, walk):
     wait_until(page, "document.querySelector('.follow').getAttribute('aria-pressed') === 'false'")
 
 
+@pytest.mark.slow
 def test_mouse_orbits_pans_and_zooms(open_viewer, walk):
     page = open_viewer([walk])
     start, before = viewer(page, "camera"), picture(page)
@@ -190,6 +193,7 @@ def test_mouse_orbits_pans_and_zooms(open_viewer, walk):
     assert viewer(page, "camera") == start and changed(before, picture(page)) < 0.001
 
 
+@pytest.mark.slow
 def test_fingers_orbit_and_pinch(open_viewer, walk):
     page = open_viewer([walk], has_touch=True)
     session = page.context.new_cdp_session(page)
@@ -211,6 +215,7 @@ def test_fingers_orbit_and_pinch(open_viewer, walk):
     assert viewer(page, "camera.yaw") == turned["yaw"]
 
 
+@pytest.mark.slow
 def test_captions_are_shown_letter_by_letter(open_viewer, nasty, walk):
     page = open_viewer([nasty])
     assert page.locator(".stage-caption").evaluate("(element) => element.textContent") == NASTY_CAPTION
@@ -221,6 +226,7 @@ def test_captions_are_shown_letter_by_letter(open_viewer, nasty, walk):
     assert page.locator(".stage-caption").bounding_box()["height"] < 0.5 * SIZE["height"]
 
 
+@pytest.mark.slow
 def test_several_stand_side_by_side(open_viewer, walk, kit_walk, nasty):
     page = open_viewer([walk, kit_walk, nasty], viewport={"width": 900, "height": 420})
     picture(page)
@@ -233,6 +239,7 @@ def test_several_stand_side_by_side(open_viewer, walk, kit_walk, nasty):
     assert viewer(page, "seconds") == pytest.approx(kit_walk.seconds)
 
 
+@pytest.mark.slow
 def test_the_picture_follows_the_window(open_viewer, walk):
     page = open_viewer([walk], device_scale_factor=2)
     assert viewer(page, "stage.canvas.width") == 2 * SIZE["width"]
@@ -242,6 +249,7 @@ def test_the_picture_follows_the_window(open_viewer, walk):
     assert np.sum(shot[..., 2] - shot[..., 0] > 40) > 200
 
 
+@pytest.mark.slow
 def test_the_camera_follows_unless_told_otherwise(open_viewer, walk):
     far = Motion(walk.positions + np.linspace(0, 30, 80, dtype=np.float32)[:, None, None] * np.float32([1, 0, 0]), 20.0)
     page = open_viewer([far])
@@ -268,6 +276,7 @@ def seen_at(page) -> list:
     )
 
 
+@pytest.mark.slow
 def test_feet_leave_marks(open_viewer, walk):
     """The ground has a mark for each time that a foot stands, and the picture changes with them."""
     page = open_viewer([walk])
@@ -275,6 +284,7 @@ def test_feet_leave_marks(open_viewer, walk):
     assert expected >= 2 and viewer(page, "stage.cells[0].figure.contacts.length") == expected
 
 
+@pytest.mark.slow
 def test_a_part_can_be_played_alone(open_viewer, walk):
     page = open_viewer([walk])
     passed = page.evaluate("""() => {
@@ -287,6 +297,7 @@ def test_a_part_can_be_played_alone(open_viewer, walk):
     assert passed == pytest.approx([1.95, 1.0, 1.1])
 
 
+@pytest.mark.slow
 def test_frames_can_follow(open_viewer, walk):
     """A motion that arrives in two parts is drawn as the whole one."""
     page = open_viewer([walk])
@@ -301,6 +312,7 @@ def test_frames_can_follow(open_viewer, walk):
     page.evaluate("window.t2mViewer.stage.extend(3, null)")
 
 
+@pytest.mark.slow
 def test_a_tap_selects_and_all_can_be_removed(open_viewer, walk):
     page = open_viewer([walk, walk], viewport={"width": 800, "height": 400})
     page.evaluate("() => { const { stage } = t2mViewer; stage.onselect = (number) => stage.select(number); }")
@@ -352,6 +364,7 @@ def scroll(page, begin: int, end: int) -> None:
     session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
 
 
+@pytest.mark.slow
 def test_keys_move_the_camera(open_viewer, walk):
     page = open_viewer([walk])
     start = viewer(page, "camera")

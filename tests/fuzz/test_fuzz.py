@@ -9,7 +9,7 @@ from tests.fuzz.soak import CORPUS
 from tests.fuzz.targets import FILES, FOLDERS, make_files
 
 INPUTS = 60
-FOLDER_INPUTS = 5
+FOLDER_INPUTS = 15
 FLIPS = 10
 """Of each target: some seconds for all."""
 

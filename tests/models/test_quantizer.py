@@ -62,6 +62,7 @@ def test_golden_sequence(golden_dir, name):
             np.testing.assert_allclose(state.ema_sum, arrays["code_sum_after"][step], atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ema_reset", "ema", "reset"])
 def test_module_learns_as_the_golden_sequence(golden_dir, kind):
     """With more rows than codes nothing is random, so the whole module can be compared, gradients included."""
@@ -197,6 +198,7 @@ def test_masked_rows_do_not_count():
     np.testing.assert_array_equal(counts, [0.0, 1.0])
 
 
+@pytest.mark.slow
 def test_given_noise_replaces_drawn_noise(golden_dir):
     """With fewer rows than codes, the reference draws noise. Given the same noise, the module learns the same codes."""
     arrays = np.load(golden_dir / "t2m_gpt" / "quantizer_ema_reset_tile.npz")

@@ -29,6 +29,7 @@ def embed(variables, states=STATES, mask=MASK):
     return MODULE.apply(variables, states, mask, train=False)
 
 
+@pytest.mark.slow
 def test_states_past_the_end_and_their_number_have_no_influence(variables):
     found = embed(variables)
     np.testing.assert_allclose(embed(variables, jnp.where(MASK[..., None], STATES, 9.0)), found, atol=1e-6)

@@ -106,6 +106,7 @@ def trained_at(run, step, like):
         return checkpoints.restore_step(step, like)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", STAGES)
 def test_the_table_and_the_best(finished, stage):
     rows, best = table(finished(stage)), find_best(finished(stage))
@@ -145,6 +146,7 @@ def test_a_run_stands_for_its_best(training, stage, tmp_path):
     jax.tree.map(np.testing.assert_array_equal, loaded(config.run, stage), trained_at(config.run, last, found))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", STAGES)
 def test_a_resumed_run_equals_one_that_never_stopped(finished, training, stage, tmp_path, monkeypatch):
     config = training(stage, tmp_path / "run")

@@ -94,6 +94,7 @@ def test_the_loop_of_the_page_learns(data, repository, tmp_path, monkeypatch, ca
     assert capsys.readouterr().out.endswith(" mm\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["vqvae", "gpt"])
 def test_a_step_is_compiled_once(name):
     """The state that a step returns must have the types of the state that it takes."""

@@ -157,6 +157,7 @@ def test_a_generator_takes_the_tokenizer_of_its_init_and_other_motion_than_this_
     assert load_config(config.run / "config.yaml", type(config)).vqvae == runs.gpt
 
 
+@pytest.mark.slow
 def test_motion_that_a_tokenizer_cannot_give_back_is_refused(runs, tmp_path, monkeypatch):
     statistics = open_dataset(shutil.copytree(runs.data, tmp_path / "other")).normalizer
     save_normalizer(tmp_path / "other", statistics._replace(mean=statistics.mean + statistics.std))

@@ -196,11 +196,26 @@ def _() -> Case:
     return Case((normal(7, 20, 6), jnp.arange(20) % 7), {"num_classes": 7, "num_steps": 5}, rtol=1e-4, atol=1e-4)
 
 
+def trembling() -> jax.Array:
+    positions = np.stack([make_motion(kind, seed=0, num_frames=40) for kind in ("walk", "wave-left-hand")])
+    return jnp.asarray(positions, jnp.float32) + 0.005 * normal(6, *positions.shape)
+
+
 @case("motion.cleanup.clean_positions")
 def _() -> Case:
-    positions = np.stack([make_motion(kind, seed=0, num_frames=40) for kind in ("walk", "wave-left-hand")])
-    positions = jnp.asarray(positions, jnp.float32) + 0.005 * normal(6, *positions.shape)
-    return Case((positions, jnp.array([40, 31])), {"skeleton": HUMANML3D}, rtol=1e-4, atol=1e-4)
+    return Case((trembling(), jnp.array([40, 31])), {"skeleton": HUMANML3D}, rtol=1e-4, atol=1e-4)
+
+
+@case("motion.cleanup._calm_clips")
+def _() -> Case:
+    options = {"skeleton": HUMANML3D, "bones": jnp.asarray(HUMANML3D.bone_lengths[1:])}
+    return Case((trembling(), jnp.array([40, 31])), options, rtol=1e-4, atol=1e-4)
+
+
+@case("motion.cleanup._lock_clips")
+def _() -> Case:
+    clips = (trembling(), trembling() + 0.002 * normal(7, 2, 40, 22, 3))
+    return Case((*clips, jnp.array([40, 31])), {"skeleton": HUMANML3D}, rtol=1e-4, atol=1e-4)
 
 
 @case("motion.paths._locked")

@@ -53,6 +53,7 @@ def test_limits_are_shares_of_real_clips(tests_of_pace):
     assert 0 < slowest < slow < fast
 
 
+@pytest.mark.slow
 def test_speed_decides(tests_of_pace):
     slowest, slow, fast = (tests_of_pace[f"walk {pace}"] for pace in ("very slowly", "slowly", "fast"))
     between = at_speed((limit(slowest) + limit(slow)) / 2)
@@ -61,6 +62,7 @@ def test_speed_decides(tests_of_pace):
     assert not slow.holds(Motion(np.repeat(at_speed(1.0).positions[:1], 60, axis=0), 20.0)), "it stands"
 
 
+@pytest.mark.slow
 def test_sentences_say_how_fast(tests_of_pace):
     for name, test in tests_of_pace.items():
         phrases = next(pace.phrases for pace in held_out_paces() if name.endswith(f" {pace.name}"))

@@ -40,6 +40,7 @@ def test_without_labels_of_manners_it_is_refused(dataset):
         manner_tests(dataset)
 
 
+@pytest.mark.slow
 def test_each_manner_has_a_test_and_sentences(dataset, monkeypatch):
     """Each manner has the figure's size of its own, so real clips are told apart, and generated ones, too."""
 
