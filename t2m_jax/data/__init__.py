@@ -3,7 +3,7 @@
 from t2m_jax.data.audit import audit_dataset
 from t2m_jax.data.banks.motions import batch_at, make_bank
 from t2m_jax.data.folder import Clip, Dataset, DatasetInfo, open_dataset
-from t2m_jax.data.importers.bandai_namco.importer import import_bandai_namco
+from t2m_jax.data.importers.bandai_namco import import_bandai_namco
 from t2m_jax.data.importers.bvh import import_bvh_folder
 from t2m_jax.data.importers.humanml3d import import_humanml3d
 from t2m_jax.data.importers.synthetic import make_motion, write_synthetic_dataset

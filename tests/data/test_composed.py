@@ -23,7 +23,7 @@ from t2m_jax.data.composing.standing import QUIET_SPEED, find_stillness, stand_s
 from t2m_jax.data.composing.turns import draw_pieces, write_composed_captions
 from t2m_jax.data.files import FEATURES, POSITIONS
 from t2m_jax.data.folder import open_dataset
-from t2m_jax.data.importers.bandai_namco.importer import import_bandai_namco, labels_from_name
+from t2m_jax.data.importers.bandai_namco import import_bandai_namco, labels_from_name
 from t2m_jax.data.index import load_index
 from t2m_jax.data.texts import Caption, load_captions
 from t2m_jax.data.writer import new_folder, write_twins
@@ -116,6 +116,10 @@ def test_captions_do_not_name_the_other_side():
         assert "left" in said(caption).split() and "right" not in said(caption).split()
 
 
+def labels_of(names):
+    return {name: labels_from_name(name) for name in names}
+
+
 def test_each_style_stands_still_as_often_as_the_others(tmp_path, monkeypatch):
     monkeypatch.setattr(extra, "MOST_OF_A_STYLE", 2)
     styles = ["elderly"] * 4 + ["normal", "active"]
@@ -125,7 +129,7 @@ def test_each_style_stands_still_as_often_as_the_others(tmp_path, monkeypatch):
             raised = range(20 + number, 70) if number < 5 else range(70)
             captions = (Caption("raises a hand", ("raise/VERB",)),)
             write_twins(folder, name, standing(70, raised=raised), captions=captions, skeleton=HUMANML3D)
-        made = write_stand_clips(folder, names, labels_from_name)
+        made = write_stand_clips(folder, labels_of(names))
     assert {clip.name.partition("_")[2] for clip in made} == {names[2], names[3], names[4]}, (
         "the longest; none of `active`"
     )
@@ -156,7 +160,7 @@ def speed_of(folder, name):
 def test_the_slowest_clips_are_called_slow(tmp_path):
     with new_folder(tmp_path / "data") as folder:
         names = write_walks(folder)
-        write_more_captions(folder, names, labels_from_name)
+        write_more_captions(folder, labels_of(names))
         texts = {name: [said(one) for one in load_captions(folder / "texts" / f"{name}.txt")] for name in names}
         twin = [one.text for one in load_captions(folder / "texts" / f"M{names[0]}.txt")]
         speeds = [speed_of(folder, name) for name in names]
@@ -179,7 +183,7 @@ def test_slow_clips_are_written_again_more_slowly(tmp_path):
         names = [*write_walks(folder), "dataset-2_walk_elderly_060"]
         frozen = np.repeat(walking_positions(40)[:1], 40, axis=0)
         write_twins(folder, names[-1], frozen, captions=(Caption("walks", ("walk/VERB",)),), skeleton=HUMANML3D)
-        made = write_slow_clips(folder, names, labels_from_name)
+        made = write_slow_clips(folder, labels_of(names))
         limit = np.quantile([speed_of(folder, name) for name in names], 0.1)
         speeds = {clip.name: speed_of(folder, clip.name) / limit for clip in made}
         texts = [said(one) for clip in made for one in load_captions(folder / "texts" / f"{clip.name}.txt")]
@@ -192,8 +196,8 @@ def test_slow_clips_are_written_again_more_slowly(tmp_path):
 def test_nothing_is_called_slow_among_few_clips(tmp_path):
     with new_folder(tmp_path / "data") as folder:
         names = write_walks(folder)[:49]
-        assert write_slow_clips(folder, names, labels_from_name) == []
-        write_more_captions(folder, names, labels_from_name)
+        assert write_slow_clips(folder, labels_of(names)) == []
+        write_more_captions(folder, labels_of(names))
         captions = load_captions(folder / "texts" / f"{names[0]}.txt")
     assert len(captions) == 2 + MORE_CAPTIONS, "only the style is added"
     assert captions[1].text == "walks slowly", "what it had is not judged"
@@ -207,10 +211,10 @@ def test_one_wave_is_not_called_slow(tmp_path):
             sway = np.sin(np.linspace(0, 2 * np.pi * waves, 60)) * (0.12 if number > 1 else 0.08)
             positions[10:70, INDEX["left_wrist"], 0] += sway
             write_twins(folder, name, positions, captions=(Caption("waves", ("wave/VERB",)),), skeleton=HUMANML3D)
-        write_more_captions(folder, names, labels_from_name)
+        write_more_captions(folder, labels_of(names))
         assert speed_of(folder, names[1]) < speed_of(folder, names[0]) < 0.9 * speed_of(folder, names[2])
         texts = [[said(one) for one in load_captions(folder / "texts" / f"{name}.txt")] for name in names[:2]]
-        made = {clip.name for clip in write_slow_clips(folder, names, labels_from_name)}
+        made = {clip.name for clip in write_slow_clips(folder, labels_of(names))}
     assert made and f"slow1_{names[1]}" not in made
     slow, once = (sum(says_pace(text, "slow") for text in one) for one in texts)
     assert slow >= 2 * MORE_CAPTIONS and not once

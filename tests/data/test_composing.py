@@ -12,10 +12,9 @@ from t2m_jax.data.captioning.captions import Labels
 from t2m_jax.data.composing import turns
 from t2m_jax.data.composing.at_once import LEGS, draw_at_once, put_on_legs
 from t2m_jax.data.composing.compose import compose_dataset
-from t2m_jax.data.composing.counting import borders, count_times
 from t2m_jax.data.composing.lasting import draw_lasting, with_length
 from t2m_jax.data.composing.pieces import REACH, drawn_weights, make_library
-from t2m_jax.data.composing.repeated import draw_repeated, repeat
+from t2m_jax.data.composing.repeated import borders, count_times, draw_repeated, repeat
 from t2m_jax.data.composing.turns import draw_pieces
 from t2m_jax.data.folder import DatasetInfo, open_dataset
 from t2m_jax.data.index import IndexEntry, is_single, label_actions, load_index, save_index

@@ -68,15 +68,12 @@ def _fit(legs: LabeledPiece, arms: LabeledPiece, generator: random.Random) -> tu
     if count < SHORTEST:
         return None
     features = with_length(arms.features, count)
+    lasting = read_words(__package__, "composed")["lasting_contents"]
     # Once is once: what is not done again and again must not be cut.
-    if features is None or (len(arms.features) != count and arms.labels.content not in _lasting()):
+    if features is None or (len(arms.features) != count and arms.labels.content not in lasting):
         return None
     first = generator.randint(0, len(legs.features) - count)
     return legs._replace(features=legs.features[first : first + count]), arms._replace(features=features)
-
-
-def _lasting() -> set[str]:
-    return set(read_words(__package__, "composed")["lasting_contents"])
 
 
 def put_on_legs(arms: Float[np.ndarray, "T J 3"], legs: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, "T J 3"]:

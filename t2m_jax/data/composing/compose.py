@@ -5,41 +5,26 @@ import functools
 import random
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple
 
 import tqdm
 
-from t2m_jax.data.captioning.captions import Labels
-from t2m_jax.data.captioning.sequences import (
-    write_count_captions,
-    write_duration_captions,
-    write_while_captions,
-)
+from t2m_jax.data.captioning.captions import CAPTIONS, Labels
+from t2m_jax.data.captioning.sequences import write_count_captions, write_duration_captions, write_while_captions
 from t2m_jax.data.captioning.wordings import load_wordings
 from t2m_jax.data.composing.at_once import draw_at_once
-from t2m_jax.data.composing.extra import (
-    CAPTIONS_OF_NEW,
-    NewClip,
-    write_new_clip,
-    write_slow_clips,
-    write_stand_clips,
-)
+from t2m_jax.data.composing.extra import Composed, NewClip, write_new_clip, write_slow_clips, write_stand_clips
 from t2m_jax.data.composing.lasting import draw_lasting
-from t2m_jax.data.composing.pieces import REACH, LabeledPiece, Library, drawn_weights, join_pieces, make_library
+from t2m_jax.data.composing.pieces import REACH, Library, drawn_weights, join_pieces, make_library
 from t2m_jax.data.composing.repeated import draw_repeated
 from t2m_jax.data.composing.turns import draw_pieces, write_composed_captions
 from t2m_jax.data.files import MIRROR_PREFIX
 from t2m_jax.data.folder import Dataset, open_dataset
 from t2m_jax.data.index import ClipIndex, IndexEntry, load_index, save_index
 from t2m_jax.data.merge import copy_clip, index_entries, read_splits
-from t2m_jax.data.texts import Caption
 from t2m_jax.data.workers import Mapper, map_in_processes
 from t2m_jax.data.writer import ImportReport, check_count, finish_folder, new_folder, with_twins
 from t2m_jax.errors import UserError
-
-Write: TypeAlias = Callable[..., NewClip]
-NAMES = {"turns": "composed", "at_once": "atonce", "repeated": "repeated", "timed": "timed"}
-"""What the names of new clips begin with."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -62,20 +47,15 @@ class ComposeOptions:
     workers: int = 1
     """Number of processes."""
 
-    def counts(self) -> dict[Write, int]:
-        """Returns how many motions each function writes.
+    def counts(self) -> dict[str, int]:
+        """Returns how many motions of each kind are made.
 
         Raises:
             UserError: A number is negative or too large, or nothing is asked for.
         """
-        counts = {
-            write_turns: self.turns,
-            write_at_once: self.at_once,
-            write_repeated: self.repeated,
-            write_timed: self.timed,
-        }
-        for name in NAMES:
-            check_count(name, getattr(self, name), least=0)
+        counts = {kind: getattr(self, kind) for kind in KINDS}
+        for kind, count in counts.items():
+            check_count(kind, count, least=0)
         if not (any(counts.values()) or self.still or self.slow):
             raise UserError("nothing to compose; give --turns, --at-once, --repeated, --timed, --still or --slow")
         return counts
@@ -101,7 +81,8 @@ def compose_dataset(source: str | Path, destination: str | Path, **options: Any)
         raise UserError(f"{dataset.folder}: no training clip has a label in index.csv that can be put into words")
     splits = read_splits(dataset)
     names = [name for members in splits.values() for name in members]
-    if composed := [name for name in names if name.partition("_")[0] in NAMES.values()]:
+    prefixes = {kind.prefix for kind in KINDS.values()}
+    if composed := [name for name in names if name.partition("_")[0] in prefixes]:
         raise UserError(f"{dataset.folder}: {composed[0]} is composed already; compose the data set it was made of")
     with new_folder(destination) as folder, map_in_processes(given.workers) as run_all:
         frames = sum(copy_clip(name, dataset, folder) for name in names)
@@ -124,20 +105,23 @@ def known_labels(index: ClipIndex, names: Iterable[str]) -> dict[str, Labels]:
     return found
 
 
+def still_labels(still: Iterable[NewClip]) -> dict[str, Labels]:
+    """Returns the labels of motions of standing still, which can be parts of others."""
+    return {clip.name: Labels(*clip.label.split(", ")) for clip in still}
+
+
 def _write_all(
-    folder: Path, labels: Mapping[str, Labels], given: ComposeOptions, counts: Mapping[Write, int], run_all: Mapper
+    folder: Path, labels: Mapping[str, Labels], given: ComposeOptions, counts: Mapping[str, int], run_all: Mapper
 ) -> list[NewClip]:
-    names = list(labels)
-    still = write_stand_clips(folder, names, labels.__getitem__) if given.still else []
-    slow = write_slow_clips(folder, names, labels.__getitem__) if given.slow else []
-    labels = {**labels, **{clip.name: Labels(*clip.label.split(", ")) for clip in still}}
+    still = write_stand_clips(folder, labels) if given.still else []
+    slow = write_slow_clips(folder, labels) if given.slow else []
+    labels = {**labels, **still_labels(still)}
     weights = drawn_weights(label.content for label in labels.values())
     library = make_library(folder, labels, weights=weights, reach=REACH)
     new = [*still, *slow]
-    for write, count in counts.items():
-        make = functools.partial(write, library=library, seed=given.seed)
-        made = run_all(make, range(count))
-        new += tqdm.tqdm(made, total=count, unit="clip", desc=write.__name__.replace("_", " "), disable=not count)
+    for kind, count in counts.items():
+        made = run_all(functools.partial(write_composition, kind, library=library, seed=given.seed), range(count))
+        new += tqdm.tqdm(made, total=count, unit="clip", desc=f"write {kind.replace('_', ' ')}", disable=not count)
     return new
 
 
@@ -162,53 +146,54 @@ def _entries(new: Sequence[NewClip], index: ClipIndex, dataset: Dataset) -> list
     return rows
 
 
-def write_turns(number: int, *, library: Library, seed: int = 0) -> NewClip:
-    """Writes a motion of two or three actions in turn; the number decides which."""
-    generator = _generator("composition", number, seed)
+def _make_turns(library: Library, generator: random.Random) -> Composed:
     pieces = draw_pieces(library, generator)
-    captions = write_composed_captions(pieces, count=CAPTIONS_OF_NEW, generator=generator)
+    captions = write_composed_captions(pieces, count=CAPTIONS, generator=generator)
     label = " + ".join(piece.labels.content for piece in pieces)
-    origins = [piece.name for piece in pieces]
-    name = _name("turns", number)
-    return write_new_clip(library.folder, name, label, join_pieces(pieces), captions=captions, origins=origins)
+    return Composed(label, join_pieces(pieces), captions, [piece.name for piece in pieces])
 
 
-def write_at_once(number: int, *, library: Library, seed: int = 0) -> NewClip:
-    """Writes a motion with the legs of one clip and the arms of another."""
-    generator = _generator("at once", number, seed)
+def _make_at_once(library: Library, generator: random.Random) -> Composed:
     legs, arms, positions = draw_at_once(library, generator)
-    captions = write_while_captions(legs.labels, arms.labels, count=CAPTIONS_OF_NEW, generator=generator)
+    captions = write_while_captions(legs.labels, arms.labels, count=CAPTIONS, generator=generator)
     label = f"{legs.labels.content} + {arms.labels.content}, at once"
-    name = _name("at_once", number)
-    return write_new_clip(library.folder, name, label, positions, captions=captions, origins=[legs.name, arms.name])
+    return Composed(label, positions, captions, [legs.name, arms.name])
 
 
-def write_repeated(number: int, *, library: Library, seed: int = 0) -> NewClip:
-    """Writes a motion in which something is done some times."""
-    generator = _generator("repeated", number, seed)
+def _make_repeated(library: Library, generator: random.Random) -> Composed:
     piece, times = draw_repeated(library, generator)
-    captions = write_count_captions(piece.labels, times, count=CAPTIONS_OF_NEW, generator=generator)
-    label = f"{piece.labels.content} x {times}"
-    return _write_piece(library, _name("repeated", number), label, piece, captions)
+    captions = write_count_captions(piece.labels, times, count=CAPTIONS, generator=generator)
+    return Composed(f"{piece.labels.content} x {times}", piece.positions, captions, [piece.name])
 
 
-def write_timed(number: int, *, library: Library, seed: int = 0) -> NewClip:
-    """Writes a motion that lasts some seconds."""
-    generator = _generator("timed", number, seed)
+def _make_timed(library: Library, generator: random.Random) -> Composed:
     piece, seconds = draw_lasting(library, generator)
-    captions = write_duration_captions(piece.labels, seconds, count=CAPTIONS_OF_NEW, generator=generator)
-    label = f"{piece.labels.content}, {seconds} s"
-    return _write_piece(library, _name("timed", number), label, piece, captions)
+    captions = write_duration_captions(piece.labels, seconds, count=CAPTIONS, generator=generator)
+    return Composed(f"{piece.labels.content}, {seconds} s", piece.positions, captions, [piece.name])
 
 
-def _name(kind: str, number: int) -> str:
-    return f"{NAMES[kind]}_{number:05d}"
+class _Kind(NamedTuple):
+    """A kind of motions that are made of clips."""
+
+    prefix: str
+    """What their names begin with."""
+    seed: str
+    """What the seeds of their draws begin with."""
+    make: Callable[[Library, random.Random], Composed]
 
 
-def _write_piece(library: Library, name: str, label: str, piece: LabeledPiece, captions: Sequence[Caption]) -> NewClip:
-    return write_new_clip(library.folder, name, label, piece.positions, captions=captions, origins=[piece.name])
+KINDS = {
+    "turns": _Kind("composed", "composition", _make_turns),
+    "at_once": _Kind("atonce", "at once", _make_at_once),
+    "repeated": _Kind("repeated", "repeated", _make_repeated),
+    "timed": _Kind("timed", "timed", _make_timed),
+}
+"""Fields of `ComposeOptions` that count motions -> what they are."""
 
 
-def _generator(kind: str, number: int, seed: int) -> random.Random:
-    """Returns the source of all draws of a motion, so that none changes when others are added."""
-    return random.Random(f"{kind} {number}" + f" of {seed}" * (seed != 0))
+def write_composition(kind: str, number: int, *, library: Library, seed: int = 0) -> NewClip:
+    """Writes a motion that is made of clips; its number decides which."""
+    how = KINDS[kind]
+    # All draws of a motion are its own, so that none changes when others are added.
+    generator = random.Random(f"{how.seed} {number}" + f" of {seed}" * (seed != 0))
+    return write_new_clip(library.folder, f"{how.prefix}_{number:05d}", how.make(library, generator))

@@ -1,16 +1,15 @@
 """Importing the Bandai-Namco-Research-Motiondataset (1 and 2): BVH files into a data-set folder with captions."""
 
-import csv
 import functools
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import tqdm
 
 from t2m_jax.data.captioning.captions import Labels, write_captions
 from t2m_jax.data.captioning.wordings import load_wordings
-from t2m_jax.data.composing.compose import write_turns
+from t2m_jax.data.composing.compose import still_labels, write_composition
 from t2m_jax.data.composing.extra import NewClip, write_more_captions, write_slow_clips, write_stand_clips
 from t2m_jax.data.composing.pieces import make_library
 from t2m_jax.data.files import SPLITS, read_names
@@ -25,8 +24,6 @@ from t2m_jax.motion.facts import measure
 from t2m_jax.motion.rig.retarget import retarget
 from t2m_jax.motion.skeleton import HUMANML3D
 
-CLIP_TABLE = "bandai-namco-clips.csv"
-HARMLESS_FLAG = "moving joint_Root"
 MISLABELED = (
     *(f"walk-turn-left_masculine_{number:03d}" for number in (6, 7)),
     *(f"walk-turn-right_masculine_{number:03d}" for number in (6, 7)),
@@ -38,6 +35,7 @@ OVERLAPPING = (
 )
 """Clips of dataset-2 that share frames with another clip or continue into another turn."""
 FLAGGED = frozenset(f"dataset-2_{name}" for name in (*MISLABELED, *OVERLAPPING))
+"""Clips that are left out."""
 
 INFO = DatasetInfo(
     name="Bandai-Namco-Research-Motiondataset-1 and -2",
@@ -81,33 +79,13 @@ def find_clips(source: Path) -> dict[str, Path]:
     Raises:
         UserError: There are none.
     """
-    files = {path.stem: path for path in sorted(source.rglob("dataset-*_*.bvh"))}
-    if not files:
+    paths = sorted(source.rglob("dataset-*_*.bvh"), key=lambda path: (path.stem, path))
+    if not paths:
         raise UserError(
             f"{source}: no dataset-N_*.bvh below it; give the folder of the unpacked archive, "
             "which has dataset/Bandai-Namco-Research-Motiondataset-*"
         )
-    return dict(sorted(files.items()))
-
-
-def flagged_clips(source: Path, splits: Path | None) -> tuple[frozenset[str], str]:
-    """Returns the clips to leave out, and where this is known from: a clip table near the data, or this module.
-
-    Flagged clips contradict their label, continue into another motion, or repeat frames of another clip.
-
-    Raises:
-        UserError: The table does not have the columns `name` and `flags`.
-    """
-    # The table may be beside the archive or beside the lists.
-    near = [source, source.parent, *([splits, splits.parent, splits.parent.parent] if splits else [])]
-    table = next((folder / CLIP_TABLE for folder in near if (folder / CLIP_TABLE).is_file()), None)
-    if table is None:
-        return FLAGGED, "the built-in list"
-    with table.open(encoding="utf-8", newline="") as lines:
-        rows = list(csv.DictReader(lines))
-    if not rows or not {"name", "flags"} <= rows[0].keys():
-        raise UserError(f"{table}: expected the columns name and flags")
-    return frozenset(row["name"] for row in rows if row["flags"] not in ("", HARMLESS_FLAG)), str(table)
+    return {path.stem: path for path in paths}
 
 
 def _divide_clips(names: Sequence[str], lists: Path | None) -> dict[str, list[str]]:
@@ -153,14 +131,12 @@ def _find_lists(source: Path, splits: str | Path | None) -> Path | None:
     return None
 
 
-def _write_new_clips(folder: Path, names: Sequence[str], composed: int, run_all: Mapper) -> list[NewClip]:
+def _write_new_clips(folder: Path, labels: Mapping[str, Labels], composed: int, run_all: Mapper) -> list[NewClip]:
     """Writes motions that are made of training clips, and returns them."""
-    still = write_stand_clips(folder, names, labels_from_name)
-    slow = write_slow_clips(folder, names, labels_from_name)
-    labels = {name: labels_from_name(name) for name in names}
-    labels |= {clip.name: Labels(*clip.label.split(", ")) for clip in still}
-    library = make_library(folder, labels, weights={}, reach=float("inf"))
-    made = run_all(functools.partial(write_turns, library=library), range(composed))
+    still = write_stand_clips(folder, labels)
+    slow = write_slow_clips(folder, labels)
+    library = make_library(folder, {**labels, **still_labels(still)}, weights={}, reach=float("inf"))
+    made = run_all(functools.partial(write_composition, "turns", library=library), range(composed))
     return [*slow, *still, *tqdm.tqdm(made, total=composed, unit="clip", desc="composing")]
 
 
@@ -195,28 +171,28 @@ def import_bandai_namco(
     source = Path(source)
     files = find_clips(source)
     lists = _find_lists(source, splits)
-    flagged, flags_from = flagged_clips(source, lists)
-    divided = _divide_clips([name for name in files if name not in flagged], lists)
-    wanted = {name: files[name] for name in sorted(name for members in divided.values() for name in members)}
-    left_out = {name: f"flagged in {flags_from}" for name in files if name in flagged}
-    left_out |= dict.fromkeys(sorted(files.keys() - flagged - wanted.keys()), f"in no list of {lists}")
-    workers = min(workers or os.cpu_count() or 1, max(1, len(wanted) // 16))
+    flagged = [name for name in files if name in FLAGGED]
+    divided = _divide_clips([name for name in files if name not in FLAGGED], lists)
+    labels = {name: labels_from_name(name) for name in sorted(name for names in divided.values() for name in names)}
+    left_out = dict.fromkeys(flagged, "flagged in the built-in list")
+    left_out |= dict.fromkeys(sorted(files.keys() - FLAGGED - labels.keys()), f"in no list of {lists}")
+    workers = min(workers or os.cpu_count() or 1, max(1, len(labels) // 16))
     with new_folder(destination) as folder, map_in_processes(workers) as run_all:
-        done = run_all(functools.partial(_convert, folder=folder), wanted.values())
-        frames = sum(tqdm.tqdm(done, total=len(wanted), unit="clip", desc="converting"))
-        write_more_captions(folder, divided["train"], labels_from_name)
-        new = _write_new_clips(folder, divided["train"], composed, run_all) if composed else []
+        done = run_all(functools.partial(_convert, folder=folder), [files[name] for name in labels])
+        frames = sum(tqdm.tqdm(done, total=len(labels), unit="clip", desc="converting"))
+        training = {name: labels[name] for name in divided["train"]}
+        write_more_captions(folder, training)
+        new = _write_new_clips(folder, training, composed, run_all) if composed else []
         divided["train"] = [*divided["train"], *(clip.name for clip in new)]
         twins = {split: with_twins(members) for split, members in divided.items()}
         sizes = finish_folder(folder, twins, info=INFO, skeleton=HUMANML3D)
-        origins = ((name, path.relative_to(source).as_posix()) for name, path in wanted.items())
-        rows = [IndexEntry(name, origin, ", ".join(labels_from_name(name))) for name, origin in origins]
+        rows = [
+            IndexEntry(name, files[name].relative_to(source).as_posix(), ", ".join(label))
+            for name, label in labels.items()
+        ]
         save_index(folder, [*rows, *(IndexEntry(clip.name, "", clip.label) for clip in new)])
-    notes = [
-        f"split lists: {lists}" if lists else NO_LISTS,
-        f"{len(flagged & files.keys())} flagged clips left out (by {flags_from})",
-    ]
-    added = f"{len(new) - composed} very slow or still motions and {composed} composed ones added to train"
-    notes += [added] if new else []
+    notes = [f"split lists: {lists}" if lists else NO_LISTS, f"{len(flagged)} flagged clips left out"]
+    if new:
+        notes.append(f"{len(new) - composed} very slow or still motions and {composed} composed ones added to train")
     frames += sum(clip.num_frames for clip in new)
-    return ImportReport(2 * (len(wanted) + len(new)), 2 * frames, sizes, left_out, tuple(notes))
+    return ImportReport(2 * (len(labels) + len(new)), 2 * frames, sizes, left_out, tuple(notes))

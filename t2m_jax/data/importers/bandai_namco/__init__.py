@@ -1,1 +1,0 @@
-"""The importer of the Bandai-Namco Research motion data set."""
