@@ -21,8 +21,6 @@ INDEX = "index.csv"
 NAME = "new_name"
 SOURCE = "source_path"
 LABEL = "label"
-
-
 ORIGINS = ("person", "dataset", "licence")
 
 
@@ -74,26 +72,26 @@ def action_of(label: str) -> str:
 class ClipIndex(NamedTuple):
     """Recordings and labels by clip name. Mirrored twins need no entry: theirs follow from the original."""
 
-    sources: Mapping[str, str]
-    labels: Mapping[str, str]
     entries: Mapping[str, IndexEntry] = {}
-    """Everything that is known of each clip."""
+
+    def entry(self, name: str) -> IndexEntry:
+        """Returns what is known of a clip. A twin without an entry has its original's, with left and right exchanged."""
+        if name in self.entries:
+            return self.entries[name]
+        original = self.entries.get(name.removeprefix(MIRROR_PREFIX), IndexEntry(name, "", ""))
+        return original._replace(name=name, label=mirror_caption(original.label))
 
     def source(self, name: str) -> str | None:
         """Returns the recording that a clip was cut from, or None if it is not known."""
-        return self.sources.get(name, self.sources.get(name.removeprefix(MIRROR_PREFIX)))
+        return self.entry(name).source or None
 
     def label(self, name: str) -> str | None:
         """Returns the label of a clip, or None if it is not known. A twin has left and right exchanged."""
-        if name in self.labels or not name.startswith(MIRROR_PREFIX):
-            return self.labels.get(name)
-        label = self.labels.get(name.removeprefix(MIRROR_PREFIX))
-        return None if label is None else mirror_caption(label)
+        return self.entry(name).label or None
 
-    def entry(self, name: str) -> IndexEntry:
-        """Returns what is known of a clip; of a twin, what its original's row says, with its own label."""
-        known = self.entries.get(name, self.entries.get(name.removeprefix(MIRROR_PREFIX), IndexEntry(name, "", "")))
-        return known._replace(name=name, label=self.label(name) or "")
+    def has(self, column: str) -> bool:
+        """Returns whether a column, such as "label", is known of any clip."""
+        return any(getattr(entry, column) for entry in self.entries.values())
 
     def recorded_with(self, names: Iterable[str], others: Iterable[str]) -> frozenset[str]:
         """Returns the clips of `names` that share a known recording with one of `others`."""
@@ -119,14 +117,10 @@ def load_index(folder: str | Path) -> ClipIndex | None:
     if entries and NAME not in entries[0]:
         raise UserError(f"{path}: has no column {NAME}; its columns are {', '.join(map(str, entries[0]))}")
     # HumanML3D's table has file names in place of clip names.
-    named = [((entry[NAME] or "").removesuffix(".npy"), entry) for entry in entries]
-    known = {}
-    for name, entry in named:
-        cells = (entry.get(column) or "" for column in (SOURCE, LABEL, *ORIGINS))
-        known[name] = IndexEntry(name, *cells)
-    sources = {name: entry.source for name, entry in known.items() if entry.source}
-    labels = {name: entry.label for name, entry in known.items() if entry.label}
-    return ClipIndex(sources, labels, known)
+    named = (((entry[NAME] or "").removesuffix(".npy"), entry) for entry in entries)
+    columns = (SOURCE, LABEL, *ORIGINS)
+    known = {name: IndexEntry(name, *(entry.get(column) or "" for column in columns)) for name, entry in named}
+    return ClipIndex(known)
 
 
 def save_index(folder: str | Path, entries: Iterable[IndexEntry]) -> None:

@@ -83,7 +83,7 @@ def index_entries(dataset: Dataset, names: Sequence[str]) -> list[IndexEntry]:
 
     The row of a twin follows from its original's, if that is here, too.
     """
-    index = load_index(dataset.folder) or ClipIndex({}, {})
+    index = load_index(dataset.folder) or ClipIndex()
     known = set(names)
     originals = [name for name in names if not (name.startswith(MIRROR_PREFIX) and name[1:] in known)]
     return [index.entry(name).with_origin(dataset.info.name, dataset.info.licence) for name in originals]

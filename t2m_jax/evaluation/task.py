@@ -107,7 +107,7 @@ def load_samples(dataset: Dataset, split: str, *, min_frames: int = 1, source_di
     index = load_index(dataset.folder)
     shared = None
     # Compared with itself, nothing of the training split would be left.
-    if source_disjoint and index is not None and index.sources and split != "train":
+    if source_disjoint and index is not None and index.has("source") and split != "train":
         trained = index.recorded_with((clip.name for clip in clips), dataset.names("train"))
         clips = [clip for clip in clips if clip.name not in trained]
         shared = len(trained)
@@ -120,7 +120,7 @@ def load_samples(dataset: Dataset, split: str, *, min_frames: int = 1, source_di
     if not pairs:
         raise UserError(f"{dataset.folder}: split {split} has no motion with a caption; choose another split")
     names, samples = zip(*pairs, strict=True)
-    if index is None or not index.labels:
+    if index is None or not index.has("label"):
         return Samples(samples, None, shared)
     # A clip without a label is its own label: it is like no other.
     labels = [index.label(name) or name for name in names]

@@ -138,7 +138,7 @@ def change_a_clip(folder):
 
 def change_a_label(folder):
     rows = load_index(folder)
-    save_index(folder, [IndexEntry(name, "", f"{label}!") for name, label in rows.labels.items()])
+    save_index(folder, [IndexEntry(name, "", f"{row.label}!") for name, row in rows.entries.items()])
 
 
 @pytest.mark.parametrize("change", [change_a_clip, change_a_label])
