@@ -9,8 +9,7 @@ import numpy as np
 GOLDEN = Path(__file__).parent / "golden" / "clip"
 FULL, TEXT_ONLY = GOLDEN / "full", GOLDEN / "text_only"
 CAPTIONS = json.loads((GOLDEN / "captions.json").read_text(encoding="utf-8"))
-SAFETENSORS, MSGPACK, TORCH = "model.safetensors", "flax_model.msgpack", "pytorch_model.bin"
-ONE_FILE, TWO_FILES = ("tokenizer.json",), ("vocab.json", "merges.txt")
+SAFETENSORS, TORCH = "model.safetensors", "pytorch_model.bin"
 
 
 def golden(folder: Path, what: str) -> np.ndarray:
@@ -19,11 +18,9 @@ def golden(folder: Path, what: str) -> np.ndarray:
         return arrays[f"{folder.name}/{what}"]
 
 
-def copy_files(
-    source: Path, target: Path, *, weights: str = SAFETENSORS, tokenizer: tuple[str, ...] = ONE_FILE
-) -> Path:
-    """Returns `target`, a folder with one weight file and one form of the tokenizer."""
+def copy_files(source: Path, target: Path, *, weights: str = SAFETENSORS) -> Path:
+    """Returns `target`, a folder with one weight file."""
     target.mkdir(parents=True)
-    for name in ("config.json", weights, *tokenizer):
+    for name in ("config.json", "tokenizer.json", weights):
         shutil.copy(source / name, target)
     return target

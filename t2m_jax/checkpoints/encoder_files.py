@@ -26,8 +26,6 @@ class EncoderFiles(NamedTuple):
     """What the user may give, for messages."""
     required: tuple[str, ...]
     """Files that each model has."""
-    tokenizers: tuple[tuple[str, ...], ...]
-    """Files of the tokenizer: all of one row."""
     weights: tuple[str, ...]
     """Files of the weights: one of them, in the order in which they are tried."""
     optional: tuple[str, ...] = ()
@@ -64,7 +62,7 @@ def user_folder(name: str, kind: str) -> Path:
 def _hub_snapshot(name: HubName, files: EncoderFiles) -> Path:
     """Returns the folder in which the hub's client keeps an encoder; downloads one weight format if necessary."""
     reason = ""
-    others = [*files.required, *(file for row in files.tokenizers for file in row), *files.optional]
+    others = [*files.required, *files.optional]
     # First without network, in all formats: what is on this machine needs no request, which may take long or fail.
     for offline in (True, False):
         for weights in files.weights:
@@ -77,25 +75,12 @@ def _hub_snapshot(name: HubName, files: EncoderFiles) -> Path:
                 # The hub cannot be reached, or has no such model. Another format would not help.
                 break
             # The snapshot may be partial.
-            if _is_complete(folder, files, weights):
+            missing = [file for file in (*files.required, weights) if not (folder / file).is_file()]
+            if not missing:
                 return folder
-            reason = f"it has no {weights} or no tokenizer"
+            reason = f"it has no {missing[0]}"
     page = f"https://huggingface.co/{name.repository}/tree/{name.revision or 'main'}"
     raise UserError(
-        f"{name}: no folder, and not on the hub ({shorten(reason, 30)}); copy {_listed(files)} from {page} "
-        f"into {user_folder(str(name), files.kind)}"
+        f"{name}: no folder, and not on the hub ({shorten(reason, 30)}); copy {', '.join(files.required)} "
+        f"and {' or '.join(files.weights)} from {page} into {user_folder(str(name), files.kind)}"
     )
-
-
-def _is_complete(folder: Path, files: EncoderFiles, weights: str) -> bool:
-    def has(names: tuple[str, ...]) -> bool:
-        return all((folder / name).is_file() for name in names)
-
-    return has((*files.required, weights)) and any(map(has, files.tokenizers))
-
-
-def _listed(files: EncoderFiles) -> str:
-    """Returns the names of the files as a part of a sentence."""
-    first, *others = (" and ".join(row) for row in files.tokenizers)
-    tokenizer = f"{first} (or {' or '.join(others)})" if others else first
-    return f"{', '.join(files.required)}, {tokenizer} and {' or '.join(files.weights)}"

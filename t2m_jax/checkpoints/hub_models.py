@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from t2m_jax.checkpoints import bundle
-from t2m_jax.checkpoints.clip_files import CLIP_FILES
+from t2m_jax.checkpoints.clip import CLIP_FILES
 from t2m_jax.checkpoints.hub import HubName, hub_commit, hub_name, hub_reason, hub_snapshot, parse_hub_name
 from t2m_jax.checkpoints.run import DATA_FILE, is_run
 from t2m_jax.checkpoints.sentence import SENTENCE_FILES
@@ -34,7 +34,7 @@ BUNDLE_FILES = frozenset(
     | {
         f"{files.kind}/{name}"
         for files in (CLIP_FILES, SENTENCE_FILES)
-        for name in (*files.required, *files.tokenizers[0], files.weights[0], *files.optional)
+        for name in (*files.required, files.weights[0], *files.optional)
     }
 )
 """What the manifest of a bundle may list."""

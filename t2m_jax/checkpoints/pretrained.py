@@ -4,12 +4,15 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
+from flax import linen as nn
 from flax import traverse_util
 from tokenizers import Tokenizer
 
 from t2m_jax.errors import UserError
 from t2m_jax.files.arrays import fingerprint, fit_arrays
+from t2m_jax.keys import new_key
 from t2m_jax.text.bpe import largest_token
 
 SCALE = ".scale"
@@ -59,6 +62,12 @@ def params_from_torch(
     leaves = {names: fitted[key_from_path(names)] for names in shapes}
     flat = {names: leaf.T if names[-1] == "kernel" else leaf for names, leaf in leaves.items()}
     return traverse_util.unflatten_dict(flat)
+
+
+def param_shapes(network: nn.Module, *inputs: jax.Array) -> dict[tuple[str, ...], tuple[int, ...]]:
+    """Returns the shape of every parameter of a network by its path."""
+    params = jax.eval_shape(lambda: network.init(new_key(0), *inputs))["params"]
+    return {names: leaf.shape for names, leaf in traverse_util.flatten_dict(params).items()}
 
 
 def check_vocabulary(path: Path, tokenizer: Tokenizer, size: int) -> None:

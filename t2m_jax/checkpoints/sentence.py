@@ -8,19 +8,22 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import traverse_util
 from tokenizers import Tokenizer, normalizers
 
 from t2m_jax.checkpoints.encoder_files import EncoderFiles, find_encoder
-from t2m_jax.checkpoints.pretrained import check_vocabulary, encoder_fingerprint, params_from_torch, restore_rows
+from t2m_jax.checkpoints.pretrained import (
+    check_vocabulary,
+    encoder_fingerprint,
+    param_shapes,
+    params_from_torch,
+    restore_rows,
+)
 from t2m_jax.config import config_from_dict
 from t2m_jax.errors import UserError
 from t2m_jax.files.arrays import read_arrays
 from t2m_jax.files.reading import load_json
-from t2m_jax.keys import new_key
 from t2m_jax.models.sentence_encoder import SentenceEncoder, SentenceEncoderConfig
 from t2m_jax.text.bpe import TOKENIZER_FILE, load_bpe
 
@@ -34,8 +37,7 @@ TOKENIZER_CONFIG_FILE = "tokenizer_config.json"
 SENTENCE_FILES = EncoderFiles(
     kind="sentence",
     wanted="the folder of a sentence encoder or a hub name such as sentence-transformers/…",
-    required=(CONFIG_FILE, MODULES_FILE, POOLING_FILE),
-    tokenizers=((TOKENIZER_FILE,),),
+    required=(CONFIG_FILE, MODULES_FILE, POOLING_FILE, TOKENIZER_FILE),
     weights=(WEIGHTS_FILE,),
     optional=(LENGTH_FILE, PROMPTS_FILE, TOKENIZER_CONFIG_FILE),
 )
@@ -132,18 +134,10 @@ def load_sentence_encoder(name_or_folder: str | Path, *, text_dim: int | None = 
 def save_sentence_encoder(folder: Path, encoder: TrainedSentenceEncoder) -> None:
     """Copies the files of a sentence encoder."""
     (folder / POOLING_FILE).parent.mkdir(parents=True)
-    files = SENTENCE_FILES
     # Copied, not written again: we read less than is in the files, and other libraries may need the rest.
-    for name in (*files.required, *files.tokenizers[0], *files.weights, *files.optional):
+    for name in (*SENTENCE_FILES.required, *SENTENCE_FILES.weights, *SENTENCE_FILES.optional):
         if (encoder.folder / name).is_file():
             shutil.copyfile(encoder.folder / name, folder / name)
-
-
-def param_shapes(config: SentenceEncoderConfig) -> dict[tuple[str, ...], tuple[int, ...]]:
-    """Returns the shape of every parameter of `SentenceEncoder` by its path."""
-    tokens = jnp.zeros((1, 1), jnp.int32)
-    params = jax.eval_shape(lambda: SentenceEncoder(config).init(new_key(0), tokens, tokens == 0))["params"]
-    return {names: leaf.shape for names, leaf in traverse_util.flatten_dict(params).items()}
 
 
 def read_sentence_config(folder: Path) -> SentenceEncoderConfig:
@@ -255,7 +249,9 @@ def _load_params(path: Path, config: SentenceEncoderConfig) -> dict[str, Any]:
     def key_from_path(path: tuple[str, ...]) -> str:
         return ".".join(names.get(part) or part.replace("block_", "encoder.layer.") for part in path)
 
-    return params_from_torch(path, used, param_shapes(config), key_from_path)
+    tokens = jnp.zeros((1, 1), jnp.int32)
+    shapes = param_shapes(SentenceEncoder(config), tokens, tokens == 0)
+    return params_from_torch(path, used, shapes, key_from_path)
 
 
 def _load_section(path: Path) -> dict[str, Any]:

@@ -75,7 +75,7 @@ class ClipIndex(NamedTuple):
     entries: Mapping[str, IndexEntry] = {}
 
     def entry(self, name: str) -> IndexEntry:
-        """Returns what is known of a clip. A twin without an entry has its original's, with left and right exchanged."""
+        """Returns what is known of a clip. A twin without an entry has that of its original, mirrored."""
         if name in self.entries:
             return self.entries[name]
         original = self.entries.get(name.removeprefix(MIRROR_PREFIX), IndexEntry(name, "", ""))

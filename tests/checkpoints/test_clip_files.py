@@ -8,11 +8,10 @@ import platformdirs
 import pytest
 from huggingface_hub import constants
 
-from t2m_jax.checkpoints.clip import load_clip
-from t2m_jax.checkpoints.clip_files import WEIGHT_FILES, find_clip
-from t2m_jax.checkpoints.encoder_files import user_folder
+from t2m_jax.checkpoints.clip import CLIP_FILES, load_clip
+from t2m_jax.checkpoints.encoder_files import find_encoder, user_folder
 from t2m_jax.errors import UserError
-from tests.clip_golden import FULL, MSGPACK, ONE_FILE, SAFETENSORS, TEXT_ONLY, TORCH, TWO_FILES, copy_files
+from tests.clip_golden import FULL, SAFETENSORS, TEXT_ONLY, TORCH, copy_files
 
 NAME = "someone/tiny-clip"
 
@@ -47,8 +46,8 @@ def refused(name) -> str:
 
 
 def test_a_folder_is_itself():
-    assert find_clip(FULL) == FULL
-    assert find_clip(str(FULL)) == FULL
+    assert find_encoder(FULL, CLIP_FILES) == FULL
+    assert find_encoder(str(FULL), CLIP_FILES) == FULL
 
 
 def test_a_folder_named_like_the_hub_comes_first(monkeypatch, tmp_path):
@@ -70,42 +69,42 @@ def test_a_path_is_never_a_hub_name(tmp_path):
 
 def test_offline_the_error_says_what_to_download_and_where_to_put_it():
     message = refused(NAME)
-    for part in (NAME, "config.json", "tokenizer.json", "vocab.json and merges.txt", *WEIGHT_FILES):
+    for part in (NAME, "config.json", "tokenizer.json", SAFETENSORS, TORCH):
         assert part in message
     assert f"https://huggingface.co/{NAME}/tree/main" in message
     assert str(user_folder(NAME, "clip")) in message
 
 
 def test_what_the_user_put_there_is_found():
-    copy_files(FULL, user_folder(NAME, "clip"), weights=MSGPACK, tokenizer=TWO_FILES)
+    copy_files(FULL, user_folder(NAME, "clip"), weights=TORCH)
     assert load_clip(NAME).fingerprint
-    (user_folder(NAME, "clip") / MSGPACK).unlink()
+    (user_folder(NAME, "clip") / TORCH).unlink()
     assert str(user_folder(NAME, "clip")) in refused(NAME)
 
 
-@pytest.mark.parametrize("weights", [SAFETENSORS, MSGPACK, TORCH])
+@pytest.mark.parametrize("weights", [SAFETENSORS, TORCH])
 def test_what_the_hubs_client_has_kept_is_found(weights, tmp_path):
     snapshot = cached_snapshot(tmp_path, weights=weights)
-    assert find_clip(NAME) == snapshot
+    assert find_encoder(NAME, CLIP_FILES) == snapshot
     assert load_clip(NAME).fingerprint == load_clip(FULL).fingerprint
 
 
 def test_a_name_may_have_a_revision(tmp_path):
     newest = cached_snapshot(tmp_path)
     older = cached_snapshot(tmp_path, source=TEXT_ONLY, revision="v1")
-    assert (find_clip(NAME), find_clip(f"{NAME}@v1")) == (newest, older)
+    assert (find_encoder(NAME, CLIP_FILES), find_encoder(f"{NAME}@v1", CLIP_FILES)) == (newest, older)
     assert f"https://huggingface.co/{NAME}/tree/v2 into" in refused(f"{NAME}@v2")
 
 
-@pytest.mark.parametrize("missing", ["config.json", SAFETENSORS, "merges.txt"])
+@pytest.mark.parametrize("missing", ["config.json", SAFETENSORS, "tokenizer.json"])
 def test_a_snapshot_that_is_not_complete_is_not_taken(missing, tmp_path):
-    (cached_snapshot(tmp_path, tokenizer=TWO_FILES) / missing).unlink()
+    (cached_snapshot(tmp_path) / missing).unlink()
     assert f"https://huggingface.co/{NAME}" in refused(NAME)
 
 
 @pytest.fixture
 def hub(monkeypatch, tmp_path):
-    """Returns what is downloaded from a hub that has a CLIP in two of the formats, and each time it is asked."""
+    """Returns what is downloaded from a hub that has a CLIP in one of the formats, and each time it is asked."""
     downloads = []
 
     def download(name, *, allow_patterns, local_files_only, **options):
@@ -128,7 +127,7 @@ def hub(monkeypatch, tmp_path):
 def test_one_format_is_downloaded_and_only_once(hub):
     assert load_clip(NAME).fingerprint == load_clip(FULL).fingerprint
     # Twice: for the format it does not have, and for the next.
-    assert sorted(hub) == sorted(["asked", "asked", "config.json", *ONE_FILE, *TWO_FILES, MSGPACK])
+    assert sorted(hub) == sorted(["asked", "asked", "config.json", "tokenizer.json", TORCH])
     hub.clear()
     load_clip(NAME)
     assert hub == []

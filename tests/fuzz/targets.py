@@ -13,7 +13,7 @@ import numpy as np
 from t2m_jax.bench import load_report as load_bench_report
 from t2m_jax.bench import save_report as save_bench_report
 from t2m_jax.checkpoints.bundle import load_bundle, load_bundle_config, save_bundle
-from t2m_jax.checkpoints.clip_files import read_clip_config
+from t2m_jax.checkpoints.clip import read_clip_config
 from t2m_jax.checkpoints.evaluator import load_trained_evaluator, save_evaluator
 from t2m_jax.checkpoints.run import run_info
 from t2m_jax.checkpoints.sentence import load_sentence_tokenizer, read_sentence_config
