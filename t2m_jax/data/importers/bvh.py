@@ -16,7 +16,6 @@ from t2m_jax.data.importers.caption_table import CaptionTable, find_entries
 from t2m_jax.data.importers.division import EIGHTY, Division
 from t2m_jax.data.importers.table_parts import TablePart, find_parts, has_parts
 from t2m_jax.data.index import IndexEntry, save_index
-from t2m_jax.data.texts import Caption
 from t2m_jax.data.writer import ImportReport, finish_folder, new_folder, with_twins, write_twins
 from t2m_jax.errors import UserError, naming
 from t2m_jax.motion.amc import AMC_FPS, load_amc
@@ -175,11 +174,16 @@ class _Converter:
                     self.left_out[part.name] = str(error)
 
     def _parts(self, motion: Source) -> list[TablePart]:
-        """Returns the clips that a motion becomes: those of the table, or one with all of it."""
+        """Returns the clips that a motion becomes: those of the table, or one with all of it.
+
+        Raises:
+            UserError: There are no captions, or the table is wrong.
+        """
         key = motion.key(self.source)
         if has_parts(self.table):
             return find_parts(motion, key, find_entries(self.table, motion.keys(self.source)))
-        return [TablePart(clip_name(key), (0.0, 0.0), "", "", "", ())]
+        from_name = self.options.caption_from_name
+        return [TablePart(clip_name(key), find_captions(motion, self.source, table=self.table, from_name=from_name))]
 
     def _write(self, motion: Source, part: TablePart, clip: RigClip, folder: Path) -> None:
         """Writes a clip and its twin.
@@ -187,29 +191,17 @@ class _Converter:
         Raises:
             UserError: It has no captions or no split, or it cannot be converted.
         """
-        from_name = self.options.caption_from_name
         group = self.division.group(motion, part.split)
-        # Sentences are searched before the conversion, which takes longer.
-        said = (
-            () if has_parts(self.table) else find_captions(motion, self.source, table=self.table, from_name=from_name)
-        )
         with naming(motion):
             ready = _prepare(motion, part.cut(clip), rig=self.options.rig, up=self.options.up)
-            said = said or part.all_captions(ready.positions)
+            said = part.all_captions(ready.positions)
         self.num_frames += 2 * write_twins(folder, part.name, ready.positions, captions=said, skeleton=HUMANML3D)
         self.groups[part.name] = group
         if has_parts(self.table):
-            source = motion.key(self.source)
-            self.entries.append(IndexEntry(part.name, source, part.label, person=part.person))
+            self.entries.append(IndexEntry(part.name, motion.key(self.source), part.label, person=part.person))
         self.sides[ready.rig].append(ready.left_is_left)
         for step in ready.steps:
             self.steps[step].append(part.name)
-
-    def _captions(self, motion: Source) -> tuple[Caption, ...]:
-        """Returns the captions of a motion; none if those of each part are in the table."""
-        if has_parts(self.table):
-            return ()
-        return find_captions(motion, self.source, table=self.table, from_name=self.options.caption_from_name)
 
     def _add(self, motion: Source, name: str = "") -> str:
         """Returns the name of a motion's clip, which must be new."""

@@ -26,14 +26,14 @@ class TablePart(NamedTuple):
 
     name: str
     """Of the clip."""
-    span: tuple[float, float]
-    """Seconds of the motion; zeros are its beginning and its end."""
-    action: str
-    """Empty if it is not known."""
-    person: str
-    split: str
     captions: tuple[Caption, ...]
     """Of the table."""
+    span: tuple[float, float] = (0.0, 0.0)
+    """Seconds of the motion; zeros are its beginning and its end."""
+    action: str = ""
+    """Empty if it is not known."""
+    person: str = ""
+    split: str = ""
 
     @property
     def label(self) -> str:
@@ -102,7 +102,7 @@ def find_parts(motion: Source, key: str, rows: list[CaptionEntry]) -> list[Table
 
 def _make_part(name: str, rows: list[CaptionEntry]) -> TablePart:
     """Returns the part that some rows describe."""
-    known = {}
+    known: dict[str, str] = {}
     for column in (ACTION, PERSON, SPLIT):
         values = {row.cells.get(column, "") for row in rows}
         if len(values) > 1:
@@ -112,4 +112,4 @@ def _make_part(name: str, rows: list[CaptionEntry]) -> TablePart:
         raise UserError(f"{rows[0].place}: split {known[SPLIT]!r} is not {', '.join(SPLITS)}")
     # The part is the whole clip now.
     captions = [caption._replace(start=0.0, end=0.0) for row in rows for caption in row.captions]
-    return TablePart(name, rows[0].span, known[ACTION], known[PERSON], known[SPLIT], tuple(dict.fromkeys(captions)))
+    return TablePart(name, tuple(dict.fromkeys(captions)), rows[0].span, *known.values())
