@@ -79,15 +79,11 @@ class TrainedClip(NamedTuple):
     """Identifies the model: embeddings of two fingerprints cannot be mixed."""
 
 
-def load_clip(name_or_folder: str | Path, *, text_dim: int | None = None) -> TrainedClip:
+def load_clip(name_or_folder: str | Path) -> TrainedClip:
     """Returns the text tower of a CLIP, from a folder or by a hub name such as `openai/clip-vit-base-patch32`.
 
-    Args:
-        name_or_folder: The folder or the name.
-        text_dim: Width of the embeddings that the GPT reads, if there is a GPT.
-
     Raises:
-        UserError: It cannot be found, has another width, or a file is missing, damaged or does not fit the others.
+        UserError: It cannot be found, or a file is missing, damaged or does not fit the others.
     """
     folder = find_encoder(name_or_folder, CLIP_FILES)
     data = read_clip_config(folder)
@@ -95,8 +91,6 @@ def load_clip(name_or_folder: str | Path, *, text_dim: int | None = None) -> Tra
     fields = {ours: data[theirs] for theirs, ours in _FIELDS.items() if theirs in data}
     fields["end_token"] = None if end_token == _LEGACY_END else end_token
     config = config_from_dict(ClipTextConfig, fields, source=f"{folder / CONFIG_FILE}")
-    if text_dim not in (None, config.text_dim):
-        raise UserError(f"{name_or_folder}: has embeddings of {config.text_dim} numbers, but the GPT reads {text_dim}")
     tokenizer = load_clip_bpe(folder)
     check_vocabulary(folder, tokenizer, config.vocabulary_size)
     end = tokenizer.token_to_id(END)

@@ -107,28 +107,18 @@ class TrainedSentenceEncoder(NamedTuple):
     """Identifies the model: embeddings of two fingerprints cannot be mixed."""
 
 
-def load_sentence_encoder(name_or_folder: str | Path, *, text_dim: int | None = None) -> TrainedSentenceEncoder:
+def load_sentence_encoder(name_or_folder: str | Path) -> TrainedSentenceEncoder:
     """Returns a sentence encoder, from a folder or by a hub name such as `sentence-transformers/all-MiniLM-L6-v2`.
 
-    Args:
-        name_or_folder: The folder or the name.
-        text_dim: Width of the embeddings that the generator reads, if there is a generator.
-
     Raises:
-        UserError: It cannot be found, is of another family, has another width, or a file is missing or damaged.
+        UserError: It cannot be found, is of another family, or a file is missing or damaged.
     """
     folder = find_encoder(name_or_folder, SENTENCE_FILES)
     config = read_sentence_config(folder)
-    if text_dim not in (None, config.text_dim):
-        raise UserError(
-            f"{name_or_folder}: has embeddings of {config.text_dim} numbers, but the generator reads {text_dim} "
-            "(model.text_dim)"
-        )
     tokenizer = load_sentence_tokenizer(folder, config)
     variables = {"params": _load_params(folder / WEIGHTS_FILE, config)}
-    return TrainedSentenceEncoder(
-        folder, config, variables, tokenizer, encoder_fingerprint(config, variables, tokenizer)
-    )
+    fingerprint = encoder_fingerprint(config, variables, tokenizer)
+    return TrainedSentenceEncoder(folder, config, variables, tokenizer, fingerprint)
 
 
 def save_sentence_encoder(folder: Path, encoder: TrainedSentenceEncoder) -> None:

@@ -128,14 +128,16 @@ def load_pretrained(reference: Reference, *, text_dim: int | None = None) -> Pre
     Raises:
         UserError: It cannot be found, is damaged, has another width, or is not the one of the model's training.
     """
-    encoder: PretrainedEncoder
-    if isinstance(reference, ClipReference):
-        encoder = load_clip(reference.name, text_dim=text_dim)
-    else:
-        encoder = load_sentence_encoder(reference.name, text_dim=text_dim)
+    name = reference.name
+    is_clip = isinstance(reference, ClipReference)
+    encoder: PretrainedEncoder = load_clip(name) if is_clip else load_sentence_encoder(name)
+    width = encoder.config.text_dim
+    if text_dim not in (None, width):
+        wanted = f"the generator reads {text_dim} (model.text_dim)"
+        raise UserError(f"{name}: has embeddings of {width} numbers, but {wanted}")
     if reference.identity and reference.identity != encoder_identity(encoder):
         raise UserError(
-            f"{reference.name}: is not the text encoder that the model was trained with; its files have changed. "
+            f"{name}: is not the text encoder that the model was trained with; its files have changed. "
             "Give the old files, or name their revision (owner/name@revision)"
         )
     return encoder

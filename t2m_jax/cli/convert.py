@@ -99,10 +99,9 @@ def _check_files(args: argparse.Namespace, task: str, wanted: tuple[str, ...]) -
 
 def _convert_model(args: argparse.Namespace, paths: list[Path]) -> None:
     from t2m_jax.checkpoints.bundle import save_bundle
-    from t2m_jax.checkpoints.clip import load_clip
     from t2m_jax.checkpoints.official import load_official
     from t2m_jax.checkpoints.official.bundle import OfficialFiles, official_card
-    from t2m_jax.checkpoints.text_encoder import ClipReference
+    from t2m_jax.checkpoints.text_encoder import ClipReference, load_pretrained
     from t2m_jax.files.reading import load_text
     from t2m_jax.files.writing import check_new
 
@@ -113,7 +112,7 @@ def _convert_model(args: argparse.Namespace, paths: list[Path]) -> None:
     clip = None
     # A folder is copied into the model. A name is only noted, and found again when the model is loaded.
     if args.clip is not None and Path(args.clip).is_dir():
-        clip = load_clip(args.clip, text_dim=bundle.config.generator.text_dim)
+        clip = load_pretrained(ClipReference(name=args.clip), text_dim=bundle.config.generator.text_dim)
     elif args.clip is not None:
         config = dataclasses.replace(bundle.config, text_encoder=ClipReference(name=args.clip))
         bundle = bundle._replace(config=config)

@@ -35,31 +35,23 @@ class AuditedClip(NamedTuple):
     """None if the features cannot be those of a motion."""
 
 
-class _Decoded(NamedTuple):
-    """Joints in meters."""
-
-    positions: Float[np.ndarray, "T J 3"]
-    local: Float[np.ndarray, "T J 3"]
-    """In facing coordinates."""
-
-
 def audit_clip(dataset: Dataset, name: str) -> AuditedClip:
     """Returns the faults of the files of one clip, and what is compared with other clips."""
     problems: list[str] = []
-    features, decoded = None, None
+    num_frames = 0
+    body = None
+    positions = None
     try:
         features = dataset.features(name)
-        decoded = _decode(features, dataset.skeleton, path=Path(FEATURES) / f"{name}.npy")
+        num_frames = len(features)
+        positions, local = _decode(features, dataset.skeleton, path=Path(FEATURES) / f"{name}.npy")
+        body = measure_body(features, local, dataset.skeleton)
+        faults = _check_positions(positions, fps=dataset.skeleton.fps)
+        faults += check_body(features, local, dataset.skeleton)
+        problems += [f"{FEATURES}/{name}.npy: {fault}" for fault in faults]
     except UserError as error:
         problems.append(str(error))
-    body = None
-    if features is not None and decoded is not None:
-        body = measure_body(features, decoded.local, dataset.skeleton)
-        faults = _check_positions(decoded.positions, fps=dataset.skeleton.fps)
-        faults += check_body(features, decoded.local, dataset.skeleton)
-        problems += [f"{FEATURES}/{name}.npy: {fault}" for fault in faults]
-    problems += _audit_joints(dataset, name, decoded)
-    num_frames = 0 if features is None else len(features)
+    problems += _audit_joints(dataset, name, positions)
     captions: tuple[Caption, ...] = ()
     try:
         captions, broken = read_captions(dataset.folder / TEXTS / f"{name}.txt")
@@ -75,8 +67,10 @@ def audit_clip(dataset: Dataset, name: str) -> AuditedClip:
     return AuditedClip(tuple(problems), num_frames, captions, body)
 
 
-def _decode(features: Float[np.ndarray, "T D"], skeleton: Skeleton, *, path: Path) -> _Decoded:
-    """Returns the joints of features.
+def _decode(
+    features: Float[np.ndarray, "T D"], skeleton: Skeleton, *, path: Path
+) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T J 3"]]:
+    """Returns the joints of features in meters, in the coordinates of the world and in facing ones.
 
     Raises:
         UserError: The features cannot be those of a motion.
@@ -92,7 +86,7 @@ def _decode(features: Float[np.ndarray, "T D"], skeleton: Skeleton, *, path: Pat
     # Finite but huge features overflow on the way.
     if not (np.all(np.isfinite(positions)) and np.all(np.abs(local) < MAX_METERS)):
         raise UserError(f"{path}: decodes to positions that are not finite")
-    return _Decoded(positions, local)
+    return positions, local
 
 
 def _check_positions(positions: Float[np.ndarray, "T J 3"], *, fps: float) -> list[str]:
@@ -106,7 +100,7 @@ def _check_positions(positions: Float[np.ndarray, "T J 3"], *, fps: float) -> li
     return problems
 
 
-def _audit_joints(dataset: Dataset, name: str, decoded: _Decoded | None) -> list[str]:
+def _audit_joints(dataset: Dataset, name: str, positions: Float[np.ndarray, "T J 3"] | None) -> list[str]:
     """Returns the faults of the file with the joints of a clip, which a data set need not have."""
     path = dataset.folder / POSITIONS / f"{name}.npy"
     if not path.exists():
@@ -120,7 +114,7 @@ def _audit_joints(dataset: Dataset, name: str, decoded: _Decoded | None) -> list
         return [f"{POSITIONS}/{name}.npy: does not have the shape T x {shape[0]} x 3 of its skeleton"]
     if not np.isfinite(joints).all():
         return [f"{POSITIONS}/{name}.npy: has values that are NaN or infinite"]
-    if decoded is None:
+    if positions is None:
         return []
     meters = joints * dataset.skeleton.metres_per_unit
-    return [f"{POSITIONS}/{name}.npy: {fault}" for fault in check_joints(meters, decoded.positions)]
+    return [f"{POSITIONS}/{name}.npy: {fault}" for fault in check_joints(meters, positions)]

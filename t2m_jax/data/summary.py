@@ -45,6 +45,7 @@ def summarize_training_data(dataset: Dataset, clips: Sequence[Clip]) -> Training
     """Returns the record of some clips of a data set. The most frequent actions and words come first."""
     index = load_index(dataset.folder)
     labels = Counter(_action(label) for clip in clips if index and (label := index.label(clip.name)))
+    lengths = [len(clip.features) for clip in clips]
     words = Counter(token.partition("/")[0].lower() for tokens in all_tokens(clips) for token in tokens)
     return TrainingData(
         data=dataset.info.name,
@@ -55,13 +56,9 @@ def summarize_training_data(dataset: Dataset, clips: Sequence[Clip]) -> Training
             ([caption.text for caption in clip.captions] for clip in clips),
             [_single_action(index.label(clip.name) or "") for clip in clips] if index else (),
         ),
-        shortest_frames=_shortest(clips),
+        shortest_frames=int(np.quantile(lengths, SHORTEST_SHARE)) if lengths else 0,
         captions=_some_captions(clips),
     )
-
-
-def _shortest(clips: Sequence[Clip]) -> int:
-    return int(np.quantile([len(clip.features) for clip in clips], SHORTEST_SHARE)) if clips else 0
 
 
 def _some_captions(clips: Sequence[Clip]) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from safetensors.numpy import load_file, save_file
 
 from t2m_jax.checkpoints.encoder_files import find_encoder, user_folder
 from t2m_jax.checkpoints.sentence import SENTENCE_FILES, load_sentence_encoder, save_sentence_encoder
+from t2m_jax.checkpoints.text_encoder import SentenceReference, load_pretrained
 from t2m_jax.errors import UserError
 from t2m_jax.text.bpe import tokenize_captions
 from tests.sentence_golden import BERT, CAPTIONS, FOLDERS, MPNET, ROBERTA, change_json, copy_encoder
@@ -18,9 +19,9 @@ TOKENIZER = "tokenizer_config.json"
 LENGTH, PROMPTS, POOLING = "sentence_bert_config.json", "config_sentence_transformers.json", "1_Pooling/config.json"
 
 
-def refused(name, **options) -> str:
+def refused(name) -> str:
     with pytest.raises(UserError) as caught:
-        load_sentence_encoder(name, **options)
+        load_sentence_encoder(name)
     assert "\n" not in str(caught.value) and len(str(caught.value)) <= 400
     return str(caught.value)
 
@@ -172,8 +173,9 @@ def test_a_missing_or_damaged_file_is_named(name, copy):
 
 
 def test_another_width_is_refused():
-    assert "has embeddings of 24 numbers, but the generator reads 512 (model.text_dim)" in refused(BERT, text_dim=512)
-    assert load_sentence_encoder(BERT, text_dim=24).config.text_dim == 24
+    with pytest.raises(UserError, match=r"embeddings of 24 numbers, but the generator reads 512 \(model.text_dim\)"):
+        load_pretrained(SentenceReference(name=str(BERT)), text_dim=512)
+    assert load_pretrained(SentenceReference(name=str(BERT)), text_dim=24).config.text_dim == 24
 
 
 @pytest.fixture

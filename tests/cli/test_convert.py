@@ -139,7 +139,7 @@ def test_what_does_not_fit_together_is_refused(refusal, published, tmp_path, bun
     other = published | {"gpt": tmp_path / "theirs" / "gpt.safetensors"}
     assert "generator.num_codes is 16, but the other parts need 24" in refusal(*arguments(other, "--num-heads=2", out))
     clip = golden_dir / "clip" / "text_only"
-    assert "embeddings of 24 numbers, but the GPT reads 16" in refusal(
+    assert "embeddings of 24 numbers, but the generator reads 16" in refusal(
         *arguments(published, "--num-heads=4", "--clip", clip, out)
     )
     export = ("--export-official", bundle_folder)

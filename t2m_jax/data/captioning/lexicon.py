@@ -49,28 +49,24 @@ def gerund(base: str) -> str:
 
 def past(base: str) -> str:
     """Returns the past tense of a verb: "waved" for "wave", "ran" for "run"."""
-    irregular = _irregular_verbs().get(base)
-    return irregular[0] if irregular else _with_ending_ed(base)
+    return _past_forms(base)[0]
 
 
 def participle(base: str) -> str:
     """Returns the past participle of a verb: "waved" for "wave", "gone" for "go"."""
-    irregular = _irregular_verbs().get(base)
-    return irregular[-1] if irregular else _with_ending_ed(base)
+    return _past_forms(base)[-1]
 
 
-def _with_ending_ed(base: str) -> str:
-    if base in read_words(__package__, "lexicon")["doubled"].split():
-        return base + base[-1] + "ed"
+def _past_forms(base: str) -> list[str]:
+    """Returns the past tense of a verb and, if it differs, its past participle."""
+    lexicon = read_words(__package__, "lexicon")
+    if base in lexicon["irregular_verbs"]:
+        return lexicon["irregular_verbs"][base].split()
+    if base in lexicon["doubled"].split():
+        return [base + base[-1] + "ed"]
     if base.endswith("y") and base[-2] not in "aeiou":
-        return base[:-1] + "ied"
-    return base + ("d" if base.endswith("e") else "ed")
-
-
-@functools.cache
-def _irregular_verbs() -> dict[str, list[str]]:
-    """Returns base form -> past tense and, if it differs, past participle."""
-    return {base: forms.split() for base, forms in read_words(__package__, "lexicon")["irregular_verbs"].items()}
+        return [base[:-1] + "ied"]
+    return [base + ("d" if base.endswith("e") else "ed")]
 
 
 @functools.cache
