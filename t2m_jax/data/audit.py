@@ -10,12 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.data.banks.captions import caption_tokens
-from t2m_jax.data.body_checks import check_twin
+from t2m_jax.data.body_checks import check_copies, check_twin
 from t2m_jax.data.cache import cache_places, damage, scan_sources
 from t2m_jax.data.caption_checks import check_speeds, check_twin_captions
 from t2m_jax.data.checks import compare_statistics
 from t2m_jax.data.clip_audit import AuditedClip, audit_clip
-from t2m_jax.data.copy_checks import check_copies
 from t2m_jax.data.files import FEATURES, INFO, MIRROR_PREFIX, POSITIONS, SPLITS, TEXTS
 from t2m_jax.data.folder import Dataset, DatasetInfo, open_dataset
 from t2m_jax.data.index import load_index

@@ -3,7 +3,7 @@
 import dataclasses
 import logging
 import string
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +25,7 @@ from t2m_jax.motion.skeleton import Skeleton, skeleton_from_feature_dim, skeleto
 logger = logging.getLogger(__name__)
 
 MAX_NAMED = 5
-"""Number of clips that a warning names per reason."""
+"""Number of clips or lines that a message names."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -172,7 +172,7 @@ class Dataset:
         broken = [name for name in names if name in cached.broken_captions]
         if broken:
             count = sum(cached.broken_captions[name] for name in broken)
-            words = f"{count} caption lines of {split} cannot be read and are left out, in clips {_first_of(broken)}"
+            words = f"{count} caption lines of {split} cannot be read and are left out, in clips {first_names(broken)}"
             logger.warning("%s: %s; run `t2m data check` for details", self.folder, words)
         clips = [name for name in usable if len(cached.features(name)) >= min_frames]
         if len(clips) < len(usable):
@@ -186,10 +186,10 @@ def left_out_in_words(left_out: Mapping[str, str]) -> str:
     kinds: dict[str, list[str]] = {}
     for name, reason in left_out.items():
         kinds.setdefault(reason, []).append(name)
-    return "; ".join(f"{len(names)} {reason} ({_first_of(names)})" for reason, names in kinds.items())
+    return "; ".join(f"{len(names)} {reason} ({first_names(names)})" for reason, names in kinds.items())
 
 
-def _first_of(names: list[str]) -> str:
+def first_names(names: Sequence[str]) -> str:
     """Returns the first names of a list, and dots if there are more."""
     return ", ".join(names[:MAX_NAMED]) + (", ..." if len(names) > MAX_NAMED else "")
 

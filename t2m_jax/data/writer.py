@@ -111,11 +111,6 @@ def with_twins(names: Sequence[str]) -> list[str]:
     return [twin for name in names for twin in (name, MIRROR_PREFIX + name)]
 
 
-def save_split(folder: Path, split: str, names: Sequence[str]) -> None:
-    """Writes the list of a split."""
-    save_text(folder / f"{split}.txt", "".join(f"{name}\n" for name in names))
-
-
 def finish_folder(
     folder: str | Path, splits: Mapping[str, Sequence[str]], *, info: DatasetInfo, skeleton: Skeleton
 ) -> dict[str, int]:
@@ -132,7 +127,7 @@ def finish_folder(
     if not splits.get("train"):
         raise UserError(f"{info.name}: no clip is left for training; check the split lists and the captions")
     for split in SPLITS:
-        save_split(folder, split, splits.get(split, ()))
+        save_text(folder / f"{split}.txt", "".join(f"{name}\n" for name in splits.get(split, ())))
     clips = (np.load(folder / FEATURES / f"{name}.npy") for name in splits["train"])
     save_normalizer(folder, normalizer_from_clips(clips, skeleton.layout))
     save_config(folder / INFO, info)

@@ -25,8 +25,11 @@ def correct_spelling(prompt: str, known: frozenset[str]) -> tuple[str, dict[str,
     suspects = {found[0] for found in _WORD.finditer(prompt) if _may_be_mistake(found, known)}
     if len(suspects) > MOST_MISTAKES:
         return prompt, {}
-    meant = {word: _meant(word.lower(), known) for word in suspects}
-    read = {word: other for word, other in meant.items() if other is not None}
+    read = {}
+    for word in suspects:
+        other = next((one for one in _one_mistake_away(word.lower()) if not known.isdisjoint(forms(one))), None)
+        if other is not None:
+            read[word] = other
     return _WORD.sub(lambda found: read.get(found[0], found[0]), prompt), read
 
 
@@ -36,11 +39,6 @@ def _may_be_mistake(found: re.Match[str], known: frozenset[str]) -> bool:
     # Capital letters inside of a sentence are names, or stand for something.
     is_name = found[0][0].isupper() and found.start() > 0
     return not (is_name or len(word) < SHORTEST or word in _GRAMMAR or word in known or readings(word))
-
-
-def _meant(word: str, known: frozenset[str]) -> str | None:
-    """Returns the known word that is one typing mistake away; None if there is none."""
-    return next((other for other in _one_mistake_away(word) if not known.isdisjoint(forms(other))), None)
 
 
 def _one_mistake_away(word: str) -> Iterator[str]:

@@ -74,17 +74,13 @@ def words_of(caption: str) -> list[Word]:
     found: list[Word] = []
     for _, clause in clauses:
         words = [token for _, token in clause if token[0].isalnum()]
-        found += map(_word, words, _actions(words))
+        found += [Word(text, forms(text), action) for text, action in zip(words, _actions(words), strict=True)]
     return found
 
 
 def forms(word: str) -> frozenset[str]:
     """Returns a word and its basic forms."""
     return frozenset({word, *itertools.chain.from_iterable(readings(word).values())})
-
-
-def _word(text: str, action: str) -> Word:
-    return Word(text, forms(text), action)
 
 
 def _actions(clause: Sequence[str]) -> list[str]:

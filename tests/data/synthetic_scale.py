@@ -22,7 +22,8 @@ from t2m_jax.data.files import FEATURES, TEXTS
 from t2m_jax.data.importers.synthetic import FEWEST_CLIPS, FPS, KINDS, make_motion
 from t2m_jax.data.splits import split_by_hash
 from t2m_jax.data.texts import Caption, save_captions
-from t2m_jax.data.writer import ImportReport, check_count, mirror, new_folder, save_split, with_twins
+from t2m_jax.data.writer import ImportReport, check_count, mirror, new_folder, with_twins
+from t2m_jax.files.writing import save_text
 from t2m_jax.motion.facts import measure
 from t2m_jax.motion.features import features_from_positions
 from t2m_jax.motion.mirroring import mirror_positions
@@ -134,7 +135,7 @@ def write_scaled_dataset(
         splits = {split: with_twins(members) for split, members in split_by_hash([names]).items()}
         lists = splits | {"train_val": splits["train"] + splits["val"], "all": with_twins(names)}
         for split, members in lists.items():
-            save_split(folder, split, members)
+            save_text(folder / f"{split}.txt", "".join(f"{name}\n" for name in members))
     sizes = {split: len(members) for split, members in splits.items()}
     notes = ("one pair of clips is NaN and one has a single frame, as in HumanML3D",)
     return ImportReport(2 * num_clips, sum(lengths), sizes, {}, notes)

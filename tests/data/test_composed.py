@@ -9,6 +9,7 @@ import pytest
 from t2m_jax.data.audit import audit_dataset
 from t2m_jax.data.captioning.captions import CAPTIONS, Labels, says_pace
 from t2m_jax.data.captioning.lexicon import read_words
+from t2m_jax.data.captioning.sequences import write_then_captions
 from t2m_jax.data.captioning.wordings import load_wordings
 from t2m_jax.data.composing import extra, turns
 from t2m_jax.data.composing.extra import (
@@ -20,7 +21,7 @@ from t2m_jax.data.composing.extra import (
 )
 from t2m_jax.data.composing.pieces import LONGEST, LabeledPiece, Library, join_pieces
 from t2m_jax.data.composing.standing import QUIET_SPEED, find_stillness, stand_still
-from t2m_jax.data.composing.turns import draw_pieces, write_composed_captions
+from t2m_jax.data.composing.turns import draw_pieces
 from t2m_jax.data.files import FEATURES, POSITIONS
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.bandai_namco import import_bandai_namco, labels_from_name
@@ -110,10 +111,15 @@ def said(caption):
 
 def test_captions_do_not_name_the_other_side():
     parts = [part("walk", walking_positions(60)), part("wave-left-hand", standing(60))]
-    captions = write_composed_captions(parts, count=60, generator=random.Random(0))
+    captions = captions_of(parts, count=60, generator=random.Random(0))
     assert len({caption.text for caption in captions}) == 60
     for caption in captions:
         assert "left" in said(caption).split() and "right" not in said(caption).split()
+
+
+def captions_of(pieces, *, count, generator):
+    labels, facts = [piece.labels for piece in pieces], [piece.facts for piece in pieces]
+    return write_then_captions(labels, facts=facts, count=count, generator=generator)
 
 
 def labels_of(names):
@@ -228,7 +234,7 @@ def test_parts_with_low_hands_are_called_low_and_no_part_is_called_slow():
     low = part("wave-left-hand", positions, "elderly")
     for parts, is_low in (([low], True), ([part("wave-left-hand", standing(80, raised=range(30, 60)))], False)):
         walk = part("walk", walking_positions(60), "elderly")
-        texts = [said(one) for one in write_composed_captions([walk, *parts], count=40, generator=random.Random(2))]
+        texts = [said(one) for one in captions_of([walk, *parts], count=40, generator=random.Random(2))]
         assert all(any(mark in text for mark in LOW) for text in texts) == is_low
         assert not any(word in text for text in texts for word in ("slow", "quick", "fast"))
     assert any("old" in text or "elder" in text for text in texts), "manners are still said"

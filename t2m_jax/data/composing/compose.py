@@ -10,14 +10,19 @@ from typing import Any, NamedTuple
 import tqdm
 
 from t2m_jax.data.captioning.captions import CAPTIONS, Labels
-from t2m_jax.data.captioning.sequences import write_count_captions, write_duration_captions, write_while_captions
+from t2m_jax.data.captioning.sequences import (
+    write_count_captions,
+    write_duration_captions,
+    write_then_captions,
+    write_while_captions,
+)
 from t2m_jax.data.captioning.wordings import load_wordings
 from t2m_jax.data.composing.at_once import draw_at_once
 from t2m_jax.data.composing.extra import Composed, NewClip, write_new_clip, write_slow_clips, write_stand_clips
 from t2m_jax.data.composing.lasting import draw_lasting
 from t2m_jax.data.composing.pieces import REACH, Library, drawn_weights, join_pieces, make_library
 from t2m_jax.data.composing.repeated import draw_repeated
-from t2m_jax.data.composing.turns import draw_pieces, write_composed_captions
+from t2m_jax.data.composing.turns import draw_pieces
 from t2m_jax.data.files import MIRROR_PREFIX
 from t2m_jax.data.folder import Dataset, open_dataset
 from t2m_jax.data.index import ClipIndex, IndexEntry, load_index, save_index
@@ -148,8 +153,10 @@ def _entries(new: Sequence[NewClip], index: ClipIndex, dataset: Dataset) -> list
 
 def _make_turns(library: Library, generator: random.Random) -> Composed:
     pieces = draw_pieces(library, generator)
-    captions = write_composed_captions(pieces, count=CAPTIONS, generator=generator)
-    label = " + ".join(piece.labels.content for piece in pieces)
+    labels = [piece.labels for piece in pieces]
+    facts = [piece.facts for piece in pieces]
+    captions = write_then_captions(labels, facts=facts, count=CAPTIONS, generator=generator)
+    label = " + ".join(one.content for one in labels)
     return Composed(label, join_pieces(pieces), captions, [piece.name for piece in pieces])
 
 

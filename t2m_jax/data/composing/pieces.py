@@ -2,6 +2,7 @@
 
 import functools
 import random
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -66,10 +67,6 @@ class Library(NamedTuple):
     reach: float = float("inf")
     """Meters that the joints may be apart on average where one clip follows another."""
 
-    def read(self, name: str) -> Float[np.ndarray, "T D"]:
-        """Returns the raw features of a clip."""
-        return np.load(self.folder / FEATURES / f"{name}.npy")
-
     def draw_clip(self, weights: Mapping[str, float], generator: random.Random) -> LabeledPiece | None:
         """Returns a clip of one of the contents, drawn by their weights; None if there are no clips of any."""
         known = [content for content in weights if self.clips.get(content)]
@@ -80,7 +77,7 @@ class Library(NamedTuple):
 
     def piece(self, content: str, name: str, style: str) -> LabeledPiece:
         """Returns a whole clip."""
-        return LabeledPiece(Labels(content, style), self.read(name), name)
+        return LabeledPiece(Labels(content, style), np.load(self.folder / FEATURES / f"{name}.npy"), name)
 
     def following(self, content: str, before: LabeledPiece | None) -> Sequence[tuple[str, str]]:
         """Returns the clips of a content that begin in about the pose in which a piece ends."""
@@ -108,10 +105,8 @@ def drawn_weights(contents: Iterable[str]) -> dict[str, float]:
     """
     table = read_words(__package__, "composed")
     known = table["weights"] | table["more_weights"]
-    counts: dict[str, int] = {}
-    for content in contents:
-        counts[content] = counts.get(content, 0) + 1
-    return {content: known.get(content, min(count / FEW_CLIPS, MOST_WEIGHT)) for content, count in counts.items()}
+    counts = Counter(contents).items()
+    return {content: known.get(content, min(count / FEW_CLIPS, MOST_WEIGHT)) for content, count in counts}
 
 
 @functools.cache
@@ -154,9 +149,6 @@ def join_at(
         starts=range(min(latest, len(second) - OVERLAP) + 1),
         skeleton=HUMANML3D,
     )
-    return with_constant_bones(join_features(first, second, cut))
-
-
-def with_constant_bones(features: Float[np.ndarray, "T D"]) -> Float[np.ndarray, "T D"]:
-    """Returns features without the last frame, with the bones of the template, which a join does not keep."""
-    return features_from_positions(positions_from_features(features, HUMANML3D), HUMANML3D)
+    # A join does not keep the bones of the template; this does, and takes the last frame.
+    positions = positions_from_features(join_features(first, second, cut), HUMANML3D)
+    return features_from_positions(positions, HUMANML3D)

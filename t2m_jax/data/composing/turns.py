@@ -6,9 +6,7 @@ import random
 from collections.abc import Mapping, Sequence
 
 from t2m_jax.data.captioning.lexicon import read_words
-from t2m_jax.data.captioning.sequences import write_then_captions
 from t2m_jax.data.composing.pieces import LONGEST, LabeledPiece, Library
-from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
 from t2m_jax.motion.joining import OVERLAP
 
@@ -80,11 +78,3 @@ def held_out_compositions() -> Mapping[tuple[str, str], tuple[str, ...]]:
     """Returns two contents -> sentences that ask for one after the other. Models are tested with them."""
     entries = read_words(__package__, "held_out_composed")
     return {tuple(entry["parts"]): tuple(entry["sentences"]) for entry in entries}
-
-
-def write_composed_captions(
-    pieces: Sequence[LabeledPiece], *, count: int, generator: random.Random
-) -> tuple[Caption, ...]:
-    """Returns `count` different captions of a sequence of pieces."""
-    facts = [piece.facts for piece in pieces]
-    return write_then_captions([piece.labels for piece in pieces], facts=facts, count=count, generator=generator)

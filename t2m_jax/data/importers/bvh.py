@@ -10,7 +10,7 @@ import tqdm
 from jaxtyping import Float
 
 from t2m_jax.config import load_config
-from t2m_jax.data.folder import DatasetInfo
+from t2m_jax.data.folder import DatasetInfo, first_names
 from t2m_jax.data.importers.caption_files import Source, clip_name, find_captions, find_table, unused_entries
 from t2m_jax.data.importers.caption_table import CaptionTable, find_entries
 from t2m_jax.data.importers.division import EIGHTY, Division
@@ -27,8 +27,6 @@ from t2m_jax.motion.rig.retarget import clip_up, find_rig, resolve_rig, retarget
 from t2m_jax.motion.skeleton import HUMANML3D
 
 SUFFIXES = (".bvh", ".glb", ".amc")
-SHOWN = 5
-"""Number of clips that a note names."""
 
 
 def find_motion_files(source: Path) -> list[Path]:
@@ -228,10 +226,7 @@ class _Converter:
 
     def notes(self) -> list[str]:
         """Returns a line for each thing that was done, with some clips."""
-        return [
-            f"{len(names)} clips: {step} ({', '.join(names[:SHOWN])}{', ...' * (len(names) > SHOWN)})"
-            for step, names in self.steps.items()
-        ]
+        return [f"{len(names)} clips: {step} ({first_names(names)})" for step, names in self.steps.items()]
 
 
 def import_bvh_folder(source: str | Path, destination: str | Path, **options: Any) -> ImportReport:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from t2m_jax.data.captioning.lexicon import tag_words
+from t2m_jax.data.folder import first_names
 from t2m_jax.data.texts import Caption, parse_caption
 from t2m_jax.errors import UserError
 from t2m_jax.files.reading import load_text
@@ -110,10 +111,8 @@ def load_caption_table(path: Path, *, keys: Collection[str] = ()) -> CaptionTabl
         notes = layout.notes
         joined = [row.place.rpartition(":")[2] for row, count in rows if count]
         if joined:
-            shown = ", ".join(joined[:5]) + ", ..." * (len(joined) > 5)
-            notes += (
-                f"{path}: the captions of {len(joined)} lines ({shown}) have commas without quotes; all was kept",
-            )
+            lines_with = f"{len(joined)} lines ({first_names(joined)})"
+            notes += (f"{path}: the captions of {lines_with} have commas without quotes; all was kept",)
         found = [row for row, _ in rows]
     else:
         found = [_read_pair(f"{path}:{number}", line) for number, line in numbered]
@@ -210,13 +209,11 @@ def _read_header(path: Path, cells: Sequence[str], delimiter: str) -> _Layout | 
     )
     first = () if found["caption"] is None else (found["caption"],)
     captions = tuple(place for place in numbered if names[place][-1:].isdigit()) or first
-    if found["file"] is None:
+    if found["file"] is None or not captions:
         return None
     times = {role: place for role in ("start", "end") if (place := found[role]) is not None}
     used = (found["file"], *captions, *times.values())
     others = {cell: place for place, cell in enumerate(cells) if place not in used}
-    if not captions:
-        return None
     notes = (f"{path}: captions are read from {', '.join(repr(cells[place]) for place in captions)}",)
     is_plain = [names[place] for place in captions] == ["caption"] and names[found["file"]] == "file"
     return _Layout(delimiter, True, found["file"], captions, times, others, len(cells), () if is_plain else notes)
