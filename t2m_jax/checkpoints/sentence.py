@@ -216,7 +216,6 @@ def load_sentence_tokenizer(folder: Path, config: SentenceEncoderConfig) -> Toke
     if _load_optional(folder / LENGTH_FILE).get("do_lower_case") is True:
         others = [] if tokenizer.normalizer is None else [tokenizer.normalizer]
         tokenizer.normalizer = normalizers.Sequence([normalizers.Lowercase(), *others])
-    tokenizer.no_padding()
     tokenizer.enable_truncation(config.max_length)
     return tokenizer
 

@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from t2m_jax.motion.features import bone_vectors
 from t2m_jax.motion.mirroring import mirror_positions
+from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 
 NUM_POSES = 8
@@ -113,19 +114,15 @@ def check_body(features: Float[np.ndarray, "T D"], local: Float[np.ndarray, "T J
 def _side_score(local: Float[np.ndarray, "T J 3"], skeleton: Skeleton) -> float:
     """Returns a number that is above 0 if knees bend and feet point to the front, where left is left of it."""
     right_hip, left_hip, *shoulders = skeleton.face_joints
-    across = _units(local[:, left_hip] - local[:, right_hip])
-    front = _units(np.cross(across, local[:, shoulders].mean(axis=1) - local[:, 0]))
+    across = unit_vectors(local[:, left_hip] - local[:, right_hip])
+    front = unit_vectors(np.cross(across, local[:, shoulders].mean(axis=1) - local[:, 0]))
     bends, ahead = [], []
     for hip, (ankle, toe) in ((left_hip, skeleton.left_foot), (right_hip, skeleton.right_foot)):
         chain = next(chain for chain in skeleton.chains if hip in chain)
-        thigh, shin = (_units(np.diff(local[:, chain[first : first + 2]], axis=1)[:, 0]) for first in (1, 2))
+        thigh, shin = (unit_vectors(np.diff(local[:, chain[first : first + 2]], axis=1)[:, 0]) for first in (1, 2))
         bends.append(np.sum(np.cross(thigh, shin) * across, axis=-1))
-        ahead.append(np.sum(_units(local[:, toe] - local[:, ankle]) * front, axis=-1))
+        ahead.append(np.sum(unit_vectors(local[:, toe] - local[:, ankle]) * front, axis=-1))
     return float(np.median(ahead) + BEND_WEIGHT * np.mean(bends))
-
-
-def _units(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-6)
 
 
 def check_joints(stored: Float[np.ndarray, "U J 3"], positions: Float[np.ndarray, "T J 3"]) -> list[str]:

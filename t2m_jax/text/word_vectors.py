@@ -95,10 +95,9 @@ class Vocabulary:
         kept = [token.partition("/")[::2] for token in tokens[:MAX_WORDS]]
         sentence = [(START, ""), *kept, (END, "")]
         # The published vocabulary has no word for padding; its loader takes this one.
-        padded = sentence + [(UNKNOWN, "")] * (TEXT_LENGTH - len(sentence))
         words = np.full(TEXT_LENGTH, self._number[UNKNOWN], np.int32)
         classes = np.full(TEXT_LENGTH, OTHER, np.int32)
-        for position, (word, tag) in enumerate(padded):
+        for position, (word, tag) in enumerate(sentence):
             if word in self._number:
                 words[position] = self._number[word]
                 classes[position] = part_of_speech(word, tag)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from t2m_jax.data.body_checks import local_positions
 from t2m_jax.data.captioning.captions import Labels
 from t2m_jax.data.captioning.lexicon import read_words
 from t2m_jax.data.files import FEATURES
@@ -117,9 +118,7 @@ def first_pose(path: Path) -> Float[np.ndarray, "J 3"]:
 
 def pose_of(frame: Float[np.ndarray, " D"]) -> Float[np.ndarray, "J 3"]:
     """Returns the joints of a frame of features, relative to the root's place and heading."""
-    layout = HUMANML3D.layout
-    root = np.array([[0.0, frame[layout.root_height].item(), 0.0]], np.float32)
-    return np.concatenate([root, frame[layout.positions].reshape(-1, 3)])
+    return local_positions(frame[None], HUMANML3D)[0]
 
 
 def join_pieces(pieces: Sequence[LabeledPiece]) -> Float[np.ndarray, "T J 3"]:
