@@ -95,13 +95,6 @@ def test_an_error_of_a_thread_is_raised(tmp_path, monkeypatch):
         next(steps)
 
 
-def test_without_grain_a_user_error_tells_what_to_install(tmp_path, monkeypatch):
-    windows = HostWindows(*window_case(tmp_path)[:2], rows=np.arange(BATCH))
-    monkeypatch.setitem(sys.modules, "grain", None)
-    with pytest.raises(UserError, match="pip install grain"), windows.read(0, 5, ahead=2):
-        pass
-
-
 def test_without_the_cpu_a_user_error_tells_what_to_do(tmp_path, monkeypatch):
     def unknown(backend):
         raise RuntimeError(f"Unknown backend {backend}")

@@ -71,15 +71,9 @@ class HostWindows:
         """Yields an iterator over the windows of the steps from `first_step` to before `stop`.
 
         Threads cut the windows of the next `ahead` steps, and one more for each thread, in the meantime.
-
-        Raises:
-            UserError: The package `grain` is missing.
         """
-        try:
-            # Only data on the host need this package.
-            import grain
-        except ImportError as error:
-            raise UserError("placement: data on the host need the package grain: pip install grain") from error
+        import grain  # here, because only data on the host need it
+
         # Each thread holds one batch beside those that are ready.
         options = grain.ReadOptions(num_threads=NUM_THREADS, prefetch_buffer_size=ahead + NUM_THREADS)
         steps = iter(grain.MapDataset.range(first_step, stop).map(self.cut).to_iter_dataset(options))

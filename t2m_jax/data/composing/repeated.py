@@ -47,21 +47,19 @@ def signal_of(positions: Float[np.ndarray, "T J 3"], signal: str) -> Float[np.nd
     joint = {name: positions[:, place] for place, name in enumerate(HUMANML3D.joint_names)}
     height = {name: place[:, 1] for name, place in joint.items()}
     wrists = [joint[f"{side}_wrist"] - joint[f"{side}_shoulder"] for side in ("left", "right")]
-    if signal == "rise":
-        return height["pelvis"]
-    if signal == "dip":
-        return -height["pelvis"]
-    if signal == "nod":
-        return height["pelvis"] - height["head"]
-    if signal == "foot":
-        return np.maximum(height["left_ankle"], height["right_ankle"])
-    if signal == "hands meet":
+    apart = np.linalg.norm(joint["left_wrist"] - joint["right_wrist"], axis=-1)
+    return {
+        "rise": height["pelvis"],
+        "dip": -height["pelvis"],
+        "nod": height["pelvis"] - height["head"],
+        "foot": np.maximum(height["left_ankle"], height["right_ankle"]),
         # Hanging arms are farther apart than hands between two claps, which would then be too small to count.
-        return -np.minimum(np.linalg.norm(joint["left_wrist"] - joint["right_wrist"], axis=-1), APART)
-    if signal == "reach":
-        return np.max([np.linalg.norm(wrist[:, ::2], axis=-1) for wrist in wrists], axis=0)
-    heights = [wrist[:, 1] for wrist in wrists]
-    return {"left wrist": heights[0], "right wrist": heights[1], "both wrists": np.minimum(*heights)}[signal]
+        "hands meet": -np.minimum(apart, APART),
+        "reach": np.max([np.linalg.norm(wrist[:, ::2], axis=-1) for wrist in wrists], axis=0),
+        "left wrist": wrists[0][:, 1],
+        "right wrist": wrists[1][:, 1],
+        "both wrists": np.minimum(wrists[0][:, 1], wrists[1][:, 1]),
+    }[signal]
 
 
 def find_peaks(values: Float[np.ndarray, " T"], *, least: float) -> list[int]:
