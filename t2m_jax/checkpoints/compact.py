@@ -74,13 +74,10 @@ def kept_tokens(vocabulary: dict[str, int], *, special: set[str]) -> dict[str, i
 
     def is_kept(token: str) -> bool:
         piece = token.removeprefix("##")
-        return token in special or (not token.startswith("[unused") and (piece.isascii() or _is_kept_character(piece)))
+        is_character = len(piece) == 1 and any(ord(piece) in codes for codes in KEPT_CHARACTERS)
+        return token in special or (not token.startswith("[unused") and (piece.isascii() or is_character))
 
     return {token: number for token, number in sorted(vocabulary.items(), key=lambda item: item[1]) if is_kept(token)}
-
-
-def _is_kept_character(piece: str) -> bool:
-    return len(piece) == 1 and any(ord(piece) in codes for codes in KEPT_CHARACTERS)
 
 
 def quantize_rows(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -30,19 +30,6 @@ MIN_FRAMES = 2
 """Fewest frames of a usable clip: with one there is no step from one frame to the next."""
 
 
-def load_features(path: Path, *, feature_dim: int) -> Float[np.ndarray, "T D"]:
-    """Returns the raw features of one clip. They may contain NaN.
-
-    Raises:
-        UserError: The file is missing or damaged, or has another width.
-    """
-    array = load_array(path)
-    if array.ndim != 2 or array.shape[1] != feature_dim:
-        shape = "x".join(str(size) for size in array.shape)
-        raise UserError(f"{path}: has shape {shape}, expected T x {feature_dim}; is it for another skeleton?")
-    return array.astype(np.float32, copy=False)
-
-
 class ClipFiles(NamedTuple):
     """The contents of the files of a usable clip."""
 

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from t2m_jax.config import load_config
 from t2m_jax.data.cache import open_clips
-from t2m_jax.data.files import FEATURES, INFO, MIRROR_PREFIX, SPLITS, TEXTS, load_features, read_names
+from t2m_jax.data.files import FEATURES, INFO, MIRROR_PREFIX, SPLITS, TEXTS, read_names
 from t2m_jax.data.splits import nested_choice
 from t2m_jax.data.texts import Caption, load_captions
 from t2m_jax.errors import UserError
@@ -128,8 +128,18 @@ class Dataset:
         return read_names(self.folder / f"{split}.txt")
 
     def features(self, name: str) -> Float[np.ndarray, "T D"]:
-        """Returns the raw features of a clip."""
-        return load_features(self.folder / FEATURES / f"{name}.npy", feature_dim=self.skeleton.feature_dim)
+        """Returns the raw features of a clip. They may contain NaN.
+
+        Raises:
+            UserError: The file is missing or damaged, or has another width.
+        """
+        path = self.folder / FEATURES / f"{name}.npy"
+        array = load_array(path)
+        if array.ndim != 2 or array.shape[1] != self.skeleton.feature_dim:
+            shape = "x".join(str(size) for size in array.shape)
+            wanted = f"T x {self.skeleton.feature_dim}"
+            raise UserError(f"{path}: has shape {shape}, expected {wanted}; is it for another skeleton?")
+        return array.astype(np.float32, copy=False)
 
     def captions(self, name: str) -> tuple[Caption, ...]:
         """Returns the captions of a clip. A line that cannot be read is an error."""
