@@ -100,7 +100,8 @@ def load_clip(name_or_folder: str | Path) -> TrainedClip:
     # Some files are saved without it. Their embeddings are in another space than those that the GPT was trained on.
     if "text_projection.weight" not in arrays:
         raise UserError(f"{path}: array 'text_projection.weight' is missing; give a CLIP saved with its projection")
-    variables = {"params": params_from_torch(path, arrays, clip_shapes(config), _key_from_path)}
+    shapes = param_shapes(ClipText(config), jnp.zeros((1, config.max_length), jnp.int32))
+    variables = {"params": params_from_torch(path, arrays, shapes, _key_from_path)}
     return TrainedClip(config, variables, tokenizer, encoder_fingerprint(config, variables, tokenizer))
 
 
@@ -127,11 +128,6 @@ def save_clip(folder: Path, clip: TrainedClip) -> None:
 def _key_from_path(names: tuple[str, ...]) -> str:
     """Returns PyTorch's name of one of our parameters, without the prefix."""
     return ".".join(_NAMES.get(name) or name.replace("block_", "encoder.layers.") for name in names)
-
-
-def clip_shapes(config: ClipTextConfig) -> dict[tuple[str, ...], tuple[int, ...]]:
-    """Returns the shape of every parameter of `ClipText` by its path."""
-    return param_shapes(ClipText(config), jnp.zeros((1, config.max_length), jnp.int32))
 
 
 def read_clip_config(folder: Path) -> dict[str, Any]:

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
-from t2m_jax.checkpoints.clip import TrainedClip, clip_shapes, load_clip, save_clip
-from t2m_jax.checkpoints.pretrained import encoder_fingerprint
+from t2m_jax.checkpoints.clip import TrainedClip, load_clip, save_clip
+from t2m_jax.checkpoints.pretrained import encoder_fingerprint, param_shapes
 from t2m_jax.errors import UserError
-from t2m_jax.models.clip_text import ClipTextConfig
+from t2m_jax.models.clip_text import ClipText, ClipTextConfig
 from t2m_jax.sampling.text_encoders import encode_clip_tokens
 from t2m_jax.text.clip_bpe import clip_tokens
 from tests.clip_golden import CAPTIONS, FULL, SAFETENSORS, TEXT_ONLY, TORCH, copy_files, golden
@@ -84,7 +84,10 @@ def test_both_formats_give_the_same_weights(full, tmp_path):
 
 
 def test_the_shapes_of_vit_b_32_add_up():
-    assert sum(map(math.prod, clip_shapes(ClipTextConfig()).values())) == 63_165_952 + 512 * 512
+    assert (
+        sum(map(math.prod, param_shapes(ClipText(ClipTextConfig()), jnp.zeros((1, 77), jnp.int32)).values()))
+        == 63_165_952 + 512 * 512
+    )
 
 
 def test_names_without_the_prefix_are_read(full, copy):

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from t2m_jax.data.banks.motions import Cuts, MotionBank, make_bank, windows_at
-from t2m_jax.data.banks.order import AnyArray, batch_items, draw_below, row_keys, split_each
+from t2m_jax.data.banks.order import AnyArray, Step, batch_items, draw_below, row_keys, split_each
 from t2m_jax.data.folder import Clip
 from t2m_jax.data.texts import Caption
 from t2m_jax.devices import own_rows, split_rows
@@ -76,7 +76,7 @@ def used_lengths(lengths: Int[Array, " B"], is_shorter: Bool[Array, " B"], *, un
 
 
 def _draw(
-    bank: CaptionBank, key: Key[Array, ""], step: Int[Array, ""] | int, *, batch_size: int, window: int
+    bank: CaptionBank, key: Key[Array, ""], step: Step, *, batch_size: int, window: int
 ) -> tuple[Cuts, Int[Array, " B"]]:
     """Returns the cuts and the captions of a step."""
     # NumPy arrays cannot be indexed with traced numbers.
@@ -93,15 +93,13 @@ def _draw(
     return Cuts(bank.motions.starts[motions] + draw_below(start_keys, whole - lengths + 1), lengths), captions
 
 
-def caption_cuts_at(
-    bank: CaptionBank, key: Key[Array, ""], step: Int[Array, ""] | int, *, batch_size: int, window: int
-) -> Cuts:
+def caption_cuts_at(bank: CaptionBank, key: Key[Array, ""], step: Step, *, batch_size: int, window: int) -> Cuts:
     """Returns the cuts of the batch of a step, see `caption_batch_at`. No frames are read."""
     return _draw(bank, key, step, batch_size=batch_size, window=window)[0]
 
 
 def caption_batch_at(
-    bank: CaptionBank, key: Key[Array, ""], step: Int[Array, ""] | int, *, batch_size: int, window: int
+    bank: CaptionBank, key: Key[Array, ""], step: Step, *, batch_size: int, window: int
 ) -> CaptionBatch:
     """Returns the batch of a step. Every motion is used once per epoch; caption, length and start are drawn.
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
-from t2m_jax.data.banks.order import AnyArray, batch_items, draw_below, row_keys, shared_items, split_each
+from t2m_jax.data.banks.order import AnyArray, Step, batch_items, draw_below, row_keys, shared_items, split_each
 from t2m_jax.devices import own_rows, split_rows
 from t2m_jax.text.bpe import CaptionTokens
 from t2m_jax.text.caption_states import CaptionStates, StateTable, captions_at
@@ -48,9 +48,7 @@ def crop_codes(
     return cropped, jnp.minimum(code_lengths, max_codes)
 
 
-def code_batch_at(
-    bank: CodeBank, key: Key[Array, ""], step: Int[Array, ""] | int, *, batch_size: int, max_codes: int
-) -> CodeBatch:
+def code_batch_at(bank: CodeBank, key: Key[Array, ""], step: Step, *, batch_size: int, max_codes: int) -> CodeBatch:
     """Returns the batch of a training step: a pure function of the run's data key and the step.
 
     Every motion comes once per epoch, or as often as its share says, with a uniformly drawn offset and caption.

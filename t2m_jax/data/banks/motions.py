@@ -13,7 +13,7 @@ import numpy as np
 from jax.sharding import PartitionSpec
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from t2m_jax.data.banks.order import AnyArray, batch_items, draw_below, row_keys
+from t2m_jax.data.banks.order import AnyArray, Step, batch_items, draw_below, row_keys
 from t2m_jax.data.folder import Clip
 from t2m_jax.devices import AXIS, global_sum, own_rows, split_rows
 from t2m_jax.errors import UserError
@@ -195,7 +195,7 @@ def draw_cuts(bank: MotionBank, clips: Int[Array, " B"], keys: Key[Array, " B"],
     return Cuts(jnp.asarray(bank.starts)[clips] + draw_below(keys, jnp.maximum(lengths - window, 0) + 1), lengths)
 
 
-def windows_at(bank: MotionBank, step: Int[Array, ""] | int, cuts: Cuts, *, window: int) -> Windows:
+def windows_at(bank: MotionBank, step: Step, cuts: Cuts, *, window: int) -> Windows:
     """Returns the windows of a step; the mask is True for the first `cuts.lengths[b]` frames of window b."""
     mask = jnp.arange(window)[None, :] < cuts.lengths[:, None]
     if isinstance(bank.frames, FedFrames):
@@ -209,7 +209,7 @@ def windows_at(bank: MotionBank, step: Int[Array, ""] | int, cuts: Cuts, *, wind
     return Windows(jnp.where(mask[:, :, None], motion, 0.0), mask)
 
 
-def cuts_at(bank: MotionBank, key: Key[Array, ""], step: Int[Array, ""] | int, *, batch_size: int, window: int) -> Cuts:
+def cuts_at(bank: MotionBank, key: Key[Array, ""], step: Step, *, batch_size: int, window: int) -> Cuts:
     """Returns the cuts of a training step: a pure function of the run's data key and the step. No frames are read."""
     order_key, cut_key = jax.random.split(key)
     rows = own_rows(batch_size)
@@ -217,9 +217,7 @@ def cuts_at(bank: MotionBank, key: Key[Array, ""], step: Int[Array, ""] | int, *
     return draw_cuts(bank, clips, row_keys(cut_key, step, rows), window=window)
 
 
-def batch_at(
-    bank: MotionBank, key: Key[Array, ""], step: Int[Array, ""] | int, *, batch_size: int, window: int
-) -> Windows:
+def batch_at(bank: MotionBank, key: Key[Array, ""], step: Step, *, batch_size: int, window: int) -> Windows:
     """Returns the batch of a training step: normalized windows [B, W, D], and where they have motion.
 
     Args:

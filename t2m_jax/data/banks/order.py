@@ -13,6 +13,8 @@ from jaxtyping import Array, Float, Int, Key, UInt32
 
 AnyArray: TypeAlias = Array | np.ndarray
 """An array of a bank: on the host, and on devices during training."""
+Step: TypeAlias = Int[Array, ""] | int
+"""Number of a training step, counted from 0 over the whole run."""
 ROUNDS = 8
 """Rounds of the Feistel network. Four make a permutation that looks random; twice as many are a margin."""
 
@@ -58,7 +60,7 @@ def shuffled(positions: Int[Array, " B"], key: Key[Array, ""], *, size: int) -> 
 
 
 def batch_items(
-    key: Key[Array, ""], step: Int[Array, ""] | int, rows: Int[Array, " B"], *, num_items: int, batch_size: int
+    key: Key[Array, ""], step: Step, rows: Int[Array, " B"], *, num_items: int, batch_size: int
 ) -> Int[Array, " B"]:
     """Returns the items of some rows of the batch of a training step (counted from 0 over the whole run).
 
@@ -81,12 +83,7 @@ def batch_items(
 
 
 def shared_items(
-    key: Key[Array, ""],
-    step: Int[Array, ""] | int,
-    rows: Int[Array, " B"],
-    shares: Float[AnyArray, " M"],
-    *,
-    batch_size: int,
+    key: Key[Array, ""], step: Step, rows: Int[Array, " B"], shares: Float[AnyArray, " M"], *, batch_size: int
 ) -> Int[Array, " B"]:
     """Returns the items of some rows of a step, each as often as its share says (see `batch_items`).
 
@@ -108,7 +105,7 @@ def shared_items(
     return jnp.minimum(jnp.searchsorted(shares, points, side="right"), num_items - 1).astype(jnp.int32)
 
 
-def row_keys(key: Key[Array, ""], step: Int[Array, ""] | int, rows: Int[Array, " B"]) -> Key[Array, " B"]:
+def row_keys(key: Key[Array, ""], step: Step, rows: Int[Array, " B"]) -> Key[Array, " B"]:
     """Returns the key of each row of the batch of a step, for draws that belong to that row alone."""
     return jax.vmap(jax.random.fold_in, (None, 0))(jax.random.fold_in(key, step), rows)
 
