@@ -21,8 +21,7 @@ from t2m_jax.files.arrays import DAMAGED_WEIGHTS, save_weights
 from t2m_jax.files.reading import first_line, load_json
 from t2m_jax.files.writing import save_json
 from t2m_jax.models.clip_text import ClipText, ClipTextConfig
-from t2m_jax.text.bpe import TOKENIZER_FILE, save_bpe
-from t2m_jax.text.clip_bpe import END, START, load_clip_bpe
+from t2m_jax.text.bpe import CLIP_END, CLIP_START, TOKENIZER_FILE, load_clip_bpe, save_bpe
 
 CONFIG_FILE = "config.json"
 WEIGHTS_FILE = "model.safetensors"
@@ -93,9 +92,9 @@ def load_clip(name_or_folder: str | Path) -> TrainedClip:
     config = config_from_dict(ClipTextConfig, fields, source=f"{folder / CONFIG_FILE}")
     tokenizer = load_clip_bpe(folder)
     check_vocabulary(folder, tokenizer, config.vocabulary_size)
-    end = tokenizer.token_to_id(END)
+    end = tokenizer.token_to_id(CLIP_END)
     if config.end_token not in (None, end):
-        raise UserError(f"{folder}: {END!r} is token {end}, but config.json says {_END_FIELD} {config.end_token}")
+        raise UserError(f"{folder}: {CLIP_END!r} is token {end}, but config.json says {_END_FIELD} {config.end_token}")
     path, arrays = _read_text_arrays(folder)
     # Some files are saved without it. Their embeddings are in another space than those that the GPT was trained on.
     if "text_projection.weight" not in arrays:
@@ -113,7 +112,7 @@ def save_clip(folder: Path, clip: TrainedClip) -> None:
     data: dict[str, Any] = {"architectures": ["CLIPTextModelWithProjection"], "model_type": "clip_text_model"}
     data |= {theirs: fields[ours] for theirs, ours in _FIELDS.items()}
     data[_END_FIELD] = _LEGACY_END if end_token is None else end_token
-    data["bos_token_id"] = clip.tokenizer.token_to_id(START)
+    data["bos_token_id"] = clip.tokenizer.token_to_id(CLIP_START)
     save_json(folder / CONFIG_FILE, data)
     save_bpe(folder, clip.tokenizer)
     arrays = {}

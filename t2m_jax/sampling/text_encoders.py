@@ -26,8 +26,7 @@ from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig,
 from t2m_jax.models.clip_text import ClipText, ClipTextConfig
 from t2m_jax.models.sentence_encoder import SentenceEncoder, SentenceEncoderConfig
 from t2m_jax.sampling.batches import fill_up, padded_batch_size
-from t2m_jax.text.bpe import read_part, tokenize_captions
-from t2m_jax.text.clip_bpe import clip_tokens
+from t2m_jax.text.bpe import clip_tokens, read_part, tokenize_captions
 from t2m_jax.text.embedding_cache import EmbeddingCache
 from t2m_jax.text.encoder import TextEncoder
 

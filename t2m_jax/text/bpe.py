@@ -1,4 +1,4 @@
-"""Subword tokens of captions (byte-pair encoding), by the `tokenizers` library."""
+"""Subword tokens of captions (byte-pair encoding), our own and those of CLIP, by the `tokenizers` library."""
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,6 +16,8 @@ from t2m_jax.files.writing import save_text
 PAD = "[pad]"
 UNKNOWN = "[unk]"
 TOKENIZER_FILE = "tokenizer.json"
+CLIP_START = "<|startoftext|>"
+CLIP_END = "<|endoftext|>"
 MAX_TOKEN = 1_000_000
 """Largest number of a token; vocabularies of all languages have a quarter as many."""
 
@@ -52,6 +54,24 @@ def tokenize_captions(tokenizer: Tokenizer, captions: Sequence[str], *, max_leng
     return CaptionTokens(tokens, mask)
 
 
+def clip_tokens(tokenizer: Tokenizer, captions: Sequence[str], *, max_length: int) -> Int[np.ndarray, "B S"]:
+    """Returns a start token, the caption, and end tokens up to `max_length`.
+
+    A longer caption loses its last tokens, but never the end token, as in `clip.tokenize(…, truncate=True)`. That
+    function also repairs HTML entities and broken encodings. This one does not: the captions of the published data
+    sets have none.
+    """
+    start, end = map(tokenizer.token_to_id, (CLIP_START, CLIP_END))
+    assert start is not None and end is not None, "the tokenizer is not CLIP's"
+    tokens = np.full((len(captions), max_length), end, np.int32)
+    tokens[:, 0] = start
+    for number, encoding in enumerate(tokenizer.encode_batch(list(captions), add_special_tokens=False)):
+        # Two places are for the start and the end.
+        ids = encoding.ids[: max_length - 2]
+        tokens[number, 1 : 1 + len(ids)] = ids
+    return tokens
+
+
 def read_part(tokenizer: Tokenizer, caption: str, *, max_length: int) -> str:
     """Returns a caption up to the subword number `max_length`, or all of a shorter one."""
     offsets = tokenizer.encode(caption, add_special_tokens=False).offsets
@@ -85,6 +105,21 @@ def load_bpe(folder: Path) -> Tokenizer:
         raise UserError(f"{path}: adds a token {min(missing)[:80]!r}, which it does not define; copy it again")
     # Of its last use. Whoever needs it does it again; the file could ask for any length.
     tokenizer.no_padding()
+    return tokenizer
+
+
+def load_clip_bpe(folder: Path) -> Tokenizer:
+    """Returns the tokenizer of a CLIP's folder.
+
+    Raises:
+        UserError: The folder has none, or it is not CLIP's.
+    """
+    tokenizer = load_bpe(folder)
+    for special in (CLIP_START, CLIP_END):
+        if tokenizer.token_to_id(special) is None:
+            raise UserError(f"{folder / TOKENIZER_FILE}: has no token {special!r}; give the tokenizer of a CLIP")
+    # `clip_tokens` cuts. The file may still contain the settings of its last use.
+    tokenizer.no_truncation()
     return tokenizer
 
 

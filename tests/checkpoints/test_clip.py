@@ -16,7 +16,7 @@ from t2m_jax.checkpoints.pretrained import encoder_fingerprint, param_shapes
 from t2m_jax.errors import UserError
 from t2m_jax.models.clip_text import ClipText, ClipTextConfig
 from t2m_jax.sampling.text_encoders import encode_clip_tokens
-from t2m_jax.text.clip_bpe import clip_tokens
+from t2m_jax.text.bpe import clip_tokens
 from tests.clip_golden import CAPTIONS, FULL, SAFETENSORS, TEXT_ONLY, TORCH, copy_files, golden
 
 PREFIX = "text_model."

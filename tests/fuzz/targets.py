@@ -39,8 +39,7 @@ from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.normalizer import load_normalizer
 from t2m_jax.motion.rig.rigs import load_rig
 from t2m_jax.motion.skeleton import HUMANML3D
-from t2m_jax.text.bpe import load_bpe
-from t2m_jax.text.clip_bpe import load_clip_bpe
+from t2m_jax.text.bpe import load_bpe, load_clip_bpe
 from t2m_jax.text.word_vectors import load_vocabulary, load_word_vectors
 from t2m_jax.train import TrainVqVaeConfig, train
 from t2m_jax.train.log import _keep_rows

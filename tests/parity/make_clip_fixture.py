@@ -33,7 +33,7 @@ from transformers import (
 from t2m_jax.checkpoints.clip import load_clip, save_clip
 from t2m_jax.models.clip_text import ClipText
 from t2m_jax.sampling.text_encoders import PretrainedTextEncoder
-from t2m_jax.text.clip_bpe import clip_tokens
+from t2m_jax.text.bpe import clip_tokens
 from tests.parity.clip_captions import CAPTIONS, training_captions
 from tests.parity.randomize import randomize
 

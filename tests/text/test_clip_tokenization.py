@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.text.clip_bpe import END, START, clip_tokens, load_clip_bpe
+from t2m_jax.text.bpe import CLIP_END, CLIP_START, clip_tokens, load_clip_bpe
 from tests.clip_golden import CAPTIONS, FULL, TEXT_ONLY, golden
 
 MAX_LENGTH = 77
@@ -38,7 +38,7 @@ def test_added_tokens_are_those_of_the_reference():
 
 
 def test_an_empty_caption_is_start_and_end(tokenizer):
-    start, end = tokenizer.token_to_id(START), tokenizer.token_to_id(END)
+    start, end = tokenizer.token_to_id(CLIP_START), tokenizer.token_to_id(CLIP_END)
     for caption in ("", "  ", "\n"):
         np.testing.assert_array_equal(clip_tokens(tokenizer, [caption], max_length=4), [[start, end, end, end]])
 
@@ -47,7 +47,7 @@ def test_a_long_caption_loses_its_tail_and_keeps_its_end(tokenizer):
     caption = " ".join(f"step {number}" for number in range(60))
     whole = clip_tokens(tokenizer, [caption], max_length=1000)[0]
     cut = clip_tokens(tokenizer, [caption], max_length=MAX_LENGTH)[0]
-    end = tokenizer.token_to_id(END)
+    end = tokenizer.token_to_id(CLIP_END)
     assert list(whole).index(end) > MAX_LENGTH
     np.testing.assert_array_equal(cut[:-1], whole[: MAX_LENGTH - 1])
     assert cut[-1] == end
@@ -91,5 +91,5 @@ def test_a_folder_without_a_tokenizer_is_named(tmp_path):
 
 def test_a_tokenizer_that_is_not_clips_is_named(tmp_path):
     text = (FULL / "tokenizer.json").read_text(encoding="utf-8")
-    (tmp_path / "tokenizer.json").write_text(text.replace(START, "<s>"), encoding="utf-8")
-    assert START in refused(tmp_path)
+    (tmp_path / "tokenizer.json").write_text(text.replace(CLIP_START, "<s>"), encoding="utf-8")
+    assert CLIP_START in refused(tmp_path)
