@@ -1,6 +1,6 @@
 """How often a motion shows an action, counted by the peaks of one curve per action.
 
-It judges models, so it is not the rule by which training motions are counted (`data.composing.counting`).
+It judges models, so it is not the rule by which training motions are counted (`data.composing.repeated`).
 """
 
 from collections.abc import Callable
