@@ -23,10 +23,8 @@ from t2m_jax.motion.features import positions_from_features
 def clips_with(pace: Pace, clips: list[tuple[float, Motion]]) -> list[Motion]:
     """Returns the clips of one content, given with their speeds, that have a pace."""
     speeds = np.array([speed for speed, _ in clips])
-    if pace.faster_than is not None:
-        chosen = speeds > np.quantile(speeds, pace.faster_than)
-    else:
-        chosen = speeds < np.quantile(speeds, pace.slower_than or 0)
+    limit = np.quantile(speeds, pace.share)
+    chosen = speeds < limit if pace.is_slow else speeds > limit
     return [motion for (_, motion), is_chosen in zip(clips, chosen, strict=True) if is_chosen]
 
 

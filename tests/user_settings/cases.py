@@ -191,7 +191,7 @@ def _() -> Case:
     return Case(decoding(), {"tokenizer": make_module(TOKENIZER), "skeleton": HUMANML3D}, rtol=1e-4, atol=1e-4)
 
 
-@case("evaluation.prompts.manners.fit_softmax")
+@case("evaluation.prompts.recognition.fit_softmax")
 def _() -> Case:
     return Case((normal(7, 20, 6), jnp.arange(20) % 7), {"num_classes": 7, "num_steps": 5}, rtol=1e-4, atol=1e-4)
 

@@ -7,8 +7,8 @@ from t2m_jax.errors import UserError
 from t2m_jax.evaluation.prompts import free
 from t2m_jax.evaluation.prompts.following import PromptTest, action_tests
 from t2m_jax.evaluation.prompts.groups import composed_tests, pace_tests
-from t2m_jax.evaluation.prompts.manners import manner_tests
 from t2m_jax.evaluation.prompts.people import kit_tests
+from t2m_jax.evaluation.prompts.recognition import manner_tests
 
 
 def prompt_tests(group: str, data: str | None) -> list[PromptTest]:

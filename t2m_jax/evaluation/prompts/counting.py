@@ -15,10 +15,13 @@ from t2m_jax.motion.skeleton import HUMANML3D
 
 SHORTEST_BEAT = 0.2
 """Seconds between two peaks that count as two."""
-
-
 SHORTEST_THROW = 0.8
 """Seconds between two throws, each of which winds up first."""
+
+
+Positions = Float[np.ndarray, "T J 3"]
+Values = Float[np.ndarray, " T"]
+Measure = Callable[[Positions], Values]
 
 
 class Curve(NamedTuple):
@@ -27,7 +30,7 @@ class Curve(NamedTuple):
     The limits were chosen on real motion: people of Berkeley MHAD who repeat an action five times.
     """
 
-    measure: Callable[[Float[np.ndarray, "T J 3"]], Float[np.ndarray, " T"]]
+    measure: Measure
     prominence: float
     """How far the curve must fall on both sides of a peak."""
     least: float = -np.inf
@@ -36,60 +39,60 @@ class Curve(NamedTuple):
     """Shortest time between two peaks."""
 
 
-def _joint(positions: Float[np.ndarray, "T J 3"], name: str) -> Float[np.ndarray, "T 3"]:
+def _joint(positions: Positions, name: str) -> Float[np.ndarray, "T 3"]:
     return positions[:, HUMANML3D.joint_names.index(name)]
 
 
-def _height(name: str, *, sign: int = 1) -> Callable[[Float[np.ndarray, "T J 3"]], Float[np.ndarray, " T"]]:
+def _height(name: str, *, sign: int = 1) -> Measure:
     """Returns a function that measures the height of a joint, or its depth with `sign` -1."""
     return lambda positions: sign * _joint(positions, name)[:, 1]
 
 
-def _lower_hand(positions: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, " T"]:
+def _lower_hand(positions: Positions) -> Values:
     """Height of the lower wrist above its shoulder."""
     return np.min([_hand(side)(positions) for side in ("left", "right")], axis=0)
 
 
-def _hand(side: str) -> Callable[[Float[np.ndarray, "T J 3"]], Float[np.ndarray, " T"]]:
+def _hand(side: str) -> Measure:
     return lambda positions: (_joint(positions, f"{side}_wrist") - _joint(positions, f"{side}_shoulder"))[:, 1]
 
 
-def _lower_foot(positions: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, " T"]:
+def _lower_foot(positions: Positions) -> Values:
     """Height of the lower foot. The pelvis would also rise after each landing."""
     return np.min([_joint(positions, f"{side}_foot")[:, 1] for side in ("left", "right")], axis=0)
 
 
-def _hand_speed(positions: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, " T"]:
+def _hand_speed(positions: Positions) -> Values:
     """Speed of the wrist that becomes faster, relative to the pelvis, in m/s."""
     wrists = [_joint(positions, f"{side}_wrist") - positions[:, 0] for side in ("left", "right")]
     speeds = [np.linalg.norm(np.diff(wrist, axis=0, prepend=wrist[:1]), axis=1) for wrist in wrists]
     return max(speeds, key=np.max) * HUMANML3D.fps
 
 
-def _feet_apart(positions: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, " T"]:
+def _feet_apart(positions: Positions) -> Values:
     feet = [_joint(positions, f"{side}_ankle")[:, 1] for side in ("left", "right")]
     # Above the other foot, so that a jump is no kick.
     return np.abs(feet[0] - feet[1])
 
 
-def _closeness(positions: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, " T"]:
+def _closeness(positions: Positions) -> Values:
     return -np.linalg.norm(_joint(positions, "left_wrist") - _joint(positions, "right_wrist"), axis=1)
 
 
-def _reach(side: str) -> Callable[[Float[np.ndarray, "T J 3"]], Float[np.ndarray, " T"]]:
+def _reach(side: str) -> Measure:
     """Returns a function that measures how far a wrist is from its shoulder over the ground."""
 
-    def measure(positions: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, " T"]:
+    def measure(positions: Positions) -> Values:
         arm = _joint(positions, f"{side}_wrist") - _joint(positions, f"{side}_shoulder")
         return np.linalg.norm(arm[:, [0, 2]], axis=1)
 
     return measure
 
 
-def _sway(side: str) -> Callable[[Float[np.ndarray, "T J 3"]], Float[np.ndarray, " T"]]:
+def _sway(side: str) -> Measure:
     """Returns a function that measures how far a wrist is to the left, while it is raised."""
 
-    def measure(positions: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, " T"]:
+    def measure(positions: Positions) -> Values:
         across = _joint(positions, "left_shoulder") - _joint(positions, "right_shoulder")
         across = across * [1.0, 0.0, 1.0]
         across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-6)

@@ -18,14 +18,12 @@ from t2m_jax.evaluation.prompts.following import (
     STANDS_TRAVEL,
     WAVES,
     PromptTest,
-    check_skeleton,
     follows,
     hand_is_up,
     measure_motion,
 )
-from t2m_jax.evaluation.prompts.groups import CUT_STEP, PACED, SHORTEST_PART, clip_speeds, shows
-from t2m_jax.evaluation.prompts.manners import manner_judge
-from t2m_jax.evaluation.prompts.recognition import ActionJudge, train_judge
+from t2m_jax.evaluation.prompts.groups import PACED, clip_speeds, pace_test, shows_in_turn
+from t2m_jax.evaluation.prompts.recognition import Classifier, manner_judge, train_judge
 from t2m_jax.motion.facts import Facts
 from t2m_jax.motion.motion import Motion
 
@@ -51,7 +49,7 @@ BEATS = 2
 """Claps or punches of somebody who claps or punches."""
 
 
-def _sentences() -> Mapping[str, Any]:
+def _groups() -> Mapping[str, Any]:
     return read_words(__package__, "held_out_groups")
 
 
@@ -59,45 +57,61 @@ def _content(label: str) -> str:
     return CONTENTS.get(label, label)
 
 
-def _by_content(group: str) -> list[PromptTest]:
-    """Returns tests of the known actions by their rules, with the sentences of a group."""
-    return [_rule_test(_content(label), sentences) for label, sentences in _sentences()[group].items()]
-
-
-def _rule_test(content: str, sentences: Iterable[str]) -> PromptTest:
-    return PromptTest(content, RULES[content].words, tuple(sentences), functools.partial(follows, content))
+def _rule_tests(sentences: Mapping[str, Iterable[str]]) -> list[PromptTest]:
+    """Returns tests of known actions by their rules, for sentences by label."""
+    tests = []
+    for label, texts in sentences.items():
+        content = _content(label)
+        tests.append(PromptTest(content, RULES[content].words, tuple(texts), functools.partial(follows, content)))
+    return tests
 
 
 def free_tests() -> list[PromptTest]:
     """Returns tests of the ten known actions in free wordings."""
-    return _by_content("free")
+    return _rule_tests(_groups()["free"])
 
 
 def typo_tests() -> list[PromptTest]:
     """Returns tests of the ten known actions with one typing mistake in each sentence."""
-    return _by_content("typos")
+    return _rule_tests(_groups()["typos"])
 
 
 def subject_tests() -> list[PromptTest]:
     """Returns tests of the ten known actions with subjects and places that say nothing about the motion."""
-    groups = _sentences()
+    groups = _groups()
     # All of them in turn, so that each action has other ones.
     drawn = zip(itertools.cycle(groups["subjects"]), itertools.cycle(reversed(groups["places"])))
-    return [
-        _rule_test(
-            _content(label), [f"{subject} {text} {place}" for text, (subject, place) in zip(texts, drawn, strict=False)]
-        )
-        for label, texts in groups["templates"].items()
-    ]
+    return _rule_tests(
+        {
+            label: [f"{subject} {text} {place}" for text, (subject, place) in zip(texts, drawn, strict=False)]
+            for label, texts in groups["templates"].items()
+        }
+    )
 
 
 def _grouped(group: str, *keys: str) -> dict[tuple, tuple[str, ...]]:
     """Returns the sentences of a group by the values of `keys`."""
     found: dict[tuple, tuple[str, ...]] = {}
-    for entry in _sentences()[group]:
+    for entry in _groups()[group]:
         key = tuple(tuple(entry[name]) if isinstance(entry[name], list) else entry[name] for name in keys)
         found[key] = (*found.get(key, ()), entry["text"])
     return found
+
+
+def _tests(group: str, *keys: str, name: str, rule: str, holds: Callable[..., bool]) -> list[PromptTest]:
+    """Returns a test for each combination of the values of `keys`.
+
+    Args:
+        group: Name of the group.
+        *keys: Entries of a sentence.
+        name: Of a test; `{}` is replaced by a value.
+        rule: What a motion must do.
+        holds: From the values and a motion to whether it does.
+    """
+    return [
+        PromptTest(name.format(*values), rule, sentences, functools.partial(holds, *values))
+        for values, sentences in _grouped(group, *keys).items()
+    ]
 
 
 def free_pace_tests(dataset: Dataset) -> list[PromptTest]:
@@ -106,22 +120,12 @@ def free_pace_tests(dataset: Dataset) -> list[PromptTest]:
     Raises:
         UserError: As for `pace_tests`.
     """
-    check_skeleton(dataset.skeleton, owner="data set")
     speeds = clip_speeds(dataset, PACED)
     tests = []
     for (label, pace), sentences in _grouped("paces", "label", "pace").items():
         limit = float(np.quantile(speeds[_content(label)], SHARES[pace]))
-        rule = f"as for {label}; speed {'below' if pace == 'slow' else 'above'} {limit:.2f} m/s"
-        holds = functools.partial(_has_pace, _content(label), pace == "slow", limit)
-        tests.append(PromptTest(f"{label} {pace}", rule, sentences, holds))
+        tests.append(pace_test(f"{label} {pace}", _content(label), sentences, limit=limit, is_slow=pace == "slow"))
     return tests
-
-
-def _has_pace(content: str, is_slow: bool, limit: float, motion: Motion) -> bool:
-    facts = measure_motion(motion)
-    if facts is None or not shows(content, facts):
-        return False
-    return facts.speed < limit if is_slow else facts.speed > limit
 
 
 def free_manner_tests(dataset: Dataset) -> list[PromptTest]:
@@ -130,49 +134,27 @@ def free_manner_tests(dataset: Dataset) -> list[PromptTest]:
     Raises:
         UserError: As for `manner_tests`.
     """
-    holds, rule = manner_judge(dataset)
-    return [
-        PromptTest(manner, rule, sentences, functools.partial(holds, manner))
-        for (manner,), sentences in _grouped("manners", "manner").items()
-    ]
+    classifier, rule = manner_judge(dataset)
+    return _tests("manners", "manner", name="{}", rule=rule, holds=classifier.sees)
 
 
 def then_tests(dataset: Dataset) -> list[PromptTest]:
     """Returns tests of two actions in turn. Actions without a rule are judged by `train_judge`."""
-    judge = train_judge(dataset)
-    return [
-        PromptTest(
-            " + ".join(labels),
-            "can be cut so that each part shows its action",
-            sentences,
-            functools.partial(_shows_in_turn, judge, (_content(labels[0]), _content(labels[1]))),
-        )
-        for (labels,), sentences in _grouped("then", "labels").items()
-    ]
+    classifier, _ = train_judge(dataset)
+    holds = functools.partial(shows_in_turn, functools.partial(_shows, classifier))
+    rule = "can be cut so that each part shows its action"
+    return _tests("then", "labels", name="{0[0]} + {0[1]}", rule=rule, holds=holds)
 
 
-def _shows_in_turn(judge: ActionJudge, contents: tuple[str, str], motion: Motion) -> bool:
-    first, second = contents
-    # Nothing says where the first action ends, so all cuts are tried.
-    cuts = range(SHORTEST_PART, motion.num_frames - SHORTEST_PART + 1, CUT_STEP)
-    return any(_shows(judge, first, motion[:cut]) and _shows(judge, second, motion[cut:]) for cut in cuts)
-
-
-def _shows(judge: ActionJudge, content: str, motion: Motion) -> bool:
-    return follows(content, motion) if content in RULES else judge.recognize(motion) == content
+def _shows(classifier: Classifier, label: str, motion: Motion) -> bool:
+    content = _content(label)
+    return follows(content, motion) if content in RULES else classifier.sees(content, motion)
 
 
 def while_tests() -> list[PromptTest]:
     """Returns tests of something done with the arms while the legs do something else."""
-    return [
-        PromptTest(
-            f"{legs} while {arms}",
-            "the legs keep the rule of one action, the arms that of the other",
-            sentences,
-            functools.partial(_shows_at_once, _content(legs), _content(arms)),
-        )
-        for (legs, arms), sentences in _grouped("while", "legs", "arms").items()
-    ]
+    rule = "the legs keep the rule of one action, the arms that of the other"
+    return _tests("while", "legs", "arms", name="{} while {}", rule=rule, holds=_shows_at_once)
 
 
 LEGS: dict[str, Callable[[Facts], bool]] = {
@@ -184,7 +166,7 @@ LEGS: dict[str, Callable[[Facts], bool]] = {
 
 def _shows_at_once(legs: str, arms: str, motion: Motion) -> bool:
     facts = measure_motion(motion)
-    if facts is None or not LEGS[legs](facts):
+    if facts is None or not LEGS[_content(legs)](facts):
         return False
     if arms in ("clap", "punch"):
         return count_action(arms, motion) >= BEATS
@@ -194,35 +176,22 @@ def _shows_at_once(legs: str, arms: str, motion: Motion) -> bool:
 
 def count_tests() -> list[PromptTest]:
     """Returns tests of actions that are asked for a number of times."""
-    return [
-        PromptTest(
-            f"{label} x {times}",
-            "the action is counted so often (peaks of one curve)",
-            sentences,
-            functools.partial(_is_counted, _content(label), times),
-        )
-        for (label, times), sentences in _grouped("counts", "label", "count").items()
-    ]
+    rule = "the action is counted so often (peaks of one curve)"
+    return _tests("counts", "label", "count", name="{} x {}", rule=rule, holds=_is_counted)
 
 
-def _is_counted(content: str, times: int, motion: Motion) -> bool:
-    return count_action(content, motion) == times
+def _is_counted(label: str, times: int, motion: Motion) -> bool:
+    return count_action(_content(label), motion) == times
 
 
 def duration_tests() -> list[PromptTest]:
     """Returns tests of actions that are asked for some seconds."""
-    return [
-        PromptTest(
-            f"{label}, {seconds} s",
-            f"lasts so long (give or take {SECONDS_OFF} s, or 10 %), and keeps the rule of the action",
-            sentences,
-            functools.partial(_lasts, _content(label), seconds),
-        )
-        for (label, seconds), sentences in _grouped("durations", "label", "seconds").items()
-    ]
+    rule = f"lasts so long (give or take {SECONDS_OFF} s, or 10 %), and keeps the rule of the action"
+    return _tests("durations", "label", "seconds", name="{}, {} s", rule=rule, holds=_lasts)
 
 
-def _lasts(content: str, seconds: float, motion: Motion) -> bool:
+def _lasts(label: str, seconds: float, motion: Motion) -> bool:
+    content = _content(label)
     if abs(motion.num_frames / motion.fps - seconds) > max(SECONDS_OFF, 0.1 * seconds):
         return False
     if content in RULES:
@@ -232,7 +201,7 @@ def _lasts(content: str, seconds: float, motion: Motion) -> bool:
 
 def warning_tests() -> list[PromptTest]:
     """Returns tests of the warnings: for what no model of one person's common actions can show, and only for that."""
-    groups = _sentences()
+    groups = _groups()
     known = tuple(itertools.chain.from_iterable(groups["free"].values()))
     beyond = {name: [entry if isinstance(entry, str) else entry["text"] for entry in groups[name]] for name in BEYOND}
     asked = [PromptTest(name, "a warning", tuple(sentences), _is_warned) for name, sentences in beyond.items()]
@@ -245,18 +214,12 @@ def _is_warned(motion: Motion) -> bool:
 
 def all_action_tests(dataset: Dataset) -> list[PromptTest]:
     """Returns a test of each action that the training clips show, by a classifier of real clips."""
-    judge = train_judge(dataset)
+    classifier, accuracy = train_judge(dataset)
     tests = []
     for label, sentences in read_words(__package__, "held_out_actions").items():
         content = _content(label)
-        if content in judge.classifier.classes:
-            known = judge.accuracy.get(content)
+        if content in classifier.classes:
+            known = accuracy.get(content)
             rule = "a classifier recognizes it" + ("" if known is None else f"; of real test clips, {known:.0%}")
-            holds = functools.partial(_is_recognized, judge, content)
-            tests.append(PromptTest(content, rule, tuple(sentences), holds))
+            tests.append(PromptTest(content, rule, tuple(sentences), functools.partial(classifier.sees, content)))
     return tests
-
-
-def _is_recognized(judge: ActionJudge, content: str, motion: Motion) -> bool:
-    check_skeleton(motion.skeleton)
-    return judge.recognize(motion) == content

@@ -2,19 +2,25 @@
 
 import functools
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.data.composing.turns import held_out_compositions
 from t2m_jax.data.folder import Dataset
-from t2m_jax.data.index import load_index
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation.prompts.following import RULES, PromptTest, check_skeleton, goes_straight, measure_motion
-from t2m_jax.evaluation.prompts.sentences import Pace, held_out_paces, held_out_sentences
-from t2m_jax.motion.facts import Facts, measure
+from t2m_jax.evaluation.prompts.following import (
+    RULES,
+    PromptTest,
+    check_skeleton,
+    follows,
+    goes_straight,
+    measure_motion,
+)
+from t2m_jax.evaluation.prompts.recognition import labeled_clips
+from t2m_jax.evaluation.prompts.sentences import held_out_paces, held_out_sentences
+from t2m_jax.motion.facts import measure
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.motion import Motion
 
@@ -35,24 +41,30 @@ def pace_tests(dataset: Dataset) -> list[PromptTest]:
     Raises:
         UserError: The data set has another skeleton than HumanML3D's, or does not show one of the contents.
     """
-    check_skeleton(dataset.skeleton, owner="data set")
     speeds = clip_speeds(dataset, PACED)
-    return [_pace_test(content, pace, speeds[content]) for content in PACED for pace in held_out_paces()]
+    tests = []
+    for content in PACED:
+        # "walks at a steady pace very slowly" would contradict itself.
+        plain = [text for text in held_out_sentences()[content] if not any(word in text for word in PACE_WORDS)]
+        for pace in held_out_paces():
+            phrases = pace.phrases
+            sentences = tuple(f"{text} {phrases[number % len(phrases)]}" for number, text in enumerate(plain))
+            limit = float(np.quantile(speeds[content], pace.share))
+            tests.append(pace_test(f"{content} {pace.name}", content, sentences, limit=limit, is_slow=pace.is_slow))
+    return tests
 
 
 def clip_speeds(dataset: Dataset, contents: Sequence[str]) -> Mapping[str, Float[np.ndarray, " N"]]:
     """Returns the speeds of the training clips of each content, in m/s.
 
     Raises:
-        UserError: The data set does not show one of the contents.
+        UserError: The data set has another skeleton than HumanML3D's, or does not show one of the contents.
     """
-    index = load_index(dataset.folder)
+    check_skeleton(dataset.skeleton, owner="data set")
     found = defaultdict(list)
-    for clip in dataset.clips("train", min_frames=2):
-        # Labels are `content, style`.
-        content = ((index.label(clip.name) if index else None) or "").partition(",")[0]
+    for content, _, features in labeled_clips(dataset, "train"):
         if content in contents:
-            positions = np.asarray(positions_from_features(clip.features, dataset.skeleton))
+            positions = np.asarray(positions_from_features(features, dataset.skeleton))
             found[content].append(measure(positions, fps=dataset.skeleton.fps).speed)
     for content in contents:
         if not found[content]:
@@ -60,27 +72,18 @@ def clip_speeds(dataset: Dataset, contents: Sequence[str]) -> Mapping[str, Float
     return {content: np.array(values) for content, values in found.items()}
 
 
-def _pace_test(content: str, pace: Pace, speeds: Float[np.ndarray, " N"]) -> PromptTest:
-    share: Any = pace.faster_than if pace.slower_than is None else pace.slower_than
-    limit = float(np.quantile(speeds, share))
-    words = f"speed {'above' if pace.slower_than is None else 'below'} {limit:.2f} m/s"
-    # "walks at a steady pace very slowly" would contradict itself.
-    plain = [text for text in held_out_sentences()[content] if not any(word in text for word in PACE_WORDS)]
-    sentences = tuple(f"{text} {pace.phrases[number % len(pace.phrases)]}" for number, text in enumerate(plain))
+def pace_test(name: str, content: str, sentences: tuple[str, ...], *, limit: float, is_slow: bool) -> PromptTest:
+    """Returns the test of a content that is shown more slowly than a limit (m/s), or faster."""
 
     def holds(motion: Motion) -> bool:
         facts = measure_motion(motion)
-        if facts is None or not shows(content, facts):
+        if facts is None or (facts.speed >= limit if is_slow else facts.speed <= limit):
             return False
-        return facts.speed > limit if pace.slower_than is None else facts.speed < limit
+        # The rules of walking and running have limits of speed, which a pace may break.
+        return goes_straight(facts) if content in ("walk", "run") else RULES[content].holds(facts)
 
-    return PromptTest(f"{content} {pace.name}", f"as for {content}; {words}", sentences, holds)
-
-
-def shows(content: str, facts: Facts) -> bool:
-    """Returns whether a motion shows a content at any speed."""
-    # The rules of walking and running have limits of speed, which a pace may break.
-    return goes_straight(facts) if content in ("walk", "run") else RULES[content].holds(facts)
+    rule = f"as for {content}; speed {'below' if is_slow else 'above'} {limit:.2f} m/s"
+    return PromptTest(name, rule, sentences, holds)
 
 
 def composed_tests() -> list[PromptTest]:
@@ -90,18 +93,15 @@ def composed_tests() -> list[PromptTest]:
             " + ".join(contents),
             "can be cut so that each part keeps its rule",
             sentences,
-            functools.partial(_shows_in_order, *contents),
+            functools.partial(shows_in_turn, follows, contents),
         )
         for contents, sentences in held_out_compositions().items()
     ]
 
 
-def _shows_in_order(first: str, second: str, motion: Motion) -> bool:
-    """Returns whether a motion can be cut into parts that satisfy the rules of two contents."""
-    check_skeleton(motion.skeleton)
+def shows_in_turn(shows: Callable[[str, Motion], bool], contents: Sequence[str], motion: Motion) -> bool:
+    """Returns whether a motion can be cut into two parts that show one content each."""
+    first, second = contents
     # Nothing says where the first action ends, so all cuts are tried.
-    return any(
-        RULES[first].holds(measure(motion.positions[:cut], fps=motion.fps))
-        and RULES[second].holds(measure(motion.positions[cut:], fps=motion.fps))
-        for cut in range(SHORTEST_PART, motion.num_frames - SHORTEST_PART + 1, CUT_STEP)
-    )
+    cuts = range(SHORTEST_PART, motion.num_frames - SHORTEST_PART + 1, CUT_STEP)
+    return any(shows(first, motion[:cut]) and shows(second, motion[cut:]) for cut in cuts)

@@ -12,15 +12,15 @@ from t2m_jax.data.captioning.lexicon import read_words
 
 
 class Pace(NamedTuple):
-    """How fast a person is asked to move. One of the limits is None."""
+    """How fast a person is asked to move."""
 
     name: str
     phrases: tuple[str, ...]
     """What is added to a sentence."""
-    slower_than: float | None
-    """Share of an action's clips, the slowest ones."""
-    faster_than: float | None
-    """Share of an action's clips, all but the fastest ones."""
+    share: float
+    """Share of an action's clips by speed, the slowest ones; the fastest of them is the limit."""
+    is_slow: bool
+    """Whether the person is asked to stay below the limit, or to be above it."""
 
 
 @functools.cache
@@ -36,7 +36,9 @@ def held_out_sentences() -> Mapping[str, tuple[str, ...]]:
 @functools.cache
 def held_out_paces() -> tuple[Pace, ...]:
     """Returns the paces that held-out sentences are combined with."""
-    return tuple(
-        Pace(entry["name"], tuple(entry["phrases"]), entry.get("slower_than"), entry.get("faster_than"))
-        for entry in read_words(__package__, "held_out_paces")
-    )
+    paces = []
+    for entry in read_words(__package__, "held_out_paces"):
+        is_slow = "slower_than" in entry
+        share = entry["slower_than" if is_slow else "faster_than"]
+        paces.append(Pace(entry["name"], tuple(entry["phrases"]), share, is_slow))
+    return tuple(paces)

@@ -11,7 +11,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.evaluation.prompts import groups as prompt_groups
 from t2m_jax.evaluation.prompts.following import RULES, requests
 from t2m_jax.evaluation.prompts.groups import composed_tests, pace_tests
-from t2m_jax.evaluation.prompts.manners import manner_tests
+from t2m_jax.evaluation.prompts.recognition import manner_tests
 from t2m_jax.evaluation.prompts.sentences import held_out_paces
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import KIT_ML

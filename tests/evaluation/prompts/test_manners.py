@@ -5,9 +5,9 @@ import pytest
 
 from t2m_jax.data import make_motion, open_dataset, write_synthetic_dataset
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation.prompts import manners
+from t2m_jax.evaluation.prompts import recognition
 from t2m_jax.evaluation.prompts.following import evaluate_prompt_following
-from t2m_jax.evaluation.prompts.manners import MANNERS, manner_tests, train_classifier
+from t2m_jax.evaluation.prompts.recognition import MANNERS, manner_tests, train_classifier
 from t2m_jax.motion import HUMANML3D, features_from_positions
 from t2m_jax.motion.motion import Motion
 
@@ -22,7 +22,8 @@ def clip(manner, seed, *, frames=40):
 
 def test_manners_are_recognized_in_new_clips():
     labels = np.repeat(np.arange(len(MANNERS)), 20)
-    classifier = train_classifier([clip(manner, seed) for seed, manner in enumerate(labels)], labels, classes=MANNERS)
+    clips = [(MANNERS[manner], clip(manner, seed)) for seed, manner in enumerate(labels)]
+    classifier = train_classifier(clips, classes=MANNERS)
     for manner, name in enumerate(MANNERS):
         assert [classifier.recognize(clip(manner, 1000 + seed)) for seed in range(5)] == [name] * 5
 
@@ -45,15 +46,17 @@ def test_each_manner_has_a_test_and_sentences(dataset, monkeypatch):
     """Each manner has the figure's size of its own, so real clips are told apart, and generated ones, too."""
 
     def labeled(_, split):
-        sizes = [(number, seed) for number in range(len(MANNERS)) for seed in range(4)]
-        clips = [features_from_positions(motion(number, seed).positions, HUMANML3D) for number, seed in sizes]
-        return clips, np.array([number for number, _ in sizes])
+        return [
+            (name, features_from_positions(motion(number, seed).positions, HUMANML3D))
+            for number, name in enumerate(MANNERS)
+            for seed in range(4)
+        ]
 
     def motion(number, seed):
         positions = make_motion("wave-left-hand", seed=seed, num_frames=40)
         return Motion(positions * (0.8 + 0.1 * number), 20.0)
 
-    monkeypatch.setattr(manners, "_labeled_clips", labeled)
+    monkeypatch.setattr(recognition, "_manner_clips", labeled)
     tests = manner_tests(dataset)
     assert [test.name for test in tests] == list(MANNERS[1:])
     assert all("of real test clips, it recognizes 100%" in test.rule for test in tests)

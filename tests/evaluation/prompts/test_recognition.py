@@ -6,7 +6,7 @@ from t2m_jax.data import make_motion, open_dataset, write_synthetic_dataset
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.prompts import free
 from t2m_jax.evaluation.prompts import recognition as module
-from t2m_jax.evaluation.prompts.recognition import labeled_clips, train_judge
+from t2m_jax.evaluation.prompts.recognition import action_clips, train_judge
 from t2m_jax.motion.joining import join_positions
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D
@@ -26,20 +26,19 @@ def motion_of(kind, seed, num_frames=60):
 
 
 def test_new_motions_are_recognized(dataset):
-    judge = train_judge(dataset)
-    assert {"walk", "wave-left-hand"} <= set(judge.classifier.classes)
-    for kind in judge.classifier.classes:
-        found = [judge.recognize(motion_of(kind, 1000 + seed)) for seed in range(5)]
-        assert found.count(kind) >= 4, (kind, found)
-    assert judge.accuracy and all(0 <= share <= 1 for share in judge.accuracy.values())
-    assert judge.recognize(motion_of("walk", 0)[:1]) is None
+    classifier, accuracy = train_judge(dataset)
+    assert {"walk", "wave-left-hand"} <= set(classifier.classes)
+    for kind in classifier.classes:
+        assert sum(classifier.sees(kind, motion_of(kind, 1000 + seed)) for seed in range(5)) >= 4, kind
+    assert accuracy and all(0 <= share <= 1 for share in accuracy.values())
+    assert not any(classifier.sees(kind, motion_of("walk", 0)[:1]) for kind in classifier.classes)
 
 
 def test_actions_with_few_clips_are_not_learned(dataset, monkeypatch):
-    counts = [content for content, _ in labeled_clips(dataset, "train")]
+    counts = [content for content, _ in action_clips(dataset, "train")]
     most = max(map(counts.count, set(counts)))
     monkeypatch.setattr(module, "LEAST_CLIPS", most)
-    assert set(train_judge(dataset).classifier.classes) == {one for one in counts if counts.count(one) == most}
+    assert set(train_judge(dataset)[0].classes) == {one for one in counts if counts.count(one) == most}
     monkeypatch.setattr(module, "LEAST_CLIPS", most + 1)
     with pytest.raises(UserError, match="no action has"):
         train_judge(dataset)
