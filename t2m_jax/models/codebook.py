@@ -196,35 +196,3 @@ def redraw_dead(
     replaced = CodebookState(codebook, ema_sum, jnp.where(dead, 1.0, state.ema_count), state.initialised)
     depths = source // (len(pool.usable) // depth)
     return replaced, jax.ops.segment_sum(dead.astype(jnp.float32), depths, num_segments=depth)
-
-
-def move_codebook(
-    state: CodebookState,
-    vectors: Float[Array, "R M C"],
-    codes: Int[Array, "R M"],
-    mask: Bool[Array, "R M"],
-    draws: Float[Array, "K C"] | Key[Array, ""],
-    *,
-    rule: CodebookRule,
-    limits: Limits,
-) -> tuple[CodebookState, Float[Array, " R"]]:
-    """Returns the codebook after the lookup of some depths, and how many codes were redrawn from each.
-
-    Args:
-        state: The codebook that was used.
-        vectors: What was looked up.
-        codes: What was found.
-        mask: Where vectors count.
-        draws: Standard normal noise for candidates; or a key, if the rule redraws.
-        rule: How the codebook moves.
-        limits: Its numbers.
-    """
-    depth = len(codes)
-    batch_hits = hits(vectors, codes, mask, num_codes=len(state.codebook))
-    if rule.redraws:
-        state = update_codebook(state, batch_hits, None, rule=rule, limits=limits)
-        return redraw_dead(state, make_pool(vectors, mask), draws, threshold=limits.threshold, depth=depth)
-    candidates = None
-    if rule.resets:
-        candidates = candidate_codes(vectors.reshape(-1, vectors.shape[-1]), mask.reshape(-1), draws)
-    return update_codebook(state, batch_hits, candidates, rule=rule, limits=limits), jnp.zeros(depth)

@@ -102,11 +102,6 @@ def halve_mask(mask: Mask) -> Bool[Array, "B T//2"]:
     return mask[:, 1::2]
 
 
-def double_mask(mask: Bool[Array, "B N"]) -> Bool[Array, "B 2*N"]:
-    """Returns the mask after every position is repeated."""
-    return jnp.repeat(mask, 2, axis=1)
-
-
 class Conv(nn.Module):
     """The parameters of a 1-D convolution, as in `nn.Conv`, applied in the dtype of the inputs."""
 
@@ -225,6 +220,6 @@ class Decoder(nn.Module):
         for stage in range(self.num_stages):
             hidden = self.stack(name=f"stack_{stage}")(hidden, mask, train=train)
             hidden = MaskedUpConv(self.width, name=f"up_{stage}")(hidden, mask)
-            mask = double_mask(mask)
+            mask = jnp.repeat(mask, 2, axis=1)
         hidden = nn.relu(MaskedConv(self.width, 3, padding=1, name="penultimate")(hidden, mask))
         return MaskedConv(self.feature_dim, 3, padding=1, name="output")(hidden, mask)

@@ -22,9 +22,11 @@ from t2m_jax.models.codebook import (
     candidate_codes,
     count_codes,
     draw_codes,
+    hits,
     initial_codebook,
     make_pool,
-    move_codebook,
+    redraw_dead,
+    update_codebook,
 )
 from t2m_jax.models.convolution import uniform_init
 
@@ -242,12 +244,29 @@ class Quantizer(nn.Module):
         used: Bool[Array, " D"],
         draw: Array,
     ) -> tuple[CodebookState, Float[Array, " D"]]:
-        """Returns the codebook after the lookup of D depths, see `move_codebook`."""
+        """Returns the codebook after the lookup of D depths, and how many codes were redrawn from each.
+
+        Args:
+            mask: Positions that count.
+            state: The codebook that was used.
+            vectors: What was looked up.
+            codes: What was found.
+            used: Depths that count.
+            draw: Standard normal noise for candidates; or a key, if the rule redraws.
+        """
         counted = used[:, None] & mask[None]
-        limits = Limits(self.ema_decay, self.reset_threshold)
+        rule = RULES[self.kind]
         # The codebook follows the latents; no gradient flows through its move.
         vectors = jax.lax.stop_gradient(vectors)
-        return move_codebook(state, vectors, codes, counted, draw, rule=RULES[self.kind], limits=limits)
+        candidates = None
+        if rule.resets and not rule.redraws:
+            candidates = candidate_codes(vectors.reshape(-1, self.code_dim), counted.reshape(-1), draw)
+        limits = Limits(self.ema_decay, self.reset_threshold)
+        batch_hits = hits(vectors, codes, counted, num_codes=self.num_codes)
+        state = update_codebook(state, batch_hits, candidates, rule=rule, limits=limits)
+        if not rule.redraws:
+            return state, jnp.zeros(len(codes))
+        return redraw_dead(state, make_pool(vectors, counted), draw, threshold=self.reset_threshold, depth=len(codes))
 
     def _commitment_loss(
         self, rows: Float[Array, "M C"], totals: Float[Array, "R M C"], mask: Bool[Array, " M"], used: Bool[Array, " R"]
