@@ -5,10 +5,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from t2m_jax.bench.flops import count_flops
 from t2m_jax.bench.probes import first_devices, on_devices, place
 from t2m_jax.bench.record import BenchResult, Peaks
-from t2m_jax.bench.timing import compile_program, share, speed, time_calls
+from t2m_jax.bench.timing import compile_program, count_flops, share, speed, time_calls
 from t2m_jax.evaluation.embedding import BATCH, embed_motion, embed_text
 from t2m_jax.keys import new_key
 from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes

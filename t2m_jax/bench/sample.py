@@ -8,10 +8,9 @@ import jax.numpy as jnp
 from jax.sharding import Mesh
 from jaxtyping import Array, Float
 
-from t2m_jax.bench.flops import count_flops
 from t2m_jax.bench.probes import first_devices, on_devices, place
 from t2m_jax.bench.record import BenchResult, Figure, Peaks
-from t2m_jax.bench.timing import compile_program, share, time_calls
+from t2m_jax.bench.timing import compile_program, count_flops, share, time_calls
 from t2m_jax.keys import new_key
 from t2m_jax.models.system import GeneratorConfig, PartConfig, TokenizerConfig, find_part, make_module
 from t2m_jax.sampling.loop import CHUNK, Sampling

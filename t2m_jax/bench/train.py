@@ -7,10 +7,10 @@ from typing import Any, Literal, NamedTuple
 import jax
 import numpy as np
 
-from t2m_jax.bench.flops import count_flops
 from t2m_jax.bench.probes import on_devices
 from t2m_jax.bench.record import BenchResult, Figure, Peaks
-from t2m_jax.bench.timing import compile_program, share, time_calls
+from t2m_jax.bench.sample import TOKENIZERS, published_config
+from t2m_jax.bench.timing import compile_program, count_flops, share, time_calls
 from t2m_jax.config import load_config
 from t2m_jax.data.banks.codes import Captions, CodeBank
 from t2m_jax.data.banks.motions import MotionBank
@@ -29,15 +29,13 @@ from t2m_jax.train.program import Devices, Update
 from t2m_jax.train.shipped import find_config
 from t2m_jax.train.vqvae import init_vqvae_state
 from t2m_jax.train.vqvae import update as vqvae_update
-from t2m_jax.train.vqvae_config import TrainRvqVaeConfig, TrainVqVaeConfig
+from t2m_jax.train.vqvae_config import TrainVqVaeConfig
 
 TrainConfig = TrainVqVaeConfig | TrainGptConfig | TrainHiFiGptConfig
 DEMO_CONFIGS = {"vqvae": "t2m-gpt/vqvae", "gpt": "t2m-gpt/gpt", "rvqvae": "demo/rvqvae", "hifigpt": "demo/hifigpt"}
 """The configs of small models: of T2M-GPT, and of the packaged model."""
 CPU_BATCH = 16
 """Default batch of a full generator on a CPU, where an update with its own batch of 128 needs 21 GB."""
-TOKENIZERS = {"gpt": TrainVqVaeConfig, "hifigpt": TrainRvqVaeConfig}
-"""Whose codes a generator learns."""
 RECIPE_STEPS = 300_000
 """Updates of each published recipe."""
 CLIP_FRAMES = 200
@@ -126,7 +124,7 @@ def make_work(config: TrainConfig) -> Work:
         frames = batch * config.window
         return Work(init_vqvae_state, vqvae_update, random_motions(config), frames, f"{batch}x{config.window}")
     # Of a generator, a frame is one that its codes stand for.
-    frames = batch * config.model.max_codes * TOKENIZERS[config.kind]().model.downsample
+    frames = batch * config.model.max_codes * published_config(TOKENIZERS[config.kind]).downsample
     if isinstance(config, TrainGptConfig):
         return Work(init_gpt_state, gpt_update, random_codes(config), frames, f"{batch}x{config.model.block_size}")
     shape = f"{batch}x{config.model.max_codes}x{config.model.num_quantizers}"

@@ -39,8 +39,7 @@ class _List(argparse.Action):
     """Shows the configs and presets that come with the package."""
 
     def __call__(self, parser: argparse.ArgumentParser, namespace: Any, values: Any, option_string: Any = None) -> None:
-        from t2m_jax.train.presets import preset_names
-        from t2m_jax.train.shipped import shipped_configs
+        from t2m_jax.train.shipped import preset_names, shipped_configs
 
         configs = shipped_configs()
         rows = [(config.kind, name, config.summary) for name, config in configs.items()]
@@ -140,8 +139,7 @@ def _config(kind: str, name: str) -> Any:
     """Returns the config of a name that `--list` shows, or of a file."""
     from t2m_jax.config import load_config
     from t2m_jax.train.experiment import find_trainer
-    from t2m_jax.train.presets import load_preset, preset_names
-    from t2m_jax.train.shipped import find_config, shipped_configs
+    from t2m_jax.train.shipped import find_config, load_preset, preset_names, shipped_configs
 
     if name in preset_names():
         return load_preset(kind, name)
@@ -152,7 +150,7 @@ def _config(kind: str, name: str) -> Any:
 
 def _show_differences(args: argparse.Namespace) -> None:
     """Prints a table of the fields in which two configs differ."""
-    from t2m_jax.train.presets import differences
+    from t2m_jax.train.shipped import differences
 
     if args.config_options:
         raise UserError(f"train {args.kind}: --diff compares configs as they are; remove {args.config_options[0]}")

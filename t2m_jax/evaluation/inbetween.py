@@ -19,6 +19,9 @@ from t2m_jax.sampling.pipeline import TextToMotion
 AROUND_SECONDS = 1.0
 """Least motion before and after a gap."""
 
+Positions = Float[np.ndarray, "T J 3"]
+"""Meters."""
+
 
 class GapFigures(NamedTuple):
     """Means over clips, joints and frames."""
@@ -83,9 +86,7 @@ def evaluate_inbetween(
     return InbetweenFigures(real, generated, interpolated, len(found))
 
 
-def interpolate_gap(
-    positions: Float[np.ndarray, "T J 3"], first: int, last: int, *, skeleton: Skeleton
-) -> Float[np.ndarray, "T J 3"]:
+def interpolate_gap(positions: Positions, first: int, last: int, *, skeleton: Skeleton) -> Positions:
     """Returns a motion whose root and bones go straight from the frame before a gap to the frame after it."""
     ends = positions[[first - 1, last]]
     share = (np.arange(1, last - first + 1) / (last - first + 1))[:, None, None]
@@ -97,9 +98,7 @@ def interpolate_gap(
     return np.concatenate([positions[:first], middle, positions[last:]]).astype(np.float32)
 
 
-def gap_figures(
-    positions: Float[np.ndarray, "T J 3"], real: Float[np.ndarray, "T J 3"], first: int, last: int, *, fps: float
-) -> GapFigures:
+def gap_figures(positions: Positions, real: Positions, first: int, last: int, *, fps: float) -> GapFigures:
     """Returns the figures of one clip, whose gap has frames `first` to `last`."""
     # The second difference is how far a joint is from where its last velocity led.
     changes, real_changes = (np.linalg.norm(np.diff(one, n=2, axis=0), axis=-1) for one in (positions, real))

@@ -11,30 +11,36 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from t2m_jax.checkpoints.evaluator import load_trained_evaluator
+from t2m_jax.data.folder import Dataset
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation.embedding import (
-    embed_decoded,
-    embed_plan_captions,
-    embed_plan_motions,
-    measure_plan_motions,
-)
-from t2m_jax.evaluation.protocols import Plan
+from t2m_jax.evaluation.embedding import embed_decoded, embed_plan_captions, embed_plan_motions, measure_plan_motions
+from t2m_jax.evaluation.protocols import Plan, find_protocol
 from t2m_jax.evaluation.report.record import CLEANED, MAX_REPORT, Header, Metric, Report
 from t2m_jax.evaluation.sources import CodeSource
-from t2m_jax.evaluation.task import EvaluationTask
+from t2m_jax.evaluation.task import EvaluationTask, make_task
 from t2m_jax.files.manifest import load_sealed_json, save_sealed_json
 from t2m_jax.keys import new_key
 from t2m_jax.metrics.frechet import fid
 from t2m_jax.metrics.quality import MotionQuality
 from t2m_jax.metrics.retrieval import label_bound, matching_score, r_precision
 from t2m_jax.metrics.variety import diversity, multimodality
+from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.skeleton import skeleton_from_feature_dim
 from t2m_jax.sampling.batches import round_up
+from t2m_jax.sampling.decode import decode_motions
 
 logger = logging.getLogger(__name__)
 
 # Above the number of any repeat, so that no two passes are the same.
 SECOND_PASS = 1_000_000
 """Added to a repeat's number for the second set of real motions, against which FID of the first is measured."""
+HELD_OUT = "val"
+"""The split of evaluations during training: the test split must not choose anything."""
+HELD_OUT_PROTOCOL = dataclasses.replace(find_protocol("t2m-gpt"), multimodality_captions=0)
+"""As in the original's training: one motion per caption, so variety is not measured."""
+# Always the same pieces and captions, so that a curve over training shows the model and not the draws.
+HELD_OUT_REPEAT = 0
 
 
 class RepeatMetrics(NamedTuple):
@@ -204,3 +210,37 @@ def _whole_batches(count: int, batch: int) -> tuple[Int[np.ndarray, " M"], Bool[
     """Returns indices in whole batches, and which count; the last batch is filled with the first motions."""
     size = round_up(count, batch)
     return np.resize(np.arange(count), size), jnp.arange(size) < count
+
+
+def open_held_out(dataset: Dataset, evaluator: Path, *, seed: int, unit: int) -> EvaluationTask:
+    """Returns the task of evaluating the validation split with the evaluator in a folder.
+
+    Raises:
+        UserError: There is no evaluator, it was trained on other data, or the split does not fill a batch.
+    """
+    return make_task(
+        dataset, load_trained_evaluator(evaluator), HELD_OUT_PROTOCOL, split=HELD_OUT, seed=seed, unit=unit
+    )
+
+
+def held_out_metrics(task: EvaluationTask, source: CodeSource) -> dict[str, float]:
+    """Returns the metrics of a source's motion for the validation split."""
+    return evaluate_repeat(task, source, repeat=HELD_OUT_REPEAT).measured
+
+
+def sample_motions(task: EvaluationTask, source: CodeSource, *, count: int) -> list[Motion]:
+    """Returns the first motions of a source in the repeat that is measured, with their captions."""
+    plan = task.plan(HELD_OUT_REPEAT)
+    # A motion depends on key and item only, so these are the first ones of the whole repeat.
+    few = plan._replace(
+        samples=plan.samples[:count],
+        captions=plan.captions[:count],
+        starts=plan.starts[:count],
+        lengths=plan.lengths[:count],
+    )
+    key = jax.random.fold_in(new_key(task.seed), HELD_OUT_REPEAT)
+    found = source.make(task.samples.clips, task.protocol, few, key)
+    captions = [caption.text for caption in few.chosen_captions(task.samples.clips)]
+    skeleton = skeleton_from_feature_dim(source.tokenizer.config.feature_dim)
+    motions = decode_motions(source.tokenizer, found.codes.rows, skeleton=skeleton)
+    return [dataclasses.replace(motion, caption=caption) for motion, caption in zip(motions, captions, strict=True)]

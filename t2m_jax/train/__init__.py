@@ -6,7 +6,7 @@ from t2m_jax.train.experiment import Setup, Trainer, train
 from t2m_jax.train.gpt import TrainGptConfig
 from t2m_jax.train.hifigpt import TrainHiFiGptConfig
 from t2m_jax.train.optimizer import OptimizerConfig
-from t2m_jax.train.presets import load_preset
+from t2m_jax.train.shipped import load_preset
 from t2m_jax.train.vqvae import init_vqvae_state, vqvae_train_step
 from t2m_jax.train.vqvae_config import TrainRvqVaeConfig, TrainVqVaeConfig
 

@@ -1,4 +1,4 @@
-"""What is checked before a run starts or is resumed."""
+"""What is read and checked before a run starts or is resumed: data set, statistics, config, first weights."""
 
 import contextlib
 import logging
@@ -16,13 +16,13 @@ from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.run import CONFIG_FILE, is_run, run_config_text, run_info
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.config import flat_fields, load_config
+from t2m_jax.data.checks import check_feature_dim, find_difference
 from t2m_jax.data.folder import Dataset, open_dataset
 from t2m_jax.distributed import is_writer
 from t2m_jax.errors import UserError
 from t2m_jax.files.locks import lock
-from t2m_jax.motion.normalizer import load_normalizer
-from t2m_jax.train.config import ExperimentConfig
-from t2m_jax.train.statistics import load_statistics
+from t2m_jax.motion.normalizer import Normalizer, load_normalizer, normalizer_from_files, weighted_normalizer
+from t2m_jax.train.config import FROM_DATA, ExperimentConfig
 
 logger = logging.getLogger(__name__)
 
@@ -91,7 +91,7 @@ def check_same_config(config: ExperimentConfig) -> None:
             )
 
 
-def _is_same(config: ExperimentConfig, name: str, saved: Any, value: Any) -> bool:
+def _is_same(config: Any, name: str, saved: Any, value: Any) -> bool:
     """Returns whether a field has its old value. What only moved is the same."""
     if saved == value:
         return True
@@ -106,7 +106,8 @@ def _is_same(config: ExperimentConfig, name: str, saved: Any, value: Any) -> boo
         if name == "init":
             return _fingerprint(saved) == _fingerprint(value)
         if name == "statistics":
-            return _same_statistics(config)
+            found = load_statistics(config, open_dataset(config.data))
+            return all(map(np.array_equal, found, load_normalizer(config.run)))
     return name == "evaluation.evaluator"  # `BestWeights` compares the contents with those that chose the best weights
 
 
@@ -116,10 +117,55 @@ def _fingerprint(model: str) -> str:
     return load_model(path).fingerprint if (path / BUNDLE_FILE).is_file() else load_tokenizer(path).fingerprint
 
 
-def _same_statistics(config: Any) -> bool:
-    """Returns whether the statistics that a config names are those of its run."""
-    found = load_statistics(config, open_dataset(config.data))
-    return all(map(np.array_equal, found, load_normalizer(config.run)))
+def open_training_data(config: Any, *, reader: str, resume: bool) -> tuple[Dataset, Normalizer]:
+    """Returns the data set of a config, and its statistics or those of the run that is resumed.
+
+    Args:
+        config: A config with the fields `data`, `run`, `statistics`, `root_weight` and `model.feature_dim`.
+        reader: What is trained, for error messages.
+        resume: Whether the run is resumed.
+
+    Raises:
+        UserError: The data set or the statistics cannot be read, or do not fit the model.
+    """
+    dataset = open_dataset(config.data)
+    check_feature_dim(dataset, config.model.feature_dim, reader=reader)
+    # A run has a copy, so that the file may be gone or changed.
+    if resume:
+        return dataset, load_normalizer(config.run)
+    return dataset, load_statistics(config, dataset)
+
+
+def load_statistics(config: Any, dataset: Dataset) -> Normalizer:
+    """Returns the statistics that a config names (see `NormalizedConfig.statistics`).
+
+    Raises:
+        UserError: They do not exist, or describe motion of another kind than the data. With `init`, this is only a
+            warning: some clips of a new kind do not have the statistics of a large data set.
+    """
+    statistics = config.statistics
+    if statistics == FROM_DATA:
+        return weighted_normalizer(dataset.normalizer, dataset.skeleton.layout, factor=config.root_weight)
+    path = bundle_path(statistics)
+    if is_run(path) or (path / BUNDLE_FILE).is_file():
+        normalizer = load_tokenizer(path).normalizer
+    elif path.suffix == ".npy":
+        # `mean.npy` and `std.npy`, or `Mean.npy` and `Std.npy` as in HumanML3D.
+        std_name = path.name.replace("mean", "std").replace("Mean", "Std")
+        normalizer = normalizer_from_files(path, path.with_name(std_name))
+    # The original's folders of checkpoints; on a disk that ignores case, `Mean.npy` would be found as well.
+    elif (path / "mean.npy").is_file() and not (path / "Mean.npy").is_file():
+        normalizer = normalizer_from_files(path / "mean.npy", path / "std.npy")
+    elif path.is_dir():
+        normalizer = load_normalizer(path)
+    else:
+        raise UserError(f"statistics: {statistics} does not exist; give a folder with mean.npy, a model, or `data`")
+    difference = find_difference(dataset, normalizer, reader=statistics)
+    if difference is not None and config.init is None:
+        raise UserError(f"{difference}; choose others, or `--statistics {FROM_DATA}`")
+    if difference is not None:
+        logger.warning("%s; this training starts from a model with them", difference)
+    return normalizer
 
 
 def data_record(dataset: Dataset) -> str:

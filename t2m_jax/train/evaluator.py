@@ -20,13 +20,13 @@ from t2m_jax.losses import infonce_loss, margin_loss, pair_distances
 from t2m_jax.metrics.retrieval import r_precision
 from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT, Evaluator, evaluator_shapes
 from t2m_jax.text.word_vectors import Vocabulary, load_vocabulary, load_word_vectors, vocabulary_from_captions
+from t2m_jax.train.checks import open_training_data
 from t2m_jax.train.config import compiled_config
 from t2m_jax.train.evaluator_config import EvaluatorStepConfig, TrainEvaluatorConfig
 from t2m_jax.train.experiment import Setup, Trainer, Validation
 from t2m_jax.train.movement import MOVEMENTS, train_movements
 from t2m_jax.train.optimizer import Metrics, TrainState, make_optimizer
 from t2m_jax.train.program import Update
-from t2m_jax.train.statistics import open_training_data
 from t2m_jax.train.streams import plan_feed, stream_key, window_options
 
 MOTION_PARTS = ("motion_encoder",)

@@ -23,7 +23,7 @@ from t2m_jax.data.summary import save_training_data, summarize_training_data
 from t2m_jax.devices import put_everywhere
 from t2m_jax.distributed import is_writer, wait_for_all
 from t2m_jax.errors import UserError
-from t2m_jax.evaluation.monitor import SPLIT, held_out_metrics, open_held_out, sample_motions
+from t2m_jax.evaluation.run import HELD_OUT, held_out_metrics, open_held_out, sample_motions
 from t2m_jax.evaluation.sources import CodeSource
 from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.export.render.rendering import render_poster
@@ -31,11 +31,10 @@ from t2m_jax.files.manifest import check_folder
 from t2m_jax.train import checks
 from t2m_jax.train.best import BestWeights
 from t2m_jax.train.config import EvaluationConfig, ExperimentConfig, LoopConfig
-from t2m_jax.train.loop import Measured, Measurement, Metrics, Speed, mean_over_batches, run_loop
+from t2m_jax.train.loop import Measured, Measurement, Metrics, Speed, mean_over_batches, run_loop, stop_requests
 from t2m_jax.train.optimizer import OptimizerConfig, learning_rate_at
 from t2m_jax.train.placement import DataOnDevices, DataOnHost, place_data
 from t2m_jax.train.program import Devices, Update, choose_devices
-from t2m_jax.train.signals import stop_requests
 
 logger = logging.getLogger(__name__)
 
@@ -318,5 +317,5 @@ def measure_evaluation(setup: Setup, held_out: EvaluationTask, best: BestWeights
         picture = render_poster(sample_motions(held_out, source, count=NUM_PICTURED))
         return Measured(metrics, picture, is_last=_is_over(best, state, metrics, setup))
 
-    how = f"{SPLIT}, {evaluation.sampling}" if evaluation.sampling else SPLIT
+    how = f"{HELD_OUT}, {evaluation.sampling}" if evaluation.sampling else HELD_OUT
     return Measurement("evaluation", f"evaluation ({how})", evaluation.config.every, measure)

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from t2m_jax.checkpoints.bundle import CONFIG_FILE, Bundle, BundleConfig, part_kinds
+from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer, load_tokenizer_config, save_tokenizer_copy
 from t2m_jax.config import flat_fields, save_config
 from t2m_jax.data.banks.codes import Captions, CodeBank, CodeBatch, code_batch_at
@@ -18,33 +19,20 @@ from t2m_jax.data.folder import Clip, Dataset, open_dataset
 from t2m_jax.data.index import INDEX, is_single, label_actions, load_index
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.sources import CodeSource, make_generation
-from t2m_jax.models.caption_encoder import (
-    init_network,
-    network_module,
-)
+from t2m_jax.models.caption_encoder import init_network, network_module
 from t2m_jax.models.rows import apply_rows
 from t2m_jax.sampling.pipeline import TextToMotion
 from t2m_jax.sampling.request import SamplingOptions
 from t2m_jax.text.bpe import save_bpe
 from t2m_jax.text.caption_states import CaptionStates
+from t2m_jax.train import tokenize
 from t2m_jax.train.captions import CaptionReader, make_caption_reader, open_text_encoder, state_width
-from t2m_jax.train.config import compiled_config
-from t2m_jax.train.experiment import Evaluation, Setup, Validation
+from t2m_jax.train.config import InitParts, compiled_config
+from t2m_jax.train.experiment import Evaluation, Setup, Trainer, Validation
 from t2m_jax.train.generator_config import GeneratorStepConfig, TrainGeneratorConfig
 from t2m_jax.train.optimizer import Metrics, descend_in_parts
 from t2m_jax.train.program import Update
 from t2m_jax.train.streams import stream_key
-from t2m_jax.train.tokenize import (
-    CodedMotion,
-    add_rewordings,
-    balanced_weights,
-    check_tokenizer,
-    draw_captions,
-    encode_clips,
-    make_code_bank,
-    with_share,
-)
-from t2m_jax.train.warm_start import start_from_model
 
 SIZES_OF_TOKENIZER = {"num_codes", "num_quantizers", "code_dim"}
 """Fields of a generator's config that are taken from its tokenizer."""
@@ -61,6 +49,16 @@ class GeneratorSteps(NamedTuple):
     """From a state, a `CodeBank` and the number of a batch to metrics."""
     with_tokenizer: Callable[[Any, TrainedTokenizer], Any] = lambda state, tokenizer: state
     """From the first state to the state with what the generator takes from its tokenizer; not jitted."""
+
+
+def make_trainer(config: type[TrainGeneratorConfig], steps: GeneratorSteps) -> Trainer:
+    """Returns the trainer of a kind of generator."""
+    return Trainer(
+        config=config,
+        prepare=lambda config, resume: prepare_generator(config, steps, resume=resume),
+        resolve=resolve_generator,
+        next_command='t2m generate "a person walks forward" --model {run}',
+    )
 
 
 def init_caption_encoder(config: GeneratorStepConfig, key: Key[Array, ""]) -> dict[str, Any]:
@@ -156,13 +154,13 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
     """
     dataset = open_dataset(config.data)
     tokenizer = load_tokenizer(config.run if resume else config.vqvae)
-    check_tokenizer(tokenizer, dataset, may_differ=config.init is not None)
+    tokenize.check_tokenizer(tokenizer, dataset, may_differ=config.init is not None)
     clips = training_clips(config, dataset, "train", fraction=config.data_fraction)
     opened = open_text_encoder(config, resume=resume)  # first, because encoding the clips takes long
     motions = code_motions(config, clips, dataset, tokenizer)
-    motions = add_rewordings(motions, count=config.rewordings, seed=config.loop.seed)
+    motions = tokenize.add_rewordings(motions, count=config.rewordings, seed=config.loop.seed)
     reader = make_caption_reader(config, motions, opened, resume=resume)
-    bank = make_code_bank(motions, reader.read, shares=draw_shares(config, dataset, motions))
+    bank = tokenize.make_code_bank(motions, reader.read, shares=draw_shares(config, dataset, motions))
     compiled = compiled_config(config)
     parts = BundleConfig(
         skeleton=dataset.skeleton.name,
@@ -195,24 +193,51 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
     )
 
 
-def training_clips(config: TrainGeneratorConfig, dataset: Dataset, split: str, **options: Any) -> list[Clip]:
+def start_from_model(path: Path, tokenizer: TrainedTokenizer, *, parts: InitParts = "all") -> Mapping[str, Any]:
+    """Returns the weights to start from (`init`): of a model's generator and text encoder, by collection and kind.
+
+    The tokenizer may have another decoder than that of the model, because codes do not depend on it. With `fitting`
+    parts it may be any, and a codebook that the generator reads is not among the collections.
+
+    Raises:
+        UserError: There is none, or its codes mean something else because it has another tokenizer.
+    """
+    model = load_model(path)
+    own = TrainedTokenizer(model.config.tokenizer, model.variables["tokenizer"], model.normalizer)
+    same = tokenizer.has_codes_of(own)
+    if not same and parts == "all":
+        raise UserError(
+            f"init: {path} was trained with another tokenizer; use its own with `--vqvae {path}`, or take the weights "
+            "that fit with `--init-parts fitting`"
+        )
+    weights: dict[str, Any] = {}
+    for role, kind in part_kinds(model.config).items():
+        # A state has its parts by collection first, a model by role first.
+        for name, tree in model.variables[role].items() if role != "tokenizer" else ():
+            weights.setdefault(name, {})[kind] = tree
+    if not same:
+        weights.pop("codebook", None)
+    return weights
+
+
+def training_clips(config: TrainGeneratorConfig, dataset: Dataset, split: str, *, fraction: float = 1.0) -> list[Clip]:
     """Returns the clips of a split with the captions that are learned, which are also those that the run records."""
-    clips = dataset.clips(split, **options)
-    return draw_captions(clips, count=config.max_captions, seed=config.loop.seed)
+    clips = dataset.clips(split, fraction=fraction)
+    return tokenize.draw_captions(clips, count=config.max_captions, seed=config.loop.seed)
 
 
 def code_motions(
     config: Any, clips: Sequence[Clip], dataset: Dataset, tokenizer: TrainedTokenizer
-) -> list[CodedMotion]:
+) -> list[tokenize.CodedMotion]:
     """Returns clips as codes, as the config asks for."""
     options = {name: getattr(config, name) for name in ("offsets", "timed_captions", "long_clips")}
     options["seed"] = config.loop.seed  # not of the evaluation: clips have the same offsets in all of a run
-    return encode_clips(clips, dataset.info, tokenizer, **options)
+    return tokenize.encode_clips(clips, dataset.info, tokenizer, **options)
 
 
 def draw_shares(
-    config: TrainGeneratorConfig, dataset: Dataset, motions: Sequence[CodedMotion]
-) -> Float[np.ndarray, " M"] | None:
+    config: TrainGeneratorConfig, dataset: Dataset, motions: Sequence[tokenize.CodedMotion]
+) -> tokenize.Weights | None:
     """Returns the shares of motions in the draws of training (`CodeBank.shares`), None if they are equal.
 
     Raises:
@@ -225,12 +250,12 @@ def draw_shares(
     if not any(labels):
         raise UserError(f"{dataset.folder / INDEX}: has no labels of these clips, which balance and single_share need")
     actions = [("",) if label is None else label_actions(label) for label in labels]
-    weights = balanced_weights(actions, power=config.balance, limit=config.balance_limit)
+    weights = tokenize.balanced_weights(actions, power=config.balance, limit=config.balance_limit)
     if config.single_share is not None:
         single = np.array([label is None or is_single(label) for label in labels])
         if single.all() or not single.any():
             raise UserError(f"single_share: {dataset.folder} has only motions of one kind; leave it out")
-        weights = with_share(weights, single, config.single_share)
+        weights = tokenize.with_share(weights, single, config.single_share)
     return (np.cumsum(weights) / weights.sum()).astype(np.float32)
 
 
@@ -243,7 +268,7 @@ def make_validation(
         return None
     motions = code_motions(config, clips, dataset, tokenizer)
     measure = functools.partial(steps.validate, config=compiled_config(config))
-    return Validation(make_code_bank(motions, reader.read), len(motions), measure)
+    return Validation(tokenize.make_code_bank(motions, reader.read), len(motions), measure)
 
 
 def make_evaluation(config: Any, parts: BundleConfig, tokenizer: TrainedTokenizer, reader: CaptionReader) -> Evaluation:

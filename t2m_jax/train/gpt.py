@@ -1,4 +1,4 @@
-"""Training of the GPT, together with its caption encoder if it has one: state and one pure step."""
+"""Training of the GPT, together with its caption encoder if it has one: inputs and targets, state, one pure step."""
 
 import dataclasses
 import functools
@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from t2m_jax.data.banks.codes import Captions, CodeBank
 from t2m_jax.data.banks.order import row_keys, split_each
@@ -15,21 +15,11 @@ from t2m_jax.devices import own_rows, split_rows
 from t2m_jax.losses import TokenMean, token_accuracy, token_loss, token_weights
 from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
 from t2m_jax.models.rows import Precision, apply_rows, in_precision
+from t2m_jax.train import generator
 from t2m_jax.train.config import LoopConfig, StepConfig
-from t2m_jax.train.experiment import Trainer
-from t2m_jax.train.generator import (
-    GeneratorSteps,
-    codes_at,
-    descend_trained,
-    embed_captions,
-    init_caption_encoder,
-    prepare_generator,
-    resolve_generator,
-)
 from t2m_jax.train.generator_config import GeneratorStepConfig, TrainGeneratorConfig
 from t2m_jax.train.optimizer import Metrics, OptimizerConfig, TrainState, first_state
 from t2m_jax.train.streams import stream_key
-from t2m_jax.train.targets import Targets, draw_corruption, drop_one_code, make_targets
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -71,6 +61,81 @@ class TrainGptConfig(GptStepConfig, TrainGeneratorConfig):
     """Run directory to write."""
 
 
+class Targets(NamedTuple):
+    """What the GPT predicts: the codes of each motion, then End, then Pad."""
+
+    tokens: Int[Array, "B L"]
+    code_lengths: Int[Array, " B"]
+
+
+def make_targets(
+    codes: Int[Array, "B N"], code_lengths: Int[Array, " B"], *, num_codes: int, block_size: int
+) -> Targets:
+    """Returns `block_size` targets per motion: its codes, End (= num_codes), then Pad (= num_codes + 1).
+
+    Motions are cut after `block_size - 1` codes.
+    """
+    code_lengths = jnp.minimum(code_lengths, block_size - 1)
+    room = block_size - codes.shape[1]
+    padded = jnp.pad(codes, ((0, 0), (0, max(room, 0))))[:, :block_size]
+    # Every motion gets an End, also one that was cut.
+    position = jnp.arange(block_size)[None]
+    tokens = jnp.where(position < code_lengths[:, None], padded, num_codes + 1)
+    return Targets(jnp.where(position == code_lengths[:, None], num_codes, tokens), code_lengths)
+
+
+def drop_one_code(
+    codes: Int[Array, "B N"], code_lengths: Int[Array, " B"], drop: Bool[Array, " B"], *, at_head: Bool[Array, " B"]
+) -> tuple[Int[Array, "B N"], Int[Array, " B"]]:
+    """Returns codes and lengths. Where `drop` is True, the first or the last code is removed.
+
+    As in the original, a motion of one code then has none, so that its only target is End.
+    """
+    # Without its last code a motion is only shorter; without its first, all codes move to the left.
+    shifted = jnp.where((drop & at_head)[:, None], jnp.roll(codes, -1, axis=1), codes)
+    return shifted, code_lengths - drop
+
+
+class Corruption(NamedTuple):
+    """Inputs that are replaced in training, and their replacements."""
+
+    keep: Bool[Array, "B L"]
+    replacements: Int[Array, "B L"]
+
+    def apply(self, tokens: Int[Array, "B L"]) -> Int[Array, "B L"]:
+        """Returns the tokens, replaced where `keep` is False."""
+        return jnp.where(self.keep, tokens, self.replacements)
+
+
+def draw_corruption(
+    tokens: Int[Array, "B L"],
+    keys: Key[Array, " B"],
+    *,
+    tau: float | Float[Array, ""] | Literal["per_motion"],
+    num_codes: int,
+    past_end: bool,
+) -> Corruption:
+    """Returns a corruption that replaces each token, with probability `tau`, by a code from a uniform distribution.
+
+    Args:
+        tokens: Codes, End (= `num_codes`) and Pad.
+        keys: One per motion; consumed.
+        tau: The probability. `per_motion` draws one from 0 to 1 for each motion.
+        num_codes: Number of codes to draw from. The right code may be drawn, too.
+        past_end: Whether End and Pad may be replaced, as in the original code.
+    """
+
+    def draw(key: Key[Array, ""]) -> tuple[Bool[Array, " L"], Int[Array, " L"]]:
+        share_key, replace_key, code_key = jax.random.split(key, 3)
+        share = jax.random.uniform(share_key) if isinstance(tau, str) else tau
+        # The inputs alone are replaced. Targets stay what they are, so that the model learns to recover from errors.
+        keep = ~(jax.random.uniform(replace_key, tokens.shape[1:]) < share)
+        return keep, jax.random.randint(code_key, tokens.shape[1:], 0, num_codes)
+
+    keep, replacements = jax.vmap(draw)(keys)
+    return Corruption(keep if past_end else keep | (tokens >= num_codes), replacements)
+
+
 class GptBatch(NamedTuple):
     """What the GPT reads and predicts. The weights are those of the means over the global batch."""
 
@@ -93,7 +158,7 @@ def init_gpt_state(config: GptStepConfig, key: Key[Array, ""]) -> TrainState:
     tokens = jnp.zeros((1, config.model.max_codes), jnp.int32)
     text = jnp.zeros((1, config.model.text_dim))
     params = {"gpt": MotionGpt(config.model).init(gpt_key, tokens, text, train=False)["params"]}
-    params |= init_caption_encoder(config, caption_key)
+    params |= generator.init_caption_encoder(config, caption_key)
     return first_state(params, config.optimizer)
 
 
@@ -118,7 +183,7 @@ def gpt_metrics(params: Any, batch: GptBatch, *, config: GptStepConfig, precisio
     """Returns loss and accuracy of a batch, or the shares of a part of a batch in them."""
     params, captions = in_precision((params, batch.captions), precision)
     keys = (None, None) if batch.dropout_keys is None else (batch.dropout_keys[:, 0], batch.dropout_keys[:, 1])
-    text = embed_captions(params, captions, keys[0], config=config)
+    text = generator.embed_captions(params, captions, keys[0], config=config)
     model = MotionGpt(config.model, remat=config.remat)
     logits = apply_rows(model, {"params": params["gpt"]}, batch.inputs, text, keys=keys[1])
     return {
@@ -130,7 +195,7 @@ def gpt_metrics(params: Any, batch: GptBatch, *, config: GptStepConfig, precisio
 def gpt_train_step(state: TrainState, batch: GptBatch, *, config: GptStepConfig) -> tuple[TrainState, Metrics]:
     """Returns the state after one update and the metrics before it."""
     measure = functools.partial(gpt_metrics, config=config, precision=config.precision)
-    return descend_trained(state, measure, batch, config=config, generator="gpt")
+    return generator.descend_trained(state, measure, batch, config=config, generator="gpt")
 
 
 def targets_from_codes(codes: Int[Array, "B N"], code_lengths: Int[Array, " B"], *, config: GptStepConfig) -> Targets:
@@ -144,7 +209,7 @@ def training_batch(bank: CodeBank, step: Int[Array, ""], *, config: GptStepConfi
     rows = own_rows(config.loop.batch_size)
     # Each row has its own key, so that a batch is the same on one and on many devices.
     keys = {name: row_keys(stream_key(seed, name), step, rows) for name in ("drop", "corruption", "dropout")}
-    codes, code_lengths, captions = codes_at(bank, "data", step, config=config)
+    codes, code_lengths, captions = generator.codes_at(bank, "data", step, config=config)
     drop_keys, head_keys = split_each(keys["drop"], 2)
     drop = jax.vmap(lambda key: jax.random.bernoulli(key, config.drop_probability))(drop_keys)
     at_head = jax.vmap(jax.random.bernoulli)(head_keys)
@@ -175,16 +240,10 @@ def update(state: TrainState, bank: CodeBank, *, config: GptStepConfig) -> tuple
 @functools.partial(jax.jit, static_argnames="config")
 def validate(state: TrainState, bank: CodeBank, step: Int[Array, ""], *, config: GptStepConfig) -> Metrics:
     """Returns loss and accuracy on a batch of held-out motions, with clean inputs."""
-    codes, code_lengths, captions = codes_at(bank, "validation", step, config=config)
+    codes, code_lengths, captions = generator.codes_at(bank, "validation", step, config=config)
     targets = targets_from_codes(codes[:, :, 0], code_lengths, config=config)
     return gpt_metrics(state.params, make_gpt_batch(targets, captions, config=config), config=config)
 
 
-STEPS = GeneratorSteps(init_gpt_state, update, validate)
-TRAINER = Trainer(
-    config=TrainGptConfig,
-    prepare=lambda config, resume: prepare_generator(config, STEPS, resume=resume),
-    resolve=resolve_generator,
-    next_command='t2m generate "a person walks forward" --model {run}',
-)
+TRAINER = generator.make_trainer(TrainGptConfig, generator.GeneratorSteps(init_gpt_state, update, validate))
 """The entry point `gpt`."""

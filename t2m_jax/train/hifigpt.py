@@ -22,17 +22,8 @@ from t2m_jax.models.rows import Precision, apply_rows, in_precision
 from t2m_jax.models.system import find_part
 from t2m_jax.text.bpe import CaptionTokens
 from t2m_jax.text.caption_states import CaptionStates
+from t2m_jax.train import generator
 from t2m_jax.train.config import LoopConfig, StepConfig
-from t2m_jax.train.experiment import Trainer
-from t2m_jax.train.generator import (
-    GeneratorSteps,
-    codes_at,
-    descend_trained,
-    embed_captions,
-    init_caption_encoder,
-    prepare_generator,
-    resolve_generator,
-)
 from t2m_jax.train.generator_config import GeneratorStepConfig, TrainGeneratorConfig
 from t2m_jax.train.log import by_depth
 from t2m_jax.train.optimizer import Metrics, OptimizerConfig, make_optimizer
@@ -136,7 +127,7 @@ def init_hifigpt_state(config: HiFiGptStepConfig, key: Key[Array, ""]) -> HiFiGp
     gpt_key, caption_key = jax.random.split(key)
     codes = jnp.zeros((1, 1, config.model.num_quantizers), jnp.int32)
     variables = HiFiGpt(config.model).init(gpt_key, codes, jnp.zeros((1, config.model.text_dim)), train=False)
-    params = {"hifigpt": variables["params"]} | init_caption_encoder(config, caption_key)
+    params = {"hifigpt": variables["params"]} | generator.init_caption_encoder(config, caption_key)
     codebook = {"hifigpt": variables["codebook"]} if "codebook" in variables else {}
     head = init_head(config)
     opt_state = make_optimizer(config.optimizer).init(params | head)
@@ -222,7 +213,7 @@ def hifigpt_metrics(
     """Returns losses and accuracy of a batch, or the shares of a part of a batch in them."""
     params, codebook, captions = in_precision((params, codebook, batch.captions), precision)
     keys = (None, None) if batch.dropout_keys is None else (batch.dropout_keys[:, 0], batch.dropout_keys[:, 1])
-    text = embed_captions(params, captions, keys[0], config=config)
+    text = generator.embed_captions(params, captions, keys[0], config=config)
     contrastive = contrastive_loss(params[HEAD], codebook, batch, text) if config.contrastive_weight else None
     # After the contrastive loss, which needs all texts. Zeros are what guidance reads for no text.
     text = jnp.where(batch.dropped[:, None], jnp.zeros_like(text), text)
@@ -271,7 +262,7 @@ def hifigpt_train_step(
 
     # One optimizer trains both; the head is kept apart, because it is no part of the model.
     together = state._replace(params=state.params | state.head)
-    after, metrics = descend_trained(together, measure, batch, config=config, generator="hifigpt")
+    after, metrics = generator.descend_trained(together, measure, batch, config=config, generator="hifigpt")
     params, head = ({name: after.params[name] for name in part} for part in (state.params, state.head))
     return after._replace(params=params, head=head), metrics
 
@@ -281,7 +272,7 @@ def training_batch(bank: CodeBank, step: Int[Array, ""], *, config: HiFiGptStepC
     seed = config.loop.seed
     rows = own_rows(config.loop.batch_size)
     keys = {name: row_keys(stream_key(seed, name), step, rows) for name in ("condition", "corruption", "dropout")}
-    batch = codes_at(bank, "data", step, config=config)
+    batch = generator.codes_at(bank, "data", step, config=config)
     options: Any = {"kind": config.corruption, "tau": config.tau, "num_codes": config.model.num_codes}
     inputs = corrupt_codes(batch.codes, keys["corruption"], **options)
     dropped = jax.vmap(lambda key: jax.random.bernoulli(key, config.condition_dropout))(keys["condition"])
@@ -299,17 +290,13 @@ def update(state: HiFiGptState, bank: CodeBank, *, config: HiFiGptStepConfig) ->
 @functools.partial(jax.jit, static_argnames="config")
 def validate(state: HiFiGptState, bank: CodeBank, step: Int[Array, ""], *, config: HiFiGptStepConfig) -> Metrics:
     """Returns the metrics of a batch of held-out motions, with clean codes and all texts."""
-    batch = make_hifigpt_batch(codes_at(bank, "validation", step, config=config), config=config)
+    batch = make_hifigpt_batch(generator.codes_at(bank, "validation", step, config=config), config=config)
     # The best weights are those of the best generator, whatever else it learns from.
     config = dataclasses.replace(config, contrastive_weight=0.0)
     return hifigpt_metrics(state.params, state.codebook, batch, config=config)
 
 
-STEPS = GeneratorSteps(init_hifigpt_state, update, validate, with_codebook)
-TRAINER = Trainer(
-    config=TrainHiFiGptConfig,
-    prepare=lambda config, resume: prepare_generator(config, STEPS, resume=resume),
-    resolve=resolve_generator,
-    next_command='t2m generate "a person walks forward" --model {run}',
+TRAINER = generator.make_trainer(
+    TrainHiFiGptConfig, generator.GeneratorSteps(init_hifigpt_state, update, validate, with_codebook)
 )
 """The entry point `hifigpt`."""

@@ -1,19 +1,24 @@
-"""The training loop."""
+"""The training loop, and the signals that end it after the next update, so that no update is lost."""
 
+import contextlib
 import math
+import os
 import signal
-from collections.abc import Callable, Mapping, Sequence
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import FrameType
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jax.experimental import multihost_utils
 from jaxtyping import UInt8
 from tqdm import tqdm
 
 from t2m_jax.checkpoints.run import Checkpoints
 from t2m_jax.distributed import is_writer
-from t2m_jax.errors import Interruption, UserError
+from t2m_jax.errors import ENDING_SIGNALS, Interruption, UserError
 from t2m_jax.train.config import LoopConfig
 from t2m_jax.train.log import MetricLog
 
@@ -70,23 +75,19 @@ def mean_metrics(calls: Sequence[Call], *, first_step: int) -> dict[str, float]:
     fetched = [(jax.device_get(call.metrics), call.updates) for call in calls]
     values = {name: np.concatenate([metrics[name][:count] for metrics, count in fetched]) for name in fetched[0][0]}
     # Of every step and not of the mean, so that the message can name the first one.
-    for offset, loss in enumerate(values["loss"]):
-        if math.isfinite(loss):
-            continue
-        raise UserError(
-            f"step {first_step + offset}: the loss is {loss}; lower optimizer.learning_rate, or check "
-            "the data with `t2m data check` (checkpoints before this step are kept)"
-        )
+    for step, loss in enumerate(values["loss"], start=first_step):
+        if not math.isfinite(loss):
+            raise UserError(
+                f"step {step}: the loss is {loss}; lower optimizer.learning_rate, or check the data with "
+                "`t2m data check` (checkpoints before this step are kept)"
+            )
     return {name: float(np.mean(rows)) for name, rows in values.items()}
 
 
 def mean_over_batches(measure: Callable[[Any], Metrics], num_batches: int) -> dict[str, float]:
     """Returns the mean of each metric over the batches 0, 1, ... of a data set."""
     # Nothing is fetched before the end, so that the devices need not wait between batches.
-    found = []
-    for batch in range(num_batches):
-        found.append(measure(np.int32(batch)))
-    fetched = jax.device_get(found)
+    fetched = jax.device_get([measure(np.int32(batch)) for batch in range(num_batches)])
     return {name: float(np.mean([metrics[name] for metrics in fetched])) for name in fetched[0]}
 
 
@@ -124,26 +125,26 @@ def run_loop(
     if step >= total:
         return state
     calls: list[Call] = []
+    is_over = False
     with (
         Checkpoints(run, keep=config.keep_checkpoints) as checkpoints,
         MetricLog(run, first_step=step) as log,
         tqdm(total=total, initial=step, unit="step", disable=None if is_writer() else True) as progress,
     ):
-        while step < total:
+        while step < total and not is_over:
             count = next_count(step, config, measurements)
             state, metrics = update(state, count)
             step += count
             calls.append(Call(metrics, count))
             asked = asked_to_stop(step)
-            due = find_due(step, config, measurements, is_asked=asked is not None)
-            if due.is_logged:  # before anything is saved or measured: this raises if a loss was not finite
+            due = [one for one in measurements if is_due(step, one.every, last=total)]
+            is_kept = asked is not None or step == total or is_due(step, config.checkpoint_every, last=total)
+            if due or is_kept or is_due(step, config.log_every, last=total):  # first: it raises if a loss is not finite
                 _log_updates(log, step, calls, speed, progress)
                 calls = []
-            ends_here = _log_measurements(log, step, due.measurements, state) or asked is not None
-            if due.is_kept or ends_here:
+            is_over = _log_measurements(log, step, due, state) or asked is not None
+            if is_kept or is_over:
                 checkpoints.save(step, state)
-            if ends_here:
-                break
             if not calls:
                 log.restart_clock()  # the time of measurements and checkpoints is not that of updates
     if asked is not None and step < total:
@@ -170,30 +171,11 @@ def next_multiple(step: int, every: int, *, limit: int) -> int:
 
 
 def is_due(step: int, every: int, *, last: int) -> bool:
-    """Returns whether something is done after `step`: after each `every` steps and the last; never if `every` is 0."""
-    return every > 0 and (step % every == 0 or step == last)
+    """Returns whether something is done after `step`: after each `every` steps and the last; never if `every` is 0.
 
-
-class Due(NamedTuple):
-    """What is done after a step."""
-
-    is_kept: bool
-    """Whether a checkpoint is written."""
-    is_logged: bool
-    """Whether means of the updates are logged."""
-    measurements: Sequence[Measurement]
-    """What is measured."""
-
-
-def find_due(step: int, config: LoopConfig, measurements: Sequence[Measurement], *, is_asked: bool) -> Due:
-    """Returns what is due after `step`, as a function of the step: a resumed run writes the same lines as another.
-
-    If the run is asked to stop, its state is kept.
+    This depends on the step alone, so a resumed run writes the same lines as another.
     """
-    total = config.num_steps
-    is_kept = is_asked or step == total or is_due(step, config.checkpoint_every, last=total)
-    now = [one for one in measurements if is_due(step, one.every, last=total)]
-    return Due(is_kept, bool(now) or is_kept or is_due(step, config.log_every, last=total), now)
+    return every > 0 and (step % every == 0 or step == last)
 
 
 def _log_updates(log: MetricLog, step: int, calls: list[Call], speed: Speed | None, progress: Any) -> None:
@@ -219,3 +201,40 @@ def _log_measurements(log: MetricLog, step: int, measurements: Sequence[Measurem
             log.write_picture(step, found.picture)
         is_last = is_last or found.is_last
     return is_last
+
+
+@contextlib.contextmanager
+def stop_requests() -> Iterator[Callable[[int], int | None]]:
+    """Yields a function that says, after an update, whether a signal asked to stop.
+
+    From the number of updates, it returns the number of the signal, or None. If several processes train together, it
+    gives all of them the same answer after the same update. A second Ctrl-C interrupts at once.
+    """
+    found: list[int] = []
+
+    def remember(number: int, _: FrameType | None) -> None:
+        if number == signal.SIGINT and found:
+            raise KeyboardInterrupt
+        found.append(number)
+
+    def pass_on(number: int, _: FrameType | None) -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    several = jax.process_count() > 1
+    # With several processes, JAX has a handler of SIGTERM of its own, through which they agree on a step.
+    handlers = {"SIGUSR1": pass_on} if several else dict.fromkeys(ENDING_SIGNALS, remember)
+    if threading.current_thread() is not threading.main_thread():
+        handlers = {}  # only the main thread may have handlers
+    numbers = {getattr(signal, name): handler for name, handler in handlers.items() if hasattr(signal, name)}
+    before = {number: signal.signal(number, handler) or signal.SIG_DFL for number, handler in numbers.items()}
+
+    def asked(step: int) -> int | None:
+        if several:
+            return signal.SIGTERM if multihost_utils.reached_preemption_sync_point(step) else None
+        return found[0] if found else None
+
+    try:
+        yield asked
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

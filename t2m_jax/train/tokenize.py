@@ -29,6 +29,13 @@ logger = logging.getLogger(__name__)
 OffsetKind = Literal["all", "one", "hold"]
 TimedCaptionKind = Literal["encode", "slice"]
 LongClipKind = Literal["drop", "windows"]
+Codes = Int[np.ndarray, "_ R"]
+Frames = Float[np.ndarray, "_ D"]
+"""Raw features."""
+Weights = Float[np.ndarray, " M"]
+"""Of motions."""
+Begin = Callable[[Frames, int], Frames]
+"""From a clip's features and a starting frame to the motion to encode."""
 MAX_JOINT_ERROR = 150
 """Largest mean joint error, in millimeters, with which a tokenizer may give other motion back than it learned."""
 
@@ -41,7 +48,7 @@ MOTIONS_TOGETHER = 1024
 class CodedMotion(NamedTuple):
     """A motion as codes, from one or several starting frames, and the captions that describe all of it."""
 
-    variants: tuple[Int[np.ndarray, "_ R"], ...]
+    variants: tuple[Codes, ...]
     captions: tuple[Caption, ...]
     clip: str = ""
     """Name of the clip that it is, or is a part of."""
@@ -80,16 +87,14 @@ def starting_frames(clip: Clip, *, downsample: int, offsets: OffsetKind, seed: i
     return (int(generator.integers(len(clip.features) % downsample + 1)),)
 
 
-def fill_rows(
-    features: Float[np.ndarray, "T D"], start: int, *, downsample: int, most: int, skeleton: Skeleton
-) -> Float[np.ndarray, "U D"]:
+def fill_rows(features: Frames, start: int, *, downsample: int, most: int, skeleton: Skeleton) -> Frames:
     """Returns a motion that fills whole rows of codes, and that begins and ends as it does, if it does so at rest.
 
     The pose of the first frame is held for `start` more frames, and that of the last one until a row is full. Where the
     motion begins or ends on the move, holding would look like a jolt: there, frames are cut.
 
     Args:
-        features: Raw features.
+        features: The motion.
         start: Frames to hold or to cut at the beginning.
         downsample: Frames of a row.
         most: Rows; a motion that would have more of them is cut.
@@ -103,8 +108,8 @@ def fill_rows(
     return np.concatenate([begun, _held(features[-1], left, skeleton)])
 
 
-def _start_at(info: DatasetInfo, *, downsample: int, offsets: OffsetKind) -> Callable[[np.ndarray, int], np.ndarray]:
-    """Returns the function that makes the motion to encode from a clip's features and a starting frame."""
+def _start_at(info: DatasetInfo, *, downsample: int, offsets: OffsetKind) -> Begin:
+    """Returns what makes the motion to encode."""
     if offsets != "hold":
         return lambda features, start: features[start:]
     # No motion has more rows than the longest one without held frames.
@@ -118,7 +123,7 @@ def _is_still(frame: Float[np.ndarray, " D"], skeleton: Skeleton) -> bool:
     return bool(steps.max() * skeleton.fps * skeleton.metres_per_unit < STILL_SPEED)
 
 
-def _held(frame: Float[np.ndarray, " D"], count: int, skeleton: Skeleton) -> Float[np.ndarray, "N D"]:
+def _held(frame: Float[np.ndarray, " D"], count: int, skeleton: Skeleton) -> Frames:
     """Returns frames in which nothing moves."""
     still = frame.copy()
     for moving in (skeleton.layout.root_yaw, skeleton.layout.root_velocity, skeleton.layout.velocities):
@@ -181,11 +186,8 @@ def encode_clips(
 
 
 def _encode_shifted(
-    tokenizer: TrainedTokenizer,
-    features: Sequence[Float[np.ndarray, "_ D"]],
-    starts: Sequence[Sequence[int]],
-    begin: Callable[[np.ndarray, int], np.ndarray],
-) -> Iterator[Int[np.ndarray, "_ R"]]:
+    tokenizer: TrainedTokenizer, features: Sequence[Frames], starts: Sequence[Sequence[int]], begin: Begin
+) -> Iterator[Codes]:
     """Yields the codes of each motion from each of its starting frames; most of the time before a first update."""
     pairs = list(zip(features, starts, strict=True))
     with tqdm(total=len(pairs), desc="encoding", unit="motion", disable=None) as progress:
@@ -240,7 +242,7 @@ def cut_windows(clip: Clip, info: DatasetInfo) -> list[Clip]:
 
 
 def split_by_captions(
-    variants: tuple[Int[np.ndarray, "_ R"], ...], captions: Sequence[Caption], *, codes_per_second: float
+    variants: tuple[Codes, ...], captions: Sequence[Caption], *, codes_per_second: float
 ) -> list[CodedMotion]:
     """Returns a clip's codes as motions: the whole, and one part for each caption with times that contain codes."""
     whole = tuple(caption for caption in captions if caption.whole_clip)
@@ -254,7 +256,7 @@ def split_by_captions(
     return motions
 
 
-def balanced_weights(actions: Sequence[Sequence[str]], *, power: float, limit: float) -> Float[np.ndarray, " M"]:
+def balanced_weights(actions: Sequence[Sequence[str]], *, power: float, limit: float) -> Weights:
     """Returns how often motions are drawn in training, relative to each other.
 
     Args:
@@ -268,18 +270,13 @@ def balanced_weights(actions: Sequence[Sequence[str]], *, power: float, limit: f
     return np.minimum(weights, limit * weights.mean())
 
 
-def with_share(
-    weights: Float[np.ndarray, " M"], chosen: Bool[np.ndarray, " M"], share: float
-) -> Float[np.ndarray, " M"]:
+def with_share(weights: Weights, chosen: Bool[np.ndarray, " M"], share: float) -> Weights:
     """Returns weights of which those of the chosen motions sum to `share`, and the others to the rest of 1."""
     return weights * np.where(chosen, share / weights[chosen].sum(), (1 - share) / weights[~chosen].sum())
 
 
 def make_code_bank(
-    motions: Sequence[CodedMotion],
-    read: Callable[[Sequence[str]], Captions],
-    *,
-    shares: Float[np.ndarray, " M"] | None = None,
+    motions: Sequence[CodedMotion], read: Callable[[Sequence[str]], Captions], *, shares: Weights | None = None
 ) -> CodeBank:
     """Returns coded motions as NumPy arrays; `read` turns all captions into the input of the text encoder."""
     lengths = np.array([[len(codes) for codes in motion.variants] for motion in motions], np.int32)

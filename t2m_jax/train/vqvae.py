@@ -22,12 +22,12 @@ from t2m_jax.models.rows import in_precision
 from t2m_jax.models.vqvae import DECODER_PARTS, VqVae, VqVaeOutput
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import skeleton_from_feature_dim
+from t2m_jax.train.checks import open_training_data
 from t2m_jax.train.config import compiled_config
 from t2m_jax.train.experiment import Evaluation, Setup, Trainer, Validation
 from t2m_jax.train.log import by_depth
 from t2m_jax.train.optimizer import Metrics, descend, make_optimizer
 from t2m_jax.train.program import Update
-from t2m_jax.train.statistics import open_training_data
 from t2m_jax.train.streams import plan_feed, stream_key, window_options
 from t2m_jax.train.vqvae_config import TrainRvqVaeConfig, TrainVqVaeConfig, VqVaeStepConfig
 

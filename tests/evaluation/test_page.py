@@ -10,8 +10,7 @@ import pytest
 
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.evaluation.report.gallery import Example, RepeatDetails
-from t2m_jax.evaluation.report.page import report_page, save_page
-from t2m_jax.evaluation.report.plots import codes_plot, lengths_plot
+from t2m_jax.evaluation.report.page import codes_plot, lengths_plot, report_page, save_page
 from t2m_jax.evaluation.report.record import Header, Metric, Report
 from t2m_jax.export import viewer_html
 from t2m_jax.metrics.quality import MotionQuality

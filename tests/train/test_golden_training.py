@@ -12,9 +12,8 @@ from t2m_jax.data.banks.motions import Windows
 from t2m_jax.models.motion_gpt import MotionGptConfig
 from t2m_jax.models.vqvae import VqVaeConfig
 from t2m_jax.train import OptimizerConfig, TrainVqVaeConfig
-from t2m_jax.train.gpt import TrainGptConfig, gpt_train_step, make_gpt_batch
+from t2m_jax.train.gpt import Corruption, Targets, TrainGptConfig, gpt_train_step, make_gpt_batch
 from t2m_jax.train.optimizer import first_state, make_optimizer
-from t2m_jax.train.targets import Corruption, Targets
 from t2m_jax.train.vqvae import VqVaeState, vqvae_train_step
 from tests.golden_files import state_dict
 from tests.tiny import walking_normalizer

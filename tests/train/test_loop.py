@@ -16,8 +16,7 @@ from t2m_jax.checkpoints.run import Checkpoints
 from t2m_jax.errors import Interruption, UserError
 from t2m_jax.train.config import LoopConfig
 from t2m_jax.train.log import MetricLog
-from t2m_jax.train.loop import Call, Measured, Measurement, Speed, mean_metrics, next_multiple, run_loop
-from t2m_jax.train.signals import stop_requests
+from t2m_jax.train.loop import Call, Measured, Measurement, Speed, mean_metrics, next_multiple, run_loop, stop_requests
 
 
 class Counter(NamedTuple):

@@ -13,7 +13,7 @@ from t2m_jax.cli.main import main
 from t2m_jax.errors import UserError
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.train import train
-from t2m_jax.train.presets import differences, load_preset, preset_names
+from t2m_jax.train.shipped import differences, load_preset, preset_names
 from tests.conftest import REPOSITORY
 from tests.tiny import GPT, HIFIGPT, LOOP, RVQVAE, VQVAE
 

@@ -13,8 +13,7 @@ import pytest
 from t2m_jax.data.banks.motions import Windows
 from t2m_jax.text.bpe import CaptionTokens
 from t2m_jax.train import TrainVqVaeConfig
-from t2m_jax.train.gpt import GptBatch, TrainGptConfig, gpt_train_step, init_gpt_state, make_gpt_batch
-from t2m_jax.train.targets import make_targets
+from t2m_jax.train.gpt import GptBatch, TrainGptConfig, gpt_train_step, init_gpt_state, make_gpt_batch, make_targets
 from t2m_jax.train.vqvae import init_vqvae_state, vqvae_train_step
 from tests.documents import code_blocks
 from tests.tiny import CAPTION_ENCODER, GPT, OPTIMIZER, VQVAE, walking_normalizer

@@ -7,8 +7,7 @@ import numpy as np
 from t2m_jax.data.banks.codes import CodeBank
 from t2m_jax.models.motion_gpt import MotionGptConfig
 from t2m_jax.train import LoopConfig
-from t2m_jax.train.gpt import TrainGptConfig, training_batch
-from t2m_jax.train.targets import Corruption, draw_corruption, drop_one_code, make_targets
+from t2m_jax.train.gpt import Corruption, TrainGptConfig, draw_corruption, drop_one_code, make_targets, training_batch
 from tests.jit import assert_jit_equals_eager
 
 

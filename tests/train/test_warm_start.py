@@ -21,8 +21,8 @@ from t2m_jax.text.verbs import words_of
 from t2m_jax.train import TrainVqVaeConfig, train
 from t2m_jax.train.checks import fitting_weights
 from t2m_jax.train.experiment import find_trainer
+from t2m_jax.train.generator import start_from_model
 from t2m_jax.train.tokenize import CodedMotion, add_rewordings, draw_captions
-from t2m_jax.train.warm_start import start_from_model
 from tests.tiny import LOOP, OPTIMIZER, VQVAE, gpt_training, vqvae_training
 
 STILL = dataclasses.replace(OPTIMIZER, learning_rate=0.0, warmup_steps=0)
