@@ -1,6 +1,6 @@
 """Speed of an evaluation's networks: motions and captions that are embedded in a second."""
 
-from typing import Any
+import functools
 
 import jax
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 from t2m_jax.bench.probes import first_devices, on_devices, place
 from t2m_jax.bench.record import BenchResult, Peaks
 from t2m_jax.bench.timing import compile_program, count_flops, share, speed, time_calls
-from t2m_jax.evaluation.embedding import BATCH, embed_motion, embed_text
+from t2m_jax.evaluation.embedding import BATCH, embed
 from t2m_jax.keys import new_key
 from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
 
@@ -29,20 +29,21 @@ def benchmark_embedding(config: EvaluatorConfig, *, peaks: Peaks) -> list[BenchR
     motion = generator.standard_normal((BATCH, FRAMES, config.feature_dim), np.float32)
     words = generator.integers(0, config.num_words, (BATCH, WORDS), np.int32)
     parts = generator.integers(0, config.num_parts_of_speech, (BATCH, WORDS), np.int32)
-    work: list[tuple[str, Any, tuple[Any, ...]]] = [
-        (f"motions, {BATCH}x{FRAMES}", embed_motion, (motion, np.full(BATCH, FRAMES, np.int32))),
-        (f"captions, {BATCH}x{WORDS}", embed_text, (words, parts, np.full(BATCH, WORDS, np.int32))),
+    work = [
+        (f"motions, {BATCH}x{FRAMES}", "embed_motion", (motion, np.full(BATCH, FRAMES, np.int32))),
+        (f"captions, {BATCH}x{WORDS}", "embed_text", (words, parts, np.full(BATCH, WORDS, np.int32))),
     ]
     # The speed does not depend on the weights, so one key for all of them is enough.
     key = new_key(0)
     drawn = jax.tree.map(lambda leaf: 0.02 * jax.random.normal(key, leaf.shape, leaf.dtype), evaluator_shapes(config))
     variables = place(drawn, mesh)
     rows = []
-    for name, function, inputs in work:
+    for name, method, inputs in work:
         arguments = (variables, *place(inputs, mesh, by_rows=True))
-        program = compile_program(lambda: function.lower(*arguments, config=config))  # noqa: B023 - called at once
+        function = functools.partial(embed, config=config, method=method)
+        program = compile_program(lambda: embed.lower(*arguments, **function.keywords))  # noqa: B023 - called at once
         timing = time_calls(lambda: program.compiled(*arguments))  # noqa: B023
-        flops = count_flops(lambda *given: function(*given, config=config), *arguments)  # noqa: B023
+        flops = count_flops(function, *arguments)
         figures = (speed(BATCH, timing), *program.figures, share("product", flops / timing.median, peaks.float32))
         rows.append(BenchResult(benchmark="evaluate", name=f"{name}{on_devices(mesh.size)}", figures=figures))
     return rows

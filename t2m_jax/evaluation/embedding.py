@@ -141,12 +141,10 @@ def embed_decoded(task: EvaluationTask, tokenizer: TrainedTokenizer, motions: Mo
     return DecodedMotions(embeddings, DecodedQuality(*[MotionQuality(*measures) for measures in quality]))
 
 
-@functools.partial(jax.jit, static_argnames="config")
-def embed_motion(
-    variables: Any, motion: Float[Array, "B T D"], lengths: Int[Array, " B"], *, config: EvaluatorConfig
-) -> Float[Array, "B E"]:
-    """Returns the embeddings of motions that are normalized for the evaluator."""
-    return Evaluator(config).apply(variables, motion, lengths, method="embed_motion")
+@functools.partial(jax.jit, static_argnames=("config", "method"))
+def embed(variables: Any, *inputs: Array, config: EvaluatorConfig, method: str) -> Float[Array, "B E"]:
+    """Returns the embeddings that a method of the evaluator gives: `embed_motion` or `embed_text`."""
+    return Evaluator(config).apply(variables, *inputs, method=method)
 
 
 def _by_length(pieces: Sequence[Float[np.ndarray, "_ D"]]) -> Iterator[tuple[Int[np.ndarray, " B"], int]]:
@@ -166,21 +164,9 @@ def embed_pieces(
         normalized = [evaluator.normalizer.normalize(pieces[index]) for index in chosen]
         # Here, too, there is no room past `max_frames`; see `embed_codes`.
         batch = pad_motions(normalized, batch=BATCH, size=min(size + ROOM, max_frames))
-        embeddings[chosen] = embed_motion(evaluator.variables, *put_rows(tuple(batch)), config=evaluator.config)
+        inputs = put_rows(tuple(batch))
+        embeddings[chosen] = embed(evaluator.variables, *inputs, config=evaluator.config, method="embed_motion")
     return embeddings
-
-
-@functools.partial(jax.jit, static_argnames="config")
-def embed_text(
-    variables: Any,
-    words: Int[Array, "B S"],
-    parts_of_speech: Int[Array, "B S"],
-    lengths: Int[Array, " B"],
-    *,
-    config: EvaluatorConfig,
-) -> Float[Array, "B E"]:
-    """Returns the embeddings of captions, given as numbers of words and of parts of speech."""
-    return Evaluator(config).apply(variables, words, parts_of_speech, lengths, method="embed_text")
 
 
 def embed_captions(evaluator: TrainedEvaluator, captions: Sequence[Sequence[str]]) -> Float[np.ndarray, "N E"]:
@@ -189,8 +175,8 @@ def embed_captions(evaluator: TrainedEvaluator, captions: Sequence[Sequence[str]
     embeddings = np.zeros((len(captions), evaluator.config.embedding_dim), np.float32)
     # All captions have the same width, so any order will do.
     for chosen in batches_of(np.arange(len(captions)), BATCH):
-        batch = put_rows(tuple(array[chosen] for array in ids))
-        embeddings[chosen] = embed_text(evaluator.variables, *batch, config=evaluator.config)
+        inputs = put_rows(tuple(array[chosen] for array in ids))
+        embeddings[chosen] = embed(evaluator.variables, *inputs, config=evaluator.config, method="embed_text")
     return embeddings
 
 

@@ -334,16 +334,11 @@ def _() -> Case:
     return Case((normal(1, 2, 16, 263), jnp.array([16, 9])), {"skeleton": HUMANML3D}, rtol=1e-4, atol=1e-4)
 
 
-@case("evaluation.embedding.embed_motion")
-def _() -> Case:
-    arguments = (evaluator_variables(), normal(1, 2, 16, 263), jnp.array([16, 9]))
-    return Case(arguments, {"config": EVALUATOR_TRAINING.model}, rtol=1e-4, atol=1e-5)
-
-
-@case("evaluation.embedding.embed_text")
+@case("evaluation.embedding.embed")
 def _() -> Case:
     words = map(jnp.asarray, WORDS.vectorize_all([("walk/VERB", "wave/VERB"), ("wave/VERB",)]))
-    return Case((evaluator_variables(), *words), {"config": EVALUATOR_TRAINING.model}, rtol=1e-4, atol=1e-5)
+    options = {"config": EVALUATOR_TRAINING.model, "method": "embed_text"}
+    return Case((evaluator_variables(), *words), options, rtol=1e-4, atol=1e-5)
 
 
 @case("evaluation.sources.sample_keys")
