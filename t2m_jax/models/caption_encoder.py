@@ -92,11 +92,7 @@ NetworkConfig = CaptionEncoderConfig | StateEncoderConfig
 
 
 def embed_hidden(
-    config: NetworkConfig,
-    hidden: Float[Array, "B S W"],
-    mask: Bool[Array, "B S"],
-    *,
-    train: bool,
+    config: NetworkConfig, hidden: Float[Array, "B S W"], mask: Bool[Array, "B S"], *, train: bool
 ) -> Float[Array, "B E"]:
     """Returns the text embedding of tokens with their positions. Its layers belong to the module that calls it."""
     for layer in range(config.num_layers):

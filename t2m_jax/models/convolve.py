@@ -48,9 +48,7 @@ def _loop_convolution(
 
 
 def _loop_convolution_backward(
-    window: Window,
-    arguments: tuple[Float[Array, "B T X"], Float[Array, "K X Y"]],
-    gradient: Float[Array, "B U Y"],
+    window: Window, arguments: tuple[Float[Array, "B T X"], Float[Array, "K X Y"]], gradient: Float[Array, "B U Y"]
 ) -> tuple[Float[Array, "B T X"], Float[Array, "K X Y"]]:
     """Returns the gradients of inputs and kernel from the gradient of the output."""
     inputs, kernel = arguments

@@ -163,10 +163,7 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
     bank = tokenize.make_code_bank(motions, reader.read, shares=draw_shares(config, dataset, motions))
     compiled = compiled_config(config)
     parts = BundleConfig(
-        skeleton=dataset.skeleton.name,
-        tokenizer=tokenizer.config,
-        generator=config.model,
-        text_encoder=opened.config,
+        skeleton=dataset.skeleton.name, tokenizer=tokenizer.config, generator=config.model, text_encoder=opened.config
     )
 
     def write_parts(run: Path) -> None:

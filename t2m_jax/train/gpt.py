@@ -221,11 +221,7 @@ def training_batch(bank: CodeBank, step: Int[Array, ""], *, config: GptStepConfi
     # Teacher forcing: the token at each place is predicted from the true ones before it, but for the corruption.
     inputs = targets.tokens[:, :-1]
     corruption = draw_corruption(
-        inputs,
-        keys["corruption"],
-        tau=tau,
-        num_codes=config.model.num_codes,
-        past_end=config.corrupt_past_end,
+        inputs, keys["corruption"], tau=tau, num_codes=config.model.num_codes, past_end=config.corrupt_past_end
     )
     dropout_keys = jnp.stack(split_each(keys["dropout"], 2), axis=1)
     inputs = corruption.apply(inputs)
