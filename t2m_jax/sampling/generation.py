@@ -16,10 +16,11 @@ from t2m_jax.sampling.loop import Sampling
 from t2m_jax.sampling.model import ModelParts
 from t2m_jax.sampling.prompts import MAX_BATCH, Prompt, Sample
 from t2m_jax.sampling.request import MotionRequest, SamplingOptions
-from t2m_jax.sampling.timeline import make_chain
+from t2m_jax.sampling.timeline import Tell, make_chain
 
-OnProgress = Callable[[int, int], None]
-"""Called with the number of motions that are ready and the number of all, after each batch."""
+OnProgress = Callable[[float, int], None]
+"""Called with the number of motions that are ready and the number of all: after each batch and, of motions of several
+sentences, after each sentence. What is done of a batch counts as a part of its motions."""
 
 ReadRequest = tuple[MotionRequest, Sequence[Prompt]]
 """A request and the prompts of its sentences."""
@@ -45,22 +46,38 @@ def make_motions(
     # Only requests that follow each other are put together, so that motions come in the order of requests.
     groups = itertools.groupby(requests, key=lambda pair: (pair[0].is_plain, pair[0].options))
     # A list, so that options are checked now, and not when the first motion is taken.
-    batches = [_make_group(model, list(group), find_sampling(model, options)) for (_, options), group in groups]
-    total = sum(request.num_samples for request, _ in requests)
-    return _unpack(itertools.chain.from_iterable(batches), total, on_progress)
+    progress = _Progress(sum(request.num_samples for request, _ in requests), on_progress)
+    batches = [
+        _make_group(model, list(group), find_sampling(model, options), progress.tell) for (_, options), group in groups
+    ]
+    return _unpack(itertools.chain.from_iterable(batches), progress)
 
 
-def _unpack(batches: Iterable[list[Motion]], total: int, on_progress: OnProgress | None) -> Iterator[Motion]:
+class _Progress:
+    """Counts the motions that are ready."""
+
+    def __init__(self, total: int, on_progress: OnProgress | None):
+        self.ready = 0
+        self.total = total
+        self.on_progress = on_progress
+
+    def tell(self, part: float | int = 0) -> None:
+        """Tells that a number of motions of the batch that is being made is ready, for example 1.5."""
+        if self.on_progress is not None:
+            self.on_progress(self.ready + part, self.total)
+
+
+def _unpack(batches: Iterable[list[Motion]], progress: _Progress) -> Iterator[Motion]:
     """Yields the motions of batches one by one."""
-    ready = 0
     for motions in batches:
-        ready += len(motions)
-        if on_progress is not None:
-            on_progress(ready, total)
+        progress.ready += len(motions)
+        progress.tell()
         yield from motions
 
 
-def _make_group(model: ModelParts, group: Sequence[ReadRequest], sampling: Sampling) -> Iterator[list[Motion]]:
+def _make_group(
+    model: ModelParts, group: Sequence[ReadRequest], sampling: Sampling, tell: Tell
+) -> Iterator[list[Motion]]:
     """Yields the motions of requests with the same options in batches."""
     if group[0][0].is_plain:
         yield from _make_together(model, group, sampling)
@@ -69,9 +86,9 @@ def _make_group(model: ModelParts, group: Sequence[ReadRequest], sampling: Sampl
         if request.span is not None:
             yield redo(model, request, prompts[0], sampling)
         elif request.strength is not None:
-            yield from vary(model, request, prompts[0], sampling)
+            yield from vary(model, request, prompts, sampling, tell)
         else:
-            yield from make_chain(model, request, prompts, sampling)
+            yield from make_chain(model, request, prompts, sampling, tell)
 
 
 def _make_together(model: ModelParts, group: Sequence[ReadRequest], sampling: Sampling) -> Iterator[list[Motion]]:

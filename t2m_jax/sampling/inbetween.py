@@ -19,7 +19,7 @@ from t2m_jax.sampling.loop import Sampling
 from t2m_jax.sampling.model import ModelParts
 from t2m_jax.sampling.prompts import Prompt, batches_of_keys, sample_key
 from t2m_jax.sampling.request import MotionRequest
-from t2m_jax.sampling.timeline import Segment, make_batch, most_rows, sample_segments, split_segments
+from t2m_jax.sampling.timeline import Segment, Tell, make_batch, most_rows, part_rows, sample_segments, split_segments
 
 TAIL_SECONDS = 1.0
 """Motion after a middle whose likelihood says how well the middle leads to it."""
@@ -181,21 +181,41 @@ def _with_middle(motion: Motion, middle: Middle, frames: Span, prompt: Prompt) -
     )
 
 
-def vary(model: ModelParts, request: MotionRequest, prompt: Prompt, sampling: Sampling) -> Iterator[list[Motion]]:
-    """Yields variations of a motion, in batches."""
+def vary(
+    model: ModelParts, request: MotionRequest, prompts: Sequence[Prompt], sampling: Sampling, tell: Tell
+) -> Iterator[list[Motion]]:
+    """Yields variations of a motion, in batches. For `tell`, see `make_batch`."""
     assert request.start is not None and request.strength is not None
     codes = model.encode(request.start)
-    for keys, count in batches_of_keys(request.seed, prompt, request.num_samples):
-        segments = variation_segments(codes, prompt, keys, strength=request.strength, limit=most_rows(model))
-        yield make_batch(model, request, segments, keys, count, start=None, sampling=sampling)
+    parts = [(0, prompts[0])]
+    if len(prompts) > 1:
+        firsts = part_rows(model, request.start, len(codes))
+        # Sentences that begin in one row of codes are too short to be told apart; the last one stays.
+        parts = list(dict(zip([0, *firsts[1:]], prompts, strict=True)).items())
+    for keys, count in batches_of_keys(request.seed, prompts[0], request.num_samples):
+        segments = variation_segments(codes, parts, keys, strength=request.strength, limit=most_rows(model))
+        yield make_batch(model, request, segments, keys, count, start=None, sampling=sampling, tell=tell)
 
 
 def variation_segments(
-    codes: Codes, prompt: Prompt, keys: Key[jax.Array, " B"], *, strength: float, limit: int
+    codes: Codes, parts: Sequence[tuple[int, Prompt]], keys: Key[jax.Array, " B"], *, strength: float, limit: int
 ) -> list[Segment]:
-    """Returns the segments of variations of a motion: each row is sampled with a probability, and kept otherwise."""
+    """Returns the segments of variations of a motion: each row is sampled with a probability, and kept otherwise.
+
+    Args:
+        codes: Of the motion.
+        parts: The row in which each sentence begins, and the sentence.
+        keys: One for each variation (consumed).
+        strength: The probability.
+        limit: Most rows of a segment.
+    """
     chosen = jax.vmap(lambda key: jax.random.uniform(jax.random.fold_in(key, _KEPT_STREAM), (len(codes),)))(keys)
     # The same numbers for every strength: a larger one samples the same rows again, and further ones.
     kept = np.asarray(chosen) >= strength
-    pieces = [slice(first, first + limit) for first in range(0, len(codes), limit)]
-    return [Segment(prompt, len(codes[rows]), rows.start == 0, codes[rows], kept[:, rows]) for rows in pieces]
+    ends = [*(first for first, _ in parts[1:]), len(codes)]
+    pieces = [
+        (prompt, slice(row, min(row + limit, end)), row == first)
+        for (first, prompt), end in zip(parts, ends, strict=True)
+        for row in range(first, end, limit)
+    ]
+    return [Segment(prompt, len(codes[rows]), begins, codes[rows], kept[:, rows]) for prompt, rows, begins in pieces]

@@ -135,7 +135,8 @@ class TextToMotion:
 
         Args:
             *requests: What is asked for.
-            on_progress: Called with the number of motions that are ready and the number of all, after each batch.
+            on_progress: Called with the number of motions that are ready and the number of all, after each batch; of
+                motions of several sentences also in between, with parts of them.
 
         Warns:
             PromptWarning: The model cannot know what a sentence asks for. The motions say so, too.
@@ -232,7 +233,7 @@ class TextToMotion:
         Args:
             captions: Sentences, one after the other.
             start: A motion that the first sentence continues. It is part of the result, as the tokenizer reconstructs
-                it.
+                it, and so are its sentences.
             seconds: Length for each sentence, rounded to whole rows of codes; by default the model decides.
             seed: From 0 to 2**32 - 1.
             num_samples: Motions to return.
@@ -287,14 +288,14 @@ class TextToMotion:
             motion: Any motion of the model's skeleton.
             strength: Probability of each row of codes to be sampled again; 0 changes nothing but what the tokenizer
                 loses, and 1 keeps nothing.
-            caption: What happens; by default the motion's own caption.
+            caption: What happens; by default the motion's own sentences.
             seed: From 0 to 2**32 - 1.
             num_samples: Variations to return.
             **options: Of `SamplingOptions`.
         """
-        caption = motion.caption if caption is None else caption
+        captions = (motion.part_captions or motion.caption) if caption is None else caption
         fields = {"start": motion, "strength": strength, "seed": seed, "num_samples": num_samples}
-        return list(self.make(_request(caption, options, **fields)))
+        return list(self.make(_request(captions, options, **fields)))
 
     def stream(self, caption: str, *, seed: int = 0, sample: int = 0, **options: Any) -> Iterator[Motion]:
         """Returns an iterator over the motion of a caption while it is generated: a piece for each row of codes.

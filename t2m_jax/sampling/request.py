@@ -82,7 +82,8 @@ class MotionRequest:
     """From a user to `TextToMotion.make`: one motion, or several samples of it."""
 
     captions: tuple[str, ...]
-    """Sentences; several become one motion that shows them one after the other."""
+    """Sentences; several become one motion that shows them one after the other. With `strength`, one for the whole
+    motion or as many as it has."""
     start: Motion | None = None
     """A motion to continue. With `span` or `strength`, it is changed instead."""
     span: tuple[float, float] | None = None
@@ -133,8 +134,11 @@ class MotionRequest:
             raise UserError(f"{name}: changes a motion; give it as start")
         if self.span is not None and self.strength is not None:
             raise UserError("span: excludes strength")
-        if len(self.captions) > 1 or self.seconds is not None:
-            raise UserError(f"{name}: takes one sentence and no seconds")
+        # A variation of a chain may keep its sentences.
+        parts = len(self.start.part_captions) if self.strength is not None else 0
+        if len(self.captions) not in (1, parts) or self.seconds is not None:
+            each = f" (or {parts}, one for each of the motion's)" if parts > 1 else ""
+            raise UserError(f"{name}: takes one sentence{each} and no seconds")
         if self.strength is not None and not 0 <= self.strength <= 1:
             raise UserError(f"strength: {self.strength:g} is not a number from 0 to 1")
 

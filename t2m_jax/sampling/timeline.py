@@ -1,7 +1,7 @@
 """Motion from several sentences, or after a given motion: known codes are read, and sampling continues from them."""
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import jax
@@ -21,8 +21,14 @@ from t2m_jax.sampling.request import MotionRequest
 CONTEXT_SECONDS = 0.4
 """Motion before the continuation, which the generator reads as its beginning. With more, a sentence is followed less
 often."""
+SAMPLING_SHARE = 0.7
+"""Share of the time for a motion of several sentences that sampling takes; the rest is decoding and the clean-up."""
 _SEGMENT_STREAM = 2**30
 """In place of a sample's number, in keys for the segments of a chain."""
+
+
+Tell = Callable[[float], None]
+"""Called with the number of motions of a batch that are done, in which parts count, too."""
 
 
 class Segment(NamedTuple):
@@ -37,6 +43,14 @@ class Segment(NamedTuple):
     """The codes that stand where `kept` is True."""
     kept: Bool[np.ndarray, "B N"] | None = None
     """For each motion; the others are sampled."""
+
+
+class Start(NamedTuple):
+    """What a motion continues."""
+
+    codes: Codes
+    parts: Sequence[tuple[int, str]]
+    """The row in which each of its sentences begins, and the sentence."""
 
 
 def split_segments(prompts: Sequence[Prompt], num_rows: int, *, limit: int) -> list[Segment]:
@@ -64,13 +78,26 @@ def most_rows(model: ModelParts) -> int:
     return model.config.generator.max_codes - context_rows(model)
 
 
+def part_rows(model: ModelParts, motion: Motion, num_rows: int) -> list[int]:
+    """Returns the row of codes in which each sentence of a motion begins."""
+    rows_per_frame = model.skeleton.fps / motion.fps / model.config.tokenizer.downsample
+    return [min(round(first * rows_per_frame), num_rows - 1) for first in motion.part_starts]
+
+
+def _read_start(model: ModelParts, motion: Motion) -> Start:
+    codes = model.encode(motion)
+    # A motion of one sentence may say it as its caption alone.
+    parts = dict(zip(part_rows(model, motion, len(codes)), motion.part_captions, strict=True)) or {0: motion.caption}
+    return Start(codes, [(row, text) for row, text in parts.items() if text])
+
+
 def make_chain(
-    model: ModelParts, request: MotionRequest, prompts: Sequence[Prompt], sampling: Sampling
+    model: ModelParts, request: MotionRequest, prompts: Sequence[Prompt], sampling: Sampling, tell: Tell
 ) -> Iterator[list[Motion]]:
-    """Yields the motions that show sentences one after the other, in batches."""
+    """Yields the motions that show sentences one after the other, in batches. For `tell`, see `make_batch`."""
     segments, start = _read_chain(model, request, prompts)
     for keys, count in batches_of_keys(request.seed, prompts[0], request.num_samples):
-        yield make_batch(model, request, segments, keys, count, start=start, sampling=sampling)
+        yield make_batch(model, request, segments, keys, count, start=start, sampling=sampling, tell=tell)
 
 
 def make_chain_pieces(
@@ -80,16 +107,17 @@ def make_chain_pieces(
     segments, start = _read_chain(model, request, prompts)
     ((keys, _),) = batches_of_keys(request.seed, prompts[0], 1)
     scale = request.options.guidance_scale
-    found = sample_segments(model, segments, keys, start=start, sampling=sampling, guidance_scale=scale)
+    codes = None if start is None else start.codes
+    found = sample_segments(model, segments, keys, start=codes, sampling=sampling, guidance_scale=scale)
     return stream_segments(model, segments, (own for own, *_ in found), start=start, seed=request.seed)
 
 
 def _read_chain(
     model: ModelParts, request: MotionRequest, prompts: Sequence[Prompt]
-) -> tuple[list[Segment], Codes | None]:
-    """Returns the segments of a request for a sequence of sentences, and the codes that the first one continues."""
+) -> tuple[list[Segment], Start | None]:
+    """Returns the segments of a request for a sequence of sentences, and what the first one continues."""
     rows = 0 if request.seconds is None else rows_of_seconds(model, request.seconds)
-    start = None if request.start is None else model.encode(request.start)
+    start = None if request.start is None else _read_start(model, request.start)
     return split_segments(prompts, rows, limit=most_rows(model)), start
 
 
@@ -100,16 +128,23 @@ def make_batch(
     keys: Key[jax.Array, " B"],
     count: int,
     *,
-    start: Codes | None,
+    start: Start | None,
     sampling: Sampling,
+    tell: Tell,
 ) -> list[Motion]:
-    """Returns the motions of segments for the first `count` keys."""
+    """Returns the motions of segments for the first `count` keys; `tell` learns how many of them are done."""
     scale = request.options.guidance_scale
-    found = sample_segments(model, segments, keys, start=start, sampling=sampling, guidance_scale=scale)
-    return [
-        join_segments(model, segments, own, start=start, seed=request.seed, raw=request.options.raw)
-        for own in itertools.islice(zip(*found, strict=True), count)
-    ]
+    codes = None if start is None else start.codes
+    sampled = []
+    for own in sample_segments(model, segments, keys, start=codes, sampling=sampling, guidance_scale=scale):
+        sampled.append(own)
+        tell(count * SAMPLING_SHARE * len(sampled) / len(segments))
+    motions = []
+    for codes_of_one in itertools.islice(zip(*sampled, strict=True), count):
+        raw = request.options.raw
+        motions.append(join_segments(model, segments, codes_of_one, start=start, seed=request.seed, raw=raw))
+        tell(count * SAMPLING_SHARE + len(motions) * (1 - SAMPLING_SHARE))
+    return motions
 
 
 def sample_segments(
@@ -188,7 +223,7 @@ def segment_keys(keys: Key[jax.Array, " B"], count: int) -> list[Key[jax.Array, 
 
 
 def join_segments(
-    model: ModelParts, segments: Sequence[Segment], codes: Sequence[Codes], *, start: Codes | None, seed: int, raw: bool
+    model: ModelParts, segments: Sequence[Segment], codes: Sequence[Codes], *, start: Start | None, seed: int, raw: bool
 ) -> Motion:
     """Returns the motion of the segments of one sample, in which a cross-fade joins each sentence to the next."""
     downsample = model.config.tokenizer.downsample
@@ -199,7 +234,8 @@ def join_segments(
     cleaned = None
     if not raw:
         size = model.config.generator.max_codes * downsample
-        seams = [piece.first * downsample for piece in placed if piece.first]
+        known = 0 if start is None else len(start.codes)
+        seams = [piece.first * downsample for piece in placed if piece.first and piece.first >= known]
         eased = ease_seams(positions, seams, fps=model.skeleton.fps)
         # Windows as long as the longest motion of one sentence share a program.
         cleaned = clean_long(eased, skeleton=model.skeleton, size=size)
@@ -210,7 +246,7 @@ def join_segments(
         skeleton=model.skeleton,
         features=features,
         codes=rows,
-        caption=chain_caption(segments),
+        caption=chain_caption(segments, start),
         seed=seed,
         part_starts=tuple(piece.first * downsample for piece in placed if piece.sentence is not None),
         part_captions=tuple(piece.sentence for piece in placed if piece.sentence is not None),
@@ -231,12 +267,14 @@ class PlacedCodes(NamedTuple):
     codes: Codes
 
 
-def place_codes(segments: Sequence[Segment], codes: Iterable[Codes], *, start: Codes | None) -> Iterator[PlacedCodes]:
+def place_codes(segments: Sequence[Segment], codes: Iterable[Codes], *, start: Start | None) -> Iterator[PlacedCodes]:
     """Yields the codes of the segments of one sample; those of `start` come first and belong to the first sentence."""
     number = count = 0
     if start is not None:
-        yield PlacedCodes(1, 0, None, np.asarray(start, np.int32))
-        count = len(start)
+        parts = {0: None} | dict(start.parts)
+        for row, after in itertools.pairwise([*parts, len(start.codes)]):
+            yield PlacedCodes(1, row, parts[row], np.asarray(start.codes[row:after], np.int32))
+        count = len(start.codes)
     for segment, new in zip(segments, codes, strict=True):
         # Pieces of one number are decoded together, without a fade between them.
         number += segment.begins
@@ -244,18 +282,19 @@ def place_codes(segments: Sequence[Segment], codes: Iterable[Codes], *, start: C
         count += len(new)
 
 
-def chain_caption(segments: Sequence[Segment]) -> str:
-    """Returns the sentences of segments as one."""
-    return ", then ".join(segment.prompt.text for segment in segments if segment.begins)
+def chain_caption(segments: Sequence[Segment], start: Start | None) -> str:
+    """Returns all sentences as one."""
+    before = [] if start is None else [text for _, text in start.parts]
+    return ", then ".join([*before, *(segment.prompt.text for segment in segments if segment.begins)])
 
 
 def stream_segments(
-    model: ModelParts, segments: Sequence[Segment], codes: Iterator[Codes], *, start: Codes | None, seed: int
+    model: ModelParts, segments: Sequence[Segment], codes: Iterator[Codes], *, start: Start | None, seed: int
 ) -> Iterator[Motion]:
     """Yields the motion of the segments of one sample, as decoded, while their codes are sampled."""
     begun: list[tuple[int, str]] = []
     downsample = model.config.tokenizer.downsample
-    caption = chain_caption(segments)
+    caption = chain_caption(segments, start)
     frames = 0
 
     def numbered() -> Iterator[tuple[int, Codes]]:

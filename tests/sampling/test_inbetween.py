@@ -1,5 +1,6 @@
 """A new middle for a motion, and variations of it."""
 
+import dataclasses
 import itertools
 
 import jax
@@ -164,6 +165,19 @@ def test_a_variation_depends_on_its_number_only(model, walk):
     np.testing.assert_array_equal(alone.codes, first.codes)
     assert alone.caption == "a person walks"
     assert (first.codes != second.codes).any() and (second.codes != third.codes).any()
+
+
+def test_a_variation_of_a_chain_keeps_its_sentences(model):
+    (chain,) = model.generate_chain(tiny.CAPTIONS[:2], seconds=2.0, seed=1)
+    kept = chain.part_starts, chain.part_captions
+    for strength in (0.0, 0.5):
+        (varied,) = model.vary(chain, strength, seed=2)
+        assert (varied.part_starts, varied.part_captions, varied.caption) == (*kept, chain.caption)
+        assert (varied.codes == model.encode(chain)).all() == (strength == 0)
+    (whole,) = model.vary(chain, 0.5, CAPTION)
+    assert whole.part_captions == (CAPTION,)
+    (slow,) = model.vary(dataclasses.replace(chain, part_starts=(0, 1)), 0.5)  # both begin in the first row of codes
+    assert slow.part_captions == (tiny.CAPTIONS[1],)
 
 
 @pytest.mark.parametrize("strength", [-0.1, 1.01, float("nan")])

@@ -16,6 +16,7 @@ from tests import tiny
 
 NAN = float("nan")
 WALK = Motion(make_motion("walk", seed=1, num_frames=60), 20.0, caption="a person walks")
+CHAIN = dataclasses.replace(WALK, part_starts=(0, 30), part_captions=("a", "b"))
 FIRST, SECOND, THIRD = tiny.CAPTIONS[:3]
 
 
@@ -57,6 +58,11 @@ def test_options_that_no_model_has_are_one_line(options, said):
         ({"start": WALK, "span": (0.0, 1.0), "strength": 0.5}, "span: excludes strength"),
         ({"start": WALK, "span": (0.0, 1.0), "seconds": 2.0}, "span: takes one sentence and no seconds"),
         ({"start": WALK, "strength": 0.5, "captions": ("walk", "run")}, "strength: takes one sentence and no seconds"),
+        (
+            {"start": CHAIN, "strength": 0.5, "captions": ("a", "b", "c")},
+            "one sentence (or 2, one for each of the motion",
+        ),
+        ({"start": CHAIN, "span": (0.0, 1.0), "captions": ("a", "b")}, "span: takes one sentence and no seconds"),
         ({"start": WALK, "strength": 1.5}, "strength: 1.5 is not a number from 0 to 1"),
         ({"start": WALK, "strength": NAN}, "strength: nan"),
         ({"start": WALK, "span": (2.0, 1.0)}, "span: 2 to 1 is not a part of the motion"),

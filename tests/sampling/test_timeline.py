@@ -130,6 +130,18 @@ def test_a_motion_goes_on_from_another(model):
     assert motion.positions_raw is None
 
 
+def test_what_goes_on_keeps_its_sentences(model):
+    (two,) = model.generate_chain([FIRST, SECOND], seconds=2.0, seed=1)
+    (three,) = model.generate_chain([THIRD], start=two, seconds=2.0)
+    assert three.part_captions == (FIRST, SECOND, THIRD) and three.part_starts == (*two.part_starts, two.num_frames)
+    assert three.caption == f"{FIRST}, then {SECOND}, then {THIRD}"
+    pieces = list(model.stream_chain([THIRD], start=two.resampled(40), seconds=2.0))
+    assert [text for piece in pieces for text in piece.part_captions] == [FIRST, SECOND, THIRD]
+    walk = Motion(make_motion("walk", seed=1, num_frames=60), 20.0, caption="a person walks")
+    (after,) = model.generate_chain([FIRST], start=walk, seconds=2.0)
+    assert after.part_captions == ("a person walks", FIRST) and after.part_starts[0] == 0
+
+
 @pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan"), 1e9])
 def test_lengths_that_no_motion_has_are_refused(model, seconds):
     with pytest.raises(UserError, match=r"seconds: .* is not a number above 0, up to 3600"):
