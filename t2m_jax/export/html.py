@@ -18,7 +18,7 @@ from t2m_jax.files.writing import save_text
 from t2m_jax.motion.formats import notebook_frame
 from t2m_jax.motion.motion import Motion
 
-VIEWER_SCRIPTS = ("vendor/three.min.js", "figures.js", "camera.js", "body.js", "ground.js", "stage.js")
+VIEWER_SCRIPTS = ("vendor/three.min.js", "figures.js", "camera.js", "body.js", "ground.js", "cell.js", "stage.js")
 """The renderer, in this order; other pages use it, too."""
 LICENSE = "vendor/LICENSE"
 """That of three.js, which every copy must have."""
@@ -37,7 +37,11 @@ def scene_record(motions: Sequence[Motion]) -> dict[str, Any]:
         raise UserError("there is no motion to draw; give at least one")
     figures = [figure_from_motion(motion) for motion in motions]
     seconds = max(len(figure.points) / figure.fps for figure in figures)
-    return {"seconds": seconds, "figures": [_figure_record(figure) for figure in figures]}
+    records = [
+        _figure_record(figure) | {"sentences": list(zip(motion.part_starts, motion.part_captions, strict=True))}
+        for figure, motion in zip(figures, motions, strict=True)
+    ]
+    return {"seconds": seconds, "figures": records}
 
 
 def viewer_script(*more: str) -> str:

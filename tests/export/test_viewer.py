@@ -1,5 +1,6 @@
 """The viewer in a browser that shows nothing on a screen."""
 
+import dataclasses
 import io
 import os
 import shutil
@@ -150,6 +151,37 @@ def test_speed_is_the_rate_of_time(open_viewer, walk):
       return passed;
     }""")
     assert advanced == pytest.approx([0.5, 2.0, 4.0])
+
+
+def test_slow_pictures_become_lighter(open_viewer, walk):
+    page = open_viewer([walk, walk], device_scale_factor=2)
+    details = page.evaluate("""() => {
+      const { stage } = window.t2mViewer, found = [];
+      let now = 1000;
+      for (const interval of [0.02, 0.2, 0.2, 0.2, 0.2]) {
+        stage.running = true; stage.last = now;
+        for (let k = 0; k < 8; k++) stage.tick(now += 1000 * interval);
+        stage.running = false;
+        stage.draw();
+        found.push([stage.canvas.width / stage.canvas.clientWidth, stage.cells[0].sun.castShadow]);
+      }
+      return found;
+    }""")
+    assert [shadow for _, shadow in details] == [True, True, True, False, False]
+    assert [ratio for ratio, _ in details] == pytest.approx([2, 1, 0.75, 0.5, 0.5], abs=0.01)
+
+
+def test_the_sentence_that_is_played_is_shown(open_viewer, walk):
+    parts = {"part_starts": (0, 40), "part_captions": ("a person walks", "a person runs")}
+    page = open_viewer([dataclasses.replace(walk, caption="a person walks, then a person runs", **parts)])
+    said, height = [], set()
+    for frame in (0, 39, 40, 79, 10):
+        page.evaluate(f"window.t2mViewer.frame = {frame}")
+        picture(page)
+        said.append(page.locator(".stage-caption").text_content())
+        height.add(page.locator(".stage-caption").bounding_box()["height"])
+    assert said == ["a person walks", "a person walks", "a person runs", "a person runs", "a person walks"]
+    assert len(height) == 1
 
 
 def test_scrubbing_and_keys(open_viewer, walk):

@@ -11,6 +11,14 @@ const THEMES = {
   },
 };
 const MAX_PIXEL_RATIO = 2;
+const DETAILS = [
+  { ratio: MAX_PIXEL_RATIO, shadow: 1024 },
+  { ratio: 1, shadow: 512 },
+  { ratio: 0.75, shadow: 256 },
+  { ratio: 0.5, shadow: 0 },
+];                          // from full to light drawing
+const SLOW_FRAME = 0.05;    // seconds between frames; if most take longer, less is drawn
+const WATCHED_FRAMES = 8;
 const SMALLEST_CELL = 150;  // pixels; a grid with smaller cells scrolls
 const PORTRAIT = 0.8;       // ratio of width to height at which a standing figure fills a cell
 const CAPTION_HEIGHT = 44;  // pixels
@@ -20,14 +28,6 @@ const themeNow = () => {
   const chosen = document.documentElement.dataset.theme;
   return THEMES[chosen === "dark" || (chosen !== "light" && darkness.matches) ? "dark" : "light"];
 };
-
-// Returns an element of a class inside another.
-function addElement(parent, tag, className) {
-  const element = document.createElement(tag);
-  element.className = className;
-  parent.append(element);
-  return element;
-}
 
 // Returns how many columns make the pictures of a grid largest; of similar sizes, those with fewer rows, to scroll less.
 function columnsFor(count, width, height) {
@@ -42,65 +42,6 @@ function columnsFor(count, width, height) {
   return best;
 }
 
-// One figure with its ground, light and camera, in an element of the page.
-class FigureCell {
-  constructor(parent, figure, number) {
-    this.element = addElement(parent, "div", "stage-cell");
-    this.element.dataset.number = number;
-    this.picture = addElement(this.element, "div", "stage-picture");
-    const caption = addElement(this.element, "p", "stage-caption");
-    caption.dir = "auto";
-    caption.textContent = caption.title = figure.caption;
-    caption.hidden = !figure.caption.trim();
-    this.number = number;
-    this.build(figure);
-  }
-
-  build(figure) {
-    this.figure = figure;
-    this.scene = new THREE.Scene();
-    this.body = new BodyMesh(figure);
-    this.ground = new GroundMesh(figure);
-    this.framing = new Framing(figure);
-    this.sky = new THREE.HemisphereLight();
-    this.sun = new THREE.DirectionalLight();
-    this.sun.castShadow = true;
-    this.sun.shadow.mapSize.set(1024, 1024);
-    this.sun.shadow.radius = 5;
-    this.sun.shadow.bias = -0.002;
-    this.sun.shadow.normalBias = 0.02;
-    Object.assign(this.sun.shadow.camera, { left: -1.8, right: 1.8, top: 2.2, bottom: -1.8, near: 1, far: 12 });
-    this.scene.add(this.sky, this.sun, this.sun.target, this.body.mesh, ...this.ground.layers);
-    this.theme = null;
-  }
-
-  paint(theme) {
-    if (this.theme === theme) return;
-    this.theme = theme;
-    this.body.paint(theme.tints);
-    this.ground.paint(theme, theme.accents[this.number % theme.accents.length]);
-    this.sky.color.set(theme.sky);
-    this.sky.groundColor.set(theme.floor);
-    this.sky.intensity = theme.ambient;
-    this.sun.intensity = theme.sun;
-  }
-
-  pose(seconds, view, aspect) {
-    this.body.pose(seconds);
-    this.ground.pose(seconds);
-    this.framing.update(view, seconds, aspect);
-    const [x, , z] = this.figure.current;
-    this.sun.position.set(x + 1.6, 5, z + 2.4);
-    this.sun.target.position.set(x, 0.6, z);
-  }
-
-  dispose() {
-    this.body.dispose();
-    this.ground.dispose();
-    this.sun.dispose();
-  }
-}
-
 class Stage {
   constructor(container) {
     this.container = container;
@@ -110,6 +51,7 @@ class Stage {
     this.canvas.setAttribute("aria-label", "No figure");
     this.grid = addElement(container, "div", "stage-grid");
     Object.assign(this, { cells: [], seconds: 0, onchange: () => {}, onselect: () => {} });
+    Object.assign(this, { detail: 0, intervals: [] });
     Object.assign(this, { moment: 0, rate: 1, running: false, span: null, dirty: true, last: null, ended: false });
     this.view = new OrbitView();
     this.cleanups = [];
@@ -131,6 +73,9 @@ class Stage {
 
   // Replaces all figures. Direction and zoom of the camera stay.
   show(scene) {
+    // Fewer figures may be drawn in full again.
+    if (scene.figures.length < this.cells.length) this.detail = 0;
+    this.intervals = [];
     this.clear();
     this.seconds = scene.seconds;
     if (this.renderer) this.cells = scene.figures.map((record, k) => new FigureCell(this.grid, unpackFigure(record), k));
@@ -218,6 +163,7 @@ class Stage {
     if (this.running) {
       // A tab that was suspended continues at the same frame.
       const passed = this.last === null ? 0 : Math.min((now - this.last) / 1000, 0.25);
+      if (this.last !== null) this.watch(passed);
       this.last = now;
       const [begin, end] = this.span || [0, this.seconds];
       const next = this.moment + passed * this.rate;
@@ -228,6 +174,17 @@ class Stage {
     this.dirty = false;
     this.draw();
     this.onchange();
+  }
+
+  // Draws less if most of the last frames took too long, as without a graphics card.
+  watch(interval) {
+    this.intervals.push(interval);
+    if (this.intervals.length < WATCHED_FRAMES) return;
+    const slow = this.intervals.sort((a, b) => a - b)[WATCHED_FRAMES / 2] > SLOW_FRAME;
+    this.intervals = [];
+    if (!slow || this.detail === DETAILS.length - 1) return;
+    this.detail += 1;
+    this.resize();
   }
 
   draw() {
@@ -242,6 +199,7 @@ class Stage {
       const box = cell.picture.getBoundingClientRect();
       if (box.bottom < frame.top || box.top > frame.bottom || box.width < 2 || box.height < 2) continue;
       cell.paint(theme);
+      cell.castShadow(DETAILS[this.detail].shadow);
       cell.pose(this.moment, this.view, box.width / box.height);
       const place = [box.left - frame.left, frame.bottom - box.bottom, box.width, box.height];
       renderer.setViewport(...place);
@@ -259,7 +217,8 @@ class Stage {
     // In a grid that is too high, a finger that moves up or down scrolls; without figures, it scrolls the page.
     const scrolls = this.cells.length === 0 || this.container.scrollHeight > height + 1;
     this.container.style.touchAction = scrolls ? "pan-y" : "none";
-    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, this.cells.length > 6 ? 1 : MAX_PIXEL_RATIO));
+    const ratio = Math.min(DETAILS[this.detail].ratio, this.cells.length > 6 ? 1 : MAX_PIXEL_RATIO);
+    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, ratio));
     this.renderer.setSize(width, height, false);
     this.changed();
   }
