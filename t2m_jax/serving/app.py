@@ -4,7 +4,7 @@ import asyncio
 import hmac
 import importlib.resources
 import re
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from typing import Any
 
 import anyio
@@ -22,11 +22,13 @@ from t2m_jax.errors import UserError
 from t2m_jax.export.html import stage_style, viewer_script
 from t2m_jax.motion.changes import Changes
 from t2m_jax.records import record_from
-from t2m_jax.serving import schema
-from t2m_jax.serving.files import apart, make_file, open_file, read_motion
+from t2m_jax.serving import answers, schema
+from t2m_jax.serving.files import Names, apart, make_file, open_file, read_motion
 from t2m_jax.serving.jobs import FINAL_EVENTS, Event, Job, Jobs, QueueFullError
+from t2m_jax.serving.kept import KeptAnswers
 from t2m_jax.serving.openapi import openapi
 from t2m_jax.serving.streams import Bodies, EventResponse, is_json, while_connected
+from t2m_jax.serving.wording import in_browser
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1", "[::1]")
 ANSWER_SECONDS = 600.0
@@ -70,6 +72,7 @@ def make_app(jobs: Jobs, *, token: str | None = None, hosts: tuple[str, ...] = L
         Route("/metrics", server.metrics),
         Route("/model", server.model),
         Route("/motions", server.motions, methods=["POST"]),
+        Route("/motions/{key}", server.kept_motions, methods=["GET", "DELETE"]),
         Route("/files", server.files, methods=["POST"]),
         Route("/scene", server.scene, methods=["POST"]),
     ]
@@ -79,7 +82,7 @@ def make_app(jobs: Jobs, *, token: str | None = None, hosts: tuple[str, ...] = L
         Middleware(TrustedHostMiddleware, allowed_hosts=list(hosts), www_redirect=False),
     ]
     handlers: dict[Any, Callable[..., Response]] = {
-        UserError: lambda _, error: _error(400, str(error)),
+        UserError: lambda _, error: _error(400, in_browser(error)),
         HTTPException: lambda _, error: _error(error.status_code, error.detail, error.headers),
         QueueFullError: lambda _, error: _error(429, str(error), {"Retry-After": str(error.retry_after)}),
         ClientDisconnect: lambda *_: Response(status_code=499),
@@ -102,7 +105,7 @@ def _static(name: str) -> Callable[[Request], Response]:
 
 
 def _error(status: int, message: str, headers: Any = None) -> Response:
-    data: schema.ErrorData = {"error": message}
+    data: answers.ErrorData = {"error": message}
     if headers and "Retry-After" in headers:
         data["retry_after"] = int(headers["Retry-After"])
     return JSONResponse(data, status, headers)
@@ -165,11 +168,12 @@ class _Server:
         self.file_limit = CapacityLimiter(1)
         self.files_waiting = 0
         self.bodies = Bodies()
+        self.kept = KeptAnswers()
 
     def health(self, _: Request) -> Response:
         """Answers whether motions can be made."""
         alive = self.jobs.is_alive
-        health: schema.HealthData = {
+        health: answers.HealthData = {
             "status": "ok" if alive else "restarting",
             "model": self.jobs.model_name,
             "waiting": len(self.jobs.waiting),
@@ -199,13 +203,29 @@ class _Server:
             start = None
             # Files of strangers are not read in the process that generates: a crash there would concern all users.
             if fields.get("start") is not None:
-                start = await self._in_process(read_motion, fields["start"], fields.get("start_format", "npz"))
-        job = self.jobs.submit(schema.motion_request(fields, start))
-        if "application/json" in request.headers.get("accept", ""):
-            return await self._final_answer(job, request.receive)
-        return EventResponse(self._events(job))
+                start = await self._in_process(
+                    read_motion, fields["start"], fields.get("start_format", "npz"), None, Names("start")
+                )
+        key = request.query_params.get("keep")
+        if key is not None:
+            self.kept.check(key)
+        events = self._events(self.jobs.submit(schema.motion_request(fields, start)))
+        return await self._answer(request, events if key is None else self.kept.start(key, events))
 
-    async def _events(self, job: Job) -> AsyncIterator[Event | None]:
+    async def kept_motions(self, request: Request) -> Response:
+        """Answers with the motions of a request that goes on without its reader, or forgets them."""
+        key = request.path_params["key"]
+        if request.method == "DELETE":
+            self.kept.forget(key)
+            return Response(status_code=204)
+        return await self._answer(request, self.kept.follow(key))
+
+    async def _answer(self, request: Request, events: AsyncIterator[Event | None]) -> Response:
+        if "application/json" in request.headers.get("accept", ""):
+            return await self._final_answer(events, request.receive)
+        return EventResponse(events)
+
+    async def _events(self, job: Job) -> AsyncGenerator[Event | None, None]:
         """Yields the events of a job up to the last, and None after a time without one."""
         start = anyio.current_time()
         result = "cancelled"
@@ -229,10 +249,10 @@ class _Server:
             if result == "done":
                 self.jobs.measures.motions.inc(job.request.num_samples)
 
-    async def _final_answer(self, job: Job, receive: Receive) -> Response:
+    async def _final_answer(self, events: AsyncIterator[Event | None], receive: Receive) -> Response:
         last = None
         async with while_connected(receive):
-            async for event in self._events(job):
+            async for event in events:
                 last = event
         if last is None or last.name not in FINAL_EVENTS:
             raise ClientDisconnect
@@ -256,9 +276,10 @@ class _Server:
         fields = schema.read_parameters(schema.SceneParameters, dict(request.query_params))
         suffix = fields.get("format", "npz")
         rig = fields.pop("rig", None)
+        names = Names(fields.pop("name", f"motion.{suffix}"), fields.pop("rig_name", "rig"))
         changes = record_from(Changes, fields)
         async with self.bodies.read(request) as body:
-            opened = await self._in_process(open_file, body, suffix, changes, rig)
+            opened = await self._in_process(open_file, body, suffix, changes, rig, names)
         return Response(opened, media_type="application/json")
 
     async def _in_process(self, function: Callable[..., Any], *args: Any) -> Any:

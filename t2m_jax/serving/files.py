@@ -7,12 +7,11 @@ import base64
 import contextlib
 import io
 import json
-import os
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 from t2m_jax.errors import UserError
 from t2m_jax.export.html import scene_record
@@ -21,7 +20,7 @@ from t2m_jax.motion.changes import Changes
 from t2m_jax.motion.formats import format_options, load_motion, save_motions
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rig.rigs import RIGS
-from t2m_jax.serving import schema
+from t2m_jax.serving import answers, schema
 
 LONGEST_PICTURES = 4 * schema.LIMITS["seconds"]["le"]
 """Seconds of all motions in a video; it takes as long to make."""
@@ -31,6 +30,17 @@ MAX_FRAMES = int(schema.MAX_TOTAL_SECONDS * schema.LIMITS["fps"]["le"])
 """Of a motion, as read and as changed."""
 MAX_MEMORY = 2 * 2**30
 """Bytes that the process may use for its data."""
+
+
+TABLE = "rig.yaml"
+"""Name of the file with a user's table of joints."""
+
+
+class Names(NamedTuple):
+    """What errors call a user's files, whose names here say nothing to the user."""
+
+    motion: str
+    rig: str = "rig"
 
 
 def apart(function: Callable[..., Any], *args: Any) -> Any:
@@ -74,15 +84,15 @@ def make_file(inputs: Sequence[bytes], options: schema.FileOptions) -> bytes:
         return path.read_bytes()
 
 
-def open_file(data: bytes, suffix: str, changes: Changes, rig: str | None = None) -> bytes:
-    """Returns what the page shows of a motion file, a `schema.OpenedFile` as JSON. For `rig`, see `read_motion`.
+def open_file(data: bytes, suffix: str, changes: Changes, rig: str | None = None, names: Names | None = None) -> bytes:
+    """Returns what the page shows of a motion file, a `answers.OpenedFile` as JSON. For the rest, see `read_motion`.
 
     Raises:
         UserError: The file cannot be read or changed.
     """
-    motion = _changed(read_motion(data, suffix, rig), changes)
-    scene = cast(schema.SceneData, scene_record([motion]))
-    opened: schema.OpenedFile = {"scene": scene, "motion": motion_record(motion)}
+    motion = _changed(read_motion(data, suffix, rig, names), changes)
+    scene = cast(answers.SceneData, scene_record([motion]))
+    opened: answers.OpenedFile = {"scene": scene, "motion": motion_record(motion)}
     # As JSON, because the server's event loop would stand still while it makes a long text.
     return json.dumps(opened, separators=(",", ":"), allow_nan=False).encode()
 
@@ -105,34 +115,32 @@ def _check_frames(frames: float, name: str) -> None:
         raise UserError(f"{name}: has {frames:,.0f} frames; at most {MAX_FRAMES:,} are allowed")
 
 
-def read_motion(data: bytes, suffix: str, rig: str | None = None) -> Motion:
+def read_motion(data: bytes, suffix: str, rig: str | None = None, names: Names | None = None) -> Motion:
     """Returns the motion in the bytes of a file.
 
     Args:
         data: The file.
         suffix: Its format.
         rig: Name of its rig, or the text of a table; never a path, because users may not read files of the server.
+        names: What errors call the two; by default by what they are.
 
     Raises:
-        UserError: There is none, or it is too long. The message does not say where the file was.
+        UserError: There is none, or it is too long.
     """
-    with motion_file(data, suffix) as path:
-        table = path.with_name("rig.yaml")
+    with motion_file(data, suffix, names) as path:
         if rig is not None and rig not in RIGS:
+            table = path.with_name(TABLE)
             table.write_text(rig, encoding="utf-8")
             rig = str(table)
-        try:
-            motion = load_motion(path, rig=rig)
-        except UserError as error:
-            raise UserError(str(error).replace(f"{path.parent}{os.sep}", "")) from None
-    if motion.seconds > schema.MAX_TOTAL_SECONDS:  # at another frame rate, it could fill the memory
-        most = f"at most {schema.MAX_TOTAL_SECONDS:g} are read"
-        raise UserError(f"motion.{suffix}: has {motion.seconds:g} seconds; {most}")
-    _check_frames(motion.num_frames, f"motion.{suffix}")
-    return motion
+        motion = load_motion(path, rig=rig)
+        if motion.seconds > schema.MAX_TOTAL_SECONDS:  # at another frame rate, it could fill the memory
+            most = f"at most {schema.MAX_TOTAL_SECONDS:g} are read"
+            raise UserError(f"{path}: has {motion.seconds:g} seconds; {most}")
+        _check_frames(motion.num_frames, str(path))
+        return motion
 
 
-def motion_record(motion: Motion) -> schema.MotionData:
+def motion_record(motion: Motion) -> answers.MotionData:
     """Returns a motion as plain data for the page."""
     data = io.BytesIO()
     write_npz(data, motion, compress=False)
@@ -150,9 +158,17 @@ def motion_record(motion: Motion) -> schema.MotionData:
 
 
 @contextmanager
-def motion_file(data: bytes, suffix: str) -> Iterator[Path]:
-    """Writes a motion of a user into a file, whose name the user does not choose; it is deleted after the block."""
+def motion_file(data: bytes, suffix: str, names: Names | None = None) -> Iterator[Path]:
+    """Writes a motion of a user into a file, whose name the user does not choose; it is deleted after the block.
+
+    Errors of the block do not say where the file was.
+    """
+    names = names or Names(f"motion.{suffix}")
     with tempfile.TemporaryDirectory(prefix="t2m-") as folder:
         path = Path(folder) / f"motion.{suffix}"
         path.write_bytes(data)
-        yield path
+        try:
+            yield path
+        except UserError as error:
+            text = str(error).replace(str(path.with_name(TABLE)), names.rig).replace(str(path), names.motion)
+            raise UserError(text) from None

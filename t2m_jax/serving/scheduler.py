@@ -27,12 +27,17 @@ from t2m_jax.sampling.request import MotionRequest, SamplingOptions
 from t2m_jax.sampling.slots import Progress, Slots
 from t2m_jax.serving.files import motion_record
 from t2m_jax.serving.messages import NO_JOB, Task
+from t2m_jax.serving.wording import in_browser
 
 EXAMPLE_PROMPT = "a person walks forward"
 DECODED_TOGETHER = 4
 """Motions that are decoded together. The batch is always full, so that a motion does not depend on the others."""
 MAX_LIVE = 4
 """Most motions at a time whose frames are sent before they are whole; it takes time."""
+AVERAGED_MOTIONS = 10
+"""Motions whose mean length says how much of a motion is done; where it ends, the model decides."""
+MOST_SHARE = 0.95
+"""Largest share that is told of a motion that is not whole."""
 CACHED_TEXTS = 1024
 """Sentences whose embeddings are kept."""
 MAX_PROGRAMS = 32
@@ -64,6 +69,10 @@ class Scheduler:
         """What is sent of the motions in the slots before they are whole."""
         self.ended: dict[int, dict[int, Codes]] = {}
         """Codes of the motions of jobs that have further motions, by their numbers."""
+        self.num_rows: dict[int, int] = {}
+        """Rows that were sent of jobs whose motions are not whole."""
+        self.usual_rows = float(model.config.generator.max_codes)
+        """Mean number of rows of the last motions."""
         self.slots: Slots | None = None
         self.group: SamplingOptions | None = None
         """The options of all motions in the slots."""
@@ -120,6 +129,7 @@ class Scheduler:
             return
         self.waiting = deque(waiting)
         self.ended.pop(job, None)
+        self.num_rows.pop(job, None)
         for slot in slots:
             del self.active[slot]
         if self.slots is not None:
@@ -140,7 +150,9 @@ class Scheduler:
                 del self.active[progress.slot]
                 found = self.ended.setdefault(one.task.job, {})
                 found[one.sample.number] = progress.codes
+                self.usual_rows += (len(progress.codes) - self.usual_rows) / AVERAGED_MOTIONS
                 if len(found) == one.task.request.num_samples:
+                    self.num_rows.pop(one.task.job, None)
                     whole.append((one, self.ended.pop(one.task.job)))
         if whole:
             _call(self.finishing, self._finish_plain, whole)
@@ -192,7 +204,13 @@ class Scheduler:
         caption = one.sample.prompt.text
         scene = None if motion is None else scene_record([dataclasses.replace(motion, caption=caption)])
         new = progress.codes[-progress.num_new :].tolist()
-        self.send(one.task.job, "codes", {"sample": one.sample.number, "codes": new, "scene": scene})
+        share = self._share_after(one.task, len(new))
+        self.send(one.task.job, "codes", {"sample": one.sample.number, "codes": new, "scene": scene, "share": share})
+
+    def _share_after(self, task: Task, num_new: int) -> float:
+        """Returns the probable share of a plain task that is done after some more rows of codes."""
+        self.num_rows[task.job] = self.num_rows.get(task.job, 0) + num_new
+        return min(self.num_rows[task.job] / (self.usual_rows * task.request.num_samples), MOST_SHARE)
 
     def _decode(self, rows: Sequence[tuple[Sample, Codes]], *, clean: bool) -> list[Motion]:
         """Returns the motions of codes, decoded in full batches. Short motions have batches of their own."""
@@ -227,7 +245,11 @@ class Scheduler:
         """Makes the motions of a task that is not plain."""
         self.send(task.job, "started", {"seed": task.request.seed})
         with self._failing(task):
-            self._finish(task, list(self.model.make(task.request)))
+
+            def tell(ready: float | int, total: int) -> None:
+                self.send(task.job, "progress", {"share": ready / total})
+
+            self._finish(task, list(self.model.make(task.request, on_progress=tell)))
 
     def _finish(self, task: Task, motions: Sequence[Motion]) -> None:
         """Sends the motions of a request."""
@@ -245,7 +267,9 @@ class Scheduler:
             if not isinstance(error, UserError):
                 traceback.print_exc()
             told = (
-                str(error) if isinstance(error, UserError) else "the motion cannot be made; the server's log says why"
+                in_browser(error)
+                if isinstance(error, UserError)
+                else "the motion cannot be made; the server's log says why"
             )
             for task in tasks:
                 self.send(task.job, "failed", {"error": told, "seed": task.request.seed})

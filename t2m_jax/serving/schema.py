@@ -1,4 +1,4 @@
-"""What the HTTP interface takes and gives: pydantic models, made from the records of the library, with limits."""
+"""What the HTTP interface takes: pydantic models, made from the records of the library, with limits."""
 
 import base64
 import binascii
@@ -7,10 +7,9 @@ import difflib
 import reprlib
 import secrets
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, NotRequired
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError, WithJsonSchema, create_model
-from typing_extensions import TypedDict
 
 from t2m_jax.errors import UserError
 from t2m_jax.motion.bvh.writer import Units
@@ -134,6 +133,8 @@ SceneParameters = make_model(
         "format": (InputFormat, "npz", "Format of the body."),
         "path": _PATH,
         "rig": (str | None, None, "Name of the file's rig, or the text of a table. By default, joints are recognized."),
+        "name": (str | None, None, "What the file is called in errors."),
+        "rig_name": (str | None, None, "What the table in `rig` is called in errors."),
     },
 )
 
@@ -223,118 +224,3 @@ def motion_request(fields: Mapping[str, Any], start: Motion | None) -> MotionReq
     if request.seconds and request.seconds * len(request.captions) * request.num_samples > MAX_TOTAL_SECONDS:
         raise UserError(f"seconds: all motions together would be longer than {MAX_TOTAL_SECONDS:g} seconds")
     return request
-
-
-class SceneData(TypedDict):
-    """What the viewer draws. Programs read `npz` instead."""
-
-    seconds: float
-    figures: list[dict[str, Any]]
-
-
-class MotionData(TypedDict):
-    """A motion with the bytes of its `.npz` file in base64."""
-
-    caption: str
-    seed: int | None
-    fps: float
-    frames: int
-    seconds: float
-    codes: list[list[int]] | None
-    part_starts: list[int]
-    part_captions: list[str]
-    npz: str
-
-
-class OpenedFile(TypedDict):
-    """What `POST /scene` answers with."""
-
-    scene: SceneData
-    motion: MotionData
-
-
-class ModelData(TypedDict):
-    """What the model knows, and all choices and limits: `fields` has the JSON schema of each field by request."""
-
-    name: str
-    about: str
-    license: str
-    fps: float
-    downsample: int
-    longest_seconds: float
-    guidance_scale: float | None
-    stop_rules: list[str]
-    actions: list[str]
-    words: list[str]
-    examples: list[str]
-    formats_of_several: NotRequired[list[str]]
-    body_bytes: NotRequired[int]
-    fields: NotRequired[dict[str, dict[str, Any]]]
-
-
-class HealthData(TypedDict):
-    """Whether the server can generate, and how many requests wait."""
-
-    status: Literal["ok", "restarting"]
-    model: str
-    waiting: int
-
-
-class ErrorData(TypedDict):
-    """What is wrong, in one line; and after how many seconds to try again."""
-
-    error: str
-    retry_after: NotRequired[int]
-
-
-class QueuedEvent(TypedDict):
-    """The request waits. It is sent again when its position changes."""
-
-    position: int
-    seed: int
-
-
-class StartedEvent(TypedDict):
-    """The model works on the request. If its process has died, the event comes again, and codes start anew."""
-
-    seed: int
-
-
-class CodesEvent(TypedDict):
-    """Further rows of codes of a sample. `scene` has their frames, or is null while others wait."""
-
-    sample: int
-    codes: list[list[int]]
-    scene: SceneData | None
-
-
-class WarningEvent(TypedDict):
-    """A part of a sentence that the model does not know."""
-
-    message: str
-
-
-class DoneEvent(TypedDict):
-    """The last event: all motions."""
-
-    seed: int
-    scene: SceneData
-    motions: list[MotionData]
-
-
-class FailedEvent(TypedDict):
-    """The last event if there is no motion."""
-
-    error: str
-    seed: int
-
-
-EVENTS = {
-    "queued": QueuedEvent,
-    "started": StartedEvent,
-    "codes": CodesEvent,
-    "warning": WarningEvent,
-    "done": DoneEvent,
-    "failed": FailedEvent,
-}
-"""The data of each server-sent event."""

@@ -12,9 +12,9 @@ from typing import Any, get_args
 from t2m_jax.errors import UserError
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.request import StopRuleName
+from t2m_jax.serving.answers import ModelData
 from t2m_jax.serving.messages import NO_JOB, Cancel
 from t2m_jax.serving.scheduler import Scheduler
-from t2m_jax.serving.schema import ModelData
 from t2m_jax.text.coverage import PromptWarning
 
 

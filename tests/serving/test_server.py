@@ -113,7 +113,21 @@ def test_an_edit_that_cannot_be_made_fails_with_one_line(server):
     name, data = server.ask("POST", "/motions", fields).events[-1]
     assert name == "failed" and data["seed"] == 2 and "span" in data["error"]
     answer = server.ask("POST", "/motions", fields | {"start": "AAAA"})
-    assert answer.status == 400 and answer.json["error"].startswith("motion.npz: ")
+    assert answer.status == 400 and answer.json["error"].startswith("start: ")
+
+
+def test_a_request_with_a_key_goes_on_without_its_connection(server):
+    key, fields = "k" * 16, {"captions": list(CAPTIONS[:2]), "seconds": 2.0, "seed": 5}
+    connection = server.open("POST", f"/motions?keep={key}", fields)
+    connection.getresponse().readline()  # it has begun
+    connection.close()
+    name, data = server.ask("GET", f"/motions/{key}").events[-1]
+    assert name == "done" and data["motions"] == server.motions(*CAPTIONS[:2], seconds=2.0, seed=5)["motions"]
+    assert server.ask("GET", f"/motions/{key}").events[0][0] == "queued"  # again, from the first event
+    assert server.ask("POST", f"/motions?keep={key}", fields).status == 409
+    assert server.ask("DELETE", f"/motions/{key}").status == 204
+    assert server.ask("GET", f"/motions/{key}").status == 404
+    assert server.ask("POST", "/motions?keep=short", fields).status == 400
 
 
 def test_a_program_may_ask_for_one_answer(server):
