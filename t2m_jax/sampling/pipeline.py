@@ -135,8 +135,7 @@ class TextToMotion:
 
         Args:
             *requests: What is asked for.
-            on_progress: Called with the number of motions that are ready and the number of all, after each batch; of
-                motions of several sentences also in between, with parts of them.
+            on_progress: Called with the number of motions that are ready, of which parts count, and that of all.
 
         Warns:
             PromptWarning: The model cannot know what a sentence asks for. The motions say so, too.
@@ -232,8 +231,7 @@ class TextToMotion:
 
         Args:
             captions: Sentences, one after the other.
-            start: A motion that the first sentence continues. It is part of the result, as the tokenizer reconstructs
-                it, and so are its sentences.
+            start: A motion that the first sentence continues. The result begins with what the tokenizer keeps of it.
             seconds: Length for each sentence, rounded to whole rows of codes; by default the model decides.
             seed: From 0 to 2**32 - 1.
             num_samples: Motions to return.

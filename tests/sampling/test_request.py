@@ -60,7 +60,7 @@ def test_options_that_no_model_has_are_one_line(options, said):
         ({"start": WALK, "strength": 0.5, "captions": ("walk", "run")}, "strength: takes one sentence and no seconds"),
         (
             {"start": CHAIN, "strength": 0.5, "captions": ("a", "b", "c")},
-            "one sentence (or 2, one for each of the motion",
+            r"one sentence \(or 2, one for each of the motion",
         ),
         ({"start": CHAIN, "span": (0.0, 1.0), "captions": ("a", "b")}, "span: takes one sentence and no seconds"),
         ({"start": WALK, "strength": 1.5}, "strength: 1.5 is not a number from 0 to 1"),

@@ -13,6 +13,7 @@ from t2m_jax.motion.joining import FADE_SECONDS
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.loop import Given
 from t2m_jax.sampling.prompts import sample_key
+from t2m_jax.sampling.request import MotionRequest
 from t2m_jax.sampling.timeline import context_rows
 from tests import tiny
 
@@ -128,6 +129,14 @@ def test_a_motion_goes_on_from_another(model):
     np.testing.assert_array_equal(motion.codes[: len(known)], known)
     assert motion.part_starts[0] == len(known) * model.config.tokenizer.downsample and len(motion.part_starts) == 2
     assert motion.positions_raw is None
+
+
+def test_progress_is_told_after_each_sentence(model):
+    told = []
+    request = MotionRequest(captions=(FIRST, SECOND), seconds=2.0, num_samples=2)
+    list(model.make(request, on_progress=lambda *counts: told.append(counts)))
+    assert told == sorted(told) and told[-1] == (2, 2) and len(told) >= 4
+    assert 0.5 < told[0][0] < 1  # one of two sentences of both motions
 
 
 def test_what_goes_on_keeps_its_sentences(model):

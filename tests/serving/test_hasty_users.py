@@ -71,7 +71,7 @@ SLOW_STREAM = r"""() => {
   const { fetch } = window;
   window.fetch = async (path, ...more) => {
     const answer = await fetch(path, ...more);
-    if (path !== "motions") return answer;
+    if (!path.startsWith("motions?")) return answer;
     const parts = (await answer.text()).split("\n\n").filter(Boolean);
     const encoder = new TextEncoder();
     const body = new ReadableStream({ start(stream) {

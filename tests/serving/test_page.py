@@ -36,16 +36,18 @@ def open_studio(browser, address):  # noqa: F811
     """Returns a function that opens the page; afterwards nothing may have gone wrong in it."""
     contexts, troubles, expected = [], [], []
 
-    def open_page(*, viewport=WIDE, may_fail=(), **options):
-        context = browser.new_context(viewport=viewport, **({"reduced_motion": "reduce"} | options))
-        contexts.append(context)
+    def open_page(*, viewport=WIDE, may_fail=(), path="", beside=None, **options):
+        """Opens the page in a new profile, or in another tab `beside` a page."""
         expected.extend(may_fail)
+        if beside is None:
+            contexts.append(browser.new_context(viewport=viewport, **({"reduced_motion": "reduce"} | options)))
+        context = contexts[-1] if beside is None else beside.context
         context.set_default_timeout(10_000)
         page = context.new_page()
         page.on("console", lambda message: troubles.append(message.text) if message.type == "error" else None)
         page.on("pageerror", lambda error: troubles.append(str(error)))
         page.on("request", lambda request: troubles.append(request.url) if not is_own(request.url) else None)
-        page.goto(address)
+        page.goto(address + path)
         expect(page.locator("#examples button").first).to_be_visible()
         return page
 
@@ -185,7 +187,7 @@ def test_every_field_of_the_interface_has_a_control(open_studio):
     page.get_by_role("combobox", name="Stop rule").select_option("argmax")
     page.get_by_role("checkbox", name="Not cleaned").check()
     sent = []
-    page.on("request", lambda request: sent.append(request.post_data_json) if request.url.endswith("motions") else None)
+    page.on("request", lambda request: sent.append(request.post_data_json) if "/motions?" in request.url else None)
     generate(page, WALK)
     expected = {"temperature": 0.5, "top_k": 20, "seconds": 1.5, "stop_rule": "argmax", "raw": True, "seed": 7}
     assert sent == [expected | {"captions": [WALK], "num_samples": 1}] and num_frames(page) == 32
@@ -255,7 +257,7 @@ def test_nothing_is_lost_if_something_fails(open_studio):
         status, error, wait = answers.pop(0)
         route.fulfill(status=status, json={"error": error}, headers={"Retry-After": wait})
 
-    page.route("**/motions", answer)
+    page.route("**/motions?*", answer)
     sentence.press("Enter")
     expect(alert).to_have_text("the model restarts")
     expect(sentence).to_have_value(WAVE)
@@ -306,7 +308,7 @@ def test_a_token_is_asked_for(open_studio):
 
 def test_a_request_can_be_cancelled(open_studio):
     page = open_studio()
-    page.route("**/motions", lambda route: None)
+    page.route("**/motions?*", lambda route: None)
     sentence = page.get_by_role("textbox", name="Sentence")
     sentence.fill(WALK)
     page.get_by_role("button", name="Generate", exact=True).click()

@@ -56,6 +56,16 @@ def test_the_events_tell_the_codes_in_turn(server):
     assert told[: len(done["codes"])] == done["codes"]  # with its stop rule, the end is only known at the end
 
 
+def test_the_share_that_is_done_grows(server):
+    shares = {}
+    for captions, name in ((CAPTIONS[:3], "progress"), (CAPTIONS[:1], "codes")):
+        events = server.ask("POST", "/motions", {"captions": list(captions), "seed": 4}).events
+        shares[name] = [data["share"] for event, data in events if event == name]
+        assert shares[name] == sorted(shares[name])
+    assert len(shares["progress"]) >= 4 and shares["progress"][-1] == 1
+    assert 0 < shares["codes"][0] <= 0.95
+
+
 def test_a_seed_gives_the_same_motion_under_any_load(server):
     alone = [server.motions(caption, seed=9)["motions"][0]["npz"] for caption in CAPTIONS]
 

@@ -12,10 +12,8 @@ from t2m_jax.motion.changes import Changes
 from t2m_jax.serving.files import Names, open_file
 from t2m_jax.serving.wording import IN_BROWSER, in_browser
 from tests.export.conftest import walk  # noqa: F401 - a fixture
-from tests.export.test_viewer import browser  # noqa: F401 - a fixture
 from tests.motion.rig.foreign import nameless  # noqa: F401 - a fixture
 from tests.serving.test_files import data_of
-from tests.serving.test_page import address, expect, open_studio  # noqa: F401 - fixtures
 
 PACKAGE = Path(t2m_jax.__file__).parent
 COMMAND = re.compile(r"`t2m |pip install|(?<![\w-])--[a-z]")
@@ -48,15 +46,3 @@ def test_errors_name_the_files_of_the_user(nameless, walk):  # noqa: F811
     slow = data_of(type(walk)(walk.positions, 0.01))
     with pytest.raises(UserError, match=r"^my walk\.bvh: has .* seconds; at most 600"):
         open_file(slow, "npz", Changes(), None, names)
-
-
-@pytest.mark.slow
-def test_a_page_speaks_of_the_file_that_was_dropped(open_studio, nameless, tmp_path):  # noqa: F811
-    page = open_studio(may_fail=["400"])
-    (tmp_path / "my walk.bvh").write_text(BROKEN_BVH)
-    page.locator("#file-input").set_input_files(tmp_path / "my walk.bvh")
-    expect(page.get_by_role("alert")).to_contain_text("my walk.bvh:4: OFFSET")
-    page.locator("#file-input").set_input_files(nameless)
-    expect(page.get_by_role("alert")).to_contain_text(f"{nameless.name}: no known rig")
-    expect(page.get_by_role("alert")).to_contain_text("open it together with a table")
-    expect(page.get_by_role("alert")).not_to_contain_text("t2m")

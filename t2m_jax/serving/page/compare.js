@@ -37,7 +37,9 @@ export class Comparison {
   #show(choices) {
     const figures = choices.map(({ figure, motion }, index) => {
       const seed = motion.seed === null ? "" : ` (seed ${motion.seed})`;
-      return { ...figure, caption: `${"AB"[index]}: ${figure.caption}${seed}` };
+      const named = (text) => `${"AB"[index]}: ${text}${seed}`;
+      const sentences = (figure.sentences ?? []).map(([first, text]) => [first, named(text)]);
+      return { ...figure, caption: named(figure.caption), sentences };
     });
     const motions = choices.map(({ motion }) => motion);
     const seconds = Math.max(...motions.map((motion) => motion.seconds));

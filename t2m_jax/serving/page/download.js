@@ -2,8 +2,9 @@
 
 import { clearMessage, create, find, seconds, showMessage } from "./dom.js";
 import { clearFields, complaint, makeFields, plain, readFields, wrongField } from "./fields.js";
-import { makeFile, readMotion, ServerError } from "./server.js";
-import { makeTake } from "./session.js";
+import { keepForm } from "./memory.js";
+import { changeSample } from "./recipe.js";
+import { makeFile, ServerError } from "./server.js";
 
 const TITLES = { npz: "Arrays for Python", bvh: "Skeleton for Blender, Maya …", glb: "Animated figure, glTF", gif: "Picture", mp4: "Video", png: "Poses in one picture", html: "Page with a viewer" };
 
@@ -14,6 +15,7 @@ export class DownloadPanel {
     makeFields(this.form, model.fields.files, find("more-changes"));
     find("formats").append(...formats.map((format) => this.#formatChoice(format)));
     this.form.elements.format.value = formats.includes("glb") ? "glb" : formats[0];
+    keepForm(this.form);
     this.form.addEventListener("change", () => this.#update());
     this.form.addEventListener("submit", (event) => {
       event.preventDefault();
@@ -84,11 +86,10 @@ export class DownloadPanel {
 
   // The changed motion becomes a motion of its own, which can be changed again.
   apply() {
-    return this.#work(async ({ take, motion: { npz, seed } }) => {
-      const bytes = Uint8Array.from(atob(npz), (character) => character.charCodeAt(0));
-      const { scene, motion } = await readMotion(bytes, this.#changes());
+    return this.#work(async ({ take, selected }) => {
+      const changed = await changeSample(take, selected, this.#changes());
       clearFields(find("changes"));
-      this.onChanged(makeTake({ kind: "changed", request: { ...take.request, seed }, scene, motions: [motion], warning: take.warning }));
+      this.onChanged(changed);
     });
   }
 

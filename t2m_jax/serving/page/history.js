@@ -1,56 +1,126 @@
 // The list of all takes. It is kept in the browser; without storage, it lasts until the page is closed.
 
-import { ask, create, find, iconButton, once, showMessage } from "./dom.js";
-import { sentencesOf } from "./session.js";
+import { ask, create, find, iconButton, once, showMessage, showNotice } from "./dom.js";
+import { stepsOf } from "./recipe.js";
+import { makeTake, sentencesOf } from "./session.js";
 import { Store } from "./store.js";
 
-const KINDS = { new: "", file: "file", continue: "continued", redo: "part redone", vary: "varied", changed: "changed", selection: "chosen" };
+const KINDS = { new: "", file: "file", continue: "continued", redo: "part redone", vary: "varied", changed: "changed", selection: "chosen", copy: "copy" };
+const DELETED_FOR = 3_600_000; // milliseconds for which a deleted motion can come back
 
 export class History {
   #entries = [];
   #loose = new Map(); // takes that could not be stored
+  #tabs = new BroadcastChannel("t2m-studio-history");
 
-  constructor(session, onPin) {
-    Object.assign(this, { session, onPin });
+  constructor(session, undo, onPin) {
+    Object.assign(this, { session, undo, onPin });
     find("delete-all").addEventListener("click", () => this.#deleteAll());
     session.onChange(["take"], () => this.#markCurrent());
+    this.#tabs.onmessage = () => this.#read();
   }
 
   async open() {
     try {
       this.store = await Store.open();
-      this.#entries = await this.store.entries();
+      const all = await this.store.entries();
+      await this.store.delete(all.filter(({ deleted }) => deleted && Date.now() - deleted > DELETED_FOR));
+      await this.#read();
     } catch {
       showMessage("This browser keeps no history here: motions are lost when the page is closed.");
+      this.#draw();
     }
-    this.#draw();
   }
 
-  async add(take) {
+  get #listed() {
+    return this.#entries.filter(({ deleted }) => !deleted);
+  }
+
+  find(id) {
+    return this.#listed.find((entry) => entry.id === id);
+  }
+
+  async add(take, { name } = {}) {
     const { id, created, kind, request, motions } = take;
     const [first] = motions;
     const caption = sentencesOf(first).join(", then ") || request.name || "Motion";
-    const entry = { id, created, kind, caption, seed: request.seed, numSamples: motions.length, seconds: first.seconds };
-    this.#entries.push(entry);
+    const entry = { id, created, kind, caption, name, seed: request.seed, numSamples: motions.length, seconds: first.seconds };
+    this.#entries = [...this.#entries.filter((one) => one.id !== id), entry];
     try {
       if (!this.store) throw new Error("no storage");
-      await this.store.add(entry, take);
+      await this.#store(entry, take);
     } catch (error) {
       this.#loose.set(id, take);
       if (error?.name === "QuotaExceededError") {
         showMessage("The browser's storage is full, so this motion is lost when the page is closed. Delete old ones.");
       }
     }
-    this.#draw();
+    this.#changed();
+  }
+
+  // Deleted motions still have their room until it is needed.
+  async #store(entry, take) {
+    try {
+      await this.store.add(entry, take);
+    } catch (error) {
+      const deleted = this.#entries.filter((one) => one.deleted);
+      if (error?.name !== "QuotaExceededError" || deleted.length === 0) throw error;
+      await this.store.delete(deleted);
+      this.#entries = this.#listed;
+      await this.store.add(entry, take);
+    }
   }
 
   async take(id) {
-    const take = this.#loose.get(id) ?? (await this.store.take(id));
+    const take = this.#loose.get(id) ?? (await this.store?.take(id));
     if (!take) throw new Error("this motion is no longer in the browser's storage");
     return take;
   }
 
-  async #restore(entry) {
+  // Changes entries, which tells other tabs; `deleted` is a time, or null.
+  async change(ids, fields) {
+    const changed = this.#entries.filter(({ id }) => ids.includes(id));
+    if (changed.length < ids.length) throw new Error("this motion is no longer in the history");
+    for (const entry of changed) Object.assign(entry, fields);
+    const stored = changed.filter(({ id }) => !this.#loose.has(id));
+    await this.store?.change(stored).catch(() => showMessage("The history could not be changed in the browser's storage."));
+    this.#changed();
+  }
+
+  delete(ids, name) {
+    const action = {
+      name,
+      undo: () => this.change(ids, { deleted: null }),
+      redo: () => this.change(ids, { deleted: Date.now() }),
+    };
+    this.undo.push(action);
+    showNotice(ids.length > 1 ? `${ids.length} motions are deleted.` : "The motion is deleted.", "Undo", () => this.undo.undo());
+    return action.redo();
+  }
+
+  async rename(entry) {
+    const input = find("new-name");
+    input.value = entry.name ?? entry.caption;
+    if ((await ask(find("rename-dialog"))) !== "yes") return;
+    const [before, name] = [entry.name, input.value.trim() || undefined];
+    const action = { name: "rename", undo: () => this.change([entry.id], { name: before }), redo: () => this.change([entry.id], { name }) };
+    await action.redo();
+    this.undo.push(action);
+  }
+
+  async duplicate(entry) {
+    const original = await this.take(entry.id);
+    const take = makeTake({ ...original, id: undefined, kind: "copy", steps: stepsOf(original) });
+    await this.add(take, { name: `${entry.name ?? entry.caption} (copy)` });
+    this.undo.push({
+      name: "duplicate",
+      undo: () => this.change([take.id], { deleted: Date.now() }),
+      redo: () => this.change([take.id], { deleted: null }),
+    });
+    return take;
+  }
+
+  async #show(entry) {
     try {
       this.session.show(await this.take(entry.id));
       find("stage-frame").scrollIntoView({ block: "nearest" });
@@ -59,31 +129,39 @@ export class History {
     }
   }
 
-  async #delete(entry) {
-    const place = this.#entries.indexOf(entry);
-    this.#entries.splice(place, 1);
-    this.#loose.delete(entry.id);
-    await this.store?.delete(entry.id).catch(() => showMessage("The motion could not be deleted from the storage."));
-    this.#draw();
+  async #deleteOne(entry) {
+    const place = this.#listed.indexOf(entry);
+    await this.delete([entry.id], "delete");
     const rows = find("takes").querySelectorAll(".take-open");
     (rows[rows.length - place] ?? rows[0] ?? find("history-title")).focus();
   }
 
   async #deleteAll() {
-    find("confirm-text").textContent = `Delete all ${this.#entries.length} motions of the history?`;
-    if ((await ask(find("confirm"))) !== "yes") return;
-    this.#entries = [];
-    this.#loose.clear();
-    await this.store?.clear().catch(() => showMessage("The history could not be deleted from the storage."));
+    const ids = this.#listed.map(({ id }) => id);
+    find("confirm-text").textContent = `Delete all ${ids.length} motions of the history?`;
+    if ((await ask(find("confirm"))) === "yes") await this.delete(ids, "delete all");
+  }
+
+  #changed() {
+    this.#tabs.postMessage(null);
+    this.#draw();
+  }
+
+  // Another tab may have changed the storage.
+  async #read() {
+    const loose = this.#entries.filter(({ id }) => this.#loose.has(id));
+    this.#entries = [...(await this.store?.entries() ?? []), ...loose];
     this.#draw();
   }
 
   #draw() {
-    this.#entries.sort((a, b) => b.created - a.created);
-    find("history-empty").hidden = this.#entries.length > 0;
-    find("delete-all").hidden = this.#entries.length === 0;
-    find("takes").replaceChildren(...this.#entries.map((entry) => this.#row(entry)));
+    this.#entries.sort((a, b) => a.created - b.created);
+    const listed = this.#listed.reverse();
+    find("history-empty").hidden = listed.length > 0;
+    find("delete-all").hidden = listed.length === 0;
+    find("takes").replaceChildren(...listed.map((entry) => this.#row(entry)));
     this.#markCurrent();
+    this.session.dispatchEvent(new Event("history"));
   }
 
   #markCurrent() {
@@ -93,26 +171,27 @@ export class History {
   }
 
   #row(entry) {
+    const title = entry.name ?? entry.caption;
     const open = create(
       "button",
-      { type: "button", className: "take-open", onclick: () => this.#restore(entry) },
-      create("span", { className: "take-caption", dir: "auto", textContent: entry.caption }),
+      { type: "button", className: "take-open", title: entry.caption, onclick: () => this.#show(entry) },
+      create("span", { className: "take-caption", dir: "auto", textContent: title }),
       create("span", { className: "take-meta", textContent: describe(entry) }),
     );
-    const name = entry.caption.slice(0, 60);
+    const name = title.slice(0, 60);
     const compare = iconButton("compare", `Compare ${name}`, () => this.onPin(entry));
-    const remove = iconButton("remove", `Delete ${name}`, once(() => this.#delete(entry)));
+    const remove = iconButton("remove", `Delete ${name}`, once(() => this.#deleteOne(entry)));
     const row = create("li", { className: "take" }, open, compare, remove);
     row.dataset.id = entry.id;
     return row;
   }
 }
 
-function describe({ created, kind, seed, numSamples, seconds }) {
+// The seed is above the stage; ten digits have no room here.
+function describe({ created, kind, numSamples, seconds }) {
   const time = new Date(created);
   const today = time.toDateString() === new Date().toDateString();
   const when = today ? time.toLocaleTimeString([], { timeStyle: "short" }) : time.toLocaleDateString();
   const count = numSamples > 1 ? `${numSamples} samples` : `${seconds.toFixed(1)} s`;
-  const facts = [when, KINDS[kind], count, seed === null || seed === undefined ? "" : `seed\u00a0${seed}`];
-  return facts.filter(Boolean).join(" · ");
+  return [when, KINDS[kind], count].filter(Boolean).join(" · ");
 }

@@ -6,7 +6,26 @@ const TURN = 25; // pixels of a drag with the mouse
 const ZOOM = 1.2;
 const isWriting = (element) => element.matches("textarea, select, input:not([type=range], [type=checkbox], [type=radio])");
 
-export function listenForKeys({ player, timeline, session, stage, make, generation, comparison }) {
+// Ctrl+Z and its opposites. In a sentence, they only concern what is written.
+function undoKey(event, undo) {
+  const { target, key, shiftKey } = event;
+  const letter = key.toLowerCase();
+  const verb = letter === "z" && !shiftKey ? "undo" : letter === "y" || letter === "z" ? "redo" : null;
+  if (verb === null || event.altKey || target.closest("dialog")) return;
+  if (isWriting(target) && !(target.closest("#sentences") && (verb === "undo" ? undo.isDraft : undo.isUndoneDraft))) return;
+  event.preventDefault();
+  undo[verb]();
+}
+
+export function toggleFullScreen() {
+  const isFull = document.body.classList.toggle("full");
+  find("full-screen").setAttribute("aria-pressed", String(isFull));
+  // Where a page may not fill the screen, it fills the window.
+  if (isFull) document.documentElement.requestFullscreen?.().catch(() => {});
+  else if (document.fullscreenElement) document.exitFullscreen();
+}
+
+export function listenForKeys({ player, timeline, session, stage, make, generation, comparison, undo, actions: todo }) {
   const here = () => stage.time;
   const actions = {
     " ": () => player.toggle(),
@@ -24,14 +43,20 @@ export function listenForKeys({ player, timeline, session, stage, make, generati
     "-": () => stage.zoom(1 / ZOOM),
     r: () => stage.resetView(),
     c: () => comparison.toggleSelected(),
+    m: toggleFullScreen,
+    n: todo.rename,
+    d: todo.duplicate,
+    l: todo.share,
+    Delete: todo.delete,
     "/": () => make.sentences.focus(),
     "?": () => find("help").showModal(),
-    Escape: () => generation.cancel(),
+    Escape: () => (document.body.classList.contains("full") ? toggleFullScreen() : generation.cancel()),
   };
   for (let number = 1; number <= 9; number += 1) actions[number] = () => session.select(number - 1);
 
   document.addEventListener("keydown", (event) => {
     const { target } = event;
+    if ((event.ctrlKey || event.metaKey) && !event.defaultPrevented) undoKey(event, undo);
     if (event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented || target.closest("dialog")) return;
     if (event.key !== "Escape" && isWriting(target)) return;
     if (event.key === " " && target.closest("button, summary, input")) return; // the browser presses it
@@ -40,5 +65,11 @@ export function listenForKeys({ player, timeline, session, stage, make, generati
     if (!action) return;
     event.preventDefault();
     action(event.shiftKey ? 10 : 1);
+  });
+
+  find("full-screen").addEventListener("click", toggleFullScreen);
+  // The browser leaves the full screen by itself after Escape.
+  document.addEventListener("fullscreenchange", () => {
+    if (!document.fullscreenElement && document.body.classList.contains("full")) toggleFullScreen();
   });
 }

@@ -2,6 +2,7 @@
 
 import { create, fillSelect, find, seconds, showMessage } from "./dom.js";
 import { complaint, findField, makeFields, plain, readFields, showField, wrongField } from "./fields.js";
+import { keepForm, recall, recallInTab, remember, setValues } from "./memory.js";
 import { SentenceList } from "./sentences.js";
 import { sentencesOf } from "./session.js";
 
@@ -13,47 +14,96 @@ const HINTS = {
   vary: () => "Other versions of the selected motion.",
 };
 const START_STRENGTH = 0.3;
+const EMPTY = { seed: "", num_samples: 1, temperature: "", seconds: "", guidance_scale: "", top_k: "", top_p: "", stop_rule: "", raw: false };
 
 export class MakePanel {
   #mode = "new";
   #drafts = {}; // what the user has written for each mode; without a draft, there is a suggestion
 
-  constructor(session, model, generate) {
-    Object.assign(this, { session, model });
+  constructor(session, model, undo, generate) {
+    Object.assign(this, { session, model, undo });
     this.submit = () => {
       const request = this.#read();
-      if (request !== null) generate(request, this.#mode);
+      const base = this.#mode === "new" ? null : { take: session.take, from: session.selected };
+      if (request !== null) generate(request, this.#mode, base);
     };
     this.sentences = new SentenceList(find("sentences"), find("add-sentence"), {
       limit: model.fields.motions.captions.maxItems,
       onSubmit: this.submit,
-      onInput: () => { this.#drafts[this.#mode] = this.sentences.values; },
+      onInput: (place) => this.#write(this.sentences.values, place),
     });
     this.#fillOptions();
+    this.former = recallInTab("make")?.mode;
+    keepForm(find("make"));
+    this.#showValues();
     this.#listen();
+    this.#drafts = recall("drafts") ?? {};
     this.setMode("new");
   }
 
   setMode(mode) {
     this.#mode = mode;
-    const single = mode === "redo" || mode === "vary";
-    this.sentences.single = single;
+    const fixed = mode === "redo" || mode === "vary";
+    this.sentences.fixed = fixed;
     this.#showSentences();
     find("strength-field").hidden = mode !== "vary";
-    showField("seconds", !single);
+    showField("seconds", !fixed);
     showField("candidates", mode === "redo");
     document.querySelector(`#modes [value=${mode}]`).checked = true;
   }
 
-  // What was written has become a motion.
+  // Notes what the user has written; what is typed into one sentence (`place`) is undone together.
+  #write(texts, place = null) {
+    const mode = this.#mode;
+    const before = this.#drafts[mode];
+    this.#drafts[mode] = texts;
+    remember("drafts", this.#drafts);
+    const key = place === null ? null : `${mode} ${place}`;
+    this.undo.push({ name: "writing", isDraft: true, key, undo: () => this.setDraft(mode, before), redo: () => this.setDraft(mode, texts) });
+  }
+
+  // Shows what was written before in a mode; without texts, the suggestion.
+  setDraft(mode, texts) {
+    const { place } = this.sentences;
+    if (texts) this.#drafts[mode] = texts;
+    else delete this.#drafts[mode];
+    remember("drafts", this.#drafts);
+    this.setMode(this.session.motion ? mode : "new");
+    if (place >= 0) this.sentences.place = place;
+  }
+
+  // What was written has become a motion. Returns it, so that it can come back.
   forgetDraft(mode) {
+    const texts = this.#drafts[mode];
     delete this.#drafts[mode];
+    remember("drafts", this.#drafts);
+    return texts;
+  }
+
+  // Gives the controls the values of a request, if it is the only step of a motion.
+  fill(steps) {
+    if (steps.length > 1) return;
+    setValues(find("make"), { ...EMPTY, ...steps[0].make });
+    this.#showValues();
+  }
+
+  // Returns to what was made when the page was left, if that is possible with the selected motion.
+  resume() {
+    const mode = this.former;
+    if (mode in HINTS && this.session.motion) this.setMode(mode);
   }
 
   // Begins what follows the selected motion: one more sentence.
   continueMotion() {
     this.setMode(this.session.motion ? "continue" : "new");
     this.sentences.focus();
+  }
+
+  // Replaces the sentence that is selected on the timeline; the others stay as they are.
+  replaceSentence() {
+    this.forgetDraft("redo"); // it was for another part
+    this.setMode("redo");
+    this.sentences.selectText();
   }
 
   reuseSeed(seed) {
@@ -76,8 +126,9 @@ export class MakePanel {
     find("examples").parentElement.hidden = model.examples.length === 0;
     find("examples").append(...model.examples.map((text) => {
       const choose = () => {
-        this.#drafts.new = [text];
         this.setMode("new");
+        this.#write([text]);
+        this.#showSentences();
         this.sentences.focus();
       };
       return create("button", { type: "button", className: "chip", textContent: text, onclick: choose });
@@ -114,15 +165,19 @@ export class MakePanel {
   }
 
   #showSentences() {
-    this.sentences.values = this.#drafts[this.#mode] ?? this.#suggestion();
+    const suggestion = this.#suggestion();
+    const draft = this.#drafts[this.#mode];
+    // A draft of a variation is only for motions with as many sentences.
+    const fits = draft && (this.#mode !== "vary" || draft.length === suggestion.length);
+    this.sentences.values = fits ? draft : suggestion;
     this.#showHint();
   }
 
   #suggestion() {
     const { motion, span } = this.session;
     if (!motion || this.#mode === "continue") return [""];
-    if (this.#mode === "new") return sentencesOf(motion);
-    if (this.#mode === "vary" || !span || !motion.part_starts.length) return [motion.caption];
+    if (this.#mode === "new" || this.#mode === "vary") return sentencesOf(motion);
+    if (!span || !motion.part_starts.length) return [motion.caption];
     const middle = ((span[0] + span[1]) / 2) * motion.fps;
     return [motion.part_captions[motion.part_starts.findLastIndex((start) => start <= middle)]];
   }
@@ -139,7 +194,7 @@ export class MakePanel {
 
   // Returns the body of the request, or null after it said what is missing.
   #read() {
-    const { motion, span } = this.session;
+    const { span } = this.session;
     const mode = this.#mode;
     const captions = this.sentences.values.map((text) => text.trim()).filter(Boolean);
     if (captions.length === 0) return this.#refuse("Write a sentence first.", this.sentences);
@@ -151,7 +206,6 @@ export class MakePanel {
     if (wrong) return this.#refuse(complaint(wrong), wrong);
     if (mode === "redo" && span === null) return this.#refuse(HINTS.redo(this.session), find("begin-handle"));
     const request = { captions, seed: seed ? Number(seed) : null, num_samples: Number(find("num-samples").value), ...readFields(find("make")) };
-    if (mode !== "new") request.start = motion.npz;
     if (mode === "redo") request.span = span;
     if (mode === "vary") request.strength = Number(find("strength").value);
     return request;

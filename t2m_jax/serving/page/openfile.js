@@ -35,7 +35,8 @@ async function readTake(file, table, model) {
   if (file.size > model.body_bytes) {
     throw new ServerError(`${file.name}: has more than ${Math.round(model.body_bytes / 2 ** 20)} MB`);
   }
-  const { scene, motion } = await readMotion(await file.arrayBuffer(), table ? { format, rig: await table.text() } : { format });
+  const rig = table ? { rig: await table.text(), rig_name: table.name } : {};
+  const { scene, motion } = await readMotion(await file.arrayBuffer(), { format, name: file.name, ...rig });
   return makeTake({ kind: "file", request: { seed: motion.seed, name: file.name }, scene, motions: [motion] });
 }
 

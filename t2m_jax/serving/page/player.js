@@ -1,6 +1,7 @@
 // The buttons that play the stage, and its clock.
 
 import { clamp, find, setIcon, wantsMotion } from "./dom.js";
+import { recall, remember } from "./memory.js";
 
 export class Player {
   constructor(stage, session) {
@@ -8,7 +9,9 @@ export class Player {
     find("play").addEventListener("click", () => this.toggle());
     find("step-back").addEventListener("click", () => this.step(-1));
     find("step-forward").addEventListener("click", () => this.step(1));
-    find("speed").addEventListener("change", (event) => { stage.speed = Number(event.target.value); });
+    find("speed").addEventListener("change", () => this.#setSpeed(find("speed").value));
+    this.#setSpeed(recall("speed") ?? 1);
+    stage.follow = recall("follow") ?? true;
     find("follow").addEventListener("click", () => this.toggleFollow());
     find("reset-view").addEventListener("click", () => stage.resetView());
     find("scrub").addEventListener("input", (event) => this.seek(Number(event.target.value)));
@@ -36,8 +39,15 @@ export class Player {
     this.update();
   }
 
+  #setSpeed(speed) {
+    find("speed").value = speed;
+    this.stage.speed = Number(speed);
+    remember("speed", speed);
+  }
+
   toggleFollow() {
     this.stage.follow = !this.stage.follow;
+    remember("follow", this.stage.follow);
     this.update();
   }
 

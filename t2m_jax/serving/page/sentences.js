@@ -2,15 +2,16 @@
 
 import { create, iconButton, once } from "./dom.js";
 
+// `onInput` gets the place of the sentence that was typed in, or null after another change.
 export class SentenceList {
-  #single = false;
+  #fixed = false;
 
   constructor(list, addButton, { limit, onSubmit, onInput }) {
     Object.assign(this, { list, addButton, limit, onSubmit, onInput });
     addButton.addEventListener("click", () => {
       this.#append("").focus();
       this.#update();
-      onInput();
+      onInput(null);
     });
     this.values = [""];
   }
@@ -25,9 +26,9 @@ export class SentenceList {
     this.#update();
   }
 
-  // Some requests take one sentence only.
-  set single(value) {
-    this.#single = value;
+  // Some requests take as many sentences as there are.
+  set fixed(value) {
+    this.#fixed = value;
     this.#update();
   }
 
@@ -39,6 +40,20 @@ export class SentenceList {
     this.#areas.at(-1).focus();
   }
 
+  // The place of the sentence that is being written, or -1.
+  get place() {
+    return this.#areas.indexOf(document.activeElement);
+  }
+
+  set place(place) {
+    this.#areas[Math.min(place, this.#areas.length - 1)]?.focus();
+  }
+
+  selectText() {
+    this.focus();
+    this.#areas.at(-1).select();
+  }
+
   // Inserts a word where the user last wrote.
   insert(word) {
     const area = this.#areas.includes(this.last) ? this.last : this.#areas.at(-1);
@@ -46,13 +61,13 @@ export class SentenceList {
     const gap = before && !/\s$/.test(before) ? " " : "";
     area.setRangeText(gap + word, area.selectionStart, area.selectionEnd, "end");
     area.focus();
-    this.onInput();
+    this.onInput(null);
   }
 
   #append(text) {
     const area = create("textarea", { value: text, rows: 2, dir: "auto", spellcheck: false });
     area.addEventListener("focus", () => { this.last = area; });
-    area.addEventListener("input", this.onInput);
+    area.addEventListener("input", () => this.onInput(this.#areas.indexOf(area)));
     area.addEventListener("keydown", (event) => {
       if (event.key !== "Enter" || event.shiftKey || event.isComposing) return;
       event.preventDefault();
@@ -76,7 +91,7 @@ export class SentenceList {
     else item.nextElementSibling.after(item);
     this.#update();
     item.querySelector("textarea").focus();
-    this.onInput();
+    this.onInput(null);
   }
 
   #remove(item) {
@@ -84,13 +99,14 @@ export class SentenceList {
     item.remove();
     this.#update();
     neighbor.querySelector("textarea").focus();
-    this.onInput();
+    this.onInput(null);
   }
 
   #update() {
     const items = [...this.list.children];
     this.list.classList.toggle("several", items.length > 1);
-    this.addButton.hidden = this.#single || items.length >= this.limit;
+    this.list.classList.toggle("fixed", this.#fixed);
+    this.addButton.hidden = this.#fixed || items.length >= this.limit;
     items.forEach((item, number) => {
       const area = item.querySelector("textarea");
       const [up, down, remove] = item.querySelectorAll("button");

@@ -6,6 +6,7 @@ const TOKEN_KEY = "t2m-token";
 const DEFAULT_WAIT = 5;
 
 export class ServerError extends Error {}
+export class LostConnection extends ServerError {}
 
 // A link can bring the token (`?token=...`). It then leaves the address, so that it is not copied with it.
 export function takeTokenFromAddress() {
@@ -37,7 +38,7 @@ async function errorText(response) {
   return `The server answered with status ${response.status}.`;
 }
 
-function pause(seconds, signal) {
+export function pause(seconds, signal) {
   return new Promise((resolve, reject) => {
     const timer = setTimeout(resolve, 1000 * seconds);
     signal?.addEventListener("abort", () => {
@@ -54,7 +55,7 @@ async function fetchOnce(path, options) {
     return await fetch(path, { ...options, headers });
   } catch (error) {
     if (options.signal?.aborted) throw error;
-    throw new ServerError("The server cannot be reached.");
+    throw new LostConnection("The server cannot be reached.");
   }
 }
 
@@ -87,19 +88,37 @@ function parseEvent(block) {
   return fields.event ? { name: fields.event.trim(), data: JSON.parse(fields.data) } : null;
 }
 
+// A request goes on under its key if the page is left. Only those who know the key can ask for it.
+export const randomKey = () => [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
+
 // Yields the server-sent events {name, data} of a request for motions, up to the last one.
-export async function* requestMotions(request, { signal, onWait }) {
-  const response = await send("motions", { ...asJson(request), signal }, onWait);
+export async function* requestMotions(key, request, { signal, onWait }) {
+  yield* readEvents(await send(`motions?keep=${key}`, { ...asJson(request), signal }, onWait), signal);
+}
+
+// Yields all events of a request that was sent before.
+export async function* followMotions(key, { signal }) {
+  yield* readEvents(await send(`motions/${key}`, { signal }), signal);
+}
+
+// Tells the server that nobody needs the motions any more, or that they are stored here.
+export async function forgetMotions(key) {
+  await send(`motions/${key}`, { method: "DELETE", keepalive: true }).catch(() => {}); // it forgets them by itself, later
+}
+
+async function* readEvents(response, signal) {
   const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
   let text = "";
   for (;;) {
     const { value, done } = await reader.read().catch((error) => {
-      throw signal.aborted ? error : new ServerError("The connection to the server was lost.");
+      throw signal.aborted ? error : new LostConnection("The connection to the server was lost.");
     });
-    if (done) return;
+    if (done) throw new LostConnection("The connection ended before the motion was ready.");
     const blocks = (text + value).split("\n\n");
     text = blocks.pop();
-    yield* blocks.map(parseEvent).filter(Boolean);
+    const events = blocks.map(parseEvent).filter(Boolean);
+    yield* events;
+    if (events.some(({ name }) => name === "done" || name === "failed")) return;
   }
 }
 

@@ -31,9 +31,10 @@ export class Session extends EventTarget {
   }
 }
 
-export function makeTake({ kind, request, scene, motions, warning = "" }) {
+// `steps` say how it was made (see recipe.js); null if nobody can make it again.
+export function makeTake({ id, kind, request, scene, motions, warning = "", steps = null }) {
   const created = Date.now();
-  return { id: `${created}-${Math.random()}`, created, kind, request, scene, motions, warning };
+  return { id: id ?? `${created}-${Math.random()}`, created, kind, request, scene, motions, warning, steps };
 }
 
 // The sentences that a motion shows one after the other.

@@ -48,11 +48,11 @@ export class Store {
     return this.#write((entries, takes) => [entries.put(entry), takes.put(take)]);
   }
 
-  delete(id) {
-    return this.#write((entries, takes) => [entries.delete(id), takes.delete(id)]);
+  change(changed) {
+    return this.#write((entries) => changed.map((entry) => entries.put(entry)));
   }
 
-  clear() {
-    return this.#write((entries, takes) => [entries.clear(), takes.clear()]);
+  delete(unwanted) {
+    return this.#write((entries, takes) => unwanted.map(({ id }) => [entries.delete(id), takes.delete(id)]));
   }
 }

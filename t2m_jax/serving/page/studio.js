@@ -6,13 +6,16 @@ import { DownloadPanel } from "./download.js";
 import { Generation } from "./generation.js";
 import { History } from "./history.js";
 import { listenForKeys } from "./keys.js";
+import { listenForCopies, openLink, shareSelected } from "./link.js";
 import { MakePanel } from "./make.js";
+import { recall, remember } from "./memory.js";
 import { listenForFiles } from "./openfile.js";
 import { Player } from "./player.js";
 import { fetchModel, takeTokenFromAddress } from "./server.js";
 import { Session } from "./session.js";
 import { TakeBar } from "./takebar.js";
 import { Timeline } from "./timeline.js";
+import { UndoStack } from "./undo.js";
 import { showWords } from "./words.js";
 
 async function start() {
@@ -22,26 +25,33 @@ async function start() {
   find("about").textContent = `Model: ${model.name}, ${model.license}`;
 
   const session = new Session();
+  const undo = new UndoStack();
   const stage = new T2M.Stage(find("stage"));
   const player = new Player(stage, session);
   const timeline = new Timeline(stage, session, player);
   const comparison = new Comparison(session);
-  const history = new History(session, async (entry) => comparison.choose(await history.take(entry.id)));
-  const showNew = (take) => {
-    session.show(take);
-    history.add(take);
+  const history = new History(session, undo, async (entry) => comparison.choose(await history.take(entry.id)));
+  const make = new MakePanel(session, model, undo, (request, kind, base) => generation.run(request, kind, base));
+  const addTake = (take, draft) => add(take, draft, { session, history, make, undo });
+  const generation = new Generation({ session, stage, onDone: (take) => addTake(take, make.forgetDraft(take.kind)) });
+  const actions = {
+    rename: () => withEntry((entry) => history.rename(entry)),
+    duplicate: () => withEntry(async (entry) => session.show(await history.duplicate(entry))),
+    delete: () => withEntry((entry) => history.delete([entry.id], "delete")),
+    share: () => shareSelected(session),
   };
-  const generation = new Generation({ session, stage, model, onDone: (take) => {
-    make.forgetDraft(take.kind);
-    showNew(take);
-  } });
-  const make = new MakePanel(session, model, (request, kind) => generation.run(request, kind));
-  new TakeBar(session, { onReuseSeed: (seed) => make.reuseSeed(seed), onKeep: showNew });
-  new DownloadPanel(session, model, showNew);
+  const withEntry = (action) => {
+    const entry = history.find(session.take?.id);
+    return entry && action(entry).catch((error) => showMessage(`This cannot be done: ${error.message}.`));
+  };
+  new TakeBar(session, history, { ...actions, onReuseSeed: (seed) => make.reuseSeed(seed), onKeep: addTake });
+  new DownloadPanel(session, model, addTake);
   showWords(model, (word) => make.sentences.insert(word));
-  listenForFiles(model, showNew);
-  listenForKeys({ player, timeline, session, stage, make, generation, comparison });
+  listenForFiles(model, addTake);
+  listenForCopies();
+  listenForKeys({ player, timeline, session, stage, make, generation, comparison, undo, actions });
   find("then").addEventListener("click", () => make.continueMotion());
+  find("replace-sentence").addEventListener("click", () => make.replaceSentence());
   find("help-button").addEventListener("click", () => find("help").showModal());
   session.onChange(["take"], clearMessage);
   stage.onchange = () => {
@@ -49,6 +59,51 @@ async function start() {
     timeline.update();
   };
   await history.open();
+  await showFormer(session, history);
+  make.resume();
+  const followLink = () => openLink({ generation, make, session, onDone: addTake });
+  addEventListener("hashchange", followLink);
+  await followLink();
+  await generation.resume();
+}
+
+// Adds a new take to the history and shows it; undone, what was there before comes back.
+function add(take, draft, { session, history, make, undo }) {
+  const former = { take: session.take, selected: session.selected, span: session.span };
+  const stored = history.add(take);
+  session.show(take);
+  undo.dropDrafts();
+  undo.push({
+    name: "new motion",
+    undo: async () => {
+      await history.change([take.id], { deleted: Date.now() });
+      if (session.take === take) {
+        session.show(former.take, former.selected);
+        session.setSpan(former.span);
+      }
+      if (draft) make.setDraft(take.kind, draft);
+    },
+    redo: async () => {
+      await history.change([take.id], { deleted: null });
+      if (draft) make.forgetDraft(take.kind);
+      session.show(take);
+    },
+  });
+  return stored;
+}
+
+// Shows the motion that was selected when the page was left, and keeps which one is.
+async function showFormer(session, history) {
+  const former = recall("selection");
+  session.onChange(["take", "select", "span"], () => {
+    const { take, selected, span } = session;
+    if (history.find(take?.id)) remember("selection", { id: take.id, selected, span });
+  });
+  if (!history.find(former?.id)) return;
+  const take = await history.take(former.id).catch(() => null);
+  if (take === null) return;
+  session.show(take, former.selected);
+  session.setSpan(former.span);
 }
 
 start().catch((error) => showMessage(`The studio cannot start: ${error.message}`));

@@ -84,6 +84,15 @@ export class Timeline {
     this.#drawSpan();
   }
 
+  // The place of the sentence whose part is the span, or null.
+  #selectedPart() {
+    const { motion, span } = this.session;
+    if (!span || motion.part_starts.length < 2 || this.session.take.kind === "comparison") return null;
+    const [first, last] = span.map((time) => Math.round(time * motion.fps));
+    const place = motion.part_starts.indexOf(first);
+    return place >= 0 && last === (motion.part_starts[place + 1] ?? motion.frames) ? place : null;
+  }
+
   #drawRuler() {
     const step = RULER_STEPS.find((one) => this.length / one <= MOST_TICKS) ?? this.length;
     const count = this.length ? Math.floor(this.length / step) + 1 : 0;
@@ -120,6 +129,9 @@ export class Timeline {
     const span = this.#shownSpan;
     this.track.classList.toggle("trimmed", this.session.span !== null);
     find("whole").disabled = this.session.span === null;
+    const part = this.#selectedPart();
+    find("replace-sentence").hidden = part === null;
+    find("replace-sentence").textContent = `Replace sentence ${part + 1}`;
     this.track.style.setProperty("--begin", this.#fraction(span[0]));
     this.track.style.setProperty("--end", this.#fraction(span[1]));
     this.handles.forEach((handle, side) => {

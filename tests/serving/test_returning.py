@@ -1,0 +1,86 @@
+"""What the page of the studio still has when somebody comes back to it."""
+
+import pytest
+
+from tests.export.test_viewer import browser, wait_until  # noqa: F401 - a fixture
+from tests.serving.test_hasty_users import SLOW_STREAM
+from tests.serving.test_page import WALK, WAVE, address, expect, generate, open_studio  # noqa: F401 - fixtures
+
+pytestmark = pytest.mark.slow
+
+
+def test_a_reload_keeps_the_draft_the_settings_and_the_selection(open_studio):  # noqa: F811
+    page = open_studio()
+    generate(page, WAVE)
+    generate(page, WALK, samples=2, takes=2)
+    page.locator(".stage-caption").nth(1).click()
+    page.get_by_role("spinbutton", name="Begin").fill("0.2")
+    page.get_by_role("radio", name="Redo part").check(force=True)
+    page.get_by_role("textbox", name="Sentence").fill("a draft")
+    page.get_by_text("More options").click()
+    page.get_by_role("spinbutton", name="Top k").fill("20")
+    page.get_by_role("radio", name="BVH").check(force=True)
+    page.get_by_role("checkbox", name="Mirrored").check()
+    page.get_by_role("combobox", name="Speed", exact=True).select_option("0.5")
+    page.reload()
+    expect(page.locator("#take-title")).to_have_text(WALK)
+    expect(page.locator("#take-facts")).to_contain_text("2 of 2")
+    expect(page.locator("#begin")).to_have_value("0.20")
+    expect(page.get_by_role("radio", name="Redo part")).to_be_checked()
+    expect(page.get_by_role("textbox", name="Sentence")).to_have_value("a draft")
+    expect(page.get_by_role("textbox", name="Seed")).to_have_value("7")
+    expect(page.get_by_role("combobox", name="Samples")).to_have_value("2")
+    expect(page.locator("[data-field=top_k]")).to_have_value("20")
+    expect(page.get_by_role("button", name="Download BVH")).to_be_visible()
+    expect(page.get_by_role("checkbox", name="Mirrored")).to_be_checked()
+    expect(page.get_by_role("combobox", name="Speed", exact=True)).to_have_value("0.5")
+    page.get_by_role("radio", name="New").check(force=True)
+    expect(page.get_by_role("textbox", name="Sentence")).to_have_value(WALK)  # what was sent is no draft
+
+
+def test_a_motion_that_is_made_is_found_again(open_studio):  # noqa: F811
+    page = open_studio()
+    page.get_by_role("textbox", name="Sentence").fill(WALK)
+    page.get_by_role("spinbutton", name="Seconds").fill("60")
+    page.keyboard.press("Enter")
+    expect(page.locator("#status")).to_have_text("Generating …")
+    page.reload()
+    expect(page.locator("#take-title")).to_have_text(WALK, timeout=60_000)
+    expect(page.locator(".take")).to_have_count(1)
+    page.reload()
+    expect(page.locator("#take-title")).to_have_text(WALK)
+    expect(page.get_by_role("button", name="Generate", exact=True)).to_be_visible()
+    expect(page.locator(".take")).to_have_count(1)
+
+
+def test_a_motion_that_the_server_lost_is_told(open_studio):  # noqa: F811
+    page = open_studio(may_fail=["404"])
+    page.route("**/motions?*", lambda route: None)
+    page.get_by_role("textbox", name="Sentence").fill(WALK)
+    page.keyboard.press("Enter")
+    page.reload()
+    expect(page.get_by_role("alert")).to_contain_text("no longer has this motion")
+    expect(page.get_by_role("textbox", name="Sentence")).to_have_value(WALK)
+    expect(page.get_by_role("button", name="Generate", exact=True)).to_be_visible()
+
+
+def test_the_share_and_the_time_left_are_shown(open_studio):  # noqa: F811
+    page = open_studio()
+    page.evaluate(SLOW_STREAM)
+    for number, sentence in enumerate((WALK, WAVE, WALK, WAVE)):
+        if number:
+            page.locator("#add-sentence").click()
+        page.locator("#sentences textarea").last.fill(sentence)
+    page.keyboard.press("Enter")
+    bar, left = page.get_by_role("progressbar", name="Generation"), page.locator("#time-left")
+    wait_until(page, "window.next !== undefined")
+    page.evaluate("window.next('event: started')")
+    assert bar.get_attribute("aria-valuenow") is None
+    expect(left).to_contain_text(" s so far")
+    page.evaluate("window.next('event: progress')")  # after the first of four sentences
+    share = int(bar.get_attribute("aria-valuenow"))
+    assert 10 < share < 25
+    expect(left).to_contain_text(f"{share} % done, about")
+    page.evaluate("window.next('event: done')")
+    expect(left).to_be_empty()
+    expect(bar).to_be_hidden()
