@@ -1,7 +1,6 @@
 """Data sets: folders of clips with captions, importers that make them, checks, and batches on the device."""
 
 from t2m_jax.data.audit import audit_dataset
-from t2m_jax.data.banks.motions import batch_at, make_bank
 from t2m_jax.data.folder import Clip, Dataset, DatasetInfo, open_dataset
 from t2m_jax.data.importers.bandai_namco import import_bandai_namco
 from t2m_jax.data.importers.bvh import import_bvh_folder
@@ -19,13 +18,11 @@ __all__ = [
     "ImportReport",
     "IndexEntry",
     "audit_dataset",
-    "batch_at",
     "finish_folder",
     "import_bandai_namco",
     "import_bvh_folder",
     "import_humanml3d",
     "load_index",
-    "make_bank",
     "make_motion",
     "new_folder",
     "open_dataset",

@@ -7,7 +7,7 @@ from t2m_jax.train.gpt import TrainGptConfig
 from t2m_jax.train.hifigpt import TrainHiFiGptConfig
 from t2m_jax.train.optimizer import OptimizerConfig
 from t2m_jax.train.shipped import load_preset
-from t2m_jax.train.vqvae import init_vqvae_state, vqvae_train_step
+from t2m_jax.train.vqvae import vqvae_train_step
 from t2m_jax.train.vqvae_config import TrainRvqVaeConfig, TrainVqVaeConfig
 
 __all__ = [
@@ -21,7 +21,6 @@ __all__ = [
     "TrainRvqVaeConfig",
     "TrainVqVaeConfig",
     "Trainer",
-    "init_vqvae_state",
     "load_preset",
     "train",
     "vqvae_train_step",
