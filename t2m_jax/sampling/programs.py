@@ -205,7 +205,11 @@ def encode_motion(tokenizer: TrainedTokenizer, motion: Motion, skeleton: Skeleto
         # Only motion as decoded or of a data set has features. They are lost with a change, such as of the rate.
         positions = motion.resampled(skeleton.fps).positions / skeleton.metres_per_unit
         features = features_from_positions(positions, skeleton)
-    if len(features) < tokenizer.config.downsample:
-        frames = tokenizer.config.downsample
-        raise UserError(f"motion: {len(features)} frames at {skeleton.fps:g} a second; a code needs {frames}")
+    size = tokenizer.config.downsample
+    if len(features) < size:
+        raise UserError(f"motion: {len(features)} frames at {skeleton.fps:g} a second; a code needs {size}")
+    missing = -len(features) % size
+    if motion.features is None and missing <= size // 2:
+        # Positions give one row of features less than frames, so a file of whole codes would lose its last one.
+        features = np.pad(features, ((0, missing), (0, 0)), mode="edge")
     return encode_motions(tokenizer, [features], progress=False)[0]

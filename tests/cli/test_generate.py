@@ -94,7 +94,7 @@ def test_a_middle_and_variations_of_a_file(refusal, bundle_folder, tmp_path, cap
     assert main([*command, "--vary", "0.5", "-o", f"{tmp_path / 'vary.npz'}"]) == 0
     assert load_motion(tmp_path / "vary.npz").caption == "a person waves"
     capsys.readouterr()
-    said = "span: 1 to 9 s is not a part of the time from 0 to 2.8 s, where the motion ends"
+    said = "span: 1 to 9 s is not a part of the time from 0 to 3.0 s, where the motion ends"
     assert said in refusal(*command, "--redo", "1:9", "-o", f"{tmp_path / 'x.npz'}")
     assert not (tmp_path / "x.npz").exists()
 

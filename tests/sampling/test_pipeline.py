@@ -149,7 +149,7 @@ def test_motion_is_cleaned_unless_it_is_wanted_as_decoded(model, eight):
 
 
 def test_a_motion_is_encoded_from_its_features_or_its_positions(model):
-    walk = Motion(make_motion("walk", seed=1, num_frames=60), 20.0)
+    walk = Motion(make_motion("walk", seed=1, num_frames=61), 20.0)
     again = model.encode(walk)
     (expected,) = encode_motions(model.tokenizer, [features_from_positions(walk.positions, HUMANML3D)], progress=False)
     np.testing.assert_array_equal(again, expected)
@@ -158,6 +158,14 @@ def test_a_motion_is_encoded_from_its_features_or_its_positions(model):
     generated = model.generate(CAPTIONS[0], raw=True)[0]
     (expected,) = encode_motions(model.tokenizer, [generated.features], progress=False)
     np.testing.assert_array_equal(model.encode(generated), expected)
+
+
+@pytest.mark.parametrize("count", [57, 58, 59, 60])
+def test_the_end_of_a_file_is_encoded(model, count):
+    """Its rows of codes are as long as the motion, up to half a row."""
+    walk = Motion(make_motion("walk", seed=1, num_frames=count), 20.0)
+    row = model.config.tokenizer.downsample
+    assert abs(len(model.encode(walk)) * row - count) <= row / 2
 
 
 def test_motions_that_cannot_be_encoded_are_refused(model):
