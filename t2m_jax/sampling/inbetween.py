@@ -192,9 +192,9 @@ def vary(
         firsts = part_rows(model, request.start, len(codes))
         # Sentences that begin in one row of codes are too short to be told apart; the last one stays.
         parts = list(dict(zip([0, *firsts[1:]], prompts, strict=True)).items())
-    for keys, count in batches_of_keys(request.seed, prompts[0], request.num_samples):
-        segments = variation_segments(codes, parts, keys, strength=request.strength, limit=most_rows(model))
-        yield make_batch(model, request, segments, keys, count, start=None, sampling=sampling, tell=tell)
+    for batch in batches_of_keys(request.seed, prompts[0], request.num_samples):
+        segments = variation_segments(codes, parts, batch.keys, strength=request.strength, limit=most_rows(model))
+        yield make_batch(model, request, segments, batch, start=None, sampling=sampling, tell=tell)
 
 
 def variation_segments(

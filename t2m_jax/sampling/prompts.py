@@ -77,8 +77,18 @@ def sample_key(seed: int, caption: str, sample: int) -> Key[Array, ""]:
     return jax.random.fold_in(key, sample)
 
 
-def batches_of_keys(seed: int, prompt: Prompt, num_samples: int) -> Iterator[tuple[Key[Array, " B"], int]]:
-    """Yields the keys of each batch of samples, filled up with the first one, and how many samples it has."""
+class KeyBatch(NamedTuple):
+    """The keys of samples that are generated together."""
+
+    keys: Key[Array, " B"]
+    """Filled up with the first one."""
+    num_samples: int
+    """Without those that fill it up."""
+
+
+def batches_of_keys(seed: int, prompt: Prompt, num_samples: int) -> Iterator[KeyBatch]:
+    """Yields the keys of each batch of samples."""
     for first in range(0, num_samples, MAX_BATCH):
         samples = range(first, min(first + MAX_BATCH, num_samples))
-        yield jnp.stack(fill_up([sample_key(seed, prompt.text, number) for number in samples])), len(samples)
+        keys = jnp.stack(fill_up([sample_key(seed, prompt.text, number) for number in samples]))
+        yield KeyBatch(keys, len(samples))

@@ -15,7 +15,7 @@ from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling.decode import Codes, decode_sentences
 from t2m_jax.sampling.loop import Given, Sampling
 from t2m_jax.sampling.model import ModelParts
-from t2m_jax.sampling.prompts import Prompt, batches_of_keys
+from t2m_jax.sampling.prompts import KeyBatch, Prompt, batches_of_keys
 from t2m_jax.sampling.request import MotionRequest
 
 CONTEXT_SECONDS = 0.4
@@ -96,8 +96,8 @@ def make_chain(
 ) -> Iterator[list[Motion]]:
     """Yields the motions that show sentences one after the other, in batches. For `tell`, see `make_batch`."""
     segments, start = _read_chain(model, request, prompts)
-    for keys, count in batches_of_keys(request.seed, prompts[0], request.num_samples):
-        yield make_batch(model, request, segments, keys, count, start=start, sampling=sampling, tell=tell)
+    for batch in batches_of_keys(request.seed, prompts[0], request.num_samples):
+        yield make_batch(model, request, segments, batch, start=start, sampling=sampling, tell=tell)
 
 
 def make_chain_pieces(
@@ -105,10 +105,10 @@ def make_chain_pieces(
 ) -> Iterator[Motion]:
     """Returns an iterator over the first motion of `make_chain`, as decoded, while its codes are sampled."""
     segments, start = _read_chain(model, request, prompts)
-    ((keys, _),) = batches_of_keys(request.seed, prompts[0], 1)
+    (batch,) = batches_of_keys(request.seed, prompts[0], 1)
     scale = request.options.guidance_scale
     codes = None if start is None else start.codes
-    found = sample_segments(model, segments, keys, start=codes, sampling=sampling, guidance_scale=scale)
+    found = sample_segments(model, segments, batch.keys, start=codes, sampling=sampling, guidance_scale=scale)
     return stream_segments(model, segments, (own for own, *_ in found), start=start, seed=request.seed)
 
 
@@ -125,25 +125,24 @@ def make_batch(
     model: ModelParts,
     request: MotionRequest,
     segments: Sequence[Segment],
-    keys: Key[jax.Array, " B"],
-    count: int,
+    batch: KeyBatch,
     *,
     start: Start | None,
     sampling: Sampling,
     tell: Tell,
 ) -> list[Motion]:
-    """Returns the motions of segments for the first `count` keys; `tell` learns how many of them are done."""
+    """Returns the motions of segments for a batch of keys; `tell` learns how many of them are done."""
     scale = request.options.guidance_scale
     codes = None if start is None else start.codes
     sampled = []
-    for own in sample_segments(model, segments, keys, start=codes, sampling=sampling, guidance_scale=scale):
+    for own in sample_segments(model, segments, batch.keys, start=codes, sampling=sampling, guidance_scale=scale):
         sampled.append(own)
-        tell(count * SAMPLING_SHARE * len(sampled) / len(segments))
+        tell(batch.num_samples * SAMPLING_SHARE * len(sampled) / len(segments))
     motions = []
-    for codes_of_one in itertools.islice(zip(*sampled, strict=True), count):
+    for codes_of_one in itertools.islice(zip(*sampled, strict=True), batch.num_samples):
         raw = request.options.raw
         motions.append(join_segments(model, segments, codes_of_one, start=start, seed=request.seed, raw=raw))
-        tell(count * SAMPLING_SHARE + len(motions) * (1 - SAMPLING_SHARE))
+        tell(batch.num_samples * SAMPLING_SHARE + len(motions) * (1 - SAMPLING_SHARE))
     return motions
 
 
