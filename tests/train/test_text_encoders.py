@@ -79,7 +79,7 @@ def test_a_run_is_resumed_with_its_encoder_only(trained):
 
 @pytest.mark.parametrize(("kind", "folder"), [("sentence", BERT), ("clip", TEXT_ONLY)])
 def test_another_width_is_refused_before_clips_are_encoded(kind, folder, runs, tmp_path, monkeypatch):
-    monkeypatch.setattr("t2m_jax.train.generator.encode_clips", None)
+    monkeypatch.setattr("t2m_jax.train.tokenize.encode_clips", None)
     config = dataclasses.replace(training(kind, folder, runs, tmp_path / "run"), model=GPT)
     with pytest.raises(UserError, match=r"has embeddings of 24 numbers, but the \w+ reads 12") as caught:
         train(config)
