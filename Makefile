@@ -82,7 +82,7 @@ test: $(VENV)/.dev
 	$(BIN)/python -m pytest $(FAST) $(or $(PYTEST_ARGS),$(BY_FILE))
 
 test-slow: $(SLOW_VENV)/.dev
-	$(SLOW_VENV)/bin/python -m pytest -m slow $(or $(PYTEST_ARGS),-n 2)
+	$(SLOW_VENV)/bin/python -m pytest -m slow $(or $(PYTEST_ARGS),$(BY_FILE))
 
 test-lowest test-python3.11 test-python3.12 test-python3.13: test-%: .venv-%/.dev
 	.venv-$*/bin/python -m pytest $(FAST) $(or $(PYTEST_ARGS),$(BY_FILE))

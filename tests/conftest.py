@@ -37,7 +37,8 @@ PROGRAMS = "T2M_JAX_TEST_PROGRAMS"
 """The environment variable that says where compiled programs are; by default in the cache of pytest."""
 LONGEST = (
     *("test_wheel", "test_processes", "test_viewer", "test_server", "test_evaluation", "test_repeats", "test_hifigpt"),
-    *("test_warm_start", "test_fuzz", "test_steps", "test_resume", "test_pipeline", "test_generate"),
+    *("test_warm_start", "test_fuzz", "test_steps", "test_resume", "test_pipeline", "test_generate", "test_compiled"),
+    *("test_notebooks", "test_page", "test_stranger", "test_inbetween", "test_timeline"),
 )
 """Files of tests that take longest."""
 MEMORY_LIMIT = 1_500_000_000

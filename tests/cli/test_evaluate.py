@@ -17,6 +17,7 @@ from t2m_jax.evaluation.prompts.catalog import prompt_tests
 from t2m_jax.evaluation.report.record import Header, Metric, Report
 
 
+@pytest.mark.slow
 def test_reconstruction_writes_json(bundle_folder, data_folder, tmp_path, capsys):
     output = tmp_path / "figures.json"
     arguments = ["--model", f"{bundle_folder}", "--data", f"{data_folder}", "--json", f"{output}"]

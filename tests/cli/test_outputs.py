@@ -70,6 +70,7 @@ def test_generate_does_not_write_what_another_process_writes(bundle_folder, tmp_
     assert not (tmp_path / "a-1.npz").exists()
 
 
+@pytest.mark.slow
 def test_the_audit_of_data_names_the_file_that_it_replaces(data_folder, tmp_path, replaced):
     path = tmp_path / "report.json"
     for expected in ([], ["report.json"]):

@@ -8,7 +8,7 @@ from tests.fuzz import attack
 from tests.fuzz.soak import CORPUS
 from tests.fuzz.targets import FILES, FOLDERS, make_files
 
-INPUTS = 60
+INPUTS = 30
 FOLDER_INPUTS = 15
 FLIPS = 10
 """Of each target: some seconds for all."""

@@ -107,6 +107,7 @@ def test_masked_rows_change_nothing(update):
     assert expected.code_counts.sum() == 3 * MASK.sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ema_reset", "ema", "reset"])
 def test_one_depth_is_the_plain_layer_bit_for_bit(kind):
     """Against the formulas of T2M-GPT's layer, without any loop over depths."""

@@ -196,6 +196,7 @@ def test_a_lock_fades_in_and_out():
     assert np.abs(np.diff(shift[29:40])).max() < 0.02
 
 
+@pytest.mark.slow
 def test_a_lock_is_as_gentle_at_a_higher_rate():
     """In a step of the walk, the foot changes its speed by no more than with three times fewer frames."""
     slow = walk(seed=1)

@@ -29,6 +29,8 @@ from tests.export.test_html import Elements
 from tests.hub_server import TOKEN
 from tests.tiny import BUNDLE, LOOP, gpt_training, vqvae_training
 
+pytestmark = pytest.mark.slow
+
 PROMPTS = ["a person walks forward", "a person waves with the left hand"]
 
 
@@ -156,7 +158,6 @@ def test_users_of_the_original_can_check_a_run(runs, tmp_path):
     assert load_bundle(tmp_path / "out").config == BUNDLE
 
 
-@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::t2m_jax.text.coverage.PromptWarning")
 def test_half_precision_changes_little(model, bundle_folder):
     passed_on = TextToMotion.load(bundle_folder)

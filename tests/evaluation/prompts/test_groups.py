@@ -70,6 +70,7 @@ def test_sentences_say_how_fast(tests_of_pace):
         assert all(sentence.endswith(phrases) for sentence in test.sentences)
 
 
+@pytest.mark.slow
 def test_a_content_without_clips_is_named(dataset):
     with pytest.raises(UserError, match="no training clip has the label 'run'"):
         pace_tests(dataset)
@@ -104,6 +105,7 @@ def test_other_skeletons_are_refused():
             test.holds(motion)
 
 
+@pytest.mark.slow
 def test_data_of_another_skeleton_are_refused(dataset):
     other = dataclasses.replace(dataset, skeleton=KIT_ML)
     for make_tests in (pace_tests, manner_tests):
