@@ -19,6 +19,9 @@ from tests.serving.conftest import running_server
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 expect = playwright.expect
+WAIT = 30_000
+"""Milliseconds in which a page must do something, on a machine whose cores draw and run other tests."""
+expect.set_options(timeout=WAIT)
 
 pytestmark = pytest.mark.slow
 WIDE, PHONE = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
@@ -42,7 +45,7 @@ def open_studio(browser, address):  # noqa: F811
         if beside is None:
             contexts.append(browser.new_context(viewport=viewport, **({"reduced_motion": "reduce"} | options)))
         context = contexts[-1] if beside is None else beside.context
-        context.set_default_timeout(10_000)
+        context.set_default_timeout(WAIT)
         page = context.new_page()
         page.on("console", lambda message: troubles.append(message.text) if message.type == "error" else None)
         page.on("pageerror", lambda error: troubles.append(str(error)))
