@@ -7,7 +7,7 @@ const JOINED_MS = 1000; // typing without a longer pause is undone at once
 export class UndoStack {
   #done = [];
   #undone = [];
-  #isBusy = false;
+  #last = Promise.resolve(); // a key that is pressed while an action is undone waits for it
 
   constructor() {
     find("undo").addEventListener("click", () => this.undo());
@@ -47,17 +47,20 @@ export class UndoStack {
     return this.#move(this.#undone, this.#done, "redo");
   }
 
-  async #move(from, to, verb) {
-    if (this.#isBusy || from.length === 0) return;
+  #move(from, to, verb) {
+    this.#last = this.#last.then(() => this.#step(from, to, verb));
+    return this.#last;
+  }
+
+  async #step(from, to, verb) {
+    if (from.length === 0) return;
     const action = from.pop();
-    this.#isBusy = true;
     try {
       await action[verb]();
       to.push({ ...action, key: null });
     } catch (error) {
       showMessage(`This cannot be ${verb === "undo" ? "undone" : "done again"}: ${error.message}.`);
     } finally {
-      this.#isBusy = false;
       this.#show();
     }
   }
