@@ -79,6 +79,7 @@ def test_two_tabs_have_one_history(open_studio):  # noqa: F811
     generate(page, WALK)
     expect(other.locator(".take-caption")).to_have_text([WALK])
     other.locator(".take-open").click()
+    expect(other.locator("#take-title")).to_have_text(WALK)
     other.keyboard.press("n")
     other.get_by_role("textbox", name="Name").fill("ours")
     other.keyboard.press("Enter")
