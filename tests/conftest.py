@@ -15,7 +15,7 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 # optimizations. The tests in user_settings/ turn them on again.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
 if tuple(map(int, version("jaxlib").split(".")[:2])) < (0, 11):
-    # The older of two ways to compile, with which it takes less than half of the time. Later versions do not have it.
+    # The older of two ways to compile, with which it takes less than half of the time. JAX 0.12 does not have it.
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 # A path that does not exist may look like a name on the hub. No test asks the real one.
 os.environ["HF_HUB_OFFLINE"] = "1"

@@ -151,7 +151,8 @@ def push_model(
         raise UserError(f"{name}: the model has no license; give a card that begins with {_LICENSED!r}")
     reference = pretrained_reference(model.config.text_encoder)
     encoder = included_encoder(model.config.text_encoder)
-    if reference is not None and encoder is not None:  # its name may be a folder on this machine
+    # The name of a folder of this machine says nothing to others.
+    if reference is not None and encoder is not None and Path(reference.name).is_dir():
         named = with_encoder_name(model.config.text_encoder, type(reference)().name)
         model = model._replace(config=dataclasses.replace(model.config, text_encoder=named))
     with tempfile.TemporaryDirectory() as folder:

@@ -5,14 +5,12 @@ the files `train.csv`, `val.csv` and `evaluation.csv` of the runs. It needs the 
 """
 
 import argparse
-import csv
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from t2m_jax.cli.options import show_next
 from t2m_jax.errors import UserError, printable
-from t2m_jax.files.reading import reading
 
 if TYPE_CHECKING:
     from t2m_jax.evaluation.report.charts import MetricCurve
@@ -47,15 +45,17 @@ def load_curves(run: Path, metric: str) -> "dict[str, MetricCurve]":
     Raises:
         UserError: The folder has no logs, no log has this metric, or one is damaged.
     """
+    from t2m_jax.train.log import whole_lines
+
     curves: dict[str, MetricCurve] = {}
     known: set[str] = set()
     for split in SPLITS:
         path = run / f"{split}.csv"
         if path.is_file():
-            rows = _load_rows(path)
-            known |= set(rows[0]) if rows else set()
-            if rows and metric in rows[0]:
-                curves[split] = _curve(path, rows, metric)
+            header, *rows = (line.rstrip("\n").split(",") for line in whole_lines(path))
+            known |= set(header) if rows else set()
+            if rows and metric in header:
+                curves[split] = _curve(path, rows, header.index(metric), metric)
     if not known:
         raise UserError(f"{run}: has no logs of a training (train.csv); give the folder of a run that has begun")
     if not curves:
@@ -63,15 +63,10 @@ def load_curves(run: Path, metric: str) -> "dict[str, MetricCurve]":
     return curves
 
 
-def _load_rows(path: Path) -> list[dict[str, str]]:
-    with reading(path), path.open(encoding="utf-8", newline="") as lines:
-        return list(csv.DictReader(lines))
-
-
-def _curve(path: Path, rows: list[dict[str, str]], metric: str) -> "MetricCurve":
+def _curve(path: Path, rows: list[list[str]], column: int, metric: str) -> "MetricCurve":
     from t2m_jax.evaluation.report.charts import MetricCurve
 
     try:
-        return MetricCurve([int(row["step"]) for row in rows], [float(row[metric]) for row in rows])
-    except (LookupError, TypeError, ValueError):
+        return MetricCurve([int(row[0]) for row in rows], [float(row[column]) for row in rows])
+    except ValueError:
         raise UserError(f"{path}: is damaged: a step or a value of {metric} is not a number") from None

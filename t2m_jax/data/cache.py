@@ -61,6 +61,8 @@ class CachedClips(NamedTuple):
     """Clip name -> number of caption lines that cannot be read, for clips that have such lines."""
     blocks: list[int]
     """Checksums of the blocks of `frames`."""
+    files: Mapping[str, int]
+    """Clip name -> checksum of its files."""
 
     @property
     def fingerprint(self) -> str:
@@ -212,8 +214,7 @@ def damage(path: Path, folder: Path, sources: Sources) -> str:
     damage in it does no harm and is not reported.
     """
     try:
-        load_cache(path, sources, None)
-        for name, checksum in load_json(path / INDEX, max_bytes=MAX_INDEX)["files"].items():
+        for name, checksum in load_cache(path, sources, None).files.items():
             if checksum != _files_checksum(folder, name):
                 return f"the files of clip {name} have changed since, with their size and time kept"
     except _StaleError:
@@ -262,7 +263,8 @@ def _clips_from_index(index: dict[str, Any], frames: Float[np.ndarray, "F D"]) -
         # Exact types: for `isinstance`, JSON's `true` is an `int`.
         sound &= type(name) is str and type(length) is int and length > 0
         sound &= all([type(field) for field in line] == [str, str, float, float] for line in lines)
-    for table, kind in ((index["left_out"], str), (index["broken_captions"], int)):
+    left_out, broken, files = (index[table] for table in ("left_out", "broken_captions", "files"))
+    for table, kind in ((left_out, str), (broken, int), (files, int)):
         sound &= isinstance(table, dict) and all(type(value) is kind for value in table.values())
     ends = list(itertools.accumulate((length for _, length, _ in index["clips"]), initial=0))
     if not sound or len(frames) != ends[-1]:
@@ -270,7 +272,7 @@ def _clips_from_index(index: dict[str, Any], frames: Float[np.ndarray, "F D"]) -
     names = [name for name, _, _ in index["clips"]]
     lines = {name: clip_lines for name, _, clip_lines in index["clips"]}
     spans = dict(zip(names, itertools.pairwise(ends), strict=True))
-    return CachedClips(frames, spans, lines, index["left_out"], index["broken_captions"], index["blocks"])
+    return CachedClips(frames, spans, lines, left_out, broken, index["blocks"], files)
 
 
 def _build(path: Path, folder: Path, sources: Sources, *, feature_dim: int) -> None:

@@ -16,7 +16,7 @@ from tensorboardX.event_file_writer import EventsWriter
 from tensorboardX.proto.event_pb2 import Event, SessionLog
 
 from t2m_jax.distributed import is_writer
-from t2m_jax.files.reading import reading
+from t2m_jax.files.reading import load_bytes
 from t2m_jax.files.writing import atomic_file, save_text, writing
 
 logger = logging.getLogger(__name__)
@@ -141,20 +141,30 @@ def _keep_rows(path: Path, last_step: int) -> list[str]:
     """
     if not path.exists():
         return []
-    with reading(path):
-        lines = path.read_bytes().decode(errors="replace").splitlines(keepends=True)
-    if lines and not (lines[0].startswith("step,") and lines[0].isascii()):
+    header, *rows = whole_lines(path)
+    if header and not (header.startswith("step,") and header.isascii()):
         aside = path.with_name(f"{path.name}.damaged")
         logger.warning("%s: its header is damaged; it is set aside as %s", path, aside.name)
         path.replace(aside)
         return []
-    # A crash or a full disk may have cut the last line.
-    whole = [line for line in lines[1:] if line.isascii() and line.endswith("\n")]
-    rows = [(line.split(",")[0], line) for line in whole if line.count(",") == lines[0].count(",")]
-    kept = [line for step, line in rows if step.isdecimal() and len(step) < 20 and int(step) <= last_step]
+    kept = [row for row in rows if int(row.partition(",")[0]) <= last_step]
     # Without rows, the columns of today are better than old ones.
     if not kept:
         path.unlink()
         return []
-    save_text(path, "".join([lines[0], *kept]))
-    return lines[0].strip().split(",")
+    save_text(path, "".join([header, *kept]))
+    return header.strip().split(",")
+
+
+def whole_lines(path: Path) -> list[str]:
+    """Returns the header of a log, empty if it has none, and the rows that have a step and all cells.
+
+    A crash or a full disk may have cut the last row.
+
+    Raises:
+        UserError: The file cannot be read.
+    """
+    header, *lines = load_bytes(path).decode(errors="replace").splitlines(keepends=True) or [""]
+    rows = [line for line in lines if line.isascii() and line.endswith("\n") and line.count(",") == header.count(",")]
+    steps = [row.partition(",")[0] for row in rows]
+    return [header, *(row for row, step in zip(rows, steps, strict=True) if step.isdecimal() and len(step) < 20)]

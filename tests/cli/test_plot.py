@@ -38,6 +38,12 @@ def test_several_runs_are_in_one_figure(run, tmp_path, monkeypatch, capsys):
     assert lines[3].get_ydata().tolist() == [1.75]
 
 
+def test_rows_that_a_crash_cut_are_left_out(run):
+    with (run / "train.csv").open("a") as file:
+        file.write("30,0.5,0.3,7\n\0\n40,1.25")
+    assert load_curves(run, "loss")["train"] == ([10, 20], [2.5, 1.5])
+
+
 def test_what_cannot_be_drawn_is_refused(run, refusal, tmp_path):
     output = ("-o", tmp_path / "curves.png")
     assert "its logs have no 'fid'; they have accuracy, loss" in refusal("plot", run, "--metric", "fid", *output)

@@ -112,4 +112,5 @@ def _make_part(name: str, rows: list[CaptionEntry]) -> TablePart:
         raise UserError(f"{rows[0].place}: split {known[SPLIT]!r} is not {', '.join(SPLITS)}")
     # The part is the whole clip now.
     captions = [caption._replace(start=0.0, end=0.0) for row in rows for caption in row.captions]
-    return TablePart(name, tuple(dict.fromkeys(captions)), rows[0].span, *known.values())
+    own = tuple(dict.fromkeys(captions))
+    return TablePart(name, own, rows[0].span, action=known[ACTION], person=known[PERSON], split=known[SPLIT])

@@ -7,7 +7,7 @@ const JOINED_MS = 1000; // typing without a longer pause is undone at once
 export class UndoStack {
   #done = [];
   #undone = [];
-  #last = Promise.resolve(); // a key that is pressed while an action is undone waits for it
+  #running = Promise.resolve(); // a key that is pressed while an action is undone waits for it
 
   constructor() {
     find("undo").addEventListener("click", () => this.undo());
@@ -48,8 +48,8 @@ export class UndoStack {
   }
 
   #move(from, to, verb) {
-    this.#last = this.#last.then(() => this.#step(from, to, verb));
-    return this.#last;
+    this.#running = this.#running.then(() => this.#step(from, to, verb));
+    return this.#running;
   }
 
   async #step(from, to, verb) {
