@@ -1,6 +1,5 @@
 import itertools
 import re
-import time
 from pathlib import Path
 
 import numpy as np
@@ -356,8 +355,6 @@ def test_a_published_clip_comes_closer_than_the_published_export(tmp_path, share
     assert INDEX["pelvis"] == 0
 
 
-SECONDS = 10.0
-"""Most processor time for one of these files. Each takes less than four, mostly because tests check all types."""
 ROOT = "HIERARCHY\nROOT j0\n{\nOFFSET 0 0 0\nCHANNELS 3 Xposition Yposition Zposition\n"
 FRAME = "}\nMOTION\nFrames: 1\nFrame Time: 0.05\n0 0 0\n"
 
@@ -390,13 +387,11 @@ def flat(count, *, prefix="j"):
     ],
     ids=["joints", "flat joints", "lines", "braces", "words", "frame time", "empty"],
 )
-def test_files_that_would_take_long_are_refused_at_once(tmp_path, text, says):
+def test_files_that_would_take_long_are_refused(tmp_path, text, says):
     path = tmp_path / "a.bvh"
     path.write_text(text)
-    start = time.process_time()
     with pytest.raises(UserError, match=re.escape(says)):
         load_bvh(path)
-    assert time.process_time() - start < SECONDS
 
 
 @pytest.mark.slow
@@ -409,8 +404,7 @@ def test_files_that_would_take_long_are_refused_at_once(tmp_path, text, says):
     ],
     ids=["flat joints", "end sites", "name of many words"],
 )
-def test_wide_figures_are_read_at_once(tmp_path, text, num_joints):
-    path, start = write(tmp_path, text), time.process_time()
-    clip = load_bvh(path)
-    assert time.process_time() - start < SECONDS
+def test_wide_figures_are_read(tmp_path, text, num_joints):
+    # A reader whose work grows with the square of the size needs hours for these.
+    clip = load_bvh(write(tmp_path, text))
     assert len(clip.joint_names) == num_joints
