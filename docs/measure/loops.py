@@ -19,8 +19,8 @@ from t2m_jax.errors import UserError
 from t2m_jax.evaluation import action_tests
 from t2m_jax.metrics.quality import measure_quality
 from t2m_jax.motion.features import positions_from_features
-from t2m_jax.motion.looping import keep_in_place
 from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.travel import above_origin
 from t2m_jax.sampling import TextToMotion
 
 CONTENTS = ("walk", "run", "wave-left-hand", "wave-right-hand", "wave-both-hands")
@@ -30,7 +30,7 @@ RATES = (20, 60)
 
 def seam(positions: Float[np.ndarray, "T J 3"], fps: float) -> tuple[float, float]:
     """Returns the largest differences of a joint at the seam: of places in place in mm, and of velocities in m/s."""
-    local = keep_in_place(positions)
+    local = above_origin(positions)
     before, after = 3 * local[-1] - 4 * local[-2] + local[-3], -3 * local[0] + 4 * local[1] - local[2]
     apart, faster = (np.linalg.norm(ends, axis=-1).max() for ends in (local[-1] - local[0], before - after))
     return 1000 * float(apart), float(faster) * fps / 2

@@ -47,7 +47,7 @@ class Changes:
     loop: bool = False
     """Whether the part that repeats best is kept and closed into a loop."""
     in_place: bool = False
-    """Whether the motion stays at its place: the root is above the origin."""
+    """Whether the motion stays around its place: it does not travel, and its hips sway as before."""
 
     def __post_init__(self) -> None:
         """Checks each field.

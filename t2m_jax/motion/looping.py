@@ -1,4 +1,4 @@
-"""Motion for games: without travel, and closed into a loop."""
+"""The part of a motion that repeats best, closed into a loop."""
 
 from typing import NamedTuple
 
@@ -10,6 +10,7 @@ from t2m_jax.motion.features import bone_vectors, positions_from_bones
 from t2m_jax.motion.joining import HORIZONTAL, SEAM_SECONDS, VELOCITY_SECONDS, Clip, fading_change
 from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
+from t2m_jax.motion.travel import above_origin
 
 LOOP_FPS = 60.0
 """Frame rate of a loop for which no other was asked, or more if the motion has more. At 20 frames a second, the feet of
@@ -39,11 +40,6 @@ class Loop(NamedTuple):
     """Root mean square over the joints, of their distance in meters and of the scaled difference of velocities."""
 
 
-def keep_in_place(positions: Clip) -> Clip:
-    """Returns a motion whose root stays above the origin. Heights and heading, and so contacts, keep their timing."""
-    return positions - positions[:, :1] * HORIZONTAL
-
-
 def find_loop(positions: Clip, *, fps: float) -> Loop:
     """Returns the best loop in a motion. Where it is and where it goes do not matter, but its heading does.
 
@@ -56,7 +52,7 @@ def find_loop(positions: Clip, *, fps: float) -> Loop:
         raise UserError(f"loop: the motion has {count / fps:.1f} s; more than {SHORTEST_SECONDS} s are needed")
     from scipy.spatial.distance import cdist  # here, because it takes long to import
 
-    poses = keep_in_place(positions)
+    poses = above_origin(positions)
     velocities = np.gradient(positions, axis=0) * fps
     accelerations = np.gradient(velocities, axis=0) * fps
     moments = np.concatenate([poses, velocities * VELOCITY_SECONDS, accelerations * ACCELERATION_SECONDS_2], axis=-1)

@@ -16,11 +16,12 @@ from t2m_jax.motion.cleanup import clean_motion
 from t2m_jax.motion.formats import load_motion, notebook_frame, save_motions
 from t2m_jax.motion.inverse_kinematics import fit_rig
 from t2m_jax.motion.joining import join_positions
-from t2m_jax.motion.looping import close_loop, find_loop, keep_in_place
+from t2m_jax.motion.looping import close_loop, find_loop
 from t2m_jax.motion.mirroring import mirror_caption, mirror_positions
 from t2m_jax.motion.paths import Route, follow, route_along, turned_route
 from t2m_jax.motion.resampling import check_speed, resample_positions
 from t2m_jax.motion.skeleton import HUMANML3D, Skeleton
+from t2m_jax.motion.travel import keep_in_place
 
 MAX_METERS = 1e6
 """Largest coordinate. Farther joints would jump in single precision, and their squares would overflow."""
@@ -224,8 +225,9 @@ class Motion:
         return self._edited(lambda positions: mirror_positions(positions, self.skeleton), **texts)
 
     def in_place(self) -> "Motion":
-        """Returns the motion without travel: the root stays above the origin. Features and codes are dropped."""
-        return self._edited(keep_in_place, part_starts=self.part_starts, part_captions=self.part_captions)
+        """Returns the motion without travel: the hips sway around the origin. Features and codes are dropped."""
+        parts = {"part_starts": self.part_starts, "part_captions": self.part_captions}
+        return self._edited(lambda old: keep_in_place(old, fps=self.fps), **parts)
 
     def looped(self) -> "Motion":
         """Returns the best part of the motion to play again and again, without features and codes.

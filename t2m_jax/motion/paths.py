@@ -13,14 +13,12 @@ from jaxtyping import Float
 
 from t2m_jax.errors import UserError
 from t2m_jax.motion.cleanup import lock_feet
-from t2m_jax.motion.features import gaussian_kernel
-from t2m_jax.motion.joining import HORIZONTAL, Clip
+from t2m_jax.motion.joining import Clip
 from t2m_jax.motion.skeleton import Skeleton
+from t2m_jax.motion.travel import smooth_path
 
 logger = logging.getLogger(__name__)
 
-SWAY_SECONDS = 0.4
-"""Standard deviation of the Gaussian that smooths the path of the root, so that the sway of a step is not a turn."""
 LOOK_AHEAD = 0.25
 """The direction of a path is taken from this far before a place to this far after it; meters."""
 SHORTEST_PATH = 0.5
@@ -139,12 +137,7 @@ def _locked(positions: Float[jax.Array, "T J 3"], *, fps: float, skeleton: Skele
 
 def _smooth_path(positions: Clip, fps: float) -> tuple[Places, Way]:
     """Returns the path of the root over the ground without its sway, and the way from the start to each frame."""
-    kernel = gaussian_kernel(SWAY_SECONDS * fps)
-    roots = positions[:, 0].astype(np.float64) * HORIZONTAL
-    reach = len(kernel) // 2
-    # Beyond its ends, the path continues as it was, mirrored at the end point.
-    longer = np.pad(roots, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd") if len(roots) > 1 else roots
-    smooth = np.stack([np.convolve(axis, kernel, mode="valid") for axis in longer.T], axis=1)
+    smooth = smooth_path(positions, fps=fps)
     way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(smooth, axis=0), axis=1)))
     if way[-1] < SHORTEST_PATH:
         raise UserError(f"path: the motion travels {way[-1]:.2f} m; {SHORTEST_PATH} m or more are needed")

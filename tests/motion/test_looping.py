@@ -1,4 +1,4 @@
-"""Motion in place, and loops."""
+"""Loops."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,9 @@ from t2m_jax import Motion
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
 from t2m_jax.motion.features import bone_vectors
-from t2m_jax.motion.looping import Loop, close_loop, find_loop, keep_in_place
+from t2m_jax.motion.looping import Loop, close_loop, find_loop
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
+from t2m_jax.motion.travel import above_origin
 
 ARMS = [16, 17, 18, 19, 20, 21]
 
@@ -34,23 +35,12 @@ def seam(positions, fps=20.0):
     The velocities are those at the seam, extrapolated from the frames before and from the frames after it: the
     difference of two neighboring frames would be half a frame away, where joints of a runner are 1 m/s faster.
     """
-    local = keep_in_place(positions)
+    local = above_origin(positions)
     apart, faster = 1000 * np.linalg.norm(local[-1] - local[0], axis=-1).max(), 0.0
     for frames in (local, positions):
         before, after = 3 * frames[-1] - 4 * frames[-2] + frames[-3], -3 * frames[0] + 4 * frames[1] - frames[2]
         faster = max(faster, np.linalg.norm(before - after, axis=-1).max() * fps / 2)
     return apart, faster
-
-
-def test_in_place_keeps_all_but_the_travel():
-    motion = make()
-    still = motion.in_place()
-    np.testing.assert_array_equal(still.positions[:, 0, [0, 2]], 0)
-    np.testing.assert_array_equal(still.positions[..., 1], motion.positions[..., 1])
-    np.testing.assert_allclose(
-        bone_vectors(still.positions, HUMANML3D), bone_vectors(motion.positions, HUMANML3D), atol=1e-6
-    )
-    assert still.caption == motion.caption and still.features is None
 
 
 @pytest.mark.parametrize("speed", [0.0, 1.2])

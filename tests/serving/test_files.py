@@ -58,7 +58,7 @@ def test_a_part_at_another_rate_in_place(walk):  # noqa: F811
     options = FileOptions(changes=Changes(begin=1.0, end=3.0, fps=60.0, in_place=True))
     found = read_back(make_file([data_of(walk)], options), "npz")
     assert found.fps == 60 and found.num_frames == 39 * 3 + 1
-    assert np.abs(found.positions[:, 0, [0, 2]]).max() == 0
+    assert np.abs(found.positions[:, 0, [0, 2]]).max() < 0.1 < np.ptp(walk.positions[:, 0, 2])
 
 
 @pytest.mark.parametrize(("asked", "expected"), [(None, 60), (24.0, 24)])
