@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_rig_argument(parser, "the file of --from")
     add_record(parser, Changes)
     add_file_arguments(parser)
-    formats = ".npz .bvh .glb .gif .mp4 .png or .html"
+    formats = ".npz .bvh .glb .vrma .gif .mp4 .png or .html"
     files = f"{formats}; can be repeated; several motions share a .html file; other files get -0, -1, ..."
     parser.add_argument("-o", "--output", action="append", metavar="FILE", help=f"{files} (default: motion.html)")
 
@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> None:
         written = list(_write(motions, options, count, character))
     pages = [path for path in written if path.suffix == ".html"]
     # The file of a character may have other animations, too.
-    formats = (".npz", ".bvh") if character is not None else (".npz", ".bvh", ".glb")
+    formats = (".npz", ".bvh", ".vrma", *([] if character is not None else [".glb"]))
     convertible = [path for path in written if path.suffix in formats]
     if pages:
         show_next(f"open {shlex.quote(str(pages[0]))} in a browser")
@@ -114,7 +114,7 @@ def _file_of(output: Path, number: int, count: int) -> Path:
 
 
 def _write(
-    motions: "Iterator[Motion]", options: dict[Path, dict[str, str]], count: int, character: "Character | None"
+    motions: "Iterator[Motion]", options: dict[Path, dict[str, str | bool]], count: int, character: "Character | None"
 ) -> Iterator[Path]:
     """Writes each file as soon as its motions are there, and yields its name; `options` has the outputs."""
     from t2m_jax.files.writing import claim

@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
-from t2m_jax.cli.options import add_record, add_rig_argument, read_record, show_next
+from t2m_jax.cli.options import add_record, add_rig_argument, option_of, read_record, show_next
 from t2m_jax.errors import UserError
 
 if TYPE_CHECKING:
     from t2m_jax.motion.character import Character
     from t2m_jax.motion.motion import Motion
 
-FILE_OPTIONS = ("names", "units")
+FILE_OPTIONS = ("names", "units", "root_bone")
 """Options of .bvh and .glb files."""
 
 
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_rig_argument(parser, "files with other joints")
     add_record(parser, Changes)
     add_file_arguments(parser)
-    files = "file to write: .html, .gif, .mp4, .png, .bvh, .glb or .npz; can be repeated"
+    files = "file to write: .html, .gif, .mp4, .png, .bvh, .glb, .vrma or .npz; can be repeated"
     parser.add_argument(
         "-o", "--output", dest="outputs", type=Path, action="append", required=True, metavar="FILE", help=files
     )
@@ -46,11 +46,13 @@ def add_file_arguments(parser: argparse.ArgumentParser) -> None:
     names = "names of the joints in .bvh and .glb files (default: lafan1)"
     parser.add_argument("--names", choices=get_args(JointNames), help=names)
     parser.add_argument("--units", choices=get_args(Units), help="units of .bvh and .glb files (default: m)")
+    root = "add a bone on the floor that carries the travel, in .bvh and .glb files, for Unreal and Godot"
+    parser.add_argument("--root-bone", action="store_true", default=None, help=root)
     text = "your character, a .glb or .vrm file: .glb files are copies of it that move; --rig is then its table"
     parser.add_argument("--character", type=Path, metavar="FILE", help=text)
 
 
-def file_options(output: Path, args: argparse.Namespace, outputs: Sequence[Path]) -> dict[str, str]:
+def file_options(output: Path, args: argparse.Namespace, outputs: Sequence[Path]) -> dict[str, str | bool]:
     """Returns the options that were given for the format of a file.
 
     Raises:
@@ -63,7 +65,9 @@ def file_options(output: Path, args: argparse.Namespace, outputs: Sequence[Path]
     for name in given:
         if not any(name in options for options in known.values()):
             kept = " (a character keeps its own)" if args.character is not None else ""
-            raise UserError(f"--{name}: is for .bvh and .glb files, and none is written; add -o FILE.glb{kept}")
+            raise UserError(
+                f"{option_of(name)}: is for .bvh and .glb files, and none is written; add -o FILE.glb{kept}"
+            )
     return {name: value for name, value in given.items() if name in known[output]}
 
 
@@ -90,7 +94,9 @@ def open_character(args: argparse.Namespace, outputs: Sequence[Path]) -> "Charac
     return character
 
 
-def save(output: Path, motions: "Sequence[Motion]", options: Mapping[str, str], character: "Character | None") -> None:
+def save(
+    output: Path, motions: "Sequence[Motion]", options: Mapping[str, str | bool], character: "Character | None"
+) -> None:
     """Writes motions into a file: on the character if it is a `.glb` file and there is one."""
     from t2m_jax.motion.formats import save_motions
 

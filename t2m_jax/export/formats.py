@@ -35,9 +35,16 @@ def only_motion(path: Path, motions: Sequence[Motion]) -> Motion:
     return motions[0]
 
 
-def save_bvh_file(path: Path, motions: Sequence[Motion], *, names: JointNames = "lafan1", units: Units = "m") -> None:
+def save_bvh_file(
+    path: Path,
+    motions: Sequence[Motion],
+    *,
+    names: JointNames = "lafan1",
+    units: Units = "m",
+    root_bone: bool = False,
+) -> None:
     """Writes one motion as a BVH file; see `save_bvh`."""
-    save_bvh(path, only_motion(path, motions), names=names, units=units)
+    save_bvh(path, only_motion(path, motions), names=names, units=units, root_bone=root_bone)
 
 
 def load_bvh_file(path: Path, *, rig: str | None = None) -> Motion:

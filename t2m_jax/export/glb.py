@@ -11,16 +11,16 @@ from PIL import ImageColor
 from t2m_jax.export.render.figure import Tint
 from t2m_jax.export.render.rendering import TINT_COLORS
 from t2m_jax.export.skin import SkinPart, make_skin
-from t2m_jax.files.writing import atomic_file
 from t2m_jax.motion.bvh.writer import UNITS_PER_METER, Units
 from t2m_jax.motion.features import bone_vectors
 from t2m_jax.motion.glb_file import GlbWriter, Track, check_motions
 from t2m_jax.motion.inverse_kinematics import FittedRig, fit_rig
 from t2m_jax.motion.kinematics import forward_kinematics, rest_positions
 from t2m_jax.motion.motion import Motion
-from t2m_jax.motion.rig.rigs import JointNames, rig_joint_names
+from t2m_jax.motion.rig.rigs import JointNames, rig_joint_names, root_name
 from t2m_jax.motion.rotations import quaternion_from_matrix
 from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.motion.travel import Travel, find_travel
 
 NEAR = 1e-4
 """Meters by which a joint may be away from where the figure's rigid bones lead, before its translation is animated."""
@@ -30,7 +30,14 @@ _VERTICES = 34962
 _INDICES = 34963
 
 
-def save_glb(path: Path, motions: Sequence[Motion], *, names: JointNames = "lafan1", units: Units = "m") -> None:
+def save_glb(
+    path: Path,
+    motions: Sequence[Motion],
+    *,
+    names: JointNames = "lafan1",
+    units: Units = "m",
+    root_bone: bool = False,
+) -> None:
     """Writes motions as the animations of one figure, Y up, facing +Z.
 
     The figure has the bone lengths of the first motion. Where its rigid bones do not lead to the joints of a motion,
@@ -42,6 +49,7 @@ def save_glb(path: Path, motions: Sequence[Motion], *, names: JointNames = "lafa
         motions: Motions of the 22 HumanML3D joints, at least one.
         names: What the joints are called: as in the rig of that name.
         units: Length of 1. glTF asks for meters; some programs expect centimeters.
+        root_bone: Whether a joint on the floor carries the travel (see `find_travel`), and the hips only their sway.
 
     Raises:
         UserError: There is no motion, or one of another skeleton.
@@ -52,35 +60,53 @@ def save_glb(path: Path, motions: Sequence[Motion], *, names: JointNames = "lafa
     glb = GlbWriter()
     # The reader trusts what is in `extras` only of files with this generator.
     glb.tree["asset"] = {"version": "2.0", "generator": glb.generator, "extras": {"units": units}}
-    _add_figure(glb, rigs[0], rig_joint_names(names), scale)
+    _add_figure(glb, rigs[0], rig_joint_names(names), scale, root=root_name(names) if root_bone else None)
     for rig, motion in zip(rigs, motions, strict=True):
-        glb.add_animation(motion, _tracks(rig, motion, rigs[0], scale))
-    with atomic_file(path) as partial:
-        partial.write_bytes(glb.data())
+        travel = find_travel(motion.positions, fps=motion.fps, skeleton=HUMANML3D) if root_bone else None
+        glb.add_animation(motion, _tracks(rig, motion, rigs[0], scale, travel))
+    glb.save(path)
 
 
-def _add_figure(glb: GlbWriter, rig: FittedRig, names: Sequence[str], scale: float) -> None:
-    """Adds the joints, which are the first nodes, and the mesh around them."""
+def _add_figure(glb: GlbWriter, rig: FittedRig, names: Sequence[str], scale: float, *, root: str | None) -> None:
+    """Adds the joints, which are the first nodes, the mesh around them, and perhaps a root bone, the last node."""
+    rest = standing_rest(rig)
+    nodes = joint_nodes(rest, names, scale)
+    nodes.append({"name": "Figure", "mesh": 0, "skin": 0})
+    inverse = np.tile(np.eye(4, dtype=np.float32), (len(names), 1, 1))
+    inverse[:, 3, :3] = -scale * rest  # columns one after another, as glTF stores matrices
+    joints, top = list(range(len(names))), 0
+    if root is not None:
+        top = len(nodes)
+        nodes.append({"name": root, "children": [0]})
+        joints.append(top)  # no vertex follows it, but programs take only the joints of a skin as bones
+        inverse = np.concatenate([inverse, np.eye(4, dtype=np.float32)[None]])
+    parts = make_skin(rest, HUMANML3D)
+    glb.tree |= {
+        "scene": 0,
+        "scenes": [{"nodes": [top, len(names)]}],
+        "nodes": nodes,
+        "skins": [{"joints": joints, "skeleton": top, "inverseBindMatrices": glb.add(inverse)}],
+        "materials": [_material(part.tint) for part in parts],
+        "meshes": [{"name": "Figure", "primitives": [_primitive(glb, part, k, scale) for k, part in enumerate(parts)]}],
+    }
+
+
+def standing_rest(rig: FittedRig) -> Float[np.ndarray, "J 3"]:
+    """Returns the joints of a figure in its rest pose, with the lowest ones on the floor."""
     rest = rest_positions(rig.offsets, HUMANML3D.parents).astype(np.float64)
     rest[:, 1] -= rest[:, 1].min()
+    return rest
+
+
+def joint_nodes(rest: Float[np.ndarray, "J 3"], names: Sequence[str], scale: float = 1.0) -> list[dict[str, Any]]:
+    """Returns a node for each joint, in their order."""
     nodes: list[dict[str, Any]] = []
     for joint, name in enumerate(names):
         offset = rest[joint] - (rest[HUMANML3D.parents[joint]] if joint else 0)
         children = HUMANML3D.children(joint)
         node = {"name": name, "translation": (scale * offset).astype(np.float32).tolist()}
         nodes.append(node | ({"children": list(children)} if children else {}))
-    nodes.append({"name": "Figure", "mesh": 0, "skin": 0})
-    inverse = np.tile(np.eye(4, dtype=np.float32), (len(names), 1, 1))
-    inverse[:, 3, :3] = -scale * rest  # columns one after another, as glTF stores matrices
-    parts = make_skin(rest, HUMANML3D)
-    glb.tree |= {
-        "scene": 0,
-        "scenes": [{"nodes": [0, len(names)]}],
-        "nodes": nodes,
-        "skins": [{"joints": list(range(len(names))), "skeleton": 0, "inverseBindMatrices": glb.add(inverse)}],
-        "materials": [_material(part.tint) for part in parts],
-        "meshes": [{"name": "Figure", "primitives": [_primitive(glb, part, k, scale) for k, part in enumerate(parts)]}],
-    }
+    return nodes
 
 
 def _material(tint: Tint) -> dict[str, Any]:
@@ -111,7 +137,7 @@ def _primitive(glb: GlbWriter, part: SkinPart, material: int, scale: float) -> d
     }
 
 
-def _translations(rig: FittedRig, motion: Motion) -> Float[np.ndarray, "T J 3"]:
+def joint_places(rig: FittedRig, motion: Motion) -> Float[np.ndarray, "T J 3"]:
     """Returns the place of each joint in its parent's frame with which all joints are where the motion has them."""
     turned = np.asarray(forward_kinematics(rig.rotations, rig.translations, HUMANML3D.parents).rotations)
     parents = np.array(HUMANML3D.parents[1:])
@@ -120,14 +146,25 @@ def _translations(rig: FittedRig, motion: Motion) -> Float[np.ndarray, "T J 3"]:
     return np.concatenate([motion.positions[:, :1], local], axis=1)
 
 
-def _tracks(rig: FittedRig, motion: Motion, figure: FittedRig, scale: float) -> list[Track]:
+def _tracks(rig: FittedRig, motion: Motion, figure: FittedRig, scale: float, travel: Travel | None) -> list[Track]:
     """Returns the animation of the figure for a motion."""
     quaternions = quaternion_from_matrix(rig.rotations)
-    places = _translations(rig, motion)
-    tracks = [Track(0, "translation", scale * places[:, 0])]
+    places = joint_places(rig, motion)
+    tracks = []
+    if travel is not None:
+        root = places.shape[1] + 1  # after the joints and the mesh
+        tracks = [Track(root, "translation", scale * travel.places), Track.of_rotation(root, travel.turns)]
+        places[:, 0] = travel.local_places(places[:, 0])
+        quaternions[:, 0] = travel.local_turns(quaternions[:, 0])
+    tracks.append(Track(0, "translation", scale * places[:, 0]))
     for joint in range(quaternions.shape[1]):
         tracks.append(Track.of_rotation(joint, quaternions[:, joint]))
         # Other joints move only if bones are not rigid; a track of each would add three quarters to the animation.
-        if joint and np.abs(places[:, joint] - figure.offsets[joint]).max() > NEAR:
+        if joint and leaves_bone(places[:, joint], figure.offsets[joint]):
             tracks.append(Track(joint, "translation", scale * places[:, joint]))
     return tracks
+
+
+def leaves_bone(places: Float[np.ndarray, "T 3"], offset: Float[np.ndarray, "3"]) -> bool:
+    """Returns whether a joint is not where the rigid bone above it leads."""
+    return bool(np.abs(places - offset).max() > NEAR)

@@ -22,7 +22,7 @@ MAX_SECONDS = 4 * 3600.0
 READERS = "t2m_jax.motion_readers"
 """Entry points by suffix: functions of a path that return its motion; they may take an `animation` and a `rig`."""
 WRITERS = "t2m_jax.motion_writers"
-"""Entry points by suffix: functions of a path, motions and options, each of which has a `Literal` as type."""
+"""Entry points by suffix: functions of a path, motions and options, each of which is a `Literal` or a `bool`."""
 
 
 def motion_formats() -> tuple[str, ...]:
@@ -83,10 +83,11 @@ def check_motion_output(path: str | Path) -> Path:
     return check_output(Path(path))
 
 
-def format_options(path: str | Path) -> dict[str, tuple[str, ...]]:
+def format_options(path: str | Path) -> dict[str, tuple[str | bool, ...]]:
     """Returns the options of the format of a file, with the values that each can have."""
     hints = get_type_hints(_entry_point(WRITERS, Path(path)).load())
-    return {name: get_args(hint) for name, hint in hints.items() if get_origin(hint) is Literal}
+    choices = {name: get_args(hint) for name, hint in hints.items() if get_origin(hint) is Literal}
+    return choices | {name: (False, True) for name, hint in hints.items() if hint is bool}
 
 
 def save_motions(path: str | Path, motions: Sequence[Any], **options: Any) -> None:
@@ -106,7 +107,9 @@ def save_motions(path: str | Path, motions: Sequence[Any], **options: Any) -> No
     known = format_options(path) if options else {}
     for name, value in options.items():
         if value not in known.get(name, ()):
-            choices = ", ".join(known.get(name, ())) or f"nothing, because {path.suffix} files have no such option"
+            choices = (
+                ", ".join(map(str, known.get(name, ()))) or f"nothing, because {path.suffix} files have no such option"
+            )
             raise UserError(f"{name}: {value!r} is unknown; known is {choices}")
     write = _entry_point(WRITERS, path).load()
     try:

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from t2m_jax.errors import UserError
 from t2m_jax.files.reading import first_line, parse_json
+from t2m_jax.files.writing import atomic_file
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rotations import continuous_quaternions
 from t2m_jax.motion.skeleton import HUMANML3D
@@ -171,6 +172,11 @@ class GlbWriter:
             "extras": extras,
         }
         self.tree["animations"].append(animation)
+
+    def save(self, path: Path) -> None:
+        """Writes the file."""
+        with atomic_file(path) as partial:
+            partial.write_bytes(self.data())
 
     def data(self) -> bytes:
         """Returns the bytes of the file."""

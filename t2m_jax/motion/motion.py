@@ -278,7 +278,7 @@ class Motion:
 
     @classmethod
     def load(cls, path: str | Path) -> "Motion":
-        """Returns the motion of a file in any readable format: `.npz`, `.bvh`, `.glb`, or `.npy` of a data set.
+        """Returns the motion of a file in any readable format (see `formats.load_motion`).
 
         Raises:
             UserError: The file does not contain one motion.
@@ -290,7 +290,7 @@ class Motion:
 
         Args:
             path: The file.
-            **options: Of the format, such as `names="mixamo"` or `units="cm"` of `.bvh` and `.glb` files.
+            **options: Of the format: `.bvh` and `.glb` files have `names="mixamo"`, `units="cm"`, `root_bone=True`.
 
         Raises:
             UserError: The suffix is unknown, the format has no such option, or the file cannot be written.

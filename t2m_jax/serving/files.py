@@ -79,7 +79,7 @@ def make_file(inputs: Sequence[bytes], options: schema.FileOptions) -> bytes:
     with motion_file(b"", options.format) as path:
         # Programs may use the same parameters for all formats; pictures have no joints to name.
         known = format_options(path)
-        given = {"names": options.names, "units": options.units}
+        given = {"names": options.names, "units": options.units, "root_bone": options.root_bone}
         save_motions(path, motions, **{name: value for name, value in given.items() if value and name in known})
         return path.read_bytes()
 

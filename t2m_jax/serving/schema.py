@@ -91,6 +91,8 @@ class FileOptions:
     """Names of the joints in BVH and GLB files."""
     units: Units | None = None
     """Units of BVH and GLB files."""
+    root_bone: bool = False
+    """Whether BVH and GLB files have a bone on the floor that carries the travel."""
     changes: Changes = Changes()
     """What is changed before."""
 

@@ -57,7 +57,7 @@ def test_a_rate_that_no_motion_has_is_refused_first(refusal, bundle_folder, walk
 
 
 def test_options_of_formats_that_are_not_written_are_refused(refusal, bundle_folder, walk, tmp_path):
-    for option in (["--names", "vrm"], ["--units", "cm"]):
+    for option in (["--names", "vrm"], ["--units", "cm"], ["--root-bone"]):
         said = refusal("view", walk, "-o", tmp_path / "a.html", *option)
         assert f"{option[0]}: is for .bvh and .glb files, and none is written" in said
         assert "none is written" in refusal("generate", "a person walks", "--model", bundle_folder, *option)

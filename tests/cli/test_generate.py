@@ -140,7 +140,7 @@ def test_every_field_of_the_records_is_an_option():
     options = {action.dest for action in parser._actions}
     fields = {field.name for record in (MotionRequest, Changes) for field in fields_of(record)}
     assert fields - options == {"captions", "strategy", "begin", "end"}  # sentences, only in Python, and --trim
-    files = {"names", "units", "output", "rig", "character"}
+    files = {"names", "units", "root_bone", "output", "rig", "character"}
     assert options - fields == {"text", "then", "trim", "help", "model"} | files
 
 

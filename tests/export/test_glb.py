@@ -239,6 +239,7 @@ def test_options_are_for_the_files_that_have_them(tmp_path):
 @pytest.mark.parametrize("names", NAMES)
 def test_the_validator_of_khronos_finds_nothing(tmp_path, tmp_path_factory, names):
     motions = [make(kind, caption=kind, seed=seed) for seed, kind in enumerate(("walk", "squat", "wave-left-hand"))]
-    save_glb(tmp_path / "a.glb", motions, names=names, units="cm" if names == "unreal" else "m")
+    root_bone = names in ("unreal", "vrm")
+    save_glb(tmp_path / "a.glb", motions, names=names, units="cm" if names == "unreal" else "m", root_bone=root_bone)
     issues = validator_issues(tmp_path / "a.glb", tmp_path_factory)
     assert [issues[f"num{kind}"] for kind in ("Errors", "Warnings", "Infos", "Hints")] == [0, 0, 0, 0], issues

@@ -9,12 +9,13 @@ from jaxtyping import Float
 
 from t2m_jax.errors import UserError
 from t2m_jax.files.writing import save_text
-from t2m_jax.motion.inverse_kinematics import fit_rig
+from t2m_jax.motion.inverse_kinematics import FittedRig, fit_rig
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.part_captions import parts_note
-from t2m_jax.motion.rig.rigs import JointNames, rig_joint_names
-from t2m_jax.motion.rotations import EulerOrder, euler_from_matrix
+from t2m_jax.motion.rig.rigs import JointNames, rig_joint_names, root_name
+from t2m_jax.motion.rotations import EulerOrder, euler_from_matrix, matrix_from_quaternion, quaternion_from_matrix
 from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.motion.travel import Travel, find_travel
 
 Units = Literal["m", "cm"]
 UNITS_PER_METER: dict[Units, float] = {"m": 1.0, "cm": 100.0}
@@ -22,39 +23,65 @@ UNITS_PER_METER: dict[Units, float] = {"m": 1.0, "cm": 100.0}
 # Many readers expect one order for all joints. Y turns first, so that figures can face any direction, and elbows can
 # bend to any angle, without gimbal lock.
 _ORDER: EulerOrder = "ZXY"
+_ROTATIONS = " ".join(f"{axis}rotation" for axis in _ORDER)
+_MOVING = f"6 Xposition Yposition Zposition {_ROTATIONS}"
 _LOCKED_COSINE = 1e-4
 # Length of each End Site relative to the last bone, up to the crown, the finger tips and the tip of the shoe.
 _END_SITES = {"head": 1.7, "left_wrist": 0.65, "right_wrist": 0.65, "left_foot": 0.35, "right_foot": 0.35}
 
 
-def save_bvh(path: Path | str, motion: Motion, *, names: JointNames = "lafan1", units: Units = "m") -> None:
+def save_bvh(
+    path: Path | str,
+    motion: Motion,
+    *,
+    names: JointNames = "lafan1",
+    units: Units = "m",
+    root_bone: bool = False,
+) -> None:
     """Writes `motion` as a BVH file, Y up.
 
-    The OFFSETs are the rest pose, a T-pose. The OFFSET of the root is zero, so that its position channels mean the same
-    in programs that add them to OFFSET and in programs that do not. If a motion has several sentences, the line of the
-    first End Site says where each begins: BVH has no comments, but the programs that were tried ignore text there.
+    The OFFSETs are the rest pose, a T-pose. The OFFSET of the hips is zero, so that their position channels mean the
+    same in programs that add them to OFFSET and in programs that do not. If a motion has several sentences, the line of
+    the first End Site says where each begins: BVH has no comments, but the programs that were tried ignore text there.
 
     Args:
         path: The file.
         motion: A motion of the 22 HumanML3D joints.
         names: What the joints are called: as in the rig of that name.
         units: Length of 1 in the file.
+        root_bone: Whether a joint on the floor carries the travel (see `find_travel`), and the hips only their sway.
     """
     if motion.skeleton.joint_names != HUMANML3D.joint_names:
         raise UserError(f"{path}: BVH files are written for the skeleton {HUMANML3D.name}, not {motion.skeleton.name}")
     rig = fit_rig(motion.positions, fps=motion.fps)
-    roots = UNITS_PER_METER[units] * rig.root_positions
-    offsets = UNITS_PER_METER[units] * rig.offsets
-    degrees = np.rad2deg(continuous_euler(rig.rotations))
-    order = _depth_first(0)
-    table = np.concatenate((roots, degrees[:, order].reshape(len(degrees), -1)), axis=1)
-    lines = ["HIERARCHY", *_hierarchy_lines(offsets, rig_joint_names(names))]
+    scale = UNITS_PER_METER[units]
+    joints = _hierarchy_lines(scale * rig.offsets, rig_joint_names(names), depth=int(root_bone))
+    columns = []
+    if root_bone:
+        travel = find_travel(motion.positions, fps=motion.fps, skeleton=HUMANML3D)
+        joints = [f"ROOT {root_name(names)}", "{", "  OFFSET 0 0 0", f"  CHANNELS {_MOVING}", *joints, "}"]
+        columns = [scale * travel.places, _degrees(matrix_from_quaternion(travel.turns[:, None]))]
+        rig = _seen_from(travel, rig)
+    table = np.concatenate([*columns, scale * rig.root_positions, _degrees(rig.rotations[:, _depth_first(0)])], axis=1)
+    lines = ["HIERARCHY", *joints]
     if motion.part_starts:
         first = next(number for number, line in enumerate(lines) if line.endswith("End Site"))
         parts = tuple(zip(motion.part_starts, motion.part_captions, strict=True))
         lines[first] += " " + parts_note(parts, fps=motion.fps)
     lines += ["MOTION", f"Frames: {len(table)}", f"Frame Time: {1 / motion.fps:.9f}", *map(_numbers, table)]
     save_text(path, "\n".join(lines) + "\n")
+
+
+def _seen_from(travel: Travel, rig: FittedRig) -> FittedRig:
+    """Returns a rig below a root bone."""
+    rotations = rig.rotations.copy()
+    rotations[:, 0] = matrix_from_quaternion(travel.local_turns(quaternion_from_matrix(rotations[:, 0])))
+    return rig._replace(rotations=rotations, root_positions=travel.local_places(rig.root_positions))
+
+
+def _degrees(matrices: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T C"]:
+    """Returns the values of the rotation channels of joints."""
+    return np.rad2deg(continuous_euler(matrices)).reshape(len(matrices), -1)
 
 
 def continuous_euler(matrices: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T J 3"]:
@@ -99,8 +126,7 @@ def _hierarchy_lines(
     role = HUMANML3D.joint_names[joint]
     pad = "  " * depth
     inner = pad + "  "
-    rotations = " ".join(f"{axis}rotation" for axis in _ORDER)
-    channels = f"3 {rotations}" if depth else f"6 Xposition Yposition Zposition {rotations}"
+    channels = f"3 {_ROTATIONS}" if joint else _MOVING
     lines = [f"{pad}{'JOINT' if depth else 'ROOT'} {names[joint]}", pad + "{"]
     lines += [f"{inner}OFFSET {_numbers(offsets[joint])}", f"{inner}CHANNELS {channels}"]
     for child in HUMANML3D.children(joint):

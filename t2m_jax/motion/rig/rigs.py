@@ -118,6 +118,11 @@ def rig_joint_names(names: JointNames) -> tuple[str, ...]:
     return tuple(prefix + table[joint] for joint in HUMANML3D.joint_names)
 
 
+def root_name(names: JointNames) -> str:
+    """Returns what a root bone on the floor is called beside the joints of a rig. Unreal needs this spelling."""
+    return "root" if names in ("humanml3d", "unreal") else "Root"
+
+
 def find_table(joint_names: Sequence[str]) -> Rig | None:
     """Returns the first named rig whose joints are all in `joint_names`, None if there is none."""
     # In the order of the tables, those that were tried first: several rigs may fit, as Mixamo's names are widespread.

@@ -6,7 +6,7 @@ import { keepForm } from "./memory.js";
 import { changeSample } from "./recipe.js";
 import { makeFile, ServerError } from "./server.js";
 
-const TITLES = { npz: "Arrays for Python", bvh: "Skeleton for Blender, Maya …", glb: "Animated figure, glTF", gif: "Picture", mp4: "Video", png: "Poses in one picture", html: "Page with a viewer" };
+const TITLES = { npz: "Arrays for Python", bvh: "Skeleton for Blender, Maya …", glb: "Animated figure, glTF", vrma: "For any VRM avatar", gif: "Picture", mp4: "Video", png: "Poses in one picture", html: "Page with a viewer" };
 
 export class DownloadPanel {
   constructor(session, model, onChanged) {
