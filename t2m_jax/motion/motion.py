@@ -5,6 +5,7 @@ import itertools
 import math
 import tempfile
 from collections.abc import Callable, Sequence
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
@@ -296,6 +297,25 @@ class Motion:
             UserError: The suffix is unknown, the format has no such option, or the file cannot be written.
         """
         save_motions(path, [self], **options)
+
+    def on_character(self, character: str | Path, path: str | Path, *, rig: str | None = None) -> None:
+        """Writes a copy of a character's file in which the character moves as this motion.
+
+        `load_character` and `Character.save` write several motions into one file.
+
+        Args:
+            character: A `.glb` or `.vrm` file with a skin, of any size and proportions, in any unit.
+            path: The `.glb` file to write: the character with one more animation, which has the motion's frames, rate
+                and caption. All else in it stays as it is.
+            rig: Name of a rig or a YAML table with the character's bones; by default they are recognized.
+
+        Raises:
+            UserError: The character cannot be read, bones of it were not found, the motion has another skeleton than
+                the 22 joints of HumanML3D, or the file cannot be written.
+        """
+        # Loaded by its name, as formats are, because its module imports this one.
+        load_character = EntryPoint("character", "t2m_jax.motion.character:load_character", "").load()
+        load_character(character, rig=rig).save(path, [self])
 
     def __repr__(self) -> str:
         caption = f", {self.caption!r}" if self.caption else ""

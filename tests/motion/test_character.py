@@ -173,6 +173,38 @@ def test_feet_stay_on_the_floor_and_in_their_places(tmp_path, soles):
     assert np.ptp(now["Hips"][:, 1]) > 0.15
 
 
+def on_tiptoe(num_frames=40):
+    """Someone who stands, rises on the balls of both feet, and lifts these a little."""
+    positions = np.repeat(make_motion("squat", seed=2, num_frames=2)[:1], num_frames, axis=0)
+    angle = np.deg2rad(35) * np.sin(np.linspace(0, np.pi, num_frames))
+    balls = [INDEX[f"{side}_foot"] for side in SIDES]
+    x, y, z = np.moveaxis(positions[:, INDEX["left_ankle"]] - positions[:, balls[0]], -1, 0)
+    moved = np.stack([x, y * np.cos(angle) - z * np.sin(angle), z * np.cos(angle) + y * np.sin(angle)], axis=-1)
+    positions += (moved - moved[:1])[:, None]
+    positions[:, balls] = positions[:1, balls]
+    positions[..., 1] += 0.05 * np.sin(angle)[:, None]
+    return Motion(positions, 20.0)
+
+
+def with_feet(joints, share):
+    """The same figure with feet of another length."""
+    return joints | {
+        name: (joints[name][0], tuple(share * part for part in joints[name][1])) for name in ("Toes_L", "Toes_R")
+    }
+
+
+@pytest.mark.parametrize("share", [0.0, 0.6, 1.0, 2.0])
+def test_feet_of_any_length_roll_over_the_ball_without_sliding(tmp_path, share):
+    motion = on_tiptoe()
+    now = places(on(write_character(tmp_path / "hero.glb", with_feet(BANDAI, share)), motion, tmp_path))
+    for side in SIDES:
+        ball, ankle = now[bone_of("foot", side)], now[bone_of("ankle", side)]
+        assert np.linalg.norm(np.ptp(ball[:, [0, 2]], axis=0)) < 0.002
+        own = np.ptp(motion.positions[:, INDEX[f"{side}_ankle"]], axis=0)
+        assert min(share, 0.5) * own[1] < np.ptp(ankle[:, 1]) < own[1] + 0.01  # long feet do not raise the body
+        assert np.ptp(ankle[:, 2]) < own[2] + 0.02
+
+
 def test_a_written_character_is_read_as_the_motion(tmp_path):
     motion = Motion(make_motion("walk", seed=2, num_frames=40), 20.0, caption="a person walks")
     motion.save(tmp_path / "figure.glb")  # its proportions are those of the motion
@@ -180,6 +212,19 @@ def test_a_written_character_is_read_as_the_motion(tmp_path):
     again = load_motion(output, animation="a person walks 2")
     assert again.fps == 20 and again.num_frames == 40 and again.caption == "a person walks"
     assert np.linalg.norm(again.positions - motion.positions, axis=-1).max() < 0.01
+
+
+def test_a_motion_writes_itself_on_a_character(tmp_path):
+    path = edited(write_character(tmp_path / "hero.glb", BANDAI), without_legs)
+    with pytest.raises(UserError, match=r"hero\.glb: .*left_hip, right_hip"):
+        walk(8).on_character(path, tmp_path / "moved.glb")
+    table = tmp_path / "hero.yaml"
+    table.write_text(table_text(lambda bone: bone.replace("Leg", "Tentacle").replace("Foot", "Sucker")))
+    walk(8, caption="stroll").on_character(f"{path}", f"{tmp_path / 'moved.glb'}", rig=f"{table}")
+    assert [animation["name"] for animation in read_parts(tmp_path / "moved.glb").tree["animations"]] == [
+        "nod",
+        "stroll",
+    ]
 
 
 def test_several_motions_are_several_animations(tmp_path):

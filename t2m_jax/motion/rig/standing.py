@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import HUMANML3D
 
 LOW = 0.05
@@ -24,7 +25,10 @@ SLOW = 0.5
 """A foot stands if its ankle or its ball moves less than this over the floor; lengths of a leg in a second."""
 GAP = 2
 """Frames in which a foot that stands may seem not to."""
+EASE_SECONDS = 0.15
+"""Time before and after a step on the ball of a foot in which the ball begins and stops to decide."""
 _FLAT = np.array([1.0, 0.0, 1.0])
+_UP = np.array([0.0, 1.0, 0.0])
 _INDEX = {name: i for i, name in enumerate(HUMANML3D.joint_names)}
 _ANKLES, _FEET, _HIPS = ([_INDEX[f"{side}_{name}"] for side in ("left", "right")] for name in ("ankle", "foot", "hip"))
 
@@ -62,7 +66,8 @@ def stance_of_motion(positions: Float[np.ndarray, "T 22 3"], leg: float) -> Stan
 def stance_of_rest(rest: Float[np.ndarray, "22 3"]) -> Stance | None:
     """Returns how the feet stand in a rest pose, None if it does not show it: feet of a T-pose may point ahead."""
     down = rest[_ANKLES] - rest[_FEET]
-    pitch = float(np.arcsin(np.clip(down[:, 1] / np.linalg.norm(down, axis=1), -1, 1)).mean())
+    lengths = np.maximum(np.linalg.norm(down, axis=1), 1e-9)  # a foot may have no length
+    pitch = float(np.arcsin(np.clip(down[:, 1] / lengths, -1, 1)).mean())
     if not FLAT[0] < np.rad2deg(pitch) < FLAT[1]:
         return None
     leg = leg_length(rest)
@@ -87,23 +92,50 @@ class Steps:
         self._positions = np.asarray(motion.positions, np.float64)
         self._rest = rest
         self._leg = leg
+        self._length = np.linalg.norm(self._positions[:, _FEET] - self._positions[:, _ANKLES], axis=-1).mean()
         self.scale = leg_length(rest) / leg
         """Size of the body per size of the person in the motion."""
-        own, wanted = stance_of_motion(self._positions, leg), stance_of_rest(rest)
-        self._own = own if wanted else None
-        self.pitch = self._own.pitch if self._own else None
+        self._own = own = stance_of_motion(self._positions, leg)
+        wanted = stance_of_rest(rest) if own else None
+        self.pitch = own.pitch if own and wanted else None
         """Radians by which feet that stand point down in the motion, if the rest pose shows feet that stand."""
-        self.lift = wanted.ankle - self.scale * own.ankle if own and wanted else 0.0
+        soles = rest[_FEET] - rest[_ANKLES]
+        self._ahead, self._down = np.linalg.norm(soles * _FLAT, axis=-1).mean(), -soles[:, 1].mean()
+        if own and not wanted:  # then its feet are compared by direction, so they stand as those of the motion
+            length = np.linalg.norm(soles, axis=-1).mean()
+            self._ahead, self._down = length * np.cos(own.pitch), length * np.sin(own.pitch)
+        self.lift = 0.0
         """How much higher the body has to be than the scaled motion, so that the feet are on the floor."""
+        if own:
+            self.lift = float((wanted.ankle if wanted else self._down + self.scale * own.ball) - self.scale * own.ankle)
         joints = self._positions[:, [_ANKLES, _FEET]]
-        low = np.quantile(joints[..., 1], LOW, axis=(0, 2), keepdims=True) + STEP * leg
-        self.on_floor: Bool[np.ndarray, "T 2"] = np.any(joints[..., 1] < low, axis=1)
+        low = joints[..., 1] < np.quantile(joints[..., 1], LOW, axis=(0, 2), keepdims=True) + STEP * leg
+        self.on_floor: Bool[np.ndarray, "T 2"] = np.any(low, axis=1)
         """In which frames the left and the right foot are on the floor, or nearly so."""
-        steps = np.diff(joints[..., [0, 2]], axis=0, append=joints[-1:, ..., [0, 2]])
-        slow = np.linalg.norm(steps, axis=-1).min(axis=1) * motion.fps < SLOW * leg
+        steps = np.linalg.norm(np.diff(joints[..., [0, 2]], axis=0), axis=-1) * motion.fps < SLOW * leg
+        # The first frame of a step is slow only to the next one, the last frame only from the one before.
+        slow = np.pad(steps, ((0, 1), (0, 0), (0, 0))) | np.pad(steps, ((1, 0), (0, 0), (0, 0)))
+        standing = low & slow
+        self._on_ball = _eased(standing[:, 1], round(EASE_SECONDS * motion.fps))
         # Feet of one step point into one direction, whatever the noise of their joints says.
         axes = turns[:, _ANKLES][..., 0] * _FLAT
-        self._sideways = np.stack([_held(axes[:, k], (self.on_floor & slow)[:, k]) for k in range(2)], axis=1)
+        self._sideways = np.stack([_held(axes[:, k], standing[:, :, k].any(axis=1)) for k in range(2)], axis=1)
+
+    def rolled(self, soles: Float[np.ndarray, "T 2 3"]) -> Float[np.ndarray, "T 2 3"]:
+        """Returns soles of which heels rise as high as in the motion while the ball of the foot is on the floor.
+
+        The ankles of longer feet, turned as those of the motion, would be higher and slide.
+
+        Args:
+            soles: Vectors from the ankles to the balls of the body, turned as in the motion.
+        """
+        if self._own is None:
+            return soles
+        length = np.maximum(np.linalg.norm(soles, axis=-1), 1e-9)  # a foot may have no length
+        share = np.minimum(self.scale * self._length / length, 1)
+        heights = soles[..., 1] + self._on_ball * (1 - share) * (-self._down - soles[..., 1])
+        level = np.sqrt(np.maximum(length**2 - heights**2, 0))[..., None] * unit_vectors(soles * _FLAT)
+        return level + heights[..., None] * _UP
 
     def ankles(self, soles: Float[np.ndarray, "T 2 3"]) -> Float[np.ndarray, "T 2 3"]:
         """Returns where the ankles of the body should be.
@@ -121,14 +153,12 @@ class Steps:
         ankles[..., 1] += self.lift
         if self._own is None:
             return ankles
-        length = np.linalg.norm((self._rest[_FEET] - self._rest[_ANKLES]) * _FLAT, axis=-1).mean()
-        own = np.linalg.norm(self._positions[:, _FEET] - self._positions[:, _ANKLES], axis=-1).mean()
-        balls += (length - self.scale * own * np.cos(self._own.pitch)) * np.cross(self._sideways, [0.0, 1.0, 0.0])
-        height = self._rest[_FEET, 1].mean() - self._rest[_ANKLES, 1].mean()
-        balls[..., 1] += self.lift + height + self.scale * (self._own.ankle - self._own.ball)
+        longer = self._ahead - self.scale * self._length * np.cos(self._own.pitch)
+        balls += longer * np.cross(self._sideways, _UP)
+        balls[..., 1] += self.lift - self._down + self.scale * (self._own.ankle - self._own.ball)
         raised = np.maximum(self._positions[:, _ANKLES, 1] - self._own.ankle, 0) + EVEN * self._leg
         lifted = np.maximum(self._positions[:, _FEET, 1] - self._own.ball, 0)
-        share = (raised**2 / (raised**2 + lifted**2))[..., None]
+        share = np.maximum(raised**2 / (raised**2 + lifted**2), self._on_ball)[..., None]
         return share * (balls - soles) + (1 - share) * ankles
 
 
@@ -141,6 +171,13 @@ def _held(vectors: Float[np.ndarray, "T 3"], standing: Bool[np.ndarray, " T"]) -
     counts = np.bincount(runs)
     columns = (np.bincount(runs, column[frames]) / counts for column in vectors.T)
     return np.stack([np.interp(np.arange(len(vectors)), frames, column[runs]) for column in columns], axis=-1)
+
+
+def _eased(standing: Bool[np.ndarray, "T 2"], reach: int) -> Float[np.ndarray, "T 2"]:
+    """Returns 1 in frames in which a foot stands, and less and less in those around them, down to 0 beyond `reach`."""
+    shares = (1 + np.cos(np.pi * np.arange(-reach, reach + 1) / (reach + 1))) / 2
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(standing, ((reach, reach), (0, 0))), 2 * reach + 1, axis=0)
+    return np.max(around * shares, axis=-1)
 
 
 def _distance(joints: Rest, pair: list[int]) -> float:

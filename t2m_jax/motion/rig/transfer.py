@@ -72,7 +72,10 @@ def transfer(motion: Motion, rest: Float[np.ndarray, "22 3"], bones: Container[s
     hips = middle[:, None] + np.stack([_turned(turns, _PELVIS, rest[hip] - rest_middle) for hip in _HIPS], axis=1)
     feet = zip(_LEGS, _FEET, strict=True)
     soles = np.stack([_turned(turns, leg[2], rest[foot] - rest[leg[2]]) for leg, foot in feet], axis=1)
-    ways = steps.ankles(soles) - hips
+    rolled = steps.rolled(soles)
+    for side, (_, _, ankle) in enumerate(_LEGS):
+        turns[:, ankle] = quaternion_multiply(quaternion_between(soles[:, side], rolled[:, side]), turns[:, ankle])
+    ways = steps.ankles(rolled) - hips
     drop = _drop(ways, rest, steps.on_floor, motion.fps)[:, None] * _UP
     ahead = rotate_vectors(quaternion_from_matrix(poses.rotations[:, _HIPS]), np.array([0.0, 0.0, 1.0]))
     for side, joints in enumerate(_LEGS):
