@@ -43,7 +43,7 @@ def add_file_arguments(parser: argparse.ArgumentParser) -> None:
     from t2m_jax.motion.bvh.writer import Units
     from t2m_jax.motion.rig.rigs import JointNames
 
-    names = "names of the joints in .bvh and .glb files (default: lafan1)"
+    names = "names of the joints in .bvh and .glb files (default: lafan1); smpl writes .npz files as AMASS has them"
     parser.add_argument("--names", choices=get_args(JointNames), help=names)
     parser.add_argument("--units", choices=get_args(Units), help="units of .bvh and .glb files (default: m)")
     root = "add a bone on the floor that carries the travel, in .bvh and .glb files, for Unreal and Godot"
@@ -61,14 +61,15 @@ def file_options(output: Path, args: argparse.Namespace, outputs: Sequence[Path]
     from t2m_jax.motion.formats import format_options
 
     given = {name: getattr(args, name) for name in FILE_OPTIONS if getattr(args, name) is not None}
-    known = {one: () if _shows_character(one, args) else format_options(one) for one in outputs}
-    for name in given:
-        if not any(name in options for options in known.values()):
+    known = {one: {} if _shows_character(one, args) else format_options(one) for one in outputs}
+    for name, value in given.items():
+        if not any(value in options.get(name, ()) for options in known.values()):
             kept = " (a character keeps its own)" if args.character is not None else ""
             raise UserError(
                 f"{option_of(name)}: is for .bvh and .glb files, and none is written; add -o FILE.glb{kept}"
             )
-    return {name: value for name, value in given.items() if name in known[output]}
+    # Formats have different names, such as `smpl` of .npz files: an option is for those that have its value.
+    return {name: value for name, value in given.items() if value in known[output].get(name, ())}
 
 
 def _shows_character(output: Path, args: argparse.Namespace) -> bool:

@@ -58,12 +58,12 @@ def load_bvh_file(path: Path, *, rig: str | None = None) -> Motion:
         UserError: The file is damaged, or does not show a person.
     """
     table = None if rig is None else resolve_rig(rig)
-    return _motion_of(path, load_bvh(path, rig=table), rig=table)
+    return motion_of_clip(path, load_bvh(path, rig=table), rig=table)
 
 
 def load_amc_file(path: Path, *, rig: str | None = None) -> Motion:
     """Returns the motion of an AMC file; see `load_amc`. For `rig` and errors, see `load_bvh_file`."""
-    return _motion_of(path, load_amc(path), rig=rig)
+    return motion_of_clip(path, load_amc(path), rig=rig)
 
 
 def load_glb_file(path: Path, *, animation: str | None = None, rig: str | None = None) -> Motion:
@@ -76,10 +76,10 @@ def load_glb_file(path: Path, *, animation: str | None = None, rig: str | None =
     """
     clip = load_gltf_animation(path, animation)
     # glTF says that Y is up.
-    return dataclasses.replace(_motion_of(path, clip, rig=rig, up="y"), caption=clip.caption)
+    return dataclasses.replace(motion_of_clip(path, clip, rig=rig, up="y"), caption=clip.caption)
 
 
-def _motion_of(path: Path, clip: RigClip, *, rig: Rig | str | None, up: Up = "auto") -> Motion:
+def motion_of_clip(path: Path, clip: RigClip, *, rig: Rig | str | None, up: Up = "auto") -> Motion:
     """Returns the motion of a clip on the floor, and says what had to be assumed."""
     with naming(path):
         found = find_rig(clip, rig)

@@ -6,11 +6,12 @@ import tempfile
 from collections.abc import Iterable, Sequence
 from io import BufferedIOBase
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Literal
 
 import numpy as np
 
 from t2m_jax.errors import UserError, naming
+from t2m_jax.export.amass import amass_arrays, is_amass, motion_from_amass
 from t2m_jax.export.formats import only_motion
 from t2m_jax.files.reading import load_archive
 from t2m_jax.files.writing import atomic_file
@@ -38,11 +39,23 @@ GROWING = ("positions", "features", "codes")
 """Entries that grow with the motion."""
 
 
-def save_npz(path: Path, motions: Sequence[Motion]) -> None:
-    """Writes one motion as an archive with the keys of `ENTRIES`. None and empty warnings are left out."""
+def save_npz(path: Path, motions: Sequence[Motion], *, names: Literal["humanml3d", "smpl"] = "humanml3d") -> None:
+    """Writes one motion as an archive with the keys of `ENTRIES`. None and empty warnings are left out.
+
+    Args:
+        path: The file.
+        motions: One motion.
+        names: "smpl" writes the keys of AMASS instead: rotations of the body model SMPL (see `amass_arrays`).
+
+    Raises:
+        UserError: There is not exactly one motion, or SMPL has not its joints.
+    """
     motion = only_motion(path, motions)
     with atomic_file(path) as partial, partial.open("wb") as file:
-        write_npz(file, motion)
+        if names == "smpl":
+            np.savez_compressed(file, **amass_arrays(path, motion))
+        else:
+            write_npz(file, motion)
 
 
 def write_npz(file: BufferedIOBase, motion: Motion, *, compress: bool = True) -> None:
@@ -56,13 +69,15 @@ def write_npz(file: BufferedIOBase, motion: Motion, *, compress: bool = True) ->
 
 
 def load_npz(path: str | Path) -> Motion:
-    """Returns the motion of an archive that `save_npz`, or another program with the same keys, wrote.
+    """Returns the motion of an archive that `save_npz`, or another program with the same keys, wrote; or of AMASS.
 
     Raises:
         UserError: The file is not such an archive. The message names the entry.
     """
     path = Path(path)
     archive = load_archive(path)
+    if is_amass(archive):
+        return motion_from_amass(path, archive)
     for key in REQUIRED_KEYS:
         if key not in archive:
             raise UserError(f"{path}: there is no entry {key!r}; a motion has at least {', '.join(REQUIRED_KEYS)}")

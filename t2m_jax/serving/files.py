@@ -80,7 +80,7 @@ def make_file(inputs: Sequence[bytes], options: schema.FileOptions) -> bytes:
         # Programs may use the same parameters for all formats; pictures have no joints to name.
         known = format_options(path)
         given = {"names": options.names, "units": options.units, "root_bone": options.root_bone}
-        save_motions(path, motions, **{name: value for name, value in given.items() if value and name in known})
+        save_motions(path, motions, **{name: value for name, value in given.items() if value in known.get(name, ())})
         return path.read_bytes()
 
 

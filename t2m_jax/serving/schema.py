@@ -88,7 +88,7 @@ class FileOptions:
     format: str = "npz"
     """Format of the file."""
     names: JointNames | None = None
-    """Names of the joints in BVH and GLB files."""
+    """Names of the joints in BVH and GLB files. With `smpl`, NPZ files have the layout of AMASS."""
     units: Units | None = None
     """Units of BVH and GLB files."""
     root_bone: bool = False

@@ -63,6 +63,15 @@ def test_options_of_formats_that_are_not_written_are_refused(refusal, bundle_fol
         assert "none is written" in refusal("generate", "a person walks", "--model", bundle_folder, *option)
 
 
+def test_a_name_of_joints_is_for_the_formats_that_have_it(refusal, walk, tmp_path):
+    view, glb = ["view", f"{walk}", "-o", f"{tmp_path / 'b.npz'}"], tmp_path / "b.glb"
+    assert "--names: is for .bvh and .glb files" in refusal(*view, "--names", "vrm")
+    assert main([*view, "-o", f"{glb}", "--names", "smpl"]) == 0
+    assert "poses" in np.load(tmp_path / "b.npz") and b'"L_Hip"' in glb.read_bytes()
+    assert main([*view, "-o", f"{glb}", "--names", "vrm"]) == 0
+    assert "positions" in np.load(tmp_path / "b.npz") and b'"leftUpperLeg"' in glb.read_bytes()
+
+
 def test_speed_and_path_change_before_the_rate(walk, tmp_path):
     motion, written = Motion.load(walk), tmp_path / "b.npz"
     assert main(["view", f"{walk}", "-o", f"{written}", "--speed", "2", "--turn", "-90", "--fps", "40"]) == 0

@@ -86,6 +86,7 @@ def _make_motions(root: Path) -> None:
     parts = {"part_starts": (0, 4), "part_captions": ("a person walks", "somebody waves")}
     walk = dataclasses.replace(WALK, **parts)
     walk.save(root / "motion.npz")
+    walk.save(root / "amass.npz", names="smpl")
     walk.save(root / "own.glb")
     walk.save(root / "own.bvh")
     # Joints that no table knows, and an animation without a skin.
@@ -137,6 +138,7 @@ FILES: Mapping[str, Callable[[Path], object]] = {
     "hero.glb": lambda root: read_character(root / "hero.glb"),
     "own.bvh": lambda root: load_motion(root / "own.bvh"),
     "motion.npz": lambda root: load_motion(root / "motion.npz"),
+    "amass.npz": lambda root: load_motion(root / "amass.npz"),
     "joints.npy": lambda root: load_motion(root / "joints.npy"),
     "captions.txt": lambda root: load_captions(root / "captions.txt"),
     "table.txt": lambda root: load_caption_table(root / "table.txt"),

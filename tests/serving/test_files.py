@@ -20,6 +20,7 @@ SIGNATURES = {
     "npz": b"PK",
     "bvh": b"HIERARCHY",
     "glb": b"glTF",
+    "vrma": b"glTF",
     "gif": b"GIF8",
     "png": b"\x89PNG",
     "html": b"<!doctype",
@@ -75,6 +76,12 @@ def test_names_and_units_are_those_of_the_format(walk):  # noqa: F811
     with motion_file(make_file([data_of(walk)], options), "bvh") as path:
         assert load_bvh(path).joint_names[0] == "mixamorig:Hips"
     make_file([data_of(walk[:2])], FileOptions(format="png", names="mixamo"))  # pictures have no joints to name
+
+
+def test_arrays_have_the_layout_that_is_asked_for(walk):  # noqa: F811
+    for names, entry in (("smpl", "poses"), ("vrm", "positions"), (None, "positions")):
+        assert entry in np.load(io.BytesIO(make_file([data_of(walk)], FileOptions(names=names))))
+    assert b'"Root"' in make_file([data_of(walk)], FileOptions(format="glb", root_bone=True))
 
 
 def test_several_motions_need_a_format_for_several(walk):  # noqa: F811

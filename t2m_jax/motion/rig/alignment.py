@@ -44,7 +44,7 @@ _OUT = {"left": _X, "right": -_X}
 
 
 def align(
-    turns: Matrices, positions: Joints, offsets: Rest, rest: Rest, *, foot_pitch: float | None
+    turns: Matrices, positions: Joints, offsets: Rest, rest: Rest, *, foot_pitch: float | None, same_joints: bool
 ) -> Float[np.ndarray, "22 4"]:
     """Returns the rotation of each joint from the rest pose of a body to the T-pose.
 
@@ -55,8 +55,9 @@ def align(
         rest: The joints of the body.
         foot_pitch: Radians by which feet that stand flat point down in the motion. Feet of the body are then flat in
             its rest pose; with None, they are compared by direction.
+        same_joints: Whether spine and collars of the body are where the motion has them, and are compared, too.
     """
-    if _is_t_pose(rest):
+    if same_joints:
         found = _align_t_pose(offsets, rest)
     else:
         found = _align_posture(_inverse_frame(rest), _mean_posture(turns, positions))
@@ -127,8 +128,6 @@ def follow_trunk(turns: Quaternions, positions: Joints, rest: Rest) -> None:
         positions: The motion.
         rest: The joints of the body.
     """
-    if _is_t_pose(rest):
-        return
     middle = (rest[_INDEX["left_hip"]] + rest[_INDEX["right_hip"]]) / 2
     trunk = quaternion_multiply(quaternion_from_matrix(_trunk_frames(positions)), _inverse_frame(rest))
     chain = [_INDEX[name] for name in SPINE[:-1]]
@@ -146,7 +145,7 @@ def follow_trunk(turns: Quaternions, positions: Joints, rest: Rest) -> None:
         turns[:, _INDEX[name]] = quaternion_multiply(turn, turns[:, _INDEX[name]])
 
 
-def _is_t_pose(rest: Rest) -> bool:
+def is_t_pose(rest: Rest) -> bool:
     """Returns whether spine and collars are straight as in the T-pose, as in files of this package."""
     spine = rest[[_INDEX[name] for name in SPINE]]
     collars = np.stack([_bone(rest, side, "collar", "shoulder") for side in _OUT])

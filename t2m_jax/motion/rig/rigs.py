@@ -10,7 +10,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.yaml_file import load_yaml
 
-JointNames = Literal["lafan1", "humanml3d", "mixamo", "vrm", "unreal"]
+JointNames = Literal["lafan1", "humanml3d", "mixamo", "vrm", "unreal", "smpl"]
 """Rigs whose names for all 22 joints can be written."""
 DOLLS = ("kaykit",)
 """Rigs of characters that do not have the proportions of a person."""

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from t2m_jax.motion.inverse_kinematics import fit_rig
 from t2m_jax.motion.kinematics import forward_kinematics
 from t2m_jax.motion.motion import Motion
-from t2m_jax.motion.rig.alignment import align, follow_trunk
+from t2m_jax.motion.rig.alignment import align, follow_trunk, is_t_pose
 from t2m_jax.motion.rig.standing import Steps, leg_length
 from t2m_jax.motion.rotations import (
     quaternion_between,
@@ -47,7 +47,9 @@ class Movement(NamedTuple):
     """Place of the pelvis in the unit of the body."""
 
 
-def transfer(motion: Motion, rest: Float[np.ndarray, "22 3"], bones: Container[str]) -> Movement:
+def transfer(
+    motion: Motion, rest: Float[np.ndarray, "22 3"], bones: Container[str], *, same_joints: bool = False
+) -> Movement:
     """Returns how a body moves as a motion does, on the floor at y = 0.
 
     Limbs have the directions that they have in the motion; for spine and collars, see `align`. The middle of the hips
@@ -57,15 +59,19 @@ def transfer(motion: Motion, rest: Float[np.ndarray, "22 3"], bones: Container[s
         motion: A motion of the 22 joints.
         rest: The joints of the body in its rest pose, in any unit.
         bones: Names of the joints at which the body has a bone; others were placed between these.
+        same_joints: Whether the joints of the motion are at the same places in the body as these, also those of spine
+            and collars, which differ between programs. It is so for a rest pose of this package.
     """
+    same_joints = same_joints or is_t_pose(rest)
     rig = fit_rig(motion.positions, fps=motion.fps)
     poses = forward_kinematics(rig.rotations, rig.translations, HUMANML3D.parents)
     positions, rest = np.asarray(motion.positions, np.float64), np.asarray(rest, np.float64)
     steps = Steps(motion, poses.rotations, rest, leg=leg_length(poses.positions[0]))
-    aligned = align(poses.rotations, positions, rig.offsets, rest, foot_pitch=steps.pitch)
+    aligned = align(poses.rotations, positions, rig.offsets, rest, foot_pitch=steps.pitch, same_joints=same_joints)
     turns = quaternion_multiply(quaternion_from_matrix(poses.rotations), aligned)
     _share_spine(turns, bones)
-    follow_trunk(turns, positions, rest)
+    if not same_joints:
+        follow_trunk(turns, positions, rest)
 
     middle = steps.scale * positions[:, _HIPS].mean(axis=1) + steps.lift * _UP
     rest_middle = rest[_HIPS].mean(axis=0)
