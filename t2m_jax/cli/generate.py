@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import itertools
 import shlex
 import sys
 import warnings
@@ -17,6 +18,7 @@ from t2m_jax.errors import UserError, one_line
 if TYPE_CHECKING:
     from t2m_jax.motion.character import Character
     from t2m_jax.motion.motion import Motion
+    from t2m_jax.motion.targets import Target
     from t2m_jax.sampling.request import MotionRequest
 
 MAX_ON_PAGE = 24
@@ -31,7 +33,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("text", nargs="+", help="sentences in quotes; each gives one motion (or --num-samples)")
     parser.add_argument("--then", action="append", metavar="TEXT", help="a sentence that follows; can be repeated")
     add_model_argument(parser)
-    add_record(parser, MotionRequest, left_out=("captions", "strategy"))
+    add_record(parser, MotionRequest, left_out=("captions", "strategy", "targets"))
+    places = "right_wrist=X,Y,Z (any joint), root=X,Z or facing=DEGREES; += is seen from the root"
+    at = f"where something should be at a time in seconds, or in BEGIN:END: {places}; can be repeated"
+    parser.add_argument("--at", nargs=2, action="append", metavar=("TIME", "PLACE"), help=at)
+    pose = "a pose at a time: the first frame of a motion file; can be repeated"
+    parser.add_argument("--pose", nargs=2, action="append", metavar=("TIME", "FILE"), help=pose)
     add_rig_argument(parser, "the file of --from")
     add_record(parser, Changes)
     add_file_arguments(parser)
@@ -64,7 +71,8 @@ def run(args: argparse.Namespace) -> None:
     with claim([check_motion_output(_file_of(output, 0, count)) for output in outputs]), warnings.catch_warnings():
         warnings.simplefilter("always", PromptWarning)
         warnings.showwarning = show_warning  # type: ignore[assignment]  # it needs the message only
-        motions = map(changes.apply, TextToMotion.load(args.model).make(*requests))
+        made = TextToMotion.load(args.model).make(*requests)
+        motions = map(changes.apply, _show_distances(requests, made) if requests[0].targets else made)
         written = list(_write(motions, options, count, character))
     pages = [path for path in written if path.suffix == ".html"]
     # The file of a character may have other animations, too.
@@ -99,8 +107,36 @@ def _requests(args: argparse.Namespace) -> "Iterator[MotionRequest]":
         raise UserError(f"--rig {args.rig}: is for a file to go on from; add --from FILE")
     rig = args.rig if args.character is None else None
     start = None if args.start is None else load_motion(args.start, rig=rig)
+    targets = tuple(_targets(args))
     for text in args.text:
-        yield read_record(MotionRequest, args, captions=(text, *(args.then or ())), start=start)
+        yield read_record(MotionRequest, args, captions=(text, *(args.then or ())), start=start, targets=targets)
+
+
+def _targets(args: argparse.Namespace) -> "Iterator[Target]":
+    """Yields the targets of --at and --pose."""
+    from t2m_jax.motion.formats import load_motion
+    from t2m_jax.motion.targets import read_target
+
+    yield from (read_target(f"{time} {place}") for time, place in args.at or ())
+    for time, file in args.pose or ():
+        try:
+            seconds = float(time)
+        except ValueError:
+            raise UserError(f"--pose {time} {file}: {time!r} is not a number of seconds") from None
+        yield read_target((seconds, load_motion(file)))
+
+
+def _show_distances(requests: "list[MotionRequest]", motions: "Iterator[Motion]") -> "Iterator[Motion]":
+    """Yields motions, and says on standard error how far each is from its targets."""
+    from t2m_jax.motion.targets import distances
+
+    for request in requests:
+        for motion in itertools.islice(motions, request.num_samples):
+            found = zip(request.targets, distances(motion, request.targets), strict=True)
+            for target, far in found:
+                met = "met" if far <= target.tolerance else "missed"
+                sys.stderr.write(f"t2m: {target.name}: {met}, {far:.3f} {target.unit} away\n")
+            yield motion
 
 
 def _motions_per_file(output: Path) -> int:

@@ -38,7 +38,7 @@ def _path(text: str) -> tuple[tuple[float, float], ...]:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-SHORT: Mapping[str, str] = {"start": "--from", "span": "--redo", "strength": "--vary"}
+SHORT: Mapping[str, str] = {"start": "--from", "span": "--redo", "strength": "--vary", "targets": "--at"}
 """Options that are called otherwise than their fields."""
 TYPES: Mapping[str, Mapping[str, Any]] = {
     "start": {"type": Path, "metavar": "FILE"},

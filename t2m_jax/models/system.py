@@ -133,6 +133,8 @@ class Part:
     """From a config to arguments of the module's `__call__` for `init`; the keyword `train` is added."""
     codebook: Callable[[Any, Any], Float[Array, "K C"]] | None = None
     """From a tokenizer's config and variables to the codes that generators may read; None if it has none."""
+    has_latents: bool = False
+    """Whether a tokenizer has `latents_of` and `decode_latents`, as `VqVae`, so that its motions can meet targets."""
     stop_threshold: Callable[[Any], float] = lambda config: 0.5
     """From a generator's config to the stop probability at which a motion ends, with the rule `threshold`."""
 

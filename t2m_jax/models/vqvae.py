@@ -216,7 +216,11 @@ class VqVae(nn.Module):
         chex.assert_rank(codes, {2, 3} if depth == 1 else 3)
         rows = codes.reshape(*codes.shape[:2], -1)
         chex.assert_axis_dimension_lteq(rows, 2, depth)
-        return self.decode_latents(self.quantizer.lookup(rows), mask)
+        return self.decode_latents(self.latents_of(rows), mask)
+
+    def latents_of(self, codes: Int[Array, "B N R"]) -> Float[Array, "B N C"]:
+        """Returns the latents of codes, from which `decode_latents` makes their motion."""
+        return self.quantizer.lookup(codes)
 
     def read_codebook(self) -> Float[Array, "K C"]:
         """Returns the codebook."""
@@ -241,7 +245,9 @@ def _codebook(config: VqVaeConfig, variables: Any) -> Float[Array, "K C"]:
     return VqVae(config).apply(variables, method="read_codebook")
 
 
-PART = Part(role="tokenizer", config=VqVaeConfig, module=VqVae, example=_example, codebook=_codebook)
+PART = Part(role="tokenizer", config=VqVaeConfig, module=VqVae, example=_example, codebook=_codebook, has_latents=True)
 """The entry point `vqvae`."""
-RESIDUAL_PART = Part(role="tokenizer", config=RvqVaeConfig, module=VqVae, example=_example, codebook=_codebook)
+RESIDUAL_PART = Part(
+    role="tokenizer", config=RvqVaeConfig, module=VqVae, example=_example, codebook=_codebook, has_latents=True
+)
 """The entry point `rvqvae`."""

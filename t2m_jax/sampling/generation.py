@@ -11,6 +11,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling.batches import fill_up
 from t2m_jax.sampling.decode import GrowingMotion, split_rows
+from t2m_jax.sampling.directing import direct
 from t2m_jax.sampling.inbetween import redo, vary
 from t2m_jax.sampling.loop import Sampling
 from t2m_jax.sampling.model import ModelParts
@@ -85,6 +86,8 @@ def _make_group(
     for request, prompts in group:
         if request.span is not None:
             yield redo(model, request, prompts[0], sampling)
+        elif request.targets:
+            yield direct(model, request, prompts[0])
         elif request.strength is not None:
             yield from vary(model, request, prompts, sampling, tell)
         else:

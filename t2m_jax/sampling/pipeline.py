@@ -16,6 +16,7 @@ from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.errors import UserError
 from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.targets import Target, read_target
 from t2m_jax.sampling.compilation import use_compilation_cache
 from t2m_jax.sampling.generation import OnProgress, find_sampling, make_motions, make_rows
 from t2m_jax.sampling.model import ModelParts
@@ -170,6 +171,8 @@ class TextToMotion:
         """
         if request.span is not None or request.strength is not None:
             raise UserError("stream: a change of a motion has no pieces; use make")
+        if request.targets:
+            raise UserError("stream: targets need the whole motion; use make")
         prompts = read_prompts(request.captions, self.knowledge, self.text_encoder)
         if request.is_plain:
             return make_rows(self.parts, Sample(prompts[0], request.seed, sample), request.options)
@@ -269,6 +272,36 @@ class TextToMotion:
         """
         counts = {"num_samples": num_samples, "candidates": num_candidates}
         return list(self.make(_request(caption, options, start=motion, span=span, seed=seed, **counts)))
+
+    def direct(
+        self,
+        caption: str,
+        targets: Sequence[Target | str | tuple[float, Motion]],
+        *,
+        seed: int = 0,
+        num_samples: int = 1,
+        num_candidates: int = MotionRequest.candidates,
+        **options: Any,
+    ) -> list[Motion]:
+        """Returns motions in which joints, the root or the whole pose are where they should be at a time.
+
+        Several motions are sampled. The nearest ones are changed by gradients of the decoder until they meet the
+        targets. `Motion.warning` says which are missed, and by how much.
+
+        Args:
+            caption: A sentence.
+            targets: Texts, such as "2.0 right_wrist=0.3,1.5,0.2" (seconds, joint, meters; +x at the left of a figure
+                that faces +z), "1:2 left_foot=0.1,0,0.5" (all the time), "2.0 right_wrist+=-0.2,1.6,0.3" (seen from the
+                root), "4 root=1,3" (x, z) and "4 facing=90" (degrees to the left). Or pairs of seconds and a motion,
+                whose first frame is the pose.
+            seed: From 0 to 2**32 - 1.
+            num_samples: Motions to return, the best ones first.
+            num_candidates: Samples to choose them from.
+            **options: Of `SamplingOptions`.
+        """
+        counts = {"num_samples": num_samples, "candidates": num_candidates}
+        read = tuple(map(read_target, targets))
+        return list(self.make(_request(caption, options, targets=read, seed=seed, **counts)))
 
     def vary(
         self,

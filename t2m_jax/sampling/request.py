@@ -8,6 +8,7 @@ from typing import Literal
 from t2m_jax.config import check_seed
 from t2m_jax.errors import UserError
 from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.targets import Target
 from t2m_jax.sampling.prompts import MAX_BATCH
 from t2m_jax.sampling.stopping import make_stop_rule
 from t2m_jax.sampling.strategies import Strategy, make_strategy
@@ -97,7 +98,9 @@ class MotionRequest:
     num_samples: int = 1
     """Motions to make."""
     candidates: int = 16
-    """Samples to choose the motions from; only with `span`."""
+    """Samples to choose the motions from; only with `span` or `targets`."""
+    targets: tuple[Target, ...] = ()
+    """Where joints, the root or the whole pose should be at a time."""
     options: SamplingOptions = SamplingOptions()
     """How codes are chosen."""
 
@@ -121,13 +124,17 @@ class MotionRequest:
             self._check_change("strength" if self.span is None else "span")
         if self.span is not None:
             self._check_span(*self.span)
+        if self.targets and (len(self.captions) > 1 or self.start is not None or self.seconds is not None):
+            raise UserError("targets: are for one sentence, without start or seconds")
+        if self.span is not None or self.targets:
+            self._check_candidates()
         elif self.candidates != MotionRequest.candidates:
-            raise UserError("candidates: is only for a span to redo; give one, or leave it out")
+            raise UserError("candidates: is only for targets or a span to redo; give them, or leave it out")
 
     @property
     def is_plain(self) -> bool:
         """Whether it asks for motions of one sentence alone, which can be sampled together with those of others."""
-        return len(self.captions) == 1 and self.start is None and self.seconds is None
+        return len(self.captions) == 1 and self.start is None and self.seconds is None and not self.targets
 
     def _check_change(self, name: str) -> None:
         if self.start is None:
@@ -146,6 +153,8 @@ class MotionRequest:
         # NaN fails each comparison, so it is refused, too. Where the motion ends is checked with its codes.
         if not 0 <= begin < end < math.inf:
             raise UserError(f"span: {begin:g} to {end:g} is not a part of the motion")
+
+    def _check_candidates(self) -> None:
         if not 1 <= self.candidates <= MAX_BATCH:
             raise UserError(f"candidates: {self.candidates} is not a whole number from 1 to {MAX_BATCH}")
         if self.num_samples > self.candidates:

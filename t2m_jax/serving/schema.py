@@ -19,6 +19,7 @@ from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.paths import LARGEST_TURN
 from t2m_jax.motion.resampling import MAX_SPEED
 from t2m_jax.motion.rig.rigs import JointNames
+from t2m_jax.motion.targets import Target, targets_from_text
 from t2m_jax.records import fields_of, record_from
 from t2m_jax.sampling.prompts import MAX_BATCH
 from t2m_jax.sampling.request import MotionRequest
@@ -77,6 +78,7 @@ Base64 = Annotated[
 PathText = Annotated[
     tuple[tuple[float, float], ...], PlainValidator(path_from_text), WithJsonSchema({"type": "string"})
 ]
+TargetsText = Annotated[tuple[Target, ...], PlainValidator(targets_from_text), WithJsonSchema({"type": "string"})]
 Replacement = tuple[Any, Any, str]
 """A type, a default and a text."""
 
@@ -123,6 +125,11 @@ MotionBody = make_model(
         "seed": (int | None, None, "From 0 to 2**32 - 1; by default a random one."),
         "start": (Base64 | None, None, "A motion to continue. With `span` or `strength`, it is changed instead."),
         "start_format": (InputFormat, "npz", "Format of `start`."),
+        "targets": (
+            TargetsText,
+            (),
+            'Where joints should be at a time, such as "2 right_wrist=-0.3,1.7,0.2; 4 root=1,3"; seconds and meters.',
+        ),
     },
 )
 FileParameters = make_model(

@@ -72,7 +72,7 @@ def test_options_that_no_model_has_are_one_line(options, said):
         ({"start": WALK, "span": (0.0, float("inf"))}, "span: 0 to inf is not"),
         ({"start": WALK, "span": (0.0, 1.0), "candidates": 0}, "candidates: 0 is not a whole number from 1 to 32"),
         ({"start": WALK, "span": (0.0, 1.0), "candidates": 33}, "candidates: 33 is not"),
-        ({"candidates": 8}, "candidates: is only for a span to redo"),
+        ({"candidates": 8}, "candidates: is only for targets or a span to redo"),
         ({"start": WALK, "strength": 0.5, "candidates": 8}, "candidates: is only for"),
         ({"start": WALK, "span": (0.0, 1.0), "num_samples": 17}, "17 motions cannot be chosen from 16 candidates"),
     ],

@@ -27,6 +27,8 @@ from t2m_jax.models.sentence_encoder import SentenceEncoder, SentenceEncoderConf
 from t2m_jax.models.system import make_module, variable_shapes
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.motion.targets import read_target
+from t2m_jax.sampling.directing import make_goals
 from t2m_jax.sampling.loop import Sampling
 from t2m_jax.sampling.programs import begin_motions, begin_slots
 from t2m_jax.sampling.stopping import StopAtEnd, StopAtThreshold
@@ -222,6 +224,16 @@ def _() -> Case:
 def _() -> Case:
     positions = jnp.asarray(make_motion("walk", seed=0, num_frames=40), jnp.float32)
     return Case((positions,), {"fps": 20.0, "skeleton": HUMANML3D}, rtol=1e-4, atol=1e-4)
+
+
+@case("sampling.directing.approach_goals")
+def _() -> Case:
+    variables, normalizer, codes, lengths = decoding()
+    targets = [read_target("0.3 left_wrist=0.2,1,0.1"), read_target("0.2 root=0.1,0.2")]
+    goals = make_goals(targets, HUMANML3D)
+    # Steps of Adam double the rounding of gradients near 0.
+    options = {"tokenizer": make_module(TOKENIZER), "skeleton": HUMANML3D}
+    return Case((variables, normalizer, codes[:1], lengths[:1], None, goals), options, rtol=1e-3, atol=1e-3)
 
 
 @case("sampling.programs.generate_codes")

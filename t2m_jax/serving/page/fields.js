@@ -14,8 +14,9 @@ const LABELS = {
   loop: "As a loop",
   in_place: "In place, without travel",
   names: "Joint names",
+  targets: "Targets in seconds and meters",
 };
-const PLACEHOLDERS = { path: "0,0 1,2 3,2", fps: "as it is", speed: "1", turn: "0" };
+const PLACEHOLDERS = { path: "0,0 1,2 3,2", targets: "2 right_wrist=-0.3,1.7,0.2; 4 root=1,3", fps: "as it is", speed: "1", turn: "0" };
 
 // A field that may be null has its schema in `anyOf`.
 export const plain = (schema) => ({ ...schema, ...schema.anyOf?.[0] });

@@ -49,6 +49,7 @@ export class MakePanel {
     find("strength-field").hidden = mode !== "vary";
     showField("seconds", !fixed);
     showField("candidates", mode === "redo");
+    showField("targets", mode === "new");
     document.querySelector(`#modes [value=${mode}]`).checked = true;
   }
 

@@ -1,0 +1,123 @@
+"""Measures how well motions meet targets that real clips meet: a wrist, a place of the root, and a pose.
+
+    python docs/measure/targets.py data/bandai-namco [--model demo] [--count 100]
+
+Each request has the sentence of a test clip and three targets at random times of it. It is compared with the first
+sample of the sentence, and with the best of 16 and of 64 samples.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from t2m_jax.data import open_dataset
+from t2m_jax.errors import UserError
+from t2m_jax.evaluation.prompts.following import RULES, follows
+from t2m_jax.evaluation.prompts.recognition import load_index
+from t2m_jax.metrics.quality import measure_quality
+from t2m_jax.motion.features import positions_from_features
+from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.targets import JOINT_TOLERANCE, TOLERANCES, Target, distances, read_target
+from t2m_jax.sampling import TextToMotion
+
+KINDS = ("wrist", "root", "pose")
+LIMITS = (JOINT_TOLERANCE, TOLERANCES["root"], TOLERANCES["pose"])
+SECONDS = (1.0, 9.5)
+"""Shortest and longest clip that is used."""
+
+
+class Trial(NamedTuple):
+    """A sentence, what its clip shows, and targets that the clip meets."""
+
+    sentence: str
+    action: str
+    targets: tuple[Target, ...]
+
+
+def trials(data: str, count: int) -> Iterator[Trial]:
+    """Yields trials from the test clips of the ten actions."""
+    dataset = open_dataset(data)
+    index = load_index(dataset.folder)
+    generator = np.random.default_rng(0)
+    if index is None:
+        raise UserError(f"{data}: its clips have no labels")
+    clips = list(dataset.clips("test", min_frames=2))
+    for number in generator.permutation(len(clips)):
+        clip = clips[number]
+        action = (index.label(clip.name) or "").partition(",")[0]
+        motion = Motion(np.asarray(positions_from_features(clip.features, dataset.skeleton)), dataset.skeleton.fps)
+        if action in RULES and SECONDS[0] <= motion.seconds <= SECONDS[1] and follows(action, motion) and count:
+            count -= 1
+            yield Trial(clip.captions[0].text, action, tuple(targets_of(motion, generator)))
+
+
+def targets_of(motion: Motion, generator: np.random.Generator) -> Iterator[Target]:
+    """Yields a target of each kind that a motion meets, at three times."""
+    first, second, third = generator.choice(np.arange(5, motion.num_frames - 5), 3, replace=False)
+    wrist = str(generator.choice(["left_wrist", "right_wrist"]))
+    place = motion.positions[first, motion.skeleton.joint_names.index(wrist)]
+    x, _, z = motion.positions[second, 0]
+    yield read_target(f"{first / motion.fps} {wrist}={','.join(map(str, place))}")
+    yield read_target(f"{second / motion.fps} root={x},{z}")
+    yield read_target((third / motion.fps, motion[third : third + 1]))
+
+
+def best_of(motions: Sequence[Motion], targets: Sequence[Target]) -> Motion:
+    """Returns the motion that is nearest to the targets, each in its tolerance."""
+
+    def cost(motion: Motion) -> float:
+        return sum((far / limit) ** 2 for far, limit in zip(distances(motion, targets), LIMITS, strict=True))
+
+    return min(motions, key=cost)
+
+
+def row(name: str, found: Sequence[tuple[Trial, Motion]], seconds: float) -> str:
+    """Returns a row of the table."""
+    apart = np.array([distances(motion, trial.targets) for trial, motion in found])
+    pairs = zip(apart.T, LIMITS, strict=True)
+    met = [f"{np.mean(own <= limit):.0%} ({100 * np.median(own):.1f} cm)" for own, limit in pairs]
+    followed = np.mean([follows(trial.action, motion) for trial, motion in found])
+    qualities = []
+    for _, motion in found:
+        padded = np.pad(motion.positions, ((0, 200 - motion.num_frames), (0, 0), (0, 0)), mode="edge")[None]
+        mask = (np.arange(200) < motion.num_frames)[None]
+        qualities.append(measure_quality(jnp.asarray(padded), jnp.asarray(mask), skeleton=motion.skeleton))
+    jerk, skating = (np.mean([float(getattr(one, part)[0]) for one in qualities]) for part in ("jerk", "skating_ratio"))
+    cells = [name, *met, f"{followed:.0%}", f"{jerk:.1f}", f"{skating:.2%}", f"{seconds:.1f}"]
+    return f"| {' | '.join(cells)} |"
+
+
+def main() -> None:
+    """Prints the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data")
+    parser.add_argument("--model", default="demo")
+    parser.add_argument("--count", type=int, default=100)
+    args = parser.parse_args()
+    model = TextToMotion.load(args.model)
+    names = ("first sample", "best of 16", "best of 64", "directed")
+    found: dict[str, list[tuple[Trial, Motion]]] = {name: [] for name in names}
+    times = []
+    for number, trial in enumerate(trials(args.data, args.count)):
+        samples = model.generate(trial.sentence, seed=number, num_samples=64)
+        for name, size in zip(found, (1, 16, 64), strict=False):
+            found[name].append((trial, best_of(samples[:size], trial.targets)))
+        start = time.perf_counter()
+        (motion,) = model.direct(trial.sentence, trial.targets, seed=number)
+        times.append(time.perf_counter() - start)
+        found["directed"].append((trial, motion))
+    lines = [
+        "| motions | wrist | root | pose | action | jerk | skating | seconds |",
+        "| --- | --- | --- | --- | ---: | ---: | ---: | ---: |",
+        *(row(name, own, np.median(times) if name == "directed" else np.nan) for name, own in found.items()),
+    ]
+    sys.stdout.write("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()

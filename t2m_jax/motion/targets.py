@@ -1,0 +1,218 @@
+"""Targets: where a joint, the root, the direction, or the whole pose of a motion should be at a time.
+
+Places are in meters in the world of a generated motion, which begins above the origin and faces +z: +x is at its left.
+"""
+
+import dataclasses
+import itertools
+import math
+import re
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from t2m_jax.errors import UserError
+from t2m_jax.motion.features import facing
+from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.skeleton import Skeleton
+
+ROOT = "root"
+"""The place on the ground, x and z."""
+FACING = "facing"
+"""The direction: degrees to the left of +z."""
+POSE = "pose"
+"""All joints, seen from the root."""
+SIZES = {ROOT: 2, FACING: 1, POSE: 0}
+"""Numbers of a target that is not a joint's; a joint has three."""
+TOLERANCES = {ROOT: 0.1, FACING: 10.0, POSE: 0.05}
+"""Up to here such a target is met: meters, degrees, and the mean over the joints in meters."""
+JOINT_TOLERANCE = 0.03
+"""Up to here, the target of a joint is met; meters."""
+FASTEST_ROOT = 5.0
+"""Nobody travels faster in these motions; meters per second."""
+FASTEST_JOINT = 12.0
+"""No joint moves faster; meters per second."""
+HIGHEST = 2.6
+"""No joint gets higher; meters."""
+LOWEST = -0.2
+"""No joint gets lower; meters. Floors may be a little off."""
+FARTHEST = 1.3
+"""No joint is farther from the root over the ground; meters."""
+MAX_TARGETS = 64
+"""Most targets of a motion."""
+SYNTAX = "TIME JOINT=X,Y,Z, such as '2.0 right_wrist=0.3,1.5,0.2', '4 root=1,3' or '1:2 left_foot=0.1,0,0.5'"
+_TARGET = re.compile(r"\s*([^\s:]+)(?::(\S+))?\s+(\w+)\s*(\+?=)\s*(\S.*?)\s*")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Target:
+    """One target."""
+
+    seconds: float
+    """When; from the beginning of the motion."""
+    joint: str
+    """Name of a joint of the skeleton, or `root`, `facing` or `pose`."""
+    place: tuple[float, ...] = ()
+    """x, y, z of a joint, x and z of the root, or degrees to the left of +z."""
+    until: float | None = None
+    """Seconds at which it ends to hold; by default it holds for one frame."""
+    relative: bool = False
+    """Whether the place of a joint is seen from the ground under the root, with +z where the figure faces."""
+    pose: Float[np.ndarray, "J 3"] | None = None
+    """Joints of a `pose`, in meters."""
+
+    def __post_init__(self) -> None:
+        """Checks what does not depend on the skeleton.
+
+        Raises:
+            UserError: A number cannot be used with any motion.
+        """
+        end = self.seconds if self.until is None else self.until
+        if not 0 <= self.seconds <= end < math.inf:
+            raise self.error(f"{self.seconds:g} to {end:g} s is not a time from 0")
+        size = SIZES.get(self.joint, 3)
+        if len(self.place) != size or not all(map(math.isfinite, self.place)):
+            raise self.error(f"needs {size} number{'s' * (size != 1)}, not {self.place}")
+        if self.joint in SIZES and self.relative:
+            raise self.error("is not seen from the root; use =")
+        if self.joint in SIZES:
+            return
+        x, y, z = self.place
+        if not LOWEST <= y <= HIGHEST:
+            raise self.error(f"nobody reaches a height of {y:g} m")
+        if self.relative and math.hypot(x, z) > FARTHEST:
+            raise self.error(f"nobody reaches {math.hypot(x, z):.2g} m from the root")
+
+    def error(self, reason: str) -> UserError:
+        """Returns an error that names the target."""
+        return UserError(f"targets: {self.name}: {reason}")
+
+    @property
+    def name(self) -> str:
+        """What and when, for messages."""
+        return f"{self.joint} at {self.seconds:g} s"
+
+    @property
+    def tolerance(self) -> float:
+        """The distance up to which it is met; meters, or degrees of `facing`."""
+        return TOLERANCES.get(self.joint, JOINT_TOLERANCE)
+
+    @property
+    def unit(self) -> str:
+        """The unit of `tolerance` and of `distances`."""
+        return "degrees" if self.joint == FACING else "m"
+
+    def frames(self, fps: float) -> range:
+        """Returns the frames in which it holds."""
+        first = round(self.seconds * fps)
+        return range(first, max(first, round((self.until or 0.0) * fps)) + 1)
+
+
+def read_target(given: object) -> Target:
+    """Returns a target: as given, from a text, or from seconds and a motion whose first frame is the pose.
+
+    Raises:
+        UserError: It is none of these, or a number cannot be used.
+    """
+    if isinstance(given, Target):
+        return given
+    if isinstance(given, str):
+        return _from_text(given)
+    if isinstance(given, Sequence) and len(given) == 2 and isinstance(given[1], Motion):
+        return Target(seconds=float(given[0]), joint=POSE, pose=given[1].positions[0])
+    raise UserError(f"targets: {given!r:.80} is not a text ({SYNTAX}) or a pair of seconds and a motion")
+
+
+def _from_text(text: str) -> Target:
+    try:
+        found = _TARGET.fullmatch(text)
+        assert found is not None
+        begin, until, joint, sign, numbers = found.groups()
+        seconds = float(begin)
+        end = None if until is None else float(until)
+        place = tuple(float(number) for number in numbers.split(","))
+    except (AssertionError, ValueError):
+        raise UserError(f"targets: {text[:80]!r} is not {SYNTAX}") from None
+    if joint == POSE:
+        raise UserError(f"targets: {text[:80]!r}: a pose is a pair of seconds and a motion")
+    return Target(seconds=seconds, until=end, joint=joint, place=place, relative=sign == "+=")
+
+
+def targets_from_text(text: str) -> tuple[Target, ...]:
+    """Returns the targets in a text, with a semicolon between two of them.
+
+    Raises:
+        UserError: One of them cannot be read or used.
+    """
+    return tuple(_from_text(part) for part in text.split(";") if part.strip())
+
+
+def check_targets(targets: Sequence[Target], skeleton: Skeleton) -> None:
+    """Raises `UserError` if a skeleton does not have a joint, or nobody could meet the targets."""
+    known = (*skeleton.joint_names, ROOT, FACING)
+    for target in targets:
+        if target.joint not in (*known, POSE):
+            raise target.error(f"no such joint; known: {', '.join(known)}")
+        if target.pose is not None and target.pose.shape != (skeleton.num_joints, 3):
+            raise target.error(f"has {len(target.pose)} joints; skeleton {skeleton.name} has {skeleton.num_joints}")
+    if len(targets) > MAX_TARGETS:
+        raise UserError(f"targets: {len(targets)} are more than {MAX_TARGETS}")
+    fixed = [target for target in targets if not target.relative and target.joint not in (FACING, POSE)]
+    for target in fixed:
+        # The root begins above the origin, and takes its limbs along.
+        far = math.hypot(target.place[0], target.place[-1]) - (0.0 if target.joint == ROOT else FARTHEST)
+        _check_speed(target, far, target.seconds, FASTEST_ROOT)
+    ordered = sorted(fixed, key=lambda target: (target.joint, target.seconds))
+    for before, after in itertools.pairwise(ordered):
+        if before.joint == after.joint:
+            fastest = FASTEST_ROOT if after.joint == ROOT else FASTEST_JOINT
+            seconds = after.seconds - (before.until or before.seconds)
+            _check_speed(after, math.dist(before.place, after.place), max(seconds, 0.0), fastest)
+
+
+def _check_speed(target: Target, far: float, seconds: float, fastest: float) -> None:
+    """Raises `UserError` if a target is too far from where the motion was some seconds before."""
+    if far > fastest * seconds + JOINT_TOLERANCE:
+        raise target.error(f"{far:.2g} m in {seconds:.2g} s is faster than {fastest:g} m/s")
+
+
+def seen_from_root(positions: Float[np.ndarray, "T J 3"], skeleton: Skeleton) -> Float[np.ndarray, "T J 3"]:
+    """Returns joints from the ground under the root, with +z where the figure faces."""
+    forward = facing(positions, skeleton)
+    forward = forward / np.maximum(np.linalg.norm(forward, axis=-1, keepdims=True), 1e-9)
+    left = np.stack([forward[:, 2], np.zeros(len(forward)), -forward[:, 0]], axis=-1)
+    moved = positions - positions[:, :1] * np.array([1.0, 0.0, 1.0])
+    x, z = (np.einsum("tjc,tc->tj", moved, axis) for axis in (left, forward))
+    return np.stack([x, moved[..., 1], z], axis=-1)
+
+
+def distances(motion: Motion, targets: Iterable[Target]) -> list[float]:
+    """Returns how far a motion is from each target, in its unit; the largest value of the time in which it holds.
+
+    The distance of a pose is the mean over the joints. Where the motion has ended, its last frame counts.
+    """
+    return [max(_distance(motion, target, frame) for frame in target.frames(motion.fps)) for target in targets]
+
+
+def _distance(motion: Motion, target: Target, frame: int) -> float:
+    pose = motion.positions[min(frame, motion.num_frames - 1)].astype(np.float64)[None]
+    if target.joint == FACING:
+        x, _, z = facing(pose, motion.skeleton)[0]
+        difference = math.degrees(math.atan2(x, z)) - target.place[0]
+        return abs((difference + 180) % 360 - 180)
+    if target.joint == ROOT:
+        return math.dist(pose[0, 0, [0, 2]], target.place)
+    local = seen_from_root(pose, motion.skeleton)[0]
+    if target.pose is not None:
+        wanted = seen_from_root(target.pose[None].astype(np.float64), motion.skeleton)[0]
+        return float(np.linalg.norm(local - wanted, axis=-1).mean())
+    index = motion.skeleton.joint_names.index(target.joint)
+    return math.dist((local if target.relative else pose[0])[index], target.place)
+
+
+def missed_targets(motion: Motion, targets: Sequence[Target]) -> str:
+    """Returns which targets a motion misses, and by how much; "" if it meets all."""
+    found = zip(targets, distances(motion, targets), strict=True)
+    missed = [f"{one.name} by {far:.2g} {one.unit}" for one, far in found if far > one.tolerance]
+    return f"misses {', '.join(missed)}" if missed else ""

@@ -1,0 +1,283 @@
+"""Motions that meet targets: the best of some samples, whose latents are then changed by gradients.
+
+The decoder is a differentiable function. So a motion can be moved to its targets by gradient steps on what the decoder
+reads, the latents of its codes, without training. Latents near those of codes that the generator chose keep the motion
+natural. DNO (Karunratanakul et al., CVPR 2024) and MaskControl (Pinyoanuntapong et al., ICCV 2025) do so with the noise
+or the logits of other systems.
+"""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Bool, Float, Int
+
+from t2m_jax.devices import put_everywhere
+from t2m_jax.errors import UserError
+from t2m_jax.masks import mask_from_lengths
+from t2m_jax.models.system import find_part
+from t2m_jax.motion.cleanup import clean_positions
+from t2m_jax.motion.features import facing, positions_from_features
+from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.normalizer import Normalizer
+from t2m_jax.motion.rotations import unit_vectors
+from t2m_jax.motion.skeleton import Skeleton
+from t2m_jax.motion.targets import FACING, ROOT, Target, check_targets, distances, missed_targets, seen_from_root
+from t2m_jax.sampling.batches import fill_up, round_up
+from t2m_jax.sampling.decode import pad_codes
+from t2m_jax.sampling.loop import Sampling
+from t2m_jax.sampling.model import ModelParts
+from t2m_jax.sampling.prompts import Prompt, Sample
+from t2m_jax.sampling.request import MotionRequest
+
+STEPS = 60
+"""Gradient steps of a round."""
+ROUNDS = 4
+"""After each round, targets are moved by what the clean-up has moved the joints."""
+STEP_SIZE = 0.01
+"""Of Adam, in standard deviations of the motion's latents."""
+FIT_WEIGHT = 1000.0
+"""Weight of a squared distance to a target; per square meter."""
+LATENT_WEIGHT = 2.5
+"""Weight of the mean squared change of the latents, in standard deviations."""
+SMOOTH_WEIGHT = 0.1
+"""Weight of the mean squared change of the accelerations; per m^2/s^4."""
+FACING_METERS = 0.3
+"""A direction counts as a point so far ahead of the root."""
+GOAL_BUCKET = 64
+"""Goals are padded to this many, or twice, four times, ... as many, so that few programs are compiled."""
+SECONDS_AFTER = 0.25
+"""Least time from the last target to the end."""
+ROW_STEP = 4
+"""Shortest lengths are multiples of so many rows, because each of them is a program of its own."""
+
+
+class Goals(NamedTuple):
+    """Targets as points at frames. Behind the joints there are two more points: under the root, and ahead of it."""
+
+    frames: Int[Array, " Q"]
+    points: Int[Array, " Q"]
+    places: Float[Array, "Q 3"]
+    """In meters."""
+    weights: Float[Array, "Q 3"]
+    """0 for coordinates that are free, and for padding."""
+    relative: Bool[Array, " Q"]
+    """Whether a place is seen from the root."""
+
+
+def make_goals(targets: Sequence[Target], skeleton: Skeleton) -> Goals:
+    """Returns targets as points; all frames of a target together have the weight of one."""
+    rows = [row for target in targets for row in _rows_of(target, skeleton)]
+    size = GOAL_BUCKET * 2 ** max(0, math.ceil(math.log2(len(rows) / GOAL_BUCKET)))
+    rows += [(0, 0, np.zeros(3), np.zeros(3), False)] * (size - len(rows))
+    frames, points, places, weights, relative = zip(*rows, strict=True)
+    return Goals(
+        jnp.asarray(frames, jnp.int32),
+        jnp.asarray(points, jnp.int32),
+        jnp.asarray(np.stack(places), jnp.float32),
+        jnp.asarray(np.stack(weights), jnp.float32),
+        jnp.asarray(relative, bool),
+    )
+
+
+def _rows_of(target: Target, skeleton: Skeleton) -> list[tuple[int, int, Any, Any, bool]]:
+    frames = target.frames(skeleton.fps)
+    ground = np.array([1.0, 0.0, 1.0])
+    if target.pose is not None:
+        pose = seen_from_root(target.pose[None].astype(np.float64), skeleton)[0]
+        weight = np.ones(3) / (len(frames) * skeleton.num_joints)
+        return [(frame, joint, place, weight, True) for frame in frames for joint, place in enumerate(pose)]
+    if target.joint == ROOT:
+        x, z = target.place
+        point, place, weight = skeleton.num_joints, np.array([x, 0.0, z]), ground
+    elif target.joint == FACING:
+        angle = math.radians(target.place[0])
+        ahead = FACING_METERS * np.array([math.sin(angle), 0.0, math.cos(angle)])
+        point, place, weight = skeleton.num_joints + 1, ahead, ground
+    else:
+        point, place, weight = skeleton.joint_names.index(target.joint), np.array(target.place), np.ones(3)
+    return [(frame, point, place, weight / len(frames), target.relative) for frame in frames]
+
+
+def points_at(positions: Float[Array, "T J 3"], goals: Goals, skeleton: Skeleton) -> Float[Array, "Q 3"]:
+    """Returns the points of goals in a motion, in meters."""
+    ground = positions[:, :1] * jnp.array([[[1.0, 0.0, 1.0]]])
+    forward = unit_vectors(facing(positions, skeleton))[:, None]
+    world = jnp.concatenate([positions, ground, FACING_METERS * forward], axis=1)[goals.frames, goals.points]
+    moved = world - ground[goals.frames, 0]
+    ahead = forward[goals.frames, 0]
+    left = jnp.stack([ahead[:, 2], jnp.zeros(len(ahead)), -ahead[:, 0]], axis=-1)
+    seen = jnp.stack([jnp.sum(moved * left, axis=-1), moved[:, 1], jnp.sum(moved * ahead, axis=-1)], axis=-1)
+    return jnp.where(goals.relative[:, None], seen, world)
+
+
+class Approach(NamedTuple):
+    """A motion on its way to the targets."""
+
+    change: Float[Array, "1 N C"]
+    """Of the latents."""
+    features: Float[Array, "T D"]
+    positions: Float[Array, "T J 3"]
+    """As decoded, in meters."""
+
+
+@functools.partial(jax.jit, static_argnames=("tokenizer", "skeleton"))
+def approach_goals(
+    variables: Any,
+    normalizer: Normalizer,
+    codes: Int[Array, "1 N R"],
+    code_lengths: Int[Array, " 1"],
+    change: Float[Array, "1 N C"] | None,
+    goals: Goals,
+    *,
+    tokenizer: Any,
+    skeleton: Skeleton,
+) -> Approach:
+    """Returns a motion that is nearer to its goals, after `STEPS` steps from a change of its latents.
+
+    The change is in standard deviations of the latents; None is no change.
+    """
+    mask = mask_from_lengths(code_lengths, codes.shape[1])
+    latents = tokenizer.apply(variables, codes, method="latents_of")
+    deviation = jnp.std(latents, where=mask[..., None])
+
+    def decode(change: Float[Array, "1 N C"]) -> tuple[Float[Array, "T D"], Float[Array, "T J 3"]]:
+        decoded = tokenizer.apply(variables, latents + deviation * change, mask, method="decode_latents")
+        features = normalizer.denormalize(decoded)
+        return features[0], positions_from_features(features, skeleton)[0] * skeleton.metres_per_unit
+
+    _, before = decode(jnp.zeros_like(latents))
+    first = jnp.zeros_like(latents) if change is None else change
+
+    def loss(change: Float[Array, "1 N C"]) -> Float[Array, ""]:
+        _, positions = decode(change)
+        frames = jnp.repeat(mask[0], len(positions) // mask.shape[1])
+        distance = goal_loss(positions, positions - before, frames, goals, skeleton)
+        return distance + LATENT_WEIGHT * jnp.sum(jnp.square(change)) / mask.sum()
+
+    optimizer = optax.adam(STEP_SIZE)
+
+    def step(carry: Any, _: None) -> tuple[Any, None]:
+        change, state = carry
+        updates, state = optimizer.update(jax.grad(loss)(change), state)
+        return (optax.apply_updates(change, updates), state), None
+
+    (last, _), _ = jax.lax.scan(step, (first, optimizer.init(first)), None, length=STEPS)
+    return Approach(last, *decode(last))
+
+
+def goal_loss(
+    positions: Float[Array, "T J 3"],
+    moved: Float[Array, "T J 3"],
+    frames: Bool[Array, " T"],
+    goals: Goals,
+    skeleton: Skeleton,
+) -> Float[Array, ""]:
+    """Returns how far a motion is from its goals, and how much it jolts more than before.
+
+    Args:
+        positions: Of the motion, in meters.
+        moved: How far the joints were moved.
+        frames: Whether a frame is one of the motion.
+        goals: Where it should be.
+        skeleton: Of the motion.
+    """
+    apart = points_at(positions, goals, skeleton) - goals.places
+    jolts = jnp.diff(moved, n=2, axis=0) * skeleton.fps**2
+    smoothness = jnp.mean(jnp.square(jolts), where=frames[2:, None, None])
+    return FIT_WEIGHT * jnp.sum(goals.weights * jnp.square(apart)) + SMOOTH_WEIGHT * smoothness
+
+
+def direct(model: ModelParts, request: MotionRequest, prompt: Prompt) -> list[Motion]:
+    """Returns motions that meet the targets of a request, those of the best samples first.
+
+    Raises:
+        UserError: A target does not fit the model, or the tokenizer has no latents.
+    """
+    if not find_part(model.config.tokenizer.kind).has_latents:
+        raise UserError(f"targets: a tokenizer of the kind {model.config.tokenizer.kind} cannot meet them")
+    check_targets(request.targets, model.skeleton)
+    sampling = _long_enough(model, request)
+    samples = [Sample(prompt, request.seed, number) for number in range(request.candidates)]
+    filled = fill_up(samples)
+    texts = model.text_encoder([sample.prompt.read for sample in filled])
+    keys = jnp.stack([sample.key for sample in filled])
+    found = model.sample_codes(texts, keys, sampling, guidance_scale=request.options.guidance_scale)
+    ends = np.asarray(found.code_lengths)
+    codes = [rows[:end] for rows, end in zip(np.asarray(found.codes), ends, strict=True)]
+    size = {"size": sampling.max_codes, "batch": len(filled)}
+    candidates = model.decode_samples(samples, codes[: len(samples)], clean=not request.options.raw, **size)
+    ranked = sorted(candidates, key=functools.partial(_cost, request.targets))
+    return [
+        _approach(model, one, request.targets, size=sampling.max_codes, clean=not request.options.raw)
+        for one in ranked[: request.num_samples]
+    ]
+
+
+def _long_enough(model: ModelParts, request: MotionRequest) -> Sampling:
+    """Returns how codes are sampled, so that no motion ends before its last target.
+
+    Raises:
+        UserError: An option or the time of a target does not fit the model.
+    """
+    options = request.options
+    rate = model.skeleton.fps / model.config.tokenizer.downsample
+    longest = options.max_codes or model.config.generator.max_codes
+    last = max(request.targets, key=lambda target: target.until or target.seconds)
+    seconds = (last.until or last.seconds) + SECONDS_AFTER
+    if seconds * rate > longest:
+        raise last.error(f"the longest motion for a sentence has {longest / rate:.1f} s")
+    sampling = model.sampling(options.make_strategy(), max_codes=options.max_codes, stop_rule=options.stop_rule)
+    least = min(round_up(math.ceil(seconds * rate), ROW_STEP), sampling.max_codes)
+    return sampling._replace(min_codes=max(sampling.min_codes, least))
+
+
+def _cost(targets: Sequence[Target], motion: Motion) -> float:
+    """Returns how far a motion is from all targets together, each in its tolerance."""
+    found = zip(distances(motion, targets), targets, strict=True)
+    return math.fsum((far / target.tolerance) ** 2 for far, target in found)
+
+
+def _approach(model: ModelParts, motion: Motion, targets: Sequence[Target], *, size: int, clean: bool) -> Motion:
+    """Returns a motion moved to its targets: the nearest of the rounds."""
+    assert motion.codes is not None
+    codes, code_lengths = pad_codes([motion.codes], size=size)
+    frames = np.array([motion.num_frames])
+    goals = wanted = make_goals(targets, model.skeleton)
+    change = None
+    best = motion
+    tokenizer = model.tokenizer
+    for _ in range(ROUNDS):
+        moved = approach_goals(
+            put_everywhere(tokenizer.variables),
+            tokenizer.normalizer,
+            codes,
+            code_lengths,
+            change,
+            goals,
+            tokenizer=tokenizer.module,
+            skeleton=model.skeleton,
+        )
+        change = moved.change
+        positions = moved.positions
+        if clean:
+            positions = clean_positions(positions[None], frames, skeleton=model.skeleton)[0]
+        own = dataclasses.replace(
+            motion,
+            positions=np.asarray(positions)[: motion.num_frames],
+            positions_raw=np.asarray(moved.positions)[: motion.num_frames] if clean else None,
+            features=np.asarray(moved.features)[: motion.num_frames],
+            codes=None,  # its latents are between codes
+        )
+        best = min(best, own, key=functools.partial(_cost, targets))
+        # The clean-up moves joints a little, so the next round aims as far beyond.
+        error = wanted.places - points_at(jnp.asarray(positions), wanted, model.skeleton)
+        goals = goals._replace(places=goals.places + error)
+    missed = missed_targets(best, targets)
+    return dataclasses.replace(best, warning="; ".join(filter(None, (best.warning, missed))))

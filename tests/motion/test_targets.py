@@ -1,0 +1,153 @@
+"""Targets as texts, what nobody can meet, and how far a motion is from them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from t2m_jax.data.importers.synthetic import make_motion
+from t2m_jax.errors import UserError
+from t2m_jax.motion.features import ground_positions
+from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
+from t2m_jax.motion.targets import (
+    MAX_TARGETS,
+    check_targets,
+    distances,
+    missed_targets,
+    read_target,
+    seen_from_root,
+    targets_from_text,
+)
+
+WRIST = HUMANML3D.joint_names.index("right_wrist")
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """A person who walks and turns."""
+    return Motion(make_motion("walk", seed=4, num_frames=60), 20.0).turned(80.0)
+
+
+def text_of(name, place, *, sign="=", frame=30):
+    return f"{frame / 20:g} {name}{sign}{','.join(f'{value:.9g}' for value in place)}"
+
+
+def test_a_motion_is_at_its_own_places(motion):
+    pose = motion.positions[30]
+    forward = seen_from_root(motion.positions, HUMANML3D)[30]
+    targets = [
+        read_target(text_of("right_wrist", pose[WRIST])),
+        read_target(text_of("root", pose[0, [0, 2]])),
+        read_target(text_of("right_wrist", forward[WRIST], sign="+=")),
+        read_target((1.5, motion[30:31])),
+    ]
+    np.testing.assert_allclose(distances(motion, targets), 0, atol=1e-5)
+    assert missed_targets(motion, targets) == ""
+
+
+def test_distances_are_in_meters_and_degrees(motion):
+    x, y, z = motion.positions[30, WRIST].tolist()
+    root = motion.positions[30, 0]
+    targets = [
+        read_target(text_of("right_wrist", (x + 0.3, y, z - 0.4))),
+        read_target(text_of("root", (root[0], root[2] + 2.0))),
+    ]
+    np.testing.assert_allclose(distances(motion, targets), [0.5, 2.0], rtol=1e-5)
+    assert missed_targets(motion, targets) == "misses right_wrist at 1.5 s by 0.5 m, root at 1.5 s by 2 m"
+
+
+def test_a_direction_is_to_the_left():
+    """Left is +x: a figure that faces +z and turns to the left faces +x after a quarter of a turn."""
+    positions = ground_positions(make_motion("walk", seed=4, num_frames=60), HUMANML3D)
+    left = Motion(positions[..., [2, 1, 0]] * np.array([1, 1, -1.0]), 20.0)
+    targets = [read_target(f"0 facing={angle}") for angle in (90, 270, -90, 450, 80, 0)]
+    np.testing.assert_allclose(distances(left, targets), [0, 180, 180, 0, 10, 90], atol=1e-3)
+
+
+def test_a_target_over_a_time_counts_its_worst_frame(motion):
+    x, y, z = motion.positions[20, WRIST].tolist()
+    one, all_ = (read_target(f"{time} right_wrist={x},{y},{z}") for time in ("1", "1:2"))
+    assert list(one.frames(20.0)) == [20] and list(all_.frames(20.0)) == list(range(20, 41))
+    apart = np.linalg.norm(motion.positions[20:41, WRIST] - motion.positions[20, WRIST], axis=-1)
+    np.testing.assert_allclose(distances(motion, [one, all_]), [0, apart.max()], atol=1e-5)
+
+
+def test_targets_in_one_text():
+    first, second = targets_from_text(" 1.5:2 left_wrist += 0.2, 1,0.3 ;4 root=1,-3;")
+    assert (first.seconds, first.until, first.joint, first.place) == (1.5, 2.0, "left_wrist", (0.2, 1.0, 0.3))
+    assert first.relative and not second.relative
+    assert (second.seconds, second.until, second.joint, second.place) == (4.0, None, "root", (1.0, -3.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("right_wrist=1,1,1", "is not TIME JOINT=X,Y,Z"),
+        ("2 right_wrist", "is not TIME JOINT=X,Y,Z"),
+        ("2 right_wrist=a,b,c", "is not TIME JOINT=X,Y,Z"),
+        ("x right_wrist=0,1,0", "is not TIME JOINT=X,Y,Z"),
+        ("2 pose=1,2,3", "a pose is a pair of seconds and a motion"),
+        ("2 right_wrist=0,1", "right_wrist at 2 s: needs 3 numbers"),
+        ("2 root=0,1,2", "root at 2 s: needs 2 numbers"),
+        ("2 facing=0,1", "facing at 2 s: needs 1 number,"),
+        ("2 root+=0,1", "is not seen from the root"),
+        ("2 right_wrist=0,nan,0", "needs 3 numbers"),
+        ("2 right_wrist=0,1e400,0", "needs 3 numbers"),
+        ("-1 root=0,0", "is not a time from 0"),
+        ("nan root=0,0", "is not a time from 0"),
+        ("2:1 root=0,0", "2 to 1 s is not a time from 0"),
+        ("2:inf root=0,0", "is not a time from 0"),
+        ("2 right_wrist=0,3,0", "nobody reaches a height of 3 m"),
+        ("2 right_wrist+=0,1,2", "nobody reaches 2 m from the root"),
+    ],
+)
+def test_what_is_no_target_is_one_line(text, says):
+    with pytest.raises(UserError, match=r"^targets: ") as caught:
+        read_target(text)
+    assert says in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("given", [3, None, (1.0,), (1.0, "walk.npz"), ["1 root=0,0"]])
+def test_what_is_no_text_is_one_line(given):
+    with pytest.raises(UserError, match="is not a text"):
+        read_target(given)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("0.5 root=0,3", "root at 0.5 s: 3 m in 0.5 s is faster than 5 m/s"),
+        ("0.1 left_wrist=0,1,3", "left_wrist at 0.1 s: 1.7 m in 0.1 s is faster"),
+        ("1 root=0,0; 1.2 root=0,3", "root at 1.2 s: 3 m in 0.2 s"),
+        ("1:2 left_wrist=0,1,0; 1.5 left_wrist=0,1.5,0", "left_wrist at 1.5 s: 0.5 m in 0 s is faster than 12 m/s"),
+        ("1 nose=0,1,0", "nose at 1 s: no such joint; known: pelvis, "),
+    ],
+)
+def test_what_nobody_can_meet_is_one_line(text, says):
+    with pytest.raises(UserError) as caught:
+        check_targets(targets_from_text(text), HUMANML3D)
+    assert says in str(caught.value)
+
+
+def test_possible_targets_pass():
+    texts = "1 root=0,3; 2 root=0,4; 1 left_wrist=0,1,3.5; 1.2 left_wrist=0,1.5,3.8; 3 facing=9"
+    check_targets(targets_from_text(texts), HUMANML3D)
+
+
+def test_a_pose_of_another_skeleton_and_too_many_targets_are_refused(motion):
+    with pytest.raises(UserError, match=r"pose at 1 s: has 22 joints; skeleton kit_ml has 21"):
+        check_targets([read_target((1.0, motion))], KIT_ML)
+    with pytest.raises(UserError, match="65 are more than 64"):
+        check_targets([read_target("1 root=0,0")] * (MAX_TARGETS + 1), HUMANML3D)
+
+
+def test_the_root_sees_itself_ahead(motion):
+    seen = seen_from_root(motion.positions, HUMANML3D)
+    np.testing.assert_allclose(seen[:, 0, [0, 2]], 0, atol=1e-6)
+    left, right = (HUMANML3D.joint_names.index(f"{side}_hip") for side in ("left", "right"))
+    assert (seen[:, left, 0] > seen[:, right, 0]).all(), "left is +x"
+    lengths = np.linalg.norm(seen - seen[:, :1], axis=-1)
+    expected = np.linalg.norm(motion.positions - motion.positions[:, :1], axis=-1)
+    np.testing.assert_allclose(lengths, expected, atol=1e-5)
+    assert math.isclose(seen[..., 1].max(), motion.positions[..., 1].max(), rel_tol=1e-6)

@@ -1,0 +1,161 @@
+"""Motions that are moved to their targets."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+
+from t2m_jax import Motion, load
+from t2m_jax.data.importers.synthetic import make_motion
+from t2m_jax.errors import UserError
+from t2m_jax.models.system import find_part
+from t2m_jax.motion.features import bone_vectors, ground_positions
+from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.motion.targets import distances, read_target, targets_from_text
+from t2m_jax.sampling import MotionRequest, TextToMotion
+from t2m_jax.sampling.directing import FIT_WEIGHT, goal_loss, make_goals, points_at
+from tests import tiny
+
+CONFIGS = {"gpt": tiny.BUNDLE, "hifigpt": tiny.HIFIGPT_BUNDLE}
+CAPTION = tiny.CAPTIONS[1]
+
+
+@pytest.fixture(scope="module", params=["gpt", pytest.param("hifigpt", marks=pytest.mark.slow)])
+def model(request):
+    return TextToMotion(tiny.random_bundle(CONFIGS[request.param]))
+
+
+@pytest.fixture(scope="module")
+def gpt():
+    return TextToMotion(tiny.random_bundle(tiny.BUNDLE))
+
+
+@pytest.fixture(scope="module")
+def walk():
+    return Motion(ground_positions(make_motion("walk", seed=1, num_frames=40), HUMANML3D), 20.0)
+
+
+def targets_of(motion, frame):
+    """Targets that a motion meets."""
+    seconds = frame / motion.fps
+    place = ",".join(map(str, motion.positions[frame, 20]))
+    x, _, z = motion.positions[frame, 0]
+    return [f"{seconds} left_wrist={place}", f"{seconds} root={x},{z}", (seconds, motion[frame : frame + 1])]
+
+
+def test_points_are_where_distances_say(walk):
+    targets = [read_target(target) for target in targets_of(walk, 12)]
+    targets += [read_target("0.6 left_wrist+=0.2,1,0.1"), read_target("0.3:0.5 root=0,0"), read_target("0 facing=0")]
+    goals = make_goals(targets, HUMANML3D)
+    apart = np.asarray(points_at(jnp.asarray(walk.positions), goals, HUMANML3D)) - goals.places
+    apart = np.linalg.norm(apart * (goals.weights > 0), axis=-1)
+    expected = distances(walk, targets)
+    rows = [1, 1, HUMANML3D.num_joints, 1, 5, 1]
+    found = np.split(apart[: sum(rows)], np.cumsum(rows)[:-1])
+    np.testing.assert_allclose([found[0][0], found[1][0], found[2].mean(), found[3][0]], expected[:4], atol=1e-5)
+    np.testing.assert_allclose([found[4].max(), found[5].max()], expected[4:], atol=1e-5)
+    np.testing.assert_allclose(goals.weights.sum(axis=0), [6, 3, 6], rtol=1e-5)
+    assert not goals.weights[sum(rows) :].any()
+
+
+def test_gradients_are_those_of_finite_differences(walk):
+    texts = "1 left_wrist=0.3,1,0.4; 0.5 right_foot+=0,0.3,0.1; 1 facing=40"
+    goals = make_goals(targets_from_text(texts), HUMANML3D)
+    before = jnp.asarray(walk.positions)
+    moved = 0.01 * jax.random.normal(jax.random.key(0), before.shape)
+
+    def loss(moved):
+        moved = jnp.asarray(moved)
+        return goal_loss(before + moved, moved, jnp.arange(len(moved)) < 30, goals, HUMANML3D) / FIT_WEIGHT
+
+    check_grads(loss, (moved,), order=1, modes=["rev"], atol=2e-2, rtol=2e-2, eps=1e-3)
+
+
+def test_a_motion_gets_nearer(gpt):
+    # Random weights put joints where nobody has them, so only the root is told where to be.
+    wanted = ["0.3 root=0.05,0.05"]
+    targets = [read_target(target) for target in wanted]
+    plain = gpt.generate(CAPTION, seed=2, num_samples=3)
+    nearest = min(distances(motion, targets) for motion in plain)
+    motions = gpt.direct(CAPTION, wanted, seed=2, num_samples=2, num_candidates=3)
+    assert distances(motions[0], targets) < nearest
+    assert motions[0].codes is None, "its latents are between codes"
+
+
+def test_a_seed_gives_the_same_motion_again(model):
+    options = {"seed": 2, "num_candidates": 2}
+    first, again = (model.direct(CAPTION, ["0.3 root=0.05,0.05"], **options)[0] for _ in range(2))
+    np.testing.assert_array_equal(again.positions, first.positions)
+    assert again.features is not None and again.caption == CAPTION
+
+
+def test_other_requests_do_not_change_it(model):
+    common = {"captions": (CAPTION,), "targets": targets_from_text("0.3 root=0.1,0.1"), "candidates": 2}
+    requests = [MotionRequest(seed=seed, **common) for seed in (1, 2)]
+    plain = MotionRequest(captions=(CAPTION,), seed=1)
+    together = list(model.make(plain, *requests))
+    np.testing.assert_array_equal(together[0].positions, next(model.make(plain)).positions)
+    np.testing.assert_array_equal(together[2].positions, next(model.make(requests[1])).positions)
+
+
+def test_no_motion_ends_before_its_last_target(model):
+    size = model.config.tokenizer.downsample
+    longest = model.config.generator.max_codes * size / 20.0
+    for seconds in (0.1, longest / 2, longest - 0.25):
+        (motion,) = model.direct(CAPTION, [f"{seconds} root=0,0"], num_candidates=2)
+        assert motion.seconds >= seconds + 0.2
+    with pytest.raises(UserError, match=rf"the longest motion for a sentence has {longest:.1f} s"):
+        model.direct(CAPTION, [f"{longest} root=0,0"])
+
+
+def test_missed_targets_are_said(model):
+    (motion,) = model.direct(CAPTION, ["0.3 head=0.9,2.4,0.9"], num_candidates=2)
+    assert "misses head at 0.3 s by " in motion.warning
+
+
+def test_bones_stay_as_long(model):
+    (motion,) = model.direct(CAPTION, ["0.3 left_wrist=0.3,1.2,0.2"], num_candidates=2)
+    lengths = np.linalg.norm(bone_vectors(motion.positions, HUMANML3D), axis=-1)
+    assert lengths.std(axis=0).max() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("fields", "says"),
+    [
+        ({"captions": ("a", "b")}, "targets: are for one sentence"),
+        ({"seconds": 2.0}, "targets: are for one sentence"),
+        ({"num_samples": 4, "candidates": 3}, "4 motions cannot be chosen from 3"),
+        ({"candidates": 0}, "candidates: 0 is not"),
+    ],
+)
+def test_what_does_not_go_together(fields, says):
+    with pytest.raises(UserError, match=says):
+        MotionRequest(**{"captions": ("a",), "targets": (read_target("1 root=0,0"),)} | fields)
+
+
+def test_a_stream_of_targets_is_refused(model):
+    with pytest.raises(UserError, match="stream: "):
+        model.make_pieces(MotionRequest(captions=(CAPTION,), targets=(read_target("0.2 root=0,0"),)))
+
+
+def test_a_tokenizer_without_latents_is_refused(model, monkeypatch):
+    kind = model.config.tokenizer.kind
+    part = dataclasses.replace(find_part(kind), has_latents=False)
+    monkeypatch.setattr("t2m_jax.sampling.directing.find_part", lambda _: part)
+    with pytest.raises(UserError, match=f"a tokenizer of the kind {kind} cannot meet them"):
+        model.direct(CAPTION, ["0.2 root=0,0"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["demo", "demo-t2m-gpt"])
+def test_packaged_models_meet_reachable_targets(name):
+    """Places that another sample of the sentence has."""
+    model = load(name)
+    caption = "a person waves with the left hand"
+    wanted = targets_of(model.generate(caption, seed=5)[0], 40)[:2]
+    (motion,) = model.direct(caption, wanted, seed=1)
+    targets = [read_target(target) for target in wanted]
+    assert motion.warning == "" and max(distances(motion, targets)) < 0.03
