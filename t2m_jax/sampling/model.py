@@ -4,11 +4,12 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from t2m_jax.checkpoints.bundle import Bundle
+from t2m_jax.checkpoints.bundle import Bundle, part_kinds
 from t2m_jax.checkpoints.text_encoder import pretrained_reference, with_encoder_name
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.devices import put_everywhere, put_rows
@@ -89,6 +90,20 @@ class ModelParts:
         if encoder is not None and pretrained_reference(config.text_encoder) is not None:
             config = dataclasses.replace(config, text_encoder=with_encoder_name(config.text_encoder, encoder))
         return self.bundle._replace(config=config).fingerprint
+
+    def describe(self) -> dict[str, str]:
+        """Returns sizes, data, license, source and what the model knows, a line each."""
+        kinds = part_kinds(self.config)
+        sizes = {kinds[role]: sum(leaf.size for leaf in jax.tree.leaves(tree)) for role, tree in self.variables.items()}
+        data = self._rest.training_data or {}
+        return {
+            "parts": ", ".join(f"{kind} ({size / 1e6:.2f} M numbers)" for kind, size in sizes.items()),
+            "motion": f"{self.skeleton.name}, {self.skeleton.fps:g} frames a second",
+            "data": f"{data.get('data', 'unknown')} ({data.get('num_clips', 0):,} clips)",
+            "license": self._rest.license,
+            "source": self._rest.source or "unknown",
+            "actions": ", ".join(self.knowledge.actions) or "unknown",
+        }
 
     @property
     def tokenizer(self) -> TrainedTokenizer:
@@ -193,22 +208,11 @@ class ModelParts:
         return self._variables["generator"]
 
     def encode(self, motion: Motion) -> Int[np.ndarray, "N R"]:
-        """Returns the codes of a motion. Frames at its end that do not fill a code are left out.
-
-        Raises:
-            UserError: It has another skeleton than the model's, or is too short for a code.
-        """
+        """Returns the codes of a motion, see `TextToMotion.encode`."""
         return encode_motion(self.tokenizer, motion, self.skeleton)
 
     def decode(self, codes: Int[np.ndarray, "N ..."], *, caption: str = "", raw: bool = False) -> Motion:
-        """Returns the motion of codes [N, R]; the last axis may be left out if there is one code per row.
-
-        With fewer than R codes per row, those of the first depths, the motion is coarser. It is cleaned as by
-        `generate`, unless `raw`.
-
-        Raises:
-            UserError: There are no codes, too many per row, or one that is not in the codebook.
-        """
+        """Returns the motion of codes, see `TextToMotion.decode`."""
         config = self.config.tokenizer
         codes = np.asarray(codes, np.int32)
         if codes.ndim == 1:

@@ -6,11 +6,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Int
 
-from t2m_jax.checkpoints.bundle import Bundle, part_kinds
+from t2m_jax.checkpoints.bundle import Bundle
 from t2m_jax.checkpoints.hub_models import push_model
 from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
@@ -43,7 +42,7 @@ class TextToMotion:
             text_encoder: Used instead of the model's own; it must give the same embeddings.
 
         Raises:
-            UserError: The model's pretrained text encoder cannot be found; or `bundle` is a name or a path.
+            UserError: The pretrained text encoder cannot be found, or `bundle` is a name or a path.
         """
         self.parts = ModelParts(bundle, text_encoder=text_encoder)
         self.config = self.parts.config
@@ -79,23 +78,13 @@ class TextToMotion:
             half: Whether weights are stored in 16 bits, as `t2m bundle` does.
 
         Raises:
-            UserError: The card has no license, `name` is not a name of the hub, or the hub refuses the model.
+            UserError: The card has no license, or the hub refuses the name or the model.
         """
         return push_model(self.parts.bundle, name, card=card, private=private, half=half)
 
     def __repr__(self) -> str:
         """Returns sizes, data, license, source and what the model knows, in some lines."""
-        kinds = part_kinds(self.config)
-        sizes = {kinds[role]: sum(leaf.size for leaf in jax.tree.leaves(tree)) for role, tree in self.variables.items()}
-        data = self.training_data or {}
-        lines = {
-            "parts": ", ".join(f"{kind} ({size / 1e6:.2f} M numbers)" for kind, size in sizes.items()),
-            "motion": f"{self.skeleton.name}, {self.skeleton.fps:g} frames a second",
-            "data": f"{data.get('data', 'unknown')} ({data.get('num_clips', 0):,} clips)",
-            "license": self.license,
-            "source": self.source or "unknown",
-            "actions": ", ".join(self.knowledge.actions) or "unknown",
-        }
+        lines = self.parts.describe()
         return "\n".join([f"{type(self).__name__}:", *(f"  {name}: {line}" for name, line in lines.items())])
 
     @property
@@ -118,10 +107,9 @@ class TextToMotion:
         return self.parts.encode(motion)
 
     def decode(self, codes: Int[np.ndarray, "N ..."], *, caption: str = "", raw: bool = False) -> Motion:
-        """Returns the motion of codes [N, R]; the last axis may be left out if there is one code per row.
+        """Returns the motion of codes [N, R] ([N] if there is one per row), cleaned as by `generate` unless `raw`.
 
-        With fewer than R codes per row, those of the first depths, the motion is coarser. It is cleaned as by
-        `generate`, unless `raw`.
+        With fewer than R codes per row, those of the first depths, the motion is coarser.
 
         Raises:
             UserError: There are no codes, too many per row, or one that is not in the codebook.
@@ -131,8 +119,7 @@ class TextToMotion:
     def make(self, *requests: MotionRequest, on_progress: OnProgress | None = None) -> Iterator[Motion]:
         """Returns an iterator over the motions of requests, request by request.
 
-        Requests of one sentence that have the same options are sampled together. A motion depends on its request and
-        its number among the samples, but not on the other motions.
+        Requests with the same options are sampled together, but a motion does not depend on the others.
 
         Args:
             *requests: What is asked for.
@@ -154,10 +141,9 @@ class TextToMotion:
         """Returns an iterator over the motion of a request while it is generated.
 
         Each piece continues where the one before it ends. Pieces are as decoded, because a clean-up needs the whole
-        motion: together they are the motion that `make` returns with `raw=True`. Of a request of one sentence, there is
-        a piece for each row of codes, as soon as its frames are final. They also depend on some rows after them (see
-        `TokenizerConfig.decoder_context`), so the last pieces come together. Of a longer request, pieces have some
-        seconds, and say which sentences begin in them; it needs hardly more memory for a longer motion.
+        motion: together they are the motion that `make` returns with `raw=True`. Of one sentence, there is a piece for
+        each row of codes, when its frames are final (see `TokenizerConfig.decoder_context`); the last ones come
+        together. Of several, pieces have some seconds, say which sentences begin in them, and need hardly any memory.
 
         Args:
             request: What is asked for; not a change of a motion.
@@ -209,10 +195,7 @@ class TextToMotion:
         on_progress: OnProgress | None = None,
         **options: Any,
     ) -> Iterator[Motion]:
-        """Returns an iterator over the motions of `generate`, for more of them than fit into the memory.
-
-        Arguments and errors are those of `generate`.
-        """
+        """Returns an iterator over the motions of `generate`, for more of them than fit into the memory."""
         counts = {"seed": seed, "num_samples": num_samples}
         requests = [_request(caption, options, **counts) for caption in sentences(captions)]
         return self.make(*requests, on_progress=on_progress)
@@ -241,7 +224,6 @@ class TextToMotion:
             **options: Of `SamplingOptions`.
         """
         request = _request(captions, options, start=start, seconds=seconds, seed=seed, num_samples=num_samples)
-        # A single sentence is not sampled as a chain, but says the same.
         parts: dict[str, Any] = {"part_starts": (0,), "part_captions": request.captions} if request.is_plain else {}
         return [dataclasses.replace(motion, **parts) for motion in self.make(request)]
 
@@ -256,10 +238,10 @@ class TextToMotion:
         num_candidates: int = MotionRequest.candidates,
         **options: Any,
     ) -> list[Motion]:
-        """Returns a motion with another middle, which a sentence describes. Head and tail stay as they are.
+        """Returns a motion with another middle, which a sentence describes, at the model's frame rate.
 
-        Several middles are sampled after the head. Those come first after which the tail is likely, and that jump
-        least to it. The tail is turned and moved to where the middle ends. The motion has the model's frame rate.
+        Of several middles, those come first after which the tail is likely, and that jump least to it. The tail is
+        turned and moved to where the middle ends, and stays as it is otherwise.
 
         Args:
             motion: Any motion of the model's skeleton.
@@ -268,7 +250,7 @@ class TextToMotion:
             seed: From 0 to 2**32 - 1.
             num_samples: Motions to return, the best ones first.
             num_candidates: Middles to choose them from.
-            **options: Of `SamplingOptions`; `raw` leaves the middle as decoded.
+            **options: Of `SamplingOptions`.
         """
         counts = {"num_samples": num_samples, "candidates": num_candidates}
         return list(self.make(_request(caption, options, start=motion, span=span, seed=seed, **counts)))
@@ -285,15 +267,12 @@ class TextToMotion:
     ) -> list[Motion]:
         """Returns motions in which joints, the root or the whole pose are where they should be at a time.
 
-        Several motions are sampled. The nearest ones are changed by gradients of the decoder until they meet the
-        targets. `Motion.warning` says which are missed, and by how much.
+        The nearest samples are changed by gradients of the decoder; `Motion.warning` says which targets are missed.
 
         Args:
             caption: A sentence.
-            targets: Texts, such as "2.0 right_wrist=0.3,1.5,0.2" (seconds, joint, meters; +x at the left of a figure
-                that faces +z), "1:2 left_foot=0.1,0,0.5" (all the time), "2.0 right_wrist+=-0.2,1.6,0.3" (seen from the
-                root), "4 root=1,3" (x, z) and "4 facing=90" (degrees to the left). Or pairs of seconds and a motion,
-                whose first frame is the pose.
+            targets: Texts, such as "2.0 right_wrist=0.3,1.5,0.2" or "4 root=1,3" (see `docs/targets.md`), or pairs of
+                seconds and a motion, whose first frame is the pose.
             seed: From 0 to 2**32 - 1.
             num_samples: Motions to return, the best ones first.
             num_candidates: Samples to choose them from.
@@ -317,8 +296,7 @@ class TextToMotion:
 
         Args:
             motion: Any motion of the model's skeleton.
-            strength: Probability of each row of codes to be sampled again; 0 changes nothing but what the tokenizer
-                loses, and 1 keeps nothing.
+            strength: Probability of each row of codes to be sampled again; 1 keeps nothing.
             caption: What happens; by default the motion's own sentences.
             seed: From 0 to 2**32 - 1.
             num_samples: Variations to return.
@@ -329,10 +307,9 @@ class TextToMotion:
         return list(self.make(_request(captions, options, **fields)))
 
     def stream(self, caption: str, *, seed: int = 0, sample: int = 0, **options: Any) -> Iterator[Motion]:
-        """Returns an iterator over the motion of a caption while it is generated: a piece for each row of codes.
+        """Returns an iterator over the motion of a caption while it is generated, in pieces (see `make_pieces`).
 
-        Together they are the motion that `generate` returns with the same arguments and `raw=True`, and with
-        `stop_rule="threshold"` if the model's own rule needs all rows first. See `make_pieces`.
+        If the model's own stop rule needs all rows first, motions end by `stop_rule="threshold"`.
 
         Args:
             caption: A sentence.
@@ -351,10 +328,7 @@ class TextToMotion:
         seed: int = 0,
         **options: Any,
     ) -> Iterator[Motion]:
-        """Returns an iterator over the motion of `generate_chain` while it is generated, in pieces of some seconds.
-
-        Arguments, warnings and errors are those of `generate_chain`. See `make_pieces`.
-        """
+        """Returns an iterator over the motion of `generate_chain` in pieces of some seconds, see `make_pieces`."""
         request = _request(captions, options, start=start, seconds=seconds, seed=seed)
         prompts = read_prompts(request.captions, self.knowledge, self.text_encoder)
         return make_chain_pieces(self.parts, request, prompts, find_sampling(self.parts, request.options))
