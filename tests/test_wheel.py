@@ -136,6 +136,7 @@ def test_the_wheel_has_what_is_not_python(wheel):
     configs = REPOSITORY / "configs"
     expected = {f"t2m_jax/configs/{path.relative_to(configs).as_posix()}" for path in configs.rglob("*.yaml")}
     expected |= {"t2m_jax/serving/page/index.html", "t2m_jax/export/viewer/vendor/three.min.js"}
+    expected |= {"t2m_jax/export/viewer/vendor/three-character.min.js"}
     expected |= {"t2m_jax/py.typed", "t2m_jax/encoders/minilm/model.safetensors"}
     assert expected | {"t2m_jax/bundles/demo/weights.safetensors"} <= names
     assert not [name for name in names if "node_modules" in name]

@@ -20,6 +20,8 @@ from t2m_jax.motion.motion import Motion
 
 VIEWER_SCRIPTS = ("vendor/three.min.js", "figures.js", "camera.js", "body.js", "ground.js", "cell.js", "stage.js")
 """The renderer, in this order; other pages use it, too."""
+STUDIO_SCRIPTS = ("vendor/three-character.min.js", *VIEWER_SCRIPTS[1:], "character.js")
+"""That of the studio, which also shows characters of GLB files."""
 LICENSE = "vendor/LICENSE"
 """That of three.js, which every copy must have."""
 FINEST_STEP = 4e-4
@@ -44,9 +46,9 @@ def scene_record(motions: Sequence[Motion]) -> dict[str, Any]:
     return {"seconds": seconds, "figures": records}
 
 
-def viewer_script(*more: str) -> str:
-    """Returns the renderer, which defines `window.T2M`, and more scripts of the viewer as one program."""
-    files = [f"/*!\n{_asset(LICENSE)}\n*/", *(_asset(name) for name in (*VIEWER_SCRIPTS, *more))]
+def viewer_script(*scripts: str) -> str:
+    """Returns scripts of the viewer as one program, which defines `window.T2M`."""
+    files = [f"/*!\n{_asset(LICENSE)}\n*/", *map(_asset, scripts)]
     return "(() => {\n" + "\n".join(['"use strict";', *files]) + "\n})();"
 
 
@@ -64,7 +66,11 @@ def viewer_html(motions: Sequence[Motion], *, embed: bool = True) -> str:
     """Returns the viewer as an HTML page or, with `embed`, as an iframe that contains the page, for notebooks."""
     data = json.dumps(scene_record(motions), ensure_ascii=True, separators=(",", ":"))  # keeps lone surrogates
     style = f"{_asset('viewer.css')}\n{stage_style()}"
-    parts = {"style": style, "script": _compressed(viewer_script("viewer.js")), "data": _compressed(data)}
+    parts = {
+        "style": style,
+        "script": _compressed(viewer_script(*VIEWER_SCRIPTS, "viewer.js")),
+        "data": _compressed(data),
+    }
     # Readable, too: the program is compressed.
     parts["license"] = _asset(LICENSE)
     page = fill_template("t2m_jax.export", "viewer/viewer.html", parts)

@@ -74,13 +74,13 @@ class Character:
         path = Path(path)
         check_motions(path, motions)
         self.check_copy(path)
-        tracks = [self._tracks(motion) for motion in motions]
+        animations = [self._tracks(motion) for motion in motions]
         with reading_glb(self.path):
             glb = GlbWriter(self.glb)
             glb.tree["nodes"] = copy.deepcopy(glb.tree["nodes"])
-            for motion, animation in zip(motions, tracks, strict=True):
-                glb.add_animation(motion, animation)
-            for track in tracks[0]:
+            for motion, (tracks, scale) in zip(motions, animations, strict=True):
+                glb.add_animation(motion, tracks, scale=scale)
+            for track in animations[0][0]:
                 without_matrix(glb.tree["nodes"][track.node])
             data = glb.data()
         with atomic_file(path) as partial:
@@ -94,15 +94,15 @@ class Character:
         if path.exists() and path.samefile(self.path):
             raise UserError(f"{path}: is the character's own file; write a copy of another name")
 
-    def _tracks(self, motion: Motion) -> list[Track]:
-        """Returns the animation of a motion: where the figure is, and rotations of its bones."""
+    def _tracks(self, motion: Motion) -> tuple[list[Track], float]:
+        """Returns the animation of a motion: where the figure is, and rotations of its bones; and the scale of both."""
         rest = self.rest
         movement = transfer(motion, rest, self.index)
         moved = self.moved
         (top,) = (place for place, joint in moved.items() if joint == 0)
         start = self.clip.poses.positions[0, top]
         places = movement.pelvis + rotate_vectors(movement.turns[:, 0], start - rest[0])
-        return [*self._places(top, places, start), *self._turns(movement, moved)]
+        return [*self._places(top, places, start), *self._turns(movement, moved)], movement.scale
 
     @property
     def rest(self) -> Float[np.ndarray, "22 3"]:

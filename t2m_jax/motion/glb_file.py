@@ -151,12 +151,12 @@ class GlbWriter:
         self.tree["accessors"].append(accessor | {"count": len(rows), "type": _TYPES[rows.shape[1]], **fields})
         return len(self.tree["accessors"]) - 1
 
-    def add_animation(self, motion: Motion, tracks: Sequence[Track]) -> None:
+    def add_animation(self, motion: Motion, tracks: Sequence[Track], **notes: Any) -> None:
         """Adds an animation with the caption of a motion as its name, and a number if another has this name."""
         number = len(self.tree["animations"]) + 1
         title = motion.caption or "motion"
         taken = {animation.get("name") for animation in self.tree["animations"]}
-        extras: dict[str, Any] = {"caption": motion.caption, "fps": motion.fps, "frames": motion.num_frames}
+        extras = notes | {"caption": motion.caption, "fps": motion.fps, "frames": motion.num_frames}
         if self.tree["asset"].get("generator") != self.generator:
             extras["generator"] = self.generator  # a reader must not trust notes of other programs
         if motion.part_starts:

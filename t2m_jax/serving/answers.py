@@ -49,6 +49,7 @@ class ModelData(TypedDict):
     examples: list[str]
     formats_of_several: NotRequired[list[str]]
     body_bytes: NotRequired[int]
+    character_bytes: NotRequired[int]
     fields: NotRequired[dict[str, dict[str, Any]]]
 
 

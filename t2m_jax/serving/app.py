@@ -19,11 +19,11 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from t2m_jax.errors import UserError
-from t2m_jax.export.html import stage_style, viewer_script
+from t2m_jax.export.html import STUDIO_SCRIPTS, stage_style, viewer_script
 from t2m_jax.motion.changes import Changes
 from t2m_jax.records import record_from
 from t2m_jax.serving import answers, schema
-from t2m_jax.serving.files import Names, apart, make_file, open_file, read_motion
+from t2m_jax.serving.files import Names, apart, make_file, move_character, open_file, read_motion
 from t2m_jax.serving.jobs import FINAL_EVENTS, Event, Job, Jobs, QueueFullError
 from t2m_jax.serving.kept import KeptAnswers
 from t2m_jax.serving.openapi import openapi
@@ -40,8 +40,9 @@ FILE_SECONDS = 120.0
 MAX_FILES = 16
 """Requests for files that may wait; one is worked on."""
 HEADERS = {
-    "Content-Security-Policy": "default-src 'self'; img-src 'self' data: blob:; base-uri 'none'; form-action 'none'; "
-    "frame-ancestors 'none'",
+    # Textures of characters are parts of their files: blobs, which three.js fetches.
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' data: blob:; connect-src 'self' data: blob:; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -66,7 +67,7 @@ def make_app(jobs: Jobs, *, token: str | None = None, hosts: tuple[str, ...] = L
         Route("/", _static("index.html")),
         *[Route(f"/assets/{name}", _static(name)) for name in page_files() if name != "index.html"],
         Route("/assets/stage.css", lambda _: Response(stage_style(), media_type=MEDIA_TYPES["css"])),
-        Route("/assets/viewer.js", lambda _: Response(viewer_script(), media_type=MEDIA_TYPES["js"])),
+        Route("/assets/viewer.js", lambda _: Response(viewer_script(*STUDIO_SCRIPTS), media_type=MEDIA_TYPES["js"])),
         Route("/openapi.json", lambda _: JSONResponse(openapi())),
         Route("/health", server.health),
         Route("/metrics", server.metrics),
@@ -75,6 +76,7 @@ def make_app(jobs: Jobs, *, token: str | None = None, hosts: tuple[str, ...] = L
         Route("/motions/{key}", server.kept_motions, methods=["GET", "DELETE"]),
         Route("/files", server.files, methods=["POST"]),
         Route("/scene", server.scene, methods=["POST"]),
+        Route("/character", server.character, methods=["POST"]),
     ]
     middleware = [
         Middleware(_Guard, token=token),
@@ -190,6 +192,7 @@ class _Server:
         data = self.jobs.model | {
             "formats_of_several": schema.SEVERAL,
             "body_bytes": schema.MAX_BODY,
+            "character_bytes": schema.MAX_CHARACTER,
             "fields": {name: body.model_json_schema()["properties"] for name, body in bodies.items()},
         }
         return JSONResponse(data)
@@ -281,6 +284,20 @@ class _Server:
         async with self.bodies.read(request) as body:
             opened = await self._in_process(open_file, body, suffix, changes, rig, names)
         return Response(opened, media_type="application/json")
+
+    async def character(self, request: Request) -> Response:
+        """Answers with a user's character that moves."""
+        if not is_json(request):
+            raise HTTPException(415, "the body must be application/json")
+        fields = schema.read_parameters(schema.CharacterParameters, dict(request.query_params))
+        names = Names(fields.pop("name", "character"), fields.pop("rig_name", "rig"))
+        rig = fields.pop("rig", None)
+        changes = record_from(Changes, fields)
+        async with self.bodies.read(request, schema.MAX_CHARACTER_BODY) as body:
+            given = await to_thread.run_sync(schema.read_body, schema.CharacterBody, body)
+            content = await self._in_process(move_character, given["character"], given["motions"], changes, rig, names)
+        disposition = 'attachment; filename="character.glb"'
+        return Response(content, headers={"Content-Disposition": disposition}, media_type="model/gltf-binary")
 
     async def _in_process(self, function: Callable[..., Any], *args: Any) -> Any:
         """Returns what a function returns in a process of its own, which is killed if it takes too long."""

@@ -17,6 +17,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.export.html import scene_record
 from t2m_jax.export.npz import write_npz
 from t2m_jax.motion.changes import Changes
+from t2m_jax.motion.character import load_character
 from t2m_jax.motion.formats import format_options, load_motion, save_motions
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rig.rigs import RIGS
@@ -128,16 +129,45 @@ def read_motion(data: bytes, suffix: str, rig: str | None = None, names: Names |
         UserError: There is none, or it is too long.
     """
     with motion_file(data, suffix, names) as path:
-        if rig is not None and rig not in RIGS:
-            table = path.with_name(TABLE)
-            table.write_text(rig, encoding="utf-8")
-            rig = str(table)
-        motion = load_motion(path, rig=rig)
+        motion = load_motion(path, rig=_rig_name(path, rig))
         if motion.seconds > schema.MAX_TOTAL_SECONDS:  # at another frame rate, it could fill the memory
             most = f"at most {schema.MAX_TOTAL_SECONDS:g} are read"
             raise UserError(f"{path}: has {motion.seconds:g} seconds; {most}")
         _check_frames(motion.num_frames, str(path))
         return motion
+
+
+def _rig_name(path: Path, rig: str | None) -> str | None:
+    """Returns the name of a rig, or the file of a table, which is written beside a user's file."""
+    if rig is None or rig in RIGS:
+        return rig
+    table = path.with_name(TABLE)
+    table.write_text(rig, encoding="utf-8")
+    return str(table)
+
+
+def move_character(
+    character: bytes, inputs: Sequence[bytes], changes: Changes, rig: str | None = None, names: Names | None = None
+) -> bytes:
+    """Returns the bytes of a GLB file: a user's character with an animation for each motion.
+
+    Args:
+        character: Bytes of a `.glb` or `.vrm` file.
+        inputs: Bytes of an `.npz` file per motion.
+        changes: What is changed of the motions.
+        rig: See `read_motion`.
+        names: What errors call the files.
+
+    Raises:
+        UserError: A motion or the character cannot be read, or bones were not found.
+    """
+    motions = [_changed(read_motion(data, "npz"), changes) for data in inputs]
+    _check_frames(sum(motion.num_frames for motion in motions), "all motions together")
+    with motion_file(character, "vrm", names) as path:
+        # Its name begins as that of the character, so errors call it by that, too.
+        output = path.with_name(f"{path.name}.glb")
+        load_character(path, rig=_rig_name(path, rig)).save(output, motions)
+        return output.read_bytes()
 
 
 def motion_record(motion: Motion) -> answers.MotionData:

@@ -14,13 +14,18 @@ def openapi() -> dict[str, Any]:
     """Returns the description as plain data."""
     found = load_yaml(Path(__file__).with_name("openapi.yaml")).data
     found["info"]["version"] = version("t2m-jax")
-    types: list[Any] = [schema.MotionBody, schema.FileBody, answers.ModelData, answers.OpenedFile]
+    types: list[Any] = [schema.MotionBody, schema.FileBody, schema.CharacterBody, answers.ModelData, answers.OpenedFile]
     types += [answers.HealthData, answers.ErrorData, *answers.EVENTS.values()]
     adapters: list[Any] = [(data.__name__, "validation", TypeAdapter(data)) for data in types]
     # All at once, so that parts that several have, such as scenes, are described once.
     _, schemas = TypeAdapter.json_schemas(adapters, ref_template="#/components/schemas/{model}")
     found["components"]["schemas"] = schemas["$defs"]
-    for path, model in (("/files", schema.FileParameters), ("/scene", schema.SceneParameters)):
+    models = {
+        "/files": schema.FileParameters,
+        "/scene": schema.SceneParameters,
+        "/character": schema.CharacterParameters,
+    }
+    for path, model in models.items():
         found["paths"][path]["post"]["parameters"] = _parameters(model)
     events = [f"- `{name}`: {kind.__doc__} See the schema `{kind.__name__}`." for name, kind in answers.EVENTS.items()]
     texts = {"events": "\n".join(events), "bytes": f"{schema.MAX_BODY:,}"}

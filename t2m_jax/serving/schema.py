@@ -28,6 +28,10 @@ MAX_TOTAL_SECONDS = 600.0
 """Of all samples of a request, if it says how long they are, and of a file."""
 MAX_BODY = 16 * 2**20
 """Bytes of a request: a motion of ten minutes."""
+MAX_CHARACTER = 32 * 2**20
+"""Bytes of a character, which has textures."""
+MAX_CHARACTER_BODY = MAX_CHARACTER * 4 // 3 + MAX_BODY // 4
+"""Bytes of a request with one, in base64, and motions."""
 MAX_JSON = 2**16
 """Bytes of a JSON body without the motions in it. Sentences need a third of it."""
 MAX_MOTIONS = 32
@@ -146,6 +150,26 @@ SceneParameters = make_model(
         "rig_name": (str | None, None, "What the table in `rig` is called in errors."),
     },
 )
+
+
+CharacterParameters = make_model(
+    "CharacterParameters",
+    Changes,
+    {
+        "path": _PATH,
+        "rig": (str | None, None, "Name of the character's rig, or the text of a table. By default, it is recognized."),
+        "name": (str | None, None, "What the character's file is called in errors."),
+        "rig_name": (str | None, None, "What the table in `rig` is called in errors."),
+    },
+)
+
+
+class CharacterBody(BaseModel):
+    """The body of `POST /character`."""
+
+    model_config = ConfigDict(extra="forbid")
+    character: Base64 = Field(description="A `.glb` or `.vrm` file with a skin.")
+    motions: list[Base64] = Field(min_length=1, max_length=MAX_MOTIONS, description="`.npz` files.")
 
 
 class FileBody(BaseModel):

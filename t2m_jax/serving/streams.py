@@ -68,7 +68,7 @@ class Bodies:
         """Bytes of large bodies."""
 
     @asynccontextmanager
-    async def read(self, request: Request) -> AsyncIterator[bytes]:
+    async def read(self, request: Request, most: int = MAX_BODY) -> AsyncIterator[bytes]:
         """Gives the body of a request to the block, after which it is no longer in memory.
 
         Raises:
@@ -82,8 +82,8 @@ class Bodies:
                 async for part in request.stream():
                     # Counted here, because `Content-Length` may be missing or wrong.
                     size += len(part)
-                    if size > MAX_BODY:
-                        raise HTTPException(413, f"the body has more than {MAX_BODY:,} bytes")
+                    if size > most:
+                        raise HTTPException(413, f"the body has more than {most:,} bytes")
                     parts.append(part)
                     # Small bodies always have room, so that nobody's files stop the sentences of others.
                     if size > MAX_JSON:

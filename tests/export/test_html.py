@@ -8,7 +8,7 @@ import zlib
 import numpy as np
 import pytest
 
-from t2m_jax.export.html import save_html, viewer_html, viewer_script
+from t2m_jax.export.html import STUDIO_SCRIPTS, save_html, viewer_html, viewer_script
 from t2m_jax.export.render.scene import figure_from_motion
 from t2m_jax.motion.motion import Motion
 from tests.export.conftest import NASTY_CAPTION
@@ -56,7 +56,7 @@ def test_a_page_has_the_license_of_three_js(walk):
     text = (folder / "LICENSE").read_text(encoding="utf-8").strip()
     assert "Permission is hereby granted" in text
     assert text in page and text in Elements(page).program
-    assert text in viewer_script()  # of the studio
+    assert text in viewer_script(*STUDIO_SCRIPTS)
 
 
 def test_a_page_with_many_motions_is_small(walk):

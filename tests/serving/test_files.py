@@ -11,10 +11,12 @@ from t2m_jax.export.npz import write_npz
 from t2m_jax.motion.bvh import load_bvh
 from t2m_jax.motion.changes import Changes
 from t2m_jax.motion.formats import load_motion, motion_formats
-from t2m_jax.serving.files import make_file, motion_file, open_file
+from t2m_jax.serving.files import Names, make_file, motion_file, move_character, open_file
 from t2m_jax.serving.schema import SEVERAL, FileOptions, decode_base64
 from tests.export.conftest import nasty, walk  # noqa: F401 - fixtures
+from tests.motion.character_files import read_parts, table_text, write_character
 from tests.motion.rig.foreign import nameless, nameless_table  # noqa: F401 - fixtures
+from tests.motion.rig.test_retarget import BANDAI
 
 SIGNATURES = {
     "npz": b"PK",
@@ -153,3 +155,36 @@ def test_a_motion_is_changed_in_every_way(walk):  # noqa: F811
     written = make_file([data_of(walk)], FileOptions(changes=changes))
     for data in (shown, written):
         np.testing.assert_allclose(read_back(data, "npz").positions, expected.positions, atol=1e-5)
+
+
+def test_a_character_moves_as_the_changed_motions(walk, tmp_path):  # noqa: F811
+    hero = write_character(tmp_path / "hero.glb", BANDAI)
+    table = table_text(lambda bone: bone)
+    for rig in (None, table):
+        data = move_character(hero.read_bytes(), [data_of(walk[:8]), data_of(walk)], Changes(speed=2.0), rig)
+        (tmp_path / "moved.glb").write_bytes(data)
+        animations = read_parts(tmp_path / "moved.glb").tree["animations"]
+        assert [one["name"] for one in animations][:2] == ["nod", walk.caption or "motion"]
+        assert [one["extras"]["frames"] for one in animations[1:]] == [4, (walk.num_frames + 1) // 2]
+        assert 0.8 < animations[1]["extras"]["scale"] < 1.2
+
+
+@pytest.mark.parametrize(
+    ("character", "rig", "message"),
+    [
+        (b"solid cube", None, "hero.vrm: is not a GLB file; export as glTF binary (.glb)"),
+        (None, "bandai", "my table.yaml:1: "),
+        (None, "pelvis: Nose", "my table.yaml: "),
+    ],
+)
+def test_a_bad_character_is_refused_by_its_name(walk, tmp_path, character, rig, message):  # noqa: F811
+    hero = write_character(tmp_path / "hero.glb", BANDAI).read_bytes()
+    with pytest.raises(UserError) as refusal:
+        move_character(character or hero, [data_of(walk[:8])], Changes(), rig, Names("hero.vrm", "my table.yaml"))
+    assert message in str(refusal.value) and "/tmp" not in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+def test_a_motion_without_a_person_is_not_put_on_a_character(walk, tmp_path):  # noqa: F811
+    hero = write_character(tmp_path / "hero.glb", BANDAI).read_bytes()
+    with pytest.raises(UserError, match=r"^motion\.npz: "):
+        move_character(hero, [b"nonsense"], Changes())

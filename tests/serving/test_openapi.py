@@ -8,7 +8,7 @@ from t2m_jax.serving.answers import EVENTS
 from t2m_jax.serving.app import make_app
 from t2m_jax.serving.jobs import FINAL_EVENTS, Jobs
 from t2m_jax.serving.openapi import openapi
-from t2m_jax.serving.schema import FileParameters, MotionBody, SceneParameters
+from t2m_jax.serving.schema import CharacterParameters, FileParameters, MotionBody, SceneParameters
 from tests.export.conftest import walk  # noqa: F401 - a fixture
 from tests.serving.test_files import data_of
 
@@ -32,7 +32,7 @@ def test_every_route_and_method_is_named():
 
 def test_every_field_is_named():
     assert SCHEMAS["MotionBody"] | {"title": ""} == MotionBody.model_json_schema() | {"title": ""}
-    for path, model in (("/files", FileParameters), ("/scene", SceneParameters)):
+    for path, model in (("/files", FileParameters), ("/scene", SceneParameters), ("/character", CharacterParameters)):
         parameters = {one["name"]: one for one in DESCRIPTION["paths"][path]["post"]["parameters"]}
         assert list(parameters) == list(model.model_fields)
         assert parameters["loop"]["schema"]["type"] == "boolean"

@@ -42,6 +42,15 @@ class FigureCell {
     this.say(0);
   }
 
+  // Shows another body in place of the present one.
+  dress(body) {
+    this.scene.remove(this.body.mesh);
+    this.body.dispose();
+    this.body = body;
+    this.scene.add(body.mesh);
+    this.theme = null;
+  }
+
   // Shows the sentence that is played, which is a part of the caption.
   say(seconds) {
     const begun = (this.figure.sentences ?? []).filter(([first]) => first <= seconds * this.figure.fps + 1e-6);

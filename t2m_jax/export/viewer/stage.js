@@ -98,6 +98,12 @@ class Stage {
     this.changed();
   }
 
+  // Shows a figure with another body, which a function makes of it; without one, with its own.
+  dress(k, makeBody = (figure) => new BodyMesh(figure)) {
+    this.cells[k]?.dress(makeBody(this.cells[k].figure));
+    this.changed();
+  }
+
   get time() { return this.moment; }
   set time(value) {
     this.moment = clamp(Number(value) || 0, 0, Math.max(this.seconds - 1 / this.fps, 0));

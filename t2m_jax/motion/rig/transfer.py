@@ -45,6 +45,8 @@ class Movement(NamedTuple):
     """Rotation of each joint from the rest pose, in the world."""
     pelvis: Float[np.ndarray, "T 3"]
     """Place of the pelvis in the unit of the body."""
+    scale: float
+    """Size of the body per size of the person in the motion."""
 
 
 def transfer(
@@ -87,7 +89,7 @@ def transfer(
     for side, joints in enumerate(_LEGS):
         _bend(turns, joints, rest, ways[:, side] + drop, ahead[:, side])
     place = middle - drop + _turned(turns, _PELVIS, rest[_PELVIS] - rest_middle)
-    return Movement(turns, place.astype(np.float32))
+    return Movement(turns, place.astype(np.float32), steps.scale)
 
 
 def _share_spine(turns: Float[np.ndarray, "T 22 4"], bones: Container[str]) -> None:

@@ -55,7 +55,8 @@ export class DownloadPanel {
     input.disabled = !possible;
   }
 
-  #changes() {
+  // What the fields and the span of the timeline change.
+  changes() {
     const { span } = this.session;
     const changes = readFields(find("changes"));
     if (span && find("save-span").checked) Object.assign(changes, { begin: span[0].toFixed(4), end: span[1].toFixed(4) });
@@ -87,7 +88,7 @@ export class DownloadPanel {
   // The changed motion becomes a motion of its own, which can be changed again.
   apply() {
     return this.#work(async ({ take, selected }) => {
-      const changed = await changeSample(take, selected, this.#changes());
+      const changed = await changeSample(take, selected, this.changes());
       clearFields(find("changes"));
       this.onChanged(changed);
     });
@@ -96,7 +97,7 @@ export class DownloadPanel {
   save() {
     return this.#work(async ({ take, motion }) => {
       const chosen = !find("save-all").disabled && find("save-all").checked ? take.motions : [motion];
-      const parameters = { ...readFields(this.form), ...this.#changes(), format: this.format };
+      const parameters = { ...readFields(this.form), ...this.changes(), format: this.format };
       // Formats for one motion become several files.
       const files = this.several.includes(parameters.format) ? [chosen] : chosen.map((one) => [one]);
       for (const [number, motions] of files.entries()) {
@@ -109,12 +110,12 @@ export class DownloadPanel {
   }
 }
 
-function fileName(motion, number, format) {
+export function fileName(motion, number, format) {
   const words = motion.caption.toLowerCase().replace(/[^\p{L}\p{N}]+/gu, "-").replace(/^-|-$/g, "");
   return [[...words].slice(0, 40).join("") || "motion", motion.seed, number].filter((part) => part !== null && part !== undefined).join("-") + `.${format}`;
 }
 
-function saveBlob(blob, download) {
+export function saveBlob(blob, download) {
   const href = URL.createObjectURL(blob);
   create("a", { href, download }).click();
   setTimeout(() => URL.revokeObjectURL(href), 60_000); // the browser may still be reading it

@@ -128,6 +128,11 @@ export async function readMotion(bytes, parameters) {
   return (await send(`scene?${new URLSearchParams(parameters)}`, options)).json();
 }
 
+// Returns a blob with a character's file and an animation for each motion; both are given as base64.
+export async function moveCharacter(character, motions, parameters) {
+  return (await send(`character?${new URLSearchParams(parameters)}`, asJson({ character, motions }))).blob();
+}
+
 // Returns a blob with a file that contains the motions, which are given as base64 of .npz files.
 export async function makeFile(motions, parameters, onWait) {
   return (await send(`files?${new URLSearchParams(parameters)}`, asJson({ motions }), onWait)).blob();

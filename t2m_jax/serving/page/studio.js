@@ -1,5 +1,6 @@
 // Puts the parts of the page together.
 
+import { CharacterPanel } from "./character.js";
 import { Comparison } from "./compare.js";
 import { clearMessage, find, showMessage } from "./dom.js";
 import { DownloadPanel } from "./download.js";
@@ -45,7 +46,8 @@ async function start() {
     return entry && action(entry).catch((error) => showMessage(`This cannot be done: ${error.message}.`));
   };
   new TakeBar(session, history, { ...actions, onReuseSeed: (seed) => make.reuseSeed(seed), onKeep: addTake });
-  new DownloadPanel(session, model, addTake);
+  const download = new DownloadPanel(session, model, addTake);
+  new CharacterPanel(session, model, stage, () => download.changes());
   showWords(model, (word) => make.sentences.insert(word));
   listenForFiles(model, addTake);
   listenForCopies();

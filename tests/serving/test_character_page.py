@@ -1,0 +1,81 @@
+"""The user's own character in the studio, in a browser: chosen, seen as it moves, and downloaded."""
+
+import numpy as np
+import pytest
+
+from t2m_jax.motion.formats import load_motion
+from t2m_jax.motion.motion import Motion
+from tests.export.test_viewer import browser  # noqa: F401 - a fixture
+from tests.motion.character_files import read_parts
+from tests.motion.figures import walking_positions
+from tests.motion.glb_files import edited
+from tests.serving.test_page import (
+    WAVE,
+    address,  # noqa: F401 - a fixture
+    expect,
+    generate,
+    num_frames,
+    open_studio,  # noqa: F401 - a fixture
+    stage_picture,
+)
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def hero(tmp_path):
+    """Returns the file of a red figure, with an animation of its own."""
+
+    def paint(tree):
+        tree["animations"][0]["name"] = "own"
+        tree["materials"] = [{"pbrMetallicRoughness": {"baseColorFactor": [1, 0, 0, 1]}} for _ in tree["materials"]]
+
+    Motion(walking_positions(12), 20.0).save(tmp_path / "hero.glb")
+    return edited(tmp_path / "hero.glb", paint).rename(tmp_path / "hero.vrm")
+
+
+def red(page) -> np.ndarray:
+    """Returns which pixels of the stage are red."""
+    picture = stage_picture(page)
+    return (picture[..., 0] > 90) & (picture[..., 1:].max(axis=-1) < 0.5 * picture[..., 0])
+
+
+def test_a_character_is_chosen_moves_and_is_downloaded(open_studio, hero, tmp_path):  # noqa: F811
+    page = open_studio()
+    generate(page, WAVE)
+    assert not red(page).any()
+    page.locator("#character-input").set_input_files(hero)
+    expect(page.locator("#character-name")).to_have_text("hero.vrm")
+    expect(page.locator("#save-character")).to_be_enabled()
+    before = red(page)
+    page.get_by_role("slider", name="Frame", exact=True).fill("20")
+    expect(page.locator("#clock")).to_contain_text("frame 20")
+    after = red(page)
+    assert min(before.sum(), after.sum()) > 500 and (before != after).mean() > 0.001
+    with page.expect_download() as info:
+        page.get_by_role("button", name="Download the character").click()
+    info.value.save_as(tmp_path / "moved.glb")
+    assert [one["name"] for one in read_parts(tmp_path / "moved.glb").tree["animations"]] == ["own", WAVE]
+    assert load_motion(tmp_path / "moved.glb", animation=WAVE).num_frames == num_frames(page)
+    page.get_by_role("button", name="Remove").click()
+    expect(page.locator("#save-character")).to_be_hidden()
+    assert not red(page).any()
+
+
+def test_a_file_that_is_no_character_is_refused_in_one_line(open_studio, hero, tmp_path):  # noqa: F811
+    page = open_studio(may_fail=["400"])
+    generate(page, WAVE)
+    wheels = edited(
+        hero.rename(tmp_path / "wheels.glb"),
+        lambda tree: [node.update(name=f"wheel{number}") for number, node in enumerate(tree["nodes"])],
+    )
+    (tmp_path / "cube.glb").write_text("solid cube")
+    (tmp_path / "cube.obj").write_text("solid cube")
+    for path, message in (
+        (tmp_path / "cube.glb", "cube.glb: is not a GLB file"),
+        (tmp_path / "cube.obj", "cube.obj: is not a character; choose a .glb or .vrm file"),
+        (wheels, "were not recognized; open it together with a table"),
+    ):
+        page.locator("#character-input").set_input_files(path)
+        expect(page.get_by_role("alert")).to_contain_text(message)
+        expect(page.locator("#save-character")).to_be_hidden()
