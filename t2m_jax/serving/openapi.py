@@ -29,6 +29,7 @@ def openapi() -> dict[str, Any]:
         found["paths"][path]["post"]["parameters"] = _parameters(model)
     events = [f"- `{name}`: {kind.__doc__} See the schema `{kind.__name__}`." for name, kind in answers.EVENTS.items()]
     texts = {"events": "\n".join(events), "bytes": f"{schema.MAX_BODY:,}"}
+    texts["character"] = f"{schema.MAX_CHARACTER_BODY:,}"
     for part in (found["paths"]["/motions"]["post"], found["components"]["responses"]["413"]):
         part["description"] = part["description"].format(**texts)
     return found

@@ -30,7 +30,7 @@ MAX_BODY = 16 * 2**20
 """Bytes of a request: a motion of ten minutes."""
 MAX_CHARACTER = 32 * 2**20
 """Bytes of a character, which has textures."""
-MAX_CHARACTER_BODY = MAX_CHARACTER * 4 // 3 + MAX_BODY // 4
+MAX_CHARACTER_BODY = MAX_CHARACTER * 4 // 3 + 4 * 2**20
 """Bytes of a request with one, in base64, and motions."""
 MAX_JSON = 2**16
 """Bytes of a JSON body without the motions in it. Sentences need a third of it."""
