@@ -134,13 +134,42 @@ def test_chains_that_are_refused(refusal, bundle_folder, tmp_path, tmp_path_fact
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--at", "1", "nose=0,1,0"], "targets: nose at 1 s: no such joint; known: pelvis"),
+        (["--at", "soon", "head=0,1,0"], "targets: 'soon head=0,1,0' is not TIME JOINT=X,Y,Z"),
+        (["--at", "1", "head=0,9,0"], "targets: head at 1 s: nobody reaches a height of 9 m"),
+        (["--at", "0.5", "root=0,3"], "targets: root at 0.5 s: 3 m in 0.5 s is faster than 5 m/s"),
+        (["--pose", "soon", "missing.npz"], "--pose soon missing.npz: 'soon' is not a number of seconds"),
+        (["--pose", "1", "missing.npz"], "missing.npz"),
+        (["--at", "1", "root=0,0", "--then", "a person waves"], "--at: are for one sentence"),
+        (["--at", "900", "root=0,0"], "targets: root at 900 s: the longest motion for a sentence has"),
+    ],
+)
+def test_targets_that_are_refused(refusal, bundle_folder, tmp_path, monkeypatch, options, said):
+    monkeypatch.chdir(tmp_path)
+    assert said in refusal("generate", "a person walks", *options, "--model", bundle_folder, "-o", "out.npz")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_distances_to_targets_are_said(bundle_folder, tmp_path, capsys):
+    file = tmp_path / "out.npz"
+    command = ["generate", "a person walks", "--model", f"{bundle_folder}", "--candidates", "2", "-o", f"{file}"]
+    assert main([*command, "--at", "0", "root=0,0", "--at", "0.3", "head=0.9,2.5,0.9"]) == 0
+    said = capsys.readouterr().err
+    assert "t2m: root at 0 s: met, 0." in said and "t2m: head at 0.3 s: missed, " in said
+    assert main([*command, "--pose", "0.1", f"{file}"]) == 0
+    assert "t2m: pose at 0.1 s: m" in capsys.readouterr().err
+
+
 def test_every_field_of_the_records_is_an_option():
     parser = argparse.ArgumentParser()
     add_arguments(parser)
     options = {action.dest for action in parser._actions}
     fields = {field.name for record in (MotionRequest, Changes) for field in fields_of(record)}
-    assert fields - options == {"captions", "strategy", "begin", "end"}  # sentences, only in Python, and --trim
-    files = {"names", "units", "root_bone", "output", "rig", "character"}
+    assert fields - options == {"captions", "strategy", "targets", "begin", "end"}  # other options, or only in Python
+    files = {"at", "pose", "names", "units", "root_bone", "output", "rig", "character"}
     assert options - fields == {"text", "then", "trim", "help", "model"} | files
 
 
