@@ -82,7 +82,15 @@ Base64 = Annotated[
 PathText = Annotated[
     tuple[tuple[float, float], ...], PlainValidator(path_from_text), WithJsonSchema({"type": "string"})
 ]
-TargetsText = Annotated[tuple[Target, ...], PlainValidator(targets_from_text), WithJsonSchema({"type": "string"})]
+
+
+def _targets(value: object) -> tuple[Target, ...]:
+    if not isinstance(value, str):
+        raise ValueError("is not a text")
+    return targets_from_text(value)
+
+
+TargetsText = Annotated[tuple[Target, ...], PlainValidator(_targets), WithJsonSchema({"type": "string"})]
 Replacement = tuple[Any, Any, str]
 """A type, a default and a text."""
 
@@ -130,8 +138,8 @@ MotionBody = make_model(
         "start": (Base64 | None, None, "A motion to continue. With `span` or `strength`, it is changed instead."),
         "start_format": (InputFormat, "npz", "Format of `start`."),
         "targets": (
-            TargetsText,
-            (),
+            TargetsText | None,
+            None,
             'Where joints should be at a time, such as "2 right_wrist=-0.3,1.7,0.2; 4 root=1,3"; seconds and meters.',
         ),
     },
@@ -248,7 +256,7 @@ def motion_request(fields: Mapping[str, Any], start: Motion | None) -> MotionReq
     Raises:
         UserError: Fields do not go together, or ask for too much.
     """
-    values = dict(fields) | {"start": start}
+    values = dict(fields) | {"start": start, "targets": fields.get("targets") or ()}
     # JSON may say 0.7 as 0.7000000000000001, which would be a program of its own.
     values |= {name: round(fields[name], 2) for name in ("temperature", "top_p") if fields.get(name) is not None}
     if fields.get("seed") is None:

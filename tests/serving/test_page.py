@@ -12,6 +12,7 @@ from PIL import Image
 from t2m_jax.motion.changes import Changes
 from t2m_jax.motion.formats import load_motion
 from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.targets import distances, read_target
 from t2m_jax.serving.schema import FileParameters, MotionBody
 from tests.export.conftest import NASTY_CAPTION, walk  # noqa: F401 - a fixture
 from tests.export.test_viewer import browser, wait_until  # noqa: F401 - a fixture
@@ -197,6 +198,22 @@ def test_every_field_of_the_interface_has_a_control(open_studio):
     page.get_by_role("spinbutton", name="Temperature").fill("2.1")
     page.get_by_role("button", name="Generate", exact=True).click()
     expect(page.get_by_role("alert")).to_contain_text("Temperature: ")
+
+
+def test_targets_are_met_or_said_to_be_missed(open_studio, tmp_path):
+    page = open_studio()
+    page.get_by_text("More options").click()
+    field = page.get_by_role("textbox", name="Targets")
+    field.fill("0 root=0,0")
+    generate(page, WAVE)
+    motion = load_motion(download(page, "BVH", tmp_path))
+    assert distances(motion, [read_target("0 root=0,0")])[0] < 0.01
+    field.fill("0.2 head=0.9,2.5,0.9")
+    generate(page, WAVE)
+    expect(page.locator("#warning")).to_contain_text("misses head at 0.2 s by ")
+    field.fill("0.2 nose=0,1,0")
+    page.get_by_role("button", name="Generate", exact=True).click()
+    expect(page.get_by_role("alert")).to_contain_text("nose at 0.2 s: no such joint")
 
 
 def test_a_motion_is_changed_in_the_preview_and_in_files(open_studio, tmp_path):

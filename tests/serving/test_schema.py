@@ -60,6 +60,15 @@ def test_a_seed_is_drawn_if_none_is_given():
     assert request_of(GOOD | {"seed": 5}).seed == 5
 
 
+def test_targets_are_texts():
+    first, second = request_of(GOOD | {"targets": "2 right_wrist=-0.3,1.7,0.2; 4 root=1,3"}).targets
+    assert (first.joint, first.place, second.seconds) == ("right_wrist", (-0.3, 1.7, 0.2), 4.0)
+    assert request_of(GOOD | {"targets": None}).targets == request_of(GOOD | {"targets": " "}).targets == ()
+    for wrong in ("2 right_wrist", 3, ["2 root=0,0"]):
+        with pytest.raises(UserError, match=r"^request: targets: "):
+            request_of(GOOD | {"targets": wrong})
+
+
 def test_all_sampling_options_reach_the_record():
     given = {"temperature": 0.7000000000000001, "top_p": 0.9, "guidance_scale": 2, "stop_rule": "sampled", "raw": True}
     expected = SamplingOptions(temperature=0.7, top_p=0.9, guidance_scale=2.0, stop_rule="sampled", raw=True)
