@@ -10,13 +10,12 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 import chex
 import flax.linen as nn
-import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int
 
 from t2m_jax.config import check_limits, check_sizes
 from t2m_jax.models.projection import WEIGHT_INIT, Projection
-from t2m_jax.models.system import Draw, Part, draw_each, log_probabilities
+from t2m_jax.models.system import Draw, Part, Randomness, draw_depths, draw_each, log_probabilities
 from t2m_jax.models.transformer import LAYER_NORM_EPSILON, Block, LayerCache, empty_cache, read_causal, read_one
 
 
@@ -280,13 +279,11 @@ class HiFiGpt(nn.Module):
         return context, Cache(layers, cache.guidance_scale, cache.position + 1)
 
     def draw(
-        self, context: Context, keys: Key[Array, " B"], strategy: Draw, *, may_stop: Bool[Array, "*#B"]
+        self, context: Context, keys: Randomness, strategy: Draw, *, may_stop: Bool[Array, "*#B"]
     ) -> Int[Array, "B R"]:
         """Returns the next row, code after code; `keys` are consumed."""
         del may_stop  # rows never end a motion; their stop scores do
         batch, halves, width = context.hidden.shape
-        depth = self.config.num_quantizers
-        depth_keys = jnp.swapaxes(jax.vmap(lambda key: jax.random.split(key, depth))(keys), 0, 1)
 
         def one_depth(
             self: "HiFiGpt", carry: tuple[Array, Array, Any], now: tuple[Array, Array]
@@ -304,10 +301,8 @@ class HiFiGpt(nn.Module):
 
         total = jnp.zeros_like(self._vectors(jnp.zeros(batch, jnp.int32)))
         first = (context.hidden.reshape(-1, width), total, self.residual.empty(batch * halves))
-        # A scan: one program for any depth. The cache of this tier starts empty for each row.
-        over_depths = nn.scan(one_depth, variable_broadcast=True, split_rngs={})
-        _, codes = over_depths(self, first, (jnp.arange(depth), depth_keys))
-        return codes.T
+        # The cache of this tier starts empty for each row.
+        return draw_depths(one_depth, self, first, keys, depth=self.config.num_quantizers)
 
     def _logits_at(self, hidden: Float[Array, "B W"], depth: Int[Array, ""]) -> Float[Array, "B K"]:
         normed = self.head_norm(hidden)

@@ -10,12 +10,12 @@ import chex
 import flax.linen as nn
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int
 
 from t2m_jax.config import check_limits, check_sizes
 from t2m_jax.errors import UserError
 from t2m_jax.models.projection import WEIGHT_INIT, Projection
-from t2m_jax.models.system import Draw, Part, draw_each, log_probabilities
+from t2m_jax.models.system import Draw, Part, Randomness, draw_each, log_probabilities
 from t2m_jax.models.transformer import LAYER_NORM_EPSILON, Block, LayerCache, empty_cache, read_causal, read_one
 
 
@@ -132,7 +132,7 @@ class MotionGpt(nn.Module):
         return self._read(self.text_projection(text_embedding), cache)
 
     def draw(
-        self, context: Float[Array, "B V"], keys: Key[Array, " B"], strategy: Draw, *, may_stop: Bool[Array, "*#B"]
+        self, context: Float[Array, "B V"], keys: Randomness, strategy: Draw, *, may_stop: Bool[Array, "*#B"]
     ) -> Int[Array, "B 1"]:
         """Returns the next token, which is a code or (if `may_stop`) End."""
         # A motion that must go on, because it is too short or not yet where the user wants it.

@@ -28,8 +28,10 @@ GROUP = "t2m_jax.systems"
 """The entry-point group of parts."""
 
 Role = Literal["tokenizer", "generator"]
-Draw = Callable[[Float[Array, "B V"], Key[Array, ""]], Int[Array, " B"]]
+Draw = Callable[[Float[Array, "B V"], Any], Int[Array, " B"]]
 """A sampling strategy: chooses one of the V classes for each row of logits; the key is consumed."""
+Randomness = Key[Array, " B"] | Float[Array, "B R V"]
+"""What a row is drawn with: keys, or noise that a strategy reads in place of keys (in programs without generators)."""
 
 
 @runtime_checkable
@@ -108,9 +110,7 @@ class Generator(Protocol):
     def begin(self, text_embedding: Float[Array, "B E"], guidance_scale: Any = None) -> tuple[Any, Any]:
         """Returns the context of the first row, and the cache; without a scale there is no guidance."""
 
-    def draw(
-        self, context: Any, keys: Key[Array, " B"], strategy: Draw, *, may_stop: Bool[Array, ""]
-    ) -> Int[Array, "B R"]:
+    def draw(self, context: Any, keys: Randomness, strategy: Draw, *, may_stop: Bool[Array, ""]) -> Int[Array, "B R"]:
         """Returns the next row; a generator that ends motions by a code must not draw it unless `may_stop`."""
 
     def step(self, cache: Any, rows: Int[Array, "B R"]) -> tuple[Any, Float[Array, " B"], Any]:
@@ -178,9 +178,42 @@ def variable_shapes(config: PartConfig) -> dict[str, Any]:
     return jax.eval_shape(lambda: module.init(new_key(0), *example(config), train=False))
 
 
-def draw_each(strategy: Draw, logits: Float[Array, "B V"], keys: Key[Array, " B"]) -> Int[Array, " B"]:
+def draw_each(
+    strategy: Draw, logits: Float[Array, "B V"], keys: Key[Array, " B"] | Float[Array, "B ... V"]
+) -> Int[Array, " B"]:
     """Returns one choice for each row of logits, each with its own key, so that no row depends on the others."""
     return jax.vmap(lambda row, key: strategy(row[None], key)[0])(logits, keys).astype(jnp.int32)
+
+
+def keys_of_depths(keys: Randomness, depth: int) -> Key[Array, "B R"] | Float[Array, "B R V"]:
+    """Returns what each code of rows is drawn with: new keys (`keys` are consumed), or the noise that is given."""
+    if not jnp.issubdtype(keys.dtype, jax.dtypes.prng_key):
+        return keys
+    return jax.vmap(lambda key: jax.random.split(key, depth))(keys)
+
+
+def draw_depths(
+    one_depth: Callable[..., tuple[Any, Array]], module: nn.Module, first: Any, keys: Randomness, *, depth: int
+) -> Int[Array, "B R"]:
+    """Returns the codes of rows, drawn depth after depth; `keys` are consumed.
+
+    Args:
+        one_depth: From the module, what the depth before passed on, and (number of the depth, keys) to what it passes
+            on, and its codes.
+        module: The generator.
+        first: What the first depth gets.
+        keys: For the rows.
+        depth: Codes per row (R).
+    """
+    each = jnp.swapaxes(keys_of_depths(keys, depth), 0, 1)
+    if each.ndim == 2:  # a scan: one program for any depth
+        scan = nn.scan(one_depth, variable_broadcast=True, split_rngs={})
+        return scan(module, first, (jnp.arange(depth), each))[1].T
+    drawn = []
+    for number in range(depth):  # noise is for programs that run elsewhere, where loops are slow or missing
+        first, codes = one_depth(module, first, (jnp.asarray(number), each[number]))
+        drawn.append(codes)
+    return jnp.stack(drawn, axis=1)
 
 
 def log_probabilities(logits: Float[Array, "*B V"], codes: Int[Array, "*B"]) -> Float[Array, "*B"]:

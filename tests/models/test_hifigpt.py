@@ -1,6 +1,7 @@
 """Laws of the double-tier GPT: what a prediction may depend on, guidance, and what is computed in bfloat16."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -118,6 +119,27 @@ def test_every_code_has_a_key_of_its_own():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("cumulative", [False, True])
+def test_noise_in_place_of_keys_draws_the_same_rows(cumulative):
+    """Programs without generators of random numbers get the noise that the keys would give."""
+    module, variables = make(dataclasses.replace(HIFIGPT, cumulative_depth=cumulative))
+    keys = jax.random.split(jax.random.key(4), 5)
+
+    def gumbel(key):
+        return jax.random.gumbel(key, (1, HIFIGPT.num_codes))[0]
+
+    noise = jax.vmap(lambda key: jax.vmap(gumbel)(jax.random.split(key, HIFIGPT.num_quantizers)))(keys)
+    texts = jax.random.normal(jax.random.key(5), (5, HIFIGPT.text_dim))
+    context, _ = module.apply(variables, texts, jnp.array(2.0), method="begin")
+
+    def add_noise(logits, noise):
+        return jnp.argmax(logits + noise[None], axis=-1)
+
+    draw = functools.partial(module.apply, variables, context, method="draw", may_stop=jnp.array(True))
+    np.testing.assert_array_equal(draw(noise, add_noise), draw(keys, Temperature()))
+    assert (draw(0 * noise, add_noise) != draw(noise, add_noise)).any()
+
+
 def test_products_are_in_bfloat16_and_scores_finite():
     module, variables = make(HIFIGPT)
     codes, text = draw_codes(HIFIGPT), TEXT.astype(jnp.bfloat16)

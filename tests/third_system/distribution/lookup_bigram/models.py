@@ -4,10 +4,9 @@ import dataclasses
 from typing import ClassVar
 
 import flax.linen as nn
-import jax
 import jax.numpy as jnp
 
-from t2m_jax.models.system import Part, draw_each, log_probabilities
+from t2m_jax.models.system import Part, draw_each, keys_of_depths, log_probabilities
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -108,7 +107,7 @@ class Bigram(nn.Module):
 
     def draw(self, context, keys, strategy, *, may_stop):
         """Returns one code for each depth."""
-        keys = jax.vmap(jax.random.split, (0, None))(keys, self.config.num_quantizers)
+        keys = keys_of_depths(keys, self.config.num_quantizers)
         depths = range(self.config.num_quantizers)
         return jnp.stack([draw_each(strategy, context[:, depth], keys[:, depth]) for depth in depths], axis=1)
 
