@@ -105,6 +105,13 @@ class Bundle(NamedTuple):
         return card_examples(self.card) or captions[:NUM_EXAMPLES]
 
     @property
+    def min_codes(self) -> int:
+        """Rows of the shortest motion, if the model decides its length."""
+        # No fragments: nearly all motions that the model learned are as long.
+        shortest = (self.training_data or {}).get("shortest_frames", 0)
+        return max(shortest // self.config.tokenizer.downsample, 1)
+
+    @property
     def fingerprint(self) -> str:
         """Identifies the model: a digest of sizes, weights, statistics and subwords."""
         words = "" if self.bpe is None else self.bpe.to_str()

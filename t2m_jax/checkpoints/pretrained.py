@@ -40,6 +40,11 @@ def restore_rows(path: Path, arrays: Mapping[str, np.ndarray]) -> dict[str, np.n
     return restored
 
 
+def quantized_rows(arrays: Mapping[str, np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Returns the matrices of 8 bits [R, C] among arrays that `restore_rows` reads, with their scales [R, G]."""
+    return [(array, arrays[name + SCALE]) for name, array in arrays.items() if array.dtype == np.int8]
+
+
 def params_from_torch(
     path: Path,
     arrays: Mapping[str, np.ndarray],

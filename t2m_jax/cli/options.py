@@ -101,10 +101,12 @@ def read_record(record: type[T], args: argparse.Namespace, **more: Any) -> T:
         raise UserError(f"{SHORT.get(name, name)}{colon}{reason}") from None
 
 
+MODEL_HELP = "bundled name, bundle or run folder, or name on the Hugging Face hub: user/name or user/name@revision"
+
+
 def add_model_argument(parser: argparse.ArgumentParser) -> None:
     """Declares which model is used."""
-    text = "bundled name, bundle or run folder, or name on the Hugging Face hub: user/name or user/name@revision"
-    parser.add_argument("--model", default="demo", help=f"{text} (default: demo)")
+    parser.add_argument("--model", default="demo", help=f"{MODEL_HELP} (default: demo)")
 
 
 def add_rig_argument(parser: argparse.ArgumentParser, files: str) -> None:

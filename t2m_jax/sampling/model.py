@@ -62,9 +62,6 @@ class ModelParts:
             meanings = Meanings(self.knowledge.actions, self.text_encoder.sentence_embeddings)
             self.knowledge = self.knowledge._replace(meanings=meanings)
         self._rest = bundle._replace(variables={})
-        # No fragments: nearly all motions that the model learned are as long.
-        shortest = (bundle.training_data or {}).get("shortest_frames", 0)
-        self._min_codes = max(shortest // self.config.tokenizer.downsample, 1)
         self._variables = put_everywhere(bundle.variables)
         self._ready_to_sample = False
         self._normalizer = Normalizer(*map(jnp.asarray, bundle.normalizer))
@@ -124,7 +121,7 @@ class ModelParts:
             UserError: The length or the stop rule does not fit the model.
         """
         longest = self.config.generator.max_codes
-        shortest = self._min_codes if min_codes is None else min_codes
+        shortest = self._rest.min_codes if min_codes is None else min_codes
         if max_codes is not None and not 1 <= max_codes <= longest:
             raise UserError(f"max-codes: {max_codes} is not between 1 and {longest}")
         rule = find_stop_rule(self.config.generator, stop_rule)

@@ -91,6 +91,7 @@ WRITERS = {
     "t2m_jax.data.merge",
     "t2m_jax.data.writer",
     "t2m_jax.export.npz",
+    "t2m_jax.export.onnx.convert",
     "t2m_jax.files.locks",
     "t2m_jax.files.writing",
     "t2m_jax.motion.character",

@@ -68,6 +68,8 @@ def test_train_bundle_load_generate_evaluate(folder):
         rows = len(motion["codes"])
         assert motion["codes"].shape == (rows, 2) and 1 <= rows <= 12
         assert motion["positions"].shape == (8 * rows, 22, 3)
+    t2m(folder, "export", "onnx", "model", "onnx")
+    assert json.loads((folder / "onnx" / "manifest.json").read_text())["sampling"]["num_codes"]
     for kind in ("reconstruction", "generation"):
         options = ["--data", "data", "--split", "val", "--evaluator", "evaluator", "--num-repeats", 2]
         t2m(folder, "evaluate", kind, "--model", "model", *options, "--json", f"{kind}.json")

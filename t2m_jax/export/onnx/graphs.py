@@ -1,0 +1,135 @@
+"""The parts of a model as functions of named arrays, for one motion at a time.
+
+All functions come from the interface of systems (`t2m_jax.models.system`), so any system can be exported. There are no
+random numbers in them: noise is an input.
+"""
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from t2m_jax.checkpoints.bundle import Bundle
+from t2m_jax.errors import UserError
+from t2m_jax.export.onnx.text import TextPart, embed_tokens, text_inputs
+from t2m_jax.models.system import make_module
+from t2m_jax.motion.normalizer import Normalizer
+from t2m_jax.motion.skeleton import skeleton_from_name
+from t2m_jax.sampling.programs import decode_positions
+
+NEXT = "next_"
+"""Begins the names of the arrays that a row gives to the next row, which reads them without it."""
+
+
+class Graph(NamedTuple):
+    """A part of a model, from its weights to a file."""
+
+    function: Callable[..., Sequence[Array]]
+    """From the inputs, in order, to the outputs, in order."""
+    inputs: Mapping[str, jax.ShapeDtypeStruct]
+    outputs: Mapping[str, jax.ShapeDtypeStruct]
+
+
+def make_graph(
+    function: Callable[..., Sequence[Array]], inputs: Mapping[str, jax.ShapeDtypeStruct], names: Sequence[str]
+) -> Graph:
+    """Returns a graph whose outputs have the given names."""
+    shapes = jax.eval_shape(function, *inputs.values())
+    return Graph(function, inputs, dict(zip(names, shapes, strict=True)))
+
+
+def array_of(*shape: int, dtype: Any = jnp.float32) -> jax.ShapeDtypeStruct:
+    """Returns the shape and type of an array."""
+    return jax.ShapeDtypeStruct(shape, dtype)
+
+
+def make_graphs(bundle: Bundle, text: TextPart) -> dict[str, Graph]:
+    """Returns the graphs of a model by name: `text`, `begin`, `row` and `decode`."""
+    return {
+        "text": make_graph(lambda *inputs: (embed_tokens(text, *inputs),), text_inputs(text), ["text_embedding"]),
+        **_generator_graphs(bundle),
+        "decode": _decode_graph(bundle),
+    }
+
+
+def _generator_graphs(bundle: Bundle) -> dict[str, Graph]:
+    """Returns the graphs of the state before the first row, and of one row and the state after it."""
+    config = bundle.config.generator
+    apply = functools.partial(make_module(config).apply, bundle.variables["generator"])
+    inputs = {"text_embedding": array_of(1, config.text_dim)}
+    if config.guidance_scale is not None:
+        inputs["guidance_scale"] = array_of(1)
+
+    def begin(text_embedding: Float[Array, "1 E"], scale: Float[Array, "1"] | None = None) -> Any:
+        context, cache = apply(text_embedding, None if scale is None else scale[0], method="begin")
+        return {"context": context, "cache": cache}
+
+    paths, tree = jax.tree_util.tree_flatten_with_path(jax.eval_shape(begin, *inputs.values()))
+    state = {jax.tree_util.keystr(path, simple=True, separator="_"): leaf for path, leaf in paths}
+    state = {name: array_of(*leaf.shape, dtype=leaf.dtype) for name, leaf in state.items()}
+
+    drawn = {"noise": array_of(1, config.num_quantizers, num_classes(bundle)), "temperature": array_of(1)}
+    drawn["may_stop"] = array_of(1, dtype=jnp.int32)
+    names = ["codes", "stop_score", *(f"{NEXT}{name}" for name in state)]
+    try:
+        row = make_graph(functools.partial(_row, apply, tree), drawn | state, names)
+    except TypeError as error:
+        raise UserError(f"export: {config.kind!r} cannot draw with noise for keys; see docs/systems.md") from error
+    return {"begin": make_graph(lambda *given: jax.tree.leaves(begin(*given)), inputs, list(state)), "row": row}
+
+
+def _row(
+    apply: Callable[..., Any],
+    tree: Any,
+    noise: Float[Array, "1 R V"],
+    temperature: Float[Array, "1"],
+    may_stop: Int[Array, "1"],
+    *state: Array,
+) -> list[Array]:
+    """Returns the codes of a row, its stop score, and the state after it; `tree` is the structure of the state."""
+
+    def choose(logits: Float[Array, "1 V"], noise: Float[Array, "..."]) -> Int[Array, "1"]:
+        # With Gumbel noise, this is a draw from the softmax; without noise, the likeliest.
+        return jnp.argmax(logits / temperature[:, None] + noise.reshape(logits.shape), axis=1)
+
+    before = jax.tree.unflatten(tree, state)
+    codes = apply(before["context"], noise, choose, may_stop=may_stop > 0, method="draw")
+    context, score, cache = apply(before["cache"], codes, method="step")
+    return [codes, score, *jax.tree.leaves({"context": context, "cache": cache})]
+
+
+def num_classes(bundle: Bundle) -> int:
+    """Returns among how many tokens a generator chooses each code (V): codes, and perhaps End."""
+    config = bundle.config.generator
+    found = []
+
+    def note(logits: Float[Array, "1 V"], key: Any) -> Int[Array, "1"]:
+        del key
+        found.append(logits.shape[-1])
+        return jnp.argmax(logits, axis=-1)
+
+    def draw(text_embedding: Float[Array, "1 E"], keys: Any) -> Any:
+        apply = functools.partial(make_module(config).apply, bundle.variables["generator"])
+        context, _ = apply(text_embedding, method="begin")
+        return apply(context, keys, note, may_stop=jnp.ones(1, bool), method="draw")
+
+    jax.eval_shape(draw, array_of(1, config.text_dim), jax.eval_shape(lambda: jax.random.split(jax.random.key(0), 1)))
+    return found[0]
+
+
+def _decode_graph(bundle: Bundle) -> Graph:
+    config = bundle.config
+    skeleton = skeleton_from_name(config.skeleton)
+    normalizer = Normalizer(*map(jnp.asarray, bundle.normalizer))
+
+    def decode(codes: Int[Array, "1 N R"], num_rows: Int[Array, "1"]) -> tuple[Float[Array, "..."], ...]:
+        parts: dict[str, Any] = {"tokenizer": make_module(config.tokenizer), "skeleton": skeleton}
+        features, positions = decode_positions(bundle.variables["tokenizer"], normalizer, codes, num_rows, **parts)
+        return positions * np.float32(skeleton.metres_per_unit), features
+
+    codes = array_of(1, config.generator.max_codes, config.tokenizer.num_quantizers, dtype=jnp.int32)
+    return make_graph(decode, {"codes": codes, "num_rows": array_of(1, dtype=jnp.int32)}, ["positions", "features"])
