@@ -118,6 +118,7 @@ def name_bones(tree: dict, version: str) -> None:
     }
     rows = [{"bone": bone} | place for bone, place in table.items()]
     tree["extensions"] = {version: {"humanoid": {"humanBones": rows if version == "VRM" else table}}}
+    tree["extensionsUsed"] = [version]
     for number, node in enumerate(tree["nodes"]):
         node["name"] = f"Tail_{number}"
 

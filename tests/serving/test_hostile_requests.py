@@ -15,7 +15,7 @@ import uvicorn
 from t2m_jax.serving import serve as module
 from t2m_jax.serving.app import make_app
 from t2m_jax.serving.files import MAX_FRAMES
-from t2m_jax.serving.schema import MAX_BODY, MAX_JSON
+from t2m_jax.serving.schema import MAX_BODY, MAX_CHARACTER_BODY, MAX_JSON
 from t2m_jax.serving.streams import MAX_BODIES, Bodies
 from tests.motion.hostile_files import HOSTILE_FILES, npz_with
 from tests.serving.conftest import Client, wait_until
@@ -142,6 +142,8 @@ def test_two_lengths_of_a_body_close_the_connection(served):
         ("/files", '{"motions": [' + f'"{"A" * 1004}", ' * (MAX_BODY // 1010) + '"a"]}'),
         ("/files", '{"motions": ["' + "A" * (MAX_BODY - 50) + '"]}'),
         ("/motions", '{"captions": ["a"], "start": "' + "A" * (MAX_BODY - 50) + '"}'),
+        ("/character", '{"motions": ["AAAA"], "character": "' + "A" * (MAX_CHARACTER_BODY - 64) + '"}'),
+        ("/character", '{"motions": ["AAAA"], "character": [' + "1, " * (MAX_CHARACTER_BODY // 4) + "1]}"),
     ],
 )
 def test_a_large_body_does_not_stop_others(served, path, text):

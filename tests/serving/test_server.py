@@ -17,7 +17,7 @@ from prometheus_client.parser import text_string_to_metric_families
 import t2m_jax
 from t2m_jax.serving.app import HEADERS, page_files
 from t2m_jax.serving.files import make_file
-from t2m_jax.serving.schema import MAX_BODY, FileOptions, decode_base64
+from t2m_jax.serving.schema import MAX_BODY, MAX_CHARACTER_BODY, FileOptions, decode_base64
 from tests.serving.conftest import running_server, wait_until
 from tests.serving.test_files import read_back
 from tests.tiny import CAPTIONS
@@ -173,6 +173,11 @@ def test_files_are_made(server):
         ("POST", "/files", {"motions": "x"}, {}, 400),
         ("POST", "/files", {"motions": ["%"]}, {}, 400),
         ("POST", "/scene?format=amc", b"", {}, 400),
+        ("POST", "/character", b"glTF", {}, 415),
+        ("POST", "/character", {"character": "Z2xURg=="}, {}, 400),
+        ("POST", "/character", {"character": "%", "motions": ["AAAA"]}, {}, 400),
+        ("POST", "/character?speed=0", {"character": "AAAA", "motions": ["AAAA"]}, {}, 400),
+        ("POST", "/character?rig=../a.yaml", {"character": "AAAA", "motions": ["AAAA"]}, {}, 400),
         ("GET", "/model", None, {"Origin": "null"}, 403),
     ],
 )
@@ -185,6 +190,9 @@ def test_what_cannot_be_answered_is_refused_in_one_line(server, method, path, bo
 
 def test_a_large_body_is_refused_before_it_is_read(server):
     answer = server.ask("POST", "/files?format=glb", b"x" * (MAX_BODY + 2**20))
+    assert answer.status == 413
+    json_body = {"Content-Type": "application/json"}
+    answer = server.ask("POST", "/character", b"x" * (MAX_CHARACTER_BODY + 2**20), json_body)
     assert answer.status == 413
 
 
