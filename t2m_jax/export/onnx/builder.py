@@ -20,7 +20,7 @@ OPSET = 17
 Value = str | np.ndarray
 """The name of an array that is computed when the graph runs, or an array that is known."""
 Rule = Callable[["GraphBuilder", Any, list[Value]], list[Value]]
-"""From a program, an equation and its inputs to its outputs."""
+"""From a builder, an equation and its inputs to its outputs."""
 
 
 class GraphBuilder:

@@ -62,11 +62,11 @@ def _convert(name: str, graph: Graph) -> Any:
     """Returns the model of a function."""
     from onnx import helper, numpy_helper
 
-    program = GraphBuilder(RULES)
-    outputs = program.add(graph.function, graph.inputs)
+    builder = GraphBuilder(RULES)
+    outputs = builder.add(graph.function, graph.inputs)
     # Nodes of their own, because an output may be an input, or another output.
     for output, value in zip(graph.outputs, outputs, strict=True):
-        program.node("Identity", value, output=output)
+        builder.node("Identity", value, output=output)
     sides = [
         [
             helper.make_tensor_value_info(name, helper.np_dtype_to_tensor_dtype(np.dtype(array.dtype)), array.shape)
@@ -74,8 +74,8 @@ def _convert(name: str, graph: Graph) -> Any:
         ]
         for arrays in (graph.inputs, graph.outputs)
     ]
-    constants = [numpy_helper.from_array(array, name) for name, array in program.constants.items()]
-    made = helper.make_graph(program.nodes, name, *sides, initializer=constants)
+    constants = [numpy_helper.from_array(array, name) for name, array in builder.constants.items()]
+    made = helper.make_graph(builder.nodes, name, *sides, initializer=constants)
     return helper.make_model(made, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
 
 
