@@ -38,9 +38,11 @@ from t2m_jax.sampling.request import MotionRequest
 
 STEPS = 60
 """Gradient steps of a round."""
-ROUNDS = 4
-"""After each round, targets are moved by what the clean-up has moved the joints."""
-STEP_SIZE = 0.01
+ROUNDS = 8
+"""Most rounds. After each, targets are moved by what the clean-up has moved the joints."""
+MET = 0.15
+"""No further round begins when targets are met up to this share of their tolerances (root mean square)."""
+STEP_SIZE = 0.03
 """Of Adam, in standard deviations of the motion's latents."""
 FIT_WEIGHT = 1000.0
 """Weight of a squared distance to a target; per square meter."""
@@ -72,7 +74,7 @@ class Goals(NamedTuple):
 
 
 def make_goals(targets: Sequence[Target], skeleton: Skeleton) -> Goals:
-    """Returns targets as points; all frames of a target together have the weight of one."""
+    """Returns targets as points. With more frames or joints, each weighs less, but together they weigh more."""
     rows = [row for target in targets for row in _rows_of(target, skeleton)]
     size = GOAL_BUCKET * 2 ** max(0, math.ceil(math.log2(len(rows) / GOAL_BUCKET)))
     rows += [(0, 0, np.zeros(3), np.zeros(3), False)] * (size - len(rows))
@@ -91,7 +93,7 @@ def _rows_of(target: Target, skeleton: Skeleton) -> list[tuple[int, int, Any, An
     ground = np.array([1.0, 0.0, 1.0])
     if target.pose is not None:
         pose = seen_from_root(target.pose[None].astype(np.float64), skeleton)[0]
-        weight = np.ones(3) / (len(frames) * skeleton.num_joints)
+        weight = np.ones(3) / math.sqrt(len(frames) * skeleton.num_joints)
         return [(frame, joint, place, weight, True) for frame in frames for joint, place in enumerate(pose)]
     if target.joint == ROOT:
         x, z = target.place
@@ -102,7 +104,7 @@ def _rows_of(target: Target, skeleton: Skeleton) -> list[tuple[int, int, Any, An
         point, place, weight = skeleton.num_joints + 1, ahead, ground
     else:
         point, place, weight = skeleton.joint_names.index(target.joint), np.array(target.place), np.ones(3)
-    return [(frame, point, place, weight / len(frames), target.relative) for frame in frames]
+    return [(frame, point, place, weight / math.sqrt(len(frames)), target.relative) for frame in frames]
 
 
 def points_at(positions: Float[Array, "T J 3"], goals: Goals, skeleton: Skeleton) -> Float[Array, "Q 3"]:
@@ -276,7 +278,9 @@ def _approach(model: ModelParts, motion: Motion, targets: Sequence[Target], *, s
             codes=None,  # its latents are between codes
         )
         best = min(best, own, key=functools.partial(_cost, targets))
-        # The clean-up moves joints a little, so the next round aims as far beyond.
+        if _cost(targets, best) < len(targets) * MET**2:
+            break
+        # The clean-up and the other terms of the loss hold joints back a little, so the next round aims as far beyond.
         error = wanted.places - points_at(jnp.asarray(positions), wanted, model.skeleton)
         goals = goals._replace(places=goals.places + error)
     missed = missed_targets(best, targets)

@@ -57,7 +57,9 @@ def test_points_are_where_distances_say(walk):
     found = np.split(apart[: sum(rows)], np.cumsum(rows)[:-1])
     np.testing.assert_allclose([found[0][0], found[1][0], found[2].mean(), found[3][0]], expected[:4], atol=1e-5)
     np.testing.assert_allclose([found[4].max(), found[5].max()], expected[4:], atol=1e-5)
-    np.testing.assert_allclose(goals.weights.sum(axis=0), [6, 3, 6], rtol=1e-5)
+    joints = np.sqrt(HUMANML3D.num_joints)
+    ground = 4 + joints + np.sqrt(5)
+    np.testing.assert_allclose(goals.weights.sum(axis=0), [ground, 2 + joints, ground], rtol=1e-5)
     assert not goals.weights[sum(rows) :].any()
 
 
