@@ -1,9 +1,10 @@
 """Measures how well motions meet targets that real clips meet: a wrist, a place of the root, and a pose.
 
-    python docs/measure/targets.py data/bandai-namco [--model demo] [--count 100]
+    python docs/measure/targets.py data/bandai-namco [--model demo] [--count 100] [--between]
 
 Each request has the sentence of a test clip and three targets at random times of it. It is compared with the first
-sample of the sentence, and with the best of 16 and of 64 samples.
+sample of the sentence, and with the best of 16 and of 64 samples. With `--between`, requests have two poses of a clip,
+one to three seconds apart, and the place and direction of the second one, and the motion is compared with the clip.
 """
 
 import argparse
@@ -17,10 +18,11 @@ import numpy as np
 
 from t2m_jax.data import open_dataset
 from t2m_jax.errors import UserError
+from t2m_jax.evaluation.inbetween import gap_figures, interpolate_gap
 from t2m_jax.evaluation.prompts.following import RULES, follows
 from t2m_jax.evaluation.prompts.recognition import load_index
 from t2m_jax.metrics.quality import measure_quality
-from t2m_jax.motion.features import positions_from_features
+from t2m_jax.motion.features import facing, ground_positions, positions_from_features
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.targets import JOINT_TOLERANCE, TOLERANCES, Target, distances, read_target
 from t2m_jax.sampling import TextToMotion
@@ -32,11 +34,13 @@ SECONDS = (1.0, 9.5)
 
 
 class Trial(NamedTuple):
-    """A sentence, what its clip shows, and targets that the clip meets."""
+    """A sentence, what its clip shows, and the clip."""
 
     sentence: str
     action: str
+    motion: Motion
     targets: tuple[Target, ...]
+    """Those that the clip meets."""
 
 
 def trials(data: str, count: int) -> Iterator[Trial]:
@@ -53,7 +57,7 @@ def trials(data: str, count: int) -> Iterator[Trial]:
         motion = Motion(np.asarray(positions_from_features(clip.features, dataset.skeleton)), dataset.skeleton.fps)
         if action in RULES and SECONDS[0] <= motion.seconds <= SECONDS[1] and follows(action, motion) and count:
             count -= 1
-            yield Trial(clip.captions[0].text, action, tuple(targets_of(motion, generator)))
+            yield Trial(clip.captions[0].text, action, motion, tuple(targets_of(motion, generator)))
 
 
 def targets_of(motion: Motion, generator: np.random.Generator) -> Iterator[Target]:
@@ -92,14 +96,41 @@ def row(name: str, found: Sequence[tuple[Trial, Motion]], seconds: float) -> str
     return f"| {' | '.join(cells)} |"
 
 
+def between(model: TextToMotion, trial: Trial, seed: int) -> list[float]:
+    """Returns how far start and end are off, and the errors of the acceleration: ours, and in a straight line."""
+    clip, fps = trial.motion, trial.motion.fps
+    generator = np.random.default_rng(seed)
+    size = int(generator.integers(fps, min(3 * fps, clip.num_frames - 2) + 1))
+    first = int(generator.integers(0, clip.num_frames - size - 1))
+    real = ground_positions(clip.positions[first : first + size + 2], clip.skeleton)
+    x, _, z = real[size, 0]
+    ahead = facing(real[size], clip.skeleton)
+    end = size / fps
+    texts = (f"{end} root={x},{z}", f"{end} facing={np.degrees(np.arctan2(ahead[0], ahead[2]))}")
+    poses = ((0.0, Motion(real[:1], fps)), (end, Motion(real[size : size + 1], fps)))
+    (motion,) = model.direct(trial.sentence, [*texts, *poses], seed=seed)
+    ours = motion.positions[: size + 2]
+    apart = np.linalg.norm(ours - real, axis=-1).mean(axis=-1)
+    straight = interpolate_gap(real, 1, size, skeleton=clip.skeleton)
+    errors = [gap_figures(one, real, 1, size, fps=fps).acceleration_error for one in (ours, straight)]
+    return [float(apart[0]), float(apart[size]), *errors]
+
+
 def main() -> None:
     """Prints the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data")
     parser.add_argument("--model", default="demo")
     parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--between", action="store_true", help="measure motions between two poses")
     args = parser.parse_args()
     model = TextToMotion.load(args.model)
+    if args.between:
+        rows = [between(model, trial, number) for number, trial in enumerate(trials(args.data, args.count))]
+        start, end, ours, straight = np.median(rows, axis=0)
+        sys.stdout.write(f"start {100 * start:.1f} cm, end {100 * end:.1f} cm (medians of the mean over the joints)\n")
+        sys.stdout.write(f"error of the acceleration {ours:.2f}, in a straight line {straight:.2f} m/s^2 (medians)\n")
+        return
     names = ("first sample", "best of 16", "best of 64", "directed")
     found: dict[str, list[tuple[Trial, Motion]]] = {name: [] for name in names}
     times = []
