@@ -62,6 +62,22 @@ def test_a_character_is_chosen_moves_and_is_downloaded(open_studio, hero, tmp_pa
     assert not red(page).any()
 
 
+def without_mesh(tree):
+    del tree["meshes"]
+    for node in tree["nodes"]:
+        node.pop("mesh", None)
+
+
+def test_a_skeleton_without_a_mesh_is_only_downloaded(open_studio, hero):  # noqa: F811
+    page = open_studio()
+    generate(page, WAVE)
+    before = stage_picture(page)
+    page.locator("#character-input").set_input_files(edited(hero, without_mesh))
+    expect(page.get_by_role("alert")).to_contain_text("hero.vrm: cannot be drawn here (it has no mesh)")
+    expect(page.locator("#save-character")).to_be_enabled()
+    assert (before != stage_picture(page)).mean() < 0.01
+
+
 def test_a_file_that_is_no_character_is_refused_in_one_line(open_studio, hero, tmp_path):  # noqa: F811
     page = open_studio(may_fail=["400"])
     generate(page, WAVE)

@@ -50,6 +50,8 @@ class CharacterBody {
 // Returns a function from figures to bodies, for the animation with this place from the end (1 is the last one).
 async function loadCharacter(bytes, fromEnd) {
   const file = await new THREE.GLTFLoader(ownParts).parseAsync(bytes, "");
+  const meshes = file.parser.json.nodes.filter((node) => node.mesh !== undefined);
+  if (!meshes.length) throw new Error("it has no mesh");
   const animation = file.animations.at(-fromEnd);
   const scale = file.parser.json.animations.at(-fromEnd).extras.scale;
   return (figure) => new CharacterBody(figure, file, animation, scale);
