@@ -24,10 +24,13 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture
 def hero(tmp_path):
-    """Returns the file of a red figure, with an animation of its own."""
+    """Returns the file of a red figure of a tenth of the size, with an animation of its own."""
 
     def paint(tree):
         tree["animations"][0]["name"] = "own"
+        tops = tree["scenes"][0]["nodes"]
+        tree["nodes"].append({"name": "small", "scale": [0.1] * 3, "children": tops})
+        tree["scenes"][0]["nodes"] = [len(tree["nodes"]) - 1]
         tree["materials"] = [{"pbrMetallicRoughness": {"baseColorFactor": [1, 0, 0, 1]}} for _ in tree["materials"]]
 
     Motion(walking_positions(12), 20.0).save(tmp_path / "hero.glb")
