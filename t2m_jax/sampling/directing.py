@@ -119,11 +119,20 @@ def points_at(positions: Float[Array, "T J 3"], goals: Goals, skeleton: Skeleton
     return jnp.where(goals.relative[:, None], seen, world)
 
 
+class Start(NamedTuple):
+    """Codes, and how far the latents are from theirs."""
+
+    codes: Int[Array, "1 N R"]
+    code_lengths: Int[Array, " 1"]
+    change: Float[Array, "1 N C"] | None
+    """In standard deviations of the latents; None is no change."""
+
+
 class Approach(NamedTuple):
     """A motion on its way to the targets."""
 
     change: Float[Array, "1 N C"]
-    """Of the latents."""
+    """Of the latents, in their standard deviations."""
     features: Float[Array, "T D"]
     positions: Float[Array, "T J 3"]
     """As decoded, in meters."""
@@ -133,20 +142,15 @@ class Approach(NamedTuple):
 def approach_goals(
     variables: Any,
     normalizer: Normalizer,
-    codes: Int[Array, "1 N R"],
-    code_lengths: Int[Array, " 1"],
-    change: Float[Array, "1 N C"] | None,
+    start: Start,
     goals: Goals,
     *,
     tokenizer: Any,
     skeleton: Skeleton,
 ) -> Approach:
-    """Returns a motion that is nearer to its goals, after `STEPS` steps from a change of its latents.
-
-    The change is in standard deviations of the latents; None is no change.
-    """
-    mask = mask_from_lengths(code_lengths, codes.shape[1])
-    latents = tokenizer.apply(variables, codes, method="latents_of")
+    """Returns a motion that is nearer to its goals, after `STEPS` steps."""
+    mask = mask_from_lengths(start.code_lengths, start.codes.shape[1])
+    latents = tokenizer.apply(variables, start.codes, method="latents_of")
     deviation = jnp.std(latents, where=mask[..., None])
 
     def decode(change: Float[Array, "1 N C"]) -> tuple[Float[Array, "T D"], Float[Array, "T J 3"]]:
@@ -155,7 +159,7 @@ def approach_goals(
         return features[0], positions_from_features(features, skeleton)[0] * skeleton.metres_per_unit
 
     _, before = decode(jnp.zeros_like(latents))
-    first = jnp.zeros_like(latents) if change is None else change
+    first = jnp.zeros_like(latents) if start.change is None else start.change
 
     def loss(change: Float[Array, "1 N C"]) -> Float[Array, ""]:
         _, positions = decode(change)
@@ -249,24 +253,22 @@ def _cost(targets: Sequence[Target], motion: Motion) -> float:
 def _approach(model: ModelParts, motion: Motion, targets: Sequence[Target], *, size: int, clean: bool) -> Motion:
     """Returns a motion moved to its targets: the nearest of the rounds."""
     assert motion.codes is not None
-    codes, code_lengths = pad_codes([motion.codes], size=size)
+    codes, code_lengths = map(jnp.asarray, pad_codes([motion.codes], size=size))
+    start = Start(codes, code_lengths, None)
     frames = np.array([motion.num_frames])
     goals = wanted = make_goals(targets, model.skeleton)
-    change = None
     best = motion
     tokenizer = model.tokenizer
     for _ in range(ROUNDS):
         moved = approach_goals(
             put_everywhere(tokenizer.variables),
             tokenizer.normalizer,
-            codes,
-            code_lengths,
-            change,
+            start,
             goals,
             tokenizer=tokenizer.module,
             skeleton=model.skeleton,
         )
-        change = moved.change
+        start = start._replace(change=moved.change)
         positions = moved.positions
         if clean:
             positions = clean_positions(positions[None], frames, skeleton=model.skeleton)[0]
