@@ -170,7 +170,7 @@ def test_files_for_download_can_be_read(open_studio, tmp_path):
     page = open_studio()
     generate(page, WAVE)
     frames = num_frames(page)
-    for name in ("GLB", "BVH"):
+    for name in ("GLB", "BVH", "VRMA"):
         motion = load_motion(download(page, name, tmp_path))
         assert motion.num_frames == frames and motion.positions.shape[1] == 22
     video = download(page, "MP4", tmp_path)
