@@ -19,7 +19,16 @@ from t2m_jax.sampling.loop import Sampling
 from t2m_jax.sampling.model import ModelParts
 from t2m_jax.sampling.prompts import Prompt, batches_of_keys, sample_key
 from t2m_jax.sampling.request import MotionRequest
-from t2m_jax.sampling.timeline import Segment, Tell, make_batch, most_rows, part_rows, sample_segments, split_segments
+from t2m_jax.sampling.timeline import (
+    Segment,
+    Tell,
+    make_batch,
+    most_rows,
+    part_rows,
+    rows_of_seconds,
+    sample_segments,
+    split_segments,
+)
 
 TAIL_SECONDS = 1.0
 """Motion after a middle whose likelihood says how well the middle leads to it."""
@@ -51,7 +60,7 @@ class Middle(NamedTuple):
 
 
 def find_span(model: ModelParts, seconds: tuple[float, float], num_rows: int) -> Span:
-    """Returns the rows that a span of seconds covers, at least one.
+    """Returns the rows that a span of seconds covers, at least one. A span of no time covers none.
 
     Raises:
         UserError: The span does not lie in the motion.
@@ -59,9 +68,12 @@ def find_span(model: ModelParts, seconds: tuple[float, float], num_rows: int) ->
     begin, end = seconds
     rate = model.skeleton.fps / model.config.tokenizer.downsample
     # One row more than there are: the last frames of a motion may not fill a row.
-    if not 0 <= begin < end < (num_rows + 1) / rate:
+    if not 0 <= begin <= end < (num_rows + 1) / rate:
         longest = f"{num_rows / rate:.1f} s, where the motion ends"
         raise UserError(f"span: {begin:g} to {end:g} s is not a part of the time from 0 to {longest}")
+    if begin == end:
+        row = min(round(begin * rate), num_rows)
+        return Span(row, row)
     first = min(round(begin * rate), num_rows - 1)
     return Span(first, max(first + 1, min(round(end * rate), num_rows)))
 
@@ -75,8 +87,9 @@ def redo(model: ModelParts, request: MotionRequest, prompt: Prompt, sampling: Sa
     span = find_span(model, request.span, len(codes))
     # Best of n: the loop reads the head alone, so which middle leads to the tail is only known afterwards.
     keys = jnp.stack([sample_key(request.seed, prompt.text, number) for number in range(request.candidates)])
-    # As long as the rows that it replaces, so that the tail keeps its time.
-    segments = split_segments([prompt], span.last - span.first, limit=most_rows(model))
+    # By default as long as the rows that it replaces, so that the tail keeps its time.
+    num_rows = span.last - span.first if request.seconds is None else rows_of_seconds(model, request.seconds)
+    segments = split_segments([prompt], num_rows, limit=most_rows(model))
     scale = request.options.guidance_scale
     found = sample_segments(model, segments, keys, start=codes[: span.first], sampling=sampling, guidance_scale=scale)
     middles = [np.concatenate(pieces) for pieces in zip(*found, strict=True)]
@@ -87,7 +100,7 @@ def redo(model: ModelParts, request: MotionRequest, prompt: Prompt, sampling: Sa
     downsample = model.config.tokenizer.downsample
     # Frames at the end that do not fill a code belong to the last one.
     end = motion.num_frames if span.last == len(codes) else downsample * span.last
-    frames = Span(downsample * span.first, end)
+    frames = Span(min(downsample * span.first, motion.num_frames), end)
     order = rank_middles(motion.positions[frames.last :], candidates, skeleton=motion.skeleton)
     redone = [_with_middle(motion, candidates[number], frames, prompt) for number in order[: request.num_samples]]
     return [dataclasses.replace(one, seed=request.seed) for one in redone]
@@ -153,7 +166,7 @@ def _jump(tail: Float[np.ndarray, "T J 3"], candidate: Middle, skeleton: Skeleto
 
 
 def _with_middle(motion: Motion, middle: Middle, frames: Span, prompt: Prompt) -> Motion:
-    """Returns a motion with another middle, and says where its sentence begins and ends."""
+    """Returns a motion with another middle in place of some frames, and says where its sentence begins and ends."""
     positions = replace_middle(
         motion.positions[: frames.first],
         middle.positions,
@@ -166,9 +179,10 @@ def _with_middle(motion: Motion, middle: Middle, frames: Span, prompt: Prompt) -
     old = list(zip(motion.part_starts, motion.part_captions, strict=True)) or [(0, motion.caption)]
     parts = {start: caption for start, caption in old if start < frames.first} | {frames.first: prompt.text}
     if frames.last < motion.num_frames:
+        end = frames.first + middle.last - middle.first
         # The sentence that the middle interrupts continues after it.
-        parts |= {frames.last: [caption for start, caption in old if start <= frames.last][-1]}
-        parts |= {start: caption for start, caption in old if start > frames.last}
+        parts |= {end: [caption for start, caption in old if start <= frames.last][-1]}
+        parts |= {start + end - frames.last: caption for start, caption in old if start > frames.last}
     return Motion(
         positions,
         motion.fps,

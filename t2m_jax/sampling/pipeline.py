@@ -233,6 +233,7 @@ class TextToMotion:
         span: tuple[float, float],
         caption: str,
         *,
+        seconds: float | int | None = None,
         seed: int = 0,
         num_samples: int = 1,
         num_candidates: int = MotionRequest.candidates,
@@ -240,20 +241,20 @@ class TextToMotion:
     ) -> list[Motion]:
         """Returns a motion with another middle, which a sentence describes, at the model's frame rate.
 
-        Of several middles, those come first after which the tail is likely, and that jump least to it. The tail is
-        turned and moved to where the middle ends, and stays as it is otherwise.
+        Those come first that lead best to the tail, which is turned and moved to where the middle ends.
 
         Args:
             motion: Any motion of the model's skeleton.
-            span: Begin and end of the middle in seconds, rounded to whole rows of codes.
+            span: Begin and end of the middle in seconds, rounded to whole rows of codes; the same to insert one.
             caption: What happens in the middle.
+            seconds: Length of the new middle; by default that of the span.
             seed: From 0 to 2**32 - 1.
             num_samples: Motions to return, the best ones first.
             num_candidates: Middles to choose them from.
             **options: Of `SamplingOptions`.
         """
-        counts = {"num_samples": num_samples, "candidates": num_candidates}
-        return list(self.make(_request(caption, options, start=motion, span=span, seed=seed, **counts)))
+        counts = {"seconds": seconds, "seed": seed, "num_samples": num_samples, "candidates": num_candidates}
+        return list(self.make(_request(caption, options, start=motion, span=span, **counts)))
 
     def direct(
         self,
@@ -278,9 +279,8 @@ class TextToMotion:
             num_candidates: Samples to choose them from.
             **options: Of `SamplingOptions`.
         """
-        counts = {"num_samples": num_samples, "candidates": num_candidates}
-        read = tuple(map(read_target, targets))
-        return list(self.make(_request(caption, options, targets=read, seed=seed, **counts)))
+        counts = {"seed": seed, "num_samples": num_samples, "candidates": num_candidates}
+        return list(self.make(_request(caption, options, targets=tuple(map(read_target, targets)), **counts)))
 
     def vary(
         self,

@@ -88,11 +88,12 @@ class MotionRequest:
     start: Motion | None = None
     """A motion to continue. With `span` or `strength`, it is changed instead."""
     span: tuple[float, float] | None = None
-    """Begin and end of the seconds of `start` that the sentence replaces."""
+    """Begin and end of the seconds of `start` that the sentence replaces. If both are the same, it is added there."""
     strength: float | None = None
     """Share of `start` that is sampled again: 0 changes nothing, and 1 keeps nothing."""
     seconds: float | None = None
-    """Length for each sentence, rounded to whole rows of codes; by default the model decides."""
+    """Length for each sentence, rounded to whole rows of codes; by default the model decides. With `span`, the length
+    of the new part; by default that of the span."""
     seed: int = 0
     """From 0 to 2**32 - 1. The same seed gives the same motion."""
     num_samples: int = 1
@@ -143,16 +144,20 @@ class MotionRequest:
             raise UserError("span: excludes strength")
         # A variation of a chain may keep its sentences.
         parts = len(self.start.part_captions) if self.strength is not None else 0
-        if len(self.captions) not in (1, parts) or self.seconds is not None:
+        if len(self.captions) not in (1, parts):
             each = f" (or {parts}, one for each of the motion's)" if parts > 1 else ""
-            raise UserError(f"{name}: takes one sentence{each} and no seconds")
+            raise UserError(f"{name}: takes one sentence{each}")
+        if self.strength is not None and self.seconds is not None:
+            raise UserError("strength: excludes seconds; a variation is as long as the motion")
         if self.strength is not None and not 0 <= self.strength <= 1:
             raise UserError(f"strength: {self.strength:g} is not a number from 0 to 1")
 
     def _check_span(self, begin: float, end: float) -> None:
         # NaN fails each comparison, so it is refused, too. Where the motion ends is checked with its codes.
-        if not 0 <= begin < end < math.inf:
+        if not 0 <= begin <= end < math.inf:
             raise UserError(f"span: {begin:g} to {end:g} is not a part of the motion")
+        if begin == end and self.seconds is None:
+            raise UserError(f"span: {begin:g} to {end:g} is no time; give seconds, the length of what comes there")
 
     def _check_candidates(self) -> None:
         if not 1 <= self.candidates <= MAX_BATCH:

@@ -115,7 +115,7 @@ def test_a_middle_and_variations_of_a_file(refusal, bundle_folder, tmp_path, cap
         (["--redo", "1:", "--from", "missing.npz"], "'1:' is not BEGIN:END in seconds"),
         (
             ["--redo", "1:2", "--from", "{start}", "--then", "a person waves"],
-            "--redo: takes one sentence and no seconds",
+            "--redo: takes one sentence",
         ),
         (["--redo", "1:2", "--from", "{start}", "--vary", "0.5"], "--redo: excludes strength"),
         (["--vary", "1.5", "--from", "{start}"], "--vary: 1.5 is not a number from 0 to 1"),

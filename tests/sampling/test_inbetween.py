@@ -95,6 +95,29 @@ def test_the_sentence_of_a_middle_has_its_place(model, walk):
     assert list(again.part_starts) == sorted(again.part_starts)
 
 
+@pytest.mark.parametrize("span", [(1.2, 2.4), (0.0, 1.2), (2.4, 4.15), (1.2, 1.2), (0.0, 0.0), (4.15, 4.15)])
+def test_a_middle_has_its_own_length(model, walk, span):
+    (redone,) = model.redo(walk, span, CAPTION, seconds=1.6, num_candidates=2)
+    downsample = model.config.tokenizer.downsample
+    first, end = (min(downsample * round(time * 20 / downsample), walk.num_frames) for time in span)
+    last = first + 32
+    tail = walk.positions[end:] if span[1] < 4 else walk.positions[:0]
+    assert redone.num_frames == last + len(tail)
+    parts = dict(zip(redone.part_starts, redone.part_captions, strict=True))
+    walks = [0] * bool(first) + [last] * bool(len(tail))
+    assert parts == dict.fromkeys(walks, "a person walks") | {first: CAPTION}
+    np.testing.assert_array_equal(redone.positions[:first], walk.positions[:first])
+    np.testing.assert_allclose(redone.positions[last:, :, 1], tail[..., 1], atol=1e-5)
+
+
+def test_later_sentences_move_with_the_end_of_a_middle(model, walk):
+    chain = dataclasses.replace(walk, part_starts=(0, 24, 48), part_captions=("a", "b", "c"))
+    (redone,) = model.redo(chain, (1.2, 2.4), "b", seconds=0.8, num_candidates=2)
+    assert redone.part_starts == (0, 24, 40) and redone.part_captions == ("a", "b", "c")
+    (redone,) = model.redo(chain, (1.2, 1.2), "d", seconds=0.8, num_candidates=2)
+    assert redone.part_starts == (0, 24, 40, 64) and redone.part_captions == ("a", "d", "b", "c")
+
+
 @pytest.mark.slow
 def test_the_best_middles_come_first(model, walk):
     best, second = model.redo(walk, (1.2, 2.4), CAPTION, num_samples=2, num_candidates=4)

@@ -121,7 +121,7 @@ def test_what_cannot_be_used_is_named(fields, message):
     ("fields", "message"),
     [
         ({"span": [1, 2], "strength": 0.5}, "span: excludes strength"),
-        ({"strength": 0.5, "seconds": 2}, "strength: takes one sentence and no seconds"),
+        ({"strength": 0.5, "seconds": 2}, "strength: excludes seconds"),
         ({"span": [2, 1]}, "span: 2 to 1 is not a part of the motion"),
         ({"candidates": 2}, "candidates: is only for targets or a span to redo"),
         ({"span": [1, 2], "candidates": 2, "num_samples": 3}, "num-samples: 3 motions cannot be chosen from 2"),
