@@ -13,8 +13,13 @@ if TYPE_CHECKING:
     from t2m_jax.motion.character import Character
     from t2m_jax.motion.motion import Motion
 
-FILE_OPTIONS = ("names", "units", "root_bone")
-"""Options of .bvh and .glb files."""
+FILE_OPTIONS = {
+    "names": ("bvh", "glb"),
+    "units": ("bvh", "glb"),
+    "root_bone": ("bvh", "glb"),
+    "camera": ("gif", "mp4"),
+}
+"""Options of some formats of files."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_file_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares `FILE_OPTIONS` and `--character`; `t2m generate` has them, too."""
+    from t2m_jax.export.render.view import Camera
     from t2m_jax.motion.bvh.writer import Units
     from t2m_jax.motion.rig.rigs import JointNames
 
@@ -48,6 +54,8 @@ def add_file_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--units", choices=get_args(Units), help="units of .bvh and .glb files (default: m)")
     root = "add a bone on the floor that carries the travel, in .bvh and .glb files, for Unreal and Godot"
     parser.add_argument("--root-bone", action="store_true", default=None, help=root)
+    turntable = "whether the camera of .gif and .mp4 files only follows, or also goes around once (default: follow)"
+    parser.add_argument("--camera", choices=get_args(Camera), help=turntable)
     text = "your character, a .glb or .vrm file: .glb files are copies of it that move; --rig is then its table"
     parser.add_argument("--character", type=Path, metavar="FILE", help=text)
 
@@ -64,10 +72,10 @@ def file_options(output: Path, args: argparse.Namespace, outputs: Sequence[Path]
     known = {one: {} if _shows_character(one, args) else format_options(one) for one in outputs}
     for name, value in given.items():
         if not any(value in options.get(name, ()) for options in known.values()):
-            kept = " (a character keeps its own)" if args.character is not None else ""
-            raise UserError(
-                f"{option_of(name)}: is for .bvh and .glb files, and none is written; add -o FILE.glb{kept}"
-            )
+            kept = " (a character keeps its own)" if args.character is not None and name != "camera" else ""
+            first, last = FILE_OPTIONS[name]
+            files = f"is for .{first} and .{last} files, and none is written; add -o FILE.{last}"
+            raise UserError(f"{option_of(name)}: {files}{kept}")
     # Formats have different names, such as `smpl` of .npz files: an option is for those that have its value.
     return {name: value for name, value in given.items() if value in known[output].get(name, ())}
 

@@ -7,6 +7,7 @@ import numpy as np
 from PIL import Image
 
 from t2m_jax.export.render.rendering import render_film
+from t2m_jax.export.render.view import Camera
 from t2m_jax.files.writing import atomic_file
 from t2m_jax.motion.motion import Motion
 
@@ -16,15 +17,16 @@ MAX_FPS = 100 / 3
 PALETTE_SAMPLES = 8
 
 
-def save_gif(path: Path, motions: Sequence[Motion], *, height: int = 480) -> None:
+def save_gif(path: Path, motions: Sequence[Motion], *, height: int = 480, camera: Camera = "follow") -> None:
     """Writes the motions side by side as a GIF that repeats forever.
 
     Args:
         path: The file.
         motions: At least one.
         height: Height of the picture in pixels. One figure makes a square picture.
+        camera: Whether it only follows the figures, or also goes around them once.
     """
-    film = render_film(motions, height=height, max_fps=MAX_FPS)
+    film = render_film(motions, height=height, max_fps=MAX_FPS, camera=camera)
     # A palette per frame would flicker, so one palette is made from frames of the whole film.
     chosen = np.unique(np.linspace(0, film.num_frames - 1, PALETTE_SAMPLES).astype(int))
     samples = np.concatenate([np.asarray(film.draw_frame(int(frame))) for frame in chosen])

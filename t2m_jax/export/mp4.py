@@ -8,19 +8,21 @@ import numpy as np
 
 from t2m_jax.errors import UserError
 from t2m_jax.export.render.rendering import render_film
+from t2m_jax.export.render.view import Camera
 from t2m_jax.files.writing import atomic_file
 from t2m_jax.motion.motion import Motion
 
 MAX_FPS = 60.0
 
 
-def save_mp4(path: Path, motions: Sequence[Motion], *, height: int = 720) -> None:
+def save_mp4(path: Path, motions: Sequence[Motion], *, height: int = 720, camera: Camera = "follow") -> None:
     """Writes the motions side by side as a video.
 
     Args:
         path: The file.
         motions: At least one.
         height: Height of the picture in pixels. One figure makes a square picture.
+        camera: Whether it only follows the figures, or also goes around them once.
 
     Raises:
         UserError: The extra `video` is not installed.
@@ -29,7 +31,7 @@ def save_mp4(path: Path, motions: Sequence[Motion], *, height: int = 720) -> Non
         import imageio_ffmpeg
     except ImportError as error:
         raise UserError(f"{path}: writing MP4 needs the extra `video`: pip install 't2m-jax[video]'") from error
-    film = render_film(motions, height=height, max_fps=MAX_FPS)
+    film = render_film(motions, height=height, max_fps=MAX_FPS, camera=camera)
     with atomic_file(path) as partial:
         # Every player and browser supports yuv420p. A quality of 20 is close to what eyes can distinguish.
         writer = imageio_ffmpeg.write_frames(

@@ -61,6 +61,8 @@ def test_options_of_formats_that_are_not_written_are_refused(refusal, bundle_fol
         said = refusal("view", walk, "-o", tmp_path / "a.html", *option)
         assert f"{option[0]}: is for .bvh and .glb files, and none is written" in said
         assert "none is written" in refusal("generate", "a person walks", "--model", bundle_folder, *option)
+    said = refusal("view", walk, "-o", tmp_path / "a.glb", "--camera", "turntable")
+    assert "--camera: is for .gif and .mp4 files, and none is written; add -o FILE.mp4" in said
 
 
 def test_a_name_of_joints_is_for_the_formats_that_have_it(refusal, walk, tmp_path):

@@ -169,7 +169,7 @@ def test_every_field_of_the_records_is_an_option():
     options = {action.dest for action in parser._actions}
     fields = {field.name for record in (MotionRequest, Changes) for field in fields_of(record)}
     assert fields - options == {"captions", "strategy", "targets", "begin", "end"}  # other options, or only in Python
-    files = {"at", "pose", "names", "units", "root_bone", "output", "rig", "character"}
+    files = {"at", "pose", "names", "units", "root_bone", "camera", "output", "rig", "character"}
     assert options - fields == {"text", "then", "trim", "help", "model"} | files
 
 

@@ -1,4 +1,5 @@
 import importlib.util
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -113,6 +114,20 @@ def test_film_shows_the_figure_moving(walk):
     # Both tints of the sides are there: bluish and reddish pixels that the grey ground does not have.
     red, _, blue = (np.asarray(first, int)[..., channel] for channel in range(3))
     assert np.sum(blue - red > 40) > 50 and np.sum(red - blue > 40) > 50
+
+
+def test_a_camera_on_a_turntable_sees_the_back(walk):
+    still = Motion(np.repeat(walk.positions[:1], 8, axis=0), 20.0)
+    film = render_film([still], height=120, max_fps=100.0, camera="turntable")
+    pictures = [np.asarray(film.draw_frame(frame), int) for frame in range(8)]
+    sides = []
+    for picture in pictures:
+        red, _, blue = (picture[:-2, :, channel] for channel in range(3))  # without the bar
+        sides.append(np.mean(np.nonzero(blue - red > 40)[1]) - np.mean(np.nonzero(red - blue > 40)[1]))
+    assert sides[0] * sides[4] < 0 and min(abs(sides[0]), abs(sides[4])) > 5
+    assert all((a != b).any() for a, b in itertools.pairwise(pictures))
+    ahead = np.asarray(render_film([still], height=120, max_fps=100.0).draw_frame(0), int)
+    assert np.mean(np.abs(ahead - pictures[0]) > 12) < 0.02
 
 
 def test_fast_motions_are_thinned_out_evenly(walk):

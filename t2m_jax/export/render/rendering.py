@@ -21,7 +21,7 @@ from t2m_jax.export.render.ground import (
 )
 from t2m_jax.export.render.labels import make_label
 from t2m_jax.export.render.scene import SceneFigure, figures_from_motions
-from t2m_jax.export.render.view import View, project, sample_figure, smooth_path, views_of_figures
+from t2m_jax.export.render.view import Camera, View, project, sample_figure, smooth_path, views_of_figures
 from t2m_jax.motion.motion import Motion
 
 TINT_COLORS: dict[Tint, str] = {"body": "#e4ddd2", "left": "#8dbfd2", "right": "#eeb08d", "face": "#27303c"}
@@ -51,13 +51,14 @@ def picture_size(num_motions: int, height: int) -> tuple[int, int]:
     return round(width / 2) * 2, round(height / 2) * 2
 
 
-def render_film(motions: Sequence[Motion], *, height: int, max_fps: float) -> Film:
+def render_film(motions: Sequence[Motion], *, height: int, max_fps: float, camera: Camera = "follow") -> Film:
     """Returns pictures of the motions side by side, at the frame rate of the longest or an integer fraction of it.
 
     Args:
         motions: At least one.
         height: Height of the pictures in pixels.
         max_fps: Faster motions are shown at 1/2, 1/3, … of their rate.
+        camera: Whether it only follows, or also goes around the figures once.
     """
     figures = figures_from_motions(motions)
     longest = max(figures, key=lambda figure: len(figure.points) / figure.fps)
@@ -75,15 +76,17 @@ def render_film(motions: Sequence[Motion], *, height: int, max_fps: float) -> Fi
         path = smooth_path(points[:, 0].astype(np.float64), max(round(0.12 * fps), 1))
         label = make_label(figure.caption, size=letters, width=room, max_lines=lines)
         tracks.append(_FilmedFigure(figure, points, path, label))
-    views = views_of_figures(figures, np.stack([track.points[:, 0] for track in tracks], axis=1), fps, size)
-    ground = make_ground(views[0])
+    roots = np.stack([track.points[:, 0] for track in tracks], axis=1)
+    views = views_of_figures(figures, roots, fps, size, camera=camera)
+    ground = make_ground(views[0])  # which looks the same from all directions
     tables = shade_tables(views[0])
 
     def draw_frame(frame: int) -> Image.Image:
         picture = draw_ground(ground, views[frame])
         for number, track in enumerate(tracks):
             add_trail(picture, views[frame], track.path[: frame + 1], ACCENTS[number % len(ACCENTS)])
-        picture = draw_figures(picture, views[frame], [(t.figure, t.points[frame]) for t in tracks], tables)
+        shades = tables if camera == "follow" else shade_tables(views[frame])
+        picture = draw_figures(picture, views[frame], [(t.figure, t.points[frame]) for t in tracks], shades)
         _draw_labels(picture, views[frame], tracks, frame)
         # The bar along the lower edge shows how much of the film has passed.
         thickness = max(height // 120, 2)

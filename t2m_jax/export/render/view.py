@@ -1,8 +1,8 @@
-"""The camera of rendered pictures, which follows the figures smoothly without turning."""
+"""The camera of rendered pictures, which follows the figures smoothly, and may go around them."""
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -25,6 +25,10 @@ STANDSTILL = 1.2
 
 SMOOTHING_SECONDS = 0.6
 """Half width of the two moving averages that smooth the camera's path."""
+
+
+Camera = Literal["follow", "turntable"]
+"""Whether the camera only follows the figures, or also goes around them once, to the left."""
 
 
 class View(NamedTuple):
@@ -68,12 +72,18 @@ def sample_figure(figure: SceneFigure, num_frames: int, fps: float) -> Float[np.
 
 
 def views_of_figures(
-    figures: Sequence[SceneFigure], roots: Float[np.ndarray, "T N 3"], fps: float, size: tuple[int, int]
+    figures: Sequence[SceneFigure],
+    roots: Float[np.ndarray, "T N 3"],
+    fps: float,
+    size: tuple[int, int],
+    *,
+    camera: Camera = "follow",
 ) -> list[View]:
     """Returns one view per frame, which shows all figures and follows the mean of their roots.
 
     The lower 6 % of the picture are left for a caption.
     """
+    count = len(roots)
     width, height = size
     middle = roots.mean(axis=1)
     low = middle.min(axis=0)
@@ -87,13 +97,24 @@ def views_of_figures(
     strays = np.abs(roots - targets[:, None])[..., [0, 2]].max(axis=(0, 1))
     half = math.tan(FIELD_OF_VIEW / 2)
     yaw = YAW if len(figures) == 1 else YAW_OF_SEVERAL
-    across = float(strays @ [math.cos(yaw), math.sin(yaw)]) + 0.65
-    up = max(0.56 * top, 0.95) + 0.12 + 0.1 * float(strays[1])
+    turns = np.linspace(0, 2 * math.pi, count, endpoint=False) if camera == "turntable" else np.zeros(count)
+    # A camera that goes around sees the figures from all sides, and none may leave the picture.
+    wide, deep = strays if camera == "follow" else (np.linalg.norm(strays), np.linalg.norm(strays))
+    across = float(wide * math.cos(yaw) + deep * math.sin(yaw)) + 0.65
+    up = max(0.56 * top, 0.95) + 0.12 + 0.1 * float(deep)
     # The distance at which both the height and the width fit the angle of view.
     distance = max(up / half, across / (half * width / height)) + 0.3
-    back = np.array([math.sin(yaw) * math.cos(PITCH), math.sin(PITCH), math.cos(yaw) * math.cos(PITCH)])
-    right = np.array([math.cos(yaw), 0.0, -math.sin(yaw)])
-    axes = np.stack([right, np.cross(right, back), back])
+    axes = [_axes(yaw + turn) for turn in turns]
     focal = height / (2 * half)
     centers = np.stack([targets[:, 0], np.full(len(targets), 0.46 * max(top, 1.5)), targets[:, 2]], axis=-1)
-    return [View(center + distance * back, axes, focal, width, height, 0.47 * height) for center in centers]
+    return [
+        View(center + distance * own[2], own, focal, width, height, 0.47 * height)
+        for center, own in zip(centers, axes, strict=True)
+    ]
+
+
+def _axes(yaw: float) -> Float[np.ndarray, "3 3"]:
+    """Returns the axes of a camera that looks down by `PITCH`: right, down and back."""
+    back = np.array([math.sin(yaw) * math.cos(PITCH), math.sin(PITCH), math.cos(yaw) * math.cos(PITCH)])
+    right = np.array([math.cos(yaw), 0.0, -math.sin(yaw)])
+    return np.stack([right, np.cross(right, back), back])
