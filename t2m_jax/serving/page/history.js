@@ -5,12 +5,16 @@ import { stepsOf } from "./recipe.js";
 import { makeTake, sentencesOf } from "./session.js";
 import { Store } from "./store.js";
 
-const KINDS = { new: "", file: "file", continue: "continued", redo: "part redone", vary: "varied", changed: "changed", selection: "chosen", copy: "copy" };
+const KINDS = { new: "", file: "file", continue: "continued", insert: "inserted", length: "new length", split: "split", redo: "part redone", vary: "varied", changed: "changed", selection: "chosen", copy: "copy" };
+// Made once: to make one takes longer than to draw a row.
+const CLOCK = new Intl.DateTimeFormat([], { timeStyle: "short" });
+const CALENDAR = new Intl.DateTimeFormat();
 const DELETED_FOR = 3_600_000; // milliseconds for which a deleted motion can come back
 
 export class History {
   #entries = [];
   #loose = new Map(); // takes that could not be stored
+  #rows = new Map(); // by entry; those that do not change stay in the page
   #tabs = new BroadcastChannel("t2m-studio-history");
 
   constructor(session, undo, onPin) {
@@ -159,9 +163,20 @@ export class History {
     const listed = this.#listed.reverse();
     find("history-empty").hidden = listed.length > 0;
     find("delete-all").hidden = listed.length === 0;
-    find("takes").replaceChildren(...listed.map((entry) => this.#row(entry)));
+    this.#drawRows(listed);
     this.#markCurrent();
     this.session.dispatchEvent(new Event("history"));
+  }
+
+  #drawRows(listed) {
+    const former = this.#rows;
+    this.#rows = new Map(listed.map((entry) => [entry.id, this.#rowOf(entry, former.get(entry.id))]));
+    const rows = [...this.#rows.values()];
+    for (const row of former.values()) if (this.#rows.get(row.dataset.id) !== row) row.remove();
+    rows.forEach((row, place) => {
+      const there = find("takes").children[place];
+      if (there !== row) find("takes").insertBefore(row, there ?? null);
+    });
   }
 
   #markCurrent() {
@@ -170,28 +185,30 @@ export class History {
     }
   }
 
-  #row(entry) {
-    const title = entry.name ?? entry.caption;
+  // Returns the row of an entry: the former one if it says the same.
+  #rowOf({ id, name, caption, ...entry }, former) {
+    const title = name ?? caption;
+    const about = describe(entry);
+    if (former?.dataset.shown === `${title}\n${about}`) return former;
     const open = create(
       "button",
-      { type: "button", className: "take-open", title: entry.caption, onclick: () => this.#show(entry) },
+      { type: "button", className: "take-open", title: caption, onclick: () => this.#show(this.find(id)) },
       create("span", { className: "take-caption", dir: "auto", textContent: title }),
-      create("span", { className: "take-meta", textContent: describe(entry) }),
+      create("span", { className: "take-meta", textContent: about }),
     );
-    const name = title.slice(0, 60);
-    const compare = iconButton("compare", `Compare ${name}`, () => this.onPin(entry));
-    const remove = iconButton("remove", `Delete ${name}`, once(() => this.#deleteOne(entry)));
+    const short = title.slice(0, 60);
+    const compare = iconButton("compare", `Compare ${short}`, () => this.onPin(this.find(id)));
+    const remove = iconButton("remove", `Delete ${short}`, once(() => this.#deleteOne(this.find(id))));
     const row = create("li", { className: "take" }, open, compare, remove);
-    row.dataset.id = entry.id;
+    Object.assign(row.dataset, { id, shown: `${title}\n${about}` });
     return row;
   }
 }
 
 // The seed is above the stage; ten digits have no room here.
 function describe({ created, kind, numSamples, seconds }) {
-  const time = new Date(created);
-  const today = time.toDateString() === new Date().toDateString();
-  const when = today ? time.toLocaleTimeString([], { timeStyle: "short" }) : time.toLocaleDateString();
+  const isToday = new Date(created).toDateString() === new Date().toDateString();
+  const when = (isToday ? CLOCK : CALENDAR).format(created);
   const count = numSamples > 1 ? `${numSamples} samples` : `${seconds.toFixed(1)} s`;
   return [when, KINDS[kind], count].filter(Boolean).join(" · ");
 }
