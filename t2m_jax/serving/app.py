@@ -280,9 +280,10 @@ class _Server:
         suffix = fields.get("format", "npz")
         rig = fields.pop("rig", None)
         names = Names(fields.pop("name", f"motion.{suffix}"), fields.pop("rig_name", "rig"))
+        split = fields.pop("split", None)
         changes = record_from(Changes, fields)
         async with self.bodies.read(request) as body:
-            opened = await self._in_process(open_file, body, suffix, changes, rig, names)
+            opened = await self._in_process(open_file, body, suffix, changes, rig, names, split)
         return Response(opened, media_type="application/json")
 
     async def character(self, request: Request) -> Response:

@@ -5,6 +5,7 @@ All of it runs in a process of its own (see `app`): files of strangers are read 
 
 import base64
 import contextlib
+import dataclasses
 import io
 import json
 import tempfile
@@ -80,18 +81,35 @@ def make_file(inputs: Sequence[bytes], options: schema.FileOptions) -> bytes:
     with motion_file(b"", options.format) as path:
         # Programs may use the same parameters for all formats; pictures have no joints to name.
         known = format_options(path)
-        given = {"names": options.names, "units": options.units, "root_bone": options.root_bone}
+        given = {name: getattr(options, name) for name in ("names", "units", "root_bone", "camera")}
         save_motions(path, motions, **{name: value for name, value in given.items() if value in known.get(name, ())})
         return path.read_bytes()
 
 
-def open_file(data: bytes, suffix: str, changes: Changes, rig: str | None = None, names: Names | None = None) -> bytes:
+def open_file(
+    data: bytes,
+    suffix: str,
+    changes: Changes,
+    rig: str | None = None,
+    names: Names | None = None,
+    split: float | None = None,
+) -> bytes:
     """Returns what the page shows of a motion file, a `answers.OpenedFile` as JSON. For the rest, see `read_motion`.
+
+    Args:
+        data: The file.
+        suffix: Its format.
+        changes: What is changed.
+        rig: Of the file.
+        names: Of the user's files.
+        split: Seconds of the changed motion at which a sentence becomes two.
 
     Raises:
         UserError: The file cannot be read or changed.
     """
     motion = _changed(read_motion(data, suffix, rig, names), changes)
+    if split is not None:
+        motion = _split(motion, split)
     scene = cast(answers.SceneData, scene_record([motion]))
     opened: answers.OpenedFile = {"scene": scene, "motion": motion_record(motion)}
     # As JSON, because the server's event loop would stand still while it makes a long text.
@@ -108,6 +126,21 @@ def _changed(motion: Motion, changes: Changes) -> Motion:
     seconds = (end - min(changes.begin or 0.0, end)) / changes.speed
     _check_frames(seconds * (changes.fps or motion.fps), "the changed motion")
     return changes.apply(motion)
+
+
+def _split(motion: Motion, seconds: float) -> Motion:
+    """Returns a motion that says that its sentence begins again at a time.
+
+    Raises:
+        UserError: No sentence is in two parts there.
+    """
+    frame = round(seconds * motion.fps)
+    parts = dict(zip(motion.part_starts, motion.part_captions, strict=True)) or {0: motion.caption}
+    if not 0 < frame < motion.num_frames or frame in parts:
+        raise UserError(f"split: {seconds:g} s is not in a sentence; choose a time between its begin and its end")
+    before = max(start for start in parts if start < frame)
+    parts = dict(sorted((parts | {frame: parts[before]}).items()))
+    return dataclasses.replace(motion, part_starts=tuple(parts), part_captions=tuple(parts.values()))
 
 
 def _check_frames(frames: float, name: str) -> None:

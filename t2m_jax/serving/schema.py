@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError, WithJsonSchema, create_model
 
 from t2m_jax.errors import UserError
+from t2m_jax.export.render.view import Camera
 from t2m_jax.motion.bvh.writer import Units
 from t2m_jax.motion.changes import Changes, path_from_text
 from t2m_jax.motion.formats import motion_formats
@@ -107,6 +108,8 @@ class FileOptions:
     """Units of BVH and GLB files."""
     root_bone: bool = False
     """Whether BVH and GLB files have a bone on the floor that carries the travel."""
+    camera: Camera | None = None
+    """Whether the camera of GIF and MP4 files only follows, or also goes around the figures once."""
     changes: Changes = Changes()
     """What is changed before."""
 
@@ -156,6 +159,7 @@ SceneParameters = make_model(
         "rig": (str | None, None, "Name of the file's rig, or the text of a table. By default, joints are recognized."),
         "name": (str | None, None, "What the file is called in errors."),
         "rig_name": (str | None, None, "What the table in `rig` is called in errors."),
+        "split": (float | None, None, "Seconds at which a sentence of the changed motion becomes two."),
     },
 )
 

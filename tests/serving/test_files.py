@@ -147,6 +147,19 @@ def test_the_scene_of_a_file(nasty):  # noqa: F811
     assert figure["frames"] == 20 and found["scene"]["seconds"] == 1.0
 
 
+def test_a_sentence_is_split(walk):  # noqa: F811
+    def split(data, seconds):
+        return json.loads(open_file(data, "npz", Changes(), split=seconds))["motion"]
+
+    once = split(data_of(walk), 1.0)
+    assert once["part_starts"] == [0, 20] and once["part_captions"] == [walk.caption] * 2
+    twice = split(decode_base64(once["npz"]), 0.5)
+    assert twice["part_starts"] == [0, 10, 20]
+    for seconds in (0.0, 0.5, -1.0, 1e300):
+        with pytest.raises(UserError, match="is not in a sentence"):
+            split(decode_base64(twice["npz"]), seconds)
+
+
 def test_a_motion_is_changed_in_every_way(walk):  # noqa: F811
     changes = Changes(begin=0.5, mirror=True, speed=2.0, turn=90.0)
     expected = changes.apply(walk)

@@ -40,8 +40,8 @@ def test_a_request_has_every_field_of_the_record():
 
 
 def test_files_can_be_changed_in_every_way_of_the_record():
-    assert set(FileParameters.model_fields) == {"format", "names", "units", "root_bone", *names_of(Changes)}
-    assert set(SceneParameters.model_fields) == {"format", "rig", "name", "rig_name", *names_of(Changes)}
+    assert set(FileParameters.model_fields) == {"format", "names", "units", "root_bone", "camera", *names_of(Changes)}
+    assert set(SceneParameters.model_fields) == {"format", "rig", "name", "rig_name", "split", *names_of(Changes)}
 
 
 @pytest.mark.parametrize("model", [MotionBody, FileParameters, SceneParameters])

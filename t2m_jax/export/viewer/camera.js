@@ -75,6 +75,20 @@ class Framing {
   }
 }
 
+// The framing of two figures in one picture: it follows the point between them.
+function sharedFraming([first, second]) {
+  const framing = new Framing(first.frames / first.fps >= second.frames / second.fps ? first : second);
+  const others = [first, second].map((figure) => new Framing(figure));
+  framing.path = framing.path.map((_, frame) => {
+    const [a, b] = others.map((other) => other.onPath(frame / framing.fps));
+    framing.strays = Math.max(framing.strays, Math.hypot(a[0] - b[0], a[2] - b[2]) / 2 + others[0].strays);
+    return a.map((value, axis) => (value + b[axis]) / 2);
+  });
+  const sides = (side, pick) => others[0].box[side].map((value, axis) => pick(value, others[1].box[side][axis]));
+  framing.box = { low: sides("low", Math.min), high: sides("high", Math.max) };
+  return framing;
+}
+
 // Mouse: drag orbits, shift or another button pans, the wheel zooms. Touch: one finger orbits, two pan and pinch.
 // `onTap` gets the element that was pressed without a movement.
 function listenForGestures(element, view, { changed, onTap }) {

@@ -71,8 +71,9 @@ class FigureCell {
   paint(theme) {
     if (this.theme === theme) return;
     this.theme = theme;
-    this.body.paint(theme.tints);
-    this.ground.paint(theme, theme.accents[this.number % theme.accents.length]);
+    const accent = (place) => theme.accents[place % theme.accents.length];
+    this.body.paint(this.isTinted ? [accent(this.number), ...theme.tints.slice(1)] : theme.tints);
+    this.ground.paint(theme, accent(this.number), accent(this.number + 1));
     this.sky.color.set(theme.sky);
     this.sky.groundColor.set(theme.floor);
     this.sky.intensity = theme.ambient;
@@ -89,9 +90,8 @@ class FigureCell {
     this.sun.target.position.set(x, 0.6, z);
   }
 
-  dispose() {
-    this.body.dispose();
-    this.ground.dispose();
-    this.sun.dispose();
+  // What must be disposed of.
+  get parts() {
+    return [this.body, this.ground, this.sun];
   }
 }

@@ -59,7 +59,8 @@ class GroundMesh {
     const ring = new THREE.RingGeometry(0.045, 0.085, 24).rotateX(-Math.PI / 2);
     this.marks = new THREE.InstancedMesh(ring, flat(0.9), Math.max(figure.contacts.length, 1));
     this.marks.instanceMatrix.setUsage(THREE.DynamicDrawUsage);
-    this.layers = [this.shadow, this.grid, this.path, this.played, this.marks];
+    this.drawn = new THREE.Mesh(ribbonGeometry([]), flat(0.95));
+    this.layers = [this.shadow, this.grid, this.path, this.played, this.drawn, this.marks];
     this.layers.forEach((layer, place) => {
       layer.position.y = LIFT * (place - 1);
       layer.renderOrder = place - this.layers.length;
@@ -67,11 +68,18 @@ class GroundMesh {
     });
   }
 
-  paint(theme, accent) {
+  paint(theme, accent, other) {
     const color = new THREE.Color(accent);
     for (const layer of [this.path, this.played, this.marks]) layer.material.color.copy(color);
+    this.drawn.material.color.set(other);
     this.shadow.material.opacity = theme.shadow;
     this.grid.material.uniforms.color.value.set(theme.lines);
+  }
+
+  // Shows a line through points on the ground, [x, z].
+  draw(points) {
+    this.drawn.geometry.dispose();
+    this.drawn.geometry = ribbonGeometry(points.map(([x, z]) => [x, 0, z]));
   }
 
   // Shows what a time has reached. Marks are large while a foot stands, and small afterwards.

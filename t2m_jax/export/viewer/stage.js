@@ -51,7 +51,7 @@ class Stage {
     this.canvas.setAttribute("aria-label", "No figure");
     this.grid = addElement(container, "div", "stage-grid");
     Object.assign(this, { cells: [], seconds: 0, onchange: () => {}, onselect: () => {} });
-    Object.assign(this, { detail: 0, intervals: [] });
+    Object.assign(this, { detail: 0, intervals: [], retired: [] });
     Object.assign(this, { moment: 0, rate: 1, running: false, span: null, dirty: true, last: null, ended: false });
     this.view = new OrbitView();
     this.cleanups = [];
@@ -80,6 +80,7 @@ class Stage {
     this.seconds = scene.seconds;
     if (this.renderer) this.cells = scene.figures.map((record, k) => new FigureCell(this.grid, unpackFigure(record), k));
     this.grid.classList.toggle("alone", this.cells.length === 1);
+    this.grid.classList.remove("together");
     const captions = scene.figures.map((record) => record.caption).filter(Boolean);
     const label = `Animated figure: ${captions.join("; ") || "no caption"}`;
     this.canvas.setAttribute("aria-label", scene.figures.length ? label : "No figure");
@@ -92,7 +93,7 @@ class Stage {
     const cell = this.cells[k];
     if (!cell) return;
     const figure = joinFigures(cell.figure, unpackFigure(record));
-    cell.dispose();
+    this.retired.push(...cell.parts);
     cell.build(figure);
     this.seconds = Math.max(this.seconds, figure.frames / figure.fps);
     this.changed();
@@ -161,6 +162,35 @@ class Stage {
     for (const cell of this.cells) cell.element.classList.toggle("selected", cell.number === chosen);
   }
 
+  // Whether two figures stand on one ground, in one picture.
+  get together() { return this.grid.classList.contains("together"); }
+  set together(value) {
+    const [first, second] = this.cells;
+    if (this.cells.length !== 2 || Boolean(value) === this.together) return;
+    this.grid.classList.toggle("together", value);
+    first.framing = value ? sharedFraming([first.figure, second.figure]) : new Framing(first.figure);
+    Object.assign(second, { isTinted: Boolean(value), theme: null });
+    this.resize();
+  }
+
+  // Returns the point [x, z] on the ground of a figure that is seen at a place of the window, or null.
+  groundAt(number, clientX, clientY) {
+    const cell = this.cells[number];
+    const box = cell?.picture.getBoundingClientRect();
+    if (!box || clientX < box.left || clientX > box.right || clientY < box.top || clientY > box.bottom) return null;
+    const { camera } = cell.framing;
+    const [x, y] = [(2 * (clientX - box.left)) / box.width - 1, 1 - (2 * (clientY - box.top)) / box.height];
+    const ray = new THREE.Vector3(x, y, 0.5).unproject(camera).sub(camera.position);
+    const share = -camera.position.y / ray.y;
+    return ray.y < 0 ? [camera.position.x + share * ray.x, camera.position.z + share * ray.z] : null;
+  }
+
+  // Draws a line through points [x, z] on the ground of a figure.
+  drawOnGround(number, points) {
+    this.cells[number]?.ground.draw(points);
+    this.changed();
+  }
+
   changed() { this.dirty = true; }
 
   tick(now) {
@@ -194,6 +224,12 @@ class Stage {
   }
 
   draw() {
+    this.drawCells();
+    // Not before: the figures that are new share the compiled programs of the former ones.
+    for (const part of this.retired.splice(0)) part.dispose();
+  }
+
+  drawCells() {
     const theme = themeNow();
     const { renderer } = this;
     const frame = this.canvas.getBoundingClientRect();
@@ -210,7 +246,8 @@ class Stage {
       const place = [box.left - frame.left, frame.bottom - box.bottom, box.width, box.height];
       renderer.setViewport(...place);
       renderer.setScissor(...place);
-      renderer.render(cell.scene, cell.framing.camera);
+      renderer.autoClear = !this.together || cell === this.cells[0]; // the second figure comes into the same picture
+      renderer.render(cell.scene, (this.together ? this.cells[0] : cell).framing.camera);
     }
   }
 
@@ -224,8 +261,13 @@ class Stage {
     const scrolls = this.cells.length === 0 || this.container.scrollHeight > height + 1;
     this.container.style.touchAction = scrolls ? "pan-y" : "none";
     const ratio = Math.min(DETAILS[this.detail].ratio, this.cells.length > 6 ? 1 : MAX_PIXEL_RATIO);
-    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, ratio));
-    this.renderer.setSize(width, height, false);
+    const pixels = Math.min(window.devicePixelRatio || 1, ratio);
+    const size = `${width} ${height} ${pixels}`;
+    if (size !== this.size) {  // a new canvas takes long, also one of the same size
+      this.size = size;
+      this.renderer.setPixelRatio(pixels);
+      this.renderer.setSize(width, height, false);
+    }
     this.changed();
   }
 
@@ -253,7 +295,7 @@ class Stage {
   }
 
   clear() {
-    for (const cell of this.cells) cell.dispose();
+    for (const cell of this.cells) this.retired.push(...cell.parts);
     this.cells = [];
     this.grid.replaceChildren();
   }
@@ -261,6 +303,7 @@ class Stage {
   dispose() {
     this.ended = true;
     this.clear();
+    for (const part of this.retired.splice(0)) part.dispose();
     for (const cleanup of this.cleanups) cleanup();
     if (this.renderer) this.renderer.dispose();
     this.container.replaceChildren();

@@ -1,13 +1,15 @@
-// Two motions side by side: the first one that is chosen waits for the second one.
+// Two motions in step, side by side or in one view: the first one that is chosen waits for the second one.
 
 import { find } from "./dom.js";
+import { recall, remember } from "./memory.js";
 import { makeTake } from "./session.js";
 
 export class Comparison {
   #first = null;
 
-  constructor(session) {
-    this.session = session;
+  constructor(session, stage) {
+    Object.assign(this, { session, stage });
+    find("one-view").addEventListener("click", () => this.toggleView());
     find("compare-sample").addEventListener("click", () => this.toggleSelected());
     session.onChange(["take", "select"], () => this.#update());
   }
@@ -17,6 +19,13 @@ export class Comparison {
     const { take, selected } = this.session;
     if (take === null || take.kind === "comparison") return;
     this.choose(take, selected);
+  }
+
+  // Shows both on one ground, or side by side again.
+  toggleView() {
+    if (this.session.take?.kind !== "comparison") return;
+    remember("one-view", !this.stage.together);
+    this.#update();
   }
 
   choose(take, number = 0) {
@@ -51,7 +60,11 @@ export class Comparison {
     const first = this.#first;
     const isFirst = first !== null && take !== null && this.#isSame(first, { take, number: selected });
     find("compare-sample").setAttribute("aria-pressed", String(isFirst));
-    find("compare-sample").hidden = take?.kind === "comparison";
+    const isShown = take?.kind === "comparison";
+    find("compare-sample").hidden = isShown;
+    find("one-view").hidden = !isShown;
+    if (isShown) this.stage.together = recall("one-view") === true;
+    find("one-view").setAttribute("aria-pressed", String(this.stage.together));
     const hint = find("compare-hint");
     hint.hidden = first === null;
     hint.textContent = first === null ? "" : `Choose a second motion to compare with “${first.motion.caption}”.`;

@@ -1,6 +1,6 @@
 // One request at a time: its place in the queue, its progress with live frames, and its result.
 
-import { clearMessage, find, once, showMessage, wantsMotion } from "./dom.js";
+import { clearMessage, find, once, showMessage, showNotice, wantsMotion } from "./dom.js";
 import { recallInTab, rememberInTab } from "./memory.js";
 import { Progress } from "./progress.js";
 import { stepsAfter } from "./recipe.js";
@@ -39,7 +39,10 @@ export class Generation {
 
   // Makes motions of the user's request; `base` is the sample of a take that they change: {take, from}.
   async run(asked, kind, base) {
-    if (this.isRunning) return;
+    if (this.isRunning) {
+      showNotice("A motion is being made. Wait for it, or cancel it.");
+      return;
+    }
     const steps = base ? stepsAfter(base.take, base.from, { make: asked }) : [{ make: asked }];
     const running = { key: randomKey(), asked, kind, steps };
     rememberInTab("running", running);

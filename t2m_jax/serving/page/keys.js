@@ -25,7 +25,7 @@ export function toggleFullScreen() {
   else if (document.fullscreenElement) document.exitFullscreen();
 }
 
-export function listenForKeys({ player, timeline, session, stage, make, generation, comparison, undo, actions: todo }) {
+export function listenForKeys({ player, timeline, session, stage, make, generation, comparison, undo, drawing, actions: todo }) {
   const here = () => stage.time;
   const actions = {
     " ": () => player.toggle(),
@@ -43,14 +43,18 @@ export function listenForKeys({ player, timeline, session, stage, make, generati
     "-": () => stage.zoom(1 / ZOOM),
     r: () => stage.resetView(),
     c: () => comparison.toggleSelected(),
+    o: () => comparison.toggleView(),
+    p: () => drawing.toggle(),
     m: toggleFullScreen,
     n: todo.rename,
     d: todo.duplicate,
+    s: todo.split,
+    i: () => make.insertSentence(),
     l: todo.share,
     Delete: todo.delete,
     "/": () => make.sentences.focus(),
     "?": () => find("help").showModal(),
-    Escape: () => (document.body.classList.contains("full") ? toggleFullScreen() : generation.cancel()),
+    Escape: () => (drawing.isOn ? drawing.stop() : document.body.classList.contains("full") ? toggleFullScreen() : generation.cancel()),
   };
   for (let number = 1; number <= 9; number += 1) actions[number] = () => session.select(number - 1);
 

@@ -9,23 +9,24 @@ import { sentencesOf } from "./session.js";
 const HINTS = {
   new: () => "",
   continue: () => "The sentences follow the selected motion.",
+  insert: () => "The sentence comes in where the playhead is; what follows is kept.",
   redo: ({ span }) =>
     span ? `Replaces ${seconds(span[0])} to ${seconds(span[1])}; the rest is kept.` : "Choose the part on the timeline: drag its two handles, or click a sentence.",
   vary: () => "Other versions of the selected motion.",
 };
 const START_STRENGTH = 0.3;
+const INSERTED_SECONDS = 2;
 const EMPTY = { seed: "", num_samples: 1, temperature: "", seconds: "", guidance_scale: "", top_k: "", top_p: "", stop_rule: "", raw: false };
 
 export class MakePanel {
   #mode = "new";
   #drafts = {}; // what the user has written for each mode; without a draft, there is a suggestion
 
-  constructor(session, model, undo, generate) {
-    Object.assign(this, { session, model, undo });
+  constructor(session, model, undo, { player, generate }) {
+    Object.assign(this, { session, model, undo, player, generate });
     this.submit = () => {
       const request = this.#read();
-      const base = this.#mode === "new" ? null : { take: session.take, from: session.selected };
-      if (request !== null) generate(request, this.#mode, base);
+      if (request !== null) generate(request, this.#mode, this.#mode === "new" ? null : this.#base);
     };
     this.sentences = new SentenceList(find("sentences"), find("add-sentence"), {
       limit: model.fields.motions.captions.maxItems,
@@ -43,12 +44,12 @@ export class MakePanel {
 
   setMode(mode) {
     this.#mode = mode;
-    const fixed = mode === "redo" || mode === "vary";
-    this.sentences.fixed = fixed;
+    this.sentences.fixed = mode !== "new" && mode !== "continue";
     this.#showSentences();
     find("strength-field").hidden = mode !== "vary";
-    showField("seconds", !fixed);
-    showField("candidates", mode === "redo");
+    showField("seconds", mode !== "redo" && mode !== "vary");
+    findField("seconds").placeholder = mode === "insert" ? INSERTED_SECONDS : "automatic";
+    showField("candidates", mode === "redo" || mode === "insert");
     showField("targets", mode === "new");
     document.querySelector(`#modes [value=${mode}]`).checked = true;
   }
@@ -105,6 +106,23 @@ export class MakePanel {
     this.forgetDraft("redo"); // it was for another part
     this.setMode("redo");
     this.sentences.selectText();
+  }
+
+  // Begins a sentence that is inserted where the playhead is.
+  insertSentence() {
+    this.setMode(this.session.motion ? "insert" : "new");
+    this.sentences.focus();
+  }
+
+  // Makes a part of the selected motion again, with another length; the rest is kept.
+  resize({ caption, span }, length) {
+    const { seed } = this.session.motion;
+    const { targets, ...options } = readFields(find("make")); // targets are for new motions
+    this.generate({ ...options, captions: [caption], seed, num_samples: 1, span, seconds: length }, "length", this.#base);
+  }
+
+  get #base() {
+    return { take: this.session.take, from: this.session.selected };
   }
 
   reuseSeed(seed) {
@@ -176,7 +194,7 @@ export class MakePanel {
 
   #suggestion() {
     const { motion, span } = this.session;
-    if (!motion || this.#mode === "continue") return [""];
+    if (!motion || this.#mode === "continue" || this.#mode === "insert") return [""];
     if (this.#mode === "new" || this.#mode === "vary") return sentencesOf(motion);
     if (!span || !motion.part_starts.length) return [motion.caption];
     const middle = ((span[0] + span[1]) / 2) * motion.fps;
@@ -208,6 +226,7 @@ export class MakePanel {
     if (mode === "redo" && span === null) return this.#refuse(HINTS.redo(this.session), find("begin-handle"));
     const request = { captions, seed: seed ? Number(seed) : null, num_samples: Number(find("num-samples").value), ...readFields(find("make")) };
     if (mode === "redo") request.span = span;
+    if (mode === "insert") Object.assign(request, { seconds: INSERTED_SECONDS, ...request, span: [this.player.time, this.player.time] });
     if (mode === "vary") request.strength = Number(find("strength").value);
     return request;
   }

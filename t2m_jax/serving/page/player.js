@@ -34,6 +34,11 @@ export class Player {
     return clamp(Math.round(this.stage.time * this.fps), 0, this.lastFrame);
   }
 
+  // The time of the frame that is shown, in seconds.
+  get time() {
+    return this.frame / this.fps;
+  }
+
   toggle() {
     if (this.session.take) this.stage.playing = !this.stage.playing;
     this.update();

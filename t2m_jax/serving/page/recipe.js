@@ -36,7 +36,7 @@ export async function changeSample(take, number, change) {
   const bytes = Uint8Array.from(atob(npz), (character) => character.charCodeAt(0));
   const { scene, motion } = await readMotion(bytes, change);
   const steps = stepsAfter(take, number, { change });
-  return makeTake({ kind: "changed", request: { ...take.request, seed }, scene, motions: [motion], warning: take.warning, steps });
+  return makeTake({ kind: change.split === undefined ? "changed" : "split", request: { ...take.request, seed }, scene, motions: [motion], warning: take.warning, steps });
 }
 
 // Returns the address that makes a motion again, or null. It says nothing to the server: what follows # stays in browsers.
@@ -58,7 +58,10 @@ export function recipeFromAddress() {
   return { steps, selected };
 }
 
-const kindOf = ({ span, strength }) => (span ? "redo" : strength !== undefined ? "vary" : "continue");
+function kindOf({ span, seconds, strength }) {
+  if (span) return seconds === undefined ? "redo" : span[0] === span[1] ? "insert" : "length";
+  return strength === undefined ? "continue" : "vary";
+}
 
 // Makes a motion again; `make` asks the server for motions. Returns null if the user cancels.
 export async function repeat(steps, make) {

@@ -41,3 +41,10 @@ export function makeTake({ id, kind, request, scene, motions, warning = "", step
 export function sentencesOf(motion) {
   return motion.part_captions.length ? motion.part_captions : [motion.caption];
 }
+
+// Its sentences with the seconds in which each begins and ends: {caption, span}.
+export function partsOf(motion) {
+  const starts = motion.part_starts.length ? motion.part_starts : [0];
+  const edges = [...starts, motion.frames].map((frame) => frame / motion.fps);
+  return sentencesOf(motion).map((caption, place) => ({ caption, span: [edges[place], edges[place + 1]] }));
+}

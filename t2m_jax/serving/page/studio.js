@@ -4,6 +4,7 @@ import { CharacterPanel } from "./character.js";
 import { Comparison } from "./compare.js";
 import { clearMessage, find, showMessage } from "./dom.js";
 import { DownloadPanel } from "./download.js";
+import { plain } from "./fields.js";
 import { Generation } from "./generation.js";
 import { History } from "./history.js";
 import { listenForKeys } from "./keys.js";
@@ -11,8 +12,10 @@ import { listenForCopies, openLink, shareSelected } from "./link.js";
 import { MakePanel } from "./make.js";
 import { recall, remember } from "./memory.js";
 import { listenForFiles } from "./openfile.js";
+import { PathDrawing } from "./path.js";
 import { Player } from "./player.js";
 import { fetchModel, takeTokenFromAddress } from "./server.js";
+import { changeSample } from "./recipe.js";
 import { Session } from "./session.js";
 import { TakeBar } from "./takebar.js";
 import { Timeline } from "./timeline.js";
@@ -29,10 +32,14 @@ async function start() {
   const undo = new UndoStack();
   const stage = new T2M.Stage(find("stage"));
   const player = new Player(stage, session);
-  const timeline = new Timeline(stage, session, player);
-  const comparison = new Comparison(session);
+  const timeline = new Timeline(stage, session, player, {
+    step: model.downsample / model.fps,
+    longest: plain(model.fields.motions.seconds).maximum,
+    onResize: (part, length) => make.resize(part, length),
+  });
+  const comparison = new Comparison(session, stage);
   const history = new History(session, undo, async (entry) => comparison.choose(await history.take(entry.id)));
-  const make = new MakePanel(session, model, undo, (request, kind, base) => generation.run(request, kind, base));
+  const make = new MakePanel(session, model, undo, { player, generate: (request, kind, base) => generation.run(request, kind, base) });
   const addTake = (take, draft) => add(take, draft, { session, history, make, undo });
   const generation = new Generation({ session, stage, onDone: (take) => addTake(take, make.forgetDraft(take.kind)) });
   const actions = {
@@ -40,19 +47,22 @@ async function start() {
     duplicate: () => withEntry(async (entry) => session.show(await history.duplicate(entry))),
     delete: () => withEntry((entry) => history.delete([entry.id], "delete")),
     share: () => shareSelected(session),
+    split: () => session.motion && changeSample(session.take, session.selected, { split: player.time }).then(addTake).catch(complain),
   };
   const withEntry = (action) => {
     const entry = history.find(session.take?.id);
-    return entry && action(entry).catch((error) => showMessage(`This cannot be done: ${error.message}.`));
+    return entry && action(entry).catch(complain);
   };
   new TakeBar(session, history, { ...actions, onReuseSeed: (seed) => make.reuseSeed(seed), onKeep: addTake });
   const download = new DownloadPanel(session, model, addTake);
   new CharacterPanel(session, model, stage, () => download.changes());
+  const drawing = new PathDrawing({ stage, player, session, onDrawn: () => download.apply() });
   showWords(model, (word) => make.sentences.insert(word));
   listenForFiles(model, addTake);
   listenForCopies();
-  listenForKeys({ player, timeline, session, stage, make, generation, comparison, undo, actions });
+  listenForKeys({ player, timeline, session, stage, make, generation, comparison, undo, drawing, actions });
   find("then").addEventListener("click", () => make.continueMotion());
+  find("split").addEventListener("click", actions.split);
   find("replace-sentence").addEventListener("click", () => make.replaceSentence());
   find("help-button").addEventListener("click", () => find("help").showModal());
   session.onChange(["take"], clearMessage);
@@ -68,6 +78,8 @@ async function start() {
   await followLink();
   await generation.resume();
 }
+
+const complain = (error) => showMessage(`This cannot be done: ${error.message.replace(/\.$/, "")}.`);
 
 // Adds a new take to the history and shows it; undone, what was there before comes back.
 function add(take, draft, { session, history, make, undo }) {

@@ -1,14 +1,15 @@
-// The track under the stage: scrub bar, handles of the span, and a block for each sentence.
+// The track under the stage: scrub bar, handles of the span, and the blocks of the sentences.
 
+import { Blocks } from "./blocks.js";
 import { clamp, create, find, seconds } from "./dom.js";
-import { sentencesOf } from "./session.js";
 
 const RULER_STEPS = [0.5, 1, 2, 5, 10, 30, 60];
 const MOST_TICKS = 12;
 
 export class Timeline {
-  constructor(stage, session, player) {
+  constructor(stage, session, player, options) {
     Object.assign(this, { stage, session, player, track: find("track"), scrub: find("scrub") });
+    this.blocks = new Blocks(this, options);
     this.handles = [find("begin-handle"), find("end-handle")];
     this.numbers = [find("begin"), find("end")];
     this.handles.forEach((handle, side) => this.#listenToHandle(handle, side));
@@ -27,15 +28,25 @@ export class Timeline {
     if (this.length !== stage.seconds) this.#draw(); // frames are still coming
     scrub.value = player.frame;
     scrub.setAttribute("aria-valuetext", `Frame ${player.frame} of ${player.lastFrame}, ${seconds(stage.time)}`);
-    this.track.style.setProperty("--now", this.#fraction(player.frame / player.fps));
+    this.track.style.setProperty("--now", this.fraction(player.frame / player.fps));
   }
 
   get #shownSpan() {
     return this.session.span ?? [0, this.length];
   }
 
-  #fraction(time) {
-    return this.length ? clamp(time / this.length, 0, 1) : 0;
+  // Where a time is on the track, from 0 to 1.
+  fraction(time) {
+    return this.extent ? clamp(time / this.extent, 0, 1) : 0;
+  }
+
+  // Makes room for a motion of so many seconds, if it is longer than the one that is shown.
+  stretch(length) {
+    this.extent = Math.max(length, this.length);
+    this.scrub.max = Math.round(this.extent * this.player.fps);
+    this.#drawRuler();
+    this.#drawSpan();
+    this.update();
   }
 
   // Moves the begin (0) or the end (1) of the span to a time; both are at frames.
@@ -54,7 +65,7 @@ export class Timeline {
     const timeAt = (event) => {
       const { left, width } = this.scrub.getBoundingClientRect();
       const thumb = parseFloat(getComputedStyle(this.track).getPropertyValue("--thumb"));
-      return ((event.clientX - left - thumb / 2) / (width - thumb)) * this.length;
+      return ((event.clientX - left - thumb / 2) / (width - thumb)) * this.extent;
     };
     handle.addEventListener("pointerdown", (event) => {
       handle.setPointerCapture(event.pointerId);
@@ -75,65 +86,32 @@ export class Timeline {
   }
 
   #draw() {
-    this.length = this.stage.seconds;
+    this.length = this.extent = this.stage.seconds;
     find("timeline").classList.toggle("idle", !this.session.motion);
     for (const element of find("timeline").querySelectorAll("button, input, select")) element.disabled = !this.session.motion;
     this.scrub.max = this.player.lastFrame + 1; // the end of the last frame, so that the thumb agrees with the ruler
     this.#drawRuler();
-    this.#drawBlocks();
+    this.blocks.draw();
     this.#drawSpan();
   }
 
-  // The place of the sentence whose part is the span, or null.
-  #selectedPart() {
-    const { motion, span } = this.session;
-    if (!span || motion.part_starts.length < 2 || this.session.take.kind === "comparison") return null;
-    const [first, last] = span.map((time) => Math.round(time * motion.fps));
-    const place = motion.part_starts.indexOf(first);
-    return place >= 0 && last === (motion.part_starts[place + 1] ?? motion.frames) ? place : null;
-  }
-
   #drawRuler() {
-    const step = RULER_STEPS.find((one) => this.length / one <= MOST_TICKS) ?? this.length;
-    const count = this.length ? Math.floor(this.length / step) + 1 : 0;
+    const step = RULER_STEPS.find((one) => this.extent / one <= MOST_TICKS) ?? this.extent;
+    const count = this.extent ? Math.floor(this.extent / step) + 1 : 0;
     find("ruler").replaceChildren(...Array.from({ length: count }, (_, index) => {
       const tick = create("span", { className: "tick", textContent: `${index * step}` });
-      tick.style.setProperty("--at", this.#fraction(index * step));
+      tick.style.setProperty("--at", this.fraction(index * step));
       return tick;
     }));
-  }
-
-  #drawBlocks() {
-    const { motion } = this.session;
-    const starts = motion?.part_starts.length ? motion.part_starts : [0];
-    const blocks = motion ? sentencesOf(motion).map((caption, index) => {
-      const span = [starts[index] / motion.fps, (starts[index + 1] ?? motion.frames) / motion.fps];
-      return this.#makeBlock(caption, span, starts.length > 1);
-    }) : [];
-    find("blocks").replaceChildren(...blocks);
-  }
-
-  #makeBlock(caption, span, isPart) {
-    const choose = () => {
-      this.session.setSpan(isPart ? span : null);
-      this.player.seek(Math.round(span[0] * this.player.fps));
-    };
-    const block = create("button", { type: "button", className: "block", textContent: caption || "Motion", dir: "auto", onclick: choose });
-    block.title = `${caption} (${seconds(span[0])} to ${seconds(span[1])})`;
-    block.style.setProperty("--from", this.#fraction(span[0]));
-    block.style.setProperty("--to", this.#fraction(span[1]));
-    return block;
   }
 
   #drawSpan() {
     const span = this.#shownSpan;
     this.track.classList.toggle("trimmed", this.session.span !== null);
     find("whole").disabled = this.session.span === null;
-    const part = this.#selectedPart();
-    find("replace-sentence").hidden = part === null;
-    find("replace-sentence").textContent = `Replace sentence ${part + 1}`;
-    this.track.style.setProperty("--begin", this.#fraction(span[0]));
-    this.track.style.setProperty("--end", this.#fraction(span[1]));
+    this.blocks.showChosen();
+    this.track.style.setProperty("--begin", this.fraction(span[0]));
+    this.track.style.setProperty("--end", this.fraction(span[1]));
     this.handles.forEach((handle, side) => {
       handle.setAttribute("aria-valuemin", "0");
       handle.setAttribute("aria-valuemax", this.length.toFixed(2));
