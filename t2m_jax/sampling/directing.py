@@ -119,7 +119,7 @@ def points_at(positions: Float[Array, "T J 3"], goals: Goals, skeleton: Skeleton
     return jnp.where(goals.relative[:, None], seen, world)
 
 
-class Start(NamedTuple):
+class Attempt(NamedTuple):
     """Codes, and how far the latents are from theirs."""
 
     codes: Int[Array, "1 N R"]
@@ -142,15 +142,15 @@ class Approach(NamedTuple):
 def approach_goals(
     variables: Any,
     normalizer: Normalizer,
-    start: Start,
+    attempt: Attempt,
     goals: Goals,
     *,
     tokenizer: Any,
     skeleton: Skeleton,
 ) -> Approach:
     """Returns a motion that is nearer to its goals, after `STEPS` steps."""
-    mask = mask_from_lengths(start.code_lengths, start.codes.shape[1])
-    latents = tokenizer.apply(variables, start.codes, method="latents_of")
+    mask = mask_from_lengths(attempt.code_lengths, attempt.codes.shape[1])
+    latents = tokenizer.apply(variables, attempt.codes, method="latents_of")
     deviation = jnp.std(latents, where=mask[..., None])
 
     def decode(change: Float[Array, "1 N C"]) -> tuple[Float[Array, "T D"], Float[Array, "T J 3"]]:
@@ -159,7 +159,7 @@ def approach_goals(
         return features[0], positions_from_features(features, skeleton)[0] * skeleton.metres_per_unit
 
     _, before = decode(jnp.zeros_like(latents))
-    first = jnp.zeros_like(latents) if start.change is None else start.change
+    first = jnp.zeros_like(latents) if attempt.change is None else attempt.change
 
     def loss(change: Float[Array, "1 N C"]) -> Float[Array, ""]:
         _, positions = decode(change)
@@ -254,7 +254,7 @@ def _approach(model: ModelParts, motion: Motion, targets: Sequence[Target], *, s
     """Returns a motion moved to its targets: the nearest of the rounds."""
     assert motion.codes is not None
     codes, code_lengths = map(jnp.asarray, pad_codes([motion.codes], size=size))
-    start = Start(codes, code_lengths, None)
+    attempt = Attempt(codes, code_lengths, None)
     frames = np.array([motion.num_frames])
     goals = wanted = make_goals(targets, model.skeleton)
     best = motion
@@ -263,12 +263,12 @@ def _approach(model: ModelParts, motion: Motion, targets: Sequence[Target], *, s
         moved = approach_goals(
             put_everywhere(tokenizer.variables),
             tokenizer.normalizer,
-            start,
+            attempt,
             goals,
             tokenizer=tokenizer.module,
             skeleton=model.skeleton,
         )
-        start = start._replace(change=moved.change)
+        attempt = attempt._replace(change=moved.change)
         positions = moved.positions
         if clean:
             positions = clean_positions(positions[None], frames, skeleton=model.skeleton)[0]

@@ -28,7 +28,7 @@ from t2m_jax.models.system import make_module, variable_shapes
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.motion.targets import read_target
-from t2m_jax.sampling.directing import Start, make_goals
+from t2m_jax.sampling.directing import Attempt, make_goals
 from t2m_jax.sampling.loop import Sampling
 from t2m_jax.sampling.programs import begin_motions, begin_slots
 from t2m_jax.sampling.stopping import StopAtEnd, StopAtThreshold
@@ -233,7 +233,7 @@ def _() -> Case:
     goals = make_goals(targets, HUMANML3D)
     # Steps of Adam double the rounding of gradients near 0.
     options = {"tokenizer": make_module(TOKENIZER), "skeleton": HUMANML3D}
-    return Case((variables, normalizer, Start(codes[:1], lengths[:1], None), goals), options, rtol=1e-3, atol=1e-3)
+    return Case((variables, normalizer, Attempt(codes[:1], lengths[:1], None), goals), options, rtol=1e-3, atol=1e-3)
 
 
 @case("sampling.programs.generate_codes")
