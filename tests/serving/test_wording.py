@@ -17,7 +17,7 @@ from tests.serving.test_files import data_of
 
 PACKAGE = Path(t2m_jax.__file__).parent
 COMMAND = re.compile(r"`t2m |pip install|(?<![\w-])--[a-z]")
-NOT_SERVED = ("replay.py",)
+NOT_SERVED = ("replay.py", "convert.py")
 BROKEN_BVH = "HIERARCHY\nROOT Hips\n{\n  OFFSET x 0 0\n}\n"
 
 

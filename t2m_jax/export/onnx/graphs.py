@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int
 from t2m_jax.checkpoints.bundle import Bundle
 from t2m_jax.errors import UserError
 from t2m_jax.export.onnx.text import TextPart, embed_tokens, text_inputs
+from t2m_jax.keys import new_key
 from t2m_jax.models.system import make_module
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import skeleton_from_name
@@ -117,7 +118,7 @@ def num_classes(bundle: Bundle) -> int:
         context, _ = apply(text_embedding, method="begin")
         return apply(context, keys, note, may_stop=jnp.ones(1, bool), method="draw")
 
-    jax.eval_shape(draw, array_of(1, config.text_dim), jax.eval_shape(lambda: jax.random.split(jax.random.key(0), 1)))
+    jax.eval_shape(draw, array_of(1, config.text_dim), jax.eval_shape(lambda: jax.random.split(new_key(0), 1)))
     return found[0]
 
 
