@@ -15,6 +15,8 @@ from jaxtyping import Float
 from t2m_jax.errors import UserError
 from t2m_jax.motion.features import facing
 from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.namespace import AnyArray, namespace_of
+from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 
 ROOT = "root"
@@ -33,12 +35,12 @@ FASTEST_ROOT = 5.0
 """Nobody travels faster in these motions; meters per second."""
 FASTEST_JOINT = 12.0
 """No joint moves faster; meters per second."""
-HIGHEST = 2.6
-"""No joint gets higher; meters."""
+HIGHEST_JUMP = 0.5
+"""Nobody jumps higher; meters."""
 LOWEST = -0.2
 """No joint gets lower; meters. Floors may be a little off."""
-FARTHEST = 1.3
-"""No joint is farther from the root over the ground; meters."""
+STRETCH = 1.1
+"""People of motion data may be larger than the skeleton by this factor."""
 MAX_TARGETS = 64
 """Most targets of a motion."""
 SYNTAX = "TIME JOINT=X,Y,Z, such as '2.0 right_wrist=0.3,1.5,0.2', '4 root=1,3' or '1:2 left_foot=0.1,0,0.5'"
@@ -76,13 +78,6 @@ class Target:
             raise self.error(f"needs {size} number{'s' * (size != 1)}, not {self.place}")
         if self.joint in SIZES and self.relative:
             raise self.error("is not seen from the root; use =")
-        if self.joint in SIZES:
-            return
-        x, y, z = self.place
-        if not LOWEST <= y <= HIGHEST:
-            raise self.error(f"nobody reaches a height of {y:g} m")
-        if self.relative and math.hypot(x, z) > FARTHEST:
-            raise self.error(f"nobody reaches {math.hypot(x, z):.2g} m from the root")
 
     def error(self, reason: str) -> UserError:
         """Returns an error that names the target."""
@@ -119,23 +114,24 @@ def read_target(given: object) -> Target:
         return given
     if isinstance(given, str):
         return _from_text(given)
-    if isinstance(given, Sequence) and len(given) == 2 and isinstance(given[1], Motion):
-        return Target(seconds=float(given[0]), joint=POSE, pose=given[1].positions[0])
+    if isinstance(given, Sequence) and len(given) == 2:
+        seconds, motion = given
+        if isinstance(seconds, int | float) and isinstance(motion, Motion):
+            return Target(seconds=float(seconds), joint=POSE, pose=motion.positions[0])
     raise UserError(f"targets: {given!r:.80} is not a text ({SYNTAX}) or a pair of seconds and a motion")
 
 
 def _from_text(text: str) -> Target:
+    found = _TARGET.fullmatch(text)
+    begin, until, joint, sign, numbers = found.groups() if found else ("", None, "", "", "")
+    if joint == POSE:
+        raise UserError(f"targets: {text[:80]!r}: a pose is a pair of seconds and a motion")
     try:
-        found = _TARGET.fullmatch(text)
-        assert found is not None
-        begin, until, joint, sign, numbers = found.groups()
         seconds = float(begin)
         end = None if until is None else float(until)
         place = tuple(float(number) for number in numbers.split(","))
-    except (AssertionError, ValueError):
+    except ValueError:
         raise UserError(f"targets: {text[:80]!r} is not {SYNTAX}") from None
-    if joint == POSE:
-        raise UserError(f"targets: {text[:80]!r}: a pose is a pair of seconds and a motion")
     return Target(seconds=seconds, until=end, joint=joint, place=place, relative=sign == "+=")
 
 
@@ -156,13 +152,15 @@ def check_targets(targets: Sequence[Target], skeleton: Skeleton) -> None:
             raise target.error(f"no such joint; known: {', '.join(known)}")
         if target.pose is not None and target.pose.shape != (skeleton.num_joints, 3):
             raise target.error(f"has {len(target.pose)} joints; skeleton {skeleton.name} has {skeleton.num_joints}")
+        if target.joint in skeleton.joint_names and target.joint not in SIZES:
+            _check_reach(target, skeleton)
     if len(targets) > MAX_TARGETS:
         raise UserError(f"targets: {len(targets)} are more than {MAX_TARGETS}")
     fixed = [target for target in targets if not target.relative and target.joint not in (FACING, POSE)]
     for target in fixed:
         # The root begins above the origin, and takes its limbs along.
-        far = math.hypot(target.place[0], target.place[-1]) - (0.0 if target.joint == ROOT else FARTHEST)
-        _check_speed(target, far, target.seconds, FASTEST_ROOT)
+        reach = 0.0 if target.joint == ROOT else limb_reach(target.joint, skeleton)
+        _check_speed(target, math.hypot(target.place[0], target.place[-1]) - reach, target.seconds, FASTEST_ROOT)
     ordered = sorted(fixed, key=lambda target: (target.joint, target.seconds))
     for before, after in itertools.pairwise(ordered):
         if before.joint == after.joint:
@@ -171,20 +169,41 @@ def check_targets(targets: Sequence[Target], skeleton: Skeleton) -> None:
             _check_speed(after, math.dist(before.place, after.place), max(seconds, 0.0), fastest)
 
 
+def limb_reach(joint: str, skeleton: Skeleton) -> float:
+    """Returns how far a joint can be from the root: the sum of the bones between them, in meters."""
+    index = skeleton.joint_names.index(joint)
+    total = 0.0
+    while index >= 0:
+        total += skeleton.bone_lengths[index]
+        index = skeleton.parents[index]
+    return STRETCH * total * skeleton.metres_per_unit
+
+
+def _check_reach(target: Target, skeleton: Skeleton) -> None:
+    """Raises `UserError` if nobody can bring a joint to its place, wherever the person stands."""
+    x, y, z = target.place
+    reach = limb_reach(target.joint, skeleton)
+    toes = skeleton.joint_names[skeleton.left_foot[-1]]
+    if not LOWEST <= y <= limb_reach(toes, skeleton) + reach + HIGHEST_JUMP:
+        raise target.error(f"nobody reaches a height of {y:g} m")
+    if target.relative and math.hypot(x, z) > reach:
+        raise target.error(f"nobody reaches {math.hypot(x, z):.2g} m from the root")
+
+
 def _check_speed(target: Target, far: float, seconds: float, fastest: float) -> None:
     """Raises `UserError` if a target is too far from where the motion was some seconds before."""
     if far > fastest * seconds + JOINT_TOLERANCE:
         raise target.error(f"{far:.2g} m in {seconds:.2g} s is faster than {fastest:g} m/s")
 
 
-def seen_from_root(positions: Float[np.ndarray, "T J 3"], skeleton: Skeleton) -> Float[np.ndarray, "T J 3"]:
+def seen_from_root(positions: Float[AnyArray, "T J 3"], skeleton: Skeleton) -> Float[AnyArray, "T J 3"]:
     """Returns joints from the ground under the root, with +z where the figure faces."""
-    forward = facing(positions, skeleton)
-    forward = forward / np.maximum(np.linalg.norm(forward, axis=-1, keepdims=True), 1e-9)
-    left = np.stack([forward[:, 2], np.zeros(len(forward)), -forward[:, 0]], axis=-1)
-    moved = positions - positions[:, :1] * np.array([1.0, 0.0, 1.0])
-    x, z = (np.einsum("tjc,tc->tj", moved, axis) for axis in (left, forward))
-    return np.stack([x, moved[..., 1], z], axis=-1)
+    xp = namespace_of(positions)
+    ahead = unit_vectors(facing(positions, skeleton))
+    left = xp.stack([ahead[:, 2], xp.zeros_like(ahead[:, 0]), -ahead[:, 0]], axis=-1)
+    moved = positions - positions[:, :1]
+    x, z = (xp.einsum("tjc,tc->tj", moved, axis) for axis in (left, ahead))
+    return xp.stack([x, positions[..., 1], z], axis=-1)
 
 
 def distances(motion: Motion, targets: Iterable[Target]) -> list[float]:
@@ -192,23 +211,25 @@ def distances(motion: Motion, targets: Iterable[Target]) -> list[float]:
 
     The distance of a pose is the mean over the joints. Where the motion has ended, its last frame counts.
     """
-    return [max(_distance(motion, target, frame) for frame in target.frames(motion.fps)) for target in targets]
+    return [float(_distances(motion, target).max()) for target in targets]
 
 
-def _distance(motion: Motion, target: Target, frame: int) -> float:
-    pose = motion.positions[min(frame, motion.num_frames - 1)].astype(np.float64)[None]
+def _distances(motion: Motion, target: Target) -> Float[np.ndarray, " S"]:
+    """Returns the distance in each frame in which a target holds."""
+    frames = np.minimum(target.frames(motion.fps), motion.num_frames - 1)
+    poses = motion.positions[frames].astype(np.float64)
+    place = np.array(target.place)
     if target.joint == FACING:
-        x, _, z = facing(pose, motion.skeleton)[0]
-        difference = math.degrees(math.atan2(x, z)) - target.place[0]
-        return abs((difference + 180) % 360 - 180)
+        ahead = facing(poses, motion.skeleton)
+        difference = np.degrees(np.arctan2(ahead[:, 0], ahead[:, 2])) - place[0]
+        return np.abs((difference + 180) % 360 - 180)
     if target.joint == ROOT:
-        return math.dist(pose[0, 0, [0, 2]], target.place)
-    local = seen_from_root(pose, motion.skeleton)[0]
+        return np.linalg.norm(poses[:, 0, ::2] - place, axis=-1)
     if target.pose is not None:
-        wanted = seen_from_root(target.pose[None].astype(np.float64), motion.skeleton)[0]
-        return float(np.linalg.norm(local - wanted, axis=-1).mean())
-    index = motion.skeleton.joint_names.index(target.joint)
-    return math.dist((local if target.relative else pose[0])[index], target.place)
+        wanted = seen_from_root(target.pose[None].astype(np.float64), motion.skeleton)
+        return np.linalg.norm(seen_from_root(poses, motion.skeleton) - wanted, axis=-1).mean(axis=-1)
+    seen = seen_from_root(poses, motion.skeleton) if target.relative else poses
+    return np.linalg.norm(seen[:, motion.skeleton.joint_names.index(target.joint)] - place, axis=-1)
 
 
 def missed_targets(motion: Motion, targets: Sequence[Target]) -> str:

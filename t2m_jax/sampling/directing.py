@@ -110,13 +110,11 @@ def _rows_of(target: Target, skeleton: Skeleton) -> list[tuple[int, int, Any, An
 def points_at(positions: Float[Array, "T J 3"], goals: Goals, skeleton: Skeleton) -> Float[Array, "Q 3"]:
     """Returns the points of goals in a motion, in meters."""
     ground = positions[:, :1] * jnp.array([[[1.0, 0.0, 1.0]]])
-    forward = unit_vectors(facing(positions, skeleton))[:, None]
-    world = jnp.concatenate([positions, ground, FACING_METERS * forward], axis=1)[goals.frames, goals.points]
-    moved = world - ground[goals.frames, 0]
-    ahead = forward[goals.frames, 0]
-    left = jnp.stack([ahead[:, 2], jnp.zeros(len(ahead)), -ahead[:, 0]], axis=-1)
-    seen = jnp.stack([jnp.sum(moved * left, axis=-1), moved[:, 1], jnp.sum(moved * ahead, axis=-1)], axis=-1)
-    return jnp.where(goals.relative[:, None], seen, world)
+    ahead = FACING_METERS * unit_vectors(facing(positions, skeleton))[:, None]
+    world = jnp.concatenate([positions, ground, ahead], axis=1)
+    seen = jnp.concatenate([seen_from_root(positions, skeleton), ground, ahead], axis=1)  # only joints are relative
+    place = goals.frames, goals.points
+    return jnp.where(goals.relative[:, None], seen[place], world[place])
 
 
 class Attempt(NamedTuple):
@@ -257,7 +255,7 @@ def _approach(model: ModelParts, motion: Motion, targets: Sequence[Target], *, s
     attempt = Attempt(codes, code_lengths, None)
     frames = np.array([motion.num_frames])
     goals = wanted = make_goals(targets, model.skeleton)
-    best = motion
+    best, least = motion, _cost(targets, motion)
     tokenizer = model.tokenizer
     for _ in range(ROUNDS):
         moved = approach_goals(
@@ -279,8 +277,10 @@ def _approach(model: ModelParts, motion: Motion, targets: Sequence[Target], *, s
             features=np.asarray(moved.features)[: motion.num_frames],
             codes=None,  # its latents are between codes
         )
-        best = min(best, own, key=functools.partial(_cost, targets))
-        if _cost(targets, best) < len(targets) * MET**2:
+        cost = _cost(targets, own)
+        if cost < least:
+            best, least = own, cost
+        if least < len(targets) * MET**2:
             break
         # The clean-up and the other terms of the loss hold joints back a little, so the next round aims as far beyond.
         error = wanted.places - points_at(jnp.asarray(positions), wanted, model.skeleton)

@@ -156,9 +156,9 @@ def test_targets_that_are_refused(refusal, bundle_folder, tmp_path, monkeypatch,
 def test_the_distances_to_targets_are_said(bundle_folder, tmp_path, capsys):
     file = tmp_path / "out.npz"
     command = ["generate", "a person walks", "--model", f"{bundle_folder}", "--candidates", "2", "-o", f"{file}"]
-    assert main([*command, "--at", "0", "root=0,0", "--at", "0.3", "head=0.9,2.5,0.9"]) == 0
+    assert main([*command, "--at", "0", "root=0,0", "--at", "0.3", "left_wrist=0.9,2,0.4"]) == 0
     said = capsys.readouterr().err
-    assert "t2m: root at 0 s: met, 0." in said and "t2m: head at 0.3 s: missed, " in said
+    assert "t2m: root at 0 s: met, 0." in said and "t2m: left_wrist at 0.3 s: missed, " in said
     assert main([*command, "--pose", "0.1", f"{file}"]) == 0
     assert "t2m: pose at 0.1 s: m" in capsys.readouterr().err
 

@@ -127,8 +127,9 @@ def test_no_motion_ends_before_its_last_target(model):
 
 
 def test_missed_targets_are_said(model):
-    (motion,) = model.direct(CAPTION, ["0.3 head=0.9,2.4,0.9"], num_candidates=2)
-    assert "misses head at 0.3 s by " in motion.warning
+    apart = ["0.3 left_wrist=0.6,1,0", "0.3 left_elbow=-0.6,1,0"]  # farther than any forearm is long
+    (motion,) = model.direct(CAPTION, apart, num_candidates=2)
+    assert "left_wrist at 0.3 s by " in motion.warning
 
 
 def test_bones_stay_as_long(model):
