@@ -43,6 +43,7 @@ CAPTION_ENCODER = CaptionEncoderConfig(
 )
 BUNDLE = BundleConfig(tokenizer=VQVAE, generator=GPT, text_encoder=CAPTION_ENCODER)
 HIFIGPT_BUNDLE = BundleConfig(tokenizer=RVQVAE, generator=HIFIGPT, text_encoder=CAPTION_ENCODER)
+BUNDLES = {"gpt": BUNDLE, "hifigpt": HIFIGPT_BUNDLE}
 EVALUATOR = EvaluatorConfig(
     movement_hidden=10, movement_dim=12, motion_hidden=8, text_hidden=6, embedding_dim=16, word_dim=5
 )

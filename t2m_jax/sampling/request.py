@@ -125,8 +125,8 @@ class MotionRequest:
             self._check_change("strength" if self.span is None else "span")
         if self.span is not None:
             self._check_span(*self.span)
-        if self.targets and (len(self.captions) > 1 or self.start is not None or self.seconds is not None):
-            raise UserError("targets: are for one sentence, without start or seconds")
+        if self.targets:
+            self._check_targets()
         if self.span is not None or self.targets:
             self._check_candidates()
         elif self.candidates != MotionRequest.candidates:
@@ -158,6 +158,18 @@ class MotionRequest:
             raise UserError(f"span: {begin:g} to {end:g} is not a part of the motion")
         if begin == end and self.seconds is None:
             raise UserError(f"span: {begin:g} to {end:g} is no time; give seconds, the length of what comes there")
+
+    def _check_targets(self) -> None:
+        others = {
+            "a second sentence": len(self.captions) > 1,
+            "a span to redo": self.span is not None,
+            "a variation": self.strength is not None,
+            "a motion to continue": self.start is not None,
+            "a length in seconds": self.seconds is not None,
+        }
+        for name, is_given in others.items():
+            if is_given:
+                raise UserError(f"targets: are for a new motion of one sentence, without {name}")
 
     def _check_candidates(self) -> None:
         if not 1 <= self.candidates <= MAX_BATCH:

@@ -118,6 +118,10 @@ def test_a_middle_and_variations_of_a_file(refusal, bundle_folder, tmp_path, cap
             "--redo: takes one sentence",
         ),
         (["--redo", "1:2", "--from", "{start}", "--vary", "0.5"], "--redo: excludes strength"),
+        (["--redo", "1:2", "--from", "{start}", "--at", "1", "root=0,0"], "--at: are for a new motion of one sentence"),
+        (["--redo", "1:2", "--from", "{start}", "--pose", "1", "{start}"], "without a span to redo"),
+        (["--vary", "0.5", "--from", "{start}", "--at", "1", "root=0,0"], "without a variation"),
+        (["--from", "{start}", "--at", "1", "root=0,0"], "without a motion to continue"),
         (["--vary", "1.5", "--from", "{start}"], "--vary: 1.5 is not a number from 0 to 1"),
         (
             ["--candidates", "0", "--redo", "1:2", "--from", "{start}"],
@@ -143,7 +147,8 @@ def test_chains_that_are_refused(refusal, bundle_folder, tmp_path, tmp_path_fact
         (["--at", "0.5", "root=0,3"], "targets: root at 0.5 s: 3 m in 0.5 s is faster than 5 m/s"),
         (["--pose", "soon", "missing.npz"], "--pose soon missing.npz: 'soon' is not a number of seconds"),
         (["--pose", "1", "missing.npz"], "missing.npz"),
-        (["--at", "1", "root=0,0", "--then", "a person waves"], "--at: are for one sentence"),
+        (["--at", "1", "root=0,0", "--then", "a person waves"], "one sentence, without a second sentence"),
+        (["--at", "1", "root=0,0", "--seconds", "2"], "--at: are for a new motion of one sentence, without a length"),
         (["--at", "900", "root=0,0"], "targets: root at 900 s: the longest motion for a sentence has"),
     ],
 )

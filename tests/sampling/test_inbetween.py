@@ -14,17 +14,10 @@ from t2m_jax.errors import UserError
 from t2m_jax.models.system import make_module
 from t2m_jax.motion.features import bone_vectors
 from t2m_jax.motion.skeleton import HUMANML3D
-from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.inbetween import Middle, rank_middles
 from tests import tiny
 
-CONFIGS = {"gpt": tiny.BUNDLE, "hifigpt": tiny.HIFIGPT_BUNDLE}
 CAPTION = tiny.CAPTIONS[1]
-
-
-@pytest.fixture(scope="module", params=["gpt", pytest.param("hifigpt", marks=pytest.mark.slow)])
-def model(request):
-    return TextToMotion(tiny.random_bundle(CONFIGS[request.param]))
 
 
 @pytest.fixture(scope="module")

@@ -12,13 +12,6 @@ from t2m_jax.sampling import model as sampling_model
 from t2m_jax.sampling.strategies import Greedy
 from tests import tiny
 
-CONFIGS = {"gpt": tiny.BUNDLE, "hifigpt": tiny.HIFIGPT_BUNDLE}
-
-
-@pytest.fixture(scope="module", params=["gpt", pytest.param("hifigpt", marks=pytest.mark.slow)])
-def model(request):
-    return TextToMotion(tiny.random_bundle(CONFIGS[request.param]))
-
 
 def stop_rule(model):
     return None if model.config.generator.stop_rule == "end" else "threshold"
@@ -55,7 +48,7 @@ def test_pieces_come_before_the_end(model, monkeypatch):
     endless = {"stop_threshold": 1.0} if stop_rule(model) else {}
     generator = dataclasses.replace(model.config.generator, **endless)
     name = "gpt" if stop_rule(model) is None else "hifigpt"
-    long = TextToMotion(tiny.random_bundle(dataclasses.replace(CONFIGS[name], generator=generator)))
+    long = TextToMotion(tiny.random_bundle(dataclasses.replace(tiny.BUNDLES[name], generator=generator)))
     for seed in range(40):
         rows.clear()
         seen = [len(rows) for _ in long.stream(tiny.CAPTIONS[0], seed=seed)]
@@ -86,7 +79,7 @@ def test_a_stop_rule_of_other_scores_is_refused(model):
 
 @pytest.mark.slow
 def test_a_random_end_is_the_same_in_a_stream():
-    config = CONFIGS["hifigpt"]
+    config = tiny.BUNDLES["hifigpt"]
     sampled = dataclasses.replace(config, generator=dataclasses.replace(config.generator, stop_rule="sampled"))
     model, lengths = TextToMotion(tiny.random_bundle(sampled)), set()
     for seed in range(6):

@@ -10,20 +10,13 @@ from t2m_jax.errors import UserError
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.motion.joining import FADE_SECONDS
-from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.loop import Given
 from t2m_jax.sampling.prompts import sample_key
 from t2m_jax.sampling.request import MotionRequest
 from t2m_jax.sampling.timeline import context_rows
 from tests import tiny
 
-CONFIGS = {"gpt": tiny.BUNDLE, "hifigpt": tiny.HIFIGPT_BUNDLE}
 FIRST, SECOND, THIRD = tiny.CAPTIONS[:3]
-
-
-@pytest.fixture(scope="module", params=["gpt", pytest.param("hifigpt", marks=pytest.mark.slow)])
-def model(request):
-    return TextToMotion(tiny.random_bundle(CONFIGS[request.param]))
 
 
 def sample(model, *, known=None, num_codes=0, num_rows=0, **options):
