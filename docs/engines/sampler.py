@@ -25,6 +25,14 @@ class Noise(NamedTuple):
     """Added to its stop score, with the rule `sampled`."""
 
 
+def uniform(seed: int, first: int, count: int) -> np.ndarray:
+    """Returns numbers of a seed, above 0 and below 1: SplitMix64, which is a few lines in every language."""
+    bits = np.arange(first + 1, first + count + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(seed)
+    bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return (((bits ^ (bits >> np.uint64(31))) >> np.uint64(12)) + 0.5) / 2**52
+
+
 class OnnxModel:
     """The graphs of an exported model, for one motion at a time."""
 
@@ -60,10 +68,16 @@ class OnnxModel:
         return self.run("text", {"tokens": padded, "num_tokens": len(tokens)})["text_embedding"]
 
     def random_noise(self, seed: int) -> Callable[[int], Noise]:
-        """Returns a function that draws the noise of rows in order."""
-        random = np.random.default_rng(seed)
+        """Returns a function from the number of a row to its noise, the same in all languages."""
         shape = self.manifest["graphs"]["row"]["inputs"]["noise"]["shape"]
-        return lambda row: Noise(random.gumbel(size=shape).astype(np.float32), random.logistic())
+        size = int(np.prod(shape)) + 1
+
+        def noise(row: int) -> Noise:
+            numbers = uniform(seed, row * size, size)
+            gumbel = -np.log(-np.log(numbers[:-1]))
+            return Noise(gumbel.astype(np.float32).reshape(shape), float(np.log(numbers[-1] / (1 - numbers[-1]))))
+
+        return noise
 
     def sample(
         self,
