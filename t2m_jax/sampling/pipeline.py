@@ -131,10 +131,10 @@ class TextToMotion:
         Raises:
             UserError: A request does not fit the model, such as a motion of another skeleton.
         """
-        captions = [caption for request in requests for caption in request.captions]
+        turns = [request.in_turn(self.knowledge) for request in requests]
+        captions = [caption for request in turns for caption in request.captions]
         prompts = iter(read_prompts(captions, self.knowledge, self.text_encoder))
-        read = [(request, list(itertools.islice(prompts, len(request.captions)))) for request in requests]
-        # Only requests that follow each other are put together, so that motions come in the order of requests.
+        read = [(request, list(itertools.islice(prompts, len(request.captions)))) for request in turns]
         return make_motions(self.parts, read, on_progress)
 
     def make_pieces(self, request: MotionRequest, *, sample: int = 0) -> Iterator[Motion]:
@@ -147,7 +147,7 @@ class TextToMotion:
 
         Args:
             request: What is asked for; not a change of a motion.
-            sample: Number of the motion among the samples of a request of one sentence.
+            sample: Number of the motion among the samples of the request.
 
         Warns:
             PromptWarning: The model cannot know what a sentence asks for.
@@ -159,10 +159,12 @@ class TextToMotion:
             raise UserError("stream: a change of a motion has no pieces; use make")
         if request.targets:
             raise UserError("stream: targets need the whole motion; use make")
+        request = request.in_turn(self.knowledge)
         prompts = read_prompts(request.captions, self.knowledge, self.text_encoder)
+        first = Sample(prompts[0], request.seed, sample)
         if request.is_plain:
-            return make_rows(self.parts, Sample(prompts[0], request.seed, sample), request.options)
-        return make_chain_pieces(self.parts, request, prompts, find_sampling(self.parts, request.options))
+            return make_rows(self.parts, first, request.options)
+        return make_chain_pieces(self.parts, request, prompts, first.key, find_sampling(self.parts, request.options))
 
     def generate(
         self,
@@ -224,8 +226,8 @@ class TextToMotion:
             **options: Of `SamplingOptions`.
         """
         request = _request(captions, options, start=start, seconds=seconds, seed=seed, num_samples=num_samples)
-        parts: dict[str, Any] = {"part_starts": (0,), "part_captions": request.captions} if request.is_plain else {}
-        return [dataclasses.replace(motion, **parts) for motion in self.make(request)]
+        whole: dict[str, Any] = {"part_starts": (0,), "part_captions": request.captions}
+        return [motion if motion.part_starts else dataclasses.replace(motion, **whole) for motion in self.make(request)]
 
     def redo(
         self,
@@ -328,10 +330,8 @@ class TextToMotion:
         seed: int = 0,
         **options: Any,
     ) -> Iterator[Motion]:
-        """Returns an iterator over the motion of `generate_chain` in pieces of some seconds, see `make_pieces`."""
-        request = _request(captions, options, start=start, seconds=seconds, seed=seed)
-        prompts = read_prompts(request.captions, self.knowledge, self.text_encoder)
-        return make_chain_pieces(self.parts, request, prompts, find_sampling(self.parts, request.options))
+        """Returns an iterator over the motion of `generate_chain` in pieces, see `make_pieces`."""
+        return self.make_pieces(_request(captions, options, start=start, seconds=seconds, seed=seed))
 
 
 def _request(captions: Sequence[str] | str, options: dict[str, Any], **fields: Any) -> MotionRequest:

@@ -1,6 +1,7 @@
 """What a user may ask a model for: one record for Python, command line and server."""
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Literal
@@ -12,7 +13,9 @@ from t2m_jax.motion.targets import Target
 from t2m_jax.sampling.prompts import MAX_BATCH
 from t2m_jax.sampling.stopping import make_stop_rule
 from t2m_jax.sampling.strategies import Strategy, make_strategy
+from t2m_jax.text.coverage import Knowledge
 from t2m_jax.text.prompts import check_prompt
+from t2m_jax.text.turns import split_turns
 
 MAX_SAMPLES = 1_000_000
 """Most motions of a request. A larger number is probably a mistake: they would take weeks and 100 GB."""
@@ -55,6 +58,10 @@ class SamplingOptions:
     raw: bool = False
     """Whether positions stay as decoded. By default they are cleaned: they tremble less, bones have constant lengths,
     and feet slide less (`t2m_jax.motion.cleanup`)."""
+
+    whole: bool = False
+    """Whether a sentence of several actions in turn ("walks, then waves") is sampled as a whole. By default it is
+    sampled action by action, if there is a record of the actions that the model knows."""
 
     def __post_init__(self) -> None:
         """Checks each field.
@@ -136,6 +143,20 @@ class MotionRequest:
     def is_plain(self) -> bool:
         """Whether it asks for motions of one sentence alone, which can be sampled together with those of others."""
         return len(self.captions) == 1 and self.start is None and self.seconds is None and not self.targets
+
+    def in_turn(self, knowledge: Knowledge) -> "MotionRequest":
+        """Returns the request with a sentence for each action that its sentences say in turn (see `split_turns`).
+
+        All of them together have the same `seconds`. Requests with `options.whole`, `targets`, `span` or `strength`
+        stay as they are.
+        """
+        if self.options.whole or self.targets or self.span is not None or self.strength is not None:
+            return self
+        turns = tuple(itertools.chain.from_iterable(split_turns(caption, knowledge) for caption in self.captions))
+        if len(turns) == len(self.captions):
+            return self
+        seconds = None if self.seconds is None else self.seconds * len(self.captions) / len(turns)
+        return dataclasses.replace(self, captions=turns, seconds=seconds)
 
     def _check_change(self, name: str) -> None:
         if self.start is None:

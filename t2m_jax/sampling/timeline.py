@@ -101,14 +101,13 @@ def make_chain(
 
 
 def make_chain_pieces(
-    model: ModelParts, request: MotionRequest, prompts: Sequence[Prompt], sampling: Sampling
+    model: ModelParts, request: MotionRequest, prompts: Sequence[Prompt], key: Key[jax.Array, ""], sampling: Sampling
 ) -> Iterator[Motion]:
-    """Returns an iterator over the first motion of `make_chain`, as decoded, while its codes are sampled."""
+    """Returns an iterator over the motion of `make_chain` with a key, as decoded, while its codes are sampled."""
     segments, start = _read_chain(model, request, prompts)
-    (batch,) = batches_of_keys(request.seed, prompts[0], 1)
     scale = request.options.guidance_scale
     codes = None if start is None else start.codes
-    found = sample_segments(model, segments, batch.keys, start=codes, sampling=sampling, guidance_scale=scale)
+    found = sample_segments(model, segments, key[None], start=codes, sampling=sampling, guidance_scale=scale)
     return stream_segments(model, segments, (own for own, *_ in found), start=start, seed=request.seed)
 
 

@@ -188,7 +188,7 @@ class Scheduler:
 
     def _limit_programs(self, options: SamplingOptions) -> None:
         """Forgets all compiled programs if there are too many; those that are still needed come back from the disk."""
-        program = dataclasses.replace(options, raw=False, guidance_scale=None)  # these two are not compiled in
+        program = dataclasses.replace(options, raw=False, whole=False, guidance_scale=None)  # not compiled in
         if program not in self.programs and len(self.programs) == MAX_PROGRAMS:
             jax.clear_caches()
             self.programs.clear()

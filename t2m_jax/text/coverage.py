@@ -180,6 +180,11 @@ def _nearest_actions(words: Sequence[Word], unknown: Sequence[Word], knowledge: 
     return {words[place].text: knowledge.meanings.nearest(sentence_of(words, place)) for place in places}
 
 
+def has_known_action(prompt: str, knowledge: Knowledge) -> bool:
+    """Returns whether a sentence has an action of the model's record."""
+    return _has_known_action(words_of(prompt), knowledge)
+
+
 def _has_known_action(words: Sequence[Word], knowledge: Knowledge) -> bool:
     actions = set(knowledge.actions)
     return any(actions & word.bases and (word.action or word.bases.isdisjoint(GENERIC_NOUNS)) for word in words)

@@ -43,6 +43,8 @@ CHECKED_CLIPS = 1000
 """About how many clips of a data set show this."""
 MOTIONS_TOGETHER = 1024
 """Motions that are encoded together. Those of similar lengths are in one batch."""
+KEPT_SPEED = 0.6
+"""Share of its speed that a hand keeps from frame to frame when it comes to rest beyond the end of a clip."""
 
 
 class CodedMotion(NamedTuple):
@@ -88,24 +90,25 @@ def starting_frames(clip: Clip, *, downsample: int, offsets: OffsetKind, seed: i
 
 
 def fill_rows(features: Frames, start: int, *, downsample: int, most: int, skeleton: Skeleton) -> Frames:
-    """Returns a motion that fills whole rows of codes, and that begins and ends as it does, if it does so at rest.
+    """Returns a motion that fills whole rows of codes, and that begins and ends as it does, if its feet stand there.
 
-    The pose of the first frame is held for `start` more frames, and that of the last one until a row is full. Where the
-    motion begins or ends on the move, holding would look like a jolt: there, frames are cut.
+    `start` frames come before the first one, in which hands that move come out of rest, and frames follow the last one
+    until a row is full, in which they come to rest. Where somebody walks, that would slide or jolt: there, the motion
+    begins with its first frame, and the encoder leaves out the frames behind the last full row.
 
     Args:
         features: The motion.
-        start: Frames to hold or to cut at the beginning.
+        start: Frames to add at the beginning.
         downsample: Frames of a row.
-        most: Rows; a motion that would have more of them is cut.
+        most: Rows; a motion that would have more of them gets no frames.
         skeleton: Says what the features mean.
     """
-    is_held = _is_still(features[0], skeleton) and -(-(len(features) + start) // downsample) <= most
-    begun = np.concatenate([_held(features[0], start, skeleton), features]) if is_held else features[start:]
+    is_longer = _stands(features[0], skeleton) and -(-(len(features) + start) // downsample) <= most
+    begun = np.concatenate([_come_from_rest(features[0], start, skeleton), features]) if is_longer else features
     left = -len(begun) % downsample
-    if not _is_still(features[-1], skeleton) or (len(begun) + left) // downsample > most:
+    if not _stands(features[-1], skeleton) or (len(begun) + left) // downsample > most:
         return begun
-    return np.concatenate([begun, _held(features[-1], left, skeleton)])
+    return np.concatenate([begun, _come_to_rest(features[-1], left, skeleton)])
 
 
 def _start_at(info: DatasetInfo, *, downsample: int, offsets: OffsetKind) -> Begin:
@@ -118,17 +121,36 @@ def _start_at(info: DatasetInfo, *, downsample: int, offsets: OffsetKind) -> Beg
     return functools.partial(fill_rows, downsample=downsample, most=most, skeleton=skeleton)
 
 
-def _is_still(frame: Float[np.ndarray, " D"], skeleton: Skeleton) -> bool:
-    steps = np.linalg.norm(frame[skeleton.layout.velocities].reshape(-1, 3), axis=1)
-    return bool(steps.max() * skeleton.fps * skeleton.metres_per_unit < STILL_SPEED)
+def _stands(frame: Float[np.ndarray, " D"], skeleton: Skeleton) -> bool:
+    steps = frame[skeleton.layout.velocities].reshape(-1, 3)[[0, *skeleton.left_foot, *skeleton.right_foot]]
+    return bool(np.linalg.norm(steps, axis=1).max() * skeleton.fps * skeleton.metres_per_unit < STILL_SPEED)
 
 
-def _held(frame: Float[np.ndarray, " D"], count: int, skeleton: Skeleton) -> Frames:
-    """Returns frames in which nothing moves."""
-    still = frame.copy()
-    for moving in (skeleton.layout.root_yaw, skeleton.layout.root_velocity, skeleton.layout.velocities):
-        still[moving] = 0.0
-    return np.repeat(still[None], count, axis=0)
+def _come_to_rest(frame: Float[np.ndarray, " D"], count: int, skeleton: Skeleton) -> Frames:
+    """Returns the frames after the last one, in which everything slows down."""
+    speeds = KEPT_SPEED ** np.arange(1, count + 1)
+    return _moved_on(frame, np.cumsum(speeds / KEPT_SPEED), speeds, skeleton)
+
+
+def _come_from_rest(frame: Float[np.ndarray, " D"], count: int, skeleton: Skeleton) -> Frames:
+    """Returns the frames before the first one, in which everything gains its speed."""
+    speeds = KEPT_SPEED ** np.arange(1, count + 1)
+    return _moved_on(frame, -np.cumsum(speeds), speeds, skeleton)[::-1]
+
+
+def _moved_on(
+    frame: Float[np.ndarray, " D"], steps: Float[np.ndarray, " S"], speeds: Float[np.ndarray, " S"], skeleton: Skeleton
+) -> Frames:
+    """Returns a frame once for each number of `steps` that its joints go on, and with that share of its speeds."""
+    layout = skeleton.layout
+    velocities = frame[layout.velocities].reshape(-1, 3)
+    relative = velocities[1:] - velocities[0] * (1, 0, 1)  # local positions follow the root on the ground
+    frames = np.repeat(frame[None], len(steps), axis=0)
+    frames[:, layout.root_height] += np.outer(steps, velocities[0, 1])
+    frames[:, layout.positions] += np.outer(steps, relative)
+    for moving in (layout.root_yaw, layout.root_velocity, layout.velocities):
+        frames[:, moving] *= speeds[:, None]
+    return frames
 
 
 def encode_clips(
@@ -148,7 +170,7 @@ def encode_clips(
         info: Limits of lengths.
         tokenizer: Encodes the motions.
         offsets: Frames at which the first code may start: all that leave the same number of codes, or one per clip.
-            With "hold", as many are held as would be cut, where the motion is at rest (`fill_rows`).
+            With "hold", as many are added as would be cut, where the feet stand (`fill_rows`).
         timed_captions: Codes for a caption with times: of those frames alone, or cut out of the codes of the clip.
         long_clips: Leave out clips that are too long (the original), or cut them into windows that overlap by half.
             All captions of a clip without times are taken to describe each of its windows.

@@ -183,3 +183,48 @@ def test_sentences_in_turn_are_limited_each(model):
     (motion,) = model.generate_chain([FIRST, SECOND, THIRD], max_codes=3)
     starts = [*motion.part_starts, motion.num_frames]
     assert all(after - first <= 3 * model.config.tokenizer.downsample for first, after in itertools.pairwise(starts))
+
+
+IN_TURN = f"{FIRST}, then {SECOND}"
+
+
+@pytest.fixture(scope="module")
+def knowing():
+    words = {word: 100 for caption in tiny.CAPTIONS for word in caption.split()}
+    data = {"num_clips": 100, "words": words, "actions": {"walk": 60, "wave": 40}}
+    return TextToMotion(tiny.random_bundle()._replace(training_data=data))
+
+
+def same(one, other):
+    return np.array_equal(one.positions, other.positions) and one.part_captions == other.part_captions
+
+
+def test_actions_in_turn_are_a_chain(knowing):
+    (motion,) = knowing.generate([IN_TURN], seed=3)
+    (chain,) = knowing.generate_chain([FIRST, SECOND], seed=3)
+    assert same(motion, chain) and motion.part_captions == (FIRST, SECOND)
+    assert same(knowing.generate_chain([IN_TURN], seed=3)[0], chain)
+    assert knowing.generate([motion.caption], seed=3)[0].part_captions == (FIRST, SECOND)
+
+
+def test_a_whole_sentence_is_read_as_it_is(knowing, model):
+    (whole,) = knowing.generate([IN_TURN], seed=3, whole=True)
+    (unknowing,) = model.generate([IN_TURN], seed=3)
+    assert same(whole, unknowing) and whole.part_captions == ()
+
+
+def test_a_stream_of_actions_in_turn_is_their_motion(knowing):
+    motions = knowing.generate([IN_TURN], num_samples=2, raw=True)
+    for sample, motion in enumerate(motions):
+        pieces = list(knowing.stream(IN_TURN, sample=sample))
+        np.testing.assert_array_equal(np.concatenate([piece.codes for piece in pieces]), motion.codes)
+        np.testing.assert_allclose(np.concatenate([piece.positions for piece in pieces]), motion.positions, atol=1e-5)
+
+
+def test_actions_in_turn_share_the_seconds(knowing):
+    request = MotionRequest(captions=(IN_TURN,), seconds=4.0)
+    assert request.in_turn(knowing.knowledge).seconds == 2.0
+    assert abs(next(knowing.make(request)).num_frames - 80) <= 8
+    for fields in ({"span": (0.0, 1.0)}, {"strength": 0.5}):
+        change = MotionRequest(captions=(IN_TURN,), start=WALK, **fields)
+        assert change.in_turn(knowing.knowledge) is change

@@ -36,7 +36,7 @@ class QueueOnly(Jobs):
 
     def _start_process(self):
         self._process, self._connection, self.sent = FakeProcess(), self, []
-        self.say("ready", {"name": "none"})
+        self.say("ready", {"name": "none", "words": ["he", "walks", "waves"], "actions": ["walk", "wave"]})
 
     def send(self, message):
         self.sent.append(message)
@@ -107,6 +107,15 @@ def test_chains_do_not_wait_in_the_process_and_let_others_pass():
         assert len(jobs.sent) == 3
         jobs.finish(jobs.sent[0])
         assert jobs.sent[3].request is CHAIN
+
+    with_queue(test)
+
+
+def test_actions_in_turn_are_a_chain():
+    async def test(jobs):
+        for _ in range(3):
+            jobs.submit(MotionRequest(captions=("he walks, then he waves",)))
+        assert [task.request.captions for task in jobs.sent] == [("he walks", "he waves")] * 2
 
     with_queue(test)
 

@@ -111,6 +111,7 @@ def moving(length, *, still_begin, still_end):
     for frame, is_still in ((0, still_begin), (-1, still_end)):
         if is_still:
             features[frame, HUMANML3D.layout.velocities] = 0.0
+            features[frame, HUMANML3D.layout.root_velocity] = 0.0
     return features
 
 
@@ -129,12 +130,33 @@ def test_poses_at_rest_are_held_until_rows_are_full(length, start):
         np.testing.assert_array_equal(filled[start : start + length], features)
 
 
-def test_motion_that_begins_or_ends_on_the_move_is_cut():
+def test_motion_that_begins_or_ends_with_moving_feet_stays_as_it_is():
     features = moving(61, still_begin=False, still_end=False)
-    np.testing.assert_array_equal(fill_rows(features, 3, downsample=8, most=25, skeleton=HUMANML3D), features[3:])
+    np.testing.assert_array_equal(fill_rows(features, 3, downsample=8, most=25, skeleton=HUMANML3D), features)
     ends_still = moving(61, still_begin=False, still_end=True)
     filled = fill_rows(ends_still, 3, downsample=8, most=25, skeleton=HUMANML3D)
-    assert len(filled) == 64 and (filled[58:, HUMANML3D.layout.root_height.start] == 61).all()
+    assert len(filled) == 64 and (filled[61:, HUMANML3D.layout.root_height.start] == 61).all()
+
+
+def waving(length):
+    """Features of somebody who stands, and whose right hand rises by 2 m/s."""
+    columns = HUMANML3D.layout
+    features = np.zeros((length, 263), np.float32)
+    features[:, columns.positions.start + 3 * 20 + 1] = 0.1 * np.arange(length)
+    features[:, columns.velocities.start + 3 * 21 + 1] = 0.1
+    return features
+
+
+def test_a_hand_that_moves_comes_out_of_rest_and_to_rest():
+    features = waving(61)
+    filled = fill_rows(features, 7, downsample=8, most=25, skeleton=HUMANML3D)
+    assert len(filled) == 72
+    np.testing.assert_array_equal(filled[7:68], features)
+    heights = filled[:, HUMANML3D.layout.positions.start + 3 * 20 + 1]
+    speeds = filled[:, HUMANML3D.layout.velocities.start + 3 * 21 + 1]
+    np.testing.assert_allclose(np.diff(heights), speeds[:-1], atol=1e-5, err_msg="it does not move as its speeds say")
+    assert (np.diff(speeds[:8]) > 0).all() and (np.diff(speeds[67:]) < 0).all()
+    assert speeds[0] < 0.01 and speeds[-1] < 0.02
 
 
 def test_held_poses_are_encoded(first_frames, vqvae):

@@ -16,7 +16,7 @@ const HINTS = {
 };
 const START_STRENGTH = 0.3;
 const INSERTED_SECONDS = 2;
-const EMPTY = { seed: "", num_samples: 1, temperature: "", seconds: "", guidance_scale: "", top_k: "", top_p: "", stop_rule: "", raw: false };
+const EMPTY = { seed: "", num_samples: 1, temperature: "", seconds: "", guidance_scale: "", top_k: "", top_p: "", stop_rule: "", raw: false, whole: false };
 
 export class MakePanel {
   #mode = "new";

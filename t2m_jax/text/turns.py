@@ -1,0 +1,121 @@
+"""Sentences that say several actions in turn: "walks, then waves", "before she sits down, she bows"."""
+
+import re
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+from t2m_jax.text.coverage import Knowledge, has_known_action
+from t2m_jax.text.verbs import words_of
+
+_PERSON = r"(?:he|she|it|they|you|somebody|someone)"
+_JUST = r"(?:(?:right|just|only|shortly|soon|immediately|directly|straight) )?"
+_AND = r"(?:,|;| and|, and|; and| but|, but)"
+_AFTER_THAT = r"(?:right |shortly |soon )?after (?:that|this|which)"
+_THEN = rf"(?:then(?! and there)|afterwards?|{_AFTER_THAT}|subsequently|thereafter|whereupon)"
+# Words that say an order only behind a comma or an "and": not "a next step" or "walks next to it".
+_LATER = r"(?:next(?! to)|finally|lastly|eventually|(?:a \w+ |a (?:bit|little) )?later|at last|in the end|at the end)"
+_NO_ORDER = r"(?<!now and)(?<!\bby)(?<!since)(?<!until)(?<!back)"
+_AFTER = rf"{_JUST}(?:after(?! another| each| one)|once|upon|as soon as|when(?= {_PERSON} (?:has|have|had|is|are) ))"
+_BEFORE = rf"{_JUST}(?:before|prior to)"
+MAX_TURNS = 20
+"""A sentence with more actions is left whole."""
+
+_NEGATED = re.compile(r"\b(?:not|never)\b|n't\b", re.IGNORECASE)
+
+
+class _Order(NamedTuple):
+    """A way to say an order."""
+
+    pattern: re.Pattern[str]
+    """With the groups `first` and `second`, in the order in which they happen."""
+    clause: str = ""
+    """Which of them is only a clause, and perhaps a time or a place: "until the end", "before the door"."""
+
+
+def _order(pattern: str, clause: str = "") -> _Order:
+    return _Order(re.compile(pattern, re.IGNORECASE), clause)
+
+
+_ORDERS = (
+    _order(rf"{_BEFORE} (?P<second>(?:{_PERSON} )?[^,]+?) (?P<first>{_PERSON} .+)", "second"),
+    _order(rf"{_BEFORE} (?P<second>.+?), (?P<first>.+)", "second"),
+    _order(rf"(?:{_AFTER}|having) (?P<first>(?:{_PERSON} )?[^,]+?) (?P<second>{_PERSON} .+)", "first"),
+    _order(rf"(?:{_AFTER}|having) (?P<first>.+?), (?P<second>.+)", "first"),
+    _order(r"(?P<first>.+?)[.;!] (?P<second>.+)"),
+    _order(rf"(?P<first>.+?){_NO_ORDER}{_AND}? {_THEN},? (?P<second>.+)"),
+    _order(r"(?P<first>.+?),? (?:directly |immediately )?followed by (?P<second>.+)"),
+    _order(rf"(?P<first>.+?){_AND} {_LATER},? (?P<second>.+)"),
+    _order(r"(?P<second>.+?),? (?:but |though )?not (?:before|until) (?P<first>.+)", "first"),
+    _order(rf"(?P<second>.+?),? (?:but |and )?{_AFTER} (?P<first>.+)", "first"),
+    _order(rf"(?P<first>.+?),? {_BEFORE} (?P<second>.+)", "second"),
+    _order(rf"(?P<first>.+?),? (?:un)?till? (?P<second>(?:{_PERSON} |\w+ing ).+)", "second"),
+)
+_LIST = re.compile(r"(?P<first>[^,]+),(?: and)? (?P<second>.+)")
+_OPENING = re.compile(
+    rf"(?:(?:and|but|first(?:ly)?|second(?:ly)?|first of all|{_THEN}|{_LATER}|having|is|comes),? )+", re.IGNORECASE
+)
+
+
+def split_turns(caption: str, knowledge: Knowledge) -> tuple[str, ...]:
+    """Returns the actions of a sentence in the order in which they happen, each as a sentence.
+
+    It is cut at words such as `then`, `before`, `after` and `followed by`, and in a list of verbs, if there is an
+    action on both sides: "runs after the bus" is one action. Other sentences are returned whole, also those with `not`.
+
+    Args:
+        caption: A checked sentence.
+        knowledge: Of the model; without a record of its actions, no sentence is cut.
+    """
+    if not knowledge.actions:
+        return (caption,)
+    turns = tuple(_turns(caption, lambda text: has_known_action(text, knowledge)))
+    return turns if len(turns) <= MAX_TURNS else (caption,)
+
+
+def _turns(text: str, is_known: Callable[[str], bool]) -> Iterator[str]:
+    for first, second in _cuts(text.rstrip(". "), is_known):
+        if not _NEGATED.search(f"{first} {second}"):
+            yield from _turns(first, is_known)
+            yield from _turns(second, is_known)
+            return
+    yield text
+
+
+def _cuts(text: str, is_known: Callable[[str], bool]) -> Iterator[tuple[str, str]]:
+    """Yields the ways to cut a text in two, the best first."""
+
+    def has_action(part: str) -> bool:
+        return is_known(part) or _has_verb(part)
+
+    for order in _ORDERS:
+        if (found := order.pattern.fullmatch(text)) is not None:
+            parts = {name: _without_opening(found[name]) for name in ("first", "second")}
+            is_doing = not order.clause or _is_doing(parts[order.clause], is_known)
+            if all(has_action(part) for part in parts.values()) and is_doing:
+                yield parts["first"], parts["second"]
+    found = _LIST.fullmatch(text)
+    if found is not None and _begins_with_verb(found["second"]) and has_action(found["first"]):
+        yield found["first"], found["second"]
+
+
+def _without_opening(part: str) -> str:
+    """Returns a part without the words that say its place in the order."""
+    part = part.strip(" ,;")
+    opening = _OPENING.match(part)
+    return part[opening.end() :] if opening is not None else part
+
+
+def _has_verb(text: str) -> bool:
+    return any(word.action for word in words_of(text))
+
+
+def _is_doing(clause: str, is_known: Callable[[str], bool]) -> bool:
+    """Returns whether a clause says what the person does. What others do is hardly an action that the model knows."""
+    head = re.split(r",| and ", clause)[0]
+    return is_known(head) or (head.split()[0].endswith("ing") and _has_verb(head))
+
+
+def _begins_with_verb(text: str) -> bool:
+    """Returns whether a text goes on in a list of verbs. Other forms say a manner: "walks, dragging a foot"."""
+    word = words_of(text)[0]
+    return bool(word.action) and not word.text.endswith("ing")

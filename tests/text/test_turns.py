@@ -1,0 +1,94 @@
+"""Sentences of several actions in turn, cut into one sentence for each."""
+
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from t2m_jax.checkpoints.bundle import bundle_path, load_training_data
+from t2m_jax.text.coverage import make_knowledge
+from t2m_jax.text.prompts import MAX_PROMPT_LENGTH
+from t2m_jax.text.turns import MAX_TURNS, split_turns
+
+SENTENCES = yaml.safe_load(Path(__file__).with_name("turns.yaml").read_text())
+WALK, WAVE = "a man walks", "he waves"
+
+
+@pytest.fixture(scope="module")
+def knowledge():
+    return make_knowledge(load_training_data(bundle_path("demo")))
+
+
+@pytest.mark.parametrize(
+    "caption",
+    [
+        "a man walks, then he waves",
+        "a man walks and then he waves.",
+        "a man walks; afterwards, he waves",
+        "a man walks. After that he waves.",
+        "First a man walks, next he waves",
+        "a man walks before he waves",
+        "before he waves, a man walks",
+        "he waves after a man walks",
+        "After a man walks, he waves",
+        "as soon as a man walks he waves",
+        "he waves, but not before a man walks",
+        "a man walks until he waves",
+        "a man walks, and finally he waves",
+    ],
+)
+def test_two_actions_come_in_the_order_in_which_they_happen(caption, knowledge):
+    assert split_turns(caption, knowledge) == (WALK, WAVE)
+
+
+def test_three_actions_are_three_sentences(knowledge):
+    found = split_turns("before he bows, a man walks, then he waves", knowledge)
+    assert found == (WALK, WAVE, "he bows")
+    assert split_turns("walks to the door, stops and then waves", knowledge) == ("walks to the door", "stops", "waves")
+
+
+@pytest.mark.parametrize(
+    "caption",
+    [
+        WALK,
+        "runs after the bus",
+        "stands before the door",
+        "a man walks until the evening",
+        "now and then he jumps",
+        "he never walks before he waves",
+        "walks slowly, dragging his left foot",
+        "waves with the left hand and then with the right",
+        "a man walks while he waves",
+    ],
+)
+def test_one_action_is_not_cut(caption, knowledge):
+    assert split_turns(caption, knowledge) == (caption,)
+
+
+def test_a_model_without_a_record_of_its_actions_reads_whole_sentences():
+    assert split_turns(f"{WALK}, then {WAVE}", make_knowledge(None)) == (f"{WALK}, then {WAVE}",)
+
+
+def plain(part):
+    return " ".join(re.sub(r"[,.;!]", "", part.lower()).split())
+
+
+def is_same(part, expected):
+    return plain(expected) in plain(part) or plain(part) in plain(expected)
+
+
+def test_sentences_of_other_people_are_cut_as_they_say(knowledge):
+    found = [(split_turns(one["text"], knowledge), one["parts"]) for one in SENTENCES["turns"]]
+    right = [len(cut) == len(parts) and all(map(is_same, cut, parts)) for cut, parts in found]
+    reversed_order = [len(cut) == 2 and is_same(cut[0], parts[1]) and not is_same(*cut) for cut, parts in found]
+    assert sum(right) >= 58 and len(right) == 80
+    assert sum(reversed_order) <= 1
+    cut = [caption for caption in SENTENCES["whole"] if len(split_turns(caption, knowledge)) > 1]
+    assert len(cut) <= 4 and len(SENTENCES["whole"]) == 60
+
+
+@pytest.mark.parametrize("words", ["walk then ", "walk, ", "before he walks ", "walk until walking ", "and "])
+def test_long_sentences_are_left_whole(words, knowledge):
+    caption = (words * MAX_PROMPT_LENGTH)[:MAX_PROMPT_LENGTH].strip()
+    assert 1 <= len(split_turns(caption, knowledge)) <= MAX_TURNS
