@@ -84,11 +84,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         command.add_argument("--json", type=Path, metavar="F", help="also write the figures to this file")
     _add_protocol_arguments(reconstruction, needs_evaluator=False)
     _add_protocol_arguments(generation, needs_evaluator=True)
-    for command, left_out in (
-        (generation, ("strategy", "max_codes", "raw", "whole")),
-        (prompts, ("strategy", "max_codes")),
-    ):
-        add_record(command, SamplingOptions, left_out=left_out)
+    for command, more in ((generation, ("raw", "whole")), (prompts, ())):
+        add_record(command, SamplingOptions, left_out=("strategy", "max_codes", *more))
         command.add_argument("--greedy", action="store_const", dest="temperature", const=0.0, help="--temperature 0")
     what = "what is asked for; docs/evaluation.md describes each group (default: actions)"
     prompts.add_argument("--group", choices=(*PLAIN_GROUPS, *FREE_GROUPS), default="actions", help=what)
