@@ -18,7 +18,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PROMPT ?= a person waves with the left hand
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-lowest test-python3.11 test-python3.12 test-python3.13 soak soak-serve faults lint three format docs notebooks clean
+.PHONY: help demo test test-slow test-lowest test-python3.11 test-python3.12 test-python3.13 soak soak-serve faults lint three runtime page format docs notebooks clean
 
 help:
 	@echo "make demo       generate a motion and print where it was saved"
@@ -31,6 +31,8 @@ help:
 	@echo "make faults     plant mistakes in copies of the package, which fast tests must find (FAULT=mirror for some)"
 	@echo "make lint       check style, imports, types, pages, configs and the Dockerfile"
 	@echo "make three      build the part of three.js that the pages use (needs npm)"
+	@echo "make runtime    build the part of onnxruntime-web that exported pages use (needs npm)"
+	@echo "make page       write the page that makes motions in the browser, with the model \`demo\`, to page/"
 	@echo "make format     format the code"
 	@echo "make docs       write the documentation to site/index.html, and check its links"
 	@echo "make notebooks  run the notebooks and save their outputs"
@@ -108,6 +110,14 @@ lint: $(VENV)/.dev
 three:
 	cd t2m_jax/export/viewer/vendor && npm ci && npm run build
 
+# Only needed for another version of onnxruntime-web; the result is part of the package.
+runtime:
+	cd t2m_jax/export/page/web/vendor && npm ci --ignore-scripts && npm run build
+
+page: $(VENV)/.dev
+	rm -rf page
+	$(BIN)/t2m export page $(or $(MODEL),demo) page
+
 format: $(VENV)/.dev
 	$(BIN)/ruff check --fix-only .
 	$(BIN)/ruff format .
@@ -119,5 +129,5 @@ notebooks: $(VENV)/.notebooks
 	$(BIN)/python notebooks/run.py
 
 clean:
-	rm -rf $(VENV) .venv-* demo build dist site .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) .venv-* demo build dist page site .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -51,7 +51,7 @@ NOT_RUN = {
     "docs/performance.md": "minutes of measurements of the machine; tests/bench runs small ones",
     "docs/systems.md": "the package that the page describes is not installed; tests/third_system runs the commands",
     "CUDA_VISIBLE_DEVICES": "needs two GPUs; tests/devices and test_distributed.py have virtual ones",
-    "t2m export": "needs the extra `onnx`; tests/export/test_onnx.py exports small models",
+    "t2m export": "needs the extra `onnx`; tests/export exports small models",
     "t2m serve": "it serves until it is stopped; tests/serving starts servers",
     "--distributed": "needs a cluster; test_distributed.py starts processes",
 }
@@ -138,6 +138,8 @@ def test_the_wheel_has_what_is_not_python(wheel):
     expected = {f"t2m_jax/configs/{path.relative_to(configs).as_posix()}" for path in configs.rglob("*.yaml")}
     expected |= {"t2m_jax/serving/page/index.html", "t2m_jax/export/viewer/vendor/three.min.js"}
     expected |= {"t2m_jax/export/viewer/vendor/three-character.min.js"}
+    vendored = ("vendor/ort.wasm.packed", "vendor/LICENSE")
+    expected |= {f"t2m_jax/export/page/web/{name}" for name in ("index.html", *vendored)}
     expected |= {"t2m_jax/py.typed", "t2m_jax/encoders/minilm/model.safetensors"}
     assert expected | {"t2m_jax/bundles/demo/weights.safetensors"} <= names
     assert not [name for name in names if "node_modules" in name]

@@ -67,6 +67,16 @@ def save_glb(
     glb.save(path)
 
 
+def save_figure(path: Path) -> None:
+    """Writes the figure in its rest pose, with the bone lengths of its skeleton and without an animation."""
+    rest = rest_positions(HUMANML3D.offsets, HUMANML3D.parents)
+    glb = GlbWriter()
+    glb.tree["asset"] = {"version": "2.0", "generator": glb.generator, "extras": {"units": "m"}}
+    _add_figure(glb, fit_rig(np.asarray(rest)[None], fps=HUMANML3D.fps), rig_joint_names("lafan1"), 1.0, root=None)
+    del glb.tree["animations"]  # glTF forbids an empty list
+    glb.save(path)
+
+
 def _add_figure(glb: GlbWriter, rig: FittedRig, names: Sequence[str], scale: float, *, root: str | None) -> None:
     """Adds the joints, which are the first nodes, the mesh around them, and perhaps a root bone, the last node."""
     rest = standing_rest(rig)

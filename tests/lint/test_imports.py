@@ -92,6 +92,7 @@ WRITERS = {
     "t2m_jax.data.writer",
     "t2m_jax.export.npz",
     "t2m_jax.export.onnx.convert",
+    "t2m_jax.export.page.site",
     "t2m_jax.files.locks",
     "t2m_jax.files.writing",
     "t2m_jax.motion.character",

@@ -4,6 +4,8 @@ const clamp = (x, low, high) => Math.min(Math.max(x, low), high);
 
 // Returns a figure with its points as numbers: x, y and z of each point of each frame.
 function unpackFigure(record) {
+  // A page that makes motions itself has the numbers.
+  if (record.values) return { ...record, current: new Float32Array(3 * record.points) };
   const bytes = Uint8Array.from(atob(record.data), (character) => character.charCodeAt(0));
   const view = new DataView(bytes.buffer);
   const stride = 3 * record.points;

@@ -1,7 +1,7 @@
 // The user's own character: chosen here, moved by the server, shown in place of the figures, and saved as a file.
 
 import { clearMessage, find, showMessage } from "./dom.js";
-import { fileName, saveBlob } from "./download.js";
+import { fileName, saveBlob } from "./savefile.js";
 import { moveCharacter, ServerError } from "./server.js";
 
 export class CharacterPanel {

@@ -4,6 +4,7 @@ import { clearMessage, create, find, seconds, showMessage } from "./dom.js";
 import { clearFields, complaint, makeFields, plain, readFields, wrongField } from "./fields.js";
 import { keepForm } from "./memory.js";
 import { changeSample } from "./recipe.js";
+import { fileName, saveBlob } from "./savefile.js";
 import { makeFile, ServerError } from "./server.js";
 
 const TITLES = { npz: "Arrays for Python", bvh: "Skeleton for Blender, Maya …", glb: "Animated figure, glTF", vrma: "For any VRM avatar", gif: "Picture", mp4: "Video", png: "Poses in one picture", html: "Page with a viewer" };
@@ -108,15 +109,4 @@ export class DownloadPanel {
       }
     });
   }
-}
-
-export function fileName(motion, number, format) {
-  const words = motion.caption.toLowerCase().replace(/[^\p{L}\p{N}]+/gu, "-").replace(/^-|-$/g, "");
-  return [[...words].slice(0, 40).join("") || "motion", motion.seed, number].filter((part) => part !== null && part !== undefined).join("-") + `.${format}`;
-}
-
-export function saveBlob(blob, download) {
-  const href = URL.createObjectURL(blob);
-  create("a", { href, download }).click();
-  setTimeout(() => URL.revokeObjectURL(href), 60_000); // the browser may still be reading it
 }

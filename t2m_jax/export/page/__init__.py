@@ -1,0 +1,1 @@
+"""A page that makes motions in the browser, without a server."""

@@ -1,0 +1,111 @@
+"""The folder of `t2m export page`: the graphs of a model, and a page that runs them in the browser."""
+
+import hashlib
+import importlib.resources
+import json
+from collections.abc import Iterator
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Any
+
+from t2m_jax.checkpoints.bundle import Bundle
+from t2m_jax.errors import UserError
+from t2m_jax.export.glb import save_figure
+from t2m_jax.export.html import VIEWER_SCRIPTS, stage_style, viewer_script
+from t2m_jax.export.onnx.folder import export_onnx
+from t2m_jax.export.page.figure import figure_record
+from t2m_jax.files.reading import load_bytes, load_json
+from t2m_jax.files.template import fill_template
+from t2m_jax.files.writing import atomic_folder, save_json, save_text
+from t2m_jax.motion.skeleton import HUMANML3D, skeleton_from_name
+from t2m_jax.text.bpe import TOKENIZER_FILE
+
+FILES_FILE = "files.json"
+"""Sizes and digests of the files that the page checks."""
+STUDIO_FILES = (
+    "dom.js", "memory.js", "player.js", "progress.js", "savefile.js", "session.js", "studio.css", "theme.css",
+    "theme.js", "timeline.css",
+)  # fmt: skip
+"""What the page has in common with the studio."""
+TEMPLATES = ("index.html", "sw.js")
+POLICY = (
+    "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; img-src 'self' data: blob:; "
+    "connect-src 'self'; worker-src 'self'; base-uri 'none'; form-action 'none'"
+)
+"""The content security policy: nothing comes from or goes to another server, and no text becomes code."""
+TOKENIZERS = {("WordPiece", "BertPreTokenizer"), ("BPE", "Whitespace")}
+"""Kinds that the page can read: model, and way to split."""
+
+
+def export_page(folder: Path, bundle: Bundle) -> None:
+    """Writes the static files of a page that makes motions with a model; the folder appears complete or not at all.
+
+    Raises:
+        UserError: `folder` exists already, the model cannot be exported, or the page cannot read its tokenizer.
+    """
+    with atomic_folder(folder) as partial:
+        model = partial / "model"
+        export_onnx(model, bundle)
+        _check_tokenizer(model / TOKENIZER_FILE)
+        skeleton = skeleton_from_name(bundle.config.skeleton)
+        save_json(model / "figure.json", figure_record(skeleton))
+        if skeleton == HUMANML3D:
+            save_figure(model / "figure.glb")
+        _copy_page(partial)
+        files = dict(_checked_files(partial))
+        save_json(partial / FILES_FILE, files)
+        _fill_templates(partial)
+
+
+def _check_tokenizer(path: Path) -> None:
+    """Raises `UserError` if the page cannot read a tokenizer."""
+    tree = load_json(path)
+    kind = (tree["model"]["type"], (tree["pre_tokenizer"] or {}).get("type"))
+    if kind not in TOKENIZERS:
+        raise UserError(
+            "model: its text encoder has a tokenizer that the page cannot read, such as CLIP's; "
+            "give a model with MiniLM or an encoder of its own"
+        )
+
+
+def _copy_page(folder: Path) -> None:
+    """Writes the files that are the same for all models."""
+    package = importlib.resources.files("t2m_jax")
+    web = package / "export" / "page" / "web"
+    # Read as files: to import the package of the studio would need the extra `serve`.
+    studio = package / "serving" / "page"
+    pages = [(f"assets/{file.name}", file) for file in web.iterdir() if file.is_file() and file.name not in TEMPLATES]
+    vendored = ("ort.min.mjs", "ort.wasm.packed", "LICENSE", "ThirdPartyNotices.txt")
+    pages += [(f"assets/vendor/{name}", web / "vendor" / name) for name in vendored]
+    pages += [(f"studio/{name}", studio / name) for name in STUDIO_FILES]
+    for name, file in pages:
+        _write(folder / name, file)
+    save_text(folder / "studio" / "stage.css", stage_style())
+    save_text(folder / "studio" / "viewer.js", viewer_script(*VIEWER_SCRIPTS))
+
+
+def _write(path: Path, source: Traversable) -> None:
+    path.parent.mkdir(exist_ok=True, parents=True)
+    path.write_bytes(source.read_bytes())
+
+
+def _checked_files(folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yields name, size and digest of each file that the page loads as data."""
+    for path in (*sorted((folder / "model").iterdir()), folder / "assets" / "vendor" / "ort.wasm.packed"):
+        data = load_bytes(path)
+        name = path.relative_to(folder).as_posix()
+        yield name, {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+
+
+def _fill_templates(folder: Path) -> None:
+    """Writes the page and its service worker, which names a digest of all other files."""
+    names = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+    digest = hashlib.sha256()
+    for name in names:
+        digest.update(name.encode() + b"\0" + hashlib.sha256(load_bytes(folder / name)).digest())
+    scripts = [name for name in names if name.startswith("studio/") or name.endswith((".js", ".mjs", ".css"))]
+    shell = ["./", FILES_FILE, *scripts]
+    save_text(folder / "index.html", fill_template("t2m_jax.export.page", "web/index.html", {"policy": POLICY}))
+    digest.update(load_bytes(folder / "index.html"))
+    parts = {"policy": POLICY, "shell": json.dumps(shell), "version": digest.hexdigest()[:16]}
+    save_text(folder / "sw.js", fill_template("t2m_jax.export.page", "web/sw.js", parts))

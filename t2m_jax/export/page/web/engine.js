@@ -1,0 +1,93 @@
+// The worker that computes, so that the page can draw meanwhile. It gets {make: request} and {cancel: true}, and sends
+// {loaded: share}, {ready}, {share}, {made}, {cancelled} and {failed: message}.
+
+import * as ort from "./vendor/ort.min.mjs";
+import { checkFigure, checkManifest } from "./checks.js";
+import { Files } from "./files.js";
+import { Sampler } from "./sampler.js";
+import { Tokenizer } from "./tokenizer.js";
+
+const RUNTIME = "assets/vendor/ort.wasm.packed";
+const TEMPLATE = "model/figure.glb"; // only of the skeleton that GLB files are written for
+const GRAPHS = ["text", "begin", "row", "decode"];
+const MOST_THREADS = 4;
+// To sort the weights for faster products takes longer than it saves in a hundred motions.
+const OPTIONS = { executionProviders: ["wasm"], extra: { session: { disable_prepacking: "1" } } };
+
+class Cancelled extends Error {}
+
+let isCancelled = false;
+const send = (message) => postMessage(message);
+// Lets messages come in between two rows.
+const breathe = () => new Promise((resolve) => setTimeout(resolve));
+
+// Resolves to a function that runs a graph with the types and shapes of the manifest. `contents` are promises of bytes.
+async function openGraphs(manifest, contents) {
+  const sessions = {};
+  for (const [name, bytes] of Object.entries(contents)) {
+    sessions[name] = await ort.InferenceSession.create(await bytes, OPTIONS);
+  }
+  return async (name, arrays) => {
+    const { inputs } = manifest.graphs[name];
+    const tensors = Object.fromEntries(Object.entries(inputs).map(([key, { dtype, shape }]) => [key, new ort.Tensor(dtype, arrays[key], shape)]));
+    const outputs = await sessions[name].run(tensors);
+    return Object.fromEntries(Object.entries(outputs).map(([key, { data }]) => [key, data]));
+  };
+}
+
+async function open() {
+  const files = await Files.open();
+  const names = [RUNTIME, "model/manifest.json", "model/figure.json", "model/tokenizer.json", ...GRAPHS.map((name) => `model/${name}.onnx`)];
+  const total = names.reduce((sum, name) => sum + files.sizeOf(name), 0);
+  let [loaded, told] = [0, 0];
+  const onBytes = (count) => {
+    loaded += count;
+    if (loaded / total < told + 0.01) return;
+    told = loaded / total;
+    send({ loaded: told });
+  };
+  // All at once: while one graph is prepared, the others come.
+  const contents = Object.fromEntries(GRAPHS.map((name) => [name, files.bytes(`model/${name}.onnx`, onBytes)]));
+  const runtime = files.unpacked(RUNTIME, onBytes);
+  for (const promise of [runtime, ...Object.values(contents)]) promise.catch(() => {}); // told where it is awaited
+  const manifest = checkManifest(await files.json("model/manifest.json", onBytes));
+  const figure = checkFigure(await files.json("model/figure.json", onBytes), manifest.motion.joints.length);
+  const tokenizer = new Tokenizer(await files.json("model/tokenizer.json", onBytes));
+  ort.env.wasm.wasmBinary = await runtime;
+  ort.env.wasm.numThreads = crossOriginIsolated ? Math.min(navigator.hardwareConcurrency || 1, MOST_THREADS) : 1;
+  const template = files.has(TEMPLATE) ? await files.bytes(TEMPLATE) : null;
+  const run = await openGraphs(manifest, contents);
+  const { examples, license, source, motion, sampling, graphs } = manifest;
+  const guidance = Object.hasOwn(graphs.begin.inputs, "guidance_scale") ? (sampling.guidance_scale ?? 1) : null;
+  send({ ready: { examples, license, source, motion, figure, template, guidance, threads: ort.env.wasm.numThreads } });
+  return new Sampler(manifest, tokenizer, run);
+}
+
+async function make(sampler, request) {
+  const { max_rows: most } = sampler.manifest.sampling;
+  const embedding = await sampler.embed(request.sentence);
+  const motions = [];
+  for (let sample = 0; sample < request.samples; sample += 1) {
+    const onRow = async (row) => {
+      await breathe();
+      if (isCancelled) throw new Cancelled();
+      send({ share: (sample + row / most) / request.samples });
+    };
+    const codes = await sampler.sample(embedding, { ...request, sample, onRow });
+    motions.push({ codes, positions: await sampler.decode(codes) });
+  }
+  return motions;
+}
+
+const sampler = open();
+sampler.catch((error) => send({ failed: error.message }));
+
+onmessage = async ({ data }) => {
+  isCancelled = data.cancel === true;
+  if (isCancelled) return;
+  try {
+    send({ made: await make(await sampler, data.make) });
+  } catch (error) {
+    send(error instanceof Cancelled ? { cancelled: true } : { failed: error.message });
+  }
+};

@@ -1,0 +1,17 @@
+// What people type, as `t2m_jax/text/prompts.py` cleans and checks it.
+
+const LONGEST = 1000; // characters
+const INVISIBLE = /[\u00ad\u200b-\u200d\u2060\ufeff]/gu;
+const REFUSED = /[\p{Cc}\p{Cf}\p{Cs}\p{Co}\p{Cn}\p{So}\p{Sk}]/u;
+
+// Returns a sentence with straight quotes and single spaces; an error says why it cannot be used.
+export function cleanSentence(typed) {
+  const straight = typed.replace(/[\u02bc\u2018\u2019\u201a\u201b`\u00b4]/gu, "'").replace(/[\u201c\u201d\u201e\u201f]/gu, '"');
+  const text = straight.replace(/\u00b0/gu, " degrees ").replace(INVISIBLE, "");
+  if ([...text].length > LONGEST) throw new Error(`the sentence is too long; describe the motion in at most ${LONGEST} characters`);
+  const folded = text.replace(/\p{White_Space}+/gu, " ").trim();
+  const refused = REFUSED.exec(folded);
+  if (refused) throw new Error(`the character ${refused[0]} cannot be read; leave it out and describe the motion in words`);
+  if (!/[\p{L}\p{N}]/u.test(folded)) throw new Error("the sentence has no words; describe the motion, e.g. “a person walks forward”");
+  return folded;
+}

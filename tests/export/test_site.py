@@ -1,0 +1,418 @@
+"""The page without a server: what its program computes is what Python computes, and nothing else runs or leaves it."""
+
+import contextlib
+import copy
+import functools
+import http.server
+import json
+import re
+import shutil
+import sys
+import threading
+import urllib.parse
+
+import jax
+import numpy as np
+import pytest
+from axe_playwright_python import sync_playwright as axe
+from tokenizers import Tokenizer
+
+from t2m_jax.checkpoints.model import load_model
+from t2m_jax.cli.main import main
+from t2m_jax.errors import UserError
+from t2m_jax.export.page import site
+from t2m_jax.export.page.figure import figure_record
+from t2m_jax.export.render.scene import figure_from_motion
+from t2m_jax.files.writing import save_json
+from t2m_jax.motion.formats import load_motion
+from t2m_jax.sampling import MotionRequest, SamplingOptions, TextToMotion
+from t2m_jax.sampling.loop import STOP_STREAM
+from t2m_jax.sampling.prompts import sample_key
+from t2m_jax.text.prompts import check_prompt
+from tests.clip_golden import FULL
+from tests.conftest import REPOSITORY
+from tests.export.test_viewer import browser  # noqa: F401 - a fixture
+from tests.tiny import BUNDLE, CAPTIONS, HIFIGPT_BUNDLE, random_bundle
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+expect = playwright.expect
+WAIT = 120_000
+"""Milliseconds in which the page must do something, on a machine whose cores run other tests."""
+WAVE = "a person waves with the left hand"
+WEB = REPOSITORY / "t2m_jax" / "export" / "page" / "web"
+SCRIPTS = sorted(WEB.glob("*.js"))
+PACKAGE = REPOSITORY / "t2m_jax"
+TOKENIZERS = {name: PACKAGE / name / "tokenizer.json" for name in ("encoders/minilm", "bundles/demo-t2m-gpt")}
+LETTERS = " abcxyz'-.,!?09ÅéßıİΣσςﬁ½²Ⅷ日本語한글абвअा́\u0301\u00a0\u2028\u200d_[]#@€😀\t"
+
+
+def many_sentences() -> list[str]:
+    """Returns sentences of captions, of hard cases, and of random characters."""
+    random = np.random.default_rng(0)
+    hard = [
+        "don't STOP—go",
+        "ΣΑΣ ΟΔΟΣ",
+        "naïve cafe\u0301",
+        "[CLS] and [pad] [unk]x",
+        "x" * 101,
+        "İstanbul ﬁn½",
+        "日本 walks",
+    ]
+    words = [" ".join(random.permutation(CAPTIONS[k % 5].split())) for k in range(100)]
+    return [*CAPTIONS, *hard, *words, *("".join(random.choice([*LETTERS], 30)) for _ in range(100))]
+
+
+class Quiet(http.server.SimpleHTTPRequestHandler):
+    def log_message(self, *_):
+        """Writes nothing."""
+
+
+@contextlib.contextmanager
+def serving(folder):
+    """Serves a folder as `python -m http.server` does, and gives its address."""
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Quiet, directory=folder))
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    stop = contextlib.ExitStack()
+    stop.callback(thread.join)
+    stop.callback(server.server_close)
+    stop.callback(server.shutdown)
+    with stop:
+        yield f"http://127.0.0.1:{server.server_port}/", stop.close
+
+
+@pytest.fixture(scope="module")
+def modules(browser):  # noqa: F811
+    """Returns a function that runs a function of JavaScript with modules of the page, and returns its result."""
+    with serving(WEB) as (address, _):
+        page = browser.new_page()
+        page.goto(f"{address}page.css")
+
+        def run(names, code, given):
+            imports = "".join(f"const {name} = await import('/{name}.js');" for name in names.split())
+            return page.evaluate(f"async (given) => {{ {imports} {code} }}", given)
+
+        yield run
+        page.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TOKENIZERS)
+def test_sentences_have_the_tokens_of_the_library(modules, name):
+    sentences = many_sentences()
+    assert len(sentences) > 200
+    code = "const one = new tokenizer.Tokenizer(given.tree); return given.sentences.map((text) => one.encode(text));"
+    tree = json.loads(TOKENIZERS[name].read_text(encoding="utf-8"))
+    found = modules("tokenizer", code, {"tree": tree, "sentences": sentences})
+    wanted = Tokenizer.from_file(str(TOKENIZERS[name])).encode_batch(sentences)
+    for sentence, tokens, encoding in zip(sentences, found, wanted, strict=True):
+        assert tokens == encoding.ids, ascii(sentence)
+
+
+@pytest.mark.slow
+def test_the_noise_is_that_of_jax(modules):
+    cases = [(0, WAVE, 0), (7, "naïve", 3), (2**32 - 1, "日本", 1)]
+    code = """return given.map(([seed, sentence, sample]) => {
+      const key = random.sampleKey(seed, sentence, sample);
+      const { codes, end } = random.rowNoise(key, 5, { depth: 3, classes: 7 });
+      const [single] = [random.rowNoise(key, 5, { depth: 1, classes: 7 })];
+      return { key, codes: [...codes], end, single: [...single.codes], uniform: [...random.uniform(key, 1000)] };
+    });"""
+    for case, found in zip(cases, modules("random", code, cases), strict=True):
+        key = sample_key(*case)
+        np.testing.assert_array_equal(found["key"], jax.random.key_data(key))
+        np.testing.assert_array_equal(np.float32(found["uniform"]), jax.random.uniform(key, 1000))
+        row = jax.random.fold_in(key, 5)
+        wanted = [jax.random.gumbel(one, 7) for one in jax.random.split(row, 3)]
+        np.testing.assert_allclose(np.reshape(found["codes"], (3, 7)), wanted, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(found["single"], jax.random.gumbel(row, 7), rtol=1e-5, atol=1e-6)
+        stop = jax.random.fold_in(jax.random.fold_in(key, STOP_STREAM), 5)
+        np.testing.assert_allclose(found["end"], jax.random.logistic(stop), rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_sentences_are_cleaned_and_refused_as_in_python(modules):
+    def cleaned(text):
+        try:
+            return check_prompt(text)
+        except UserError:
+            return None
+
+    sentences = [
+        *many_sentences(),
+        "",
+        "...",
+        "turns 90°",
+        "“quoted” ‘it’",
+        "a  b\n c\u200b",
+        "wave 👋",
+        "x" * 1001,
+        "\x07 a",
+    ]
+    code = """return given.map((text) => {
+      try { return sentence.cleanSentence(text); } catch { return null; }
+    });"""
+    found = modules("sentence", code, sentences)
+    wanted = [cleaned(text) for text in sentences]
+    assert 100 < sum(text is not None for text in wanted) < len(sentences)
+    assert found == wanted
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["walk", "kit_walk"])
+def test_the_figure_is_that_of_python(modules, kind, request):
+    motion = request.getfixturevalue(kind)
+    about = {"fps": motion.fps, "joints": list(motion.skeleton.joint_names)}
+    given = {"figure": figure_record(motion.skeleton), "motion": about, "positions": motion.positions.ravel().tolist()}
+    code = """checks.checkFigure(given.figure, given.motion.joints.length);
+      const made = figure.makeFigure(Float32Array.from(given.positions), given);
+      return { ...made, values: [...made.values] };"""
+    found = modules("checks figure", code, given)
+    wanted = figure_from_motion(motion)
+    np.testing.assert_allclose(np.reshape(found["values"], wanted.points.shape), wanted.points, atol=1e-4)
+    np.testing.assert_allclose([part[:4] for part in found["parts"]], [part[:4] for part in wanted.parts], atol=1e-5)
+    assert [tuple(one[:2]) for one in found["contacts"]] == [one[:2] for one in wanted.contacts]
+    np.testing.assert_allclose([one[2:] for one in found["contacts"]], [one[2:] for one in wanted.contacts], atol=1e-4)
+
+
+MANIFEST = {
+    "format_version": 1,
+    "license": "mit",
+    "source": "tiny",
+    "examples": ["a person walks"],
+    "graphs": {
+        "text": {"inputs": {"tokens": [1, 4], "num_tokens": [1]}, "outputs": {"text_embedding": [1, 3]}},
+        "begin": {"inputs": {"text_embedding": [1, 3]}, "outputs": {"cache": [1]}},
+        "row": {
+            "inputs": {"noise": [1, 2, 5], "temperature": [1], "may_stop": [1], "cache": [1]},
+            "outputs": {"codes": [1, 2], "stop_score": [1], "next_cache": [1]},
+        },
+        "decode": {"inputs": {"codes": [1, 9, 2], "num_rows": [1]}, "outputs": {"positions": [1, 36, 2, 3]}},
+    },
+    "text": {"max_tokens": 4},
+    "sampling": {
+        "max_rows": 9,
+        "min_rows": 1,
+        "state": ["cache"],
+        "next": "next_",
+        "guidance_scale": None,
+        "stop": {"rule": "end", "threshold": 0.5, "keeps_last": False},
+    },
+    "motion": {
+        "fps": 20,
+        "frames_per_row": 4,
+        "joints": ["root", "head"],
+        "parents": [-1, 0],
+        "rest_offsets": [[0, 0, 0], [0, 1, 0]],
+    },
+}
+for _graph in MANIFEST["graphs"].values():
+    for _side in _graph.values():
+        _side |= {name: {"shape": shape, "dtype": "float32"} for name, shape in _side.items()}
+HOSTILE = {
+    "graphs.row.inputs.noise.shape": ["</script>", [1, 10**6, 10**6], None, [-1, 2, 3]],
+    "graphs.row.inputs.noise.dtype": ["string", 3],
+    "graphs.text": [None, "https://elsewhere.example/text.onnx", {}],
+    "graphs": [[], None, {}],
+    "text.max_tokens": [10**9, -1, "4", 0.5],
+    "sampling.max_rows": [10**9, 0, "9", None],
+    "sampling.state": [["__proto__"], ["a b"], "cache", [{}]],
+    "sampling.next": ["__proto__", 3],
+    "sampling.stop.rule": ["constructor", None, "eval"],
+    "motion.fps": [0, "20", 1e400],
+    "motion.joints": [["<img src=x onerror=alert(1)>", "head"], [], ["root"] * 1000],
+    "motion.parents": [[-1, 1], [0, 0], [-1]],
+    "motion.rest_offsets": [[[0, 0], [0, 1, 0]], "x"],
+    "examples": [[3], "a", ["x" * 1000]],
+    "license": [{"toString": "x"}, 3],
+    "format_version": [2, "1", None],
+}
+
+
+def changed(path: str, value) -> dict:
+    """Returns the manifest with another value at a place."""
+    tree = copy.deepcopy(MANIFEST)
+    *way, last = path.split(".")
+    functools.reduce(lambda part, name: part[name], way, tree)[last] = value
+    return tree
+
+
+@pytest.mark.slow
+def test_a_hostile_manifest_is_refused(modules):
+    code = """return given.map((tree) => {
+      try { checks.checkManifest(JSON.parse(tree)); return null; } catch (error) { return error.message; }
+    });"""
+    cases = [(path, value) for path, values in HOSTILE.items() for value in values]
+    trees = [json.dumps(MANIFEST), *(json.dumps(changed(*case)) for case in cases), "null", "[]", "3", '"x"']
+    trees = [tree.replace("Infinity", "1e400") for tree in trees]
+    fine, *answers = modules("checks", code, trees)
+    assert fine is None
+    for case, answer in zip([*cases, *trees[-4:]], answers, strict=True):
+        assert answer and answer.startswith("manifest.json: "), case
+    files = {"model/a.onnx": {"bytes": 3, "sha256": "0" * 64}}
+    wrong = [
+        {"../index.html": files["model/a.onnx"]},
+        {"https://elsewhere.example/a": files["model/a.onnx"]},
+        {"model/../../a": files["model/a.onnx"]},
+        {"model/a": {"bytes": 10**12, "sha256": "0" * 64}},
+        {"model/a": {"bytes": 3, "sha256": "x"}},
+        [],
+    ]
+    code = "return given.map((tree) => { try { return checks.checkFiles(tree).size; } catch { return null; } });"
+    assert modules("checks", code, [files, *wrong]) == [1] + [None] * len(wrong)
+
+
+def test_the_program_makes_no_markup_or_code_of_texts():
+    for script in SCRIPTS:
+        text = script.read_text(encoding="utf-8")
+        assert not re.search(
+            r"innerHTML|outerHTML|insertAdjacent|document\.write|\beval\(|new Function|https?://\w", text
+        ), script
+    page = (WEB / "index.html").read_text(encoding="utf-8")
+    assert not re.search(r"https?://| on\w+=|<script>|<style| style=", page)
+    assert "unsafe-inline" not in site.POLICY and "default-src 'none'" in site.POLICY
+
+
+def test_without_the_extra_there_is_one_line(monkeypatch, tmp_path, capsys):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    assert main(["export", "page", "no-such-model", f"{tmp_path / 'page'}"]) == 2
+    assert capsys.readouterr().err == "t2m: error: export: onnxruntime is missing; pip install 't2m-jax[onnx]'\n"
+
+
+def test_a_tokenizer_that_the_page_cannot_read_is_refused():
+    for path in TOKENIZERS.values():
+        site._check_tokenizer(path)
+    with pytest.raises(UserError, match="has a tokenizer that the page cannot read"):
+        site._check_tokenizer(FULL / "tokenizer.json")
+
+
+@pytest.fixture
+def open_site(browser):  # noqa: F811
+    """Returns a function that opens a page; afterwards nothing may have gone wrong, and nothing left the origin."""
+    troubles, contexts = [], []
+
+    def open_page(address, *, path="", expected="", **options):
+        context = browser.new_context(**({"reduced_motion": "reduce"} | options))
+        contexts.append(context)
+        context.set_default_timeout(WAIT)
+        page = context.new_page()
+        page.on("console", lambda message: troubles.append(message.text) if message.type == "error" else None)
+        page.on("pageerror", lambda error: troubles.append(str(error)))
+        page.on("dialog", lambda dialog: troubles.append(f"dialog: {dialog.message}"))
+        own = (address, "data:", f"blob:{address}")
+        context.on("request", lambda sent: troubles.append(sent.url) if not sent.url.startswith(own) else None)
+        page.goto(address + path)
+        if not expected:
+            expect(page.locator("#generate")).to_be_enabled(timeout=WAIT)
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert troubles == []
+
+
+def make(page, sentence, seed):
+    page.get_by_role("textbox", name="Sentence").fill(sentence)
+    page.get_by_role("textbox", name="Seed").fill(str(seed))
+    page.get_by_role("button", name="Generate").click()
+    expect(page.locator("#take-facts")).to_contain_text(f"seed\u00a0{seed}", timeout=WAIT)
+    expect(page.locator("#generate")).to_be_enabled(timeout=WAIT)
+
+
+def download(page, name, tmp_path):
+    """Returns the motion of a file that the page makes."""
+    with page.expect_download() as info:
+        page.get_by_role("button", name=f"Download {name}").click()
+    path = tmp_path / f"motion.{name.lower()}"
+    info.value.save_as(path)
+    return load_motion(path)
+
+
+def python_motion(model, sentence, seed):
+    request = MotionRequest(captions=(sentence,), seed=seed, options=SamplingOptions(raw=True))
+    (motion,) = model.make(request)
+    return motion
+
+
+@pytest.fixture(scope="module")
+def demo_site(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("site") / "demo"
+    site.export_page(folder, load_model("demo"))
+    return folder
+
+
+@pytest.mark.slow
+def test_a_sentence_becomes_the_motion_of_python_also_without_a_network(open_site, demo_site, tmp_path):
+    assert sum(path.stat().st_size for path in demo_site.rglob("*") if path.is_file()) < 60e6
+    model = TextToMotion.load("demo")
+    with serving(demo_site) as (address, stop):
+        page = open_site(address)
+        expect(page.locator("#license")).to_contain_text("cc-by-nc-4.0")
+        assert page.evaluate("crossOriginIsolated")
+        for number, seed in enumerate((7, 8)):
+            make(page, WAVE, seed)
+            found, wanted = download(page, "NPZ", tmp_path), python_motion(model, WAVE, seed)
+            np.testing.assert_array_equal(found.codes, wanted.codes)
+            assert np.abs(found.positions - wanted.positions).max() < 1e-3
+            assert (found.caption, found.seed, found.fps) == (WAVE, seed, 20)
+            np.testing.assert_allclose(download(page, "GLB", tmp_path).positions, found.positions, atol=1e-4)
+            expect(page.locator(".take")).to_have_count(number + 1)
+        link = page.url
+        stop()
+        page.goto("about:blank")
+        page.goto(link)
+        # What is there again: the motion of the link, and the history.
+        expect(page.locator("#take-facts")).to_contain_text("seed\u00a08", timeout=WAIT)
+        np.testing.assert_array_equal(download(page, "NPZ", tmp_path).codes, found.codes)
+        expect(page.locator(".take")).to_have_count(2)
+        make(page, "a person jumps", 9)
+        wanted = python_motion(model, "a person jumps", 9)
+        np.testing.assert_array_equal(download(page, "NPZ", tmp_path).codes, wanted.codes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("config", [BUNDLE, HIFIGPT_BUNDLE], ids=["t2m_gpt", "hifigpt"])
+def test_models_of_users_run(open_site, config, tmp_path):
+    bundle = random_bundle(config)
+    site.export_page(tmp_path / "site", bundle)
+    model = TextToMotion(bundle)
+    with serving(tmp_path / "site") as (address, _):
+        page = open_site(address)
+        for seed, caption in enumerate(CAPTIONS[:3]):
+            make(page, caption, seed)
+            np.testing.assert_array_equal(
+                download(page, "NPZ", tmp_path).codes, python_motion(model, caption, seed).codes
+            )
+
+
+@pytest.mark.slow
+def test_a_changed_file_is_refused_and_texts_stay_texts(open_site, demo_site, tmp_path):
+    folder = shutil.copytree(demo_site, tmp_path / "site")
+    manifest = json.loads((folder / "model" / "manifest.json").read_text(encoding="utf-8"))
+    nasty = "<img src=x onerror=alert(1)>"
+    save_json(folder / "model" / "manifest.json", manifest | {"license": nasty, "source": nasty, "examples": [nasty]})
+    with serving(folder) as (address, _):
+        page = open_site(address, expected="refused")
+        expect(page.locator("#message")).to_contain_text("model/manifest.json", timeout=WAIT)
+        expect(page.locator("#generate")).to_be_disabled()
+        # With a list that fits, it is used, as text.
+        save_json(folder / "files.json", dict(site._checked_files(folder)))
+        page = open_site(address)
+        expect(page.locator("#examples button")).to_have_text(nasty)
+        expect(page.locator("#license")).to_contain_text(nasty)
+        assert page.locator("img").count() == 0
+
+
+@pytest.mark.slow
+def test_the_page_is_accessible_and_fits_screens(open_site, demo_site):
+    with serving(demo_site) as (address, _):
+        fields = urllib.parse.urlencode({"sentence": WAVE, "seed": 3, "samples": 2})
+        page = open_site(address, path=f"#make?{fields}", color_scheme="dark")
+        expect(page.locator("#take-facts")).to_contain_text("1 of 2", timeout=WAIT)
+        for theme in ("light", "dark"):
+            page.get_by_role("combobox", name="Colors").select_option(theme)
+            for width in (390, 768, 1440):
+                page.set_viewport_size({"width": width, "height": 900})
+                assert page.evaluate("document.documentElement.scrollWidth") <= width
+                assert [fault["id"] for fault in axe.Axe().run(page).response["violations"]] == []
