@@ -76,7 +76,7 @@ def _add_importers(importer: argparse.ArgumentParser) -> None:
     """Adds a sub-command for each kind of motion files."""
     sources = importer.add_subparsers(dest="source_kind", required=True, metavar="{bandai-namco,bvh,humanml3d}")
     bandai = sources.add_parser("bandai-namco", help="the Bandai-Namco-Research-Motiondataset (CC BY-NC 4.0)")
-    bvh = sources.add_parser("bvh", help="a folder of BVH, GLB and AMC files with captions")
+    bvh = sources.add_parser("bvh", help="a folder of BVH, GLB, AMC and AMASS (.npz) files with captions")
     humanml3d = sources.add_parser("humanml3d", help="a folder with the layout of HumanML3D or KIT-ML")
     for command in (bandai, bvh, humanml3d):
         command.add_argument("source", type=Path, metavar="SRC", help="folder to read")

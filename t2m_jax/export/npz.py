@@ -11,10 +11,11 @@ from typing import IO, Any, Literal
 import numpy as np
 
 from t2m_jax.errors import UserError, naming
-from t2m_jax.export.amass import amass_arrays, is_amass, motion_from_amass
+from t2m_jax.export.amass import amass_arrays, motion_from_amass
 from t2m_jax.export.formats import only_motion
 from t2m_jax.files.reading import load_archive
 from t2m_jax.files.writing import atomic_file
+from t2m_jax.motion.amass import is_amass
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, skeleton_from_name
 

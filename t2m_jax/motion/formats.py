@@ -57,18 +57,18 @@ def load_motion(path: str | Path, *, animation: str | None = None, rig: str | No
         raise
     except Exception as error:  # a file may say anything, and no list of errors of all libraries is complete
         raise UserError(f"{path}: is not a correct {path.suffix} file ({first_line(error)})") from error
-    _check_size(path, motion)
+    check_size(path, motion)
     return motion
 
 
-def _check_size(path: Path, motion: Any) -> None:
-    """Raises `UserError` if a number of a file makes its motion too large to work with."""
+def check_size(path: Path, motion: Any) -> None:
+    """Raises `UserError` if a number of a file makes its motion, a `Motion` or a clip, too large to work with."""
     if motion.fps > MAX_FPS:
         raise UserError(f"{path}: has {motion.fps:g} frames per second; at most {MAX_FPS:g} are read")
     if motion.num_frames > MAX_FRAMES:
         raise UserError(f"{path}: has {motion.num_frames:,} frames; at most {MAX_FRAMES:,} are read")
-    if motion.seconds > MAX_SECONDS:
-        raise UserError(f"{path}: has {motion.seconds:g} seconds; at most {MAX_SECONDS:g} are read")
+    if motion.num_frames > MAX_SECONDS * motion.fps:
+        raise UserError(f"{path}: has {motion.num_frames / motion.fps:g} seconds; at most {MAX_SECONDS:g} are read")
 
 
 def check_motion_output(path: str | Path) -> Path:

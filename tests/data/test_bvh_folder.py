@@ -1,9 +1,11 @@
 import numpy as np
 import pytest
 
+from t2m_jax import Motion
 from t2m_jax.data.audit import audit_dataset
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.bvh import import_bvh_folder
+from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
 from tests.data.bvh_files import write_bvh
 from tests.motion.glb_files import write_person
@@ -113,7 +115,7 @@ def test_broken_tables_name_the_line(tmp_path, content, words):
 
 
 def test_refusals(tmp_path):
-    with pytest.raises(UserError, match=r"no \.bvh, \.glb or \.amc files"):
+    with pytest.raises(UserError, match=r"no \.bvh, \.glb, \.amc or \.npz files"):
         import_bvh_folder(tmp_path, tmp_path / "data")
     source = write_clips(tmp_path / "source", ["a"])
     with pytest.raises(UserError, match="none of 1 clips"):
@@ -194,3 +196,31 @@ def test_what_is_known_of_the_data_may_be_given(tmp_path):
     info.write_text("name: Mine\nfps: 30.0\n")
     with pytest.raises(UserError, match=r"info\.yaml: skeleton and fps are humanml3d and 20 here; leave them out"):
         import_bvh_folder(source, tmp_path / "again", caption_from_name=True, info=info)
+
+
+def test_files_of_amass(tmp_path):
+    walk = Motion(make_motion("walk", seed=4, num_frames=60), 20.0)
+    source = tmp_path / "source"
+    (source / "subject").mkdir(parents=True)
+    walk.resampled(120).save(source / "subject" / "walk_poses.npz", names="smpl")
+    np.savez(source / "subject" / "shape.npz", gender="female", betas=np.ones(16))  # AMASS has one for each subject
+    walk.save(source / "subject" / "ours.npz")
+    (source / "subject" / "broken.npz").write_bytes(b"no archive")
+    with np.load(source / "subject" / "walk_poses.npz") as archive:  # at 20 frames per second it would fill the memory
+        np.savez(source / "subject" / "years.npz", **{**archive, "mocap_framerate": 1e-6})
+    (source / "captions.csv").write_text("file,caption\nsubject/walk_poses.npz,he moves\nsubject/years.npz,he stays\n")
+    report = import_bvh_folder(source, tmp_path / "data")
+    assert (report.num_clips, list(report.left_out)) == (2, ["subject_broken", "subject_years"])
+    assert "seconds; at most 14400 are read" in report.left_out["subject_years"]
+    assert "broken.npz: this is not a complete .npz file" in report.left_out["subject_broken"]
+    assert audit_dataset(tmp_path / "data").problems == []
+    joints = np.load(tmp_path / "data/new_joints/subject_walk_poses.npy")
+    read = Motion.load(source / "subject" / "walk_poses.npz").resampled(20).positions[: len(joints)]
+    np.testing.assert_allclose(inclinations(joints), inclinations(read), atol=0.1)
+
+
+def inclinations(positions):
+    """Returns the sines of the angles between the limbs' bones and the floor, which no size or heading alters."""
+    joints, parents = [4, 5, 7, 8, 18, 19, 20, 21], [1, 2, 4, 5, 16, 17, 18, 19]
+    bones = positions[:, joints] - positions[:, parents]
+    return bones[..., 1] / np.linalg.norm(bones, axis=-1)

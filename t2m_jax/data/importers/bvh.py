@@ -1,9 +1,10 @@
-"""Importing a folder of BVH, GLB and AMC files of any known rig, with captions from a table, text files or names."""
+"""Importing a folder of BVH, GLB, AMC and AMASS files, with captions from a table, text files or names."""
 
 import dataclasses
+import zipfile
 from collections import Counter, defaultdict
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import tqdm
@@ -18,35 +19,57 @@ from t2m_jax.data.importers.table_parts import TablePart, find_parts, has_parts
 from t2m_jax.data.index import IndexEntry, save_index
 from t2m_jax.data.writer import ImportReport, finish_folder, new_folder, with_twins, write_twins
 from t2m_jax.errors import UserError, naming
+from t2m_jax.motion.amass import load_amass
 from t2m_jax.motion.amc import AMC_FPS, load_amc
 from t2m_jax.motion.bvh import load_bvh
+from t2m_jax.motion.formats import check_size
 from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.motion.rig import RigClip
 from t2m_jax.motion.rig.orientation import Up, rest_frames, sides_note
 from t2m_jax.motion.rig.retarget import clip_up, find_rig, resolve_rig, retarget
+from t2m_jax.motion.rig.rigs import Rig
 from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.motion.smpl import up_of_smpl
 
-SUFFIXES = (".bvh", ".glb", ".amc")
+SUFFIXES = (".bvh", ".glb", ".amc", ".npz")
 
 
 def find_motion_files(source: Path) -> list[Path]:
-    """Returns all BVH, GLB and AMC files below `source`, sorted.
+    """Returns all BVH, GLB, AMC and AMASS files below `source`, sorted.
 
     Raises:
         UserError: There are none.
     """
-    files = sorted(path for path in source.rglob("*") if path.suffix.lower() in SUFFIXES)
+    files = sorted(path for path in source.rglob("*") if path.suffix.lower() in SUFFIXES and not _is_other_npz(path))
     if not files:
         raise UserError(f"{source}: no {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]} files below it")
     return files
+
+
+def _is_other_npz(path: Path) -> bool:
+    """Returns whether a file is an archive without rotations, such as the `shape.npz` of AMASS or one of ours."""
+    if path.suffix.lower() != ".npz":
+        return False
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return "poses.npy" not in archive.namelist()
+    except (OSError, zipfile.BadZipFile):
+        return False  # its reader says what is wrong
 
 
 def open_motion_file(path: Path, *, amc_fps: float = AMC_FPS, rig: str | None = None) -> dict[Source, RigClip]:
     """Returns the motions of a file. In a BVH file, the legs of `rig` tell the unit.
 
     Raises:
-        UserError: The file is damaged, or there is no such rig.
+        UserError: The file is damaged or too long, or there is no such rig.
     """
+    motions = _read_motion_file(path, amc_fps=amc_fps, rig=rig)
+    for clip in motions.values():
+        check_size(path, clip)
+    return motions
+
+
+def _read_motion_file(path: Path, *, amc_fps: float, rig: str | None) -> dict[Source, RigClip]:
     suffix = path.suffix.lower()
     if suffix == ".glb":
         clips = load_gltf(path)
@@ -55,6 +78,8 @@ def open_motion_file(path: Path, *, amc_fps: float = AMC_FPS, rig: str | None = 
         return {Source(path, clip.caption if counts[clip.caption] == 1 else name): clip for name, clip in clips.items()}
     if suffix == ".amc":
         return {Source(path, None): load_amc(path, fps=amc_fps)}
+    if suffix == ".npz":
+        return {Source(path, None): load_amass(path)}
     return {Source(path, None): load_bvh(path, rig=None if rig is None else resolve_rig(rig))}
 
 
@@ -78,7 +103,7 @@ def _prepare(motion: Source, clip: RigClip, *, rig: str | None, up: Up) -> _Prep
     if not table.was_tried:
         steps.append(f"rig {table.name}: its table is from documentation, never tried on a real file; see the sheet")
     if up == "auto":
-        up = "y" if motion.path.suffix.lower() == ".glb" else clip_up(clip, table)  # glTF demands Y up
+        up = _find_up(motion.path, clip, table)
         if up == "z":
             steps.append("Z was up; turned")
     # Before the resampling, whose filter would smooth the jump that tells a rest pose.
@@ -91,6 +116,14 @@ def _prepare(motion: Source, clip: RigClip, *, rig: str | None, up: Up) -> _Prep
     if exchanged:
         steps.append(f"{exchanged}; see the sheet")
     return _Prepared(positions, table.name, not exchanged, tuple(steps))
+
+
+def _find_up(path: Path, clip: RigClip, table: Rig) -> Literal["y", "z"]:
+    """Returns the axis of a clip that points up."""
+    suffix = path.suffix.lower()
+    if suffix == ".glb":
+        return "y"  # as glTF demands
+    return up_of_smpl(clip) if suffix == ".npz" else clip_up(clip, table)
 
 
 def _load_info(source: Path, info: str | Path | None) -> DatasetInfo:
@@ -109,7 +142,7 @@ class BvhOptions:
 
     captions: str | Path | None = None
     """Table of files and captions (see `caption_table`); by default `captions.csv` or `captions.txt` in the folder. An
-    animation of a GLB file is called `file/animation`. A `.txt` next to a BVH or AMC file is always read, unless the
+    animation of a GLB file is called `file/animation`. A `.txt` next to a file of one motion is always read, unless the
     table has a column `action`: then each of its rows is a clip (see `table_parts`)."""
     rig: str | None = None
     """Name of a rig, or a YAML table such as `pelvis: Hips`; by default detected from the joint names."""
@@ -230,14 +263,14 @@ class _Converter:
 
 
 def import_bvh_folder(source: str | Path, destination: str | Path, **options: Any) -> ImportReport:
-    """Converts a folder of BVH, GLB and AMC files into a new data-set folder and returns a report of what was written.
+    """Converts a folder of BVH, GLB, AMC and AMASS files into a new data-set folder and returns what was written.
 
     Clips are resampled to 20 frames per second, retargeted, encoded and mirrored. Each animation of a GLB file is a
     clip. A clip without a caption or with a broken file is left out, and the report names it, as it names all lines of
     a table that gave no caption.
 
     Args:
-        source: Folder that is searched for `*.bvh`, `*.glb` and `*.amc` at any depth.
+        source: Folder that is searched for `*.bvh`, `*.glb`, `*.amc` and `*.npz` of AMASS at any depth.
         destination: Folder to make.
         **options: Fields of `BvhOptions`.
 
