@@ -9,6 +9,7 @@ import subprocess
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from t2m_jax.cli.main import main
 from tests.fuzz.attack import Broken
 from tests.fuzz.processes import COMMANDS, Command, has_checkpoints, start, unfinished
 
@@ -98,22 +99,26 @@ def fill(folder: Path, disk: Disk, command: Command, share: float) -> str:
     path = disk.folder / command.result
     place = f"{disk.folder.name}/{command.result}"
 
-    def run(arguments: Sequence[str]) -> tuple[int, str]:
-        process = start([place if argument == command.result else argument for argument in arguments], folder)
-        output, _ = process.communicate()
-        return process.returncode, output
+    def placed(arguments: Sequence[str]) -> list[str]:
+        return [place if argument == command.result else argument for argument in arguments]
+
+    def run_here(arguments: Sequence[str], when: str) -> None:
+        # A process would import and compile everything again.
+        with contextlib.chdir(folder):
+            code = main(placed(arguments))
+        if code:
+            raise Broken(f"{command.arguments}: returns {code} {when}")
 
     disk.limit(LARGE)
     old = disk.folder / "old.txt"
     old.write_text("older contents\n")
-    code, output = run(command.arguments)
-    if code:
-        raise Broken(f"{command.arguments}: returns {code}: {output[-300:]}")
+    run_here(command.arguments, "when there is space")
     needed = disk.used()
     _clear(path)
     disk.limit(int(needed * share))
-    code, output = run(command.arguments)
-    line = output.splitlines()[-1]
+    process = start(placed(command.arguments), folder)
+    output, _ = process.communicate()
+    code, line = process.returncode, output.splitlines()[-1]
     if code != 2 or place not in line or not any(reason in line for reason in REASONS) or "Traceback" in output:
         raise Broken(f"{command.arguments}: returns {code} when the disk is full: {output[-1000:]}")
     if old.read_text() != "older contents\n" or (left := unfinished(disk.folder)):
@@ -123,9 +128,8 @@ def fill(folder: Path, disk: Disk, command: Command, share: float) -> str:
     disk.limit(LARGE)
     if command.resume is not None and not has_checkpoints(path):
         _clear(path)
-    code, output_again = run(command.resume if has_checkpoints(path) and command.resume else command.arguments)
-    if code:
-        raise Broken(f"{command.arguments}: returns {code} after the disk was full: {output_again[-300:]}")
+    goes_on = command.resume if has_checkpoints(path) else None
+    run_here(goes_on or command.arguments, "after the disk was full")
     command.check(path)
     _clear(path)
     return output
