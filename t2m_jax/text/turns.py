@@ -15,11 +15,17 @@ _THEN = rf"(?:then(?! and there)|afterwards?|{_AFTER_THAT}|subsequently|thereaft
 # Words that say an order only behind a comma or an "and": not "a next step" or "walks next to it".
 _LATER = r"(?:next(?! to)|finally|lastly|eventually|(?:a \w+ |a (?:bit|little) )?later|at last|in the end|at the end)"
 _NO_ORDER = r"(?<!now and)(?<!\bby)(?<!since)(?<!until)(?<!back)"
-_AFTER = rf"{_JUST}(?:after(?! another| each| one)|once|upon|as soon as|when(?= {_PERSON} (?:has|have|had|is|are) ))"
+_TIME = r"(?:another|each|one|a while|[\w ]{1,20}(?:second|minute|moment|step|meter|pace|time)s?)\b"
+_CLAUSE = rf"(?= (?:{_PERSON}|the|his|her|its|their) )"
+_DONE = rf"(?= {_PERSON} (?:has|have|had|is|are) )"
+_AFTER = rf"{_JUST}(?:after(?! {_TIME})|once{_CLAUSE}|upon|as soon as|when{_DONE})"
 _BEFORE = rf"{_JUST}(?:before|prior to)"
 MAX_TURNS = 20
 """A sentence with more actions is left whole."""
 
+_BACK = r"(?:put|bring|take)s? (?:it|them|(?:his|her|the) \w+) (?:back|down)"
+_RETURN = re.compile(rf"(?:{_PERSON} )?(?:lower|drop|return|repeat|relax|back|step by|{_BACK})", re.IGNORECASE)
+"""What ends the action before, and can only be shown together with it: "lowers it again"."""
 _NEGATED = re.compile(r"\b(?:not|never)\b|n't\b", re.IGNORECASE)
 
 
@@ -74,7 +80,7 @@ def split_turns(caption: str, knowledge: Knowledge) -> tuple[str, ...]:
 
 def _turns(text: str, is_known: Callable[[str], bool]) -> Iterator[str]:
     for first, second in _cuts(text.rstrip(". "), is_known):
-        if not _NEGATED.search(f"{first} {second}"):
+        if not _RETURN.match(second) and not _NEGATED.search(f"{first} {second}"):
             yield from _turns(first, is_known)
             yield from _turns(second, is_known)
             return
@@ -85,7 +91,8 @@ def _cuts(text: str, is_known: Callable[[str], bool]) -> Iterator[tuple[str, str
     """Yields the ways to cut a text in two, the best first."""
 
     def has_action(part: str) -> bool:
-        return is_known(part) or _has_verb(part)
+        head = _head(part)
+        return is_known(head) or _has_verb(head)
 
     for order in _ORDERS:
         if (found := order.pattern.fullmatch(text)) is not None:
@@ -94,7 +101,7 @@ def _cuts(text: str, is_known: Callable[[str], bool]) -> Iterator[tuple[str, str
             if all(has_action(part) for part in parts.values()) and is_doing:
                 yield parts["first"], parts["second"]
     found = _LIST.fullmatch(text)
-    if found is not None and _begins_with_verb(found["second"]) and has_action(found["first"]):
+    if found is not None and _goes_on(found["second"], is_known) and has_action(found["first"]):
         yield found["first"], found["second"]
 
 
@@ -109,13 +116,18 @@ def _has_verb(text: str) -> bool:
     return any(word.action for word in words_of(text))
 
 
+def _head(part: str) -> str:
+    """Returns a part up to the first comma or "and": "the door and waves" has an action, "the door" has none."""
+    return re.split(r",| and ", part)[0]
+
+
 def _is_doing(clause: str, is_known: Callable[[str], bool]) -> bool:
     """Returns whether a clause says what the person does. What others do is hardly an action that the model knows."""
-    head = re.split(r",| and ", clause)[0]
+    head = _head(clause)
     return is_known(head) or (head.split()[0].endswith("ing") and _has_verb(head))
 
 
-def _begins_with_verb(text: str) -> bool:
-    """Returns whether a text goes on in a list of verbs. Other forms say a manner: "walks, dragging a foot"."""
-    word = words_of(text)[0]
-    return bool(word.action) and not word.text.endswith("ing")
+def _goes_on(text: str, is_known: Callable[[str], bool]) -> bool:
+    """Returns whether a text begins with another action. "Dragging a foot" and "make it look old" say a manner."""
+    word = re.split(r"\W", text)[0]
+    return is_known(word) and not word.endswith("ing")

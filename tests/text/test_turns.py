@@ -60,6 +60,9 @@ def test_three_actions_are_three_sentences(knowledge):
         "walks slowly, dragging his left foot",
         "waves with the left hand and then with the right",
         "a man walks while he waves",
+        "raises the right hand and then lowers it",
+        "stands up after 8 seconds",
+        "lift both arms, and make it look old",
     ],
 )
 def test_one_action_is_not_cut(caption, knowledge):
@@ -81,8 +84,10 @@ def is_same(part, expected):
 def test_sentences_of_other_people_are_cut_as_they_say(knowledge):
     found = [(split_turns(one["text"], knowledge), one["parts"]) for one in SENTENCES["turns"]]
     right = [len(cut) == len(parts) and all(map(is_same, cut, parts)) for cut, parts in found]
-    reversed_order = [len(cut) == 2 and is_same(cut[0], parts[1]) and not is_same(*cut) for cut, parts in found]
-    assert sum(right) >= 58 and len(right) == 80
+    reversed_order = [
+        len(cut) == len(parts) == 2 and is_same(cut[0], parts[1]) and not is_same(*cut) for cut, parts in found
+    ]
+    assert sum(right) >= 53 and len(right) == 80
     assert sum(reversed_order) <= 1
     cut = [caption for caption in SENTENCES["whole"] if len(split_turns(caption, knowledge)) > 1]
     assert len(cut) <= 4 and len(SENTENCES["whole"]) == 60
