@@ -1,13 +1,16 @@
 """Measures how well motions meet targets that real clips meet: a wrist, a place of the root, and a pose.
 
-    python docs/measure/targets.py data/bandai-namco [--model demo] [--count 100] [--between]
+    python docs/measure/targets.py data/bandai-namco [--model demo] [--count 100] [--exact] [--between]
 
 Each request has the sentence of a test clip and three targets at random times of it. It is compared with the first
-sample of the sentence, and with the best of 16 and of 64 samples. With `--between`, requests have two poses of a clip,
-one to three seconds apart, and the place and direction of the second one, and the motion is compared with the clip.
+sample of the sentence, and with the best of 16 and of 64 samples. With `--exact`, it is compared with the same motion
+after exact targets of wrist and root, and with the first sample after inverse kinematics alone. With `--between`,
+requests have two poses of a clip, one to three seconds apart, and the place and direction of the second one, and the
+motion is compared with the clip.
 """
 
 import argparse
+import dataclasses
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -24,7 +27,8 @@ from t2m_jax.evaluation.prompts.recognition import load_index
 from t2m_jax.metrics.quality import measure_quality
 from t2m_jax.motion.features import facing, ground_positions, positions_from_features
 from t2m_jax.motion.motion import Motion
-from t2m_jax.motion.targets import JOINT_TOLERANCE, TOLERANCES, Target, distances, read_target
+from t2m_jax.motion.reaching import reach_exactly
+from t2m_jax.motion.targets import EXACT_TOLERANCE, JOINT_TOLERANCE, POSE, TOLERANCES, Target, distances, read_target
 from t2m_jax.sampling import TextToMotion
 
 KINDS = ("wrist", "root", "pose")
@@ -71,6 +75,11 @@ def targets_of(motion: Motion, generator: np.random.Generator) -> Iterator[Targe
     yield read_target((third / motion.fps, motion[third : third + 1]))
 
 
+def exactly(targets: Sequence[Target]) -> list[Target]:
+    """Returns targets of which all but poses are exact."""
+    return [dataclasses.replace(target, exact=target.joint != POSE) for target in targets]
+
+
 def best_of(motions: Sequence[Motion], targets: Sequence[Target]) -> Motion:
     """Returns the motion that is nearest to the targets, each in its tolerance."""
 
@@ -92,7 +101,8 @@ def row(name: str, found: Sequence[tuple[Trial, Motion]], seconds: float) -> str
         mask = (np.arange(200) < motion.num_frames)[None]
         qualities.append(measure_quality(jnp.asarray(padded), jnp.asarray(mask), skeleton=motion.skeleton))
     jerk, skating = (np.mean([float(getattr(one, part)[0]) for one in qualities]) for part in ("jerk", "skating_ratio"))
-    cells = [name, *met, f"{followed:.0%}", f"{jerk:.1f}", f"{skating:.2%}", f"{seconds:.1f}"]
+    exact = [f"{np.mean(own <= EXACT_TOLERANCE):.0%}" for own in apart.T[:2]]
+    cells = [name, *met, *exact, f"{followed:.0%}", f"{jerk:.1f}", f"{skating:.2%}", f"{seconds:.1f}"]
     return f"| {' | '.join(cells)} |"
 
 
@@ -122,6 +132,7 @@ def main() -> None:
     parser.add_argument("data")
     parser.add_argument("--model", default="demo")
     parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--exact", action="store_true", help="measure exact targets, too")
     parser.add_argument("--between", action="store_true", help="measure motions between two poses")
     args = parser.parse_args()
     model = TextToMotion.load(args.model)
@@ -131,20 +142,29 @@ def main() -> None:
         sys.stdout.write(f"start {100 * start:.1f} cm, end {100 * end:.1f} cm (medians of the mean over the joints)\n")
         sys.stdout.write(f"error of the acceleration {ours:.2f}, in a straight line {straight:.2f} m/s^2 (medians)\n")
         return
-    names = ("first sample", "best of 16", "best of 64", "directed")
-    found: dict[str, list[tuple[Trial, Motion]]] = {name: [] for name in names}
+    found: dict[str, list[tuple[Trial, Motion]]] = {}
     times = []
+
+    def add(name: str, trial: Trial, motion: Motion) -> None:
+        found.setdefault(name, []).append((trial, motion))
+
     for number, trial in enumerate(trials(args.data, args.count)):
-        samples = model.generate(trial.sentence, seed=number, num_samples=64)
-        for name, size in zip(found, (1, 16, 64), strict=False):
-            found[name].append((trial, best_of(samples[:size], trial.targets)))
+        samples = model.generate(trial.sentence, seed=number, num_samples=1 if args.exact else 64)
+        add("first sample", trial, samples[0])
         start = time.perf_counter()
         (motion,) = model.direct(trial.sentence, trial.targets, seed=number)
         times.append(time.perf_counter() - start)
-        found["directed"].append((trial, motion))
+        if args.exact:
+            add("inverse kinematics alone", trial, reach_exactly(samples[0], exactly(trial.targets)))
+        else:
+            for size in (16, 64):
+                add(f"best of {size}", trial, best_of(samples[:size], trial.targets))
+        add("directed", trial, motion)
+        if args.exact:
+            add("exact", trial, reach_exactly(motion, exactly(trial.targets)))  # as `direct` does it at its end
     lines = [
-        "| motions | wrist | root | pose | action | jerk | skating | seconds |",
-        "| --- | --- | --- | --- | ---: | ---: | ---: | ---: |",
+        "| motions | wrist | root | pose | wrist within 5 mm | root within 5 mm | action | jerk | skating | seconds |",
+        "| --- | --- | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |",
         *(row(name, own, np.median(times) if name == "directed" else np.nan) for name, own in found.items()),
     ]
     sys.stdout.write("\n".join(lines) + "\n")

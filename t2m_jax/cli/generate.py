@@ -34,7 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--then", action="append", metavar="TEXT", help="a sentence that follows; can be repeated")
     add_model_argument(parser)
     add_record(parser, MotionRequest, left_out=("captions", "strategy", "targets"))
-    places = "right_wrist=X,Y,Z (any joint), root=X,Z or facing=DEGREES; += is seen from the root"
+    places = (
+        "right_wrist=X,Y,Z (any joint), root=X,Z or facing=DEGREES; += is seen from the root; 'PLACE exact' to 5 mm"
+    )
     at = f"where something should be at a time in seconds, or in BEGIN:END: {places}; can be repeated"
     parser.add_argument("--at", nargs=2, action="append", metavar=("TIME", "PLACE"), help=at)
     pose = "a pose at a time: the first frame of a motion file; can be repeated"

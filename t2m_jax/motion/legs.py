@@ -26,6 +26,11 @@ def knee_bends(hip: Joint, knee: Joint, ankle: Joint) -> Bends:
     return _bends(lengths_of(knee - hip), lengths_of(ankle - knee), lengths_of(ankle - hip))
 
 
+def reaching_bends(hip: Joint, knee: Joint, ankle: Joint, shift: Joint) -> Bends:
+    """Returns the bends of a knee whose foot moves by a shift, as far as a straight leg reaches."""
+    return _bends(lengths_of(knee - hip), lengths_of(ankle - knee), lengths_of(ankle + shift - hip))
+
+
 def eased_bends(hip: Joint, knee: Joint, ankle: Joint, shift: Joint) -> Bends:
     """Returns the bends of a knee whose foot moves by a shift.
 

@@ -31,6 +31,8 @@ TOLERANCES = {ROOT: 0.1, FACING: 10.0, POSE: 0.05}
 """Up to here such a target is met: meters, degrees, and the mean over the joints in meters."""
 JOINT_TOLERANCE = 0.03
 """Up to here, the target of a joint is met; meters."""
+EXACT_TOLERANCE = 0.005
+"""Up to here, an exact target is met; meters."""
 FASTEST_ROOT = 5.0
 """Nobody travels faster in these motions; meters per second."""
 FASTEST_JOINT = 12.0
@@ -43,8 +45,8 @@ STRETCH = 1.1
 """People of motion data may be larger than the skeleton by this factor."""
 MAX_TARGETS = 64
 """Most targets of a motion."""
-SYNTAX = "TIME JOINT=X,Y,Z, such as '2.0 right_wrist=0.3,1.5,0.2', '4 root=1,3' or '1:2 left_foot=0.1,0,0.5'"
-_TARGET = re.compile(r"\s*([^\s:]+)(?::(\S+))?\s+(\w+)\s*(\+?=)\s*(\S.*?)\s*")
+SYNTAX = "TIME JOINT=X,Y,Z, such as '2.0 right_wrist=0.3,1.5,0.2', '4 root=1,3 exact' or '1:2 left_foot=0.1,0,0.5'"
+_TARGET = re.compile(r"\s*([^\s:]+)(?::(\S+))?\s+(\w+)\s*(\+?=)\s*(\S.*?)(\s+exact)?\s*")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,6 +65,8 @@ class Target:
     """Whether the place of a joint is seen from the ground under the root, with +z where the figure faces."""
     pose: Float[np.ndarray, "J 3"] | None = None
     """Joints of a `pose`, in meters."""
+    exact: bool = False
+    """Whether the root, a wrist or a foot is brought to its place by inverse kinematics at the end."""
 
     def __post_init__(self) -> None:
         """Checks what does not depend on the skeleton.
@@ -76,6 +80,10 @@ class Target:
         size = SIZES.get(self.joint, 3)
         if len(self.place) != size or not all(map(math.isfinite, self.place)):
             raise self.error(f"needs {size} number{'s' * (size != 1)}, not {self.place}")
+        if (self.joint == POSE) != (self.pose is not None):
+            raise self.error("a pose needs joints, and nothing else has them")
+        if self.pose is not None and not np.isfinite(self.pose).all():
+            raise self.error("is not finite")
         if self.joint in SIZES and self.relative:
             raise self.error("is not seen from the root; use =")
 
@@ -91,7 +99,7 @@ class Target:
     @property
     def tolerance(self) -> float:
         """The distance up to which it is met; meters, or degrees of `facing`."""
-        return TOLERANCES.get(self.joint, JOINT_TOLERANCE)
+        return EXACT_TOLERANCE if self.exact else TOLERANCES.get(self.joint, JOINT_TOLERANCE)
 
     @property
     def unit(self) -> str:
@@ -123,16 +131,27 @@ def read_target(given: object) -> Target:
 
 def _from_text(text: str) -> Target:
     found = _TARGET.fullmatch(text)
-    begin, until, joint, sign, numbers = found.groups() if found else ("", None, "", "", "")
-    if joint == POSE:
-        raise UserError(f"targets: {text[:80]!r}: a pose is a pair of seconds and a motion")
+    begin, until, joint, sign, numbers, exact = found.groups() if found else ("", None, "", "", "", None)
     try:
         seconds = float(begin)
         end = None if until is None else float(until)
-        place = tuple(float(number) for number in numbers.split(","))
+        place: tuple[float, ...] = tuple(float(number) for number in numbers.split(","))
     except ValueError:
         raise UserError(f"targets: {text[:80]!r} is not {SYNTAX}") from None
-    return Target(seconds=seconds, until=end, joint=joint, place=place, relative=sign == "+=")
+    pose = None
+    if joint == POSE:
+        if len(place) % 3:
+            raise UserError(f"targets: {text[:80]!r}: a pose has three numbers for each joint, not {len(place)}")
+        pose, place = np.array(place).reshape(-1, 3), ()
+    return Target(
+        seconds=seconds,
+        until=end,
+        joint=joint,
+        place=place,
+        relative=sign == "+=",
+        pose=pose,
+        exact=exact is not None,
+    )
 
 
 def targets_from_text(text: str) -> tuple[Target, ...]:

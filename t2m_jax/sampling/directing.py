@@ -26,6 +26,7 @@ from t2m_jax.motion.cleanup import clean_positions
 from t2m_jax.motion.features import facing, positions_from_features
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.normalizer import Normalizer
+from t2m_jax.motion.reaching import check_exact, reach_exactly
 from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.motion.targets import FACING, ROOT, Target, check_targets, distances, missed_targets, seen_from_root
@@ -207,6 +208,9 @@ def direct(model: ModelParts, request: MotionRequest, prompt: Prompt) -> list[Mo
     if not find_part(model.config.tokenizer.kind).has_latents:
         raise UserError(f"targets: a tokenizer of the kind {model.config.tokenizer.kind} cannot meet them")
     check_targets(request.targets, model.skeleton)
+    check_exact(request.targets, model.skeleton)
+    # Steps bring all targets as near as any; those that are exact are then met by inverse kinematics.
+    rough = [dataclasses.replace(target, exact=False) for target in request.targets]
     sampling = _long_enough(model, request)
     samples = [Sample(prompt, request.seed, number) for number in range(request.candidates)]
     filled = fill_up(samples)
@@ -217,11 +221,12 @@ def direct(model: ModelParts, request: MotionRequest, prompt: Prompt) -> list[Mo
     codes = [rows[:end] for rows, end in zip(np.asarray(found.codes), ends, strict=True)]
     size = {"size": sampling.max_codes, "batch": len(filled)}
     candidates = model.decode_samples(samples, codes[: len(samples)], clean=not request.options.raw, **size)
-    ranked = sorted(candidates, key=functools.partial(_cost, request.targets))
-    return [
-        _approach(model, one, request.targets, size=sampling.max_codes, clean=not request.options.raw)
+    ranked = sorted(candidates, key=functools.partial(_cost, rough))
+    moved = [
+        _approach(model, one, rough, size=sampling.max_codes, clean=not request.options.raw)
         for one in ranked[: request.num_samples]
     ]
+    return [_finish(motion, request.targets) for motion in moved]
 
 
 def _long_enough(model: ModelParts, request: MotionRequest) -> Sampling:
@@ -285,5 +290,11 @@ def _approach(model: ModelParts, motion: Motion, targets: Sequence[Target], *, s
         # The clean-up and the other terms of the loss hold joints back a little, so the next round aims as far beyond.
         error = wanted.places - points_at(jnp.asarray(positions), wanted, model.skeleton)
         goals = goals._replace(places=goals.places + error)
-    missed = missed_targets(best, targets)
-    return dataclasses.replace(best, warning="; ".join(filter(None, (best.warning, missed))))
+    return best
+
+
+def _finish(motion: Motion, targets: Sequence[Target]) -> Motion:
+    """Returns a motion whose exact targets are met, and that says which targets it misses."""
+    exact = reach_exactly(motion, targets)
+    missed = missed_targets(exact, targets)
+    return dataclasses.replace(exact, warning="; ".join(filter(None, (exact.warning, missed))))

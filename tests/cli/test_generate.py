@@ -144,6 +144,7 @@ def test_chains_that_are_refused(refusal, bundle_folder, tmp_path, tmp_path_fact
         (["--at", "1", "nose=0,1,0"], "targets: nose at 1 s: no such joint; known: pelvis"),
         (["--at", "soon", "head=0,1,0"], "targets: 'soon head=0,1,0' is not TIME JOINT=X,Y,Z"),
         (["--at", "1", "head=0,9,0"], "targets: head at 1 s: nobody reaches a height of 9 m"),
+        (["--at", "1", "head=0,1.5,0 exact"], "targets: head at 1 s: cannot be exact; these can: root, "),
         (["--at", "0.5", "root=0,3"], "targets: root at 0.5 s: 3 m in 0.5 s is faster than 5 m/s"),
         (["--pose", "soon", "missing.npz"], "--pose soon missing.npz: 'soon' is not a number of seconds"),
         (["--pose", "1", "missing.npz"], "missing.npz"),

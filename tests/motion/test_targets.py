@@ -73,6 +73,14 @@ def test_a_target_over_a_time_counts_its_worst_frame(motion):
     np.testing.assert_allclose(distances(motion, [one, all_]), [0, apart.max()], atol=1e-5)
 
 
+def test_a_pose_may_be_a_text(motion):
+    pose = motion.positions[20]
+    (target,) = targets_from_text(f"1 pose={','.join(f'{number:.3f}' for number in pose.ravel())}")
+    check_targets([target], HUMANML3D)
+    np.testing.assert_allclose(target.pose, pose, atol=6e-4)
+    assert distances(motion, [target])[0] < 1e-3 < distances(motion[:10], [target])[0]
+
+
 def test_targets_in_one_text():
     first, second = targets_from_text(" 1.5:2 left_wrist += 0.2, 1,0.3 ;4 root=1,-3;")
     assert (first.seconds, first.until, first.joint, first.place) == (1.5, 2.0, "left_wrist", (0.2, 1.0, 0.3))
@@ -87,7 +95,9 @@ def test_targets_in_one_text():
         ("2 right_wrist", "is not TIME JOINT=X,Y,Z"),
         ("2 right_wrist=a,b,c", "is not TIME JOINT=X,Y,Z"),
         ("x right_wrist=0,1,0", "is not TIME JOINT=X,Y,Z"),
-        ("2 pose=1,2,3", "a pose is a pair of seconds and a motion"),
+        ("2 pose=1,2", "a pose has three numbers for each joint, not 2"),
+        ("2 pose=1,2,nan", "pose at 2 s: is not finite"),
+        ("2 pose+=1,2,3", "is not seen from the root"),
         ("2 right_wrist=0,1", "right_wrist at 2 s: needs 3 numbers"),
         ("2 root=0,1,2", "root at 2 s: needs 2 numbers"),
         ("2 facing=0,1", "facing at 2 s: needs 1 number,"),

@@ -126,6 +126,14 @@ def test_missed_targets_are_said(model):
     assert "left_wrist at 0.3 s by " in motion.warning
 
 
+def test_exact_targets_are_met_at_the_end(model):
+    text = "0.3 root=0.1,0.05 exact"
+    (motion,) = model.direct(CAPTION, [text], num_candidates=2)
+    assert distances(motion, targets_from_text(text))[0] < 1e-5 and motion.codes is None
+    with pytest.raises(UserError, match=r"head at 0.3 s: cannot be exact; these can: root, "):
+        model.direct(CAPTION, ["0.3 head=0,1.5,0 exact"])
+
+
 def test_bones_stay_as_long(model):
     (motion,) = model.direct(CAPTION, ["0.3 left_wrist=0.3,1.2,0.2"], num_candidates=2)
     lengths = np.linalg.norm(bone_vectors(motion.positions, HUMANML3D), axis=-1)
