@@ -108,6 +108,7 @@ def _figure_record(figure: SceneFigure) -> dict[str, Any]:
         "frames": num_frames,
         "points": num_points,
         "contacts": [[one.first, one.last, round(one.x, 3), round(one.z, 3)] for one in figure.contacts],
+        "lift": figure.lift,
         "step": step,
         "origin": [float(value) for value in origin],
         "parts": parts,

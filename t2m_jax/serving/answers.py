@@ -12,6 +12,15 @@ class SceneData(TypedDict):
     figures: list[dict[str, Any]]
 
 
+class TargetData(TypedDict):
+    """How far a motion is from a target of its request, and whether that counts as met. The unit is m or degrees."""
+
+    name: str
+    distance: float
+    unit: str
+    met: bool
+
+
 class MotionData(TypedDict):
     """A motion with the bytes of its `.npz` file in base64."""
 
@@ -23,6 +32,7 @@ class MotionData(TypedDict):
     codes: list[list[int]] | None
     part_starts: list[int]
     part_captions: list[str]
+    targets: list[TargetData]
     npz: str
 
 
@@ -42,6 +52,8 @@ class ModelData(TypedDict):
     fps: float
     downsample: int
     longest_seconds: float
+    joints: list[str]
+    exact_joints: list[str]
     guidance_scale: float | None
     stop_rules: list[str]
     actions: list[str]

@@ -22,6 +22,7 @@ from t2m_jax.motion.character import load_character
 from t2m_jax.motion.formats import format_options, load_motion, save_motions
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rig.rigs import RIGS
+from t2m_jax.motion.targets import Target, distances
 from t2m_jax.serving import answers, schema
 
 LONGEST_PICTURES = 4 * schema.LIMITS["seconds"]["le"]
@@ -203,8 +204,8 @@ def move_character(
         return output.read_bytes()
 
 
-def motion_record(motion: Motion) -> answers.MotionData:
-    """Returns a motion as plain data for the page."""
+def motion_record(motion: Motion, targets: Sequence[Target] = ()) -> answers.MotionData:
+    """Returns a motion as plain data for the page, with how far it is from the targets of its request."""
     data = io.BytesIO()
     write_npz(data, motion, compress=False)
     return {
@@ -216,8 +217,13 @@ def motion_record(motion: Motion) -> answers.MotionData:
         "codes": None if motion.codes is None else motion.codes.tolist(),
         "part_starts": list(motion.part_starts),
         "part_captions": list(motion.part_captions),
+        "targets": [_target_record(*found) for found in zip(targets, distances(motion, targets), strict=True)],
         "npz": base64.b64encode(data.getvalue()).decode("ascii"),
     }
+
+
+def _target_record(target: Target, far: float) -> answers.TargetData:
+    return {"name": target.name, "distance": far, "unit": target.unit, "met": far <= target.tolerance}
 
 
 @contextmanager

@@ -255,7 +255,7 @@ class Scheduler:
         """Sends the motions of a request."""
         for warning in dict.fromkeys(motion.warning for motion in motions if motion.warning):
             self.send(task.job, "warning", {"message": warning})
-        records = [motion_record(motion) for motion in motions]
+        records = [motion_record(motion, task.request.targets) for motion in motions]
         self.send(task.job, "done", {"seed": task.request.seed, "scene": scene_record(motions), "motions": records})
 
     @contextlib.contextmanager

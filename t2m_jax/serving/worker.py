@@ -10,6 +10,7 @@ from multiprocessing.connection import Connection
 from typing import Any, get_args
 
 from t2m_jax.errors import UserError
+from t2m_jax.motion.reaching import exact_joints
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.request import StopRuleName
 from t2m_jax.serving.answers import ModelData
@@ -64,6 +65,8 @@ def describe_model(model: TextToMotion, name: str) -> ModelData:
         "fps": model.skeleton.fps,
         "downsample": downsample,
         "longest_seconds": model.config.generator.max_codes * downsample / model.skeleton.fps,
+        "joints": list(model.skeleton.joint_names),
+        "exact_joints": exact_joints(model.skeleton),
         "guidance_scale": model.parts.guidance_scale(),
         "stop_rules": _stop_rules(model),
         "actions": list(model.knowledge.actions),

@@ -11,7 +11,8 @@ from t2m_jax.export.npz import write_npz
 from t2m_jax.motion.bvh import load_bvh
 from t2m_jax.motion.changes import Changes
 from t2m_jax.motion.formats import load_motion, motion_formats
-from t2m_jax.serving.files import Names, make_file, motion_file, move_character, open_file
+from t2m_jax.motion.targets import targets_from_text
+from t2m_jax.serving.files import Names, make_file, motion_file, motion_record, move_character, open_file
 from t2m_jax.serving.schema import SEVERAL, FileOptions, decode_base64
 from tests.export.conftest import nasty, walk  # noqa: F401 - fixtures
 from tests.motion.character_files import read_parts, table_text, write_character
@@ -201,3 +202,11 @@ def test_a_motion_without_a_person_is_not_put_on_a_character(walk, tmp_path):  #
     hero = write_character(tmp_path / "hero.glb", BANDAI).read_bytes()
     with pytest.raises(UserError, match=r"^motion\.npz: "):
         move_character(hero, [b"nonsense"], Changes())
+
+
+def test_a_motion_says_how_far_it_is_from_its_targets(walk):  # noqa: F811
+    x, _, z = walk.positions[0, 0]
+    met, missed = motion_record(walk, targets_from_text(f"0 root={x},{z}; 0 facing=100"))["targets"]
+    assert (met["name"], met["unit"], met["met"]) == ("root at 0 s", "m", True) and met["distance"] < 1e-5
+    assert (missed["unit"], missed["met"]) == ("degrees", False) and 90 < missed["distance"] < 110
+    assert motion_record(walk)["targets"] == []

@@ -1,6 +1,8 @@
 """The page of the studio in a browser that shows nothing on a screen, with a real server and the demo model."""
 
+import dataclasses
 import io
+import re
 from pathlib import Path
 
 import imageio_ffmpeg
@@ -12,7 +14,7 @@ from PIL import Image
 from t2m_jax.motion.changes import Changes
 from t2m_jax.motion.formats import load_motion
 from t2m_jax.motion.motion import Motion
-from t2m_jax.motion.targets import distances, read_target
+from t2m_jax.motion.targets import distances, read_target, targets_from_text
 from t2m_jax.serving.schema import FileParameters, MotionBody
 from tests.export.conftest import NASTY_CAPTION, walk  # noqa: F401 - a fixture
 from tests.export.test_viewer import browser, wait_until  # noqa: F401 - a fixture
@@ -76,7 +78,7 @@ def generate(page, *sentences, samples=1, takes=1):
         page.keyboard.press("Enter")
     else:
         page.get_by_role("button", name="Generate", exact=True).click()
-    expect(page.locator(".take")).to_have_count(takes, timeout=60_000)
+    expect(page.locator(".take")).to_have_count(takes, timeout=180_000)
 
 
 def stage_picture(page) -> np.ndarray:
@@ -200,17 +202,83 @@ def test_every_field_of_the_interface_has_a_control(open_studio):
     expect(page.get_by_role("alert")).to_contain_text("Temperature: ")
 
 
+def drag(page, element, right, down):
+    """Drags an element by some pixels."""
+    box = element.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + right, y + down, steps=4)
+    page.mouse.up()
+
+
+def test_targets_are_dragged_in_the_picture(open_studio, tmp_path):
+    page = open_studio()
+    generate(page, WAVE)
+    page.locator("#targets summary").click()
+    field = page.get_by_role("textbox", name="As a text")
+    page.get_by_role("slider", name="Frame", exact=True).fill("20")
+    drag(page, page.locator("[data-joint=right_wrist]"), -20, -40)
+    (target,) = targets_from_text(field.input_value())
+    assert (target.joint, target.seconds) == ("right_wrist", 1.0)
+    page.keyboard.press("ArrowUp")  # the handle has the focus
+    (raised,) = targets_from_text(field.input_value())
+    assert raised.place == pytest.approx(np.add(target.place, (0, 0.02, 0)))
+    page.get_by_role("spinbutton", name="x, m").fill("-0.4")
+    page.get_by_role("checkbox", name="Exact").check()
+    page.get_by_role("slider", name="Time of target 1").press("ArrowRight")
+    drag(page, page.locator("[data-joint=root]"), 20, 4)
+    wrist, root = targets = targets_from_text(field.input_value())
+    assert (wrist.place[0], wrist.seconds, wrist.exact, root.seconds) == (-0.4, 1.05, True, 1.0)
+    generate(page, WAVE, takes=2)
+    motion = load_motion(download(page, "NPZ", tmp_path))
+    far = distances(motion, targets)
+    assert far[0] < wrist.tolerance == 0.005 and far[1] < root.tolerance
+    rows = page.locator(".target")
+    expect(rows.first).to_contain_text("1.05 s · met, ")
+    page.locator("h1").click()
+    page.keyboard.press("Control+z")
+    expect(page.locator(".take")).to_have_count(1)
+    expect(rows).to_have_count(2)
+    expect(rows.first).not_to_contain_text("met")
+    page.keyboard.press("Control+z")
+    expect(rows).to_have_count(1)
+    page.keyboard.press("Control+Shift+z")
+    page.get_by_role("button", name="Delete the target 1").click()
+    expect(rows).to_have_text(re.compile("Root on the ground"))
+
+
+def test_a_pose_of_a_file_becomes_a_key(open_studio, walk, tmp_path):  # noqa: F811
+    page = open_studio()
+    walk.save(tmp_path / "walk.npz")
+    page.locator("#file-input").set_input_files(tmp_path / "walk.npz")
+    expect(page.locator(".take")).to_have_count(1)
+    page.locator("#targets summary").click()
+    page.get_by_role("slider", name="Frame", exact=True).fill("20")
+    page.get_by_role("button", name="Pose as a key").click()
+    page.get_by_role("spinbutton", name="Time, s").fill("0.5")
+    page.keyboard.press("Tab")
+    (target,) = targets_from_text(page.get_by_role("textbox", name="As a text").input_value())
+    seconds = 20 / walk.fps
+    assert target.seconds == 0.5 and distances(walk, [dataclasses.replace(target, seconds=seconds)])[0] < 0.002
+
+
 def test_targets_are_met_or_said_to_be_missed(open_studio, tmp_path):
     page = open_studio(may_fail=["400"])
-    page.get_by_text("More options").click()
-    field = page.get_by_role("textbox", name="Targets")
+    page.locator("#targets summary").click()
+    field = page.get_by_role("textbox", name="As a text")
     field.fill("0 root=0,0")
     generate(page, WAVE)
     motion = load_motion(download(page, "BVH", tmp_path))
     assert distances(motion, [read_target("0 root=0,0")])[0] < 0.01
     field.fill("0.2 left_wrist=0.6,1,0; 0.2 left_elbow=-0.6,1,0")  # farther apart than any forearm is long
-    generate(page, WAVE)
+    generate(page, WAVE, takes=2)
     expect(page.locator("#warning")).to_contain_text("misses left_wrist at 0.2 s by ")
+    expect(page.locator(".target.missed").first).to_contain_text("0.20 s · missed by ")
+    missed = page.get_by_role("button", name="Left wrist at 0.20 s, missed by ")
+    red = missed.evaluate("(handle) => getComputedStyle(handle, '::after').backgroundImage")
+    assert "rgb(194, 47, 24)" in red
+    assert serious_faults(page) == []
     field.fill("0.2 nose=0,1,0")
     page.get_by_role("button", name="Generate", exact=True).click()
     expect(page.get_by_role("alert")).to_contain_text("nose at 0.2 s: no such joint")

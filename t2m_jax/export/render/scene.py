@@ -50,6 +50,8 @@ class SceneFigure(NamedTuple):
     fps: float
     caption: str
     contacts: tuple[Contact, ...]
+    lift: float
+    """By how much the points are above those of the motion, in meters: soles, less a floor that is not at 0."""
 
 
 def figures_from_motions(motions: Sequence[Motion]) -> list[SceneFigure]:
@@ -92,14 +94,15 @@ def figure_from_motion(motion: Motion) -> SceneFigure:
     lowest = float(positions[..., 1].min())
     floor = lowest if abs(lowest) > FLOOR_TOLERANCE else 0.0
     points = figure_points(positions.astype(np.float32), motion.skeleton)
-    points[..., 1] += SOLE * scale - floor
+    lift = SOLE * scale - floor
+    points[..., 1] += lift
     body = body_from_skeleton(motion.skeleton)
     parts = tuple(
         part._replace(start_radius=part.start_radius * scale, end_radius=part.end_radius * scale) for part in body.parts
     )
     feet = [foot[-1] for foot in (motion.skeleton.left_foot, motion.skeleton.right_foot)]
     contacts = [contact for foot in feet for contact in _contacts(points[:, foot], float(motion.fps), scale)]
-    return SceneFigure(points, parts, float(motion.fps), motion.caption, tuple(contacts))
+    return SceneFigure(points, parts, float(motion.fps), motion.caption, tuple(contacts), lift)
 
 
 def _contacts(foot: Float[np.ndarray, "T 3"], fps: float, scale: float) -> list[Contact]:

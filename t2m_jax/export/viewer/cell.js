@@ -90,6 +90,29 @@ class FigureCell {
     this.sun.target.position.set(x, 0.6, z);
   }
 
+  // Where the camera looks.
+  get ahead() { return this.framing.camera.getWorldDirection(new THREE.Vector3()).toArray(); }
+
+  // Returns the point of a plane that is seen at a place of the window, or null. The plane has a point and a normal.
+  pointAt(clientX, clientY, point, normal) {
+    const box = this.picture.getBoundingClientRect();
+    if (clientX < box.left || clientX > box.right || clientY < box.top || clientY > box.bottom) return null;
+    const { camera } = this.framing;
+    const [x, y] = [(2 * (clientX - box.left)) / box.width - 1, 1 - (2 * (clientY - box.top)) / box.height];
+    const ray = new THREE.Vector3(x, y, 0.5).unproject(camera).sub(camera.position);
+    const across = new THREE.Vector3(...normal);
+    const share = new THREE.Vector3(...point).sub(camera.position).dot(across) / ray.dot(across);
+    return share > 0 && Number.isFinite(share) ? ray.multiplyScalar(share).add(camera.position).toArray() : null;
+  }
+
+  // Returns where in the window a point is seen, or null.
+  placeOf(point) {
+    const box = this.picture.getBoundingClientRect();
+    const { x, y, z } = new THREE.Vector3(...point).project(this.framing.camera);
+    if (Math.abs(x) > 1 || Math.abs(y) > 1 || Math.abs(z) > 1) return null;
+    return { x: box.left + ((x + 1) / 2) * box.width, y: box.top + ((1 - y) / 2) * box.height };
+  }
+
   // What must be disposed of.
   get parts() {
     return [this.body, this.ground, this.sun];

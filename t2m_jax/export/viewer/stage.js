@@ -175,14 +175,30 @@ class Stage {
 
   // Returns the point [x, z] on the ground of a figure that is seen at a place of the window, or null.
   groundAt(number, clientX, clientY) {
+    const point = this.cells[number]?.pointAt(clientX, clientY, [0, 0, 0], [0, 1, 0]);
+    return point ? [point[0], point[2]] : null;
+  }
+
+  // How much higher a figure is drawn than its motion is: soles have a thickness. What follows is in meters of the motion.
+  liftOf(number) { return this.cells[number].figure.lift ?? 0; }
+
+  // Returns the point that is seen at a place of the window and is as far away as another point, or null.
+  pointBeside(number, clientX, clientY, [x, y, z]) {
     const cell = this.cells[number];
-    const box = cell?.picture.getBoundingClientRect();
-    if (!box || clientX < box.left || clientX > box.right || clientY < box.top || clientY > box.bottom) return null;
-    const { camera } = cell.framing;
-    const [x, y] = [(2 * (clientX - box.left)) / box.width - 1, 1 - (2 * (clientY - box.top)) / box.height];
-    const ray = new THREE.Vector3(x, y, 0.5).unproject(camera).sub(camera.position);
-    const share = -camera.position.y / ray.y;
-    return ray.y < 0 ? [camera.position.x + share * ray.x, camera.position.z + share * ray.z] : null;
+    const lift = this.liftOf(number);
+    const point = cell.pointAt(clientX, clientY, [x, y + lift, z], cell.ahead);
+    return point && [point[0], point[1] - lift, point[2]];
+  }
+
+  // Returns where a point is seen: x and y in pixels of the window, or null if it is not in the picture.
+  placeOf(number, [x, y, z]) { return this.cells[number].placeOf([x, y + this.liftOf(number), z]); }
+
+  // Returns a point of a figure at the present time, [x, y, z]; its joints come first.
+  pointOf(number, index) {
+    const { figure } = this.cells[number];
+    poseAt(figure, this.moment); // which may not have been drawn yet
+    const [x, y, z] = figure.current.subarray(3 * index, 3 * index + 3);
+    return [x, y - this.liftOf(number), z];
   }
 
   // Draws a line through points [x, z] on the ground of a figure.

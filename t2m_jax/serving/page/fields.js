@@ -15,7 +15,7 @@ const LABELS = {
   loop: "As a loop",
   in_place: "In place, without travel",
   names: "Joint names",
-  targets: "Targets in seconds and meters",
+  targets: "As a text, in seconds and meters",
 };
 const PLACEHOLDERS = { path: "0,0 1,2 3,2", targets: "2 right_wrist=-0.3,1.7,0.2; 4 root=1,3", fps: "as it is", speed: "1", turn: "0" };
 

@@ -16,7 +16,7 @@ const HINTS = {
 };
 const START_STRENGTH = 0.3;
 const INSERTED_SECONDS = 2;
-const EMPTY = { seed: "", num_samples: 1, temperature: "", seconds: "", guidance_scale: "", top_k: "", top_p: "", stop_rule: "", raw: false, whole: false };
+const EMPTY = { seed: "", num_samples: 1, temperature: "", seconds: "", guidance_scale: "", top_k: "", top_p: "", stop_rule: "", raw: false, whole: false, targets: "", candidates: "" };
 
 export class MakePanel {
   #mode = "new";
@@ -51,6 +51,8 @@ export class MakePanel {
     findField("seconds").placeholder = mode === "insert" ? INSERTED_SECONDS : "automatic";
     showField("candidates", mode === "redo" || mode === "insert");
     showField("targets", mode === "new");
+    find("targets").hidden = mode !== "new";
+    find("targets").dispatchEvent(new Event("toggle"));
     document.querySelector(`#modes [value=${mode}]`).checked = true;
   }
 
@@ -86,6 +88,7 @@ export class MakePanel {
   fill(steps) {
     if (steps.length > 1) return;
     setValues(find("make"), { ...EMPTY, ...steps[0].make });
+    findField("targets").dispatchEvent(new Event("input", { bubbles: true }));
     this.#showValues();
   }
 

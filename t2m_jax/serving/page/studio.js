@@ -4,8 +4,9 @@ import { CharacterPanel } from "./character.js";
 import { Comparison } from "./compare.js";
 import { clearMessage, find, showMessage } from "./dom.js";
 import { DownloadPanel } from "./download.js";
-import { plain } from "./fields.js";
+import { findField, plain } from "./fields.js";
 import { Generation } from "./generation.js";
+import { Handles } from "./handles.js";
 import { History } from "./history.js";
 import { listenForKeys } from "./keys.js";
 import { listenForCopies, openLink, shareSelected } from "./link.js";
@@ -18,6 +19,9 @@ import { fetchModel, takeTokenFromAddress } from "./server.js";
 import { changeSample } from "./recipe.js";
 import { Session } from "./session.js";
 import { TakeBar } from "./takebar.js";
+import { TargetKeys } from "./targetkeys.js";
+import { TargetPanel } from "./targetpanel.js";
+import { Targets } from "./targets.js";
 import { Timeline } from "./timeline.js";
 import { UndoStack } from "./undo.js";
 import { showWords } from "./words.js";
@@ -40,6 +44,10 @@ async function start() {
   const comparison = new Comparison(session, stage);
   const history = new History(session, undo, async (entry) => comparison.choose(await history.take(entry.id)));
   const make = new MakePanel(session, model, undo, { player, generate: (request, kind, base) => generation.run(request, kind, base) });
+  const targets = new Targets(findField("targets"), session, undo);
+  const targetPanel = new TargetPanel(targets, model, { stage, player, session });
+  const handles = new Handles(targets, targetPanel, { stage, player, session });
+  new TargetKeys(targets, targetPanel, timeline);
   const addTake = (take, draft) => add(take, draft, { session, history, make, undo });
   const generation = new Generation({ session, stage, onDone: (take) => addTake(take, make.forgetDraft(take.kind)) });
   const actions = {
@@ -69,6 +77,7 @@ async function start() {
   stage.onchange = () => {
     player.update();
     timeline.update();
+    handles.update();
   };
   await history.open();
   await showFormer(session, history);
