@@ -1,8 +1,9 @@
 """The package as users get it: a wheel in a new environment, in which the commands of the pages run as written."""
 
+import contextlib
+import json
 import os
 import re
-import shlex
 import shutil
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from tests.motion.character_files import write_character
 from tests.motion.rig.test_retarget import BANDAI
 from tests.sentence_golden import wide_encoder
 
+RUNNER = REPOSITORY / "tests" / "one_process.py"
 TRAINING = "--loop.num_steps 2 --loop.batch_size 4 --loop.validate_every 0"
 # Parts of commands with options that make them short. Options of all parts are added.
 SHORTENED = {
@@ -55,6 +57,8 @@ NOT_RUN = {
     "t2m serve": "it serves until it is stopped; tests/serving starts servers",
     "--distributed": "needs a cluster; test_distributed.py starts processes",
 }
+# Characters with which a command needs a shell.
+SHELL = set("|&;<>*?~`$")
 
 
 def is_run(page, command):
@@ -73,6 +77,34 @@ def steps():
 
 def options_of(command):
     return " ".join(options for part, options in SHORTENED.items() if re.search(part, command))
+
+
+def need_process(found):
+    """Returns the commands that run in a process of their own.
+
+    These are the first commands that users see, the first of each kind, which must not depend on what others have
+    imported, those that need a shell, and evaluations, which are compiled in another way.
+    """
+    kinds = {}
+    shell = [code for language, code in found if language == "sh"]
+    for code in shell:
+        kinds.setdefault(re.search(r"t2m (train|[a-z]+( [a-z]+(?= |$))?)", code)[1], code)
+    rest = {code for code in shell if "evaluate generation" in code or code[:4] != "t2m " or SHELL & set(code)}
+    return {*commands(FIRST_COMMANDS), *kinds.values()} | rest
+
+
+@contextlib.contextmanager
+def shared_process(python, folder, environment, log):
+    """Gives the body a function that runs code in a process for all, and returns the exit code as a text."""
+    options = {"cwd": folder, "env": environment, "stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": log}
+    with subprocess.Popen([python, "-P", RUNNER], text=True, **options) as process:
+
+        def run(language, code):
+            process.stdin.write(json.dumps([language, code]) + "\n")
+            process.stdin.flush()
+            return process.stdout.readline().strip()
+
+        yield run
 
 
 @pytest.fixture(scope="module")
@@ -161,13 +193,22 @@ def test_the_commands_of_the_pages_run(programs, folder, hub):
         shutil.rmtree(folder / name)  # a folder would be used instead of the hub
     quick = plain | {"JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}
     plain.pop("JAX_DISABLE_MOST_OPTIMIZATIONS", None)  # sampling takes longer with it
-    assert len(steps()) > 40
-    for language, code in steps():
-        command = shlex.join(["python", "-c", code]) if language == "python" else f"{code} {options_of(code)}"
-        environment = plain if "evaluate generation" in code else quick
-        options = {"cwd": folder, "env": environment, "capture_output": True, "text": True, "check": False}
-        done = subprocess.run(command, shell=True, **options)
-        assert done.returncode == 0, f"{command}: {done.stderr[-2000:]}"
+    found = steps()
+    alone = need_process(found)
+    assert len(found) > 40 and len(alone) > 15
+    with (
+        (folder / "printed.txt").open("w+", encoding="utf-8") as log,
+        shared_process(programs / "python", folder, quick, log) as run_with_others,
+    ):
+        for language, code in found:
+            command = f"{code} {options_of(code)}" if language == "sh" else code
+            if code in alone:
+                environment = plain if "evaluate generation" in code else quick
+                options = {"cwd": folder, "env": environment, "stdout": log, "stderr": log, "check": False}
+                status = f"{subprocess.run(command, shell=True, **options).returncode}"
+            else:
+                status = run_with_others(language, command)
+            assert status == "0", f"{command}: {(folder / 'printed.txt').read_text(encoding='utf-8')[-2000:]}"
     assert set(hub.repositories) == {"user/my-model"} | ENCODERS
     assert {"turn.html", "turn.gif", "many-7.gif", "my-model", "it.html", "mine.json", "take-2.mp4", "scene.bvh"} <= {
         path.name for path in folder.iterdir()
