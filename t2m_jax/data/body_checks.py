@@ -59,6 +59,8 @@ class ClipBody(NamedTuple):
     """Mean speed in meters per second to the left of the heading."""
     speed: float
     """Length of the root's path on the ground per second, in meters."""
+    fastest: float
+    """Distance on the ground in the fastest second, in meters."""
     hands: tuple[float, float]
     """Paths of the left and the right hand relative to the root, in meters."""
 
@@ -86,8 +88,16 @@ def measure_body(features: Float[np.ndarray, "T D"], local: Float[np.ndarray, "T
         ahead=float(ahead),
         left=float(left),
         speed=float(np.linalg.norm(steps, axis=-1).mean() * skeleton.fps),
+        fastest=_fastest_second(steps, skeleton.fps),
         hands=(float(paths[0]), float(paths[1])),
     )
+
+
+def _fastest_second(steps: Float[np.ndarray, "S 2"], fps: float) -> float:
+    """Returns the longest distance of a second; of a shorter clip, the speed."""
+    size = max(1, min(round(fps), len(steps)))
+    places = np.cumsum(np.pad(steps, ((1, 0), (0, 0))), axis=0)
+    return float(np.linalg.norm(places[size:] - places[:-size], axis=-1).max(initial=0.0) * fps / size)
 
 
 def check_body(features: Float[np.ndarray, "T D"], local: Float[np.ndarray, "T J 3"], skeleton: Skeleton) -> list[str]:

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from t2m_jax.data.audit import audit_dataset
-from t2m_jax.data.caption_checks import is_misread
+from t2m_jax.data.body_checks import local_positions, measure_body
+from t2m_jax.data.caption_checks import check_words, is_misread
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.bvh import import_bvh_folder
-from t2m_jax.data.importers.synthetic import KINDS, write_synthetic_dataset
-from t2m_jax.data.texts import load_captions, save_captions
+from t2m_jax.data.importers.synthetic import KINDS, make_motion, write_synthetic_dataset
+from t2m_jax.data.texts import Caption, load_captions, save_captions
 from t2m_jax.data.writer import mirror, write_clip
 from t2m_jax.files.manifest import MANIFEST
 from t2m_jax.motion.features import features_from_positions
@@ -262,6 +263,16 @@ def test_a_fault_is_named(folder, fault):
     fault(folder)
     problems = audit_dataset(folder).problems
     assert any(FAULTS[fault] in problem for problem in problems), problems[:9]
+
+
+@pytest.mark.parametrize(("walked", "problems"), [(20, 0), (0, 1)])
+def test_walking_may_be_a_small_part_of_a_clip(walked, problems):
+    walk = make_motion("walk", seed=4, num_frames=60)
+    positions = np.concatenate([np.repeat(walk[:1], 360, axis=0), walk[: 1 + walked]])
+    features = features_from_positions(positions, HUMANML3D)
+    body = measure_body(features, local_positions(features, HUMANML3D), HUMANML3D)
+    assert body.speed < 0.1
+    assert len(check_words([Caption("a person waits and walks")], body)) == problems
 
 
 @pytest.mark.parametrize(
