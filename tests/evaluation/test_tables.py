@@ -288,3 +288,8 @@ def test_quality_has_a_table_of_its_own():
     assert len(make_table([report(real=given, **given, cleaned_jerk=(70.0, 1.0))], ["a"]).lines) == 2
     with pytest.raises(UserError, match="quality: not in these reports; evaluate the models again"):
         make_table([report(fid=(1.0, 0.1))], ["a"], measures="quality")
+
+
+def test_a_notebook_shows_a_report_as_its_table():
+    shown = report(fid=(0.116, 0.0041), diversity=(9.844, 1.0951), header=dataclasses.replace(HEADER, model="demo"))
+    assert shown._repr_markdown_() == format_table(make_table([shown], ["demo"]), style="markdown")

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -182,6 +183,11 @@ class Report:
     """Metrics of the measured motion, by name."""
     reconstruction: ReconstructionFigures | None = None
     """Figures of the tokenizer alone, if they were measured too."""
+
+    def _repr_markdown_(self) -> str:
+        """Returns the report for notebooks: the table of `t2m evaluate table`."""
+        # Loaded by its name, because its module imports this one.
+        return EntryPoint("markdown", "t2m_jax.evaluation.report.formats:report_markdown", "").load()(self)
 
     @property
     def metrics(self) -> dict[str, dict[str, Metric]]:
