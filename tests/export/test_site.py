@@ -329,8 +329,8 @@ def download(page, name, tmp_path):
     return load_motion(path)
 
 
-def python_motion(model, sentence, seed):
-    request = MotionRequest(captions=(sentence,), seed=seed, options=SamplingOptions(raw=True))
+def python_motion(model, sentence, seed, **options):
+    request = MotionRequest(captions=(sentence,), seed=seed, options=SamplingOptions(raw=True, whole=True, **options))
     (motion,) = model.make(request)
     return motion
 
@@ -358,6 +358,10 @@ def test_a_sentence_becomes_the_motion_of_python_also_without_a_network(open_sit
             assert (found.caption, found.seed, found.fps) == (WAVE, seed, 20)
             np.testing.assert_allclose(download(page, "GLB", tmp_path).positions, found.positions, atol=1e-4)
             expect(page.locator(".take")).to_have_count(number + 1)
+        page.get_by_role("button", name="Delete all").click()
+        expect(page.locator(".take")).to_have_count(0)
+        page.get_by_role("button", name="Undo").click()
+        expect(page.locator(".take")).to_have_count(2)
         link = page.url
         stop()
         page.goto("about:blank")
@@ -380,28 +384,42 @@ def test_models_of_users_run(open_site, config, tmp_path):
     with serving(tmp_path / "site") as (address, _):
         page = open_site(address)
         for seed, caption in enumerate(CAPTIONS[:3]):
+            temperature = (1.0, 0.5, 0.0)[seed]
+            page.get_by_role("spinbutton", name="Temperature").fill(f"{temperature:g}")
             make(page, caption, seed)
-            np.testing.assert_array_equal(
-                download(page, "NPZ", tmp_path).codes, python_motion(model, caption, seed).codes
-            )
+            wanted = python_motion(model, caption, seed, temperature=temperature)
+            np.testing.assert_array_equal(download(page, "NPZ", tmp_path).codes, wanted.codes)
+        page.get_by_role("textbox", name="Seed").fill("one")
+        page.get_by_role("button", name="Generate").click()
+        expect(page.locator("#message")).to_contain_text("the seed must be a whole number")
 
 
 @pytest.mark.slow
-def test_a_changed_file_is_refused_and_texts_stay_texts(open_site, demo_site, tmp_path):
+def test_changed_files_are_refused_and_texts_stay_texts(open_site, demo_site, tmp_path):
     folder = shutil.copytree(demo_site, tmp_path / "site")
     manifest = json.loads((folder / "model" / "manifest.json").read_text(encoding="utf-8"))
     nasty = "<img src=x onerror=alert(1)>"
-    save_json(folder / "model" / "manifest.json", manifest | {"license": nasty, "source": nasty, "examples": [nasty]})
+    hostile = manifest | {"license": nasty, "source": nasty, "examples": [nasty]}
+    save_json(folder / "model" / "manifest.json", hostile)
     with serving(folder) as (address, _):
         page = open_site(address, expected="refused")
         expect(page.locator("#message")).to_contain_text("model/manifest.json", timeout=WAIT)
         expect(page.locator("#generate")).to_be_disabled()
+        # The wrong file is not kept: with the right one, the page works.
+        (folder / "model" / "manifest.json").write_bytes((demo_site / "model" / "manifest.json").read_bytes())
+        page.reload()
+        expect(page.locator("#generate")).to_be_enabled(timeout=WAIT)
+        save_json(folder / "model" / "manifest.json", hostile)
         # With a list that fits, it is used, as text.
         save_json(folder / "files.json", dict(site._checked_files(folder)))
         page = open_site(address)
         expect(page.locator("#examples button")).to_have_text(nasty)
         expect(page.locator("#license")).to_contain_text(nasty)
         assert page.locator("img").count() == 0
+        (folder / "model" / "row.onnx").write_bytes(b"no graph")
+        save_json(folder / "files.json", dict(site._checked_files(folder)))
+        page = open_site(address, expected="refused")
+        expect(page.locator("#message")).to_contain_text("The page cannot start", timeout=WAIT)
 
 
 @pytest.mark.slow

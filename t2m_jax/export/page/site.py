@@ -75,7 +75,7 @@ def _copy_page(folder: Path) -> None:
     # Read as files: to import the package of the studio would need the extra `serve`.
     studio = package / "serving" / "page"
     pages = [(f"assets/{file.name}", file) for file in web.iterdir() if file.is_file() and file.name not in TEMPLATES]
-    vendored = ("ort.min.mjs", "ort.wasm.packed", "LICENSE", "ThirdPartyNotices.txt")
+    vendored = ("ort.min.js", "ort.wasm.packed", "LICENSE", "ThirdPartyNotices.txt")
     pages += [(f"assets/vendor/{name}", web / "vendor" / name) for name in vendored]
     pages += [(f"studio/{name}", studio / name) for name in STUDIO_FILES]
     for name, file in pages:
@@ -103,7 +103,7 @@ def _fill_templates(folder: Path) -> None:
     digest = hashlib.sha256()
     for name in names:
         digest.update(name.encode() + b"\0" + hashlib.sha256(load_bytes(folder / name)).digest())
-    scripts = [name for name in names if name.startswith("studio/") or name.endswith((".js", ".mjs", ".css"))]
+    scripts = [name for name in names if name.startswith("studio/") or name.endswith((".js", ".css"))]
     shell = ["./", FILES_FILE, *scripts]
     save_text(folder / "index.html", fill_template("t2m_jax.export.page", "web/index.html", {"policy": POLICY}))
     digest.update(load_bytes(folder / "index.html"))

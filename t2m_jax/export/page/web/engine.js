@@ -1,7 +1,7 @@
 // The worker that computes, so that the page can draw meanwhile. It gets {make: request} and {cancel: true}, and sends
 // {loaded: share}, {ready}, {share}, {made}, {cancelled} and {failed: message}.
 
-import * as ort from "./vendor/ort.min.mjs";
+import * as ort from "./vendor/ort.min.js";
 import { checkFigure, checkManifest } from "./checks.js";
 import { Files } from "./files.js";
 import { Sampler } from "./sampler.js";
@@ -13,6 +13,9 @@ const GRAPHS = ["text", "begin", "row", "decode"];
 const MOST_THREADS = 4;
 // To sort the weights for faster products takes longer than it saves in a hundred motions.
 const OPTIONS = { executionProviders: ["wasm"], extra: { session: { disable_prepacking: "1" } } };
+// The weights of the sentence encoder are stored in 8 bits. It runs once for a request, and to restore them then takes half
+// of the memory that they would take as they are used.
+const AS_STORED = { ...OPTIONS, graphOptimizationLevel: "disabled" };
 
 class Cancelled extends Error {}
 
@@ -25,7 +28,7 @@ const breathe = () => new Promise((resolve) => setTimeout(resolve));
 async function openGraphs(manifest, contents) {
   const sessions = {};
   for (const [name, bytes] of Object.entries(contents)) {
-    sessions[name] = await ort.InferenceSession.create(await bytes, OPTIONS);
+    sessions[name] = await ort.InferenceSession.create(await bytes, name === "text" ? AS_STORED : OPTIONS);
   }
   return async (name, arrays) => {
     const { inputs } = manifest.graphs[name];

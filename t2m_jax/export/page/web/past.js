@@ -1,6 +1,6 @@
 // The history: recipes that this browser keeps. A motion is made again from its recipe, unless the page still has it.
 
-import { create, find, iconButton } from "../studio/dom.js";
+import { create, find, iconButton, showNotice } from "../studio/dom.js";
 import { checkRecipe, sameRecipe } from "./recipe.js";
 
 const KEY = `t2m-page-history ${location.pathname}`;
@@ -15,7 +15,7 @@ export class Past {
   constructor(onOpen) {
     this.onOpen = onOpen;
     this.#read();
-    find("delete-all").addEventListener("click", () => this.#change([]));
+    find("delete-all").addEventListener("click", () => this.#delete(() => true));
     addEventListener("storage", ({ key }) => key === KEY && this.#read());
   }
 
@@ -37,6 +37,14 @@ export class Past {
       // The history lasts until the page is closed.
     }
     this.#draw();
+  }
+
+  #delete(isUnwanted) {
+    const former = this.#entries;
+    this.#change(former.filter((entry) => !isUnwanted(entry)));
+    const count = former.length - this.#entries.length;
+    showNotice(count > 1 ? `${count} motions are deleted.` : "The motion is deleted.", "Undo", () => this.#change(former));
+    find("history-title").focus(); // the button is gone
   }
 
   // Puts a take first.
@@ -61,8 +69,7 @@ export class Past {
       create("span", { className: "take-meta", textContent: about }),
     );
     if (this.current && sameRecipe(recipe, this.current)) open.ariaCurrent = "true";
-    const forget = () => this.#change(this.#entries.filter((entry) => !sameRecipe(entry, recipe)));
-    const remove = iconButton("remove", `Delete ${recipe.sentence.slice(0, 60)}, ${about}`, forget);
+    const remove = iconButton("remove", `Delete ${recipe.sentence.slice(0, 60)}, ${about}`, () => this.#delete((entry) => sameRecipe(entry, recipe)));
     return create("li", { className: "take" }, open, remove);
   }
 

@@ -30,8 +30,10 @@ addEventListener("activate", (event) => {
 async function answer(event) {
   const { request } = event;
   const cache = await caches.open(PREFIX + VERSION);
-  const known = await cache.match(request, { ignoreSearch: request.mode === "navigate" });
-  const response = known ?? (await fetch(request));
+  const isWrong = request.cache === "reload"; // the page says so, or the user does
+  const known = isWrong ? undefined : await cache.match(request, { ignoreSearch: request.mode === "navigate" });
+  // A file of an older export may be in the browser's own cache; a navigation cannot say how it is fetched.
+  const response = known ?? (await fetch(request, request.mode === "navigate" ? {} : { cache: "no-cache" }));
   if (!response.ok) return response;
   if (!known) event.waitUntil(cache.put(request, response.clone()).catch(() => {})); // without room, the file is only used now
   const headers = new Headers(response.headers);
