@@ -15,7 +15,7 @@ from t2m_jax.sampling.stopping import make_stop_rule
 from t2m_jax.sampling.strategies import Strategy, make_strategy
 from t2m_jax.text.coverage import Knowledge
 from t2m_jax.text.prompts import check_prompt
-from t2m_jax.text.turns import split_turns
+from t2m_jax.text.sequence import split_sequence
 
 MAX_SAMPLES = 1_000_000
 """Most motions of a request. A larger number is probably a mistake: they would take weeks and 100 GB."""
@@ -145,14 +145,14 @@ class MotionRequest:
         return len(self.captions) == 1 and self.start is None and self.seconds is None and not self.targets
 
     def in_turn(self, knowledge: Knowledge) -> "MotionRequest":
-        """Returns the request with a sentence for each action that its sentences say in turn (see `split_turns`).
+        """Returns the request with a sentence for each action that its sentences say in turn (see `split_sequence`).
 
         All of them together have the same `seconds`. Requests with `options.whole`, `targets`, `span` or `strength`
         stay as they are.
         """
         if self.options.whole or self.targets or self.span is not None or self.strength is not None:
             return self
-        turns = tuple(itertools.chain.from_iterable(split_turns(caption, knowledge) for caption in self.captions))
+        turns = tuple(itertools.chain.from_iterable(split_sequence(caption, knowledge) for caption in self.captions))
         if len(turns) == len(self.captions):
             return self
         seconds = None if self.seconds is None else self.seconds * len(self.captions) / len(turns)

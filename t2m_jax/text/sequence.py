@@ -1,11 +1,11 @@
 """Sentences that say several actions in turn: "walks, then waves", "before she sits down, she bows"."""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 from t2m_jax.text.coverage import Knowledge, has_known_action
-from t2m_jax.text.verbs import words_of
+from t2m_jax.text.verbs import word_set, words_of
 
 _PERSON = r"(?:he|she|it|they|you|somebody|someone)"
 _JUST = r"(?:(?:right|just|only|shortly|soon|immediately|directly|straight) )?"
@@ -20,10 +20,15 @@ _CLAUSE = rf"(?= (?:{_PERSON}|the|his|her|its|their) )"
 _DONE = rf"(?= {_PERSON} (?:has|have|had|is|are) )"
 _AFTER = rf"{_JUST}(?:after(?! {_TIME})|once{_CLAUSE}|upon|as soon as|when{_DONE})"
 _BEFORE = rf"{_JUST}(?:before|prior to)"
-MAX_TURNS = 20
+MAX_ACTIONS = 20
 """A sentence with more actions is left whole."""
 
 _BACK = r"(?:put|bring|take)s? (?:it|them|(?:his|her|the) \w+) (?:back|down)"
+GOING = word_set("go head hurry jog march move pace run step stride stroll walk wander")
+"""Verbs of going, after which a turn is a corner of the way."""
+TURNING = word_set("back bend turn")
+_SIDE = re.compile(r"\b(?:left|right|around|corner)\b", re.IGNORECASE)
+
 _RETURN = re.compile(rf"(?:{_PERSON} )?(?:lower|drop|return|repeat|relax|back|step by|{_BACK})", re.IGNORECASE)
 """What ends the action before, and can only be shown together with it: "lowers it again"."""
 _NEGATED = re.compile(r"\b(?:not|never)\b|n't\b", re.IGNORECASE)
@@ -62,11 +67,12 @@ _OPENING = re.compile(
 )
 
 
-def split_turns(caption: str, knowledge: Knowledge) -> tuple[str, ...]:
+def split_sequence(caption: str, knowledge: Knowledge) -> tuple[str, ...]:
     """Returns the actions of a sentence in the order in which they happen, each as a sentence.
 
     It is cut at words such as `then`, `before`, `after` and `followed by`, and in a list of verbs, if there is an
-    action on both sides: "runs after the bus" is one action. Other sentences are returned whole, also those with `not`.
+    action on both sides: "runs after the bus" is one action, and so is walking around a corner. Other sentences are
+    returned whole, also those with `not`.
 
     Args:
         caption: A checked sentence.
@@ -74,17 +80,39 @@ def split_turns(caption: str, knowledge: Knowledge) -> tuple[str, ...]:
     """
     if not knowledge.actions:
         return (caption,)
-    turns = tuple(_turns(caption, lambda text: has_known_action(text, knowledge)))
-    return turns if len(turns) <= MAX_TURNS else (caption,)
+    actions = _with_corners(_split(caption, lambda text: has_known_action(text, knowledge)), knowledge)
+    return tuple(actions) if 1 < len(actions) <= MAX_ACTIONS else (caption,)
 
 
-def _turns(text: str, is_known: Callable[[str], bool]) -> Iterator[str]:
+def _split(text: str, is_known: Callable[[str], bool]) -> Iterator[str]:
     for first, second in _cuts(text.rstrip(". "), is_known):
         if not _RETURN.match(second) and not _NEGATED.search(f"{first} {second}"):
-            yield from _turns(first, is_known)
-            yield from _turns(second, is_known)
+            yield from _split(first, is_known)
+            yield from _split(second, is_known)
             return
     yield text
+
+
+def _with_corners(actions: Iterable[str], knowledge: Knowledge) -> list[str]:
+    """Returns actions in which walking around a corner is one: "walks, then turns left"."""
+    joined: list[str] = []
+    for action in actions:
+        before = joined[-1] if joined else ""
+        if (_is_corner(action, knowledge) and _goes(before)) or (_is_corner(before, knowledge) and _goes(action)):
+            joined[-1] = f"{before}, then {action}"
+        else:
+            joined.append(action)
+    return joined
+
+
+def _is_corner(action: str, knowledge: Knowledge) -> bool:
+    """Returns whether an action is nothing but another direction."""
+    others = set(knowledge.actions) - TURNING
+    return bool(_SIDE.search(action)) and not any(word.action and others & word.bases for word in words_of(action))
+
+
+def _goes(action: str) -> bool:
+    return any(GOING & word.bases for word in words_of(action))
 
 
 def _cuts(text: str, is_known: Callable[[str], bool]) -> Iterator[tuple[str, str]]:

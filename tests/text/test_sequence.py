@@ -9,9 +9,9 @@ import yaml
 from t2m_jax.checkpoints.bundle import bundle_path, load_training_data
 from t2m_jax.text.coverage import make_knowledge
 from t2m_jax.text.prompts import MAX_PROMPT_LENGTH
-from t2m_jax.text.turns import MAX_TURNS, split_turns
+from t2m_jax.text.sequence import MAX_ACTIONS, split_sequence
 
-SENTENCES = yaml.safe_load(Path(__file__).with_name("turns.yaml").read_text())
+SENTENCES = yaml.safe_load(Path(__file__).with_name("sequence.yaml").read_text())
 WALK, WAVE = "a man walks", "he waves"
 
 
@@ -39,13 +39,19 @@ def knowledge():
     ],
 )
 def test_two_actions_come_in_the_order_in_which_they_happen(caption, knowledge):
-    assert split_turns(caption, knowledge) == (WALK, WAVE)
+    assert split_sequence(caption, knowledge) == (WALK, WAVE)
 
 
 def test_three_actions_are_three_sentences(knowledge):
-    found = split_turns("before he bows, a man walks, then he waves", knowledge)
+    found = split_sequence("before he bows, a man walks, then he waves", knowledge)
     assert found == (WALK, WAVE, "he bows")
-    assert split_turns("walks to the door, stops and then waves", knowledge) == ("walks to the door", "stops", "waves")
+    assert split_sequence("walks to the door, stops and then waves", knowledge) == (
+        "walks to the door",
+        "stops",
+        "waves",
+    )
+    corner = "walks on, then turns left"
+    assert split_sequence(f"{corner}, then waves to the left", knowledge) == (corner, "waves to the left")
 
 
 @pytest.mark.parametrize(
@@ -63,14 +69,16 @@ def test_three_actions_are_three_sentences(knowledge):
         "raises the right hand and then lowers it",
         "stands up after 8 seconds",
         "lift both arms, and make it look old",
+        "walks slowly, then turns left",
+        "turns right, then walks on",
     ],
 )
 def test_one_action_is_not_cut(caption, knowledge):
-    assert split_turns(caption, knowledge) == (caption,)
+    assert split_sequence(caption, knowledge) == (caption,)
 
 
 def test_a_model_without_a_record_of_its_actions_reads_whole_sentences():
-    assert split_turns(f"{WALK}, then {WAVE}", make_knowledge(None)) == (f"{WALK}, then {WAVE}",)
+    assert split_sequence(f"{WALK}, then {WAVE}", make_knowledge(None)) == (f"{WALK}, then {WAVE}",)
 
 
 def plain(part):
@@ -82,18 +90,18 @@ def is_same(part, expected):
 
 
 def test_sentences_of_other_people_are_cut_as_they_say(knowledge):
-    found = [(split_turns(one["text"], knowledge), one["parts"]) for one in SENTENCES["turns"]]
+    found = [(split_sequence(one["text"], knowledge), one["parts"]) for one in SENTENCES["sequences"]]
     right = [len(cut) == len(parts) and all(map(is_same, cut, parts)) for cut, parts in found]
     reversed_order = [
         len(cut) == len(parts) == 2 and is_same(cut[0], parts[1]) and not is_same(*cut) for cut, parts in found
     ]
     assert sum(right) >= 53 and len(right) == 80
     assert sum(reversed_order) <= 1
-    cut = [caption for caption in SENTENCES["whole"] if len(split_turns(caption, knowledge)) > 1]
+    cut = [caption for caption in SENTENCES["whole"] if len(split_sequence(caption, knowledge)) > 1]
     assert len(cut) <= 4 and len(SENTENCES["whole"]) == 60
 
 
 @pytest.mark.parametrize("words", ["walk then ", "walk, ", "before he walks ", "walk until walking ", "and "])
 def test_long_sentences_are_left_whole(words, knowledge):
     caption = (words * MAX_PROMPT_LENGTH)[:MAX_PROMPT_LENGTH].strip()
-    assert 1 <= len(split_turns(caption, knowledge)) <= MAX_TURNS
+    assert 1 <= len(split_sequence(caption, knowledge)) <= MAX_ACTIONS
