@@ -139,6 +139,7 @@ def order_the_history(page) -> None:
     assert np.any(apart != stage_picture(page))
     assert serious_faults(page) == []
     page.locator(".take-open").filter(has_text="my motion").click()
+    expect(page.locator("#take-title")).to_have_text("my motion")
     page.reload()
     expect(page.locator("#take-title")).to_have_text("my motion")
 
@@ -148,7 +149,9 @@ def take_it_home(page, tmp_path) -> None:
     page.keyboard.press("?")
     expect(page.get_by_role("dialog", name="Keys")).to_contain_text("split the sentence")
     page.keyboard.press("Escape")
+    expect(page.get_by_role("dialog", name="Keys")).to_be_hidden()
     page.keyboard.press("m")
+    expect(page.get_by_role("radio", name="GIF")).to_be_hidden()
     page.keyboard.press("m")
     page.locator(".block").nth(2).click()
     page.get_by_role("radio", name="GIF").check(force=True)
