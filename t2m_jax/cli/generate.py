@@ -136,7 +136,7 @@ def _show_distances(requests: "list[MotionRequest]", motions: "Iterator[Motion]"
         for motion in itertools.islice(motions, request.num_samples):
             found = zip(request.targets, distances(motion, request.targets), strict=True)
             for target, far in found:
-                met = "met" if far <= target.tolerance else "missed"
+                met = "met" if target.is_met(far) else "missed"
                 sys.stderr.write(f"t2m: {target.name}: {met}, {far:.3f} {target.unit} away\n")
             yield motion
 

@@ -101,6 +101,10 @@ class Target:
         """The distance up to which it is met; meters, or degrees of `facing`."""
         return EXACT_TOLERANCE if self.exact else TOLERANCES.get(self.joint, JOINT_TOLERANCE)
 
+    def is_met(self, distance: float) -> bool:
+        """Returns whether a motion that is this far away meets it (see `distances`)."""
+        return distance <= self.tolerance
+
     @property
     def unit(self) -> str:
         """The unit of `tolerance` and of `distances`."""
@@ -254,5 +258,5 @@ def _distances(motion: Motion, target: Target) -> Float[np.ndarray, " S"]:
 def missed_targets(motion: Motion, targets: Sequence[Target]) -> str:
     """Returns which targets a motion misses, and by how much; "" if it meets all."""
     found = zip(targets, distances(motion, targets), strict=True)
-    missed = [f"{one.name} by {far:.2g} {one.unit}" for one, far in found if far > one.tolerance]
+    missed = [f"{one.name} by {far:.2g} {one.unit}" for one, far in found if not one.is_met(far)]
     return f"misses {', '.join(missed)}" if missed else ""

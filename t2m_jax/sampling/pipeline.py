@@ -131,7 +131,7 @@ class TextToMotion:
         Raises:
             UserError: A request does not fit the model, such as a motion of another skeleton.
         """
-        turns = [request.in_turn(self.knowledge) for request in requests]
+        turns = [request.in_turn(self.knowledge.actions) for request in requests]
         captions = [caption for request in turns for caption in request.captions]
         prompts = iter(read_prompts(captions, self.knowledge, self.text_encoder))
         read = [(request, list(itertools.islice(prompts, len(request.captions)))) for request in turns]
@@ -159,7 +159,7 @@ class TextToMotion:
             raise UserError("stream: a change of a motion has no pieces; use make")
         if request.targets:
             raise UserError("stream: targets need the whole motion; use make")
-        request = request.in_turn(self.knowledge)
+        request = request.in_turn(self.knowledge.actions)
         prompts = read_prompts(request.captions, self.knowledge, self.text_encoder)
         first = Sample(prompts[0], request.seed, sample)
         if request.is_plain:

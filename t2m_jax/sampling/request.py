@@ -3,7 +3,7 @@
 import dataclasses
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Literal
 
 from t2m_jax.config import check_seed
@@ -13,7 +13,6 @@ from t2m_jax.motion.targets import Target
 from t2m_jax.sampling.prompts import MAX_BATCH
 from t2m_jax.sampling.stopping import make_stop_rule
 from t2m_jax.sampling.strategies import Strategy, make_strategy
-from t2m_jax.text.coverage import Knowledge
 from t2m_jax.text.prompts import check_prompt
 from t2m_jax.text.sequence import split_sequence
 
@@ -144,19 +143,19 @@ class MotionRequest:
         """Whether it asks for motions of one sentence alone, which can be sampled together with those of others."""
         return len(self.captions) == 1 and self.start is None and self.seconds is None and not self.targets
 
-    def in_turn(self, knowledge: Knowledge) -> "MotionRequest":
+    def in_turn(self, known: Collection[str]) -> "MotionRequest":
         """Returns the request with a sentence for each action that its sentences say in turn (see `split_sequence`).
 
-        All of them together have the same `seconds`. Requests with `options.whole`, `targets`, `span` or `strength`
-        stay as they are.
+        `known` are the actions that the model knows. All sentences together have the same `seconds`. Requests with
+        `options.whole`, `targets`, `span` or `strength` stay as they are.
         """
         if self.options.whole or self.targets or self.span is not None or self.strength is not None:
             return self
-        turns = tuple(itertools.chain.from_iterable(split_sequence(caption, knowledge) for caption in self.captions))
-        if len(turns) == len(self.captions):
+        actions = tuple(itertools.chain.from_iterable(split_sequence(caption, known) for caption in self.captions))
+        if len(actions) == len(self.captions):
             return self
-        seconds = None if self.seconds is None else self.seconds * len(self.captions) / len(turns)
-        return dataclasses.replace(self, captions=turns, seconds=seconds)
+        seconds = None if self.seconds is None else self.seconds * len(self.captions) / len(actions)
+        return dataclasses.replace(self, captions=actions, seconds=seconds)
 
     def _check_change(self, name: str) -> None:
         if self.start is None:

@@ -223,7 +223,7 @@ def motion_record(motion: Motion, targets: Sequence[Target] = ()) -> answers.Mot
 
 
 def _target_record(target: Target, far: float) -> answers.TargetData:
-    return {"name": target.name, "distance": far, "unit": target.unit, "met": far <= target.tolerance}
+    return {"name": target.name, "distance": far, "unit": target.unit, "met": target.is_met(far)}
 
 
 @contextmanager

@@ -19,7 +19,6 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, gene
 from t2m_jax.errors import UserError
 from t2m_jax.sampling.request import MotionRequest
 from t2m_jax.serving.messages import NO_JOB, Cancel, Task
-from t2m_jax.text.coverage import Knowledge, make_knowledge
 
 BATCH_SIZE = 32
 """Motions that are generated together."""
@@ -129,7 +128,6 @@ class Jobs:
         self.running: dict[int, Job] = {}
         self.measures = Measures(waiting=lambda: len(self.waiting), running=lambda: len(self.running))
         self._numbers = itertools.count()
-        self._knowledge = make_knowledge(None)
         self._process: SpawnProcess | None = None
         self.is_alive = False
         """Whether the process can generate."""
@@ -168,7 +166,8 @@ class Jobs:
         if len(self.waiting) >= self.max_waiting:
             motions = sum(job.request.num_samples for job in self.waiting)
             raise QueueFullError(len(self.waiting), max(1, math.ceil(motions * self._seconds_per_motion)))
-        job = Job(next(self._numbers), request.in_turn(self._knowledge))  # here: it goes another way then
+        # Not in the process, because plain requests and chains wait for different places in it.
+        job = Job(next(self._numbers), request.in_turn(self.model["actions"]))
         self.waiting.append(job)
         self._tell_positions()
         self._dispatch()
@@ -236,7 +235,6 @@ class Jobs:
         elif name == "ready":
             self.is_alive = True
             self.model = data
-            self._knowledge = Knowledge(frozenset(data["words"]), tuple(data["actions"]))
             if not self._ready.done():
                 self._ready.set_result(None)
             self._dispatch()

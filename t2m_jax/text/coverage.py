@@ -2,7 +2,7 @@
 
 import itertools
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -159,7 +159,7 @@ def _problems(words: Sequence[Word], unknown: Sequence[Word], knowledge: Knowled
         yield "write it in the language and style of the training captions"
     if knowledge.words:
         yield from subject_problems(words)
-    if knowledge.actions and not nearest and not _has_known_action(words, knowledge):
+    if knowledge.actions and not nearest and not has_action(words, knowledge.actions):
         yield from _no_action(words, knowledge)
 
 
@@ -180,14 +180,10 @@ def _nearest_actions(words: Sequence[Word], unknown: Sequence[Word], knowledge: 
     return {words[place].text: knowledge.meanings.nearest(sentence_of(words, place)) for place in places}
 
 
-def has_known_action(prompt: str, knowledge: Knowledge) -> bool:
-    """Returns whether a sentence has an action of the model's record."""
-    return _has_known_action(words_of(prompt), knowledge)
-
-
-def _has_known_action(words: Sequence[Word], knowledge: Knowledge) -> bool:
-    actions = set(knowledge.actions)
-    return any(actions & word.bases and (word.action or word.bases.isdisjoint(GENERIC_NOUNS)) for word in words)
+def has_action(words: Iterable[Word], actions: Collection[str]) -> bool:
+    """Returns whether words have one of some actions, such as those that a model knows."""
+    known = set(actions)
+    return any(known & word.bases and (word.action or word.bases.isdisjoint(GENERIC_NOUNS)) for word in words)
 
 
 def _no_action(words: Sequence[Word], knowledge: Knowledge) -> Iterator[str]:

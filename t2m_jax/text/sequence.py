@@ -1,10 +1,10 @@
 """Sentences that say several actions in turn: "walks, then waves", "before she sits down, she bows"."""
 
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from typing import NamedTuple
 
-from t2m_jax.text.coverage import Knowledge, has_known_action
+from t2m_jax.text.coverage import has_action
 from t2m_jax.text.verbs import word_set, words_of
 
 _PERSON = r"(?:he|she|it|they|you|somebody|someone)"
@@ -68,7 +68,7 @@ _OPENING = re.compile(
 )
 
 
-def split_sequence(caption: str, knowledge: Knowledge) -> tuple[str, ...]:
+def split_sequence(caption: str, known: Collection[str]) -> tuple[str, ...]:
     """Returns the actions of a sentence in the order in which they happen, each as a sentence.
 
     It is cut at words such as `then`, `before`, `after` and `followed by`, and in a list of verbs, if there is an
@@ -77,11 +77,11 @@ def split_sequence(caption: str, knowledge: Knowledge) -> tuple[str, ...]:
 
     Args:
         caption: A checked sentence.
-        knowledge: Of the model; without a record of its actions, no sentence is cut.
+        known: Actions that the model knows; without a record of them, no sentence is cut.
     """
-    if not knowledge.actions:
+    if not known:
         return (caption,)
-    actions = _with_corners(_split(caption, lambda text: has_known_action(text, knowledge)), knowledge)
+    actions = _with_corners(_split(caption, lambda text: has_action(words_of(text), known)), known)
     return tuple(actions) if 1 < len(actions) <= MAX_ACTIONS else (caption,)
 
 
@@ -94,21 +94,21 @@ def _split(text: str, is_known: Callable[[str], bool]) -> Iterator[str]:
     yield text
 
 
-def _with_corners(actions: Iterable[str], knowledge: Knowledge) -> list[str]:
+def _with_corners(actions: Iterable[str], known: Collection[str]) -> list[str]:
     """Returns actions in which walking around a corner is one: "walks, then turns left"."""
     joined: list[str] = []
     for action in actions:
         before = joined[-1] if joined else ""
-        if (_is_corner(action, knowledge) and _goes(before)) or (_is_corner(before, knowledge) and _goes(action)):
+        if (_is_corner(action, known) and _goes(before)) or (_is_corner(before, known) and _goes(action)):
             joined[-1] = f"{before}, then {action}"
         else:
             joined.append(action)
     return joined
 
 
-def _is_corner(action: str, knowledge: Knowledge) -> bool:
+def _is_corner(action: str, known: Collection[str]) -> bool:
     """Returns whether an action is nothing but another direction."""
-    others = set(knowledge.actions) - TURNING
+    others = set(known) - TURNING
     return bool(_SIDE.search(action)) and not any(word.action and others & word.bases for word in words_of(action))
 
 
@@ -119,7 +119,7 @@ def _goes(action: str) -> bool:
 def _cuts(text: str, is_known: Callable[[str], bool]) -> Iterator[tuple[str, str]]:
     """Yields the ways to cut a text in two, the best first."""
 
-    def has_action(part: str) -> bool:
+    def is_action(part: str) -> bool:
         head = _head(part)
         return is_known(head) or _has_verb(head)
 
@@ -127,10 +127,10 @@ def _cuts(text: str, is_known: Callable[[str], bool]) -> Iterator[tuple[str, str
         if (found := order.pattern.fullmatch(text)) is not None:
             parts = {name: _without_opening(found[name]) for name in ("first", "second")}
             is_doing = not order.clause or _is_doing(parts[order.clause], is_known)
-            if all(has_action(part) for part in parts.values()) and is_doing:
+            if all(map(is_action, parts.values())) and is_doing:
                 yield parts["first"], parts["second"]
     found = _LIST.fullmatch(text)
-    if found is not None and _goes_on(found["second"], is_known) and has_action(found["first"]):
+    if found is not None and _goes_on(found["second"], is_known) and is_action(found["first"]):
         yield found["first"], found["second"]
 
 

@@ -115,7 +115,7 @@ def test_the_noise_is_that_of_jax(modules):
     code = """return given.map(([seed, sentence, sample]) => {
       const key = random.sampleKey(seed, sentence, sample);
       const { codes, end } = random.rowNoise(key, 5, { depth: 3, classes: 7 });
-      const [single] = [random.rowNoise(key, 5, { depth: 1, classes: 7 })];
+      const single = random.rowNoise(key, 5, { depth: 1, classes: 7 });
       return { key, codes: [...codes], end, single: [...single.codes], uniform: [...random.uniform(key, 1000)] };
     });"""
     for case, found in zip(cases, modules("random", code, cases), strict=True):

@@ -223,8 +223,8 @@ def test_a_stream_of_actions_in_turn_is_their_motion(knowing):
 
 def test_actions_in_turn_share_the_seconds(knowing):
     request = MotionRequest(captions=(IN_TURN,), seconds=4.0)
-    assert request.in_turn(knowing.knowledge).seconds == 2.0
+    assert request.in_turn(knowing.knowledge.actions).seconds == 2.0
     assert abs(next(knowing.make(request)).num_frames - 80) <= 8
     for fields in ({"span": (0.0, 1.0)}, {"strength": 0.5}):
         change = MotionRequest(captions=(IN_TURN,), start=WALK, **fields)
-        assert change.in_turn(knowing.knowledge) is change
+        assert change.in_turn(knowing.knowledge.actions) is change

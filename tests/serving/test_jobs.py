@@ -36,7 +36,7 @@ class QueueOnly(Jobs):
 
     def _start_process(self):
         self._process, self._connection, self.sent = FakeProcess(), self, []
-        self.say("ready", {"name": "none", "words": ["he", "walks", "waves"], "actions": ["walk", "wave"]})
+        self.say("ready", {"name": "none", "actions": ["walk", "wave"]})
 
     def send(self, message):
         self.sent.append(message)
