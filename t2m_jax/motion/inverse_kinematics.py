@@ -23,14 +23,14 @@ from t2m_jax.motion.twist import limb_rotations
 _INDEX = {name: i for i, name in enumerate(HUMANML3D.joint_names)}
 _PARENTS = HUMANML3D.parents
 _X, _Y, _Z = np.eye(3)
-_RIGID_SWEEPS = 20
+RIGID_SWEEPS = 20
 
 # Direction in the T-pose of the bone that ends at a joint. The other joints are children of pelvis and chest, and their
 # directions are measured in the motion.
-_REST_DIRECTIONS = {"spine2": _Y, "spine3": _Y, "head": _Y}
+REST_DIRECTIONS = {"spine2": _Y, "spine3": _Y, "head": _Y}
 for _side, _out in (("left", _X), ("right", -_X)):
-    _REST_DIRECTIONS |= {f"{_side}_knee": -_Y, f"{_side}_ankle": -_Y, f"{_side}_foot": _Z}
-    _REST_DIRECTIONS |= {f"{_side}_shoulder": _out, f"{_side}_elbow": _out, f"{_side}_wrist": _out}
+    REST_DIRECTIONS |= {f"{_side}_knee": -_Y, f"{_side}_ankle": -_Y, f"{_side}_foot": _Z}
+    REST_DIRECTIONS |= {f"{_side}_shoulder": _out, f"{_side}_elbow": _out, f"{_side}_wrist": _out}
 
 
 class _Hub(NamedTuple):
@@ -51,11 +51,11 @@ class _Limb(NamedTuple):
     hinge_axis: Float[np.ndarray, "3"]
 
 
-_PELVIS = _Hub(*(_INDEX[name] for name in ("pelvis", "left_hip", "right_hip", "spine1")))
-_CHEST = _Hub(*(_INDEX[name] for name in ("spine3", "left_collar", "right_collar", "neck")))
+PELVIS = _Hub(*(_INDEX[name] for name in ("pelvis", "left_hip", "right_hip", "spine1")))
+CHEST = _Hub(*(_INDEX[name] for name in ("spine3", "left_collar", "right_collar", "neck")))
 # Knees bend backwards. The elbows of a T-pose with palms down bend forwards.
-_LEGS = tuple(_Limb(_INDEX[f"{s}_hip"], _INDEX[f"{s}_knee"], _INDEX[f"{s}_ankle"], _X) for s in ("left", "right"))
-_ARMS = tuple(
+LEGS = tuple(_Limb(_INDEX[f"{s}_hip"], _INDEX[f"{s}_knee"], _INDEX[f"{s}_ankle"], _X) for s in ("left", "right"))
+ARMS = tuple(
     _Limb(_INDEX[f"{s}_shoulder"], _INDEX[f"{s}_elbow"], _INDEX[f"{s}_wrist"], axis)
     for s, axis in (("left", -_Y), ("right", _Y))
 )
@@ -89,23 +89,23 @@ def fit_rig(positions: Float[np.ndarray, "T J 3"], *, fps: float) -> FittedRig:
     targets = np.asarray(positions, dtype=np.float64)
     offsets = _rest_offsets(targets)
     fit = _Fit(_rigid_positions(targets, offsets), offsets)
-    fit.turn_hub(_PELVIS)
+    fit.turn_hub(PELVIS)
     spine = (_INDEX["spine1"], _INDEX["spine2"])
     for joint in spine:
         fit.swing(joint)
-    fit.turn_hub(_CHEST)
+    fit.turn_hub(CHEST)
     # The swings of the spine have no twist, so all of it is at the chest. Each of its joints gets a third.
-    pelvis = fit.rotations[:, _PELVIS.joint].copy()
-    chest = fit.rotations[:, _CHEST.joint].copy()
+    pelvis = fit.rotations[:, PELVIS.joint].copy()
+    chest = fit.rotations[:, CHEST.joint].copy()
     for share, joint in zip((1 / 3, 2 / 3), spine, strict=True):
         fit.swing(joint, start=slerp(pelvis, chest, share))
-    fit.set_rotation(_CHEST.joint, chest)
-    for collar in (_CHEST.left, _CHEST.right, _CHEST.above):
+    fit.set_rotation(CHEST.joint, chest)
+    for collar in (CHEST.left, CHEST.right, CHEST.above):
         fit.swing(collar)
     # Both legs at once, and both arms: limbs of one kind are arrays of one shape.
-    for limbs in (_LEGS, _ARMS):
+    for limbs in (LEGS, ARMS):
         _fit_limbs(fit, limbs, fps)
-    for leg in _LEGS:
+    for leg in LEGS:
         fit.swing(leg.end)
     return FittedRig(
         offsets=fit.offsets.astype(np.float32),
@@ -184,9 +184,9 @@ def _rest_offsets(positions: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, "J
     """Returns the T-pose: mean bone lengths, straight limbs, and the mean shapes of pelvis and chest."""
     bones = positions - positions[:, np.maximum(_PARENTS, 0)]
     offsets = np.zeros(bones.shape[1:])
-    for name, direction in _REST_DIRECTIONS.items():
+    for name, direction in REST_DIRECTIONS.items():
         offsets[_INDEX[name]] = direction
-    for hub in (_PELVIS, _CHEST):
+    for hub in (PELVIS, CHEST):
         # The mean of the bones in the hub's own frame: X from right to left, Y toward the joint above.
         across = _unit(bones[:, hub.left] - bones[:, hub.right])
         up = bones[:, hub.above]
@@ -206,9 +206,9 @@ def _rigid_positions(
     this distributes the errors of a motion that no rigid figure can perform over all joints, including the root.
     """
     pairs = [(child, parent) for child, parent in enumerate(_PARENTS) if parent >= 0]
-    pairs += [pair for hub in (_PELVIS, _CHEST) for pair in itertools.combinations(HUMANML3D.children(hub.joint), 2)]
+    pairs += [pair for hub in (PELVIS, CHEST) for pair in itertools.combinations(HUMANML3D.children(hub.joint), 2)]
     joints = np.moveaxis(positions, 1, 0).copy()
-    for _ in range(_RIGID_SWEEPS):
+    for _ in range(RIGID_SWEEPS):
         for a, b in pairs:
             length = np.linalg.norm(offsets[a] - offsets[b] * (_PARENTS[a] != b))
             apart = joints[a] - joints[b]

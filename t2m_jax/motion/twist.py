@@ -15,13 +15,13 @@ Angles = Float[np.ndarray, "T L"]
 Twists = Complex[np.ndarray, "T L"]
 """Numbers whose arguments are angles of twist, and whose lengths say how much they count."""
 
-_NUM_ANGLES = 72
-_MAX_DEGREES_PER_SECOND = 800.0
+NUM_ANGLES = 72
+MAX_DEGREES_PER_SECOND = 800.0
 # Sine of the bend at which a hinge has half of its full weight, and the weight of the natural twist relative to that.
-_HALF_TRUST = 0.2
-_NATURAL_WEIGHT = 0.1
+HALF_TRUST = 0.2
+NATURAL_WEIGHT = 0.1
 # Weight of (radians per second)² relative to the two above, whose costs are between -1 and 1.
-_SMOOTHNESS = 1 / 400
+SMOOTHNESS = 1 / 400
 
 
 def limb_rotations(
@@ -62,8 +62,8 @@ def limb_rotations(
     # The natural twist is that of the shortest swing. It is unstable, so it gets less weight, if the bone points away
     # from its rest direction.
     along = (1 + np.sum(upper * rest_directions, axis=-1)) / 2
-    evidence = bend * np.abs(bend) / (np.abs(bend) ** 2 + _HALF_TRUST**2) + _NATURAL_WEIGHT * along**2 * natural
-    stiffness = _SMOOTHNESS * fps**2
+    evidence = bend * np.abs(bend) / (np.abs(bend) ** 2 + HALF_TRUST**2) + NATURAL_WEIGHT * along**2 * natural
+    stiffness = SMOOTHNESS * fps**2
     path = np.unwrap(_best_path(evidence, stiffness, fps), axis=0)
     # A least-squares fit turns the path on the grid into a smooth curve. Evidence that contradicts the path is ignored.
     difference = np.angle(evidence * np.exp(-1j * path))
@@ -76,20 +76,20 @@ def limb_rotations(
 
 def _best_path(evidence: Twists, stiffness: float, fps: float) -> Angles:
     """Returns the best sequence of twists on a grid of angles (dynamic programming)."""
-    step = 2 * np.pi / _NUM_ANGLES
-    reach = max(1, int(np.deg2rad(_MAX_DEGREES_PER_SECOND) / fps / step))
+    step = 2 * np.pi / NUM_ANGLES
+    reach = max(1, int(np.deg2rad(MAX_DEGREES_PER_SECOND) / fps / step))
     moves = np.arange(-reach, reach + 1)
     move_costs = stiffness * (moves * step) ** 2
-    angles = np.arange(_NUM_ANGLES) * step
-    sources = (np.arange(_NUM_ANGLES)[:, None] - moves) % _NUM_ANGLES
+    angles = np.arange(NUM_ANGLES) * step
+    sources = (np.arange(NUM_ANGLES)[:, None] - moves) % NUM_ANGLES
     grid = np.exp(-1j * angles)
     total = -np.real(evidence[0][:, None] * grid)
     # The only array of frames and angles, so that a long motion needs little memory.
-    origins = np.zeros((*evidence.shape, _NUM_ANGLES), np.min_scalar_type(_NUM_ANGLES))
+    origins = np.zeros((*evidence.shape, NUM_ANGLES), np.min_scalar_type(NUM_ANGLES))
     for frame in range(1, len(evidence)):
         candidates = total[:, sources] + move_costs
         best = np.argmin(candidates, axis=-1)
-        origins[frame] = sources[np.arange(_NUM_ANGLES), best]
+        origins[frame] = sources[np.arange(NUM_ANGLES), best]
         costs = -np.real(evidence[frame][:, None] * grid)
         total = np.take_along_axis(candidates, best[..., None], axis=-1)[..., 0] + costs
     limbs = np.arange(evidence.shape[1])

@@ -24,7 +24,11 @@ from t2m_jax.export.page import site
 from t2m_jax.export.page.figure import figure_record
 from t2m_jax.export.render.scene import figure_from_motion
 from t2m_jax.files.writing import save_json
+from t2m_jax.motion.bvh import save_bvh
 from t2m_jax.motion.formats import load_motion
+from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.rotations import rotate_vectors
+from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.sampling import MotionRequest, SamplingOptions, TextToMotion
 from t2m_jax.sampling.loop import STOP_STREAM
 from t2m_jax.sampling.prompts import sample_key
@@ -158,13 +162,32 @@ def test_sentences_are_cleaned_and_refused_as_in_python(modules):
     assert found == wanted
 
 
+@pytest.fixture
+def acrobat(walk):
+    """Returns a walk whose body turns over, whose right leg is straight, and whose bones change their lengths."""
+    angles = np.linspace(0, 5, walk.num_frames)[:, None]
+    upside = quaternion_from_turns(angles, axis=(0.6, 0.0, 0.8))
+    positions = rotate_vectors(upside, walk.positions)
+    hip, knee, ankle = (walk.skeleton.joint_names.index(f"right_{name}") for name in ("hip", "knee", "ankle"))
+    positions[:, knee] = (positions[:, hip] + positions[:, ankle]) / 2
+    trembling = np.random.default_rng(0).normal(scale=0.004, size=positions.shape)
+    return Motion((positions + trembling).astype(np.float32), walk.fps)
+
+
+def quaternion_from_turns(angles, *, axis):
+    """Returns rotations [T, 1, 4] about an axis."""
+    half = angles[..., None] / 2
+    return np.concatenate([np.cos(half), np.sin(half) * np.array(axis)], axis=-1)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["walk", "kit_walk"])
 def test_the_figure_is_that_of_python(modules, kind, request):
     motion = request.getfixturevalue(kind)
     about = {"fps": motion.fps, "joints": list(motion.skeleton.joint_names)}
     given = {"figure": figure_record(motion.skeleton), "motion": about, "positions": motion.positions.ravel().tolist()}
-    code = """checks.checkFigure(given.figure, given.motion.joints.length);
+    given["motion"]["parents"] = list(motion.skeleton.parents)
+    code = """checks.checkFigure(given.figure, given.motion.parents);
       const made = figure.makeFigure(Float32Array.from(given.positions), given);
       return { ...made, values: [...made.values] };"""
     found = modules("checks figure", code, given)
@@ -173,6 +196,32 @@ def test_the_figure_is_that_of_python(modules, kind, request):
     np.testing.assert_allclose([part[:4] for part in found["parts"]], [part[:4] for part in wanted.parts], atol=1e-5)
     assert [tuple(one[:2]) for one in found["contacts"]] == [one[:2] for one in wanted.contacts]
     np.testing.assert_allclose([one[2:] for one in found["contacts"]], [one[2:] for one in wanted.contacts], atol=1e-4)
+
+
+def words_and_numbers(text: str) -> tuple[list[str], np.ndarray]:
+    """Returns the words of a BVH file, and its numbers."""
+    parts = text.split()
+    is_number = [re.fullmatch(r"-?[\d.]+", part) is not None for part in parts]
+    numbers = [float(part) for part, one in zip(parts, is_number, strict=True) if one]
+    return ["0" if one else part for part, one in zip(parts, is_number, strict=True)], np.array(numbers)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["walk", "acrobat"])
+def test_bvh_files_are_those_of_python(modules, kind, request, tmp_path):
+    motion = request.getfixturevalue(kind)
+    about = {"fps": motion.fps, "parents": list(motion.skeleton.parents), "joints": list(motion.skeleton.joint_names)}
+    given = {"figure": figure_record(motion.skeleton), "motion": about, "positions": motion.positions.ravel().tolist()}
+    code = """const frames = figure.framesOf(Float32Array.from(given.positions), given.motion.joints.length);
+      return bvh.bvhText(rig.fitRig(frames, given.motion, given.figure.rig), given.motion, given.figure.rig);"""
+    text = modules("bvh figure rig", code, given)
+    save_bvh(tmp_path / "python.bvh", motion)
+    (words, numbers), (wanted_words, wanted) = map(words_and_numbers, (text, (tmp_path / "python.bvh").read_text()))
+    assert words == wanted_words
+    np.testing.assert_allclose(numbers, wanted, atol=0.01)  # degrees and meters
+    (tmp_path / "page.bvh").write_text(text)
+    found, expected = (load_motion(tmp_path / f"{name}.bvh").positions for name in ("page", "python"))
+    np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
 MANIFEST = {
@@ -229,9 +278,26 @@ HOSTILE = {
 }
 
 
-def changed(path: str, value) -> dict:
-    """Returns the manifest with another value at a place."""
-    tree = copy.deepcopy(MANIFEST)
+HOSTILE_FIGURE = {
+    "weights": [[], [["x"] * 22] * 22, [[0] * 22] * 10**4],
+    "parts": ["x", [[0, 1, 0.1, 0.1, "</script>"]], [[0, 999, 0.1, 0.1, 0]]],
+    "roles.legs": [[[0, 1, 2], [3, 4, 99]], None],
+    "sizes": [{"leg": "1em"}, None],
+    "rig": [[], "x", {}, 3],
+    "rig.names": [["a b"] * 22, ["}\nMOTION"] * 22, ["__proto__"] * 22, ["Hips"]],
+    "rig.hubs": [[[0, 1, 2, 99]] * 2, [[1, 2, 3, 4]] * 2, [[0, 1, 2, 3]], [[0, 1, 2, 3], [9, 13, 14, 15]]],
+    "rig.limbs": [[{"start": 0, "hinge": 4, "axis": [1, 0, 0]}], [{"start": 1, "hinge": 4, "axis": "x"}], {}],
+    "rig.spine": [[21], ["3"]],
+    "rig.ankles": [[10], None],
+    "rig.sweeps": [10**9, -1, "20"],
+    "rig.twist.angles": [10**9, 0, 0.5],
+    "rig.twist.speed": [-1, None, "fast"],
+}
+
+
+def changed(path: str, value, whole: dict = MANIFEST) -> dict:
+    """Returns a tree with another value at a place."""
+    tree = copy.deepcopy(whole)
     *way, last = path.split(".")
     functools.reduce(lambda part, name: part[name], way, tree)[last] = value
     return tree
@@ -260,6 +326,21 @@ def test_a_hostile_manifest_is_refused(modules):
     ]
     code = "return given.map((tree) => { try { return checks.checkFiles(tree).size; } catch { return null; } });"
     assert modules("checks", code, [files, *wrong]) == [1] + [None] * len(wrong)
+
+
+@pytest.mark.slow
+def test_a_hostile_figure_is_refused(modules):
+    code = """return given.trees.map((tree) => {
+      try { checks.checkFigure(JSON.parse(tree), given.parents); return null; } catch (error) { return error.message; }
+    });"""
+    figure = figure_record(HUMANML3D)
+    cases = [(path, value) for path, values in HOSTILE_FIGURE.items() for value in values]
+    trees = [figure, *(changed(*case, figure) for case in cases), None, [], 3]
+    given = {"trees": list(map(json.dumps, trees)), "parents": list(HUMANML3D.parents)}
+    fine, *answers = modules("checks", code, given)
+    assert fine is None
+    for case, answer in zip([*cases, *trees[-3:]], answers, strict=True):
+        assert answer and answer.startswith("figure.json: "), case
 
 
 def test_the_program_makes_no_markup_or_code_of_texts():
@@ -357,6 +438,12 @@ def test_a_sentence_becomes_the_motion_of_python_also_without_a_network(open_sit
             assert np.abs(found.positions - wanted.positions).max() < 1e-3
             assert (found.caption, found.seed, found.fps) == (WAVE, seed, 20)
             np.testing.assert_allclose(download(page, "GLB", tmp_path).positions, found.positions, atol=1e-4)
+            download(page, "BVH", tmp_path)
+            save_bvh(tmp_path / "python.bvh", found)
+            texts = [(tmp_path / f"{name}.bvh").read_text() for name in ("motion", "python")]
+            (words, numbers), (wanted_words, wanted_numbers) = map(words_and_numbers, texts)
+            assert words == wanted_words
+            np.testing.assert_allclose(numbers, wanted_numbers, atol=0.01)  # degrees and meters
             expect(page.locator(".take")).to_have_count(number + 1)
         page.get_by_role("button", name="Delete all").click()
         expect(page.locator(".take")).to_have_count(0)

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from t2m_jax.export.page.rig import rig_record
 from t2m_jax.export.render.figure import (
     REFERENCE_LEG,
     TINTS,
@@ -17,11 +18,14 @@ from t2m_jax.export.render.scene import (
     HUMAN_SCALES,
     SOLE,
 )
-from t2m_jax.motion.skeleton import Skeleton
+from t2m_jax.motion.skeleton import HUMANML3D, Skeleton
 
 
 def figure_record(skeleton: Skeleton) -> dict[str, Any]:
-    """Returns points, parts, joints and sizes of the figure of a skeleton; `web/figure.js` reads it."""
+    """Returns points, parts, joints and sizes of the figure of a skeleton; `web/figure.js` reads it.
+
+    Also the rig of the skeleton that files of animation programs are written for.
+    """
     body = body_from_skeleton(skeleton)
     roles = roles_from_skeleton(skeleton)
     _, neck, tip = roles.spine[-3:]
@@ -30,6 +34,7 @@ def figure_record(skeleton: Skeleton) -> dict[str, Any]:
         "parts": [[*part[:4], TINTS.index(part.tint)] for part in body.parts],
         "head": body.head,
         "mirrored": is_mirrored(skeleton),
+        "rig": rig_record() if skeleton == HUMANML3D else None,
         "roles": {
             "neck": neck,
             "tip": tip,

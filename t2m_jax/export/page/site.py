@@ -3,6 +3,7 @@
 import hashlib
 import importlib.resources
 import json
+import re
 from collections.abc import Iterator
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -105,7 +106,14 @@ def _fill_templates(folder: Path) -> None:
         digest.update(name.encode() + b"\0" + hashlib.sha256(load_bytes(folder / name)).digest())
     scripts = [name for name in names if name.startswith("studio/") or name.endswith((".js", ".css"))]
     shell = ["./", FILES_FILE, *scripts]
-    save_text(folder / "index.html", fill_template("t2m_jax.export.page", "web/index.html", {"policy": POLICY}))
+    parts = {"policy": POLICY, "symbols": _symbols()}
+    save_text(folder / "index.html", fill_template("t2m_jax.export.page", "web/index.html", parts))
     digest.update(load_bytes(folder / "index.html"))
     parts = {"policy": POLICY, "shell": json.dumps(shell), "version": digest.hexdigest()[:16]}
     save_text(folder / "sw.js", fill_template("t2m_jax.export.page", "web/sw.js", parts))
+
+
+def _symbols() -> str:
+    """Returns the icons of the studio."""
+    page = importlib.resources.files("t2m_jax") / "serving" / "page" / "index.html"
+    return re.findall(r'<svg class="symbols".*?\n</svg>', page.read_text(encoding="utf-8"), re.DOTALL)[0]

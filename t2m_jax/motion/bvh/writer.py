@@ -27,7 +27,7 @@ _ROTATIONS = " ".join(f"{axis}rotation" for axis in _ORDER)
 _MOVING = f"6 Xposition Yposition Zposition {_ROTATIONS}"
 _LOCKED_COSINE = 1e-4
 # Length of each End Site relative to the last bone, up to the crown, the finger tips and the tip of the shoe.
-_END_SITES = {"head": 1.7, "left_wrist": 0.65, "right_wrist": 0.65, "left_foot": 0.35, "right_foot": 0.35}
+END_SITES = {"head": 1.7, "left_wrist": 0.65, "right_wrist": 0.65, "left_foot": 0.35, "right_foot": 0.35}
 
 
 def save_bvh(
@@ -131,8 +131,8 @@ def _hierarchy_lines(
     lines += [f"{inner}OFFSET {_numbers(offsets[joint])}", f"{inner}CHANNELS {channels}"]
     for child in HUMANML3D.children(joint):
         lines += _hierarchy_lines(offsets, names, child, depth + 1)
-    if role in _END_SITES:
-        end = _numbers(offsets[joint] * _END_SITES[role])
+    if role in END_SITES:
+        end = _numbers(offsets[joint] * END_SITES[role])
         lines += [inner + "End Site", inner + "{", f"{inner}  OFFSET {end}", inner + "}"]
     return [*lines, pad + "}"]
 

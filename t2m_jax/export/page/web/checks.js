@@ -19,6 +19,7 @@ const isNumber = (value) => typeof value === "number" && Number.isFinite(value);
 const isShort = (value) => typeof value === "string" && value.length <= 300;
 const isName = (value) => typeof value === "string" && /^\w{1,80}$/.test(value) && value !== "__proto__";
 const isList = (value, isItem, most) => Array.isArray(value) && value.length <= most && value.every(isItem);
+const isPoint = (point) => isList(point, isNumber, 3) && point.length === 3;
 
 // Returns sizes and digests of the files by name.
 export function checkFiles(tree) {
@@ -64,15 +65,28 @@ export function checkManifest(tree) {
   check(isList(motion.joints, isName, 200) && motion.joints.length > 0, "manifest.json", "the joints");
   const isParent = (parent, joint) => isWhole(parent, -1, joint - 1) && (parent < 0) === (joint === 0);
   check(isList(motion.parents, () => true, 200) && motion.parents.length === motion.joints.length && motion.parents.every(isParent), "manifest.json", "the parents");
-  const isPoint = (point) => isList(point, isNumber, 3) && point.length === 3;
   check(isList(motion.rest_offsets, isPoint, 200) && motion.rest_offsets.length === motion.joints.length, "manifest.json", "the rest pose");
   check(isList(examples, isShort, 1000) && isShort(license ?? "") && isShort(source ?? ""), "manifest.json", "the texts");
   return tree;
 }
 
-// Returns how a figure is drawn around so many joints.
-export function checkFigure(tree, joints) {
-  const { weights, parts, head, roles, sizes } = isRecord(tree) ? tree : {};
+function checkRig({ names, directions, ends, hubs, spine, limbs, ankles, sweeps, twist }, parents) {
+  const ofJoints = (list, isItem) => isList(list, isItem, parents.length) && list.length === parents.length;
+  const isJoint = (joint) => isWhole(joint, 0, parents.length - 1);
+  const count = (joint) => parents.filter((parent) => parent === joint).length;
+  const isHub = (hub) => isList(hub, isJoint, 4) && hub.length === 4 && count(hub[0]) === 3;
+  const bends = (joint) => isJoint(joint) && count(joint) === 1;
+  const isLimb = (limb) => isRecord(limb) && bends(limb.start) && bends(limb.hinge) && isPoint(limb.axis);
+  check(ofJoints(names, isName) && ofJoints(directions, isPoint) && ofJoints(ends, isNumber), "figure.json", "the rig");
+  check(isList(hubs, isHub, 2) && hubs.length === 2 && hubs[1].slice(1).every(bends), "figure.json", "the rig");
+  check(isList(spine, bends, 2) && isList(limbs, isLimb, 4) && isList(ankles, bends, 2) && isWhole(sweeps, 0, 100), "figure.json", "the rig");
+  check(isRecord(twist) && isWhole(twist.angles, 1, 1000) && Object.values(twist).every((value) => isNumber(value) && value > 0), "figure.json", "the rig");
+}
+
+// Returns how a figure is drawn around joints with these parents.
+export function checkFigure(tree, parents) {
+  const joints = parents.length;
+  const { weights, parts, head, roles, sizes, rig } = isRecord(tree) ? tree : {};
   const isRow = (row) => isList(row, isNumber, joints) && row.length === joints;
   check(isList(weights, isRow, 500) && weights.length >= joints, "figure.json", "weights");
   const points = weights.length + 2;
@@ -82,5 +96,7 @@ export function checkFigure(tree, joints) {
   const named = isRecord(roles) ? [roles.neck, roles.tip, roles.leftShoulder, roles.rightShoulder, ...[roles.legs, roles.feet].flat(2)] : [];
   check(named.length === 12 && named.every(isJoint) && typeof tree.mirrored === "boolean", "figure.json", "roles");
   check(isRecord(sizes) && Object.values(sizes).flat().every(isNumber), "figure.json", "sizes");
+  check(rig === null || isRecord(rig), "figure.json", "the rig");
+  if (rig) checkRig(rig, parents);
   return tree;
 }

@@ -54,7 +54,7 @@ async function open() {
   const runtime = files.unpacked(RUNTIME, onBytes);
   for (const promise of [runtime, ...Object.values(contents)]) promise.catch(() => {}); // told where it is awaited
   const manifest = checkManifest(await files.json("model/manifest.json", onBytes));
-  const figure = checkFigure(await files.json("model/figure.json", onBytes), manifest.motion.joints.length);
+  const figure = checkFigure(await files.json("model/figure.json", onBytes), manifest.motion.parents);
   const tokenizer = new Tokenizer(await files.json("model/tokenizer.json", onBytes));
   ort.env.wasm.wasmBinary = await runtime;
   ort.env.wasm.numThreads = crossOriginIsolated ? Math.min(navigator.hardwareConcurrency || 1, MOST_THREADS) : 1;

@@ -1,12 +1,7 @@
 // The figure of a motion, as t2m_jax/export/render makes it: points around the joints, and where feet stand. figure.json has
 // the weights, the parts and the sizes.
 
-const add = (a, b, scale = 1) => a.map((value, axis) => value + scale * b[axis]);
-const subtract = (a, b) => add(a, b, -1);
-const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-const length = (a) => Math.sqrt(dot(a, a));
-const unit = (a) => a.map((value) => value / Math.max(length(a), 1e-9));
+import { add, cross, dot, length, subtract, unit } from "./vectors.js";
 
 function median(values) {
   const sorted = values.toSorted((a, b) => a - b);

@@ -1,6 +1,8 @@
-// An animated figure as a GLB file: the figure in its rest pose, which Python made, and an animation of its joints.
+// An animated figure as a GLB file: the figure in its rest pose, which Python made, and an animation of its joints. All of
+// them are where the motion has them: where the rigid bones of the figure lead elsewhere, their places are animated, too.
 
-import { localTracks } from "./rotations.js";
+import { inverse, rotate } from "./rotations.js";
+import { dot, scaled, subtract } from "./vectors.js";
 
 const MAGIC = 0x46546c67; // "glTF", "JSON" and "BIN" as little-endian numbers
 const JSON_CHUNK = 0x4e4f534a;
@@ -20,8 +22,8 @@ function chunk(kind, bytes, filling) {
   return [new Uint8Array(Uint32Array.of(padded.length, kind).buffer), padded];
 }
 
-// Returns a blob with the figure of `template`, the bytes of a GLB file, and one animation.
-export function animatedFigure(template, frames, { parents, fps, caption }) {
+// Returns a blob with the figure of `template`, the bytes of a GLB file, and one animation with the rotations of a fitted rig.
+export function animatedFigure(template, frames, { turns, local }, { parents, fps, caption }) {
   const { tree, binary } = readChunks(template);
   const parts = [binary];
   let length = binary.length;
@@ -35,14 +37,15 @@ export function animatedFigure(template, frames, { parents, fps, caption }) {
   };
   const last = Math.fround((frames.length - 1) / fps);
   const input = add(frames.map((_, frame) => frame / fps), 1, { min: [0], max: [last] });
-  const rest = restOf(tree.nodes, parents);
   const animation = { name: caption || "motion", samplers: [], channels: [], extras: { caption, fps, frames: frames.length } };
   const follow = (node, path, output) => {
     animation.channels.push({ sampler: animation.samplers.push({ input, output }) - 1, target: { node, path } });
   };
-  localTracks(frames, rest, parents).forEach(({ rotations, translations }, node) => {
-    follow(node, "rotation", add(rotations, 4));
-    follow(node, "translation", add(translations, 3));
+  local.forEach((track, node) => {
+    const parent = parents[node];
+    const places = frames.map((joints, frame) => (node ? rotate(inverse(turns[parent][frame]), subtract(joints[node], joints[parent])) : joints[0]));
+    follow(node, "rotation", add(withoutJumps(track), 4));
+    follow(node, "translation", add(places, 3));
   });
   Object.assign(tree, { animations: [animation], buffers: [{ byteLength: length }] });
   const whole = new Uint8Array(length);
@@ -55,12 +58,11 @@ export function animatedFigure(template, frames, { parents, fps, caption }) {
   return new Blob([new Uint8Array(Uint32Array.of(MAGIC, 2, size).buffer), ...chunks], { type: "model/gltf-binary" });
 }
 
-// Returns the joints of the rest pose; they are the first nodes.
-function restOf(nodes, parents) {
-  const rest = [];
-  parents.forEach((parent, joint) => {
-    const { translation } = nodes[joint];
-    rest.push(parent < 0 ? translation : translation.map((value, axis) => value + rest[parent][axis]));
+// Returns the same rotations with signs that do not change from frame to frame.
+function withoutJumps(track) {
+  let before = track[0];
+  return track.map((turn) => {
+    before = dot(before, turn) < 0 ? scaled(turn, -1) : turn;
+    return before;
   });
-  return rest;
 }

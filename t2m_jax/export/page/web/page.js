@@ -66,7 +66,7 @@ class Page {
         find("sentence").focus();
       },
     })));
-    offerDownloads(this.session, this.model.motion, this.model.template);
+    offerDownloads(this.session, this.model);
   }
 
   #form() {

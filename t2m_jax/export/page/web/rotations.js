@@ -1,13 +1,9 @@
-// Rotations of bones from joint positions. A rotation is a quaternion [x, y, z, w], as in glTF.
+// Rotations as quaternions [x, y, z, w], as in glTF.
 
-const dot = (a, b) => a.reduce((sum, value, place) => sum + value * b[place], 0);
-const subtract = (a, b) => a.map((value, axis) => value - b[axis]);
-const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-const unit = (a) => {
-  const length = Math.sqrt(dot(a, a)) || 1;
-  return a.map((value) => value / length);
-};
-const IDENTITY = [0, 0, 0, 1];
+import { cross, dot, length, scaled, subtract, unit } from "./vectors.js";
+
+export const IDENTITY = [0, 0, 0, 1];
+const SQUARINGS = 40;
 
 export const inverse = ([x, y, z, w]) => [-x, -y, -z, w];
 
@@ -27,53 +23,47 @@ export function between(from, to) {
   const [a, b] = [unit(from), unit(to)];
   const cosine = dot(a, b);
   if (cosine < -1 + 1e-9) { // opposite: about any axis across
-    const across = unit(cross(a, Math.abs(a[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0]));
+    const across = unit(cross(a, Math.abs(a[0]) < 0.8 ? [1, 0, 0] : [0, 1, 0]));
     return [...across, 0];
   }
   return unit([...cross(a, b), 1 + cosine]);
 }
 
-// Returns the rotation from one pair of directions to another: the first to the first, and the second as close as can be.
-function betweenPairs([across, up], [newAcross, newUp]) {
-  const swing = between(across, newAcross);
-  const axis = unit(newAcross);
-  const flat = (vector) => subtract(vector, axis.map((value) => value * dot(vector, axis)));
-  const [from, to] = [unit(flat(rotate(swing, up))), unit(flat(newUp))];
-  const angle = Math.atan2(dot(cross(from, to), axis), dot(from, to));
-  return multiply([...axis.map((value) => value * Math.sin(angle / 2)), Math.cos(angle / 2)], swing);
+// Returns the rotation on the shorter way from `a` to `b`, at a share of it.
+export function slerp(a, b, share) {
+  const nearer = dot(a, b) < 0 ? scaled(b, -1) : b;
+  const angle = 2 * Math.atan2(length(subtract(nearer, a)), length(a.map((value, place) => value + nearer[place])));
+  if (Math.sin(angle) < 1e-4) return unit(a.map((value, place) => (1 - share) * value + share * nearer[place]));
+  const [before, after] = [Math.sin((1 - share) * angle), Math.sin(share * angle)];
+  return unit(a.map((value, place) => before * value + after * nearer[place]));
 }
 
-// Returns the world rotation of each joint for one frame, with the least twist that leads from `rest` to `joints`.
-export function worldRotations(joints, rest, parents) {
-  const children = parents.map((_, joint) => parents.flatMap((parent, child) => (parent === joint ? [child] : [])));
-  const turns = [];
-  joints.forEach((here, joint) => {
-    const above = joint ? turns[parents[joint]] : IDENTITY;
-    const directions = (places, child) => subtract(places[child], places[joint]);
-    // A joint with three children: two at its sides, and one between them.
-    const [right, middle, left] = children[joint].toSorted((a, b) => rest[a][0] - rest[b][0]);
-    if (left !== undefined) {
-      const pair = (places) => [subtract(places[left], places[right]), directions(places, middle)];
-      turns.push(betweenPairs(pair(rest), pair(joints)));
-    } else if (right !== undefined) {
-      turns.push(multiply(between(rotate(above, directions(rest, right)), directions(joints, right)), above));
-    } else turns.push(above);
-  });
-  return turns;
-}
-
-// Returns rotations and translations of joints in the frames of their parents: for each joint, a list over time.
-export function localTracks(frames, rest, parents) {
-  const tracks = parents.map(() => ({ rotations: [], translations: [] }));
-  for (const joints of frames) {
-    const turns = worldRotations(joints, rest, parents);
-    tracks.forEach(({ rotations, translations }, joint) => {
-      const back = joint ? inverse(turns[parents[joint]]) : IDENTITY;
-      const turn = multiply(back, turns[joint]);
-      const before = rotations.at(-1) ?? turn;
-      rotations.push(dot(before, turn) < 0 ? turn.map((value) => -value) : turn); // the same rotation, without a jump
-      translations.push(joint ? rotate(back, subtract(joints[joint], joints[parents[joint]])) : joints[0]);
-    });
+// Returns the rotation that brings vectors closest to others by least squares: the largest eigenvector of a matrix (Horn 1987).
+export function bestRotation(from, to) {
+  const [[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]] = [0, 1, 2].map((row) => [0, 1, 2].map((column) => from.reduce((total, vector, place) => total + vector[row] * to[place][column], 0)));
+  let matrix = [
+    [xx - yy - zz, xy + yx, zx + xz, yz - zy],
+    [xy + yx, yy - xx - zz, yz + zy, zx - xz],
+    [zx + xz, yz + zy, zz - xx - yy, xy - yx],
+    [yz - zy, zx - xz, xy - yx, xx + yy + zz],
+  ];
+  // With no negative eigenvalue, each square has more of the largest one, until nothing else is left.
+  const size = length(matrix.flat()) || 1;
+  matrix = matrix.map((row, place) => row.map((value, column) => value / size + Number(place === column)));
+  for (let round = 0; round < SQUARINGS; round += 1) {
+    const square = matrix.map((row) => matrix.map((other) => dot(row, other)));
+    const norm = length(square.flat());
+    matrix = square.map((row) => scaled(row, 1 / norm));
   }
-  return tracks;
+  return unit(matrix.toSorted((a, b) => dot(b, b) - dot(a, a))[0]);
+}
+
+// Returns the angles of the rotations about Z, X and Y in radians, of which that about Y comes first.
+export function eulerOf([x, y, z, w]) {
+  const first = Math.atan2(2 * (w * z - x * y), 1 - 2 * (x * x + z * z));
+  const middle = Math.atan2(2 * (y * z + w * x), Math.hypot(1 - 2 * (x * x + y * y), 2 * (x * z - w * y)));
+  const [cosine, sine] = [Math.cos(first), Math.sin(first)];
+  const across = cosine * 2 * (x * z + w * y) + sine * 2 * (y * z - w * x);
+  const along = cosine * (1 - 2 * (y * y + z * z)) + sine * 2 * (x * y + w * z);
+  return [first, middle, Math.atan2(across, along)];
 }

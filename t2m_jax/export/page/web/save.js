@@ -3,10 +3,12 @@
 import { create, find } from "../studio/dom.js";
 import { fileName, saveBlob } from "../studio/savefile.js";
 import { arrayFile, textFile, zipFile } from "./archive.js";
+import { bvhText } from "./bvh.js";
 import { framesOf } from "./figure.js";
 import { animatedFigure } from "./glb.js";
+import { fitRig } from "./rig.js";
 
-// Returns the motion as Python reads it: `t2m view motion.npz -o motion.bvh` makes any other format of it.
+// Returns the motion as Python reads it: `t2m view motion.npz -o motion.gif` makes any other format of it.
 function archiveOf({ positions, codes, caption, seed, frames, fps }, { joints, skeleton }) {
   return zipFile({
     "positions.npy": arrayFile("<f4", [frames, joints.length, 3], positions),
@@ -18,16 +20,26 @@ function archiveOf({ positions, codes, caption, seed, frames, fps }, { joints, s
   });
 }
 
-// Offers downloads; without `template`, the bytes of a GLB file with the figure, only archives.
-export function offerDownloads(session, model, template) {
-  const writers = { NPZ: (motion) => archiveOf(motion, model) };
-  if (template) {
-    writers.GLB = ({ positions, caption }) => {
-      const { parents, fps, joints } = model;
-      return animatedFigure(template, framesOf(positions, joints.length), { parents, fps, caption });
-    };
-  }
-  const buttons = Object.entries(writers).reverse().map(([format, write]) => create("button", {
+// Returns functions by format that make the content of a file. Without `template`, the bytes of a GLB file with the figure, there
+// is only the archive: the other formats are made for one skeleton.
+function writersOf(about, rig, template) {
+  const archive = { NPZ: (motion) => archiveOf(motion, about) };
+  if (!template || !rig) return archive;
+  const framesFor = ({ positions }) => framesOf(positions, about.joints.length);
+  return {
+    GLB: (motion) => {
+      const frames = framesFor(motion);
+      return animatedFigure(template, frames, fitRig(frames, about, rig), { ...about, caption: motion.caption });
+    },
+    BVH: (motion) => new Blob([bvhText(fitRig(framesFor(motion), about, rig), about, rig)], { type: "text/plain" }),
+    ...archive,
+  };
+}
+
+// Offers downloads of the motion that is selected.
+export function offerDownloads(session, { motion: about, figure, template }) {
+  const writers = writersOf(about, figure.rig, template);
+  const buttons = Object.entries(writers).map(([format, write]) => create("button", {
     type: "button", className: "quiet", textContent: format, disabled: true,
     onclick: () => saveBlob(write(session.motion), fileName(session.motion, null, format.toLowerCase())),
   }));
