@@ -60,6 +60,14 @@ def _count_waves(sway: Float[np.ndarray, " T"]) -> int:
     return turns // 2
 
 
+def sways(positions: Float[np.ndarray, "T 22 3"]) -> Float[np.ndarray, "2 T"]:
+    """Returns how far the left and the right wrist are from the root to the actor's left, in meters."""
+    headings = _heading_angles(positions)
+    wrists = positions[:, [HUMANML3D.joint_names.index(f"{side}_wrist") for side in ("left", "right")]]
+    body_left = np.stack([np.cos(headings), np.zeros_like(headings), -np.sin(headings)], axis=-1)
+    return np.einsum("twc,tc->wt", wrists - positions[:, :1], body_left)
+
+
 def measure(positions: Float[np.ndarray, "T 22 3"], *, fps: float) -> Facts:
     """Returns the measurements of a clip of at least two frames."""
     chex.assert_shape(positions, (None, HUMANML3D.num_joints, 3))
@@ -79,8 +87,6 @@ def measure(positions: Float[np.ndarray, "T 22 3"], *, fps: float) -> Facts:
     if speed <= WALKING_SPEED:
         hand_speed = np.linalg.norm(np.diff(wrists - positions[:, :1], axis=0), axis=-1) * fps
         speed = float(np.percentile(hand_speed.max(axis=1), 95))
-    body_left = np.stack([np.cos(headings), np.zeros_like(headings), -np.sin(headings)], axis=-1)
-    sway = np.einsum("twc,tc->wt", wrists - positions[:, :1], body_left)
     above_head, above_shoulder = ((wrists - joint)[:, :, 1].max(axis=0).tolist() for joint in (head, shoulders))
     return Facts(
         speed=speed,
@@ -89,5 +95,5 @@ def measure(positions: Float[np.ndarray, "T 22 3"], *, fps: float) -> Facts:
         forward=float(steps[:, 1].sum()),
         above_head=tuple(above_head),
         above_shoulder=tuple(above_shoulder),
-        waves=max(_count_waves(line) for line in sway),
+        waves=max(_count_waves(line) for line in sways(positions)),
     )

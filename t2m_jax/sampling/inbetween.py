@@ -19,16 +19,8 @@ from t2m_jax.sampling.loop import Sampling
 from t2m_jax.sampling.model import ModelParts
 from t2m_jax.sampling.prompts import Prompt, batches_of_keys, sample_key
 from t2m_jax.sampling.request import MotionRequest
-from t2m_jax.sampling.timeline import (
-    Segment,
-    Tell,
-    make_batch,
-    most_rows,
-    part_rows,
-    rows_of_seconds,
-    sample_segments,
-    split_segments,
-)
+from t2m_jax.sampling.segments import Segment, most_rows, rows_of_seconds, sample_segments, split_segments
+from t2m_jax.sampling.timeline import Tell, make_batch, part_rows
 
 TAIL_SECONDS = 1.0
 """Motion after a middle whose likelihood says how well the middle leads to it."""
@@ -89,7 +81,7 @@ def redo(model: ModelParts, request: MotionRequest, prompt: Prompt, sampling: Sa
     keys = jnp.stack([sample_key(request.seed, prompt.text, number) for number in range(request.candidates)])
     # By default as long as the rows that it replaces, so that the tail keeps its time.
     num_rows = span.last - span.first if request.seconds is None else rows_of_seconds(model, request.seconds)
-    segments = split_segments([prompt], num_rows, limit=most_rows(model))
+    segments = split_segments(prompt, num_rows, limit=most_rows(model))
     scale = request.options.guidance_scale
     found = sample_segments(model, segments, keys, start=codes[: span.first], sampling=sampling, guidance_scale=scale)
     middles = [np.concatenate(pieces) for pieces in zip(*found, strict=True)]

@@ -1,6 +1,7 @@
 """What a user may ask a model for: one record for Python, command line and server."""
 
 import dataclasses
+import functools
 import itertools
 import math
 from collections.abc import Collection, Sequence
@@ -9,11 +10,13 @@ from typing import Literal
 from t2m_jax.config import check_seed
 from t2m_jax.errors import UserError
 from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.repetitions import COUNTED_ACTIONS
 from t2m_jax.motion.targets import Target
 from t2m_jax.sampling.prompts import MAX_BATCH
 from t2m_jax.sampling.stopping import make_stop_rule
 from t2m_jax.sampling.strategies import Strategy, make_strategy
 from t2m_jax.text.prompts import check_prompt
+from t2m_jax.text.quantities import Times, said_seconds, said_times
 from t2m_jax.text.sequence import split_sequence
 
 MAX_SAMPLES = 1_000_000
@@ -59,8 +62,9 @@ class SamplingOptions:
     and feet slide less (`t2m_jax.motion.cleanup`)."""
 
     whole: bool = False
-    """Whether a sentence of several actions in turn ("walks, then waves") is sampled as a whole. By default it is
-    sampled action by action, if there is a record of the actions that the model knows."""
+    """Whether a sentence is sampled as it is. By default, one of several actions in turn ("walks, then waves") is
+    sampled action by action, if there is a record of the actions that the model knows; "for five seconds" sets the
+    length; and of "kicks twice", that of 16 samples is taken that shows it twice."""
 
     def __post_init__(self) -> None:
         """Checks each field.
@@ -98,8 +102,8 @@ class MotionRequest:
     strength: float | None = None
     """Share of `start` that is sampled again: 0 changes nothing, and 1 keeps nothing."""
     seconds: float | None = None
-    """Length for each sentence, rounded to whole rows of codes; by default the model decides. With `span`, the length
-    of the new part; by default that of the span."""
+    """Length for each sentence, rounded to whole rows of codes; by default what the sentence says ("for five seconds"),
+    else the model decides. With `span`, the length of the new part; by default that of the span."""
     seed: int = 0
     """From 0 to 2**32 - 1. The same seed gives the same motion."""
     num_samples: int = 1
@@ -141,7 +145,22 @@ class MotionRequest:
     @property
     def is_plain(self) -> bool:
         """Whether it asks for motions of one sentence alone, which can be sampled together with those of others."""
-        return len(self.captions) == 1 and self.start is None and self.seconds is None and not self.targets
+        is_alone = len(self.captions) == 1 and self.start is None and not self.targets
+        return is_alone and self.lengths == (None,) and self.times == (None,)
+
+    @functools.cached_property
+    def lengths(self) -> tuple[float | None, ...]:
+        """Seconds of each sentence: `seconds`, or what it says itself; None leaves its length to the model."""
+        if self.seconds is not None or self.options.whole:
+            return (self.seconds,) * len(self.captions)
+        return tuple(map(said_seconds, self.captions))
+
+    @functools.cached_property
+    def times(self) -> tuple[Times | None, ...]:
+        """How often each sentence says that something is done; None if it does not say so."""
+        if self.options.whole:
+            return (None,) * len(self.captions)
+        return tuple(said_times(caption, COUNTED_ACTIONS) for caption in self.captions)
 
     def in_turn(self, known: Collection[str]) -> "MotionRequest":
         """Returns the request with a sentence for each action that its sentences say in turn (see `split_sequence`).

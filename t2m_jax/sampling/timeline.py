@@ -5,44 +5,25 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Key
+from jaxtyping import Float, Key
 
 from t2m_jax.motion.cleanup import clean_long
 from t2m_jax.motion.joining import ease_seams
 from t2m_jax.motion.motion import Motion
+from t2m_jax.sampling.counted import missed_count
 from t2m_jax.sampling.decode import Codes, decode_sentences
-from t2m_jax.sampling.loop import Given, Sampling
+from t2m_jax.sampling.loop import Sampling
 from t2m_jax.sampling.model import ModelParts
 from t2m_jax.sampling.prompts import KeyBatch, Prompt, batches_of_keys
 from t2m_jax.sampling.request import MotionRequest
+from t2m_jax.sampling.segments import Segment, most_rows, rows_of_seconds, sample_segments, split_segments
 
-CONTEXT_SECONDS = 0.4
-"""Motion before the continuation, which the generator reads as its beginning. With more, a sentence is followed less
-often."""
 SAMPLING_SHARE = 0.7
 """Share of the time for a motion of several sentences that sampling takes; the rest is decoding and the clean-up."""
-_SEGMENT_STREAM = 2**30
-"""In place of a sample's number, in keys for the segments of a chain."""
-
 
 Tell = Callable[[float], None]
 """Called with the number of motions of a batch that are done, in which parts count, too."""
-
-
-class Segment(NamedTuple):
-    """What is sampled at once: a sentence, and how long its motion is."""
-
-    prompt: Prompt
-    num_rows: int
-    """0 leaves the end to the stop rule."""
-    begins: bool
-    """Whether the sentence begins here, and does not only continue."""
-    draft: Codes | None = None
-    """The codes that stand where `kept` is True."""
-    kept: Bool[np.ndarray, "B N"] | None = None
-    """For each motion; the others are sampled."""
 
 
 class Start(NamedTuple):
@@ -51,31 +32,6 @@ class Start(NamedTuple):
     codes: Codes
     parts: Sequence[tuple[int, str]]
     """The row in which each of its sentences begins, and the sentence."""
-
-
-def split_segments(prompts: Sequence[Prompt], num_rows: int, *, limit: int) -> list[Segment]:
-    """Returns the segments of sentences. A motion that is longer than `limit` rows has several, which continue it."""
-    if not num_rows:
-        return [Segment(prompt, 0, True) for prompt in prompts]
-    lengths = [min(limit, num_rows - done) for done in range(0, num_rows, limit)]
-    return [Segment(prompt, rows, not number) for prompt in prompts for number, rows in enumerate(lengths)]
-
-
-def rows_of_seconds(model: ModelParts, seconds: float) -> int:
-    """Returns the rows of codes that a motion of this length has, at least 1."""
-    return max(1, round(seconds * model.skeleton.fps / model.config.tokenizer.downsample))
-
-
-def context_rows(model: ModelParts) -> int:
-    """Returns how many rows of codes a sentence reads of the motion before it."""
-    # At least one row, or nothing would go on, and at least one less than the generator reads, to sample one.
-    rows = round(CONTEXT_SECONDS * model.skeleton.fps / model.config.tokenizer.downsample)
-    return min(max(1, rows), model.config.generator.max_codes - 1)
-
-
-def most_rows(model: ModelParts) -> int:
-    """Returns how many rows of codes are sampled at once, after those that are read of the motion before."""
-    return model.config.generator.max_codes - context_rows(model)
 
 
 def part_rows(model: ModelParts, motion: Motion, num_rows: int) -> list[int]:
@@ -115,9 +71,13 @@ def _read_chain(
     model: ModelParts, request: MotionRequest, prompts: Sequence[Prompt]
 ) -> tuple[list[Segment], Start | None]:
     """Returns the segments of a request for a sequence of sentences, and what the first one continues."""
-    rows = 0 if request.seconds is None else rows_of_seconds(model, request.seconds)
+    rows = [0 if seconds is None else rows_of_seconds(model, seconds) for seconds in request.lengths]
     start = None if request.start is None else _read_start(model, request.start)
-    return split_segments(prompts, rows, limit=most_rows(model)), start
+    limit = most_rows(model)
+    read = zip(prompts, rows, request.times, strict=True)
+    return [
+        part for prompt, own, times in read for part in split_segments(prompt, own, limit=limit, times=times)
+    ], start
 
 
 def make_batch(
@@ -143,81 +103,6 @@ def make_batch(
         motions.append(join_segments(model, segments, codes_of_one, start=start, seed=request.seed, raw=raw))
         tell(batch.num_samples * SAMPLING_SHARE + len(motions) * (1 - SAMPLING_SHARE))
     return motions
-
-
-def sample_segments(
-    model: ModelParts,
-    segments: Sequence[Segment],
-    keys: Key[jax.Array, " B"],
-    *,
-    start: Codes | None,
-    sampling: Sampling,
-    guidance_scale: float | None,
-) -> Iterator[list[Codes]]:
-    """Yields the new codes of each segment: those of each motion.
-
-    A sentence after another one is sampled as if it were alone.
-
-    Args:
-        model: The model.
-        segments: Sentences in turn.
-        keys: One for each motion (consumed).
-        start: Codes that the first segments go on from.
-        sampling: How to choose codes, and when to stop.
-        guidance_scale: Strength of the guidance by the text.
-    """
-    batch = len(keys)
-    depth = model.config.tokenizer.num_quantizers
-    nothing = np.zeros((0, depth), np.int32) if start is None else np.asarray(start, np.int32)
-    before: list[Codes] = [nothing] * batch
-    for segment, own_keys in zip(segments, segment_keys(keys, len(segments)), strict=True):
-        # A sentence does not read the motion before it (see `FADE_SECONDS`), a segment that goes on does.
-        if segment.begins and segment is not segments[0]:
-            before = [codes[:0] for codes in before]
-        # Teacher forcing for the context: its rows are given, and the generator continues after them.
-        context = [codes[-context_rows(model) :] for codes in before]
-        lengths = np.array([len(codes) for codes in context], np.int32)
-        # A given length may need all rows that the generator can sample, whatever the longest free length is.
-        longest = model.config.generator.max_codes
-        limit = longest if segment.num_rows else min(longest, sampling.max_codes + int(lengths.max()))
-        given = _given(segment, context, max_codes=limit)
-        texts = model.text_encoder([segment.prompt.read] * batch)
-        sampled = model.sample_codes(
-            texts, own_keys, sampling._replace(max_codes=limit), guidance_scale=guidance_scale, given=given
-        )
-        rows = np.asarray(sampled.codes)
-        ends = np.asarray(sampled.code_lengths)
-        new = [own[first:last] for own, first, last in zip(rows, lengths, ends, strict=True)]
-        # A short segment alone may have fewer rows than a context, so the old context stays in front of it.
-        before = [np.concatenate(codes) for codes in zip(context, new, strict=True)]
-        yield new
-
-
-def _given(segment: Segment, context: Sequence[Codes], *, max_codes: int) -> Given:
-    """Returns what is fixed of a segment: the codes before it, the kept ones of its draft, and its length."""
-    codes = np.zeros((len(context), max_codes, context[0].shape[1]), np.int32)
-    known = np.zeros(codes.shape[:2], bool)
-    wanted = np.zeros(len(context), np.int32)
-    for row, before in enumerate(context):
-        first = len(before)
-        last = len(before) + segment.num_rows
-        codes[row, :first] = before
-        known[row, :first] = True
-        if segment.num_rows:
-            wanted[row] = last
-        if segment.draft is not None and segment.kept is not None:
-            codes[row, first:last] = segment.draft
-            known[row, first:last] = segment.kept[row]
-    return Given(*map(jnp.asarray, (codes, known, wanted)))
-
-
-def segment_keys(keys: Key[jax.Array, " B"], count: int) -> list[Key[jax.Array, " B"]]:
-    """Returns keys for each segment of each motion. Those of the first are those of a motion that stands alone."""
-    # The stream is above every step, so that no row of a segment has the key of a row before it.
-    others = jax.vmap(
-        lambda key, number: jax.random.fold_in(jax.random.fold_in(key, _SEGMENT_STREAM), number), (0, None)
-    )
-    return [keys] + [others(keys, number) for number in range(1, count)]
 
 
 def join_segments(
@@ -248,9 +133,25 @@ def join_segments(
         seed=seed,
         part_starts=tuple(piece.first * downsample for piece in placed if piece.sentence is not None),
         part_captions=tuple(piece.sentence for piece in placed if piece.sentence is not None),
-        warning=" ".join(dict.fromkeys(segment.prompt.warning for segment in segments if segment.prompt.warning)),
+        warning=" ".join(_warnings(model, segments, placed, positions if cleaned is None else cleaned)),
         unknown_words=tuple(dict.fromkeys(word for segment in segments for word in segment.prompt.unknown_words)),
     )
+
+
+def _warnings(
+    model: ModelParts,
+    segments: Sequence[Segment],
+    placed: Sequence["PlacedCodes"],
+    positions: Float[np.ndarray, "T J 3"],
+) -> list[str]:
+    """Returns what is to be said of the sentences of a motion, and that they are not shown as often as they say."""
+    found = [segment.prompt.warning for segment in segments]
+    downsample = model.config.tokenizer.downsample
+    for segment, piece in zip(segments, placed[len(placed) - len(segments) :], strict=True):
+        if segment.times is not None:
+            own = positions[downsample * piece.first :][: downsample * len(piece.codes)]
+            found.append(missed_count(segment.times, own, model.skeleton, sentence=segment.prompt.text))
+    return list(dict.fromkeys(filter(None, found)))
 
 
 class PlacedCodes(NamedTuple):

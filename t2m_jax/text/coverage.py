@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from t2m_jax.text.meanings import Meanings, Nearest, sentence_of
+from t2m_jax.text.quantities import quantity_words
 from t2m_jax.text.subjects import subject_problems
 from t2m_jax.text.verbs import GENERIC_NOUNS, LIGHT_VERBS, SIDES, Word, word_set, words_of
 
@@ -131,7 +132,8 @@ def check_coverage(
         corrected: Words that were typed -> those in the prompt.
     """
     words = words_of(prompt) if knowledge.words else []
-    unknown = [word for word in words if knowledge.words.isdisjoint(word.bases)]
+    followed = quantity_words(prompt)
+    unknown = [word for word in words if knowledge.words.isdisjoint(word.bases) and word.text not in followed]
     problems = list(_problems(words, unknown, knowledge))
     if read_part != prompt:
         # The end of what is read tells where the prompt was cut.

@@ -13,7 +13,7 @@ from t2m_jax.motion.joining import FADE_SECONDS
 from t2m_jax.sampling.loop import Given
 from t2m_jax.sampling.prompts import sample_key
 from t2m_jax.sampling.request import MotionRequest
-from t2m_jax.sampling.timeline import context_rows
+from t2m_jax.sampling.segments import context_rows
 from tests import tiny
 
 FIRST, SECOND, THIRD = tiny.CAPTIONS[:3]
@@ -102,7 +102,9 @@ def test_a_sentence_is_sampled_and_decoded_as_if_it_were_alone(model):
     alone = model.decode(first.codes[8:16], raw=True)
     half = round(FADE_SECONDS * model.skeleton.fps) // 2
     inner = slice(half, 8 * downsample - half)
-    np.testing.assert_allclose(first.features[8 * downsample :][inner], alone.features[inner], rtol=1e-4, atol=1e-4)
+    # Random weights give features of a thousand. Float32 rounds them to steps of 1e-4, and sums of them more.
+    atol = 2e-6 * np.abs(alone.features).max()
+    np.testing.assert_allclose(first.features[8 * downsample :][inner], alone.features[inner], rtol=1e-4, atol=atol)
     positions = positions_from_features(first.features, model.skeleton) * model.skeleton.metres_per_unit
     np.testing.assert_allclose(first.positions, positions, rtol=1e-5, atol=1e-4)
 

@@ -35,6 +35,11 @@ def test_the_demo_knows_what_it_can_show(demo):
     assert len(warned(PROMPTS["warn"], demo)) >= 20
 
 
+def test_numbers_that_are_followed_have_an_effect(demo):
+    for prompt in ("a person walks for seventeen seconds", "a person kicks nineteen times"):
+        assert not check_coverage(prompt, demo, read_part=prompt).warning
+
+
 @pytest.mark.parametrize(
     ("prompt", "said"),
     [
@@ -45,7 +50,7 @@ def test_the_demo_knows_what_it_can_show(demo):
             "not learned, so without effect: 90; the option `turn` bends the path by degrees",
         ),
         (
-            "a person walks for seventeen seconds",
+            "a person walks every seventeen seconds",
             "not learned, so without effect: seventeen; the option `seconds` sets the length",
         ),
         ("a man does a backflip", "it has no action that the model knows"),

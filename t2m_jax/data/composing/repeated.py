@@ -12,6 +12,7 @@ from t2m_jax.data.composing.pieces import LONGEST, LabeledPiece, Library, join_a
 from t2m_jax.errors import UserError
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.joining import OVERLAP
+from t2m_jax.motion.repetitions import SIGNALS, find_peaks
 from t2m_jax.motion.skeleton import HUMANML3D
 
 MOST = 5
@@ -20,21 +21,23 @@ COUNT_WEIGHTS = (1, 3, 3, 2, 1)
 TRIES = 100
 SLACK = 4
 """Frames around the lowest point between two times at which a join may be."""
-SHARE = 0.4
-"""Part of the range of a signal that a peak must have, so that the small swing after a jump does not count."""
-APART = 0.3
-"""Meters between the wrists from which on it does not matter how far apart they are."""
 
 
 class CountedContent(NamedTuple):
     """How a content is counted."""
 
     signal: str
-    """What has a peak each time."""
+    """What has a peak each time, of `motion.repetitions.SIGNALS`."""
     least: float
     """Height of the smallest peak, in meters."""
     weight: float
     """How often motions of it are made."""
+    side: str = ""
+    """Of the hand, for signals that depend on it."""
+
+    def values(self, positions: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, " T"]:
+        """Returns the signal."""
+        return SIGNALS[self.signal](positions, self.side)
 
 
 def counted_contents() -> dict[str, CountedContent]:
@@ -42,65 +45,16 @@ def counted_contents() -> dict[str, CountedContent]:
     return {name: CountedContent(**entry) for name, entry in read_words(__package__, "composed")["repeated"].items()}
 
 
-def signal_of(positions: Float[np.ndarray, "T J 3"], signal: str) -> Float[np.ndarray, " T"]:
-    """Returns the height or the distance, in meters, that has a peak each time that something is done."""
-    joint = {name: positions[:, place] for place, name in enumerate(HUMANML3D.joint_names)}
-    height = {name: place[:, 1] for name, place in joint.items()}
-    wrists = [joint[f"{side}_wrist"] - joint[f"{side}_shoulder"] for side in ("left", "right")]
-    apart = np.linalg.norm(joint["left_wrist"] - joint["right_wrist"], axis=-1)
-    return {
-        "rise": height["pelvis"],
-        "dip": -height["pelvis"],
-        "nod": height["pelvis"] - height["head"],
-        "foot": np.maximum(height["left_ankle"], height["right_ankle"]),
-        # Hanging arms are farther apart than hands between two claps, which would then be too small to count.
-        "hands meet": -np.minimum(apart, APART),
-        "reach": np.max([np.linalg.norm(wrist[:, ::2], axis=-1) for wrist in wrists], axis=0),
-        "left wrist": wrists[0][:, 1],
-        "right wrist": wrists[1][:, 1],
-        "both wrists": np.minimum(wrists[0][:, 1], wrists[1][:, 1]),
-    }[signal]
-
-
-def find_peaks(values: Float[np.ndarray, " T"], *, least: float) -> list[int]:
-    """Returns the frames of the peaks of a signal that stand out by `least`, and are not much smaller than others."""
-    size = max(least, SHARE * float(np.ptp(values)))
-    peaks = []
-    # A peak counts when the signal has come up to it and goes down from it, so that it may be flat. One at an end of
-    # the clip counts by its one flank.
-    low = float(values.min())
-    high = -np.inf
-    place = 0
-    rising = True
-    for frame, value in enumerate(map(float, values)):
-        if rising and value > high:
-            high = value
-            place = frame
-        elif rising and value < high - size:
-            if high > low + size:
-                peaks.append(place)
-            rising = False
-            low = value
-        elif not rising:
-            low = min(low, value)
-            rising = value > low + size
-            high = value
-            place = frame
-    if rising and high > low + size:
-        peaks.append(place)
-    return peaks
-
-
 def count_times(positions: Float[np.ndarray, "T J 3"], content: str) -> int:
     """Returns how often a content that can be counted is done."""
     how = counted_contents()[content]
-    return len(find_peaks(signal_of(positions, how.signal), least=how.least))
+    return len(find_peaks(how.values(positions), least=how.least))
 
 
 def borders(positions: Float[np.ndarray, "T J 3"], content: str) -> list[int]:
     """Returns the frames between which something is done once: the first, the lowest between two peaks, the end."""
     how = counted_contents()[content]
-    values = signal_of(positions, how.signal)
+    values = how.values(positions)
     peaks = find_peaks(values, least=how.least)
     between = [one + int(values[one:other].argmin()) for one, other in itertools.pairwise(peaks)]
     return [0, *between, len(values)]

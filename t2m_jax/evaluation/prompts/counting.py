@@ -1,6 +1,7 @@
 """How often a motion shows an action, counted by the peaks of one curve per action.
 
-It judges models, so it is not the rule by which training motions are counted (`data.composing.repeated`).
+It judges models, so it is not the rule by which training motions are counted, and samples chosen
+(`motion.repetitions`).
 """
 
 from collections.abc import Callable
@@ -90,10 +91,11 @@ def _reach(side: str) -> Measure:
 
 
 def _sway(side: str) -> Measure:
-    """Returns a function that measures how far a wrist is to the left, while it is raised."""
+    """Returns a function that measures how far a wrist is toward the other side, while it is raised."""
 
     def measure(positions: Positions) -> Values:
-        across = _joint(positions, "left_shoulder") - _joint(positions, "right_shoulder")
+        other = "left" if side == "right" else "right"
+        across = _joint(positions, f"{other}_shoulder") - _joint(positions, f"{side}_shoulder")
         across = across * [1.0, 0.0, 1.0]
         across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-6)
         sway = np.sum((_joint(positions, f"{side}_wrist") - positions[:, 0]) * across, axis=1)

@@ -5,7 +5,7 @@ import { create, fillSelect } from "./dom.js";
 const LABELS = {
   guidance_scale: "Text strength",
   raw: "Not cleaned",
-  whole: "Not cut at “then”",
+  whole: "Sentence as it is",
   speed: "Speed factor",
   turn: "Turn, degrees",
   path: "Path in meters",

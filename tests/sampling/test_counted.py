@@ -1,0 +1,94 @@
+"""Sentences that say how often something is done, and how long it lasts."""
+
+import numpy as np
+import pytest
+
+from t2m_jax.motion.skeleton import KIT_ML
+from t2m_jax.sampling.counted import CANDIDATES, candidate_keys, choose_by_count, count_shown, missed_count
+from t2m_jax.sampling.pipeline import TextToMotion
+from t2m_jax.sampling.prompts import sample_key
+from t2m_jax.sampling.request import MotionRequest, SamplingOptions
+from t2m_jax.text.quantities import Times
+from tests import tiny
+
+JUMPS = "a person jumps 3 times"
+TIMES = Times("jump", frozenset({"left", "right"}), 3)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return TextToMotion(tiny.random_bundle())
+
+
+@pytest.fixture(scope="module")
+def candidates(model):
+    """The codes that the sentence may give with seed 3."""
+    parts = model.parts
+    keys = candidate_keys(sample_key(3, JUMPS, 0))
+    texts = parts.text_encoder([JUMPS] * CANDIDATES)
+    sampled = parts.sample_codes(texts, keys, model.parts.sampling(SamplingOptions().make_strategy()))
+    lengths = np.asarray(sampled.code_lengths)
+    return [codes[:length] for codes, length in zip(np.asarray(sampled.codes), lengths, strict=True)]
+
+
+def misses(model, codes):
+    motion = model.decode(codes, raw=True)
+    return abs(count_shown(TIMES, motion.positions, motion.skeleton) - TIMES.number)
+
+
+def test_the_motion_with_the_asked_count_is_taken(model, candidates):
+    least = min(misses(model, codes) for codes in candidates)
+    first = next(codes for codes in candidates if misses(model, codes) == least)
+    np.testing.assert_array_equal(choose_by_count(model.parts, candidates, TIMES), first)
+    (motion,) = model.generate(JUMPS, seed=3)
+    np.testing.assert_array_equal(motion.codes, first)
+
+
+def test_a_sentence_that_is_read_whole_gives_the_first_candidate(model, candidates):
+    (whole,) = model.generate(JUMPS, seed=3, whole=True)
+    np.testing.assert_array_equal(whole.codes, candidates[0])
+
+
+def test_samples_of_a_counted_sentence_do_not_depend_on_each_other(model):
+    first, second, _ = model.generate(JUMPS, seed=3, num_samples=3)
+    (alone,) = model.generate(JUMPS, seed=3)
+    np.testing.assert_array_equal(first.codes, alone.codes)
+    assert len(first.codes) != len(second.codes) or (first.codes != second.codes).any()
+    pieces = list(model.stream(JUMPS, seed=3, sample=1))
+    np.testing.assert_array_equal(np.concatenate([piece.codes for piece in pieces]), second.codes)
+
+
+def test_a_missed_count_is_said(model):
+    (motion,) = model.generate("a person jumps 19 times", seed=3)
+    assert motion.warning.endswith("times; try another seed") and "jump is counted" in motion.warning
+    still = np.zeros((20, 22, 3), np.float32)
+    assert missed_count(TIMES, still, motion.skeleton, sentence=JUMPS) == (
+        f"'{JUMPS}': jump is counted 0 times; try another seed"
+    )
+    assert missed_count(TIMES._replace(number=0), still, motion.skeleton, sentence=JUMPS) == ""
+
+
+def test_other_skeletons_are_not_counted():
+    assert count_shown(TIMES, np.zeros((20, 21, 3), np.float32), KIT_ML) == TIMES.number
+
+
+@pytest.mark.parametrize(("words", "seconds"), [("for 2 seconds", 2.0), ("for 2.5 seconds", 2.5)])
+def test_a_sentence_sets_the_length_of_its_motion(model, words, seconds):
+    caption = f"walks {words}"
+    (motion,) = model.generate(caption, seed=3)
+    (asked,) = model.generate_chain([caption], seconds=seconds, seed=3)
+    np.testing.assert_array_equal(motion.positions, asked.positions)
+    assert abs(motion.num_frames - seconds * motion.fps) <= model.config.tokenizer.downsample / 2
+
+
+def test_seconds_count_more_than_words(model):
+    request = MotionRequest(captions=("a person walks for 2 seconds",), seconds=3.0)
+    assert request.lengths == (3.0,) and not request.is_plain
+    assert next(model.make(request)).num_frames == 60
+
+
+def test_each_sentence_sets_its_own_length(model):
+    (motion,) = model.generate_chain(["walks for 2 seconds", "a person waves for 3 seconds", "a person walks"])
+    assert motion.part_starts == (0, 40, 100)
+    whole = MotionRequest(captions=("walks for 2 seconds",), options=SamplingOptions(whole=True))
+    assert whole.lengths == (None,) and whole.is_plain

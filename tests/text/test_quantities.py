@@ -1,0 +1,91 @@
+"""How long and how often, in the words of sentences."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from t2m_jax.motion.repetitions import COUNTED_ACTIONS
+from t2m_jax.text.prompts import MAX_PROMPT_LENGTH
+from t2m_jax.text.quantities import quantity_words, said_seconds, said_times
+
+SENTENCES = yaml.safe_load(Path(__file__).with_name("quantities.yaml").read_text())
+
+
+def times_of(caption):
+    times = said_times(caption, COUNTED_ACTIONS)
+    return None if times is None else (times.action, times.number)
+
+
+@pytest.mark.parametrize(
+    ("words", "seconds"),
+    [
+        ("for five seconds", 5.0),
+        ("for 2.5 seconds", 2.5),
+        ("for 2,5 s", 2.5),
+        ("(10s)", 10.0),
+        ("for two and a half seconds", 2.5),
+        ("for a minute and a half", 90.0),
+        ("for a couple of seconds", 2.0),
+        ("and stops after 8 seconds", 8.0),
+        ("after 8 seconds", None),
+        ("every two seconds", None),
+        ("for 3 seconds or for 4 seconds", None),
+        ("for 0 seconds", None),
+        ("for 99999 minutes", None),
+        ("on all fours", None),
+        ("and pauses for two seconds", None),
+    ],
+)
+def test_a_sentence_says_how_long_its_motion_is(words, seconds):
+    assert said_seconds(f"a person walks {words}") == seconds
+
+
+@pytest.mark.parametrize(
+    ("caption", "times"),
+    [
+        ("kicks twice", ("kick", 2)),
+        ("a man jumps 3 times", ("jump", 3)),
+        ("a man jumps 3x", ("jump", 3)),
+        ("throws two quick punches", ("punch", 2)),
+        ("a single jump", ("jump", 1)),
+        ("five reps of jumping jacks", ("jack", 5)),
+        ("a double clap", ("clap", 2)),
+        ("kicks twice as high", None),
+        ("once he sits, he waves", None),
+        ("waves with one hand", None),
+        ("jumps 2.5 times", None),
+        ("kicks 1000 times", None),
+        ("walks twice", None),
+    ],
+)
+def test_a_sentence_says_how_often(caption, times):
+    assert times_of(caption) == times
+
+
+def test_the_side_counts():
+    assert said_times("waves twice with the left hand", COUNTED_ACTIONS).sides == {"left"}
+    assert said_times("waves twice", COUNTED_ACTIONS).sides == {"left", "right"}
+    assert said_times("kicks left and right three times", COUNTED_ACTIONS).sides == {"left", "right"}
+
+
+def test_words_of_quantities():
+    assert quantity_words("a man jumps 3 times in five seconds") == {"3", "times", "five", "seconds"}
+    assert not quantity_words("after three seconds he jumps")
+
+
+def test_sentences_of_other_people_say_how_long_and_how_often():
+    right = [said_seconds(one["text"]) == one["seconds"] for one in SENTENCES["lengths"]]
+    assert sum(right) >= 58 and len(right) == 60
+    counted = [one for one in SENTENCES["counts"] if one["verb"] in COUNTED_ACTIONS]
+    found = [(one, times_of(one["text"])) for one in counted]
+    assert sum(times is not None and times[1] == one["times"] for one, times in found) >= 27 and len(found) == 34
+    neither = [said_seconds(one["text"]) is None and times_of(one["text"]) is None for one in SENTENCES["neither"]]
+    assert sum(neither) >= 59 and len(neither) == 60
+
+
+@pytest.mark.parametrize("words", ["2 ", "a couple of ", "stops after 1", "half a ", "two 1 s 3x ", "one-"])
+def test_long_sentences_are_read(words):
+    caption = (words * MAX_PROMPT_LENGTH)[:MAX_PROMPT_LENGTH].strip()
+    assert said_seconds(caption) is None or said_seconds(caption) > 0
+    assert times_of(caption) is None
