@@ -1,6 +1,6 @@
 """Compares the graphs of `t2m export onnx` with JAX on sentences, and measures their sizes and times.
 
-Greedy and sampled codes are compared, with the random numbers that JAX uses, and positions as decoded.
+Greedy and sampled codes are compared, with the random numbers that JAX uses, and positions as decoded and cleaned.
 
     python docs/engines/parity.py MODEL FOLDER [MOTIONS]
 """
@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from sampler import Noise, OnnxModel
 
+from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.loop import STOP_STREAM, Sampling
 from t2m_jax.sampling.strategies import Greedy, Temperature
@@ -51,11 +52,13 @@ def jax_noise(graphs: OnnxModel, key: jax.Array, *, greedy: bool) -> Callable[[i
     return noise
 
 
-def jax_motion(model: TextToMotion, sentence: str, key: jax.Array, sampling: Sampling) -> tuple[np.ndarray, np.ndarray]:
-    """Returns codes and positions, as decoded, of a motion by JAX."""
+def jax_motion(
+    model: TextToMotion, sentence: str, key: jax.Array, sampling: Sampling
+) -> tuple[np.ndarray, Motion | None]:
+    """Returns codes and motion by JAX; None if there are no codes."""
     sampled = model.parts.sample_codes(model.text_encoder([sentence]), key[None], sampling)
     codes = np.asarray(sampled.codes)[0, : int(sampled.code_lengths[0])]
-    return codes, model.decode(codes, raw=True).positions if len(codes) else np.zeros((0, 1, 3))
+    return codes, model.decode(codes) if len(codes) else None
 
 
 def compare(model: TextToMotion, graphs: OnnxModel, sentences: list[str], *, greedy: bool) -> dict[str, float]:
@@ -64,10 +67,17 @@ def compare(model: TextToMotion, graphs: OnnxModel, sentences: list[str], *, gre
     Distances are of motions whose codes are the same.
     """
     sampling = model.parts.sampling(Greedy() if greedy else Temperature())
-    counts = {"motions": 0, "rows": 0, "other_rows": 0, "other_motions": 0, "largest_mm": 0.0}
+    counts = {
+        "motions": 0,
+        "rows": 0,
+        "other_rows": 0,
+        "other_motions": 0,
+        "largest_mm": 0.0,
+        "largest_cleaned_mm": 0.0,
+    }
     for number, sentence in enumerate(sentences):
         key = jax.random.key(number)
-        wanted, positions = jax_motion(model, sentence, key, sampling)
+        wanted, motion = jax_motion(model, sentence, key, sampling)
         found = graphs.sample(graphs.embed(sentence), jax_noise(graphs, key, greedy=greedy))
         size = max(len(wanted), len(found))
         same = sum(np.array_equal(*pair) for pair in zip(wanted, found, strict=False))
@@ -75,9 +85,14 @@ def compare(model: TextToMotion, graphs: OnnxModel, sentences: list[str], *, gre
         counts["rows"] += size
         counts["other_rows"] += size - same
         counts["other_motions"] += same < size
-        if same == size and size:
-            distance = np.linalg.norm(graphs.decode(found) - positions, axis=-1).max()
-            counts["largest_mm"] = max(counts["largest_mm"], 1000 * float(distance))
+        if same == size and motion is not None:
+            decoded = graphs.decode(found)
+            pairs = {
+                "largest_mm": (decoded, motion.positions_raw),
+                "largest_cleaned_mm": (graphs.clean(decoded), motion.positions),
+            }
+            for name, (ours, theirs) in pairs.items():
+                counts[name] = max(counts[name], 1000 * float(np.linalg.norm(ours - theirs, axis=-1).max()))
     return counts
 
 
@@ -88,11 +103,15 @@ def times(graphs: OnnxModel, sentence: str, repeats: int = 20) -> dict[str, floa
     inputs = {"text_embedding": embedding, "guidance_scale": graphs.manifest["sampling"]["guidance_scale"]}
     state = graphs.run("begin", inputs)
     drawn = {"noise": graphs.random_noise(0)(0).gumbel, "temperature": 1.0, "may_stop": 1}
+    shape = graphs.manifest["graphs"]["calm"]["inputs"]["positions"]["shape"]
+    clip = {"positions": np.zeros(shape, np.float32), "num_frames": shape[1]}
     works = {
         "text": lambda: graphs.embed(sentence),
         "begin": lambda: graphs.run("begin", inputs),
         "row": lambda: graphs.run("row", drawn | state),
         "decode": lambda: graphs.decode(codes),
+        "calm": lambda: graphs.run("calm", clip),
+        "lock": lambda: graphs.run("lock", clip | {"calm_positions": clip["positions"]}),
     }
     found = {}
     for name, work in works.items():

@@ -125,10 +125,17 @@ class OnnxModel:
         found = self.run("decode", {"codes": padded, "num_rows": len(codes)})
         return found["positions"][0, : len(codes) * self.manifest["motion"]["frames_per_row"]]
 
+    def clean(self, positions: np.ndarray) -> np.ndarray:
+        """Returns the positions of `decode` with less trembling, bones of constant length, and feet that stand."""
+        size = self.manifest["graphs"]["calm"]["inputs"]["positions"]["shape"][1]
+        padded = np.pad(positions, ((0, size - len(positions)), (0, 0), (0, 0)))[None]
+        given = {"positions": padded, "num_frames": len(positions)}
+        return self.run("lock", given | self.run("calm", given))["clean_positions"][0, : len(positions)]
+
 
 if __name__ == "__main__":
     folder, sentence, output = sys.argv[1:]
     model = OnnxModel(Path(folder))
-    positions = model.decode(model.sample(model.embed(sentence), model.random_noise(seed=0)))
+    positions = model.clean(model.decode(model.sample(model.embed(sentence), model.random_noise(seed=0))))
     np.save(output, positions)
     print(f"{output}: {positions.shape} at {model.manifest['motion']['fps']:g} frames a second")  # noqa: T201

@@ -71,12 +71,7 @@ def _calm_clips(
 ) -> Float[Array, "B T J 3"]:
     """Returns clips that tremble less and whose bones have constant lengths."""
     chex.assert_shape([positions, lengths], [(None, None, skeleton.num_joints, 3), (len(positions),)])
-
-    def calm_clip(positions: Clip, length: Int[Array, ""]) -> Clip:
-        smooth = smooth_over_clip(positions, length, sigma=SIGMA * skeleton.fps)
-        return calm_torso(fix_bones(smooth, skeleton, bones), length, skeleton)
-
-    return jax.vmap(calm_clip)(positions, lengths)
+    return jax.vmap(lambda clip, length: calm_clip(clip, length, skeleton, bones))(positions, lengths)
 
 
 @functools.partial(jax.jit, static_argnames="skeleton")
@@ -89,6 +84,12 @@ def _lock_clips(
         return lock_feet(calm, length, skeleton, before=before)
 
     return jax.vmap(lock_clip)(calm, lengths, before)
+
+
+def calm_clip(positions: Clip, length: Int[Array, ""], skeleton: Skeleton, bones: Bones | None = None) -> Clip:
+    """Returns a clip that trembles less and whose bones have these lengths, by default the skeleton's."""
+    smooth = smooth_over_clip(positions, length, sigma=SIGMA * skeleton.fps)
+    return calm_torso(fix_bones(smooth, skeleton, bones), length, skeleton)
 
 
 def smooth_over_clip(positions: Clip, length: Int[Array, ""], *, sigma: float) -> Clip:
@@ -204,9 +205,7 @@ def lock_feet(
     fade = max(FADE, round(FADE * fps / 20))
     mask = mask_from_lengths(length[None], len(positions))[0]
     feet = np.array(skeleton.left_foot + skeleton.right_foot)
-    heights = jnp.where(mask[:, None], positions[:, feet, 1], jnp.nan)
-    # Not the lowest height: with one toe below the floor in one frame, all others would be too high to stand.
-    low = jnp.nanpercentile(heights, 1.0) + CONTACT_HEIGHT
+    low = _floor(jnp.where(mask[:, None], positions[:, feet][..., 1], jnp.inf), 4 * length) + CONTACT_HEIGHT
 
     def moved_joints(leg: Int[Array, " 4"]) -> Float[Array, "T 3 3"]:
         hip, knee, ankle, toe = jnp.moveaxis(positions[:, leg], 1, 0)
@@ -219,6 +218,19 @@ def lock_feet(
     legs = np.column_stack([[skeleton.parents[knee] for knee in knees], knees, feet.reshape(2, 2)])
     moved = jax.vmap(moved_joints, out_axes=1)(jnp.asarray(legs))
     return positions.at[:, legs[:, 1:].ravel()].set(moved.reshape(len(positions), -1, 3))
+
+
+def _floor(heights: Float[Array, "T 4"], count: Int[Array, ""]) -> Float[Array, ""]:
+    """Returns the height of the floor: of the lowest `count` heights of feet, the first percentile.
+
+    It is not the lowest height: with one toe below the floor in one frame, all others would be too high to stand.
+    """
+    ordered = jnp.sort(heights.ravel())
+    place = 0.01 * (count - 1)
+    below = jnp.floor(place)
+    pair = jax.lax.dynamic_slice(ordered, (below.astype(jnp.int32),), (2,))
+    share = place - below
+    return (1 - share) * pair[0] + share * pair[1]
 
 
 def _standing(toe: Joint, mask: Frames, low: Float[Array, ""], *, fps: float) -> Frames:

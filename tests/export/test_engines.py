@@ -81,7 +81,14 @@ def test_the_lines_for_stablehlo_give_files_that_compute_what_the_model_does(tmp
     ((_, code),) = code_blocks(REPOSITORY / "docs" / "engines.md", "python")
     names = {}
     exec(code.replace('"demo"', '"tiny"'), names)  # noqa: S102 - the page's code is run as it is
-    assert sorted(path.stem for path in tmp_path.glob("*.stablehlo")) == ["begin", "decode", "row", "text"]
-    graph = names["graph"]
+    assert sorted(path.stem for path in tmp_path.glob("*.stablehlo")) == [
+        "begin",
+        "calm",
+        "decode",
+        "lock",
+        "row",
+        "text",
+    ]
+    graph = names["graphs"]["decode"]
     wanted = graph.function(*(np.ones(array.shape, array.dtype) for array in graph.inputs.values()))
     np.testing.assert_allclose(names["positions"], wanted[0], atol=1e-5)

@@ -237,6 +237,14 @@ MANIFEST = {
             "outputs": {"codes": [1, 2], "stop_score": [1], "next_cache": [1]},
         },
         "decode": {"inputs": {"codes": [1, 9, 2], "num_rows": [1]}, "outputs": {"positions": [1, 36, 2, 3]}},
+        "calm": {
+            "inputs": {"positions": [1, 36, 2, 3], "num_frames": [1]},
+            "outputs": {"calm_positions": [1, 36, 2, 3]},
+        },
+        "lock": {
+            "inputs": {"calm_positions": [1, 36, 2, 3], "positions": [1, 36, 2, 3], "num_frames": [1]},
+            "outputs": {"clean_positions": [1, 36, 2, 3]},
+        },
     },
     "text": {"max_tokens": 4},
     "sampling": {
@@ -261,6 +269,7 @@ for _graph in MANIFEST["graphs"].values():
 HOSTILE = {
     "graphs.row.inputs.noise.shape": ["</script>", [1, 10**6, 10**6], None, [-1, 2, 3]],
     "graphs.row.inputs.noise.dtype": ["string", 3],
+    "graphs.lock.inputs.positions.shape": [[1, 10**6, 10**6, 3], ["x"]],
     "graphs.text": [None, "https://elsewhere.example/text.onnx", {}],
     "graphs": [[], None, {}],
     "text.max_tokens": [10**9, -1, "4", 0.5],
@@ -411,7 +420,7 @@ def download(page, name, tmp_path):
 
 
 def python_motion(model, sentence, seed, **options):
-    request = MotionRequest(captions=(sentence,), seed=seed, options=SamplingOptions(raw=True, whole=True, **options))
+    request = MotionRequest(captions=(sentence,), seed=seed, options=SamplingOptions(whole=True, **options))
     (motion,) = model.make(request)
     return motion
 
@@ -436,6 +445,8 @@ def test_a_sentence_becomes_the_motion_of_python_also_without_a_network(open_sit
             found, wanted = download(page, "NPZ", tmp_path), python_motion(model, WAVE, seed)
             np.testing.assert_array_equal(found.codes, wanted.codes)
             assert np.abs(found.positions - wanted.positions).max() < 1e-3
+            assert np.abs(found.positions_raw - wanted.positions_raw).max() < 1e-3
+            assert np.abs(found.positions - found.positions_raw).max() > 1e-3
             assert (found.caption, found.seed, found.fps) == (WAVE, seed, 20)
             np.testing.assert_allclose(download(page, "GLB", tmp_path).positions, found.positions, atol=1e-4)
             download(page, "BVH", tmp_path)

@@ -59,9 +59,9 @@ class GraphBuilder:
         Raises:
             UserError: It has a primitive that no rule knows.
         """
-        return self._run(jax.make_jaxpr(function)(*inputs.values()), list(inputs))
+        return self.run(jax.make_jaxpr(function)(*inputs.values()), list(inputs))
 
-    def _run(self, traced: Any, inputs: Sequence[Value]) -> list[Value]:
+    def run(self, traced: Any, inputs: Sequence[Value]) -> list[Value]:
         """Adds a traced function."""
         # In newer versions of JAX, a traced function has its constants itself.
         program = getattr(traced, "jaxpr", traced)
@@ -69,7 +69,10 @@ class GraphBuilder:
         values |= dict(zip(program.invars, inputs, strict=True))
 
         def value_of(variable: Any) -> Value:
-            return np.asarray(variable.val) if isinstance(variable, Literal) else values[variable]
+            if not isinstance(variable, Literal):
+                return values[variable]
+            kind: Any = variable.aval  # a number of Python would get 64 bits
+            return np.asarray(variable.val, kind.dtype)
 
         for equation in program.eqns:
             found = self._apply(equation, [value_of(variable) for variable in equation.invars])
@@ -78,13 +81,36 @@ class GraphBuilder:
 
     def _apply(self, equation: Any, inputs: list[Value]) -> list[Value]:
         """Adds an equation."""
-        inner = [value for value in equation.params.values() if hasattr(value, "eqns") or hasattr(value, "jaxpr")]
-        if inner:  # a function in a function, such as one that is jitted or has its own gradient
-            return self._run(inner[0], inputs)
         name = equation.primitive.name
+        inner = [value for value in equation.params.values() if hasattr(value, "eqns") or hasattr(value, "jaxpr")]
+        # A function in a function, such as one that is jitted or has its own gradient.
+        if inner and name not in self.rules:
+            return self.run(inner[0], inputs)
         if all(isinstance(value, np.ndarray) for value in inputs):
             found = equation.primitive.bind(*inputs, **equation.params)
             return [np.asarray(array) for array in (found if equation.primitive.multiple_results else [found])]
         if name not in self.rules:
             raise UserError(f"export: the model computes {name!r}, for which there is no rule yet; open an issue")
         return self.rules[name](self, equation, inputs)
+
+
+def shape_of(equation: Any, number: int = 0) -> list[int]:
+    """Returns the shape of an output of an equation."""
+    return list(equation.outvars[number].aval.shape)
+
+
+def input_shape(equation: Any, number: int = 0) -> tuple[int, ...]:
+    """Returns the shape of an input of an equation."""
+    return tuple(equation.invars[number].aval.shape)
+
+
+def number_of_type(dtype: Any) -> int:
+    """Returns ONNX's number of a type."""
+    from onnx import helper
+
+    return helper.np_dtype_to_tensor_dtype(np.dtype(dtype))
+
+
+def refusal(equation: Any) -> UserError:
+    """Returns the error of a rule that does not know an equation in its form."""
+    return UserError(f"export: {equation.primitive.name!r} is not known in this form; open an issue")

@@ -18,6 +18,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.export.onnx.text import TextPart, embed_tokens, text_inputs
 from t2m_jax.keys import new_key
 from t2m_jax.models.system import make_module
+from t2m_jax.motion.cleanup import calm_clip, lock_feet
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import skeleton_from_name
 from t2m_jax.sampling.programs import decode_positions
@@ -49,11 +50,12 @@ def array_of(*shape: int, dtype: Any = jnp.float32) -> jax.ShapeDtypeStruct:
 
 
 def make_graphs(bundle: Bundle, text: TextPart) -> dict[str, Graph]:
-    """Returns the graphs of a model by name: `text`, `begin`, `row` and `decode`."""
+    """Returns the graphs of a model by name: `text`, `begin`, `row`, `decode`, `calm` and `lock`."""
     return {
         "text": make_graph(lambda *inputs: (embed_tokens(text, *inputs),), text_inputs(text), ["text_embedding"]),
         **_generator_graphs(bundle),
         "decode": _decode_graph(bundle),
+        **_clean_graphs(bundle),
     }
 
 
@@ -134,3 +136,26 @@ def _decode_graph(bundle: Bundle) -> Graph:
 
     codes = array_of(1, config.generator.max_codes, config.tokenizer.num_quantizers, dtype=jnp.int32)
     return make_graph(decode, {"codes": codes, "num_rows": array_of(1, dtype=jnp.int32)}, ["positions", "features"])
+
+
+def _clean_graphs(bundle: Bundle) -> dict[str, Graph]:
+    """Returns the graphs of the clean-up: of trembling and bones, and then of feet."""
+    config = bundle.config
+    skeleton = skeleton_from_name(config.skeleton)
+    frames = config.generator.max_codes * config.tokenizer.downsample
+    clip, length = array_of(1, frames, skeleton.num_joints, 3), array_of(1, dtype=jnp.int32)
+
+    def calm(positions: Float[Array, "1 T J 3"], num_frames: Int[Array, "1"]) -> tuple[Float[Array, "1 T J 3"]]:
+        return (calm_clip(positions[0], num_frames[0], skeleton)[None],)
+
+    def lock(
+        calm: Float[Array, "1 T J 3"], positions: Float[Array, "1 T J 3"], num_frames: Int[Array, "1"]
+    ) -> tuple[Float[Array, "1 T J 3"]]:
+        return (lock_feet(calm[0], num_frames[0], skeleton, before=positions[0])[None],)
+
+    return {
+        "calm": make_graph(calm, {"positions": clip, "num_frames": length}, ["calm_positions"]),
+        "lock": make_graph(
+            lock, {"calm_positions": clip, "positions": clip, "num_frames": length}, ["clean_positions"]
+        ),
+    }

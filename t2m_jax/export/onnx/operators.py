@@ -1,22 +1,27 @@
 """The operators of ONNX that do the same as the primitives of JAX that models use."""
 
+import functools
 import itertools
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
-from t2m_jax.errors import UserError
-from t2m_jax.export.onnx.builder import GraphBuilder, Rule, Value
+from t2m_jax.export.onnx.builder import GraphBuilder, Rule, Value, input_shape, number_of_type, refusal, shape_of
+from t2m_jax.export.onnx.indexing import dynamic_slice, dynamic_update_slice, gather, scatter
 
 _SAME = {
     "abs": "Abs",
+    "acos": "Acos",
     "add": "Add",
     "and": "And",
+    "ceil": "Ceil",
     "cos": "Cos",
     "div": "Div",
     "eq": "Equal",
     "erf": "Erf",
     "exp": "Exp",
+    "floor": "Floor",
     "ge": "GreaterOrEqual",
     "gt": "Greater",
     "le": "LessOrEqual",
@@ -44,33 +49,14 @@ def _same(operator: str) -> Rule:
     return lambda builder, equation, inputs: [builder.node(operator, *inputs)]
 
 
-def _shape(equation: Any, number: int = 0) -> list[int]:
-    """Returns the shape of an output of an equation."""
-    return list(equation.outvars[number].aval.shape)
-
-
-def _input_shape(equation: Any, number: int = 0) -> tuple[int, ...]:
-    return tuple(equation.invars[number].aval.shape)
-
-
-def _dtype(dtype: Any) -> int:
-    from onnx import helper
-
-    return helper.np_dtype_to_tensor_dtype(np.dtype(dtype))
-
-
-def _refuse(equation: Any) -> UserError:
-    return UserError(f"export: {equation.primitive.name!r} is not known in this form; open an issue")
-
-
 def _reshape(builder: GraphBuilder, equation: Any, inputs: list[Value]) -> list[Value]:
-    return [builder.node("Reshape", inputs[0], _shape(equation))]
+    return [builder.node("Reshape", inputs[0], shape_of(equation))]
 
 
 def _broadcast(builder: GraphBuilder, equation: Any, inputs: list[Value]) -> list[Value]:
-    shape = _shape(equation)
+    shape = shape_of(equation)
     kept = equation.params["broadcast_dimensions"]
-    sizes = _input_shape(equation)
+    sizes = input_shape(equation)
     narrow = [sizes[kept.index(axis)] if axis in kept else 1 for axis in range(len(shape))]
     value = builder.node("Reshape", inputs[0], narrow)
     return [value if narrow == shape else builder.node("Expand", value, shape)]
@@ -113,56 +99,71 @@ def _split(builder: GraphBuilder, equation: Any, inputs: list[Value]) -> list[Va
 def _pad(builder: GraphBuilder, equation: Any, inputs: list[Value]) -> list[Value]:
     low, high, inner = zip(*equation.params["padding_config"], strict=True)
     if any(inner) or min(*low, *high) < 0:
-        raise _refuse(equation)
+        raise refusal(equation)
     return [builder.node("Pad", inputs[0], list(map(int, (*low, *high))), inputs[1])]
 
 
-def _bounded_start(builder: GraphBuilder, start: Value, last: int) -> Value:
-    """Returns a start [1], int64, that is moved into the array, as JAX does."""
-    if isinstance(start, np.ndarray):
-        return np.clip(start.reshape(1).astype(np.int64), 0, last)
-    wide = builder.node("Cast", builder.node("Reshape", start, [1]), to=_dtype(np.int64))
-    return builder.node("Min", builder.node("Max", wide, [0]), [last])
+def _reduce_window(builder: GraphBuilder, equation: Any, inputs: list[Value]) -> list[Value]:
+    """Adds what combines the neighbors along one axis: the array and its shifted copies, one after another."""
+    params = equation.params
+    operator = {"or": "Or", "max": "Max"}.get(params["jaxpr"].eqns[0].primitive.name)
+    axes = [number for number, size in enumerate(params["window_dimensions"]) if size != 1]
+    steps = (*params["window_strides"], *params["base_dilation"], *params["window_dilation"])
+    if operator is None or len(axes) != 1 or set(steps) != {1} or len(params["jaxpr"].eqns) != 1:
+        raise refusal(equation)
+    (axis,) = axes
+    low, high = zip(*params["padding"], strict=True)
+    padded = builder.node("Pad", inputs[0], [*low, *high], inputs[1])
+    count = shape_of(equation)[axis]
+    shifted = [
+        builder.node("Slice", padded, [number], [number + count], [axis])
+        for number in range(params["window_dimensions"][axis])
+    ]
+    return [functools.reduce(lambda one, other: builder.node(operator, one, other), shifted, inputs[1])]
 
 
-def _dynamic_slice(builder: GraphBuilder, equation: Any, inputs: list[Value]) -> list[Value]:
-    sizes = equation.params["slice_sizes"]
-    value = inputs[0]
-    # One axis at a time: most begin at 0 and are whole.
-    for axis, (size, whole) in enumerate(zip(sizes, _input_shape(equation), strict=True)):
-        if size != whole:
-            begin = _bounded_start(builder, inputs[1 + axis], whole - size)
-            end = begin + size if isinstance(begin, np.ndarray) else builder.node("Add", begin, [size])
-            value = builder.node("Slice", value, begin, end, [axis])
-    return [value]
+def _cumulative(operator: str) -> Rule:
+    """Returns the rule of a running maximum or minimum, over 1, 2, 4 and more neighbors."""
+
+    def rule(builder: GraphBuilder, equation: Any, inputs: list[Value]) -> list[Value]:
+        axis, reverse = equation.params["axis"], equation.params["reverse"]
+        shape = input_shape(equation)
+        dtype = equation.invars[0].aval.dtype
+        limits = jnp.finfo(dtype) if jnp.issubdtype(dtype, jnp.floating) else jnp.iinfo(dtype)
+        nothing = np.array(limits.min if operator == "Max" else limits.max, dtype)
+        value = inputs[0]
+        for step in (2**power for power in range((shape[axis] - 1).bit_length())):
+            sides = np.zeros((2, len(shape)), int)
+            sides[int(reverse), axis] = step
+            padded = builder.node("Pad", value, sides.ravel().tolist(), nothing)
+            first = step if reverse else 0
+            shifted = builder.node("Slice", padded, [first], [first + shape[axis]], [axis])
+            value = builder.node(operator, value, shifted)
+        return [value]
+
+    return rule
 
 
-def _dynamic_update_slice(builder: GraphBuilder, equation: Any, inputs: list[Value]) -> list[Value]:
-    """Adds a choice between old and new values: faster than scattering them, and known everywhere."""
-    whole, part = _input_shape(equation), _input_shape(equation, 1)
-    changed = [axis for axis, sizes in enumerate(zip(whole, part, strict=True)) if sizes[0] != sizes[1]]
-    if len(changed) != 1 or part[changed[0]] != 1:
-        raise _refuse(equation)
-    (axis,) = changed
-    start = _bounded_start(builder, inputs[2 + axis], whole[axis] - 1)
-    shape = [-1 if number == axis else 1 for number in range(len(whole))]
-    places = np.arange(whole[axis]).reshape(shape)
-    here: Value = places == start if isinstance(start, np.ndarray) else builder.node("Equal", places, start)
-    return [builder.node("Where", here, inputs[1], inputs[0])]
+def _sort(builder: GraphBuilder, equation: Any, inputs: list[Value]) -> list[Value]:
+    axis = equation.params["dimension"]
+    if len(inputs) != 1:
+        raise refusal(equation)
+    count = input_shape(equation)[axis]
+    values = builder.node("TopK", inputs[0], [count], axis=axis, largest=0, sorted=1)
+    builder.nodes[-1].output.append(f"{values}_places")  # the operator has two outputs
+    return [values]
 
 
-def _gather(builder: GraphBuilder, equation: Any, inputs: list[Value]) -> list[Value]:
-    """Adds a lookup of whole slices along one axis. Numbers of slices are never negative or too large in models."""
-    numbers = equation.params["dimension_numbers"]
-    shape, places = _input_shape(equation), _input_shape(equation, 1)[:-1]
-    axis = numbers.collapsed_slice_dims[0] if len(numbers.collapsed_slice_dims) == 1 else -1
-    before = tuple(range(max(axis, 0)))
-    after = tuple(range(axis + len(places), len(_shape(equation))))
-    slices = tuple(1 if number == axis else size for number, size in enumerate(shape))
-    fits = numbers.start_index_map == (axis,) and numbers.offset_dims == (*before, *after)
-    if not fits or tuple(equation.params["slice_sizes"]) != slices:
-        raise _refuse(equation)
-    return [builder.node("Gather", inputs[0], builder.node("Reshape", inputs[1], list(places)), axis=axis)]
+def _loop(builder: GraphBuilder, equation: Any, inputs: list[Value]) -> list[Value]:
+    """Adds the rounds of a loop whose number is known, one after another."""
+    params = equation.params
+    before = params["num_consts"]
+    if before + params["num_carry"] != len(inputs) or len(equation.outvars) != params["num_carry"]:
+        raise refusal(equation)
+    constants, state = inputs[:before], inputs[before:]
+    for _ in range(params["length"]):
+        state = builder.run(params["jaxpr"], [*constants, *state])
+    return state
 
 
 def _reduce_sum(builder: GraphBuilder, equation: Any, inputs: list[Value]) -> list[Value]:
@@ -179,7 +180,7 @@ def _reduce(operator: str) -> Rule:
 def _argmax(builder: GraphBuilder, equation: Any, inputs: list[Value]) -> list[Value]:
     (axis,) = equation.params["axes"]
     found = builder.node("ArgMax", inputs[0], axis=int(axis), keepdims=0)
-    return [builder.node("Cast", found, to=_dtype(equation.params["index_dtype"]))]
+    return [builder.node("Cast", found, to=number_of_type(equation.params["index_dtype"]))]
 
 
 def _cumsum(builder: GraphBuilder, equation: Any, inputs: list[Value]) -> list[Value]:
@@ -188,19 +189,19 @@ def _cumsum(builder: GraphBuilder, equation: Any, inputs: list[Value]) -> list[V
 
 
 def _cast(builder: GraphBuilder, equation: Any, inputs: list[Value]) -> list[Value]:
-    return [builder.node("Cast", inputs[0], to=_dtype(equation.params["new_dtype"]))]
+    return [builder.node("Cast", inputs[0], to=number_of_type(equation.params["new_dtype"]))]
 
 
 def _select(builder: GraphBuilder, equation: Any, inputs: list[Value]) -> list[Value]:
     which, *cases = inputs
     if len(cases) != 2 or equation.invars[0].aval.dtype != bool:
-        raise _refuse(equation)
+        raise refusal(equation)
     return [builder.node("Where", which, cases[1], cases[0])]
 
 
 def _dot(builder: GraphBuilder, equation: Any, inputs: list[Value]) -> list[Value]:
     (left, right), (left_batch, right_batch) = equation.params["dimension_numbers"]
-    ranks = [len(_input_shape(equation, number)) for number in range(2)]
+    ranks = [len(input_shape(equation, number)) for number in range(2)]
     if not left_batch and right == (0,) and left == (ranks[0] - 1,) and ranks[1] == 2:
         return [builder.node("MatMul", *inputs)]
     letters = iter("abcdefghijklmnopqrstuvwxyz")
@@ -219,7 +220,7 @@ def _convolution(builder: GraphBuilder, equation: Any, inputs: list[Value]) -> l
     params = equation.params
     numbers = params["dimension_numbers"]
     if any(step != 1 for step in params["lhs_dilation"]) or params["batch_group_count"] != 1:
-        raise _refuse(equation)
+        raise refusal(equation)
     kernel = inputs[1]
     if isinstance(kernel, np.ndarray):
         kernel = kernel.transpose(numbers.rhs_spec)
@@ -263,23 +264,30 @@ RULES: dict[str, Rule] = {
     "concatenate": _concatenate,
     "conv_general_dilated": _convolution,
     "convert_element_type": _cast,
+    "cummax": _cumulative("Max"),
+    "cummin": _cumulative("Min"),
     "cumsum": _cumsum,
     "dot_general": _dot,
-    "dynamic_slice": _dynamic_slice,
-    "dynamic_update_slice": _dynamic_update_slice,
+    "dynamic_slice": dynamic_slice,
+    "dynamic_update_slice": dynamic_update_slice,
     "erfc": _with_one("Sub", "Erf"),
     "expand_dims": _reshape,
-    "gather": _gather,
+    "gather": gather,
     "integer_pow": _power,
     "ne": lambda builder, equation, inputs: [builder.node("Not", builder.node("Equal", *inputs))],
     "pad": _pad,
     "reduce_max": _reduce("ReduceMax"),
     "reduce_min": _reduce("ReduceMin"),
     "reduce_sum": _reduce_sum,
+    "reduce_window": _reduce_window,
     "reshape": _reshape,
     "rsqrt": _with_one("Div", "Sqrt"),
+    "scan": _loop,
+    "scatter": scatter("none"),
+    "scatter-add": scatter("add"),
     "select_n": _select,
     "slice": _slice,
+    "sort": _sort,
     "split": _split,
     "square": lambda builder, equation, inputs: [builder.node("Mul", inputs[0], inputs[0])],
     "squeeze": _reshape,

@@ -2,11 +2,14 @@
 // one line. Nothing of them becomes code, markup or an address.
 
 const MOST_BYTES = 1_000_000_000;
+const MOST_NUMBERS = 1e8; // of an array
 const GRAPHS = {
   text: [["tokens", "num_tokens"], ["text_embedding"]],
   begin: [["text_embedding"], []],
   row: [["noise", "temperature", "may_stop"], ["codes", "stop_score"]],
   decode: [["codes", "num_rows"], ["positions"]],
+  calm: [["positions", "num_frames"], ["calm_positions"]],
+  lock: [["calm_positions", "positions", "num_frames"], ["clean_positions"]],
 };
 
 function check(condition, file, what) {
@@ -29,7 +32,8 @@ export function checkFiles(tree) {
   return new Map(Object.entries(tree));
 }
 
-const isArray = (array) => isRecord(array) && isList(array.shape, (size) => isWhole(size, 0, 1e6), 8) && ["float32", "int32", "bool"].includes(array.dtype);
+const isShape = (shape) => isList(shape, (size) => isWhole(size, 0, 1e6), 8) && shape.reduce((product, size) => product * size, 1) <= MOST_NUMBERS;
+const isArray = (array) => isRecord(array) && isShape(array.shape) && ["float32", "int32", "bool"].includes(array.dtype);
 const isSide = (side) => isRecord(side) && Object.entries(side).every(([name, array]) => isName(name) && isArray(array));
 
 function checkGraphs(graphs) {

@@ -9,7 +9,7 @@ import { Tokenizer } from "./tokenizer.js";
 
 const RUNTIME = "assets/vendor/ort.wasm.packed";
 const TEMPLATE = "model/figure.glb"; // only of the skeleton that GLB files are written for
-const GRAPHS = ["text", "begin", "row", "decode"];
+const GRAPHS = ["text", "begin", "row", "decode", "calm", "lock"];
 const MOST_THREADS = 4;
 // To sort the weights for faster products takes longer than it saves in a hundred motions.
 const OPTIONS = { executionProviders: ["wasm"], extra: { session: { disable_prepacking: "1" } } };
@@ -77,7 +77,8 @@ async function make(sampler, request) {
       send({ share: (sample + row / most) / request.samples });
     };
     const codes = await sampler.sample(embedding, { ...request, sample, onRow });
-    motions.push({ codes, positions: await sampler.decode(codes) });
+    const decoded = await sampler.decode(codes);
+    motions.push({ codes, decoded, positions: await sampler.clean(decoded) });
   }
   return motions;
 }

@@ -118,9 +118,9 @@ class Page {
     const shown = made.filter(({ codes }) => codes.length > 0);
     if (shown.length === 0) throw new Error("the model made an empty motion; try another seed");
     const figures = shown.map(({ positions }) => makeFigure(positions, { figure, motion, caption: recipe.sentence }));
-    const motions = shown.map(({ codes, positions }, place) => {
+    const motions = shown.map(({ codes, decoded, positions }, place) => {
       const { frames, fps } = figures[place];
-      return { caption: recipe.sentence, seed: recipe.seed, codes, positions, frames, fps, seconds: frames / fps };
+      return { caption: recipe.sentence, seed: recipe.seed, codes, decoded, positions, frames, fps, seconds: frames / fps };
     });
     const seconds = Math.max(...motions.map((one) => one.seconds));
     return makeTake({ kind: "new", request: recipe, scene: { seconds, figures }, motions });

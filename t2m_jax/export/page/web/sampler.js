@@ -54,4 +54,20 @@ export class Sampler {
     const { positions } = await this.run("decode", { codes, num_rows: [rows.length] });
     return positions.slice(0, rows.length * motion.frames_per_row * motion.joints.length * 3);
   }
+
+  // Resolves to positions that tremble less, with bones of constant length and feet that stand still.
+  async clean(positions) {
+    const numFrames = [positions.length / this.manifest.motion.joints.length / 3];
+    const { calm_positions: calm } = await this.run("calm", { positions: this.#filled("calm", positions), num_frames: numFrames });
+    const given = { calm_positions: this.#filled("lock", calm), positions: this.#filled("lock", positions), num_frames: numFrames };
+    return (await this.run("lock", given)).clean_positions.slice(0, positions.length);
+  }
+
+  // Returns positions with zeros behind them, as many as a graph reads.
+  #filled(graph, positions) {
+    const { shape } = this.manifest.graphs[graph].inputs.positions;
+    const filled = new Float32Array(shape.reduce((product, size) => product * size));
+    filled.set(positions.subarray(0, filled.length));
+    return filled;
+  }
 }

@@ -9,9 +9,10 @@ import { animatedFigure } from "./glb.js";
 import { fitRig } from "./rig.js";
 
 // Returns the motion as Python reads it: `t2m view motion.npz -o motion.gif` makes any other format of it.
-function archiveOf({ positions, codes, caption, seed, frames, fps }, { joints, skeleton }) {
+function archiveOf({ positions, decoded, codes, caption, seed, frames, fps }, { joints, skeleton }) {
   return zipFile({
     "positions.npy": arrayFile("<f4", [frames, joints.length, 3], positions),
+    "positions_raw.npy": arrayFile("<f4", [frames, joints.length, 3], decoded),
     "codes.npy": arrayFile("<i4", [codes.length, codes[0].length], Int32Array.from(codes.flat())),
     "fps.npy": arrayFile("<f8", [], Float64Array.of(fps)),
     "seed.npy": arrayFile("<i8", [], BigInt64Array.of(BigInt(seed))),
