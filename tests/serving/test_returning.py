@@ -38,6 +38,33 @@ def test_a_reload_keeps_the_draft_the_settings_and_the_selection(open_studio):  
     expect(page.get_by_role("textbox", name="Sentence")).to_have_value(WALK)  # what was sent is no draft
 
 
+def test_a_reload_keeps_the_view(open_studio):  # noqa: F811
+    page = open_studio()
+    title, hint = page.locator("#take-title"), page.locator("#compare-hint")
+    generate(page, WAVE)
+    generate(page, WALK, takes=2)
+    page.get_by_role("button", name=f"Compare {WALK}").click()
+    page.get_by_text("More options").click()
+    page.locator("#changes summary").click()
+    page.get_by_role("slider", name="Frame", exact=True).fill("8")
+    page.reload()
+    expect(title).to_have_text(WALK)
+    expect(hint).to_contain_text(WALK)
+    expect(page.locator("#clock")).to_contain_text("frame 8")
+    expect(page.locator("[data-field=top_k]")).to_be_visible()
+    expect(page.locator("#apply-changes")).to_be_hidden()
+    page.get_by_role("button", name=f"Compare {WAVE}").click()
+    expect(title).to_have_text("Comparison")
+    captions = page.locator(".stage-caption").all_text_contents()
+    page.reload()
+    expect(title).to_have_text("Comparison")
+    expect(page.locator(".stage-caption")).to_have_text(captions)
+    expect(hint).to_be_hidden()
+    page.get_by_role("button", name=f"Delete {WALK}").click()
+    page.reload()
+    expect(title).to_have_text(WAVE)  # what is left
+
+
 def test_a_motion_that_is_made_is_found_again(open_studio):  # noqa: F811
     page = open_studio()
     page.get_by_role("textbox", name="Sentence").fill(WALK)

@@ -1,7 +1,7 @@
 // Two motions in step, side by side or in one view: the first one that is chosen waits for the second one.
 
 import { find } from "./dom.js";
-import { recall, remember } from "./memory.js";
+import { recall, recallInTab, remember, rememberInTab } from "./memory.js";
 import { makeTake } from "./session.js";
 
 export class Comparison {
@@ -29,36 +29,28 @@ export class Comparison {
   }
 
   choose(take, number = 0) {
-    const choice = { take, number, motion: take.motions[number], figure: take.scene.figures[number] };
+    const choice = { take, number };
     const first = this.#first;
-    if (first === null) this.#first = choice;
-    else {
-      this.#first = null;
-      if (first.figure !== choice.figure && !this.#isSame(first, choice)) this.#show([first, choice]);
-    }
+    this.#keepFirst(first === null ? choice : null);
+    if (first !== null && figureOf(first) !== figureOf(choice) && !isSame(first, choice)) this.session.show(compare([first, choice]));
     this.#update();
   }
 
-  #isSame(a, b) {
-    return a.take.id === b.take.id && a.number === b.number;
+  // Waits for the second motion again, if the page was left meanwhile.
+  async resume(history) {
+    const former = recallInTab("compare-first");
+    if (history.find(former?.id)) this.choose(await history.take(former.id), former.number);
   }
 
-  #show(choices) {
-    const figures = choices.map(({ figure, motion }, index) => {
-      const seed = motion.seed === null ? "" : ` (seed ${motion.seed})`;
-      const named = (text) => `${"AB"[index]}: ${text}${seed}`;
-      const sentences = (figure.sentences ?? []).map(([first, text]) => [first, named(text)]);
-      return { ...figure, caption: named(figure.caption), sentences };
-    });
-    const motions = choices.map(({ motion }) => motion);
-    const seconds = Math.max(...motions.map((motion) => motion.seconds));
-    this.session.show(makeTake({ kind: "comparison", request: {}, scene: { seconds, figures }, motions }));
+  #keepFirst(choice) {
+    this.#first = choice;
+    rememberInTab("compare-first", choice && { id: choice.take.id, number: choice.number });
   }
 
   #update() {
     const { take, selected } = this.session;
     const first = this.#first;
-    const isFirst = first !== null && take !== null && this.#isSame(first, { take, number: selected });
+    const isFirst = first !== null && take !== null && isSame(first, { take, number: selected });
     find("compare-sample").setAttribute("aria-pressed", String(isFirst));
     const isShown = take?.kind === "comparison";
     find("compare-sample").hidden = isShown;
@@ -67,6 +59,25 @@ export class Comparison {
     find("one-view").setAttribute("aria-pressed", String(this.stage.together));
     const hint = find("compare-hint");
     hint.hidden = first === null;
-    hint.textContent = first === null ? "" : `Choose a second motion to compare with “${first.motion.caption}”.`;
+    hint.textContent = first === null ? "" : `Choose a second motion to compare with “${motionOf(first).caption}”.`;
   }
+}
+
+const motionOf = ({ take, number }) => take.motions[number];
+const figureOf = ({ take, number }) => take.scene.figures[number];
+const isSame = (a, b) => a.take.id === b.take.id && a.number === b.number;
+
+// Two samples {take, number} as one take, which names them as `compared`.
+export function compare(choices) {
+  const figures = choices.map((choice, index) => {
+    const { seed } = motionOf(choice);
+    const named = (text) => `${"AB"[index]}: ${text}${seed === null ? "" : ` (seed ${seed})`}`;
+    const figure = figureOf(choice);
+    const sentences = (figure.sentences ?? []).map(([first, text]) => [first, named(text)]);
+    return { ...figure, caption: named(figure.caption), sentences };
+  });
+  const motions = choices.map(motionOf);
+  const seconds = Math.max(...motions.map((motion) => motion.seconds));
+  const compared = choices.map(({ take, number }) => ({ id: take.id, number }));
+  return { ...makeTake({ kind: "comparison", request: {}, scene: { seconds, figures }, motions }), compared };
 }

@@ -40,6 +40,10 @@ export class History {
     return this.#entries.filter(({ deleted }) => !deleted);
   }
 
+  get newest() {
+    return this.#listed.at(-1);
+  }
+
   find(id) {
     return this.#listed.find((entry) => entry.id === id);
   }

@@ -63,3 +63,11 @@ export function keepForm(form) {
   form.addEventListener("input", keep);
   addEventListener("pagehide", keep); // also what the page itself has set
 }
+
+// Opens and closes the parts of the page as they were when it was left, and keeps how they are.
+export function keepParts() {
+  const parts = [...document.querySelectorAll("details")];
+  const former = recallInTab("parts") ?? {};
+  for (const part of parts) part.open = former[part.id] ?? part.open;
+  addEventListener("pagehide", () => rememberInTab("parts", Object.fromEntries(parts.map((part) => [part.id, part.open]))));
+}

@@ -1,7 +1,7 @@
 // Puts the parts of the page together.
 
 import { CharacterPanel } from "./character.js";
-import { Comparison } from "./compare.js";
+import { compare, Comparison } from "./compare.js";
 import { clearMessage, find, showMessage } from "./dom.js";
 import { DownloadPanel } from "./download.js";
 import { findField, plain } from "./fields.js";
@@ -11,7 +11,7 @@ import { History } from "./history.js";
 import { listenForKeys } from "./keys.js";
 import { listenForCopies, openLink, shareSelected } from "./link.js";
 import { MakePanel } from "./make.js";
-import { recall, remember } from "./memory.js";
+import { keepParts, recall, recallInTab, remember, rememberInTab } from "./memory.js";
 import { listenForFiles } from "./openfile.js";
 import { PathDrawing } from "./path.js";
 import { Player } from "./player.js";
@@ -80,7 +80,9 @@ async function start() {
     handles.update();
   };
   await history.open();
-  await showFormer(session, history);
+  await showFormer(session, history, player).catch(complain);
+  await comparison.resume(history).catch(complain);
+  keepParts();
   make.resume();
   const followLink = () => openLink({ generation, make, session, onDone: addTake });
   addEventListener("hashchange", followLink);
@@ -115,18 +117,29 @@ function add(take, draft, { session, history, make, undo }) {
   return stored;
 }
 
-// Shows the motion that was selected when the page was left, and keeps which one is.
-async function showFormer(session, history) {
+// Shows what was shown when the page was left, and keeps what that is.
+async function showFormer(session, history, player) {
   const former = recall("selection");
+  const time = recallInTab("time");
   session.onChange(["take", "select", "span"], () => {
     const { take, selected, span } = session;
-    if (history.find(take?.id)) remember("selection", { id: take.id, selected, span });
+    if (take?.compared || history.find(take?.id)) remember("selection", { id: take.id, compared: take.compared, selected, span });
   });
-  if (!history.find(former?.id)) return;
-  const take = await history.take(former.id).catch(() => null);
-  if (take === null) return;
-  session.show(take, former.selected);
-  session.setSpan(former.span);
+  addEventListener("pagehide", () => rememberInTab("time", player.time));
+  const take = await formerTake(former ?? {}, history).catch(() => null);
+  if (take !== null) {
+    session.show(take, former.selected);
+    session.setSpan(former.span);
+    player.stage.time = time ?? 0;
+  } else if (history.newest) session.show(await history.take(history.newest.id));
+}
+
+// Returns null if it, or one of two that were compared, is no longer in the history.
+async function formerTake({ id, compared }, history) {
+  const wanted = compared ?? [{ id }];
+  if (!wanted.every((one) => history.find(one.id))) return null;
+  const takes = await Promise.all(wanted.map((one) => history.take(one.id)));
+  return compared ? compare(compared.map(({ number }, place) => ({ take: takes[place], number }))) : takes[0];
 }
 
 start().catch((error) => showMessage(`The studio cannot start: ${error.message}`));
