@@ -99,8 +99,7 @@ def _check_files(args: argparse.Namespace, task: str, wanted: tuple[str, ...]) -
 
 def _convert_model(args: argparse.Namespace, paths: list[Path]) -> None:
     from t2m_jax.checkpoints.bundle import save_bundle
-    from t2m_jax.checkpoints.official import load_official
-    from t2m_jax.checkpoints.official.bundle import OfficialFiles, official_card
+    from t2m_jax.checkpoints.official.bundle import OfficialFiles, load_official, official_card
     from t2m_jax.checkpoints.text_encoder import ClipReference, load_pretrained
     from t2m_jax.files.reading import load_text
     from t2m_jax.files.writing import check_new

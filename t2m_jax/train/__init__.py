@@ -1,6 +1,7 @@
 """Training: one experiment for every model, from a config to a run directory."""
 
 from t2m_jax.train.config import ExperimentConfig, LoopConfig
+from t2m_jax.train.curves import Run
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from t2m_jax.train.experiment import Setup, Trainer, train
 from t2m_jax.train.gpt import TrainGptConfig
@@ -14,6 +15,7 @@ __all__ = [
     "ExperimentConfig",
     "LoopConfig",
     "OptimizerConfig",
+    "Run",
     "Setup",
     "TrainEvaluatorConfig",
     "TrainGptConfig",

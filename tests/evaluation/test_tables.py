@@ -290,6 +290,15 @@ def test_quality_has_a_table_of_its_own():
         make_table([report(fid=(1.0, 0.1))], ["a"], measures="quality")
 
 
-def test_a_notebook_shows_a_report_as_its_table():
-    shown = report(fid=(0.116, 0.0041), diversity=(9.844, 1.0951), header=dataclasses.replace(HEADER, model="demo"))
-    assert shown._repr_markdown_() == format_table(make_table([shown], ["demo"]), style="markdown")
+def test_a_notebook_shows_a_report_as_a_table():
+    header = dataclasses.replace(HEADER, fid_motions=60, embedding_dim=512)
+    shown = report(fid=(0.116, 0.0041), jerk=(120.0, 1.5), header=header)
+    table, warning = shown._repr_markdown_().split("\n\n")
+    assert table.splitlines() == [
+        "| metric | real | generated |",
+        "| --- | ---: | ---: |",
+        "| fid | 0.002 ± 0.000 | 0.116 ± 0.004 |",
+        "| jerk | | 120.000 ± 1.500 |",
+        "| diversity | 9.500 ± 0.065 | |",
+    ]
+    assert warning == header.fid_warning != ""

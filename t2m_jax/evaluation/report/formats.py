@@ -5,8 +5,7 @@ from collections.abc import Callable
 from typing import Literal
 
 from t2m_jax.errors import printable
-from t2m_jax.evaluation.report.record import Report
-from t2m_jax.evaluation.report.tables import DIGITS, Cell, Column, Table, make_table
+from t2m_jax.evaluation.report.tables import DIGITS, Cell, Column, Table
 from t2m_jax.files.markdown import markdown_table
 
 MISSING = "-"
@@ -43,11 +42,6 @@ def format_table(table: Table, *, style: Literal["terminal", "markdown", "latex"
     if style == "terminal":
         return _terminal(table, color=color)
     return (_markdown if style == "markdown" else _latex)(table)
-
-
-def report_markdown(report: Report) -> str:
-    """Returns the table of one report in Markdown."""
-    return format_table(make_table([report], [report.header.model or report.kind]), style="markdown")
 
 
 def table_grid(table: Table, name: Callable[[str], str], figure: Callable[[Cell | None], str]) -> list[list[str]]:

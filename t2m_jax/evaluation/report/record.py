@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
-from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,6 +11,7 @@ import numpy as np
 from t2m_jax.config import config_from_dict
 from t2m_jax.errors import UserError
 from t2m_jax.files.manifest import load_sealed_json, save_sealed_json
+from t2m_jax.files.markdown import markdown_table
 
 T = TypeVar("T")
 
@@ -109,6 +109,9 @@ class Metric:
     repeats: tuple[float, ...]
     """The value of each repeat."""
 
+    def __str__(self) -> str:
+        return f"{self.mean:.3f} ± {self.interval:.3f}"
+
     @classmethod
     def from_repeats(cls, repeats: Sequence[float]) -> "Metric":
         """Returns mean and interval of some values."""
@@ -185,9 +188,12 @@ class Report:
     """Figures of the tokenizer alone, if they were measured too."""
 
     def _repr_markdown_(self) -> str:
-        """Returns the report for notebooks: the table of `t2m evaluate table`."""
-        # Loaded by its name, because its module imports this one.
-        return EntryPoint("markdown", "t2m_jax.evaluation.report.formats:report_markdown", "").load()(self)
+        """Returns the report for notebooks: a table with a line for each metric."""
+        names = dict.fromkeys([*self.measured, *self.real])
+        columns = (self.real, self.measured)
+        lines = [[name, *(f"{found[name]}" if name in found else "" for found in columns)] for name in names]
+        table = markdown_table(("metric", REAL, self.kind), lines)
+        return "\n\n".join(filter(None, (table, self.header.fid_warning)))
 
     @property
     def metrics(self) -> dict[str, dict[str, Metric]]:
