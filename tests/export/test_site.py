@@ -26,6 +26,7 @@ from t2m_jax.export.render.scene import figure_from_motion
 from t2m_jax.files.writing import save_json
 from t2m_jax.motion.bvh import save_bvh
 from t2m_jax.motion.formats import load_motion
+from t2m_jax.motion.joining import ease_seams, fade_features, join_windows
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rotations import rotate_vectors
 from t2m_jax.motion.skeleton import HUMANML3D
@@ -171,7 +172,8 @@ def acrobat(walk):
     hip, knee, ankle = (walk.skeleton.joint_names.index(f"right_{name}") for name in ("hip", "knee", "ankle"))
     positions[:, knee] = (positions[:, hip] + positions[:, ankle]) / 2
     trembling = np.random.default_rng(0).normal(scale=0.004, size=positions.shape)
-    return Motion((positions + trembling).astype(np.float32), walk.fps)
+    parts = {"part_starts": (0, 33), "part_captions": ('{é} "👋" \\', "stops")}
+    return Motion((positions + trembling).astype(np.float32), walk.fps, **parts)
 
 
 def quaternion_from_turns(angles, *, axis):
@@ -212,8 +214,10 @@ def test_bvh_files_are_those_of_python(modules, kind, request, tmp_path):
     motion = request.getfixturevalue(kind)
     about = {"fps": motion.fps, "parents": list(motion.skeleton.parents), "joints": list(motion.skeleton.joint_names)}
     given = {"figure": figure_record(motion.skeleton), "motion": about, "positions": motion.positions.ravel().tolist()}
+    given["parts"] = {"part_starts": motion.part_starts, "part_captions": motion.part_captions}
     code = """const frames = figure.framesOf(Float32Array.from(given.positions), given.motion.joints.length);
-      return bvh.bvhText(rig.fitRig(frames, given.motion, given.figure.rig), given.motion, given.figure.rig);"""
+      const fitted = rig.fitRig(frames, given.motion, given.figure.rig);
+      return bvh.bvhText(fitted, given.motion, given.figure.rig, given.parts);"""
     text = modules("bvh figure rig", code, given)
     save_bvh(tmp_path / "python.bvh", motion)
     (words, numbers), (wanted_words, wanted) = map(words_and_numbers, (text, (tmp_path / "python.bvh").read_text()))
@@ -222,6 +226,37 @@ def test_bvh_files_are_those_of_python(modules, kind, request, tmp_path):
     (tmp_path / "page.bvh").write_text(text)
     found, expected = (load_motion(tmp_path / f"{name}.bvh").positions for name in ("page", "python"))
     np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def shaped(rows) -> np.ndarray:
+    """Returns rows of numbers as positions of two joints."""
+    return np.reshape(rows, (-1, 2, 3))
+
+
+@pytest.mark.slow
+def test_sentences_follow_each_other_as_in_python(modules):
+    random = np.random.default_rng(0)
+    first, second, short, long = (random.normal(size=(frames, 6)) for frames in (30, 20, 3, 90))
+    given = {"first": first, "second": second, "short": short, "long": long, "fps": 10}
+    given = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in given.items()}
+    code = """const { first, second, short, long, fps } = given;
+      return {
+        faded: chain.fadeFeatures(first, second, fps), shortly: chain.fadeFeatures(first, short, 20),
+        eased: chain.easeSeams(long, [2, 30, 36], fps),
+        joined: await chain.inWindows(long, 40, fps, async (rows) => rows.map((row) => row.map((value) => 2 * value))),
+        mixed: await chain.inWindows(long, 40, fps, async (rows) => rows.map((row, place) => row.map(() => place))),
+      };"""
+    found = modules("chain", code, given)
+    for name, pair, overlap in (("faded", (first, second), 4), ("shortly", (first, short), 8)):
+        for ours, theirs in zip(found[name], fade_features(*pair, overlap=overlap), strict=True):
+            np.testing.assert_allclose(ours, theirs, atol=1e-6)
+    points = long.reshape(-1, 2, 3).astype(np.float32)
+    np.testing.assert_allclose(shaped(found["eased"]), ease_seams(points, [2, 30, 36], fps=10.0), atol=1e-5)
+    windows = [points[first : first + 40] for first in (0, 20, 40, 60)]
+    doubled = join_windows([2 * window for window in windows], count=90, overlap=20)
+    np.testing.assert_allclose(shaped(found["joined"]), doubled, atol=1e-5)
+    places = [np.arange(len(window), dtype=np.float32)[:, None, None] + 0 * window for window in windows]
+    np.testing.assert_allclose(shaped(found["mixed"]), join_windows(places, count=90, overlap=20), atol=1e-5)
 
 
 MANIFEST = {
@@ -236,7 +271,8 @@ MANIFEST = {
             "inputs": {"noise": [1, 2, 5], "temperature": [1], "may_stop": [1], "cache": [1]},
             "outputs": {"codes": [1, 2], "stop_score": [1], "next_cache": [1]},
         },
-        "decode": {"inputs": {"codes": [1, 9, 2], "num_rows": [1]}, "outputs": {"positions": [1, 36, 2, 3]}},
+        "decode": {"inputs": {"codes": [1, 9, 2], "num_rows": [1]}, "outputs": {"features": [1, 36, 7]}},
+        "place": {"inputs": {"features": [1, 72, 7]}, "outputs": {"positions": [1, 72, 2, 3]}},
         "calm": {
             "inputs": {"positions": [1, 36, 2, 3], "num_frames": [1]},
             "outputs": {"calm_positions": [1, 36, 2, 3]},
@@ -269,6 +305,8 @@ for _graph in MANIFEST["graphs"].values():
 HOSTILE = {
     "graphs.row.inputs.noise.shape": ["</script>", [1, 10**6, 10**6], None, [-1, 2, 3]],
     "graphs.row.inputs.noise.dtype": ["string", 3],
+    "graphs.place": [None, {}],
+    "graphs.place.inputs.features.shape": [[1, 7], [10**6, 10**6, 3]],
     "graphs.lock.inputs.positions.shape": [[1, 10**6, 10**6, 3], ["x"]],
     "graphs.text": [None, "https://elsewhere.example/text.onnx", {}],
     "graphs": [[], None, {}],
@@ -420,7 +458,9 @@ def download(page, name, tmp_path):
 
 
 def python_motion(model, sentence, seed, **options):
-    request = MotionRequest(captions=(sentence,), seed=seed, options=SamplingOptions(whole=True, **options))
+    request = MotionRequest(
+        captions=tuple(sentence.split("\n")), seed=seed, options=SamplingOptions(whole=True, **options)
+    )
     (motion,) = model.make(request)
     return motion
 
@@ -487,6 +527,25 @@ def test_models_of_users_run(open_site, config, tmp_path):
             make(page, caption, seed)
             wanted = python_motion(model, caption, seed, temperature=temperature)
             np.testing.assert_array_equal(download(page, "NPZ", tmp_path).codes, wanted.codes)
+        # The third sentence makes it longer than one window of the clean-up.
+        chain = "\n".join(CAPTIONS[:3])
+        make(page, f"{CAPTIONS[0]}\n\n {CAPTIONS[1]}\n{CAPTIONS[2]} \n", 5)
+        found, wanted = download(page, "NPZ", tmp_path), python_motion(model, chain, 5, temperature=0.0)
+        np.testing.assert_array_equal(found.codes, wanted.codes)
+        assert (found.part_starts, found.part_captions) == (wanted.part_starts, wanted.part_captions)
+        assert found.caption == wanted.caption
+        assert np.abs(found.positions_raw - wanted.positions_raw).max() < 1e-3
+        assert np.abs(found.positions - wanted.positions).max() < 1e-3
+        page.get_by_role("button", name=CAPTIONS[1], exact=True).click()
+        expect(page.locator("#clock")).to_contain_text(f"frame {wanted.part_starts[1]}")
+        if found.skeleton == HUMANML3D:
+            for name in ("BVH", "GLB"):
+                copy_of_it = download(page, name, tmp_path)
+                assert copy_of_it.part_starts == wanted.part_starts
+                assert copy_of_it.part_captions == wanted.part_captions
+        page.get_by_role("textbox", name="Sentence").fill("a person walks\n" * (site.MOST_SENTENCES + 1))
+        page.get_by_role("button", name="Generate").click()
+        expect(page.locator("#message")).to_contain_text("at most 6 sentences", timeout=WAIT)
         page.get_by_role("textbox", name="Seed").fill("one")
         page.get_by_role("button", name="Generate").click()
         expect(page.locator("#message")).to_contain_text("the seed must be a whole number")

@@ -26,8 +26,13 @@ FORMAT_VERSION = 1
 """Version of the manifest."""
 
 
-def export_onnx(folder: Path, bundle: Bundle) -> None:
+def export_onnx(folder: Path, bundle: Bundle, *, sentences: int = 1) -> None:
     """Writes a model as ONNX graphs for one motion at a time; the folder appears complete or not at all.
+
+    Args:
+        folder: It must not exist.
+        bundle: The model.
+        sentences: Of the longest motion. With 1, there is no graph that only several sentences need.
 
     Raises:
         UserError: `folder` exists already, or the model cannot be exported.
@@ -36,7 +41,7 @@ def export_onnx(folder: Path, bundle: Bundle) -> None:
     bundle = bundle._replace(variables=jax.device_put(bundle.variables))
     with atomic_folder(folder) as partial:
         text = text_part(bundle)
-        graphs = make_graphs(bundle, text)
+        graphs = make_graphs(bundle, text, sentences=sentences)
         for name, graph in tqdm(graphs.items(), desc="converting", unit="graph", disable=None):
             save_graph(partial / f"{name}.onnx", graph, quantized=text.quantized if name == "text" else ())
         save_bpe(partial, text.tokenizer)

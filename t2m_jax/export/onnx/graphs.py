@@ -19,6 +19,7 @@ from t2m_jax.export.onnx.text import TextPart, embed_tokens, text_inputs
 from t2m_jax.keys import new_key
 from t2m_jax.models.system import make_module
 from t2m_jax.motion.cleanup import calm_clip, lock_feet
+from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import skeleton_from_name
 from t2m_jax.sampling.programs import decode_positions
@@ -49,13 +50,17 @@ def array_of(*shape: int, dtype: Any = jnp.float32) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(shape, dtype)
 
 
-def make_graphs(bundle: Bundle, text: TextPart) -> dict[str, Graph]:
-    """Returns the graphs of a model by name: `text`, `begin`, `row`, `decode`, `calm` and `lock`."""
+def make_graphs(bundle: Bundle, text: TextPart, *, sentences: int = 1) -> dict[str, Graph]:
+    """Returns the graphs of a model by name: `text`, `begin`, `row`, `decode`, `calm` and `lock`.
+
+    With more `sentences` than one, motions of `lock` are so much longer, and `place` makes positions of their features.
+    """
     return {
         "text": make_graph(lambda *inputs: (embed_tokens(text, *inputs),), text_inputs(text), ["text_embedding"]),
         **_generator_graphs(bundle),
         "decode": _decode_graph(bundle),
-        **_clean_graphs(bundle),
+        **_clean_graphs(bundle, sentences),
+        **({"place": _place_graph(bundle, sentences)} if sentences > 1 else {}),
     }
 
 
@@ -138,12 +143,27 @@ def _decode_graph(bundle: Bundle) -> Graph:
     return make_graph(decode, {"codes": codes, "num_rows": array_of(1, dtype=jnp.int32)}, ["positions", "features"])
 
 
-def _clean_graphs(bundle: Bundle) -> dict[str, Graph]:
+def _most_frames(bundle: Bundle) -> int:
+    """Returns the frames of the longest motion of a sentence."""
+    return bundle.config.generator.max_codes * bundle.config.tokenizer.downsample
+
+
+def _place_graph(bundle: Bundle, sentences: int) -> Graph:
+    skeleton = skeleton_from_name(bundle.config.skeleton)
+
+    def place(features: Float[Array, "1 T D"]) -> tuple[Float[Array, "1 T J 3"]]:
+        return (positions_from_features(features, skeleton) * np.float32(skeleton.metres_per_unit),)
+
+    frames = sentences * _most_frames(bundle)
+    return make_graph(place, {"features": array_of(1, frames, skeleton.feature_dim)}, ["positions"])
+
+
+def _clean_graphs(bundle: Bundle, sentences: int) -> dict[str, Graph]:
     """Returns the graphs of the clean-up: of trembling and bones, and then of feet."""
-    config = bundle.config
-    skeleton = skeleton_from_name(config.skeleton)
-    frames = config.generator.max_codes * config.tokenizer.downsample
-    clip, length = array_of(1, frames, skeleton.num_joints, 3), array_of(1, dtype=jnp.int32)
+    skeleton = skeleton_from_name(bundle.config.skeleton)
+    clip = array_of(1, _most_frames(bundle), skeleton.num_joints, 3)
+    longest = array_of(1, sentences * _most_frames(bundle), skeleton.num_joints, 3)
+    length = array_of(1, dtype=jnp.int32)
 
     def calm(positions: Float[Array, "1 T J 3"], num_frames: Int[Array, "1"]) -> tuple[Float[Array, "1 T J 3"]]:
         return (calm_clip(positions[0], num_frames[0], skeleton)[None],)
@@ -156,6 +176,6 @@ def _clean_graphs(bundle: Bundle) -> dict[str, Graph]:
     return {
         "calm": make_graph(calm, {"positions": clip, "num_frames": length}, ["calm_positions"]),
         "lock": make_graph(
-            lock, {"calm_positions": clip, "positions": clip, "num_frames": length}, ["clean_positions"]
+            lock, {"calm_positions": longest, "positions": longest, "num_frames": length}, ["clean_positions"]
         ),
     }

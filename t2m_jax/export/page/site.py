@@ -28,6 +28,8 @@ STUDIO_FILES = (
     "theme.js", "timeline.css",
 )  # fmt: skip
 """What the page has in common with the studio."""
+MOST_SENTENCES = 6
+"""Sentences in turn of the longest motion."""
 TEMPLATES = ("index.html", "sw.js")
 POLICY = (
     "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; img-src 'self' data: blob:; "
@@ -46,7 +48,7 @@ def export_page(folder: Path, bundle: Bundle) -> None:
     """
     with atomic_folder(folder) as partial:
         model = partial / "model"
-        export_onnx(model, bundle)
+        export_onnx(model, bundle, sentences=MOST_SENTENCES)
         _check_tokenizer(model / TOKENIZER_FILE)
         skeleton = skeleton_from_name(bundle.config.skeleton)
         save_json(model / "figure.json", figure_record(skeleton))

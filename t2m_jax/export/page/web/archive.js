@@ -29,10 +29,14 @@ export function arrayFile(type, shape, values) {
   return new Uint8Array([...start, ...encode(header), ...new Uint8Array(values.buffer, values.byteOffset, values.byteLength)]);
 }
 
-export const textFile = (text) => {
-  const letters = Uint32Array.from([...text], (letter) => letter.codePointAt(0));
-  return arrayFile(`<U${letters.length}`, [], letters);
-};
+export function textsFile(texts, shape = [texts.length]) {
+  const width = Math.max(...texts.map((text) => [...text].length), 1);
+  const letters = new Uint32Array(texts.length * width);
+  texts.forEach((text, place) => letters.set([...text].map((letter) => letter.codePointAt(0)), place * width));
+  return arrayFile(`<U${width}`, shape, letters);
+}
+
+export const textFile = (text) => textsFile([text], []);
 
 // Returns a blob with the contents, by name.
 export function zipFile(contents) {

@@ -47,10 +47,18 @@ function continuousEuler(turns) {
   });
 }
 
-// Returns the text of a BVH file of a fitted rig.
-export function bvhText({ offsets, roots, local }, { parents, fps }, rig) {
+// Returns what says where sentences begin; braces are structure in BVH files.
+function partsNote({ part_starts: starts, part_captions: captions }, fps) {
+  const escaped = (text) => JSON.stringify(text).replace(/[{}\u0080-\uffff]/g, (unit) => `\\u${unit.charCodeAt(0).toString(16).padStart(4, "0")}`);
+  return ` # ${starts.map((first, place) => `frame ${first} (${(first / fps).toFixed(2)} s): ${escaped(captions[place])}`).join("; ")}`;
+}
+
+// Returns the text of a BVH file of a fitted rig. If there are several sentences, the line of the first End Site tells them.
+export function bvhText({ offsets, roots, local }, { parents, fps }, rig, motion) {
   const angles = depthFirst(parents).map((joint) => continuousEuler(local[joint]));
   const lines = roots.map((place, frame) => numbers([...place, ...angles.flatMap((track) => scaled(track[frame], 180 / Math.PI))]));
-  const head = ["HIERARCHY", ...hierarchyLines(offsets, parents, rig), "MOTION", `Frames: ${roots.length}`, `Frame Time: ${(1 / fps).toFixed(9)}`];
+  const joints = hierarchyLines(offsets, parents, rig);
+  if (motion.part_starts.length) joints[joints.findIndex((line) => line.endsWith("End Site"))] += partsNote(motion, fps);
+  const head = ["HIERARCHY", ...joints, "MOTION", `Frames: ${roots.length}`, `Frame Time: ${(1 / fps).toFixed(9)}`];
   return `${[...head, ...lines].join("\n")}\n`;
 }

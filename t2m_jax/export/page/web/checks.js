@@ -7,7 +7,8 @@ const GRAPHS = {
   text: [["tokens", "num_tokens"], ["text_embedding"]],
   begin: [["text_embedding"], []],
   row: [["noise", "temperature", "may_stop"], ["codes", "stop_score"]],
-  decode: [["codes", "num_rows"], ["positions"]],
+  decode: [["codes", "num_rows"], ["features"]],
+  place: [["features"], ["positions"]],
   calm: [["positions", "num_frames"], ["calm_positions"]],
   lock: [["calm_positions", "positions", "num_frames"], ["clean_positions"]],
 };
@@ -47,6 +48,7 @@ function checkGraphs(graphs) {
   const { noise } = graphs.row.inputs;
   check(noise.shape.length === 3 && noise.shape[1] * noise.shape[2] <= 1e6, "manifest.json", "the noise");
   check(graphs.row.outputs.codes.shape.length === 2, "manifest.json", "the codes");
+  check(graphs.place.inputs.features.shape.length === 3, "manifest.json", "the features");
 }
 
 function checkSampling({ max_rows: most, min_rows: least, state, next, guidance_scale: guidance, stop }) {

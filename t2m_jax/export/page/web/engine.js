@@ -9,7 +9,7 @@ import { Tokenizer } from "./tokenizer.js";
 
 const RUNTIME = "assets/vendor/ort.wasm.packed";
 const TEMPLATE = "model/figure.glb"; // only of the skeleton that GLB files are written for
-const GRAPHS = ["text", "begin", "row", "decode", "calm", "lock"];
+const GRAPHS = ["text", "begin", "row", "decode", "place", "calm", "lock"];
 const MOST_THREADS = 4;
 // To sort the weights for faster products takes longer than it saves in a hundred motions.
 const OPTIONS = { executionProviders: ["wasm"], extra: { session: { disable_prepacking: "1" } } };
@@ -66,19 +66,25 @@ async function open() {
   return new Sampler(manifest, tokenizer, run);
 }
 
-async function make(sampler, request) {
+// Resolves to motions {codes, starts, decoded, positions}; `starts` are the frames in which sentences begin.
+async function make(sampler, { sentences, samples, ...options }) {
   const { max_rows: most } = sampler.manifest.sampling;
-  const embedding = await sampler.embed(request.sentence);
+  if (sentences.length > sampler.mostSentences) throw new Error(`one motion shows at most ${sampler.mostSentences} sentences; leave some out`);
+  const embeddings = [];
+  for (const sentence of sentences) embeddings.push(await sampler.embed(sentence));
   const motions = [];
-  for (let sample = 0; sample < request.samples; sample += 1) {
-    const onRow = async (row) => {
-      await breathe();
-      if (isCancelled) throw new Cancelled();
-      send({ share: (sample + row / most) / request.samples });
-    };
-    const codes = await sampler.sample(embedding, { ...request, sample, onRow });
-    const decoded = await sampler.decode(codes);
-    motions.push({ codes, decoded, positions: await sampler.clean(decoded) });
+  for (let sample = 0; sample < samples; sample += 1) {
+    const parts = [];
+    for (const [number, embedding] of embeddings.entries()) {
+      const onRow = async (row) => {
+        await breathe();
+        if (isCancelled) throw new Cancelled();
+        send({ share: (sample + (number + row / most) / sentences.length) / samples });
+      };
+      parts.push(await sampler.sample(embedding, { ...options, sentence: sentences[0], number, sample, onRow }));
+    }
+    const { decoded, starts } = await sampler.decode(parts);
+    motions.push({ codes: parts.flat(), starts, decoded, positions: await sampler.clean(decoded, starts.slice(1)) });
   }
   return motions;
 }

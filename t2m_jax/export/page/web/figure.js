@@ -56,8 +56,8 @@ function contactsOf(path, fps, scale, { contact }) {
   return found;
 }
 
-// Returns what the stage shows of joint positions, with its floor at y = 0.
-export function makeFigure(positions, { figure, motion, caption }) {
+// Returns what the stage shows of joint positions, with its floor at y = 0. `sentences` are [first frame, text], if several.
+export function makeFigure(positions, { figure, motion, caption, sentences = [] }) {
   const { sizes, roles, weights } = figure;
   let frames = framesOf(positions, motion.joints.length);
   if (figure.mirrored) frames = frames.map((frame) => frame.map(([x, y, z]) => [-x, y, z]));
@@ -74,6 +74,7 @@ export function makeFigure(positions, { figure, motion, caption }) {
   });
   return {
     caption,
+    sentences,
     fps: motion.fps,
     frames: placed.length,
     points: weights.length + 2,

@@ -23,7 +23,7 @@ function chunk(kind, bytes, filling) {
 }
 
 // Returns a blob with the figure of `template`, the bytes of a GLB file, and one animation with the rotations of a fitted rig.
-export function animatedFigure(template, frames, { turns, local }, { parents, fps, caption }) {
+export function animatedFigure(template, frames, { turns, local }, { parents, fps }, { caption, part_starts, part_captions }) {
   const { tree, binary } = readChunks(template);
   const parts = [binary];
   let length = binary.length;
@@ -37,7 +37,7 @@ export function animatedFigure(template, frames, { turns, local }, { parents, fp
   };
   const last = Math.fround((frames.length - 1) / fps);
   const input = add(frames.map((_, frame) => frame / fps), 1, { min: [0], max: [last] });
-  const animation = { name: caption || "motion", samplers: [], channels: [], extras: { caption, fps, frames: frames.length } };
+  const animation = { name: caption || "motion", samplers: [], channels: [], extras: { caption, fps, frames: frames.length, ...(part_starts.length ? { part_starts, part_captions } : {}) } };
   const follow = (node, path, output) => {
     animation.channels.push({ sampler: animation.samplers.push({ input, output }) - 1, target: { node, path } });
   };

@@ -3,12 +3,12 @@
 import { clearMessage, create, fillSelect, find, showMessage, showNotice } from "../studio/dom.js";
 import { Player } from "../studio/player.js";
 import { Progress } from "../studio/progress.js";
-import { makeTake, Session } from "../studio/session.js";
+import { makeTake, partsOf, Session } from "../studio/session.js";
 import { makeFigure } from "./figure.js";
 import { Maker } from "./maker.js";
 import { prepareOffline } from "./offline.js";
 import { Past } from "./past.js";
-import { checkRecipe, linkOf, MOST_SAMPLES, recipeFromAddress } from "./recipe.js";
+import { captionOf, checkRecipe, linkOf, MOST_SAMPLES, recipeFromAddress, sentencesOf } from "./recipe.js";
 import { offerDownloads } from "./save.js";
 
 const FIELDS = ["sentence", "seed", "samples", "temperature", "guidance"];
@@ -30,6 +30,11 @@ class Page {
       if (event.key !== "Enter" || event.shiftKey || event.isComposing) return;
       event.preventDefault();
       find("make").requestSubmit();
+    });
+    find("add-sentence").addEventListener("click", () => {
+      const field = find("sentence");
+      field.value = field.value.trim() && `${field.value.trimEnd()}\n`;
+      field.focus();
     });
     find("cancel").addEventListener("click", () => this.maker.cancel());
     find("share").addEventListener("click", () => this.#share());
@@ -102,7 +107,7 @@ class Page {
     this.#setBusy("Making the motion …");
     const begin = performance.now();
     try {
-      const made = await this.maker.make(recipe);
+      const made = await this.maker.make({ ...recipe, sentences: sentencesOf(recipe) });
       if (made === null) this.#status("Cancelled.");
       else {
         this.#show(this.#takeOf(recipe, made));
@@ -117,10 +122,16 @@ class Page {
     const { motion, figure } = this.model;
     const shown = made.filter(({ codes }) => codes.length > 0);
     if (shown.length === 0) throw new Error("the model made an empty motion; try another seed");
-    const figures = shown.map(({ positions }) => makeFigure(positions, { figure, motion, caption: recipe.sentence }));
-    const motions = shown.map(({ codes, decoded, positions }, place) => {
+    const caption = captionOf(recipe);
+    const captions = sentencesOf(recipe).length > 1 ? sentencesOf(recipe) : [];
+    const figures = shown.map(({ positions, starts }) => {
+      const sentences = captions.map((text, place) => [starts[place], text]);
+      return makeFigure(positions, { figure, motion, caption, sentences });
+    });
+    const motions = shown.map(({ codes, starts, decoded, positions }, place) => {
       const { frames, fps } = figures[place];
-      return { caption: recipe.sentence, seed: recipe.seed, codes, decoded, positions, frames, fps, seconds: frames / fps };
+      const parts = { part_starts: captions.length ? starts : [], part_captions: captions };
+      return { caption, ...parts, seed: recipe.seed, codes, decoded, positions, frames, fps, seconds: frames / fps };
     });
     const seconds = Math.max(...motions.map((one) => one.seconds));
     return makeTake({ kind: "new", request: recipe, scene: { seconds, figures }, motions });
@@ -139,9 +150,21 @@ class Page {
     find("take-title").textContent = motion?.caption ?? "No motion yet";
     const place = take?.motions.length > 1 ? [`${selected + 1} of ${take.motions.length}`] : [];
     find("take-facts").textContent = motion ? [...place, `${motion.seconds.toFixed(2)} s`, `${motion.frames} frames`, `${motion.fps} fps`, `seed\u00a0${motion.seed}`].join(" · ") : "";
+    this.#showParts(motion);
     find("take-actions").hidden = motion === null;
     find("timeline").classList.toggle("idle", motion === null);
     for (const element of find("timeline").querySelectorAll("button, input, select")) element.disabled = motion === null;
+  }
+
+  // Shows the sentences of a motion below its time, if there are several.
+  #showParts(motion) {
+    const parts = motion?.part_starts.length ? partsOf(motion) : [];
+    find("parts").hidden = parts.length === 0;
+    find("parts").replaceChildren(...parts.map(({ caption, span: [begin, end] }) => {
+      const button = create("button", { type: "button", className: "quiet", title: caption, dir: "auto", textContent: caption, onclick: () => this.player.seek(Math.round(begin * motion.fps)) });
+      button.style.flexGrow = end - begin;
+      return button;
+    }));
   }
 
   #update() {

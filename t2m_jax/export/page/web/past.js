@@ -1,7 +1,7 @@
 // The history: recipes that this browser keeps. A motion is made again from its recipe, unless the page still has it.
 
 import { create, find, iconButton, showNotice } from "../studio/dom.js";
-import { checkRecipe, sameRecipe } from "./recipe.js";
+import { captionOf, checkRecipe, sameRecipe } from "./recipe.js";
 
 const KEY = `t2m-page-history ${location.pathname}`;
 const MOST = 100; // entries
@@ -64,12 +64,12 @@ export class Past {
     const about = `seed ${recipe.seed}${recipe.samples > 1 ? ` · ${recipe.samples} samples` : ""}`;
     const open = create(
       "button",
-      { type: "button", className: "take-open", title: recipe.sentence, onclick: () => this.onOpen(recipe) },
-      create("span", { className: "take-caption", dir: "auto", textContent: recipe.sentence }),
+      { type: "button", className: "take-open", title: captionOf(recipe), onclick: () => this.onOpen(recipe) },
+      create("span", { className: "take-caption", dir: "auto", textContent: captionOf(recipe) }),
       create("span", { className: "take-meta", textContent: about }),
     );
     if (this.current && sameRecipe(recipe, this.current)) open.ariaCurrent = "true";
-    const remove = iconButton("remove", `Delete ${recipe.sentence.slice(0, 60)}, ${about}`, () => this.#delete((entry) => sameRecipe(entry, recipe)));
+    const remove = iconButton("remove", `Delete ${captionOf(recipe).slice(0, 60)}, ${about}`, () => this.#delete((entry) => sameRecipe(entry, recipe)));
     return create("li", { className: "take" }, open, remove);
   }
 

@@ -1,4 +1,5 @@
-// What a motion is made of: {sentence, seed, samples, temperature, guidance}. The form, links and the history use it.
+// What a motion is made of: {sentence, seed, samples, temperature, guidance}; each line of `sentence` is a sentence. The form,
+// links and the history use it.
 
 import { cleanSentence } from "./sentence.js";
 
@@ -13,10 +14,18 @@ function numberOf(text, name, { low, high, whole = false }) {
   return value;
 }
 
+function cleanLines(text) {
+  const lines = text.split("\n").filter((line) => line.trim() !== "");
+  return (lines.length ? lines : [""]).map(cleanSentence).join("\n");
+}
+
+export const sentencesOf = (recipe) => recipe.sentence.split("\n");
+export const captionOf = (recipe) => sentencesOf(recipe).join(", then ");
+
 // Returns a recipe with checked values. Without a seed, one is drawn; `guidance` is null for models that have none.
 export function checkRecipe({ sentence, seed, samples, temperature, guidance }) {
   return {
-    sentence: cleanSentence(String(sentence)),
+    sentence: cleanLines(String(sentence)),
     seed: String(seed).trim() === "" ? crypto.getRandomValues(new Uint32Array(1))[0] : numberOf(seed, "the seed", { low: 0, high: MOST_SEED, whole: true }),
     samples: numberOf(samples, "the number of samples", { low: 1, high: MOST_SAMPLES, whole: true }),
     temperature: numberOf(temperature, "the temperature", { low: 0, high: 5 }),

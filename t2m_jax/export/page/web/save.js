@@ -2,15 +2,17 @@
 
 import { create, find } from "../studio/dom.js";
 import { fileName, saveBlob } from "../studio/savefile.js";
-import { arrayFile, textFile, zipFile } from "./archive.js";
+import { arrayFile, textFile, textsFile, zipFile } from "./archive.js";
 import { bvhText } from "./bvh.js";
 import { framesOf } from "./figure.js";
 import { animatedFigure } from "./glb.js";
 import { fitRig } from "./rig.js";
 
 // Returns the motion as Python reads it: `t2m view motion.npz -o motion.gif` makes any other format of it.
-function archiveOf({ positions, decoded, codes, caption, seed, frames, fps }, { joints, skeleton }) {
+function archiveOf({ positions, decoded, codes, caption, seed, frames, fps, part_starts: starts, part_captions: captions }, { joints, skeleton }) {
+  const parts = { "part_starts.npy": arrayFile("<i4", [starts.length], Int32Array.from(starts)), "part_captions.npy": textsFile(captions) };
   return zipFile({
+    ...(starts.length ? parts : {}),
     "positions.npy": arrayFile("<f4", [frames, joints.length, 3], positions),
     "positions_raw.npy": arrayFile("<f4", [frames, joints.length, 3], decoded),
     "codes.npy": arrayFile("<i4", [codes.length, codes[0].length], Int32Array.from(codes.flat())),
@@ -30,9 +32,9 @@ function writersOf(about, rig, template) {
   return {
     GLB: (motion) => {
       const frames = framesFor(motion);
-      return animatedFigure(template, frames, fitRig(frames, about, rig), { ...about, caption: motion.caption });
+      return animatedFigure(template, frames, fitRig(frames, about, rig), about, motion);
     },
-    BVH: (motion) => new Blob([bvhText(fitRig(framesFor(motion), about, rig), about, rig)], { type: "text/plain" }),
+    BVH: (motion) => new Blob([bvhText(fitRig(framesFor(motion), about, rig), about, rig, motion)], { type: "text/plain" }),
     ...archive,
   };
 }
