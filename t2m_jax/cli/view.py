@@ -1,6 +1,7 @@
 """Converts motion files to other formats. The suffix of each output selects the format."""
 
 import argparse
+import functools
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -35,6 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--animation", metavar="NAME", help="animation to read from a .glb file that has several")
     add_rig_argument(parser, "files with other joints")
+    join = "make one motion of the files: each begins where the one before it ends; other options change the whole"
+    parser.add_argument("--join", action="store_true", help=join)
     add_record(parser, Changes)
     add_file_arguments(parser)
     files = "file to write: .html, .gif, .mp4, .png, .bvh, .glb, .vrma or .npz; can be repeated"
@@ -132,13 +135,16 @@ def run(args: argparse.Namespace) -> None:
     if changes.clean:
         use_compilation_cache()  # the clean-up takes longer to compile than to run
     with claim(args.outputs):
-        motions = [changes.apply(load_motion(path, animation=args.animation, rig=rig)) for path in args.files]
+        motions = [load_motion(path, animation=args.animation, rig=rig) for path in args.files]
+        if args.join:
+            motions = [functools.reduce(lambda before, after: before + after.resampled(before.fps), motions)]
+        motions = [changes.apply(motion) for motion in motions]
         for output in args.outputs:
             save(output, motions, options[output], character)
             print(output)
     # The next command must read the same animation with the same rig.
     given = {"--animation": args.animation, "--rig": rig}
     chosen = [part for pair in given.items() if pair[1] is not None for part in pair]
-    again = ["t2m", "view", *map(str, args.files), *chosen]
+    again = ["t2m", "view", *map(str, args.files), *chosen, *(["--join"] if args.join else [])]
     pages = [output for output in args.outputs if output.suffix == ".html"]
     show_next(f"open {pages[0]} in a browser" if pages else f"{shlex.join(again)} -o motion.html")

@@ -143,3 +143,13 @@ def test_what_cannot_be_a_loop_is_refused(refusal, walk, tmp_path):
     Motion.load(walk)[:8].save(tmp_path / "short.npz")
     said = refusal("view", tmp_path / "short.npz", "-o", tmp_path / "loop.npz", "--loop")
     assert "loop: the motion has 0.4 s" in said and not (tmp_path / "loop.npz").exists()
+
+
+def test_two_files_become_one_motion(walk, tmp_path, capsys):
+    first, second, written = Motion.load(walk), tmp_path / "second.npz", tmp_path / "both.npz"
+    first.trimmed(0.5, 2.0).resampled(30).save(second)
+    assert main(["view", f"{walk}", f"{second}", "--join", "--trim", "1:", "-o", f"{written}"]) == 0
+    expected = (first + Motion.load(second).resampled(first.fps)).trimmed(1.0, None)
+    assert expected.num_frames > first.num_frames
+    np.testing.assert_allclose(Motion.load(written).positions, expected.positions, atol=1e-6)
+    assert "--join -o motion.html" in capsys.readouterr().err

@@ -3,6 +3,7 @@
 import argparse
 import json
 import os
+import re
 import shutil
 
 import jax
@@ -18,6 +19,7 @@ from t2m_jax.motion.formats import load_motion
 from t2m_jax.records import fields_of
 from t2m_jax.sampling.model import ModelParts
 from t2m_jax.sampling.request import MotionRequest
+from tests.conftest import REPOSITORY
 from tests.export.test_html import Elements
 
 
@@ -233,12 +235,15 @@ def test_sentences_of_one_word_each_may_end_with_periods(bundle_folder, tmp_path
 
 
 def test_what_the_model_does_not_know_is_one_line_and_in_the_file(tmp_path, capsys):
+    """The line is the one that the README shows."""
+    readme = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    prompt, shown = re.search(r'\$ t2m generate "(.*?)"\n(.*?)```', readme, re.DOTALL).groups()
     output = tmp_path / "out.npz"
-    sentences = ["a robot swims to the north", "a person walks"]
+    sentences = [prompt, "a person walks"]
     assert main(["generate", *sentences, "--num-samples", "2", "-o", f"{output}"]) == 0
     warnings = [line for line in capsys.readouterr().err.splitlines() if line.startswith("t2m: warning: ")]
     (line,) = warnings
-    assert line.startswith("t2m: warning: 'a robot swims to the north': swims: not known; nearest: ")
+    assert line == " ".join(shown.split())
     for number, (warning, words) in enumerate([(line[14:], ("swims", "north"))] * 2 + [("", ())] * 2):
         motion = load_motion(tmp_path / f"out-{number}.npz")
         assert (motion.warning, motion.unknown_words) == (warning, words)

@@ -5,6 +5,7 @@ import importlib
 import itertools
 import re
 import shlex
+import subprocess
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,25 @@ def test_each_promise_names_a_test_that_exists():
         assert shown_by, promise
         for file, test in shown_by:
             assert f"\ndef {test}(" in (REPOSITORY / file).read_text(encoding="utf-8"), f"{file}::{test}"
+
+
+@pytest.mark.parametrize("target", ["demo", "test", "docs", "notebooks"])
+def test_make_says_what_takes_minutes_before_it_begins(target, tmp_path):
+    makefile = REPOSITORY / "Makefile"
+    asked = [
+        "make",
+        "--dry-run",
+        "-f",
+        f"{makefile}",
+        "-C",
+        f"{REPOSITORY}",
+        f"VENV={tmp_path}",
+        f"BIN={tmp_path}",
+        target,
+    ]
+    lines = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.splitlines()
+    (number,) = [number for number, line in enumerate(lines) if " pip install " in line]
+    assert re.match('echo "Installing .*: a minute or two."', lines[number - 1])
 
 
 @pytest.mark.parametrize("page", LINKING, ids=name_of)

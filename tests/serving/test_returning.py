@@ -111,3 +111,46 @@ def test_the_share_and_the_time_left_are_shown(open_studio):  # noqa: F811
     page.evaluate("window.next('event: done')")
     expect(left).to_be_empty()
     expect(bar).to_be_hidden()
+
+
+FILL_HISTORY = """async (count) => {
+  const { Store } = await import("/assets/store.js");
+  const store = await Store.open();
+  const [entry] = await store.entries();
+  const take = await store.take(entry.id);
+  for (let number = 1; number < count; number += 1) {
+    const fields = { id: `${entry.id}-${number}`, created: entry.created - number };
+    await store.add({ ...entry, ...fields }, { ...take, ...fields });
+  }
+}"""
+WATCH_HISTORY = """() => {
+  window.changed = 0;
+  const count = (records) => {
+    for (const { addedNodes, removedNodes } of records) window.changed += addedNodes.length + removedNodes.length;
+  };
+  new MutationObserver(count).observe(document.getElementById("takes"), { childList: true, subtree: true });
+}"""
+
+
+def test_a_history_of_200_motions_is_not_drawn_anew(open_studio):  # noqa: F811
+    """The work of an action is a row or two, however long the history is."""
+    page = open_studio()
+    generate(page, WALK)
+    page.evaluate(FILL_HISTORY, 200)
+    page.reload()
+    expect(page.locator(".take")).to_have_count(200)
+    page.evaluate(WATCH_HISTORY)
+    page.locator(".take-open").nth(150).click()
+    page.locator("h1").click()
+    page.keyboard.press("n")
+    page.get_by_role("textbox", name="Name").fill("mine")
+    page.keyboard.press("Enter")
+    expect(page.locator(".take-caption").nth(150)).to_have_text("mine")
+    page.keyboard.press("d")
+    expect(page.locator(".take")).to_have_count(201)
+    page.keyboard.press("Delete")
+    expect(page.locator(".take")).to_have_count(200)
+    page.keyboard.press("Control+z")
+    expect(page.locator(".take")).to_have_count(201)
+    # Five rows: the old name and the new one, the copy, which goes and comes back.
+    assert page.evaluate("window.changed") == 5
