@@ -213,3 +213,30 @@ def test_the_commands_of_the_pages_run(programs, folder, hub):
     assert {"turn.html", "turn.gif", "many-7.gif", "my-model", "it.html", "mine.json", "take-2.mp4", "scene.bvh"} <= {
         path.name for path in folder.iterdir()
     }
+
+
+def first_commands():
+    """Returns the first commands of the README, up to the first motion of one's own, without those of containers."""
+    text = "".join(text for _, text in code_blocks(REPOSITORY / "README.md", "sh"))
+    lines = [line.partition("  #")[0].strip() for line in text.splitlines() if line.strip()]
+    end = next(number for number, line in enumerate(lines) if line.startswith("t2m generate"))
+    return [line for line in lines[: end + 1] if not line.startswith(("docker", "make test"))]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="the Makefile needs a shell of Unix")
+def test_the_first_commands_run_in_a_fresh_clone(tmp_path):
+    clone = tmp_path / "clone"
+    subprocess.run(["git", "clone", "--quiet", f"{REPOSITORY}", f"{clone}"], check=True)
+    # A shell that was not prepared: no environment is active, and only settings of the network are kept.
+    kept = {
+        name: value
+        for name, value in os.environ.items()
+        if name.upper().startswith(("PIP_", "HTTP", "SSL_", "NO_PROXY"))
+    }
+    plain = kept | {"HOME": f"{tmp_path}", "PATH": os.defpath.removeprefix(":")}
+    lines = first_commands()
+    assert lines[:2] == ["make demo", "source .venv/bin/activate"] and len(lines) == 3
+    subprocess.run(["bash", "--norc", "-ec", "\n".join(lines)], cwd=clone, env=plain, check=True)
+    assert {"wave.html", "wave.gif", "wave.bvh"} == {path.name for path in (clone / "demo").iterdir()}
+    assert (clone / "turn.html").is_file()
