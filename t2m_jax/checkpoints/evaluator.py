@@ -1,6 +1,7 @@
 """A trained evaluator in a folder: sizes, weights, statistics and words. A run of its training is such a folder."""
 
 import dataclasses
+import importlib.resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +22,8 @@ from t2m_jax.text.word_vectors import Vocabulary, load_vocabulary, save_vocabula
 EVALUATOR_CONFIG = "evaluator.yaml"
 WEIGHTS_FILE = "weights.safetensors"
 WORDS_FILE = "words.txt"
+PACKAGED = ("benchmark-free",)
+"""Names of the evaluators that are part of the package: that of the benchmark's free track."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -74,13 +77,20 @@ def save_evaluator_parts(folder: Path, config: EvaluatorConfig, normalizer: Norm
     save_config(folder / EVALUATOR_CONFIG, EvaluatorFolderConfig(model=config))
 
 
+def evaluator_path(name_or_path: str | Path) -> Path:
+    """Returns the folder of a packaged evaluator, or the path itself."""
+    if str(name_or_path) in PACKAGED:
+        return Path(str(importlib.resources.files("t2m_jax") / "evaluators" / str(name_or_path)))
+    return Path(name_or_path)
+
+
 def load_trained_evaluator(folder: str | Path) -> TrainedEvaluator:
-    """Returns the evaluator of a folder, or of a run with its best weights so far.
+    """Returns a packaged evaluator, the one of a folder, or that of a run with its best weights so far.
 
     Raises:
         UserError: There is none, a file is damaged, or the parts do not fit each other.
     """
-    folder = Path(folder)
+    folder = evaluator_path(folder)
     path = folder / EVALUATOR_CONFIG
     if not path.is_file():
         raise UserError(f"{folder}: not an evaluator (it has no {path.name}); train one with `t2m train evaluator`")

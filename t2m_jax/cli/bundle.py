@@ -1,4 +1,4 @@
-"""Pack run folders into one model to share: `t2m bundle RUN... DIR`.
+"""Pack run folders into one model to share: `t2m bundle RUN... DIR`. The run of an evaluator becomes an evaluator.
 
 With `--push user/name`, the bundle is also uploaded to the Hugging Face hub. `t2m bundle DIR --push user/name` uploads
 a bundle that was packed before. The card must have a license in its metadata, such as `license: mit`.
@@ -30,10 +30,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Writes or pushes the bundle, and prints its name and the next command."""
+    from t2m_jax.checkpoints.evaluator import EVALUATOR_CONFIG
     from t2m_jax.checkpoints.hub import hub_name
 
     # The destination is the last path, as with `cp`, which argparse cannot declare with two arguments.
     *runs, folder = args.paths
+    if len(runs) == 1 and (Path(runs[0]) / EVALUATOR_CONFIG).is_file():
+        _pack_evaluator(args, Path(runs[0]), Path(folder))
+        return
     name = None if args.push is None else hub_name(args.push)
     if name is None and args.private:
         raise UserError("--private: is for --push; without it, nothing is uploaded")
@@ -48,6 +52,17 @@ def run(args: argparse.Namespace) -> None:
         sys.stdout.write(f"{push_bundle(Path(folder), name, private=args.private)}\n")
         model = f"{name}"
     show_next(shlex.join(["t2m", "generate", "a person walks forward", "--model", model]))
+
+
+def _pack_evaluator(args: argparse.Namespace, run_folder: Path, destination: Path) -> None:
+    """Writes the folder of an evaluator with the best weights of its run."""
+    from t2m_jax.checkpoints import load_trained_evaluator, save_evaluator
+
+    if args.card or args.push or args.export_official:
+        raise UserError(f"{run_folder}: is an evaluator; --card, --push and --export-official are for models")
+    save_evaluator(destination, load_trained_evaluator(run_folder))
+    sys.stdout.write(f"{destination}\n")
+    show_next(shlex.join(["t2m", "check", f"{destination}"]))
 
 
 def _pack(args: argparse.Namespace, runs: list[str], destination: Path, name: "HubName | None") -> None:

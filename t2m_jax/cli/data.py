@@ -96,6 +96,8 @@ def _add_importers(importer: argparse.ArgumentParser) -> None:
     bvh.add_argument("--caption-from-name", action="store_true", help="caption clips without captions by file name")
     bvh.add_argument("--info", type=Path, metavar="FILE", help="YAML with name, licence, source and attribution")
     bvh.add_argument("--seed", type=int, default=0, help="seed of the split into train, val and test")
+    frozen = "use just the table: no written captions, the same bytes as its column sha256, all rows or nothing"
+    bvh.add_argument("--frozen", action="store_true", help=frozen)
 
 
 def run(args: argparse.Namespace) -> None:

@@ -103,7 +103,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     by_label = "R-precision that does not count motions of the same label as errors"
     quality = "bones, jerk and feet instead of the evaluator's metrics"
     measures = table.add_mutually_exclusive_group()
-    for flag, value, text in (("--by-label", "labels", by_label), ("--quality", "quality", quality)):
+    board = "the columns of the benchmark, with text following (docs/benchmark.md)"
+    flags = (("--by-label", "labels", by_label), ("--quality", "quality", quality), ("--benchmark", "benchmark", board))
+    for flag, value, text in flags:
         measures.add_argument(flag, dest="measures", action="store_const", const=value, default="captions", help=text)
 
 

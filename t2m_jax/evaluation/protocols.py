@@ -74,6 +74,8 @@ PROTOCOLS = {
         Protocol(name="t2m-gpt-paper", samples_per_caption=20, disjoint_pairs=True),
         # Guo et al. draw 100 captions for the variety, where T2M-GPT takes all.
         Protocol(name="text-to-motion", multimodality_captions=100),
+        # Of one batch, so that two CPU cores are enough for the benchmark.
+        Protocol(name="benchmark", multimodality_captions=BATCH),
         Protocol(
             # MoMask's generator is told the real length, and its evaluation leaves what the decoder makes past the end.
             name="momask",

@@ -152,7 +152,7 @@ def evaluate_repeat(task: EvaluationTask, source: CodeSource, *, repeat: int) ->
     metrics.measured.update(_mean_quality(quality.decoded, count=len(motion)))
     metrics.measured.update(_mean_quality(quality.cleaned, count=len(motion), prefix=CLEANED))
     # Against the real pieces of this repeat, as in T2M-GPT and MoMask.
-    metrics.measured["fid"] = float(fid(jnp.asarray(real), jnp.asarray(motion)))
+    metrics.measured.update(_distances(real, motion))
     if len(found.items) > len(plan.samples):  # there are further samples of the captions whose variety is measured
         place = np.full(len(plan.samples), -1)
         place[plan.varied] = np.arange(len(plan.varied))
@@ -170,8 +170,20 @@ def evaluate_repeat(task: EvaluationTask, source: CodeSource, *, repeat: int) ->
     if task.protocol.crops:
         # Whole clips would be compared with themselves; crops are drawn again, which shows the best that FID can be.
         again = embed_plan_motions(task, task.plan(repeat + SECOND_PASS))
-        metrics.real["fid"] = float(fid(jnp.asarray(real), jnp.asarray(again)))
+        metrics.real.update(_distances(real, again))
     return metrics
+
+
+def _distances(one: Float[np.ndarray, "N E"], other: Float[np.ndarray, "M E"]) -> dict[str, float]:
+    """Returns FID of embeddings, and of their directions alone: their length says little about what a motion shows."""
+    pairs = {"fid": (one, other), "fid_normalized": tuple(map(unit_vectors, (one, other)))}
+    return {name: float(fid(jnp.asarray(real), jnp.asarray(motion))) for name, (real, motion) in pairs.items()}
+
+
+def unit_vectors(embeddings: Float[np.ndarray, "N E"]) -> Float[np.ndarray, "N E"]:
+    """Returns embeddings of length 1. One of length 0 stays as it is."""
+    lengths = np.linalg.norm(embeddings, axis=1, keepdims=True)
+    return embeddings / np.where(lengths > 0, lengths, 1)
 
 
 def _mean_quality(quality: MotionQuality, *, count: int, prefix: str = "") -> dict[str, float]:

@@ -1,5 +1,6 @@
 """Tables whose rows are clips with an action."""
 
+import hashlib
 import re
 
 import numpy as np
@@ -10,6 +11,7 @@ from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.bvh import import_bvh_folder
 from t2m_jax.data.index import load_index
 from t2m_jax.data.merge import merge_datasets
+from t2m_jax.errors import UserError
 from tests.data.bvh_files import write_bvh
 
 HEADER = "file,start,end,action,person,split,caption\n"
@@ -92,3 +94,48 @@ def test_origins_are_kept_by_merging(source, tmp_path):
     entries = load_index(tmp_path / "again").entries
     assert (entries["short"].dataset, entries["short"].licence, entries["short"].person) == ("Walks", "CC0", "bob")
     assert (entries["sub_third"].dataset, entries["sub_third"].licence) == ("More", "CC BY 4.0")
+
+
+FROZEN = "file,action,person,split,sha256,caption_1,caption_2\n"
+
+
+def frozen(source, folder, lines):
+    (folder / "frozen.csv").write_text(FROZEN + lines)
+    return import_bvh_folder(source, folder / "data", captions=folder / "frozen.csv", frozen=True)
+
+
+def digest(path):
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+
+
+def test_a_frozen_table_gives_its_captions_alone(source, tmp_path):
+    report = frozen(
+        source, tmp_path, f'short,"walk, happy",ann,train,{digest(source / "short.bvh")},a walk,a person walks\n'
+    )
+    assert report.num_clips == 2 and report.left_out == {}
+    assert [caption.text for caption in open_dataset(tmp_path / "data").captions("short")] == [
+        "a walk",
+        "a person walks",
+    ]
+    assert load_index(tmp_path / "data").label("short") == "walk, happy"
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("short,walk,ann,train,0123456789abcdef,a walk,\n", "not 0123456789abcdef as in the table"),
+        ("absent,walk,ann,train,,a walk,\n", "there is no motion absent"),
+        ("third,walk,ann,train,,,\n", "there is no caption; write a caption"),
+        ("third,walk,ann,dev,,a walk,\n", "split 'dev' is not"),
+    ],
+)
+def test_a_row_that_fails_stops_a_frozen_import(source, tmp_path, line, words):
+    good = f"long,walk,ann,train,{digest(source / 'long.bvh')},a walk,\n"
+    with pytest.raises(UserError, match=words):
+        frozen(source, tmp_path, good + line)
+    assert not (tmp_path / "data").exists()
+
+
+def test_a_frozen_table_without_any_file_is_an_error(source, tmp_path):
+    with pytest.raises(UserError, match="has no file of the table"):
+        frozen(source, tmp_path, "absent,walk,ann,train,,a walk,\n")

@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import subprocess
 
 import pytest
 
@@ -37,6 +38,22 @@ def commands(path):
 
 def config_of(stage, name, options):
     return override_config(_config(stage, name), options, prog="t2m train")
+
+
+def test_the_planned_trainings_of_the_claims_can_be_started():
+    script = REPOSITORY / "configs" / "benchmark" / "claims.sh"
+    printed = subprocess.run(["sh", f"{script}"], capture_output=True, text=True, check=True).stdout.splitlines()
+    runs = {}
+    for kind, name, *options in (line.split()[2:] for line in printed if line.startswith("t2m train")):
+        config = config_of(kind, f"configs/{name}.yaml", options)
+        assert config.run not in runs and getattr(config, "vqvae", config.run) in {*runs, config.run}
+        runs[config.run] = config.loop.seed
+    assert set(runs.values()) == {0, 1, 2}
+    measured = {
+        words[words.index("benchmark") + 1] for line in printed if "t2m benchmark" in line for words in [line.split()]
+    }
+    measured |= {line.split()[4] for line in printed if "evaluate reconstruction" in line}
+    assert measured == {f"{run}" for run in runs}
 
 
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: f"{path.parent.name}-{path.stem}")

@@ -160,6 +160,9 @@ class BvhOptions:
     """Clips that have this in common stay in one split: `folder`, or a column of the table of captions."""
     seed: int = 0
     """Seed of the split."""
+    frozen: bool = False
+    """Import just what the table says: its captions alone, without sentences that are written for actions; if a file
+    is missing or another one than the column `sha256` says, or a clip cannot be converted, nothing is imported."""
 
 
 @dataclasses.dataclass
@@ -225,7 +228,7 @@ class _Converter:
         group = self.division.group(motion, part.split)
         with naming(motion):
             ready = _prepare(motion, part.cut(clip), rig=self.options.rig, up=self.options.up)
-            said = part.all_captions(ready.positions)
+            said = part.all_captions(ready.positions, frozen=self.options.frozen)
         self.num_frames += 2 * write_twins(folder, part.name, ready.positions, captions=said, skeleton=HUMANML3D)
         self.groups[part.name] = group
         if has_parts(self.table):
@@ -257,6 +260,21 @@ class _Converter:
                     "as the knees bend and the feet point; correct the table of the rig"
                 )
 
+    def unused(self) -> list[str]:
+        """Returns a line for each row of the table that gave no caption.
+
+        Raises:
+            UserError: The table is frozen, and a row gave no clip.
+        """
+        # What is wrong with a row is also why its clip was left out.
+        told = set(self.left_out.values())
+        lines = [line for line in unused_entries(self.table, self.motions.values(), self.source) if line not in told]
+        if self.options.frozen and (lost := [*self.left_out.values(), *lines]):
+            raise UserError(
+                f"{self.options.captions}: {len(lost)} rows of the frozen table gave no clip; first: {lost[0]}"
+            )
+        return lines
+
     def notes(self) -> list[str]:
         """Returns a line for each thing that was done, with some clips."""
         return [f"{len(names)} clips: {step} ({first_names(names)})" for step, names in self.steps.items()]
@@ -285,17 +303,19 @@ def import_bvh_folder(source: str | Path, destination: str | Path, **options: An
     table = find_table(source, Path(given.captions) if given.captions else None, files=files)
     division = Division(given.split, given.split_by, source, table, given.seed)
     division.check()
+    if given.frozen:  # an archive has more than a table names
+        files = [path for path in files if find_entries(table, Source(path, None).keys(source))]
+        if not files:
+            raise UserError(f"{source}: has no file of the table {given.captions}")
     convert = _Converter(source, table, division, given)
     with new_folder(destination) as folder:
         for path in tqdm.tqdm(files, unit="file", desc="converting"):
             convert.file(path, folder)
+        unused = convert.unused()
         convert.check()
         splits = {part: with_twins(members) for part, members in division.divide(convert.groups).items()}
         sizes = finish_folder(folder, splits, info=about, skeleton=HUMANML3D)
         if convert.entries:
             save_index(folder, convert.entries)
-    # What is wrong with a row is also why its clip was left out.
-    told = set(convert.left_out.values())
-    unused = [line for line in unused_entries(table, convert.motions.values(), source) if line not in told]
     notes = (*table.notes, *convert.notes(), *unused)
     return ImportReport(2 * len(convert.groups), convert.num_frames, sizes, convert.left_out, notes)

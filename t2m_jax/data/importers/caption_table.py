@@ -32,6 +32,8 @@ ACTION = "action"
 PERSON = "person"
 SPLIT = "split"
 """Columns of tables whose rows are clips (see `table_parts`)."""
+DIGEST = "sha256"
+"""Column with the first digits of the SHA-256 of each motion file."""
 MOTION_SUFFIXES = re.compile(r"\.(bvh|glb|amc|fbx|npy|npz|c3d)$", re.IGNORECASE)
 
 

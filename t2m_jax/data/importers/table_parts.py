@@ -1,6 +1,8 @@
 """Clips that a table cuts out of motion files and gives an action, a person and a split."""
 
+import hashlib
 from collections import defaultdict
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -10,15 +12,16 @@ from t2m_jax.data.captioning.captions import Labels, write_captions
 from t2m_jax.data.captioning.wordings import load_wordings
 from t2m_jax.data.files import SPLITS
 from t2m_jax.data.importers.caption_files import Source, clip_name
-from t2m_jax.data.importers.caption_table import ACTION, PERSON, SPLIT, CaptionEntry, CaptionTable
+from t2m_jax.data.importers.caption_table import ACTION, DIGEST, PERSON, SPLIT, CaptionEntry, CaptionTable
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
+from t2m_jax.files.reading import load_bytes
 from t2m_jax.motion.facts import measure
 from t2m_jax.motion.rig import RigClip
 from t2m_jax.motion.skeleton import HUMANML3D
 
 STYLE = "normal"
-"""Style of all clips of tables, which have no column for it."""
+"""Style of clips of tables, if their action does not name another one after a comma."""
 
 
 class TablePart(NamedTuple):
@@ -37,8 +40,8 @@ class TablePart(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Action and style, as in `index.csv`; empty without an action."""
-        return f"{self.action}, {STYLE}" if self.action else ""
+        """Action and style, as in `index.csv`; empty without an action. A table may give both: `bow, happy`."""
+        return f"{self.action}, {STYLE}" if self.action and "," not in self.action else self.action
 
     def cut(self, clip: RigClip) -> RigClip:
         """Returns the part of the motion.
@@ -54,18 +57,19 @@ class TablePart(NamedTuple):
             raise UserError(f"{self.span[0]:g} to {self.span[1]:g} s is no part of a motion of {seconds:.2f} s")
         return clip.from_frame(first, last)
 
-    def all_captions(self, positions: Float[np.ndarray, "T 22 3"]) -> tuple[Caption, ...]:
-        """Returns captions of the action, if it has words, and those of the table.
+    def all_captions(self, positions: Float[np.ndarray, "T 22 3"], *, frozen: bool) -> tuple[Caption, ...]:
+        """Returns captions of the action, if it has words, and those of the table; if `frozen`, the latter alone.
 
         Raises:
             UserError: There are none.
         """
         written: tuple[Caption, ...] = ()
-        if self.action in load_wordings().contents:
+        if not frozen and self.action in load_wordings().contents:
             facts = measure(positions, fps=HUMANML3D.fps)
             written = write_captions(self.name, Labels(self.action, STYLE), facts)
         if not (written or self.captions):
-            raise UserError(f"there are no words for the action {self.action!r}; write a caption into the table")
+            why = "there is no caption" if frozen else f"there are no words for the action {self.action!r}"
+            raise UserError(f"{why}; write a caption into the table")
         return tuple(dict.fromkeys((*self.captions, *written)))
 
 
@@ -87,6 +91,7 @@ def find_parts(motion: Source, key: str, rows: list[CaptionEntry]) -> list[Table
     """
     if not rows:
         raise UserError(f"{motion}: is not in the table")
+    check_digest(motion.path, {row.cells.get(DIGEST, "") for row in rows} - {""})
     spans = defaultdict(list)
     for row in rows:
         if row.problem:
@@ -98,6 +103,14 @@ def find_parts(motion: Source, key: str, rows: list[CaptionEntry]) -> list[Table
         _make_part(f"{name}_{number}" if numbered else name, spans[span])
         for number, span in enumerate(sorted(spans), start=1)
     ]
+
+
+def check_digest(path: Path, wanted: set[str]) -> None:
+    """Raises `UserError` if a motion file is not the one whose SHA-256 begins with each of the digits."""
+    found = hashlib.sha256(load_bytes(path)).hexdigest() if wanted else ""
+    for digits in sorted(wanted):
+        if not found.startswith(digits.lower()):
+            raise UserError(f"{path}: SHA-256 {found[: len(digits)]}, not {digits} as in the table; get the same file")
 
 
 def _make_part(name: str, rows: list[CaptionEntry]) -> TablePart:

@@ -17,6 +17,8 @@ T = TypeVar("T")
 
 REAL = "real"
 """Name of the metrics of real motion."""
+FOLLOWING = "following"
+"""Entry of a file with text following by group."""
 KINDS = ("generated", "reconstruction")
 """Where measured motion comes from."""
 CLEANED = "cleaned_"
@@ -173,6 +175,20 @@ class ReconstructionFigures:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
+class Following:
+    """How often motion did what the sentences of a group of prompts asked."""
+
+    right: int
+    """Motions that did it."""
+    samples: int
+    """Motions that were generated."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.right <= self.samples or not self.samples:
+            raise ValueError(f"{self.right} of {self.samples} motions are right")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Report:
     """Metrics of real motion, and of motion that was generated or reconstructed."""
 
@@ -186,6 +202,8 @@ class Report:
     """Metrics of the measured motion, by name."""
     reconstruction: ReconstructionFigures | None = None
     """Figures of the tokenizer alone, if they were measured too."""
+    following: dict[str, Following] | None = None
+    """Text following by group of prompts; the benchmark alone measures it."""
 
     def _repr_markdown_(self) -> str:
         """Returns the report for notebooks: a table with a line for each metric."""
@@ -208,7 +226,8 @@ def report_as_json(report: Report) -> dict[str, Any]:
         kind: {name: dataclasses.asdict(metric) for name, metric in metrics.items()}
         for kind, metrics in report.metrics.items()
     }
-    return {**figures, **dataclasses.asdict(report.header), "rows": sets}
+    groups = {name: dataclasses.asdict(group) for name, group in (report.following or {}).items()}
+    return {**figures, **dataclasses.asdict(report.header), "rows": sets} | ({FOLLOWING: groups} if groups else {})
 
 
 def save_report(path: str | Path, report: Report) -> None:
@@ -237,7 +256,7 @@ def load_report(path: str | Path) -> Report:
     Raises:
         UserError: The file is missing, or is something else.
     """
-    known = (*names_of(Header, ReconstructionFigures), "rows")
+    known = (*names_of(Header, ReconstructionFigures), "rows", FOLLOWING)
     data = load_sealed_json(path, max_bytes=MAX_REPORT, entries=known)
     with reading_report(path, "with the metrics of an evaluator", command="t2m evaluate generation --json"):
         sets = data["rows"]
@@ -250,8 +269,22 @@ def load_report(path: str | Path) -> Report:
         real, measured = (_metrics(sets[one]) for one in (REAL, kind))
         if not measured:
             raise ValueError("no metrics")
-        report = Report(header=header, kind=kind, real=real, measured=measured, reconstruction=figures)
+        groups = _following(data[FOLLOWING]) if FOLLOWING in data else None
+        report = Report(
+            header=header, kind=kind, real=real, measured=measured, reconstruction=figures, following=groups
+        )
     return report  # noqa: RET504 - for mypy, a `return` inside `with` may not be reached
+
+
+def _following(entries: Mapping[str, Mapping[str, Any]]) -> dict[str, Following]:
+    """Returns the groups of prompts of a report file.
+
+    Raises:
+        UserError: There is none, a name is not a word, or counts do not fit each other.
+    """
+    if not entries or not all(name.replace("-", "_").isidentifier() for name in entries):
+        raise UserError(f"{FOLLOWING}: needs groups with names of letters")
+    return {name: config_from_dict(Following, found, source=repr(name)) for name, found in entries.items()}
 
 
 def load_reconstruction(path: Path) -> ReconstructionFigures:

@@ -1,6 +1,7 @@
 """A table of reports as in papers: real motion first, then one line per report, and the best of each column."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -44,8 +45,17 @@ QUALITY_COLUMNS = (
     Column("floating", "Floating", "real"),
     Column("penetration", "Penetration", "lower"),
 )
-Measures = Literal["captions", "labels", "quality"]
-"""Which figures a table shows: the field's, those with R-precision by label, or the quality of motion."""
+FOLLOWING = "text_following"
+BENCHMARK_COLUMNS = (
+    *(COLUMNS[0], COLUMNS[2], COLUMNS[3], Column("fid_normalized", "FID, unit length", "lower"), *COLUMNS[4:]),
+    Column("jerk", "Jerk", "real"),
+    Column("skating_ratio", "Skating", "real"),
+    Column("floating", "Floating", "real"),
+    Column(FOLLOWING, "Follows", "higher"),
+)
+Measures = Literal["captions", "labels", "quality", "benchmark"]
+"""Which figures a table shows: the field's, those with R-precision by label, the quality of motion, or a choice of all
+with text following."""
 
 
 class Cell(NamedTuple):
@@ -108,10 +118,18 @@ def make_table(reports: Sequence[Report], names: Sequence[str], *, measures: Mea
         cleaned = {name.removeprefix(CLEANED): found for name, found in measured if name.startswith(CLEANED)}
         lines += [_line(f"{title}, cleaned", report.kind, cleaned)] if cleaned else []
     known = {metric for line in (real, *lines) for metric in line.cells}
-    wanted = {"captions": COLUMNS, "labels": tuple(map(_by_label, COLUMNS)), "quality": QUALITY_COLUMNS}[measures]
+    for report, line in zip(reports, lines, strict=True) if measures == "benchmark" else ():
+        line.cells.update(_following_cell(report))
+        known |= line.cells.keys()
+    wanted = {
+        "captions": COLUMNS,
+        "labels": tuple(map(_by_label, COLUMNS)),
+        "quality": QUALITY_COLUMNS,
+        "benchmark": BENCHMARK_COLUMNS,
+    }[measures]
     header = dataclasses.asdict(reports[0].header)
     facts = {name: header[name] for name in COMPARABLE}
-    if measures != "captions" and wanted[0].metric not in known:
+    if measures in ("labels", "quality") and wanted[0].metric not in known:
         labels = f"{facts['data']} has no labels (column `label` of its index.csv)"
         advice = labels if measures == "labels" else "evaluate the models again"
         raise UserError(f"{measures}: not in these reports; {advice}")
@@ -140,6 +158,16 @@ def _check_comparable(reports: Sequence[Report], names: Sequence[str]) -> None:
 def _line(name: str, kind: str, metrics: dict[str, Metric]) -> TableLine:
     cells = {metric: Cell(found.mean, found.interval) for metric, found in metrics.items()}
     return TableLine(name, kind, max((len(found.repeats) for found in metrics.values()), default=0), cells)
+
+
+def _following_cell(report: Report) -> dict[str, Cell]:
+    """Returns the share of the motions that did what was asked, over all groups, with its binomial 95 % interval."""
+    groups = (report.following or {}).values()
+    samples = sum(group.samples for group in groups)
+    if not samples:
+        return {}
+    share = sum(group.right for group in groups) / samples
+    return {FOLLOWING: Cell(share, 1.96 * math.sqrt(share * (1 - share) / samples))}
 
 
 def _by_label(column: Column) -> Column:
