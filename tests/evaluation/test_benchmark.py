@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints.bundle import save_bundle
 from t2m_jax.checkpoints.evaluator import PACKAGED, evaluator_path, load_trained_evaluator
 from t2m_jax.cli.main import main
 from t2m_jax.data.folder import open_dataset
@@ -17,7 +16,6 @@ from t2m_jax.evaluation.report.record import Following, Header, Metric, Report, 
 from t2m_jax.evaluation.report.tables import make_table
 from t2m_jax.evaluation.run import unit_vectors
 from t2m_jax.metrics.frechet import fid
-from tests.tiny import random_bundle
 
 HEADER = Header(
     protocol="benchmark",
@@ -107,25 +105,3 @@ def test_other_lists_or_captions_are_not_the_benchmark(tmp_path):
 def test_the_nc_track_needs_an_evaluator(capsys):
     assert main(["benchmark", "demo", "--track", "nc"]) == 2
     assert "evaluator: track nc has no packaged one; give the run of evaluator/benchmark-nc" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_the_command_writes_one_report_with_everything(tmp_path, monkeypatch, capsys):
-    data = tmp_path / "data"
-    write_synthetic_dataset(data, num_clips=110, seed=3)
-    save_bundle(tmp_path / "model", random_bundle(), card="# tiny\n")
-    track = benchmark.TRACKS["free"]._replace(lists=benchmark.lists_digest(open_dataset(data)))
-    monkeypatch.setitem(benchmark.TRACKS, "free", track)
-    monkeypatch.setattr(benchmark, "GROUPS", ("durations",))
-    monkeypatch.setattr("t2m_jax.evaluation.task.check_statistics", lambda *_, **__: None)
-    output = tmp_path / "report.json"
-    options = ["--data", f"{data}", "--num-repeats", "1", "--json", f"{output}"]
-    assert main(["benchmark", f"{tmp_path / 'model'}", *options]) == 0
-    said = capsys.readouterr().out
-    assert "FID, unit length" in said and "of 24 did what was asked" in said
-    report = load_report(output)
-    assert report.header.evaluator == FINGERPRINTS["benchmark-free"] and report.header.protocol == "benchmark"
-    assert {"fid", "fid_normalized", "multimodality", "jerk", "cleaned_jerk"} <= set(report.measured)
-    assert report.following is not None and report.following["durations"].samples == 24
-    assert main(["evaluate", "table", "--benchmark", f"{output}"]) == 0
-    assert "Follows" in capsys.readouterr().out
