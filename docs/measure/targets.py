@@ -27,12 +27,14 @@ from t2m_jax.evaluation.prompts.recognition import load_index
 from t2m_jax.metrics.quality import measure_quality
 from t2m_jax.motion.features import facing, ground_positions, positions_from_features
 from t2m_jax.motion.motion import Motion
-from t2m_jax.motion.reaching import reach_exactly
+from t2m_jax.motion.reaching import Clip, reach_exactly
 from t2m_jax.motion.targets import EXACT_TOLERANCE, JOINT_TOLERANCE, POSE, TOLERANCES, Target, distances, read_target
 from t2m_jax.sampling import TextToMotion
 
 KINDS = ("wrist", "root", "pose")
 LIMITS = (JOINT_TOLERANCE, TOLERANCES["root"], TOLERANCES["pose"])
+GAP_TOLERANCE = 0.02
+"""Up to here, the motion between two poses begins and ends at them; meters, mean over the joints."""
 SECONDS = (1.0, 9.5)
 """Shortest and longest clip that is used."""
 
@@ -106,8 +108,19 @@ def row(name: str, found: Sequence[tuple[Trial, Motion]], seconds: float) -> str
     return f"| {' | '.join(cells)} |"
 
 
-def between(model: TextToMotion, trial: Trial, seed: int) -> list[float]:
-    """Returns how far start and end are off, and the errors of the acceleration: ours, and in a straight line."""
+class Gap(NamedTuple):
+    """A part of a clip, and the motion between its two ends."""
+
+    real: Clip
+    """From the first pose to the frame after the second one, above the origin and facing +z."""
+    size: int
+    """Frame of the second pose."""
+    filled: Motion
+    """From the first pose on; may go on after the second one."""
+
+
+def fill_gap(model: TextToMotion, trial: Trial, seed: int) -> Gap:
+    """Returns a motion between two poses of a clip that are one to three seconds apart."""
     clip, fps = trial.motion, trial.motion.fps
     generator = np.random.default_rng(seed)
     size = int(generator.integers(fps, min(3 * fps, clip.num_frames - 2) + 1))
@@ -119,11 +132,17 @@ def between(model: TextToMotion, trial: Trial, seed: int) -> list[float]:
     texts = (f"{end} root={x},{z}", f"{end} facing={np.degrees(np.arctan2(ahead[0], ahead[2]))}")
     poses = ((0.0, Motion(real[:1], fps)), (end, Motion(real[size : size + 1], fps)))
     (motion,) = model.direct(trial.sentence, [*texts, *poses], seed=seed)
-    ours = motion.positions[: size + 2]
-    apart = np.linalg.norm(ours - real, axis=-1).mean(axis=-1)
-    straight = interpolate_gap(real, 1, size, skeleton=clip.skeleton)
-    errors = [gap_figures(one, real, 1, size, fps=fps).acceleration_error for one in (ours, straight)]
-    return [float(apart[0]), float(apart[size]), *errors]
+    return Gap(real, size, motion)
+
+
+def measure_gap(gap: Gap) -> list[float]:
+    """Returns how far start and end are off, and the errors of the acceleration: ours, and in a straight line."""
+    skeleton, fps = gap.filled.skeleton, gap.filled.fps
+    ours = gap.filled.positions[: gap.size + 2]
+    apart = np.linalg.norm(ours - gap.real, axis=-1).mean(axis=-1)
+    straight = interpolate_gap(gap.real, 1, gap.size, skeleton=skeleton)
+    errors = [gap_figures(one, gap.real, 1, gap.size, fps=fps).acceleration_error for one in (ours, straight)]
+    return [float(apart[0]), float(apart[gap.size]), *errors]
 
 
 def main() -> None:
@@ -137,10 +156,16 @@ def main() -> None:
     args = parser.parse_args()
     model = TextToMotion.load(args.model)
     if args.between:
-        rows = [between(model, trial, number) for number, trial in enumerate(trials(args.data, args.count))]
+        found_trials = enumerate(trials(args.data, args.count))
+        rows = np.array([measure_gap(fill_gap(model, trial, number)) for number, trial in found_trials])
         start, end, ours, straight = np.median(rows, axis=0)
         sys.stdout.write(f"start {100 * start:.1f} cm, end {100 * end:.1f} cm (medians of the mean over the joints)\n")
         sys.stdout.write(f"error of the acceleration {ours:.2f}, in a straight line {straight:.2f} m/s^2 (medians)\n")
+        near = (rows[:, :2] <= GAP_TOLERANCE).all(axis=1)
+        half = rows[:, 2] <= rows[:, 3] / 2
+        sys.stdout.write(
+            f"{len(rows)} gaps: ends within 2 cm in {near.sum()}, half of the error or less in {half.sum()}\n"
+        )
         return
     found: dict[str, list[tuple[Trial, Motion]]] = {}
     times = []

@@ -94,6 +94,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     samples = "samples per line of the table (default: 20; for the groups of free sentences, 4 of each sentence)"
     prompts.add_argument("--num-seeds", type=positive, help=samples)
     compare.add_argument("reports", nargs=2, type=Path, metavar="REPORT", help="two files of --json")
+    _add_table_arguments(table)
+
+
+def _add_table_arguments(table: argparse.ArgumentParser) -> None:
     table.add_argument("reports", nargs="+", type=Path, metavar="REPORT", help="files of --json")
     styles = ("terminal", "markdown", "latex")
     table.add_argument("--format", choices=styles, default="terminal", help="how to print (default: terminal)")

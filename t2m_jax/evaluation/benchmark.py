@@ -25,7 +25,7 @@ GROUPS = ("free", "subjects", "typos", "while", "counts", "durations")
 """Groups of held-out sentences that need no data set."""
 
 
-class Track(NamedTuple):
+class BenchmarkTrack(NamedTuple):
     """A part of the benchmark with its own table."""
 
     data: str
@@ -37,8 +37,8 @@ class Track(NamedTuple):
 
 
 TRACKS = {
-    "free": Track("data/benchmark-free", "benchmark-free", "e9873c7174fc22e8"),
-    "nc": Track("data/benchmark-nc", None, "5bb170e54a5afe9d"),
+    "free": BenchmarkTrack("data/benchmark-free", "benchmark-free", "e9873c7174fc22e8"),
+    "nc": BenchmarkTrack("data/benchmark-nc", None, "5bb170e54a5afe9d"),
 }
 """`free` has only motion that may be used for everything, `nc` also motion for non-commercial use."""
 

@@ -205,7 +205,7 @@ def lock_feet(
     fade = max(FADE, round(FADE * fps / 20))
     mask = mask_from_lengths(length[None], len(positions))[0]
     feet = np.array(skeleton.left_foot + skeleton.right_foot)
-    low = _floor(jnp.where(mask[:, None], positions[:, feet][..., 1], jnp.inf), 4 * length) + CONTACT_HEIGHT
+    low = floor_height(jnp.where(mask[:, None], positions[:, feet][..., 1], jnp.inf), 4 * length) + CONTACT_HEIGHT
 
     def moved_joints(leg: Int[Array, " 4"]) -> Float[Array, "T 3 3"]:
         hip, knee, ankle, toe = jnp.moveaxis(positions[:, leg], 1, 0)
@@ -220,7 +220,7 @@ def lock_feet(
     return positions.at[:, legs[:, 1:].ravel()].set(moved.reshape(len(positions), -1, 3))
 
 
-def _floor(heights: Float[Array, "T 4"], count: Int[Array, ""]) -> Float[Array, ""]:
+def floor_height(heights: Float[Array, "T 4"], count: Int[Array, ""]) -> Float[Array, ""]:
     """Returns the height of the floor: of the lowest `count` heights of feet, the first percentile.
 
     It is not the lowest height: with one toe below the floor in one frame, all others would be too high to stand.

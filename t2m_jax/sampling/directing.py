@@ -28,6 +28,7 @@ from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.reaching import check_exact, reach_exactly
 from t2m_jax.motion.rotations import unit_vectors
+from t2m_jax.motion.skating import skating
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.motion.targets import FACING, ROOT, Target, check_targets, distances, missed_targets, seen_from_root
 from t2m_jax.sampling.batches import fill_up, round_up
@@ -51,6 +52,8 @@ LATENT_WEIGHT = 2.5
 """Weight of the mean squared change of the latents, in standard deviations."""
 SMOOTH_WEIGHT = 0.1
 """Weight of the mean squared change of the accelerations; per m^2/s^4."""
+SKATING_WEIGHT = 10.0
+"""Weight of the mean square of the speed of low feet that skate (`t2m_jax.motion.skating`); per m^2/s^2."""
 FACING_METERS = 0.3
 """A direction counts as a point so far ahead of the root."""
 GOAL_BUCKET = 64
@@ -184,7 +187,7 @@ def goal_loss(
     goals: Goals,
     skeleton: Skeleton,
 ) -> Float[Array, ""]:
-    """Returns how far a motion is from its goals, and how much it jolts more than before.
+    """Returns how far a motion is from its goals, how much it jolts more than before, and how much feet skate.
 
     Args:
         positions: Of the motion, in meters.
@@ -196,7 +199,8 @@ def goal_loss(
     apart = points_at(positions, goals, skeleton) - goals.places
     jolts = jnp.diff(moved, n=2, axis=0) * skeleton.fps**2
     smoothness = jnp.mean(jnp.square(jolts), where=frames[2:, None, None])
-    return FIT_WEIGHT * jnp.sum(goals.weights * jnp.square(apart)) + SMOOTH_WEIGHT * smoothness
+    distance = FIT_WEIGHT * jnp.sum(goals.weights * jnp.square(apart)) + SMOOTH_WEIGHT * smoothness
+    return distance + SKATING_WEIGHT * skating(positions, positions - moved, frames, skeleton)
 
 
 def direct(model: ModelParts, request: MotionRequest, prompt: Prompt) -> list[Motion]:

@@ -15,6 +15,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.models.system import find_part
 from t2m_jax.motion.features import bone_vectors, features_from_positions, ground_positions
 from t2m_jax.motion.normalizer import Normalizer
+from t2m_jax.motion.skating import skating
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.motion.targets import distances, read_target, targets_from_text
 from t2m_jax.sampling import MotionRequest
@@ -65,6 +66,15 @@ def test_gradients_are_those_of_finite_differences(walk):
         return goal_loss(before + moved, moved, jnp.arange(len(moved)) < 30, goals, HUMANML3D) / FIT_WEIGHT
 
     check_grads(loss, (moved,), order=1, modes=["rev"], atol=2e-2, rtol=2e-2, eps=1e-3)
+
+
+def test_only_low_and_fast_feet_skate(walk):
+    before = jnp.asarray(walk.positions)
+    frames = jnp.ones(len(before), bool)
+    still = jnp.broadcast_to(before[:1], before.shape)
+    sliding = still + jnp.array([[[1.0, 0, 0]]]) * (jnp.arange(len(still)) / 20)[:, None, None]
+    assert skating(still, still, frames, HUMANML3D) == 0 < skating(sliding, still, frames, HUMANML3D)
+    assert skating(sliding + jnp.array([[[0, 0.3, 0]]]), still, frames, HUMANML3D) < 1e-6
 
 
 class Features(nn.Module):
