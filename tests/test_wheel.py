@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -224,18 +225,25 @@ def first_commands():
     return [line for line in lines[: end + 1] if not line.startswith(("docker", "make test"))]
 
 
+def what_git_ignores(folder, names):
+    """Returns which names of a folder a clone does not have. Without git, which may not know the repository."""
+    top = {".git", "demo", "runs", "data", "page", "site", "dist", "build"} if Path(folder) == REPOSITORY else set()
+    return {name for name in names if name in top or name == "__pycache__" or re.match(r"\.(venv|\w+_cache)", name)}
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="the Makefile needs a shell of Unix")
 def test_the_first_commands_run_in_a_fresh_clone(tmp_path):
     clone = tmp_path / "clone"
-    subprocess.run(["git", "clone", "--quiet", f"{REPOSITORY}", f"{clone}"], check=True)
+    shutil.copytree(REPOSITORY, clone, ignore=what_git_ignores)
     # A shell that was not prepared: no environment is active, and only settings of the network are kept.
     kept = {
         name: value
         for name, value in os.environ.items()
         if name.upper().startswith(("PIP_", "HTTP", "SSL_", "NO_PROXY"))
     }
-    plain = kept | {"HOME": f"{tmp_path}", "PATH": os.defpath.removeprefix(":")}
+    python = Path(sys.base_prefix) / "bin"
+    plain = kept | {"HOME": f"{tmp_path}", "PATH": f"{python}{os.pathsep}{os.defpath.removeprefix(':')}"}
     lines = first_commands()
     assert lines[:2] == ["make demo", "source .venv/bin/activate"] and len(lines) == 3
     subprocess.run(["bash", "--norc", "-ec", "\n".join(lines)], cwd=clone, env=plain, check=True)
