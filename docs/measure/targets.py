@@ -174,7 +174,8 @@ def main() -> None:
         found.setdefault(name, []).append((trial, motion))
 
     for number, trial in enumerate(trials(args.data, args.count)):
-        samples = model.generate(trial.sentence, seed=number, num_samples=1 if args.exact else 64)
+        # Whole, because targets are of one sentence, too.
+        samples = model.generate(trial.sentence, seed=number, num_samples=1 if args.exact else 64, whole=True)
         add("first sample", trial, samples[0])
         start = time.perf_counter()
         (motion,) = model.direct(trial.sentence, trial.targets, seed=number)

@@ -115,4 +115,4 @@ def test_lengths_are_multiples_of_the_unit(unit):
 def test_an_unknown_protocol_is_one_line():
     with pytest.raises(UserError, match="'strikt' is unknown; known: t2m-gpt"):
         find_protocol("strikt")
-    assert set(PROTOCOLS) == {"t2m-gpt", "t2m-gpt-paper", "text-to-motion", "momask", "strict"}
+    assert set(PROTOCOLS) == {"t2m-gpt", "t2m-gpt-paper", "text-to-motion", "benchmark", "momask", "strict"}
