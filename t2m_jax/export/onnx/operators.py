@@ -157,8 +157,11 @@ def _sort(builder: GraphBuilder, equation: Any, inputs: list[Value]) -> list[Val
 def _loop(builder: GraphBuilder, equation: Any, inputs: list[Value]) -> list[Value]:
     """Adds the rounds of a loop whose number is known, one after another."""
     params = equation.params
-    before = params["num_consts"]
-    if before + params["num_carry"] != len(inputs) or len(equation.outvars) != params["num_carry"]:
+    if "ft_in" in params:  # since JAX 0.12
+        before, carried = map(len, params["ft_in"].unpack()[:2])
+    else:
+        before, carried = params["num_consts"], params["num_carry"]
+    if before + carried != len(inputs) or len(equation.outvars) != carried:
         raise refusal(equation)
     constants, state = inputs[:before], inputs[before:]
     for _ in range(params["length"]):
