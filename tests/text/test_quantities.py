@@ -79,7 +79,7 @@ def test_sentences_of_other_people_say_how_long_and_how_often():
     assert sum(right) >= 58 and len(right) == 60
     counted = [one for one in SENTENCES["counts"] if one["verb"] in COUNTED_ACTIONS]
     found = [(one, times_of(one["text"])) for one in counted]
-    assert sum(times is not None and times[1] == one["times"] for one, times in found) >= 27 and len(found) == 34
+    assert sum(times is not None and times[1] == one["times"] for one, times in found) >= 27 and len(found) == 33
     neither = [said_seconds(one["text"]) is None and times_of(one["text"]) is None for one in SENTENCES["neither"]]
     assert sum(neither) >= 59 and len(neither) == 60
 
