@@ -92,7 +92,9 @@ def test_requests_with_other_options_are_made_at_the_same_time(server, model):
     for number, options in ((0, {}), (2, {"guidance_scale": 3.0}), (5, {"temperature": 0.7, "raw": True})):
         (expected,) = model.generate(CAPTIONS[number % 5], seed=number, **options)
         np.testing.assert_array_equal(motion_of(found[number]).codes, expected.codes)
-        np.testing.assert_allclose(motion_of(found[number]).positions, expected.positions, atol=1e-4)
+        # Random weights walk hundreds of meters, which float32 rounds to steps of 3e-5.
+        atol = max(1e-4, 1e-6 * np.abs(expected.positions).max())
+        np.testing.assert_allclose(motion_of(found[number]).positions, expected.positions, atol=atol)
 
 
 @pytest.mark.slow
