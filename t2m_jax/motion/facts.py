@@ -33,7 +33,7 @@ class Facts(NamedTuple):
     """Number of times that the more active wrist goes from side to side and back, relative to the body."""
 
 
-def _heading_angles(positions: Float[np.ndarray, "T 22 3"]) -> Float[np.ndarray, " T"]:
+def heading_angles(positions: Float[np.ndarray, "T 22 3"]) -> Float[np.ndarray, " T"]:
     """Returns the direction that hips and shoulders face, in radians about +Y from +Z, without jumps of a full turn."""
     joints = {name: positions[:, index] for index, name in enumerate(HUMANML3D.joint_names)}
     across = joints["left_hip"] - joints["right_hip"] + joints["left_shoulder"] - joints["right_shoulder"]
@@ -60,9 +60,8 @@ def _count_waves(sway: Float[np.ndarray, " T"]) -> int:
     return turns // 2
 
 
-def sways(positions: Float[np.ndarray, "T 22 3"]) -> Float[np.ndarray, "2 T"]:
+def sways(positions: Float[np.ndarray, "T 22 3"], headings: Float[np.ndarray, " T"]) -> Float[np.ndarray, "2 T"]:
     """Returns how far the left and the right wrist are from the root to the actor's left, in meters."""
-    headings = _heading_angles(positions)
     wrists = positions[:, [HUMANML3D.joint_names.index(f"{side}_wrist") for side in ("left", "right")]]
     body_left = np.stack([np.cos(headings), np.zeros_like(headings), -np.sin(headings)], axis=-1)
     return np.einsum("twc,tc->wt", wrists - positions[:, :1], body_left)
@@ -73,7 +72,7 @@ def measure(positions: Float[np.ndarray, "T 22 3"], *, fps: float) -> Facts:
     chex.assert_shape(positions, (None, HUMANML3D.num_joints, 3))
     names = HUMANML3D.joint_names
     root = positions[:, 0]
-    headings = _heading_angles(positions)
+    headings = heading_angles(positions)
     wrists = positions[:, [names.index("left_wrist"), names.index("right_wrist")]]
     shoulders = positions[:, [names.index("left_shoulder"), names.index("right_shoulder")]]
     head = positions[:, [names.index("head")] * 2]
@@ -95,5 +94,5 @@ def measure(positions: Float[np.ndarray, "T 22 3"], *, fps: float) -> Facts:
         forward=float(steps[:, 1].sum()),
         above_head=tuple(above_head),
         above_shoulder=tuple(above_shoulder),
-        waves=max(_count_waves(line) for line in sways(positions)),
+        waves=max(_count_waves(line) for line in sways(positions, headings)),
     )

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.motion.facts import sways
+from t2m_jax.motion.facts import heading_angles, sways
 from t2m_jax.motion.skeleton import HUMANML3D
 
 SHARE = 0.4
@@ -40,7 +40,7 @@ def _reach(positions: Positions, side: str) -> Signal:
 
 def _sway(positions: Positions, side: str) -> Signal:
     """Returns how far inward a raised hand is, in meters; the least of them while it is not raised."""
-    left, right = sways(positions)
+    left, right = sways(positions, heading_angles(positions))
     inward = -left if side == "left" else right
     raised = _arm(positions, side)[:, 1] > RAISED
     return np.where(raised, inward, inward[raised].min(initial=inward.max()))

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float, Key
 
 from t2m_jax.motion.repetitions import COUNTED_ACTIONS
-from t2m_jax.motion.skeleton import HUMANML3D, Skeleton
 from t2m_jax.sampling.decode import Codes, decode_motions
 from t2m_jax.sampling.model import ModelParts
 from t2m_jax.text.quantities import Times
@@ -36,20 +35,16 @@ def choose_by_count(model: ModelParts, candidates: Sequence[Codes], times: Times
         size=model.config.generator.max_codes,
         batch=len(candidates),
     )
-    misses = [
-        abs(count_shown(times, np.asarray(motion.positions), model.skeleton) - times.number) for motion in motions
-    ]
+    misses = [abs(count_shown(times, np.asarray(motion.positions)) - times.number) for motion in motions]
     return candidates[int(np.argmin(misses))]
 
 
-def count_shown(times: Times, positions: Float[np.ndarray, "T J 3"], skeleton: Skeleton) -> int:
-    """Returns how often a motion shows an action; what is asked for, if its skeleton cannot be counted."""
-    if skeleton != HUMANML3D:
-        return times.number
+def count_shown(times: Times, positions: Float[np.ndarray, "T 22 3"]) -> int:
+    """Returns how often a motion shows an action."""
     return COUNTED_ACTIONS[times.action].count(positions, times.sides)
 
 
-def missed_count(times: Times, positions: Float[np.ndarray, "T J 3"], skeleton: Skeleton, *, sentence: str) -> str:
+def missed_count(times: Times, positions: Float[np.ndarray, "T 22 3"], *, sentence: str) -> str:
     """Returns in a line that a motion shows an action more or less often than its sentence says, if it does."""
-    shown = count_shown(times, positions, skeleton)
+    shown = count_shown(times, positions)
     return "" if shown == times.number else f"{sentence!r}: {times.action} is counted {shown} times; try another seed"

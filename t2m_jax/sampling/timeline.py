@@ -11,6 +11,7 @@ from jaxtyping import Float, Key
 from t2m_jax.motion.cleanup import clean_long
 from t2m_jax.motion.joining import ease_seams
 from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.sampling.counted import missed_count
 from t2m_jax.sampling.decode import Codes, decode_sentences
 from t2m_jax.sampling.loop import Sampling
@@ -74,7 +75,9 @@ def _read_chain(
     rows = [0 if seconds is None else rows_of_seconds(model, seconds) for seconds in request.lengths]
     start = None if request.start is None else _read_start(model, request.start)
     limit = most_rows(model)
-    read = zip(prompts, rows, request.times, strict=True)
+    # Only this skeleton can be counted.
+    times = request.times if model.skeleton == HUMANML3D else (None,) * len(prompts)
+    read = zip(prompts, rows, times, strict=True)
     return [
         part for prompt, own, times in read for part in split_segments(prompt, own, limit=limit, times=times)
     ], start
@@ -150,7 +153,7 @@ def _warnings(
     for segment, piece in zip(segments, placed[len(placed) - len(segments) :], strict=True):
         if segment.times is not None:
             own = positions[downsample * piece.first :][: downsample * len(piece.codes)]
-            found.append(missed_count(segment.times, own, model.skeleton, sentence=segment.prompt.text))
+            found.append(missed_count(segment.times, own, sentence=segment.prompt.text))
     return list(dict.fromkeys(filter(None, found)))
 
 

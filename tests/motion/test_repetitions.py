@@ -62,8 +62,7 @@ def test_punches_of_both_hands_are_added_up_and_raised_hands_are_not():
 
 def waved(times):
     """Returns a figure that raises the right hand, swings it inward `times` times, and lowers it."""
-    sides = {"right_wrist": moved("right_wrist", 0, 0.3, times), "up": moved("right_wrist", 1, 0.9, 1)}
-    positions = sides["right_wrist"]
+    positions = moved("right_wrist", 0, 0.3, times)
     wrist = HUMANML3D.joint_names.index("right_wrist")
     shoulder = HUMANML3D.joint_names.index("right_shoulder")
     raised = slice(5, BEAT * times + 5)
