@@ -45,13 +45,13 @@ QUALITY_COLUMNS = (
     Column("floating", "Floating", "real"),
     Column("penetration", "Penetration", "lower"),
 )
-FOLLOWING = "text_following"
+FOLLOWING_COLUMN = "text_following"
 BENCHMARK_COLUMNS = (
     *(COLUMNS[0], COLUMNS[2], COLUMNS[3], Column("fid_normalized", "FID, unit length", "lower"), *COLUMNS[4:]),
     Column("jerk", "Jerk", "real"),
     Column("skating_ratio", "Skating", "real"),
     Column("floating", "Floating", "real"),
-    Column(FOLLOWING, "Follows", "higher"),
+    Column(FOLLOWING_COLUMN, "Follows", "higher"),
 )
 Measures = Literal["captions", "labels", "quality", "benchmark"]
 """Which figures a table shows: the field's, those with R-precision by label, the quality of motion, or a choice of all
@@ -167,7 +167,7 @@ def _following_cell(report: Report) -> dict[str, Cell]:
     if not samples:
         return {}
     share = sum(group.right for group in groups) / samples
-    return {FOLLOWING: Cell(share, 1.96 * math.sqrt(share * (1 - share) / samples))}
+    return {FOLLOWING_COLUMN: Cell(share, 1.96 * math.sqrt(share * (1 - share) / samples))}
 
 
 def _by_label(column: Column) -> Column:
