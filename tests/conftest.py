@@ -41,6 +41,8 @@ LONGEST = (
     *("test_notebooks", "test_page", "test_stranger", "test_inbetween", "test_timeline"),
 )
 """Files of tests that take longest."""
+PROGRAMS_LIMIT = 5_000_000_000
+"""Bytes of compiled programs after which the next test run begins with none."""
 MEMORY_LIMIT = 1_500_000_000
 """Bytes of a test process after which compiled programs are dropped; single tests need up to 0.5 GB more."""
 
@@ -52,10 +54,21 @@ def pytest_configure(config):
     """
     if not hasattr(config, "workerinput"):
         os.environ.setdefault(PROGRAMS, str(config.cache.mkdir("programs")))
+        drop_old_programs(Path(os.environ[PROGRAMS]))
     jax.config.update("jax_compilation_cache_dir", os.environ[PROGRAMS])
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-    jax.config.update("jax_compilation_cache_max_size", 10**10)  # with a limit, JAX locks the folder
+    # JAX reads and writes these files without a lock; with one, processes wait for each other, some for too long. So it
+    # may find half of a file, of which it warns before it compiles the program.
+    config.addinivalue_line("filterwarnings", "ignore:Error (reading|writing) persistent compilation cache:UserWarning")
+
+
+def drop_old_programs(folder: Path) -> None:
+    """Empties the folder of compiled programs if it has grown too large: old ones are of code that has changed."""
+    files = [path for path in folder.glob("*") if path.is_file()]
+    if sum(path.stat().st_size for path in files) > PROGRAMS_LIMIT:
+        for path in files:
+            path.unlink(missing_ok=True)
 
 
 def pytest_collection_modifyitems(items):

@@ -1,6 +1,7 @@
 """A bundle: one folder that contains a complete text-to-motion model and can be shared."""
 
 import dataclasses
+import functools
 import importlib.resources
 import itertools
 import re
@@ -161,8 +162,9 @@ def part_kinds(config: BundleConfig) -> dict[str, str]:
     return kinds
 
 
+@functools.lru_cache
 def expected_variables(config: BundleConfig) -> dict[str, Any]:
-    """Returns the shapes of all variables of a model by role."""
+    """Returns the shapes of all variables of a model by role; they are shared, so nobody may change them."""
     # Shapes only: a hostile config may ask for more memory than there is, before its weights are seen not to fit.
     shapes = {"tokenizer": variable_shapes(config.tokenizer), "generator": variable_shapes(config.generator)}
     if (network := trained_network(config.text_encoder)) is not None:

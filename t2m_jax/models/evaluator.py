@@ -5,6 +5,7 @@ movement of a clip reads three frames past it.
 """
 
 import dataclasses
+import functools
 
 import chex
 import flax.linen as nn
@@ -219,8 +220,9 @@ class Evaluator(nn.Module):
             return self.text_encoder(inputs, text_lengths)
 
 
+@functools.lru_cache
 def evaluator_shapes(config: EvaluatorConfig) -> dict[str, dict]:
-    """Returns the shapes and dtypes of an evaluator's variables."""
+    """Returns the shapes and dtypes of an evaluator's variables; they are shared, so nobody may change them."""
     motion = jnp.zeros((1, FRAMES_PER_MOVEMENT, config.feature_dim))
     words = jnp.zeros((1, 1), jnp.int32)
     length = jnp.ones(1, jnp.int32)

@@ -1,5 +1,6 @@
 """The dense layer of the transformers, which can compute with transposed weights: faster for small batches on a CPU."""
 
+import functools
 from typing import Any
 
 import flax.linen as nn
@@ -50,7 +51,8 @@ def _transposed_product(inputs: Float[Array, "*rows I"], kernel: Float[Array, "O
     return columns.T.reshape(*inputs.shape[:-1], kernel.shape[0])
 
 
-def projection_paths(config: PartConfig) -> list[Path]:
+@functools.lru_cache
+def projection_paths(config: PartConfig) -> tuple[Path, ...]:
     """Returns the paths of all projections of a part's module, as in its parameter tree."""
     paths: dict[Path, None] = {}
 
@@ -61,8 +63,8 @@ def projection_paths(config: PartConfig) -> list[Path]:
 
     # The modules know their own paths; the names in the tree would not say which kernels are projections.
     with nn.intercept_methods(note):
-        variable_shapes(config)
-    return list(paths)
+        variable_shapes.__wrapped__(config)  # not from the cache, which calls no module
+    return tuple(paths)
 
 
 def transpose_kernels(variables: dict[str, Any], config: PartConfig) -> dict[str, Any]:

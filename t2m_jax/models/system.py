@@ -171,8 +171,9 @@ def make_module(config: PartConfig) -> Any:
     return find_part(config.kind).module(config)
 
 
+@functools.lru_cache
 def variable_shapes(config: PartConfig) -> dict[str, Any]:
-    """Returns the shapes of a part's variables by collection."""
+    """Returns the shapes of a part's variables by collection; they are shared, so nobody may change them."""
     module = make_module(config)
     example = find_part(config.kind).example
     return jax.eval_shape(lambda: module.init(new_key(0), *example(config), train=False))

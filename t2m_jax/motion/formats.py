@@ -3,6 +3,7 @@
 `Motion` uses this module, so the record is not imported here: what is read and written is of that class.
 """
 
+import functools
 import html
 import inspect
 from collections.abc import Sequence
@@ -141,6 +142,7 @@ def _entry_point(group: str, path: Path) -> EntryPoint:
     return found[suffix]
 
 
+@functools.cache
 def _entry_points(group: str) -> dict[str, EntryPoint]:
     """Returns the entry points of a group by name.
 

@@ -40,16 +40,16 @@ def mirror_caption(text: str) -> str:
     Only whole words change ("bright" does not), also in hyphenated words and in tagged tokens ("left/ADV"). The case is
     kept. "Anticlockwise" becomes "clockwise", which becomes "counterclockwise".
     """
+    # One pass over the text: exchanging word after word would exchange back what was exchanged before.
+    return _WORD.sub(_mirrored_word, text)
 
-    def mirrored(match: re.Match[str]) -> str:
-        word = match.group()
-        # One pass over the text: exchanging word after word would exchange back what was exchanged before.
-        if match["turn"]:
-            return _like(word, _TURNS[re.sub(r"[-\s]", "", word.lower())])
-        side = match["side"]
-        return _like(side, _SIDES[side.lower()]) + (match["ending"] or "")
 
-    return _WORD.sub(mirrored, text)
+def _mirrored_word(match: re.Match[str]) -> str:
+    """Returns the other side or turn for one that was found in a text."""
+    if match["turn"]:
+        return _like(match.group(), _TURNS[re.sub(r"[-\s]", "", match.group().lower())])
+    side = match["side"]
+    return _like(side, _SIDES[side.lower()]) + (match["ending"] or "")
 
 
 def _like(model: str, word: str) -> str:

@@ -77,7 +77,7 @@ def test_both_layouts_jit_equals_eager():
 def test_paths_are_those_of_the_projections():
     blocks = {(f"block_{layer}", *path) for layer in range(GPT.num_layers) for path in BLOCK_LAYERS}
     assert set(projection_paths(GPT)) == blocks | {("text_projection",), ("head",)}
-    assert projection_paths(VQVAE) == []
+    assert projection_paths(VQVAE) == ()
 
 
 def test_a_model_keeps_what_is_not_a_projection():

@@ -34,6 +34,7 @@ def read_chosen(path, *, animation=None):
 def register(monkeypatch, **functions):
     """Makes functions of this file what installed packages offer."""
     points = [EntryPoint(name, f"{__name__}:{function}", "") for name, function in functions.items()]
+    monkeypatch.setattr(formats, "_entry_points", formats._entry_points.__wrapped__)  # without its cache
     monkeypatch.setattr(formats, "entry_points", lambda group: points)
 
 
