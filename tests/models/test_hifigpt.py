@@ -15,6 +15,7 @@ from t2m_jax.sampling.loop import Sampling
 from t2m_jax.sampling.programs import generate_codes
 from t2m_jax.sampling.stopping import StopAtHighest, StopAtThreshold
 from t2m_jax.sampling.strategies import Greedy, Temperature, TopK, TopP
+from tests.jit import compiled_apply
 from tests.tiny import HIFIGPT, random_variables
 
 CONFIGS = {
@@ -65,10 +66,10 @@ def test_sampled_rows_are_those_of_the_whole_sequence(name, scale):
     sampling = Sampling(Greedy(), StopAtHighest(), config.max_codes)
     given = None if scale is None else jnp.float32(scale)
     sampled = generate_codes(variables, TEXT, KEYS, given, generator=module, sampling=sampling)
-    with_text = module.apply(variables, sampled.codes, TEXT, train=False)
+    with_text = compiled_apply(module, variables, sampled.codes, TEXT, train=False)
     logits = with_text.code_logits
     if scale is not None:
-        without = module.apply(variables, sampled.codes, jnp.zeros_like(TEXT), train=False)
+        without = compiled_apply(module, variables, sampled.codes, jnp.zeros_like(TEXT), train=False)
         logits = without.code_logits + scale * (logits - without.code_logits)
     for row, length in enumerate(sampled.code_lengths):
         np.testing.assert_array_equal(jnp.argmax(logits[row, :length], axis=-1), sampled.codes[row, :length])
@@ -144,9 +145,9 @@ def test_products_are_in_bfloat16_and_scores_finite():
     module, variables = make(HIFIGPT)
     codes, text = draw_codes(HIFIGPT), TEXT.astype(jnp.bfloat16)
     low = in_precision(variables, "bfloat16")
-    output = module.apply(low, codes, text, train=False)
+    output = compiled_apply(module, low, codes, text, train=False)
     assert output.code_logits.dtype == output.stop_logits.dtype == jnp.bfloat16
-    exact = module.apply(variables, codes, TEXT, train=False)
+    exact = compiled_apply(module, variables, codes, TEXT, train=False)
     error = np.abs(np.asarray(output.code_logits, np.float32) - exact.code_logits)
     assert error.max() < 0.1 * np.abs(exact.code_logits).max()
 

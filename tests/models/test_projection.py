@@ -8,7 +8,7 @@ import pytest
 
 from t2m_jax.models.projection import WEIGHT_INIT, Projection, projection_paths, restore_kernels, transpose_kernels
 from t2m_jax.models.system import make_module, variable_shapes
-from tests.jit import assert_jit_equals_eager
+from tests.jit import assert_jit_equals_eager, compiled_apply
 from tests.tiny import GPT, VQVAE, random_variables
 
 WIDTH, FEATURES = 6, 5
@@ -100,7 +100,7 @@ def test_logits_agree():
     variables = random_variables(variable_shapes(GPT))
     tokens, text = jnp.arange(6).reshape(2, 3), jax.random.normal(jax.random.key(0), (2, GPT.text_dim))
     usual, moved = (
-        make_module(GPT).apply(found, tokens, text, train=False)
+        compiled_apply(make_module(GPT), found, tokens, text, train=False)
         for found in (variables, transpose_kernels(variables, GPT))
     )
     np.testing.assert_allclose(moved, usual, rtol=1e-5, atol=1e-5)

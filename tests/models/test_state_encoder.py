@@ -10,6 +10,7 @@ from flax import traverse_util
 
 from t2m_jax.models.caption_encoder import StateEncoder, StateEncoderConfig, init_network
 from t2m_jax.models.rows import apply_rows
+from tests.jit import compiled_apply
 from tests.tiny import random_variables
 
 CONFIG = StateEncoderConfig(
@@ -26,7 +27,7 @@ def variables():
 
 
 def embed(variables, states=STATES, mask=MASK):
-    return MODULE.apply(variables, states, mask, train=False)
+    return compiled_apply(MODULE, variables, states, mask, train=False)
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.models.vqvae import VqVae, VqVaeConfig
+from tests.jit import compiled_apply
 
 CONFIG = VqVaeConfig(feature_dim=7, num_codes=8, code_dim=4, width=12, num_stages=2, depth=2)
 
@@ -13,7 +14,7 @@ CONFIG = VqVaeConfig(feature_dim=7, num_codes=8, code_dim=4, width=12, num_stage
 @pytest.fixture(scope="module")
 def model_and_variables():
     model = VqVae(CONFIG)
-    variables = model.init(jax.random.key(0), jnp.zeros((1, 16, 7)), train=False)
+    variables = jax.jit(lambda key: model.init(key, jnp.zeros((1, 16, 7)), train=False))(jax.random.key(0))
     codebook = jax.random.normal(jax.random.key(1), (8, 4))
     variables["codebook"]["quantizer"]["codebook"] = codebook
     return model, variables
@@ -22,10 +23,10 @@ def model_and_variables():
 def test_shapes(model_and_variables):
     model, variables = model_and_variables
     motion = jnp.zeros((3, 19, 7))
-    output = model.apply(variables, motion, train=False)
+    output = compiled_apply(model, variables, motion, train=False)
     assert output.reconstruction.shape == (3, 16, 7)
     assert output.codes.shape == (3, 4, 1)
-    assert model.apply(variables, output.codes, method="decode").shape == (3, 16, 7)
+    assert compiled_apply(model, variables, output.codes, method="decode").shape == (3, 16, 7)
 
 
 @pytest.mark.slow
@@ -52,9 +53,9 @@ def test_codes_are_decoded_as_their_rows_of_the_codebook_and_latents_as_they_are
     model, variables = model_and_variables
     codes = jnp.array([[3, 1, 4, 1]])
     rows = variables["codebook"]["quantizer"]["codebook"][codes]
-    decoded = model.apply(variables, codes, method="decode")
-    np.testing.assert_array_equal(model.apply(variables, rows, method="decode_latents"), decoded)
-    between = model.apply(variables, 0.5 * rows + 0.5 * rows[:, ::-1], method="decode_latents")
+    decoded = compiled_apply(model, variables, codes, method="decode")
+    np.testing.assert_array_equal(compiled_apply(model, variables, rows, method="decode_latents"), decoded)
+    between = compiled_apply(model, variables, 0.5 * rows + 0.5 * rows[:, ::-1], method="decode_latents")
     assert between.shape == decoded.shape and np.abs(between - decoded).max() > 1e-3
 
 

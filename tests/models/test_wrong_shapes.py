@@ -17,6 +17,7 @@ from t2m_jax.models.motion_gpt import MotionGpt
 from t2m_jax.models.system import variable_shapes
 from t2m_jax.models.vqvae import VqVae
 from t2m_jax.motion.skeleton import HUMANML3D
+from tests.jit import compiled_apply
 from tests.tiny import CAPTION_ENCODER, EVALUATOR, GPT, HIFIGPT, RVQVAE, VQVAE, walking_normalizer
 
 
@@ -143,10 +144,10 @@ def test_losses_of_tokens_and_embeddings_refuse_what_would_broadcast(loss, argum
 def test_right_shapes_are_taken():
     motion = np.zeros((2, 16, 263), np.float32)
     variables = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), variable_shapes(VQVAE))
-    codes = VqVae(VQVAE).apply(variables, motion, MASK, method="encode")
+    codes = compiled_apply(VqVae(VQVAE), variables, motion, MASK, method="encode")
     assert codes.shape == (2, 4, 1)
     for given in (codes, codes[:, :, 0]):
-        assert VqVae(VQVAE).apply(variables, given, method="decode").shape == motion.shape
+        assert compiled_apply(VqVae(VQVAE), variables, given, method="decode").shape == motion.shape
     coarse = dataclasses.replace(RVQVAE, num_quantizers=3)
     variables = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), variable_shapes(coarse))
-    assert VqVae(coarse).apply(variables, whole(2, 2, 1), method="decode").shape == motion.shape
+    assert compiled_apply(VqVae(coarse), variables, whole(2, 2, 1), method="decode").shape == motion.shape

@@ -34,7 +34,9 @@ LEFT_LEG, LEFT_FOOT = (1, 4, 7, 10), 10
 smooth = jax.jit(functools.partial(smooth_over_clip, sigma=0.9))
 fix = jax.jit(functools.partial(fix_bones, skeleton=HUMANML3D))
 calm = jax.jit(functools.partial(calm_torso, skeleton=HUMANML3D))
-lock = jax.jit(functools.partial(lock_feet, skeleton=HUMANML3D))
+lock = jax.jit(functools.partial(lock_feet, skeleton=HUMANML3D), static_argnames="fps")
+bends_of, move = jax.jit(eased_bends), jax.jit(move_foot)
+measure = jax.jit(measure_quality, static_argnames="skeleton")
 clean = functools.partial(clean_positions, skeleton=HUMANML3D)
 lock_shift_of = jax.jit(lock_shift)
 
@@ -56,7 +58,7 @@ def distances(one, other):
 
 
 def quality(positions):
-    found = measure_quality(jnp.asarray(positions)[None], jnp.ones((1, len(positions)), bool), skeleton=HUMANML3D)
+    found = measure(jnp.asarray(positions)[None], jnp.ones((1, len(positions)), bool), skeleton=HUMANML3D)
     return {name: float(values[0]) for name, values in found._asdict().items()}
 
 
@@ -72,7 +74,8 @@ def test_straight_movement_is_not_smoothed_not_even_at_the_ends():
 def test_the_swing_of_a_runner_stays():
     """Two and a half times a second, and 40 cm wide."""
     swing = 0.2 * np.sin(2 * np.pi * 2.5 * np.arange(FRAMES) / 20)[:, None, None] * np.ones((1, 1, 3))
-    smoothed = np.asarray(smooth_over_clip(jnp.asarray(swing, jnp.float32), jnp.array(FRAMES), sigma=SIGMA * 20))
+    smooth = jax.jit(functools.partial(smooth_over_clip, sigma=SIGMA * 20))
+    smoothed = np.asarray(smooth(swing.astype(np.float32), ALL))
     assert np.abs(smoothed - swing)[10:-10].max() < 0.0015
 
 
@@ -149,7 +152,7 @@ def slide_of(seed, size):
     slide = np.zeros((FRAMES, 3), np.float32)
     slide[:, ::2] = size * np.sin(2 * np.pi * 0.7 * time + phases)
     leg = [jnp.asarray(positions[:, joint]) for joint in LEFT_LEG]
-    moved = move_foot(*leg, jnp.asarray(slide), eased_bends(*leg[:3], jnp.asarray(slide)))
+    moved = move(*leg, jnp.asarray(slide), bends_of(*leg[:3], jnp.asarray(slide)))
     for joint, values in zip(LEFT_LEG[1:], moved, strict=True):
         positions[:, joint] = values
     return positions
@@ -218,7 +221,7 @@ def test_between_two_stands_the_shift_is_between_theirs():
 def test_a_leg_reaches_no_further_than_it_is_long():
     leg = [jnp.asarray(walk()[:, joint]) for joint in LEFT_LEG]
     far = jnp.tile(jnp.array([[0.0, -5.0, 0.0]]), (FRAMES, 1))
-    knee, ankle, toe = move_foot(*leg, far, eased_bends(*leg[:3], far))
+    knee, ankle, toe = move(*leg, far, bends_of(*leg[:3], far))
     np.testing.assert_allclose(distances(knee, leg[0]), distances(leg[1], leg[0]), atol=1e-4)
     np.testing.assert_allclose(distances(ankle, knee), distances(leg[2], leg[1]), atol=1e-4)
     np.testing.assert_allclose(distances(toe, ankle), distances(leg[3], leg[2]), atol=1e-4)
@@ -243,7 +246,7 @@ def excess_of_knees(found, before, fps):
 def test_a_lock_makes_no_knee_faster(fps):
     """Its legs are nearly straight when a foot comes down, so that each millimeter further turns a knee by degrees."""
     positions = resample_positions(walk(seed=1), fps=20.0, new_fps=fps, skeleton=HUMANML3D)
-    locked = np.asarray(lock_feet(jnp.asarray(positions), jnp.asarray(len(positions)), HUMANML3D, fps=fps))
+    locked = np.asarray(lock(positions, jnp.asarray(len(positions)), fps=fps))
     assert distances(locked, positions)[:, (7, 8)].max() > 0.03
     assert excess_of_knees(locked, positions, fps) < 1
 
@@ -263,7 +266,8 @@ def test_bends_change_as_fast_as_before_and_slow_ones_stay():
     time = np.arange(FRAMES, dtype=np.float32)
     before = np.where(time < 30, 0.1 * time, 3.0)
     bends = np.where(time < 20, 0.05 * time, 1.0) + 0.5 * (time == 40)
-    found = np.asarray(limit_speed(*(jnp.asarray(one, jnp.float32) for one in (bends, before)), EVERY, fps=20.0))
+    limit = jax.jit(functools.partial(limit_speed, fps=20.0))
+    found = np.asarray(limit(*(jnp.asarray(one, jnp.float32) for one in (bends, before)), EVERY))
     steps = np.abs(np.diff(found))
     assert steps[:31].max() < 0.1001 and steps[32:].max() < 1e-5
     np.testing.assert_allclose(found[:20], bends[:20], atol=1e-5)

@@ -1,5 +1,7 @@
 """Targets and corruption against the original's arrays."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,18 +17,19 @@ def test_golden_targets(golden_dir):
     arrays = np.load(golden_dir / "t2m_gpt" / "targets.npz")
     cases = sorted({key.split("/")[0] for key in arrays if key.startswith("case")})
     assert len(cases) == 36
-    for case in cases:
-        get = {key.split("/")[1]: arrays[key] for key in arrays if key.startswith(f"{case}/")}
-        codes = jnp.asarray(get["tokens"])[None]
-        codes, lengths = drop_one_code(
-            codes,
-            jnp.array([codes.shape[1]]),
-            jnp.array([bool(get["drop"])]),
-            at_head=jnp.array([not get["drop_tail"]]),
+    for block in (26, 51):
+        chosen = [case for case in cases if arrays[f"{case}/block"] == block]
+        tokens = [arrays[f"{case}/tokens"] for case in chosen]
+        codes = jnp.array([np.pad(row, (0, block - 1 - len(row))) for row in tokens])
+        lengths = jnp.array([len(row) for row in tokens])
+        drop, drop_tail = (
+            jnp.array([bool(arrays[f"{case}/{name}"]) for case in chosen]) for name in ("drop", "drop_tail")
         )
-        targets = make_targets(codes, lengths, num_codes=int(get["nb_code"]), block_size=int(get["block"]))
-        np.testing.assert_array_equal(targets.tokens[0], get["target"])
-        assert targets.code_lengths[0] == get["n_tokens"]
+        codes, lengths = drop_one_code(codes, lengths, drop, at_head=~drop_tail)
+        assert all(arrays[f"{case}/nb_code"] == 512 for case in chosen)
+        targets = jax.device_get(make_targets(codes, lengths, num_codes=512, block_size=block))
+        np.testing.assert_array_equal(targets.tokens, [arrays[f"{case}/target"] for case in chosen])
+        np.testing.assert_array_equal(targets.code_lengths, [arrays[f"{case}/n_tokens"] for case in chosen])
 
 
 def test_golden_corruption(golden_dir):
@@ -40,10 +43,11 @@ def test_golden_corruption(golden_dir):
         np.testing.assert_array_equal(found, arrays[f"{case}/corrupted"])
 
 
-def corrupted(tokens, key, **options):
+@functools.partial(jax.jit, static_argnames="past_end")
+def corrupted(tokens, key, *, tau, past_end):
     """Tokens as in training, with a key for each motion."""
     keys = jax.random.split(key, len(tokens))
-    return draw_corruption(tokens, keys, num_codes=8, **options).apply(tokens)
+    return draw_corruption(tokens, keys, num_codes=8, tau=tau, past_end=past_end).apply(tokens)
 
 
 def test_random_corruption_replaces_the_right_share():
@@ -67,9 +71,13 @@ def replaced_shares(tau, num_steps):
     )
     ones = jnp.ones(40, jnp.int32)
     bank = CodeBank(jnp.zeros((40, 1, 3, 1), jnp.int32), 3 * ones[:, None], jnp.zeros((40, 4)), jnp.arange(40), ones)
-    batch_at = jax.jit(lambda step: training_batch(bank, step, config=config))
-    batches = [batch_at(step) for step in range(num_steps)]
-    return np.stack([np.mean(batch.inputs != batch.tokens[:, :-1], axis=1) for batch in batches])
+
+    @jax.jit
+    def shares_at(step):
+        batch = training_batch(bank, step, config=config)
+        return jnp.mean(batch.inputs != batch.tokens[:, :-1], axis=1)
+
+    return np.stack([shares_at(step) for step in range(num_steps)])
 
 
 def test_a_share_is_drawn_for_each_batch():
@@ -90,9 +98,8 @@ def test_a_given_share_is_that_of_every_motion():
 
 def test_the_corruption_of_a_motion_does_not_depend_on_the_others():
     tokens, keys = jnp.full((6, 50), 99), jax.random.split(jax.random.key(3), 6)
-    options = {"tau": "per_motion", "num_codes": 8, "past_end": True}
-    together = draw_corruption(tokens, keys, **options)
-    alone = draw_corruption(tokens[2:4], keys[2:4], **options)
+    draw = jax.jit(functools.partial(draw_corruption, tau="per_motion", num_codes=8, past_end=True))
+    together, alone = draw(tokens, keys), draw(tokens[2:4], keys[2:4])
     np.testing.assert_array_equal(together.keep[2:4], alone.keep)
     np.testing.assert_array_equal(together.replacements[2:4], alone.replacements)
     assert len(np.unique(np.asarray(together.replacements), axis=0)) == 6
