@@ -49,6 +49,9 @@ class PartConfig(Protocol):
     def num_quantizers(self) -> int:
         """Codes per row (R)."""
 
+    def __hash__(self) -> int:
+        """Equal configs share what is compiled and found out for them."""
+
 
 @runtime_checkable
 class TokenizerConfig(PartConfig, Protocol):
