@@ -12,6 +12,8 @@ BIN := $(VENV)/bin
 SLOW_VENV := $(if $(and $(filter file,$(origin PYTHON)),$(filter-out $(OLDEST),$(PYTHON))),.venv-oldest,$(VENV))
 # The tests of a file share what they compile, so they run in one process.
 FAST := -m "not slow" --ignore tests/lint
+# As users run the package: shapes are checked by the fast tests only. That halves the time of both.
+SLOW := -m slow -o addopts=-ra
 BY_FILE := -n 2 --dist loadfile --no-loadscope-reorder
 # Tests start many processes. Without bytecode on disk, each would compile JAX and everything else again.
 unexport PYTHONDONTWRITEBYTECODE
@@ -84,7 +86,7 @@ test: $(VENV)/.dev
 	$(BIN)/python -m pytest $(FAST) $(or $(PYTEST_ARGS),$(BY_FILE))
 
 test-slow: $(SLOW_VENV)/.dev
-	$(SLOW_VENV)/bin/python -m pytest -m slow $(or $(PYTEST_ARGS),$(BY_FILE))
+	$(SLOW_VENV)/bin/python -m pytest $(SLOW) $(or $(PYTEST_ARGS),$(BY_FILE))
 
 test-lowest test-python3.11 test-python3.12 test-python3.13: test-%: .venv-%/.dev
 	.venv-$*/bin/python -m pytest $(FAST) $(or $(PYTEST_ARGS),$(BY_FILE))

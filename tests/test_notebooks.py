@@ -1,10 +1,13 @@
 """Every notebook runs from the first cell to the last."""
 
+import os
 from pathlib import Path
 
 import nbformat
 import pytest
 from nbclient import NotebookClient
+
+from tests.conftest import PROGRAMS
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 
@@ -14,6 +17,7 @@ NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 @pytest.mark.filterwarnings("ignore:Proactor event loop:RuntimeWarning")
 def test_notebook_runs(path, monkeypatch):
     monkeypatch.setenv("T2M_SHORT", "1")  # some updates, repeats and samples
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", os.environ[PROGRAMS])  # most of them use one model
     notebook = nbformat.read(path, as_version=4)
     NotebookClient(notebook, timeout=900, kernel_name="python3").execute()
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]

@@ -36,7 +36,7 @@ EXIT_CODES = {signal.SIGTERM: (143, 0, -signal.SIGTERM), 9: (-9, 0)}
 MODEL = ["--model.num-codes", "16", "--model.code-dim", "8", "--model.width", "16", "--model.depth", "1"]
 LOOP = [
     "--loop.num-steps",
-    "60",
+    "30",
     "--loop.batch-size",
     "4",
     "--loop.checkpoint-every",
@@ -150,7 +150,8 @@ def kill_often(folder: Path, group: str, *, seed: int, count: int) -> Iterator[s
     Raises:
         Broken: A result is not whole, something unfinished is left, or the command cannot be finished afterwards.
     """
-    draws, commands = random.Random(f"{group}{seed}"), COMMANDS[group]
+    draws = random.Random(f"{group}{seed}")
+    commands = COMMANDS[group][:count]
     seconds: dict[str, float] = {}
     right: dict[str, bytes] = {}
     for command in commands:

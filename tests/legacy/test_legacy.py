@@ -127,7 +127,9 @@ def compare_reports(old: str, new: str) -> None:
     for name, value in expected.items():
         # The clean-up of today is another one: it lets no knee turn faster than in the motion that is cleaned.
         if isinstance(value, float | list) and "/cleaned_" not in name:
-            np.testing.assert_allclose(found[name], value, rtol=1e-3, atol=1e-4, err_msg=name)
+            # Which of two nearly equal motions is nearer depends on the CPU, so one of 32 ranks may differ.
+            ties = 1 / 32 if "/r_precision" in name else 1e-4
+            np.testing.assert_allclose(found[name], value, rtol=1e-3, atol=ties, err_msg=name)
 
 
 def test_a_run_reconstructs_as_its_report_says(samples_with_data):
@@ -135,8 +137,6 @@ def test_a_run_reconstructs_as_its_report_says(samples_with_data):
     compare_reports("reports/reconstruction.json", "new.json")
 
 
-# Slow tests run with the oldest Python, and so with JAX 0.10, as the sample. With JAX 0.12, one motion of a repeat has
-# another rank, because sums have another order.
 def test_an_evaluation_with_the_evaluator_gives_the_report(samples_with_data):
     arguments = ("--model", "gpt", "--data", "data", "--evaluator", "evaluator", "--num-repeats", 2)
     run_command("evaluate", "generation", *arguments, "--json", "new.json")

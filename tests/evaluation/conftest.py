@@ -1,0 +1,13 @@
+"""Small batches for small models: what the size changes is a test of its own."""
+
+import pytest
+
+from t2m_jax.evaluation import embedding, sources
+
+
+@pytest.fixture(scope="package", autouse=True)
+def small_batches():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sources, "BATCH", 32)
+        patch.setattr(embedding, "BATCH", 32)
+        yield
