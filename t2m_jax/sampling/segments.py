@@ -40,9 +40,15 @@ class Segment(NamedTuple):
 
 
 def split_segments(prompt: Prompt, num_rows: int, *, limit: int, times: Times | None = None) -> list[Segment]:
-    """Returns the segments of a sentence. A motion that is longer than `limit` rows has several, which continue it."""
+    """Returns the segments of a sentence. A motion that is longer than `limit` rows has several, which continue it.
+
+    Only a motion of one segment can be chosen by how often something is done; the warning of a longer one says so.
+    """
     if num_rows <= limit:
         return [Segment(prompt, num_rows, True, times=times)]
+    if times is not None:
+        said = f"{prompt.text!r}: too long for a choice by how often ({times.action} {times.number} times)"
+        prompt = prompt._replace(warning=" ".join(filter(None, (prompt.warning, said))))
     lengths = [min(limit, num_rows - done) for done in range(0, num_rows, limit)]
     return [Segment(prompt, rows, not number) for number, rows in enumerate(lengths)]
 

@@ -6,8 +6,9 @@ import pytest
 from t2m_jax.motion.skeleton import KIT_ML
 from t2m_jax.sampling.counted import CANDIDATES, candidate_keys, choose_by_count, count_shown, missed_count
 from t2m_jax.sampling.pipeline import TextToMotion
-from t2m_jax.sampling.prompts import sample_key
+from t2m_jax.sampling.prompts import Prompt, sample_key
 from t2m_jax.sampling.request import MotionRequest, SamplingOptions
+from t2m_jax.sampling.segments import split_segments
 from t2m_jax.text.quantities import Times
 from tests import tiny
 
@@ -64,6 +65,15 @@ def test_a_missed_count_is_said(model):
     still = np.zeros((20, 22, 3), np.float32)
     assert missed_count(TIMES, still, sentence=JUMPS) == (f"'{JUMPS}': jump is counted 0 times; try another seed")
     assert missed_count(TIMES._replace(number=0), still, sentence=JUMPS) == ""
+
+
+def test_a_count_in_a_motion_that_is_too_long_for_it_is_said(model):
+    segments = split_segments(Prompt(JUMPS, JUMPS, "told before", ()), 30, limit=12, times=TIMES)
+    assert [segment.num_rows for segment in segments] == [12, 12, 6]
+    expected = f"told before {JUMPS!r}: too long for a choice by how often (jump 3 times)"
+    assert {segment.prompt.warning for segment in segments} == {expected}
+    (motion,) = model.generate_chain([JUMPS], seed=3, seconds=12)
+    assert "too long for a choice by how often" in motion.warning
 
 
 def test_motion_of_other_skeletons_is_not_counted(model, monkeypatch):
