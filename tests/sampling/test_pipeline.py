@@ -297,7 +297,7 @@ def codes_by_batch_size(name):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("t2m_jax.sampling.generation.MAX_BATCH", size)
             model = TextToMotion.load(name)
-            motions = [motion for seed in range(8) for motion in model.generate(captions, seed=seed)]
+            motions = [motion for seed in range(4) for motion in model.generate(captions, seed=seed)]
         codes[size] = [motion.codes.tolist() for motion in motions]
     return codes
 
@@ -308,7 +308,7 @@ def test_the_batch_size_hardly_changes_a_code(name, monkeypatch):
     """Another batch size changes the last bits of the logits, and so one code in many thousands."""
     with process_of_user(monkeypatch) as process:
         codes = process.submit(codes_by_batch_size, name).result()
-    assert sum(np.size(one) for one in codes[1]) > 5000
+    assert sum(np.size(one) for one in codes[1]) > 2500
     assert codes[8] == codes[32]
     # After a changed code, the rest of a motion is another one.
     assert sum(one != other for one, other in zip(codes[1], codes[8], strict=True)) <= 1
