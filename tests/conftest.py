@@ -43,10 +43,8 @@ LONGEST = (
 """Files of tests that take longest."""
 PROGRAMS_LIMIT = 5_000_000_000
 """Bytes of compiled programs after which the next test run begins with none."""
-MEMORY_LIMIT = 2_000_000_000
+MEMORY_LIMIT = 1_500_000_000
 """Bytes of a test process after which compiled programs are dropped; single tests need up to 0.5 GB more."""
-MEMORY_LIMIT_OF_FILES = 1_500_000_000
-"""The same after the last test of a file. The next file uses few of the programs, the rest of this one most of them."""
 
 
 def pytest_configure(config):
@@ -92,24 +90,14 @@ def resident_memory() -> int:
 
 @pytest.fixture(autouse=True)
 def bounded_memory():
-    yield
-    bound_memory(MEMORY_LIMIT)
-
-
-@pytest.fixture(autouse=True, scope="module")
-def bounded_memory_of_files():
-    yield
-    bound_memory(MEMORY_LIMIT_OF_FILES)
-
-
-def bound_memory(limit: int) -> None:
-    """Drops compiled programs when the process has grown beyond a limit in bytes.
+    """Drops compiled programs when the process has grown large.
 
     JAX keeps every program that it compiled. Over the whole suite these are more than 4 GB per process.
     """
-    if resident_memory() > limit:
+    yield
+    if resident_memory() > MEMORY_LIMIT:
         return_memory()
-    if resident_memory() > limit:
+    if resident_memory() > MEMORY_LIMIT:
         jax.clear_caches()
         return_memory()
 

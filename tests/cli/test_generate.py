@@ -17,6 +17,7 @@ from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.motion.changes import Changes
 from t2m_jax.motion.formats import load_motion
 from t2m_jax.records import fields_of
+from t2m_jax.sampling import directing
 from t2m_jax.sampling.model import ModelParts
 from t2m_jax.sampling.request import MotionRequest
 from tests.conftest import REPOSITORY
@@ -161,7 +162,8 @@ def test_targets_that_are_refused(refusal, bundle_folder, tmp_path, monkeypatch,
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_distances_to_targets_are_said(bundle_folder, tmp_path, capsys):
+def test_the_distances_to_targets_are_said(bundle_folder, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(directing, "ROUNDS", 1)
     file = tmp_path / "out.npz"
     command = ["generate", "a person walks", "--model", f"{bundle_folder}", "--candidates", "2", "-o", f"{file}"]
     assert main([*command, "--at", "0", "root=0,0", "--at", "0.3", "left_wrist=0.9,2,0.4"]) == 0
