@@ -390,7 +390,7 @@ def test_fingers_scroll_a_grid_that_is_too_high(open_viewer, walk):
 def scroll(page, begin: int, end: int) -> None:
     """Moves a finger up."""
     session = page.context.new_cdp_session(page)
-    for place in range(begin, end, -20):
+    for place in range(begin, end, -80):
         kind = "touchStart" if place == begin else "touchMove"
         session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [{"x": 200, "y": place}]})
     session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})

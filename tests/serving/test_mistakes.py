@@ -86,6 +86,8 @@ def test_two_tabs_have_one_history(open_studio):  # noqa: F811
     expect(page.locator(".take-caption")).to_have_text(["ours"])
     other.get_by_role("button", name="Delete ours").click()
     expect(page.locator(".take")).to_have_count(0)
+    page.keyboard.press("n")
+    expect(page.get_by_role("alert")).to_contain_text("this motion is no longer in the history")
 
 
 def test_a_link_carries_seed_options_and_sample(open_studio, walk, tmp_path):  # noqa: F811

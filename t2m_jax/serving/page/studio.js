@@ -58,8 +58,11 @@ async function start() {
     split: () => session.motion && changeSample(session.take, session.selected, { split: player.time }).then(addTake).catch(complain),
   };
   const withEntry = (action) => {
-    const entry = history.find(session.take?.id);
-    return entry && action(entry).catch(complain);
+    const { take } = session;
+    const entry = history.find(take?.id);
+    if (entry) return action(entry).catch(complain);
+    // Another tab may have deleted it. A comparison never is in the history.
+    if (take && take.kind !== "comparison") complain(new Error("this motion is no longer in the history"));
   };
   new TakeBar(session, history, { ...actions, onReuseSeed: (seed) => make.reuseSeed(seed), onKeep: addTake });
   const download = new DownloadPanel(session, model, addTake);
