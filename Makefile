@@ -11,21 +11,22 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 SLOW_VENV := $(if $(and $(filter file,$(origin PYTHON)),$(filter-out $(OLDEST),$(PYTHON))),.venv-oldest,$(VENV))
 # The tests of a file share what they compile, so they run in one process.
-FAST := -m "not slow" --ignore tests/lint
+FAST := -m "not slow and not release" --ignore tests/lint
 # As users run the package: shapes are checked by the fast tests only. That halves the time of both.
-SLOW := -m slow -o addopts=-ra
+SLOW = -m $(or $(TIER),slow) -o addopts=-ra
 BY_FILE := -n 2 --dist loadfile --no-loadscope-reorder
 # Tests start many processes. Without bytecode on disk, each would compile JAX and everything else again.
 unexport PYTHONDONTWRITEBYTECODE
 PROMPT ?= a person waves with the left hand
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-lowest test-python3.11 test-python3.12 test-python3.13 soak soak-serve faults lint three runtime page format docs notebooks clean
+.PHONY: help demo test test-slow test-release test-lowest test-python3.11 test-python3.12 test-python3.13 soak soak-serve faults lint three runtime page format docs notebooks clean
 
 help:
 	@echo "make demo       generate a motion and print where it was saved"
 	@echo "make test       run the tests that take a short time (PYTEST_ARGS=\"...\" for other options of pytest)"
 	@echo "make test-slow  run the other tests, with the oldest Python that is supported and found"
+	@echo "make test-release  run the tests that take minutes each, before a release"
 	@echo "make test-lowest      run the tests with the lowest versions that pyproject.toml allows"
 	@echo "make test-python3.12  run the tests with this Python, also with 3.11 and 3.13"
 	@echo "make soak       attack the readers of files with a million inputs (SOAK_ARGS=\"--inputs 10000\" for fewer)"
@@ -85,7 +86,8 @@ demo: $(VENV)/.base
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest $(FAST) $(or $(PYTEST_ARGS),$(BY_FILE))
 
-test-slow: $(SLOW_VENV)/.dev
+test-release: TIER := release
+test-slow test-release: $(SLOW_VENV)/.dev
 	$(SLOW_VENV)/bin/python -m pytest $(SLOW) $(or $(PYTEST_ARGS),$(BY_FILE))
 
 test-lowest test-python3.11 test-python3.12 test-python3.13: test-%: .venv-%/.dev

@@ -49,11 +49,11 @@ def without_keys(tree: Any) -> Any:
     return jax.tree.map(bits, tree)
 
 
-def compiled_and_eager(function: Callable, *arguments: Any, **options: Any) -> tuple[Any, Any]:
+def compiled_and_eager(function: Callable, *arguments: Any, optimize: bool = True, **options: Any) -> tuple[Any, Any]:
     """Returns the results of a jitted function with and without compilation, random keys as bits.
 
-    The function is compiled ahead of time and with optimizations. So the first result cannot come from Python code, not
-    even inside `jax.disable_jit()`, nor from a program that a test compiled without optimizations.
+    The function is compiled ahead of time, by default with optimizations. So the first result cannot come from Python
+    code, not even inside `jax.disable_jit()`, nor from a program that a test compiled without optimizations.
 
     Raises:
         AssertionError: `function` is not under `jax.jit`.
@@ -61,7 +61,7 @@ def compiled_and_eager(function: Callable, *arguments: Any, **options: Any) -> t
     assert isinstance(function, type(jax.jit(lambda: None))), f"{function} is not under jax.jit"
     with jax.disable_jit():
         eager = function(*arguments, **options)
-    with jax.disable_jit(False), optimized():
+    with jax.disable_jit(False), optimized() if optimize else contextlib.nullcontext():
         lowered = function.lower(*arguments, **options)
         # Static options are part of the program.
         dynamic = {name: value for name, value in options.items() if name in lowered.args_info[1]}
@@ -71,7 +71,7 @@ def compiled_and_eager(function: Callable, *arguments: Any, **options: Any) -> t
 
 
 def assert_jit_equals_eager(
-    function: Callable, *arguments: Any, rtol: float = 1e-5, atol: float = 0.0, **options: Any
+    function: Callable, *arguments: Any, rtol: float = 1e-5, atol: float = 0.0, optimize: bool = True, **options: Any
 ) -> Any:
     """Fails if the results of a jitted function differ with and without compilation, and returns the former.
 
@@ -80,9 +80,10 @@ def assert_jit_equals_eager(
         *arguments: Of the function.
         rtol: Relative tolerance.
         atol: Absolute tolerance.
+        optimize: Whether it is compiled with the optimizations that users have.
         **options: Of the function.
     """
-    compiled, eager = compiled_and_eager(function, *arguments, **options)
+    compiled, eager = compiled_and_eager(function, *arguments, optimize=optimize, **options)
     chex.assert_trees_all_equal_shapes_and_dtypes(compiled, eager)
     chex.assert_trees_all_close(compiled, eager, rtol=rtol, atol=atol)
     return compiled

@@ -10,10 +10,14 @@ from nbclient import NotebookClient
 from tests.conftest import PROGRAMS
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
+# They train or evaluate for minutes.
+LONG = dict.fromkeys(("02_tokenizer", "03_evaluate", "04_your_own_motion", "05_residual_codes"), pytest.mark.release)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+RUN = [pytest.param(path, marks=LONG.get(path.stem, pytest.mark.slow), id=path.stem) for path in NOTEBOOKS]
+
+
+@pytest.mark.parametrize("path", RUN)
 @pytest.mark.filterwarnings("ignore:Proactor event loop:RuntimeWarning")
 def test_notebook_runs(path, monkeypatch):
     monkeypatch.setenv("T2M_SHORT", "1")  # some updates, repeats and samples

@@ -30,6 +30,7 @@ SHORTENED = {
     r"--resume .*--loop.num_steps": "--loop.num_steps 3",
     r"t2m train evaluator": "--movement_steps 2",
     r"t2m evaluate generation": "--num-repeats 2",
+    r"t2m data replay": "--num-clips 8",
 }
 MEASUREMENT = "hours on a data set that must be downloaded; test_documents.py and test_configs.py check the options"
 # Text encoders that the stand-in for the hub has, with the weights of a small one.

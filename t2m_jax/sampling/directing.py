@@ -140,7 +140,7 @@ class Approach(NamedTuple):
     """As decoded, in meters."""
 
 
-@functools.partial(jax.jit, static_argnames=("tokenizer", "skeleton"))
+@functools.partial(jax.jit, static_argnames=("tokenizer", "skeleton", "num_steps"))
 def approach_goals(
     variables: Any,
     normalizer: Normalizer,
@@ -149,8 +149,9 @@ def approach_goals(
     *,
     tokenizer: Any,
     skeleton: Skeleton,
+    num_steps: int = STEPS,
 ) -> Approach:
-    """Returns a motion that is nearer to its goals, after `STEPS` steps."""
+    """Returns a motion that is nearer to its goals, after some steps."""
     mask = mask_from_lengths(attempt.code_lengths, attempt.codes.shape[1])
     latents = tokenizer.apply(variables, attempt.codes, method="latents_of")
     deviation = jnp.std(latents, where=mask[..., None])
@@ -176,7 +177,7 @@ def approach_goals(
         updates, state = optimizer.update(jax.grad(loss)(change), state)
         return (optax.apply_updates(change, updates), state), None
 
-    (last, _), _ = jax.lax.scan(step, (first, optimizer.init(first)), None, length=STEPS)
+    (last, _), _ = jax.lax.scan(step, (first, optimizer.init(first)), None, length=num_steps)
     return Approach(last, *decode(last))
 
 

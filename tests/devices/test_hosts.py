@@ -58,7 +58,7 @@ def losses(run):
         return [float(row["loss"]) for row in csv.DictReader(file)]
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_two_processes_are_killed_and_go_on_as_two_and_as_one(folder):
     pair, run = start_pair(folder), folder / "two"
     end = time.monotonic() + 240

@@ -4,7 +4,7 @@ import pytest
 
 from tests.fuzz.processes import COMMANDS, kill_often, prepare, race_often
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.release
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Every jitted function of the package gives the same result with and without compilation, optimized as for users."""
+"""Each jitted function gives the same with and without compilation, all but trainings optimized as for users."""
 
 import contextlib
 import importlib
@@ -51,4 +51,6 @@ def test_every_compiled_function_has_a_case():
 def test_jit_equals_eager(name):
     case = CASES[name]()
     with jax.set_mesh(case.mesh) if case.mesh else contextlib.nullcontext():
-        assert_jit_equals_eager(FUNCTIONS[name], *case.arguments, rtol=case.rtol, atol=case.atol, **case.options)
+        # To compile gradients and random weights with optimizations takes half a minute for each function.
+        options = case.options | {"optimize": not name.startswith("train.")}
+        assert_jit_equals_eager(FUNCTIONS[name], *case.arguments, rtol=case.rtol, atol=case.atol, **options)
