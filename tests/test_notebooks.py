@@ -12,8 +12,6 @@ from tests.conftest import PROGRAMS
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 # They train or evaluate for minutes.
 LONG = dict.fromkeys(("02_tokenizer", "03_evaluate", "04_your_own_motion", "05_residual_codes"), pytest.mark.release)
-
-
 RUN = [pytest.param(path, marks=LONG.get(path.stem, pytest.mark.slow), id=path.stem) for path in NOTEBOOKS]
 
 

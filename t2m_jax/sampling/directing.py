@@ -151,7 +151,7 @@ def approach_goals(
     skeleton: Skeleton,
     num_steps: int = STEPS,
 ) -> Approach:
-    """Returns a motion that is nearer to its goals, after some steps."""
+    """Returns a motion that is nearer to its goals, after `num_steps` steps of Adam."""
     mask = mask_from_lengths(attempt.code_lengths, attempt.codes.shape[1])
     latents = tokenizer.apply(variables, attempt.codes, method="latents_of")
     deviation = jnp.std(latents, where=mask[..., None])

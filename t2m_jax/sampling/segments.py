@@ -47,7 +47,7 @@ def split_segments(prompt: Prompt, num_rows: int, *, limit: int, times: Times | 
     if num_rows <= limit:
         return [Segment(prompt, num_rows, True, times=times)]
     if times is not None:
-        said = f"{prompt.text!r}: too long for a choice by how often ({times.action} {times.number} times)"
+        said = f"{prompt.text!r}: too long to choose a sample by its count ({times.action} {times.number} times)"
         prompt = prompt._replace(warning=" ".join(filter(None, (prompt.warning, said))))
     lengths = [min(limit, num_rows - done) for done in range(0, num_rows, limit)]
     return [Segment(prompt, rows, not number) for number, rows in enumerate(lengths)]

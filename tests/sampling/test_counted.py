@@ -70,10 +70,10 @@ def test_a_missed_count_is_said(model):
 def test_a_count_in_a_motion_that_is_too_long_for_it_is_said(model):
     segments = split_segments(Prompt(JUMPS, JUMPS, "told before", ()), 30, limit=12, times=TIMES)
     assert [segment.num_rows for segment in segments] == [12, 12, 6]
-    expected = f"told before {JUMPS!r}: too long for a choice by how often (jump 3 times)"
+    expected = f"told before {JUMPS!r}: too long to choose a sample by its count (jump 3 times)"
     assert {segment.prompt.warning for segment in segments} == {expected}
     (motion,) = model.generate_chain([JUMPS], seed=3, seconds=12)
-    assert "too long for a choice by how often" in motion.warning
+    assert "too long to choose a sample by its count" in motion.warning
 
 
 def test_motion_of_other_skeletons_is_not_counted(model, monkeypatch):
