@@ -17,16 +17,15 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from t2m_jax.masks import mask_from_lengths
-from t2m_jax.motion.features import bone_vectors, gaussian_kernel
+from t2m_jax.motion.features import bone_vectors
 from t2m_jax.motion.joining import join_windows
 from t2m_jax.motion.legs import Frames, Joint, eased_bends, knee_bends, lengths_of, limit_speed, move_foot
-from t2m_jax.motion.rotations import cross_product, unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
+from t2m_jax.motion.smoothing import smooth_over_clip
+from t2m_jax.motion.torso import bone_matrices, calm_torso, keep_shapes
 
 SIGMA = 0.04
 """Standard deviation of the Gaussian that smooths; seconds."""
-TORSO_SIGMA = 0.05
-"""The same for the shape of the torso, which changes slowly; seconds."""
 BONE_ROUNDS = 10
 """Rounds of moving joints toward the lengths of their bones."""
 BONE_STEP = 1.6
@@ -78,45 +77,26 @@ def _calm_clips(
 def _lock_clips(
     calm: Float[Array, "B T J 3"], before: Float[Array, "B T J 3"], lengths: Int[Array, " B"], *, skeleton: Skeleton
 ) -> Float[Array, "B T J 3"]:
-    """Returns calm clips whose feet are locked; `before` has the clips as they were given."""
+    """Returns calm clips that are rigid and whose feet are locked; `before` has the clips as they were given."""
+    return jax.vmap(lambda calm, before, length: lock_clip(calm, before, length, skeleton))(calm, before, lengths)
 
-    def lock_clip(calm: Clip, length: Int[Array, ""], before: Clip) -> Clip:
-        return lock_feet(calm, length, skeleton, before=before)
 
-    return jax.vmap(lock_clip)(calm, lengths, before)
+def lock_clip(calm: Clip, before: Clip, length: Int[Array, ""], skeleton: Skeleton) -> Clip:
+    """Returns a calm clip with a pelvis and a chest that keep their shapes, and feet that are locked.
+
+    Args:
+        calm: A clip after `calm_clip`; also several, joined.
+        before: The same clip before any change.
+        length: Frames of the clip.
+        skeleton: Of the clip.
+    """
+    return lock_feet(keep_shapes(calm, length, skeleton), length, skeleton, before=before)
 
 
 def calm_clip(positions: Clip, length: Int[Array, ""], skeleton: Skeleton, bones: Bones | None = None) -> Clip:
     """Returns a clip that trembles less and whose bones have these lengths, by default the skeleton's."""
     smooth = smooth_over_clip(positions, length, sigma=SIGMA * skeleton.fps)
     return calm_torso(fix_bones(smooth, skeleton, bones), length, skeleton)
-
-
-def smooth_over_clip(positions: Clip, length: Int[Array, ""], *, sigma: float) -> Clip:
-    """Returns positions without movement that is faster than bodies move.
-
-    The kernel is 1 - (1 - g) * (1 - g) * (1 - g) with a Gaussian g, which leaves slow movement as it is. A clip
-    continues beyond its ends as it was before, mirrored at the end point, so that its speed remains.
-
-    Args:
-        positions: One clip and padding.
-        length: Frames of the clip.
-        sigma: Standard deviation of the Gaussian in frames.
-    """
-    rest = -gaussian_kernel(sigma)
-    rest[len(rest) // 2] += 1.0
-    kernel = -np.convolve(np.convolve(rest, rest), rest)
-    reach = len(kernel) // 2
-    kernel[reach] += 1.0
-    wanted = jnp.arange(-reach, len(positions) + reach)
-    inside = jnp.clip(wanted, 0, length - 1)
-    mirrored = jnp.clip(2 * inside - wanted, 0, length - 1)
-    beyond = (wanted != inside)[:, None, None]
-    longer = positions[inside] + jnp.where(beyond, positions[inside] - positions[mirrored], 0.0)
-    # Row t of the matrix has the kernel around frame t.
-    steps = np.arange(len(wanted))[None] - np.arange(len(positions))[:, None]
-    matrix = np.where((steps >= 0) & (steps < len(kernel)), kernel[np.clip(steps, 0, len(kernel) - 1)], 0.0)
-    return jnp.einsum("ts,sjc->tjc", jnp.asarray(matrix, jnp.float32), longer)
 
 
 def fix_bones(positions: Clip, skeleton: Skeleton, lengths: Bones | None = None) -> Clip:
@@ -126,7 +106,7 @@ def fix_bones(positions: Clip, skeleton: Skeleton, lengths: Bones | None = None)
     small rest is corrected from the root outwards.
     """
     # Row j of `ends` has -1 for the bones that begin at joint j, and 1 for the one that ends there.
-    ends, chains = _bone_matrices(skeleton)
+    ends, chains = bone_matrices(skeleton)
     if lengths is None:
         lengths = jnp.array(skeleton.bone_lengths[1:], jnp.float32) * skeleton.metres_per_unit
     lengths = lengths[None, :, None]
@@ -140,52 +120,6 @@ def fix_bones(positions: Clip, skeleton: Skeleton, lengths: Bones | None = None)
     near = jax.lax.fori_loop(0, BONE_ROUNDS, one_round, positions)
     bones = jnp.einsum("jb,tjc->tbc", ends, near)
     return positions[:, :1] + jnp.einsum("jb,tbc->tjc", chains, bones * (lengths / lengths_of(bones)))
-
-
-def calm_torso(positions: Clip, length: Int[Array, ""], skeleton: Skeleton) -> Clip:
-    """Returns positions whose spine, hips and collars tremble less; limbs and head move along.
-
-    Their bones are short, so an error of a few millimeters is a turn of several degrees. Seen from the torso, they turn
-    slowly, so their directions are smoothed there.
-    """
-    torso, top = _torso(skeleton)
-    ends, chains = _bone_matrices(skeleton)
-    bones = jnp.einsum("jb,tjc->tbc", ends, positions)
-    right_hip, left_hip, right_shoulder, left_shoulder = skeleton.face_joints
-    across = (
-        positions[:, left_hip] - positions[:, right_hip] + positions[:, left_shoulder] - positions[:, right_shoulder]
-    )
-    across = unit_vectors(across)
-    up = positions[:, top] - positions[:, 0]
-    up = unit_vectors(up - jnp.sum(up * across, axis=-1, keepdims=True) * across)
-    frame = jnp.stack([across, up, cross_product(across, up)], axis=1)
-    seen = jnp.einsum("tac,tbc->tba", frame, bones[:, torso])
-    calm = smooth_over_clip(seen, length, sigma=TORSO_SIGMA * skeleton.fps)
-    calm = calm * (lengths_of(seen) / lengths_of(calm))
-    bones = bones.at[:, torso].set(jnp.einsum("tac,tba->tbc", frame, calm))
-    return positions[:, :1] + jnp.einsum("jb,tbc->tjc", chains, bones)
-
-
-@functools.cache
-def _torso(skeleton: Skeleton) -> tuple[np.ndarray, int]:
-    """Returns the bones of hips, spine, head and shoulders, and the joint at the upper end of the spine."""
-    hips = skeleton.face_joints[:2]
-    shoulders = skeleton.face_joints[2:]
-    spine = next(chain for chain in skeleton.chains if chain[0] == 0 and chain[1] not in hips)[1:]
-    joints = {*hips, *spine, *shoulders, *(skeleton.parents[shoulder] for shoulder in shoulders)}
-    return np.array(sorted(joints)) - 1, spine[-2]
-
-
-@functools.cache
-def _bone_matrices(skeleton: Skeleton) -> tuple[np.ndarray, np.ndarray]:
-    """Returns which bones end or begin at a joint, and which bones lead from the root to it; each [J, J-1]."""
-    bones = np.arange(skeleton.num_joints - 1)
-    ends = np.eye(skeleton.num_joints, dtype=np.float32)[:, 1:]
-    chains = ends.copy()
-    for bone in bones:
-        chains[bone + 1] += chains[skeleton.parents[bone + 1]]
-    ends[np.array(skeleton.parents[1:]), bones] -= 1
-    return ends, chains
 
 
 def lock_feet(

@@ -8,6 +8,7 @@ import pytest
 
 from t2m_jax.checkpoints.bundle import BUNDLED
 from t2m_jax.evaluation.prompts.following import follows
+from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling import TextToMotion
 
 FOLDER = Path(str(importlib.resources.files("t2m_jax"))) / "bundles"
@@ -41,6 +42,23 @@ def test_their_examples_need_no_warning_and_are_no_fragments(name):
     motions = model.generate(model.examples, seed=1)
     assert [motion.warning for motion in motions] == [""] * len(model.examples)
     assert min(motion.num_frames for motion in motions) >= 24
+
+
+@pytest.fixture(scope="module")
+def dance():
+    (motion,) = TextToMotion.load("demo").generate("someone dances", seed=3)
+    return motion
+
+
+@pytest.mark.parametrize(
+    ("suffix", "options"),
+    [(".bvh", {}), (".glb", {}), (".vrma", {}), (".bvh", {"root_bone": True}), (".glb", {"root_bone": True})],
+)
+def test_files_give_a_motion_back_within_a_millimeter(dance, tmp_path, suffix, options):
+    dance.save(tmp_path / f"dance{suffix}", **options)
+    back = Motion.load(tmp_path / f"dance{suffix}")
+    assert back.positions.shape == dance.positions.shape
+    assert np.linalg.norm(back.positions - dance.positions, axis=-1).max() < 0.001
 
 
 @pytest.mark.parametrize("name", BUNDLED)

@@ -18,7 +18,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.export.onnx.text import TextPart, embed_tokens, text_inputs
 from t2m_jax.keys import new_key
 from t2m_jax.models.system import make_module
-from t2m_jax.motion.cleanup import calm_clip, lock_feet
+from t2m_jax.motion.cleanup import calm_clip, lock_clip
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import skeleton_from_name
@@ -171,7 +171,7 @@ def _clean_graphs(bundle: Bundle, sentences: int) -> dict[str, Graph]:
     def lock(
         calm: Float[Array, "1 T J 3"], positions: Float[Array, "1 T J 3"], num_frames: Int[Array, "1"]
     ) -> tuple[Float[Array, "1 T J 3"]]:
-        return (lock_feet(calm[0], num_frames[0], skeleton, before=positions[0])[None],)
+        return (lock_clip(calm[0], positions[0], num_frames[0], skeleton)[None],)
 
     return {
         "calm": make_graph(calm, {"positions": clip, "num_frames": length}, ["calm_positions"]),

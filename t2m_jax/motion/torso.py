@@ -1,0 +1,132 @@
+"""The torso of a cleaned clip: it trembles less, and pelvis and chest keep their shapes."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from t2m_jax.masks import mask_from_lengths
+from t2m_jax.motion.legs import lengths_of
+from t2m_jax.motion.rotations import cross_product, matrix_from_quaternion, unit_vectors
+from t2m_jax.motion.skeleton import Skeleton
+from t2m_jax.motion.smoothing import smooth_over_clip
+
+TORSO_SIGMA = 0.05
+"""Standard deviation of the Gaussian that smooths the shape of the torso, which changes slowly; seconds."""
+SQUARINGS = 7
+"""The error of a rotation shrinks with 2 to the power of this."""
+
+
+def calm_torso(positions: Float[Array, "T J 3"], length: Int[Array, ""], skeleton: Skeleton) -> Float[Array, "T J 3"]:
+    """Returns positions whose spine, hips and collars tremble less; limbs and head move along.
+
+    Their bones are short, so an error of a few millimeters is a turn of several degrees. Seen from the torso, they turn
+    slowly, so their directions are smoothed there.
+    """
+    torso = _torso(skeleton)
+    ends, chains = bone_matrices(skeleton)
+    bones = jnp.einsum("jb,tjc->tbc", ends, positions)
+    frames = torso_frames(positions, skeleton)
+    seen = jnp.einsum("tac,tbc->tba", frames, bones[:, torso])
+    calm = smooth_over_clip(seen, length, sigma=TORSO_SIGMA * skeleton.fps)
+    calm = calm * (lengths_of(seen) / lengths_of(calm))
+    bones = bones.at[:, torso].set(jnp.einsum("tac,tba->tbc", frames, calm))
+    return positions[:, :1] + jnp.einsum("jb,tbc->tjc", chains, bones)
+
+
+def keep_shapes(positions: Float[Array, "T J 3"], length: Int[Array, ""], skeleton: Skeleton) -> Float[Array, "T J 3"]:
+    """Returns positions whose pelvis and chest turn as one piece: hips and collars begin at fixed places on them.
+
+    Formats with a rotation for each joint, such as BVH, can say nothing else. The shape is the mean over the clip.
+    """
+    ends, chains = bone_matrices(skeleton)
+    bones = jnp.einsum("jb,tjc->tbc", ends, positions)
+    share = mask_from_lengths(length[None], len(positions))[0] / length
+    for piece in _rigid_pieces(skeleton):
+        own = bones[:, piece]
+        # Seen from the torso, the mean is nearly the shape; from the turns that fit it best, it is the shape.
+        shape = jnp.einsum("t,tac,tbc->ba", share, torso_frames(positions, skeleton), own)
+        shape = jnp.einsum("t,tca,tbc->ba", share, nearest_turns(shape, own), own)
+        shape = shape * (lengths_of(own[0]) / lengths_of(shape))
+        bones = bones.at[:, piece].set(jnp.einsum("tca,ba->tbc", nearest_turns(shape, own), shape))
+    kept = jnp.einsum("jb,tbc->tjc", chains, bones)
+    # The root moves, too, so that the others move less.
+    return kept + jnp.mean(positions - kept, axis=1, keepdims=True)
+
+
+def torso_frames(positions: Float[Array, "T J 3"], skeleton: Skeleton) -> Float[Array, "T 3 3"]:
+    """Returns the directions of the torso in each frame, as rows: from right to left, up along the spine, forward."""
+    right_hip, left_hip, right_shoulder, left_shoulder = skeleton.face_joints
+    across = (
+        positions[:, left_hip] - positions[:, right_hip] + positions[:, left_shoulder] - positions[:, right_shoulder]
+    )
+    across = unit_vectors(across)
+    up = positions[:, _spine(skeleton)[-2]] - positions[:, 0]
+    up = unit_vectors(up - jnp.sum(up * across, axis=-1, keepdims=True) * across)
+    return jnp.stack([across, up, cross_product(across, up)], axis=1)
+
+
+def nearest_turns(points: Float[Array, "N 3"], goals: Float[Array, "T N 3"]) -> Float[Array, "T 3 3"]:
+    """Returns the rotations that bring points closest to their goals by least squares (Davenport 1968).
+
+    The quaternion is the eigenvector of the largest eigenvalue of a symmetric matrix, by repeated squaring: unlike a
+    singular value decomposition, it can be exported, and its gradient is finite if points lie on a line.
+    """
+    products = jnp.einsum("tna,nb->tab", goals, points)
+    trace = jnp.trace(products, axis1=1, axis2=2)[:, None, None]
+    transposed = jnp.swapaxes(products, 1, 2)
+    skew = products - transposed
+    axis = jnp.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)[:, None]
+    first = jnp.concatenate([trace, axis], axis=2)
+    rest = jnp.concatenate([jnp.swapaxes(axis, 1, 2), products + transposed - trace * jnp.eye(3)[None]], axis=2)
+    largest = jnp.sum(lengths_of(points)[None] * lengths_of(goals), axis=1, keepdims=True)
+    # No eigenvalue is negative, so the largest one grows fastest.
+    matrix = jnp.concatenate([first, rest], axis=1) + largest * jnp.eye(4)[None]
+    for _ in range(SQUARINGS):
+        matrix = jnp.einsum("tab,tbc->tac", matrix, matrix)
+        matrix = matrix / jnp.trace(matrix, axis1=1, axis2=2)[:, None, None]
+    # A column of the matrix is a multiple of the quaternion. The longest is that of the largest entry of the diagonal.
+    diagonal = jnp.sum(matrix * jnp.eye(4)[None], axis=2)
+    longest = jax.nn.one_hot(jnp.argmax(diagonal, axis=1), 4)
+    return matrix_from_quaternion(unit_vectors(jnp.einsum("tab,tb->ta", matrix, longest)))
+
+
+def _spine(skeleton: Skeleton) -> tuple[int, ...]:
+    """Returns the joints from above the pelvis to the head."""
+    hips = skeleton.face_joints[:2]
+    return next(chain for chain in skeleton.chains if chain[0] == 0 and chain[1] not in hips)[1:]
+
+
+def _torso(skeleton: Skeleton) -> np.ndarray:
+    """Returns the bones of hips, spine, head and shoulders."""
+    shoulders = skeleton.face_joints[2:]
+    collars = [skeleton.parents[shoulder] for shoulder in shoulders]
+    return np.array(sorted({*skeleton.face_joints, *_spine(skeleton), *collars})) - 1
+
+
+def _rigid_pieces(skeleton: Skeleton) -> tuple[np.ndarray, ...]:
+    """Returns the bones to the left, to the right and upwards of pelvis and chest.
+
+    A chest at which arms begin without collars has no shape: shoulders can be raised.
+    """
+    right_hip, left_hip, right_shoulder, left_shoulder = skeleton.face_joints
+    spine = _spine(skeleton)
+    pelvis = (left_hip, right_hip, spine[0])
+    left_collar, right_collar = skeleton.parents[left_shoulder], skeleton.parents[right_shoulder]
+    chest = (left_collar, right_collar, spine[spine.index(skeleton.parents[left_collar]) + 1])
+    pieces = [pelvis] if left_collar == right_collar else [pelvis, chest]
+    return tuple(np.array(piece) - 1 for piece in pieces)
+
+
+@functools.cache
+def bone_matrices(skeleton: Skeleton) -> tuple[np.ndarray, np.ndarray]:
+    """Returns which bones end or begin at a joint, and which bones lead from the root to it; each [J, J-1]."""
+    bones = np.arange(skeleton.num_joints - 1)
+    ends = np.eye(skeleton.num_joints, dtype=np.float32)[:, 1:]
+    chains = ends.copy()
+    for bone in bones:
+        chains[bone + 1] += chains[skeleton.parents[bone + 1]]
+    ends[np.array(skeleton.parents[1:]), bones] -= 1
+    return ends, chains
