@@ -13,7 +13,7 @@ SLOW_VENV := $(if $(and $(filter file,$(origin PYTHON)),$(filter-out $(OLDEST),$
 # The tests of a file share what they compile, so they run in one process.
 FAST := -m "not slow and not release" --ignore tests/lint
 # As users run the package: only the fast tests check shapes at run time, for which many functions are compiled again.
-SLOW = -m $(or $(TIER),slow) -o addopts=-ra
+SLOW = -m "$(or $(TIER),slow and not release)" -o "addopts=-ra --strict-markers"
 BY_FILE := -n 2 --dist loadfile --no-loadscope-reorder
 # Tests start many processes. Without bytecode on disk, each would compile JAX and everything else again.
 unexport PYTHONDONTWRITEBYTECODE

@@ -10,9 +10,12 @@ from nbclient import NotebookClient
 from tests.conftest import PROGRAMS
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
-# They train or evaluate for minutes.
-LONG = dict.fromkeys(("02_tokenizer", "03_evaluate", "04_your_own_motion", "05_residual_codes"), pytest.mark.release)
-RUN = [pytest.param(path, marks=LONG.get(path.stem, pytest.mark.slow), id=path.stem) for path in NOTEBOOKS]
+SHORT = {"01_text_to_motion", "07_gallery"}
+"""Notebooks that run in each test; the others take minutes."""
+RUN = [
+    pytest.param(path, marks=pytest.mark.slow if path.stem in SHORT else pytest.mark.release, id=path.stem)
+    for path in NOTEBOOKS
+]
 
 
 @pytest.mark.parametrize("path", RUN)

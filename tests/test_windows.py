@@ -86,7 +86,7 @@ assert sorted(path.name for path in (folder / "run/checkpoints").iterdir()) == [
 """
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_training_writes_checkpoints_and_resumes(tmp_path):
     run_as_on_windows(TRAIN, tmp_path)
 

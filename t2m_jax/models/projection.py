@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from flax.traverse_util import flatten_dict, unflatten_dict
 from jaxtyping import Array, Float
 
-from t2m_jax.models.system import PartConfig, variable_shapes
+from t2m_jax.models.system import PartConfig, trace_init
 
 WEIGHT_INIT = nn.initializers.normal(0.02)
 TRANSPOSED = "transposed"
@@ -63,7 +63,7 @@ def projection_paths(config: PartConfig) -> tuple[Path, ...]:
 
     # The modules know their own paths; the names in the tree would not say which kernels are projections.
     with nn.intercept_methods(note):
-        variable_shapes.__wrapped__(config)  # not from the cache, which calls no module
+        trace_init(config)
     return tuple(paths)
 
 

@@ -177,6 +177,11 @@ def make_module(config: PartConfig) -> Any:
 @functools.lru_cache
 def variable_shapes(config: PartConfig) -> dict[str, Any]:
     """Returns the shapes of a part's variables by collection; they are shared, so nobody may change them."""
+    return trace_init(config)
+
+
+def trace_init(config: PartConfig) -> dict[str, Any]:
+    """Initializes a part without computing anything, and returns the shapes of its variables by collection."""
     module = make_module(config)
     example = find_part(config.kind).example
     return jax.eval_shape(lambda: module.init(new_key(0), *example(config), train=False))

@@ -84,7 +84,10 @@ def test_two_processes_are_killed_and_go_on_as_two_and_as_one(folder):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("process", "number"), [(0, signal.SIGTERM), (1, signal.SIGUSR1)])
+@pytest.mark.parametrize(
+    ("process", "number"),
+    [pytest.param(0, signal.SIGTERM, marks=pytest.mark.release), (1, signal.SIGUSR1)],
+)
 def test_a_signal_to_one_process_ends_both_after_the_same_update(folder, process, number):
     run = folder / f"stopped-{number}"
     options = ("--run", run, "--loop.num_steps", 10_000, "--loop.checkpoint_every", 0, "--loop.validate_every", 0)

@@ -105,6 +105,7 @@ def assert_same_run(trained, way, kind):
         np.testing.assert_allclose(trained[way, kind, "hits"], reference["hits"], atol=1e-5)
 
 
+@pytest.mark.release
 def test_the_second_system_gives_the_same_run(folder):
     train(tiny.rvqvae_training(folder / "data", folder / "rvqvae"))
     # Jit and pmap divide both stages in the same way, as the tests of the first system show.

@@ -185,7 +185,7 @@ def test_a_tokenizer_without_latents_is_refused(model, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["demo", "demo-t2m-gpt"])
+@pytest.mark.parametrize("name", ["demo", pytest.param("demo-t2m-gpt", marks=pytest.mark.release)])
 def test_packaged_models_meet_reachable_targets(name):
     """Places that another sample of the sentence has."""
     model = load(name)

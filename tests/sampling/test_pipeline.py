@@ -9,7 +9,6 @@ import jax
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints.bundle import BUNDLED
 from t2m_jax.checkpoints.text_encoder import ClipReference
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
@@ -303,7 +302,7 @@ def codes_by_batch_size(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", BUNDLED)
+@pytest.mark.parametrize("name", ["demo-t2m-gpt", pytest.param("demo", marks=pytest.mark.release)])
 def test_the_batch_size_hardly_changes_a_code(name, monkeypatch):
     """Another batch size changes the last bits of the logits, and so one code in many thousands."""
     with process_of_user(monkeypatch) as process:

@@ -127,7 +127,10 @@ def test_fewer_depths_give_a_coarser_motion(both):
     "options",
     [
         {"model": {"code_embedding": "learned", "head": "per_depth"}, "corruption": "codes", "corrupt_residual": True},
-        {"model": {"cumulative_depth": True, "stop_rule": "threshold"}, "corruption": "none", "num_parts": 2},
+        pytest.param(
+            {"model": {"cumulative_depth": True, "stop_rule": "threshold"}, "corruption": "none", "num_parts": 2},
+            marks=pytest.mark.release,
+        ),
         {"model": {"guidance_scale": 1.0}, "condition_dropout": 0.0, "mean_over": "motions", "precision": "bfloat16"},
     ],
     ids=["learned", "cumulative", "unguided"],
