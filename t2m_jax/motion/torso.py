@@ -71,8 +71,8 @@ def torso_frames(positions: Float[Array, "T J 3"], skeleton: Skeleton) -> Float[
 def nearest_turns(points: Float[Array, "N 3"], goals: Float[Array, "T N 3"]) -> Float[Array, "T 3 3"]:
     """Returns the rotations that bring points closest to their goals by least squares (Davenport 1968).
 
-    The quaternion is the eigenvector of the largest eigenvalue of a symmetric matrix, by repeated squaring: unlike a
-    singular value decomposition, it can be exported, and its gradient is finite if points lie on a line.
+    The quaternion is the eigenvector of the largest eigenvalue of a symmetric matrix. Repeated squaring finds it with
+    operations that can be exported, which a singular value decomposition is not.
     """
     products = jnp.einsum("tna,nb->tab", goals, points)
     trace = jnp.trace(products, axis1=1, axis2=2)[:, None, None]
