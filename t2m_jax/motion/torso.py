@@ -16,7 +16,7 @@ from t2m_jax.motion.smoothing import smooth_over_clip
 TORSO_SIGMA = 0.05
 """Standard deviation of the Gaussian that smooths the shape of the torso, which changes slowly; seconds."""
 SQUARINGS = 7
-"""The error of a rotation shrinks with 2 to the power of this."""
+"""Times that the matrix of a rotation is squared, and with it the share by which it is wrong."""
 
 
 def calm_torso(positions: Float[Array, "T J 3"], length: Int[Array, ""], skeleton: Skeleton) -> Float[Array, "T J 3"]:

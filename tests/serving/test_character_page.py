@@ -60,9 +60,16 @@ def test_a_character_is_chosen_moves_and_is_downloaded(open_studio, hero, tmp_pa
     info.value.save_as(tmp_path / "moved.glb")
     assert [one["name"] for one in read_parts(tmp_path / "moved.glb").tree["animations"]] == ["own", WAVE]
     assert load_motion(tmp_path / "moved.glb", animation=WAVE).num_frames == num_frames(page)
+    page.reload()
+    expect(page.locator("#character-name")).to_have_text("hero.vrm")
+    expect(page.locator("#save-character")).to_be_enabled()
+    assert red(page).sum() > 500
     page.get_by_role("button", name="Remove").click()
     expect(page.locator("#save-character")).to_be_hidden()
     assert not red(page).any()
+    page.reload()
+    expect(page.locator("#clock")).to_contain_text("frame")
+    expect(page.locator("#save-character")).to_be_hidden()
 
 
 def without_mesh(tree):

@@ -248,11 +248,22 @@ def test_targets_are_dragged_in_the_picture(open_studio, tmp_path):
     expect(rows).to_have_text(re.compile("Root on the ground"))
 
 
+# Keeps all that the notice says, because some of it is shown for a moment.
+RECORD_NOTICES = """() => {
+  window.notices = [];
+  const box = document.getElementById("notice");
+  new MutationObserver(() => notices.push(box.textContent)).observe(box, { childList: true });
+}"""
+
+
 def test_a_pose_of_a_file_becomes_a_key(open_studio, walk, tmp_path):  # noqa: F811
     page = open_studio()
+    page.evaluate(RECORD_NOTICES)
     walk.save(tmp_path / "walk.npz")
     page.locator("#file-input").set_input_files(tmp_path / "walk.npz")
     expect(page.locator(".take")).to_have_count(1)
+    expect(page.locator("#notice")).to_be_empty()
+    assert page.evaluate("notices") == ["walk.npz is being opened …", ""]
     page.locator("#targets summary").click()
     page.get_by_role("slider", name="Frame", exact=True).fill("20")
     page.get_by_role("button", name="Pose as a key").click()

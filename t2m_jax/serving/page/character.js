@@ -2,7 +2,7 @@
 
 import { clearMessage, find, showMessage } from "./dom.js";
 import { fileName, saveBlob } from "./savefile.js";
-import { moveCharacter, ServerError } from "./server.js";
+import { LostConnection, moveCharacter, ServerError } from "./server.js";
 
 export class CharacterPanel {
   #character = null;
@@ -16,19 +16,37 @@ export class CharacterPanel {
       if (input.files[0]) this.choose([...input.files]);
       input.value = ""; // so that the same file can be chosen again
     });
-    find("remove-character").addEventListener("click", () => this.#use(null));
+    find("remove-character").addEventListener("click", () => {
+      this.#keep(null);
+      this.#use(null);
+    });
     find("save-character").addEventListener("click", () => this.save());
     session.onChange(["take"], () => this.#show());
     this.#use(null);
   }
 
+  // Shows the character that was chosen before the page was left. Without a store, it lasts until then.
+  async resume(store) {
+    this.store = store;
+    const { id, ...character } = (await store?.character()) ?? {};
+    if (id && this.#character === null) await this.#use(character);
+  }
+
   async choose(files) {
     clearMessage();
     try {
-      await this.#use(await readCharacter(files, this.model.character_bytes));
+      const character = await readCharacter(files, this.model.character_bytes);
+      this.#keep(character);
+      await this.#use(character);
     } catch (error) {
       showMessage(error instanceof ServerError ? error.message : `${files[0].name}: ${error.message}`);
     }
+  }
+
+  #keep(character) {
+    this.store?.setCharacter(character).catch(() => {
+      showMessage("The browser's storage is full: after a reload, choose the character again.");
+    });
   }
 
   // Shows a character from now on, or the figure again. One that the server refuses is forgotten.
@@ -64,7 +82,9 @@ export class CharacterPanel {
   // The server refuses a character or a motion with the first request, so the character is of no use.
   #fail(error, character) {
     showMessage(error instanceof ServerError ? error.message : `${character.name}: ${error.message}`);
-    if (!/cannot be drawn here/.test(error.message)) this.#character = null;
+    if (/cannot be drawn here/.test(error.message)) return;
+    this.#character = null;
+    if (!(error instanceof LostConnection)) this.#keep(null);
   }
 
   #ask(motions, changes = {}) {

@@ -45,7 +45,7 @@ export const wantsMotion = () => !matchMedia("(prefers-reduced-motion: reduce)")
 export function showMessage(text) {
   const box = find("message");
   const close = iconButton("remove", "Close the message", clearMessage);
-  find("notice").replaceChildren(); // which is at the same place
+  clearNotice(); // which is at the same place
   box.replaceChildren(create("p", { textContent: text, dir: "auto" }), close);
 }
 
@@ -56,20 +56,23 @@ export function clearMessage() {
 const NOTICE_MS = 12_000;
 let noticeTimer;
 
-// Shows for some seconds what was done, and a button for what may follow.
+// Shows for some seconds what was done or is being done, and a button for what may follow.
 export function showNotice(text, label = null, action = null) {
-  const clear = () => find("notice").replaceChildren();
   clearTimeout(noticeTimer);
-  noticeTimer = setTimeout(clear, NOTICE_MS);
+  noticeTimer = setTimeout(clearNotice, NOTICE_MS);
   const parts = [create("p", { textContent: text, dir: "auto" })];
   if (label) {
     const run = () => {
-      clear();
+      clearNotice();
       action();
     };
     parts.push(create("button", { type: "button", className: "quiet", textContent: label, onclick: once(run) }));
   }
-  find("notice").replaceChildren(...parts, iconButton("remove", "Close the notice", clear));
+  find("notice").replaceChildren(...parts, iconButton("remove", "Close the notice", clearNotice));
+}
+
+export function clearNotice() {
+  find("notice").replaceChildren();
 }
 
 // Resolves to the value of the button that closed the dialog; it is empty after Escape.

@@ -1,6 +1,6 @@
 // Motion files of the user's own, chosen with a button or dropped on the page.
 
-import { clearMessage, find, showMessage } from "./dom.js";
+import { clearMessage, clearNotice, find, showMessage, showNotice } from "./dom.js";
 import { readMotion, ServerError } from "./server.js";
 import { makeTake } from "./session.js";
 
@@ -11,8 +11,10 @@ export function listenForFiles(model, onOpen) {
     // A table of joints is chosen together with its motion file.
     const table = files.find(isTable);
     const file = files.find((one) => one !== table) ?? table;
+    showNotice(`${file.name} is being opened …`);
     try {
       onOpen(await readTake(file, file === table ? undefined : table, model));
+      clearNotice();
     } catch (error) {
       showMessage(error instanceof ServerError ? error.message : `${file.name}: ${error.message}`);
     }

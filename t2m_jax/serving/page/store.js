@@ -1,7 +1,9 @@
-// Takes in the browser's IndexedDB: short entries for the list, and apart from them the motions, which are large.
+// Takes in the browser's IndexedDB: short entries for the list, and apart from them the motions, which are large. The user's
+// own character is kept with the motions.
 
 const NAME = "t2m-studio";
 const VERSION = 2; // of what a take has; takes of another version cannot be shown, and are deleted
+const CHARACTER = "character"; // no take has this id
 
 function settled(request) {
   return new Promise((resolve, reject) => {
@@ -42,6 +44,15 @@ export class Store {
 
   take(id) {
     return settled(this.database.transaction("takes").objectStore("takes").get(id));
+  }
+
+  character() {
+    return this.take(CHARACTER);
+  }
+
+  // Keeps a character in place of the one before; null keeps none.
+  setCharacter(character) {
+    return this.#write((_, takes) => (character ? takes.put({ ...character, id: CHARACTER }) : takes.delete(CHARACTER)));
   }
 
   add(entry, take) {

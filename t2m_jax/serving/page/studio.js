@@ -66,7 +66,7 @@ async function start() {
   };
   new TakeBar(session, history, { ...actions, onReuseSeed: (seed) => make.reuseSeed(seed), onKeep: addTake });
   const download = new DownloadPanel(session, model, addTake);
-  new CharacterPanel(session, model, stage, () => download.changes());
+  const character = new CharacterPanel(session, model, stage, () => download.changes());
   const drawing = new PathDrawing({ stage, player, session, onDrawn: () => download.apply() });
   showWords(model, (word) => make.sentences.insert(word));
   listenForFiles(model, addTake);
@@ -85,6 +85,7 @@ async function start() {
   await history.open();
   await showFormer(session, history, player).catch(complain);
   await comparison.resume(history).catch(complain);
+  character.resume(history.store).catch(complain);
   keepParts();
   make.resume();
   const followLink = () => openLink({ generation, make, session, onDone: addTake });
