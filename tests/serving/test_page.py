@@ -295,10 +295,25 @@ def test_targets_are_met_or_said_to_be_missed(open_studio, tmp_path):
     expect(page.get_by_role("alert")).to_contain_text("nose at 0.2 s: no such joint")
 
 
+def test_the_history_is_seen_and_has_pictures(open_studio):
+    page = open_studio()
+    generate(page, WAVE)
+    generate(page, "a person sits down", takes=2)
+    for row in (0, 1):
+        expect(page.locator(".take").nth(row)).to_be_in_viewport(ratio=1)
+    pictures = page.locator(".take-picture path").evaluate_all("paths => paths.map((path) => path.getAttribute('d'))")
+    sitting, waving = (np.array(re.findall(r"[-\d.]+", one), float).reshape(3, -1, 2) for one in pictures)
+    # Three poses from left to right; one who sits has a lower head, so a larger y, at the end.
+    for poses in (sitting, waving):
+        assert (np.diff(poses[..., 0].mean(axis=1)) > 10).all() and 0 < poses[..., 1].min() < poses[..., 1].max() < 36
+    assert sitting[2, :, 1].min() > sitting[0, :, 1].min() + 4
+
+
 def test_a_motion_is_changed_in_the_preview_and_in_files(open_studio, tmp_path):
     page = open_studio(may_fail=["400"])
     generate(page, WAVE)
     before = load_motion(download(page, "NPZ", tmp_path))
+    page.locator("#changes summary").click()
     page.get_by_role("checkbox", name="Mirrored").check()
     page.get_by_role("spinbutton", name="Speed factor").fill("2")
     written = load_motion(download(page, "NPZ", tmp_path))

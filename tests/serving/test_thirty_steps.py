@@ -99,6 +99,7 @@ def edit_the_timeline(page) -> None:
 def draw_a_path(page, tmp_path) -> None:
     """Steps 13 to 16: draw a path, show the motion on it, and undo twice."""
     before = load_motion(download(page, "NPZ", tmp_path))
+    page.locator("#changes summary").click()
     page.get_by_role("button", name="Draw the path on the ground").click()
     draw(page, (0.5, 0.55), (0.62, 0.6), (0.7, 0.75))
     path = page.get_by_role("textbox", name="Path in meters").input_value()

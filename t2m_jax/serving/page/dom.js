@@ -8,15 +8,18 @@ export function create(tag, properties = {}, ...children) {
   return element;
 }
 
-export function icon(name) {
+// Returns a picture of one shape, which screen readers leave out.
+export function drawing(shape, attributes) {
   const space = "http://www.w3.org/2000/svg";
   const svg = document.createElementNS(space, "svg");
-  const use = document.createElementNS(space, "use");
-  use.setAttribute("href", `#icon-${name}`);
+  const part = document.createElementNS(space, shape);
+  for (const [name, value] of Object.entries(attributes)) part.setAttribute(name, value);
   svg.setAttribute("aria-hidden", "true");
-  svg.append(use);
+  svg.append(part);
   return svg;
 }
+
+export const icon = (name) => drawing("use", { href: `#icon-${name}` });
 
 export function iconButton(name, label, action) {
   const button = create("button", { type: "button", className: "icon", title: label, onclick: action }, icon(name));

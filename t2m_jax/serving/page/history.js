@@ -1,6 +1,6 @@
 // The list of all takes. It is kept in the browser; without storage, it lasts until the page is closed.
 
-import { ask, create, find, iconButton, once, showMessage, showNotice } from "./dom.js";
+import { ask, create, drawing, find, iconButton, once, showMessage, showNotice } from "./dom.js";
 import { stepsOf } from "./recipe.js";
 import { makeTake, sentencesOf } from "./session.js";
 import { Store } from "./store.js";
@@ -9,6 +9,7 @@ const KINDS = { new: "", file: "file", continue: "continued", insert: "inserted"
 // Made once: to make one takes longer than to draw a row.
 const CLOCK = new Intl.DateTimeFormat([], { timeStyle: "short" });
 const CALENDAR = new Intl.DateTimeFormat();
+const [WIDTH, HEIGHT] = [72, 34]; // pixels of the picture of a motion
 const DELETED_FOR = 3_600_000; // milliseconds for which a deleted motion can come back
 
 export class History {
@@ -52,7 +53,8 @@ export class History {
     const { id, created, kind, request, motions } = take;
     const [first] = motions;
     const caption = sentencesOf(first).join(", then ") || request.name || "Motion";
-    const entry = { id, created, kind, caption, name, seed: request.seed, numSamples: motions.length, seconds: first.seconds };
+    const picture = T2M.drawMiniature(take.scene.figures[0], WIDTH, HEIGHT);
+    const entry = { id, created, kind, caption, name, picture, seed: request.seed, numSamples: motions.length, seconds: first.seconds };
     this.#entries = [...this.#entries.filter((one) => one.id !== id), entry];
     try {
       if (!this.store) throw new Error("no storage");
@@ -190,13 +192,14 @@ export class History {
   }
 
   // Returns the row of an entry: the former one if it says the same.
-  #rowOf({ id, name, caption, ...entry }, former) {
+  #rowOf({ id, name, caption, picture, ...entry }, former) {
     const title = name ?? caption;
     const about = describe(entry);
     if (former?.dataset.shown === `${title}\n${about}`) return former;
     const open = create(
       "button",
       { type: "button", className: "take-open", title: caption, onclick: () => this.#show(this.find(id)) },
+      miniature(picture),
       create("span", { className: "take-caption", dir: "auto", textContent: title }),
       create("span", { className: "take-meta", textContent: about }),
     );
@@ -207,6 +210,14 @@ export class History {
     Object.assign(row.dataset, { id, shown: `${title}\n${about}` });
     return row;
   }
+}
+
+// Motions of earlier versions have no picture.
+function miniature(picture = "") {
+  const svg = drawing("path", { d: picture });
+  svg.setAttribute("viewBox", `0 0 ${WIDTH} ${HEIGHT}`);
+  svg.setAttribute("class", "take-picture");
+  return svg;
 }
 
 // The seed is above the stage; ten digits have no room here.
