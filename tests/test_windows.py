@@ -65,7 +65,7 @@ assert main(["models", "demo"]) == 0
 """
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_generation_saves_each_format_and_its_output_fits_the_terminal(tmp_path):
     assert r"\xa9" in run_as_on_windows(GENERATE, tmp_path)  # a sign of the card that ASCII lacks
 

@@ -46,7 +46,7 @@ def tiny_models(monkeypatch):
         (["evaluate"], 2),
         (["data", "--data", "DATA"], 2),
         (["sample", "--full-size", "--batch", "2"], 3),
-        (["all"], 11),
+        pytest.param(["all"], 11, marks=pytest.mark.release),
     ],
 )
 def test_measurements_are_printed_and_stored(

@@ -514,7 +514,9 @@ def test_a_sentence_becomes_the_motion_of_python_also_without_a_network(open_sit
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("config", [BUNDLE, HIFIGPT_BUNDLE], ids=["t2m_gpt", "hifigpt"])
+@pytest.mark.parametrize(
+    "config", [pytest.param(BUNDLE, marks=pytest.mark.release), HIFIGPT_BUNDLE], ids=["t2m_gpt", "hifigpt"]
+)
 def test_models_of_users_run(open_site, config, tmp_path):
     bundle = random_bundle(config)
     site.export_page(tmp_path / "site", bundle)

@@ -19,7 +19,7 @@ from tests.serving.test_page import (  # noqa: F401 - fixtures
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("viewport", [WIDE, PHONE])
+@pytest.mark.parametrize("viewport", [pytest.param(WIDE, marks=pytest.mark.release), PHONE])
 def test_accessibility_of_dialogs_and_errors(open_studio, viewport):  # noqa: F811
     page = open_studio(viewport=viewport)
     page.get_by_role("button", name="Generate", exact=True).click()

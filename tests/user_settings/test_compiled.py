@@ -42,12 +42,21 @@ FUNCTIONS = jitted_functions() | updates()
 
 
 def test_every_compiled_function_has_a_case():
+    assert CASES.keys() >= LONG
     assert sorted(FUNCTIONS) == sorted(CASES), "add the function to tests/user_settings/cases.py, or remove its case"
+
+
+# These take longest, and others like them are tested more often.
+LONG = {
+    *("train.evaluator.update", "train.hifigpt.update", "train.hifigpt.validate", "train.vqvae.init_vqvae_state"),
+    "train.vqvae.validate",
+}
+NAMES = [pytest.param(name, marks=pytest.mark.release) if name in LONG else name for name in sorted(CASES)]
 
 
 # Eager functions compile each operation for itself, and this with all optimizations.
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(CASES))
+@pytest.mark.parametrize("name", NAMES)
 def test_jit_equals_eager(name):
     case = CASES[name]()
     with jax.set_mesh(case.mesh) if case.mesh else contextlib.nullcontext():
