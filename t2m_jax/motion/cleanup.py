@@ -1,6 +1,6 @@
 """A clean-up of decoded motion: less trembling, bones of constant length, and feet that stand still on the ground.
 
-A decoder predicts each joint by itself. So joints tremble, bones stretch, and standing feet slide. Each step below is a
+A decoder predicts each joint by itself. So joints tremble, bones stretch, and standing feet slide. Each step is a
 function of positions alone and moves most joints by a few millimeters. A foot that would have to move by more than
 `LARGEST_SHIFT` is left where it is. No knee turns faster than before. Positions are in meters with Y up.
 """
@@ -22,7 +22,7 @@ from t2m_jax.motion.joining import join_windows
 from t2m_jax.motion.legs import Frames, Joint, eased_bends, knee_bends, lengths_of, limit_speed, move_foot
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.motion.smoothing import smooth_over_clip
-from t2m_jax.motion.torso import bone_matrices, calm_torso, keep_shapes
+from t2m_jax.motion.torso import bone_matrices, calm_torso, make_hubs_rigid
 
 SIGMA = 0.04
 """Standard deviation of the Gaussian that smooths; seconds."""
@@ -90,7 +90,7 @@ def lock_clip(calm: Clip, before: Clip, length: Int[Array, ""], skeleton: Skelet
         length: Frames of the clip.
         skeleton: Of the clip.
     """
-    return lock_feet(keep_shapes(calm, length, skeleton), length, skeleton, before=before)
+    return lock_feet(make_hubs_rigid(calm, length, skeleton), length, skeleton, before=before)
 
 
 def calm_clip(positions: Clip, length: Int[Array, ""], skeleton: Skeleton, bones: Bones | None = None) -> Clip:

@@ -28,7 +28,7 @@ def calm_torso(positions: Float[Array, "T J 3"], length: Int[Array, ""], skeleto
     torso = _torso(skeleton)
     ends, chains = bone_matrices(skeleton)
     bones = jnp.einsum("jb,tjc->tbc", ends, positions)
-    frames = torso_frames(positions, skeleton)
+    frames = _torso_frames(positions, skeleton)
     seen = jnp.einsum("tac,tbc->tba", frames, bones[:, torso])
     calm = smooth_over_clip(seen, length, sigma=TORSO_SIGMA * skeleton.fps)
     calm = calm * (lengths_of(seen) / lengths_of(calm))
@@ -36,7 +36,9 @@ def calm_torso(positions: Float[Array, "T J 3"], length: Int[Array, ""], skeleto
     return positions[:, :1] + jnp.einsum("jb,tbc->tjc", chains, bones)
 
 
-def keep_shapes(positions: Float[Array, "T J 3"], length: Int[Array, ""], skeleton: Skeleton) -> Float[Array, "T J 3"]:
+def make_hubs_rigid(
+    positions: Float[Array, "T J 3"], length: Int[Array, ""], skeleton: Skeleton
+) -> Float[Array, "T J 3"]:
     """Returns positions whose pelvis and chest turn as one piece: hips and collars begin at fixed places on them.
 
     Formats with a rotation for each joint, such as BVH, can say nothing else. The shape is the mean over the clip.
@@ -44,19 +46,20 @@ def keep_shapes(positions: Float[Array, "T J 3"], length: Int[Array, ""], skelet
     ends, chains = bone_matrices(skeleton)
     bones = jnp.einsum("jb,tjc->tbc", ends, positions)
     share = mask_from_lengths(length[None], len(positions))[0] / length
-    for piece in _rigid_pieces(skeleton):
-        own = bones[:, piece]
-        # Seen from the torso, the mean is nearly the shape; from the turns that fit it best, it is the shape.
-        shape = jnp.einsum("t,tac,tbc->ba", share, torso_frames(positions, skeleton), own)
-        shape = jnp.einsum("t,tca,tbc->ba", share, nearest_turns(shape, own), own)
+    frames = _torso_frames(positions, skeleton)
+    for hub in _hubs(skeleton):
+        own = bones[:, hub]
+        # Seen from the torso, the mean is nearly the shape; from the rotations that fit it best, it is the shape.
+        shape = jnp.einsum("t,tac,tbc->ba", share, frames, own)
+        shape = jnp.einsum("t,tca,tbc->ba", share, fitted_rotations(shape, own), own)
         shape = shape * (lengths_of(own[0]) / lengths_of(shape))
-        bones = bones.at[:, piece].set(jnp.einsum("tca,ba->tbc", nearest_turns(shape, own), shape))
+        bones = bones.at[:, hub].set(jnp.einsum("tca,ba->tbc", fitted_rotations(shape, own), shape))
     kept = jnp.einsum("jb,tbc->tjc", chains, bones)
     # The root moves, too, so that the others move less.
     return kept + jnp.mean(positions - kept, axis=1, keepdims=True)
 
 
-def torso_frames(positions: Float[Array, "T J 3"], skeleton: Skeleton) -> Float[Array, "T 3 3"]:
+def _torso_frames(positions: Float[Array, "T J 3"], skeleton: Skeleton) -> Float[Array, "T 3 3"]:
     """Returns the directions of the torso in each frame, as rows: from right to left, up along the spine, forward."""
     right_hip, left_hip, right_shoulder, left_shoulder = skeleton.face_joints
     across = (
@@ -68,7 +71,7 @@ def torso_frames(positions: Float[Array, "T J 3"], skeleton: Skeleton) -> Float[
     return jnp.stack([across, up, cross_product(across, up)], axis=1)
 
 
-def nearest_turns(points: Float[Array, "N 3"], goals: Float[Array, "T N 3"]) -> Float[Array, "T 3 3"]:
+def fitted_rotations(points: Float[Array, "N 3"], goals: Float[Array, "T N 3"]) -> Float[Array, "T 3 3"]:
     """Returns the rotations that bring points closest to their goals by least squares (Davenport 1968).
 
     The quaternion is the eigenvector of the largest eigenvalue of a symmetric matrix. Repeated squaring finds it with
@@ -106,7 +109,7 @@ def _torso(skeleton: Skeleton) -> np.ndarray:
     return np.array(sorted({*skeleton.face_joints, *_spine(skeleton), *collars})) - 1
 
 
-def _rigid_pieces(skeleton: Skeleton) -> tuple[np.ndarray, ...]:
+def _hubs(skeleton: Skeleton) -> tuple[np.ndarray, ...]:
     """Returns the bones to the left, to the right and upwards of pelvis and chest.
 
     A chest at which arms begin without collars has no shape: shoulders can be raised.
@@ -116,8 +119,8 @@ def _rigid_pieces(skeleton: Skeleton) -> tuple[np.ndarray, ...]:
     pelvis = (left_hip, right_hip, spine[0])
     left_collar, right_collar = skeleton.parents[left_shoulder], skeleton.parents[right_shoulder]
     chest = (left_collar, right_collar, spine[spine.index(skeleton.parents[left_collar]) + 1])
-    pieces = [pelvis] if left_collar == right_collar else [pelvis, chest]
-    return tuple(np.array(piece) - 1 for piece in pieces)
+    hubs = [pelvis] if left_collar == right_collar else [pelvis, chest]
+    return tuple(np.array(hub) - 1 for hub in hubs)
 
 
 @functools.cache

@@ -25,7 +25,7 @@ from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.resampling import resample_positions
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 from t2m_jax.motion.smoothing import smooth_over_clip
-from t2m_jax.motion.torso import calm_torso, keep_shapes
+from t2m_jax.motion.torso import calm_torso, make_hubs_rigid
 
 FRAMES = 60
 ALL = jnp.asarray(FRAMES)
@@ -34,7 +34,7 @@ LEFT_LEG, LEFT_FOOT = (1, 4, 7, 10), 10
 smooth = jax.jit(functools.partial(smooth_over_clip, sigma=0.9))
 fix = jax.jit(functools.partial(fix_bones, skeleton=HUMANML3D))
 calm = jax.jit(functools.partial(calm_torso, skeleton=HUMANML3D))
-keep = jax.jit(functools.partial(keep_shapes, skeleton=HUMANML3D))
+keep = jax.jit(functools.partial(make_hubs_rigid, skeleton=HUMANML3D))
 lock = jax.jit(functools.partial(lock_feet, skeleton=HUMANML3D), static_argnames="fps")
 bends_of, move = jax.jit(eased_bends), jax.jit(move_foot)
 measure = jax.jit(measure_quality, static_argnames="skeleton")
@@ -380,7 +380,7 @@ def test_a_shape_is_that_of_the_clip_and_not_of_what_follows():
 
 def test_shoulders_without_collars_can_be_raised():
     positions = trembling_figures(KIT_ML)[0]
-    kept = np.asarray(keep_shapes(jnp.asarray(positions), jnp.asarray(30), KIT_ML))
+    kept = np.asarray(make_hubs_rigid(jnp.asarray(positions), jnp.asarray(30), KIT_ML))
     upper = list(range(3, 11))
     np.testing.assert_allclose(kept[:, upper] - kept[:, [3]], positions[:, upper] - positions[:, [3]], atol=1e-6)
 

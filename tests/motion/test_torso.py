@@ -7,9 +7,9 @@ import pytest
 
 from t2m_jax.motion.kinematics import rigid_rotations
 from t2m_jax.motion.rotations import matrix_from_quaternion
-from t2m_jax.motion.torso import nearest_turns
+from t2m_jax.motion.torso import fitted_rotations
 
-turns_of = jax.jit(nearest_turns)
+rotations_of = jax.jit(fitted_rotations)
 
 
 def rotated(points, *, noise):
@@ -25,16 +25,16 @@ def rotated(points, *, noise):
 def test_rotations_are_those_of_a_singular_value_decomposition(noise):
     pelvis = np.array([[0.1, -0.06, 0.0], [-0.1, -0.06, 0.0], [0.01, 0.12, -0.02]], np.float32)
     goals = rotated(pelvis, noise=noise)
-    np.testing.assert_allclose(turns_of(pelvis, goals), rigid_rotations(pelvis, goals), atol=1e-4)
+    np.testing.assert_allclose(rotations_of(pelvis, goals), rigid_rotations(pelvis, goals), atol=1e-4)
 
 
 def test_points_on_a_line_are_brought_to_their_goals():
     chest = np.array([[0.0, 0.14, 0.0], [0.0, 0.14, 0.0], [0.0, 0.22, 0.0]], np.float32)
     goals = rotated(chest, noise=0.0)
-    found = np.asarray(turns_of(chest, goals))
+    found = np.asarray(rotations_of(chest, goals))
     np.testing.assert_allclose(np.einsum("tab,nb->tna", found, chest), goals, atol=1e-5)
     np.testing.assert_allclose(np.einsum("tab,tcb->tac", found, found), np.tile(np.eye(3), (200, 1, 1)), atol=1e-5)
 
 
 def test_joints_in_one_place_are_not_turned():
-    np.testing.assert_allclose(turns_of(jnp.zeros((3, 3)), jnp.zeros((1, 3, 3)))[0], np.eye(3), atol=1e-6)
+    np.testing.assert_allclose(rotations_of(jnp.zeros((3, 3)), jnp.zeros((1, 3, 3)))[0], np.eye(3), atol=1e-6)

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 import pytest
 
+from t2m_jax.checkpoints.bundle import BUNDLED
 from t2m_jax.checkpoints.text_encoder import ClipReference
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
@@ -302,7 +303,9 @@ def codes_by_batch_size(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["demo-t2m-gpt", pytest.param("demo", marks=pytest.mark.release)])
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.release) if name == "demo" else name for name in BUNDLED]
+)
 def test_the_batch_size_hardly_changes_a_code(name, monkeypatch):
     """Another batch size changes the last bits of the logits, and so one code in many thousands."""
     with process_of_user(monkeypatch) as process:

@@ -46,7 +46,7 @@ def test_every_compiled_function_has_a_case():
     assert sorted(FUNCTIONS) == sorted(CASES), "add the function to tests/user_settings/cases.py, or remove its case"
 
 
-# These take longest, and others like them are tested more often.
+# To compile these takes longest; `make test-release` compares them.
 LONG = {
     *("train.evaluator.update", "train.hifigpt.update", "train.hifigpt.validate", "train.vqvae.init_vqvae_state"),
     "train.vqvae.validate",

@@ -45,7 +45,7 @@ export class CharacterPanel {
 
   #keep(character) {
     this.store?.setCharacter(character).catch(() => {
-      showMessage("The browser's storage is full: after a reload, choose the character again.");
+      showMessage("The browser cannot keep the character: after a reload, choose it again.");
     });
   }
 
