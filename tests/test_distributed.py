@@ -91,7 +91,7 @@ def test_a_process_does_not_wait_forever_for_one_that_does_not_start():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("what", ["kill", "stop"])
+@pytest.mark.parametrize("what", ["kill", pytest.param("stop", marks=pytest.mark.release)])
 def test_a_dead_or_stopped_process_ends_the_other(what):
     with started(what, "0") as one, started(what, "1") as other:
         event(one[0])

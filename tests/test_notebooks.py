@@ -10,8 +10,8 @@ from nbclient import NotebookClient
 from tests.conftest import PROGRAMS
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
-SHORT = {"01_text_to_motion", "07_gallery"}
-"""Notebooks that run in each test; the others take minutes."""
+SHORT = {"01_text_to_motion"}
+"""Notebooks that `make test-slow` runs; the others take minutes."""
 RUN = [
     pytest.param(path, marks=pytest.mark.slow if path.stem in SHORT else pytest.mark.release, id=path.stem)
     for path in NOTEBOOKS

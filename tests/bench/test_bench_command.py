@@ -63,7 +63,7 @@ def test_measurements_are_printed_and_stored(
     assert printed.err.splitlines()[-1].startswith("next: t2m bench ")
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_virtual_devices_share_the_work(bundle_folder, tmp_path):
     """In a process of its own, because the number of devices cannot change later."""
     command = [sys.executable, "-m", "tests.bench.several_devices", f"{bundle_folder}", f"{tmp_path}"]

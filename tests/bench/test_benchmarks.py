@@ -94,6 +94,7 @@ def test_sampling(monkeypatch):
     assert sizes == [(3, 9 * 4)], "as many frames as are sampled"
 
 
+@pytest.mark.release
 def test_sampling_with_several_codes_per_row():
     system = tiny_system(tiny.HIFIGPT, tiny.RVQVAE, guidance_scale=3.0)
     row = benchmark_sampling(system, batch=2, peaks=PEAKS)
@@ -134,6 +135,7 @@ def test_windows_and_opening(monkeypatch, data_folder):
     check(benchmark_opening(data_folder), "speed", "first opening")
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("kind", ["rvqvae", "hifigpt"])
 def test_training_of_the_second_system(kind):
     loop = {"loop": LoopConfig(batch_size=4)}

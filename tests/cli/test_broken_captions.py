@@ -110,7 +110,7 @@ def test_an_evaluator_reads_what_can_be_read(faulty, evaluator_folder):
     np.testing.assert_array_equal(*embed(untagged, ("a", "person", "walks") * 7))
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_an_evaluation_uses_all_captions_but_those_that_cannot_be_read(
     faulty, evaluator_folder, bundle_folder, tmp_path, caplog
 ):

@@ -69,13 +69,13 @@ def read_runs(folder, name):
 @pytest.fixture(scope="module")
 def trained(folder):
     """Returns what each way of training gave."""
-    pair = start_pair(folder, ways="vqvae:jit,gpt:jit,evaluator:jit")
-    finish(start("memory", folder, name="alone", ways="one,jit,pmap"), *pair)
+    pair = start_pair(folder, ways="vqvae:jit,gpt:jit")
+    finish(start("memory", folder, name="alone", ways="one,jit,vqvae:pmap,gpt:pmap"), *pair)
     return read_runs(folder, "alone") | read_runs(folder, "pair")
 
 
-WAYS = [(way, kind) for way in ("alone jit", "alone pmap") for kind in KINDS]
-WAYS += [("pair jit", kind) for kind in ("vqvae", "gpt", "evaluator")]
+WAYS = [("alone jit", kind) for kind in KINDS]
+WAYS += [(way, kind) for way in ("alone pmap", "pair jit") for kind in ("vqvae", "gpt")]
 
 
 def test_every_way_gives_the_same_run(trained):
@@ -83,6 +83,16 @@ def test_every_way_gives_the_same_run(trained):
         assert_same_run(trained, way, kind)
 
 
+@pytest.mark.release
+def test_every_way_gives_the_same_evaluator(folder, trained):
+    ways = "movement:pmap,evaluator:pmap"
+    finish(start("memory", folder, name="evaluators", ways=ways), *start_pair(folder, ways="evaluator:jit"))
+    runs = trained | read_runs(folder, "pair") | read_runs(folder, "evaluators")
+    for way, kind in (("evaluators pmap", "movement"), ("evaluators pmap", "evaluator"), ("pair jit", "evaluator")):
+        assert_same_run(runs, way, kind)
+
+
+@pytest.mark.release
 def test_two_processes_under_pmap_and_a_sharded_state_give_the_same_run(folder, trained):
     finish(start("memory", folder, name="sharded", ways="vqvae:shares"), *start_pair(folder, ways="vqvae:pmap"))
     runs = trained | read_runs(folder, "pair") | read_runs(folder, "sharded")

@@ -84,6 +84,7 @@ def test_the_motions_are_those_of_the_first_repeat(task, source, details):
     check_against_table(task, source, details)
 
 
+@pytest.mark.release
 def test_the_motions_are_the_same_if_the_last_sample_counts_and_a_batch_is_not_full(task, source):
     protocol = dataclasses.replace(
         find_protocol("strict"), generated_length="real", first_counts=False, multimodality_captions=2

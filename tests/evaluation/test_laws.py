@@ -168,6 +168,7 @@ def test_another_unit_of_the_features_changes_no_embedding(task, before):
         assert names <= set(MotionQuality._fields), "only what is measured in meters"
 
 
+@pytest.mark.release
 def test_the_size_of_batches_does_not_matter(task, model, before, monkeypatch):
     monkeypatch.setattr(sources, "BATCH", 50)
     monkeypatch.setattr(embedding, "BATCH", 20)

@@ -133,7 +133,11 @@ STATES = SentenceStatesConfig(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("folder", [BERT, MPNET, ROBERTA, FULL], ids=lambda folder: folder.name)
+@pytest.mark.parametrize(
+    "folder",
+    [BERT, FULL, *(pytest.param(folder, marks=pytest.mark.release) for folder in (MPNET, ROBERTA))],
+    ids=lambda folder: folder.name,
+)
 def test_sentences_get_the_embeddings_of_the_reference(folder, tmp_path, parity):
     kind = ClipReference if folder == FULL else SentenceReference
     config = pretrained(kind(name=f"{folder}"))
@@ -156,10 +160,13 @@ def test_sentences_get_the_embeddings_of_the_reference(folder, tmp_path, parity)
     [
         BUNDLE,
         HIFIGPT_BUNDLE,
-        dataclasses.replace(
-            HIFIGPT_BUNDLE,
-            text_encoder=STATES,
-            generator=dataclasses.replace(HIFIGPT, stop_rule="sampled", head="per_depth", code_embedding="learned"),
+        pytest.param(
+            dataclasses.replace(
+                HIFIGPT_BUNDLE,
+                text_encoder=STATES,
+                generator=dataclasses.replace(HIFIGPT, stop_rule="sampled", head="per_depth", code_embedding="learned"),
+            ),
+            marks=pytest.mark.release,
         ),
     ],
     ids=["t2m_gpt", "hifigpt", "hifigpt-states"],

@@ -92,7 +92,7 @@ def test_best_weights_are_read(samples, run):
     assert dataclasses.asdict(find_best(samples / run)) == EXPECTED["best"][run]
 
 
-@pytest.mark.parametrize("run", ["vqvae", "gpt"])
+@pytest.mark.parametrize("run", [pytest.param("vqvae", marks=pytest.mark.release), "gpt"])
 def test_a_run_is_resumed(samples_with_data, run):
     run_command("train", run, "--run", run, "--resume", "--loop.num_steps", 12)
     with (samples_with_data / run / "train.csv").open(encoding="utf-8") as file:
@@ -104,6 +104,7 @@ def test_a_run_is_resumed(samples_with_data, run):
         assert_codes(samples_with_data, run, EXPECTED["codes_after_resuming"])
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("stage", RUNS)
 def test_a_new_run_starts_from_the_weights_of_an_old_one(samples_with_data, stage):
     config = samples_with_data / f"{stage}.yaml"

@@ -30,7 +30,7 @@ def test_shapes(model_and_variables):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("length", [4, 9, 13, 18])
+@pytest.mark.parametrize("length", [4, *(pytest.param(length, marks=pytest.mark.release) for length in (9, 13, 18))])
 def test_padding_changes_nothing(model_and_variables, length):
     """A clip alone and the same clip in a padded batch, whatever fills the padding."""
     model, variables = model_and_variables

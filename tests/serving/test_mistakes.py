@@ -116,7 +116,7 @@ def test_a_link_carries_seed_options_and_sample(open_studio, walk, tmp_path):  #
         expect(other).to_have_url(page.url)
 
 
-@pytest.mark.parametrize("viewport", [{"width": 1440, "height": 900}, PHONE])
+@pytest.mark.parametrize("viewport", [pytest.param({"width": 1440, "height": 900}, marks=pytest.mark.release), PHONE])
 def test_the_stage_fills_the_screen(open_studio, viewport):  # noqa: F811
     page = open_studio(viewport=viewport)
     generate(page, WALK)

@@ -274,6 +274,7 @@ def test_a_pose_of_a_file_becomes_a_key(open_studio, walk, tmp_path):  # noqa: F
     assert target.seconds == 0.5 and distances(walk, [dataclasses.replace(target, seconds=seconds)])[0] < 0.002
 
 
+@pytest.mark.release
 def test_targets_are_met_or_said_to_be_missed(open_studio, tmp_path):
     page = open_studio(may_fail=["400"])
     page.locator("#targets summary").click()
@@ -480,7 +481,9 @@ def test_phones_have_room_for_fingers(open_studio):
     assert small == []
 
 
-@pytest.mark.parametrize(("scheme", "viewport"), [("light", WIDE), ("dark", PHONE)])
+@pytest.mark.parametrize(
+    ("scheme", "viewport"), [pytest.param("light", WIDE, marks=pytest.mark.release), ("dark", PHONE)]
+)
 def test_accessibility(open_studio, scheme, viewport):
     page = open_studio(viewport=viewport)
     page.get_by_role("combobox", name="Colors").select_option(scheme)

@@ -38,6 +38,7 @@ def replace_second(page) -> None:
     expect(page.locator(".block")).to_have_text([WALK, BOW])
 
 
+@pytest.mark.release
 def test_a_stranger_replaces_a_sentence_and_takes_it_back(open_studio, tmp_path):  # noqa: F811
     page = open_studio()
     blocks = page.locator(".block")

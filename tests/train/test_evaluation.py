@@ -36,6 +36,8 @@ from tests.tiny import gpt_training, random_evaluator, vqvae_training
 from tests.train.conftest import assert_same_checkpoint, stop_at
 
 STAGES = ("vqvae", pytest.param("gpt", marks=pytest.mark.slow))
+TRAINED = (pytest.param("vqvae", marks=pytest.mark.release), "gpt")
+"""Stages of tests that train again."""
 """With the stages that the fast tests leave out."""
 STEPS = [3, 6, 8]
 """Where runs of eight updates are evaluated every three."""
@@ -131,7 +133,7 @@ def loaded(run, stage):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("stage", TRAINED)
 def test_a_run_stands_for_its_best(training, stage, tmp_path):
     """Asked of runs that keep every checkpoint, so that the weights of the best step are known from elsewhere."""
     # By these metrics, the newest weights of the tiny models are not the best.
@@ -147,7 +149,7 @@ def test_a_run_stands_for_its_best(training, stage, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("stage", TRAINED)
 def test_a_resumed_run_equals_one_that_never_stopped(finished, training, stage, tmp_path, monkeypatch):
     config = training(stage, tmp_path / "run")
     mend = stop_at(STOP, monkeypatch)

@@ -158,7 +158,7 @@ def test_movements_are_trained_and_then_left_alone(finished):
     assert rows["step"].tolist() == [3, 4]
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_the_same_seed_gives_the_same_bits(data, finished, tmp_path):
     train(training(data, tmp_path / "again"))
     assert texts(tmp_path / "again") == texts(finished)
@@ -208,7 +208,7 @@ def test_training_ends_when_validation_gets_no_better(data, tmp_path, monkeypatc
     assert next(losses) == 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_given_words_and_vectors_are_used_and_left_as_they_are(data, tmp_path):
     words = ("sos", "eos", "unk", "a", "person", "walk")
     (tmp_path / "words.txt").write_text("\n".join(words) + "\n")
@@ -248,7 +248,7 @@ def test_configs_that_make_no_sense_are_refused(fields):
         TrainEvaluatorConfig(**fields)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_broken_captions_are_no_obstacle(data, tmp_path):
     """An empty caption, one of 300 words, one without tags, unknown words alone, a line that is none."""
     folder = tmp_path / "data"
@@ -265,7 +265,7 @@ def test_broken_captions_are_no_obstacle(data, tmp_path):
     assert "walk" in load_trained_evaluator(config.run).vocabulary
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_resumed_run_does_not_need_what_it_started_from(data, finished, tmp_path):
     shutil.copytree(finished, tmp_path / "first")
     config = training(data, tmp_path / "run", init=tmp_path / "first")

@@ -122,15 +122,12 @@ def test_fewer_depths_give_a_coarser_motion(both):
         model.decode(np.zeros((4, 4), int))
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize(
     "options",
     [
         {"model": {"code_embedding": "learned", "head": "per_depth"}, "corruption": "codes", "corrupt_residual": True},
-        pytest.param(
-            {"model": {"cumulative_depth": True, "stop_rule": "threshold"}, "corruption": "none", "num_parts": 2},
-            marks=pytest.mark.release,
-        ),
+        {"model": {"cumulative_depth": True, "stop_rule": "threshold"}, "corruption": "none", "num_parts": 2},
         {"model": {"guidance_scale": 1.0}, "condition_dropout": 0.0, "mean_over": "motions", "precision": "bfloat16"},
     ],
     ids=["learned", "cumulative", "unguided"],
@@ -150,7 +147,7 @@ def test_other_designs_train_and_resume(options, data, both, tmp_path):
     assert len(loaded.generate("a person walks")[0].codes) >= 1
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_training_starts_from_a_trained_model(data, both, tmp_path):
     config = tiny.hifigpt_training(data, both / "rvqvae", tmp_path / "run")
     loop = dataclasses.replace(config.loop, num_steps=1, log_every=1, validate_every=0)
@@ -201,7 +198,7 @@ def test_tokenizers_that_do_not_fit_are_one_line(data, both, tmp_path):
     assert not (tmp_path / "frozen").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_one_code_per_row_is_enough(data, runs, tmp_path):
     """The double-tier GPT also reads T2M-GPT's tokenizer."""
     config = tiny.hifigpt_training(data, runs.vqvae, tmp_path / "run")

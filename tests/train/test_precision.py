@@ -57,7 +57,9 @@ def gradients(state):
     "change",
     [
         {"remat": True, "num_parts": 2},
-        *(pytest.param(one, marks=pytest.mark.slow) for one in ({"num_parts": 2}, {"num_parts": 4}, {"remat": True})),
+        pytest.param({"num_parts": 2}, marks=pytest.mark.release),
+        pytest.param({"num_parts": 4}, marks=pytest.mark.release),
+        pytest.param({"remat": True}, marks=pytest.mark.release),
     ],
     ids=["both", "2 parts", "4 parts", "remat"],
 )
