@@ -20,7 +20,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PROMPT ?= a person waves with the left hand
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-release test-lowest test-python3.11 test-python3.12 test-python3.13 soak soak-serve faults lint three runtime page format docs notebooks clean
+.PHONY: help demo test test-slow test-release test-lowest test-python3.11 test-python3.12 test-python3.13 soak soak-serve soak-hostile faults lint three runtime page format docs notebooks clean
 
 help:
 	@echo "make demo       generate a motion and print where it was saved"
@@ -31,6 +31,7 @@ help:
 	@echo "make test-python3.12  run the tests with this Python, also with 3.11 and 3.13"
 	@echo "make soak       attack the readers of files with a million inputs (SOAK_ARGS=\"--inputs 10000\" for fewer)"
 	@echo "make soak-serve  load the server with many clients, and kill its process (SOAK_ARGS=\"--clients 10\" for fewer)"
+	@echo "make soak-hostile  send 200,000 hostile requests to the server beside a user (SOAK_ARGS=\"--requests 3000\" for fewer)"
 	@echo "make faults     plant mistakes in copies of the package, which fast tests must find (FAULT=mirror for some)"
 	@echo "make lint       check style, imports, types, pages, configs and the Dockerfile"
 	@echo "make three      build the part of three.js that the pages use (needs npm)"
@@ -98,6 +99,9 @@ soak: $(VENV)/.dev
 
 soak-serve: $(VENV)/.dev
 	$(BIN)/python -m tests.serving.soak $(SOAK_ARGS)
+
+soak-hostile: $(VENV)/.dev
+	$(BIN)/python -m tests.serving.hostile $(SOAK_ARGS)
 
 faults: $(VENV)/.dev
 	$(BIN)/python -m tests.faults $(FAULT)

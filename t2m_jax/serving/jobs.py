@@ -10,6 +10,7 @@ import multiprocessing
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from typing import Any, NamedTuple
@@ -114,6 +115,11 @@ def _work(*args: Any) -> None:
     work(*args)
 
 
+def _send(connection: Connection, message: Task | Cancel) -> None:
+    with contextlib.suppress(OSError):  # the process has just died; `_on_death` follows
+        connection.send(message)
+
+
 class Jobs:
     """The queue, and the process, which is replaced when it dies."""
 
@@ -129,6 +135,7 @@ class Jobs:
         self.measures = Measures(waiting=lambda: len(self.waiting), running=lambda: len(self.running))
         self._numbers = itertools.count()
         self._process: SpawnProcess | None = None
+        self._sender = ThreadPoolExecutor(1)
         self.is_alive = False
         """Whether the process can generate."""
         self._sent: dict[int, Job] = {}
@@ -158,7 +165,7 @@ class Jobs:
             process.join()
 
     def submit(self, request: MotionRequest) -> Job:
-        """Returns the job of a new request.
+        """Returns the job of a new request, whose sentences are those in turn (see `MotionRequest.in_turn`).
 
         Raises:
             QueueFullError: Too many requests are waiting.
@@ -166,8 +173,7 @@ class Jobs:
         if len(self.waiting) >= self.max_waiting:
             motions = sum(job.request.num_samples for job in self.waiting)
             raise QueueFullError(len(self.waiting), max(1, math.ceil(motions * self._seconds_per_motion)))
-        # Not in the process, because plain requests and chains wait for different places in it.
-        job = Job(next(self._numbers), request.in_turn(self.model["actions"]))
+        job = Job(next(self._numbers), request)
         self.waiting.append(job)
         self._tell_positions()
         self._dispatch()
@@ -293,5 +299,5 @@ class Jobs:
         return edit if num_edits < MAX_EDITS else None
 
     def _send(self, message: Task | Cancel) -> None:
-        with contextlib.suppress(OSError):  # the process has just died; `_on_death` follows
-            self._connection.send(message)
+        # In a thread, because a process that compiles does not read, and a motion is longer than a pipe.
+        self._sender.submit(_send, self._connection, message)

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import socket
 
 import pytest
 import uvicorn
@@ -33,6 +34,25 @@ def test_connections_that_wait_forever_are_closed(monkeypatch, sent):
 
     answer = asyncio.run(run())
     assert answer.count(b"HTTP/1.1") == (REQUEST in sent)
+
+
+def test_answers_are_sent_at_once():
+    """Nagle's algorithm would hold back each answer but the first of a connection for 40 ms."""
+
+    async def run() -> int:
+        at_once = asyncio.get_running_loop().create_future()
+
+        def accepted(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            connection = writer.get_extra_info("socket")
+            at_once.set_result(connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+            writer.close()
+
+        async with await asyncio.start_server(accepted, sock=module._listen("127.0.0.1", 0)) as server:
+            _, writer = await asyncio.open_connection(*server.sockets[0].getsockname())
+            writer.close()
+            return await asyncio.wait_for(at_once, 20)
+
+    assert asyncio.run(run())
 
 
 def test_a_bug_is_told_as_json_with_the_usual_headers(monkeypatch):

@@ -28,6 +28,7 @@ TOKEN = "secret"
 class Served(NamedTuple):
     client: Client
     server: uvicorn.Server
+    jobs: QueueOnly
     delays: list
     """Seconds of work of the event loop between two chances of others."""
 
@@ -36,7 +37,7 @@ class Served(NamedTuple):
 def served():
     """A server in a thread, whose queue never gives anything away."""
     config = uvicorn.Config(None, http=module.HttpProtocol, log_config=None, lifespan="off", port=0)
-    server, delays = uvicorn.Server(config), []
+    server, jobs, delays = uvicorn.Server(config), QueueOnly("none"), []
 
     async def watch():
         while True:
@@ -45,7 +46,6 @@ def served():
             delays.append(time.thread_time() - start)
 
     async def run():
-        jobs = QueueOnly("none")
         await jobs.start()
         config.app = make_app(jobs, token=TOKEN, hosts=("*",))
         watching = asyncio.create_task(watch())
@@ -56,7 +56,7 @@ def served():
     thread.start()
     wait_until(lambda: server.started)
     port = server.servers[0].sockets[0].getsockname()[1]
-    yield Served(Client(port, 0), server, delays)
+    yield Served(Client(port, 0), server, jobs, delays)
     server.should_exit = True
     thread.join()
 
@@ -151,6 +151,17 @@ def test_a_large_body_does_not_stop_others(served, path, text):
     answer = ask(served, path, text.encode(), **JSON)
     assert answer.status == 400 and len(answer.body) < 1000
     assert max(served.delays) < 0.2
+
+
+def test_long_sentences_do_not_stop_others(served):
+    del served.delays[:]
+    before = len(served.jobs.sent)
+    fields = {"captions": ["he walks, then he waves", *["walks then waves then " * 45] * 19]}
+    connection = served.client.open("POST", "/motions", fields, {"Authorization": f"Bearer {TOKEN}"})
+    wait_until(lambda: len(served.jobs.sent) > before)
+    connection.close()
+    assert max(served.delays) < 0.2
+    assert served.jobs.sent[-1].request.captions[:2] == ("he walks", "he waves")
 
 
 def test_json_without_a_motion_is_small(served):

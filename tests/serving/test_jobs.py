@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import threading
 
 import numpy as np
 import pytest
@@ -35,10 +36,10 @@ class QueueOnly(Jobs):
     """Jobs whose process is the test."""
 
     def _start_process(self):
-        self._process, self._connection, self.sent = FakeProcess(), self, []
+        self._process, self.sent = FakeProcess(), []
         self.say("ready", {"name": "none", "actions": ["walk", "wave"]})
 
-    def send(self, message):
+    def _send(self, message):
         self.sent.append(message)
 
     def say(self, name, data, job=NO_JOB):
@@ -111,13 +112,31 @@ def test_chains_do_not_wait_in_the_process_and_let_others_pass():
     with_queue(test)
 
 
-def test_actions_in_turn_are_a_chain():
-    async def test(jobs):
-        for _ in range(3):
-            jobs.submit(MotionRequest(captions=("he walks, then he waves",)))
-        assert [task.request.captions for task in jobs.sent] == [("he walks", "he waves")] * 2
+def test_a_process_that_does_not_read_stops_nobody():
+    class Busy(QueueOnly):
+        """Jobs whose process reads when the test says so."""
 
-    with_queue(test)
+        _send, reads = Jobs._send, threading.Event()
+
+        def _start_process(self):
+            super()._start_process()
+            self._connection = self
+
+        def send(self, message):
+            assert self.reads.wait(20)
+            self.sent.append(message)
+
+    async def test():
+        jobs = Busy("none")
+        await jobs.start()
+        job = jobs.submit(PLAIN)
+        assert jobs.sent == []
+        jobs.reads.set()
+        jobs._sender.shutdown()
+        jobs.stop()
+        assert [task.job for task in jobs.sent] == [job.number]
+
+    asyncio.run(test())
 
 
 def fill(jobs) -> list:
