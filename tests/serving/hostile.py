@@ -143,7 +143,6 @@ def attack(port: int, npz: str, seed: int, count: int) -> tuple[Counter[str], li
     """Sends hostile requests, and returns how often each answer came, and the requests that got a wrong one."""
     requests, seen, broken = Requests(npz, seed), Counter[str](), []
     left = iter(range(count))
-    os.nice(10)  # the attack comes from other machines
 
     async def client() -> None:
         for _ in left:
@@ -219,7 +218,8 @@ async def measure(client: Client, options: argparse.Namespace, table: Table) -> 
 async def attack_often(soak: Soak, options: argparse.Namespace) -> Counter[str]:
     """Attacks from another process, notes what is broken, and returns how often each answer came."""
     seen, parts = Counter[str](), -(-options.requests // 1000)
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, spawn, os.nice, (10,)) as pool:  # the attack comes from other machines
         for part in range(parts):
             task = pool.submit(attack, soak.port, soak.npz, options.seed + part, 1000)
             counted, broken = await asyncio.wrap_future(task)

@@ -19,6 +19,7 @@ from t2m_jax.serving.app import HEADERS, page_files
 from t2m_jax.serving.files import make_file
 from t2m_jax.serving.schema import MAX_BODY, MAX_CHARACTER_BODY, FileOptions, decode_base64
 from tests.serving.conftest import running_server, wait_until
+from tests.serving.hostile import attack
 from tests.serving.test_files import read_back
 from tests.tiny import CAPTIONS
 
@@ -237,6 +238,15 @@ def num_answers(server, result: str) -> float:
     text = server.ask("GET", "/metrics").body.decode()
     values = {name: float(value) for name, value in re.findall(r"^(t2m_answers_total\S+) (\S+)$", text, re.MULTILINE)}
     return values.get(f't2m_answers_total{{result="{result}"}}', 0.0)
+
+
+def test_hostile_requests_are_answered_and_change_nothing(server):
+    before = server.motions("a person walks", seed=3)
+    seen, broken = attack(server.port, before["motions"][0]["npz"], seed=0, count=300)
+    assert broken == []
+    assert seen["400"] > 100 and seen["200"] > 3
+    assert server.motions("a person walks", seed=3) == before
+    assert "t2m_worker_restarts_total 0" in server.ask("GET", "/metrics").body.decode()
 
 
 def test_a_full_queue_answers_429(server):
