@@ -14,12 +14,16 @@ import random
 import re
 import statistics
 import sys
+import tempfile
 import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 from typing import Any
 
 from tests.fuzz.mutations import mutate
+from tests.motion.character_files import write_character
+from tests.motion.rig.test_retarget import BANDAI
 from tests.serving.conftest import Client, running_server
 from tests.serving.soak import Soak, Table, processes
 
@@ -61,6 +65,8 @@ class Requests:
     def __init__(self, npz: str, seed: int):
         """Takes a motion to send back, in base64, and the start of all random choices."""
         self.npz, self.draws = npz, random.Random(seed)
+        with tempfile.TemporaryDirectory() as folder:
+            self.glb = base64.b64encode(write_character(Path(folder) / "a.glb", BANDAI).read_bytes()).decode()
 
     def body(self) -> tuple[str, dict]:
         """Returns a path and a body that the server takes."""
@@ -76,13 +82,13 @@ class Requests:
             ("/motions", asked | targets | options),
             ("/files" + changes, {"motions": [self.npz]}),
             ("/files?format=" + self.draws.choice(("npz", "glb", "bvh", "html")), {"motions": [self.npz, self.npz]}),
-            ("/scene?format=npz", {"motions": [self.npz]}),
+            ("/character?name=hero.glb&speed=2", {"character": self.glb, "motions": [self.npz]}),
         )
         return self.draws.choice(found)
 
     def damaged_file(self) -> bytes:
-        """Returns a file whose bytes or numbers are wrong, as the whole body of a request."""
-        return mutate(base64.b64decode(self.npz), self.draws)
+        """Returns a file whose bytes or numbers are wrong."""
+        return mutate(base64.b64decode(self.draws.choice((self.npz, self.glb))), self.draws)
 
     def draw(self) -> tuple[bytes, bool]:
         """Returns the bytes of a request, and whether its first lines are those of a browser."""
@@ -97,8 +103,15 @@ class Requests:
             body = mutate(body, self.draws)
         elif kind == "base64":
             damaged = base64.b64encode(self.damaged_file()).decode()
-            body = json.dumps({"captions": ["a"], "start": damaged, "strength": 0.5}).encode()
-            path = "/motions"
+            path, fields = self.draws.choice(
+                (
+                    ("/motions", {"captions": ["a"], "start": damaged, "start_format": "npz", "strength": 0.5}),
+                    ("/motions", {"captions": ["a"], "start": damaged, "start_format": "glb", "strength": 0.5}),
+                    ("/character", {"character": damaged, "motions": [self.npz]}),
+                    ("/files?format=glb", {"motions": [self.npz, damaged]}),
+                )
+            )
+            body = json.dumps(fields).encode()
         elif kind == "file":
             path, body = f"/scene?format={self.draws.choice(('npz', 'bvh', 'glb', 'vrma'))}", self.damaged_file()
         elif kind == "query":
