@@ -260,6 +260,18 @@ def test_every_command_has_help(name, capsys):
     assert capsys.readouterr().out.startswith(f"usage: t2m {name}")
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_argument_has_help(name):
+    def without_help(parser):
+        children = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+        below = [words for action in children for child in action.choices.values() for words in without_help(child)]
+        return below + [action.dest for action in parser._actions if action not in children and not action.help]
+
+    parser = argparse.ArgumentParser(add_help=False)
+    importlib.import_module(f"t2m_jax.cli.{name}").add_arguments(parser)
+    assert without_help(parser) == []
+
+
 def test_libraries_remark_in_vain_but_their_errors_are_shown():
     # In a process of its own: what pytest does to logging would hide what a user sees.
     program = """

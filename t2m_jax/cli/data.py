@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     rig.add_argument("file", type=Path, metavar="FILE", help="a .bvh, .glb, .vrm or .amc file")
     rig.add_argument("-o", "--output", type=Path, metavar="FILE", help="table to write (default: print it)")
     for command in (sheet, check):
-        command.add_argument("folder", type=Path, metavar="DIR")
+        command.add_argument("folder", type=Path, metavar="DIR", help="data-set folder")
     sheet.add_argument("-o", "--output", type=Path, metavar="FILE", help=f"page to write (default: DIR/{SHEET})")
     check.add_argument("--json", type=Path, metavar="FILE", help="write the report to this file, too")
     merge.add_argument("sources", nargs="+", type=Path, metavar="SRC", help="folders to read")
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     synthetic.add_argument("--num-clips", type=int, default=200, help="clips before mirroring (default: 200)")
     _add_compositions(compose)
     for command in (compose, replay, synthetic):
-        command.add_argument("--seed", type=int, default=0)
+        command.add_argument("--seed", type=int, default=0, help="start of every random choice (default: 0)")
 
 
 def _add_compositions(compose: argparse.ArgumentParser) -> None:
