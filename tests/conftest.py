@@ -38,7 +38,8 @@ PROGRAMS = "T2M_JAX_TEST_PROGRAMS"
 LONGEST = (
     *("test_wheel", "test_processes", "test_viewer", "test_server", "test_evaluation", "test_repeats", "test_hifigpt"),
     *("test_warm_start", "test_fuzz", "test_steps", "test_resume", "test_pipeline", "test_generate", "test_compiled"),
-    *("test_notebooks", "test_page", "test_stranger", "test_inbetween", "test_timeline"),
+    *("test_notebooks", "test_page", "test_stranger", "test_inbetween", "test_timeline", "test_third_system"),
+    *("test_many_devices", "test_site", "test_thirty_steps", "test_returning", "test_distributed", "test_evaluator"),
 )
 """Files of tests that take longest."""
 PROGRAMS_LIMIT = 5_000_000_000
