@@ -66,9 +66,9 @@ def make_app(jobs: Jobs, *, token: str | None = None, hosts: tuple[str, ...] = L
     routes = [
         Route("/", _static("index.html")),
         *[Route(f"/assets/{name}", _static(name)) for name in page_files() if name != "index.html"],
-        Route("/assets/stage.css", lambda _: Response(stage_style(), media_type=MEDIA_TYPES["css"])),
-        Route("/assets/viewer.js", lambda _: Response(viewer_script(*STUDIO_SCRIPTS), media_type=MEDIA_TYPES["js"])),
-        Route("/openapi.json", lambda _: JSONResponse(openapi())),
+        Route("/assets/stage.css", _fixed(stage_style(), MEDIA_TYPES["css"])),
+        Route("/assets/viewer.js", _fixed(viewer_script(*STUDIO_SCRIPTS), MEDIA_TYPES["js"])),
+        Route("/openapi.json", _fixed(JSONResponse(openapi()).body, "application/json")),
         Route("/health", server.health),
         Route("/metrics", server.metrics),
         Route("/model", server.model),
@@ -102,7 +102,11 @@ def page_files() -> list[str]:
 def _static(name: str) -> Callable[[Request], Response]:
     """Returns what answers with a file of the page. It is read once, so no path comes from a request."""
     content = (importlib.resources.files("t2m_jax.serving") / "page" / name).read_bytes()
-    media_type = MEDIA_TYPES[name.rpartition(".")[2]]
+    return _fixed(content, MEDIA_TYPES[name.rpartition(".")[2]])
+
+
+def _fixed(content: bytes | memoryview | str, media_type: str) -> Callable[[Request], Response]:
+    """Returns what always answers with the same content, which is made once."""
     return lambda _: Response(content, media_type=media_type)
 
 
@@ -171,6 +175,8 @@ class _Server:
         self.files_waiting = 0
         self.bodies = Bodies()
         self.kept = KeptAnswers()
+        bodies = {"motions": schema.MotionBody, "files": schema.FileParameters, "scene": schema.SceneParameters}
+        self.fields = {name: body.model_json_schema()["properties"] for name, body in bodies.items()}
 
     def health(self, _: Request) -> Response:
         """Answers whether motions can be made."""
@@ -188,12 +194,11 @@ class _Server:
 
     def model(self, _: Request) -> Response:
         """Answers with what the page needs to know."""
-        bodies = {"motions": schema.MotionBody, "files": schema.FileParameters, "scene": schema.SceneParameters}
         data = self.jobs.model | {
             "formats_of_several": schema.SEVERAL,
             "body_bytes": schema.MAX_BODY,
             "character_bytes": schema.MAX_CHARACTER,
-            "fields": {name: body.model_json_schema()["properties"] for name, body in bodies.items()},
+            "fields": self.fields,
         }
         return JSONResponse(data)
 

@@ -93,7 +93,7 @@ class Requests:
     def draw(self) -> tuple[bytes, bool]:
         """Returns the bytes of a request, and whether its first lines are those of a browser."""
         path, fields = self.body()
-        kind = self.draws.choice(("json", "json", "text", "file", "base64", "query", "path", "head"))
+        kind = self.draws.choice(("json", "json", "text", "file", "base64", "query", "path", "head", "get"))
         body = json.dumps(fields).encode()
         if kind == "json":
             depth = self.draws.choice((3, 90, 3000, 30_000))
@@ -119,7 +119,10 @@ class Requests:
             path = f"{place}?{printable(mutate(query.encode() or b'format=bvh', self.draws))}"
         elif kind == "path":
             path = printable(mutate(self.draws.choice((b"/motions/0123456789abcdef", path.encode())), self.draws))
-        method = self.draws.choice(("GET", "DELETE", "PUT", "HEAD")) if kind == "path" else "POST"
+        elif kind == "get":
+            path = self.draws.choice(("/openapi.json", "/model", "/metrics", "/assets/viewer.js", "/"))
+        methods = {"path": ("GET", "DELETE", "PUT", "HEAD"), "get": ("GET",)}
+        method = self.draws.choice(methods.get(kind, ("POST",)))
         head = f"{method} /{path.lstrip('/')} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n"
         head += f"Content-Type: application/{'octet-stream' if kind == 'file' else 'json'}\r\n"
         top = f"{head}Content-Length: {len(body)}\r\n\r\n".encode("latin-1")
