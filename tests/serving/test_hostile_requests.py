@@ -164,6 +164,14 @@ def test_long_sentences_do_not_stop_others(served):
     assert served.jobs.sent[before].request.captions[:2] == ("he walks", "he waves")
 
 
+def test_what_is_always_the_same_is_made_once(served, monkeypatch):
+    """Anybody may ask for it as often as they like, without a token."""
+    for name in ("openapi", "viewer_script", "stage_style"):
+        monkeypatch.delattr(f"t2m_jax.serving.app.{name}")
+    for path in ("/openapi.json", "/assets/viewer.js", "/assets/stage.css"):
+        assert served.client.ask("GET", path).status == 200
+
+
 def test_json_without_a_motion_is_small(served):
     text = json.dumps({"captions": ["a"], "x" * 30: "b c" * MAX_JSON})
     answer = ask(served, "/motions", text.encode(), **JSON)
