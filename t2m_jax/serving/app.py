@@ -217,7 +217,7 @@ class _Server:
         key = request.query_params.get("keep")
         if key is not None:
             self.kept.check(key)
-        # To read long sentences takes longer than others should wait, and so does the first one: it loads a dictionary.
+        # To read long sentences takes longer than others should wait.
         asked = await to_thread.run_sync(schema.motion_request(fields, start).in_turn, self.jobs.model["actions"])
         events = self._events(self.jobs.submit(asked))
         return await self._answer(request, events if key is None else self.kept.start(key, events))
