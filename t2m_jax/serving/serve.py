@@ -67,8 +67,8 @@ async def _serve(jobs: Jobs, listener: socket.socket, token: str | None, on_read
             timeout_graceful_shutdown=CLOSE_SECONDS,
         )
         host, port = listener.getsockname()[:2]
-        # The first sentence loads a dictionary. A search for garbage among all that was loaded would stop the event loop
-        # for a quarter of a second.
+        # The first sentence loads a dictionary. A search for garbage among all that was loaded would stop the event
+        # loop for a quarter of a second.
         MotionRequest(captions=("walk, then wave",)).in_turn(jobs.model["actions"])
         gc.collect()
         gc.freeze()
