@@ -13,7 +13,7 @@ import shlex
 import sys
 from pathlib import Path
 
-from t2m_jax.cli.options import MODEL_HELP, add_record, positive, read_record, show_next
+from t2m_jax.cli.options import MODEL_HELP, add_record, add_seed_argument, positive, read_record, show_next
 from t2m_jax.files.writing import check_output, claim
 
 
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--evaluator", metavar="E", help=evaluator)
     parser.add_argument("--split", default="test", help="split to measure on (default: test)")
     parser.add_argument("--num-repeats", type=positive, default=5, help="repeats (default: 5)")
-    parser.add_argument("--seed", type=int, default=0, help="start of every random choice (default: 0)")
+    add_seed_argument(parser)
     parser.add_argument("--json", type=Path, metavar="F", help="write the report to this file")
     add_record(parser, SamplingOptions, left_out=("strategy", "max_codes", "raw", "whole"))
 

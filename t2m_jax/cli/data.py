@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from t2m_jax.cli.options import add_model_argument, show_next, subcommand_adder
+from t2m_jax.cli.options import add_model_argument, add_seed_argument, show_next, subcommand_adder
 from t2m_jax.errors import UserError, printable
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     synthetic.add_argument("--num-clips", type=int, default=200, help="clips before mirroring (default: 200)")
     _add_compositions(compose)
     for command in (compose, replay, synthetic):
-        command.add_argument("--seed", type=int, default=0, help="start of every random choice (default: 0)")
+        add_seed_argument(command)
 
 
 def _add_compositions(compose: argparse.ArgumentParser) -> None:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 from t2m_jax.cli.options import (
     add_model_argument,
     add_record,
+    add_seed_argument,
     positive,
     print_columns,
     read_record,
@@ -128,7 +129,7 @@ def _add_protocol_arguments(parser: argparse.ArgumentParser, *, needs_evaluator:
 def _add_data_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", required=True, metavar="DIR", help="data-set folder")
     parser.add_argument("--split", default="test", help="split to measure on (default: test)")
-    parser.add_argument("--seed", type=int, default=0, help="start of every random choice (default: 0)")
+    add_seed_argument(parser)
 
 
 def run(args: argparse.Namespace) -> None:

@@ -109,6 +109,11 @@ def add_model_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", default="demo", help=f"{MODEL_HELP} (default: demo)")
 
 
+def add_seed_argument(parser: argparse.ArgumentParser) -> None:
+    """Adds `--seed` for what is random in all of a command."""
+    parser.add_argument("--seed", type=int, default=0, help="start of every random choice (default: 0)")
+
+
 def add_rig_argument(parser: argparse.ArgumentParser, files: str) -> None:
     """Declares the rig of files that are read."""
     text = f"rig of {files}: a name, or a table as `t2m data rig` writes it (default: recognized from the joints)"

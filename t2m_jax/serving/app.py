@@ -214,11 +214,11 @@ class _Server:
                 start = await self._in_process(
                     read_motion, fields["start"], fields.get("start_format", "npz"), None, Names("start")
                 )
-        key = request.query_params.get("keep")
-        if key is not None:
-            self.kept.check(key)
         # To read long sentences takes longer than others should wait.
         asked = await to_thread.run_sync(schema.motion_request(fields, start).in_turn, self.jobs.model["actions"])
+        key = request.query_params.get("keep")
+        if key is not None:
+            self.kept.check(key)  # no other request may come between this and `start`
         events = self._events(self.jobs.submit(asked))
         return await self._answer(request, events if key is None else self.kept.start(key, events))
 

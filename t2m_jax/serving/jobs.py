@@ -115,7 +115,7 @@ def _work(*args: Any) -> None:
     work(*args)
 
 
-def _send(connection: Connection, message: Task | Cancel) -> None:
+def _write(connection: Connection, message: Task | Cancel) -> None:
     with contextlib.suppress(OSError):  # the process has just died; `_on_death` follows
         connection.send(message)
 
@@ -300,4 +300,4 @@ class Jobs:
 
     def _send(self, message: Task | Cancel) -> None:
         # In a thread, because a process that compiles does not read, and a motion is longer than a pipe.
-        self._sender.submit(_send, self._connection, message)
+        self._sender.submit(_write, self._connection, message)

@@ -164,6 +164,17 @@ def test_long_sentences_do_not_stop_others(served):
     assert served.jobs.sent[before].request.captions[:2] == ("he walks", "he waves")
 
 
+def test_of_two_requests_with_one_key_only_the_first_is_kept(served):
+    fields = {"captions": ["walks then waves then " * 45] * 20}
+    headers = {"Authorization": f"Bearer {TOKEN}"}
+    connections = [served.client.open("POST", "/motions?keep=0123456789abcdef", fields, headers) for _ in range(2)]
+    statuses = sorted(connection.getresponse().status for connection in connections)
+    served.client.ask("DELETE", "/motions/0123456789abcdef", headers=headers)
+    for connection in connections:
+        connection.close()
+    assert statuses == [200, 409]
+
+
 def test_what_is_always_the_same_is_made_once(served, monkeypatch):
     """Anybody may ask for it as often as they like, without a token."""
     for name in ("openapi", "viewer_script", "stage_style"):

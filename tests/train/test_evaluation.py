@@ -36,9 +36,9 @@ from tests.tiny import gpt_training, random_evaluator, vqvae_training
 from tests.train.conftest import assert_same_checkpoint, stop_at
 
 STAGES = ("vqvae", pytest.param("gpt", marks=pytest.mark.slow))
+"""With the stages that the fast tests leave out."""
 TRAINED = (pytest.param("vqvae", marks=pytest.mark.release), "gpt")
 """Stages of tests that train again."""
-"""With the stages that the fast tests leave out."""
 STEPS = [3, 6, 8]
 """Where runs of eight updates are evaluated every three."""
 STOP = 7
