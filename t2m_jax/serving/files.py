@@ -24,6 +24,7 @@ from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rig.rigs import RIGS
 from t2m_jax.motion.targets import Target, distances
 from t2m_jax.serving import answers, schema
+from t2m_jax.serving.priority import lower_priority
 
 LONGEST_PICTURES = 4 * schema.LIMITS["seconds"]["le"]
 """Seconds of all motions in a video; it takes as long to make."""
@@ -47,11 +48,12 @@ class Names(NamedTuple):
 
 
 def apart(function: Callable[..., Any], *args: Any) -> Any:
-    """Returns what a function returns; runs in the process of files, and limits its memory.
+    """Returns what a function returns; runs in the process of files, and limits its memory and priority.
 
     Raises:
         UserError: It needs more memory, or the function raised it.
     """
+    lower_priority()
     with contextlib.suppress(ModuleNotFoundError):  # Windows has no such limits
         import resource
 

@@ -20,6 +20,7 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, gene
 from t2m_jax.errors import UserError
 from t2m_jax.sampling.request import MotionRequest
 from t2m_jax.serving.messages import NO_JOB, Cancel, Task
+from t2m_jax.serving.priority import lower_priority
 
 BATCH_SIZE = 32
 """Motions that are generated together."""
@@ -110,6 +111,7 @@ class Job:
 
 def _work(*args: Any) -> None:
     """Runs in the process that generates. Only it imports JAX."""
+    lower_priority()  # before JAX starts its threads
     from t2m_jax.serving.worker import work
 
     work(*args)

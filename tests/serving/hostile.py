@@ -7,6 +7,7 @@ lost, if the event loop stood still, or if the user got other motions than alone
 import argparse
 import asyncio
 import base64
+import http.client
 import json
 import multiprocessing
 import os
@@ -18,6 +19,7 @@ import tempfile
 import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -177,16 +179,16 @@ def attack(port: int, npz: str, seed: int, count: int) -> tuple[Counter[str], li
     return seen, broken
 
 
-async def ping(port: int, seconds: list[float]) -> None:
-    """Asks on one connection again and again, and notes how long each answer took."""
-    reader, writer = await asyncio.open_connection("127.0.0.1", port)
-    while True:
+def ping(port: int, stop: Connection) -> None:
+    """Asks on one connection again and again until `stop` gets something, and then sends how long each answer took."""
+    seconds = []
+    connection = http.client.HTTPConnection("127.0.0.1", port)
+    while not stop.poll(0.02):
         start = time.perf_counter()
-        writer.write(b"GET /health HTTP/1.1\r\nHost: localhost\r\n\r\n")
-        head = await reader.readuntil(b"\r\n\r\n")
-        await reader.readexactly(int(re.search(rb"content-length: (\d+)", head, re.IGNORECASE)[1]))
+        connection.request("GET", "/health")
+        connection.getresponse().read()
         seconds.append(time.perf_counter() - start)
-        await asyncio.sleep(0.02)
+    stop.send(seconds)
 
 
 async def use(soak: Soak) -> None:
@@ -200,19 +202,24 @@ async def use(soak: Soak) -> None:
 
 async def measure(client: Client, options: argparse.Namespace, table: Table) -> list[str]:
     """Does everything, and returns what is broken."""
-    soak, pings = Soak(client.port), []
+    soak, spawn = Soak(client.port), multiprocessing.get_context("spawn")
     for _ in range(2):  # the second time, everything is compiled
         soak.seconds.clear()
         for number in range(40):
             await soak.motion(*soak.pair(number))
     alone, soak.seconds = soak.seconds, []
     before = sum(processes(client.pid).values())
-    others = [asyncio.create_task(task) for task in (ping(client.port, pings), use(soak))]
+    ours, its = spawn.Pipe()
+    pinging = spawn.Process(target=ping, args=(client.port, its), daemon=True)
+    pinging.start()
+    using = asyncio.create_task(use(soak))
     seen = await attack_often(soak, options)
-    for task in others:
-        if task.done():
-            task.result()
-        task.cancel()
+    if using.done():
+        using.result()
+    using.cancel()
+    ours.send("stop")
+    pings = ours.recv()
+    pinging.join()
     table.add_seconds("alone: motion, median and 95th percentile", alone)
     table.add_seconds("under attack: motion, median and 95th percentile", soak.seconds)
     table.add("under attack: motions", f"{len(soak.seconds):,}")
@@ -235,7 +242,7 @@ async def attack_often(soak: Soak, options: argparse.Namespace) -> Counter[str]:
     """Attacks from another process, notes what is broken, and returns how often each answer came."""
     seen, parts = Counter[str](), -(-options.requests // 1000)
     spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, spawn, os.nice, (10,)) as pool:  # the attack comes from other machines
+    with ProcessPoolExecutor(1, spawn, os.nice, (15,)) as pool:  # the attack comes from other machines
         for part in range(parts):
             task = pool.submit(attack, soak.port, soak.npz, options.seed + part, 1000)
             counted, broken = await asyncio.wrap_future(task)

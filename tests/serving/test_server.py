@@ -17,9 +17,11 @@ from prometheus_client.parser import text_string_to_metric_families
 import t2m_jax
 from t2m_jax.serving.app import HEADERS, page_files
 from t2m_jax.serving.files import make_file
+from t2m_jax.serving.priority import NICENESS
 from t2m_jax.serving.schema import MAX_BODY, MAX_CHARACTER_BODY, FileOptions, decode_base64
 from tests.serving.conftest import running_server, wait_until
 from tests.serving.hostile import attack
+from tests.serving.soak import processes
 from tests.serving.test_files import read_back
 from tests.tiny import CAPTIONS
 
@@ -247,6 +249,15 @@ def test_hostile_requests_are_answered_and_change_nothing(server):
     assert seen["400"] > 100 and seen["200"] > 3
     assert server.motions("a person walks", seed=3) == before
     assert "t2m_worker_restarts_total 0" in server.ask("GET", "/metrics").body.decode()
+
+
+def test_processes_that_calculate_leave_the_processor_to_the_one_that_answers(server):
+    file = decode_base64(server.motions(CAPTIONS[0], seed=3)["motions"][0]["npz"])
+    for _ in range(2):  # the number of a process grows with each call of `nice`
+        assert server.ask("POST", "/scene?format=npz", file).status == 200
+    priorities = sorted(os.getpriority(os.PRIO_PROCESS, pid) for pid in processes(server.pid))
+    assert priorities[0] == os.nice(0)
+    assert priorities[-2:] == [max(os.nice(0), NICENESS)] * 2
 
 
 def test_a_full_queue_answers_429(server):
