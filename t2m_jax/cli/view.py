@@ -1,7 +1,6 @@
 """Converts motion files to other formats. The suffix of each output selects the format."""
 
 import argparse
-import functools
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -106,6 +105,21 @@ def open_character(args: argparse.Namespace, outputs: Sequence[Path]) -> "Charac
     return character
 
 
+def joined(files: Sequence[Path], motions: "Sequence[Motion]") -> "Motion":
+    """Returns one motion of all, at the frame rate of the first.
+
+    Raises:
+        UserError: A file has another skeleton than the first; the message names both.
+    """
+    whole = motions[0]
+    for path, motion in zip(files[1:], motions[1:], strict=True):
+        if motion.skeleton != whole.skeleton:
+            names = f"{motion.skeleton.name}, that of {files[0]} is {whole.skeleton.name}"
+            raise UserError(f"{path}: its skeleton is {names}; they cannot be joined")
+        whole += motion.resampled(whole.fps)
+    return whole
+
+
 def save(
     output: Path, motions: "Sequence[Motion]", options: Mapping[str, str | bool], character: "Character | None"
 ) -> None:
@@ -137,7 +151,7 @@ def run(args: argparse.Namespace) -> None:
     with claim(args.outputs):
         motions = [load_motion(path, animation=args.animation, rig=rig) for path in args.files]
         if args.join:
-            motions = [functools.reduce(lambda before, after: before + after.resampled(before.fps), motions)]
+            motions = [joined(args.files, motions)]
         motions = [changes.apply(motion) for motion in motions]
         for output in args.outputs:
             save(output, motions, options[output], character)

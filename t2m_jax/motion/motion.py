@@ -249,10 +249,12 @@ class Motion:
         """
         if not isinstance(other, Motion):
             return NotImplemented
-        if (other.skeleton, other.fps) != (self.skeleton, self.fps):
+        if other.skeleton != self.skeleton:
+            names = f"{self.skeleton.name} and {other.skeleton.name}"
+            raise UserError(f"motions of different skeletons ({names}) cannot be joined")
+        if other.fps != self.fps:
             raise UserError(
-                f"a motion of {self.skeleton.name} at {self.fps:g} frames a second and one of {other.skeleton.name} at "
-                f"{other.fps:g} cannot be joined; use `resampled` for the same rate"
+                f"{self.fps:g} and {other.fps:g} frames a second cannot be joined; use `resampled` for the same rate"
             )
         options: Any = {"fps": self.fps, "skeleton": self.skeleton}
         positions = join_positions(self.positions, other.positions, **options)

@@ -6,6 +6,7 @@ import pytest
 from t2m_jax import Motion
 from t2m_jax.cli.main import main
 from t2m_jax.data.importers.synthetic import make_motion
+from t2m_jax.motion.skeleton import KIT_ML
 
 
 @pytest.fixture
@@ -153,3 +154,9 @@ def test_two_files_become_one_motion(walk, tmp_path, capsys):
     assert expected.num_frames > first.num_frames
     np.testing.assert_allclose(Motion.load(written).positions, expected.positions, atol=1e-6)
     assert "--join -o motion.html" in capsys.readouterr().err
+
+
+def test_files_of_two_skeletons_are_not_joined(refusal, walk, tmp_path):
+    Motion(np.zeros((4, 21, 3)), 12.5, skeleton=KIT_ML).save(tmp_path / "kit.npz")
+    said = refusal("view", walk, tmp_path / "kit.npz", "--join", "-o", tmp_path / "both.npz")
+    assert f"{tmp_path / 'kit.npz'}: its skeleton is kit_ml, that of {walk} is humanml3d; they cannot be joined" in said

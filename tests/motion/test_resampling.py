@@ -145,9 +145,9 @@ def test_a_motion_goes_on_where_another_ends():
 
 
 def test_motions_that_cannot_be_joined_are_refused():
-    with pytest.raises(UserError, match=r"40 frames a second .* cannot be joined"):
+    with pytest.raises(UserError, match="40 and 20 frames a second cannot be joined"):
         make().resampled(40) + make()
-    with pytest.raises(UserError, match="cannot be joined"):
+    with pytest.raises(UserError, match=r"\(humanml3d and kit_ml\) cannot be joined"):
         make() + Motion(np.zeros((4, 21, 3)), 20.0, skeleton=KIT_ML)
     with pytest.raises(TypeError):
         make() + 3
