@@ -106,6 +106,10 @@ def test_other_frame_rates(tmp_path, fps):
     again = Motion.load(tmp_path / "a.glb")
     assert (again.fps, again.num_frames) == (fps, motion.num_frames)
     np.testing.assert_allclose(again.positions, motion.positions, atol=1e-4)
+    file = Glb(tmp_path / "a.glb")
+    frames = file.arrays[file.tree["animations"][0]["samplers"][0]["input"]].ravel() * fps
+    # Programs whose scene has this frame rate, as Blender's at first with 24, have each key on a whole frame.
+    np.testing.assert_allclose(frames, np.arange(motion.num_frames), atol=1e-3)
 
 
 def test_the_rest_pose_is_a_t_pose_on_the_ground(file):

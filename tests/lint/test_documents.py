@@ -67,6 +67,13 @@ def test_make_says_what_takes_minutes_before_it_begins(target, tmp_path):
     assert re.match('echo "Installing .*: a minute or two."', lines[number - 1])
 
 
+@pytest.mark.parametrize("command", ["make demo", "make test"])
+def test_the_readme_says_how_long_its_first_commands_take(command):
+    readme = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    (said,) = re.findall(rf"^{command} .*#(.*)$", readme, re.MULTILINE)
+    assert "minute" in said
+
+
 @pytest.mark.parametrize("page", LINKING, ids=name_of)
 def test_links_lead_somewhere(page):
     broken = []
