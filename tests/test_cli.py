@@ -374,6 +374,7 @@ def test_the_log_is_printable():
     assert _PrintableFormatter("%(message)s").format(record) == r"clip a\x1b[31m"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="uses a shell of POSIX")
 @pytest.mark.parametrize("arguments", ["evaluate --help", "check demo"])
 def test_a_closed_standard_output_is_no_error(arguments):

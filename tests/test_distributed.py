@@ -83,6 +83,7 @@ def event(process):
 
 # These tests look at both cases at once, because most of the time their processes wait.
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_process_does_not_wait_forever_for_one_that_does_not_start():
     with started("finish", "", members=[0]) as first, started("finish", "", members=[1]) as second:
         end = time.monotonic() + HEARTBEAT + START + MARGIN
@@ -162,6 +163,7 @@ def test_options_that_do_not_fit_are_refused(options, tmp_path, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_the_command_ends_if_the_coordinator_does_not_answer(tmp_path):
     address = free_address()
     command = [sys.executable, "-m", "t2m_jax.cli", "train", "vqvae", "official", "--run", str(tmp_path / "run")]
@@ -171,6 +173,7 @@ def test_the_command_ends_if_the_coordinator_does_not_answer(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_the_command_says_that_there_is_no_cluster(tmp_path):
     command = [sys.executable, "-m", "t2m_jax.cli", "train", "vqvae", "official", "--run", str(tmp_path / "run")]
     result = subprocess.run([*command, "--distributed"], capture_output=True, text=True, timeout=60)

@@ -99,6 +99,7 @@ def test_accuracy_is_the_weight_of_what_is_right():
         np.testing.assert_allclose(token_accuracy(logits, targets, weights), expected, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mean_over", ["motions", "tokens"])
 def test_weights_add_up_to_one_and_parts_to_the_whole(mean_over):
     lengths = jnp.array([5, 1, 0, 3])
@@ -149,6 +150,7 @@ def moved(motion, columns, amount):
     return motion.at[..., columns].add(amount / NORMALIZER.std[columns])
 
 
+@pytest.mark.slow
 def test_losses_in_meters_are_distances(walk):
     motion, mask = walk
     lifted = moved(motion, slice(LAYOUT.positions.start, LAYOUT.positions.start + 3), jnp.array([0.03, 0.0, 0.04]))
@@ -182,6 +184,7 @@ def test_the_facing_loss_is_an_angle(walk):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize(
     "measure",
     [

@@ -100,5 +100,6 @@ assert probes.describe_machine(()).num_cores > 0
 """
 
 
+@pytest.mark.slow
 def test_what_the_system_does_not_tell_is_left_out(tmp_path):
     run_as_on_windows(MEASURE, tmp_path)

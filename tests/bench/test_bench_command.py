@@ -37,6 +37,7 @@ def tiny_models(monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("arguments", "count"),
     [

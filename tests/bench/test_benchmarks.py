@@ -61,6 +61,7 @@ def test_training_of_a_vqvae():
     assert row.name == "vqvae tiny 4x32 float32"
 
 
+@pytest.mark.release
 def test_training_of_a_gpt():
     plain = tiny.gpt_training(Path(), Path(), Path(), loop=LoopConfig(batch_size=4))
     config = dataclasses.replace(plain, text_encoder="clip", remat=True, num_parts=2, precision="bfloat16")

@@ -56,6 +56,7 @@ def test_sound_models_are_intact(models, name, capsys):
     assert len(lines) >= 2 and all(line.endswith(": intact") for line in lines)
 
 
+@pytest.mark.slow
 def test_each_damaged_part_of_a_run_is_named(copy, capsys):
     run = copy / "run"
     oldest, newest = sorted((run / "checkpoints").iterdir(), key=lambda path: int(path.name))

@@ -22,6 +22,7 @@ def copy(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_embeddings_are_nearly_those_of_the_original(copy):
     english = [caption for caption in CAPTIONS if caption.isascii() and len(caption) < 100]
     whole, small = (

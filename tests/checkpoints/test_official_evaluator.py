@@ -59,6 +59,7 @@ def table(golden, tmp_path):
     return tmp_path / "table.npy"
 
 
+@pytest.mark.slow
 def test_a_checkpoint_of_the_original_embeds_as_the_original(golden, state, table, tmp_path):
     config, variables = load_evaluator(write_finest(tmp_path / "finest.tar", state), word_vectors=table)
     words = np.arange(7 * 22, dtype=np.int32).reshape(7, 22)
@@ -162,6 +163,7 @@ def convert(folder, *options):
     return main(["convert", "official", *given, *options, str(folder / "evaluator")])
 
 
+@pytest.mark.slow
 def test_published_files_make_an_evaluator(published):
     golden, folder = published
     assert convert(folder) == 0

@@ -249,6 +249,7 @@ def damages(whole: bytes, draws: random.Random) -> list[bytes | None]:
     return [bytes(flipped), whole[: draws.randrange(len(whole))], None]
 
 
+@pytest.mark.slow
 def test_the_newest_intact_checkpoint_is_used_whatever_is_damaged(copy, caplog):
     files = [path for path in sorted((copy / CHECKPOINTS / "6").rglob("*")) if path.is_file()]
     draws = random.Random(0)

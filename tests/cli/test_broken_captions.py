@@ -92,6 +92,7 @@ def test_the_audit_reports_each(faulty, tmp_path, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_an_evaluator_reads_what_can_be_read(faulty, evaluator_folder):
     evaluator = load_trained_evaluator(evaluator_folder)
     assert "walk" in evaluator.vocabulary and "qux" not in evaluator.vocabulary

@@ -36,6 +36,7 @@ def test_a_loop_has_at_least_60_frames_a_second_without_a_rate(walk, tmp_path):
         np.testing.assert_allclose(loop.positions, Motion.load(path).resampled(fps).looped().positions, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_recording_is_cleaned(tmp_path):
     noise = 0.004 * np.random.default_rng(0).standard_normal((60, 22, 3))
     Motion(make_motion("wave-left-hand", seed=0, num_frames=60) + noise, 20.0).save(tmp_path / "take.bvh")
@@ -75,6 +76,7 @@ def test_a_name_of_joints_is_for_the_formats_that_have_it(refusal, walk, tmp_pat
     assert "positions" in np.load(tmp_path / "b.npz") and b'"leftUpperLeg"' in glb.read_bytes()
 
 
+@pytest.mark.slow
 def test_speed_and_path_change_before_the_rate(walk, tmp_path):
     motion, written = Motion.load(walk), tmp_path / "b.npz"
     assert main(["view", f"{walk}", "-o", f"{written}", "--speed", "2", "--turn", "-90", "--fps", "40"]) == 0
@@ -132,6 +134,7 @@ def test_a_part_that_is_none_is_refused(refusal, walk, tmp_path, trim, message):
     assert message in refusal("view", walk, "-o", tmp_path / "a.npz", f"--trim={trim}")
 
 
+@pytest.mark.slow
 def test_generated_motion_is_changed_too(bundle_folder, tmp_path):
     command = ["generate", "a person walks", "--model", f"{bundle_folder}", "-o", f"{tmp_path / 'a.npz'}"]
     assert main([*command, "--fps", "40", "--in-place"]) == 0

@@ -44,6 +44,7 @@ def converted(published, tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_converted_vqvae_says_the_same(converted, published, golden_dir):
     bundle = load_bundle(converted)
     assert (bundle.config.skeleton, bundle.config.text_encoder, bundle.bpe) == ("humanml3d", ClipReference(), None)
@@ -61,6 +62,7 @@ def test_the_converted_vqvae_says_the_same(converted, published, golden_dir):
     np.testing.assert_allclose(decoded, raw, atol=2e-4, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_converted_gpt_says_the_same(converted, golden_dir):
     bundle = load_bundle(converted)
     model, variables = MotionGpt(bundle.config.generator), jax.device_put(bundle.variables["generator"])
@@ -88,6 +90,7 @@ def test_nothing_is_rounded_and_the_card_names_the_files(converted, published):
     assert card.count("`") == 16 and "License" in card
 
 
+@pytest.mark.slow
 def test_any_model_becomes_the_published_form_and_comes_back(bundle_folder, tmp_path, golden_dir, capsys):
     """The whole way of a user: our model, their files, our model again, with a CLIP, and a motion from it."""
     clip = golden_dir / "clip" / "text_only"

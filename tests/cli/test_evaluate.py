@@ -42,6 +42,7 @@ def test_inbetween_prints_a_table(bundle_folder, data_folder, capsys):
     assert "seconds: -1 is not a number above 0" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_prompts_writes_json(bundle_folder, tmp_path, capsys):
     output = tmp_path / "figures.json"
     arguments = ["--model", f"{bundle_folder}", "--num-seeds", "1", "--json", f"{output}"]

@@ -79,6 +79,7 @@ def test_a_wrong_path_is_one_line_about_the_folder_and_the_hub(hub, refusal, com
     assert hub.asked.count("GET /api/models/runs/gpt") == 1
 
 
+@pytest.mark.slow
 def test_the_address_of_a_hub_is_that_of_the_environment(hub, shared, tmp_path):
     hub.add(NAME, shared)
     command = [sys.executable, "-m", "t2m_jax", "models", NAME]

@@ -33,6 +33,7 @@ def test_generated_motion_is_viewed(motion, tmp_path, monkeypatch, capsys):
     assert main(next_step(capsys)[1:]) == 0
 
 
+@pytest.mark.slow
 def test_a_page_is_opened(bundle_folder, tmp_path, capsys):
     outputs = ["-o", f"{tmp_path / 'walk.bvh'}", "-o", f"{tmp_path / 'walk.html'}"]
     options = ["--model", f"{bundle_folder}", "--num-samples", "2", *outputs]

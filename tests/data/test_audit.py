@@ -145,6 +145,7 @@ def test_names_twice_orphans_and_missing_files(folder):
     assert f"{train[2]}.npy: there is no such file" in problems
 
 
+@pytest.mark.slow
 def test_an_incomplete_humanml3d_is_one_line(shared_data):
     sample = shared_data("humanml3d-sample") / "humanml3d-sample" / "HumanML3D"
     report = audit_dataset(sample)
@@ -249,6 +250,7 @@ def test_check_ends_with_1_on_problems(folder, capsys):
     assert name in printed.out and "next:" not in printed.out + printed.err
 
 
+@pytest.mark.slow
 def test_synthetic_from_the_command_line(tmp_path, capsys):
     run_cli("synthetic", str(tmp_path / "my data"), "--num-clips", "20")
     printed = capsys.readouterr()

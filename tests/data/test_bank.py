@@ -155,6 +155,7 @@ def test_a_window_does_not_depend_on_the_others(bank):
     assert not np.array_equal(together.motion[0], together.motion[2])
 
 
+@pytest.mark.slow
 def test_a_batch_is_a_pure_function_of_key_and_step(bank):
     key = jax.random.key(9)
     jitted = jax.jit(batch_at, static_argnames=("batch_size", "window"))
@@ -177,6 +178,7 @@ def test_statistics_of_other_features_are_a_user_error(bank):
         make_bank(make_clips(), Normalizer(np.zeros(4), np.ones(4)))
 
 
+@pytest.mark.slow
 def test_windows_are_the_same_without_jit(bank):
     clips, keys = jnp.array([1, 2]), jax.random.split(jax.random.key(3), 2)
     assert_jit_equals_eager(jax.jit(cut_windows, static_argnames="window"), bank, clips, keys, rtol=0, window=4)

@@ -87,6 +87,7 @@ def test_a_rest_pose_in_front_is_dropped(tmp_path, away):
     assert np.linalg.norm(np.diff(joints, axis=0), axis=-1).max() < 0.2
 
 
+@pytest.mark.slow
 def test_the_seed_decides_the_split(tmp_path):
     source = write_clips(tmp_path / "source", [f"walk{letter}" for letter in "abcdefghijkl"])
     for number, seed in enumerate((0, 0, 1)):

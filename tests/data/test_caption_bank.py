@@ -73,6 +73,7 @@ def test_crops_belong_to_their_captions(bank):
     assert texts == {number: set(range(1, number + 2)) for number in range(4)}
 
 
+@pytest.mark.slow
 def test_a_batch_is_a_function_of_key_and_step(bank):
     one = caption_batch_at(bank, jax.random.key(1), 5, batch_size=3, window=MAX_FRAMES)
     other = caption_batch_at(bank, jax.random.key(1), jnp.array(5), batch_size=3, window=MAX_FRAMES)

@@ -149,6 +149,7 @@ def test_an_import_loses_nothing_silently(tmp_path):
     assert "captions.csv:3" not in notes  # said with the clip
 
 
+@pytest.mark.slow
 def test_groups_stay_in_one_split(tmp_path):
     actors = {f"{actor}{take}": actor for actor in ("ann", "bob", "cy", "di") for take in range(3)}
     source = write_clips(tmp_path / "source", list(actors))

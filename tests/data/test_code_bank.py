@@ -91,6 +91,7 @@ def test_lengths_belong_to_motion_and_offset(bank):
         np.testing.assert_array_equal(first % 10, 0)
 
 
+@pytest.mark.slow
 def test_offsets_and_captions_are_drawn_alike(bank):
     offsets, captions = collections.Counter(), collections.Counter()
     for batch in batches(bank, range(60), batch_size=7 * 8):
@@ -101,12 +102,14 @@ def test_offsets_and_captions_are_drawn_alike(bank):
         np.testing.assert_allclose(shares, 1 / kinds, atol=0.06)
 
 
+@pytest.mark.slow
 def test_a_bank_smaller_than_a_batch_is_repeated(bank):
     batch = batches(bank, [0], batch_size=2 * NUM_MOTIONS)[0]
     owners = (np.asarray(batch.codes[:, 0, 0]) // 100).tolist()
     assert collections.Counter(owners) == dict.fromkeys(range(NUM_MOTIONS), 2)
 
 
+@pytest.mark.slow
 def test_motions_are_drawn_by_their_shares(bank):
     weights = np.array([4.0, 1.0, 0.25, 0.25, 0.5, 0.5, 0.5])
     shared = bank._replace(shares=jnp.asarray(np.cumsum(weights) / weights.sum(), jnp.float32))

@@ -209,6 +209,7 @@ def test_nothing_is_called_slow_among_few_clips(tmp_path):
     assert captions[1].text == "walks slowly", "what it had is not judged"
 
 
+@pytest.mark.release
 def test_one_wave_is_not_called_slow(tmp_path):
     names = [f"dataset-2_wave-left-hand_elderly_{number:03d}" for number in range(60)]
     with new_folder(tmp_path / "data") as folder:

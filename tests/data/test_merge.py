@@ -23,6 +23,7 @@ def folders(tmp_path_factory):
     return folder / "made", folder / "own"
 
 
+@pytest.mark.slow
 def test_all_clips_of_all_splits_are_there(folders, tmp_path):
     report = merge_datasets(folders, tmp_path / "all")
     merged, parts = open_dataset(tmp_path / "all"), [open_dataset(folder) for folder in folders]

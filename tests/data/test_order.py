@@ -50,6 +50,7 @@ def test_neighbors_do_not_stay_together():
     np.testing.assert_allclose(steps[1:] / steps.sum(), 1 / (size - 1), rtol=0.1)
 
 
+@pytest.mark.slow
 def test_other_keys_and_epochs_give_other_orders():
     key = jax.random.key(1)
     orders = {tuple(order(jax.random.key(seed), 50)) for seed in range(20)}

@@ -104,6 +104,7 @@ def test_a_signal_to_one_process_ends_both_after_the_same_update(folder, process
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_only_process_0_prints_the_result(folder):
     one, other = finish(*start_pair(folder, "--run", folder / "printed", "--loop.num_steps", 5))
     assert one[2] == other[2] == 0, one[1][-2000:]

@@ -78,6 +78,7 @@ WAYS = [("alone jit", kind) for kind in KINDS]
 WAYS += [(way, kind) for way in ("alone pmap", "pair jit") for kind in ("vqvae", "gpt")]
 
 
+@pytest.mark.release
 def test_every_way_gives_the_same_run(trained):
     for way, kind in WAYS:
         assert_same_run(trained, way, kind)

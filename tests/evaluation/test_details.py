@@ -80,6 +80,7 @@ def check_against_table(task, source, found):
     assert ranked.distances.mean() == pytest.approx(metrics["matching_score"].mean, rel=1e-5)
 
 
+@pytest.mark.release
 def test_the_motions_are_those_of_the_first_repeat(task, source, details):
     check_against_table(task, source, details)
 

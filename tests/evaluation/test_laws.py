@@ -95,6 +95,7 @@ def with_clips(task, clips):
     return task._replace(samples=task.samples._replace(clips=clips))
 
 
+@pytest.mark.release
 def test_swapping_two_captions_changes_what_needs_captions(task, model, before):
     text, motion, owners = pairs(task)
     distances = np.linalg.norm(text[:, None] - motion[None], axis=-1)

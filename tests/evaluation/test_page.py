@@ -162,6 +162,7 @@ def open_in_browser(tmp_path):
     assert not troubles
 
 
+@pytest.mark.slow
 def test_viewers_play_in_the_page(open_in_browser, details, tmp_path):
     path = tmp_path / "page.html"
     save_page(path, REPORT, details, viewer=viewer_html)

@@ -252,6 +252,7 @@ def test_what_is_expected_of_the_lengths_changes_no_motion(generation):
     np.testing.assert_array_equal(found.codes[lengths > 0], np.asarray(whole.codes)[lengths > 0])
 
 
+@pytest.mark.release
 def test_strict_counts_every_caption(task, generation):
     # Two clips with the same caption would each have a part of its rank.
     texts = Counter(caption.text for clip in task.samples.clips[:12] for caption in clip.captions)

@@ -75,6 +75,7 @@ def test_random_numbers_are_those_of_splitmix64(sampler):
     np.testing.assert_array_equal(found, [((number >> 12) + 0.5) / 2**52 for number in bits])
 
 
+@pytest.mark.slow
 def test_the_lines_for_stablehlo_give_files_that_compute_what_the_model_does(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     save_bundle(tmp_path / "tiny", random_bundle(BUNDLE), card="---\nlicense: mit\n---\n# Tiny\n")

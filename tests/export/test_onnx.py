@@ -158,7 +158,7 @@ def test_sentences_get_the_embeddings_of_the_reference(folder, tmp_path, parity)
 @pytest.mark.parametrize(
     "config",
     [
-        BUNDLE,
+        pytest.param(BUNDLE, marks=pytest.mark.release),
         HIFIGPT_BUNDLE,
         pytest.param(
             dataclasses.replace(

@@ -36,6 +36,7 @@ def test_all_poses_of_a_curve_are_in_the_picture(kind):
     assert not limbs(render_trails(make(kind), height=120))[[0, -1]].any()
 
 
+@pytest.mark.slow
 def test_all_of_a_long_way_that_bends_is_in_the_picture():
     walk = Motion(make_motion("walk", seed=2, num_frames=300), 20.0)
     for points in ([(0, 0), (0, 2), (2, 4), (9, 4)], [(0, 0), (0, 2), (-2, 4), (-9, 4)]):

@@ -514,6 +514,7 @@ def test_a_sentence_becomes_the_motion_of_python_also_without_a_network(open_sit
 
 
 @pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize(
     "config", [pytest.param(BUNDLE, marks=pytest.mark.release), HIFIGPT_BUNDLE], ids=["t2m_gpt", "hifigpt"]
 )
@@ -582,6 +583,7 @@ def test_changed_files_are_refused_and_texts_stay_texts(open_site, demo_site, tm
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_the_page_is_accessible_and_fits_screens(open_site, demo_site):
     with serving(demo_site) as (address, _):
         fields = urllib.parse.urlencode({"sentence": WAVE, "seed": 3, "samples": 2})

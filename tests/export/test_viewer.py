@@ -15,6 +15,8 @@ from t2m_jax.export.render.scene import figure_from_motion
 from t2m_jax.motion.motion import Motion
 from tests.export.conftest import NASTY_CAPTION
 
+pytestmark = pytest.mark.slow
+
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
 ARGUMENTS = [
@@ -116,7 +118,6 @@ def test_a_figure_is_drawn_and_moves(open_viewer, walk):
     assert changed(first, picture(page)) > 0.01
 
 
-@pytest.mark.slow
 def test_dark_pages_are_dark(open_viewer, walk):
     light, dark = (picture(open_viewer([walk], color_scheme=scheme)) for scheme in ("light", "dark"))
     assert light[-5:].mean() > 200 and dark[-5:].mean() < 60
@@ -139,7 +140,6 @@ def test_playing_and_pausing(open_viewer, walk):
     assert viewer(page, "speed") == 2
 
 
-@pytest.mark.slow
 def test_speed_is_the_rate_of_time(open_viewer, walk):
     page = open_viewer([walk])
     advanced = page.evaluate("""() => {
@@ -201,7 +201,6 @@ def test_scrubbing_and_keys(open_viewer, walk):
     wait_until(page, "document.querySelector('.follow').getAttribute('aria-pressed') === 'false'")
 
 
-@pytest.mark.slow
 def test_mouse_orbits_pans_and_zooms(open_viewer, walk):
     page = open_viewer([walk])
     start, before = viewer(page, "camera"), picture(page)
@@ -225,7 +224,6 @@ def test_mouse_orbits_pans_and_zooms(open_viewer, walk):
     assert viewer(page, "camera") == start and changed(before, picture(page)) < 0.001
 
 
-@pytest.mark.slow
 def test_fingers_orbit_and_pinch(open_viewer, walk):
     page = open_viewer([walk], has_touch=True)
     session = page.context.new_cdp_session(page)
@@ -247,7 +245,6 @@ def test_fingers_orbit_and_pinch(open_viewer, walk):
     assert viewer(page, "camera.yaw") == turned["yaw"]
 
 
-@pytest.mark.slow
 def test_captions_are_shown_letter_by_letter(open_viewer, nasty, walk):
     page = open_viewer([nasty])
     assert page.locator(".stage-caption").evaluate("(element) => element.textContent") == NASTY_CAPTION
@@ -258,7 +255,6 @@ def test_captions_are_shown_letter_by_letter(open_viewer, nasty, walk):
     assert page.locator(".stage-caption").bounding_box()["height"] < 0.5 * SIZE["height"]
 
 
-@pytest.mark.slow
 def test_several_stand_side_by_side(open_viewer, walk, kit_walk, nasty):
     page = open_viewer([walk, kit_walk, nasty], viewport={"width": 900, "height": 420})
     picture(page)
@@ -271,7 +267,6 @@ def test_several_stand_side_by_side(open_viewer, walk, kit_walk, nasty):
     assert viewer(page, "seconds") == pytest.approx(kit_walk.seconds)
 
 
-@pytest.mark.slow
 def test_the_picture_follows_the_window(open_viewer, walk):
     page = open_viewer([walk], device_scale_factor=2)
     assert viewer(page, "stage.canvas.width") == 2 * SIZE["width"]
@@ -281,7 +276,6 @@ def test_the_picture_follows_the_window(open_viewer, walk):
     assert np.sum(shot[..., 2] - shot[..., 0] > 40) > 200
 
 
-@pytest.mark.slow
 def test_the_camera_follows_unless_told_otherwise(open_viewer, walk):
     far = Motion(walk.positions + np.linspace(0, 30, 80, dtype=np.float32)[:, None, None] * np.float32([1, 0, 0]), 20.0)
     page = open_viewer([far])
@@ -308,7 +302,6 @@ def seen_at(page) -> list:
     )
 
 
-@pytest.mark.slow
 def test_feet_leave_marks(open_viewer, walk):
     """The ground has a mark for each time that a foot stands, and the picture changes with them."""
     page = open_viewer([walk])
@@ -316,7 +309,6 @@ def test_feet_leave_marks(open_viewer, walk):
     assert expected >= 2 and viewer(page, "stage.cells[0].figure.contacts.length") == expected
 
 
-@pytest.mark.slow
 def test_a_part_can_be_played_alone(open_viewer, walk):
     page = open_viewer([walk])
     passed = page.evaluate("""() => {
@@ -329,7 +321,6 @@ def test_a_part_can_be_played_alone(open_viewer, walk):
     assert passed == pytest.approx([1.95, 1.0, 1.1])
 
 
-@pytest.mark.slow
 def test_frames_can_follow(open_viewer, walk):
     """A motion that arrives in two parts is drawn as the whole one."""
     page = open_viewer([walk])
@@ -344,7 +335,6 @@ def test_frames_can_follow(open_viewer, walk):
     page.evaluate("window.t2mViewer.stage.extend(3, null)")
 
 
-@pytest.mark.slow
 def test_a_tap_selects_and_all_can_be_removed(open_viewer, walk):
     page = open_viewer([walk, walk], viewport={"width": 800, "height": 400})
     page.evaluate("() => { const { stage } = t2mViewer; stage.onselect = (number) => stage.select(number); }")
@@ -355,7 +345,7 @@ def test_a_tap_selects_and_all_can_be_removed(open_viewer, walk):
     assert page.locator(".stage canvas, .stage-cell").count() == 0
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("count", [6, 24])
 def test_many_can_be_read_on_a_phone(open_viewer, walk, count):
     motions = [Motion(walk.positions, 20.0, caption=f"a person walks, take {number}") for number in range(count)]
@@ -375,7 +365,7 @@ def test_many_can_be_read_on_a_phone(open_viewer, walk, count):
     assert np.sum(shot[..., 2] - shot[..., 0] > 40) > 200
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_fingers_scroll_a_grid_that_is_too_high(open_viewer, walk):
     phone = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
     page = open_viewer([walk] * 24, **phone)
@@ -396,7 +386,6 @@ def scroll(page, begin: int, end: int) -> None:
     session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
 
 
-@pytest.mark.slow
 def test_keys_move_the_camera(open_viewer, walk):
     page = open_viewer([walk])
     start = viewer(page, "camera")
@@ -420,7 +409,6 @@ def test_without_webgl_the_page_says_so(open_viewer, walk):
     assert "does not offer WebGL 2" in page.get_by_role("alert").text_content()
 
 
-@pytest.mark.slow
 def test_notebooks_show_it_in_a_frame(browser, nasty):
     page = browser.new_page(viewport=SIZE, reduced_motion="reduce")
     page.set_content(viewer_html([nasty]))

@@ -138,6 +138,7 @@ def test_a_run_reconstructs_as_its_report_says(samples_with_data):
     compare_reports("reports/reconstruction.json", "new.json")
 
 
+@pytest.mark.release
 def test_an_evaluation_with_the_evaluator_gives_the_report(samples_with_data):
     arguments = ("--model", "gpt", "--data", "data", "--evaluator", "evaluator", "--num-repeats", 2)
     run_command("evaluate", "generation", *arguments, "--json", "new.json")

@@ -108,6 +108,7 @@ def test_commands_and_their_options_exist(page, monkeypatch, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_the_recipe_for_nnx_gives_what_the_linen_modules_give():
     page = (REPOSITORY / "docs" / "systems.md").read_text(encoding="utf-8")
     names: dict[str, Any] = {}

@@ -56,6 +56,7 @@ def sets(seed):
     return real.astype(np.float32), generated.astype(np.float32)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_float32_agrees_with_float64_at_the_evaluators_width(seed):
     real, generated = sets(seed)

@@ -114,6 +114,7 @@ def test_a_rigid_body_at_constant_speed_is_quiet_and_on_the_ground():
     np.testing.assert_allclose(found.skating_ratio, 1.0)
 
 
+@pytest.mark.slow
 def test_kit_is_measured_in_meters():
     """Its unit is the millimeter, and its frame rate another one."""
     pose = np.random.default_rng(0).normal(scale=300, size=(1, 1, 21, 3))

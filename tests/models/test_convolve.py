@@ -63,6 +63,7 @@ def test_outputs_are_sums_of_taps(kernel_size, stride, dilation, padding):
     np.testing.assert_allclose(found, np.stack(expected, axis=1), atol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", [1, 2, 19])
 def test_convolution_of_a_repeated_sequence_has_the_same_outputs_and_gradients(length):
     def expected(inputs, kernel):

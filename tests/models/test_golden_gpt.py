@@ -62,6 +62,7 @@ def test_loss_and_gradient(case):
         np.testing.assert_allclose(jnp.linalg.norm(ours), arrays[f"gradnorm/{theirs}"], rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_cached_steps_equal_the_whole_sequence(case):
     arrays, model, variables = case
     text, tokens = jnp.asarray(arrays["clip_feat"]), jnp.asarray(arrays["input_tokens"])

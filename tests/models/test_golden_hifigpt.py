@@ -125,6 +125,7 @@ def test_losses(golden_dir, case, mean_over):
         np.testing.assert_allclose(depths, per_code.mean(axis=0), rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_gradients(golden_dir):
     arrays = load(golden_dir, "loss")
     setup = LossCase(arrays, "default")
@@ -203,6 +204,7 @@ def test_greedy_sampling(golden_dir, scale, is_transposed):
             np.testing.assert_array_equal(sampled.codes[kept], arrays[f"{group}codes"][kept])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1, 4])
 def test_cached_steps_equal_the_whole_sequence(golden_dir, scale):
     """The stop logits of single steps are those of the reference, which reads all rows at once; so are the codes'."""

@@ -136,6 +136,7 @@ def test_update_of_the_first_batch(golden_dir):
     assert_state(moved, after, 0, pool=arrays["residuals"][mask])
 
 
+@pytest.mark.slow
 def test_commitment_and_its_gradients(golden_dir):
     arrays = load(golden_dir, "rvq_loss_commitment")
     module = make_quantizer(arrays)

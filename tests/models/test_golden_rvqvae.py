@@ -58,6 +58,7 @@ def test_the_whole_network(case):
         np.testing.assert_allclose(output.reconstruction, arrays[f"{prefix}reconstruction"], atol=1e-4)
 
 
+@pytest.mark.slow
 def test_layers_around_the_codebook(case):
     _, kept = case.apply(jnp.asarray(case.arrays["motion"]), train=False, capture_intermediates=True)
     inner = kept["intermediates"]
@@ -66,6 +67,7 @@ def test_layers_around_the_codebook(case):
     np.testing.assert_allclose(inner["project_out"]["__call__"][0], case.arrays["decoder_input"], atol=1e-4)
 
 
+@pytest.mark.slow
 def test_padded_motions_are_as_alone(case):
     arrays = case.arrays
     lengths, motion = arrays["ragged/lengths"], jnp.asarray(arrays["ragged/motion"])
@@ -77,6 +79,7 @@ def test_padded_motions_are_as_alone(case):
         np.testing.assert_allclose(output.reconstruction[row, : 8 * length], expected, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_decoding_from_the_first_depths(case):
     codes = jnp.asarray(case.arrays["decode/codes"])
     for depth, expected in enumerate(case.arrays["decode/motion_by_depth"], start=1):

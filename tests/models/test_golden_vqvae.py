@@ -67,6 +67,7 @@ def test_decoding_of_given_codes(case):
         np.testing.assert_allclose(decoded, arrays[motion], atol=1e-4, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_losses_and_gradient_norms(case):
     arrays, model, variables = case
     motion = jnp.asarray(arrays["x"])

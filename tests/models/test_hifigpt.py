@@ -57,6 +57,7 @@ def test_a_prediction_sees_earlier_codes_only(name):
         assert not stops[:row].any() and stops[row:].all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", VARIANTS)
 @pytest.mark.parametrize("scale", [pytest.param(None, marks=pytest.mark.slow), 2.5])
 def test_sampled_rows_are_those_of_the_whole_sequence(name, scale):
@@ -88,6 +89,7 @@ def test_a_guidance_of_one_is_no_guidance():
     assert strong.codes.shape == plain.codes.shape and (strong.codes != plain.codes).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "strategy",
     [Temperature(), *(pytest.param(one, marks=pytest.mark.slow) for one in (TopK(k=3), TopP(p=0.8)))],
@@ -105,6 +107,7 @@ def test_a_motion_depends_on_its_text_and_key_only(strategy):
         np.testing.assert_array_equal(alone.codes, together.codes[chosen])
 
 
+@pytest.mark.slow
 def test_every_code_has_a_key_of_its_own():
     """With a strategy that looks at the key alone, codes would repeat if keys did."""
     module, variables = make(HIFIGPT)
@@ -141,6 +144,7 @@ def test_noise_in_place_of_keys_draws_the_same_rows(cumulative):
     assert (draw(0 * noise, add_noise) != draw(noise, add_noise)).any()
 
 
+@pytest.mark.slow
 def test_products_are_in_bfloat16_and_scores_finite():
     module, variables = make(HIFIGPT)
     codes, text = draw_codes(HIFIGPT), TEXT.astype(jnp.bfloat16)

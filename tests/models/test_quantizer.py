@@ -96,6 +96,7 @@ def test_module_learns_as_the_golden_sequence(golden_dir, kind):
     np.testing.assert_allclose(output.commitment_loss, arrays["eval_loss"], rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_codebook_that_learns_by_gradient(golden_dir):
     """The original's naive quantizer: its loss, the gradient of table and latents, and six steps of plain descent."""
     arrays = np.load(golden_dir / "t2m_gpt" / "quantizer_orig.npz")
@@ -121,6 +122,7 @@ def test_a_codebook_that_learns_by_gradient(golden_dir):
         np.testing.assert_allclose(params["codebook"], arrays["codebook_after"][step], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_initial_table_of_the_naive_quantizer_is_small():
     module = Quantizer(64, 8, "orig", 0.99, 1.0)
     latents = jnp.zeros((1, 2, 8))
@@ -147,6 +149,7 @@ def test_evaluation_leaves_the_codebook_alone():
         np.testing.assert_array_equal(before, after)
 
 
+@pytest.mark.slow
 def test_a_quantizer_of_bfloat16_latents_computes_in_float32():
     module = Quantizer(8, 4, "ema_reset", 0.99, 1.0)
     latents, mask = jax.random.normal(jax.random.key(0), (2, 6, 4), jnp.bfloat16), jnp.ones((2, 6), bool)

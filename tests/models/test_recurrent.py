@@ -26,6 +26,7 @@ def arguments():
     return [mask if shape is None else jnp.asarray(rng.normal(size=shape), jnp.float32) for shape in shapes]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("transform", [lambda function: function, jax.jit], ids=["eager", "jit"])
 def test_state_and_gradients_are_those_of_the_plain_steps(arguments, transform):
     weights = jnp.arange(1.0, ROWS * WIDTH + 1).reshape(ROWS, WIDTH) / WIDTH

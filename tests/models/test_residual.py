@@ -89,6 +89,7 @@ def test_training_and_evaluation_choose_the_same_codes_with_joint_updates(update
     assert (np.asarray(during.codes) == np.asarray(before)).all() == same
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("update", ["joint", "per_depth"])
 def test_masked_rows_change_nothing(update):
     """Also if they are not numbers."""
@@ -126,6 +127,7 @@ def test_one_depth_is_the_plain_layer_bit_for_bit(kind):
         chex.assert_trees_all_equal(CodebookState(**variables["codebook"]), state)
 
 
+@pytest.mark.slow
 def test_dead_codes_are_replaced_by_different_vectors():
     vectors = jax.random.normal(jax.random.key(1), (2, 5, 4)).at[0, 0].set(0.0)
     pool = make_pool(vectors, jnp.array([[True] * 5, [True] * 4 + [False]]))
@@ -181,6 +183,7 @@ def test_a_codebook_that_learns_by_gradient_works_with_depths():
     assert np.isfinite(gradient).all() and np.abs(gradient).max() > 0
 
 
+@pytest.mark.slow
 def test_decoder_context_is_as_long_as_needed():
     """A later row changes the frames of a row if and only if it is not farther away than the context."""
     for config in (RVQVAE, VqVaeConfig(num_codes=16, code_dim=8, width=16, depth=2)):

@@ -4,6 +4,7 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from t2m_jax.models.rows import apply_rows, in_precision
 
@@ -24,6 +25,7 @@ HIDDEN = 1.0 + jnp.arange(4 * 64.0).reshape(4, 64)
 KEYS = jax.random.split(jax.random.key(0), 4)
 
 
+@pytest.mark.slow
 def test_dropout_of_a_row_is_that_of_its_key_alone():
     together = apply_rows(Dropped(), {}, HIDDEN, keys=KEYS)
     for rows in ([0], [2, 3], [3, 1]):

@@ -57,6 +57,7 @@ def test_the_order_of_tokens_matters(embed, batch):
     assert np.abs(embed(swapped, mask)[:2] - embed(tokens, mask)[:2]).min(axis=1).max() > 1e-4
 
 
+@pytest.mark.slow
 def test_embeddings_have_length_1_if_the_config_says_so(batch):
     for normalize in (True, False):
         module = SentenceEncoder(SentenceEncoderConfig(**SIZES, mlp_dim=24, normalize=normalize))

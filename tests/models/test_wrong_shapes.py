@@ -141,6 +141,7 @@ def test_losses_of_tokens_and_embeddings_refuse_what_would_broadcast(loss, argum
     refused(loss, *arguments, **options)
 
 
+@pytest.mark.slow
 def test_right_shapes_are_taken():
     motion = np.zeros((2, 16, 263), np.float32)
     variables = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), variable_shapes(VQVAE))

@@ -264,6 +264,7 @@ def test_a_lock_makes_no_knee_faster(fps):
     assert excess_of_knees(locked, positions, fps) < 1
 
 
+@pytest.mark.slow
 def test_the_clean_up_makes_no_knee_faster():
     """Not even where the knee of a recording flips to the other side of its leg, and smoothing takes it through it."""
     positions = walk(seed=1)
@@ -286,6 +287,7 @@ def test_bends_change_as_fast_as_before_and_slow_ones_stay():
     np.testing.assert_allclose(found[:20], bends[:20], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_no_knee_is_faster_in_a_long_motion_of_many_windows():
     """A cross-fade of two windows moves a foot, too."""
     fps = 120.0
@@ -294,6 +296,7 @@ def test_no_knee_is_faster_in_a_long_motion_of_many_windows():
     assert excess_of_knees(Motion(positions, fps).cleaned().positions, positions, fps) < 1
 
 
+@pytest.mark.slow
 def test_any_motion_is_cleaned_at_its_own_rate_with_its_own_bones():
     still = 1.1 * walk(seed=3, kind="wave-left-hand")
     positions = resample_positions(still, fps=20.0, new_fps=30.0, skeleton=HUMANML3D)
@@ -307,6 +310,7 @@ def test_any_motion_is_cleaned_at_its_own_rate_with_its_own_bones():
     np.testing.assert_array_equal(motion.cleaned().positions_raw, shaken.positions)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "fps"), [(1, 30.0), (3, 1.0), (50, 1000.0)])
 def test_motions_of_all_rates_and_lengths_can_be_cleaned(count, fps):
     positions = make_motion("walk", seed=0, num_frames=max(2, count))[:count]
@@ -333,6 +337,7 @@ def test_good_motion_is_hardly_moved_and_a_second_pass_less(kind):
     assert distances(cleaned(once), once).mean() < 0.002
 
 
+@pytest.mark.slow
 def test_what_follows_a_clip_does_not_matter_nor_do_its_neighbors():
     one, other = trembling(walk(), 0.005), trembling(walk(kind="squat"), 0.005)
     padded = np.stack([np.concatenate([one[:40], np.full((20, 22, 3), np.nan, np.float32)]), other])
@@ -357,6 +362,7 @@ def trembling_figures(skeleton):
     return (joints + noise).astype(np.float32)
 
 
+@pytest.mark.slow
 def test_other_skeletons_have_their_own_lengths():
     positions = trembling_figures(KIT_ML)
     found = np.asarray(clean_positions(positions, np.array([30]), skeleton=KIT_ML)[0])
@@ -364,6 +370,7 @@ def test_other_skeletons_have_their_own_lengths():
     np.testing.assert_allclose(bone_lengths(found, KIT_ML).mean(axis=0), expected, rtol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("skeleton", [HUMANML3D, KIT_ML])
 def test_pelvis_and_chest_keep_their_shapes(skeleton):
     positions = trembling_figures(skeleton)
@@ -372,12 +379,14 @@ def test_pelvis_and_chest_keep_their_shapes(skeleton):
     assert np.ptp(shapes(found, skeleton), axis=0).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_a_shape_is_that_of_the_clip_and_not_of_what_follows():
     positions = trembling_figures(HUMANML3D)
     whole = keep(positions[0, :20], jnp.asarray(20))
     np.testing.assert_allclose(keep(positions[0], jnp.asarray(20))[:20], whole, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_shoulders_without_collars_can_be_raised():
     positions = trembling_figures(KIT_ML)[0]
     kept = np.asarray(make_hubs_rigid(jnp.asarray(positions), jnp.asarray(30), KIT_ML))
@@ -385,6 +394,7 @@ def test_shoulders_without_collars_can_be_raised():
     np.testing.assert_allclose(kept[:, upper] - kept[:, [3]], positions[:, upper] - positions[:, [3]], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_long_motion_is_cleaned_as_a_short_one():
     positions = make_motion("walk", seed=2, num_frames=400)
     positions += np.random.default_rng(0).normal(size=positions.shape).astype(np.float32) * 0.004

@@ -203,6 +203,7 @@ def test_jit_and_vmap_change_nothing(golden, function):
     np.testing.assert_allclose(vmapped(clips), compiled, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_encoding_under_vmap_is_encoding_with_numpy(golden):
     # Eager means NumPy here: one by one, the many small steps would each be compiled.
     clips = walk(golden)[:16].reshape(2, 8, 22, 3)
@@ -211,6 +212,7 @@ def test_encoding_under_vmap_is_encoding_with_numpy(golden):
     np.testing.assert_allclose(vmapped(jnp.asarray(clips)), eager, atol=5e-5)
 
 
+@pytest.mark.slow
 def test_decoding_is_causal_and_differentiable(golden):
     features = jnp.asarray(golden["synth22_walk"]["features"][:12])
     gradient = jax.grad(lambda rows: decode(rows, HUMANML3D)[6].sum())(features)
@@ -219,6 +221,7 @@ def test_decoding_is_causal_and_differentiable(golden):
     assert (np.abs(gradient[5, :3]) > 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("skeleton", [HUMANML3D, KIT_ML], ids=lambda skeleton: skeleton.name)
 def test_odd_figures_give_finite_features(skeleton):
     joints = np.random.default_rng(0).normal(size=(30, skeleton.num_joints, 3)).astype(np.float32)

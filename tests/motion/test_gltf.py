@@ -123,6 +123,7 @@ def test_a_very_long_animation_is_refused(tmp_path):
         load_gltf(writer.save(tmp_path / "long.glb"))
 
 
+@pytest.mark.slow
 def test_many_joints_are_read_in_time_and_too_many_poses_are_refused(tmp_path, monkeypatch):
     """A chain of 20,000 joints would take hours if each walked up to the root."""
     writer = GlbWriter()

@@ -74,6 +74,7 @@ def test_other_notes_say_nothing(note):
     assert parts_from_note(note, num_frames=40) == ()
 
 
+@pytest.mark.slow
 def test_hostile_notes_are_cut():
     many = parts_note(tuple((number, "a") for number in range(100_000)), fps=20.0)
     assert len(parts_from_note(many, num_frames=100_000)) == MAX_PARTS

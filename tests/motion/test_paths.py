@@ -107,6 +107,7 @@ def test_raw_positions_go_along():
     np.testing.assert_allclose(both.positions_raw[:, 0], both.positions[:, 0] + np.float32([0, 1, 0]), atol=1e-4)
 
 
+@pytest.mark.slow
 def test_other_frame_rates_have_the_same_path():
     motion = make()
     slow, fast = motion.turned(90), motion.resampled(60).turned(90)

@@ -84,6 +84,7 @@ def test_hard_directions_like_the_reference(golden, asarray):
     np.testing.assert_allclose(actual, golden["qbetween_v0_v1_hard"], atol=5e-5)
 
 
+@pytest.mark.slow
 @in_both_libraries
 def test_results_stay_in_their_library_as_float32(asarray):
     quaternions = asarray(random_quaternions(2, 3).astype(np.float64))

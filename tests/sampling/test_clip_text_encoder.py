@@ -41,6 +41,7 @@ def test_the_embeddings_are_those_of_the_reference(folder):
     np.testing.assert_allclose(found, golden(folder, "embeddings"), rtol=0, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_an_embedding_does_not_depend_on_its_neighbours(clip):
     encoder = PretrainedTextEncoder(clip)
     together = np.asarray(encoder(CAPTIONS))
@@ -49,6 +50,7 @@ def test_an_embedding_does_not_depend_on_its_neighbours(clip):
         np.testing.assert_allclose(encoder(CAPTIONS[5 : 5 + size]), together[5 : 5 + size], rtol=0, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_batches_are_powers_of_two(clip, batches):
     encoder = PretrainedTextEncoder(clip)
     for size in (1, 2, 3, 5):

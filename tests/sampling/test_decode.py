@@ -92,6 +92,7 @@ def test_pieces_go_on_where_the_one_before_ends(cuts):
     np.testing.assert_allclose(np.concatenate(found), positions_from_features(features, HUMANML3D), atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_growing_motion_gives_each_frame_once_when_it_is_final(tokenizer):
     codes = random_codes(tokenizer, 40)
     growing = GrowingMotion(tokenizer, skeleton=HUMANML3D, step=4, max_codes=40)

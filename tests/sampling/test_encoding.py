@@ -25,6 +25,7 @@ def motions():
     return [generator.normal(size=(length, 263)).astype(np.float32) for length in lengths]
 
 
+@pytest.mark.slow
 def test_batched_codes_equal_those_of_each_motion_alone(tokenizer, motions):
     together = encode_motions(tokenizer, motions)
     assert [len(codes) for codes in together] == [len(motion) // 4 for motion in motions]

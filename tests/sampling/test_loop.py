@@ -97,6 +97,7 @@ def test_past_its_end_a_sequence_is_zero(model_and_variables):
     np.testing.assert_array_equal(np.asarray(decoded.codes)[past], 0)
 
 
+@pytest.mark.slow
 def test_a_batch_equals_its_members_alone(model_and_variables):
     texts, keys = texts_and_keys(3)
     together = decode(*model_and_variables, texts, keys, strategy=TopK(k=3))
@@ -127,6 +128,7 @@ def test_end_waits_for_min_codes(model_and_variables):
     np.testing.assert_array_equal(free.codes[late], held.codes[late])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", [Greedy(), TopK(k=3)])
 def test_the_layout_of_the_weights_does_not_matter(model_and_variables, strategy):
     model, variables = model_and_variables

@@ -21,6 +21,7 @@ def test_models_know_it_by_this_hash(encoder):
     assert SentenceStatesConfig().encoder == REFERENCE and encoder.config.text_dim == 384
 
 
+@pytest.mark.slow
 def test_embeddings_are_those_of_the_original(encoder):
     """The golden embeddings are those of all-MiniLM-L6-v2 with its float32 weights and its whole vocabulary."""
     with np.load(GOLDEN / "minilm.npz") as golden:

@@ -36,6 +36,7 @@ def test_they_do_what_is_asked_and_the_same_as_before(name):
     assert motions[0].codes[:8, 0].tolist() == FIRST_CODES[name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BUNDLED)
 def test_their_examples_need_no_warning_and_are_no_fragments(name):
     model = TextToMotion.load(name)
@@ -50,6 +51,7 @@ def dance():
     return motion
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("suffix", "options"),
     [(".bvh", {}), (".glb", {}), (".vrma", {}), (".bvh", {"root_bone": True}), (".glb", {"root_bone": True})],

@@ -102,6 +102,7 @@ def test_seeds_and_samples_differ(model, eight):
     assert model.generate(CAPTIONS[0], seed=4)[0].codes.tolist() != eight[0].codes.tolist()
 
 
+@pytest.mark.slow
 def test_more_than_one_batch(model):
     many = model.generate(CAPTIONS[0], seed=1, num_samples=MAX_BATCH + 2)
     assert len(many) == MAX_BATCH + 2
@@ -133,6 +134,7 @@ def test_greedy_needs_no_seed(model):
     np.testing.assert_array_equal(one.codes, other.codes)
 
 
+@pytest.mark.slow
 def test_length_can_be_limited(model):
     assert all(len(motion.codes) <= 3 for motion in model.generate(CAPTIONS, max_codes=3))
 
@@ -175,6 +177,7 @@ def test_motions_that_cannot_be_encoded_are_refused(model):
         model.encode(Motion(make_motion("walk", seed=1, num_frames=60), 20.0)[:3])
 
 
+@pytest.mark.slow
 def test_decode_gives_the_generated_motion_again(model, eight):
     again = model.decode(eight[0].codes, caption=eight[0].caption)
     np.testing.assert_allclose(again.positions, eight[0].positions, atol=1e-4)
@@ -226,6 +229,7 @@ def test_sampling_does_not_change_the_variables(bundle):
         model.generate(CAPTIONS[0])
 
 
+@pytest.mark.slow
 def test_numbers_are_a_strategy(model):
     expected = model.generate(CAPTIONS[0], strategy=TopK(k=3, temperature=0.7))[0]
     np.testing.assert_array_equal(model.generate(CAPTIONS[0], temperature=0.7, top_k=3)[0].codes, expected.codes)
@@ -242,6 +246,7 @@ def test_progress_is_told_after_each_batch(model, monkeypatch):
     assert told == [(3, 8), (6, 8), (8, 8)]
 
 
+@pytest.mark.slow
 def test_a_model_warns_of_what_it_does_not_know(bundle):
     words = {word: 9 for caption in CAPTIONS for word in caption.split()}
     data = {"data": "mine", "num_clips": 24, "words": words, "actions": {"walk": 9, "wave": 3}}
@@ -271,6 +276,7 @@ def test_a_model_says_what_it_is(bundle):
     )
 
 
+@pytest.mark.slow
 def test_a_name_in_place_of_a_bundle_gets_a_hint():
     program = "from t2m_jax.sampling import TextToMotion; TextToMotion('demo')"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
@@ -316,6 +322,7 @@ def test_the_batch_size_hardly_changes_a_code(name, monkeypatch):
     assert sum(one != other for one, other in zip(codes[1], codes[8], strict=True)) <= 1
 
 
+@pytest.mark.slow
 def test_a_typing_mistake_is_read_as_the_word_that_was_meant():
     model = TextToMotion.load("demo")
     with pytest.warns(PromptWarning, match=r"^'a person wlaks forward': wlaks: read as walks$"):

@@ -134,6 +134,7 @@ def test_make_is_what_the_methods_return(model):
     assert_equal(together, [motion for _, expected in asked.values() for motion in expected])
 
 
+@pytest.mark.slow
 def test_requests_with_the_same_options_share_a_batch(model, monkeypatch):
     sizes = []
     sample_codes = ModelParts.sample_codes
@@ -179,6 +180,7 @@ def test_a_stop_rule_that_needs_all_rows_cannot_stream():
         model.stream(FIRST, stop_rule="argmax")
 
 
+@pytest.mark.slow
 def test_sentences_in_turn_are_limited_each(model):
     (motion,) = model.generate_chain([FIRST, SECOND, THIRD], max_codes=3)
     starts = [*motion.part_starts, motion.num_frames]

@@ -10,12 +10,14 @@ from t2m_jax.text.encoder import CuttingTextEncoder
 from tests.sentence_golden import BERT, CAPTIONS, FOLDERS, MPNET, ROBERTA, golden
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
 def test_the_embeddings_are_those_of_the_reference(folder):
     found = PretrainedTextEncoder(load_sentence_encoder(folder))(CAPTIONS)
     np.testing.assert_allclose(found, golden(folder), rtol=0, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_an_embedding_does_not_depend_on_its_neighbors():
     encoder, short = PretrainedTextEncoder(load_sentence_encoder(BERT)), CAPTIONS[5]
     alone, together = encoder([short]), encoder([short, CAPTIONS[-1], "a walk"])
@@ -23,6 +25,7 @@ def test_an_embedding_does_not_depend_on_its_neighbors():
     assert np.abs(together[1] - together[0]).max() > 0.1
 
 
+@pytest.mark.slow
 def test_another_encoder_takes_nothing_from_the_cache(tmp_path):
     for folder in (BERT, ROBERTA, BERT):
         encoder = PretrainedTextEncoder(load_sentence_encoder(folder), cache=EmbeddingCache(tmp_path / "cache.sqlite3"))

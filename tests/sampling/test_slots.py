@@ -57,6 +57,7 @@ def made(model):
     return run(model, REQUESTS)
 
 
+@pytest.mark.slow
 def test_codes_are_those_of_generate(model, made):
     for (caption, seed), codes in zip(REQUESTS, made[0], strict=True):
         np.testing.assert_array_equal(codes, model.generate(caption, seed=seed)[0].codes)
@@ -77,6 +78,7 @@ def test_reports_are_the_codes_in_turn(made):
         np.testing.assert_array_equal(told[: len(codes)], codes)
 
 
+@pytest.mark.slow
 def test_a_slot_can_be_released(model):
     slots = model.parts.slots(2, model.parts.sampling())
     assert slots.free == [0, 1]

@@ -76,6 +76,7 @@ def test_the_loop_ends_motions_by_the_rule(rule, expected):
         assert not codes[length:].any()
 
 
+@pytest.mark.slow
 def test_motions_end_after_each_row_with_its_probability():
     """With a probability of 0.2 for every row, lengths are those of a geometric distribution, cut at the limit."""
     scores = np.full((4000, ROWS), np.log(0.2 / 0.8), np.float32)
@@ -87,6 +88,7 @@ def test_motions_end_after_each_row_with_its_probability():
     assert later.min() == 6
 
 
+@pytest.mark.slow
 def test_a_random_end_depends_on_the_key_of_its_motion_only():
     scores = np.full((6, ROWS), -1.5, np.float32)
     together = sample(StopAtRandom(), scores)

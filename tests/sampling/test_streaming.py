@@ -17,6 +17,7 @@ def stop_rule(model):
     return None if model.config.generator.stop_rule == "end" else "threshold"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", [None, Greedy()], ids=["drawn", "greedy"])
 def test_pieces_are_the_motion_of_generate(model, strategy):
     lengths = set()

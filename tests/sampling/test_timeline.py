@@ -109,6 +109,7 @@ def test_a_sentence_is_sampled_and_decoded_as_if_it_were_alone(model):
     np.testing.assert_allclose(first.positions, positions, rtol=1e-5, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_motion_may_be_longer_than_the_generator_can_read(model):
     longest = model.config.generator.max_codes
     seconds = 3 * longest * model.config.tokenizer.downsample / model.skeleton.fps

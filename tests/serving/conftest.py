@@ -103,6 +103,13 @@ def server(model_folder):
         yield client
 
 
+@pytest.fixture(scope="session")
+def address():
+    """The studio with the demo model, for all tests in a browser: to start it takes longer than most of them."""
+    with running_server("--batch", "4") as client:
+        yield f"http://127.0.0.1:{client.port}/"
+
+
 def wait_until(condition, seconds: float = 60) -> None:
     end = time.monotonic() + seconds
     while not condition():

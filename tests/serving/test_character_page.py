@@ -11,7 +11,6 @@ from tests.motion.figures import walking_positions
 from tests.motion.glb_files import edited
 from tests.serving.test_page import (
     WAVE,
-    address,  # noqa: F401 - a fixture
     expect,
     generate,
     num_frames,

@@ -161,6 +161,7 @@ def test_a_sentence_is_split(walk):  # noqa: F811
             split(decode_base64(twice["npz"]), seconds)
 
 
+@pytest.mark.slow
 def test_a_motion_is_changed_in_every_way(walk):  # noqa: F811
     changes = Changes(begin=0.5, mirror=True, speed=2.0, turn=90.0)
     expected = changes.apply(walk)
@@ -171,6 +172,7 @@ def test_a_motion_is_changed_in_every_way(walk):  # noqa: F811
         np.testing.assert_allclose(read_back(data, "npz").positions, expected.positions, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_character_moves_as_the_changed_motions(walk, tmp_path):  # noqa: F811
     hero = write_character(tmp_path / "hero.glb", BANDAI)
     table = table_text(lambda bone: bone)

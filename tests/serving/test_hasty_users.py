@@ -8,7 +8,6 @@ from tests.serving.test_page import (  # noqa: F401 - fixtures
     WALK,
     WAVE,
     WIDE,
-    address,
     expect,
     generate,
     num_frames,
@@ -19,6 +18,7 @@ from tests.serving.test_page import (  # noqa: F401 - fixtures
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("viewport", [pytest.param(WIDE, marks=pytest.mark.release), PHONE])
 def test_accessibility_of_dialogs_and_errors(open_studio, viewport):  # noqa: F811
     page = open_studio(viewport=viewport)

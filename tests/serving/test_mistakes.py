@@ -10,7 +10,6 @@ from tests.serving.test_page import (  # noqa: F401 - fixtures
     PHONE,
     WALK,
     WAVE,
-    address,
     download,
     expect,
     generate,
@@ -21,6 +20,7 @@ from tests.serving.test_page import (  # noqa: F401 - fixtures
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.release
 def test_motions_are_named_copied_and_come_back(open_studio):  # noqa: F811
     page = open_studio()
     generate(page, WALK)

@@ -18,7 +18,6 @@ from t2m_jax.motion.targets import distances, read_target, targets_from_text
 from t2m_jax.serving.schema import FileParameters, MotionBody
 from tests.export.conftest import NASTY_CAPTION, walk  # noqa: F401 - a fixture
 from tests.export.test_viewer import browser, wait_until  # noqa: F401 - a fixture
-from tests.serving.conftest import running_server
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 expect = playwright.expect
@@ -29,12 +28,6 @@ expect.set_options(timeout=WAIT)
 pytestmark = pytest.mark.slow
 WIDE, PHONE = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
 WALK, WAVE = "a person walks forward", "a person waves with the left hand"
-
-
-@pytest.fixture(scope="module")
-def address():
-    with running_server("--batch", "4") as client:
-        yield f"http://127.0.0.1:{client.port}/"
 
 
 @pytest.fixture
@@ -143,6 +136,7 @@ def test_the_timeline_scrubs_and_trims(open_studio, tmp_path):
     assert float(page.locator("#begin").input_value()) > 0
 
 
+@pytest.mark.release
 def test_sentences_follow_each_other_and_a_part_is_made_again(open_studio):
     page = open_studio()
     generate(page, WALK, WAVE)
@@ -468,6 +462,20 @@ def test_captions_are_only_text(open_studio, walk, tmp_path):  # noqa: F811
     expect(page.locator("#take-title")).to_contain_text("😀")
     assert page.locator("img, main script").count() == 0
     assert page.evaluate("document.documentElement.scrollWidth") == PHONE["width"]
+
+
+def test_a_seed_of_ten_digits_stays_on_one_line(open_studio, walk, tmp_path):  # noqa: F811
+    page = open_studio(viewport=PHONE)
+    Motion(walk.positions, 20.0, caption=WALK, seed=2**32 - 1).save(tmp_path / "long.npz")
+    page.locator("#file-input").set_input_files(tmp_path / "long.npz")
+    expect(page.locator("#take-facts")).to_contain_text("seed\u00a04294967295")
+    lines = page.locator("#take-facts").evaluate("""(facts) => {
+      const range = document.createRange();
+      range.setStart(facts.firstChild, facts.textContent.indexOf("seed"));
+      range.setEnd(facts.firstChild, facts.textContent.length);
+      return new Set([...range.getClientRects()].map(({ top }) => top)).size;
+    }""")
+    assert lines == 1
 
 
 def test_phones_have_room_for_fingers(open_studio):

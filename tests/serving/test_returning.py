@@ -4,7 +4,7 @@ import pytest
 
 from tests.export.test_viewer import browser, wait_until  # noqa: F401 - a fixture
 from tests.serving.test_hasty_users import SLOW_STREAM
-from tests.serving.test_page import WALK, WAVE, address, expect, generate, open_studio  # noqa: F401 - fixtures
+from tests.serving.test_page import WALK, WAVE, expect, generate, open_studio  # noqa: F401 - fixtures
 
 pytestmark = pytest.mark.slow
 
@@ -39,6 +39,7 @@ def test_a_reload_keeps_the_draft_the_settings_and_the_selection(open_studio):  
     expect(page.get_by_role("textbox", name="Sentence")).to_have_value(WALK)  # what was sent is no draft
 
 
+@pytest.mark.release
 def test_a_reload_keeps_the_view(open_studio):  # noqa: F811
     page = open_studio()
     title, hint = page.locator("#take-title"), page.locator("#compare-hint")
@@ -133,6 +134,7 @@ WATCH_HISTORY = """() => {
 }"""
 
 
+@pytest.mark.release
 def test_a_history_of_200_motions_is_not_drawn_anew(open_studio):  # noqa: F811
     """The work of an action is a row or two, however long the history is."""
     page = open_studio()

@@ -25,6 +25,8 @@ from tests.serving.soak import processes
 from tests.serving.test_files import read_back
 from tests.tiny import CAPTIONS
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def model(model_folder):
@@ -83,7 +85,6 @@ def test_a_seed_gives_the_same_motion_under_any_load(server):
         np.testing.assert_array_equal(first.positions, second.positions)
 
 
-@pytest.mark.slow
 def test_requests_with_other_options_are_made_at_the_same_time(server, model):
     def ask(number: int) -> dict:
         fields = ({}, {"temperature": 0.7, "raw": True}, {"guidance_scale": 3.0}, {"num_samples": 8})[number % 4]
@@ -100,7 +101,6 @@ def test_requests_with_other_options_are_made_at_the_same_time(server, model):
         np.testing.assert_allclose(motion_of(found[number]).positions, expected.positions, atol=atol)
 
 
-@pytest.mark.slow
 def test_a_chain_says_where_sentences_begin(server, model):
     data = server.motions(*CAPTIONS[:2], seconds=1.0, seed=1)
     (expected,) = model.generate_chain(CAPTIONS[:2], seconds=1.0, seed=1)
@@ -108,7 +108,6 @@ def test_a_chain_says_where_sentences_begin(server, model):
     np.testing.assert_allclose(motion_of(data).positions, expected.positions, atol=1e-4)
 
 
-@pytest.mark.slow
 def test_a_motion_is_changed(server):
     given = server.motions(CAPTIONS[0], seconds=3.0, seed=1)["motions"][0]
     longer = server.motions(CAPTIONS[1], start=given["npz"], seconds=0.8)["motions"][0]
@@ -275,7 +274,6 @@ def test_a_full_queue_answers_429(server):
     assert set(statuses) == {200, 429}
 
 
-@pytest.mark.slow
 def test_the_process_that_generates_may_die(server):
     command = ["pgrep", "-P", str(server.pid), "-f", "spawn_main"]
     children = [int(pid) for pid in subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()]

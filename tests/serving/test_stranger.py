@@ -9,7 +9,6 @@ from tests.motion.rig.foreign import nameless  # noqa: F401 - a fixture
 from tests.serving.test_page import (  # noqa: F401 - fixtures
     WALK,
     WAVE,
-    address,
     download,
     expect,
     generate,
@@ -60,6 +59,7 @@ def test_a_stranger_replaces_a_sentence_and_takes_it_back(open_studio, tmp_path)
     expect(blocks).to_have_text([WALK, BOW])
 
 
+@pytest.mark.release
 def test_a_stranger_comes_back_and_shares(open_studio, tmp_path):  # noqa: F811
     page = open_studio()
     make_chain(page)
@@ -84,6 +84,7 @@ def test_a_stranger_comes_back_and_shares(open_studio, tmp_path):  # noqa: F811
     assert serious_faults(other) == []
 
 
+@pytest.mark.release
 def test_variations_and_what_follows_keep_all_sentences(open_studio):  # noqa: F811
     page = open_studio()
     blocks = page.locator(".block")

@@ -10,7 +10,6 @@ from tests.export.test_viewer import browser  # noqa: F401 - a fixture
 from tests.serving.test_page import (  # noqa: F401 - fixtures
     WALK,
     WAVE,
-    address,
     download,
     expect,
     generate,

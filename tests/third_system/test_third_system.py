@@ -23,6 +23,7 @@ LOOP = {"loop.num_steps": 6, "loop.batch_size": 4, "loop.log_every": 2, "loop.va
 def folder(tmp_path_factory):
     """A data set and an evaluator of it."""
     folder = tmp_path_factory.mktemp("third")
+    (folder / "programs").mkdir(mode=0o700)
     write_synthetic_dataset(folder / "data", num_clips=40, seed=3)
     (folder / "data" / "val.txt").write_text((folder / "data" / "train.txt").read_text())
     trained = random_evaluator()._replace(normalizer=open_dataset(folder / "data").normalizer)
@@ -34,7 +35,11 @@ def t2m(folder, *arguments, **fields):
     """Runs the program with the distribution on the path; `fields` are options of a config."""
     options = [text for name, value in fields.items() for text in (f"--{name}", f"{value}")]
     path = os.pathsep.join([f"{DISTRIBUTION}", f"{DISTRIBUTION.parents[2]}", os.environ.get("PYTHONPATH", "")])
-    environment = os.environ | {"PYTHONPATH": path, "T2M_JAX_NO_COMPILATION_CACHE": "1"}
+    programs = {
+        "JAX_COMPILATION_CACHE_DIR": f"{folder / 'programs'}",
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    }
+    environment = os.environ | {"PYTHONPATH": path} | programs
     command = [sys.executable, "-m", "t2m_jax.cli", *map(str, arguments), *options]
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -109,6 +109,7 @@ def trained_at(run, step, like):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("stage", STAGES)
 def test_the_table_and_the_best(finished, stage):
     rows, best = table(finished(stage)), find_best(finished(stage))
@@ -133,6 +134,7 @@ def loaded(run, stage):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("stage", TRAINED)
 def test_a_run_stands_for_its_best(training, stage, tmp_path):
     """Asked of runs that keep every checkpoint, so that the weights of the best step are known from elsewhere."""
@@ -149,6 +151,7 @@ def test_a_run_stands_for_its_best(training, stage, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("stage", TRAINED)
 def test_a_resumed_run_equals_one_that_never_stopped(finished, training, stage, tmp_path, monkeypatch):
     config = training(stage, tmp_path / "run")
@@ -180,6 +183,7 @@ def test_figures_are_those_of_the_command(finished, held_out, evaluator):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_the_log_says_how_codes_were_chosen(training, tmp_path, caplog, monkeypatch):
     monkeypatch.setattr(experiment, "held_out_metrics", lambda task, source: {"fid": 7.0 + source.options.temperature})
     config = training("gpt", tmp_path / "run", sampling="greedy")
@@ -215,6 +219,7 @@ def refusal(request, training, tmp_path, capsys):
     return start
 
 
+@pytest.mark.slow
 def test_an_evaluator_that_is_none_is_refused_before_training(refusal, tmp_path):
     assert f"{tmp_path / 'nowhere'}: not an evaluator" in refusal(evaluator=tmp_path / "nowhere")
 

@@ -100,6 +100,7 @@ def test_three_steps_are_the_reference_s(golden_dir):
     assert all(change > 1e-4 for part in moved.keys() - {*frozen} for change in jax.tree.leaves(moved[part]))
 
 
+@pytest.mark.slow
 def test_infonce_is_the_cross_entropy_both_ways():
     text, motion = jax.random.normal(jax.random.key(0), (2, 5, 3))
     squares = np.sum((np.asarray(text)[:, None] - np.asarray(motion)[None]) ** 2, axis=-1)
@@ -131,6 +132,7 @@ def texts(run):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_run_is_an_evaluator(data, finished):
     assert run_info(finished).kind == "evaluator"
     trained = load_trained_evaluator(finished)
@@ -166,6 +168,7 @@ def test_the_same_seed_gives_the_same_bits(data, finished, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("training_of", "stop"),
     [

@@ -6,6 +6,7 @@ import json
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from t2m_jax.checkpoints.official.load import gpt_variables, vqvae_variables
 from t2m_jax.data.banks.motions import Windows
@@ -17,6 +18,8 @@ from t2m_jax.train.optimizer import first_state, make_optimizer
 from t2m_jax.train.vqvae import VqVaeState, vqvae_train_step
 from tests.golden_files import state_dict
 from tests.tiny import walking_normalizer
+
+pytestmark = pytest.mark.slow
 
 
 def assert_close_parameters(found, expected, *, skip: str = "?"):

@@ -39,6 +39,7 @@ def config_of(kind, data, both, run):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("kind", ["rvqvae", "hifigpt"])
 def test_a_resumed_run_equals_one_that_never_stopped(kind, data, both, tmp_path, monkeypatch):
     config = config_of(kind, data, both, tmp_path / "run")
@@ -81,6 +82,7 @@ def test_the_run_has_the_codebook_of_its_tokenizer(both):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_every_command_takes_the_run(both, data, tmp_path, capsys, monkeypatch):
     """Generate, bundle, view, evaluate: nothing but the name of the model differs from T2M-GPT."""
     monkeypatch.setenv("T2M_JAX_NO_COMPILATION_CACHE", "1")

@@ -158,6 +158,7 @@ def test_users_of_the_original_can_check_a_run(runs, tmp_path):
     assert load_bundle(tmp_path / "out").config == BUNDLE
 
 
+@pytest.mark.release
 @pytest.mark.filterwarnings("ignore::t2m_jax.text.coverage.PromptWarning")
 def test_half_precision_changes_little(model, bundle_folder):
     passed_on = TextToMotion.load(bundle_folder)

@@ -53,6 +53,7 @@ def gradients(state):
     return state.opt_state[0].mu
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     "change",
     [

@@ -61,6 +61,7 @@ def test_a_resumed_run_equals_one_that_never_stopped(stage, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("stage", STAGES, indirect=True)
 def test_calls_of_several_updates_are_resumed_exactly_too(stage, tmp_path):
     """The whole run has calls of 3, 1, 3 and 1 updates; that of the other from step 4 is cut short."""
@@ -73,6 +74,7 @@ def test_calls_of_several_updates_are_resumed_exactly_too(stage, tmp_path):
     assert_same_checkpoint(stage.config.run, whole)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", STAGES, indirect=True)
 def test_a_run_that_stopped_before_its_first_checkpoint_starts_over(stage, monkeypatch):
     mend = stop_at(4, monkeypatch)
@@ -85,6 +87,7 @@ def test_a_run_that_stopped_before_its_first_checkpoint_starts_over(stage, monke
     assert_same_checkpoint(stage.config.run, stage.finished)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", STAGES, indirect=True)
 def test_a_run_may_be_prolonged_and_a_finished_one_is_left_alone(stage):
     run = stage.config.run
@@ -109,6 +112,7 @@ def test_the_step_counts(runs, tmp_path):
         assert not all(jax.tree.leaves(same))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", STAGES, indirect=True)
 def test_data_that_only_moved_are_accepted(stage, runs, tmp_path):
     stage.train(num_steps=4)
@@ -142,6 +146,7 @@ def add_a_caption(data):
         file.write("a person stands#a/DET person/NOUN stands/VERB#0.0#0.0\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", STAGES, indirect=True)
 @pytest.mark.parametrize(
     ("change", "named"),
@@ -162,6 +167,7 @@ def test_data_that_changed_are_refused(stage, runs, tmp_path, change, named):
     assert {path: path.read_bytes() for path in stage.config.run.rglob("*") if path.is_file()} == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", ["vqvae"], indirect=True)
 def test_weights_and_statistics_of_the_start_may_move_but_not_change(stage, runs, tmp_path):
     def copied(source, name):

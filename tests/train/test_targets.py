@@ -5,6 +5,7 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from t2m_jax.data.banks.codes import CodeBank
 from t2m_jax.models.motion_gpt import MotionGptConfig
@@ -80,18 +81,21 @@ def replaced_shares(tau, num_steps):
     return np.stack([shares_at(step) for step in range(num_steps)])
 
 
+@pytest.mark.slow
 def test_a_share_is_drawn_for_each_batch():
     batches = replaced_shares("per_batch", num_steps=40)
     assert np.ptp(batches, axis=1).max() < 0.1, "motions of one batch differ"
     assert batches.min() < 0.1 and batches.max() > 0.9
 
 
+@pytest.mark.slow
 def test_a_share_is_drawn_for_each_motion():
     motions = replaced_shares("per_motion", num_steps=10)
     assert motions[0].min() < 0.15 and motions[0].max() > 0.85
     np.testing.assert_allclose(motions.mean(), 0.5, atol=0.05)
 
 
+@pytest.mark.slow
 def test_a_given_share_is_that_of_every_motion():
     np.testing.assert_allclose(replaced_shares(0.3, num_steps=2), 0.3, atol=0.06)
 
@@ -125,6 +129,7 @@ def test_long_motions_are_cut_to_leave_room_for_end():
     np.testing.assert_array_equal(targets.tokens, [[0, 1, 2, 3, 4, 20]])
 
 
+@pytest.mark.slow
 def test_jit_equals_eager():
     codes, lengths = jnp.arange(12).reshape(3, 4), jnp.array([4, 2, 0])
 

@@ -194,6 +194,7 @@ def test_the_bank_holds_codes_at_every_offset_and_all_captions(first_frames, vqv
     assert len(bank.captions.tokens) == len(CAPTIONS)
 
 
+@pytest.mark.slow
 def test_the_bank_can_hold_embeddings(first_frames, vqvae):
     motions = coded(vqvae, CLIPS)
     bank = make_code_bank(motions, lambda captions: np.arange(len(captions), dtype=np.float32)[:, None])

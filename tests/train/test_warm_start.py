@@ -41,6 +41,7 @@ def bundle(runs, tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "source", ["run", *(pytest.param(other, marks=pytest.mark.slow) for other in ("generator's run", "bundle"))]
 )
@@ -93,6 +94,7 @@ def test_a_generator_starts_from_a_model_and_keeps_its_subwords(runs, tmp_path):
     assert (config.run / "tokenizer.json").read_bytes() == (runs.gpt / "tokenizer.json").read_bytes()
 
 
+@pytest.mark.slow
 def test_other_sizes_are_refused_with_the_array_named(runs, tmp_path):
     model = dataclasses.replace(VQVAE, width=24)
     config = dataclasses.replace(vqvae_training(runs.data, tmp_path / "run"), init=runs.vqvae, model=model)
@@ -100,6 +102,7 @@ def test_other_sizes_are_refused_with_the_array_named(runs, tmp_path):
         train(config)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("init", ["nowhere", "demo"])
 def test_a_run_that_cannot_start_from_a_model_is_not_made(runs, tmp_path, init):
     for config in (
@@ -228,6 +231,7 @@ def test_a_generator_of_another_tokenizer_is_refused(runs, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_statistics_come_from_files(runs, tmp_path):
     """As published: `mean.npy` and `std.npy`, measured on a slightly different build of the data."""
     mean, std = open_dataset(runs.data).normalizer
@@ -263,6 +267,7 @@ def test_statistics_of_other_motion_are_a_warning_for_a_training_that_goes_on(ru
     assert "differ too much from those of" in caplog.text and "starts from a model with them" in caplog.text
 
 
+@pytest.mark.slow
 def test_a_run_records_what_it_was_trained_on_and_how_far(runs, tmp_path):
     data = json.loads((runs.gpt / "training_data.json").read_text())
     assert data["num_clips"] == len(open_dataset(runs.data).clips("train"))

@@ -45,11 +45,9 @@ def test_every_compiled_function_has_a_case():
     assert sorted(FUNCTIONS) == sorted(CASES), "add the function to tests/user_settings/cases.py, or remove its case"
 
 
-# To compile trainings and evaluations takes longest; `make test-release` compares them.
-NAMES = [
-    pytest.param(name, marks=pytest.mark.release) if name.startswith(("train.", "evaluation.")) else name
-    for name in sorted(CASES)
-]
+# To compile these takes longest; `make test-release` compares them.
+LONGEST = ("train.", "evaluation.", "sampling.directing.")
+NAMES = [pytest.param(name, marks=pytest.mark.release) if name.startswith(LONGEST) else name for name in sorted(CASES)]
 
 
 # Eager functions compile each operation for itself, and this with all optimizations.

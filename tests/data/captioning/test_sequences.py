@@ -105,6 +105,7 @@ def test_durations_are_right(seconds, words):
     assert sum(map(bool, right)) >= 95, "all but some with a typing mistake in the number"
 
 
+@pytest.mark.slow
 def test_every_content_can_be_in_every_sequence():
     for content in CONTENTS:
         labels = Labels(content, "normal")
