@@ -162,6 +162,7 @@ def test_losses_in_meters_are_distances(walk):
         assert found < 2e-3, "turning with the heading is all that moves a constant offset"
 
 
+@pytest.mark.slow
 def test_world_losses_contain_the_path(walk):
     motion, mask = walk
     faster = moved(motion, slice(LAYOUT.root_velocity.start + 1, LAYOUT.root_velocity.stop), 0.01)

@@ -25,6 +25,7 @@ def run_as_on_windows(program, folder):
     return result.stdout
 
 
+@pytest.mark.slow
 def test_every_module_imports(tmp_path, repository):
     names = sorted(
         ".".join(path.relative_to(repository).with_suffix("").parts) for path in repository.glob("t2m_jax/**/*.py")

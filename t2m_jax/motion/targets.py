@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from t2m_jax.errors import UserError
 from t2m_jax.motion.features import facing
+from t2m_jax.motion.joining import Pose, place_positions
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.namespace import AnyArray, namespace_of
 from t2m_jax.motion.rotations import unit_vectors
@@ -167,8 +168,37 @@ def targets_from_text(text: str) -> tuple[Target, ...]:
     return tuple(_from_text(part) for part in text.split(";") if part.strip())
 
 
-def check_targets(targets: Sequence[Target], skeleton: Skeleton) -> None:
-    """Raises `UserError` if a skeleton does not have a joint, or nobody could meet the targets."""
+def move_target(target: Target, seconds: float, pose: Pose, place: Pose, *, skeleton: Skeleton) -> Target:
+    """Returns a target some seconds later, turned and moved as `pose` is that gets the place of `place`."""
+    until = None if target.until is None else target.until + seconds
+    later = dataclasses.replace(target, seconds=target.seconds + seconds, until=until)
+    if target.joint == POSE or target.relative:
+        return later
+    if target.joint == FACING:
+        turn = heading(place, skeleton) - heading(pose, skeleton)
+        return dataclasses.replace(later, place=(target.place[0] + turn,))
+    x, *height, z = target.place
+    points = np.broadcast_to([x, *(height or [0.0]), z], pose.shape)[None]
+    moved = place_positions(points, pose, place, skeleton=skeleton)[0, 0].tolist()
+    return dataclasses.replace(later, place=tuple(moved if height else moved[::2]))
+
+
+def heading(pose: Pose, skeleton: Skeleton) -> float:
+    """Returns where a figure faces, in degrees to the left of +z."""
+    x, _, z = facing(pose, skeleton)
+    return math.degrees(math.atan2(x, z))
+
+
+def check_targets(
+    targets: Sequence[Target], skeleton: Skeleton, *, start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> None:
+    """Raises `UserError` if a skeleton does not have a joint, or nobody could meet the targets.
+
+    Args:
+        targets: Of a motion.
+        skeleton: Of the motion.
+        start: Seconds at which it is known where the root is, and its x and z.
+    """
     known = (*skeleton.joint_names, ROOT, FACING)
     for target in targets:
         if target.joint not in (*known, POSE):
@@ -180,10 +210,12 @@ def check_targets(targets: Sequence[Target], skeleton: Skeleton) -> None:
     if len(targets) > MAX_TARGETS:
         raise UserError(f"targets: {len(targets)} are more than {MAX_TARGETS}")
     fixed = [target for target in targets if not target.relative and target.joint not in (FACING, POSE)]
+    seconds, *ground = start
     for target in fixed:
-        # The root begins above the origin, and takes its limbs along.
+        # The root takes its limbs along.
         reach = 0.0 if target.joint == ROOT else limb_reach(target.joint, skeleton)
-        _check_speed(target, math.hypot(target.place[0], target.place[-1]) - reach, target.seconds, FASTEST_ROOT)
+        way = math.dist((target.place[0], target.place[-1]), ground) - reach
+        _check_speed(target, way, target.seconds - seconds, FASTEST_ROOT)
     ordered = sorted(fixed, key=lambda target: (target.joint, target.seconds))
     for before, after in itertools.pairwise(ordered):
         if before.joint == after.joint:

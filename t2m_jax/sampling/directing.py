@@ -9,7 +9,7 @@ or the logits of other systems.
 import dataclasses
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -210,8 +210,7 @@ def direct(model: ModelParts, request: MotionRequest, prompt: Prompt) -> list[Mo
     Raises:
         UserError: A target does not fit the model, or the tokenizer has no latents.
     """
-    if not find_part(model.config.tokenizer.kind).has_latents:
-        raise UserError(f"targets: a tokenizer of the kind {model.config.tokenizer.kind} cannot meet them")
+    check_latents(model)
     check_targets(request.targets, model.skeleton)
     check_exact(request.targets, model.skeleton)
     # Steps bring all targets as near as any; those that are exact are then met by inverse kinematics.
@@ -226,12 +225,18 @@ def direct(model: ModelParts, request: MotionRequest, prompt: Prompt) -> list[Mo
     codes = [rows[:end] for rows, end in zip(np.asarray(found.codes), ends, strict=True)]
     size = {"size": sampling.max_codes, "batch": len(filled)}
     candidates = model.decode_samples(samples, codes[: len(samples)], clean=not request.options.raw, **size)
-    ranked = sorted(candidates, key=functools.partial(_cost, rough))
+    ranked = sorted(candidates, key=functools.partial(cost_of, rough))
     moved = [
-        _approach(model, one, rough, size=sampling.max_codes, clean=not request.options.raw)
+        approach_targets(model, one, rough, size=sampling.max_codes, clean=not request.options.raw)
         for one in ranked[: request.num_samples]
     ]
-    return [_finish(motion, request.targets) for motion in moved]
+    return [report_targets(motion, request.targets) for motion in moved]
+
+
+def check_latents(model: ModelParts) -> None:
+    """Raises `UserError` if there are no latents that gradients could change."""
+    if not find_part(model.config.tokenizer.kind).has_latents:
+        raise UserError(f"targets: a tokenizer of the kind {model.config.tokenizer.kind} cannot meet them")
 
 
 def _long_enough(model: ModelParts, request: MotionRequest) -> Sampling:
@@ -252,20 +257,37 @@ def _long_enough(model: ModelParts, request: MotionRequest) -> Sampling:
     return sampling._replace(min_codes=max(sampling.min_codes, least))
 
 
-def _cost(targets: Sequence[Target], motion: Motion) -> float:
+def cost_of(targets: Sequence[Target], motion: Motion) -> float:
     """Returns how far a motion is from all targets together, each in its tolerance."""
     found = zip(distances(motion, targets), targets, strict=True)
     return math.fsum((far / target.tolerance) ** 2 for far, target in found)
 
 
-def _approach(model: ModelParts, motion: Motion, targets: Sequence[Target], *, size: int, clean: bool) -> Motion:
-    """Returns a motion moved to its targets: the nearest of the rounds."""
+def approach_targets(
+    model: ModelParts,
+    motion: Motion,
+    targets: Sequence[Target],
+    *,
+    size: int,
+    clean: bool,
+    finish: Callable[[Motion], Motion] = lambda motion: motion,
+) -> Motion:
+    """Returns a motion moved to its targets: the nearest of the rounds.
+
+    Args:
+        model: Whose decoder is used.
+        motion: With its codes.
+        targets: Of the motion.
+        size: The codes are padded to so many rows.
+        clean: Whether decoded positions are cleaned.
+        finish: What will be done to the motion later, which has to meet the targets then.
+    """
     assert motion.codes is not None
     codes, code_lengths = map(jnp.asarray, pad_codes([motion.codes], size=size))
     attempt = Attempt(codes, code_lengths, None)
     frames = np.array([motion.num_frames])
     goals = wanted = make_goals(targets, model.skeleton)
-    best, least = motion, _cost(targets, motion)
+    best, least = motion, cost_of(targets, finish(motion))
     tokenizer = model.tokenizer
     for _ in range(ROUNDS):
         moved = approach_goals(
@@ -287,18 +309,20 @@ def _approach(model: ModelParts, motion: Motion, targets: Sequence[Target], *, s
             features=np.asarray(moved.features)[: motion.num_frames],
             codes=None,  # its latents are between codes
         )
-        cost = _cost(targets, own)
+        finished = finish(own)
+        cost = cost_of(targets, finished)
         if cost < least:
             best, least = own, cost
         if least < len(targets) * MET**2:
             break
         # The clean-up and the other terms of the loss hold joints back a little, so the next round aims as far beyond.
-        error = wanted.places - points_at(jnp.asarray(positions), wanted, model.skeleton)
-        goals = goals._replace(places=goals.places + error)
+        padding = ((0, len(moved.positions) - motion.num_frames), (0, 0), (0, 0))
+        reached = points_at(jnp.asarray(np.pad(finished.positions, padding)), wanted, model.skeleton)
+        goals = goals._replace(places=goals.places + wanted.places - reached)
     return best
 
 
-def _finish(motion: Motion, targets: Sequence[Target]) -> Motion:
+def report_targets(motion: Motion, targets: Sequence[Target]) -> Motion:
     """Returns a motion whose exact targets are met, and that says which targets it misses."""
     exact = reach_exactly(motion, targets)
     missed = missed_targets(exact, targets)

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +14,9 @@ from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.sampling.batches import round_up
 from t2m_jax.sampling.decode import ROW_BUCKET, Codes, decode_motions
+from t2m_jax.sampling.directing import report_targets
 from t2m_jax.sampling.loop import Sampling
+from t2m_jax.sampling.middles import Middle, Span, check_middle_targets, move_middles
 from t2m_jax.sampling.model import ModelParts
 from t2m_jax.sampling.prompts import Prompt, batches_of_keys, sample_key
 from t2m_jax.sampling.request import MotionRequest
@@ -28,27 +29,6 @@ AROUND_SECONDS = 2.0
 """Motion on each side that is decoded with a middle, so that decoding does not take longer for a longer motion."""
 _KEPT_STREAM = 2**30 + 1
 """In place of a sample's number, in keys for the rows that a variation keeps."""
-
-
-class Span(NamedTuple):
-    """Rows of codes, or frames."""
-
-    first: int
-    last: int
-    """The one after them."""
-
-
-class Middle(NamedTuple):
-    """A candidate for the middle of a motion."""
-
-    positions: Float[np.ndarray, "T J 3"]
-    """Its frames, between some of the head's and the tail's, in meters."""
-    first: int
-    """First frame of the middle."""
-    last: int
-    """Frame after the middle."""
-    likelihood: float
-    """Mean logarithm of the probabilities of the rows after it."""
 
 
 def find_span(model: ModelParts, seconds: tuple[float, float], num_rows: int) -> Span:
@@ -71,16 +51,43 @@ def find_span(model: ModelParts, seconds: tuple[float, float], num_rows: int) ->
 
 
 def redo(model: ModelParts, request: MotionRequest, prompt: Prompt, sampling: Sampling) -> list[Motion]:
-    """Returns a motion with another middle, in the order of `rank_middles`: those first that lead best to the rest."""
+    """Returns a motion with another middle: those first that are nearest to targets, else as `rank_middles` says."""
     assert request.start is not None and request.span is not None
     motion = request.start
     motion = motion if motion.fps == model.skeleton.fps else motion.resampled(model.skeleton.fps)
     codes = model.encode(motion)
     span = find_span(model, request.span, len(codes))
-    # Best of n: the loop reads the head alone, so which middle leads to the tail is only known afterwards.
-    keys = jnp.stack([sample_key(request.seed, prompt.text, number) for number in range(request.candidates)])
+    downsample = model.config.tokenizer.downsample
+    # Frames at the end that do not fill a code belong to the last one.
+    end = motion.num_frames if span.last == len(codes) else downsample * span.last
+    frames = Span(min(downsample * span.first, motion.num_frames), end)
     # By default as long as the rows that it replaces, so that the tail keeps its time.
     num_rows = span.last - span.first if request.seconds is None else rows_of_seconds(model, request.seconds)
+    if request.targets:
+        last = frames.first + downsample * num_rows
+        check_middle_targets(model, motion, Span(frames.first, last), request.targets)
+    candidates = find_middles(model, request, prompt, codes, span, num_rows=num_rows, sampling=sampling)
+    order = rank_middles(motion.positions[frames.last :], candidates, skeleton=motion.skeleton)
+    chosen = [candidates[number] for number in order]
+    if request.targets:
+        chosen = move_middles(model, motion, chosen, frames, request)
+    redone = [_with_middle(motion, middle, frames, prompt) for middle in chosen[: request.num_samples]]
+    return [report_targets(dataclasses.replace(one, seed=request.seed), request.targets) for one in redone]
+
+
+def find_middles(
+    model: ModelParts,
+    request: MotionRequest,
+    prompt: Prompt,
+    codes: Codes,
+    span: Span,
+    *,
+    num_rows: int,
+    sampling: Sampling,
+) -> list[Middle]:
+    """Returns candidates for the middle of a motion, each of `num_rows` rows in place of those of a span."""
+    # Best of n: the loop reads the head alone, so which middle leads to the tail is only known afterwards.
+    keys = jnp.stack([sample_key(request.seed, prompt.text, number) for number in range(request.candidates)])
     segments = split_segments(prompt, num_rows, limit=most_rows(model))
     scale = request.options.guidance_scale
     found = sample_segments(model, segments, keys, start=codes[: span.first], sampling=sampling, guidance_scale=scale)
@@ -88,14 +95,7 @@ def redo(model: ModelParts, request: MotionRequest, prompt: Prompt, sampling: Sa
     rows = round(AROUND_SECONDS * model.skeleton.fps / model.config.tokenizer.downsample)
     # Only for the decoder: the frames of head and tail are taken from the motion itself.
     around = codes[max(0, span.first - rows) : span.first], codes[span.last : span.last + rows]
-    candidates = decode_middles(model, around, middles, prompt=prompt, raw=request.options.raw)
-    downsample = model.config.tokenizer.downsample
-    # Frames at the end that do not fill a code belong to the last one.
-    end = motion.num_frames if span.last == len(codes) else downsample * span.last
-    frames = Span(min(downsample * span.first, motion.num_frames), end)
-    order = rank_middles(motion.positions[frames.last :], candidates, skeleton=motion.skeleton)
-    redone = [_with_middle(motion, candidates[number], frames, prompt) for number in order[: request.num_samples]]
-    return [dataclasses.replace(one, seed=request.seed) for one in redone]
+    return decode_middles(model, around, middles, prompt=prompt, raw=request.options.raw)
 
 
 def decode_middles(
@@ -110,7 +110,8 @@ def decode_middles(
     downsample = model.config.tokenizer.downsample
     first = downsample * len(head)
     last = downsample * (len(whole[0]) - len(tail))
-    return [Middle(motion.positions, first, last, value) for motion, value in zip(motions, likelihoods, strict=True)]
+    found = zip(motions, likelihoods, whole, strict=True)
+    return [Middle(motion.positions, first, last, value, codes) for motion, value, codes in found]
 
 
 def tail_likelihoods(

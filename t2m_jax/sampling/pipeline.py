@@ -155,10 +155,8 @@ class TextToMotion:
         Raises:
             UserError: The request does not fit the model, or it cannot be made in pieces.
         """
-        if request.span is not None or request.strength is not None:
-            raise UserError("stream: a change of a motion has no pieces; use make")
-        if request.targets:
-            raise UserError("stream: targets need the whole motion; use make")
+        if request.span is not None or request.strength is not None or request.targets:
+            raise UserError("stream: a change of a motion, or one with targets, has no pieces; use make")
         request = request.in_turn(self.knowledge.actions)
         prompts = read_prompts(request.captions, self.knowledge, self.text_encoder)
         first = Sample(prompts[0], request.seed, sample)
@@ -199,8 +197,7 @@ class TextToMotion:
     ) -> Iterator[Motion]:
         """Returns an iterator over the motions of `generate`, for more of them than fit into the memory."""
         counts = {"seed": seed, "num_samples": num_samples}
-        requests = [_request(caption, options, **counts) for caption in sentences(captions)]
-        return self.make(*requests, on_progress=on_progress)
+        return self.make(*(_request(one, options, **counts) for one in sentences(captions)), on_progress=on_progress)
 
     def generate_chain(
         self,
@@ -239,6 +236,7 @@ class TextToMotion:
         seed: int = 0,
         num_samples: int = 1,
         num_candidates: int = MotionRequest.candidates,
+        targets: Sequence[Target | str | tuple[float, Motion]] = (),
         **options: Any,
     ) -> list[Motion]:
         """Returns a motion with another middle, which a sentence describes, at the model's frame rate.
@@ -253,9 +251,11 @@ class TextToMotion:
             seed: From 0 to 2**32 - 1.
             num_samples: Motions to return, the best ones first.
             num_candidates: Middles to choose them from.
+            targets: Of the middle, as for `direct`; those come first that are nearest to them.
             **options: Of `SamplingOptions`.
         """
-        counts = {"seconds": seconds, "seed": seed, "num_samples": num_samples, "candidates": num_candidates}
+        counts: dict[str, Any] = {"seed": seed, "num_samples": num_samples, "candidates": num_candidates}
+        counts |= {"seconds": seconds, "targets": tuple(map(read_target, targets))}
         return list(self.make(_request(caption, options, start=motion, span=span, **counts)))
 
     def direct(

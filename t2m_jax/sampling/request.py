@@ -111,7 +111,7 @@ class MotionRequest:
     candidates: int = 16
     """Samples to choose the motions from; only with `span` or `targets`."""
     targets: tuple[Target, ...] = ()
-    """Where joints, the root or the whole pose should be at a time."""
+    """Where joints, the root or the whole pose should be at a time; with `span`, in that part of the motion."""
     options: SamplingOptions = SamplingOptions()
     """How codes are chosen."""
 
@@ -201,14 +201,13 @@ class MotionRequest:
     def _check_targets(self) -> None:
         others = {
             "a second sentence": len(self.captions) > 1,
-            "a span to redo": self.span is not None,
             "a variation": self.strength is not None,
-            "a motion to continue": self.start is not None,
-            "a length in seconds": self.seconds is not None,
+            "a motion to continue": self.start is not None and self.span is None,
+            "a length in seconds": self.seconds is not None and self.span is None,
         }
         for name, is_given in others.items():
             if is_given:
-                raise UserError(f"targets: are for a new motion of one sentence, without {name}")
+                raise UserError(f"targets: are for a new motion of one sentence, or a span to redo; leave out {name}")
 
     def _check_candidates(self) -> None:
         if not 1 <= self.candidates <= MAX_BATCH:

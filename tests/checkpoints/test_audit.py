@@ -70,6 +70,7 @@ def test_each_damaged_part_of_a_run_is_named(copy, capsys):
     assert f"checkpoint {oldest.name}: intact\n" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_run_whose_description_is_damaged_is_read_no_further(copy):
     (copy / "run" / "run.yaml").write_text("kind: [")
     (part,) = audit_model(copy / "run")

@@ -77,6 +77,7 @@ def test_options_that_are_refused(refusal, bundle_folder, tmp_path, monkeypatch,
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_sentences_in_turn_after_a_file(bundle_folder, tmp_path):
     command = ["generate", "--model", f"{bundle_folder}", "a person walks", "--then", "a person waves"]
     assert main([*command, "--seconds", "1.2", "--num-samples", "2", "-o", f"{tmp_path / 'a.npz'}"]) == 0
@@ -89,6 +90,7 @@ def test_sentences_in_turn_after_a_file(bundle_folder, tmp_path):
     assert longer.part_captions == ("a person walks", "a person waves", "a person runs")
 
 
+@pytest.mark.slow
 def test_a_middle_and_variations_of_a_file(refusal, bundle_folder, tmp_path, capsys):
     start = tmp_path / "start.npz"
     Motion(make_motion("walk", seed=1, num_frames=60), 20.0, caption="a person walks").save(start)
@@ -121,10 +123,8 @@ def test_a_middle_and_variations_of_a_file(refusal, bundle_folder, tmp_path, cap
             "--redo: takes one sentence",
         ),
         (["--redo", "1:2", "--from", "{start}", "--vary", "0.5"], "--redo: excludes strength"),
-        (["--redo", "1:2", "--from", "{start}", "--at", "1", "root=0,0"], "--at: are for a new motion of one sentence"),
-        (["--redo", "1:2", "--from", "{start}", "--pose", "1", "{start}"], "without a span to redo"),
-        (["--vary", "0.5", "--from", "{start}", "--at", "1", "root=0,0"], "without a variation"),
-        (["--from", "{start}", "--at", "1", "root=0,0"], "without a motion to continue"),
+        (["--vary", "0.5", "--from", "{start}", "--at", "1", "root=0,0"], "leave out a variation"),
+        (["--from", "{start}", "--at", "1", "root=0,0"], "leave out a motion to continue"),
         (["--vary", "1.5", "--from", "{start}"], "--vary: 1.5 is not a number from 0 to 1"),
         (
             ["--candidates", "0", "--redo", "1:2", "--from", "{start}"],
@@ -151,8 +151,11 @@ def test_chains_that_are_refused(refusal, bundle_folder, tmp_path, tmp_path_fact
         (["--at", "0.5", "root=0,3"], "targets: root at 0.5 s: 3 m in 0.5 s is faster than 5 m/s"),
         (["--pose", "soon", "missing.npz"], "--pose soon missing.npz: 'soon' is not a number of seconds"),
         (["--pose", "1", "missing.npz"], "missing.npz"),
-        (["--at", "1", "root=0,0", "--then", "a person waves"], "one sentence, without a second sentence"),
-        (["--at", "1", "root=0,0", "--seconds", "2"], "--at: are for a new motion of one sentence, without a length"),
+        (["--at", "1", "root=0,0", "--then", "a person waves"], "a span to redo; leave out a second sentence"),
+        (
+            ["--at", "1", "root=0,0", "--seconds", "2"],
+            "--at: are for a new motion of one sentence, or a span to redo;",
+        ),
         (["--at", "900", "root=0,0"], "targets: root at 900 s: the longest motion for a sentence has"),
     ],
 )
@@ -162,6 +165,7 @@ def test_targets_that_are_refused(refusal, bundle_folder, tmp_path, monkeypatch,
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_the_distances_to_targets_are_said(bundle_folder, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(directing, "ROUNDS", 1)
     file = tmp_path / "out.npz"
@@ -231,11 +235,13 @@ def test_sentences_of_one_word_each_may_lack_their_quotes(refusal, bundle_folder
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_sentences_of_one_word_each_may_end_with_periods(bundle_folder, tmp_path, capsys):
     assert main(["generate", "walk.", "run!", "--model", f"{bundle_folder}", "-o", f"{tmp_path / 'out.npz'}"]) == 0
     assert len(capsys.readouterr().out.split()) == 2
 
 
+@pytest.mark.slow
 def test_what_the_model_does_not_know_is_one_line_and_in_the_file(tmp_path, capsys):
     """The line is the one that the README shows."""
     readme = (REPOSITORY / "README.md").read_text(encoding="utf-8")
@@ -275,6 +281,7 @@ def num_figures(path) -> int:
     return len(json.loads(Elements(path.read_text()).data)["figures"])
 
 
+@pytest.mark.slow
 def test_files_are_written_before_the_next_motions_are_generated(bundle_folder, tmp_path, monkeypatch):
     counts, sample_codes = [], ModelParts.sample_codes
 

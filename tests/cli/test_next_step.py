@@ -24,6 +24,7 @@ def next_step(capsys) -> list[str]:
     return shlex.split(command)
 
 
+@pytest.mark.slow
 def test_generated_motion_is_viewed(motion, tmp_path, monkeypatch, capsys):
     """The suggested command works, also for a name with a space."""
     monkeypatch.chdir(tmp_path)

@@ -28,6 +28,7 @@ def replaced(caplog):
     return names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "existing", "expected"),
     [

@@ -8,6 +8,8 @@ from tests.fuzz import attack
 from tests.fuzz.soak import CORPUS
 from tests.fuzz.targets import FILES, FOLDERS, make_files
 
+pytestmark = pytest.mark.slow
+
 INPUTS = 30
 FOLDER_INPUTS = 15
 FLIPS = 10
@@ -42,7 +44,6 @@ def copy(files, tmp_path):
     return shutil.copytree(files, tmp_path / "files")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", FILES)
 def test_mutated_files_are_read_or_refused(files, name):
     FILES[name](files)
@@ -50,14 +51,12 @@ def test_mutated_files_are_read_or_refused(files, name):
     assert (refused == 0) == (name in NEVER_REFUSED)
 
 
-@pytest.mark.slow
 @LATE_REPORTS
 @pytest.mark.parametrize("name", [name for name in FOLDERS if "cache" not in name])
 def test_mutated_folders_are_read_or_refused(files, name):
     assert attack.attack_folder(files, name, FOLDERS[name], seed=0, count=FOLDER_INPUTS) > 0
 
 
-@pytest.mark.slow
 @LATE_REPORTS
 @pytest.mark.parametrize("name", FOLDERS)
 def test_no_flipped_bit_is_loaded(files, name):

@@ -31,6 +31,7 @@ def case(request, golden_dir):
     return arrays, MotionGpt(config), gpt_variables(state_dict(arrays), config)
 
 
+@pytest.mark.slow
 def test_logits(case):
     arrays, model, variables = case
     text = jnp.asarray(arrays["clip_feat"])

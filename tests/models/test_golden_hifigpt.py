@@ -108,6 +108,7 @@ class LossCase:
         return make_batch(given, config=self.config, inputs=inputs, dropped=get("text_dropped") == 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["default", "corrupt_residual", "stop_weights"])
 @pytest.mark.parametrize("mean_over", ["tokens", "motions"])
 def test_losses(golden_dir, case, mean_over):

@@ -126,6 +126,7 @@ def test_losses_and_gradients(case):
         np.testing.assert_allclose(ours, theirs, atol=2e-5 * np.abs(theirs).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joints", [22, 21])
 @pytest.mark.parametrize("part", ["full", "ragged"])
 @pytest.mark.parametrize("space", ["metres", "normalized"])

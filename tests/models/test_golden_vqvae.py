@@ -53,6 +53,7 @@ def test_encoder_and_codes(case):
         )
 
 
+@pytest.mark.slow
 def test_reconstruction(case):
     arrays, model, variables = case
     for motion, reconstruction in (("x", "y"), ("x_odd", "y_odd")):
@@ -60,6 +61,7 @@ def test_reconstruction(case):
         np.testing.assert_allclose(output.reconstruction, arrays[reconstruction], atol=1e-4, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_decoding_of_given_codes(case):
     arrays, model, variables = case
     for codes, motion in ((arrays["probe_idx"], "dec_probe"), (arrays["code_idx"][:1], "dec_sample0")):

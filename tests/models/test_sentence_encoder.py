@@ -51,6 +51,7 @@ def test_an_embedding_does_not_depend_on_its_neighbors(embed, batch):
     np.testing.assert_allclose(alone, embed(tokens, mask), rtol=0, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_order_of_tokens_matters(embed, batch):
     tokens, mask = batch
     swapped = tokens[:, [0, 2, 1, *range(3, 9)]]

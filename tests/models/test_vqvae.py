@@ -20,6 +20,7 @@ def model_and_variables():
     return model, variables
 
 
+@pytest.mark.slow
 def test_shapes(model_and_variables):
     model, variables = model_and_variables
     motion = jnp.zeros((3, 19, 7))

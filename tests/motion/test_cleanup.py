@@ -317,6 +317,7 @@ def test_motions_of_all_rates_and_lengths_can_be_cleaned(count, fps):
     assert Motion(positions, fps).cleaned().positions.shape == positions.shape
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["walk", "wave-left-hand", "squat"])
 def test_trembling_motion_becomes_quiet_and_rigid(kind):
     real = rigid(kind=kind, seed=2)
@@ -408,6 +409,7 @@ def test_a_long_motion_is_cleaned_as_a_short_one():
     np.testing.assert_allclose(clean_long(positions, skeleton=HUMANML3D, size=400), whole, atol=1e-6, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 40, 199, 200, 201, 361, 1000])
 def test_windows_cover_motions_of_all_lengths(count):
     positions = np.resize(make_motion("walk", seed=2, num_frames=100), (count, 22, 3))

@@ -8,6 +8,7 @@ import pytest
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
 from t2m_jax.motion.features import ground_positions
+from t2m_jax.motion.joining import place_positions
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 from t2m_jax.motion.targets import (
@@ -15,6 +16,7 @@ from t2m_jax.motion.targets import (
     check_targets,
     distances,
     missed_targets,
+    move_target,
     read_target,
     seen_from_root,
     targets_from_text,
@@ -55,6 +57,18 @@ def test_distances_are_in_meters_and_degrees(motion):
     ]
     np.testing.assert_allclose(distances(motion, targets), [0.5, 2.0], rtol=1e-5)
     assert missed_targets(motion, targets) == "misses right_wrist at 1.5 s by 0.5 m, root at 1.5 s by 2 m"
+
+
+def test_a_moved_target_is_as_far_from_the_moved_motion(motion):
+    place = motion.turned(150.0).positions[-1] + np.array([2.0, 0, -3.0], np.float32)
+    pose = motion.positions[12]
+    later = np.concatenate([motion.positions[:1]] * 7 + [motion.positions])
+    moved = Motion(place_positions(later, pose, place, skeleton=HUMANML3D).astype(np.float32), 20.0)
+    texts = ("1 right_wrist=1,1.2,0.3", "0.5:1 left_foot=0.1,0,2", "1 root=1,-2", "1 facing=100", "1 head+=0,1.5,0.2")
+    targets = [*map(read_target, texts), read_target((2.0, motion))]
+    there = [move_target(target, 0.35, pose, place, skeleton=HUMANML3D) for target in targets]
+    np.testing.assert_allclose(distances(moved, there), distances(motion, targets), rtol=1e-3, atol=1e-4)
+    assert min(distances(motion, targets)) > 0.03 and there[1].until == 1.35
 
 
 def test_a_direction_is_to_the_left():

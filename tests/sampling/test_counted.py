@@ -12,6 +12,8 @@ from t2m_jax.sampling.segments import split_segments
 from t2m_jax.text.quantities import Times
 from tests import tiny
 
+pytestmark = pytest.mark.slow
+
 JUMPS = "a person jumps 3 times"
 TIMES = Times("jump", frozenset({"left", "right"}), 3)
 
@@ -37,7 +39,6 @@ def misses(model, codes):
     return abs(count_shown(TIMES, motion.positions) - TIMES.number)
 
 
-@pytest.mark.slow
 def test_the_motion_with_the_asked_count_is_taken(model, candidates):
     least = min(misses(model, codes) for codes in candidates)
     first = next(codes for codes in candidates if misses(model, codes) == least)
@@ -46,7 +47,6 @@ def test_the_motion_with_the_asked_count_is_taken(model, candidates):
     np.testing.assert_array_equal(motion.codes, first)
 
 
-@pytest.mark.slow
 def test_a_sentence_that_is_read_whole_gives_the_first_candidate(model, candidates):
     (whole,) = model.generate(JUMPS, seed=3, whole=True)
     np.testing.assert_array_equal(whole.codes, candidates[0])
@@ -69,7 +69,6 @@ def test_a_missed_count_is_said(model):
     assert missed_count(TIMES._replace(number=0), still, sentence=JUMPS) == ""
 
 
-@pytest.mark.slow
 def test_a_count_in_a_motion_that_is_too_long_for_it_is_said(model):
     segments = split_segments(Prompt(JUMPS, JUMPS, "told before", ()), 30, limit=12, times=TIMES)
     assert [segment.num_rows for segment in segments] == [12, 12, 6]

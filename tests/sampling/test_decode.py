@@ -45,6 +45,7 @@ def in_windows(tokenizer, pieces):
     return found, [np.concatenate(parts) for parts in zip(*found, strict=True)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, WINDOW_ROWS, 5 * WINDOW_ROWS + 3])
 def test_windows_are_the_whole_motion(tokenizer, count):
     codes = random_codes(tokenizer, count)

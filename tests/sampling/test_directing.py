@@ -22,6 +22,8 @@ from t2m_jax.sampling import MotionRequest, directing
 from t2m_jax.sampling.directing import FIT_WEIGHT, Attempt, approach_goals, goal_loss, make_goals, points_at
 from tests import tiny
 
+pytestmark = pytest.mark.slow
+
 CAPTION = tiny.CAPTIONS[1]
 
 
@@ -111,6 +113,7 @@ def test_steps_lead_to_the_goals(walk):
     assert max(np.array(apart[-1]) / [1, 1, 100, 1]) < 0.05, apart
 
 
+@pytest.mark.release
 def test_a_seed_gives_the_same_motion_again(director):
     options = {"seed": 2, "num_candidates": 2}
     first, again = (director.direct(CAPTION, ["0.3 root=0.05,0.05"], **options)[0] for _ in range(2))
@@ -160,8 +163,11 @@ def test_bones_stay_as_long(director):
 @pytest.mark.parametrize(
     ("fields", "says"),
     [
-        ({"captions": ("a", "b")}, "without a second sentence"),
-        ({"seconds": 2.0}, "targets: are for a new motion of one sentence, without a length in seconds"),
+        ({"captions": ("a", "b")}, "leave out a second sentence"),
+        (
+            {"seconds": 2.0},
+            "a span to redo; leave out a length in seconds",
+        ),
         ({"num_samples": 4, "candidates": 3}, "4 motions cannot be chosen from 3"),
         ({"candidates": 0}, "candidates: 0 is not"),
     ],
@@ -184,7 +190,6 @@ def test_a_tokenizer_without_latents_is_refused(model, monkeypatch):
         model.direct(CAPTION, ["0.2 root=0,0"])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["demo", pytest.param("demo-t2m-gpt", marks=pytest.mark.release)])
 def test_packaged_models_meet_reachable_targets(name):
     """Places that another sample of the sentence has."""

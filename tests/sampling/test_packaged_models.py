@@ -25,7 +25,9 @@ def test_all_of_them_are_known_by_name_and_small():
     assert sum(path.stat().st_size for path in FOLDER.rglob("*")) < 45e6
 
 
-@pytest.mark.parametrize("name", BUNDLED)
+@pytest.mark.parametrize(
+    "name", [name if name == "demo" else pytest.param(name, marks=pytest.mark.slow) for name in BUNDLED]
+)
 def test_they_do_what_is_asked_and_the_same_as_before(name):
     model = TextToMotion.load(name)
     motions = model.generate(list(ASKED), seed=5, num_samples=4)

@@ -109,6 +109,7 @@ def test_more_than_one_batch(model):
     assert_same(many[0], model.generate(CAPTIONS[0], seed=1)[0])
 
 
+@pytest.mark.slow
 def test_motions_are_generated_a_batch_at_a_time_as_they_are_taken(model, monkeypatch):
     sizes, sample_codes = [], ModelParts.sample_codes
 

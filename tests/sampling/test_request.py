@@ -201,6 +201,7 @@ def same(one, other):
     return np.array_equal(one.positions, other.positions) and one.part_captions == other.part_captions
 
 
+@pytest.mark.slow
 def test_actions_in_turn_are_a_chain(knowing):
     (motion,) = knowing.generate([IN_TURN], seed=3)
     (chain,) = knowing.generate_chain([FIRST, SECOND], seed=3)
@@ -209,12 +210,14 @@ def test_actions_in_turn_are_a_chain(knowing):
     assert knowing.generate([motion.caption], seed=3)[0].part_captions == (FIRST, SECOND)
 
 
+@pytest.mark.slow
 def test_a_whole_sentence_is_read_as_it_is(knowing, model):
     (whole,) = knowing.generate([IN_TURN], seed=3, whole=True)
     (unknowing,) = model.generate([IN_TURN], seed=3)
     assert same(whole, unknowing) and whole.part_captions == ()
 
 
+@pytest.mark.slow
 def test_a_stream_of_actions_in_turn_is_their_motion(knowing):
     motions = knowing.generate([IN_TURN], num_samples=2, raw=True)
     for sample, motion in enumerate(motions):

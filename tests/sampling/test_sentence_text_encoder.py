@@ -32,6 +32,7 @@ def test_another_encoder_takes_nothing_from_the_cache(tmp_path):
         np.testing.assert_allclose(encoder(CAPTIONS[:4]), golden(folder)[:4], rtol=0, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("folder", [BERT, MPNET, ROBERTA], ids=lambda folder: folder.name)
 def test_the_part_that_is_read_gives_the_same_embedding(folder):
     encoder = PretrainedTextEncoder(load_sentence_encoder(folder))

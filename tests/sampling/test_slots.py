@@ -63,6 +63,7 @@ def test_codes_are_those_of_generate(model, made):
         np.testing.assert_array_equal(codes, model.generate(caption, seed=seed)[0].codes)
 
 
+@pytest.mark.slow
 def test_codes_do_not_depend_on_what_is_in_the_other_slots(model, made):
     alone, _ = run(model, [REQUESTS[5]])
     np.testing.assert_array_equal(alone[0], made[0][5])

@@ -31,6 +31,7 @@ def sample(model, *, known=None, num_codes=0, num_rows=0, **options):
     return np.asarray(sampled.codes), np.asarray(sampled.code_lengths)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 1, 3])
 def test_what_follows_own_codes_is_what_followed_them(model, number):
     expected, lengths = sample(model)
@@ -127,6 +128,7 @@ def test_a_motion_goes_on_from_another(model):
     assert motion.positions_raw is None
 
 
+@pytest.mark.slow
 def test_progress_is_told_after_each_sentence(model):
     told = []
     request = MotionRequest(captions=(FIRST, SECOND), seconds=2.0, num_samples=2)

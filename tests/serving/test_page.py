@@ -242,6 +242,25 @@ def test_targets_are_dragged_in_the_picture(open_studio, tmp_path):
     expect(rows).to_have_text(re.compile("Root on the ground"))
 
 
+def test_a_part_is_made_again_with_the_targets_in_it(open_studio, tmp_path):
+    page = open_studio()
+    generate(page, WALK)
+    before = load_motion(download(page, "NPZ", tmp_path))
+    page.get_by_role("spinbutton", name="Begin").fill("0.8")
+    page.get_by_role("spinbutton", name="End").fill("2.4")
+    page.get_by_role("radio", name="Redo part").check(force=True)
+    page.locator("#targets summary").click()
+    text = "0.2 head=0,1,0; 1.6 right_wrist+=-0.3,1.2,0.2"  # the first is in what stays
+    page.get_by_role("textbox", name="As a text").fill(text)
+    generate(page, WALK, takes=2)
+    expect(page.locator(".target").nth(0)).not_to_contain_text(re.compile("met|missed"))
+    expect(page.locator(".target").nth(1)).to_contain_text("1.60 s · met, ")
+    after = load_motion(download(page, "NPZ", tmp_path))
+    np.testing.assert_allclose(after.positions[:16], before.positions[:16], atol=1e-5)
+    target = targets_from_text(text)[1]
+    assert distances(after, [target])[0] < target.tolerance
+
+
 # Keeps all that the notice says, because some of it is shown for a moment.
 RECORD_NOTICES = """() => {
   window.notices = [];

@@ -122,7 +122,7 @@ def test_what_cannot_be_used_is_named(fields, message):
     [
         ({"span": [1, 2], "strength": 0.5}, "span: excludes strength"),
         ({"strength": 0.5, "seconds": 2}, "strength: excludes seconds"),
-        ({"span": [1, 2], "targets": "1 root=0,0"}, "targets: are for a new motion of one sentence, without a span"),
+        ({"strength": 0.5, "targets": "1 root=0,0"}, "or a span to redo; leave out a variation"),
         ({"span": [2, 1]}, "span: 2 to 1 is not a part of the motion"),
         ({"candidates": 2}, "candidates: is only for targets or a span to redo"),
         ({"span": [1, 2], "candidates": 2, "num_samples": 3}, "num-samples: 3 motions cannot be chosen from 2"),

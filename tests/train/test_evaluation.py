@@ -35,6 +35,8 @@ from t2m_jax.train.gpt import TrainGptConfig
 from tests.tiny import gpt_training, random_evaluator, vqvae_training
 from tests.train.conftest import assert_same_checkpoint, stop_at
 
+pytestmark = pytest.mark.slow
+
 STAGES = ("vqvae", pytest.param("gpt", marks=pytest.mark.slow))
 """With the stages that the fast tests leave out."""
 TRAINED = (pytest.param("vqvae", marks=pytest.mark.release), "gpt")
@@ -108,7 +110,6 @@ def trained_at(run, step, like):
         return checkpoints.restore_step(step, like)
 
 
-@pytest.mark.slow
 @pytest.mark.release
 @pytest.mark.parametrize("stage", STAGES)
 def test_the_table_and_the_best(finished, stage):
@@ -133,7 +134,6 @@ def loaded(run, stage):
     return {"params": {kind: variables[role]["params"] for kind, role in roles.items()}}
 
 
-@pytest.mark.slow
 @pytest.mark.release
 @pytest.mark.parametrize("stage", TRAINED)
 def test_a_run_stands_for_its_best(training, stage, tmp_path):
@@ -150,7 +150,6 @@ def test_a_run_stands_for_its_best(training, stage, tmp_path):
     jax.tree.map(np.testing.assert_array_equal, loaded(config.run, stage), trained_at(config.run, last, found))
 
 
-@pytest.mark.slow
 @pytest.mark.release
 @pytest.mark.parametrize("stage", TRAINED)
 def test_a_resumed_run_equals_one_that_never_stopped(finished, training, stage, tmp_path, monkeypatch):
@@ -169,7 +168,6 @@ def test_a_resumed_run_equals_one_that_never_stopped(finished, training, stage, 
     assert generate_codes._cache_size() == compiled, "an evaluation compiled what was compiled before"
 
 
-@pytest.mark.slow
 def test_figures_are_those_of_the_command(finished, held_out, evaluator):
     """The best weights, loaded and evaluated by protocol, give the row by which they were chosen."""
     protocol, best = find_protocol("t2m-gpt"), find_best(finished("gpt"))
@@ -182,7 +180,6 @@ def test_figures_are_those_of_the_command(finished, held_out, evaluator):
         assert report.measured[metric].mean == pytest.approx(row[metric], rel=1e-6), metric
 
 
-@pytest.mark.slow
 @pytest.mark.release
 def test_the_log_says_how_codes_were_chosen(training, tmp_path, caplog, monkeypatch):
     monkeypatch.setattr(experiment, "held_out_metrics", lambda task, source: {"fid": 7.0 + source.options.temperature})
@@ -194,7 +191,6 @@ def test_the_log_says_how_codes_were_chosen(training, tmp_path, caplog, monkeypa
     assert find_best(config.run).sampling == "greedy"
 
 
-@pytest.mark.slow
 def test_another_evaluator_is_refused_on_the_way(finished, training, held_out, tmp_path):
     run, other = tmp_path / "run", tmp_path / "evaluator"
     shutil.copytree(finished("vqvae"), run)
@@ -219,7 +215,6 @@ def refusal(request, training, tmp_path, capsys):
     return start
 
 
-@pytest.mark.slow
 def test_an_evaluator_that_is_none_is_refused_before_training(refusal, tmp_path):
     assert f"{tmp_path / 'nowhere'}: not an evaluator" in refusal(evaluator=tmp_path / "nowhere")
 
@@ -350,6 +345,5 @@ def test_the_start_says_what_chooses_the_weights_without_an_evaluator(data, tmp_
     assert "lowest validation loss" in caplog.text and "FID" in caplog.text
 
 
-@pytest.mark.slow
 def test_a_picture_is_made_at_each_evaluation(finished):
     assert sorted(path.stem for path in (finished("gpt") / "pictures").iterdir()) == ["3", "6", "8"]

@@ -44,6 +44,7 @@ def texts(run):
     return {name: (run / name).read_bytes() for name in ("train.csv", "val.csv")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", STAGES, indirect=True)
 def test_a_resumed_run_equals_one_that_never_stopped(stage, monkeypatch):
     mend = stop_at(STOP, monkeypatch)

@@ -124,6 +124,7 @@ def test_head_and_tail_are_dropped():
     assert [row[:length].tolist() for row, length in zip(found, lengths, strict=True)] == [[6, 7], [5, 6], [5, 6, 7]]
 
 
+@pytest.mark.slow
 def test_long_motions_are_cut_to_leave_room_for_end():
     targets = make_targets(jnp.arange(9)[None], jnp.array([9]), num_codes=20, block_size=6)
     np.testing.assert_array_equal(targets.tokens, [[0, 1, 2, 3, 4, 20]])

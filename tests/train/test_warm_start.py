@@ -258,6 +258,7 @@ def test_statistics_of_other_motion_are_refused(runs, tmp_path):
         assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 def test_statistics_of_other_motion_are_a_warning_for_a_training_that_goes_on(runs, tmp_path, caplog):
     mean, std = open_dataset(runs.data).normalizer
     save_normalizer(tmp_path / "far", open_dataset(runs.data).normalizer._replace(mean=mean + std))

@@ -5,6 +5,7 @@ import { complaint, findField, makeFields, plain, readFields, showField, wrongFi
 import { keepForm, recall, recallInTab, remember, setValues } from "./memory.js";
 import { SentenceList } from "./sentences.js";
 import { sentencesOf } from "./session.js";
+import { targetsIn } from "./targets.js";
 
 const HINTS = {
   new: () => "",
@@ -50,8 +51,9 @@ export class MakePanel {
     showField("seconds", mode !== "redo" && mode !== "vary");
     findField("seconds").placeholder = mode === "insert" ? INSERTED_SECONDS : "automatic";
     showField("candidates", mode === "redo" || mode === "insert");
-    showField("targets", mode === "new");
-    find("targets").hidden = mode !== "new";
+    const hasTargets = mode === "new" || mode === "redo";
+    showField("targets", hasTargets);
+    find("targets").hidden = !hasTargets;
     find("targets").dispatchEvent(new Event("toggle"));
     document.querySelector(`#modes [value=${mode}]`).checked = true;
   }
@@ -228,7 +230,7 @@ export class MakePanel {
     if (wrong) return this.#refuse(complaint(wrong), wrong);
     if (mode === "redo" && span === null) return this.#refuse(HINTS.redo(this.session), find("begin-handle"));
     const request = { captions, seed: seed ? Number(seed) : null, num_samples: Number(find("num-samples").value), ...readFields(find("make")) };
-    if (mode === "redo") request.span = span;
+    if (mode === "redo") Object.assign(request, { span, targets: targetsIn(request.targets ?? "", span) || undefined });
     if (mode === "insert") Object.assign(request, { seconds: INSERTED_SECONDS, ...request, span: [this.player.time, this.player.time] });
     if (mode === "vary") request.strength = Number(find("strength").value);
     return request;

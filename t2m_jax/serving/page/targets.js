@@ -34,6 +34,12 @@ export function nameOf({ text, joint }) {
 
 const readAll = (text) => text.split(";").filter((part) => part.trim()).map(readTarget);
 
+// Returns the text of those targets that are in a span of seconds.
+export function targetsIn(text, [begin, end]) {
+  const inside = ({ seconds, until }) => seconds >= begin && Number(until ?? seconds) < end;
+  return readAll(text).filter((item) => item.text !== undefined || inside(item)).map(textOf).join("; ");
+}
+
 export const rounded = (number) => Number(number.toFixed(2)) + 0; // no minus zero
 
 export class Targets extends EventTarget {
