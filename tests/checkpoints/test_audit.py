@@ -77,6 +77,7 @@ def test_a_run_whose_description_is_damaged_is_read_no_further(copy):
     assert part.name == "run.yaml" and "cannot read this YAML" in part.problem
 
 
+@pytest.mark.slow
 def test_damage_of_a_bundle_shows(copy):
     flip(copy / "bundle" / "README.md")
     assert "README.md: has changed since it was written" in problems(copy / "bundle")["bundle"]

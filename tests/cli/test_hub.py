@@ -25,6 +25,7 @@ def shared(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_motion_is_generated_by_name_and_revision(hub, shared, tmp_path, caplog):
     caplog.set_level("INFO", "t2m_jax")
     hub.add(NAME, shared)

@@ -47,6 +47,7 @@ def test_generate_names_the_files_that_it_replaces(bundle_folder, tmp_path, repl
     assert kept == sorted(set(existing) - set(expected))
 
 
+@pytest.mark.slow
 def test_generate_holds_the_locks_of_what_it_writes(bundle_folder, tmp_path, monkeypatch):
     locks, generate = [], TextToMotion.make
 

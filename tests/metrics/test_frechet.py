@@ -63,6 +63,7 @@ def test_float32_agrees_with_float64_at_the_evaluators_width(seed):
     np.testing.assert_allclose(jitted(jnp.asarray(real), jnp.asarray(generated)), exact(real, generated), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_the_naive_form_does_not():
     """Why the form matters: sets that differ as a good model's do from real motion."""
     generator = np.random.default_rng(0)

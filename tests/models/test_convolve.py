@@ -43,6 +43,7 @@ def value_and_gradients(function, *arguments):
     return output, *pullback(jnp.cos(jnp.arange(output.size, dtype=output.dtype)).reshape(output.shape))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", [19, 20])
 @pytest.mark.parametrize(("kernel_size", "stride", "dilation", "padding"), WINDOWS)
 def test_both_forms_have_the_same_outputs_and_gradients(length, kernel_size, stride, dilation, padding):

@@ -331,6 +331,7 @@ def test_trembling_motion_becomes_quiet_and_rigid(kind):
     assert found["floating"] <= aim["floating"] + 0.02 and found["penetration"] <= aim["penetration"] + 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["raise-up-both-hands", "wave-left-hand", "squat"])
 def test_good_motion_is_hardly_moved_and_a_second_pass_less(kind):
     once = cleaned(rigid(kind=kind, seed=3))

@@ -140,6 +140,7 @@ def test_the_layout_of_the_weights_does_not_matter(model_and_variables, strategy
         np.testing.assert_array_equal(found, wanted)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("batch", [1, 8, 32])
 def test_logits_do_not_depend_on_the_other_rows_in_any_bit(model_and_variables, batch):
     model, variables = model_and_variables

@@ -83,6 +83,7 @@ def test_no_motion_is_shorter_than_nearly_all_clips_of_training(bundle, frames, 
     assert parts.sampling(min_codes=0).min_codes == 0
 
 
+@pytest.mark.slow
 def test_eight_together_equal_eight_alone(model, eight):
     """The second sample of a sentence cannot be had alone: two are made, and the batch is another one all the same."""
     for number, caption in enumerate(CAPTIONS[:4]):
@@ -91,6 +92,7 @@ def test_eight_together_equal_eight_alone(model, eight):
         assert_same(second, model.generate([caption], seed=3, num_samples=2)[1])
 
 
+@pytest.mark.slow
 def test_order_and_neighbours_do_not_matter(model, eight):
     others = model.generate([CAPTIONS[4], CAPTIONS[2], CAPTIONS[0]], seed=3)
     assert_same(others[1], eight[4])

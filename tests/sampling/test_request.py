@@ -226,6 +226,7 @@ def test_a_stream_of_actions_in_turn_is_their_motion(knowing):
         np.testing.assert_allclose(np.concatenate([piece.positions for piece in pieces]), motion.positions, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_actions_in_turn_share_the_seconds(knowing):
     request = MotionRequest(captions=(IN_TURN,), seconds=4.0)
     assert request.in_turn(knowing.knowledge.actions).seconds == 2.0

@@ -10,6 +10,8 @@ from t2m_jax.sampling.programs import SLOT_ROWS
 from t2m_jax.sampling.prompts import read_prompts, sample_key
 from tests.tiny import BUNDLE, CAPTIONS, HIFIGPT, HIFIGPT_BUNDLE, random_bundle
 
+pytestmark = pytest.mark.slow
+
 CONFIGS = {
     "gpt": BUNDLE,
     "argmax": HIFIGPT_BUNDLE,
@@ -57,13 +59,11 @@ def made(model):
     return run(model, REQUESTS)
 
 
-@pytest.mark.slow
 def test_codes_are_those_of_generate(model, made):
     for (caption, seed), codes in zip(REQUESTS, made[0], strict=True):
         np.testing.assert_array_equal(codes, model.generate(caption, seed=seed)[0].codes)
 
 
-@pytest.mark.slow
 def test_codes_do_not_depend_on_what_is_in_the_other_slots(model, made):
     alone, _ = run(model, [REQUESTS[5]])
     np.testing.assert_array_equal(alone[0], made[0][5])
@@ -79,7 +79,6 @@ def test_reports_are_the_codes_in_turn(made):
         np.testing.assert_array_equal(told[: len(codes)], codes)
 
 
-@pytest.mark.slow
 def test_a_slot_can_be_released(model):
     slots = model.parts.slots(2, model.parts.sampling())
     assert slots.free == [0, 1]

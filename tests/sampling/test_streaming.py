@@ -38,6 +38,7 @@ def test_pieces_are_the_motion_of_generate(model, strategy):
     assert len(lengths) > 1 or strategy is not None
 
 
+@pytest.mark.slow
 def test_pieces_come_before_the_end(model, monkeypatch):
     """As soon as the decoder's context is known, and not earlier."""
     rows = []

@@ -16,6 +16,8 @@ from t2m_jax.sampling.request import MotionRequest
 from t2m_jax.sampling.segments import context_rows
 from tests import tiny
 
+pytestmark = pytest.mark.slow
+
 FIRST, SECOND, THIRD = tiny.CAPTIONS[:3]
 
 
@@ -31,7 +33,6 @@ def sample(model, *, known=None, num_codes=0, num_rows=0, **options):
     return np.asarray(sampled.codes), np.asarray(sampled.code_lengths)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 1, 3])
 def test_what_follows_own_codes_is_what_followed_them(model, number):
     expected, lengths = sample(model)
@@ -110,7 +111,6 @@ def test_a_sentence_is_sampled_and_decoded_as_if_it_were_alone(model):
     np.testing.assert_allclose(first.positions, positions, rtol=1e-5, atol=1e-4)
 
 
-@pytest.mark.slow
 def test_a_motion_may_be_longer_than_the_generator_can_read(model):
     longest = model.config.generator.max_codes
     seconds = 3 * longest * model.config.tokenizer.downsample / model.skeleton.fps
@@ -128,7 +128,6 @@ def test_a_motion_goes_on_from_another(model):
     assert motion.positions_raw is None
 
 
-@pytest.mark.slow
 def test_progress_is_told_after_each_sentence(model):
     told = []
     request = MotionRequest(captions=(FIRST, SECOND), seconds=2.0, num_samples=2)

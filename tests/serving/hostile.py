@@ -27,7 +27,7 @@ from tests.fuzz.mutations import mutate
 from tests.motion.character_files import write_character
 from tests.motion.rig.test_retarget import BANDAI
 from tests.serving.conftest import Client, running_server
-from tests.serving.soak import Soak, Table, processes
+from tests.serving.soak import Soak, Table, num_restarts, processes
 
 CLIENTS = 16
 """Connections of the attack at a time."""
@@ -228,9 +228,8 @@ async def measure(client: Client, options: argparse.Namespace, table: Table) -> 
     table.add("memory of all processes before and after", f"{before / 1e9:.2f}, {after / 1e9:.2f} GB")
     for status, count in sorted(seen.items()):
         table.add(f"answers with {status}" if status != "0" else "closed connections", f"{count:,}")
-    restarts = re.search(r"t2m_worker_restarts_total (\d+)", client.ask("GET", "/metrics").body.decode())
-    if restarts and int(restarts[1]):
-        soak.broken.append(f"{restarts[1]} processes that generate were lost")
+    if lost := num_restarts(client):
+        soak.broken.append(f"{lost} processes that generate were lost")
     if max(pings) > LONGEST_STOP:
         soak.broken.append(f"the event loop stood still for {max(pings):.3f} s")
     if statistics.median(soak.seconds) > SLOWER * statistics.median(alone):

@@ -231,6 +231,12 @@ async def crowd(soak: Soak, kinds: list[str], num_clients: int) -> float:
     return time.perf_counter() - start
 
 
+def num_restarts(client: Client) -> int:
+    """Returns how many processes that generate were lost, and replaced."""
+    found = re.search(r"t2m_worker_restarts_total (\d+)", client.ask("GET", "/metrics").body.decode())
+    return int(found[1])
+
+
 def processes(pid: int) -> dict[int, int]:
     """Returns the bytes of memory of a process and of those below it."""
     found = {}
@@ -329,10 +335,7 @@ async def measure(client: Client, options: argparse.Namespace, table: Table) -> 
     while not killing.done():
         await crowd(soak, ["one"] * options.clients, options.clients)
     await crowd(soak, ["one"] * options.clients, options.clients)
-    restarts = re.search(r"t2m_worker_restarts_total (\d+)", client.ask("GET", "/metrics").body.decode())
-    table.add(
-        "killed processes, processes started in their place", f"{options.kills}, {restarts[1] if restarts else 0}"
-    )
+    table.add("killed processes, processes started in their place", f"{options.kills}, {num_restarts(client)}")
     for name, number in sorted(soak.counts.items()):
         table.add(LABELS.get(name, name), f"{number:,}")
     table.add("motions that differ from those alone, wrong errors, requests without an answer", str(len(soak.broken)))

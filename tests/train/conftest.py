@@ -48,6 +48,13 @@ def runs(data) -> Runs:
     return Runs(data, vqvae, gpt)
 
 
+def pytest_collection_modifyitems(items):
+    """Makes tests slow that need `runs`, because trainings take longest to compile."""
+    for item in items:
+        if "runs" in item.fixturenames:
+            item.add_marker(pytest.mark.slow)
+
+
 def stop_at(step, monkeypatch, *, is_meant=lambda state: True):
     """Interrupts training in the given update, as Ctrl-C would, and returns what ends this.
 
