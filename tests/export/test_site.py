@@ -13,6 +13,7 @@ import urllib.parse
 
 import jax
 import numpy as np
+import onnx
 import pytest
 from axe_playwright_python import sync_playwright as axe
 from tokenizers import Tokenizer
@@ -376,6 +377,23 @@ def test_a_hostile_manifest_is_refused(modules):
 
 
 @pytest.mark.slow
+def test_what_a_graph_computes_must_be_as_the_manifest_says(modules):
+    code = """const outputs = { positions: { dtype: "float32", shape: [1, 2] } };
+    const right = { type: "float32", dims: [1, 2], data: new Float32Array([1, 2]) };
+    const changes = [{}, { type: "int32" }, { dims: [2, 1] }];
+    for (const value of [NaN, Infinity]) changes.push({ data: new Float32Array([1, value]) });
+    return [...changes.map((change) => ({ positions: { ...right, ...change } })), {}].map((tensors) => {
+      try {
+        return checks.checkOutputs("place", outputs, tensors).positions.length;
+      } catch (error) {
+        return error.message;
+      }
+    });"""
+    wrong = "place.onnx: the output positions is not as it must be; export the page again"
+    assert modules("checks", code, None) == [2] + [wrong] * 5
+
+
+@pytest.mark.slow
 def test_a_hostile_figure_is_refused(modules):
     code = """return given.trees.map((tree) => {
       try { checks.checkFigure(JSON.parse(tree), given.parents); return null; } catch (error) { return error.message; }
@@ -580,6 +598,22 @@ def test_changed_files_are_refused_and_texts_stay_texts(open_site, demo_site, tm
         save_json(folder / "files.json", dict(site._checked_files(folder)))
         page = open_site(address, expected="refused")
         expect(page.locator("#message")).to_contain_text("The page cannot start", timeout=WAIT)
+        # Valid graphs that compute something else.
+        (folder / "model" / "row.onnx").write_bytes((demo_site / "model" / "row.onnx").read_bytes())
+        place = onnx.load(folder / "model" / "place.onnx")
+        (value,) = place.graph.output
+        short = onnx.helper.make_tensor("short", onnx.TensorProto.FLOAT, [1], [0.0])
+        constant = onnx.helper.make_node("Constant", [], [value.name], value=short)
+        graph = onnx.helper.make_graph(
+            [constant], "other", place.graph.input, [onnx.helper.make_tensor_value_info(value.name, 1, [1])]
+        )
+        other = onnx.helper.make_model(graph, opset_imports=place.opset_import, ir_version=place.ir_version)
+        onnx.save(other, folder / "model" / "place.onnx")
+        save_json(folder / "files.json", dict(site._checked_files(folder)))
+        page = open_site(address)
+        page.get_by_role("textbox", name="Sentence").fill(WAVE)
+        page.get_by_role("button", name="Generate").click()
+        expect(page.locator("#message")).to_contain_text("place.onnx: the output positions", timeout=WAIT)
 
 
 @pytest.mark.slow

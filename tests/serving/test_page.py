@@ -506,6 +506,14 @@ def test_phones_have_room_for_fingers(open_studio):
         "(all) => all.filter((e) => e.getBoundingClientRect().height < 38).map((e) => e.id || e.textContent)"
     )
     assert small == []
+    # The name of the colors is not cut.
+    cut = page.locator("#theme").evaluate("""(select) => {
+      const whole = select.cloneNode(true);
+      whole.style.width = "max-content";
+      select.parentElement.append(whole);
+      return whole.offsetWidth - select.offsetWidth;
+    }""")
+    assert cut <= 0
 
 
 @pytest.mark.parametrize(

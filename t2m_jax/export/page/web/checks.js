@@ -12,6 +12,7 @@ const GRAPHS = {
   calm: [["positions", "num_frames"], ["calm_positions"]],
   lock: [["calm_positions", "positions", "num_frames"], ["clean_positions"]],
 };
+const FINITE = ["text_embedding", "features", "positions", "calm_positions", "clean_positions"];
 
 function check(condition, file, what) {
   if (!condition) throw new Error(`${file}: ${what} is not as it must be; export the page again`);
@@ -74,6 +75,17 @@ export function checkManifest(tree) {
   check(isList(motion.rest_offsets, isPoint, 200) && motion.rest_offsets.length === motion.joints.length, "manifest.json", "the rest pose");
   check(isList(examples, isShort, 1000) && isShort(license ?? "") && isShort(source ?? ""), "manifest.json", "the texts");
   return tree;
+}
+
+// Returns the arrays that a graph has computed: of another shape, or not finite, they would become a wrong motion.
+export function checkOutputs(name, outputs, tensors) {
+  const arrays = Object.entries(outputs).map(([key, { dtype, shape }]) => {
+    const { type, dims, data } = tensors[key] ?? {};
+    const isFinite = !FINITE.includes(key) || data?.every(Number.isFinite);
+    check(type === dtype && String(dims) === String(shape) && isFinite, `${name}.onnx`, `the output ${key}`);
+    return [key, data];
+  });
+  return Object.fromEntries(arrays);
 }
 
 function checkRig({ names, directions, ends, hubs, spine, limbs, ankles, sweeps, twist }, parents) {

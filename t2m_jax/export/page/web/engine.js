@@ -2,7 +2,7 @@
 // {loaded: share}, {ready}, {share}, {made}, {cancelled} and {failed: message}.
 
 import * as ort from "./vendor/ort.min.js";
-import { checkFigure, checkManifest } from "./checks.js";
+import { checkFigure, checkManifest, checkOutputs } from "./checks.js";
 import { Files } from "./files.js";
 import { Sampler } from "./sampler.js";
 import { Tokenizer } from "./tokenizer.js";
@@ -31,10 +31,9 @@ async function openGraphs(manifest, contents) {
     sessions[name] = await ort.InferenceSession.create(await bytes, name === "text" ? AS_STORED : OPTIONS);
   }
   return async (name, arrays) => {
-    const { inputs } = manifest.graphs[name];
+    const { inputs, outputs } = manifest.graphs[name];
     const tensors = Object.fromEntries(Object.entries(inputs).map(([key, { dtype, shape }]) => [key, new ort.Tensor(dtype, arrays[key], shape)]));
-    const outputs = await sessions[name].run(tensors);
-    return Object.fromEntries(Object.entries(outputs).map(([key, { data }]) => [key, data]));
+    return checkOutputs(name, outputs, await sessions[name].run(tensors));
   };
 }
 
