@@ -285,30 +285,11 @@ def approach_targets(
     assert motion.codes is not None
     codes, code_lengths = map(jnp.asarray, pad_codes([motion.codes], size=size))
     attempt = Attempt(codes, code_lengths, None)
-    frames = np.array([motion.num_frames])
     goals = wanted = make_goals(targets, model.skeleton)
     best, least = motion, cost_of(targets, finish(motion))
-    tokenizer = model.tokenizer
     for _ in range(ROUNDS):
-        moved = approach_goals(
-            put_everywhere(tokenizer.variables),
-            tokenizer.normalizer,
-            attempt,
-            goals,
-            tokenizer=tokenizer.module,
-            skeleton=model.skeleton,
-        )
-        attempt = attempt._replace(change=moved.change)
-        positions = moved.positions
-        if clean:
-            positions = clean_positions(positions[None], frames, skeleton=model.skeleton)[0]
-        own = dataclasses.replace(
-            motion,
-            positions=np.asarray(positions)[: motion.num_frames],
-            positions_raw=np.asarray(moved.positions)[: motion.num_frames] if clean else None,
-            features=np.asarray(moved.features)[: motion.num_frames],
-            codes=None,  # its latents are between codes
-        )
+        own, change = _round(model, motion, attempt, goals, clean=clean)
+        attempt = attempt._replace(change=change)
         finished = finish(own)
         cost = cost_of(targets, finished)
         if cost < least:
@@ -316,10 +297,36 @@ def approach_targets(
         if least < len(targets) * MET**2:
             break
         # The clean-up and the other terms of the loss hold joints back a little, so the next round aims as far beyond.
-        padding = ((0, len(moved.positions) - motion.num_frames), (0, 0), (0, 0))
+        padding = ((0, model.config.tokenizer.downsample * size - motion.num_frames), (0, 0), (0, 0))
         reached = points_at(jnp.asarray(np.pad(finished.positions, padding)), wanted, model.skeleton)
         goals = goals._replace(places=goals.places + wanted.places - reached)
     return best
+
+
+def _round(
+    model: ModelParts, motion: Motion, attempt: Attempt, goals: Goals, *, clean: bool
+) -> tuple[Motion, Float[Array, "1 N C"]]:
+    """Returns a motion after some gradient steps, and how far its latents are then from those of its codes."""
+    tokenizer = model.tokenizer
+    moved = approach_goals(
+        put_everywhere(tokenizer.variables),
+        tokenizer.normalizer,
+        attempt,
+        goals,
+        tokenizer=tokenizer.module,
+        skeleton=model.skeleton,
+    )
+    positions = moved.positions
+    if clean:
+        positions = clean_positions(positions[None], np.array([motion.num_frames]), skeleton=model.skeleton)[0]
+    own = dataclasses.replace(
+        motion,
+        positions=np.asarray(positions)[: motion.num_frames],
+        positions_raw=np.asarray(moved.positions)[: motion.num_frames] if clean else None,
+        features=np.asarray(moved.features)[: motion.num_frames],
+        codes=None,  # its latents are between codes
+    )
+    return own, moved.change
 
 
 def report_targets(motion: Motion, targets: Sequence[Target]) -> Motion:
