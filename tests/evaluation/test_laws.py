@@ -116,6 +116,7 @@ def test_swapping_two_captions_changes_what_needs_captions(task, model, before):
     np.testing.assert_allclose(after["matching_score"], matching_score(jnp.asarray(text), jnp.asarray(motion)))
 
 
+@pytest.mark.release
 def test_shifting_a_clip_by_a_frame_changes_what_looks_at_it(task, model, before):
     features = task.samples.clips[5].features
     shifted = with_clip(task, 5, features=np.concatenate([features[1:], features[-1:]]))
@@ -182,6 +183,7 @@ def test_the_size_of_batches_does_not_matter(task, model, before, monkeypatch):
             np.testing.assert_allclose(after[row][metric], value, rtol=1e-4, atol=ties, err_msg=f"{row} {metric}")
 
 
+@pytest.mark.release
 def test_what_the_model_draws_changes_the_generated_row_alone(task, model, before):
     after = figures(task, model, Greedy())
     assert after["real"] == before["real"]
@@ -189,6 +191,7 @@ def test_what_the_model_draws_changes_the_generated_row_alone(task, model, befor
     assert changed(before["generated"], after["generated"]) >= {"fid", "diversity", "matching_score"}
 
 
+@pytest.mark.release
 def test_a_protocol_is_told_from_another_by_what_it_changes(task, model, before):
     """text-to-motion is t2m-gpt but for whose variety is measured; with fewer captions than it asks for, the same."""
     other = dataclasses.replace(find_protocol("text-to-motion"), samples_per_caption=10)

@@ -384,6 +384,7 @@ def test_the_unit_is_of_the_tokenizer_and_the_evaluator(evaluator, synthetic_fol
     assert shortest[4] < 64 <= shortest[64], "a motion without a whole unit is left out"
 
 
+@pytest.mark.release
 def test_a_small_split_needs_a_smaller_batch(folders, synthetic_folder, capsys):
     path, data = folders / "report.json", shutil.copytree(synthetic_folder, folders / "data")
     (data / "few.txt").write_text("\n".join(open_dataset(data).names("train")[:6]))

@@ -312,6 +312,7 @@ def codes_by_batch_size(name):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.release) if name == "demo" else name for name in BUNDLED]
 )

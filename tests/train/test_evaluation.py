@@ -168,6 +168,7 @@ def test_a_resumed_run_equals_one_that_never_stopped(finished, training, stage, 
     assert generate_codes._cache_size() == compiled, "an evaluation compiled what was compiled before"
 
 
+@pytest.mark.release
 def test_figures_are_those_of_the_command(finished, held_out, evaluator):
     """The best weights, loaded and evaluated by protocol, give the row by which they were chosen."""
     protocol, best = find_protocol("t2m-gpt"), find_best(finished("gpt"))

@@ -54,6 +54,7 @@ def test_a_resumed_run_equals_one_that_never_stopped(kind, data, both, tmp_path,
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_the_log_shows_every_depth(both, capsys):
     with (both / "rvqvae" / "train.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))

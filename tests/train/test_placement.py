@@ -39,10 +39,8 @@ def tables(run):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("make_config", "steps_per_call"),
-    [pytest.param(vqvae_training, 1, marks=pytest.mark.release), (evaluator_training, 5)],
-)
+@pytest.mark.release
+@pytest.mark.parametrize(("make_config", "steps_per_call"), [(vqvae_training, 1), (evaluator_training, 5)])
 def test_the_place_of_the_data_changes_nothing(data, tmp_path, make_config, steps_per_call, monkeypatch):
     loop = dataclasses.replace(LOOP, steps_per_call=steps_per_call)
     # The programs of the two places are not the same, so rounding may differ with XLA's options in tests.

@@ -56,12 +56,7 @@ def gradients(state):
 @pytest.mark.release
 @pytest.mark.parametrize(
     "change",
-    [
-        {"remat": True, "num_parts": 2},
-        pytest.param({"num_parts": 2}, marks=pytest.mark.release),
-        pytest.param({"num_parts": 4}, marks=pytest.mark.release),
-        pytest.param({"remat": True}, marks=pytest.mark.release),
-    ],
+    [{"remat": True, "num_parts": 2}, {"num_parts": 2}, {"num_parts": 4}, {"remat": True}],
     ids=["both", "2 parts", "4 parts", "remat"],
 )
 def test_parts_and_remat_change_nothing(state, plain, change):

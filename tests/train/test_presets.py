@@ -128,6 +128,7 @@ def losses(run):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("recipe", RECIPES)
 def test_each_recipe_trains_both_stages_at_reduced_size(recipe, data, tmp_path):
     places = {"data": data, "loop": LONG}
@@ -186,6 +187,7 @@ def test_the_recipe_of_hifigpt_trains_both_stages_at_reduced_size(data, tmp_path
 
 
 @pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize(("quantizer", "norm"), [("orig", "GN"), ("reset", "BN")])
 def test_every_kind_of_codebook_and_norm_is_saved_and_resumed(quantizer, norm, data, tmp_path):
     """Kinds differ in which collections they have."""

@@ -75,6 +75,7 @@ def test_states_are_computed_once_for_a_data_set(trained, runs, tmp_path, monkey
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_resumed_run_with_balance_equals_one_that_never_stopped(runs, tmp_path, monkeypatch):
     config = with_states(gpt_training(runs.data, runs.vqvae, tmp_path / "whole"), balance=0.5)
     train(config)
@@ -88,6 +89,7 @@ def test_a_resumed_run_with_balance_equals_one_that_never_stopped(runs, tmp_path
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_the_double_tier_gpt_learns_with_the_contrastive_loss(data, tmp_path):
     train(rvqvae_training(data, tmp_path / "rvqvae", loop=SHORT))
     config = hifigpt_training(data, tmp_path / "rvqvae", tmp_path / "run", loop=SHORT)
@@ -98,6 +100,7 @@ def test_the_double_tier_gpt_learns_with_the_contrastive_loss(data, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_network_starts_from_a_model_with_the_same_encoder_only(trained, runs, tmp_path):
     still = dataclasses.replace(OPTIMIZER, learning_rate=0.0, warmup_steps=0)
     loop = dataclasses.replace(SHORT, num_steps=1, validate_every=0)
@@ -112,6 +115,7 @@ def test_a_network_starts_from_a_model_with_the_same_encoder_only(trained, runs,
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_trained_generator_gets_another_text_encoder_and_stays_as_it_is(runs, tmp_path):
     quick = dataclasses.replace(OPTIMIZER, weight_decay=0.1, warmup_steps=0)
     loop = dataclasses.replace(SHORT, num_steps=2, validate_every=0)
@@ -157,6 +161,8 @@ def test_balance_needs_labels(runs, tmp_path):
         dataclasses.replace(config, balance=1.5)
 
 
+@pytest.mark.slow
+@pytest.mark.release
 def test_single_motions_get_their_share_of_the_draws(runs, tmp_path):
     data = shutil.copytree(runs.data, tmp_path / "data")
     config = dataclasses.replace(gpt_training(data, runs.vqvae, tmp_path / "run"), single_share=0.25)

@@ -42,9 +42,7 @@ def bundle(runs, tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "source", ["run", *(pytest.param(other, marks=pytest.mark.slow) for other in ("generator's run", "bundle"))]
-)
+@pytest.mark.parametrize("source", ["run", "generator's run", "bundle"])
 def test_a_tokenizer_starts_from_a_model(runs, bundle, tmp_path, source):
     init = {"run": runs.vqvae, "generator's run": runs.gpt, "bundle": bundle}[source]
     fields = {"init": init, "statistics": f"{init}", "optimizer": STILL}

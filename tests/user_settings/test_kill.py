@@ -100,7 +100,7 @@ def newest(run, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("training", ["vqvae", "gpt"], indirect=True)
+@pytest.mark.parametrize("training", [pytest.param("vqvae", marks=pytest.mark.release), "gpt"], indirect=True)
 def test_a_killed_training_ends_as_one_that_was_not_killed(training, tmp_path):
     run, draws, reached = tmp_path / "run", random.Random(0), 0
 
