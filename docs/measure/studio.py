@@ -7,6 +7,7 @@ of a sentence, and all are copies of one. "script" is what the page's own code t
 "page" also has styles, layout and drawing.
 """
 
+import contextlib
 import os
 import shutil
 import statistics
@@ -46,7 +47,7 @@ def fill(page: Page, address: str) -> None:
     page.wait_for_selector(".take", timeout=WAIT)
     page.evaluate(FILL, MOTIONS)
     page.reload()
-    page.wait_for_function(f"document.querySelectorAll('.take').length === {MOTIONS}", timeout=WAIT)
+    page.locator(".take").nth(MOTIONS - 1).wait_for(timeout=WAIT)
     page.evaluate(IDLE)
 
 
@@ -98,7 +99,10 @@ def main() -> None:
     if chromium is None:
         raise UserError("no Chromium found; name one in the variable CHROMIUM")
     command = [sys.executable, "-m", "t2m_jax", "serve", "--port", "0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server, sync_playwright() as running:
+    with contextlib.ExitStack() as stack:
+        server = stack.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
+        stack.callback(server.terminate)
+        running = stack.enter_context(sync_playwright())
         browser = running.chromium.launch(executable_path=chromium, args=["--use-angle=swiftshader"])
         page = browser.new_context(reduced_motion="reduce", viewport={"width": 1440, "height": 900}).new_page()
         fill(page, server.stdout.readline().strip())
@@ -113,7 +117,6 @@ def main() -> None:
             for name, act in actions(page).items():
                 found.setdefault(name, []).append(measured(page, read, act))
         browser.close()
-        server.terminate()
     print("| action | script: median, longest (ms) | page: median, longest (ms) |\n| --- | ---: | ---: |")  # noqa: T201
     for name, times in found.items():
         columns = [f"{statistics.median(column):.0f}, {max(column):.0f}" for column in zip(*times, strict=True)]

@@ -6,7 +6,9 @@ const clamp = (x, low, high) => Math.min(Math.max(x, low), high);
 function unpackFigure(record) {
   // A page that makes motions itself has the numbers.
   if (record.values) return { ...record, current: new Float32Array(3 * record.points) };
-  const bytes = Uint8Array.from(atob(record.data), (character) => character.charCodeAt(0));
+  const text = atob(record.data);
+  const bytes = new Uint8Array(text.length);
+  for (let place = 0; place < text.length; place++) bytes[place] = text.charCodeAt(place); // `from` takes ten times as long
   const view = new DataView(bytes.buffer);
   const stride = 3 * record.points;
   const values = new Float32Array(bytes.length / 2);
