@@ -21,7 +21,7 @@ from t2m_jax.errors import UserError
 
 MOTIONS = 200
 TIMES = 5
-"""How often each action is measured; the longest counts."""
+"""How often each action is measured."""
 WAIT = 120_000
 """Milliseconds."""
 FILL = """async (count) => {
@@ -30,12 +30,11 @@ FILL = """async (count) => {
   const [entry] = await store.entries();
   const take = await store.take(entry.id);
   for (let number = 1; number < count; number += 1) {
-    const copy = { id: crypto.randomUUID(), created: entry.created + number };
-    await store.add({ ...entry, ...copy, name: `motion ${number}` }, { ...take, ...copy });
+    const copy = { id: `${entry.id}-${number}`, created: entry.created - number };
+    await store.add({ ...entry, ...copy }, { ...take, ...copy });
   }
 }"""
 IDLE = "new Promise((done) => setTimeout(() => requestIdleCallback(done), 400))"
-Measure = Callable[[], dict[str, float]]
 
 
 def fill(page: Page, address: str) -> None:
@@ -83,7 +82,7 @@ def actions(page: Page) -> dict[str, Callable[[], object]]:
     }
 
 
-def measured(page: Page, read: Measure, act: Callable[[], object]) -> tuple[float, float]:
+def measured(page: Page, read: Callable[[], dict[str, float]], act: Callable[[], object]) -> tuple[float, float]:
     """Returns the milliseconds of script, and of everything that the page does, of one action."""
     before = read()
     act()

@@ -175,18 +175,18 @@ def move_target(target: Target, seconds: float, pose: Pose, place: Pose, *, skel
     if target.joint == POSE or target.relative:
         return later
     if target.joint == FACING:
-        turn = heading(place, skeleton) - heading(pose, skeleton)
-        return dataclasses.replace(later, place=(target.place[0] + turn,))
+        before, after = facing_degrees(np.stack([pose, place]), skeleton).tolist()
+        return dataclasses.replace(later, place=(target.place[0] + after - before,))
     x, *height, z = target.place
     points = np.broadcast_to([x, *(height or [0.0]), z], pose.shape)[None]
     moved = place_positions(points, pose, place, skeleton=skeleton)[0, 0].tolist()
     return dataclasses.replace(later, place=tuple(moved if height else moved[::2]))
 
 
-def heading(pose: Pose, skeleton: Skeleton) -> float:
-    """Returns where a figure faces, in degrees to the left of +z."""
-    x, _, z = facing(pose, skeleton)
-    return math.degrees(math.atan2(x, z))
+def facing_degrees(positions: Float[np.ndarray, "T J 3"], skeleton: Skeleton) -> Float[np.ndarray, " T"]:
+    """Returns where a figure faces in each frame, in degrees to the left of +z."""
+    ahead = facing(positions, skeleton)
+    return np.degrees(np.arctan2(ahead[:, 0], ahead[:, 2]))
 
 
 def check_targets(
@@ -275,8 +275,7 @@ def _distances(motion: Motion, target: Target) -> Float[np.ndarray, " S"]:
     poses = motion.positions[frames].astype(np.float64)
     place = np.array(target.place)
     if target.joint == FACING:
-        ahead = facing(poses, motion.skeleton)
-        difference = np.degrees(np.arctan2(ahead[:, 0], ahead[:, 2])) - place[0]
+        difference = facing_degrees(poses, motion.skeleton) - place[0]
         return np.abs((difference + 180) % 360 - 180)
     if target.joint == ROOT:
         return np.linalg.norm(poses[:, 0, ::2] - place, axis=-1)

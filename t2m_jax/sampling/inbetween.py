@@ -67,10 +67,11 @@ def redo(model: ModelParts, request: MotionRequest, prompt: Prompt, sampling: Sa
         last = frames.first + downsample * num_rows
         check_middle_targets(model, motion, Span(frames.first, last), request.targets)
     candidates = find_middles(model, request, prompt, codes, span, num_rows=num_rows, sampling=sampling)
-    order = rank_middles(motion.positions[frames.last :], candidates, skeleton=motion.skeleton)
-    chosen = [candidates[number] for number in order]
     if request.targets:
-        chosen = move_middles(model, motion, chosen, frames, request)
+        chosen = move_middles(model, motion, candidates, frames, request)
+    else:
+        order = rank_middles(motion.positions[frames.last :], candidates, skeleton=motion.skeleton)
+        chosen = [candidates[number] for number in order]
     redone = [_with_middle(motion, middle, frames, prompt) for middle in chosen[: request.num_samples]]
     return [report_targets(dataclasses.replace(one, seed=request.seed), request.targets) for one in redone]
 

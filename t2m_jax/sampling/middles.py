@@ -35,7 +35,7 @@ class Middle(NamedTuple):
     """Frame after the middle."""
     likelihood: float
     """Mean logarithm of the probabilities of the rows after it."""
-    codes: Codes | None = None
+    codes: Codes
     """Of all frames."""
 
 
@@ -92,13 +92,12 @@ class _Window:
         positions = replace_middle(
             self.head, window.positions, self.tail, first=first, last=last, fps=window.fps, skeleton=window.skeleton
         )
-        # What the decoder has made of frames behind the motion is not needed.
+        # The window may be longer than the motion. Its frames after the end keep the length that `finish` must return.
         rest = window.positions[len(positions) :]
         return Motion(np.concatenate([positions, rest]), window.fps, skeleton=window.skeleton)
 
     def moved(self, model: ModelParts, *, clean: bool) -> Middle:
         """Returns the middle, moved to the targets."""
-        assert self.middle.codes is not None
         size = round_up(len(self.middle.codes), ROW_BUCKET)
         found = approach_targets(model, self.alone, self.targets, size=size, clean=clean, finish=self.joined)
         return self.middle._replace(positions=found.positions)

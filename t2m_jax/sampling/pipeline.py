@@ -236,7 +236,6 @@ class TextToMotion:
         seed: int = 0,
         num_samples: int = 1,
         num_candidates: int = MotionRequest.candidates,
-        targets: Sequence[Target | str | tuple[float, Motion]] = (),
         **options: Any,
     ) -> list[Motion]:
         """Returns a motion with another middle, which a sentence describes, at the model's frame rate.
@@ -251,11 +250,9 @@ class TextToMotion:
             seed: From 0 to 2**32 - 1.
             num_samples: Motions to return, the best ones first.
             num_candidates: Middles to choose them from.
-            targets: Of the middle, as for `direct`; those come first that are nearest to them.
             **options: Of `SamplingOptions`.
         """
-        counts: dict[str, Any] = {"seed": seed, "num_samples": num_samples, "candidates": num_candidates}
-        counts |= {"seconds": seconds, "targets": tuple(map(read_target, targets))}
+        counts = {"seconds": seconds, "seed": seed, "num_samples": num_samples, "candidates": num_candidates}
         return list(self.make(_request(caption, options, start=motion, span=span, **counts)))
 
     def direct(
@@ -263,6 +260,8 @@ class TextToMotion:
         caption: str,
         targets: Sequence[Target | str | tuple[float, Motion]],
         *,
+        start: Motion | None = None,
+        span: tuple[float, float] | None = None,
         seed: int = 0,
         num_samples: int = 1,
         num_candidates: int = MotionRequest.candidates,
@@ -274,15 +273,16 @@ class TextToMotion:
 
         Args:
             caption: A sentence.
-            targets: Texts, such as "2.0 right_wrist=0.3,1.5,0.2" or "4 root=1,3" (see `docs/targets.md`), or pairs of
-                seconds and a motion, whose first frame is the pose.
+            targets: Texts (see `docs/targets.md`), or pairs of seconds and a motion, whose first frame is the pose.
+            start: A motion of which a part is made again, as by `redo`; by default, the whole motion is new.
+            span: Begin and end of this part in seconds; all targets must be in it.
             seed: From 0 to 2**32 - 1.
             num_samples: Motions to return, the best ones first.
             num_candidates: Samples to choose them from.
             **options: Of `SamplingOptions`.
         """
-        counts = {"seed": seed, "num_samples": num_samples, "candidates": num_candidates}
-        return list(self.make(_request(caption, options, targets=tuple(map(read_target, targets)), **counts)))
+        fields = {"start": start, "span": span, "seed": seed, "num_samples": num_samples, "candidates": num_candidates}
+        return list(self.make(_request(caption, options, targets=tuple(map(read_target, targets)), **fields)))
 
     def vary(
         self,

@@ -118,10 +118,11 @@ def test_targets_bring_a_middle_nearer_or_leave_it(model, walk, span):
     frame = round(10 * sum(span))
     x, z = plain.positions[frame, 0, [0, 2]] + 0.2
     targets = [f"{frame / 20} right_wrist+=-0.3,1.2,0.2", f"{frame / 20} root={x},{z}"]
-    (redone,) = model.redo(turned, span, CAPTION, num_candidates=2, targets=targets)
+    (redone,) = model.direct(CAPTION, targets, start=turned, span=span, num_candidates=2)
     read = [read_target(text) for text in targets]
-    # Random weights may know no way; `test_the_packaged_model_meets_targets_in_a_middle` asks for more.
-    assert cost_of(read, redone) <= cost_of(read, plain) + 1e-3
+    # Not all random weights can bring it nearer; `test_the_packaged_model_meets_targets_in_a_middle` asks for more.
+    share = 0.6 if model.config.tokenizer.num_quantizers == 1 else 1.0
+    assert cost_of(read, redone) <= share * cost_of(read, plain) + 1e-3
     first = round(20 * span[0])
     last = round(20 * span[1]) if span[1] < 4 else redone.num_frames
     np.testing.assert_array_equal(redone.positions[:first], turned.positions[:first])
@@ -145,7 +146,7 @@ def test_targets_bring_a_middle_nearer_or_leave_it(model, walk, span):
 )
 def test_targets_that_no_middle_can_meet_are_refused(model, walk, target, says):
     with pytest.raises(UserError, match=re.escape(says)):
-        model.redo(walk, (1.2, 2.4), CAPTION, targets=[target], num_candidates=1)
+        model.direct(CAPTION, [target], start=walk, span=(1.2, 2.4), num_candidates=1)
 
 
 @pytest.mark.release
@@ -154,7 +155,7 @@ def test_the_packaged_model_meets_targets_in_a_middle():
     (walk,) = model.generate("a person walks forward", seed=1)
     x, y, z = walk.positions[36, 21] + np.array([0, 0.4, 0.1])
     targets = [f"1.8 right_wrist={x},{y},{z}", f"2 root={walk.positions[40, 0, 0] + 0.2},{walk.positions[40, 0, 2]}"]
-    (redone,) = model.redo(walk, (1.2, 2.8), "a person walks forward", targets=targets)
+    (redone,) = model.direct("a person walks forward", targets, start=walk, span=(1.2, 2.8))
     assert redone.warning == "" and redone.num_frames == walk.num_frames
     np.testing.assert_array_equal(redone.positions[:24], walk.positions[:24])
 
@@ -211,7 +212,7 @@ def middle_with(tail, *, shift, likelihood):
     """Returns a candidate whose frames after a middle of 4 frames are the tail, with raised arms."""
     positions = np.concatenate([tail[:4], tail]).copy()
     positions[4:, 16:] += [0, shift, 0]
-    return Middle(positions, 0, 4, likelihood)
+    return Middle(positions, 0, 4, likelihood, np.zeros((1, 1), np.int32))
 
 
 def test_candidates_are_ranked_by_likelihood_and_jump(walk):

@@ -212,6 +212,7 @@ async def measure(client: Client, options: argparse.Namespace, table: Table) -> 
     ours, its = spawn.Pipe()
     pinging = spawn.Process(target=ping, args=(client.port, its), daemon=True)
     pinging.start()
+    its.close()  # so that `recv` ends if the process has died
     using = asyncio.create_task(use(soak))
     seen = await attack_often(soak, options)
     if using.done():

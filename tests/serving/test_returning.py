@@ -2,6 +2,7 @@
 
 import pytest
 
+from docs.measure.studio import FILL
 from tests.export.test_viewer import browser, wait_until  # noqa: F401 - a fixture
 from tests.serving.test_hasty_users import SLOW_STREAM
 from tests.serving.test_page import WALK, WAVE, expect, generate, open_studio  # noqa: F401 - fixtures
@@ -115,16 +116,6 @@ def test_the_share_and_the_time_left_are_shown(open_studio):  # noqa: F811
     expect(bar).to_be_hidden()
 
 
-FILL_HISTORY = """async (count) => {
-  const { Store } = await import("/assets/store.js");
-  const store = await Store.open();
-  const [entry] = await store.entries();
-  const take = await store.take(entry.id);
-  for (let number = 1; number < count; number += 1) {
-    const fields = { id: `${entry.id}-${number}`, created: entry.created - number };
-    await store.add({ ...entry, ...fields }, { ...take, ...fields });
-  }
-}"""
 WATCH_HISTORY = """() => {
   window.changed = 0;
   const count = (records) => {
@@ -139,7 +130,7 @@ def test_a_history_of_200_motions_is_not_drawn_anew(open_studio):  # noqa: F811
     """The work of an action is a row or two, however long the history is."""
     page = open_studio()
     generate(page, WALK)
-    page.evaluate(FILL_HISTORY, 200)
+    page.evaluate(FILL, 200)
     page.reload()
     expect(page.locator(".take")).to_have_count(200)
     page.evaluate(WATCH_HISTORY)
