@@ -214,7 +214,13 @@ class Checkpoints:
             commit_folder(partial, self._folder / str(step))
         # After the new one has its name, so that a kill at any moment leaves at least `keep` checkpoints.
         for old in self._finished_steps()[self._keep :] if self._keep else ():
-            shutil.rmtree(self._folder / str(old), ignore_errors=True)
+            self._delete(old)
+
+    def _delete(self, step: int) -> None:
+        # Renamed, so that a kill in the middle does not leave half of a checkpoint. It goes with the next save.
+        leftover = self._folder / f".{step}{PARTIAL}"
+        with contextlib.suppress(OSError):  # what cannot be deleted does no harm
+            shutil.rmtree((self._folder / str(step)).rename(leftover))
 
     @contextlib.contextmanager
     def _writing(self, step: int) -> Iterator[None]:

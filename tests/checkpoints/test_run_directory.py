@@ -142,6 +142,22 @@ def test_old_checkpoints_go(tmp_path, keep, left):
     assert sorted(path.name for path in (tmp_path / CHECKPOINTS).iterdir()) == left
 
 
+def test_a_kill_while_an_old_checkpoint_is_deleted_leaves_no_half_of_it(tmp_path, monkeypatch):
+    def killed(folder, **_):
+        monkeypatch.undo()
+        (folder / "_CHECKPOINT_METADATA").unlink()
+
+    with Checkpoints(tmp_path, keep=1) as checkpoints:
+        checkpoints.save(1, state_at(1))
+        assert checkpoints.steps() == [1]
+        monkeypatch.setattr(shutil, "rmtree", killed)
+        checkpoints.save(2, state_at(2))
+        assert checkpoints.steps() == [2]
+        assert len(list((tmp_path / CHECKPOINTS).iterdir())) == 2  # what is left of the first
+        checkpoints.save(3, state_at(3))
+    assert [path.name for path in (tmp_path / CHECKPOINTS).iterdir()] == ["3"]
+
+
 def test_without_a_checkpoint_a_run_starts_from_its_first_state(tmp_path, saved):
     first = state_at(0)
     assert restore_latest(tmp_path, first) is first
