@@ -24,6 +24,7 @@ from tests.conftest import REPOSITORY
 from tests.export.test_html import Elements
 
 
+@pytest.mark.slow
 def test_64_bits_of_the_environment_do_not_change_a_motion(bundle_folder, tmp_path, monkeypatch):
     command = ["generate", "a person walks", "--model", f"{bundle_folder}", "-o"]
     assert main([*command, f"{tmp_path / 'a.npz'}"]) == 0

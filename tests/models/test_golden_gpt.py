@@ -14,7 +14,7 @@ from tests.golden_files import state_dict
 from tests.jit import compiled_apply
 
 
-@pytest.fixture(scope="module", params=("gpt_l2", "gpt_l3"))
+@pytest.fixture(scope="module", params=("gpt_l2", pytest.param("gpt_l3", marks=pytest.mark.slow)))
 def case(request, golden_dir):
     arrays = np.load(golden_dir / "t2m_gpt" / f"{request.param}.npz")
     sizes = json.loads(str(arrays["config_json"]))

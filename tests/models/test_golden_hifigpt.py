@@ -24,7 +24,10 @@ from tests.golden_files import hifigpt_config, hifigpt_params
 from tests.jit import compiled_apply
 from tests.models.test_golden_rvqvae import assert_final_weights
 
-CASES = ("default", "cumulative_depth", "frozen", "learned", "per_depth", "corrupted", "corrupt_residual")
+CASES = (
+    *("default", "cumulative_depth", "corrupted"),
+    *(pytest.param(case, marks=pytest.mark.slow) for case in ("frozen", "learned", "per_depth", "corrupt_residual")),
+)
 
 
 def load(golden_dir, name):

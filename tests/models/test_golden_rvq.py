@@ -52,7 +52,7 @@ def test_ties_go_to_the_lowest_code(golden_dir):
     np.testing.assert_array_equal(found.codes.T, arrays["codes"])
 
 
-@pytest.mark.parametrize("name", ["r1", "r3", "r6", "r10"])
+@pytest.mark.parametrize("name", ["r6", *(pytest.param(name, marks=pytest.mark.slow) for name in ("r1", "r3", "r10"))])
 def test_lookup(golden_dir, name):
     arrays = load(golden_dir, f"rvq_lookup_{name}")
     module, mask = make_quantizer(arrays), arrays["mask"] == 1
@@ -92,7 +92,15 @@ def assert_state(moved, arrays, number, *, pool):
     assert_drawn(moved["codebook"][dead], pool)
 
 
-@pytest.mark.parametrize("name", ["joint_decay0.9", "joint_decay0.99", "joint_no_reset", "per_depth_decay0.99"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "joint_decay0.9",
+        pytest.param("joint_decay0.99", marks=pytest.mark.slow),
+        "joint_no_reset",
+        "per_depth_decay0.99",
+    ],
+)
 def test_codebook_updates(golden_dir, name):
     arrays = load(golden_dir, f"rvq_ema_{name}")
     module, per_depth = make_quantizer(arrays), name.startswith("per_depth")

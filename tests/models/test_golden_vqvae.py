@@ -18,7 +18,7 @@ from tests.jit import compiled_apply
 NAMES = (
     "vqvae_d2_dim263_relu_ema_reset",
     pytest.param("vqvae_d3_dim251_relu_orig", marks=pytest.mark.slow),
-    "vqvae_d2_dim263_silu_LN_ema",
+    pytest.param("vqvae_d2_dim263_silu_LN_ema", marks=pytest.mark.slow),
     pytest.param("vqvae_d2_dim251_gelu_depth2_reset", marks=pytest.mark.slow),
 )
 

@@ -50,6 +50,7 @@ def test_padding_changes_nothing(model_and_variables, length):
     np.testing.assert_allclose(decoded[0, : 4 * num_codes], alone.reconstruction[0], atol=1e-5, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_codes_are_decoded_as_their_rows_of_the_codebook_and_latents_as_they_are(model_and_variables):
     model, variables = model_and_variables
     codes = jnp.array([[3, 1, 4, 1]])

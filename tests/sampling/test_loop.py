@@ -58,7 +58,7 @@ def texts_and_keys(seed, batch=BATCH):
     return jax.random.normal(text_key, (batch, CONFIG.text_dim)), jax.random.split(sample_key, batch)
 
 
-@pytest.mark.parametrize("name", ["gpt_l2", "gpt_l3"])
+@pytest.mark.parametrize("name", ["gpt_l2", pytest.param("gpt_l3", marks=pytest.mark.slow)])
 def test_golden_greedy_sequences(golden_dir, name):
     arrays = np.load(golden_dir / "t2m_gpt" / f"{name}.npz")
     sizes = json.loads(str(arrays["config_json"]))
@@ -78,7 +78,7 @@ def test_golden_greedy_sequences(golden_dir, name):
         np.testing.assert_array_equal(decoded.codes[row, :length], arrays["greedy_tokens"][row, :length])
 
 
-@pytest.mark.parametrize("strategy", [Greedy(), TopK(k=3)])
+@pytest.mark.parametrize("strategy", [pytest.param(Greedy(), marks=pytest.mark.slow), TopK(k=3)])
 def test_cached_equals_uncached(model_and_variables, strategy):
     model, variables = model_and_variables
     texts, keys = texts_and_keys(1)

@@ -242,6 +242,7 @@ def test_numbers_are_a_strategy(model):
         model.generate(CAPTIONS[0], strategy=Greedy(), top_p=0.5)
 
 
+@pytest.mark.slow
 def test_progress_is_told_after_each_batch(model, monkeypatch):
     monkeypatch.setattr("t2m_jax.sampling.generation.MAX_BATCH", 3)
     told = []
