@@ -18,7 +18,16 @@ from t2m_jax.files.writing import save_text
 from t2m_jax.motion.formats import notebook_frame
 from t2m_jax.motion.motion import Motion
 
-VIEWER_SCRIPTS = ("vendor/three.min.js", "figures.js", "camera.js", "body.js", "ground.js", "cell.js", "stage.js")
+VIEWER_SCRIPTS = (
+    "vendor/three.min.js",
+    "figures.js",
+    "camera.js",
+    "body.js",
+    "ground.js",
+    "scenery.js",
+    "cell.js",
+    "stage.js",
+)
 """The renderer, in this order; other pages use it, too."""
 STUDIO_SCRIPTS = ("vendor/three-character.min.js", *VIEWER_SCRIPTS[1:], "character.js", "miniature.js")
 """That of the studio, which also shows characters of GLB files."""

@@ -163,12 +163,40 @@ def test_slow_pictures_become_lighter(open_viewer, walk):
         for (let k = 0; k < 8; k++) stage.tick(now += 1000 * interval);
         stage.running = false;
         stage.draw();
-        found.push([stage.canvas.width / stage.canvas.clientWidth, stage.cells[0].sun.castShadow]);
+        found.push([stage.canvas.width / stage.canvas.clientWidth, stage.scenery.sun.castShadow]);
       }
       return found;
     }""")
     assert [shadow for _, shadow in details] == [True, True, True, False, False]
     assert [ratio for ratio, _ in details] == pytest.approx([2, 1, 0.75, 0.5, 0.5], abs=0.01)
+
+
+def test_figures_share_what_is_drawn(open_viewer, walk):
+    """A figure adds only its path and a line to the buffers, the same programs draw all, and all is given back."""
+    page = open_viewer([walk])
+    long = Motion(np.tile(walk.positions, (5, 1, 1)), 20.0)  # has more marks of feet than there was room for
+    buffers, programs, pictures = [], [], []
+    for motions in ([walk], [walk] * 4, [walk], [long]):
+        page.evaluate("(scene) => window.t2mViewer.stage.show(scene)", scene_record(motions))
+        page.evaluate("window.t2mViewer.stage.time = 19")
+        pictures.append(picture(page))
+        buffers.append(viewer(page, "stage.renderer.info.memory.geometries"))
+        programs.append(viewer(page, "stage.renderer.info.programs.map(({ id }) => id)"))
+    assert buffers == [buffers[0], buffers[0] + 3 * 2, buffers[0], buffers[0]]
+    assert programs == [programs[0]] * 4
+    new = open_viewer([long])
+    new.evaluate("window.t2mViewer.stage.time = 19")
+    assert changed(pictures[-1], picture(new)) == 0
+
+
+def test_limbs_reach_from_joint_to_joint(open_viewer, walk):
+    """Also where they have another length than in the first frame, as decoded motions have."""
+    long = np.array(walk.positions)
+    elbow, hand = (walk.skeleton.joint_names.index(name) for name in ("left_elbow", "left_wrist"))
+    long[1:, hand] += 2 * (long[1:, hand] - long[1:, elbow])
+    page, later = open_viewer([Motion(long, 20.0)]), open_viewer([Motion(long[1:], 20.0)])
+    page.evaluate("window.t2mViewer.frame = 1")
+    assert changed(picture(page), picture(later)) == 0
 
 
 def test_the_sentence_that_is_played_is_shown(open_viewer, walk):

@@ -1,4 +1,4 @@
-// A cell of the stage: one figure with its ground, light, camera and caption.
+// A cell of the stage: one figure with its path, camera and caption.
 
 // Returns an element of a class inside another.
 function addElement(parent, tag, className) {
@@ -8,7 +8,6 @@ function addElement(parent, tag, className) {
   return element;
 }
 
-// One figure with its ground, light and camera, in an element of the page.
 class FigureCell {
   constructor(parent, figure, number) {
     this.element = addElement(parent, "div", "stage-cell");
@@ -24,31 +23,23 @@ class FigureCell {
 
   build(figure) {
     this.figure = figure;
-    this.scene = new THREE.Scene();
-    this.body = new BodyMesh(figure);
-    this.ground = new GroundMesh(figure);
+    this.path = ribbonGeometry(smoothPath(rootPath(figure), 4));
+    this.drawn = ribbonGeometry([]);
     this.framing = new Framing(figure);
-    this.sky = new THREE.HemisphereLight();
-    this.sun = new THREE.DirectionalLight();
-    this.sun.castShadow = true;
-    this.sun.shadow.mapSize.set(1024, 1024);
-    this.sun.shadow.radius = 5;
-    this.sun.shadow.bias = -0.002;
-    this.sun.shadow.normalBias = 0.02;
-    Object.assign(this.sun.shadow.camera, { left: -1.8, right: 1.8, top: 2.2, bottom: -1.8, near: 1, far: 12 });
-    this.scene.add(this.sky, this.sun, this.sun.target, this.body.mesh, ...this.ground.layers);
-    this.theme = null;
-    this.caption.classList.toggle("changing", this.figure.sentences?.length > 1);
+    this.caption.classList.toggle("changing", figure.sentences?.length > 1);
     this.say(0);
   }
 
-  // Shows another body in place of the present one.
-  dress(body) {
-    this.scene.remove(this.body.mesh);
-    this.body.dispose();
-    this.body = body;
-    this.scene.add(body.mesh);
-    this.theme = null;
+  // Shows a character in place of the figure, or the figure again.
+  dress(character = null) {
+    this.character?.dispose();
+    this.character = character;
+  }
+
+  // Shows a line through points on the ground, [x, z].
+  draw(points) {
+    this.drawn.dispose();
+    this.drawn = ribbonGeometry(points.map(([x, z]) => [x, 0, z]));
   }
 
   // Shows the sentence that is played, which is a part of the caption.
@@ -56,38 +47,6 @@ class FigureCell {
     const begun = (this.figure.sentences ?? []).filter(([first]) => first <= seconds * this.figure.fps + 1e-6);
     const text = begun.length ? begun.at(-1)[1] : this.figure.caption;
     if (this.caption.textContent !== text) this.caption.textContent = text;
-  }
-
-  // Size of the picture of the shadow; 0 is none.
-  castShadow(size) {
-    const { shadow } = this.sun;
-    if (this.sun.castShadow === size > 0 && shadow.mapSize.x === size) return;
-    this.sun.castShadow = size > 0;
-    shadow.dispose();
-    shadow.map = null;
-    shadow.mapSize.set(size, size);
-  }
-
-  paint(theme) {
-    if (this.theme === theme) return;
-    this.theme = theme;
-    const accent = (place) => theme.accents[place % theme.accents.length];
-    this.body.paint(this.isTinted ? [accent(this.number), ...theme.tints.slice(1)] : theme.tints);
-    this.ground.paint(theme, accent(this.number), accent(this.number + 1));
-    this.sky.color.set(theme.sky);
-    this.sky.groundColor.set(theme.floor);
-    this.sky.intensity = theme.ambient;
-    this.sun.intensity = theme.sun;
-  }
-
-  pose(seconds, view, aspect) {
-    this.say(seconds);
-    this.body.pose(seconds);
-    this.ground.pose(seconds);
-    this.framing.update(view, seconds, aspect);
-    const [x, , z] = this.figure.current;
-    this.sun.position.set(x + 1.6, 5, z + 2.4);
-    this.sun.target.position.set(x, 0.6, z);
   }
 
   // Where the camera looks.
@@ -113,8 +72,9 @@ class FigureCell {
     return { x: box.left + ((x + 1) / 2) * box.width, y: box.top + ((1 - y) / 2) * box.height };
   }
 
-  // What must be disposed of.
-  get parts() {
-    return [this.body, this.ground, this.sun];
+  dispose() {
+    this.dress();
+    this.path.dispose();
+    this.drawn.dispose();
   }
 }

@@ -5,10 +5,9 @@ const NOWHERE = "data:,";
 const ownParts = new THREE.LoadingManager();
 ownParts.setURLModifier((address) => (/^(blob|data):/.test(address) ? address : NOWHERE));
 
-// A body of a cell (see `FigureCell.dress`) that is moved by the animation of a file.
+// A body for `FigureCell.dress` that is moved by the animation of a file.
 class CharacterBody {
-  constructor(figure, file, animation, scale) {
-    this.figure = figure;
+  constructor(file, animation, scale) {
     // Paths and marks on the ground are those of the motion, so the character is shown as large as its person.
     this.mesh = new THREE.Group();
     this.mesh.add(file.scene);
@@ -25,12 +24,8 @@ class CharacterBody {
     action.play();
   }
 
-  paint() {} // it has its own colors
-
-  pose(seconds) {
-    poseAt(this.figure, seconds); // the cell asks where the root is
-    const last = (this.figure.frames - 1) / this.figure.fps;
-    this.mixer.setTime(clamp(seconds, 0, last));
+  pose({ frames, fps }, seconds) {
+    this.mixer.setTime(clamp(seconds, 0, (frames - 1) / fps));
   }
 
   dispose() {
@@ -47,14 +42,14 @@ class CharacterBody {
   }
 }
 
-// Returns a function from figures to bodies, for the animation with this place from the end (1 is the last one).
+// Returns a body for the animation with this place from the end (1 is the last one).
 async function loadCharacter(bytes, fromEnd) {
   const file = await new THREE.GLTFLoader(ownParts).parseAsync(bytes, "");
   const meshes = file.parser.json.nodes.filter((node) => node.mesh !== undefined);
   if (!meshes.length) throw new Error("it has no mesh");
   const animation = file.animations.at(-fromEnd);
   const scale = file.parser.json.animations.at(-fromEnd).extras.scale;
-  return (figure) => new CharacterBody(figure, file, animation, scale);
+  return new CharacterBody(file, animation, scale);
 }
 
 window.T2M.loadCharacter = loadCharacter;

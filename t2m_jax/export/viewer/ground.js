@@ -42,25 +42,21 @@ function ribbonGeometry(path) {
   return geometry;
 }
 
+// The ground of one figure after the other.
 class GroundMesh {
-  constructor(figure) {
-    this.figure = figure;
-    const plane = () => new THREE.PlaneGeometry(14, 14).rotateX(-Math.PI / 2);
-    this.grid = new THREE.Mesh(plane(), new THREE.ShaderMaterial({
+  constructor() {
+    const plane = new THREE.PlaneGeometry(14, 14).rotateX(-Math.PI / 2);
+    this.grid = new THREE.Mesh(plane, new THREE.ShaderMaterial({
       vertexShader: GRID_VERTEX, fragmentShader: GRID_FRAGMENT, transparent: true, depthWrite: false,
       uniforms: { color: { value: new THREE.Color() }, center: { value: this.center = new THREE.Vector3() } },
     }));
-    this.shadow = new THREE.Mesh(plane(), new THREE.ShadowMaterial());
+    this.shadow = new THREE.Mesh(plane, new THREE.ShadowMaterial());
     this.shadow.receiveShadow = true;
-    const ribbon = ribbonGeometry(smoothPath(rootPath(figure), 4));
     const flat = (opacity) => new THREE.MeshBasicMaterial({ transparent: true, opacity, depthWrite: false, side: 2 });
-    this.path = new THREE.Mesh(ribbon, flat(0.3));
-    this.played = new THREE.Mesh(ribbon.clone(), flat(0.95));
-    const ring = new THREE.RingGeometry(0.045, 0.085, 24).rotateX(-Math.PI / 2);
-    this.marks = new THREE.InstancedMesh(ring, flat(0.9), Math.max(figure.contacts.length, 1));
-    this.marks.instanceMatrix.setUsage(THREE.DynamicDrawUsage);
-    this.drawn = new THREE.Mesh(ribbonGeometry([]), flat(0.95));
-    this.layers = [this.shadow, this.grid, this.path, this.played, this.drawn, this.marks];
+    this.path = new THREE.Mesh(plane, [flat(0.965), flat(0.3)]); // what was played, and the rest
+    this.drawn = new THREE.Mesh(plane, flat(0.95));
+    this.marks = new THREE.InstancedMesh(new THREE.RingGeometry(0.045, 0.085, 24).rotateX(-Math.PI / 2), flat(0.9), 1);
+    this.layers = [this.shadow, this.grid, this.path, this.drawn, this.marks];
     this.layers.forEach((layer, place) => {
       layer.position.y = LIFT * (place - 1);
       layer.renderOrder = place - this.layers.length;
@@ -69,40 +65,48 @@ class GroundMesh {
   }
 
   paint(theme, accent, other) {
-    const color = new THREE.Color(accent);
-    for (const layer of [this.path, this.played, this.marks]) layer.material.color.copy(color);
+    for (const material of [...this.path.material, this.marks.material]) material.color.set(accent);
     this.drawn.material.color.set(other);
     this.shadow.material.opacity = theme.shadow;
     this.grid.material.uniforms.color.value.set(theme.lines);
   }
 
-  // Shows a line through points on the ground, [x, z].
-  draw(points) {
-    this.drawn.geometry.dispose();
-    this.drawn.geometry = ribbonGeometry(points.map(([x, z]) => [x, 0, z]));
-  }
-
-  // Shows what a time has reached. Marks are large while a foot stands, and small afterwards.
-  pose(seconds) {
-    const { figure } = this;
+  // Shows what a figure has reached at a time.
+  pose({ figure, path, drawn }, seconds) {
     const frame = seconds * figure.fps;
-    this.played.geometry.setDrawRange(0, 6 * Math.floor(clamp(frame, 0, figure.frames - 1)));
-    const matrix = new THREE.Matrix4();
-    this.marks.count = figure.contacts.length;
-    figure.contacts.forEach(([first, last, x, z], i) => {
-      const size = frame < first ? 0 : frame <= last + 1 ? 1 : 0.4;
-      this.marks.setMatrixAt(i, matrix.makeScale(size, size, size).setPosition(x, 0, z));
-    });
-    this.marks.instanceMatrix.needsUpdate = true;
+    const played = 6 * Math.floor(clamp(frame, 0, figure.frames - 1));
+    path.clearGroups();
+    path.addGroup(0, played, 0);
+    path.addGroup(played, path.index.count - played, 1);
+    this.path.geometry = path;
+    this.drawn.geometry = drawn;
+    this.mark(figure.contacts, frame);
     const [x, , z] = figure.current;
     this.center.set(x, 0, z);
     for (const layer of [this.grid, this.shadow]) layer.position.set(x, layer.position.y, z);
   }
 
+  // Marks are large while a foot stands, and small afterwards.
+  mark(contacts, frame) {
+    const { marks } = this;
+    if (contacts.length > marks.instanceMatrix.count) {
+      marks.dispose();
+      marks.instanceMatrix = new THREE.InstancedMesh(marks.geometry, marks.material, contacts.length).instanceMatrix;
+      marks.instanceMatrix.setUsage(THREE.DynamicDrawUsage);
+    }
+    const matrix = new THREE.Matrix4();
+    marks.count = contacts.length;
+    contacts.forEach(([first, last, x, z], i) => {
+      const size = frame < first ? 0 : frame <= last + 1 ? 1 : 0.4;
+      marks.setMatrixAt(i, matrix.makeScale(size, size, size).setPosition(x, 0, z));
+    });
+    marks.instanceMatrix.needsUpdate = true;
+  }
+
   dispose() {
-    for (const layer of this.layers) {
-      layer.geometry.dispose();
-      layer.material.dispose();
+    for (const { geometry, material } of this.layers) {
+      geometry.dispose();
+      for (const one of [material].flat()) one.dispose();
     }
     this.marks.dispose();
   }

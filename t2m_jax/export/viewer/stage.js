@@ -51,7 +51,7 @@ class Stage {
     this.canvas.setAttribute("aria-label", "No figure");
     this.grid = addElement(container, "div", "stage-grid");
     Object.assign(this, { cells: [], seconds: 0, onchange: () => {}, onselect: () => {} });
-    Object.assign(this, { detail: 0, intervals: [], retired: [] });
+    Object.assign(this, { detail: 0, intervals: [], scenery: new Scenery() });
     Object.assign(this, { moment: 0, rate: 1, running: false, span: null, dirty: true, last: null, ended: false });
     this.view = new OrbitView();
     this.cleanups = [];
@@ -93,15 +93,15 @@ class Stage {
     const cell = this.cells[k];
     if (!cell) return;
     const figure = joinFigures(cell.figure, unpackFigure(record));
-    this.retired.push(...cell.parts);
+    cell.dispose();
     cell.build(figure);
     this.seconds = Math.max(this.seconds, figure.frames / figure.fps);
     this.changed();
   }
 
-  // Shows a figure with another body, which a function makes of it; without one, with its own.
-  dress(k, makeBody = (figure) => new BodyMesh(figure)) {
-    this.cells[k]?.dress(makeBody(this.cells[k].figure));
+  // Shows a character in place of a figure; without one, the figure.
+  dress(k, character) {
+    this.cells[k]?.dress(character);
     this.changed();
   }
 
@@ -169,7 +169,7 @@ class Stage {
     if (this.cells.length !== 2 || Boolean(value) === this.together) return;
     this.grid.classList.toggle("together", value);
     first.framing = value ? sharedFraming([first.figure, second.figure]) : new Framing(first.figure);
-    Object.assign(second, { isTinted: Boolean(value), theme: null });
+    second.isTinted = Boolean(value);
     this.resize();
   }
 
@@ -203,7 +203,7 @@ class Stage {
 
   // Draws a line through points [x, z] on the ground of a figure.
   drawOnGround(number, points) {
-    this.cells[number]?.ground.draw(points);
+    this.cells[number]?.draw(points);
     this.changed();
   }
 
@@ -240,12 +240,6 @@ class Stage {
   }
 
   draw() {
-    this.drawCells();
-    // Not before: the figures that are new share the compiled programs of the former ones.
-    for (const part of this.retired.splice(0)) part.dispose();
-  }
-
-  drawCells() {
     const theme = themeNow();
     const { renderer } = this;
     const frame = this.canvas.getBoundingClientRect();
@@ -253,17 +247,18 @@ class Stage {
     renderer.setViewport(0, 0, frame.width, frame.height);
     renderer.setClearColor(theme.page, 1);
     renderer.clear();
+    this.scenery.castShadow(DETAILS[this.detail].shadow);
     for (const cell of this.cells) {
       const box = cell.picture.getBoundingClientRect();
       if (box.bottom < frame.top || box.top > frame.bottom || box.width < 2 || box.height < 2) continue;
-      cell.paint(theme);
-      cell.castShadow(DETAILS[this.detail].shadow);
-      cell.pose(this.moment, this.view, box.width / box.height);
+      cell.say(this.moment);
+      cell.framing.update(this.view, this.moment, box.width / box.height);
       const place = [box.left - frame.left, frame.bottom - box.bottom, box.width, box.height];
       renderer.setViewport(...place);
       renderer.setScissor(...place);
       renderer.autoClear = !this.together || cell === this.cells[0]; // the second figure comes into the same picture
-      renderer.render(cell.scene, (this.together ? this.cells[0] : cell).framing.camera);
+      const { camera } = (this.together ? this.cells[0] : cell).framing;
+      this.scenery.draw(renderer, camera, { cell, theme, seconds: this.moment });
     }
   }
 
@@ -311,7 +306,7 @@ class Stage {
   }
 
   clear() {
-    for (const cell of this.cells) this.retired.push(...cell.parts);
+    for (const cell of this.cells) cell.dispose();
     this.cells = [];
     this.grid.replaceChildren();
   }
@@ -319,7 +314,7 @@ class Stage {
   dispose() {
     this.ended = true;
     this.clear();
-    for (const part of this.retired.splice(0)) part.dispose();
+    this.scenery.dispose();
     for (const cleanup of this.cleanups) cleanup();
     if (this.renderer) this.renderer.dispose();
     this.container.replaceChildren();

@@ -66,11 +66,11 @@ export class CharacterPanel {
     try {
       const bytes = await (await this.#ask(take.motions)).arrayBuffer();
       for (const k of take.motions.keys()) {
-        const makeBody = await T2M.loadCharacter(bytes, take.motions.length - k).catch((error) => {
+        const body = await T2M.loadCharacter(bytes, take.motions.length - k).catch((error) => {
           throw new ServerError(`${character.name}: cannot be drawn here (${error.message}), but downloaded`);
         });
         if (!isCurrent()) return;
-        this.stage.dress(k, makeBody);
+        this.stage.dress(k, body);
       }
     } catch (error) {
       if (isCurrent()) this.#fail(error, character);
