@@ -106,6 +106,7 @@ def test_the_share_and_the_time_left_are_shown(open_studio):  # noqa: F811
     wait_until(page, "window.next !== undefined")
     page.evaluate("window.next('event: started')")
     assert bar.get_attribute("aria-valuenow") is None
+    assert bar.evaluate("(bar) => getComputedStyle(bar, '::after').opacity") == "0.4"  # full, but not as if done
     expect(left).to_contain_text(" s so far")
     page.evaluate("window.next('event: progress')")  # after the first of four sentences
     share = int(bar.get_attribute("aria-valuenow"))
