@@ -224,6 +224,6 @@ function miniature(picture = "") {
 function describe({ created, kind, numSamples, seconds }) {
   const isToday = new Date(created).toDateString() === new Date().toDateString();
   const when = (isToday ? CLOCK : CALENDAR).format(created);
-  const count = numSamples > 1 ? `${numSamples} samples` : `${seconds.toFixed(1)} s`;
+  const count = numSamples > 1 ? `${numSamples}\u00a0samples` : `${seconds.toFixed(1)}\u00a0s`;
   return [when, KINDS[kind], count].filter(Boolean).join(" · ");
 }
