@@ -189,6 +189,20 @@ def test_figures_share_what_is_drawn(open_viewer, walk):
     assert changed(pictures[-1], picture(new)) == 0
 
 
+def test_two_on_one_ground_are_in_one_picture(open_viewer, walk):
+    """Both stand on it: in pictures at two places, the ground of one hid the feet of the other."""
+    page = open_viewer([walk, walk])
+    places = page.evaluate("""() => {
+      const { stage } = window.t2mViewer, { renderer } = stage, places = [];
+      stage.together = true;
+      const place = renderer.setViewport;
+      renderer.setViewport = (...box) => { places.push(box); place.call(renderer, ...box); };
+      stage.draw();
+      return places.slice(1); // the first one clears the canvas
+    }""")
+    assert len(places) == 2 and places[0] == places[1]
+
+
 def test_limbs_reach_from_joint_to_joint(open_viewer, walk):
     """Also where they have another length than in the first frame, as decoded motions have."""
     long = np.array(walk.positions)

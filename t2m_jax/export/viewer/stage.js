@@ -249,7 +249,8 @@ class Stage {
     renderer.clear();
     this.scenery.castShadow(DETAILS[this.detail].shadow);
     for (const cell of this.cells) {
-      const box = cell.picture.getBoundingClientRect();
+      const seen = this.together ? this.cells[0] : cell; // two on one ground are in one picture
+      const box = seen.picture.getBoundingClientRect();
       if (box.bottom < frame.top || box.top > frame.bottom || box.width < 2 || box.height < 2) continue;
       cell.say(this.moment);
       cell.framing.update(this.view, this.moment, box.width / box.height);
@@ -257,8 +258,7 @@ class Stage {
       renderer.setViewport(...place);
       renderer.setScissor(...place);
       renderer.autoClear = !this.together || cell === this.cells[0]; // the second figure comes into the same picture
-      const { camera } = (this.together ? this.cells[0] : cell).framing;
-      this.scenery.draw(renderer, camera, { cell, theme, seconds: this.moment });
+      this.scenery.draw(renderer, seen.framing.camera, { cell, theme, seconds: this.moment });
     }
   }
 
