@@ -22,8 +22,8 @@ namespace T2m
         public OrtGraphs(string folder, Manifest manifest)
         {
             this.manifest = manifest;
-            sessions = new[] { "text", "begin", "row", "decode" }.ToDictionary(
-                name => name, name => new InferenceSession(Path.Combine(folder, name + ".onnx")));
+            sessions = Directory.GetFiles(folder, "*.onnx").ToDictionary(
+                Path.GetFileNameWithoutExtension, path => new InferenceSession(path));
         }
 
         /// <summary>Returns the text embedding of tokens, which are cut and filled up as the manifest says.</summary>
@@ -62,6 +62,15 @@ namespace T2m
         {
             var inputs = new Dictionary<string, Array> { { "codes", codes }, { "num_rows", new[] { numRows } } };
             return Run("decode", inputs)["positions"].GetTensorDataAsSpan<float>().ToArray();
+        }
+
+        public float[] Clean(float[] positions, int numFrames)
+        {
+            if (!sessions.ContainsKey("lock")) // a folder of an older version
+                return positions;
+            var inputs = new Dictionary<string, Array> { { "positions", positions }, { "num_frames", new[] { numFrames } } };
+            inputs["calm_positions"] = Run("calm", inputs)["calm_positions"].GetTensorDataAsSpan<float>().ToArray();
+            return Run("lock", inputs)["clean_positions"].GetTensorDataAsSpan<float>().ToArray();
         }
 
         public void Dispose()
@@ -125,7 +134,7 @@ namespace T2m
                 sampler.Begin(graphs.Embed(tokens), manifest.sampling.guidance_scale ?? 1);
                 while (sampler.Step()) { }
                 Console.WriteLine(string.Join(" ", sampler.Codes));
-                var positions = sampler.Decode();
+                var positions = sampler.Clean();
                 var bytes = new byte[positions.Length * sizeof(float)];
                 Buffer.BlockCopy(positions, 0, bytes, 0, bytes.Length);
                 File.WriteAllBytes(arguments[3], bytes);

@@ -90,6 +90,10 @@ namespace T2m
 
         /// <summary>Runs `decode` with max_rows rows of codes; returns positions in meters, [frames, joints, 3].</summary>
         float[] Decode(int[] codes, int numRows);
+
+        /// <summary>Runs `calm` and `lock`; `positions` has zeros after numFrames frames. Without these graphs, returns them
+        /// as they are.</summary>
+        float[] Clean(float[] positions, int numFrames);
     }
 
     /// <summary>Makes one motion, a row at each step, so that a game can do one step in each frame.</summary>
@@ -134,6 +138,7 @@ namespace T2m
 
         int Width => manifest.graphs.row.inputs.noise.shape[1];
         int NumRows => codes.Count / Width;
+        int MaxFrames => manifest.sampling.max_rows * manifest.motion.frames_per_row;
 
         public void Begin(float[] textEmbedding, float guidanceScale) => graphs.Begin(textEmbedding, guidanceScale);
 
@@ -171,8 +176,21 @@ namespace T2m
             var padded = new int[manifest.sampling.max_rows * Width];
             codes.CopyTo(padded);
             var positions = graphs.Decode(padded, NumRows);
-            int perFrame = positions.Length / (manifest.sampling.max_rows * manifest.motion.frames_per_row);
-            System.Array.Resize(ref positions, perFrame * NumFrames);
+            System.Array.Resize(ref positions, positions.Length / MaxFrames * NumFrames);
+            return positions;
+        }
+
+        /// <summary>Returns positions of a motion that has ended with less trembling, rigid bones and feet that stand
+        /// still.</summary>
+        public float[] Clean()
+        {
+            var positions = Decode();
+            int size = positions.Length;
+            if (size == 0)
+                return positions;
+            System.Array.Resize(ref positions, size / NumFrames * MaxFrames);
+            positions = graphs.Clean(positions, NumFrames);
+            System.Array.Resize(ref positions, size);
             return positions;
         }
 

@@ -77,6 +77,18 @@ public:
     return read<float>(run("decode", std::move(inputs)).at("positions"));
   }
 
+  std::vector<float> clean(const std::vector<float> &positions, std::int32_t num_frames) override {
+    if (!sessions_.count("lock")) // a folder of an older version
+      return positions;
+    Values inputs;
+    put<float>(inputs, "calm", "positions", positions);
+    put<std::int32_t>(inputs, "calm", "num_frames", {num_frames});
+    Values calm = run("calm", std::move(inputs)); // `calm_positions`
+    put<float>(calm, "lock", "positions", positions);
+    put<std::int32_t>(calm, "lock", "num_frames", {num_frames});
+    return read<float>(run("lock", std::move(calm)).at("clean_positions"));
+  }
+
 private:
   using Values = std::map<std::string, Ort::Value>;
 
@@ -144,7 +156,7 @@ int main(int count, char **arguments) {
   for (const std::int32_t code : sampler.codes())
     std::cout << code << ' ';
   std::cout << '\n';
-  const std::vector<float> positions = sampler.decode();
+  const std::vector<float> positions = sampler.clean();
   const auto size = static_cast<std::streamsize>(positions.size() * sizeof(float));
   std::ofstream(arguments[4], std::ios::binary).write(reinterpret_cast<const char *>(positions.data()), size);
   return 0;

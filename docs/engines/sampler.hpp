@@ -41,6 +41,8 @@ public:
   virtual Row row(const std::vector<float> &noise, float temperature, bool may_stop) = 0;
   /// Runs `decode`; `codes` has `max_rows` rows. Returns positions in meters, [frames, joints, 3].
   virtual std::vector<float> decode(const Codes &codes, std::int32_t num_rows) = 0;
+  /// Runs `calm` and `lock`; `positions` has zeros after `num_frames` frames. Without these graphs, returns them as they are.
+  virtual std::vector<float> clean(const std::vector<float> &positions, std::int32_t num_frames) = 0;
 };
 
 /// Returns number `index` of a seed, above 0 and below 1: SplitMix64, which gives the same in every language.
@@ -105,12 +107,25 @@ public:
     Codes padded = codes_;
     padded.resize(rules_.max_rows * rules_.num_quantizers, 0);
     std::vector<float> positions = graphs_.decode(padded, static_cast<std::int32_t>(num_rows()));
-    positions.resize(positions.size() / (rules_.max_rows * rules_.frames_per_row) * num_frames());
+    positions.resize(positions.size() / max_frames() * num_frames());
+    return positions;
+  }
+
+  /// Returns positions of a motion that has ended with less trembling, rigid bones and feet that stand still.
+  std::vector<float> clean() {
+    std::vector<float> positions = decode();
+    const std::size_t size = positions.size();
+    if (size == 0)
+      return positions;
+    positions.resize(size / num_frames() * max_frames(), 0.0f);
+    positions = graphs_.clean(positions, static_cast<std::int32_t>(num_frames()));
+    positions.resize(size);
     return positions;
   }
 
 private:
   std::size_t num_rows() const { return codes_.size() / rules_.num_quantizers; }
+  std::size_t max_frames() const { return rules_.max_rows * rules_.frames_per_row; }
 
   bool stops_with(double score, double logistic) const {
     if (rules_.stop_rule == "end")

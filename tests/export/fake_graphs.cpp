@@ -2,17 +2,19 @@
 //
 //     fake_graphs RULE KEEPS_LAST MIN_ROWS SCORE...
 //
-// There are as many rows as scores. Prints how many frames were final after each row, and on a second line the codes.
+// There are as many rows as scores. Prints how many frames were final after each row, on a second line the codes, and on a
+// third one counts and sums of the numbers that were decoded, given to the clean-up, and cleaned.
 #include <algorithm>
 #include <cstdlib>
 #include <iostream>
+#include <numeric>
 
 #include "sampler.hpp"
 
 constexpr std::size_t kQuantizers = 2, kClasses = 5;
 
 struct FakeGraphs : t2m::Graphs {
-  std::vector<float> scores;
+  std::vector<float> scores, given;
   std::size_t made = 0;
 
   void begin(const std::vector<float> &, float) override {}
@@ -23,7 +25,14 @@ struct FakeGraphs : t2m::Graphs {
     return {codes, scores.at(made++)};
   }
   std::vector<float> decode(const t2m::Codes &codes, std::int32_t) override {
-    return std::vector<float>(codes.size() / kQuantizers * 4 * 3);
+    return std::vector<float>(codes.size() / kQuantizers * 4 * 3, 1.0f);
+  }
+  std::vector<float> clean(const std::vector<float> &positions, std::int32_t num_frames) override {
+    given = positions;
+    std::vector<float> cleaned = positions;
+    for (float &value : cleaned)
+      value += static_cast<float>(num_frames);
+    return cleaned;
   }
 };
 
@@ -41,5 +50,8 @@ int main(int count, char **arguments) {
   std::cout << '\n';
   for (const std::int32_t code : sampler.codes())
     std::cout << code << ' ';
-  return sampler.decode().size() == 3 * sampler.num_frames() ? 0 : 1;
+  std::cout << '\n';
+  std::vector<float> decoded = sampler.decode(), cleaned = sampler.clean();
+  for (const auto *values : {&decoded, &graphs.given, &cleaned})
+    std::cout << values->size() << ' ' << std::accumulate(values->begin(), values->end(), 0.0f) << ' ';
 }

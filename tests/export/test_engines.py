@@ -1,4 +1,4 @@
-"""The sampling loop of the docs in C++ does what the one in Python does, with the same random numbers."""
+"""The sampling loops of the docs in C++ and C# do what the one in Python does, with the same random numbers."""
 
 import importlib
 import shutil
@@ -25,15 +25,19 @@ def sampler():
         yield importlib.import_module("sampler")
 
 
-@pytest.fixture(scope="module")
-def program(tmp_path_factory):
-    """The loop in C++ with graphs that are not a model."""
-    if not (compiler := shutil.which("g++")):
-        pytest.skip("needs the compiler g++")
-    path = tmp_path_factory.mktemp("engines") / "fake_graphs"
-    source = REPOSITORY / "tests" / "export" / "fake_graphs.cpp"
-    subprocess.run([compiler, "-std=c++17", *WARNINGS, f"-I{ENGINES}", source, "-o", path], check=True)
-    return path
+@pytest.fixture(scope="module", params=["g++", "mcs"])
+def program(request, tmp_path_factory):
+    """The command of the loop in C++ or C# with graphs that are not a model."""
+    if not (compiler := shutil.which(request.param)):
+        pytest.skip(f"needs the compiler {request.param}")
+    path = tmp_path_factory.mktemp("engines") / "fake_graphs.exe"
+    sources = REPOSITORY / "tests" / "export"
+    options = {
+        "g++": ["-std=c++17", *WARNINGS, f"-I{ENGINES}", sources / "fake_graphs.cpp", "-o", path],
+        "mcs": ["-warnaserror", f"-out:{path}", ENGINES / "Sampler.cs", sources / "FakeGraphs.cs"],
+    }
+    subprocess.run([compiler, *options[request.param]], check=True)
+    return [path] if request.param == "g++" else ["mono", path]
 
 
 def fake_model(sampler, rule, keeps_last, min_rows):
@@ -55,17 +59,20 @@ def fake_model(sampler, rule, keeps_last, min_rows):
 @pytest.mark.parametrize("min_rows", [0, 3])
 @pytest.mark.parametrize("keeps_last", [True, False])
 @pytest.mark.parametrize("rule", ["end", "threshold", "sampled", "argmax"])
-def test_the_loop_in_cpp_gives_the_codes_of_the_loop_in_python(rule, keeps_last, min_rows, sampler, program):
+def test_the_loop_gives_the_codes_of_the_loop_in_python(rule, keeps_last, min_rows, sampler, program):
     model = fake_model(sampler, rule, keeps_last, min_rows)
     wanted = model.sample(np.zeros((1, 4)), model.random_noise(7))
     arguments = [rule, f"{int(keeps_last)}", f"{min_rows}", *map(str, SCORES)]
-    found = subprocess.run([program, *arguments], check=True, capture_output=True, text=True).stdout
-    final, codes = found.splitlines()
+    found = subprocess.run([*program, *arguments], check=True, capture_output=True, text=True).stdout
+    final, codes, numbers = found.splitlines()
     assert [int(code) for code in codes.split()] == wanted.ravel().tolist()
     # All frames are final at the end; before it, those of the last two rows are not.
     *before, last = map(int, final.split())
     assert last == 4 * len(wanted)
     assert before == [0 if rule == "argmax" else 4 * max(0, row - 2) for row in range(1, len(before) + 1)]
+    # The clean-up gets zeros after the motion, and adds the number of frames here.
+    size, longest = 3 * last, 3 * 4 * len(SCORES)
+    assert list(map(int, numbers.split())) == [size, size, longest, size, size, size * (1 + last)]
 
 
 def test_random_numbers_are_those_of_splitmix64(sampler):
