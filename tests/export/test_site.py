@@ -15,9 +15,11 @@ import jax
 import numpy as np
 import onnx
 import pytest
+import yaml
 from axe_playwright_python import sync_playwright as axe
 from tokenizers import Tokenizer
 
+from t2m_jax.checkpoints.bundle import bundle_path, load_training_data
 from t2m_jax.checkpoints.model import load_model
 from t2m_jax.cli.main import main
 from t2m_jax.errors import UserError
@@ -34,6 +36,7 @@ from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.sampling import MotionRequest, SamplingOptions, TextToMotion
 from t2m_jax.sampling.loop import STOP_STREAM
 from t2m_jax.sampling.prompts import sample_key
+from t2m_jax.text.coverage import make_knowledge
 from t2m_jax.text.prompts import check_prompt
 from tests.clip_golden import FULL
 from tests.conftest import REPOSITORY
@@ -162,6 +165,22 @@ def test_sentences_are_cleaned_and_refused_as_in_python(modules):
     wanted = [cleaned(text) for text in sentences]
     assert 100 < sum(text is not None for text in wanted) < len(sentences)
     assert found == wanted
+
+
+@pytest.mark.slow
+def test_words_are_named_that_python_follows_and_the_page_does_not(modules):
+    known = make_knowledge(load_training_data(bundle_path("demo"))).actions
+    folder = REPOSITORY / "tests" / "text"
+    files = [yaml.safe_load((folder / name).read_text()) for name in ("sequence.yaml", "quantities.yaml")]
+    entries = [entry for file in files for part in file.values() for entry in part]
+    texts = [entry if isinstance(entry, str) else entry["text"] for entry in entries]
+    followed = [text for text in texts if MotionRequest(captions=(text,)).in_turn(known).is_plain is False]
+    assert 150 < len(followed) < len(texts)
+    code = "return given.map(sentence.leftToModel);"
+    unnamed = [text for text, words in zip(followed, modules("sentence", code, followed), strict=True) if not words]
+    assert unnamed == []
+    assert modules("sentence", code, [*CAPTIONS, "turns 90 degrees"]) == [[]] * 6
+    assert modules("sentence", code, ["walks, then jumps 3 times"]) == [["then", "3"]]
 
 
 @pytest.fixture
@@ -497,6 +516,7 @@ def test_a_sentence_becomes_the_motion_of_python_also_without_a_network(open_sit
     with serving(demo_site) as (address, stop):
         page = open_site(address)
         expect(page.locator("#license")).to_contain_text("cc-by-nc-4.0")
+        expect(page.locator("#formats")).to_be_hidden()
         assert page.evaluate("crossOriginIsolated")
         for number, seed in enumerate((7, 8)):
             make(page, WAVE, seed)
@@ -526,8 +546,9 @@ def test_a_sentence_becomes_the_motion_of_python_also_without_a_network(open_sit
         expect(page.locator("#take-facts")).to_contain_text("seed\u00a08", timeout=WAIT)
         np.testing.assert_array_equal(download(page, "NPZ", tmp_path).codes, found.codes)
         expect(page.locator(".take")).to_have_count(2)
-        make(page, "a person jumps", 9)
-        wanted = python_motion(model, "a person jumps", 9)
+        make(page, "a person jumps twice", 9)
+        expect(page.locator("#status")).to_contain_text("left to the model here (“twice”)")
+        wanted = python_motion(model, "a person jumps twice", 9)
         np.testing.assert_array_equal(download(page, "NPZ", tmp_path).codes, wanted.codes)
 
 
@@ -588,12 +609,17 @@ def test_changed_files_are_refused_and_texts_stay_texts(open_site, demo_site, tm
         page.reload()
         expect(page.locator("#generate")).to_be_enabled(timeout=WAIT)
         save_json(folder / "model" / "manifest.json", hostile)
+        # As that of another skeleton.
+        figure = json.loads((folder / "model" / "figure.json").read_text(encoding="utf-8"))
+        save_json(folder / "model" / "figure.json", figure | {"rig": None})
         # With a list that fits, it is used, as text.
         save_json(folder / "files.json", dict(site._checked_files(folder)))
         page = open_site(address)
         expect(page.locator("#examples button")).to_have_text(nasty)
         expect(page.locator("#license")).to_contain_text(nasty)
         assert page.locator("img").count() == 0
+        assert page.locator("#downloads button").all_inner_texts() == ["NPZ"]
+        expect(page.locator("#formats")).to_be_visible()
         (folder / "model" / "row.onnx").write_bytes(b"no graph")
         save_json(folder / "files.json", dict(site._checked_files(folder)))
         page = open_site(address, expected="refused")

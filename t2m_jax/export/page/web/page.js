@@ -10,6 +10,7 @@ import { prepareOffline } from "./offline.js";
 import { Past } from "./past.js";
 import { captionOf, checkRecipe, linkOf, MOST_SAMPLES, recipeFromAddress, sentencesOf } from "./recipe.js";
 import { offerDownloads } from "./save.js";
+import { leftToModel } from "./sentence.js";
 
 const FIELDS = ["sentence", "seed", "samples", "temperature", "guidance"];
 const USUAL = { sentence: "", seed: "", samples: "1", temperature: "1" };
@@ -111,7 +112,9 @@ class Page {
       if (made === null) this.#status("Cancelled.");
       else {
         this.#show(this.#takeOf(recipe, made));
-        this.#status(`Ready in ${((performance.now() - begin) / 1000).toFixed(1)} s. Seed ${recipe.seed}.`);
+        const left = sentencesOf(recipe).flatMap(leftToModel).map((text) => `“${text}”`);
+        const note = left.length ? ` Order, counts and lengths are left to the model here (${left.join(", ")}). Write each action on a line of its own.` : "";
+        this.#status(`Ready in ${((performance.now() - begin) / 1000).toFixed(1)} s. Seed ${recipe.seed}.${note}`);
       }
     } finally {
       this.#setBusy(null);

@@ -48,5 +48,6 @@ export function offerDownloads(session, { motion: about, figure, template }) {
   }));
   for (const button of buttons) button.setAttribute("aria-label", `Download ${button.textContent}`);
   find("downloads").replaceChildren(...buttons);
+  find("formats").hidden = Object.hasOwn(writers, "BVH");
   session.onChange(["take"], () => buttons.forEach((button) => { button.disabled = session.motion === null; }));
 }

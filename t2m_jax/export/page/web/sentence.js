@@ -2,6 +2,14 @@
 
 const LONGEST = 1000; // characters
 const INVISIBLE = /[\u00ad\u200b-\u200d\u2060\ufeff]/gu;
+// Words of an order, a count or a length. Python cuts sentences there, counts and measures, with a dictionary and many samples.
+const LEFT = new RegExp([
+  ";|[.!](?= \\S)|, (?:and )?(?!\\w+(?:ing|ly)\\b)[a-z]+",
+  "\\b(?:then|after|afterwards?|subsequently|thereafter|whereupon|before|prior to|upon|as soon as|when|having|followed by)\\b",
+  "\\b(?:next(?! to)|finally|lastly|eventually|later|at last|in the end|at the end|until|till?|once|twice|thrice)\\b",
+  "\\b(?:single|double|triple|couple|dozen|half|quarter|seconds?|secs?|minutes?|mins?)\\b|\\d+(?!\\d| degrees)",
+  "\\b(?:(?<!with |on |by |in )one|two|three|four|five|six|seven|eight|nine|ten|eleven|twelve|\\w+teen|twenty|thirty|forty|fifty|sixty)\\b",
+].join("|"), "giu");
 const REFUSED = /[\p{Cc}\p{Cf}\p{Cs}\p{Co}\p{Cn}\p{So}\p{Sk}]/u;
 
 // Returns a sentence with straight quotes and single spaces; an error says why it cannot be used.
@@ -15,3 +23,6 @@ export function cleanSentence(typed) {
   if (!/[\p{L}\p{N}]/u.test(folded)) throw new Error("the sentence has no words; describe the motion, e.g. “a person walks forward”");
   return folded;
 }
+
+// Returns the words of a sentence whose order, counts and lengths the page leaves to the model.
+export const leftToModel = (sentence) => [...new Set(sentence.match(LEFT))].map((text) => text.replace(/^, /, ""));
