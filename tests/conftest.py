@@ -40,7 +40,7 @@ LONGEST = (
     *("test_warm_start", "test_fuzz", "test_steps", "test_resume", "test_pipeline", "test_generate", "test_compiled"),
     *("test_notebooks", "test_page", "test_stranger", "test_inbetween", "test_timeline", "test_third_system"),
     *("test_many_devices", "test_site", "test_thirty_steps", "test_returning", "test_distributed", "test_evaluator"),
-    *("test_kill", "test_sentence_states", "test_placement", "test_presets", "test_directing"),
+    *("test_kill", "test_sentence_states", "test_placement", "test_presets", "test_directing", "test_exported"),
 )
 """Files of tests that take longest."""
 PROGRAMS_LIMIT = 5_000_000_000
