@@ -70,7 +70,8 @@ def redo(model: ModelParts, request: MotionRequest, prompt: Prompt, sampling: Sa
     if request.targets:
         chosen = move_middles(model, motion, candidates, frames, request)
     else:
-        order = rank_middles(motion.positions[frames.last :], candidates, skeleton=motion.skeleton)
+        likelihoods = tail_likelihoods(model, candidates, prompt)
+        order = rank_middles(motion.positions[frames.last :], candidates, likelihoods, skeleton=motion.skeleton)
         chosen = [candidates[number] for number in order]
     redone = [_with_middle(motion, middle, frames, prompt) for middle in chosen[: request.num_samples]]
     return [report_targets(dataclasses.replace(one, seed=request.seed), request.targets) for one in redone]
@@ -96,45 +97,50 @@ def find_middles(
     rows = round(AROUND_SECONDS * model.skeleton.fps / model.config.tokenizer.downsample)
     # Only for the decoder: the frames of head and tail are taken from the motion itself.
     around = codes[max(0, span.first - rows) : span.first], codes[span.last : span.last + rows]
-    return decode_middles(model, around, middles, prompt=prompt, raw=request.options.raw)
+    return decode_middles(model, around, middles, raw=request.options.raw)
 
 
 def decode_middles(
-    model: ModelParts, around: tuple[Codes, Codes], middles: Sequence[Codes], *, prompt: Prompt, raw: bool
+    model: ModelParts, around: tuple[Codes, Codes], middles: Sequence[Codes], *, raw: bool
 ) -> list[Middle]:
     """Returns the candidates of some middles, which are decoded between the rows around them."""
     head, tail = around
     whole = [np.concatenate([head, middle, tail]) for middle in middles]
     size = round_up(len(whole[0]), ROW_BUCKET)
     motions = decode_motions(model.tokenizer, whole, skeleton=model.skeleton, size=size, clean=not raw)
-    likelihoods = tail_likelihoods(model, whole, len(tail), prompt=prompt)
     downsample = model.config.tokenizer.downsample
     first = downsample * len(head)
     last = downsample * (len(whole[0]) - len(tail))
-    found = zip(motions, likelihoods, whole, strict=True)
-    return [Middle(motion.positions, first, last, value, codes) for motion, value, codes in found]
+    found = zip(motions, whole, strict=True)
+    return [Middle(motion.positions, first, last, codes) for motion, codes in found]
 
 
-def tail_likelihoods(
-    model: ModelParts, codes: Sequence[Codes], num_tail: int, *, prompt: Prompt
-) -> Float[np.ndarray, " B"]:
+def tail_likelihoods(model: ModelParts, middles: Sequence[Middle], prompt: Prompt) -> Float[np.ndarray, " B"]:
     """Returns the mean logarithm of the probabilities of the first rows of the tails, 0 without one."""
-    rows = round(TAIL_SECONDS * model.skeleton.fps / model.config.tokenizer.downsample)
+    downsample = model.config.tokenizer.downsample
+    num_tail = len(middles[0].codes) - middles[0].last // downsample
+    rows = round(TAIL_SECONDS * model.skeleton.fps / downsample)
     size = model.config.generator.max_codes
     # At least one row is read before the first one that is scored.
     scored = min(num_tail, rows, size - 1)
     if not scored:
-        return np.zeros(len(codes), np.float32)
+        return np.zeros(len(middles), np.float32)
     # The newest rows, if there are more than the generator can read.
-    read = np.stack([own[: len(own) - num_tail + scored][-size:] for own in codes])
+    read = np.stack([own.codes[: len(own.codes) - num_tail + scored][-size:] for own in middles])
     # One size for one program. The generator is causal, so zeros at the end change nothing before them.
     padded = np.pad(read, ((0, 0), (0, size - read.shape[1]), (0, 0)))
-    texts = model.text_encoder([prompt.read] * len(codes))
+    texts = model.text_encoder([prompt.read] * len(middles))
     likelihoods = np.asarray(model.log_likelihood(jnp.asarray(padded), texts))
     return likelihoods[:, read.shape[1] - scored : read.shape[1]].mean(axis=1)
 
 
-def rank_middles(tail: Float[np.ndarray, "T J 3"], candidates: Sequence[Middle], *, skeleton: Skeleton) -> list[int]:
+def rank_middles(
+    tail: Float[np.ndarray, "T J 3"],
+    candidates: Sequence[Middle],
+    likelihoods: Float[np.ndarray, " B"],
+    *,
+    skeleton: Skeleton,
+) -> list[int]:
     """Returns the numbers of candidates, the best one first: the one with the least sum of two places.
 
     One place is by the likelihood of the tail. The other is by the jump at the join: how far the candidate's joints
@@ -143,7 +149,7 @@ def rank_middles(tail: Float[np.ndarray, "T J 3"], candidates: Sequence[Middle],
     if not len(tail):
         return list(range(len(candidates)))
     jumps = [_jump(tail[:2], candidate, skeleton) for candidate in candidates]
-    costs = np.array(jumps), -np.array([candidate.likelihood for candidate in candidates])
+    costs = np.array(jumps), -likelihoods
     # A place is the number of candidates that are better: places can be added, costs of two kinds cannot.
     places = [np.argsort(np.argsort(cost, kind="stable")) for cost in costs]
     return np.argsort(places[0] + places[1], kind="stable").tolist()

@@ -33,8 +33,6 @@ class Middle(NamedTuple):
     """First frame of the middle."""
     last: int
     """Frame after the middle."""
-    likelihood: float
-    """Mean logarithm of the probabilities of the rows after it."""
     codes: Codes
     """Of all frames."""
 

@@ -208,23 +208,19 @@ def test_more_motions_than_candidates_are_refused(model, walk):
         model.redo(walk, (1.2, 2.4), CAPTION, num_samples=17)
 
 
-def middle_with(tail, *, shift, likelihood):
+def middle_with(tail, *, shift):
     """Returns a candidate whose frames after a middle of 4 frames are the tail, with raised arms."""
     positions = np.concatenate([tail[:4], tail]).copy()
     positions[4:, 16:] += [0, shift, 0]
-    return Middle(positions, 0, 4, likelihood, np.zeros((1, 1), np.int32))
+    return Middle(positions, 0, 4, np.zeros((1, 1), np.int32))
 
 
 def test_candidates_are_ranked_by_likelihood_and_jump(walk):
     tail = walk.positions[40:]
-    candidates = [
-        middle_with(tail, shift=0.3, likelihood=-9.0),
-        middle_with(tail, shift=0.1, likelihood=-5.0),
-        middle_with(tail, shift=0.0, likelihood=-4.0),
-        middle_with(tail, shift=0.2, likelihood=-6.0),
-    ]
-    assert rank_middles(tail, candidates, skeleton=HUMANML3D) == [2, 1, 3, 0]
-    assert rank_middles(tail[:0], candidates, skeleton=HUMANML3D) == [0, 1, 2, 3]
+    candidates = [middle_with(tail, shift=shift) for shift in (0.3, 0.1, 0.0, 0.2)]
+    likelihoods = np.array([-9.0, -5.0, -4.0, -6.0])
+    assert rank_middles(tail, candidates, likelihoods, skeleton=HUMANML3D) == [2, 1, 3, 0]
+    assert rank_middles(tail[:0], candidates, likelihoods, skeleton=HUMANML3D) == [0, 1, 2, 3]
 
 
 def test_variations_keep_a_share_of_the_codes(model, walk):
