@@ -21,6 +21,8 @@ from t2m_jax.motion.targets import distances, read_target, targets_from_text
 from t2m_jax.sampling import MotionRequest, directing
 from t2m_jax.sampling.directing import FIT_WEIGHT, Attempt, approach_goals, goal_loss, make_goals, points_at
 from tests import tiny
+from tests.conftest import REPOSITORY
+from tests.documents import code_blocks
 
 pytestmark = pytest.mark.slow
 
@@ -199,3 +201,11 @@ def test_packaged_models_meet_reachable_targets(name):
     (motion,) = model.direct(caption, wanted, seed=1)
     targets = [read_target(target) for target in wanted]
     assert motion.warning == "" and max(distances(motion, targets)) < 0.03
+
+
+@pytest.mark.release
+def test_the_code_of_the_page_runs():
+    ((_, code),) = code_blocks(REPOSITORY / "docs" / "targets.md", "python")
+    names = {}
+    exec(code, names)  # noqa: S102 - the page's code is run as it is
+    assert names["again"].warning == "" and names["part"].warning == ""
