@@ -1,12 +1,11 @@
 """Measures how well motions meet targets that real clips meet: a wrist, a place of the root, and a pose.
 
-    python docs/measure/targets.py data/bandai-namco [--model demo] [--count 100] [--exact] [--between]
+    python docs/measure/targets.py data/bandai-namco [--model demo] [--count 100] [--best-of 16 64] [--between]
 
 Each request has the sentence of a test clip and three targets at random times of it. It is compared with the first
-sample of the sentence, and with the best of 16 and of 64 samples. With `--exact`, it is compared with the same motion
-after exact targets of wrist and root, and with the first sample after inverse kinematics alone. With `--between`,
-requests have two poses of a clip, one to three seconds apart, and the place and direction of the second one, and the
-motion is compared with the clip.
+sample of the sentence, with this sample after inverse kinematics alone, with the best of 16 and of 64 samples, and with
+the same motion after exact targets of wrist and root. With `--between`, requests have two poses of a clip, one to three
+seconds apart, and the place and direction of the second one, and the motion is compared with the clip.
 """
 
 import argparse
@@ -77,11 +76,6 @@ def targets_of(motion: Motion, generator: np.random.Generator) -> Iterator[Targe
     yield read_target((third / motion.fps, motion[third : third + 1]))
 
 
-def exactly(targets: Sequence[Target]) -> list[Target]:
-    """Returns targets of which all but poses are exact."""
-    return [dataclasses.replace(target, exact=target.joint != POSE) for target in targets]
-
-
 def best_of(motions: Sequence[Motion], targets: Sequence[Target]) -> Motion:
     """Returns the motion that is nearest to the targets, each in its tolerance."""
 
@@ -91,7 +85,26 @@ def best_of(motions: Sequence[Motion], targets: Sequence[Target]) -> Motion:
     return min(motions, key=cost)
 
 
-def row(name: str, found: Sequence[tuple[Trial, Motion]], seconds: float) -> str:
+def motions_of(trial: Trial, motion: Motion, samples: Sequence[Motion], sizes: Sequence[int]) -> dict[str, Motion]:
+    """Returns the motions of a trial, each under the name of its row.
+
+    Args:
+        trial: Whose targets are met.
+        motion: With the targets.
+        samples: Of the same sentence without them.
+        sizes: Of how many samples the best one is taken.
+    """
+    exact = [dataclasses.replace(target, exact=target.joint != POSE) for target in trial.targets]
+    return {
+        "first sample": samples[0],
+        "inverse kinematics alone": reach_exactly(samples[0], exact),
+        **{f"best of {size}": best_of(samples[:size], trial.targets) for size in sizes},
+        "with targets": motion,
+        "with exact targets": reach_exactly(motion, exact),  # as `direct` does it at its end
+    }
+
+
+def row(name: str, found: Sequence[tuple[Trial, Motion]]) -> str:
     """Returns a row of the table."""
     apart = np.array([distances(motion, trial.targets) for trial, motion in found])
     pairs = zip(apart.T, LIMITS, strict=True)
@@ -104,7 +117,7 @@ def row(name: str, found: Sequence[tuple[Trial, Motion]], seconds: float) -> str
         qualities.append(measure_quality(jnp.asarray(padded), jnp.asarray(mask), skeleton=motion.skeleton))
     jerk, skating = (np.mean([float(getattr(one, part)[0]) for one in qualities]) for part in ("jerk", "skating_ratio"))
     exact = [f"{np.mean(own <= EXACT_TOLERANCE):.0%}" for own in apart.T[:2]]
-    cells = [name, *met, *exact, f"{followed:.0%}", f"{jerk:.1f}", f"{skating:.2%}", f"{seconds:.1f}"]
+    cells = [name, *met, *exact, f"{followed:.0%}", f"{jerk:.1f}", f"{skating:.2%}"]
     return f"| {' | '.join(cells)} |"
 
 
@@ -151,7 +164,7 @@ def main() -> None:
     parser.add_argument("data")
     parser.add_argument("--model", default="demo")
     parser.add_argument("--count", type=int, default=100)
-    parser.add_argument("--exact", action="store_true", help="measure exact targets, too")
+    parser.add_argument("--best-of", type=int, nargs="*", default=[16, 64], help="numbers of samples to choose from")
     parser.add_argument("--between", action="store_true", help="measure motions between two poses")
     args = parser.parse_args()
     model = TextToMotion.load(args.model)
@@ -169,29 +182,19 @@ def main() -> None:
         return
     found: dict[str, list[tuple[Trial, Motion]]] = {}
     times = []
-
-    def add(name: str, trial: Trial, motion: Motion) -> None:
-        found.setdefault(name, []).append((trial, motion))
-
     for number, trial in enumerate(trials(args.data, args.count)):
         # Whole, because targets are of one sentence, too.
-        samples = model.generate(trial.sentence, seed=number, num_samples=1 if args.exact else 64, whole=True)
-        add("first sample", trial, samples[0])
-        start = time.perf_counter()
-        (motion,) = model.direct(trial.sentence, trial.targets, seed=number)
-        times.append(time.perf_counter() - start)
-        if args.exact:
-            add("inverse kinematics alone", trial, reach_exactly(samples[0], exactly(trial.targets)))
-        else:
-            for size in (16, 64):
-                add(f"best of {size}", trial, best_of(samples[:size], trial.targets))
-        add("directed", trial, motion)
-        if args.exact:
-            add("exact", trial, reach_exactly(motion, exactly(trial.targets)))  # as `direct` does it at its end
+        samples = model.generate(trial.sentence, seed=number, num_samples=max([1, *args.best_of]), whole=True)
+        start = time.process_time()
+        (directed,) = model.direct(trial.sentence, trial.targets, seed=number)
+        times.append(time.process_time() - start)
+        for name, motion in motions_of(trial, directed, samples, args.best_of).items():
+            found.setdefault(name, []).append((trial, motion))
     lines = [
-        "| motions | wrist | root | pose | wrist within 5 mm | root within 5 mm | action | jerk | skating | seconds |",
-        "| --- | --- | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |",
-        *(row(name, own, np.median(times) if name == "directed" else np.nan) for name, own in found.items()),
+        "| motions | wrist | root | pose | wrist within 5 mm | root within 5 mm | action | jerk | skating |",
+        "| --- | --- | --- | --- | ---: | ---: | ---: | ---: | ---: |",
+        *(row(name, own) for name, own in found.items()),
+        f"processor time of a motion with targets: {np.median(times):.1f} s (median)",
     ]
     sys.stdout.write("\n".join(lines) + "\n")
 
