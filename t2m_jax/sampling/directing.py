@@ -52,7 +52,7 @@ LATENT_WEIGHT = 2.5
 """Weight of the mean squared change of the latents, in standard deviations."""
 SMOOTH_WEIGHT = 0.1
 """Weight of the mean squared change of the accelerations; per m^2/s^4."""
-SKATING_WEIGHT = 10.0
+SKATING_WEIGHT = 40.0
 """Weight of the mean square of the speed of low feet that skate (`t2m_jax.motion.skating`); per m^2/s^2."""
 FACING_METERS = 0.3
 """A direction counts as a point so far ahead of the root."""
