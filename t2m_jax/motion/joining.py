@@ -4,12 +4,15 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.motion.features import bone_vectors, facing, gaussian_kernel, positions_from_bones, smooth_over_time
+from t2m_jax.motion.kinematics import rigid_rotations
 from t2m_jax.motion.rotations import quaternion_between, rotate_vectors, unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
+from t2m_jax.motion.torso import hub_bones, torso_frames
 
 FADE_SECONDS = 0.4
 """Time in which a pose, or the features of a sentence, fade into those that follow. Sentences are sampled and decoded
@@ -22,6 +25,9 @@ SEAM_SIGMA = 0.1
 accelerate there with it."""
 OVERLAP = 12
 """Frames in which one clip of features fades into another one that was recorded, at a cut between poses that match."""
+TORSO_AXIS = 0.05
+"""Length of the axes of the torso that are fitted together with the bones of pelvis and chest. If these are nearly
+parallel, they alone do not say how a pelvis or a chest is turned about them; meters."""
 VELOCITY_SECONDS = 0.2
 """A difference of 1 m/s counts as much as a difference of this many meters."""
 
@@ -141,8 +147,8 @@ def replace_middle(
     """Returns `head`, frames `first` to `last` of a generated motion, and `tail`, moved to where these have come.
 
     The generated motion has frames for head and tail, too. What they differ by at the joins, in pose and in velocity,
-    is added to the middle and fades in it. Head and tail stay as they are. Bones have the lengths of the head's,
-    or of the tail's if there is no head.
+    is added to the middle and fades in it. Head and tail stay as they are. Bones, pelvis and chest of the middle are as
+    in the frames beside it: if the motion turns as rigid bones, so does the result.
 
     Args:
         head: Frames before the join; may have none.
@@ -153,8 +159,6 @@ def replace_middle(
         fps: Of all three.
         skeleton: Of all three.
     """
-    # Bones as a decoder gives them have other lengths in each frame.
-    kept = next(part for part in (head, tail, generated) if len(part))
     if len(head):
         generated = place_positions(generated, generated[first - 1], head[-1], skeleton=skeleton)
     if len(tail):
@@ -166,9 +170,32 @@ def replace_middle(
         middle[:count] += fading_change(differences, count)
     if len(tail):
         middle[-count:] += fading_change(tail[:2] - generated[last : last + 2], count)[::-1]
-    lengths = np.linalg.norm(bone_vectors(kept, skeleton), axis=-1, keepdims=True)[:1]
-    middle = positions_from_bones(middle[:, 0], unit_vectors(bone_vectors(middle, skeleton)) * lengths, skeleton)
+    # Without frames beside it, the middle has the bones of its own first frame.
+    beside = np.concatenate([head[-1:], tail[:1]]) if len(head) or len(tail) else middle[:1]
+    middle = _with_bones_of(beside, middle, skeleton)
     return np.concatenate([head, middle, tail]).astype(np.float32)
+
+
+def _with_bones_of(beside: Clip, middle: Clip, skeleton: Skeleton) -> Clip:
+    """Returns frames with the lengths of bones, and the shapes of pelvis and chest, of the first and last frame beside.
+
+    If these two differ, as in motion as decoded, the lengths and shapes go from the first to the last.
+    """
+    share = (np.arange(1, len(middle) + 1) / (len(middle) + 1))[:, None, None]
+    first, last = bone_vectors(beside, skeleton).astype(np.float64)[[0, -1]]
+    lengths = np.linalg.norm([first, last], axis=-1, keepdims=True)
+    turned = unit_vectors(bone_vectors(middle, skeleton)) * ((1 - share) * lengths[0] + share * lengths[1])
+    frames = (torso_frames(jnp.asarray(part, jnp.float32), skeleton) for part in (beside, middle))
+    axes, own_axes = (TORSO_AXIS * np.asarray(part) for part in frames)
+    for hub in hub_bones(skeleton):
+        rest = np.concatenate([first[hub], axes[0]])
+        end = last[hub] @ rigid_rotations(rest, np.concatenate([last[hub], axes[-1]]))  # turned as the first
+        turns = rigid_rotations(rest, np.concatenate([turned[:, hub], own_axes], axis=1))
+        turned[:, hub] = ((1 - share) * first[hub] + share * end) @ np.swapaxes(turns, 1, 2)
+    result = positions_from_bones(middle[:, 0], turned, skeleton)
+    # With another pelvis, the root is elsewhere between the hips. The hips stay, and with them the feet.
+    hips = list(skeleton.face_joints[:2])
+    return result + (middle[:, hips] - result[:, hips]).mean(axis=1, keepdims=True)
 
 
 def join_positions(first: Clip, second: Clip, *, fps: float, skeleton: Skeleton) -> Clip:

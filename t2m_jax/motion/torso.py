@@ -28,7 +28,7 @@ def calm_torso(positions: Float[Array, "T J 3"], length: Int[Array, ""], skeleto
     torso = _torso(skeleton)
     ends, chains = bone_matrices(skeleton)
     bones = jnp.einsum("jb,tjc->tbc", ends, positions)
-    frames = _torso_frames(positions, skeleton)
+    frames = torso_frames(positions, skeleton)
     seen = jnp.einsum("tac,tbc->tba", frames, bones[:, torso])
     calm = smooth_over_clip(seen, length, sigma=TORSO_SIGMA * skeleton.fps)
     calm = calm * (lengths_of(seen) / lengths_of(calm))
@@ -46,8 +46,8 @@ def make_hubs_rigid(
     ends, chains = bone_matrices(skeleton)
     bones = jnp.einsum("jb,tjc->tbc", ends, positions)
     share = mask_from_lengths(length[None], len(positions))[0] / length
-    frames = _torso_frames(positions, skeleton)
-    for hub in _hubs(skeleton):
+    frames = torso_frames(positions, skeleton)
+    for hub in hub_bones(skeleton):
         own = bones[:, hub]
         # Seen from the torso, the mean is nearly the shape; from the rotations that fit it best, it is the shape.
         shape = jnp.einsum("t,tac,tbc->ba", share, frames, own)
@@ -59,7 +59,7 @@ def make_hubs_rigid(
     return kept + jnp.mean(positions - kept, axis=1, keepdims=True)
 
 
-def _torso_frames(positions: Float[Array, "T J 3"], skeleton: Skeleton) -> Float[Array, "T 3 3"]:
+def torso_frames(positions: Float[Array, "T J 3"], skeleton: Skeleton) -> Float[Array, "T 3 3"]:
     """Returns the directions of the torso in each frame, as rows: from right to left, up along the spine, forward."""
     right_hip, left_hip, right_shoulder, left_shoulder = skeleton.face_joints
     across = (
@@ -109,7 +109,7 @@ def _torso(skeleton: Skeleton) -> np.ndarray:
     return np.array(sorted({*skeleton.face_joints, *_spine(skeleton), *collars})) - 1
 
 
-def _hubs(skeleton: Skeleton) -> tuple[np.ndarray, ...]:
+def hub_bones(skeleton: Skeleton) -> tuple[np.ndarray, ...]:
     """Returns the bones to the left, to the right and upwards of pelvis and chest.
 
     A chest at which arms begin without collars has no shape: shoulders can be raised.

@@ -1,9 +1,14 @@
 import numpy as np
+import pytest
 
 from t2m_jax.data.importers.synthetic import make_motion
-from t2m_jax.motion.features import features_from_positions, positions_from_features
-from t2m_jax.motion.joining import OVERLAP, Cut, ease_seams, fade_features, find_cut, join_features
+from t2m_jax.motion.features import bone_vectors, features_from_positions, positions_from_bones, positions_from_features
+from t2m_jax.motion.inverse_kinematics import fit_rig
+from t2m_jax.motion.joining import OVERLAP, Cut, ease_seams, fade_features, find_cut, join_features, replace_middle
+from t2m_jax.motion.kinematics import forward_kinematics
+from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.motion.torso import hub_bones
 
 from .figures import walking_positions
 
@@ -72,3 +77,32 @@ def test_only_seams_are_smoothed():
 
     assert roughness(eased) < roughness(positions) / 2
     assert ease_seams(positions, [], fps=20.0) is positions
+
+
+def with_other_hubs(positions):
+    """The same motion with a pelvis and a chest of another shape, which are rigid, too."""
+    bones = bone_vectors(positions, HUMANML3D).astype(np.float64)
+    lengths = np.linalg.norm(bones, axis=-1, keepdims=True)
+    for left, right, above in hub_bones(HUMANML3D):
+        leaning = np.cross(bones[:, left], bones[:, right])
+        bones[:, above] += leaning * 0.4 * lengths[:, above] / np.linalg.norm(leaning, axis=-1, keepdims=True)
+        bones[:, left] += 0.3 * bones[:, above]
+    return positions_from_bones(positions[:, 0], unit_vectors(bones) * lengths, HUMANML3D).astype(np.float32)
+
+
+@pytest.mark.parametrize(("first", "last"), [(20, 50), (0, 30), (40, 80)])
+def test_a_new_middle_has_the_pelvis_and_the_chest_of_the_motion(first, last):
+    """A file with a rotation for each joint, whose bones are rigid, then has the motion as it is."""
+    motion, generated = walking_positions(80), with_other_hubs(walking_positions(80)[::-1])
+    places = {"first": first, "last": last, "fps": 20.0, "skeleton": HUMANML3D}
+    result = replace_middle(motion[:first], generated, motion[last:], **places)
+    np.testing.assert_array_equal(result[:first], motion[:first])
+    rig = fit_rig(result, fps=20.0)
+    turned = forward_kinematics(rig.rotations, rig.translations, HUMANML3D.parents).positions
+    assert np.linalg.norm(turned - result, axis=-1).max() < 1e-4
+    # Nothing jumps, and the feet are between the same steps as without another pelvis.
+    steps = np.linalg.norm(np.diff(result, axis=0), axis=-1)
+    plain = replace_middle(motion[:first], walking_positions(80)[::-1], motion[last:], **places)
+    assert steps.max() < 1.3 * np.linalg.norm(np.diff(plain, axis=0), axis=-1).max()
+    feet = list(HUMANML3D.left_foot + HUMANML3D.right_foot)
+    assert np.linalg.norm(result[first:last, feet] - plain[first:last, feet], axis=-1).max() < 0.05

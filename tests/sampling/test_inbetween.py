@@ -160,6 +160,20 @@ def test_the_packaged_model_meets_targets_in_a_middle():
     np.testing.assert_array_equal(redone.positions[:24], walk.positions[:24])
 
 
+@pytest.mark.parametrize("targets", [[], ["1.8 right_wrist+=-0.3,1.2,0.2"]])
+def test_a_motion_with_a_new_middle_comes_back_from_each_file(model, walk, tmp_path, targets):
+    """Cleaned motions of one model differ in the shapes of pelvis and chest, and files have rigid bones."""
+    start = walk.cleaned()
+    # Without targets, this is `redo`.
+    (redone,) = model.direct(CAPTION, targets, start=start, span=(1.2, 2.4), num_candidates=2)
+    np.testing.assert_array_equal(redone.positions[:24], start.positions[:24])
+    for suffix in ("bvh", "glb", "vrma"):
+        redone.save(tmp_path / f"redone.{suffix}")
+        apart = Motion.load(tmp_path / f"redone.{suffix}").positions - redone.positions
+        # Random weights may walk below the floor, to which readers bring what they read.
+        assert np.linalg.norm(apart - apart[0, 0], axis=-1).max() < 1e-3
+
+
 def test_later_sentences_move_with_the_end_of_a_middle(model, walk):
     chain = dataclasses.replace(walk, part_starts=(0, 24, 48), part_captions=("a", "b", "c"))
     (redone,) = model.redo(chain, (1.2, 2.4), "b", seconds=0.8, num_candidates=2)
