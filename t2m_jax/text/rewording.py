@@ -7,15 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from t2m_jax.text.verbs import AUXILIARIES, BODY_PARTS, PREPOSITIONS, SIDES, Word, words_of
+from t2m_jax.text.verbs import AUXILIARIES, BODY_PARTS, PREPOSITIONS, SIDES, WORDS, Word, inflected, words_of
 
-# fmt: off
-PEOPLE = (
-    "a person", "someone", "somebody", "a man", "a woman", "the man", "the woman", "he", "she", "a human", "a figure",
-    "a boy", "a girl", "a child", "a guy", "a lady", "an adult", "a teenager", "a friend", "a neighbor", "a player",
-    "a worker", "an athlete", "an actor", "a hero", "a student", "a teacher", "a stranger", "a gentleman", "a host",
-)
-# fmt: on
+PEOPLE = tuple(WORDS["people"])
 ARTICLES = ("the", "his", "her", "their")
 """Words that may stand before a part of the body."""
 LONGEST_SUBJECT = 2
@@ -45,6 +39,7 @@ def _article(words: Sequence[Word], place: int, generator: np.random.Generator) 
 
 def _is_subject(words: Sequence[Word]) -> bool:
     """Returns whether the words before a verb are a short subject and, at most, `is`."""
+    # With these, the verb has another form, or the words say more than who it is.
     others = (AUXILIARIES - {"is"}) | PREPOSITIONS | SIDES | {"not", "they", "we", "you", "i", "people"}
     texts = [word.text for word in words if word.text != "is"]
     return len(texts) <= LONGEST_SUBJECT and others.isdisjoint(texts)
@@ -52,10 +47,8 @@ def _is_subject(words: Sequence[Word]) -> bool:
 
 def _clause(subject: Sequence[str], verb: str, generator: np.random.Generator) -> str:
     """Returns the given subject, or another, with a form of a verb; or the verb alone."""
-    from lemminflect import getInflection  # imported when it is used, as in `verbs.readings`
-
     own = " ".join(word for word in subject if word != "is")
     who = own if own and generator.random() < 0.5 else str(generator.choice(PEOPLE))
     tag = str(generator.choice(("VBZ", "VBG", "VBG alone", "VB")))
-    form = getInflection(verb, tag.split()[0])[0]
+    form = inflected(verb, tag.split()[0])
     return {"VBZ": f"{who} {form}", "VBG": f"{who} is {form}"}.get(tag, form)
