@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float
 
-from t2m_jax.text.verbs import CLAUSE_STARTS, PREPOSITIONS, Word
+from t2m_jax.text.verbs import CLAUSE_STARTS, PREPOSITIONS, Word, inflected
 
 SAME_MEANING = 0.62
 """Cosine of two actions that mean the same for a model: "strolls" and "walks" have 0.85, "jogs" and "runs" 0.74. Of 36
@@ -39,7 +39,7 @@ class Meanings:
 
     @functools.cached_property
     def _known(self) -> tuple[list[str], Float[np.ndarray, "A E"]]:
-        names = [third_person(action) for action in self._actions]
+        names = [inflected(action, "VBZ") for action in self._actions]
         return names, self._unit([f"a person {name}" for name in names])
 
     def _unit(self, sentences: Sequence[str]) -> Float[np.ndarray, "B E"]:
@@ -60,14 +60,8 @@ def sentence_of(words: Sequence[Word], place: int) -> str:
     """Returns a plain sentence about the action at a place in a caption: "a person plays the piano"."""
     rest = []
     for word in words[place + 1 : place + 1 + MAX_OBJECT]:
+        # A second verb is not the object of the first one.
         if word.text in CLAUSE_STARTS | PREPOSITIONS or (word.action and word.text.endswith("s")):
             break
         rest.append(word.text)
-    return " ".join(["a person", third_person(words[place].action), *rest])
-
-
-def third_person(verb: str) -> str:
-    """Returns the third person singular of an English verb: "waves"."""
-    from lemminflect import getInflection  # imported when it is used, as in `verbs.readings`
-
-    return next(iter(getInflection(verb, "VBZ")), verb)
+    return " ".join(["a person", inflected(words[place].action, "VBZ"), *rest])

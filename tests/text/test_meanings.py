@@ -7,8 +7,8 @@ from t2m_jax.checkpoints.text_encoder import SentenceReference
 from t2m_jax.models.caption_encoder import StateEncoderConfig
 from t2m_jax.sampling.text_encoders import SentenceStates, StatesTextEncoder
 from t2m_jax.text.coverage import Knowledge, check_coverage
-from t2m_jax.text.meanings import Meanings, Nearest, sentence_of, third_person
-from t2m_jax.text.verbs import words_of
+from t2m_jax.text.meanings import Meanings, Nearest, sentence_of
+from t2m_jax.text.verbs import inflected, words_of
 
 ACTIONS = ("walk", "run", "wave", "jump", "sit", "crawl", "climb", "clap", "punch")
 WORDS = frozenset(
@@ -43,7 +43,7 @@ def test_an_unknown_action_is_named_with_the_nearest_ones(knowledge, prompt, ver
     said = warning(prompt, knowledge)
     assert said.startswith(f"{prompt!r}: {verb}: not known; nearest: ")
     nearest = said.partition("nearest: ")[2].partition(";")[0].split(", ")
-    assert len(nearest) == 2 and set(nearest) <= {third_person(action) for action in ACTIONS}
+    assert len(nearest) == 2 and set(nearest) <= {inflected(action, "VBZ") for action in ACTIONS}
 
 
 def test_a_sentence_without_a_verb_that_tells_it_is_compared_as_a_whole(encoder):

@@ -10,17 +10,12 @@ A frame is the sentence around it: "make {object} {body}".
 import re
 from typing import Literal, NamedTuple
 
-from t2m_jax.data.captioning.lexicon import gerund, participle, past, third_person
+from t2m_jax.data.captioning.lexicon import inflect
 
 Form = Literal["present", "progressive", "base", "past", "perfect", "imperative", "gerund", "noun", "passive"]
 Side = Literal["left", "right", "both", ""]
-INFLECTIONS = {
-    "present": third_person,
-    "progressive": gerund,
-    "gerund": gerund,
-    "past": past,
-    "perfect": participle,
-}
+INFLECTIONS = {"present": "VBZ", "progressive": "VBG", "gerund": "VBG", "past": "VBD", "perfect": "VBN"}
+"""Penn Treebank tags of the verbs of forms; in the other ones, they are in their basic form."""
 POSSESSIVES = {"imperative": "your", "gerund": "the", "noun": "the", "passive": "the"}
 """Possessives of the forms that have no subject."""
 OBJECTS = {"he": "him", "she": "her", "they": "them", "I": "me"}
@@ -139,7 +134,8 @@ def clause(
     hands = f"both {limb}s" if side == "both" else f"{possessive} {side} {limb}"
     body = predicate.replace("{limb}", hands).replace("{poss}", possessive).replace("{side}", side)
     body = body.replace("{it}", "them" if side == "both" else "it").replace("{be}", "are" if side == "both" else "is")
-    body = re.sub(r"\[(\w+)\]", lambda verb: INFLECTIONS.get(form, str)(verb[1]), body)
+    tag = INFLECTIONS.get(form)
+    body = re.sub(r"\[(\w+)\]", lambda verb: inflect(verb[1], tag) if tag else verb[1], body)
     return with_adjective(body, text) if form == "noun" and place != "end" else body
 
 

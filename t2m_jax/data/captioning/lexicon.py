@@ -14,6 +14,10 @@ from typing import Any
 
 import yaml
 
+from t2m_jax.text.verbs import inflected
+
+TAGS = ("VBZ", "VBG", "VBD", "VBN")
+"""Of the inflected forms of verbs: walks, walking, walked, walked."""
 SIDES = frozenset({"left", "right"})
 
 
@@ -23,50 +27,19 @@ def read_words(package: str, name: str) -> Any:
     return yaml.safe_load((importlib.resources.files(package) / f"{name}.yaml").read_text(encoding="utf-8"))
 
 
-def third_person(base: str) -> str:
-    """Returns the third person singular of a regular English verb: "walks" for "walk"."""
-    if base == "have":
-        return "has"
-    if base.endswith(("s", "x", "z", "ch", "sh", "o")):
-        return base + "es"
-    # "carries", but "sways".
-    if base.endswith("y") and base[-2] not in "aeiou":
-        return base[:-1] + "ies"
-    return base + "s"
+def inflect(base: str, tag: str) -> str:
+    """Returns a form of a verb by its Penn Treebank tag: for "run", "runs" (VBZ), "running" (VBG) or "ran" (VBD)."""
+    # The file has those that the dictionary has otherwise; also wrong ones, where the benchmark's captions have them.
+    return read_words(__package__, "lexicon")["other_forms"].get(base, {}).get(tag) or inflected(base, tag)
 
 
-def gerund(base: str) -> str:
-    """Returns the -ing form of a verb: "waving" for "wave", "running" for "run"."""
-    if base in read_words(__package__, "lexicon")["doubled"].split():
-        return base + base[-1] + "ing"
-    # "waving", but "fleeing", "dyeing" and "tiptoeing".
-    if base.endswith("ie"):
-        return base[:-2] + "ying"
-    if base.endswith("e") and not base.endswith(("ee", "ye", "oe")):
-        return base[:-1] + "ing"
-    return base + "ing"
-
-
-def past(base: str) -> str:
-    """Returns the past tense of a verb: "waved" for "wave", "ran" for "run"."""
-    return _past_forms(base)[0]
-
-
-def participle(base: str) -> str:
-    """Returns the past participle of a verb: "waved" for "wave", "gone" for "go"."""
-    return _past_forms(base)[-1]
-
-
-def _past_forms(base: str) -> list[str]:
-    """Returns the past tense of a verb and, if it differs, its past participle."""
-    lexicon = read_words(__package__, "lexicon")
-    if base in lexicon["irregular_verbs"]:
-        return lexicon["irregular_verbs"][base].split()
-    if base in lexicon["doubled"].split():
-        return [base + base[-1] + "ed"]
-    if base.endswith("y") and base[-2] not in "aeiou":
-        return [base[:-1] + "ied"]
-    return [base + ("d" if base.endswith("e") else "ed")]
+def _plural(noun: str) -> str:
+    """Returns the plural of a regular noun."""
+    # By rule and not by the dictionary, on whose plurals the typing mistakes of the benchmark's captions would depend.
+    if noun.endswith(("s", "x", "z", "ch", "sh", "o")):
+        return noun + "es"
+    # "parties", but "boys".
+    return noun[:-1] + "ies" if noun.endswith("y") and noun[-2] not in "aeiou" else noun + "s"
 
 
 @functools.cache
@@ -76,9 +49,9 @@ def _readings() -> dict[str, dict[str, str]]:
     vocabulary = {tag: sorted(words.split()) for tag, words in lexicon["vocabulary"].items()}
     table: dict[str, dict[str, str]] = {}
     for base in vocabulary.pop("VERB"):
-        for form in (base, third_person(base), gerund(base), past(base), participle(base)):
+        for form in (base, *(inflect(base, tag) for tag in TAGS)):
             table.setdefault(form, {})["VERB"] = base
-    nouns = [(form, noun) for noun in vocabulary.pop("NOUN") for form in (noun, third_person(noun))]
+    nouns = [(form, noun) for noun in vocabulary.pop("NOUN") for form in (noun, _plural(noun))]
     for word, noun in (*nouns, *lexicon["irregular_nouns"].items()):
         table.setdefault(word, {})["NOUN"] = noun
     # Sorted, because the first reading counts if no rule prefers another.

@@ -7,7 +7,7 @@ import pytest
 from t2m_jax.data.captioning.captions import CAPTIONS, Labels, clip_pace, says_pace, true_facts, write_captions
 from t2m_jax.data.captioning.grammar import Frame, Manner, Subject, clause, sentence
 from t2m_jax.data.captioning.held_out import fingerprint, held_out_fingerprints
-from t2m_jax.data.captioning.lexicon import gerund, known_words, participle, past, tag_words, third_person, words_in
+from t2m_jax.data.captioning.lexicon import TAGS, inflect, known_words, tag_words, words_in
 from t2m_jax.data.captioning.wordings import load_frames, load_wordings
 from t2m_jax.evaluation.prompts.sentences import held_out_sentences
 from t2m_jax.motion.facts import Facts
@@ -128,7 +128,7 @@ def test_what_is_around_an_action_names_no_action_side_order_number_or_pace():
     }
     order = {"left", "right", "then", "before", "after", "while", "until", "meanwhile"}
     numbers = {"once", "twice", "two", "three", "four", "five", "six", "times", "seconds"}
-    inflected = {form(action) for action in actions for form in (third_person, gerund, past)}
+    inflected = {inflect(action, tag) for action in actions for tag in TAGS}
     for text in neutral_texts():
         words = set(words_in(text.removeprefix("player two")))
         assert not words & (actions | inflected | order | numbers), text
@@ -343,7 +343,7 @@ def test_tags_of_unknown_words_are_guessed():
     ],
 )
 def test_verb_forms(base, third, ing, ed, done):
-    assert (third_person(base), gerund(base), past(base), participle(base)) == (third, ing, ed, done)
+    assert [inflect(base, tag) for tag in TAGS] == [third, ing, ed, done]
 
 
 def test_some_captions_say_only_what_somebody_does():
