@@ -2,7 +2,9 @@
 
 import contextlib
 import signal
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from types import FrameType
 
 MAX_LINE = 380
 """Characters of the longest message; a longer one quotes a long text of a file, or a long list. A line that begins with
@@ -44,6 +46,23 @@ def naming(place: object) -> Iterator[None]:
         yield
     except UserError as error:
         raise UserError(f"{place}: {error}") from error
+
+
+@contextlib.contextmanager
+def handling_signals(handlers: Mapping[str, Callable[[int, FrameType | None], None]]) -> Iterator[None]:
+    """Handles signals by name in a block. Names that the system does not have are left out.
+
+    Only the main thread may have handlers, so nothing happens in others.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        handlers = {}
+    numbers = {getattr(signal, name): handler for name, handler in handlers.items() if hasattr(signal, name)}
+    before = {number: signal.signal(number, handler) or signal.SIG_DFL for number, handler in numbers.items()}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 class Interruption(KeyboardInterrupt):

@@ -5,13 +5,12 @@ from typing import Literal
 
 import chex
 import jax.numpy as jnp
-import numpy as np
 import optax
 from jaxtyping import Array, Bool, Float, Int
 
 from t2m_jax.devices import global_mean, global_sum
 from t2m_jax.masks import masked_mean
-from t2m_jax.motion.features import positions_from_features
+from t2m_jax.motion.features import bone_vectors, local_positions, positions_from_features
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import Skeleton
 
@@ -73,19 +72,6 @@ def acceleration_loss(reconstruction: Features, motion: Features, mask: Mask, *,
     return reconstruction_loss(*changes, _runs(mask, 3), kind=kind)
 
 
-def bone_vectors(features: Features, skeleton: Skeleton) -> Float[Array, "B T J 3"]:
-    """Returns the vectors from parents to joints, of all joints but the root, in features that may be normalized.
-
-    The root is at (0, root height, 0), because features have the other joints relative to the floor below it.
-    """
-    layout = skeleton.layout
-    height = features[..., layout.root_height]
-    root = jnp.concatenate([jnp.zeros_like(height), height, jnp.zeros_like(height)], axis=-1)
-    others = features[..., layout.positions].reshape(*features.shape[:2], -1, 3)
-    joints = jnp.concatenate([root[:, :, None], others], axis=2)
-    return joints[:, :, 1:] - joints[:, :, np.array(skeleton.parents[1:])]
-
-
 def bone_loss(
     reconstruction: Features, motion: Features, mask: Mask, *, skeleton: Skeleton, normalizer: Normalizer | None = None
 ) -> Scalar:
@@ -99,8 +85,8 @@ def bone_loss(
     if normalizer is not None:
         reconstruction = normalizer.denormalize(reconstruction)
         motion = normalizer.denormalize(motion)
-    difference = bone_vectors(reconstruction, skeleton) - bone_vectors(motion, skeleton)
-    return masked_mean(_lengths(difference), mask[:, :, None])
+    bones = [bone_vectors(local_positions(features, skeleton), skeleton) for features in (reconstruction, motion)]
+    return masked_mean(_lengths(bones[0] - bones[1]), mask[:, :, None])
 
 
 def joint_loss(

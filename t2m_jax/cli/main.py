@@ -16,16 +16,23 @@ import logging
 import os
 import signal
 import sys
-import threading
 import traceback
 import typing
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
 
 from t2m_jax.cli.completion import SHELLS, completion_script
-from t2m_jax.errors import ENDING_SIGNALS, Interruption, UserError, is_out_of_memory, one_line, printable
+from t2m_jax.errors import (
+    ENDING_SIGNALS,
+    Interruption,
+    UserError,
+    handling_signals,
+    is_out_of_memory,
+    one_line,
+    printable,
+)
 
 COMMANDS = {
     "generate": "convert text to motion files",
@@ -130,9 +137,8 @@ def _explain(error: BaseException) -> tuple[str, int]:
     return f"{type(error).__name__} in {place}: {error} (a bug of t2m_jax: {REPORT})", EXIT_BUG
 
 
-@contextlib.contextmanager
-def _ended_by_signals() -> Iterator[None]:
-    """Turns signals into an exception in the block, as Python does with Ctrl-C, so that temporary files are removed."""
+def _ended_by_signals() -> contextlib.AbstractContextManager[None]:
+    """Turns signals into an exception in a block, as Python does with Ctrl-C, so that temporary files are removed."""
 
     def interrupt(number: int, _: FrameType | None) -> None:
         if number == signal.SIGINT:
@@ -140,18 +146,10 @@ def _ended_by_signals() -> Iterator[None]:
         signal.signal(number, signal.SIG_IGN)  # a second one must not interrupt the removal
         raise Interruption(number)
 
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    numbers = [getattr(signal, name) for name in ENDING_SIGNALS if hasattr(signal, name)]
+    handlers = dict.fromkeys(ENDING_SIGNALS, interrupt)
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:  # it is ignored in the background
-        numbers.remove(signal.SIGINT)
-    before = {number: signal.signal(number, interrupt) or signal.SIG_DFL for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        del handlers["SIGINT"]
+    return handling_signals(handlers)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -65,17 +65,8 @@ class ClipBody(NamedTuple):
     """Paths of the left and the right hand relative to the root, in meters."""
 
 
-def local_positions(features: Float[np.ndarray, "T D"], skeleton: Skeleton) -> Float[np.ndarray, "T J 3"]:
-    """Returns the joints of each frame in meters, in facing coordinates."""
-    layout = skeleton.layout
-    root = np.zeros((len(features), 1, 3), np.float32)
-    root[:, 0, 1] = features[:, layout.root_height][:, 0]
-    others = features[:, layout.positions].reshape(len(features), -1, 3)
-    return np.concatenate([root, others], axis=1) * np.float32(skeleton.metres_per_unit)
-
-
 def measure_body(features: Float[np.ndarray, "T D"], local: Float[np.ndarray, "T J 3"], skeleton: Skeleton) -> ClipBody:
-    """Returns the measures of a clip from its features and their `local_positions`."""
+    """Returns the measures of a clip from its features and their `local_positions` in meters."""
     steps = features[:-1, skeleton.layout.root_velocity] * skeleton.metres_per_unit
     left, ahead = steps.mean(axis=0) * skeleton.fps
     shoulders = skeleton.face_joints[3], skeleton.face_joints[2]

@@ -28,6 +28,7 @@ from tqdm import tqdm
 from t2m_jax.data.files import FEATURES, SPLITS, TEXTS, clip_or_reason, read_names
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
+from t2m_jax.files.arrays import write_header
 from t2m_jax.files.reading import load_array, load_json, reading
 from t2m_jax.files.writing import atomic_folder, save_text
 
@@ -302,13 +303,7 @@ def _write_clips(file: BinaryIO, folder: Path, names: frozenset[str], *, feature
     left_out: dict[str, str] = {}
     broken_captions: dict[str, int] = {}
 
-    def write_header() -> None:
-        shape = (sum(length for _, length, _ in clips), feature_dim)
-        header = {"descr": np.lib.format.dtype_to_descr(np.dtype(np.float32)), "fortran_order": False, "shape": shape}
-        file.seek(0)
-        np.lib.format.write_array_header_1_0(file, header)
-
-    write_header()
+    write_header(file, (0, feature_dim), np.float32)
     for name in tqdm(order, desc="caching clips", unit="clip", disable=None):
         clip = clip_or_reason(folder, name, feature_dim=feature_dim)
         if isinstance(clip, str):
@@ -320,8 +315,7 @@ def _write_clips(file: BinaryIO, folder: Path, names: frozenset[str], *, feature
         clips.append((name, len(features), lines))
         if problems:
             broken_captions[name] = len(problems)
-    # The number of rows is known now. NumPy pads headers, so that this one is as long as the first.
-    write_header()
+    write_header(file, (sum(length for _, length, _ in clips), feature_dim), np.float32)
     file.flush()
     os.fsync(file.fileno())
     return {"clips": clips, "left_out": left_out, "broken_captions": broken_captions}

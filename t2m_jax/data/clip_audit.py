@@ -6,14 +6,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.data.body_checks import ClipBody, check_body, check_joints, local_positions, measure_body
+from t2m_jax.data.body_checks import ClipBody, check_body, check_joints, measure_body
 from t2m_jax.data.caption_checks import check_captions, check_words
 from t2m_jax.data.files import FEATURES, MIN_FRAMES, POSITIONS, TEXTS
 from t2m_jax.data.folder import Dataset
 from t2m_jax.data.texts import Caption, read_captions
 from t2m_jax.errors import UserError
 from t2m_jax.files.reading import load_array
-from t2m_jax.motion.features import positions_from_features
+from t2m_jax.motion.features import local_positions, positions_from_features
 from t2m_jax.motion.skeleton import Skeleton
 
 MAX_JOINT_SPEED = 30.0
@@ -82,7 +82,7 @@ def _decode(
         raise UserError(f"{path}: has {len(features)} frames")
     with np.errstate(over="ignore", invalid="ignore"):
         positions = positions_from_features(features, skeleton) * np.float32(skeleton.metres_per_unit)
-        local = local_positions(features, skeleton)
+        local = local_positions(features, skeleton) * np.float32(skeleton.metres_per_unit)
     # Finite but huge features overflow on the way.
     if not (np.all(np.isfinite(positions)) and np.all(np.abs(local) < MAX_METERS)):
         raise UserError(f"{path}: decodes to positions that are not finite")

@@ -26,6 +26,7 @@ from t2m_jax.metrics.quality import MotionQuality
 from t2m_jax.metrics.retrieval import label_bound, matching_score, r_precision
 from t2m_jax.metrics.variety import diversity, multimodality
 from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import skeleton_from_feature_dim
 from t2m_jax.sampling.batches import round_up
 from t2m_jax.sampling.decode import decode_motions
@@ -178,12 +179,6 @@ def _distances(one: Float[np.ndarray, "N E"], other: Float[np.ndarray, "M E"]) -
     """Returns FID of embeddings, and of their directions alone: their length says little about what a motion shows."""
     pairs = {"fid": (one, other), "fid_normalized": tuple(map(unit_vectors, (one, other)))}
     return {name: float(fid(jnp.asarray(real), jnp.asarray(motion))) for name, (real, motion) in pairs.items()}
-
-
-def unit_vectors(embeddings: Float[np.ndarray, "N E"]) -> Float[np.ndarray, "N E"]:
-    """Returns embeddings of length 1. One of length 0 stays as it is."""
-    lengths = np.linalg.norm(embeddings, axis=1, keepdims=True)
-    return embeddings / np.where(lengths > 0, lengths, 1)
 
 
 def _mean_quality(quality: MotionQuality, *, count: int, prefix: str = "") -> dict[str, float]:

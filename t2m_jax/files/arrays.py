@@ -4,7 +4,7 @@ import hashlib
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from flax import traverse_util
@@ -17,6 +17,16 @@ from t2m_jax.files.writing import atomic_file
 
 DAMAGED_WEIGHTS = (SafetensorError, OSError, ValueError, LookupError, TypeError, AttributeError)
 """What safetensors raises for damaged files."""
+
+
+def write_header(file: BinaryIO, shape: tuple[int, ...], dtype: type[np.generic]) -> None:
+    """Writes the header of a `.npy` file at its beginning, before and again after rows whose number is not known.
+
+    NumPy pads headers, so that both have the same length.
+    """
+    header = {"descr": np.lib.format.dtype_to_descr(np.dtype(dtype)), "fortran_order": False, "shape": shape}
+    file.seek(0)
+    np.lib.format.write_array_header_1_0(file, header)
 
 
 def fingerprint(text: str, arrays: Mapping[str, Any], *others: Mapping[str, Any]) -> str:

@@ -18,10 +18,6 @@ MAX_LOCK_FILE = 1024
 """Bytes of a lock file that are read: its owner is in the first 300, and a damaged file may have any size."""
 
 
-class LockedError(UserError):
-    """Another process writes the destination."""
-
-
 def short_name(path: Path) -> str:
     """Returns the name of a destination, or a shorter one in its place."""
     name = path.name
@@ -46,7 +42,7 @@ def lock(path: Path, *, seconds: float = SECONDS) -> Iterator[None]:
         seconds: How long to wait for another process.
 
     Raises:
-        LockedError: Another process holds it.
+        UserError: Another process holds it.
         OSError: The file cannot be written.
     """
     from filelock import FileLock, Timeout  # here, because reading needs no locks
@@ -57,7 +53,7 @@ def lock(path: Path, *, seconds: float = SECONDS) -> Iterator[None]:
         holder.acquire(timeout=seconds)
     except Timeout:
         owner = _owner(place) or "another process"
-        raise LockedError(f"{path}: is being written by {owner}; wait until it has finished, or end it") from None
+        raise UserError(f"{path}: is being written by {owner}; wait until it has finished, or end it") from None
     try:
         if holder.lock_counter == 1 and place.is_file():  # a pipe would block
             place.write_text(f"{os.getpid()}\n{socket.gethostname()}\n", encoding="utf-8")

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from t2m_jax.config import check_limits, check_sizes
 from t2m_jax.models.projection import WEIGHT_INIT
-from t2m_jax.models.transformer import Attention
+from t2m_jax.models.transformer import Attention, layer_norm
 
 Activation = Literal["quick_gelu", "gelu"]
 
@@ -75,11 +75,6 @@ class ClipBlock(nn.Module):
         wide = nn.Dense(config.mlp_dim, kernel_init=WEIGHT_INIT, name="up")(layer_norm(config, "ln2")(hidden))
         wide = quick_gelu(wide) if config.activation == "quick_gelu" else nn.gelu(wide, approximate=False)
         return hidden + nn.Dense(config.embed_dim, kernel_init=WEIGHT_INIT, name="down")(wide)
-
-
-def layer_norm(config: ClipTextConfig, name: str) -> nn.LayerNorm:
-    """Returns a layer norm. It uses the slow variance, because the mean of CLIP's activations is far from zero."""
-    return nn.LayerNorm(epsilon=config.layer_norm_epsilon, use_fast_variance=False, name=name)
 
 
 class ClipText(nn.Module):

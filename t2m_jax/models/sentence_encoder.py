@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from t2m_jax.config import check_amounts, check_limits, check_sizes
 from t2m_jax.models.projection import WEIGHT_INIT
-from t2m_jax.models.transformer import Attention
+from t2m_jax.models.transformer import Attention, layer_norm
 
 MAX_DISTANCE = 128
 """Tokens from which on all distances are in one bucket, in MPNet (arXiv 2004.09297)."""
@@ -105,11 +105,6 @@ class SentenceBlock(nn.Module):
         return layer_norm(config, "ln2")(
             hidden + nn.Dense(config.embed_dim, kernel_init=WEIGHT_INIT, name="down")(wide)
         )
-
-
-def layer_norm(config: SentenceEncoderConfig, name: str) -> nn.LayerNorm:
-    """Returns a layer norm with the slow variance, which is more exact."""
-    return nn.LayerNorm(epsilon=config.layer_norm_epsilon, use_fast_variance=False, name=name)
 
 
 class SentenceEncoder(nn.Module):

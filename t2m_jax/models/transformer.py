@@ -1,7 +1,7 @@
 """Pre-norm transformer blocks of the motion GPT (causal, cached) and the caption encoder (bidirectional)."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import flax.linen as nn
 import jax
@@ -18,6 +18,14 @@ class LayerCache(NamedTuple):
 
     keys: Float[Array, "B H L F"]
     values: Float[Array, "B H L F"]
+
+
+def layer_norm(config: Any, name: str) -> nn.LayerNorm:
+    """Returns a layer norm of a pretrained encoder, with the slow variance.
+
+    The fast one is not exact where the mean is far from zero, as that of CLIP's activations.
+    """
+    return nn.LayerNorm(epsilon=config.layer_norm_epsilon, use_fast_variance=False, name=name)
 
 
 def empty_cache(batch: int, length: int, *, embed_dim: int, num_heads: int) -> LayerCache:

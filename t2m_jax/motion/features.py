@@ -68,6 +68,18 @@ def bone_vectors(positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton)
     return positions[..., 1:, :] - positions[..., np.array(skeleton.parents[1:]), :]
 
 
+def local_positions(features: Float[AnyArray, "*batch T D"], skeleton: Skeleton) -> Float[AnyArray, "*batch T J 3"]:
+    """Returns the joints in features, which may be normalized: relative to the floor below the root and to its heading.
+
+    The root is at (0, root height, 0).
+    """
+    xp = namespace_of(features)
+    height = features[..., skeleton.layout.root_height]
+    root = xp.concatenate([xp.zeros_like(height), height, xp.zeros_like(height)], axis=-1)
+    others = features[..., skeleton.layout.positions].reshape((*features.shape[:-1], -1, 3))
+    return xp.concatenate([root[..., None, :], others], axis=-2)
+
+
 def chain_predecessors(skeleton: Skeleton) -> np.ndarray:
     """Returns the joint before each joint in its chain. Chains that begin at the chest continue from the root, too."""
     predecessors = np.array(skeleton.parents)

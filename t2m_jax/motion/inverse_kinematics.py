@@ -16,6 +16,7 @@ from t2m_jax.motion.rotations import (
     quaternion_multiply,
     rotate_vectors,
     slerp,
+    unit_vectors,
 )
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.motion.twist import limb_rotations
@@ -166,11 +167,11 @@ def _fit_limbs(fit: _Fit, limbs: tuple[_Limb, ...], fps: float) -> None:
         fit.swing(joint)
     above = fit.rotations[:, [_PARENTS[joint] for joint in starts]]
     aims = [np.stack([fit.aim(joint) for joint in joints], axis=1) for joints in (starts, hinges)]
-    upper, lower = (_unit(rotate_vectors(quaternion_inverse(above), aim)) for aim in aims)
+    upper, lower = (unit_vectors(rotate_vectors(quaternion_inverse(above), aim)) for aim in aims)
     local = limb_rotations(
         upper,
         lower,
-        rest_directions=_unit(fit.offsets[hinges]),
+        rest_directions=unit_vectors(fit.offsets[hinges]),
         hinge_axes=np.stack([limb.hinge_axis for limb in limbs]),
         fps=fps,
     )
@@ -188,13 +189,13 @@ def _rest_offsets(positions: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, "J
         offsets[_INDEX[name]] = direction
     for hub in (PELVIS, CHEST):
         # The mean of the bones in the hub's own frame: X from right to left, Y toward the joint above.
-        across = _unit(bones[:, hub.left] - bones[:, hub.right])
+        across = unit_vectors(bones[:, hub.left] - bones[:, hub.right])
         up = bones[:, hub.above]
-        up = _unit(up - np.sum(up * across, axis=-1, keepdims=True) * across)
+        up = unit_vectors(up - np.sum(up * across, axis=-1, keepdims=True) * across)
         frames = np.stack((across, up, np.cross(across, up)), axis=-2)
         children = list(HUMANML3D.children(hub.joint))
         offsets[children] = np.einsum("tab,tjb->ja", frames, bones[:, children]) / len(bones)
-    return _unit(offsets) * np.linalg.norm(bones, axis=-1).mean(axis=0)[:, None]
+    return unit_vectors(offsets) * np.linalg.norm(bones, axis=-1).mean(axis=0)[:, None]
 
 
 def _rigid_positions(
@@ -217,8 +218,3 @@ def _rigid_positions(
             joints[a] += move
             joints[b] -= move
     return np.moveaxis(joints, 0, 1)
-
-
-def _unit(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
-    """Returns `vectors` with unit length. Vectors of length zero stay zero."""
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)

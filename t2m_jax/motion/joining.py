@@ -8,7 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.motion.features import bone_vectors, facing, gaussian_kernel, positions_from_bones, smooth_over_time
+from t2m_jax.motion.features import (
+    bone_vectors,
+    facing,
+    gaussian_kernel,
+    local_positions,
+    positions_from_bones,
+    smooth_over_time,
+)
 from t2m_jax.motion.kinematics import rigid_rotations
 from t2m_jax.motion.rotations import quaternion_between, rotate_vectors, unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
@@ -81,13 +88,8 @@ def find_cut(first: Features, second: Features, *, ends: range, starts: range, s
 
 def _poses(features: Features, skeleton: Skeleton) -> Float[np.ndarray, "T J 6"]:
     """Returns each frame's joint positions and scaled velocities, relative to the root's heading."""
-    layout = skeleton.layout
-    count = len(features)
-    height = features[:, layout.root_height]
-    root = np.concatenate([np.zeros_like(height), height, np.zeros_like(height)], axis=1)
-    joints = np.concatenate([root[:, None], features[:, layout.positions].reshape(count, -1, 3)], axis=1)
-    velocities = features[:, layout.velocities].reshape(count, -1, 3) * (skeleton.fps * VELOCITY_SECONDS)
-    return np.concatenate([joints, velocities], axis=2)
+    velocities = features[:, skeleton.layout.velocities].reshape(len(features), -1, 3)
+    return np.concatenate([local_positions(features, skeleton), velocities * (skeleton.fps * VELOCITY_SECONDS)], axis=2)
 
 
 def join_features(first: Features, second: Features, cut: Cut, *, overlap: int = OVERLAP) -> Features:

@@ -47,16 +47,6 @@ def cross_product(a: Float[AnyArray, "*#batch 3"], b: Float[AnyArray, "*#batch 3
     return xp.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
-def matrix_multiply(
-    a: Float[AnyArray, "*#batch 3 3"], b: Float[AnyArray, "*#batch 3 3"]
-) -> Float[AnyArray, "*batch 3 3"]:
-    """Returns the matrix products `a @ b` in full float32 precision."""
-    chex.assert_shape([a, b], (..., 3, 3))
-    _, a, b = _float32(a, b)
-    # A sum of products, because accelerators compute `@` of float32 with fewer bits by default.
-    return (a[..., :, :, None] * b[..., None, :, :]).sum(-2)
-
-
 def quaternion_multiply(
     a: Float[AnyArray, "*#batch 4"], b: Float[AnyArray, "*#batch 4"]
 ) -> Float[AnyArray, "*batch 4"]:
@@ -185,21 +175,14 @@ def matrix_from_euler(angles: Float[AnyArray, "*batch 3"], order: EulerOrder) ->
     """
     chex.assert_shape(angles, (..., 3))
     xp, angles = _float32(angles)
-    cosines = xp.cos(angles)
-    sines = xp.sin(angles)
+    cosines = xp.cos(angles / 2)
+    sines = xp.sin(angles / 2)
     zero = xp.zeros_like(angles[..., 0])
-    one = xp.ones_like(angles[..., 0])
     turns = []
-    for i, letter in enumerate(order):
-        axis = "XYZ".index(letter)
-        j = (axis + 1) % 3
-        k = (axis + 2) % 3
-        cos = cosines[..., i]
-        sin = sines[..., i]
-        entries = {(axis, axis): one, (j, j): cos, (j, k): -sin, (k, j): sin, (k, k): cos}
-        rows = [xp.stack([entries.get((row, column), zero) for column in range(3)], axis=-1) for row in range(3)]
-        turns.append(xp.stack(rows, axis=-2))
-    return matrix_multiply(matrix_multiply(turns[0], turns[1]), turns[2])
+    for number, letter in enumerate(order):
+        around: list[Any] = [sines[..., number] if letter == axis else zero for axis in "XYZ"]
+        turns.append(xp.stack([cosines[..., number], *around], axis=-1))
+    return matrix_from_quaternion(quaternion_multiply(quaternion_multiply(turns[0], turns[1]), turns[2]))
 
 
 def euler_from_matrix(matrices: Float[AnyArray, "*batch 3 3"], order: EulerOrder) -> Float[AnyArray, "*batch 3"]:

@@ -102,16 +102,13 @@ def _best_path(evidence: Twists, stiffness: float, fps: float) -> Angles:
 
 def _smoothed(values: Angles, weights: Angles, stiffness: float) -> Angles:
     """Returns the curve x that minimizes the sum of weights / 2 (x - values)² and stiffness (step of x)²."""
+    from scipy.linalg import solve_banded  # here, because it takes long to import
+
     ends = np.zeros(len(values))
     ends[1:] += 2 * stiffness
     ends[:-1] += 2 * stiffness
-    diagonal = weights + ends[:, None]
-    right = weights * values
-    for frame in range(1, len(values)):  # the Thomas algorithm for tridiagonal systems
-        factor = 2 * stiffness / diagonal[frame - 1]
-        diagonal[frame] -= factor * 2 * stiffness
-        right[frame] += factor * right[frame - 1]
-    result = right / diagonal
-    for frame in range(len(values) - 2, -1, -1):
-        result[frame] += 2 * stiffness / diagonal[frame] * result[frame + 1]
-    return result
+    neighbors = np.full(len(values), -2 * stiffness)
+    # A tridiagonal system for each limb, by its three diagonals.
+    systems = [(neighbors, diagonal, neighbors) for diagonal in (weights + ends[:, None]).T]
+    sides = (weights * values).T
+    return np.stack([solve_banded((1, 1), one, side) for one, side in zip(systems, sides, strict=True)], axis=1)

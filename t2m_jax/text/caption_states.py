@@ -11,7 +11,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from t2m_jax.errors import UserError
+from t2m_jax.files.arrays import write_header
 from t2m_jax.files.manifest import check_folder, write_manifest
 from t2m_jax.files.reading import load_array, load_json
 from t2m_jax.files.writing import atomic_folder, save_text
@@ -148,11 +149,10 @@ def _make(folder: Path, texts: list[str], read: ReadStates, *, others: Iterable[
         lengths: dict[str, int] = {}
         for text, states in _states_of(texts, read, others):
             if not lengths:
-                _write_header(file, 0, states.shape[1])
+                write_header(file, (0, states.shape[1]), np.float16)
             file.write(np.asarray(states, np.float16).tobytes())
             lengths[text] = len(states)
-        # The number of rows is known now. NumPy pads headers, so that this one is as long as the first.
-        _write_header(file, sum(lengths.values()), states.shape[1])
+        write_header(file, (sum(lengths.values()), states.shape[1]), np.float16)
         file.flush()
         os.fsync(file.fileno())
         save_text(partial / CAPTIONS, json.dumps({"texts": list(lengths), "lengths": list(lengths.values())}))
@@ -174,12 +174,6 @@ def _states_of(
                 del missing[text]
                 yield text, stored.states[first:end]
     yield from read(list(missing))
-
-
-def _write_header(file: BinaryIO, rows: int, width: int) -> None:
-    header = {"descr": np.lib.format.dtype_to_descr(np.dtype(np.float16)), "fortran_order": False}
-    file.seek(0)
-    np.lib.format.write_array_header_1_0(file, header | {"shape": (rows, width)})
 
 
 def captions_at(captions: Any, rows: Int[Array, " B"]) -> Any:

@@ -4,7 +4,6 @@ import contextlib
 import math
 import os
 import signal
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import FrameType
@@ -18,7 +17,7 @@ from tqdm import tqdm
 
 from t2m_jax.checkpoints.run import Checkpoints
 from t2m_jax.distributed import is_writer
-from t2m_jax.errors import ENDING_SIGNALS, Interruption, UserError
+from t2m_jax.errors import ENDING_SIGNALS, Interruption, UserError, handling_signals
 from t2m_jax.train.config import LoopConfig
 from t2m_jax.train.log import MetricLog
 
@@ -223,18 +222,11 @@ def stop_requests() -> Iterator[Callable[[int], int | None]]:
     several = jax.process_count() > 1
     # With several processes, JAX has a handler of SIGTERM of its own, through which they agree on a step.
     handlers = {"SIGUSR1": pass_on} if several else dict.fromkeys(ENDING_SIGNALS, remember)
-    if threading.current_thread() is not threading.main_thread():
-        handlers = {}  # only the main thread may have handlers
-    numbers = {getattr(signal, name): handler for name, handler in handlers.items() if hasattr(signal, name)}
-    before = {number: signal.signal(number, handler) or signal.SIG_DFL for number, handler in numbers.items()}
 
     def asked(step: int) -> int | None:
         if several:
             return signal.SIGTERM if multihost_utils.reached_preemption_sync_point(step) else None
         return found[0] if found else None
 
-    try:
+    with handling_signals(handlers):
         yield asked
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.data.audit import audit_dataset
-from t2m_jax.data.body_checks import local_positions, measure_body
+from t2m_jax.data.body_checks import measure_body
 from t2m_jax.data.caption_checks import check_words, is_misread
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.bvh import import_bvh_folder
@@ -14,7 +14,7 @@ from t2m_jax.data.importers.synthetic import KINDS, make_motion, write_synthetic
 from t2m_jax.data.texts import Caption, load_captions, save_captions
 from t2m_jax.data.writer import mirror, write_clip
 from t2m_jax.files.manifest import MANIFEST
-from t2m_jax.motion.features import features_from_positions
+from t2m_jax.motion.features import features_from_positions, local_positions
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D
 

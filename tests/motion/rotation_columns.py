@@ -2,7 +2,7 @@
 
 from t2m_jax.motion.features import chain_predecessors, root_from_features
 from t2m_jax.motion.namespace import namespace_of
-from t2m_jax.motion.rotations import cross_product, matrix_from_quaternion, matrix_multiply, unit_vectors
+from t2m_jax.motion.rotations import cross_product, matrix_from_quaternion, unit_vectors
 
 
 def matrix_from_rotation_6d(rotations_6d):
@@ -21,7 +21,7 @@ def positions_from_rotations(features, skeleton):
     turns = [matrix_from_quaternion(headings)]
     joints = [root]
     for joint in range(1, skeleton.num_joints):
-        turns.append(matrix_multiply(turns[before[joint]], local[..., joint - 1, :, :]))
+        turns.append(turns[before[joint]] @ local[..., joint - 1, :, :])
         offset = namespace_of(root).asarray(skeleton.offsets[joint].reshape((1,) * (root.ndim - 1) + (3,)))
         bone = (turns[joint] * offset[..., None, :]).sum(-1)
         joints.append(joints[skeleton.parents[joint]] + bone)

@@ -11,7 +11,6 @@ from t2m_jax.motion.rotations import (
     euler_from_matrix,
     matrix_from_euler,
     matrix_from_quaternion,
-    matrix_multiply,
     quaternion_between,
     quaternion_from_matrix,
     quaternion_inverse,
@@ -114,14 +113,9 @@ def test_the_product_turns_by_the_second_first():
     )
     np.testing.assert_allclose(
         matrix_from_quaternion(quaternion_multiply(a, b)),
-        matrix_multiply(matrix_from_quaternion(a), matrix_from_quaternion(b)),
+        matrix_from_quaternion(a) @ matrix_from_quaternion(b),
         atol=1e-6,
     )
-
-
-def test_matrix_multiply_is_the_matrix_product():
-    a, b = np.random.default_rng(0).normal(size=(2, 4, 3, 3)).astype(np.float32)
-    np.testing.assert_allclose(matrix_multiply(a, b), a @ b, atol=1e-6)
 
 
 def test_the_inverse_undoes():

@@ -10,12 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.data.body_checks import local_positions
 from t2m_jax.data.captioning.captions import Labels
 from t2m_jax.data.captioning.lexicon import read_words
 from t2m_jax.data.files import FEATURES
 from t2m_jax.motion.facts import WALKING_SPEED, Facts, measure
-from t2m_jax.motion.features import features_from_positions, positions_from_features
+from t2m_jax.motion.features import features_from_positions, local_positions, positions_from_features
 from t2m_jax.motion.joining import OVERLAP, find_cut, join_features
 from t2m_jax.motion.skeleton import HUMANML3D
 
@@ -86,7 +85,7 @@ class Library(NamedTuple):
         if before is None or np.isinf(self.reach):
             return clips
         starts = np.stack([first_pose(self.folder / FEATURES / f"{name}.npy") for name, _ in clips])
-        distances = np.linalg.norm(starts - pose_of(before.features[-1]), axis=-1).mean(axis=-1)
+        distances = np.linalg.norm(starts - local_positions(before.features[-1], HUMANML3D), axis=-1).mean(axis=-1)
         return [clip for clip, distance in zip(clips, distances, strict=True) if distance < self.reach]
 
 
@@ -113,12 +112,7 @@ def drawn_weights(contents: Iterable[str]) -> dict[str, float]:
 @functools.cache
 def first_pose(path: Path) -> Float[np.ndarray, "J 3"]:
     """Returns the first pose of a file of features."""
-    return pose_of(np.load(path, mmap_mode="r")[0])
-
-
-def pose_of(frame: Float[np.ndarray, " D"]) -> Float[np.ndarray, "J 3"]:
-    """Returns the joints of a frame of features, relative to the root's place and heading."""
-    return local_positions(frame[None], HUMANML3D)[0]
+    return local_positions(np.load(path, mmap_mode="r")[0], HUMANML3D)
 
 
 def join_pieces(pieces: Sequence[LabeledPiece]) -> Float[np.ndarray, "T J 3"]:

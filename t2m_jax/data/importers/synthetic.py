@@ -20,6 +20,7 @@ from t2m_jax.data.splits import split_by_hash
 from t2m_jax.data.writer import ImportReport, check_count, finish_folder, new_folder, with_twins, write_twins
 from t2m_jax.errors import UserError
 from t2m_jax.motion.facts import measure
+from t2m_jax.motion.joining import fade
 from t2m_jax.motion.skeleton import HUMANML3D
 
 FPS = HUMANML3D.fps
@@ -63,8 +64,7 @@ def _swing(num_frames: int, *, upper: object = 0.0, bend: object = 0.0, spread: 
 
 def _ramp(time: Float[np.ndarray, " T"], start: float, stop: float) -> Float[np.ndarray, " T"]:
     """Returns a smooth rise from 0 to 1 between two moments."""
-    share = np.clip((time - start) / (stop - start), 0.0, 1.0)
-    return share * share * (3.0 - 2.0 * share)
+    return fade((time - start) / (stop - start))
 
 
 def _walking(time: Float[np.ndarray, " T"], generator: np.random.Generator, *, direction: float = 0.0) -> Pose:

@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 
 Tint = Literal["body", "left", "right", "face"]
@@ -199,20 +200,15 @@ def figure_points(positions: Float[np.ndarray, "T J 3"], skeleton: Skeleton) -> 
     # head joint from the neck.
     roles = roles_from_skeleton(skeleton)
     _, neck, tip = roles.spine[-3:]
-    across = _unit(points[:, roles.left_arm[0]] - points[:, roles.right_arm[0]])
-    up = _unit(points[:, body.head] - points[:, neck])
-    forward = _unit(np.cross(across, up))
+    across = unit_vectors(points[:, roles.left_arm[0]] - points[:, roles.right_arm[0]])
+    up = unit_vectors(points[:, body.head] - points[:, neck])
+    forward = unit_vectors(np.cross(across, up))
     lean = points[:, tip] - points[:, neck]
     lean = lean - np.sum(lean * up, axis=-1, keepdims=True) * up
-    forward = _unit(
+    forward = unit_vectors(
         forward + lean / np.maximum(np.linalg.norm(points[:, tip] - points[:, neck], axis=-1), 1e-6)[:, None]
     )
     side = np.cross(up, forward)
     eyes = np.stack([0.066 * forward + 0.034 * side, 0.066 * forward - 0.034 * side], axis=1) + 0.012 * up[:, None]
     eyes *= figure_scale(positions, skeleton)
     return np.concatenate([points, points[:, body.head, None] + eyes], axis=1).astype(np.float32)
-
-
-def _unit(vectors: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
-    """Returns the vectors with unit length. Zero vectors stay zero."""
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
