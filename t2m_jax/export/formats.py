@@ -36,12 +36,7 @@ def only_motion(path: Path, motions: Sequence[Motion]) -> Motion:
 
 
 def save_bvh_file(
-    path: Path,
-    motions: Sequence[Motion],
-    *,
-    names: JointNames = "lafan1",
-    units: Units = "m",
-    root_bone: bool = False,
+    path: Path, motions: Sequence[Motion], *, names: JointNames = "lafan1", units: Units = "m", root_bone: bool = False
 ) -> None:
     """Writes one motion as a BVH file; see `save_bvh`."""
     save_bvh(path, only_motion(path, motions), names=names, units=units, root_bone=root_bone)

@@ -31,12 +31,7 @@ _INDICES = 34963
 
 
 def save_glb(
-    path: Path,
-    motions: Sequence[Motion],
-    *,
-    names: JointNames = "lafan1",
-    units: Units = "m",
-    root_bone: bool = False,
+    path: Path, motions: Sequence[Motion], *, names: JointNames = "lafan1", units: Units = "m", root_bone: bool = False
 ) -> None:
     """Writes motions as the animations of one figure, Y up, facing +Z.
 

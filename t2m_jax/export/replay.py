@@ -24,12 +24,7 @@ BATCH = 64
 
 
 def write_replay(
-    model: TextToMotion,
-    destination: str | Path,
-    *,
-    num_clips: int,
-    sentences: Sequence[str] = (),
-    seed: int = 0,
+    model: TextToMotion, destination: str | Path, *, num_clips: int, sentences: Sequence[str] = (), seed: int = 0
 ) -> ImportReport:
     """Makes a data-set folder of motions that a model generates, all in the training split, and returns a report.
 

@@ -10,15 +10,7 @@ from PIL import Image, ImageColor, ImageDraw
 
 from t2m_jax.export.render import rasterizer
 from t2m_jax.export.render.figure import TINTS, Tint
-from t2m_jax.export.render.ground import (
-    ACCENTS,
-    KEY_LIGHT,
-    SKY_TOP,
-    add_shadows,
-    add_trail,
-    draw_ground,
-    make_ground,
-)
+from t2m_jax.export.render.ground import ACCENTS, KEY_LIGHT, SKY_TOP, add_shadows, add_trail, draw_ground, make_ground
 from t2m_jax.export.render.labels import make_label
 from t2m_jax.export.render.scene import SceneFigure, figures_from_motions
 from t2m_jax.export.render.view import Camera, View, project, sample_figure, smooth_path, views_of_figures

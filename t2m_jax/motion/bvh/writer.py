@@ -31,12 +31,7 @@ END_SITES = {"head": 1.7, "left_wrist": 0.65, "right_wrist": 0.65, "left_foot": 
 
 
 def save_bvh(
-    path: Path | str,
-    motion: Motion,
-    *,
-    names: JointNames = "lafan1",
-    units: Units = "m",
-    root_bone: bool = False,
+    path: Path | str, motion: Motion, *, names: JointNames = "lafan1", units: Units = "m", root_bone: bool = False
 ) -> None:
     """Writes `motion` as a BVH file, Y up.
 
