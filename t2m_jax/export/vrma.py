@@ -30,13 +30,15 @@ def save_vrma(path: Path, motions: Sequence[Motion]) -> None:
     motion = only_motion(path, motions)
     check_motions(path, motions)
     rig = fit_rig(motion.positions, fps=motion.fps)
-    places, turns = joint_places(rig, motion), quaternion_from_matrix(rig.rotations)
+    places = joint_places(rig, motion)
+    turns = quaternion_from_matrix(rig.rotations)
     names = rig_joint_names("vrm")
     nodes = joint_nodes(standing_rest(rig), names)
     tracks = [Track(0, "translation", places[:, 0])]
     for joint in range(len(names)):
         tracks.append(Track.of_rotation(joint, turns[:, joint]))
         if joint and leaves_bone(places[:, joint], rig.offsets[joint]):
+            # A node between the bone and its parent, because VRM allows bones no translation.
             (above,) = (node for node in nodes if joint in node.get("children", ()))
             above["children"] = [len(nodes) if child == joint else child for child in above["children"]]
             tracks.append(Track(len(nodes), "translation", places[:, joint]))

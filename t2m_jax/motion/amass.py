@@ -42,6 +42,7 @@ def clip_from_amass(path: Path, archive: Mapping[str, np.ndarray]) -> RigClip:
     if name is None:
         raise UserError(f"{path}: there is no entry {RATES[0]!r} with the frames per second")
     poses, trans, rate = (_numbers(path, archive, key) for key in ("poses", "trans", name))
+    # Joints of hands and face follow those of the body, in numbers that depend on the model.
     width = 3 * HUMANML3D.num_joints
     if poses.ndim != 2 or not len(poses) or poses.shape[1] < width:
         raise UserError(f"{path}: entry 'poses' has shape {list(poses.shape)}; it needs [frames, {width} or more]")

@@ -183,7 +183,8 @@ def bind_pose(glb: GlbChunks, nodes: Nodes) -> Nodes:
     apart = [quaternion_multiply(turned[place], quaternion_inverse(turn)) for place, turn in turns.items()]
     if all(same_rotation(one, apart[0]) for one in apart):
         return nodes
-    translations, rotations = nodes.translations.copy(), nodes.rotations.copy()
+    translations = nodes.translations.copy()
+    rotations = nodes.rotations.copy()
     world: dict[int, tuple[Any, Any]] = {-1: (np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))}
     for place, parent in enumerate(nodes.parents):
         above, start = world[parent]

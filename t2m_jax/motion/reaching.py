@@ -30,6 +30,7 @@ Limb = tuple[int, int, int, int]
 
 def limbs_of(skeleton: Skeleton) -> dict[str, Limb]:
     """Returns the limbs that can bring a joint to a place, by its name: wrists, ankles and toes."""
+    # By the place of the shoulders, because the skeletons name their joints differently.
     shoulders = skeleton.face_joints[2:]
     wrists = [chain[-1] for chain in skeleton.chains if set(chain) & set(shoulders)]
     ends = [(wrist, wrist) for wrist in wrists] + [skeleton.left_foot, skeleton.right_foot]
@@ -110,6 +111,7 @@ def faded(wanted: Mapping[int, Float[np.ndarray, "3"]], num_frames: int, *, fade
     times, shifts = (np.array(part, np.float64) for part in zip(*keys, strict=True))
     now = np.arange(num_frames)
     place = np.clip(np.searchsorted(times, now, side="right") - 1, 0, len(times) - 2)
+    # Before the first shift and after the last, the value is 0 and stays so.
     share = np.clip((now - times[place]) / (times[place + 1] - times[place]), 0, 1)
     return shifts[place] + (0.5 - 0.5 * np.cos(np.pi * share))[:, None] * (shifts[place + 1] - shifts[place])
 

@@ -127,6 +127,7 @@ def read_target(given: object) -> Target:
         return given
     if isinstance(given, str):
         return _from_text(given)
+    # After texts, which are sequences, too.
     if isinstance(given, Sequence) and len(given) == 2:
         seconds, motion = given
         if isinstance(seconds, int | float) and isinstance(motion, Motion):
@@ -149,13 +150,7 @@ def _from_text(text: str) -> Target:
             raise UserError(f"targets: {text[:80]!r}: a pose has three numbers for each joint, not {len(place)}")
         pose, place = np.array(place).reshape(-1, 3), ()
     return Target(
-        seconds=seconds,
-        until=end,
-        joint=joint,
-        place=place,
-        relative=sign == "+=",
-        pose=pose,
-        exact=exact is not None,
+        seconds=seconds, until=end, joint=joint, place=place, relative=sign == "+=", pose=pose, exact=exact is not None
     )
 
 
@@ -172,6 +167,7 @@ def move_target(target: Target, seconds: float, pose: Pose, place: Pose, *, skel
     """Returns a target some seconds later, turned and moved as `pose` is that gets the place of `place`."""
     until = None if target.until is None else target.until + seconds
     later = dataclasses.replace(target, seconds=target.seconds + seconds, until=until)
+    # They are seen from the root, so that it does not matter where the figure is.
     if target.joint == POSE or target.relative:
         return later
     if target.joint == FACING:
@@ -179,6 +175,7 @@ def move_target(target: Target, seconds: float, pose: Pose, place: Pose, *, skel
         return dataclasses.replace(later, place=(target.place[0] + after - before,))
     x, *height, z = target.place
     points = np.broadcast_to([x, *(height or [0.0]), z], pose.shape)[None]
+    # As a pose of which all joints are at the place, because the function moves whole poses.
     moved = place_positions(points, pose, place, skeleton=skeleton)[0, 0].tolist()
     return dataclasses.replace(later, place=tuple(moved if height else moved[::2]))
 
@@ -205,6 +202,7 @@ def check_targets(
             raise target.error(f"no such joint; known: {', '.join(known)}")
         if target.pose is not None and target.pose.shape != (skeleton.num_joints, 3):
             raise target.error(f"has {len(target.pose)} joints; skeleton {skeleton.name} has {skeleton.num_joints}")
+        # The root of KIT-ML is a joint, too, and its name is that of the place on the ground.
         if target.joint in skeleton.joint_names and target.joint not in SIZES:
             _check_reach(target, skeleton)
     if len(targets) > MAX_TARGETS:
@@ -216,6 +214,7 @@ def check_targets(
         reach = 0.0 if target.joint == ROOT else limb_reach(target.joint, skeleton)
         way = math.dist((target.place[0], target.place[-1]), ground) - reach
         _check_speed(target, way, target.seconds - seconds, FASTEST_ROOT)
+    # Users may give targets in any order.
     ordered = sorted(fixed, key=lambda target: (target.joint, target.seconds))
     for before, after in itertools.pairwise(ordered):
         if before.joint == after.joint:
@@ -238,6 +237,7 @@ def _check_reach(target: Target, skeleton: Skeleton) -> None:
     """Raises `UserError` if nobody can bring a joint to its place, wherever the person stands."""
     x, y, z = target.place
     reach = limb_reach(target.joint, skeleton)
+    # The root is at most a leg above the floor, or as much higher as people jump.
     toes = skeleton.joint_names[skeleton.left_foot[-1]]
     if not LOWEST <= y <= limb_reach(toes, skeleton) + reach + HIGHEST_JUMP:
         raise target.error(f"nobody reaches a height of {y:g} m")
@@ -276,6 +276,7 @@ def _distances(motion: Motion, target: Target) -> Float[np.ndarray, " S"]:
     place = np.array(target.place)
     if target.joint == FACING:
         difference = facing_degrees(poses, motion.skeleton) - place[0]
+        # The shorter way around.
         return np.abs((difference + 180) % 360 - 180)
     if target.joint == ROOT:
         return np.linalg.norm(poses[:, 0, ::2] - place, axis=-1)

@@ -28,6 +28,7 @@ def candidate_keys(key: Key[jax.Array, ""]) -> Key[jax.Array, " C"]:
 
 def choose_by_count(model: ModelParts, candidates: Sequence[Codes], times: Times) -> Codes:
     """Returns the codes of the first motion that shows an action as often as asked for, or nearest to that."""
+    # With one length and one batch for all requests, there is one program for all.
     motions = decode_motions(
         model.tokenizer,
         candidates,
@@ -35,6 +36,7 @@ def choose_by_count(model: ModelParts, candidates: Sequence[Codes], times: Times
         size=model.config.generator.max_codes,
         batch=len(candidates),
     )
+    # The first of equals is taken, so that the motion without a choice stays if it is as good.
     misses = [abs(count_shown(times, np.asarray(motion.positions)) - times.number) for motion in motions]
     return candidates[int(np.argmin(misses))]
 

@@ -60,6 +60,7 @@ def read_prompts(captions: Sequence[str], knowledge: Knowledge, encoder: TextEnc
     for caption in captions:
         text = check_prompt(caption)
         read, corrected = correct_spelling(text, knowledge.words)
+        # Some encoders cut long sentences, and the warning names what is not read.
         read_part = encoder.read_part(read) if isinstance(encoder, CuttingTextEncoder) else read
         coverage = check_coverage(read, knowledge, read_part=read_part, typed=text, corrected=corrected)
         prompts.append(Prompt(text, read, *coverage))

@@ -171,6 +171,7 @@ class MotionRequest:
         if self.options.whole or self.targets or self.span is not None or self.strength is not None:
             return self
         actions = tuple(itertools.chain.from_iterable(split_sequence(caption, known) for caption in self.captions))
+        # Each sentence says one action, so that `seconds` is the length of each already.
         if len(actions) == len(self.captions):
             return self
         seconds = None if self.seconds is None else self.seconds * len(self.captions) / len(actions)

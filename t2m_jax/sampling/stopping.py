@@ -26,6 +26,7 @@ class StopRule(Protocol):
 
     def draw(self, scores: Float[Array, " B"], keys: Key[Array, " B"]) -> Float[Array, " B"]:
         """Returns the scores of a row for `ends` and `count`, after what is random in the rule; `keys` are consumed."""
+        # Most rules are not random. The argument is for those that are.
         del keys
         return scores
 
@@ -51,6 +52,7 @@ class StopAtEnd(StopRule):
 
     def ends(self, scores: Float[Array, "*shape"]) -> Bool[Array, "*shape"]:
         """Returns whether a row is End."""
+        # Between the two scores, so that rounding does not matter.
         return scores > 0.5
 
 
@@ -97,6 +99,7 @@ class StopAtRandom(StopRule):
 
     def draw(self, scores: Float[Array, " B"], keys: Key[Array, " B"]) -> Float[Array, " B"]:
         """Returns the logits with noise."""
+        # A key for each motion, so that its end does not depend on what it is sampled with.
         return scores + jax.vmap(lambda key: jax.random.logistic(key))(keys)
 
     def ends(self, scores: Float[Array, "*shape"]) -> Bool[Array, "*shape"]:

@@ -38,6 +38,7 @@ class Start(NamedTuple):
 def part_rows(model: ModelParts, motion: Motion, num_rows: int) -> list[int]:
     """Returns the row of codes in which each sentence of a motion begins."""
     rows_per_frame = model.skeleton.fps / motion.fps / model.config.tokenizer.downsample
+    # A part that begins in the last frames would round to the row after the last.
     return [min(round(first * rows_per_frame), num_rows - 1) for first in motion.part_starts]
 
 
@@ -101,6 +102,7 @@ def make_batch(
         sampled.append(own)
         tell(batch.num_samples * SAMPLING_SHARE * len(sampled) / len(segments))
     motions = []
+    # The samples after these only fill up the batch.
     for codes_of_one in itertools.islice(zip(*sampled, strict=True), batch.num_samples):
         raw = request.options.raw
         motions.append(join_segments(model, segments, codes_of_one, start=start, seed=request.seed, raw=raw))
@@ -121,6 +123,7 @@ def join_segments(
     if not raw:
         size = model.config.generator.max_codes * downsample
         known = 0 if start is None else len(start.codes)
+        # Between parts of what is continued, motion was eased when it was made.
         seams = [piece.first * downsample for piece in placed if piece.first and piece.first >= known]
         eased = ease_seams(positions, seams, fps=model.skeleton.fps)
         # Windows as long as the longest motion of one sentence share a program.
@@ -150,6 +153,7 @@ def _warnings(
     """Returns what is to be said of the sentences of a motion, and that they are not shown as often as they say."""
     found = [segment.prompt.warning for segment in segments]
     downsample = model.config.tokenizer.downsample
+    # What is continued comes first in `placed`, and has no segments.
     for segment, piece in zip(segments, placed[len(placed) - len(segments) :], strict=True):
         if segment.times is not None:
             own = positions[downsample * piece.first :][: downsample * len(piece.codes)]

@@ -29,6 +29,7 @@ def check_extra() -> None:
     """Raises `UserError` if the extra `onnx` is not installed."""
     for name in ("onnx", "onnxruntime"):
         try:
+            # Imported, not only found: a package may be there and not work on this system.
             importlib.import_module(name)
         except ImportError as error:
             raise UserError(f"export: {name} is missing; pip install 't2m-jax[onnx]'") from error
@@ -94,6 +95,7 @@ def _replace(model: Any, tensor: Any, arrays: dict[str, np.ndarray], nodes: list
 
     model.graph.initializer.remove(tensor)
     model.graph.initializer.extend(onnx.numpy_helper.from_array(array, name) for name, array in arrays.items())
+    # In front of the others, since nodes come after those whose results they read.
     rest = [*nodes, *model.graph.node]
     del model.graph.node[:]
     model.graph.node.extend(rest)

@@ -125,6 +125,7 @@ def num_classes(bundle: Bundle) -> int:
         context, _ = apply(text_embedding, method="begin")
         return apply(context, keys, note, may_stop=jnp.ones(1, bool), method="draw")
 
+    # Shapes are enough, so nothing is computed.
     jax.eval_shape(draw, array_of(1, config.text_dim), jax.eval_shape(lambda: jax.random.split(new_key(0), 1)))
     return found[0]
 

@@ -10,36 +10,10 @@ import numpy as np
 from t2m_jax.export.onnx.builder import GraphBuilder, Rule, Value, input_shape, number_of_type, refusal, shape_of
 from t2m_jax.export.onnx.indexing import dynamic_slice, dynamic_update_slice, gather, scatter
 
-_SAME = {
-    "abs": "Abs",
-    "acos": "Acos",
-    "add": "Add",
-    "and": "And",
-    "ceil": "Ceil",
-    "cos": "Cos",
-    "div": "Div",
-    "eq": "Equal",
-    "erf": "Erf",
-    "exp": "Exp",
-    "floor": "Floor",
-    "ge": "GreaterOrEqual",
-    "gt": "Greater",
-    "le": "LessOrEqual",
-    "log": "Log",
-    "logistic": "Sigmoid",
-    "lt": "Less",
-    "max": "Max",
-    "min": "Min",
-    "mul": "Mul",
-    "neg": "Neg",
-    "not": "Not",
-    "or": "Or",
-    "pow": "Pow",
-    "sin": "Sin",
-    "sqrt": "Sqrt",
-    "sub": "Sub",
-    "tanh": "Tanh",
-}
+# Most operators have the name of the primitive, with a capital letter.
+_ALIKE = "abs acos add and ceil cos div erf exp floor log max min mul neg not or pow sin sqrt sub tanh"
+_OTHERS = {"ge": "GreaterOrEqual", "gt": "Greater", "le": "LessOrEqual", "lt": "Less"}
+_SAME = {name: name.title() for name in _ALIKE.split()} | _OTHERS | {"eq": "Equal", "logistic": "Sigmoid"}
 """Primitives with an operator of the same meaning."""
 _NOTHING = ("copy", "copy_p", "optimization_barrier", "stop_gradient")
 """Primitives that change no number."""
@@ -160,10 +134,12 @@ def _loop(builder: GraphBuilder, equation: Any, inputs: list[Value]) -> list[Val
     if "ft_in" in params:  # since JAX 0.12
         before, carried = map(len, params["ft_in"].unpack()[:2])
     else:
-        before, carried = params["num_consts"], params["num_carry"]
+        before = params["num_consts"]
+        carried = params["num_carry"]
     if before + carried != len(inputs) or len(equation.outvars) != carried:
         raise refusal(equation)
-    constants, state = inputs[:before], inputs[before:]
+    constants = inputs[:before]
+    state = inputs[before:]
     for _ in range(params["length"]):
         state = builder.run(params["jaxpr"], [*constants, *state])
     return state

@@ -32,6 +32,7 @@ def rig_table_text(clip: RigClip, *, source: str) -> str:
             needed = "may be missing" if joint in OPTIONAL_JOINTS else "NEEDED, none was recognized"
             lines.append(f"# {joint}:  # {needed}")
     names = clip.with_end_sites().joint_names
+    # A person who corrects a line needs to know what else there is.
     unused = [name for name in names if name not in table.values() and not name.endswith("End Site")]
     return "\n".join([*lines, f"# Other joints of the file: {', '.join(unused)}"]) + "\n"
 
@@ -39,6 +40,7 @@ def rig_table_text(clip: RigClip, *, source: str) -> str:
 def _check(clip: RigClip, table: dict[str, str]) -> str:
     """Returns a sentence about left and right, and whether this is a person."""
     try:
+        # Y up, so that a figure that lies is not refused: sides do not depend on it.
         right = float(left_is_left(retarget(clip, rig=table, up="y").positions).mean())
     except UserError as error:
         return f"Left and right were not checked: {error}"

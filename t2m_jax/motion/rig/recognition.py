@@ -63,6 +63,7 @@ def measure_leg(
 
 def in_human_size(clip: RigClip) -> RigClip:
     """Returns a clip whose lengths should be meters; a figure that no person can be is scaled, and `notes` say it."""
+    # By the legs: hats, hair and weapons are above many figures, so their height says less.
     leg = measure_leg(clip.joint_names, clip.parents, np.median(clip.translations, axis=0), None)
     if leg == 0 or POSSIBLE_HEIGHTS[0] <= STATURE_PER_LEG * leg <= POSSIBLE_HEIGHTS[1]:
         return clip
@@ -103,6 +104,7 @@ def recognize(clip: RigClip) -> Rig:
 
 def leg_length(bones: Bones, joints: Mapping[str, int]) -> float:
     """Returns the mean length of thigh and shin in the unit of the bones; 0 if a joint of the legs is not known."""
+    # Of both sides, because the sides of people who were measured differ by millimeters.
     line = ("hip", "knee", "ankle")
     if any(f"{side}_{name}" not in joints for side in SIDES for name in line):
         return 0.0
@@ -127,6 +129,7 @@ def unit_from_leg(leg: float) -> tuple[float, str]:
     for units, (low, high) in ((COMMON_UNITS, COMMON_HEIGHTS), (OTHER_UNITS, OTHER_HEIGHTS)):
         fitting = [unit for unit in units if low <= unit * height <= high]
         if fitting:
+            # By the ratio, because units differ by factors.
             unit = min(fitting, key=lambda one: abs(np.log(one * height / ADULT)))
             return unit, "" if units is COMMON_UNITS else f"lengths are taken as {units[unit]}"
     unit = ADULT / height

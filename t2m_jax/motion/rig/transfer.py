@@ -67,6 +67,7 @@ def transfer(
     same_joints = same_joints or is_t_pose(rest)
     rig = fit_rig(motion.positions, fps=motion.fps)
     poses = forward_kinematics(rig.rotations, rig.translations, HUMANML3D.parents)
+    # Lengths are differences of places, and lose digits in single precision.
     positions, rest = np.asarray(motion.positions, np.float64), np.asarray(rest, np.float64)
     steps = Steps(motion, poses.rotations, rest, leg=leg_length(poses.positions[0]))
     aligned = align(poses.rotations, positions, rig.offsets, rest, foot_pitch=steps.pitch, same_joints=same_joints)
@@ -112,6 +113,7 @@ def _drop(
     lengths = np.array([np.linalg.norm(np.diff(rest[list(leg)], axis=0), axis=1).sum() for leg in _LEGS])
     below = np.sqrt(np.maximum((STRETCH * lengths) ** 2 - ways[..., 0] ** 2 - ways[..., 2] ** 2, 0))
     needed = np.where(standing, -ways[..., 1] - below, 0.0).max(axis=1).clip(0, MAX_DROP * lengths.mean())
+    # Hips that drop in one frame would look like a stumble.
     reach = round(DROP_SECONDS * fps)
     # The mean of what is largest nearby is enough in every frame, and changes slowly.
     for reduce in (np.max, np.mean):
@@ -141,6 +143,7 @@ def _bend(
     upper, lower = (float(np.linalg.norm(rest[a] - rest[b])) for a, b in ((hip, knee), (knee, ankle)))
     distance = np.linalg.norm(way, axis=-1, keepdims=True)
     direction = unit_vectors(way)
+    # Neither folded nor stretched completely, where the knee would have no direction.
     reach = np.clip(distance, abs(upper - lower) + 1e-3 * upper, STRETCH * (upper + lower))
     along = (upper**2 - lower**2 + reach**2) / (2 * reach)
     # The side on which the knee is. Of a nearly straight leg that has to bend, the axis of the joint says more.

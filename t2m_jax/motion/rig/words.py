@@ -46,6 +46,7 @@ def _vocabulary() -> dict[str, dict[str, float]]:
 
 def read_names(joint_names: Sequence[str]) -> list[JointWords]:
     """Returns what each name says. Words and beginnings that most names share are left out."""
+    # Namespaces are before a colon, as in `mixamorig:Hips`.
     short = _without_shared_beginning([name.rpartition(":")[2][:MAX_NAME] for name in joint_names])
     words = [[word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", name)] for name in short]
     uses = Counter(word for parts in words for word in set(parts))
@@ -82,6 +83,7 @@ def _read(words: tuple[str, ...]) -> JointWords:
     for text, weight in ((whole, 1.0), ("".join(rest[-2:]), 0.8), (rest[-1] if rest else "", 0.7)):
         if text in known and not parts:
             parts = {part: value * weight for part, value in known[text].items()}
+    # Also if a part is known: `hand_twist` is a helper.
     meanings = [known.get(word, {}) for word in (whole, *rest)]
     if not parts:
         parts = {part: value * 0.5 for meaning in meanings for part, value in meaning.items()}
@@ -92,7 +94,9 @@ def _read(words: tuple[str, ...]) -> JointWords:
 
 def _fused_side(words: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
     """Returns the side in a name without signs, such as `leftarm`, `lthigh` or `armR`, and the words without it."""
-    known, whole = _vocabulary(), "".join(words)
+    known = _vocabulary()
+    whole = "".join(words)
+    # Such as `leg`, which does not begin with an l for left.
     if whole in known:
         return "", words
     for side in _LONG_SIDES:
