@@ -39,7 +39,7 @@ def table_text(rename: Callable[[str], str]) -> str:
 def write_character(
     path: Path, joints: dict, *, seed: int | None = None, armature: dict | None = None, z_up: bool = False
 ) -> Path:
-    """Writes a figure with a skin, a mesh of one triangle for each joint, and an animation.
+    """Writes a figure with a skin, a mesh with a spindle for each bone, and an animation.
 
     Args:
         path: The file.
@@ -61,7 +61,8 @@ def write_character(
         numbers[name] = writer.joint(name, numbers.get(parent, root), **given)
         above = poses.get(parent, np.eye(4))
         poses[name] = above @ _matrix({"scale": np.ones(3)} | {key: np.array(value) for key, value in given.items()})
-    _add_mesh(writer, root, np.stack([np.linalg.inv(pose) for pose in poses.values()]))
+    parents = [list(joints).index(parent) if parent else number for number, (parent, _) in enumerate(joints.values())]
+    _add_mesh(writer, root, np.stack(list(poses.values())), parents)
     last = next(reversed(numbers.values()))
     writer.animation("nod", [(last, "rotation", [0, 1], [[0, 0, 0, 1]] * 2, "LINEAR", "f4")])
     times = writer.tree["animations"][0]["samplers"][0]["input"]
@@ -69,14 +70,23 @@ def write_character(
     return writer.save(path)
 
 
-def _add_mesh(writer: GlbWriter, armature: int, inverses: np.ndarray) -> None:
-    """Adds a mesh that the joints move, with a material; `inverses` are of the joints' poses in the armature."""
-    num_joints = len(inverses)
-    inverses = inverses.swapaxes(1, 2).reshape(num_joints, 16)
+def _add_mesh(writer: GlbWriter, armature: int, poses: np.ndarray, parents: list[int]) -> None:
+    """Adds a mesh that the joints move, with a material; `poses` are those of the joints in the armature."""
+    inverses = np.linalg.inv(poses).swapaxes(1, 2).reshape(len(poses), 16)
     writer.tree["skins"][0]["inverseBindMatrices"] = writer.accessor(inverses)
-    corners = np.random.default_rng(0).normal(size=(3 * num_joints, 3)).astype(np.float32)
+    ends = poses[:, :3, 3]
+    starts = ends[parents]
+    starts[1] = ends[1]  # the hips may be far above the root
+    middle = 0.75 * starts + 0.25 * ends
+    around = 0.12 * np.linalg.norm(ends - starts, axis=1)[:, None, None] * np.concatenate([np.eye(3), -np.eye(3)])
+    ring = middle[:, None] + around
+    ends, starts = (np.broadcast_to(points[:, None], ring.shape) for points in (ends, starts))
+    sides = [
+        np.stack([ring, np.roll(ring, shift, axis=1), tip], axis=2) for shift in (1, 2, 4, 5) for tip in (starts, ends)
+    ]
+    corners = np.stack(sides, axis=1).reshape(-1, 3).astype(np.float32)
     joints = np.zeros((len(corners), 4))
-    joints[:, 0] = np.repeat(np.arange(num_joints), 3)
+    joints[:, 0] = np.repeat(parents, len(corners) // len(parents))
     attributes = {
         "POSITION": writer.accessor(corners),
         "JOINTS_0": writer.accessor(joints, "u1"),
@@ -84,7 +94,7 @@ def _add_mesh(writer: GlbWriter, armature: int, inverses: np.ndarray) -> None:
     }
     extremes = {"min": corners.min(axis=0).tolist(), "max": corners.max(axis=0).tolist()}
     writer.tree["accessors"][attributes["POSITION"]] |= extremes
-    writer.tree["materials"] = [{"name": "cloth"}]
+    writer.tree["materials"] = [{"name": "cloth", "doubleSided": True, "pbrMetallicRoughness": {"metallicFactor": 0}}]
     writer.tree["meshes"] = [{"primitives": [{"attributes": attributes, "material": 0}]}]
     writer.joint("Body", armature, is_joint=False, mesh=0, skin=0)
     writer.tree |= {"scene": 0, "scenes": [{"nodes": [armature]}]}

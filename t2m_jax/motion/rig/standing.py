@@ -121,20 +121,28 @@ class Steps:
         axes = turns[:, _ANKLES][..., 0] * _FLAT
         self._sideways = np.stack([_held(axes[:, k], standing[:, :, k].any(axis=1)) for k in range(2)], axis=1)
 
-    def rolled(self, soles: Float[np.ndarray, "T 2 3"]) -> Float[np.ndarray, "T 2 3"]:
+    def level(self, sole: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """Returns the vector from ankle to ball in the rest pose, or its level part if the foot stands in this pose."""
+        return sole if self.pitch is None else sole * _FLAT
+
+    def rolled(
+        self, soles: Float[np.ndarray, "T 2 3"], ahead: Float[np.ndarray, "T 2 3"]
+    ) -> Float[np.ndarray, "T 2 3"]:
         """Returns soles of which heels rise as high as in the motion while the ball of the foot is on the floor.
 
         The ankles of longer feet, turned as those of the motion, would be higher and slide.
 
         Args:
             soles: Vectors from the ankles to the balls of the body, turned as in the motion.
+            ahead: Vectors that are level when the feet stand flat, turned with them. They say where a foot points: the
+                sole of a high ankle is nearly upright when its heel rises.
         """
         if self._own is None:
             return soles
         length = np.maximum(np.linalg.norm(soles, axis=-1), 1e-9)  # a foot may have no length
         share = np.minimum(self.scale * self._length / length, 1)
         heights = soles[..., 1] + self._on_ball * (1 - share) * (-self._down - soles[..., 1])
-        level = np.sqrt(np.maximum(length**2 - heights**2, 0))[..., None] * unit_vectors(soles * _FLAT)
+        level = np.sqrt(np.maximum(length**2 - heights**2, 0))[..., None] * unit_vectors(ahead * _FLAT)
         return level + heights[..., None] * _UP
 
     def ankles(self, soles: Float[np.ndarray, "T 2 3"]) -> Float[np.ndarray, "T 2 3"]:

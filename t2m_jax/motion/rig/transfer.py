@@ -21,7 +21,7 @@ from t2m_jax.motion.rotations import (
 )
 from t2m_jax.motion.skeleton import HUMANML3D
 
-MAX_DROP = 0.1
+MAX_DROP = 0.2
 """Most that hips are lowered so that feet reach the floor, in lengths of a leg."""
 DROP_SECONDS = 0.4
 """Time before and after a step in which hips are lowered for it, twice."""
@@ -81,7 +81,10 @@ def transfer(
     hips = middle[:, None] + np.stack([_turned(turns, _PELVIS, rest[hip] - rest_middle) for hip in _HIPS], axis=1)
     feet = zip(_LEGS, _FEET, strict=True)
     soles = np.stack([_turned(turns, leg[2], rest[foot] - rest[leg[2]]) for leg, foot in feet], axis=1)
-    rolled = steps.rolled(soles)
+    level = [
+        _turned(turns, leg[2], steps.level(rest[foot] - rest[leg[2]])) for leg, foot in zip(_LEGS, _FEET, strict=True)
+    ]
+    rolled = steps.rolled(soles, np.stack(level, axis=1))
     for side, (_, _, ankle) in enumerate(_LEGS):
         turns[:, ankle] = quaternion_multiply(quaternion_between(soles[:, side], rolled[:, side]), turns[:, ankle])
     ways = steps.ankles(rolled) - hips
