@@ -68,7 +68,7 @@ def bone_vectors(positions: Float[AnyArray, "*batch T J 3"], skeleton: Skeleton)
     return positions[..., 1:, :] - positions[..., np.array(skeleton.parents[1:]), :]
 
 
-def local_positions(features: Float[AnyArray, "*batch T D"], skeleton: Skeleton) -> Float[AnyArray, "*batch T J 3"]:
+def local_positions(features: Float[AnyArray, "*batch D"], skeleton: Skeleton) -> Float[AnyArray, "*batch J 3"]:
     """Returns the joints in features, which may be normalized: relative to the floor below the root and to its heading.
 
     The root is at (0, root height, 0).
