@@ -169,7 +169,8 @@ def floor_height(heights: Float[Array, "T 4"], count: Int[Array, ""]) -> Float[A
 
 def _standing(toe: Joint, mask: Frames, low: Float[Array, ""], *, fps: float) -> Frames:
     """Returns in which frames a toe stands: it is low and slow, without short gaps and single frames."""
-    steps = lengths_of(jnp.diff(toe[:, ::2], axis=0))[:, 0] * fps
+    # The step from the last frame leads into padding.
+    steps = jnp.where(mask[1:], lengths_of(jnp.diff(toe[:, ::2], axis=0))[:, 0] * fps, jnp.inf)
     speed = jnp.minimum(jnp.append(steps, steps[-1:]), jnp.concatenate([steps[:1], steps]))
     standing = (toe[:, 1] < low) & (speed < CONTACT_SPEED) & mask
     # A closing and an opening, as in image processing, each by this many frames on both sides.

@@ -349,6 +349,17 @@ def test_what_follows_a_clip_does_not_matter_nor_do_its_neighbors():
     np.testing.assert_allclose(both[1], cleaned(other), atol=1e-5)
 
 
+def test_whether_a_foot_stands_at_the_end_does_not_depend_on_what_follows():
+    # The figure stands, and glides away in the last two frames at 1.1 meters per second.
+    stays = np.repeat(walk(kind="squat")[:1], FRAMES, axis=0)
+    stays[38:] += np.array([0.055, 0, 0], np.float32)
+    stays[39:] += np.array([0.055, 0, 0], np.float32)
+    jumps = np.concatenate([stays[:40], np.zeros_like(stays[40:])])
+    found, wanted = (np.asarray(lock(positions, jnp.asarray(40)))[:40] for positions in (stays, jumps))
+    np.testing.assert_allclose(found, wanted, atol=1e-5)
+    np.testing.assert_allclose(found[38:], stays[38:40], atol=0.03)
+
+
 @pytest.mark.parametrize("length", [1, 2, 3, 5])
 def test_short_clips_are_possible(length):
     assert np.isfinite(cleaned(walk(), length)[:length]).all()
