@@ -175,8 +175,9 @@ def _standing(toe: Joint, mask: Frames, low: Float[Array, ""], *, fps: float) ->
     standing = (toe[:, 1] < low) & (speed < CONTACT_SPEED) & mask
     # A closing and an opening, as in image processing, each by this many frames on both sides.
     reach = max(1, round(fps / 20))
-    closed = _narrowed(_widened(standing, reach), reach)
-    return _widened(_narrowed(closed, reach), reach) & mask
+    # What is before the first frame and after the last one ends no stand.
+    closed = _narrowed(_widened(standing, reach) | ~mask, reach)
+    return _widened(_narrowed(closed | ~mask, reach) & mask, reach) & mask
 
 
 def _widened(frames: Frames, reach: int) -> Frames:

@@ -14,6 +14,7 @@ from t2m_jax.metrics.quality import measure_quality
 from t2m_jax.motion import cleanup
 from t2m_jax.motion.cleanup import (
     SIGMA,
+    _standing,
     clean_long,
     clean_positions,
     fix_bones,
@@ -40,6 +41,7 @@ bends_of, move = jax.jit(eased_bends), jax.jit(move_foot)
 measure = jax.jit(measure_quality, static_argnames="skeleton")
 clean = functools.partial(clean_positions, skeleton=HUMANML3D)
 lock_shift_of = jax.jit(lock_shift)
+standing_of = jax.jit(_standing, static_argnames="fps")
 
 
 def walk(*, seed=0, kind="walk"):
@@ -358,6 +360,17 @@ def test_whether_a_foot_stands_at_the_end_does_not_depend_on_what_follows():
     found, wanted = (np.asarray(lock(positions, jnp.asarray(40)))[:40] for positions in (stays, jumps))
     np.testing.assert_allclose(found, wanted, atol=1e-5)
     np.testing.assert_allclose(found[38:], stays[38:40], atol=0.03)
+
+
+def test_where_a_toe_stands_does_not_depend_on_padding():
+    random = np.random.default_rng(0)
+    for length in range(5, 25):
+        toe = np.cumsum(random.normal(0, 0.04, (30, 3)), axis=0).astype(np.float32)
+        found = [
+            standing_of(toe[:size], jnp.arange(size) < length, jnp.float32(0), fps=20.0)[:length]
+            for size in (length, 30)
+        ]
+        np.testing.assert_array_equal(*found)
 
 
 @pytest.mark.parametrize("length", [1, 2, 3, 5])
