@@ -27,6 +27,9 @@ GAP = 2
 """Frames in which a foot that stands may seem not to."""
 EASE_SECONDS = 0.15
 """Time before and after a step on the ball of a foot in which the ball begins and stops to decide."""
+LONGER = 0.2
+"""Share of its length by which a foot is longer if its level part alone says where it points, on the ball."""
+
 _FLAT = np.array([1.0, 0.0, 1.0])
 _UP = np.array([0.0, 1.0, 0.0])
 _INDEX = {name: i for i, name in enumerate(HUMANML3D.joint_names)}
@@ -142,8 +145,8 @@ class Steps:
         length = np.maximum(np.linalg.norm(soles, axis=-1), 1e-9)  # a foot may have no length
         share = np.minimum(self.scale * self._length / length, 1)
         heights = soles[..., 1] + self._on_ball * (1 - share) * (-self._down - soles[..., 1])
-        level = np.sqrt(np.maximum(length**2 - heights**2, 0))[..., None] * unit_vectors(ahead * _FLAT)
-        return level + heights[..., None] * _UP
+        headings = _headings(soles, ahead, self._on_ball * np.minimum((1 - share) / LONGER, 1))
+        return np.sqrt(np.maximum(length**2 - heights**2, 0))[..., None] * headings + heights[..., None] * _UP
 
     def ankles(self, soles: Float[np.ndarray, "T 2 3"]) -> Float[np.ndarray, "T 2 3"]:
         """Returns where the ankles of the body should be.
@@ -168,6 +171,14 @@ class Steps:
         lifted = np.maximum(self._positions[:, _FEET, 1] - self._own.ball, 0)
         share = np.maximum(raised**2 / (raised**2 + lifted**2), self._on_ball)[..., None]
         return share * (balls - soles) + (1 - share) * ankles
+
+
+def _headings(
+    soles: Float[np.ndarray, "T 2 3"], ahead: Float[np.ndarray, "T 2 3"], share: Float[np.ndarray, "T 2"]
+) -> Float[np.ndarray, "T 2 3"]:
+    """Returns where soles point on the floor, and to a share where `ahead` points."""
+    own, other = (unit_vectors(vectors * _FLAT) for vectors in (soles, ahead))
+    return unit_vectors((1 - share[..., None]) * own + share[..., None] * other)
 
 
 def _held(vectors: Float[np.ndarray, "T 3"], standing: Bool[np.ndarray, " T"]) -> Float[np.ndarray, "T 3"]:
