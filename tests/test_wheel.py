@@ -188,7 +188,7 @@ def test_commands_are_left_out_for_a_reason():
     assert [part for part in NOT_RUN if not any(part == page or part in command for page, command in found)] == []
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_the_commands_of_the_readme_run(programs, folder, hub):
     found = steps(PAGES[:1])
     assert len(found) > 25

@@ -160,7 +160,7 @@ def test_the_packaged_model_meets_targets_in_a_middle():
     np.testing.assert_array_equal(redone.positions[:24], walk.positions[:24])
 
 
-@pytest.mark.parametrize("targets", [[], ["1.8 right_wrist+=-0.3,1.2,0.2"]])
+@pytest.mark.parametrize("targets", [[], pytest.param(["1.8 right_wrist+=-0.3,1.2,0.2"], marks=pytest.mark.release)])
 def test_a_motion_with_a_new_middle_comes_back_from_each_file(model, walk, tmp_path, targets):
     """Cleaned motions of one model differ in the shapes of pelvis and chest, and files have rigid bones."""
     start = walk.cleaned()

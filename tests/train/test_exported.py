@@ -37,6 +37,7 @@ def check_export(run, folder, parity):  # noqa: F811 - the fixture
     assert "place.onnx" in of_page
 
 
+@pytest.mark.release
 def test_a_run_of_t2m_gpt_is_exported(runs, tmp_path, parity):  # noqa: F811 - the fixture
     check_export(runs.gpt, tmp_path, parity)
 

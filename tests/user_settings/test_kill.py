@@ -132,7 +132,7 @@ def test_a_killed_training_ends_as_one_that_was_not_killed(training, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("training", ["vqvae"], indirect=True)
-@pytest.mark.parametrize("name", ["SIGINT", "SIGUSR1"])
+@pytest.mark.parametrize("name", ["SIGINT", pytest.param("SIGUSR1", marks=pytest.mark.release)])
 def test_a_training_that_is_asked_to_stop_loses_no_update(training, tmp_path, name):
     run, number = tmp_path / "run", getattr(signal, name)
     process = start(training, "--loop.checkpoint_every", "0", "--loop.log_every", "1")
