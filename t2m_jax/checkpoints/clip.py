@@ -13,13 +13,7 @@ from safetensors import safe_open
 from tokenizers import Tokenizer
 
 from t2m_jax.checkpoints.encoder_files import EncoderFiles, find_encoder
-from t2m_jax.checkpoints.pretrained import (
-    TORCH_NAMES,
-    check_vocabulary,
-    encoder_fingerprint,
-    param_shapes,
-    params_from_torch,
-)
+from t2m_jax.checkpoints.pretrained import check_vocabulary, encoder_fingerprint, param_shapes, params_from_torch
 from t2m_jax.checkpoints.torch_file import load_torch_file
 from t2m_jax.config import config_from_dict
 from t2m_jax.errors import UserError
@@ -33,7 +27,17 @@ CONFIG_FILE = "config.json"
 WEIGHTS_FILE = "model.safetensors"
 TEXT_PREFIX = "text_model."
 _TEXT_PARTS = ("embeddings.", "encoder.", "final_layer_norm.", "text_projection.")
-_FIELDS = TORCH_NAMES["clip"]["fields"]
+_FIELDS = {
+    "vocab_size": "vocabulary_size",
+    "max_position_embeddings": "max_length",
+    "hidden_size": "embed_dim",
+    "num_hidden_layers": "num_layers",
+    "num_attention_heads": "num_heads",
+    "intermediate_size": "mlp_dim",
+    "hidden_act": "activation",
+    "layer_norm_eps": "layer_norm_epsilon",
+    "projection_dim": "text_dim",
+}
 """Hugging Face's names of the config's fields. The defaults are the same as ours: ViT-B/32."""
 
 _END_FIELD = "eos_token_id"
@@ -42,7 +46,25 @@ _DEFAULT_END = 49407
 _LEGACY_END = 2
 """Early configs say this, which is wrong for every vocabulary. Such a CLIP was trained to read the largest token."""
 
-_NAMES = TORCH_NAMES["clip"]["parts"]
+_NAMES = {
+    "token_embedding": "embeddings.token_embedding",
+    "position_embedding": "embeddings.position_embedding.weight",
+    "final_norm": "final_layer_norm",
+    "projection": "text_projection",
+    "ln1": "layer_norm1",
+    "ln2": "layer_norm2",
+    "attn": "self_attn",
+    "query": "q_proj",
+    "key": "k_proj",
+    "value": "v_proj",
+    "proj": "out_proj",
+    "up": "mlp.fc1",
+    "down": "mlp.fc2",
+    "kernel": "weight",
+    "scale": "weight",
+    "embedding": "weight",
+    "bias": "bias",
+}
 """PyTorch's names of the parts of our parameter paths."""
 
 

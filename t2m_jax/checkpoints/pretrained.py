@@ -13,11 +13,8 @@ from tokenizers import Tokenizer
 from t2m_jax.errors import UserError
 from t2m_jax.files.arrays import fingerprint, fit_arrays
 from t2m_jax.keys import new_key
-from t2m_jax.tables import packaged_table
 from t2m_jax.text.bpe import largest_token
 
-TORCH_NAMES: dict[str, dict[str, dict[str, str]]] = packaged_table(__file__, "torch_names")
-"""What fields and arrays are called in files of other libraries, by kind of encoder."""
 SCALE = ".scale"
 """Ends the name of the scales of a matrix that is stored in 8 bits."""
 

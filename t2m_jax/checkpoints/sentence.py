@@ -14,7 +14,6 @@ from tokenizers import Tokenizer, normalizers
 
 from t2m_jax.checkpoints.encoder_files import EncoderFiles, find_encoder
 from t2m_jax.checkpoints.pretrained import (
-    TORCH_NAMES,
     check_vocabulary,
     encoder_fingerprint,
     param_shapes,
@@ -50,15 +49,50 @@ _ROBERTA = ("roberta", "xlm-roberta", "camembert")
 _PLACES = ["", "1_Pooling"]
 """Folders of the first steps."""
 _POSITIONS = "max_position_embeddings"
-_FIELDS = TORCH_NAMES["sentence"]["fields"]
+_FIELDS = {
+    "vocab_size": "vocabulary_size",
+    _POSITIONS: "num_positions",
+    "type_vocab_size": "num_types",
+    "relative_attention_num_buckets": "num_buckets",
+    "hidden_size": "embed_dim",
+    "num_hidden_layers": "num_layers",
+    "num_attention_heads": "num_heads",
+    "intermediate_size": "mlp_dim",
+    "hidden_act": "activation",
+    "layer_norm_eps": "layer_norm_epsilon",
+}
 """Hugging Face's names of the config's fields. The defaults are the same as ours."""
 _SWITCH = "pooling_mode_"
 _SWITCHES = {"cls_token": "cls", "mean_tokens": "mean"}
 """Older files have `pooling_mode_cls_token: true` instead of `pooling_mode: cls`."""
 
-_NAMES = TORCH_NAMES["sentence"]["parts"]
+_NAMES = {
+    "token_embedding": "embeddings.word_embeddings.weight",
+    "position_embedding": "embeddings.position_embeddings.weight",
+    "type_embedding": "embeddings.token_type_embeddings.weight",
+    "distance_bias": "encoder.relative_attention_bias.weight",
+    "embedding_norm": "embeddings.LayerNorm",
+    "attn": "attention",
+    "query": "self.query",
+    "key": "self.key",
+    "value": "self.value",
+    "proj": "output.dense",
+    "ln1": "attention.output.LayerNorm",
+    "up": "intermediate.dense",
+    "down": "output.dense",
+    "ln2": "output.LayerNorm",
+    "kernel": "weight",
+    "scale": "weight",
+    "bias": "bias",
+}
 """PyTorch's names of the parts of our parameter paths."""
-_MPNET_NAMES = TORCH_NAMES["sentence"]["mpnet_parts"]
+_MPNET_NAMES = {
+    "query": "attn.q",
+    "key": "attn.k",
+    "value": "attn.v",
+    "proj": "attn.o",
+    "ln1": "attention.LayerNorm",
+}
 """The names that MPNet has instead."""
 
 

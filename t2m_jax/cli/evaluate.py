@@ -37,6 +37,26 @@ if TYPE_CHECKING:
     from t2m_jax.motion.motion import Motion
 
 
+LABELS = {
+    "mpjpe_mm": "MPJPE, mm (root-aligned)",
+    "mpjpe_median_clip_mm": "MPJPE of the median clip, mm",
+    "global_mpjpe_mm": "global MPJPE, mm",
+    "acceleration_error_mm": "acceleration error, mm/frame^2",
+    "path_drift_mm": "path drift, mm",
+    "heading_drift_degrees": "heading drift, degrees",
+    "codebook_usage": "codebook usage",
+    "perplexity": "perplexity",
+    "num_clips": "clips",
+    "num_frames": "frames",
+}
+QUALITY_LABELS = {
+    "bone_variation": "bone variation, share of length",
+    "jerk": "jerk, m/s^3",
+    "skating_ratio": "skating, share of contacts",
+    "skating_speed": "speed of feet in contact, m/s",
+    "floating": "floating, share of frames",
+    "penetration": "in the floor, share of frames",
+}
 PLAIN_GROUPS = ("actions", "paces", "manners", "composed")
 FREE_GROUPS = (
     *("free", "kit", "subjects", "typos", "free-paces", "free-manners", "then", "while", "counts", "durations"),
@@ -129,7 +149,6 @@ def run_reconstruction(args: argparse.Namespace) -> None:
     from t2m_jax.data import open_dataset
     from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
     from t2m_jax.evaluation.report.record import save_reconstruction
-    from t2m_jax.evaluation.report.tables import FIGURES
     from t2m_jax.evaluation.sources import Reconstruction
     from t2m_jax.sampling.compilation import use_compilation_cache
 
@@ -139,11 +158,11 @@ def run_reconstruction(args: argparse.Namespace) -> None:
     task = _make_task(args, dataset, unit=tokenizer.config.downsample) if args.evaluator else None
     figures = evaluate_reconstruction(tokenizer, dataset, split=args.split)
     found = dataclasses.asdict(figures)
-    numbers = [(label, found[name]) for name, label in FIGURES["reconstruction"].items()]
+    numbers = [(label, found[name]) for name, label in LABELS.items()]
     print_columns([(label, f"{value:,.{3 if isinstance(value, float) else 0}f}") for label, value in numbers])
     sys.stdout.write("\n")
     kinds = ("real_quality", "quality", "cleaned_quality")
-    lines = [(label, *(f"{found[kind][name]:.3f}" for kind in kinds)) for name, label in FIGURES["quality"].items()]
+    lines = [(label, *(f"{found[kind][name]:.3f}" for kind in kinds)) for name, label in QUALITY_LABELS.items()]
     print_columns([("", "real", "decoded", "cleaned"), *lines])
     if task is not None:
         sys.stdout.write("\n")
@@ -228,7 +247,6 @@ def run_prompts(args: argparse.Namespace) -> None:
     from t2m_jax.text.coverage import PromptWarning
 
     tests = prompt_tests(args.group, args.data)
-    # Free groups have many sentences, each of which is asked.
     num_seeds = args.num_seeds or (20 if args.group in PLAIN_GROUPS else None)
     options = read_record(SamplingOptions, args)
     model = TextToMotion.load(args.model)

@@ -17,7 +17,6 @@ from t2m_jax.data.banks.captions import SHORTER_CHANCE, used_lengths
 from t2m_jax.data.folder import Clip
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
-from t2m_jax.tables import packaged_table
 
 BATCH = 32
 """Pairs of a batch in the published codes."""
@@ -66,8 +65,30 @@ class Protocol:
             raise UserError(f"batch: {self.batch} is too small; give {MIN_BATCH} or more")
 
 
-_TABLES = packaged_table(__file__, "protocols")
-PROTOCOLS = {name: Protocol(name=name, **table) for name, table in _TABLES.items()}
+PROTOCOLS = {
+    protocol.name: protocol
+    for protocol in (
+        # The defaults are the rules of T2M-GPT's code.
+        Protocol(name="t2m-gpt"),
+        # Its text has 20 motions of a caption in ten pairs; its code draws ten pairs among 30.
+        Protocol(name="t2m-gpt-paper", samples_per_caption=20, disjoint_pairs=True),
+        # Guo et al. draw 100 captions for the variety, where T2M-GPT takes all.
+        Protocol(name="text-to-motion", multimodality_captions=100),
+        # Of one batch, so that two CPU cores are enough for the benchmark.
+        Protocol(name="benchmark", multimodality_captions=BATCH),
+        Protocol(
+            # MoMask's generator is told the real length, and its evaluation leaves what the decoder makes past the end.
+            name="momask",
+            generated_length="real",
+            clears_past_end=False,
+            # Its first three batches; the other metrics use the last of their samples.
+            multimodality_captions=3 * BATCH,
+            first_counts=False,
+        ),
+        # Nothing is drawn and nothing is dropped, so only the model can change a figure.
+        Protocol(name="strict", captions="all", crops=False, keeps_tail=True, source_disjoint=True),
+    )
+}
 
 
 def find_protocol(name: str) -> Protocol:

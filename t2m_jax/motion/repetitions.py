@@ -8,7 +8,6 @@ from jaxtyping import Float
 
 from t2m_jax.motion.facts import heading_angles, sways
 from t2m_jax.motion.skeleton import HUMANML3D
-from t2m_jax.tables import packaged_table
 
 SHARE = 0.4
 """Part of the range of a signal that a peak must have, so that the small swing after a jump does not count."""
@@ -88,12 +87,40 @@ class Repetition(NamedTuple):
         return sum(counts) if self.alternates else max(counts)
 
 
-COUNTED_ACTIONS = {
-    verb: Repetition(**entry)
-    for verbs, entry in packaged_table(__file__, "repetitions").items()
-    for verb in verbs.split()
+_JUMP = Repetition("both feet", 0.05)
+_PUNCH = Repetition("own reach", 0.15, alternates=True)
+_SIT = Repetition("dip", 0.2)
+_THROW = Repetition("reach", 0.3)
+_RAISE = Repetition("wrist", 0.3)
+_CLAP = Repetition("hands meet", 0.08)
+COUNTED_ACTIONS: dict[str, Repetition] = {
+    "applaud": _CLAP,
+    "bounce": _JUMP,
+    "bow": Repetition("nod", 0.15),
+    "box": _PUNCH,
+    "clap": _CLAP,
+    "crouch": _SIT,
+    "hit": _PUNCH,
+    "hop": _JUMP,
+    "jab": _PUNCH,
+    "jack": Repetition("both wrists", 0.3),
+    "jump": _JUMP,
+    "kick": Repetition("foot", 0.35),
+    "leap": _JUMP,
+    "lift": _RAISE,
+    "pitch": _THROW,
+    "punch": _PUNCH,
+    "put": _RAISE,
+    "raise": _RAISE,
+    "seat": _SIT,
+    "sit": _SIT,
+    "squat": _SIT,
+    "strike": _PUNCH,
+    "throw": _THROW,
+    "toss": _THROW,
+    "wave": Repetition("sway", 0.06),
 }
-"""By basic forms of verbs."""
+"""By basic forms of verbs. The limits count five times for most people of Berkeley MHAD who do something five times."""
 
 
 def find_peaks(values: Float[np.ndarray, " T"], *, least: float) -> list[int]:

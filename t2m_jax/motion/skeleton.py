@@ -7,10 +7,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.config import config_from_dict
 from t2m_jax.errors import UserError
 from t2m_jax.motion.namespace import EitherArray
-from t2m_jax.tables import packaged_table
+
+_ROOT = (0.0, 0.0, 0.0)
+_X = (1.0, 0.0, 0.0)
+_Y = (0.0, 1.0, 0.0)
+_Z = (0.0, 0.0, 1.0)
+_MINUS_X = (-1.0, 0.0, 0.0)
+_MINUS_Y = (0.0, -1.0, 0.0)
 
 
 class FeatureLayout(NamedTuple):
@@ -117,12 +122,71 @@ class Skeleton:
             )
 
 
-# TOML, because PyYAML takes 50 ms for this file.
-_TABLES = packaged_table(__file__, "skeletons")
-SKELETONS = tuple(
-    config_from_dict(Skeleton, {"name": name, **table}, source="skeletons.toml") for name, table in _TABLES.items()
+# fmt: off
+HUMANML3D = Skeleton(
+    name="humanml3d",
+    joint_names=(
+        "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
+        "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder",
+        "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist",
+    ),
+    parents=(-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19),
+    rest_axes=(
+        _ROOT, _X, _MINUS_X, _Y, _MINUS_Y, _MINUS_Y, _Y, _MINUS_Y, _MINUS_Y, _Y, _Z, _Z, _Y, _X, _MINUS_X, _Z,
+        _MINUS_Y, _MINUS_Y, _MINUS_Y, _MINUS_Y, _MINUS_Y, _MINUS_Y,
+    ),
+    # These were measured on a person, so the left and right sides differ.
+    bone_lengths=(
+        0.0, 0.10307397, 0.10988337, 0.13156824, 0.3936232, 0.39018822, 0.14319022, 0.43243307,
+        0.42564335, 0.057364736, 0.14338182, 0.14941907, 0.21936005, 0.13748677, 0.14338283, 0.10303922,
+        0.13161404, 0.12298438, 0.25684, 0.26309174, 0.26601171, 0.2698764,
+    ),
+    chains=((0, 2, 5, 8, 11), (0, 1, 4, 7, 10), (0, 3, 6, 9, 12, 15), (9, 14, 17, 19, 21), (9, 13, 16, 18, 20)),
+    face_joints=(2, 1, 17, 16),
+    leg_joints=(5, 8),
+    left_foot=(7, 10),
+    right_foot=(8, 11),
+    mirror_pairs=((1, 2), (4, 5), (7, 8), (10, 11), (13, 14), (16, 17), (18, 19), (20, 21)),
+    fps=20.0,
+    metres_per_unit=1.0,
+    contact_threshold=0.002,
+    # HumanML3D's authors use clips of 2 to 10 seconds.
+    min_frames=40,
+    max_frames=196,
 )
-HUMANML3D, KIT_ML = SKELETONS
+
+# KIT-ML's body is one meter tall, but its root moves as far as a person's. Drawings need about 1.7 times this scale.
+# Its joints are mirrored in a right-handed frame, so left and right are exchanged between joint names and feet or face.
+KIT_ML = Skeleton(
+    name="kit_ml",
+    joint_names=(
+        "root", "BP", "BT", "BLN", "BUN", "LS", "LE", "LW", "RS", "RE", "RW", "LH", "LK", "LA", "LMrot", "LF",
+        "RH", "RK", "RA", "RMrot", "RF",
+    ),
+    parents=(-1, 0, 1, 2, 3, 3, 5, 6, 3, 8, 9, 0, 11, 12, 13, 14, 0, 16, 17, 18, 19),
+    rest_axes=(
+        _ROOT, _Y, _Y, _Y, _Y, _X, _MINUS_Y, _MINUS_Y, _MINUS_X, _MINUS_Y, _MINUS_Y,
+        _X, _MINUS_Y, _MINUS_Y, _Z, _Z, _MINUS_X, _MINUS_Y, _MINUS_Y, _Z, _Z,
+    ),
+    bone_lengths=(
+        0.0, 80.0, 120.0, 44.0, 30.0, 110.0, 188.0, 145.0, 110.0, 188.0, 145.0,
+        52.0, 245.0, 246.0, 30.273586, 56.28934, 52.0, 245.0, 246.0, 30.273586, 56.287346,
+    ),
+    chains=((0, 11, 12, 13, 14, 15), (0, 16, 17, 18, 19, 20), (0, 1, 2, 3, 4), (3, 5, 6, 7), (3, 8, 9, 10)),
+    face_joints=(11, 16, 5, 8),
+    leg_joints=(17, 18),
+    left_foot=(19, 20),
+    right_foot=(14, 15),
+    mirror_pairs=((5, 8), (6, 9), (7, 10), (11, 16), (12, 17), (13, 18), (14, 19), (15, 20)),
+    fps=12.5,
+    metres_per_unit=0.001,
+    contact_threshold=0.05,
+    min_frames=24,
+    max_frames=196,
+)
+# fmt: on
+
+SKELETONS = (HUMANML3D, KIT_ML)
 
 
 def skeleton_from_name(name: str) -> Skeleton:

@@ -14,9 +14,13 @@ from t2m_jax.motion.kinematics import rest_positions, rigid_rotations
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rig.clip import RigClip
 from t2m_jax.motion.rig.transfer import transfer
-from t2m_jax.motion.rotations import quaternion_inverse, quaternion_multiply, rotate_vectors, unit_vectors
+from t2m_jax.motion.rotations import (
+    quaternion_inverse,
+    quaternion_multiply,
+    rotate_vectors,
+    unit_vectors,
+)
 from t2m_jax.motion.skeleton import HUMANML3D
-from t2m_jax.tables import packaged_table
 
 NUM_JOINTS = 52
 """Joints of SMPL+H, as in AMASS: the 22 of HumanML3D in the same order, and those of the hands."""
@@ -28,17 +32,36 @@ ALIKE = np.cos(np.deg2rad(15.0))
 """Bones from the pelvis to the hips, and from the chest to the collars, are as SMPL's if they are so near to them."""
 STANDS = 0.8
 """Figures in a file with Y up are this much along Y on average (cosine). AMASS has Z up."""
-_VECTORS = packaged_table(__file__, "smpl")
+_SPINE = {
+    "spine1": (0.0, 0.109, -0.027),
+    "spine2": (0.0, 0.135, 0.001),
+    "spine3": (0.0, 0.053, 0.025),
+    "neck": (0.0, 0.214, -0.043),
+    "head": (0.0, 0.065, 0.051),
+}
+_SIDE = {
+    "hip": (0.069, -0.091, -0.006),
+    "knee": (0.036, -0.379, -0.007),
+    "ankle": (-0.015, -0.398, -0.043),
+    "foot": (0.026, -0.052, 0.121),
+    "collar": (0.080, 0.120, -0.036),
+    "shoulder": (0.094, 0.032, -0.009),
+    "elbow": (0.257, -0.013, -0.024),
+    "wrist": (0.252, 0.008, -0.003),
+}
 
 
 def _offset(name: str) -> tuple[float, float, float]:
     side, _, role = name.rpartition("_")
-    x, y, z = _VECTORS["side"][role] if side else _VECTORS[role]
+    x, y, z = _SIDE[role] if side else _SPINE.get(role, (0.0, 0.0, 0.0))
     return (-x if side == "right" else x), y, z
 
 
 OFFSETS = np.array([_offset(name) for name in HUMANML3D.joint_names], np.float32)
-"""Vectors from the parent to each joint of the mean body, to whose left +X is; meters."""
+"""Vectors from the parent to each joint of the mean body, to whose left +X is; meters.
+
+Physics simulations of SMPL's skeleton publish them. These are the means of both sides.
+"""
 _INDEX = {name: joint for joint, name in enumerate(HUMANML3D.joint_names)}
 _TO_Z_UP = np.array([1.0, 1.0, 0.0, 0.0]) / np.sqrt(2)
 

@@ -30,8 +30,15 @@ OWN_CLIPS = 8
 MAX_NAMED = 12
 """Words that a warning names, and actions."""
 
-DIRECTIONS = word_set("directions")
-NUMBERS = word_set("numbers")
+DIRECTIONS = word_set(
+    """ahead anticlockwise anti-clockwise back backward backwards clockwise counterclockwise counter-clockwise
+    diagonal diagonally down downstairs downward downwards east forward forwards inward inwards north outward
+    outwards sidewards sideways south up upstairs upward upwards west"""
+)
+NUMBERS = word_set(
+    """zero two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen sixteen seventeen
+    eighteen nineteen twenty thirty forty fifty sixty seventy eighty ninety hundred thousand dozen twice thrice"""
+)
 
 OPTIONS = {"degree": "the option `turn` bends the path by degrees", "second": "the option `seconds` sets the length"}
 """What a person may use in place of words, by the unit of a number that has no effect."""

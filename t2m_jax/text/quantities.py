@@ -5,14 +5,34 @@ import re
 from collections.abc import Collection
 from typing import NamedTuple
 
-from t2m_jax.text.verbs import CLAUSE_STARTS, PREPOSITIONS, SIDES, WORDS, forms, word_set, words_of
+from t2m_jax.text.verbs import CLAUSE_STARTS, PREPOSITIONS, SIDES, forms, word_set, words_of
 
 LONGEST = 600.0
 """Longest motion in seconds that a sentence can ask for; more is hardly meant."""
 MOST_TIMES = 20
 """Most times that a sentence can ask for; more are no motion of some seconds."""
 
-_VALUES: dict[str, float] = WORDS["values"]
+_TO_TWENTY = """one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen sixteen
+seventeen eighteen nineteen twenty"""
+_VALUES = {word: float(number) for number, word in enumerate(re.split(r"\s", _TO_TWENTY), 1)} | {
+    "thirty": 30.0,
+    "forty": 40.0,
+    "fifty": 50.0,
+    "sixty": 60.0,
+    "a couple of": 2.0,
+    "a couple": 2.0,
+    "half a dozen": 6.0,
+    "a dozen": 12.0,
+    "half an": 0.5,
+    "half a": 0.5,
+    "a quarter of a": 0.25,
+    "once": 1.0,
+    "twice": 2.0,
+    "thrice": 3.0,
+    "a single": 1.0,
+    "a double": 2.0,
+    "a triple": 3.0,
+}
 _ADVERBS = ("once", "twice", "thrice")
 _SINGULAR = ("one", "1", "a single", "a double", "a triple")
 """Numbers before a noun that is not a plural."""
@@ -39,7 +59,7 @@ _NO_LENGTH_BEFORE = _pattern(
     r"[ -]+(?:long )?(?:after|ago|apart|before|break|delay|each|gap|in(?:to)?\b(?! \w)|in,|interval|late|mark|pause|",
     r"rest|time ?out|too)",
 )
-_PAUSES = word_set("pauses")
+_PAUSES = word_set("freeze hesitate hold pause rest wait")
 _TIMES = _pattern(
     rf"{_START}(?:(?P<number>{_NUMBER}) (?:times?|reps?|repetitions?)|(?P<adverb>{'|'.join(_ADVERBS)})|",
     "(?P<before>\\d{1,6}) ?[x\u00d7]|[x\u00d7](?P<after>\\d{1,6}))(?![\\w-])",
@@ -127,7 +147,7 @@ def _find_times(caption: str) -> re.Match[str] | None:
 def _value(number: str) -> float:
     """Returns the value of a number in digits or words."""
     number = number.lower()
-    return float(_VALUES[number] if number in _VALUES else number.replace(",", "."))
+    return _VALUES[number] if number in _VALUES else float(number.replace(",", "."))
 
 
 def _counted_verb(caption: str, countable: Collection[str]) -> tuple[float, str] | None:
@@ -147,7 +167,6 @@ def _counted_noun(caption: str, countable: Collection[str]) -> tuple[float, str]
     for noun in _NOUN.finditer(caption):
         for text in itertools.takewhile(lambda text: text not in _NO_NOUN, noun["words"].lower().split()):
             found = sorted(forms(text) & set(countable))
-            # "One punch" and "two punches": otherwise, the number is that of something else.
             if found and (text == found[0] if noun["number"].lower() in _SINGULAR else text.endswith("s")):
                 return _value(noun["number"]), found[0]
     return None

@@ -7,9 +7,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from t2m_jax.text.verbs import AUXILIARIES, BODY_PARTS, PREPOSITIONS, SIDES, WORDS, Word, inflected, words_of
+from t2m_jax.text.verbs import AUXILIARIES, BODY_PARTS, PREPOSITIONS, SIDES, Word, inflected, words_of
 
-PEOPLE = tuple(WORDS["people"])
+# fmt: off
+PEOPLE = (
+    "a person", "someone", "somebody", "a man", "a woman", "the man", "the woman", "he", "she", "a human", "a figure",
+    "a boy", "a girl", "a child", "a guy", "a lady", "an adult", "a teenager", "a friend", "a neighbor", "a player",
+    "a worker", "an athlete", "an actor", "a hero", "a student", "a teacher", "a stranger", "a gentleman", "a host",
+)
+# fmt: on
 ARTICLES = ("the", "his", "her", "their")
 """Words that may stand before a part of the body."""
 LONGEST_SUBJECT = 2
@@ -39,7 +45,6 @@ def _article(words: Sequence[Word], place: int, generator: np.random.Generator) 
 
 def _is_subject(words: Sequence[Word]) -> bool:
     """Returns whether the words before a verb are a short subject and, at most, `is`."""
-    # With these, the verb has another form, or the words say more than who it is.
     others = (AUXILIARIES - {"is"}) | PREPOSITIONS | SIDES | {"not", "they", "we", "you", "i", "people"}
     texts = [word.text for word in words if word.text != "is"]
     return len(texts) <= LONGEST_SUBJECT and others.isdisjoint(texts)

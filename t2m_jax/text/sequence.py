@@ -24,9 +24,9 @@ MAX_ACTIONS = 20
 """A sentence with more actions is left whole."""
 
 _BACK = r"(?:put|bring|take)s? (?:it|them|(?:his|her|the) \w+) (?:back|down)"
-GOING = word_set("going")
+GOING = word_set("go head hurry jog march move pace run step stride stroll walk wander")
 """Verbs of going. Before or after one, a turn is a corner of the way."""
-TURNING = word_set("turning")
+TURNING = word_set("back bend turn")
 """Verbs that say no more than another direction."""
 _SIDE = re.compile(r"\b(?:left|right|around|corner)\b", re.IGNORECASE)
 

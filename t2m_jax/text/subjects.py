@@ -5,16 +5,27 @@ from collections.abc import Iterator, Sequence
 
 from t2m_jax.text.verbs import LIGHT_VERBS, Word, readings, word_set
 
-ANIMALS = word_set("animals")
+ANIMALS = word_set(
+    """alligator ant ape bear bee beetle bird bug bull butterfly camel cat caterpillar cheetah chicken chimp chimpanzee
+    cow crab crocodile crow deer dinosaur dog dolphin donkey dove dragon duck eagle elephant ferret fish fly fox frog
+    giraffe goat goose gorilla hamster hare hawk hedgehog hen hippo hippopotamus horse hyena insect jaguar kangaroo
+    kitten koala lamb leopard lion lizard llama lobster monkey mosquito mouse mule octopus ostrich otter owl ox panda
+    panther parrot peacock penguin pig pigeon pony puppy rabbit raccoon ram rat raven rhino rhinoceros rooster scorpion
+    seal shark sheep sloth snail snake sparrow spider squirrel stag swan tiger toad tortoise turkey turtle unicorn
+    wasp whale wolf worm zebra"""
+)
 COMPARED = frozenset({"like", "as", "than", "pretend", "pretends", "pretending", "imitates", "imitating", "costume"})
 """Before an animal: "walks like a monkey"."""
 NEAR = 4
 """Words before an animal among which a comparison is looked for."""
-PERSON = word_set("person")
+PERSON = word_set(
+    """actor adult boxer boy brother character child dancer fighter figure friend girl guy human kid lady man mother
+    father opponent partner person player runner sister soldier stranger student teenager twin woman worker"""
+)
 """In their basic forms."""
-SEVERAL = word_set("several")
-CROWDS = word_set("crowds")
-OTHERS = word_set("others")
+SEVERAL = word_set("two three four five six seven eight nine ten both several many some few couple pair group crowd")
+CROWDS = word_set("people crowd duo trio couple")
+OTHERS = word_set("opponent partner")
 """Whom somebody moves with."""
 
 

@@ -7,35 +7,40 @@ import functools
 import itertools
 import re
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from t2m_jax.tables import packaged_table
 from t2m_jax.text.prompts import straighten_quotes
 
-WORDS: dict[str, Any] = packaged_table(__file__, "words")
-"""The lists of words of this package."""
+
+def word_set(words: str) -> frozenset[str]:
+    """Returns the words of a text."""
+    return frozenset(words.split())
 
 
-def word_set(name: str) -> frozenset[str]:
-    """Returns the words of a list in `words.toml`."""
-    return frozenset(WORDS[name].split())
-
-
-DETERMINERS = word_set("determiners")
-PREPOSITIONS = word_set("prepositions")
-CLAUSE_STARTS = word_set("clause_starts")
-SUBJECTS = word_set("subjects")
-BEFORE_BASE_FORM = word_set("before_base_form")
+DETERMINERS = word_set(
+    """a an the his her its their my your our this that these those some any each every both no another other few
+    several many multiple one two three four five six seven eight nine ten"""
+)
+PREPOSITIONS = word_set(
+    """in on at to from with of by for over under around into onto through toward towards along across near behind
+    beside between like above below against off inside outside as than"""
+)
+CLAUSE_STARTS = word_set("and then while before after when or but who that how until so if because")
+SUBJECTS = word_set("he she it they we you i somebody someone everybody everyone nobody people")
+BEFORE_BASE_FORM = word_set("they we you i people not can will would should must could may let to")
 """Words after which a verb is in its basic form. After `to`, only if it cannot be a noun: "to school"."""
-BODY_PARTS = word_set("body_parts")
+BODY_PARTS = word_set(
+    """ankle arm back chest chin elbow eye face finger foot hand head heel hip knee leg mouth shoulder thigh toe
+    waist wrist"""
+)
 SIDES = frozenset({"left", "right"})
 """Words that are sides in captions, never forms of `leave` or `right`."""
-AUXILIARIES = word_set("auxiliaries")
-LIGHT_VERBS = word_set("light_verbs")
+AUXILIARIES = word_set("am is are was were be been being has have had does did")
+LIGHT_VERBS = word_set("be begin come continue do end finish get have keep let make perform seem start take try use")
 """Verbs that say nothing about the motion; another word does."""
-PERFORMING_VERBS = word_set("performing_verbs")
+PERFORMING_VERBS = word_set("do execute get give make perform take")
 """Verbs whose object is the action: "makes a jump"."""
-GENERIC_NOUNS = word_set("generic_nouns")
+GENERIC_NOUNS = word_set("action exercise gesture motion move movement pose position sequence")
 """Nouns that say nothing about the motion."""
 
 _TOKENS = re.compile(r"[^\W\d_]+(?:-[^\W\d_]+)*|\d+(?:[.,]\d+)?|[^\w\s'-]")

@@ -14,7 +14,6 @@ from jaxtyping import Array, Float, Int
 from t2m_jax.errors import UserError
 from t2m_jax.files.reading import load_array, load_text, reading
 from t2m_jax.files.writing import save_text
-from t2m_jax.text.verbs import WORDS
 
 logger = logging.getLogger(__name__)
 
@@ -32,7 +31,14 @@ TEXT_LENGTH = MAX_WORDS + 2
 
 TAGS = ("VERB", "NOUN", "DET", "ADP", "NUM", "AUX", "PRON", "ADJ", "ADV")
 """Tags of caption files that have a class of their own."""
-SPECIAL_WORDS: dict[str, str] = WORDS["special_words"]
+SPECIAL_WORDS = {
+    "Loc_VIP": "left right clockwise counterclockwise anticlockwise forward back backward up down straight curve",
+    "Body_VIP": "arm chin foot feet face hand mouth leg waist eye knee shoulder thigh",
+    "Obj_VIP": "stair dumbbell chair window floor car ball handrail baseball basketball",
+    "Act_VIP": """walk run swing pick bring kick put squat throw hop dance jump turn stumble stop sit lift lower raise
+        wash stand kneel stroll rub bend balance flap jog shuffle lean rotate spin spread climb""",
+    "Desc_VIP": "slowly carefully fast careful slow quickly happy angry sad happily angrily sadly",
+}
 """Words that matter for motion (location, body, object, action, manner). Their class counts more than their tag."""
 PARTS_OF_SPEECH = (*TAGS, *SPECIAL_WORDS, "OTHER")
 """The fifteen word classes of the evaluator (Guo et al. 2022), in the order of their numbers."""

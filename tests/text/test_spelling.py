@@ -3,10 +3,9 @@
 import pytest
 
 from t2m_jax.text.spelling import correct_spelling
-from t2m_jax.text.verbs import readings
+from t2m_jax.text.verbs import readings, word_set
 
-SENTENCES = "a person walks with the left hand; jumps right; turns around; running; both arms now; walk"
-KNOWN = frozenset(SENTENCES.replace(";", "").split())
+KNOWN = word_set("a person walks walk with the left hand right jumps turns around running both arms now")
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import tqdm
 
-from t2m_jax.config import config_from_dict
 from t2m_jax.data.captioning.captions import Labels, write_captions
 from t2m_jax.data.captioning.wordings import load_wordings
 from t2m_jax.data.composing.compose import still_labels, write_composition
@@ -24,12 +23,36 @@ from t2m_jax.motion.bvh import load_bvh
 from t2m_jax.motion.facts import measure
 from t2m_jax.motion.rig.retarget import retarget
 from t2m_jax.motion.skeleton import HUMANML3D
-from t2m_jax.yaml_file import load_yaml
 
-_TABLE = load_yaml(Path(__file__).with_name("bandai_namco.yaml")).data
-FLAGGED = frozenset((*_TABLE["mislabeled"], *_TABLE["overlapping"]))
+MISLABELED = (
+    *(f"walk-turn-left_masculine_{number:03d}" for number in (6, 7)),
+    *(f"walk-turn-right_masculine_{number:03d}" for number in (6, 7)),
+)
+"""Clips of dataset-2 that turn to the other side than their name says."""
+OVERLAPPING = (
+    *(f"walk-turn-left_normal_{number:03d}" for number in (5, *range(27, 35))),
+    *(f"walk-turn-right_normal_{number:03d}" for number in (4, *range(28, 36))),
+)
+"""Clips of dataset-2 that share frames with another clip or continue into another turn."""
+FLAGGED = frozenset(f"dataset-2_{name}" for name in (*MISLABELED, *OVERLAPPING))
 """Clips that are left out."""
-INFO = config_from_dict(DatasetInfo, _TABLE["info"])
+
+INFO = DatasetInfo(
+    name="Bandai-Namco-Research-Motiondataset-1 and -2",
+    skeleton=HUMANML3D.name,
+    fps=HUMANML3D.fps,
+    min_frames=16,
+    max_frames=HUMANML3D.max_frames,
+    licence="CC BY-NC 4.0",
+    source="https://github.com/BandaiNamcoResearchInc/Bandai-Namco-Research-Motiondataset",
+    attribution=(
+        "Bandai-Namco-Research-Motiondataset-1 and -2, © 2022 Bandai Namco Research Inc., CC BY-NC 4.0, "
+        "https://github.com/BandaiNamcoResearchInc/Bandai-Namco-Research-Motiondataset. Changed: resampled to 20 "
+        "frames a second, retargeted to 22 joints, encoded as motion features, mirrored, captions added. "
+        "Paper: M. Kobayashi, C.-C. Liao, K. Inoue, S. Yojima, M. Takahashi, Motion Capture Dataset for Practical Use "
+        "of AI-based Motion Editing and Stylization, 2023, arXiv:2306.08861."
+    ),
+)
 NO_LISTS = "no split lists found: split by a hash of the names, 80/5/15 % of every content and style"
 
 

@@ -27,7 +27,15 @@ from t2m_jax.evaluation.prompts.recognition import Classifier, manner_judge, tra
 from t2m_jax.motion.facts import Facts
 from t2m_jax.motion.motion import Motion
 
-CONTENTS: Mapping[str, str] = read_words(__package__, "labels")
+CONTENTS = {
+    "raise-left-hand": "raise-up-left-hand",
+    "raise-right-hand": "raise-up-right-hand",
+    "raise-both-hands": "raise-up-both-hands",
+    "walk-backward": "walk-back",
+    "side-step-left": "walk-left",
+    "side-step-right": "walk-right",
+    "show-the-way": "guide",
+}
 """Labels of the sentences -> those of data sets, where they differ."""
 SHARES = {"slow": 0.2, "fast": 0.8}
 """Quantiles of the speeds of training clips that a slow motion stays below and a fast one is above."""

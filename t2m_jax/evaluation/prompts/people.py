@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from t2m_jax.data.captioning.lexicon import read_words
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.prompts.following import RULES, PromptTest, follows
 from t2m_jax.files.reading import load_json
@@ -20,6 +19,12 @@ from t2m_jax.files.reading import load_json
 MAX_SENTENCES = 80
 """Sentences of an action; some actions have several hundred."""
 MAX_BYTES = 2**28
+# Words of a second action, of another way, or of a hand, which the rules of walking and running would not see.
+OTHER = (
+    "then|and|after|before|while|stop|stand|turn|circle|back|jump|hop|stumbl|push|curve|bend|corner|left|right|around|"
+    "hand|arm|stair|up|down"
+)
+TURN_OTHER = "then|stop|back|jump|180|around|run|jog|spot|foot|circle"
 
 
 class Described(NamedTuple):
@@ -33,7 +38,27 @@ class Described(NamedTuple):
     """A caption has no word that begins so."""
 
 
-DESCRIBED = {content: Described(**entry) for content, entry in read_words(__package__, "kit_captions").items()}
+def _turn(side: str, other: str) -> Described:
+    return Described(rf"(bend_{side}|{side.title()}Turn)\d", rf"\b{side}\b", rf"{other}|{TURN_OTHER}")
+
+
+def _wave(motion: str, hands: str, other: str) -> Described:
+    return Described(rf"wave_{motion}\d", rf"wav.*\b({hands})\b", rf"{other}|then|once|one|time")
+
+
+DESCRIBED = {
+    "walk": Described(
+        r"(walking_(slow|medium|fast)|WalkingStraightForwards?)\d",
+        r"\b(walk|go|step|stroll|march|mov|stride)",
+        f"{OTHER}|run|jog|sprint",
+    ),
+    "run": Described(r"(walking_run|run)\d", r"\b(run|jog|sprint|dash|rac)", f"{OTHER}|walk"),
+    "walk-turn-left": _turn("left", "right"),
+    "walk-turn-right": _turn("right", "left"),
+    "wave-left-hand": _wave("left", "left", "right|both"),
+    "wave-right-hand": _wave("right", "right", "left|both"),
+    "wave-both-hands": _wave("both", "both|hands|arms", "left|right"),
+}
 
 
 def kit_tests(path: Path) -> list[PromptTest]:

@@ -7,7 +7,6 @@ from typing import Any, Literal, NamedTuple
 
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.report.record import CLEANED, COMPARABLE, REAL, Metric, Report, first_difference
-from t2m_jax.tables import packaged_table
 
 DIGITS = 3
 """Digits after the point, of means and intervals."""
@@ -29,10 +28,31 @@ class Column(NamedTuple):
     """Which values are better; `real`: those nearest to the value of real motion."""
 
 
-FIGURES: dict[str, dict[str, Any]] = packaged_table(__file__, "figures")
-"""The columns of tables, and what the figures of a reconstruction and of the quality of motion are called."""
-COLUMNS = {name: tuple(Column(*row) for row in rows) for name, rows in FIGURES["columns"].items()}
+COLUMNS = (
+    Column("r_precision_1", "R top-1", "higher"),
+    Column("r_precision_2", "R top-2", "higher"),
+    Column("r_precision_3", "R top-3", "higher"),
+    Column("fid", "FID", "lower"),
+    Column("matching_score", "MM-Dist", "lower"),
+    Column("diversity", "Diversity", "real"),
+    Column("multimodality", "MModality", "higher"),
+)
+QUALITY_COLUMNS = (
+    Column("bone_variation", "Bone variation", "lower"),
+    Column("jerk", "Jerk", "real"),
+    Column("skating_ratio", "Skating", "real"),
+    Column("skating_speed", "Contact speed", "real"),
+    Column("floating", "Floating", "real"),
+    Column("penetration", "Penetration", "lower"),
+)
 FOLLOWING_COLUMN = "text_following"
+BENCHMARK_COLUMNS = (
+    *(COLUMNS[0], COLUMNS[2], COLUMNS[3], Column("fid_normalized", "FID, unit length", "lower"), *COLUMNS[4:]),
+    Column("jerk", "Jerk", "real"),
+    Column("skating_ratio", "Skating", "real"),
+    Column("floating", "Floating", "real"),
+    Column(FOLLOWING_COLUMN, "Follows", "higher"),
+)
 Measures = Literal["captions", "labels", "quality", "benchmark"]
 """Which figures a table shows: the field's, those with R-precision by label, the quality of motion, or a choice of all
 with text following."""
@@ -101,7 +121,12 @@ def make_table(reports: Sequence[Report], names: Sequence[str], *, measures: Mea
     for report, line in zip(reports, lines, strict=True) if measures == "benchmark" else ():
         line.cells.update(_following_cell(report))
         known |= line.cells.keys()
-    wanted = COLUMNS[measures]
+    wanted = {
+        "captions": COLUMNS,
+        "labels": tuple(map(_by_label, COLUMNS)),
+        "quality": QUALITY_COLUMNS,
+        "benchmark": BENCHMARK_COLUMNS,
+    }[measures]
     header = dataclasses.asdict(reports[0].header)
     facts = {name: header[name] for name in COMPARABLE}
     if measures in ("labels", "quality") and wanted[0].metric not in known:
@@ -143,6 +168,13 @@ def _following_cell(report: Report) -> dict[str, Cell]:
         return {}
     share = sum(group.right for group in groups) / samples
     return {FOLLOWING_COLUMN: Cell(share, 1.96 * math.sqrt(share * (1 - share) / samples))}
+
+
+def _by_label(column: Column) -> Column:
+    """Returns the column with labels if the metric has one."""
+    if not column.metric.startswith("r_precision"):
+        return column
+    return column._replace(metric=f"{column.metric}_by_label", heading=f"{column.heading} by label")
 
 
 def _best_lines(column: Column, real: TableLine, lines: Sequence[TableLine]) -> list[TableLine]:
