@@ -70,9 +70,11 @@ class ClipBlock(nn.Module):
         """Returns the sequence after the block."""
         config = self.config
         attention = Attention(config.num_heads, 0.0, name="attn")
-        attended, _ = attention(layer_norm(config, "ln1")(hidden), mask, train=False)
+        attended, _ = attention(layer_norm(config.layer_norm_epsilon, "ln1")(hidden), mask, train=False)
         hidden = hidden + attended
-        wide = nn.Dense(config.mlp_dim, kernel_init=WEIGHT_INIT, name="up")(layer_norm(config, "ln2")(hidden))
+        wide = nn.Dense(config.mlp_dim, kernel_init=WEIGHT_INIT, name="up")(
+            layer_norm(config.layer_norm_epsilon, "ln2")(hidden)
+        )
         wide = quick_gelu(wide) if config.activation == "quick_gelu" else nn.gelu(wide, approximate=False)
         return hidden + nn.Dense(config.embed_dim, kernel_init=WEIGHT_INIT, name="down")(wide)
 
@@ -101,5 +103,5 @@ class ClipText(nn.Module):
         is_end = caption_tokens if config.end_token is None else caption_tokens == config.end_token
         ends = jnp.argmax(is_end, axis=1)
         read = jnp.take_along_axis(hidden, ends[:, None, None], axis=1)[:, 0]
-        read = layer_norm(config, "final_norm")(read)
+        read = layer_norm(config.layer_norm_epsilon, "final_norm")(read)
         return nn.Dense(config.text_dim, use_bias=False, kernel_init=WEIGHT_INIT, name="projection")(read)

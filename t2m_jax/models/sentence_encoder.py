@@ -99,10 +99,10 @@ class SentenceBlock(nn.Module):
         """Returns the sequence after the block."""
         config = self.config
         attended, _ = Attention(config.num_heads, 0.0, name="attn")(hidden, mask, train=False, bias=bias)
-        hidden = layer_norm(config, "ln1")(hidden + attended)
+        hidden = layer_norm(config.layer_norm_epsilon, "ln1")(hidden + attended)
         wide = nn.Dense(config.mlp_dim, kernel_init=WEIGHT_INIT, name="up")(hidden)
         wide = nn.gelu(wide, approximate=False)
-        return layer_norm(config, "ln2")(
+        return layer_norm(config.layer_norm_epsilon, "ln2")(
             hidden + nn.Dense(config.embed_dim, kernel_init=WEIGHT_INIT, name="down")(wide)
         )
 
@@ -138,7 +138,7 @@ class SentenceEncoder(nn.Module):
         if config.num_buckets:
             biases = table("distance_bias", config.num_buckets, config.num_heads)
             bias = biases[distance_buckets(length, config.num_buckets)].transpose(2, 0, 1)[None]
-        hidden = layer_norm(config, "embedding_norm")(hidden)
+        hidden = layer_norm(config.layer_norm_epsilon, "embedding_norm")(hidden)
         for layer in range(config.num_layers):
             hidden = SentenceBlock(config, name=f"block_{layer}")(hidden, caption_mask[:, None, None, :], bias)
         return hidden

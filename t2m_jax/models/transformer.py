@@ -1,7 +1,7 @@
 """Pre-norm transformer blocks of the motion GPT (causal, cached) and the caption encoder (bidirectional)."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import flax.linen as nn
 import jax
@@ -20,12 +20,12 @@ class LayerCache(NamedTuple):
     values: Float[Array, "B H L F"]
 
 
-def layer_norm(config: Any, name: str) -> nn.LayerNorm:
+def layer_norm(epsilon: float, name: str) -> nn.LayerNorm:
     """Returns a layer norm of a pretrained encoder, with the slow variance.
 
     The fast one is not exact where the mean is far from zero, as that of CLIP's activations.
     """
-    return nn.LayerNorm(epsilon=config.layer_norm_epsilon, use_fast_variance=False, name=name)
+    return nn.LayerNorm(epsilon=epsilon, use_fast_variance=False, name=name)
 
 
 def empty_cache(batch: int, length: int, *, embed_dim: int, num_heads: int) -> LayerCache:

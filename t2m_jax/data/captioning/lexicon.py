@@ -63,7 +63,11 @@ def _readings() -> dict[str, dict[str, str]]:
 
 @functools.cache
 def known_words() -> frozenset[str]:
-    """Returns all words of the files of this package, also in all forms of the vocabulary."""
+    """Returns all words of the files of this package, comments included, also in all forms of the vocabulary.
+
+    Typing mistakes avoid them, so another word changes the captions of the benchmark. `more_words` are some that the
+    files had when these were made.
+    """
     files = [path for path in importlib.resources.files(__package__).iterdir() if path.name.endswith(".yaml")]
     return frozenset(_readings()).union(*(words_in(path.read_text(encoding="utf-8")) for path in files))
 

@@ -12,8 +12,15 @@ from t2m_jax.export.onnx.indexing import dynamic_slice, dynamic_update_slice, ga
 
 # Most operators have the name of the primitive, with a capital letter.
 _ALIKE = "abs acos add and ceil cos div erf exp floor log max min mul neg not or pow sin sqrt sub tanh"
-_OTHERS = {"ge": "GreaterOrEqual", "gt": "Greater", "le": "LessOrEqual", "lt": "Less"}
-_SAME = {name: name.title() for name in _ALIKE.split()} | _OTHERS | {"eq": "Equal", "logistic": "Sigmoid"}
+_RENAMED = {
+    "eq": "Equal",
+    "ge": "GreaterOrEqual",
+    "gt": "Greater",
+    "le": "LessOrEqual",
+    "logistic": "Sigmoid",
+    "lt": "Less",
+}
+_SAME = {name: name.title() for name in _ALIKE.split()} | _RENAMED
 """Primitives with an operator of the same meaning."""
 _NOTHING = ("copy", "copy_p", "optimization_barrier", "stop_gradient")
 """Primitives that change no number."""

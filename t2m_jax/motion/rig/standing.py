@@ -28,7 +28,7 @@ GAP = 2
 EASE_SECONDS = 0.15
 """Time before and after a step on the ball of a foot in which the ball begins and stops to decide."""
 LONGER = 0.2
-"""Share of its length by which a foot is longer if its level part alone says where it points, on the ball."""
+"""A foot that is longer than that of the motion, by this share of its length or more, points where `ahead` says."""
 
 _FLAT = np.array([1.0, 0.0, 1.0])
 _UP = np.array([0.0, 1.0, 0.0])

@@ -79,12 +79,10 @@ def transfer(
     middle = steps.scale * positions[:, _HIPS].mean(axis=1) + steps.lift * _UP
     rest_middle = rest[_HIPS].mean(axis=0)
     hips = middle[:, None] + np.stack([_turned(turns, _PELVIS, rest[hip] - rest_middle) for hip in _HIPS], axis=1)
-    feet = zip(_LEGS, _FEET, strict=True)
-    soles = np.stack([_turned(turns, leg[2], rest[foot] - rest[leg[2]]) for leg, foot in feet], axis=1)
-    level = [
-        _turned(turns, leg[2], steps.level(rest[foot] - rest[leg[2]])) for leg, foot in zip(_LEGS, _FEET, strict=True)
-    ]
-    rolled = steps.rolled(soles, np.stack(level, axis=1))
+    feet = [(leg[2], rest[foot] - rest[leg[2]]) for leg, foot in zip(_LEGS, _FEET, strict=True)]
+    soles = np.stack([_turned(turns, ankle, sole) for ankle, sole in feet], axis=1)
+    ahead = np.stack([_turned(turns, ankle, steps.level(sole)) for ankle, sole in feet], axis=1)
+    rolled = steps.rolled(soles, ahead)
     for side, (_, _, ankle) in enumerate(_LEGS):
         turns[:, ankle] = quaternion_multiply(quaternion_between(soles[:, side], rolled[:, side]), turns[:, ankle])
     ways = steps.ankles(rolled) - hips
