@@ -116,6 +116,21 @@ def test_a_link_carries_seed_options_and_sample(open_studio, walk, tmp_path):  #
         expect(other).to_have_url(page.url)
 
 
+@pytest.mark.parametrize("dialog", ["help", "rename-dialog"])
+def test_a_key_right_after_a_dialog_works(open_studio, dialog):  # noqa: F811
+    page = open_studio()
+    page.evaluate(
+        """(name) => {
+            const dialog = document.getElementById(name);
+            dialog.showModal();
+            dialog.close();
+            document.activeElement.dispatchEvent(new KeyboardEvent("keydown", { key: "?", bubbles: true }));
+        }""",
+        dialog,
+    )
+    expect(page.get_by_role("dialog", name="Keys")).to_be_visible()
+
+
 @pytest.mark.parametrize("viewport", [pytest.param({"width": 1440, "height": 900}, marks=pytest.mark.release), PHONE])
 def test_the_stage_fills_the_screen(open_studio, viewport):  # noqa: F811
     page = open_studio(viewport=viewport)

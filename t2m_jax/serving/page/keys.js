@@ -5,10 +5,13 @@ import { find } from "./dom.js";
 const TURN = 25; // pixels of a drag with the mouse
 const ZOOM = 1.2;
 const isWriting = (element) => element.matches("textarea, select, input:not([type=range], [type=checkbox], [type=radio])");
+// A dialog that was just closed keeps the focus until the next frame, so a quick key still arrives there.
+const targetOf = (event) => (event.target.closest("dialog:not([open])") ? document.body : event.target);
 
 // Ctrl+Z and its opposites. In a sentence, they only concern what is written.
 function undoKey(event, undo) {
-  const { target, key, shiftKey } = event;
+  const { key, shiftKey } = event;
+  const target = targetOf(event);
   const letter = key.toLowerCase();
   const verb = letter === "z" && !shiftKey ? "undo" : letter === "y" || letter === "z" ? "redo" : null;
   if (verb === null || event.altKey || target.closest("dialog")) return;
@@ -59,7 +62,7 @@ export function listenForKeys({ player, timeline, session, stage, make, generati
   for (let number = 1; number <= 9; number += 1) actions[number] = () => session.select(number - 1);
 
   document.addEventListener("keydown", (event) => {
-    const { target } = event;
+    const target = targetOf(event);
     if ((event.ctrlKey || event.metaKey) && !event.defaultPrevented) undoKey(event, undo);
     if (event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented || target.closest("dialog")) return;
     if (event.key !== "Escape" && isWriting(target)) return;
