@@ -5,7 +5,7 @@ import pytest
 
 from t2m_jax.motion.formats import load_motion
 from tests.export.conftest import walk  # noqa: F401 - a fixture
-from tests.export.test_viewer import browser  # noqa: F401 - a fixture
+from tests.export.test_viewer import browser, wait_until  # noqa: F401 - a fixture
 from tests.serving.test_page import (  # noqa: F401 - fixtures
     PHONE,
     WALK,
@@ -145,3 +145,20 @@ def test_the_stage_fills_the_screen(open_studio, viewport):  # noqa: F811
     page.keyboard.press("m")
     expect(page.locator("#make")).to_be_visible()
     expect(page.get_by_role("button", name="Full screen")).to_have_attribute("aria-pressed", "false")
+
+
+def test_quick_keys_fill_the_screen_or_not(open_studio):  # noqa: F811
+    page = open_studio()
+    page.evaluate("window.changes = 0; document.addEventListener('fullscreenchange', () => { window.changes += 1; })")
+    key = "new KeyboardEvent('keydown', { key: 'm', bubbles: true })"
+    press = f"(times) => {{ while (times--) document.body.dispatchEvent({key}); }}"
+    page.evaluate(press, 2)
+    wait_until(page, "window.changes === 2 && !document.fullscreenElement")
+    page.evaluate(press, 1)
+    wait_until(page, "window.changes === 3 && document.fullscreenElement")
+    page.evaluate(press, 2)
+    wait_until(page, "window.changes === 5 && document.fullscreenElement")
+    expect(page.locator("#make")).to_be_hidden()
+    page.evaluate(press, 1)
+    wait_until(page, "window.changes === 6 && !document.fullscreenElement")
+    expect(page.locator("#make")).to_be_visible()

@@ -20,12 +20,25 @@ function undoKey(event, undo) {
   undo[verb]();
 }
 
+const isFull = () => document.body.classList.contains("full");
+let isChanging = false;
+
+// The browser takes a moment to enter or leave the full screen, in which the user may have changed their mind.
+async function followFullScreen() {
+  if (isChanging) return;
+  isChanging = true;
+  let isFilled = Boolean(document.fullscreenElement);
+  while (isFilled !== isFull()) {
+    isFilled = !isFilled;
+    // Where a page may not fill the screen, it fills the window.
+    await (isFilled ? document.documentElement.requestFullscreen?.() : document.exitFullscreen())?.catch(() => {});
+  }
+  isChanging = false;
+}
+
 export function toggleFullScreen() {
-  const isFull = document.body.classList.toggle("full");
-  find("full-screen").setAttribute("aria-pressed", String(isFull));
-  // Where a page may not fill the screen, it fills the window.
-  if (isFull) document.documentElement.requestFullscreen?.().catch(() => {});
-  else if (document.fullscreenElement) document.exitFullscreen();
+  find("full-screen").setAttribute("aria-pressed", String(document.body.classList.toggle("full")));
+  followFullScreen();
 }
 
 export function listenForKeys({ player, timeline, session, stage, make, generation, comparison, undo, drawing, actions: todo }) {
@@ -57,7 +70,7 @@ export function listenForKeys({ player, timeline, session, stage, make, generati
     Delete: todo.delete,
     "/": () => make.sentences.focus(),
     "?": () => find("help").showModal(),
-    Escape: () => (drawing.isOn ? drawing.stop() : document.body.classList.contains("full") ? toggleFullScreen() : generation.cancel()),
+    Escape: () => (drawing.isOn ? drawing.stop() : isFull() ? toggleFullScreen() : generation.cancel()),
   };
   for (let number = 1; number <= 9; number += 1) actions[number] = () => session.select(number - 1);
 
@@ -77,6 +90,6 @@ export function listenForKeys({ player, timeline, session, stage, make, generati
   find("full-screen").addEventListener("click", toggleFullScreen);
   // The browser leaves the full screen by itself after Escape.
   document.addEventListener("fullscreenchange", () => {
-    if (!document.fullscreenElement && document.body.classList.contains("full")) toggleFullScreen();
+    if (!isChanging && !document.fullscreenElement && isFull()) toggleFullScreen();
   });
 }
