@@ -5,7 +5,7 @@
 Each request has the sentence of a test clip and three targets at random times of it. It is compared with the first
 sample of the sentence, with this sample after inverse kinematics alone, with the best of 16 and of 64 samples, and with
 the same motion after exact targets of wrist and root. With `--between`, requests have two poses of a clip, one to three
-seconds apart, and the place and direction of the second one, and the motion is compared with the clip.
+seconds apart, and the place and direction of the second one, all exact, and the motion is compared with the clip.
 """
 
 import argparse
@@ -142,8 +142,8 @@ def fill_gap(model: TextToMotion, trial: Trial, seed: int) -> Gap:
     x, _, z = real[size, 0]
     ahead = facing(real[size], clip.skeleton)
     end = size / fps
-    texts = (f"{end} root={x},{z}", f"{end} facing={np.degrees(np.arctan2(ahead[0], ahead[2]))}")
-    poses = ((0.0, Motion(real[:1], fps)), (end, Motion(real[size : size + 1], fps)))
+    texts = (f"{end} root={x},{z} exact", f"{end} facing={np.degrees(np.arctan2(ahead[0], ahead[2]))} exact")
+    poses = ((0.0, Motion(real[:1], fps), "exact"), (end, Motion(real[size : size + 1], fps), "exact"))
     (motion,) = model.direct(trial.sentence, [*texts, *poses], seed=seed)
     return Gap(real, size, motion)
 

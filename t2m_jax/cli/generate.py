@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     at = f"where something should be at a time in seconds, or in BEGIN:END: {places}; can be repeated"
     parser.add_argument("--at", nargs=2, action="append", metavar=("TIME", "PLACE"), help=at)
-    pose = "a pose at a time: the first frame of a motion file; can be repeated"
+    pose = "a pose at a time: the first frame of a motion file; 'FILE exact' to 5 mm; can be repeated"
     parser.add_argument("--pose", nargs=2, action="append", metavar=("TIME", "FILE"), help=pose)
     add_rig_argument(parser, "the file of --from")
     add_record(parser, Changes)
@@ -125,7 +125,8 @@ def _targets(args: argparse.Namespace) -> "Iterator[Target]":
             seconds = float(time)
         except ValueError:
             raise UserError(f"--pose {time} {file}: {time!r} is not a number of seconds") from None
-        yield read_target((seconds, load_motion(file)))
+        name, *exact = file.rsplit(" ", 1) if file.endswith(" exact") else [file]
+        yield read_target((seconds, load_motion(name), *exact))
 
 
 def _show_distances(requests: "list[MotionRequest]", motions: "Iterator[Motion]") -> "Iterator[Motion]":

@@ -1,7 +1,8 @@
-"""Bringing the root, wrists and feet of a motion exactly to their targets. Bones keep their lengths.
+"""Bringing a motion exactly to targets: its direction, its root, its pose, and its wrists and feet.
 
-A root moves over the ground with all of the body. A limb of two bones bends as needed, by inverse kinematics. Both
-begin before the time of a target and end after it, so that nothing jumps.
+The body turns about its root, and moves over the ground with it. Bones turn into a pose. A limb of two bones bends as
+needed, by inverse kinematics. All begin before the time of a target and end after it, so that nothing jumps, and bones
+keep their lengths.
 """
 
 import dataclasses
@@ -12,16 +13,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.motion.features import facing
+from t2m_jax.motion.features import bone_vectors, facing, positions_from_bones
+from t2m_jax.motion.kinematics import rigid_rotations
 from t2m_jax.motion.legs import move_foot, reaching_bends
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
-from t2m_jax.motion.targets import ROOT, Target
+from t2m_jax.motion.targets import FACING, POSE, ROOT, Target, facing_degrees, seen_from_root
+from t2m_jax.motion.torso import hub_bones
 
 FADE_SECONDS = 0.5
 """Time in which a movement to a target begins, and in which it ends."""
 GROUND = np.array([1.0, 0.0, 1.0])
+UP = np.array([0.0, 1.0, 0.0])
 
 Clip = Float[np.ndarray, "T J 3"]
 Limb = tuple[int, int, int, int]
@@ -43,12 +47,12 @@ def limbs_of(skeleton: Skeleton) -> dict[str, Limb]:
 
 
 def exact_joints(skeleton: Skeleton) -> list[str]:
-    """Returns what an exact target may bring to its place: the root, and the ends of limbs."""
-    return [ROOT, *limbs_of(skeleton)]
+    """Returns what an exact target may be about: root, direction, pose, and the ends of limbs."""
+    return [ROOT, FACING, POSE, *limbs_of(skeleton)]
 
 
 def check_exact(targets: Sequence[Target], skeleton: Skeleton) -> None:
-    """Raises `UserError` if a target is exact and its joint cannot be brought to it by a limb."""
+    """Raises `UserError` if a target is exact and about a joint that no limb can bring to its place."""
     known = exact_joints(skeleton)
     for target in targets:
         if target.exact and target.joint not in known:
@@ -62,21 +66,97 @@ def reach_exactly(motion: Motion, targets: Sequence[Target]) -> Motion:
         return motion
     limbs = limbs_of(motion.skeleton)
     positions = motion.positions.astype(np.float64)
-    roots = [target for target in exact if target.joint == ROOT]
-    positions += _shift(positions, roots, motion)[:, None]  # first, because it takes the limbs along
-    for limb in dict.fromkeys(limbs[target.joint] for target in exact if target.joint != ROOT):
-        own = [target for target in exact if target.joint != ROOT and limbs[target.joint] == limb]
-        positions = _bent(positions, limb, _shift(positions, own, motion))
+    # First what takes limbs along.
+    if turns := _about([FACING], exact):
+        positions = _turned(positions, turns, motion)
+    if roots := _about([ROOT], exact):
+        positions = positions + _shift(positions, roots, motion)[:, None]
+    if poses := _about([POSE], exact):
+        positions = _posed(positions, poses, motion)
+    for limb in dict.fromkeys(limbs.values()):
+        if ends := _about([name for name, own in limbs.items() if own == limb], exact):
+            positions = _bent(positions, limb, _shift(positions, ends, motion))
     return dataclasses.replace(motion, positions=positions.astype(np.float32), codes=None)  # it is between codes
+
+
+def _about(joints: Sequence[str], targets: Sequence[Target]) -> list[Target]:
+    return [target for target in targets if target.joint in joints]
+
+
+def _frames(target: Target, motion: Motion) -> list[int]:
+    """Returns the frames in which a target holds; after the end of the motion, its last frame."""
+    return [min(frame, motion.num_frames - 1) for frame in target.frames(motion.fps)]
+
+
+def _faded(wanted: Mapping[int, Float[np.ndarray, " C"]], motion: Motion) -> Float[np.ndarray, "T C"]:
+    return faded(wanted, motion.num_frames, fade=round(FADE_SECONDS * motion.fps))
+
+
+def _turned(positions: Clip, targets: Sequence[Target], motion: Motion) -> Clip:
+    """Returns positions turned about the root, so that the figure faces where targets say."""
+    from scipy.spatial.transform import Rotation  # here, because it takes long to import
+
+    now = facing_degrees(positions, motion.skeleton)
+    # The shorter way around.
+    wanted = {
+        frame: np.array([0.0, (target.place[0] - now[frame] + 180) % 360 - 180, 0.0])
+        for target in targets
+        for frame in _frames(target, motion)
+    }
+    turns = Rotation.from_rotvec(_faded(wanted, motion), degrees=True).as_matrix()
+    root = positions[:, :1]
+    return root + np.einsum("tab,tjb->tja", turns, positions - root)
+
+
+def _posed(positions: Clip, targets: Sequence[Target], motion: Motion) -> Clip:
+    """Returns positions whose bones turn into the poses of targets; pelvis and chest turn as one piece each."""
+    from scipy.spatial.transform import Rotation  # here, because it takes long to import
+
+    skeleton = motion.skeleton
+    seen = seen_from_root(positions, skeleton)
+    bones = bone_vectors(seen, skeleton)
+    wanted = {}
+    for target in targets:
+        assert target.pose is not None
+        (pose,) = seen_from_root(target.pose[None].astype(np.float64), skeleton)
+        (goal,) = bone_vectors(pose[None], skeleton)
+        for frame in _frames(target, motion):
+            turns = _bone_turns(bones[frame], goal, skeleton)
+            rise = np.array([[0.0, pose[0, 1] - seen[frame, 0, 1], 0.0]])
+            wanted[frame] = np.concatenate([rise, turns]).ravel()
+    changes = _faded(wanted, motion).reshape(positions.shape)
+    turned = Rotation.from_rotvec(changes[:, 1:].reshape(-1, 3)).apply(bones.reshape(-1, 3)).reshape(bones.shape)
+    posed = positions_from_bones(changes[:, 0] + seen[:, 0], turned, skeleton)
+    # Back from what is seen from the root to the world.
+    ahead = unit_vectors(facing(positions, skeleton))
+    left = np.stack([ahead[:, 2], 0 * ahead[:, 0], -ahead[:, 0]], axis=-1)
+    x, y, z = np.moveaxis(posed, -1, 0)
+    world = x[..., None] * left[:, None] + y[..., None] * UP + z[..., None] * ahead[:, None] + positions[:, :1] * GROUND
+    return np.where(changes.any(axis=(1, 2))[:, None, None], world, positions)
+
+
+def _bone_turns(
+    bones: Float[np.ndarray, "B 3"], goal: Float[np.ndarray, "B 3"], skeleton: Skeleton
+) -> Float[np.ndarray, "B 3"]:
+    """Returns the rotation vectors that turn the bones of a pose into those of another one."""
+    from scipy.spatial.transform import Rotation  # here, because it takes long to import
+
+    axes = np.cross(bones, goal)
+    sines = np.linalg.norm(axes, axis=-1, keepdims=True)
+    angles = np.arctan2(sines, np.sum(bones * goal, axis=-1, keepdims=True))
+    turns = angles * axes / np.maximum(sines, np.finfo(float).tiny)
+    for hub in hub_bones(skeleton):
+        turns[hub] = Rotation.from_matrix(rigid_rotations(bones[hub], goal[hub])).as_rotvec()
+    return turns
 
 
 def _shift(positions: Clip, targets: Sequence[Target], motion: Motion) -> Float[np.ndarray, "T 3"]:
     """Returns how far to move the joints of targets in each frame."""
     wanted = {}
     for target in targets:
-        for frame in np.minimum(target.frames(motion.fps), len(positions) - 1):
-            wanted[int(frame)] = _way(positions[frame], target, motion.skeleton)
-    return faded(wanted, len(positions), fade=round(FADE_SECONDS * motion.fps))
+        for frame in _frames(target, motion):
+            wanted[frame] = _way(positions[frame], target, motion.skeleton)
+    return _faded(wanted, motion)
 
 
 def _way(pose: Float[np.ndarray, "J 3"], target: Target, skeleton: Skeleton) -> Float[np.ndarray, "3"]:
@@ -88,32 +168,31 @@ def _way(pose: Float[np.ndarray, "J 3"], target: Target, skeleton: Skeleton) -> 
     if target.relative:
         ahead = unit_vectors(facing(pose[None], skeleton))[0]
         left = np.array([ahead[2], 0.0, -ahead[0]])
-        place = pose[0] * GROUND + place[0] * left + place[1] * np.array([0.0, 1.0, 0.0]) + place[2] * ahead
+        place = pose[0] * GROUND + place[0] * left + place[1] * UP + place[2] * ahead
     return place - pose[skeleton.joint_names.index(target.joint)]
 
 
-def faded(wanted: Mapping[int, Float[np.ndarray, "3"]], num_frames: int, *, fade: int) -> Float[np.ndarray, "T 3"]:
-    """Returns shifts that are as wanted in some frames, 0 far from them, and change smoothly between.
+def faded(wanted: Mapping[int, Float[np.ndarray, " C"]], num_frames: int, *, fade: int) -> Float[np.ndarray, "T C"]:
+    """Returns changes that are as wanted in some frames, 0 far from them, and go smoothly from one to the next.
 
     Args:
-        wanted: Shifts by frame.
+        wanted: Changes by frame, at least one.
         num_frames: Frames of the result.
-        fade: Frames from 0 to a shift. Between two that are nearer than both of their fades, it goes directly.
+        fade: Frames from 0 to a change. Between two that are nearer than both of their fades, it goes directly.
     """
-    if not wanted:
-        return np.zeros((num_frames, 3))
     frames = sorted(wanted)
-    keys = [(frames[0] - fade, np.zeros(3))]
+    none = np.zeros_like(wanted[frames[0]])
+    keys = [(frames[0] - fade, none)]
     for before, after in itertools.pairwise([*frames, frames[-1] + 3 * fade]):
         keys.append((before, wanted[before]))
         if after - before > 2 * fade:
-            keys += [(before + fade, np.zeros(3)), (after - fade, np.zeros(3))]
-    times, shifts = (np.array(part, np.float64) for part in zip(*keys, strict=True))
+            keys += [(before + fade, none), (after - fade, none)]
+    times, changes = (np.array(part, np.float64) for part in zip(*keys, strict=True))
     now = np.arange(num_frames)
     place = np.clip(np.searchsorted(times, now, side="right") - 1, 0, len(times) - 2)
-    # Before the first shift and after the last, the value is 0 and stays so.
+    # Before the first change and after the last, the value is 0 and stays so.
     share = np.clip((now - times[place]) / (times[place + 1] - times[place]), 0, 1)
-    return shifts[place] + (0.5 - 0.5 * np.cos(np.pi * share))[:, None] * (shifts[place + 1] - shifts[place])
+    return changes[place] + (0.5 - 0.5 * np.cos(np.pi * share))[:, None] * (changes[place + 1] - changes[place])
 
 
 def _bent(positions: Clip, limb: Limb, shift: Float[np.ndarray, "T 3"]) -> Clip:

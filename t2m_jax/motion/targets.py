@@ -34,6 +34,8 @@ JOINT_TOLERANCE = 0.03
 """Up to here, the target of a joint is met; meters."""
 EXACT_TOLERANCE = 0.005
 """Up to here, an exact target is met; meters."""
+EXACT_DEGREES = 0.5
+"""Up to here, an exact direction is met."""
 FASTEST_ROOT = 5.0
 """Nobody travels faster in these motions; meters per second."""
 FASTEST_JOINT = 12.0
@@ -67,7 +69,8 @@ class Target:
     pose: Float[np.ndarray, "J 3"] | None = None
     """Joints of a `pose`, in meters."""
     exact: bool = False
-    """Whether the root, a wrist or a foot is brought to its place by inverse kinematics at the end."""
+    """Whether it is met at the end by moving bones, as `reach_exactly` does: the root, the direction, the pose, or a
+    wrist or a foot."""
 
     def __post_init__(self) -> None:
         """Checks what does not depend on the skeleton.
@@ -100,7 +103,9 @@ class Target:
     @property
     def tolerance(self) -> float:
         """The distance up to which it is met; meters, or degrees of `facing`."""
-        return EXACT_TOLERANCE if self.exact else TOLERANCES.get(self.joint, JOINT_TOLERANCE)
+        if self.exact:
+            return EXACT_DEGREES if self.joint == FACING else EXACT_TOLERANCE
+        return TOLERANCES.get(self.joint, JOINT_TOLERANCE)
 
     def is_met(self, distance: float) -> bool:
         """Returns whether a motion that is this far away meets it (see `distances`)."""
@@ -120,6 +125,8 @@ class Target:
 def read_target(given: object) -> Target:
     """Returns a target: as given, from a text, or from seconds and a motion whose first frame is the pose.
 
+    A third part of the latter, "exact", makes it exact.
+
     Raises:
         UserError: It is none of these, or a number cannot be used.
     """
@@ -128,10 +135,11 @@ def read_target(given: object) -> Target:
     if isinstance(given, str):
         return _from_text(given)
     # After texts, which are sequences, too.
-    if isinstance(given, Sequence) and len(given) == 2:
-        seconds, motion = given
-        if isinstance(seconds, int | float) and isinstance(motion, Motion):
-            return Target(seconds=float(seconds), joint=POSE, pose=motion.positions[0])
+    if isinstance(given, Sequence) and len(given) in (2, 3):
+        seconds, motion, *exact = given
+        is_known = all(isinstance(word, str) and word == "exact" for word in exact)
+        if isinstance(seconds, int | float) and isinstance(motion, Motion) and is_known:
+            return Target(seconds=float(seconds), joint=POSE, pose=motion.positions[0], exact=bool(exact))
     raise UserError(f"targets: {given!r:.80} is not a text ({SYNTAX}) or a pair of seconds and a motion")
 
 

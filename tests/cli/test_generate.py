@@ -152,6 +152,7 @@ def test_chains_that_are_refused(refusal, bundle_folder, tmp_path, tmp_path_fact
         (["--at", "0.5", "root=0,3"], "targets: root at 0.5 s: 3 m in 0.5 s is faster than 5 m/s"),
         (["--pose", "soon", "missing.npz"], "--pose soon missing.npz: 'soon' is not a number of seconds"),
         (["--pose", "1", "missing.npz"], "missing.npz"),
+        (["--pose", "1", "missing.npz exact"], "missing.npz: "),
         (["--at", "1", "root=0,0", "--then", "a person waves"], "a span to redo; leave out a second sentence"),
         (
             ["--at", "1", "root=0,0", "--seconds", "2"],
@@ -174,8 +175,8 @@ def test_the_distances_to_targets_are_said(bundle_folder, tmp_path, capsys, monk
     assert main([*command, "--at", "0", "root=0,0", "--at", "0.3", "left_wrist=0.9,2,0.4"]) == 0
     said = capsys.readouterr().err
     assert "t2m: root at 0 s: met, 0." in said and "t2m: left_wrist at 0.3 s: missed, " in said
-    assert main([*command, "--pose", "0.1", f"{file}"]) == 0
-    assert "t2m: pose at 0.1 s: m" in capsys.readouterr().err
+    assert main([*command, "--pose", "0.1", f"{file} exact"]) == 0
+    assert "t2m: pose at 0.1 s: met, 0.00" in capsys.readouterr().err
 
 
 def test_every_field_of_the_records_is_an_option():

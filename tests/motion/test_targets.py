@@ -130,8 +130,15 @@ def test_what_is_no_target_is_one_line(text, says):
     assert says in str(caught.value) and "\n" not in str(caught.value)
 
 
+MOTION = Motion(np.zeros((1, 22, 3)), 20.0)
+
+
 @pytest.mark.parametrize(
-    "given", [3, None, (1.0,), (1.0, "walk.npz"), ("soon", Motion(np.zeros((1, 22, 3)), 20.0)), ["1 root=0,0"]]
+    "given",
+    [
+        *(3, None, (1.0,), (1.0, "walk.npz"), ("soon", MOTION), ["1 root=0,0"]),
+        *((1.0, MOTION, "near"), (1.0, MOTION, np.zeros(2)), (1.0, MOTION, "exact", "exact")),
+    ],
 )
 def test_what_is_no_text_is_one_line(given):
     with pytest.raises(UserError, match="is not a text"):
