@@ -22,8 +22,8 @@ from t2m_jax.text.word_vectors import Vocabulary, load_vocabulary, save_vocabula
 EVALUATOR_CONFIG = "evaluator.yaml"
 WEIGHTS_FILE = "weights.safetensors"
 WORDS_FILE = "words.txt"
-PACKAGED = ("benchmark-free",)
-"""Names of the evaluators that are part of the package: that of the benchmark's free track."""
+PACKAGED = ("benchmark-free", "benchmark-nc")
+"""Names of the evaluators that are part of the package: those of the benchmark's tracks."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

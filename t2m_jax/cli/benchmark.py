@@ -1,8 +1,8 @@
 """Measure a model on the benchmark: `t2m benchmark MODEL --json F`.
 
 One report has the evaluator's metrics over seeded repeats, the quality of motion, and text following on held-out
-sentences. The data are made by `sh configs/benchmark/data.sh ARCHIVES`; the evaluator of track `free` is part of the
-package.
+sentences. The data are made by `sh configs/benchmark/data.sh ARCHIVES`; the evaluators of both tracks are part of
+the package.
 `t2m evaluate table --benchmark F...` makes the table of several reports, and `t2m evaluate compare` compares two.
 docs/benchmark.md says which differences mean something.
 """
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     tracks = "free has motion for all uses, nc also motion for non-commercial use (default: free)"
     parser.add_argument("--track", choices=("free", "nc"), default="free", help=tracks)
     parser.add_argument("--data", metavar="DIR", help="data of the track (default: data/benchmark-free or -nc)")
-    evaluator = "folder or run of an evaluator (default: the packaged one of track free; track nc has none)"
+    evaluator = "folder or run of an evaluator (default: the packaged one of the track)"
     parser.add_argument("--evaluator", metavar="E", help=evaluator)
     parser.add_argument("--split", default="test", help="split to measure on (default: test)")
     parser.add_argument("--num-repeats", type=positive, default=5, help="repeats (default: 5)")
@@ -44,8 +44,9 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _measure(args: argparse.Namespace) -> None:
+    from t2m_jax.checkpoints.evaluator import load_trained_evaluator
     from t2m_jax.data import open_dataset
-    from t2m_jax.evaluation.benchmark import PROTOCOL, TRACKS, check_track, load_track_evaluator, measure_following
+    from t2m_jax.evaluation.benchmark import PROTOCOL, TRACKS, check_track, measure_following
     from t2m_jax.evaluation.protocols import find_protocol
     from t2m_jax.evaluation.report.formats import format_table
     from t2m_jax.evaluation.report.record import save_report
@@ -57,8 +58,9 @@ def _measure(args: argparse.Namespace) -> None:
     from t2m_jax.sampling.request import SamplingOptions
 
     options = read_record(SamplingOptions, args)
-    evaluator = load_track_evaluator(args.track, args.evaluator)
-    dataset = open_dataset(args.data or TRACKS[args.track].data)
+    track = TRACKS[args.track]
+    evaluator = load_trained_evaluator(args.evaluator or track.evaluator)
+    dataset = open_dataset(args.data or track.data)
     check_track(dataset, args.track)
     model = TextToMotion.load(args.model)
     unit = model.config.tokenizer.downsample

@@ -8,7 +8,6 @@ import warnings
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from t2m_jax.checkpoints.evaluator import TrainedEvaluator, load_trained_evaluator
 from t2m_jax.data.files import SPLITS
 from t2m_jax.data.folder import Dataset
 from t2m_jax.errors import UserError
@@ -30,15 +29,15 @@ class BenchmarkTrack(NamedTuple):
 
     data: str
     """Folder that `configs/benchmark/data.sh` makes by default."""
-    evaluator: str | None
-    """Name of the packaged evaluator; None if users train it."""
+    evaluator: str
+    """Name of the packaged evaluator."""
     lists: str
     """What identifies its lists and captions (see `lists_digest`)."""
 
 
 TRACKS = {
     "free": BenchmarkTrack("data/benchmark-free", "benchmark-free", "e9873c7174fc22e8"),
-    "nc": BenchmarkTrack("data/benchmark-nc", None, "5bb170e54a5afe9d"),
+    "nc": BenchmarkTrack("data/benchmark-nc", "benchmark-nc", "5bb170e54a5afe9d"),
 }
 """`free` has only motion that may be used for everything, `nc` also motion for non-commercial use."""
 
@@ -57,18 +56,6 @@ def lists_digest(dataset: Dataset) -> str:
             texts = [caption.text for caption in dataset.captions(name)]
             digest.update("\n".join([split, name, *texts, ""]).encode())
     return digest.hexdigest()[:16]
-
-
-def load_track_evaluator(track: str, given: str | None) -> TrainedEvaluator:
-    """Returns the evaluator that was given, or else the packaged one of a track.
-
-    Raises:
-        UserError: None was given, and the track has no packaged one; or it cannot be read.
-    """
-    name = given or TRACKS[track].evaluator
-    if name is None:
-        raise UserError(f"evaluator: track {track} has no packaged one; give the run of evaluator/benchmark-{track}")
-    return load_trained_evaluator(name)
 
 
 def check_track(dataset: Dataset, track: str) -> None:
