@@ -5,7 +5,7 @@
 Each request has the sentence of a test clip and three targets at random times of it. It is compared with the first
 sample of the sentence, with this sample after inverse kinematics alone, with the best of 16 and of 64 samples, and with
 the same motion after exact targets of wrist and root. With `--between`, requests have two poses of a clip, one to three
-seconds apart, and the place and direction of the second one, all exact, and the motion is compared with the clip.
+seconds apart, each with its place and direction, all exact, and the motion is compared with the clip.
 """
 
 import argparse
@@ -24,10 +24,19 @@ from t2m_jax.evaluation.inbetween import gap_figures, interpolate_gap
 from t2m_jax.evaluation.prompts.following import RULES, follows
 from t2m_jax.evaluation.prompts.recognition import load_index
 from t2m_jax.metrics.quality import measure_quality
-from t2m_jax.motion.features import facing, ground_positions, positions_from_features
+from t2m_jax.motion.features import ground_positions, positions_from_features
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.reaching import Clip, reach_exactly
-from t2m_jax.motion.targets import EXACT_TOLERANCE, JOINT_TOLERANCE, POSE, TOLERANCES, Target, distances, read_target
+from t2m_jax.motion.targets import (
+    EXACT_TOLERANCE,
+    JOINT_TOLERANCE,
+    POSE,
+    TOLERANCES,
+    Target,
+    distances,
+    facing_degrees,
+    read_target,
+)
 from t2m_jax.sampling import TextToMotion
 
 KINDS = ("wrist", "root", "pose")
@@ -139,12 +148,14 @@ def fill_gap(model: TextToMotion, trial: Trial, seed: int) -> Gap:
     size = int(generator.integers(fps, min(3 * fps, clip.num_frames - 2) + 1))
     first = int(generator.integers(0, clip.num_frames - size - 1))
     real = ground_positions(clip.positions[first : first + size + 2], clip.skeleton)
-    x, _, z = real[size, 0]
-    ahead = facing(real[size], clip.skeleton)
-    end = size / fps
-    texts = (f"{end} root={x},{z} exact", f"{end} facing={np.degrees(np.arctan2(ahead[0], ahead[2]))} exact")
-    poses = ((0.0, Motion(real[:1], fps), "exact"), (end, Motion(real[size : size + 1], fps), "exact"))
-    (motion,) = model.direct(trial.sentence, [*texts, *poses], seed=seed)
+    targets = []
+    for frame in (0, size):
+        time = frame / fps
+        x, _, z = real[frame, 0]
+        (degrees,) = facing_degrees(real[frame : frame + 1], clip.skeleton)
+        pose = Motion(real[frame : frame + 1], fps)
+        targets += [f"{time} root={x},{z} exact", f"{time} facing={degrees} exact", (time, pose, "exact")]
+    (motion,) = model.direct(trial.sentence, targets, seed=seed)
     return Gap(real, size, motion)
 
 

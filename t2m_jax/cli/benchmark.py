@@ -9,6 +9,7 @@ docs/benchmark.md says which differences mean something.
 
 import argparse
 import dataclasses
+import math
 import shlex
 import sys
 from pathlib import Path
@@ -46,7 +47,7 @@ def run(args: argparse.Namespace) -> None:
 def _measure(args: argparse.Namespace) -> None:
     from t2m_jax.checkpoints.evaluator import load_trained_evaluator
     from t2m_jax.data import open_dataset
-    from t2m_jax.evaluation.benchmark import PROTOCOL, TRACKS, check_track, measure_following
+    from t2m_jax.evaluation.benchmark import PROTOCOL, TRACKS, UNIT, check_track, measure_following
     from t2m_jax.evaluation.protocols import find_protocol
     from t2m_jax.evaluation.report.formats import format_table
     from t2m_jax.evaluation.report.record import save_report
@@ -63,7 +64,7 @@ def _measure(args: argparse.Namespace) -> None:
     dataset = open_dataset(args.data or track.data)
     check_track(dataset, args.track)
     model = TextToMotion.load(args.model)
-    unit = model.config.tokenizer.downsample
+    unit = math.lcm(UNIT, model.config.tokenizer.downsample)
     task = make_task(dataset, evaluator, find_protocol(PROTOCOL), split=args.split, seed=args.seed, unit=unit)
     source = make_generation(model, task.samples.clips, options=options)
     # Finished repeats are kept there, so that an interrupted benchmark continues.

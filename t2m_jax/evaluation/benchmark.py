@@ -20,6 +20,9 @@ from t2m_jax.sampling.request import MotionRequest, SamplingOptions
 from t2m_jax.text.coverage import PromptWarning
 
 PROTOCOL = "benchmark"
+UNIT = 8
+"""Lengths of motions are multiples of so many frames, whatever the tokenizer, so that reports of both systems can be
+compared."""
 GROUPS = ("free", "subjects", "typos", "while", "counts", "durations")
 """Groups of held-out sentences that need no data set."""
 

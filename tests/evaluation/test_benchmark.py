@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints.evaluator import PACKAGED, evaluator_path, load_trained_evaluator
+from t2m_jax.checkpoints.bundle import save_bundle
+from t2m_jax.checkpoints.evaluator import PACKAGED, evaluator_path, load_trained_evaluator, save_evaluator
 from t2m_jax.cli.main import main
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.synthetic import write_synthetic_dataset
@@ -16,6 +17,7 @@ from t2m_jax.evaluation.report.record import Following, Header, Metric, Report, 
 from t2m_jax.evaluation.report.tables import make_table
 from t2m_jax.evaluation.run import unit_vectors
 from t2m_jax.metrics.frechet import fid
+from tests.tiny import random_bundle, random_evaluator
 
 HEADER = Header(
     protocol="benchmark",
@@ -105,3 +107,22 @@ def test_other_lists_or_captions_are_not_the_benchmark(tmp_path):
 def test_each_track_has_an_evaluator_and_lists_of_its_own():
     assert tuple(track.evaluator for track in benchmark.TRACKS.values()) == PACKAGED
     assert len({track.lists for track in benchmark.TRACKS.values()}) == len(benchmark.TRACKS)
+
+
+@pytest.mark.slow
+def test_a_report_has_the_unit_of_both_systems_and_text_following(tmp_path, monkeypatch, capsys):
+    data = tmp_path / "data"
+    write_synthetic_dataset(data, num_clips=240, seed=3)
+    track = benchmark.BenchmarkTrack(f"{data}", f"{tmp_path / 'evaluator'}", benchmark.lists_digest(open_dataset(data)))
+    monkeypatch.setattr(benchmark, "TRACKS", {"free": track})
+    monkeypatch.setattr(benchmark, "GROUPS", ("durations",))
+    evaluator = random_evaluator()._replace(normalizer=open_dataset(data).normalizer)
+    save_evaluator(tmp_path / "evaluator", evaluator)
+    save_bundle(tmp_path / "gpt", random_bundle(), card="")
+    file = tmp_path / "gpt.json"
+    assert main(["benchmark", f"{tmp_path / 'gpt'}", "--num-repeats", "2", "--json", f"{file}"]) == 0
+    assert "durations: " in capsys.readouterr().out
+    report = load_report(file)
+    # Its tokenizer has four frames per code, that of a HiFiGPT eight; other units could not be compared.
+    assert report.header.unit == 8 and report.following["durations"].samples == 24
+    assert {"fid_normalized", "r_precision_1"} <= set(report.measured)
