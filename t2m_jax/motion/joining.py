@@ -174,11 +174,11 @@ def replace_middle(
         middle[-count:] += fading_change(tail[:2] - generated[last : last + 2], count)[::-1]
     # Without frames beside it, the middle has the bones of its own first frame.
     beside = np.concatenate([head[-1:], tail[:1]]) if len(head) or len(tail) else middle[:1]
-    middle = _with_bones_of(beside, middle, skeleton)
+    middle = with_bones_of(beside, middle, skeleton)
     return np.concatenate([head, middle, tail]).astype(np.float32)
 
 
-def _with_bones_of(beside: Clip, middle: Clip, skeleton: Skeleton) -> Clip:
+def with_bones_of(beside: Clip, middle: Clip, skeleton: Skeleton) -> Clip:
     """Returns frames with the lengths of bones, and the shapes of pelvis and chest, of the first and last frame beside.
 
     If these two differ, as in motion as decoded, the lengths and shapes go from the first to the last.

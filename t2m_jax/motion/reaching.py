@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.motion.features import bone_vectors, facing, positions_from_bones
+from t2m_jax.motion.joining import with_bones_of
 from t2m_jax.motion.kinematics import rigid_rotations
 from t2m_jax.motion.legs import move_foot, reaching_bends
 from t2m_jax.motion.motion import Motion
@@ -66,12 +67,15 @@ def reach_exactly(motion: Motion, targets: Sequence[Target]) -> Motion:
         return motion
     limbs = limbs_of(motion.skeleton)
     positions = motion.positions.astype(np.float64)
-    # First what takes limbs along.
+    poses = _about([POSE], exact)
+    # Each step is before those that it would undo.
+    if poses:
+        positions = _shaped(positions, poses, motion)
     if turns := _about([FACING], exact):
         positions = _turned(positions, turns, motion)
     if roots := _about([ROOT], exact):
         positions = positions + _shift(positions, roots, motion)[:, None]
-    if poses := _about([POSE], exact):
+    if poses:
         positions = _posed(positions, poses, motion)
     for limb in dict.fromkeys(limbs.values()):
         if ends := _about([name for name, own in limbs.items() if own == limb], exact):
@@ -108,6 +112,13 @@ def _turned(positions: Clip, targets: Sequence[Target], motion: Motion) -> Clip:
     return root + np.einsum("tab,tjb->tja", turns, positions - root)
 
 
+def _shaped(positions: Clip, targets: Sequence[Target], motion: Motion) -> Clip:
+    """Returns positions with pelvis and chest as in the poses of targets, which turns alone could not meet."""
+    ends = [choose(targets, key=lambda target: target.seconds) for choose in (min, max)]
+    poses = np.concatenate([_pose_of(target, positions, motion) for target in ends])
+    return with_bones_of(poses, positions, motion.skeleton)
+
+
 def _posed(positions: Clip, targets: Sequence[Target], motion: Motion) -> Clip:
     """Returns positions whose bones turn into the poses of targets; pelvis and chest turn as one piece each."""
     from scipy.spatial.transform import Rotation  # here, because it takes long to import
@@ -117,8 +128,7 @@ def _posed(positions: Clip, targets: Sequence[Target], motion: Motion) -> Clip:
     bones = bone_vectors(seen, skeleton)
     wanted = {}
     for target in targets:
-        assert target.pose is not None
-        (pose,) = seen_from_root(target.pose[None].astype(np.float64), skeleton)
+        (pose,) = seen_from_root(_pose_of(target, positions, motion), skeleton)
         (goal,) = bone_vectors(pose[None], skeleton)
         for frame in _frames(target, motion):
             turns = _bone_turns(bones[frame], goal, skeleton)
@@ -133,6 +143,15 @@ def _posed(positions: Clip, targets: Sequence[Target], motion: Motion) -> Clip:
     x, y, z = np.moveaxis(posed, -1, 0)
     world = x[..., None] * left[:, None] + y[..., None] * UP + z[..., None] * ahead[:, None] + positions[:, :1] * GROUND
     return np.where(changes.any(axis=(1, 2))[:, None, None], world, positions)
+
+
+def _pose_of(target: Target, positions: Clip, motion: Motion) -> Float[np.ndarray, "1 J 3"]:
+    """Returns the pose of a target with bones as long as those of the motion."""
+    assert target.pose is not None
+    pose = target.pose[None].astype(np.float64)
+    own = bone_vectors(positions[_frames(target, motion)[:1]], motion.skeleton)
+    bones = unit_vectors(bone_vectors(pose, motion.skeleton)) * np.linalg.norm(own, axis=-1, keepdims=True)
+    return positions_from_bones(pose[:, 0], bones, motion.skeleton)
 
 
 def _bone_turns(

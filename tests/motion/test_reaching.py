@@ -75,21 +75,23 @@ def test_a_figure_turns_about_its_root(walk, degrees):
     np.testing.assert_array_equal(reached.positions[40:], walk.positions[40:])
 
 
-def test_bones_turn_into_a_pose_and_keep_lengths_and_hubs(walk, wave):
+def test_bones_turn_into_a_pose_and_keep_lengths(walk, wave):
     targets = [read_target((1.5, wave[25:26], "exact"))]
     reached = reach_exactly(walk, targets)
-    # Made motions have a pelvis and a chest that bend by millimeters, which stay as they are.
-    assert distances(walk, targets)[0] > 0.1 and distances(reached, targets)[0] < 2e-3
-    np.testing.assert_allclose(reached.positions[:, 0, ::2], walk.positions[:, 0, ::2], atol=1e-6)
-    np.testing.assert_array_equal(
-        np.delete(reached.positions, np.s_[21:40], axis=0), np.delete(walk.positions, np.s_[21:40], axis=0)
-    )
-    before, after = (bone_vectors(one.positions, HUMANML3D) for one in (walk, reached))
-    np.testing.assert_allclose(*(np.linalg.norm(bones, axis=-1) for bones in (before, after)), atol=1e-5)
+    assert distances(walk, targets)[0] > 0.1 and distances(reached, targets)[0] < 1e-4
+    # Pelvis and chest get the shapes of the pose, which differ by millimeters in made motions. All else stays.
+    others = np.delete(reached.positions - walk.positions, np.s_[21:40], axis=0)
+    assert np.abs(others).max() < 0.01
+    lengths = [np.linalg.norm(bone_vectors(one.positions, HUMANML3D), axis=-1) for one in (walk, reached)]
+    np.testing.assert_allclose(*lengths, atol=1e-5)
+
+
+def test_pelvis_and_chest_stay_rigid(walk, wave):
+    targets = [read_target((time, pose, "exact")) for time, pose in ((0.5, wave[25:26]), (1.5, wave[25:26]))]
+    bones = bone_vectors(reach_exactly(walk, targets).positions, HUMANML3D)
     for hub in hub_bones(HUMANML3D):
-        np.testing.assert_allclose(
-            *(bones[:, hub] @ bones[:, hub].swapaxes(1, 2) for bones in (before, after)), atol=1e-5
-        )
+        products = bones[:, hub] @ bones[:, hub].swapaxes(1, 2)
+        np.testing.assert_allclose(products, np.broadcast_to(products[0], products.shape), atol=1e-5)
 
 
 def test_poses_with_a_place_and_a_direction_are_met_in_the_world(walk, wave):
@@ -100,9 +102,9 @@ def test_poses_with_a_place_and_a_direction_are_met_in_the_world(walk, wave):
         read_target((2.0, end, "exact")),
     ]
     reached = reach_exactly(walk, targets)
-    assert max(distances(reached, targets)) < 1e-2
+    assert max(distances(reached, targets)) < 1e-2 and distances(reached, targets)[2] < 1e-4
     placed = place_positions(end.positions, end.positions[0], reached.positions[40], skeleton=HUMANML3D)
-    np.testing.assert_allclose(reached.positions[40], placed[0], atol=5e-3)
+    np.testing.assert_allclose(reached.positions[40], placed[0], atol=1e-3)
     assert np.abs(np.diff(reached.positions, n=2, axis=0)).max() < 0.1
 
 
