@@ -14,19 +14,18 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.motion.features import bone_vectors, facing, positions_from_bones
-from t2m_jax.motion.joining import with_bones_of
+from t2m_jax.motion.joining import place_positions, with_bones_of
 from t2m_jax.motion.kinematics import rigid_rotations
 from t2m_jax.motion.legs import move_foot, reaching_bends
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
-from t2m_jax.motion.targets import FACING, POSE, ROOT, Target, facing_degrees, seen_from_root
+from t2m_jax.motion.targets import FACING, POSE, ROOT, Target, facing_degrees
 from t2m_jax.motion.torso import hub_bones
 
 FADE_SECONDS = 0.5
 """Time in which a movement to a target begins, and in which it ends."""
 GROUND = np.array([1.0, 0.0, 1.0])
-UP = np.array([0.0, 1.0, 0.0])
 
 Clip = Float[np.ndarray, "T J 3"]
 Limb = tuple[int, int, int, int]
@@ -61,7 +60,7 @@ def check_exact(targets: Sequence[Target], skeleton: Skeleton) -> None:
 
 
 def reach_exactly(motion: Motion, targets: Sequence[Target]) -> Motion:
-    """Returns a motion that meets those targets that are exact, as far as its limbs reach."""
+    """Returns a motion that meets those targets that are exact, as far as its bones reach."""
     exact = [target for target in targets if target.exact]
     if not exact:
         return motion
@@ -124,25 +123,19 @@ def _posed(positions: Clip, targets: Sequence[Target], motion: Motion) -> Clip:
     from scipy.spatial.transform import Rotation  # here, because it takes long to import
 
     skeleton = motion.skeleton
-    seen = seen_from_root(positions, skeleton)
-    bones = bone_vectors(seen, skeleton)
+    bones = bone_vectors(positions, skeleton)
     wanted = {}
     for target in targets:
-        (pose,) = seen_from_root(_pose_of(target, positions, motion), skeleton)
-        (goal,) = bone_vectors(pose[None], skeleton)
+        pose = _pose_of(target, positions, motion)
         for frame in _frames(target, motion):
-            turns = _bone_turns(bones[frame], goal, skeleton)
-            rise = np.array([[0.0, pose[0, 1] - seen[frame, 0, 1], 0.0]])
-            wanted[frame] = np.concatenate([rise, turns]).ravel()
+            (goal,) = place_positions(pose, pose[0], positions[frame], skeleton=skeleton)
+            (goal_bones,) = bone_vectors(goal[None], skeleton)
+            rise = np.array([[0.0, goal[0, 1] - positions[frame, 0, 1], 0.0]])
+            wanted[frame] = np.concatenate([rise, _bone_turns(bones[frame], goal_bones, skeleton)]).ravel()
     changes = _faded(wanted, motion).reshape(positions.shape)
     turned = Rotation.from_rotvec(changes[:, 1:].reshape(-1, 3)).apply(bones.reshape(-1, 3)).reshape(bones.shape)
-    posed = positions_from_bones(changes[:, 0] + seen[:, 0], turned, skeleton)
-    # Back from what is seen from the root to the world.
-    ahead = unit_vectors(facing(positions, skeleton))
-    left = np.stack([ahead[:, 2], 0 * ahead[:, 0], -ahead[:, 0]], axis=-1)
-    x, y, z = np.moveaxis(posed, -1, 0)
-    world = x[..., None] * left[:, None] + y[..., None] * UP + z[..., None] * ahead[:, None] + positions[:, :1] * GROUND
-    return np.where(changes.any(axis=(1, 2))[:, None, None], world, positions)
+    posed = positions_from_bones(positions[:, 0] + changes[:, 0], turned, skeleton)
+    return np.where(np.any(changes, axis=(1, 2), keepdims=True), posed, positions)
 
 
 def _pose_of(target: Target, positions: Clip, motion: Motion) -> Float[np.ndarray, "1 J 3"]:
@@ -187,7 +180,7 @@ def _way(pose: Float[np.ndarray, "J 3"], target: Target, skeleton: Skeleton) -> 
     if target.relative:
         ahead = unit_vectors(facing(pose[None], skeleton))[0]
         left = np.array([ahead[2], 0.0, -ahead[0]])
-        place = pose[0] * GROUND + place[0] * left + place[1] * UP + place[2] * ahead
+        place = pose[0] * GROUND + place[0] * left + place[1] * np.array([0.0, 1.0, 0.0]) + place[2] * ahead
     return place - pose[skeleton.joint_names.index(target.joint)]
 
 
