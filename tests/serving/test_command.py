@@ -7,6 +7,7 @@ import pytest
 
 from t2m_jax.cli.main import main
 from t2m_jax.cli.serve import TOKEN_VARIABLE
+from t2m_jax.serving import serve
 
 
 def error_of(capsys, *arguments: str) -> str:
@@ -32,6 +33,14 @@ def error_of(capsys, *arguments: str) -> str:
 def test_wrong_options(capsys, monkeypatch, arguments, part):
     monkeypatch.delenv(TOKEN_VARIABLE, raising=False)
     assert part in error_of(capsys, *arguments)
+
+
+def test_the_token_of_the_environment_is_asked_for(monkeypatch):
+    given = {}
+    monkeypatch.setattr(serve, "serve", lambda model, **options: given.update(options))
+    monkeypatch.setenv(TOKEN_VARIABLE, "secret")
+    assert main(["serve", "--host", "0.0.0.0"]) == 0 and given["token"] == "secret"
+    assert main(["serve", "--token", "other"]) == 0 and given["token"] == "other"
 
 
 def test_a_port_that_is_used(capsys):

@@ -95,13 +95,19 @@ def test_names_of_servers_are_taken(served, host):
 
 
 @pytest.mark.parametrize(
-    "authorization", [TOKEN, f"Basic {TOKEN}", f"Bearer{TOKEN}", f"Token Bearer {TOKEN}", "Bearer", ""]
+    "authorization",
+    [TOKEN, f"Basic {TOKEN}", f"Bearer{TOKEN}", f"Token Bearer {TOKEN}", "Bearer wrong", "secrét", "Bearer", ""],
 )
 def test_a_token_has_its_scheme(served, authorization):
     assert send(served, get("/model", "Host: a", f"Authorization: {authorization}"))[0] == 401
     twice = get("/model", "Host: a", f"Authorization: {authorization}", f"Authorization: Bearer {TOKEN}")
     assert send(served, twice)[0] == 401
     assert send(served, get("/model", "Host: a", f"Authorization: bearer {TOKEN}"))[0] == 200
+
+
+@pytest.mark.parametrize(("path", "status"), [("/", 200), ("/health", 200), ("/model", 401), ("/metrics", 401)])
+def test_the_page_and_its_health_need_no_token(served, path, status):
+    assert send(served, get(path, "Host: a"))[0] == status
 
 
 @pytest.mark.parametrize(
