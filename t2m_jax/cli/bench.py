@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from t2m_jax.cli.allocation import keep_freed_memory
 from t2m_jax.cli.options import add_model_argument, positive, show_next, subcommand_adder
 from t2m_jax.files.writing import check_output, claim
 
@@ -49,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Measures, prints the figures and stores them."""
+    keep_freed_memory()  # as a training does
     from t2m_jax.bench import report_text, save_report
     from t2m_jax.bench.probes import make_report
 

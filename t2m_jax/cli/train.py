@@ -15,6 +15,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from t2m_jax.cli.allocation import keep_freed_memory
 from t2m_jax.cli.options import print_columns, show_next
 from t2m_jax.errors import UserError
 
@@ -76,6 +77,7 @@ def run(args: argparse.Namespace) -> None:
     if args.diff:
         _show_differences(args)
         return
+    keep_freed_memory()
     from t2m_jax.config import override_config
     from t2m_jax.distributed import is_writer
     from t2m_jax.sampling.compilation import use_compilation_cache
