@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -187,8 +186,7 @@ def with_bones_of(beside: Clip, middle: Clip, skeleton: Skeleton) -> Clip:
     first, last = bone_vectors(beside, skeleton).astype(np.float64)[[0, -1]]
     lengths = np.linalg.norm([first, last], axis=-1, keepdims=True)
     turned = unit_vectors(bone_vectors(middle, skeleton)) * ((1 - share) * lengths[0] + share * lengths[1])
-    frames = (torso_frames(jnp.asarray(part, jnp.float32), skeleton) for part in (beside, middle))
-    axes, own_axes = (TORSO_AXIS * np.asarray(part) for part in frames)
+    axes, own_axes = (TORSO_AXIS * torso_frames(part, skeleton) for part in (beside, middle))
     for hub in hub_bones(skeleton):
         rest = np.concatenate([first[hub], axes[0]])
         end = last[hub] @ rigid_rotations(rest, np.concatenate([last[hub], axes[-1]]))  # turned as the first

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from t2m_jax.masks import mask_from_lengths
 from t2m_jax.motion.legs import lengths_of
+from t2m_jax.motion.namespace import AnyArray, namespace_of
 from t2m_jax.motion.rotations import cross_product, matrix_from_quaternion, unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.motion.smoothing import smooth_over_clip
@@ -59,7 +60,7 @@ def make_hubs_rigid(
     return kept + jnp.mean(positions - kept, axis=1, keepdims=True)
 
 
-def torso_frames(positions: Float[Array, "T J 3"], skeleton: Skeleton) -> Float[Array, "T 3 3"]:
+def torso_frames(positions: Float[AnyArray, "T J 3"], skeleton: Skeleton) -> Float[AnyArray, "T 3 3"]:
     """Returns the directions of the torso in each frame, as rows: from right to left, up along the spine, forward."""
     right_hip, left_hip, right_shoulder, left_shoulder = skeleton.face_joints
     across = (
@@ -67,8 +68,9 @@ def torso_frames(positions: Float[Array, "T J 3"], skeleton: Skeleton) -> Float[
     )
     across = unit_vectors(across)
     up = positions[:, _spine(skeleton)[-2]] - positions[:, 0]
-    up = unit_vectors(up - jnp.sum(up * across, axis=-1, keepdims=True) * across)
-    return jnp.stack([across, up, cross_product(across, up)], axis=1)
+    xp = namespace_of(positions)
+    up = unit_vectors(up - xp.sum(up * across, axis=-1, keepdims=True) * across)
+    return xp.stack([across, up, cross_product(across, up)], axis=1)
 
 
 def fitted_rotations(points: Float[Array, "N 3"], goals: Float[Array, "T N 3"]) -> Float[Array, "T 3 3"]:
