@@ -46,6 +46,12 @@ def test_an_unknown_action_is_named_with_the_nearest_ones(knowledge, prompt, ver
     assert len(nearest) == 2 and set(nearest) <= {inflected(action, "VBZ") for action in ACTIONS}
 
 
+def test_a_word_may_be_an_unknown_verb_and_a_noun(knowledge):
+    first, _, second = (word.action for word in words_of("rung by rung"))
+    assert not first and second, "read as the same: the test sees nothing"
+    assert "rung: not known; nearest: " in warning("the man climbs, rung by rung", knowledge)
+
+
 def test_a_sentence_without_a_verb_that_tells_it_is_compared_as_a_whole(encoder):
     actions = ("walk", "run", "jump")
     words = frozenset(["a", "person", "makes", "his", "way", "ahead", "on", "foot", "is", "having", "dinner"])
