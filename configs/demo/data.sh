@@ -1,7 +1,7 @@
 #!/bin/sh
 # Makes the data of the packaged models, each with its composed motions: DATA/demo of everything, and DATA/demo-free without the
-# Bandai-Namco motions (CC BY-NC) and Berkeley MHAD (license not confirmed). DATA/all is everything without composed motions. About 25 minutes
-# on one CPU core.
+# Bandai-Namco motions (CC BY-NC) and Berkeley MHAD (license not confirmed). DATA/all and DATA/all-free are the same without composed motions. About
+# 25 minutes on one CPU core.
 #   sh configs/demo/data.sh ARCHIVES [DATA]
 # ARCHIVES has the folders bandai-namco, accad, berkeley-mhad, cmu-asfamc, cmu-misc, cmu-walks, cmu-bvh, cmu-dance and cc0-glb, and
 # splits/bandai-namco with the lists of the Bandai-Namco motions. DATA is `data` by default. Tables and licenses are in configs/data.
@@ -26,5 +26,5 @@ free="accad cmu-asfamc cmu-misc cmu-walks cmu-bvh cmu-dance cc0-glb"
 (cd "$data/parts" && t2m data merge $free all-free && t2m data merge bandai-namco berkeley-mhad $free all)
 t2m data compose "$data/parts/all" "$data/demo" --still --slow --turns 8000 --at-once 2500 --repeated 2500 --timed 1500
 t2m data compose "$data/parts/all-free" "$data/demo-free" --still --slow --turns 4000 --at-once 1200 --repeated 1200 --timed 800
-mv "$data/parts/all" "$data/all"
+mv "$data/parts/all" "$data/parts/all-free" "$data"
 rm -r "$data/parts"

@@ -79,15 +79,17 @@ def test_the_stages_of_a_folder_fit(folder, tokenizer, generator):
         assert getattr(second.model, name) == getattr(first.model, name)
 
 
-def test_the_script_of_the_demo_fits_its_configs():
-    script = (REPOSITORY / "configs" / "demo" / "make.sh").read_text(encoding="utf-8").splitlines()
-    *trainings, bundle = (shlex.split(line)[1:] for line in script if line.startswith("t2m "))
+@pytest.mark.parametrize(("model", "motion"), [("demo", "all"), ("demo-free", "all-free")])
+def test_the_script_of_the_packaged_models_fits_their_configs(model, motion):
+    script = (REPOSITORY / "configs" / "demo" / "make.sh").read_text(encoding="utf-8").replace("$name", model)
+    *trainings, bundle = (shlex.split(line)[1:] for line in script.splitlines() if line.startswith("t2m "))
     tokenizer, generator = (config_of(kind, str(REPOSITORY / path), options) for _, kind, path, *options in trainings)
-    assert (f"{tokenizer.data}", f"{generator.data}") == ("data/all", "data/demo")
+    assert (f"{tokenizer.data}", f"{generator.data}") == (f"data/{motion}", f"data/{model}")
     assert generator.vqvae == tokenizer.run
     for name in ("num_codes", "num_quantizers"):
         assert getattr(generator.model, name) == getattr(tokenizer.model, name)
-    assert bundle == ["bundle", f"{generator.run}", "t2m_jax/bundles/demo", "--card", "configs/demo/card.md"]
+    card = f"configs/{model}/card.md"
+    assert bundle == ["bundle", f"{generator.run}", f"t2m_jax/bundles/{model}", "--card", card]
     assert (REPOSITORY / bundle[-1]).is_file()
 
 
