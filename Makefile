@@ -14,7 +14,7 @@ SLOW_VENV := $(if $(and $(filter file,$(origin PYTHON)),$(filter-out $(OLDEST),$
 FAST := -m "not slow and not release" --ignore tests/lint
 # As users run the package: only the fast tests check shapes at run time, for which many functions are compiled again.
 SLOW = -m "$(or $(TIER),slow and not release)" -o "addopts=-ra --strict-markers"
-BY_FILE := -n 2 --dist loadfile --no-loadscope-reorder
+BY_FILE := --dist loadfile --no-loadscope-reorder
 # Tests start many processes. Without bytecode on disk, each would compile JAX and everything else again.
 unexport PYTHONDONTWRITEBYTECODE
 PROMPT ?= a person waves with the left hand
@@ -85,14 +85,15 @@ demo: $(VENV)/.base
 	@echo "To use the command t2m in this terminal: source $(VENV)/bin/activate"
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest $(FAST) $(or $(PYTEST_ARGS),$(BY_FILE))
+	$(BIN)/python -m pytest $(FAST) $(or $(PYTEST_ARGS),-n 2 $(BY_FILE))
 
+# Slow tests often wait for browsers, for servers and for commands that end, so three processes keep two cores busy.
 test-release: TIER := release
 test-slow test-release: $(SLOW_VENV)/.dev
-	$(SLOW_VENV)/bin/python -m pytest $(SLOW) $(or $(PYTEST_ARGS),$(BY_FILE))
+	$(SLOW_VENV)/bin/python -m pytest $(SLOW) $(or $(PYTEST_ARGS),-n 3 $(BY_FILE))
 
 test-lowest test-python3.11 test-python3.12 test-python3.13: test-%: .venv-%/.dev
-	.venv-$*/bin/python -m pytest $(FAST) $(or $(PYTEST_ARGS),$(BY_FILE))
+	.venv-$*/bin/python -m pytest $(FAST) $(or $(PYTEST_ARGS),-n 2 $(BY_FILE))
 
 soak: $(VENV)/.dev
 	$(BIN)/python -m tests.fuzz.soak $(SOAK_ARGS)
