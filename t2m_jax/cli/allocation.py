@@ -11,7 +11,7 @@ def keep_freed_memory() -> None:
     """Makes this process keep memory that it frees, for its next arrays; without glibc, nothing changes.
 
     On a CPU, an update takes and frees memory for its intermediate values. Memory from the system comes in pages that
-    have to be cleared first, which is a fifth of the time of a small model.
+    have to be cleared first, which takes 10 to 20 % of the processor time (docs/performance.md).
     """
     # The threads of JAX have heaps of their own, which nothing changes any more.
     if sys.platform != "linux" or "jax" in sys.modules:

@@ -177,8 +177,7 @@ def _nearest_actions(words: Sequence[Word], unknown: Sequence[Word], knowledge: 
     """Returns what is nearest to each unknown action of a prompt."""
     if knowledge.meanings is None or not knowledge.actions:
         return {}
-    texts = {word.text for word in unknown}
-    places = [place for place, word in enumerate(words) if word.text in texts and _is_action(word)][:MAX_NAMED]
+    places = [place for place, word in enumerate(words) if word in unknown and _is_action(word)][:MAX_NAMED]
     return {words[place].text: knowledge.meanings.nearest(sentence_of(words, place)) for place in places}
 
 
