@@ -1,18 +1,20 @@
 """A record of the data that a model was trained on: the number of clips per action, and the words of the captions."""
 
 import dataclasses
+import itertools
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from t2m_jax.data.banks.captions import all_tokens
+from t2m_jax.data.captioning.wordings import load_wordings
 from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.data.index import action_of, label_actions, load_index
 from t2m_jax.files.writing import save_json
-from t2m_jax.text.coverage import count_actions
+from t2m_jax.text.coverage import MIN_LABELS, count_actions
 
 NUM_CAPTIONS = 300
 """Captions that a record has, if there are so many clips."""
@@ -35,6 +37,10 @@ class TrainingData:
     """Number of uses per lower-case word of the captions, in the basic form if the caption files have tokens."""
     actions: dict[str, int]
     """Number of clips per verb of the captions, in its basic form (`t2m_jax.text.coverage.count_actions`)."""
+    learned: tuple[str, ...]
+    """Plain sentences for the actions of the clips; empty if few labels are those of `t2m_jax.data.captioning`."""
+    missing: tuple[str, ...]
+    """The same for other actions that captions can say, of which there is no clip."""
     shortest_frames: int
     """Nearly all clips are at least so long: all but 1 %. Generated motion is, too."""
     captions: tuple[str, ...]
@@ -46,6 +52,8 @@ def summarize_training_data(dataset: Dataset, clips: Sequence[Clip]) -> Training
     index = load_index(dataset.folder)
     labels = Counter(_action(label) for clip in clips if index and (label := index.label(clip.name)))
     lengths = [len(clip.features) for clip in clips]
+    actions = [_single_action(index.label(clip.name) or "") for clip in clips] if index else []
+    learned, missing = _plain_sentences(set(actions))
     words = Counter(token.partition("/")[0].lower() for tokens in all_tokens(clips) for token in tokens)
     return TrainingData(
         data=dataset.info.name,
@@ -54,11 +62,26 @@ def summarize_training_data(dataset: Dataset, clips: Sequence[Clip]) -> Training
         words=dict(words.most_common()),
         actions=count_actions(
             ([caption.text for caption in clip.captions] for clip in clips),
-            [_single_action(index.label(clip.name) or "") for clip in clips] if index else (),
+            actions,
+            learned=[plainest for plainest, *_ in learned],
+            missing=[plainest for plainest, *_ in missing],
         ),
+        learned=tuple(itertools.chain.from_iterable(learned)),
+        missing=tuple(itertools.chain.from_iterable(missing)),
         shortest_frames=int(np.quantile(lengths, SHORTEST_SHARE)) if lengths else 0,
         captions=_some_captions(clips),
     )
+
+
+def _plain_sentences(labels: Collection[str]) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
+    """Returns sentences for each action of the grammar of captions that labels have, and for each that they lack."""
+    contents = load_wordings().contents
+    known = contents.keys() & labels
+    if len(known) < MIN_LABELS:
+        return [], []
+    learned = [content for name, content in contents.items() if name in known]
+    missing = [content for name, content in contents.items() if name not in known and content.like not in known]
+    return [one.plain_sentences() for one in learned], [one.plain_sentences() for one in missing]
 
 
 def _some_captions(clips: Sequence[Clip]) -> tuple[str, ...]:

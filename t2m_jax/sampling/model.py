@@ -59,8 +59,10 @@ class ModelParts:
         self.text_encoder = text_encoder or make_text_encoder(bundle)
         self.knowledge = make_knowledge(bundle.training_data)
         if isinstance(self.text_encoder, StatesTextEncoder):
-            meanings = Meanings(self.knowledge.actions, self.text_encoder.sentence_embeddings)
-            self.knowledge = self.knowledge._replace(meanings=meanings)
+            known = self.knowledge
+            embed = self.text_encoder.sentence_embeddings
+            meanings = Meanings(known.actions, embed, learned=known.learned, missing=known.missing)
+            self.knowledge = known._replace(meanings=meanings)
         self._rest = bundle._replace(variables={})
         self._variables = put_everywhere(bundle.variables)
         self._ready_to_sample = False

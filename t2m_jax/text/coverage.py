@@ -57,6 +57,10 @@ class Knowledge(NamedTuple):
     """Basic forms of verbs, the most frequent first; empty if the model's record does not have them."""
     meanings: Meanings | None = None
     """Finds those of the actions that are nearest to another one, if the model has a sentence encoder."""
+    learned: tuple[str, ...] = ()
+    """Plain sentences for actions that the data have; empty if their labels are others than those of our grammar."""
+    missing: tuple[str, ...] = ()
+    """Plain sentences for other actions of the grammar, of which the data have no clip."""
 
 
 class Coverage(NamedTuple):
@@ -68,18 +72,33 @@ class Coverage(NamedTuple):
     """All words that it did not learn, also those that matter little."""
 
 
-def count_actions(captions: Iterable[Sequence[str]], labels: Sequence[str] = ()) -> dict[str, int]:
+def count_actions(
+    captions: Iterable[Sequence[str]],
+    labels: Sequence[str] = (),
+    *,
+    learned: Iterable[str] = (),
+    missing: Iterable[str] = (),
+) -> dict[str, int]:
     """Returns the number of clips per action of their captions, the most frequent action first.
 
     Args:
         captions: Of each clip.
         labels: Of each clip, if they are known; empty for clips without one. With many labels, verbs of many of them
             are left out, and verbs that no label has often.
+        learned: Plain sentences for actions of the labels, whose verbs are counted in any case.
+        missing: Plain sentences for actions without a clip. Their verbs are left out: captions have them in another
+            sense, as "throws punches" does.
     """
     verbs = [{word.action for caption in of_clip for word in words_of(caption)} for of_clip in captions]
     counts = Counter(itertools.chain.from_iterable(verbs))
     is_action = _find_own_verbs(verbs, labels) if len(set(labels) - {""}) >= MIN_LABELS else counts.keys()
-    return {verb: count for verb, count in counts.most_common() if verb in is_action and verb not in LIGHT_VERBS | {""}}
+    left_out = LIGHT_VERBS | {""} | (_verbs(missing) - _verbs(learned))
+    is_action = (is_action | _verbs(learned)) - left_out
+    return {verb: count for verb, count in counts.most_common() if verb in is_action}
+
+
+def _verbs(sentences: Iterable[str]) -> set[str]:
+    return {word.action for sentence in sentences for word in words_of(sentence)}
 
 
 def _find_own_verbs(verbs: Sequence[set[str]], labels: Sequence[str]) -> set[str]:
@@ -109,6 +128,8 @@ def make_knowledge(training_data: Mapping[str, Any] | None) -> Knowledge:
     return Knowledge(
         words=frozenset(word for word, count in words.items() if count >= uses),
         actions=tuple(sorted((name for name in actions if actions[name] >= clips), key=lambda name: -actions[name])),
+        learned=tuple(training_data.get("learned", ())),
+        missing=tuple(training_data.get("missing", ())),
     )
 
 
@@ -161,7 +182,12 @@ def _problems(words: Sequence[Word], unknown: Sequence[Word], knowledge: Knowled
         yield "write it in the language and style of the training captions"
     if knowledge.words:
         yield from subject_problems(words)
-    if knowledge.actions and not nearest and not has_action(words, knowledge.actions):
+    if nearest or not knowledge.actions:
+        return
+    missing = knowledge.meanings.missing(_joined(words)) if knowledge.meanings and not is_foreign else ""
+    if missing:
+        yield f"the training data have no motion like {missing!r}"
+    elif not has_action(words, knowledge.actions):
         yield from _no_action(words, knowledge)
 
 
@@ -193,10 +219,14 @@ def _no_action(words: Sequence[Word], knowledge: Knowledge) -> Iterator[str]:
         yield "it has no action that the model knows"
         return
     places = [place for place, word in enumerate(words) if _is_action(word)][:MAX_NAMED]
-    whole = " ".join(word.text for word in words)
-    found = [knowledge.meanings.nearest(text) for text in [*(sentence_of(words, place) for place in places), whole]]
+    texts = [*(sentence_of(words, place) for place in places), _joined(words)]
+    found = [knowledge.meanings.nearest(text) for text in texts]
     if not any(near.is_same for near in found):
         yield f"it has no action that the model knows; nearest: {', '.join(found[0].actions)}"
+
+
+def _joined(words: Sequence[Word]) -> str:
+    return " ".join(word.text for word in words)
 
 
 def _is_action(word: Word) -> bool:

@@ -14,6 +14,8 @@ SAME_MEANING = 0.62
 actions that no model here knows, such as "plays the piano", one had more with any of 34 known ones (MiniLM)."""
 NUM_NAMED = 2
 """Actions that are named as the nearest ones."""
+NUM_COMPARED = 3
+"""Sentences nearest to a prompt whose mean cosine tells whether it asks for something that was not learned."""
 MAX_OBJECT = 3
 """Words after a verb that say what is done: "plays the piano"."""
 
@@ -32,15 +34,31 @@ class Nearest(NamedTuple):
 class Meanings:
     """Finds the nearest of some known actions. Nothing is embedded before it is asked."""
 
-    def __init__(self, actions: Sequence[str], embed: Embed):
-        """Keeps the actions, as verbs in their basic form, and the function that embeds sentences."""
+    def __init__(
+        self, actions: Sequence[str], embed: Embed, *, learned: Sequence[str] = (), missing: Sequence[str] = ()
+    ):
+        """Keeps what a model knows.
+
+        Args:
+            actions: Verbs in their basic form.
+            embed: Embeds sentences.
+            learned: Plain sentences for what it learned, such as "a person punches forward".
+            missing: The same for what its data lack, such as "a person throws something".
+        """
         self._actions = actions
         self._embed = embed
+        self._learned = learned
+        self._missing = missing
 
     @functools.cached_property
     def _known(self) -> tuple[list[str], Float[np.ndarray, "A E"]]:
         names = [inflected(action, "VBZ") for action in self._actions]
         return names, self._unit([f"a person {name}" for name in names])
+
+    @functools.cached_property
+    def _contrast(self) -> tuple[Float[np.ndarray, "L E"], Float[np.ndarray, "M E"]]:
+        vectors = self._unit([*self._learned, *self._missing])
+        return vectors[: len(self._learned)], vectors[len(self._learned) :]
 
     def _unit(self, sentences: Sequence[str]) -> Float[np.ndarray, "B E"]:
         embeddings = np.asarray(self._embed(sentences), np.float32)
@@ -51,9 +69,20 @@ class Meanings:
         if not self._actions:
             return Nearest((), is_same=False)
         names, known = self._known
-        cosines = known @ self._unit([sentence])[0]
+        query = self._unit([sentence])[0]
+        cosines = known @ query
         order = np.argsort(-cosines)
-        return Nearest(tuple(names[place] for place in order[:NUM_NAMED]), bool(cosines[order[0]] >= SAME_MEANING))
+        best = max(cosines[order[0]], *(self._contrast[0] @ query)) if self._learned else cosines[order[0]]
+        return Nearest(tuple(names[place] for place in order[:NUM_NAMED]), bool(best >= SAME_MEANING))
+
+    def missing(self, sentence: str) -> str:
+        """Returns which of the missing sentences one is nearest to; "" if it is nearer to those that were learned."""
+        if not self._learned or not self._missing:
+            return ""
+        query = self._unit([sentence])[0]
+        learned, missing = (vectors @ query for vectors in self._contrast)
+        best_learned, best_missing = (np.sort(cosines)[-NUM_COMPARED:].mean() for cosines in (learned, missing))
+        return self._missing[int(missing.argmax())] if best_missing > best_learned else ""
 
 
 def sentence_of(words: Sequence[Word], place: int) -> str:

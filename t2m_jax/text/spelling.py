@@ -38,7 +38,9 @@ def _may_be_mistake(found: re.Match[str], known: frozenset[str]) -> bool:
     word = found[0].lower()
     # Capital letters inside of a sentence are names, or stand for something.
     is_name = found[0][0].isupper() and found.start() > 0
-    return not (is_name or len(word) < SHORTEST or word in _GRAMMAR or word in known or readings(word))
+    # The dictionary lacks some plurals, such as "fours".
+    is_plural = word.endswith("s") and not word.endswith("ss") and word[:-1] in known
+    return not (is_name or len(word) < SHORTEST or word in _GRAMMAR or word in known or is_plural or readings(word))
 
 
 def _one_mistake_away(word: str) -> Iterator[str]:

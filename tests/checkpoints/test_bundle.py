@@ -206,6 +206,8 @@ def test_weights_that_are_not_finite_are_refused(copy):
         '{"shortest_frames": 2.5}',
         '{"captions": "a person walks"}',
         '{"captions": ["a person walks", 3]}',
+        '{"learned": "a person walks"}',
+        '{"missing": [3]}',
     ],
 )
 def test_training_data_that_are_damaged_are_refused(copy, content):

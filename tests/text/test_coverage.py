@@ -125,6 +125,18 @@ def test_verbs_that_any_caption_may_have_are_no_actions():
     assert count_actions(captions[: 7 * MIN_LABELS], labels[: 7 * MIN_LABELS]) == {}
 
 
+def test_verbs_of_plain_sentences_are_actions_unless_no_clip_shows_them():
+    labels = [f"action {number % MIN_LABELS}" for number in range(OWN_CLIPS * MIN_LABELS)]
+    captions = [["a person punches, throws a fist and raises the guard"] for _ in labels]
+    learned, missing = ["a person punches", "a person raises the guard"], ["a person throws something"]
+    assert count_actions(captions, labels) == {}
+    assert count_actions(captions, labels, learned=learned) == dict.fromkeys(("punch", "raise"), len(labels))
+    assert count_actions(captions, learned=learned, missing=[*missing, "a person raises a hand"]) == dict.fromkeys(
+        ("punch", "raise"), len(labels)
+    )
+    assert "throw" in count_actions(captions)
+
+
 def test_corrected_words_are_named(demo):
     corrected = {"wlaks": "walks"}
     assert check_coverage("he walks", demo, read_part="he walks", typed="he wlaks", corrected=corrected).warning == (

@@ -68,6 +68,38 @@ def _axis(sentence):
     return 0 if "way" in sentence else next((place for place, word in enumerate(words) if word in sentence), 3)
 
 
+LEARNED = (
+    *("a person directs traffic", "a person manages traffic at a crossing", "a person helps cars through a crossing"),
+    *("a person punches forward", "a person walks forward", "a person performs a kata"),
+)
+MISSING = ("a person throws something", "a person tosses a ball", "a person waves with the left hand")
+
+
+@pytest.fixture(scope="module")
+def partly(encoder):
+    meanings = Meanings(ACTIONS, encoder.sentence_embeddings, learned=LEARNED, missing=MISSING)
+    return Knowledge(WORDS | {"throws", "punches", "left", "ball", "one", "cars", "through"}, ACTIONS, meanings)
+
+
+@pytest.mark.parametrize(
+    ("prompt", "like"),
+    [("a person waves with his left hand", MISSING[2]), ("the man throws the ball", MISSING[1])],
+)
+def test_a_known_verb_in_a_sense_that_was_not_learned_warns(partly, prompt, like):
+    said = f"{prompt!r}: the training data have no motion like {like!r}; the model knows "
+    assert warning(prompt, partly).startswith(said)
+
+
+@pytest.mark.parametrize("prompt", ["the man throws punches", "a person waves cars through", "a man performs a kata"])
+def test_a_sense_that_was_learned_does_not_warn(partly, prompt):
+    words = partly.words | {"performs", "kata"}
+    assert warning(prompt, partly._replace(words=words)) == ""
+
+
+def test_without_missing_sentences_none_is_embedded():
+    assert Meanings(("walk",), lambda sentences: 1 / 0, learned=LEARNED).missing("a person waves") == ""
+
+
 def test_embeddings_do_not_depend_on_the_batch(encoder):
     texts = [f"a person walks {number} steps" for number in range(40)]
     together = encoder.sentence_embeddings(texts)

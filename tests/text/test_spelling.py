@@ -5,7 +5,7 @@ import pytest
 from t2m_jax.text.spelling import correct_spelling
 from t2m_jax.text.verbs import readings, word_set
 
-KNOWN = word_set("a person walks walk with the left hand right jumps turns around running both arms now")
+KNOWN = word_set("a person walks walk with the left hand right jumps turns around running both arms now four")
 
 
 @pytest.mark.parametrize(
@@ -32,6 +32,7 @@ def test_one_mistake_is_corrected(typed, meant):
         "a person walks with the left hand",
         "a person talks to a walker",  # other English words
         "hops on the lift",
+        "a person on all fours",  # of a known word
         "then Walsk arrives, and Jmups",  # names
         "he hse a hnd",  # too short
         "a person xyzzyx quuxly",

@@ -4,11 +4,12 @@ import functools
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from t2m_jax.data.captioning.grammar import Frame, Manner, Side, Subject, Wording
+from t2m_jax.data.captioning.grammar import Frame, Manner, Side, Subject, Wording, clause
 from t2m_jax.data.captioning.lexicon import read_words
 
 FILES = ("actions", "body", "hands", "locomotion")
 """Files with the wordings of contents."""
+PERSON = Subject("a person", "the")
 POSSESSIVES = ("their", "his", "her", "its", "my", "your")
 
 
@@ -26,6 +27,14 @@ class Content(NamedTuple):
     """Ways of saying "slow" and "fast"."""
     travels: bool
     """Whether the person goes somewhere."""
+    like: str
+    """Another content that is about the same; empty if there is none."""
+
+    def plain_sentences(self) -> tuple[str, ...]:
+        """Returns three sentences that say it in different words, the plainest first: "a person waves"."""
+        usual = [one.predicate for one in self.wordings if not one.needs and one.nominal_form is None]
+        spread = (usual[0], usual[len(usual) // 2], usual[-1])
+        return tuple(f"a person {clause(each, PERSON, form='present', side=self.side)}" for each in spread)
 
 
 class Style(NamedTuple):
@@ -101,6 +110,7 @@ def load_wordings() -> Wordings:
             fast_above=entry.get("fast_above", float("inf")),
             paces=paces["stand" if entry.get("hands") else "travel"],
             travels=entry.get("travels", False),
+            like=entry.get("like", ""),
         )
         for name, entry in table["contents"].items()
     }
