@@ -36,7 +36,7 @@ help:
 	@echo "make lint       check style, imports, types, pages, configs and the Dockerfile"
 	@echo "make three      build the part of three.js that the pages use (needs npm)"
 	@echo "make runtime    build the part of onnxruntime-web that exported pages use (needs npm)"
-	@echo "make page       write the page that makes motions in the browser, with the model \`demo\`, to page/"
+	@echo "make page       write the page that makes motions in the browser, with the model \`demo-free\`, to page/"
 	@echo "make format     format the code"
 	@echo "make docs       write the documentation to site/index.html, and check its links"
 	@echo "make notebooks  run the notebooks and save their outputs"
@@ -125,7 +125,7 @@ runtime:
 
 page: $(VENV)/.dev
 	rm -rf page
-	$(BIN)/t2m export page $(or $(MODEL),demo) page
+	$(BIN)/t2m export page $(or $(MODEL),demo-free) page
 
 format: $(VENV)/.dev
 	$(BIN)/ruff check --fix-only .

@@ -1,6 +1,6 @@
 #!/bin/sh
 # Makes the packaged model `demo` from the data to the bundle, or `demo-free`, of motion that is free for commercial use. By the sum of its parts, half an hour with a GPU,
-# or 26 hours on two CPU cores (`demo-free`: 8).
+# or 26 hours on two CPU cores (`demo-free`: 10).
 #   sh configs/demo/make.sh ARCHIVES [NAME]
 # ARCHIVES is the folder that configs/demo/data.sh reads. NAME is `demo` by default.
 # A training that was interrupted goes on with `t2m train rvqvae --run runs/demo-rvqvae --resume` (hifigpt: runs/demo).

@@ -46,7 +46,7 @@ FORMAT_VERSION = 3
 """Version of bundles: they have a manifest."""
 NUM_EXAMPLES = 5
 """Captions of the training data that are examples of a model whose card has none."""
-BUNDLED = ("demo", "demo-t2m-gpt")
+BUNDLED = ("demo", "demo-free", "demo-t2m-gpt")
 """Names of the bundles that are part of the package."""
 
 

@@ -25,6 +25,7 @@ from t2m_jax.cli.main import main
 from t2m_jax.errors import UserError
 from t2m_jax.export.page import site
 from t2m_jax.export.page.figure import figure_record
+from t2m_jax.export.page.meanings import meanings_record
 from t2m_jax.export.render.scene import figure_from_motion
 from t2m_jax.files.writing import save_json
 from t2m_jax.motion.bvh import save_bvh
@@ -36,7 +37,9 @@ from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.sampling import MotionRequest, SamplingOptions, TextToMotion
 from t2m_jax.sampling.loop import STOP_STREAM
 from t2m_jax.sampling.prompts import sample_key
+from t2m_jax.sampling.text_encoders import make_text_encoder
 from t2m_jax.text.coverage import make_knowledge
+from t2m_jax.text.meanings import Meanings
 from t2m_jax.text.prompts import check_prompt
 from tests.clip_golden import FULL
 from tests.conftest import REPOSITORY
@@ -48,6 +51,7 @@ expect = playwright.expect
 WAIT = 120_000
 """Milliseconds in which the page must do something, on a machine whose cores run other tests."""
 WAVE = "a person waves with the left hand"
+JUMP = "a person jumps forward"
 WEB = REPOSITORY / "t2m_jax" / "export" / "page" / "web"
 SCRIPTS = sorted(WEB.glob("*.js"))
 PACKAGE = REPOSITORY / "t2m_jax"
@@ -395,6 +399,49 @@ def test_a_hostile_manifest_is_refused(modules):
     assert modules("checks", code, [files, *wrong]) == [1] + [None] * len(wrong)
 
 
+MEANINGS = {"compared": 2, "sentences": ["a", "b"], "learned": [[1, -2, 127]], "missing": [[3, 0, 0], [0, 3, 0]]}
+HOSTILE_MEANINGS = {
+    "compared": [0, 10**9, "2"],
+    "sentences": ["a", ["a"], ["a", 3], ["x" * 1000, "b"]],
+    "learned": [[], "x", [[1, 2]], [[1, 2, 0.5]], [[1, 2, 1000]], [["1", 2, 3]], [[1, 2, 3]] * 2000],
+    "missing": [[], [[3, 0, 0]], [[3, 0, 0], {}], None],
+}
+
+
+@pytest.mark.slow
+def test_hostile_meanings_are_refused(modules):
+    code = """return given.map(([tree, shape]) => {
+      try {
+        checks.checkMeanings(tree, shape && { shape });
+        return null;
+      } catch (error) {
+        return error.message;
+      }
+    });"""
+    cases = [(path, value) for path, values in HOSTILE_MEANINGS.items() for value in values]
+    trees = [(changed(*case, MEANINGS), [1, 3]) for case in cases]
+    trees += [(MEANINGS, None), (MEANINGS, [1, 4]), (None, [1, 3]), ([], [1, 3])]
+    fine, *answers = modules("checks", code, [(MEANINGS, [1, 3]), *trees])
+    assert fine is None
+    for tree, answer in zip(trees, answers, strict=True):
+        assert answer and answer.startswith("meanings.json: "), tree
+
+
+@pytest.mark.slow
+def test_what_the_data_lack_is_found_as_in_python(modules):
+    bundle = load_model("demo-free")
+    known = make_knowledge(bundle.training_data)
+    embed = make_text_encoder(bundle).sentence_embeddings
+    python = Meanings(known.actions, embed, learned=known.learned, missing=known.missing)
+    sentences = [*known.missing, *known.learned[::3], "he throws punches", "someone waves cars through"]
+    wanted = [python.missing(sentence) for sentence in sentences]
+    assert wanted[: len(known.missing)].count("") < 3 < wanted.count("")
+    code = "return given.meanings.map((meaning) => meanings.findMissing(given.record, meaning));"
+    given = {"record": meanings_record(bundle), "meanings": embed(sentences).tolist()}
+    assert modules("meanings", code, given) == wanted
+    assert meanings_record(random_bundle(HIFIGPT_BUNDLE)) is None
+
+
 @pytest.mark.slow
 def test_what_a_graph_computes_must_be_as_the_manifest_says(modules):
     code = """const outputs = { positions: { dtype: "float32", shape: [1, 2] } };
@@ -503,29 +550,29 @@ def python_motion(model, sentence, seed, **options):
 
 
 @pytest.fixture(scope="module")
-def demo_site(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("site") / "demo"
-    site.export_page(folder, load_model("demo"))
+def free_site(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("site") / "free"
+    site.export_page(folder, load_model("demo-free"))
     return folder
 
 
 @pytest.mark.slow
-def test_a_sentence_becomes_the_motion_of_python_also_without_a_network(open_site, demo_site, tmp_path):
-    assert sum(path.stat().st_size for path in demo_site.rglob("*") if path.is_file()) < 60e6
-    model = TextToMotion.load("demo")
-    with serving(demo_site) as (address, stop):
+def test_a_sentence_becomes_the_motion_of_python_also_without_a_network(open_site, free_site, tmp_path):
+    assert sum(path.stat().st_size for path in free_site.rglob("*") if path.is_file()) < 60e6
+    model = TextToMotion.load("demo-free")
+    with serving(free_site) as (address, stop):
         page = open_site(address)
-        expect(page.locator("#license")).to_contain_text("cc-by-nc-4.0")
+        expect(page.locator("#license")).to_contain_text("cc-by-4.0")
         expect(page.locator("#formats")).to_be_hidden()
         assert page.evaluate("crossOriginIsolated")
         for number, seed in enumerate((7, 8)):
-            make(page, WAVE, seed)
-            found, wanted = download(page, "NPZ", tmp_path), python_motion(model, WAVE, seed)
+            make(page, JUMP, seed)
+            found, wanted = download(page, "NPZ", tmp_path), python_motion(model, JUMP, seed)
             np.testing.assert_array_equal(found.codes, wanted.codes)
             assert np.abs(found.positions - wanted.positions).max() < 1e-3
             assert np.abs(found.positions_raw - wanted.positions_raw).max() < 1e-3
             assert np.abs(found.positions - found.positions_raw).max() > 1e-3
-            assert (found.caption, found.seed, found.fps) == (WAVE, seed, 20)
+            assert (found.caption, found.seed, found.fps) == (JUMP, seed, 20)
             np.testing.assert_allclose(download(page, "GLB", tmp_path).positions, found.positions, atol=1e-4)
             download(page, "BVH", tmp_path)
             save_bvh(tmp_path / "python.bvh", found)
@@ -546,10 +593,13 @@ def test_a_sentence_becomes_the_motion_of_python_also_without_a_network(open_sit
         expect(page.locator("#take-facts")).to_contain_text("seed\u00a08", timeout=WAIT)
         np.testing.assert_array_equal(download(page, "NPZ", tmp_path).codes, found.codes)
         expect(page.locator(".take")).to_have_count(2)
+        expect(page.locator("#status")).not_to_contain_text("have no motion")
         make(page, "a person jumps twice", 9)
         expect(page.locator("#status")).to_contain_text("left to the model here (“twice”)")
         wanted = python_motion(model, "a person jumps twice", 9)
         np.testing.assert_array_equal(download(page, "NPZ", tmp_path).codes, wanted.codes)
+        make(page, WAVE, 9)
+        expect(page.locator("#status")).to_contain_text(f"The training data have no motion like “{WAVE}”")
 
 
 @pytest.mark.slow
@@ -594,8 +644,8 @@ def test_models_of_users_run(open_site, config, tmp_path):
 
 
 @pytest.mark.slow
-def test_changed_files_are_refused_and_texts_stay_texts(open_site, demo_site, tmp_path):
-    folder = shutil.copytree(demo_site, tmp_path / "site")
+def test_changed_files_are_refused_and_texts_stay_texts(open_site, free_site, tmp_path):
+    folder = shutil.copytree(free_site, tmp_path / "site")
     manifest = json.loads((folder / "model" / "manifest.json").read_text(encoding="utf-8"))
     nasty = "<img src=x onerror=alert(1)>"
     hostile = manifest | {"license": nasty, "source": nasty, "examples": [nasty]}
@@ -605,7 +655,7 @@ def test_changed_files_are_refused_and_texts_stay_texts(open_site, demo_site, tm
         expect(page.locator("#message")).to_contain_text("model/manifest.json", timeout=WAIT)
         expect(page.locator("#generate")).to_be_disabled()
         # The wrong file is not kept: with the right one, the page works.
-        (folder / "model" / "manifest.json").write_bytes((demo_site / "model" / "manifest.json").read_bytes())
+        (folder / "model" / "manifest.json").write_bytes((free_site / "model" / "manifest.json").read_bytes())
         page.reload()
         expect(page.locator("#generate")).to_be_enabled(timeout=WAIT)
         save_json(folder / "model" / "manifest.json", hostile)
@@ -625,7 +675,7 @@ def test_changed_files_are_refused_and_texts_stay_texts(open_site, demo_site, tm
         page = open_site(address, expected="refused")
         expect(page.locator("#message")).to_contain_text("The page cannot start", timeout=WAIT)
         # Valid graphs that compute something else.
-        (folder / "model" / "row.onnx").write_bytes((demo_site / "model" / "row.onnx").read_bytes())
+        (folder / "model" / "row.onnx").write_bytes((free_site / "model" / "row.onnx").read_bytes())
         place = onnx.load(folder / "model" / "place.onnx")
         (value,) = place.graph.output
         short = onnx.helper.make_tensor("short", onnx.TensorProto.FLOAT, [1], [0.0])
@@ -637,16 +687,16 @@ def test_changed_files_are_refused_and_texts_stay_texts(open_site, demo_site, tm
         onnx.save(other, folder / "model" / "place.onnx")
         save_json(folder / "files.json", dict(site._checked_files(folder)))
         page = open_site(address)
-        page.get_by_role("textbox", name="Sentence").fill(WAVE)
+        page.get_by_role("textbox", name="Sentence").fill(JUMP)
         page.get_by_role("button", name="Generate").click()
         expect(page.locator("#message")).to_contain_text("place.onnx: the output positions", timeout=WAIT)
 
 
 @pytest.mark.slow
 @pytest.mark.release
-def test_the_page_is_accessible_and_fits_screens(open_site, demo_site):
-    with serving(demo_site) as (address, _):
-        fields = urllib.parse.urlencode({"sentence": WAVE, "seed": 3, "samples": 2})
+def test_the_page_is_accessible_and_fits_screens(open_site, free_site):
+    with serving(free_site) as (address, _):
+        fields = urllib.parse.urlencode({"sentence": JUMP, "seed": 3, "samples": 2})
         page = open_site(address, path=f"#make?{fields}", color_scheme="dark")
         expect(page.locator("#take-facts")).to_contain_text("1 of 2", timeout=WAIT)
         for theme in ("light", "dark"):

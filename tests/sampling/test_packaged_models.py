@@ -10,14 +10,18 @@ from t2m_jax.checkpoints.bundle import BUNDLED
 from t2m_jax.evaluation.prompts.following import follows
 from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling import TextToMotion
+from t2m_jax.text import PromptWarning
 
 FOLDER = Path(str(importlib.resources.files("t2m_jax"))) / "bundles"
 FIRST_CODES = {
     "demo": [18, 223, 424, 474, 95, 152, 183, 465],
+    "demo-free": [322, 399, 132, 271, 402],
     "demo-t2m-gpt": [222, 222, 97, 245, 3, 150, 150, 150],
 }
 """The first codes of the first rows of one motion, so that a change of what a seed gives is noticed."""
 ASKED = {"a person waves with the right hand": "wave-right-hand", "someone runs forward": "run"}
+ASKED_FREE = {"a person walks forward": "walk", "someone runs forward": "run"}
+"""`demo-free` has never seen a wave."""
 
 
 def test_all_of_them_are_known_by_name_and_small():
@@ -30,8 +34,9 @@ def test_all_of_them_are_known_by_name_and_small():
 )
 def test_they_do_what_is_asked_and_the_same_as_before(name):
     model = TextToMotion.load(name)
-    motions = model.generate(list(ASKED), seed=5, num_samples=4)
-    for number, content in enumerate(ASKED.values()):
+    asked = ASKED_FREE if name == "demo-free" else ASKED
+    motions = model.generate(list(asked), seed=5, num_samples=4)
+    for number, content in enumerate(asked.values()):
         assert sum(follows(content, motion) for motion in motions[4 * number : 4 * number + 4]) >= 3, content
     assert len({motion.num_frames for motion in motions}) > 1
     assert all(np.isfinite(motion.positions).all() for motion in motions)
@@ -65,7 +70,24 @@ def test_files_give_a_motion_back_within_a_millimeter(dance, tmp_path, suffix, o
     assert np.linalg.norm(back.positions - dance.positions, axis=-1).max() < 0.001
 
 
+@pytest.mark.slow
+def test_the_free_model_warns_of_what_it_has_never_seen():
+    model = TextToMotion.load("demo-free")
+    sentences = ["a person waves with the left hand", "he throws a ball", "clap your hands", "she raises both arms"]
+    with pytest.warns(PromptWarning, match="the training data have no motion like"):
+        motions = model.generate([*sentences, "a person walks forward"], seed=1)
+    assert [bool(motion.warning) for motion in motions] == [True] * len(sentences) + [False]
+
+
 @pytest.mark.parametrize("name", BUNDLED)
 def test_their_cards_say_what_the_license_is(name):
     card = (FOLDER / name / "README.md").read_text()
-    assert "CC BY-NC 4.0" in card and "Bandai Namco Research" in card and "@@" not in card
+    is_free = name == "demo-free"
+    assert "@@" not in card and ("CC BY 4.0" in card) == is_free
+    # Neither is in the data of the free one.
+    for text in ("CC BY-NC 4.0", "Bandai Namco Research"):
+        assert (text in card) != is_free
+    assert not is_free or "Berkeley" not in card
+    # What the licenses of its data demand.
+    wanted = ("https://accad.osu.edu", "CC BY 3.0", "mocap.cs.cmu.edu", "EIA-0196217", "Meta Platforms")
+    assert not is_free or all(text in card for text in wanted)

@@ -56,7 +56,7 @@ def make_graphs(bundle: Bundle, text: TextPart, *, sentences: int = 1) -> dict[s
     With more `sentences` than one, motions of `lock` are so much longer, and `place` makes positions of their features.
     """
     return {
-        "text": make_graph(lambda *inputs: (embed_tokens(text, *inputs),), text_inputs(text), ["text_embedding"]),
+        "text": make_graph(functools.partial(embed_tokens, text), text_inputs(text), text.outputs),
         **_generator_graphs(bundle),
         "decode": _decode_graph(bundle),
         **_clean_graphs(bundle, sentences),

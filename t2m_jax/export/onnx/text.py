@@ -24,14 +24,14 @@ from t2m_jax.text.bpe import CLIP_END, CLIP_START
 MAX_TOKENS = 64
 """Tokens that a sentence encoder reads, of which captions of motion have fewer. All of them are always computed."""
 
-Embed = Callable[[Int[Array, "1 S"], Bool[Array, "1 S"]], Float[Array, "1 E"]]
+Network = Callable[[Array, Bool[Array, "1 S"]], Float[Array, "1 E"]]
 
 
 class TextPart(NamedTuple):
     """The text encoder of a model."""
 
-    embed: Embed
-    """From tokens, and where they are, to the text embedding."""
+    embed: Callable[[Int[Array, "1 S"], Bool[Array, "1 S"]], tuple[Array, ...]]
+    """From tokens, and where they are, to `outputs`."""
     tokenizer: Tokenizer
     num_tokens: int
     """Tokens of the graph (S); a longer sentence is cut."""
@@ -39,6 +39,8 @@ class TextPart(NamedTuple):
     """Tokens before and after those of the sentence that the tokenizer does not add itself."""
     quantized: tuple[tuple[np.ndarray, np.ndarray], ...] = ()
     """Matrices in 8 bits with their scales, from which the encoder's weights were restored."""
+    outputs: tuple[str, ...] = ("text_embedding",)
+    """Also `meaning`, the mean of the token states, if the record of the model says which actions its data lack."""
 
 
 def text_part(bundle: Bundle) -> TextPart:
@@ -52,46 +54,51 @@ def text_part(bundle: Bundle) -> TextPart:
     embed = None if network is None else _trained(bundle, network)
     if reference is None:
         assert network is not None and embed is not None and bundle.bpe is not None, "there is an encoder"
-        return TextPart(embed, bundle.bpe, network.max_length)
+        return TextPart(lambda *inputs: (embed(*inputs),), bundle.bpe, network.max_length)
     width = network.state_dim if isinstance(network, StateEncoderConfig) else bundle.config.generator.text_dim
     encoder = load_pretrained(reference, text_dim=width)
     if isinstance(encoder, TrainedClip):
         marks = {name: encoder.tokenizer.token_to_id(mark) for name, mark in (("start", CLIP_START), ("end", CLIP_END))}
         # CLIP finds the end by its token, and needs no mask.
         return TextPart(
-            lambda tokens, _: ClipText(encoder.config).apply(encoder.variables, tokens),
+            lambda tokens, _: (ClipText(encoder.config).apply(encoder.variables, tokens),),
             encoder.tokenizer,
             encoder.config.max_length,
             marks,
         )
-    return _sentence_part(encoder, embed, max(MAX_TOKENS, 0 if network is None else network.max_length))
+    part = _sentence_part(encoder, embed, max(MAX_TOKENS, 0 if network is None else network.max_length))
+    if embed is None or not (bundle.training_data or {}).get("missing"):
+        return part
+    return part._replace(outputs=("text_embedding", "meaning"))
 
 
-def _trained(bundle: Bundle, network: Any) -> Embed:
+def _trained(bundle: Bundle, network: Any) -> Network:
     variables = bundle.variables["text_encoder"]
     return lambda inputs, mask: network_module(network).apply(
         variables, inputs[:, : network.max_length], mask[:, : network.max_length], train=False
     )
 
 
-def _sentence_part(encoder: TrainedSentenceEncoder, read_states: Embed | None, num_tokens: int) -> TextPart:
+def _sentence_part(encoder: TrainedSentenceEncoder, read_states: Network | None, num_tokens: int) -> TextPart:
     """Returns a sentence encoder, and the network that reads its token states if there is one."""
 
-    def embed(tokens: Int[Array, "1 S"], mask: Bool[Array, "1 S"]) -> Float[Array, "1 E"]:
+    def embed(tokens: Int[Array, "1 S"], mask: Bool[Array, "1 S"]) -> tuple[Array, ...]:
         module = SentenceEncoder(encoder.config)
         if read_states is None:
-            return module.apply(encoder.variables, tokens, mask)
+            return (module.apply(encoder.variables, tokens, mask),)
         # In 16 bits, as they are stored for training.
         states = module.apply(encoder.variables, tokens, mask, method="states").astype(jnp.float16)
-        return read_states(states.astype(jnp.float32), mask)
+        states = states.astype(jnp.float32)
+        used = mask[..., None].astype(jnp.float32)
+        return read_states(states, mask), (states * used).sum(axis=1) / used.sum(axis=1)
 
     quantized = quantized_rows(read_arrays(encoder.folder / WEIGHTS_FILE))
     return TextPart(embed, encoder.tokenizer, min(num_tokens, encoder.config.max_length), quantized=tuple(quantized))
 
 
-def embed_tokens(part: TextPart, tokens: Int[Array, "1 S"], num_tokens: Int[Array, "1"]) -> Float[Array, "1 E"]:
-    """Returns the text embedding of a sentence; tokens after its end have no influence."""
-    return part.embed(tokens, mask_from_lengths(num_tokens, tokens.shape[1]))
+def embed_tokens(part: TextPart, tokens: Int[Array, "1 S"], num_tokens: Int[Array, "1"]) -> tuple[Array, ...]:
+    """Returns the outputs for a sentence; tokens after its end have no influence."""
+    return part.embed(tokens, mask_from_lengths(num_tokens, tokens.shape[1]))[: len(part.outputs)]
 
 
 def text_inputs(part: TextPart) -> dict[str, jax.ShapeDtypeStruct]:

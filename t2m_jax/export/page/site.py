@@ -15,6 +15,7 @@ from t2m_jax.export.glb import save_figure
 from t2m_jax.export.html import VIEWER_SCRIPTS, stage_style, viewer_script
 from t2m_jax.export.onnx.folder import export_onnx
 from t2m_jax.export.page.figure import figure_record
+from t2m_jax.export.page.meanings import meanings_record
 from t2m_jax.files.reading import load_bytes, load_json
 from t2m_jax.files.template import fill_template
 from t2m_jax.files.writing import atomic_folder, save_json, save_text
@@ -52,6 +53,9 @@ def export_page(folder: Path, bundle: Bundle) -> None:
         _check_tokenizer(model / TOKENIZER_FILE)
         skeleton = skeleton_from_name(bundle.config.skeleton)
         save_json(model / "figure.json", figure_record(skeleton))
+        meanings = meanings_record(bundle)
+        if meanings is not None:
+            save_json(model / "meanings.json", meanings)
         if skeleton == HUMANML3D:
             save_figure(model / "figure.glb")
         _copy_page(partial)

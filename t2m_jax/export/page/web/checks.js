@@ -12,7 +12,7 @@ const GRAPHS = {
   calm: [["positions", "num_frames"], ["calm_positions"]],
   lock: [["calm_positions", "positions", "num_frames"], ["clean_positions"]],
 };
-const FINITE = ["text_embedding", "features", "positions", "calm_positions", "clean_positions"];
+const FINITE = ["text_embedding", "meaning", "features", "positions", "calm_positions", "clean_positions"];
 
 function check(condition, file, what) {
   if (!condition) throw new Error(`${file}: ${what} is not as it must be; export the page again`);
@@ -74,6 +74,17 @@ export function checkManifest(tree) {
   check(isList(motion.parents, () => true, 200) && motion.parents.length === motion.joints.length && motion.parents.every(isParent), "manifest.json", "the parents");
   check(isList(motion.rest_offsets, isPoint, 200) && motion.rest_offsets.length === motion.joints.length, "manifest.json", "the rest pose");
   check(isList(examples, isShort, 1000) && isShort(license ?? "") && isShort(source ?? ""), "manifest.json", "the texts");
+  return tree;
+}
+
+// Returns what the training data lack; `output` is the shape and type of what it is compared with.
+export function checkMeanings(tree, output) {
+  const { compared, sentences, learned, missing } = isRecord(tree) ? tree : {};
+  const width = output?.shape[1];
+  const isRow = (row) => isList(row, (value) => isWhole(value, -127, 127), 10_000) && row.length === width;
+  check(isWhole(compared, 1, 100) && isList(sentences, isShort, 1000), "meanings.json", "the content");
+  check([learned, missing].every((rows) => isList(rows, isRow, 1000) && rows.length > 0), "meanings.json", "the embeddings");
+  check(missing.length === sentences.length, "meanings.json", "the embeddings");
   return tree;
 }
 

@@ -2,13 +2,15 @@
 // {loaded: share}, {ready}, {share}, {made}, {cancelled} and {failed: message}.
 
 import * as ort from "./vendor/ort.min.js";
-import { checkFigure, checkManifest, checkOutputs } from "./checks.js";
+import { checkFigure, checkManifest, checkMeanings, checkOutputs } from "./checks.js";
 import { Files } from "./files.js";
+import { findMissing } from "./meanings.js";
 import { Sampler } from "./sampler.js";
 import { Tokenizer } from "./tokenizer.js";
 
 const RUNTIME = "assets/vendor/ort.wasm.packed";
 const TEMPLATE = "model/figure.glb"; // only of the skeleton that GLB files are written for
+const MEANINGS = "model/meanings.json"; // only of models that say what their data lack
 const GRAPHS = ["text", "begin", "row", "decode", "place", "calm", "lock"];
 const MOST_THREADS = 4;
 // To sort the weights for faster products takes longer than it saves in a hundred motions.
@@ -58,19 +60,26 @@ async function open() {
   ort.env.wasm.wasmBinary = await runtime;
   ort.env.wasm.numThreads = crossOriginIsolated ? Math.min(navigator.hardwareConcurrency || 1, MOST_THREADS) : 1;
   const template = files.has(TEMPLATE) ? await files.bytes(TEMPLATE) : null;
+  const meanings = files.has(MEANINGS) ? checkMeanings(await files.json(MEANINGS), manifest.graphs.text.outputs.meaning) : null;
   const run = await openGraphs(manifest, contents);
   const { examples, license, source, motion, sampling, graphs } = manifest;
   const guidance = Object.hasOwn(graphs.begin.inputs, "guidance_scale") ? (sampling.guidance_scale ?? 1) : null;
   send({ ready: { examples, license, source, motion, figure, template, guidance, threads: ort.env.wasm.numThreads } });
-  return new Sampler(manifest, tokenizer, run);
+  return { sampler: new Sampler(manifest, tokenizer, run), meanings };
 }
 
-// Resolves to motions {codes, starts, decoded, positions}; `starts` are the frames in which sentences begin.
-async function make(sampler, { sentences, samples, ...options }) {
+// Resolves to what the training data lack, and motions {codes, starts, decoded, positions}; `starts` are the frames in which
+// sentences begin.
+async function make({ sampler, meanings }, { sentences, samples, ...options }) {
   const { max_rows: most } = sampler.manifest.sampling;
   if (sentences.length > sampler.mostSentences) throw new Error(`one motion shows at most ${sampler.mostSentences} sentences; leave some out`);
   const embeddings = [];
-  for (const sentence of sentences) embeddings.push(await sampler.embed(sentence));
+  const missing = new Set();
+  for (const sentence of sentences) {
+    const found = await sampler.read(sentence);
+    embeddings.push(found.text_embedding);
+    if (meanings) missing.add(findMissing(meanings, found.meaning));
+  }
   const motions = [];
   for (let sample = 0; sample < samples; sample += 1) {
     const parts = [];
@@ -85,17 +94,17 @@ async function make(sampler, { sentences, samples, ...options }) {
     const { decoded, starts } = await sampler.decode(parts);
     motions.push({ codes: parts.flat(), starts, decoded, positions: await sampler.clean(decoded, starts.slice(1)) });
   }
-  return motions;
+  return { motions, missing: [...missing].filter(Boolean) };
 }
 
-const sampler = open();
-sampler.catch((error) => send({ failed: error.message }));
+const model = open();
+model.catch((error) => send({ failed: error.message }));
 
 onmessage = async ({ data }) => {
   isCancelled = data.cancel === true;
   if (isCancelled) return;
   try {
-    send({ made: await make(await sampler, data.make) });
+    send({ made: await make(await model, data.make) });
   } catch (error) {
     send(error instanceof Cancelled ? { cancelled: true } : { failed: error.message });
   }

@@ -34,7 +34,7 @@ export class Maker {
     else this.#settle("resolve", message.ready ?? message.made ?? null);
   }
 
-  // Resolves to motions {codes, decoded, positions}, or to null if the request was cancelled.
+  // Resolves to {motions, missing} of the worker, or to null if the request was cancelled.
   make(request) {
     if (this.isBusy) throw new Error("another motion is being made");
     const made = this.#wait();

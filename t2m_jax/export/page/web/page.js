@@ -111,10 +111,11 @@ class Page {
       const made = await this.maker.make({ ...recipe, sentences: sentencesOf(recipe) });
       if (made === null) this.#status("Cancelled.");
       else {
-        this.#show(this.#takeOf(recipe, made));
+        this.#show(this.#takeOf(recipe, made.motions));
+        const lacks = made.missing.map((text) => ` The training data have no motion like “${text}”.`).join("");
         const left = sentencesOf(recipe).flatMap(leftToModel).map((text) => `“${text}”`);
         const note = left.length ? ` Order, counts and lengths are left to the model here (${left.join(", ")}). Write each action on a line of its own.` : "";
-        this.#status(`Ready in ${((performance.now() - begin) / 1000).toFixed(1)} s. Seed ${recipe.seed}.${note}`);
+        this.#status(`Ready in ${((performance.now() - begin) / 1000).toFixed(1)} s. Seed ${recipe.seed}.${lacks}${note}`);
       }
     } finally {
       this.#setBusy(null);

@@ -14,11 +14,12 @@ export class Sampler {
     Object.assign(this, { manifest, tokenizer, run });
   }
 
-  async embed(sentence) {
+  // Resolves to {text_embedding} and, if the model says what its data lack, {meaning}.
+  async read(sentence) {
     const size = this.manifest.text.max_tokens;
     const tokens = this.tokenizer.encode(sentence).slice(0, size);
     const padded = Int32Array.from({ length: size }, (_, place) => tokens[place] ?? 0);
-    return (await this.run("text", { tokens: padded, num_tokens: [tokens.length] })).text_embedding;
+    return this.run("text", { tokens: padded, num_tokens: [tokens.length] });
   }
 
   get mostSentences() {
