@@ -412,6 +412,21 @@ def test_a_shape_is_that_of_the_clip_and_not_of_what_follows():
     np.testing.assert_allclose(keep(positions[0], jnp.asarray(20))[:20], whole, atol=1e-6)
 
 
+def test_a_chest_whose_joints_are_on_a_line_turns_as_the_torso():
+    positions = walk()
+    chest, collars, neck = 9, [13, 14], 12
+    flat = slice(20, 40)
+    positions[flat, collars] = positions[flat, [chest]] + 0.6 * (positions[flat, [neck]] - positions[flat, [chest]])
+    # The last digit of a number must not turn it.
+    other = positions + np.random.default_rng(0).normal(size=positions.shape).astype(np.float32) * 1e-6
+    np.testing.assert_allclose(keep(positions, ALL), keep(other, ALL), atol=5e-4)
+    left, right = np.moveaxis(np.asarray(keep(positions, ALL))[:, collars], 1, 0)
+    across = positions[:, 16] - positions[:, 17]
+    assert (
+        np.sum((left - right) * across, axis=1) > 0.8 * distances(left, right) * distances(across, 0 * across)
+    ).all()
+
+
 @pytest.mark.slow
 def test_shoulders_without_collars_can_be_raised():
     positions = trembling_figures(KIT_ML)[0]

@@ -28,6 +28,13 @@ def test_rotations_are_those_of_a_singular_value_decomposition(noise):
     np.testing.assert_allclose(rotations_of(pelvis, goals), rigid_rotations(pelvis, goals), atol=1e-4)
 
 
+def test_the_collars_of_people_are_enough_to_tell_how_the_chest_turns():
+    # From the spine to both collars and to the neck: about 5 cm wide and 20 cm high, as in a generated motion.
+    chest = np.array([[0.018, 0.130, 0.039], [-0.030, 0.133, 0.044], [-0.009, 0.207, 0.071]], np.float32)
+    goals = rotated(chest, noise=0.002)
+    np.testing.assert_allclose(rotations_of(chest, goals), rigid_rotations(chest, goals), atol=1e-4)
+
+
 def test_points_on_a_line_are_brought_to_their_goals():
     chest = np.array([[0.0, 0.14, 0.0], [0.0, 0.14, 0.0], [0.0, 0.22, 0.0]], np.float32)
     goals = rotated(chest, noise=0.0)
