@@ -36,7 +36,6 @@ from t2m_jax.sampling.strategies import Strategy, Temperature
 from t2m_jax.sampling.text_encoders import StatesTextEncoder, make_text_encoder
 from t2m_jax.text.coverage import make_knowledge
 from t2m_jax.text.encoder import TextEncoder
-from t2m_jax.text.meanings import Meanings
 
 
 class ModelParts:
@@ -57,12 +56,9 @@ class ModelParts:
         self.config = bundle.config
         self.skeleton = skeleton_from_name(bundle.config.skeleton)
         self.text_encoder = text_encoder or make_text_encoder(bundle)
-        self.knowledge = make_knowledge(bundle.training_data)
-        if isinstance(self.text_encoder, StatesTextEncoder):
-            known = self.knowledge
-            embed = self.text_encoder.sentence_embeddings
-            meanings = Meanings(known.actions, embed, learned=known.learned, missing=known.missing)
-            self.knowledge = known._replace(meanings=meanings)
+        encoder = self.text_encoder
+        embed = encoder.sentence_embeddings if isinstance(encoder, StatesTextEncoder) else None
+        self.knowledge = make_knowledge(bundle.training_data, embed)
         self._rest = bundle._replace(variables={})
         self._variables = put_everywhere(bundle.variables)
         self._ready_to_sample = False

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from t2m_jax.text.meanings import Meanings, Nearest, sentence_of
+from t2m_jax.text.meanings import Embed, Meanings, Nearest, sentence_of
 from t2m_jax.text.quantities import quantity_words
 from t2m_jax.text.subjects import subject_problems
 from t2m_jax.text.verbs import GENERIC_NOUNS, LIGHT_VERBS, SIDES, Word, word_set, words_of
@@ -56,11 +56,8 @@ class Knowledge(NamedTuple):
     actions: tuple[str, ...]
     """Basic forms of verbs, the most frequent first; empty if the model's record does not have them."""
     meanings: Meanings | None = None
-    """Finds those of the actions that are nearest to another one, if the model has a sentence encoder."""
-    learned: tuple[str, ...] = ()
-    """Plain sentences for actions that the data have; empty if their labels are others than those of our grammar."""
-    missing: tuple[str, ...] = ()
-    """Plain sentences for other actions of the grammar, of which the data have no clip."""
+    """Finds those of the actions that are nearest to another one, and what the data lack, if the model has a sentence
+    encoder."""
 
 
 class Coverage(NamedTuple):
@@ -118,18 +115,22 @@ def _find_own_verbs(verbs: Sequence[set[str]], labels: Sequence[str]) -> set[str
     return {verb for verb in own if num_labels[verb] <= GENERIC_SHARE * len(uses)}
 
 
-def make_knowledge(training_data: Mapping[str, Any] | None) -> Knowledge:
-    """Returns what a model knows, from the record of its training data; nothing if there is none."""
+def make_knowledge(training_data: Mapping[str, Any] | None, embed: Embed | None = None) -> Knowledge:
+    """Returns what a model knows, from the record of its training data; nothing if there is none.
+
+    `embed` is the model's sentence encoder.
+    """
     training_data = training_data or {}
     words = training_data.get("words", {})
     actions = training_data.get("actions", {})
     uses = min(MIN_USES, USES_SHARE * sum(words.values()))
     clips = min(MIN_CLIPS, CLIPS_SHARE * training_data.get("num_clips", 0))
+    known = tuple(sorted((name for name in actions if actions[name] >= clips), key=lambda name: -actions[name]))
+    contrast = {name: training_data.get(name, ()) for name in ("learned", "missing")}
     return Knowledge(
         words=frozenset(word for word, count in words.items() if count >= uses),
-        actions=tuple(sorted((name for name in actions if actions[name] >= clips), key=lambda name: -actions[name])),
-        learned=tuple(training_data.get("learned", ())),
-        missing=tuple(training_data.get("missing", ())),
+        actions=known,
+        meanings=None if embed is None else Meanings(known, embed, **contrast),
     )
 
 

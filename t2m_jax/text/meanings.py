@@ -72,8 +72,10 @@ class Meanings:
         query = self._unit([sentence])[0]
         cosines = known @ query
         order = np.argsort(-cosines)
-        best = max(cosines[order[0]], *(self._contrast[0] @ query)) if self._learned else cosines[order[0]]
-        return Nearest(tuple(names[place] for place in order[:NUM_NAMED]), bool(best >= SAME_MEANING))
+        is_same = cosines.max() >= SAME_MEANING
+        if self._learned and not is_same:
+            is_same = (self._contrast[0] @ query).max() >= SAME_MEANING
+        return Nearest(tuple(names[place] for place in order[:NUM_NAMED]), bool(is_same))
 
     def missing(self, sentence: str) -> str:
         """Returns which of the missing sentences one is nearest to; "" if it is nearer to those that were learned."""

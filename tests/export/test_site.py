@@ -39,7 +39,6 @@ from t2m_jax.sampling.loop import STOP_STREAM
 from t2m_jax.sampling.prompts import sample_key
 from t2m_jax.sampling.text_encoders import make_text_encoder
 from t2m_jax.text.coverage import make_knowledge
-from t2m_jax.text.meanings import Meanings
 from t2m_jax.text.prompts import check_prompt
 from tests.clip_golden import FULL
 from tests.conftest import REPOSITORY
@@ -430,12 +429,12 @@ def test_hostile_meanings_are_refused(modules):
 @pytest.mark.slow
 def test_what_the_data_lack_is_found_as_in_python(modules):
     bundle = load_model("demo-free")
-    known = make_knowledge(bundle.training_data)
+    learned, missing = bundle.training_data["learned"], bundle.training_data["missing"]
     embed = make_text_encoder(bundle).sentence_embeddings
-    python = Meanings(known.actions, embed, learned=known.learned, missing=known.missing)
-    sentences = [*known.missing, *known.learned[::3], "he throws punches", "someone waves cars through"]
+    python = make_knowledge(bundle.training_data, embed).meanings
+    sentences = [*missing, *learned[::3], "he throws punches", "someone waves cars through"]
     wanted = [python.missing(sentence) for sentence in sentences]
-    assert wanted[: len(known.missing)].count("") < 3 < wanted.count("")
+    assert wanted[: len(missing)].count("") < 3 < wanted.count("")
     code = "return given.meanings.map((meaning) => meanings.findMissing(given.record, meaning));"
     given = {"record": meanings_record(bundle), "meanings": embed(sentences).tolist()}
     assert modules("meanings", code, given) == wanted

@@ -4,12 +4,13 @@ import functools
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from t2m_jax.data.captioning.grammar import Frame, Manner, Side, Subject, Wording, clause
+from t2m_jax.data.captioning.grammar import Frame, Manner, Side, Subject, Wording, sentence
 from t2m_jax.data.captioning.lexicon import read_words
 
 FILES = ("actions", "body", "hands", "locomotion")
 """Files with the wordings of contents."""
 PERSON = Subject("a person", "the")
+PLAIN = Frame("{subject} {body}", "present")
 POSSESSIVES = ("their", "his", "her", "its", "my", "your")
 
 
@@ -34,7 +35,7 @@ class Content(NamedTuple):
         """Returns three sentences that say it in different words, the plainest first: "a person waves"."""
         usual = [one.predicate for one in self.wordings if not one.needs and one.nominal_form is None]
         spread = (usual[0], usual[len(usual) // 2], usual[-1])
-        return tuple(f"a person {clause(each, PERSON, form='present', side=self.side)}" for each in spread)
+        return tuple(sentence(PLAIN, predicate, PERSON, side=self.side) for predicate in spread)
 
 
 class Style(NamedTuple):

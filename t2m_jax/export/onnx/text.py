@@ -66,10 +66,9 @@ def text_part(bundle: Bundle) -> TextPart:
             encoder.config.max_length,
             marks,
         )
-    part = _sentence_part(encoder, embed, max(MAX_TOKENS, 0 if network is None else network.max_length))
-    if embed is None or not (bundle.training_data or {}).get("missing"):
-        return part
-    return part._replace(outputs=("text_embedding", "meaning"))
+    num_tokens = max(MAX_TOKENS, 0 if network is None else network.max_length)
+    has_meaning = bool((bundle.training_data or {}).get("missing"))
+    return _sentence_part(encoder, embed, num_tokens, has_meaning=has_meaning)
 
 
 def _trained(bundle: Bundle, network: Any) -> Network:
@@ -79,7 +78,9 @@ def _trained(bundle: Bundle, network: Any) -> Network:
     )
 
 
-def _sentence_part(encoder: TrainedSentenceEncoder, read_states: Network | None, num_tokens: int) -> TextPart:
+def _sentence_part(
+    encoder: TrainedSentenceEncoder, read_states: Network | None, num_tokens: int, *, has_meaning: bool
+) -> TextPart:
     """Returns a sentence encoder, and the network that reads its token states if there is one."""
 
     def embed(tokens: Int[Array, "1 S"], mask: Bool[Array, "1 S"]) -> tuple[Array, ...]:
@@ -89,16 +90,20 @@ def _sentence_part(encoder: TrainedSentenceEncoder, read_states: Network | None,
         # In 16 bits, as they are stored for training.
         states = module.apply(encoder.variables, tokens, mask, method="states").astype(jnp.float16)
         states = states.astype(jnp.float32)
+        if not has_meaning:
+            return (read_states(states, mask),)
         used = mask[..., None].astype(jnp.float32)
         return read_states(states, mask), (states * used).sum(axis=1) / used.sum(axis=1)
 
-    quantized = quantized_rows(read_arrays(encoder.folder / WEIGHTS_FILE))
-    return TextPart(embed, encoder.tokenizer, min(num_tokens, encoder.config.max_length), quantized=tuple(quantized))
+    quantized = tuple(quantized_rows(read_arrays(encoder.folder / WEIGHTS_FILE)))
+    part = TextPart(embed, encoder.tokenizer, min(num_tokens, encoder.config.max_length), quantized=quantized)
+    has_both = has_meaning and read_states is not None
+    return part._replace(outputs=("text_embedding", "meaning")) if has_both else part
 
 
 def embed_tokens(part: TextPart, tokens: Int[Array, "1 S"], num_tokens: Int[Array, "1"]) -> tuple[Array, ...]:
     """Returns the outputs for a sentence; tokens after its end have no influence."""
-    return part.embed(tokens, mask_from_lengths(num_tokens, tokens.shape[1]))[: len(part.outputs)]
+    return part.embed(tokens, mask_from_lengths(num_tokens, tokens.shape[1]))
 
 
 def text_inputs(part: TextPart) -> dict[str, jax.ShapeDtypeStruct]:

@@ -6,7 +6,6 @@ import numpy as np
 
 from t2m_jax.checkpoints.bundle import Bundle
 from t2m_jax.sampling.text_encoders import StatesTextEncoder, make_text_encoder
-from t2m_jax.text.coverage import make_knowledge
 from t2m_jax.text.meanings import NUM_COMPARED
 
 LARGEST = 127
@@ -18,12 +17,12 @@ def meanings_record(bundle: Bundle) -> dict[str, Any] | None:
 
     None if the record of the model does not say what is missing, or if it has no sentence encoder.
     """
-    knowledge = make_knowledge(bundle.training_data)
-    encoder = make_text_encoder(bundle)
-    if not knowledge.learned or not knowledge.missing or not isinstance(encoder, StatesTextEncoder):
+    learned, missing = ((bundle.training_data or {}).get(name, []) for name in ("learned", "missing"))
+    encoder = make_text_encoder(bundle) if learned and missing else None
+    if not isinstance(encoder, StatesTextEncoder):
         return None
-    embeddings = np.asarray(encoder.sentence_embeddings([*knowledge.learned, *knowledge.missing]), np.float32)
+    embeddings = np.asarray(encoder.sentence_embeddings([*learned, *missing]), np.float32)
     embeddings /= np.linalg.norm(embeddings, axis=1, keepdims=True)
     rows = np.rint(embeddings * (LARGEST / np.abs(embeddings).max())).astype(int).tolist()
-    first = len(knowledge.learned)
-    return {"compared": NUM_COMPARED, "sentences": knowledge.missing, "learned": rows[:first], "missing": rows[first:]}
+    first = len(learned)
+    return {"compared": NUM_COMPARED, "sentences": missing, "learned": rows[:first], "missing": rows[first:]}
