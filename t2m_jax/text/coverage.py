@@ -155,7 +155,7 @@ def check_coverage(
     """
     words = words_of(prompt) if knowledge.words else []
     followed = quantity_words(prompt)
-    unknown = [word for word in words if knowledge.words.isdisjoint(word.bases) and word.text not in followed]
+    unknown = [word for word in _unknown_words(words, knowledge) if word.text not in followed]
     problems = list(_problems(words, unknown, knowledge))
     if read_part != prompt:
         # The end of what is read tells where the prompt was cut.
@@ -183,13 +183,32 @@ def _problems(words: Sequence[Word], unknown: Sequence[Word], knowledge: Knowled
         yield "write it in the language and style of the training captions"
     if knowledge.words:
         yield from subject_problems(words)
-    if nearest or not knowledge.actions:
+    if not knowledge.actions or not all(found.is_same for found in nearest.values()):
         return
-    missing = knowledge.meanings.missing(_joined(words)) if knowledge.meanings and not is_foreign else ""
+    missing = "" if is_foreign else _missing(words, unknown, knowledge)
     if missing:
         yield f"the training data have no motion like {missing!r}"
-    elif not has_action(words, knowledge.actions):
+    elif not nearest and not has_action(words, knowledge.actions):
         yield from _no_action(words, knowledge)
+
+
+def _missing(words: Sequence[Word], unknown: Sequence[Word], knowledge: Knowledge) -> str:
+    """Returns a plain sentence for what a prompt asks and the model did not learn, "" if there is none."""
+    if knowledge.meanings is None:
+        return ""
+    text = _joined(words)
+    missing = knowledge.meanings.missing(text)
+    if missing or not unknown:
+        return missing
+    activity = knowledge.meanings.activity(text)
+    in_activity = words_of(activity)
+    # The captions may have taught it, although nothing says so in plain sentences.
+    is_learned = has_action(in_activity, knowledge.actions) and not _unknown_words(in_activity, knowledge)
+    return "" if is_learned else activity
+
+
+def _unknown_words(words: Iterable[Word], knowledge: Knowledge) -> list[Word]:
+    return [word for word in words if knowledge.words.isdisjoint(word.bases)]
 
 
 def _options(words: Sequence[Word], unknown: Sequence[Word]) -> Iterator[str]:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float
 
+from t2m_jax.text.activities import ACTIVITIES
 from t2m_jax.text.verbs import CLAUSE_STARTS, PREPOSITIONS, Word, inflected
 
 SAME_MEANING = 0.62
@@ -16,6 +17,10 @@ NUM_NAMED = 2
 """Actions that are named as the nearest ones."""
 NUM_COMPARED = 3
 """Sentences nearest to a prompt whose mean cosine tells whether it asks for something that was not learned."""
+NUM_ACTIVITIES = 2
+"""The same for activities, each of which is said in one way only."""
+ACTIVITY_MARGIN = 0.05
+"""How much nearer than what was learned the activities must be."""
 MAX_OBJECT = 3
 """Words after a verb that say what is done: "plays the piano"."""
 
@@ -56,9 +61,16 @@ class Meanings:
         return names, self._unit([f"a person {name}" for name in names])
 
     @functools.cached_property
-    def _contrast(self) -> tuple[Float[np.ndarray, "L E"], Float[np.ndarray, "M E"]]:
-        vectors = self._unit([*self._learned, *self._missing])
-        return vectors[: len(self._learned)], vectors[len(self._learned) :]
+    def _learned_vectors(self) -> Float[np.ndarray, "L E"]:
+        return self._unit(self._learned)
+
+    @functools.cached_property
+    def _missing_vectors(self) -> Float[np.ndarray, "M E"]:
+        return self._unit(self._missing)
+
+    @functools.cached_property
+    def _activity_vectors(self) -> Float[np.ndarray, "A E"]:
+        return self._unit(ACTIVITIES)
 
     def _unit(self, sentences: Sequence[str]) -> Float[np.ndarray, "B E"]:
         embeddings = np.asarray(self._embed(sentences), np.float32)
@@ -74,7 +86,7 @@ class Meanings:
         order = np.argsort(-cosines)
         is_same = cosines.max() >= SAME_MEANING
         if self._learned and not is_same:
-            is_same = (self._contrast[0] @ query).max() >= SAME_MEANING
+            is_same = (self._learned_vectors @ query).max() >= SAME_MEANING
         return Nearest(tuple(names[place] for place in order[:NUM_NAMED]), bool(is_same))
 
     def missing(self, sentence: str) -> str:
@@ -82,9 +94,22 @@ class Meanings:
         if not self._learned or not self._missing:
             return ""
         query = self._unit([sentence])[0]
-        learned, missing = (vectors @ query for vectors in self._contrast)
-        best_learned, best_missing = (np.sort(cosines)[-NUM_COMPARED:].mean() for cosines in (learned, missing))
-        return self._missing[int(missing.argmax())] if best_missing > best_learned else ""
+        learned, missing = self._learned_vectors @ query, self._missing_vectors @ query
+        is_missing = _mean_of_best(missing, NUM_COMPARED) > _mean_of_best(learned, NUM_COMPARED)
+        return self._missing[int(missing.argmax())] if is_missing else ""
+
+    def activity(self, sentence: str) -> str:
+        """Returns which of `ACTIVITIES` a sentence is nearest to; "" if it is nearer to what was learned."""
+        if not self._learned:
+            return ""
+        query = self._unit([sentence])[0]
+        learned, others = self._learned_vectors @ query, self._activity_vectors @ query
+        lead = _mean_of_best(others, NUM_ACTIVITIES) - _mean_of_best(learned, NUM_ACTIVITIES)
+        return ACTIVITIES[int(others.argmax())] if lead > ACTIVITY_MARGIN else ""
+
+
+def _mean_of_best(cosines: Float[np.ndarray, " S"], count: int) -> float:
+    return float(np.sort(cosines)[-count:].mean())
 
 
 def sentence_of(words: Sequence[Word], place: int) -> str:

@@ -6,7 +6,7 @@ import pytest
 from t2m_jax.checkpoints.text_encoder import SentenceReference
 from t2m_jax.models.caption_encoder import StateEncoderConfig
 from t2m_jax.sampling.text_encoders import SentenceStates, StatesTextEncoder
-from t2m_jax.text.coverage import Knowledge, check_coverage
+from t2m_jax.text.coverage import Knowledge, check_coverage, make_knowledge
 from t2m_jax.text.meanings import Meanings, Nearest, sentence_of
 from t2m_jax.text.verbs import inflected, words_of
 
@@ -98,6 +98,41 @@ def test_a_sense_that_was_learned_does_not_warn(partly, prompt):
 
 def test_without_missing_sentences_none_is_embedded():
     assert Meanings(("walk",), lambda sentences: 1 / 0, learned=LEARNED).missing("a person waves") == ""
+
+
+@pytest.fixture(scope="module")
+def doubtful(encoder):
+    meanings = Meanings(ACTIONS, encoder.sentence_embeddings, learned=LEARNED)
+    return Knowledge(WORDS | {"performs", "kata", "sits", "makes", "moves"}, ACTIONS, meanings)
+
+
+@pytest.mark.parametrize(
+    ("prompt", "like"),
+    [("the man sits and knits a hat", "knits: not known"), ("a person makes a chess move", "like 'a person plays chess'")],
+)
+def test_an_unknown_activity_warns_also_if_its_verb_is_known(doubtful, prompt, like):
+    assert like in warning(prompt, doubtful)
+
+
+@pytest.mark.parametrize("prompt", ["the man performs a kata in the attic", "a person walks forward over the lawn"])
+def test_an_unknown_word_is_no_activity(doubtful, prompt):
+    assert warning(prompt, doubtful) == ""
+
+
+def test_activities_matter_only_beside_unknown_words(doubtful):
+    known = doubtful._replace(words=doubtful.words | {"chess", "move"})
+    assert "no motion like" not in warning("a person makes a chess move", known)
+
+
+def test_an_activity_that_captions_taught_is_none(encoder):
+    def said(words):
+        record = {"words": dict.fromkeys(words, 100), "actions": {"ride": 50, "walk": 50}, "num_clips": 100}
+        knowledge = make_knowledge(record | {"learned": LEARNED}, encoder.sentence_embeddings)
+        return warning("a person rides a bicycle in the attic", knowledge)
+
+    words = ["a", "person", "ride", "rides", "in", "the", "walk"]
+    assert "like 'a person rides a bicycle'" in said(words)
+    assert said([*words, "bicycle"]) == ""
 
 
 def test_embeddings_do_not_depend_on_the_batch(encoder):
