@@ -41,7 +41,7 @@ def config_of(stage, name, options):
 
 
 def test_the_planned_trainings_of_the_claims_can_be_started():
-    script = REPOSITORY / "configs" / "benchmark" / "claims.sh"
+    script = REPOSITORY / "configs" / "claims" / "claims.sh"
     printed = subprocess.run(["sh", f"{script}"], capture_output=True, text=True, check=True).stdout.splitlines()
     runs = {}
     for kind, name, *options in (line.split()[2:] for line in printed if line.startswith("t2m train")):

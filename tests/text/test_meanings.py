@@ -108,7 +108,10 @@ def doubtful(encoder):
 
 @pytest.mark.parametrize(
     ("prompt", "like"),
-    [("the man sits and knits a hat", "knits: not known"), ("a person makes a chess move", "like 'a person plays chess'")],
+    [
+        ("the man sits and knits a hat", "knits: not known"),
+        ("a person makes a chess move", "like 'a person plays chess'"),
+    ],
 )
 def test_an_unknown_activity_warns_also_if_its_verb_is_known(doubtful, prompt, like):
     assert like in warning(prompt, doubtful)

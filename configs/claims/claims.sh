@@ -1,7 +1,7 @@
 #!/bin/sh
 # The trainings and measurements that test the claims of both papers on the NC track of the benchmark, three seeds each, by small models.
-#   sh configs/benchmark/claims.sh            prints the commands
-#   sh configs/benchmark/claims.sh | sh       runs them, one after the other; add `| grep NAME` to choose
+#   sh configs/claims/claims.sh            prints the commands
+#   sh configs/claims/claims.sh | sh       runs them, one after the other; add `| grep NAME` to choose
 set -eu
 data="--data data/benchmark-nc"
 train() {  # NAME KIND CONFIG [OPTIONS]
@@ -9,7 +9,7 @@ train() {  # NAME KIND CONFIG [OPTIONS]
     kind=$2
     config=$3
     shift 3
-    echo "t2m train $kind configs/benchmark/claims/$config.yaml $data --loop.seed $seed --run runs/claims/$name $*"
+    echo "t2m train $kind claims/$config $data --loop.seed $seed --run runs/claims/$name $*"
 }
 tokenizer() {  # the same, and its reconstruction
     train "$@"
