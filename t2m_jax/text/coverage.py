@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from t2m_jax.text.meanings import Embed, Meanings, Nearest, sentence_of
+from t2m_jax.text.path_shapes import find_path_shape
 from t2m_jax.text.quantities import quantity_words
 from t2m_jax.text.subjects import subject_problems
 from t2m_jax.text.verbs import GENERIC_NOUNS, LIGHT_VERBS, SIDES, Word, word_set, words_of
@@ -156,7 +157,7 @@ def check_coverage(
     words = words_of(prompt) if knowledge.words else []
     followed = quantity_words(prompt)
     unknown = [word for word in _unknown_words(words, knowledge) if word.text not in followed]
-    problems = list(_problems(words, unknown, knowledge))
+    problems = [*_problems(words, unknown, knowledge), *_path_problems(prompt, unknown, knowledge)]
     if read_part != prompt:
         # The end of what is read tells where the prompt was cut.
         problems.append(f"too long, so cut after {_shortened(read_part[::-1])[::-1]!r}")
@@ -209,6 +210,14 @@ def _missing(words: Sequence[Word], unknown: Sequence[Word], knowledge: Knowledg
 
 def _unknown_words(words: Iterable[Word], knowledge: Knowledge) -> list[Word]:
     return [word for word in words if knowledge.words.isdisjoint(word.bases)]
+
+
+def _path_problems(prompt: str, unknown: Sequence[Word], knowledge: Knowledge) -> Iterator[str]:
+    """Yields the option that gives the path the shape that a prompt says, if captions had none, as the grammar."""
+    shape = find_path_shape(prompt)
+    is_labeled = knowledge.meanings is not None and knowledge.meanings.are_labeled
+    if shape is not None and (is_labeled or any(shape.name in word.bases for word in unknown)):
+        yield f"{shape.name}: words do not shape the path; {shape.option}"
 
 
 def _options(words: Sequence[Word], unknown: Sequence[Word]) -> Iterator[str]:

@@ -55,6 +55,11 @@ class Meanings:
         self._learned = learned
         self._missing = missing
 
+    @property
+    def are_labeled(self) -> bool:
+        """Whether captions were written for labels of the captions' own grammar, so that it is known what they lack."""
+        return bool(self._learned)
+
     @functools.cached_property
     def _known(self) -> tuple[list[str], Float[np.ndarray, "A E"]]:
         names = [inflected(action, "VBZ") for action in self._actions]
