@@ -1,5 +1,6 @@
 """How often something is done in a motion: the peaks of a height, a distance or a reach."""
 
+import itertools
 from collections.abc import Callable, Collection
 from typing import NamedTuple
 
@@ -52,6 +53,11 @@ def _hands_meet(positions: Positions) -> Signal:
     return -np.minimum(apart, APART)
 
 
+def _stride(positions: Positions) -> Signal:
+    """Returns how far the ankles are apart over the ground."""
+    return np.linalg.norm((_joint(positions, "left_ankle") - _joint(positions, "right_ankle"))[:, ::2], axis=-1)
+
+
 SIGNALS: dict[str, Callable[[Positions, str], Signal]] = {
     "rise": lambda positions, _: _height(positions, "pelvis"),
     "dip": lambda positions, _: -_height(positions, "pelvis"),
@@ -62,6 +68,7 @@ SIGNALS: dict[str, Callable[[Positions, str], Signal]] = {
     "both wrists": lambda positions, _: np.minimum(_arm(positions, "left")[:, 1], _arm(positions, "right")[:, 1]),
     "reach": lambda positions, _: np.maximum(_reach(positions, "left"), _reach(positions, "right")),
     "own reach": _reach,
+    "stride": lambda positions, _: _stride(positions),
     "wrist": lambda positions, side: _arm(positions, side)[:, 1],
     "sway": _sway,
 }
@@ -79,24 +86,30 @@ class Repetition(NamedTuple):
     """Height of the smallest peak, in meters."""
     alternates: bool = False
     """Whether what one hand does counts beside what the other does: punches, but not arms that are raised together."""
+    can_stop: bool = False
+    """Whether a motion may end between two times: after a step or a jump, but not with a hand in the air."""
+
+    def peaks(self, positions: Positions, sides: Collection[str] = ("left", "right")) -> list[int]:
+        """Returns the frames at which it is done, by the hands of some sides if it is done with hands."""
+        used = sorted(sides) if self.signal in ONE_SIDED else ["left"]
+        found = [find_peaks(SIGNALS[self.signal](positions, side), least=self.least) for side in used]
+        return sorted(itertools.chain.from_iterable(found)) if self.alternates else max(found, key=len)
 
     def count(self, positions: Positions, sides: Collection[str] = ("left", "right")) -> int:
-        """Returns how often it is done, by the hands of some sides if it is done with hands."""
-        used = sorted(sides) if self.signal in ONE_SIDED else ["left"]
-        counts = [len(find_peaks(SIGNALS[self.signal](positions, side), least=self.least)) for side in used]
-        return sum(counts) if self.alternates else max(counts)
+        """Returns how often it is done."""
+        return len(self.peaks(positions, sides))
 
 
-_JUMP = Repetition("both feet", 0.05)
+_JUMP = Repetition("both feet", 0.05, can_stop=True)
 _PUNCH = Repetition("own reach", 0.15, alternates=True)
-_SIT = Repetition("dip", 0.2)
+_SIT = Repetition("dip", 0.2, can_stop=True)
 _THROW = Repetition("reach", 0.3)
 _RAISE = Repetition("wrist", 0.3)
 _CLAP = Repetition("hands meet", 0.08)
 COUNTED_ACTIONS: dict[str, Repetition] = {
     "applaud": _CLAP,
     "bounce": _JUMP,
-    "bow": Repetition("nod", 0.15),
+    "bow": Repetition("nod", 0.15, can_stop=True),
     "box": _PUNCH,
     "clap": _CLAP,
     "crouch": _SIT,
@@ -105,7 +118,7 @@ COUNTED_ACTIONS: dict[str, Repetition] = {
     "jab": _PUNCH,
     "jack": Repetition("both wrists", 0.3),
     "jump": _JUMP,
-    "kick": Repetition("foot", 0.35),
+    "kick": Repetition("foot", 0.35, can_stop=True),
     "leap": _JUMP,
     "lift": _RAISE,
     "pitch": _THROW,
@@ -115,6 +128,7 @@ COUNTED_ACTIONS: dict[str, Repetition] = {
     "seat": _SIT,
     "sit": _SIT,
     "squat": _SIT,
+    "step": Repetition("stride", 0.1, can_stop=True),
     "strike": _PUNCH,
     "throw": _THROW,
     "toss": _THROW,

@@ -1,6 +1,9 @@
 """Sentences that say how often something is done ("kicks twice"): of several samples, the one that does it so often."""
 
+import itertools
+import math
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Key
 
 from t2m_jax.motion.repetitions import COUNTED_ACTIONS
+from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.sampling.decode import Codes, decode_motions
 from t2m_jax.sampling.model import ModelParts
 from t2m_jax.text.quantities import Times
@@ -18,6 +22,8 @@ _CANDIDATE_STREAM = 2**30 + 2
 
 CANDIDATES = 16
 """Samples to choose from."""
+SHORTEST_SECONDS = 1.2
+"""Shortest motion that is made by ending one."""
 
 
 def candidate_keys(key: Key[jax.Array, ""]) -> Key[jax.Array, " C"]:
@@ -26,19 +32,82 @@ def candidate_keys(key: Key[jax.Array, ""]) -> Key[jax.Array, " C"]:
     return jnp.stack([key, *(jax.random.fold_in(stream, number) for number in range(1, CANDIDATES))])
 
 
-def choose_by_count(model: ModelParts, candidates: Sequence[Codes], times: Times) -> Codes:
-    """Returns the codes of the first motion that shows an action as often as asked for, or nearest to that."""
+def choose_by_count(model: ModelParts, candidates: Sequence[Codes], times: Times, *, is_free: bool = True) -> Codes:
+    """Returns the codes of the first motion that shows an action as often as asked for, or nearest to that.
+
+    If none does and their length `is_free`, they are cut after the last time, or one time is repeated.
+    """
+    shown = _decoded(model, candidates)
+    best, misses = _nearest(times, shown)
+    if not misses or not is_free:
+        return candidates[best]
+    sizes = {"downsample": model.config.tokenizer.downsample, "most_rows": model.config.generator.max_codes}
+    fitted = [fit_count(codes, times, positions, **sizes) for codes, positions in zip(candidates, shown, strict=True)]
+    other, fewer = _nearest(times, _decoded(model, fitted))
+    return fitted[other] if fewer < misses else candidates[best]
+
+
+def _decoded(model: ModelParts, candidates: Sequence[Codes]) -> list[Float[np.ndarray, "_ 22 3"]]:
     # With one length and one batch for all requests, there is one program for all.
-    motions = decode_motions(
-        model.tokenizer,
-        candidates,
-        skeleton=model.skeleton,
-        size=model.config.generator.max_codes,
-        batch=len(candidates),
-    )
+    size = model.config.generator.max_codes
+    options: dict[str, Any] = {"skeleton": model.skeleton, "size": size, "batch": len(candidates)}
+    return [np.asarray(motion.positions) for motion in decode_motions(model.tokenizer, candidates, **options)]
+
+
+def _nearest(times: Times, shown: Sequence[Float[np.ndarray, "_ 22 3"]]) -> tuple[int, int]:
+    """Returns which motion is nearest to a count, and by how many times it misses it."""
+    misses = [abs(count_shown(times, positions) - times.number) for positions in shown]
     # The first of equals is taken, so that the motion without a choice stays if it is as good.
-    misses = [abs(count_shown(times, np.asarray(motion.positions)) - times.number) for motion in motions]
-    return candidates[int(np.argmin(misses))]
+    best = int(np.argmin(misses))
+    return best, misses[best]
+
+
+def fit_count(
+    codes: Codes, times: Times, positions: Float[np.ndarray, "T 22 3"], *, downsample: int, most_rows: int
+) -> Codes:
+    """Returns the codes of a motion cut after the last time, or with one time repeated, so that the count is right.
+
+    They stay as they are if the motion cannot stop there, if it shows less than two times, or if it would be too long.
+
+    Args:
+        codes: Of the motion.
+        times: How often something is asked for.
+        positions: The motion.
+        downsample: Frames of a row of codes.
+        most_rows: Rows of the longest motion.
+    """
+    count = count_shown(times, positions)
+    if count > times.number:
+        rows = _rows_until(times, positions, downsample=downsample)
+        return codes[:rows] if rows else codes
+    if 2 <= count < times.number:
+        first, last = _one_time(times, positions, downsample=downsample)
+        repeated = [codes[first:last]] * (times.number - count)
+        longer = np.concatenate([codes[:last], *repeated, codes[last:]])
+        return longer if len(longer) <= most_rows else codes
+    return codes
+
+
+def _rows_until(times: Times, positions: Float[np.ndarray, "T 22 3"], *, downsample: int) -> int:
+    """Returns how many rows of codes show an action as often as asked for, 0 if none do or it cannot stop there."""
+    ends = range(math.ceil(SHORTEST_SECONDS * HUMANML3D.fps / downsample), len(positions) // downsample)
+    is_fitting = COUNTED_ACTIONS[times.action].can_stop
+    fitting = [end for end in ends if is_fitting and count_shown(times, positions[: end * downsample]) == times.number]
+    # In the middle, the last time is over, and the next one has not begun.
+    return fitting[len(fitting) // 2] if fitting else 0
+
+
+def _one_time(times: Times, positions: Float[np.ndarray, "T 22 3"], *, downsample: int) -> tuple[int, int]:
+    """Returns the rows from one time to the next, at the ends of which the pose is most alike."""
+    peaks = COUNTED_ACTIONS[times.action].peaks(positions, times.sides)
+    rows = sorted({round(peak / downsample) for peak in peaks})
+    poses = positions - positions[:, :1]
+
+    def change(pair: tuple[int, int]) -> float:
+        begin, end = (min(row * downsample, len(poses) - 1) for row in pair)
+        return float(np.abs(poses[begin] - poses[end]).sum())
+
+    return min(itertools.pairwise(rows), key=change, default=(0, 0))
 
 
 def count_shown(times: Times, positions: Float[np.ndarray, "T 22 3"]) -> int:

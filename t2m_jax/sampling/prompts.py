@@ -3,13 +3,14 @@
 import warnings
 import zlib
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Key
 
 from t2m_jax.keys import new_key
+from t2m_jax.motion.repetitions import COUNTED_ACTIONS
 from t2m_jax.sampling.batches import fill_up
 from t2m_jax.text.coverage import Knowledge, PromptWarning, check_coverage
 from t2m_jax.text.encoder import CuttingTextEncoder, TextEncoder
@@ -62,7 +63,8 @@ def read_prompts(captions: Sequence[str], knowledge: Knowledge, encoder: TextEnc
         read, corrected = correct_spelling(text, knowledge.words)
         # Some encoders cut long sentences, and the warning names what is not read.
         read_part = encoder.read_part(read) if isinstance(encoder, CuttingTextEncoder) else read
-        coverage = check_coverage(read, knowledge, read_part=read_part, typed=text, corrected=corrected)
+        given: dict[str, Any] = {"typed": text, "corrected": corrected, "countable": COUNTED_ACTIONS}
+        coverage = check_coverage(read, knowledge, read_part=read_part, **given)
         prompts.append(Prompt(text, read, *coverage))
     # Each once, however many sentences have it.
     for warning in dict.fromkeys(prompt.warning for prompt in prompts):

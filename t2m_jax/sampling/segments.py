@@ -106,7 +106,9 @@ def sample_segments(
         else:
             tried = [candidate_keys(key) for key in own_keys]
             found = [sample(segment, [own] * len(tries), tries) for own, tries in zip(context, tried, strict=True)]
-            new = [choose_by_count(model, candidates, segment.times) for candidates in found]
+            # A length that was asked for stays.
+            is_free = not segment.num_rows
+            new = [choose_by_count(model, candidates, segment.times, is_free=is_free) for candidates in found]
         # A short segment alone may have fewer rows than a context, so the old context stays in front of it.
         before = [np.concatenate(codes) for codes in zip(context, new, strict=True)]
         yield new

@@ -142,6 +142,7 @@ def check_coverage(
     read_part: str,
     typed: str = "",
     corrected: Mapping[str, str] = MappingProxyType({}),
+    countable: Collection[str] = (),
 ) -> Coverage:
     """Returns what a model knows of a prompt, of which its text encoder reads only `read_part`.
 
@@ -153,9 +154,10 @@ def check_coverage(
         read_part: The whole prompt, or its beginning.
         typed: The prompt as it was typed, if mistakes were corrected; the warning quotes it.
         corrected: Words that were typed -> those in the prompt.
+        countable: Basic forms of the verbs whose number is followed.
     """
     words = words_of(prompt) if knowledge.words else []
-    followed = quantity_words(prompt)
+    followed = quantity_words(prompt, countable)
     unknown = [word for word in _unknown_words(words, knowledge) if word.text not in followed]
     problems = [*_problems(words, unknown, knowledge), *_path_problems(prompt, unknown, knowledge)]
     if read_part != prompt:

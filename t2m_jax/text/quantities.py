@@ -38,7 +38,7 @@ _SINGULAR = ("one", "1", "a single", "a double", "a triple")
 """Numbers before a noun that is not a plural."""
 # The longest first, so that "half a dozen" is not "half a".
 _NUMBER = "|".join([r"\d{1,6}(?:[.,]\d{1,6})?", *sorted(_VALUES.keys() - set(_ADVERBS), key=len, reverse=True)])
-_START = r"(?<![\w.,-])"
+_START = r"(?<![\w.,/-])"
 
 
 def _pattern(*parts: str) -> re.Pattern[str]:
@@ -70,7 +70,11 @@ _NO_TIMES_BEFORE = _pattern(
     r"he|she|it|they|you|his|her|somebody|someone)\b",
 )
 """What stands behind words that do not say how often: "once he sits", "twice as fast"."""
-_NOUN = _pattern(rf"{_START}(?P<number>{_NUMBER})(?: (?:rep|repetition|round)s? of)?(?P<words>(?: [\w-]+){{1,3}})")
+_NOUN = _pattern(
+    r"(?<!the )(?<!is )(?<!are )(?<!was )(?<!stands )(?<!standing )",
+    rf"{_START}(?P<number>{_NUMBER})(?: (?:rep|repetition|round)s? of)?(?P<words>(?: [\w-]+){{1,3}})",
+)
+"""Behind a verb of doing: "sweeps the eight steps" and "is three steps away" say no number of times."""
 _NO_NOUN = PREPOSITIONS | CLAUSE_STARTS
 
 
@@ -113,10 +117,16 @@ def said_times(caption: str, countable: Collection[str]) -> Times | None:
     return Times(action, sides if len(sides) == 1 else SIDES, int(count))
 
 
-def quantity_words(caption: str) -> frozenset[str]:
-    """Returns the words of a sentence that say how long or how often, in lower case."""
-    found = [_find_time(caption), _find_times(caption)]
-    return frozenset(word.text for part in found if part is not None for word in words_of(part[0]))
+def quantity_words(caption: str, countable: Collection[str] = ()) -> frozenset[str]:
+    """Returns the words of a sentence that say how long or how often, in lower case.
+
+    `countable` are the basic forms of the verbs that can be counted, as in "four steps".
+    """
+    times = _find_times(caption)
+    found = [_find_time(caption), times]
+    words = {word.text for part in found if part is not None for word in words_of(part[0])}
+    noun = None if times else _find_counted_noun(caption, countable)
+    return frozenset(words if noun is None else words | {word.text for word in words_of(noun[0]["number"])})
 
 
 def _find_time(caption: str) -> re.Match[str] | None:
@@ -164,9 +174,14 @@ def _counted_verb(caption: str, countable: Collection[str]) -> tuple[float, str]
 
 def _counted_noun(caption: str, countable: Collection[str]) -> tuple[float, str] | None:
     """Returns the number before the noun of an action, and the action: "two punches", but not "one hand waves"."""
+    found = _find_counted_noun(caption, countable)
+    return None if found is None else (_value(found[0]["number"]), found[1])
+
+
+def _find_counted_noun(caption: str, countable: Collection[str]) -> tuple[re.Match[str], str] | None:
     for noun in _NOUN.finditer(caption):
         for text in itertools.takewhile(lambda text: text not in _NO_NOUN, noun["words"].lower().split()):
             found = sorted(forms(text) & set(countable))
             if found and (text == found[0] if noun["number"].lower() in _SINGULAR else text.endswith("s")):
-                return _value(noun["number"]), found[0]
+                return noun, found[0]
     return None

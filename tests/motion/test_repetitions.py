@@ -45,6 +45,17 @@ def test_actions_are_counted(action, joint, axis, size, times):
     assert COUNTED_ACTIONS[action].count(moved(joint, axis, size, times)) == times
 
 
+@pytest.mark.parametrize("steps", [2, 5])
+def test_steps_are_counted(steps):
+    frames = 12 * steps
+    positions = make_motion("wave-left-hand", seed=0, num_frames=60)[:1].repeat(frames, axis=0)
+    swing = 0.3 * np.sin(np.pi * np.arange(frames) / 12)
+    for side, sign in (("left", 1), ("right", -1)):
+        positions[:, HUMANML3D.joint_names.index(f"{side}_ankle"), 2] += sign * swing
+    assert COUNTED_ACTIONS["step"].count(positions) == steps
+    assert COUNTED_ACTIONS["step"].count(positions[:1].repeat(frames, axis=0)) == 0
+
+
 def test_hands_that_meet_are_counted():
     positions = moved("left_wrist", 0, 0.0, 3)
     left, right = (HUMANML3D.joint_names.index(f"{side}_wrist") for side in ("left", "right"))

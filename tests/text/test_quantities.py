@@ -72,6 +72,8 @@ def test_the_side_counts():
 def test_words_of_quantities():
     assert quantity_words("a man jumps 3 times in five seconds") == {"3", "times", "five", "seconds"}
     assert not quantity_words("after three seconds he jumps")
+    assert quantity_words("a man walks 4 big steps", COUNTED_ACTIONS) == {"4"}
+    assert not quantity_words("a man walks 4 dogs", COUNTED_ACTIONS)
 
 
 def test_sentences_of_other_people_say_how_long_and_how_often():
@@ -79,9 +81,9 @@ def test_sentences_of_other_people_say_how_long_and_how_often():
     assert sum(right) >= 58 and len(right) == 60
     counted = [one for one in SENTENCES["counts"] if one["verb"] in COUNTED_ACTIONS]
     found = [(one, times_of(one["text"])) for one in counted]
-    assert sum(times is not None and times[1] == one["times"] for one, times in found) >= 27 and len(found) == 33
+    assert sum(times is not None and times[1] == one["times"] for one, times in found) >= 28 and len(found) == 34
     neither = [said_seconds(one["text"]) is None and times_of(one["text"]) is None for one in SENTENCES["neither"]]
-    assert sum(neither) >= 59 and len(neither) == 60
+    assert sum(neither) >= 58 and len(neither) == 59
 
 
 @pytest.mark.parametrize("words", ["2 ", "a couple of ", "stops after 1", "half a ", "two 1 s 3x ", "one-"])
