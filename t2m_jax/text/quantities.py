@@ -75,6 +75,7 @@ _NOUN = _pattern(
     rf"{_START}(?P<number>{_NUMBER})(?: (?:rep|repetition|round)s? of)?(?P<words>(?: [\w-]+){{1,3}})",
 )
 """Behind a verb of doing: "sweeps the eight steps" and "is three steps away" say no number of times."""
+_PATHS = word_set("arc bend circle corner curve loop rotate spin swerve turn veer zigzag")
 _NO_NOUN = PREPOSITIONS | CLAUSE_STARTS
 
 
@@ -111,9 +112,12 @@ def said_times(caption: str, countable: Collection[str]) -> Times | None:
         countable: Basic forms of the verbs that can be counted.
     """
     count, action = _counted_verb(caption, countable) or _counted_noun(caption, countable) or (0.0, "")
-    if not count.is_integer() or not 1 <= count <= MOST_TIMES:
+    words = words_of(caption)
+    # "Four steps in a curve": the motion has to go on until the curve is done.
+    is_path = action == "step" and any(not _PATHS.isdisjoint(word.bases) for word in words)
+    if not count.is_integer() or not 1 <= count <= MOST_TIMES or is_path:
         return None
-    sides = SIDES & {word.text for word in words_of(caption)}
+    sides = SIDES & {word.text for word in words}
     return Times(action, sides if len(sides) == 1 else SIDES, int(count))
 
 
@@ -125,7 +129,7 @@ def quantity_words(caption: str, countable: Collection[str] = ()) -> frozenset[s
     times = _find_times(caption)
     found = [_find_time(caption), times]
     words = {word.text for part in found if part is not None for word in words_of(part[0])}
-    noun = None if times else _find_counted_noun(caption, countable)
+    noun = None if times or said_times(caption, countable) is None else _find_counted_noun(caption, countable)
     return frozenset(words if noun is None else words | {word.text for word in words_of(noun[0]["number"])})
 
 

@@ -74,6 +74,7 @@ def test_words_of_quantities():
     assert not quantity_words("after three seconds he jumps")
     assert quantity_words("a man walks 4 big steps", COUNTED_ACTIONS) == {"4"}
     assert not quantity_words("a man walks 4 dogs", COUNTED_ACTIONS)
+    assert not quantity_words("a man walks 4 steps in a curve", COUNTED_ACTIONS)
 
 
 def test_sentences_of_other_people_say_how_long_and_how_often():
@@ -84,6 +85,12 @@ def test_sentences_of_other_people_say_how_long_and_how_often():
     assert sum(times is not None and times[1] == one["times"] for one, times in found) >= 28 and len(found) == 34
     neither = [said_seconds(one["text"]) is None and times_of(one["text"]) is None for one in SENTENCES["neither"]]
     assert sum(neither) >= 58 and len(neither) == 59
+
+
+@pytest.mark.parametrize("rest", ["and turns left", "in a curve to the right", "around the corner"])
+def test_steps_on_a_path_with_a_turn_are_not_counted(rest):
+    assert times_of("a person walks four steps") == ("step", 4)
+    assert times_of(f"a person walks four steps {rest}") is None
 
 
 @pytest.mark.parametrize("words", ["2 ", "a couple of ", "stops after 1", "half a ", "two 1 s 3x ", "one-"])
