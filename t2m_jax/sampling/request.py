@@ -64,7 +64,7 @@ class SamplingOptions:
     whole: bool = False
     """Whether a sentence is sampled as it is. By default, one of several actions in turn ("walks, then waves") is
     sampled action by action, if there is a record of the actions that the model knows; "for five seconds" sets the
-    length; and of "kicks twice", that of 16 samples is taken that shows it twice."""
+    length; and of "kicks twice", that of 16 samples is taken, or made by a cut or a repetition, that shows it twice."""
 
     def __post_init__(self) -> None:
         """Checks each field.

@@ -74,8 +74,10 @@ _NOUN = _pattern(
     r"(?<!the )(?<!is )(?<!are )(?<!was )(?<!stands )(?<!standing )",
     rf"{_START}(?P<number>{_NUMBER})(?: (?:rep|repetition|round)s? of)?(?P<words>(?: [\w-]+){{1,3}})",
 )
-"""Behind a verb of doing: "sweeps the eight steps" and "is three steps away" say no number of times."""
+"""A number and the words after it: "takes three big steps". "Sweeps the eight steps" and "is three steps away" say no
+number of times."""
 _PATHS = word_set("arc bend circle corner curve loop rotate spin swerve turn veer zigzag")
+"""Words that say where steps lead."""
 _NO_NOUN = PREPOSITIONS | CLAUSE_STARTS
 
 
