@@ -80,7 +80,7 @@ def fit_count(
     if count > times.number:
         rows = _rows_until(times, positions, downsample=downsample)
         return codes[:rows] if rows else codes
-    if 2 <= count < times.number:
+    if count < times.number:
         first, last = _one_time(times, positions, downsample=downsample)
         repeated = [codes[first:last]] * (times.number - count)
         longer = np.concatenate([codes[:last], *repeated, codes[last:]])
@@ -98,7 +98,7 @@ def _rows_until(times: Times, positions: Float[np.ndarray, "T 22 3"], *, downsam
 
 
 def _one_time(times: Times, positions: Float[np.ndarray, "T 22 3"], *, downsample: int) -> tuple[int, int]:
-    """Returns the rows from one time to the next, at the ends of which the pose is most alike."""
+    """Returns the rows from one time to the next, at the ends of which the pose is most alike; none if there is one."""
     peaks = COUNTED_ACTIONS[times.action].peaks(positions, times.sides)
     rows = sorted({round(peak / downsample) for peak in peaks})
     poses = positions - positions[:, :1]

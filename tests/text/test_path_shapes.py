@@ -39,6 +39,7 @@ def test_a_shape_names_its_option(caption, option):
         "a person draws a zigzag with one finger and walks on",
         "a man walks in a square hat",
         "she throws the ball in an arc and runs",
+        "a man walks in a curve to the left",
     ],
 )
 def test_other_circles_are_no_path(caption):
