@@ -40,6 +40,7 @@ GENERATORS = (
 DIFFERENCES = (
     ("rvq-10-256", "vq"),
     ("rvq-2-512", "vq"),
+    ("rvq-10-256", "rvq-2-256"),
     *((f"rvq-{deep}-256", f"rvq-{flat}-256") for flat, deep in ((1, 2), (2, 4), (4, 6), (6, 10), (10, 12))),
     *((f"rvq-10-{large}", f"rvq-10-{small}") for small, large in ((128, 256), (256, 512), (512, 1024))),
     *((f"gpt-{tau}", "gpt-0.0") for tau in ("0.3", "0.5", "per_motion")),
@@ -69,10 +70,11 @@ def figures_of(report: Mapping[str, Any]) -> dict[str, float]:
 
 
 def read_reports(folder: Path) -> dict[str, Figures]:
-    """Returns the figures of each name of which there are reports of all seeds, in alphabetical order."""
+    """Returns the figures of each name of which there are reports of all seeds."""
     found: dict[str, Figures] = {}
-    for first in sorted(folder.glob("*-0.json")):
-        name = first.stem.removesuffix("-0")
+    names = [path.stem.removesuffix("-0") for path in folder.glob("*-0.json")]
+    # Numbers by their size: a depth of 10 after one of 6.
+    for name in sorted(names, key=lambda name: [part.zfill(8) for part in name.split("-")]):
         paths = [folder / f"{name}-{seed}.json" for seed in range(SEEDS)]
         if all(path.is_file() for path in paths):
             each = [figures_of(json.loads(path.read_text())) for path in paths]
