@@ -17,14 +17,14 @@ LEADERS = word_set("in into around round along through follow follows following"
 MAKES = word_set("complete do form make take trace")
 NO_SHAPE_AFTER = word_set("the this that his her their my its")
 """"The square" is a place."""
-TURNS = {"circle": 360, "loop": 360, "ring": 360, "circular": 360, "semicircle": 180, "quartercircle": 90}
+TURNS = {"circle": 360, "loop": 360, "ring": 360, "circular": 360, "semicircle": 180, "quarter-circle": 90}
 """Degrees of a shape in which the path bends evenly."""
 SHAPES = word_set(
-    "arc circle curve ellipse loop oval quartercircle rectangle ring s-curve semicircle spiral square triangle"
+    "arc circle curve ellipse loop oval quarter-circle rectangle ring s-curve semicircle spiral square triangle"
 )
 BY_THEMSELVES = word_set("figure-eight serpentine slalom zigzag")
 """Shapes that need no word before them."""
-BENDS = word_set("arc curve curved quartercircle")
+BENDS = word_set("arc curve curved quarter-circle")
 """Shapes that "to the left" says, too, which is a turn that captions have."""
 ADJECTIVES = word_set("circular curved curvy diamond oval rectangular square triangular wavy winding")
 PATHS = word_set("fashion line loop manner motion path pattern route shape track trajectory way")
@@ -32,7 +32,7 @@ PATHS = word_set("fashion line loop manner motion path pattern route shape track
 _SAME = (
     (r"\bround and a?round\b|\baround and a?round\b", "in circles"),
     (r"\b(?:half|semi)[ -]?circle", "semicircle"),
-    (r"\bquarter[ -]circle", "quartercircle"),
+    (r"\bquarter[ -]circle", "quarter-circle"),
     (r"\bfigure(?:[ -]of)?[ -](?:eight|8)", "figure-eight"),
     (r"\bzig[ -]zag", "zigzag"),
     (r"\bs[ -](?:shape|curve)", "s-curve"),
