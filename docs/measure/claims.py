@@ -17,26 +17,16 @@ import numpy as np
 from scipy import stats
 
 from t2m_jax.evaluation.report import format_table
-from t2m_jax.evaluation.report.tables import Cell, Column, Table, TableLine
+from t2m_jax.evaluation.report.tables import BENCHMARK_COLUMNS, FOLLOWING_COLUMN, Cell, Column, Table, TableLine
 
 SEEDS = 3
 TOKENIZERS = (
-    Column("r_precision_1", "R top-1", "higher"),
-    Column("fid", "FID", "lower"),
+    *(column for column in BENCHMARK_COLUMNS if column.metric in {"r_precision_1", "fid", "jerk"}),
     Column("mpjpe_mm", "MPJPE, mm", "lower"),
     Column("global_mpjpe_mm", "global MPJPE, mm", "lower"),
-    Column("jerk", "Jerk", "real"),
     Column("perplexity", "Perplexity", "none"),
 )
-GENERATORS = (
-    Column("r_precision_1", "R top-1", "higher"),
-    Column("r_precision_3", "R top-3", "higher"),
-    Column("fid", "FID", "lower"),
-    Column("matching_score", "MM-Dist", "lower"),
-    Column("multimodality", "MModality", "none"),
-    Column("jerk", "Jerk", "real"),
-    Column("follows", "Follows", "higher"),
-)
+GENERATORS = BENCHMARK_COLUMNS
 DIFFERENCES = (
     ("rvq-10-256", "vq"),
     ("rvq-2-512", "vq"),
@@ -52,7 +42,7 @@ DIFFERENCES = (
     *(("hifigpt-rows", f"hifigpt-data-{share}") for share in (0.25, 0.5)),
 )
 """What is compared with what: the claims of the two papers."""
-COMPARED = ("r_precision_1", "fid", "mpjpe_mm", "follows")
+COMPARED = ("r_precision_1", "fid", "mpjpe_mm", FOLLOWING_COLUMN)
 """By which figures."""
 
 Figures = Mapping[str, list[float]]
@@ -65,7 +55,7 @@ def figures_of(report: Mapping[str, Any]) -> dict[str, float]:
     once = {name: report[name] for name in ("mpjpe_mm", "global_mpjpe_mm", "perplexity") if name in report}
     groups = (report.get("following") or {}).values()
     asked = sum(group["samples"] for group in groups)
-    followed = {"follows": sum(group["right"] for group in groups) / asked} if asked else {}
+    followed = {FOLLOWING_COLUMN: sum(group["right"] for group in groups) / asked} if asked else {}
     return {name: row["mean"] for name, row in rows.items()} | once | followed
 
 

@@ -76,8 +76,8 @@ _NOUN = _pattern(
 )
 """A number and the words after it: "takes three big steps". "Sweeps the eight steps" and "is three steps away" say no
 number of times."""
-_PATHS = word_set("arc bend circle corner curve loop rotate spin swerve turn veer zigzag")
-"""Words that say where steps lead."""
+_BENDS = word_set("arc bend circle corner curve loop rotate spin swerve turn veer zigzag")
+"""Words for a path that is not straight."""
 _NO_NOUN = PREPOSITIONS | CLAUSE_STARTS
 
 
@@ -116,7 +116,7 @@ def said_times(caption: str, countable: Collection[str]) -> Times | None:
     count, action = _counted_verb(caption, countable) or _counted_noun(caption, countable) or (0.0, "")
     words = words_of(caption)
     # "Four steps in a curve": the motion has to go on until the curve is done.
-    is_path = action == "step" and any(not _PATHS.isdisjoint(word.bases) for word in words)
+    is_path = action == "step" and any(not _BENDS.isdisjoint(word.bases) for word in words)
     if not count.is_integer() or not 1 <= count <= MOST_TIMES or is_path:
         return None
     sides = SIDES & {word.text for word in words}
