@@ -15,6 +15,7 @@ from t2m_jax.motion.targets import Target
 from t2m_jax.sampling.prompts import MAX_BATCH
 from t2m_jax.sampling.stopping import make_stop_rule
 from t2m_jax.sampling.strategies import Strategy, make_strategy
+from t2m_jax.text.paces import SaidPace, said_pace
 from t2m_jax.text.prompts import check_prompt
 from t2m_jax.text.quantities import Times, said_seconds, said_times
 from t2m_jax.text.sequence import split_sequence
@@ -64,7 +65,8 @@ class SamplingOptions:
     whole: bool = False
     """Whether a sentence is sampled as it is. By default, one of several actions in turn ("walks, then waves") is
     sampled action by action, if there is a record of the actions that the model knows; "for five seconds" sets the
-    length; and of "kicks twice", that of 16 samples is taken, or made by a cut or a repetition, that shows it twice."""
+    length; of "kicks twice", that of 16 samples is taken, or made by a cut or a repetition, that shows it twice; and of
+    "walks slowly", the slowest of 4 samples."""
 
     def __post_init__(self) -> None:
         """Checks each field.
@@ -146,7 +148,7 @@ class MotionRequest:
     def is_plain(self) -> bool:
         """Whether it asks for motions of one sentence alone, which can be sampled together with those of others."""
         is_alone = len(self.captions) == 1 and self.start is None and not self.targets
-        return is_alone and self.lengths == (None,) and self.times == (None,)
+        return is_alone and self.lengths == self.times == self.paces == (None,)
 
     @functools.cached_property
     def lengths(self) -> tuple[float | None, ...]:
@@ -161,6 +163,11 @@ class MotionRequest:
         if self.options.whole:
             return (None,) * len(self.captions)
         return tuple(said_times(caption, COUNTED_ACTIONS) for caption in self.captions)
+
+    @functools.cached_property
+    def paces(self) -> tuple[SaidPace | None, ...]:
+        """Whether each sentence says that something is done slowly or fast."""
+        return (None,) * len(self.captions) if self.options.whole else tuple(map(said_pace, self.captions))
 
     def in_turn(self, known: Collection[str]) -> "MotionRequest":
         """Returns the request with a sentence for each action that its sentences say in turn (see `split_sequence`).

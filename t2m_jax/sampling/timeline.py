@@ -12,7 +12,7 @@ from t2m_jax.motion.cleanup import clean_long
 from t2m_jax.motion.joining import ease_seams
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D
-from t2m_jax.sampling.counted import missed_count
+from t2m_jax.sampling.choosing import missed_count
 from t2m_jax.sampling.decode import Codes, decode_sentences
 from t2m_jax.sampling.loop import Sampling
 from t2m_jax.sampling.model import ModelParts
@@ -78,10 +78,11 @@ def _read_chain(
     limit = most_rows(model)
     # Only this skeleton can be counted.
     times = request.times if model.skeleton == HUMANML3D else (None,) * len(prompts)
-    read = zip(prompts, rows, times, strict=True)
-    return [
-        part for prompt, own, times in read for part in split_segments(prompt, own, limit=limit, times=times)
-    ], start
+    segments = (
+        split_segments(prompt, own, limit=limit, times=times, pace=pace)
+        for prompt, own, times, pace in zip(prompts, rows, times, request.paces, strict=True)
+    )
+    return list(itertools.chain.from_iterable(segments)), start
 
 
 def make_batch(

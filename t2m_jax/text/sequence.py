@@ -1,11 +1,13 @@
 """Sentences that say several actions in turn: "walks, then waves", "before she sits down, she bows"."""
 
+import itertools
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator
 from typing import NamedTuple
 
+from t2m_jax.text.clauses import fill_in, name_part, only_ends
 from t2m_jax.text.coverage import has_action
-from t2m_jax.text.verbs import word_set, words_of
+from t2m_jax.text.verbs import BODY_PARTS, SIDES, Word, forms, word_set, words_of
 
 _PERSON = r"(?:he|she|it|they|you|somebody|someone)"
 _JUST = r"(?:(?:right|just|only|shortly|soon|immediately|directly|straight) )?"
@@ -23,15 +25,14 @@ _BEFORE = rf"{_JUST}(?:before|prior to)"
 MAX_ACTIONS = 20
 """A sentence with more actions is left whole."""
 
-_BACK = r"(?:put|bring|take)s? (?:it|them|(?:his|her|the) \w+) (?:back|down)"
 GOING = word_set("go head hurry jog march move pace run step stride stroll walk wander")
 """Verbs of going. Before or after one, a turn is a corner of the way."""
+RUNNING = word_set("jog run")
 TURNING = word_set("back bend turn")
 """Verbs that say no more than another direction."""
+_BACK = word_set("180 around back backward backwards opposite")
 _SIDE = re.compile(r"\b(?:left|right|around|corner)\b", re.IGNORECASE)
 
-_RETURN = re.compile(rf"(?:{_PERSON} )?(?:lower|drop|return|repeat|relax|back|step by|{_BACK})", re.IGNORECASE)
-"""What ends the action before, and can only be shown together with it: "lowers it again"."""
 _NEGATED = re.compile(r"\b(?:not|never)\b|n't\b", re.IGNORECASE)
 
 
@@ -49,13 +50,16 @@ def _order(pattern: str, clause: str = "") -> _Order:
 
 
 _ORDERS = (
+    _order(rf"(?P<second>.+?),? but (?:only )?(?:first|{_BEFORE} that),? (?P<first>.+)"),
+    _order(rf"(?P<second>.+?){_AND} {_BEFORE} (?:that|this|which),? (?P<first>.+)"),
+    _order(r"(?P<second>.+?), having (?:previously |already |first |just )?(?P<first>.+)", "first"),
     _order(rf"{_BEFORE} (?P<second>(?:{_PERSON} )?[^,]+?) (?P<first>{_PERSON} .+)", "second"),
     _order(rf"{_BEFORE} (?P<second>.+?), (?P<first>.+)", "second"),
     _order(rf"(?:{_AFTER}|having) (?P<first>(?:{_PERSON} )?[^,]+?) (?P<second>{_PERSON} .+)", "first"),
     _order(rf"(?:{_AFTER}|having) (?P<first>.+?), (?P<second>.+)", "first"),
     _order(r"(?P<first>.+?)[.;!] (?P<second>.+)"),
     _order(rf"(?P<first>.+?){_NO_ORDER}{_AND}? {_THEN},? (?P<second>.+)"),
-    _order(r"(?P<first>.+?),? (?:directly |immediately )?followed by (?P<second>.+)"),
+    _order(r"(?P<first>.+?),? followed (?:[\w ]{1,20} )?by (?P<second>.+)"),
     _order(rf"(?P<first>.+?){_AND} {_LATER},? (?P<second>.+)"),
     _order(r"(?P<second>.+?),? (?:but |though )?not (?:before|until) (?P<first>.+)", "first"),
     _order(rf"(?P<second>.+?),? (?:but |and )?{_AFTER} (?P<first>.+)", "first"),
@@ -87,7 +91,7 @@ def split_sequence(caption: str, known: Collection[str]) -> tuple[str, ...]:
 
 def _split(text: str, is_known: Callable[[str], bool]) -> Iterator[str]:
     for first, second in _cuts(text.rstrip(". "), is_known):
-        if not _RETURN.match(second) and not _NEGATED.search(f"{first} {second}"):
+        if not only_ends(first, second) and not _NEGATED.search(f"{first} {second}"):
             yield from _split(first, is_known)
             yield from _split(second, is_known)
             return
@@ -95,25 +99,43 @@ def _split(text: str, is_known: Callable[[str], bool]) -> Iterator[str]:
 
 
 def _with_corners(actions: Iterable[str], known: Collection[str]) -> list[str]:
-    """Returns actions in which walking around a corner is one: "walks, then turns left"."""
+    """Returns actions in which walking around a corner is one: "walks, then turns left and walks on"."""
     joined: list[str] = []
+    has_corner = False
     for action in actions:
         before = joined[-1] if joined else ""
-        if (_is_corner(action, known) and _goes(before)) or (_is_corner(before, known) and _goes(action)):
+        # A way with a corner is not the corner of the next one.
+        if _is_corner(action, before, known) or (not has_corner and _is_corner(before, action, known)):
             joined[-1] = f"{before}, then {action}"
+            has_corner = True
         else:
             joined.append(action)
+            has_corner = False
     return joined
 
 
-def _is_corner(action: str, known: Collection[str]) -> bool:
-    """Returns whether an action is nothing but another direction."""
-    others = set(known) - TURNING
-    return bool(_SIDE.search(action)) and not any(word.action and others & word.bases for word in words_of(action))
+def _is_corner(action: str, neighbor: str, known: Collection[str]) -> bool:
+    """Returns whether an action is nothing but another direction of somebody who goes, which its neighbor says."""
+    going = GOING & _bases(words_of(neighbor))
+    # Of two turns, neither is the corner of the other.
+    if not going or not _SIDE.search(action) or _SIDE.search(neighbor):
+        return False
+    words = words_of(action)
+    ways = GOING & _bases(words) & set(known)
+    others = set(known) - TURNING - ways
+    if any(word.action and others & word.bases for word in words):
+        return False
+    texts = [word.text for word in words]
+    # "The left hand goes up".
+    names_part = any(text in SIDES and BODY_PARTS & forms(after) for text, after in itertools.pairwise(texts))
+    # "Turns left and walks on" is a corner after "walks", but not after "runs"; "turns around and walks back" is none.
+    is_same_gait = bool(ways & RUNNING) == bool(going & RUNNING)
+    is_turn = bool(TURNING & _bases(words) and SIDES & set(texts)) and _BACK.isdisjoint(texts)
+    return not names_part and (not ways or (is_same_gait and is_turn))
 
 
-def _goes(action: str) -> bool:
-    return any(GOING & word.bases for word in words_of(action))
+def _bases(words: Iterable[Word]) -> frozenset[str]:
+    return frozenset().union(*(word.bases for word in words))
 
 
 def _cuts(text: str, is_known: Callable[[str], bool]) -> Iterator[tuple[str, str]]:
@@ -126,9 +148,13 @@ def _cuts(text: str, is_known: Callable[[str], bool]) -> Iterator[tuple[str, str
     for order in _ORDERS:
         if (found := order.pattern.fullmatch(text)) is not None:
             parts = {name: _without_opening(found[name]) for name in ("first", "second")}
+            first = name_part(parts["first"], parts["second"])
+            second = name_part(parts["second"], parts["first"])
             is_doing = not order.clause or _is_doing(parts[order.clause], is_known)
-            if all(map(is_action, parts.values())) and is_doing:
-                yield parts["first"], parts["second"]
+            if (full := fill_in(first, second)) is not None:
+                yield full
+            elif is_action(first) and is_action(second) and is_doing:
+                yield first, second
     found = _LIST.fullmatch(text)
     if found is not None and _goes_on(found["second"], is_known) and is_action(found["first"]):
         yield found["first"], found["second"]
@@ -136,7 +162,7 @@ def _cuts(text: str, is_known: Callable[[str], bool]) -> Iterator[tuple[str, str
 
 def _without_opening(part: str) -> str:
     """Returns a part without the words that say its place in the order."""
-    part = part.strip(" ,;")
+    part = part.strip(" ,;").removesuffix(" and")
     opening = _OPENING.match(part)
     return part[opening.end() :] if opening is not None else part
 
@@ -153,7 +179,7 @@ def _head(part: str) -> str:
 def _is_doing(clause: str, is_known: Callable[[str], bool]) -> bool:
     """Returns whether a clause says what the person does. What others do is hardly an action that the model knows."""
     head = _head(clause)
-    return is_known(head) or (head.split()[0].endswith("ing") and _has_verb(head))
+    return is_known(head) or (head.partition(" ")[0].endswith("ing") and _has_verb(head))
 
 
 def _goes_on(text: str, is_known: Callable[[str], bool]) -> bool:

@@ -1,4 +1,4 @@
-"""Sentences that say how often something is done ("kicks twice"): of several samples, the one that does it so often."""
+"""Of several samples, the one that does what its sentence says: how often ("kicks twice"), or how fast ("slowly")."""
 
 import itertools
 import math
@@ -14,22 +14,27 @@ from t2m_jax.motion.repetitions import COUNTED_ACTIONS
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.sampling.decode import Codes, decode_motions
 from t2m_jax.sampling.model import ModelParts
+from t2m_jax.text.paces import SaidPace
 from t2m_jax.text.quantities import Times
 
 _CANDIDATE_STREAM = 2**30 + 2
 """In place of a sample's number, in keys for the candidates of a motion."""
 
 
-CANDIDATES = 16
-"""Samples to choose from."""
+COUNT_CANDIDATES = 16
+"""Samples to choose from by a count."""
+PACE_CANDIDATES = 4
+"""Samples to choose from by their pace."""
+GAIT_SPEEDS = {"walk": (0.0, 2.0), "run": (1.2, math.inf)}
+"""Slowest and fastest motion of a gait in m/s. People begin to run at about 2 m/s (Hreljac, 1993)."""
 SHORTEST_SECONDS = 1.2
 """Shortest motion that is made by ending one."""
 
 
-def candidate_keys(key: Key[jax.Array, ""]) -> Key[jax.Array, " C"]:
-    """Returns the keys of the candidates for a motion. The first one is the motion without a choice."""
+def candidate_keys(key: Key[jax.Array, ""], count: int) -> Key[jax.Array, " C"]:
+    """Returns the keys of `count` candidates for a motion. The first one is the motion without a choice."""
     stream = jax.random.fold_in(key, _CANDIDATE_STREAM)
-    return jnp.stack([key, *(jax.random.fold_in(stream, number) for number in range(1, CANDIDATES))])
+    return jnp.stack([key, *(jax.random.fold_in(stream, number) for number in range(1, count))])
 
 
 def choose_by_count(model: ModelParts, candidates: Sequence[Codes], times: Times, *, is_free: bool = True) -> Codes:
@@ -47,7 +52,25 @@ def choose_by_count(model: ModelParts, candidates: Sequence[Codes], times: Times
     return fitted[other] if fewer < misses else candidates[best]
 
 
-def _decoded(model: ModelParts, candidates: Sequence[Codes]) -> list[Float[np.ndarray, "_ 22 3"]]:
+def choose_by_pace(model: ModelParts, candidates: Sequence[Codes], pace: SaidPace) -> Codes:
+    """Returns the codes of the slowest motion, or of the fastest one, among those of the gait that is asked for."""
+    shown = _decoded(model, candidates)
+    slowest, fastest = GAIT_SPEEDS.get(pace.gait, (0.0, math.inf))
+    speeds = [mean_speed(positions[:, :1]) * model.skeleton.fps for positions in shown]
+    fitting = [number for number, speed in enumerate(speeds) if slowest <= speed <= fastest]
+    best = (min if pace.is_slow else max)(
+        fitting or range(len(candidates)), key=lambda number: mean_speed(shown[number])
+    )
+    return candidates[best]
+
+
+def mean_speed(positions: Float[np.ndarray, "T J 3"]) -> float:
+    """Returns how far joints go from frame to frame on average, in meters; 0 for one frame."""
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=-1)
+    return float(steps.mean()) if len(steps) else 0.0
+
+
+def _decoded(model: ModelParts, candidates: Sequence[Codes]) -> list[Float[np.ndarray, "_ J 3"]]:
     # With one length and one batch for all requests, there is one program for all.
     size = model.config.generator.max_codes
     options: dict[str, Any] = {"skeleton": model.skeleton, "size": size, "batch": len(candidates)}

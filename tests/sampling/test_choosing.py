@@ -1,14 +1,24 @@
-"""Sentences that say how often something is done, and how long it lasts."""
+"""Sentences that say how often something is done, how fast, and how long it lasts."""
 
 import numpy as np
 import pytest
 
 from t2m_jax.motion.skeleton import KIT_ML
-from t2m_jax.sampling.counted import CANDIDATES, candidate_keys, choose_by_count, count_shown, missed_count
+from t2m_jax.sampling.choosing import (
+    COUNT_CANDIDATES,
+    PACE_CANDIDATES,
+    candidate_keys,
+    choose_by_count,
+    choose_by_pace,
+    count_shown,
+    mean_speed,
+    missed_count,
+)
 from t2m_jax.sampling.pipeline import TextToMotion
 from t2m_jax.sampling.prompts import Prompt, sample_key
 from t2m_jax.sampling.request import MotionRequest, SamplingOptions
 from t2m_jax.sampling.segments import split_segments
+from t2m_jax.text.paces import SaidPace
 from t2m_jax.text.quantities import Times
 from tests import tiny
 
@@ -23,15 +33,19 @@ def model():
     return TextToMotion(tiny.random_bundle())
 
 
-@pytest.fixture(scope="module")
-def candidates(model):
-    """The codes that the sentence may give with seed 3."""
+def candidates_of(model, caption, count):
+    """Returns the codes that a sentence may give with seed 3."""
     parts = model.parts
-    keys = candidate_keys(sample_key(3, JUMPS, 0))
-    texts = parts.text_encoder([JUMPS] * CANDIDATES)
+    keys = candidate_keys(sample_key(3, caption, 0), count)
+    texts = parts.text_encoder([caption] * count)
     sampled = parts.sample_codes(texts, keys, model.parts.sampling(SamplingOptions().make_strategy()))
     lengths = np.asarray(sampled.code_lengths)
     return [codes[:length] for codes, length in zip(np.asarray(sampled.codes), lengths, strict=True)]
+
+
+@pytest.fixture(scope="module")
+def candidates(model):
+    return candidates_of(model, JUMPS, COUNT_CANDIDATES)
 
 
 def misses(model, codes):
@@ -84,6 +98,58 @@ def test_motion_of_other_skeletons_is_not_counted(model, monkeypatch):
     assert not motion.warning
     (plain,) = model.generate("a person jumps 19 times", seed=3, whole=True)
     np.testing.assert_array_equal(motion.codes, plain.codes)
+
+
+@pytest.mark.parametrize(("words", "best"), [("slowly", np.argmin), ("fast", np.argmax)])
+def test_the_slowest_or_fastest_motion_is_taken(model, words, best):
+    caption = f"a person waves {words}"
+    candidates = candidates_of(model, caption, PACE_CANDIDATES)
+    speeds = [mean_speed(model.decode(codes, raw=True).positions) for codes in candidates]
+    assert len(set(speeds)) > 1
+    chosen = candidates[best(speeds)]
+    (motion,) = model.generate(caption, seed=3)
+    np.testing.assert_array_equal(motion.codes, chosen)
+    pieces = list(model.stream(caption, seed=3))
+    np.testing.assert_array_equal(np.concatenate([piece.codes for piece in pieces]), chosen)
+    (whole,) = model.generate(caption, seed=3, whole=True)
+    np.testing.assert_array_equal(whole.codes, candidates[0])
+
+
+def test_only_sentences_with_a_pace_are_chosen_by_it():
+    request = MotionRequest(captions=("a person walks slowly", "a person waves", "runs fast"))
+    assert request.paces == (SaidPace(True, "walk"), None, SaidPace(False, "run"))
+    assert not MotionRequest(captions=request.captions[:1]).is_plain
+    whole = MotionRequest(captions=request.captions[:1], options=SamplingOptions(whole=True))
+    assert whole.paces == (None,) and whole.is_plain
+
+
+def test_a_fast_walk_is_not_a_run(model, monkeypatch):
+    going = np.arange(20.0)[:, None, None] * np.array([1.0, 0.0, 0.0]) / model.skeleton.fps
+    shown = [np.repeat(speed * going, 22, axis=1) for speed in (1.0, 4.0, 1.9, 3.0)]
+    monkeypatch.setattr("t2m_jax.sampling.choosing._decoded", lambda model, candidates: shown)
+    candidates = [np.full((1, 1), number) for number in range(4)]
+
+    def chosen(is_slow, gait):
+        return int(choose_by_pace(model.parts, candidates, SaidPace(is_slow, gait))[0, 0])
+
+    assert [chosen(False, gait) for gait in ("walk", "run", "")] == [2, 1, 1]
+    assert [chosen(True, gait) for gait in ("walk", "run", "")] == [0, 2, 0]
+    del shown[0], shown[1]
+    del candidates[2:]
+    assert chosen(False, "walk") == 0  # all run
+
+
+def test_a_count_is_more_than_a_pace(model):
+    caption = "a person slowly jumps 3 times"
+    candidates = candidates_of(model, caption, COUNT_CANDIDATES)
+    (motion,) = model.generate(caption, seed=3)
+    np.testing.assert_array_equal(motion.codes, choose_by_count(model.parts, candidates, TIMES))
+
+
+def test_speed_is_the_mean_of_all_joints():
+    steps = np.arange(5.0)[:, None, None] * np.array([0.3, 0.0, 0.4])
+    assert mean_speed(steps.repeat(2, axis=1)) == pytest.approx(0.5)
+    assert mean_speed(np.zeros((1, 22, 3))) == 0
 
 
 @pytest.mark.parametrize(("words", "seconds"), [("for 2 seconds", 2.0), ("for 2.5 seconds", 2.5)])

@@ -1,0 +1,154 @@
+"""Clauses that mean something only together with the one before: "... and then lowers it", "... and then the right"."""
+
+import itertools
+import re
+from collections.abc import Iterable, Sequence
+
+from t2m_jax.text.verbs import (
+    AUXILIARIES,
+    BODY_PARTS,
+    CLAUSE_STARTS,
+    DETERMINERS,
+    PREPOSITIONS,
+    SIDES,
+    SUBJECTS,
+    Word,
+    forms,
+    word_set,
+    words_of,
+)
+
+_BODY = BODY_PARTS | word_set("body fist gaze hip neck palm spine thumb torso trunk")
+_PARTICLES = word_set("away back down forward off out sideways up")
+_BENDS = word_set("arch bend bow curl incline lean lunge nod stoop sway tilt")
+"""Verbs for a posture that ends when the person is upright again."""
+_TURNS = word_set("rotate turn twist")
+"""The same of a part of the body."""
+_UNBENDS = word_set("straighten unbend uncurl unfold unroll untwist unwind")
+_UPRIGHT = word_set("erect neutral normal straight tall upright vertical")
+_STANDS = word_set("be become come face get look resume return right rise stand")
+_RETURNS = _UPRIGHT | word_set(
+    "again back down drop fall hang loose lower original relax rest return settle sink still"
+)
+_ENDS = re.compile(
+    rf"(?:(?:{'|'.join(sorted(SUBJECTS))}) )?(?:(?:lower|relax|return)(?:e?s|ed|ing)?(?: again)?$|"
+    r"(?:lower|relax|return|drop)(?:e?s|p?ed|p?ing)? (?:it|them|(?:his|her|its|the|their|your|both) )|"
+    r"return(?:s|ed|ing)? to (?:\w+ )?(?:start|side|rest|normal|neutral|standing|original|initial|first|same)|"
+    r"repeat|back\b|step by|rights? \w+sel)",
+    re.IGNORECASE,
+)
+"""What ends or repeats the action before, whatever that is."""
+_OTHER = word_set("opposite other")
+_FILLERS = (DETERMINERS | PREPOSITIONS | SUBJECTS | AUXILIARIES | CLAUSE_STARTS) - _OTHER | word_set(
+    """again also direction do first follow just later likewise next now once only side start thing time too way
+    well"""
+)
+"""Words of a clause that says no more than another side: "then the same with the right one"."""
+_SAME = re.compile(
+    r"(?:(?:a|the|this|that) \w+ )?\b(?:do|does|did|doing|done)\b (?:first )?"
+    r"(?:so|it|the same(?: thing)?|that|likewise|one)\b|"
+    r"\b(?:the )?same(?: thing)?\b|\brepeat\w* (?:it |this |that )?",
+    re.IGNORECASE,
+)
+"""What stands for the verb of the other clause."""
+_SIDE = re.compile(r"\b(left|right)\b", re.IGNORECASE)
+_NO_NOUN = re.compile(
+    r"(?<!\bat )(?<!\bon )(?<!\bto )(?<!\bfrom )\b(?P<side>(?:the|his|her|its|their|your|my) (?:left|right))(?: one)?"
+    r"(?=$|,| is\b| was\b| has\b)",
+    re.IGNORECASE,
+)
+"""A side for which another clause may name the part of the body."""
+_ONE = re.compile(r"\bone (?P<part>\w+)", re.IGNORECASE)
+
+
+def only_ends(first: str, second: str) -> bool:
+    """Returns whether a clause only ends the action of the clause before: "raises a hand" and "lets it sink"."""
+    before = words_of(first)
+    after = words_of(second)
+    is_same_side = _sides(after) <= _sides(before) or not _sides(before)
+    is_end = bool(_ENDS.match(second)) or _moves_it(before, after) or _brings_back(before, after)
+    return _stands_again(before, after) or (is_same_side and is_end)
+
+
+def _stands_again(before: Sequence[Word], after: Sequence[Word]) -> bool:
+    """Returns whether a bend ends: "bows, then stands upright"."""
+    bends = _has(before, _BENDS) or (_has(before, _TURNS) and _has(before, _BODY))
+    return bends and (_has(after, _UNBENDS) or (_has(after, _UPRIGHT) and _has(after, _STANDS)))
+
+
+def _moves_it(before: Sequence[Word], after: Sequence[Word]) -> bool:
+    """Returns whether the part of the body that was moved is moved again: "lifts a leg, then puts it down"."""
+    texts = [word.text for word in after]
+    # A pronoun behind another thing is that thing ("raises a hand and waves it"), and the first word may be the person.
+    names = list(itertools.takewhile(lambda text: text not in DETERMINERS, texts))
+    is_about_it = texts[:1] in (["it"], ["they"]) and _has(after[1:2], AUXILIARIES | _RETURNS)
+    for earlier, text in itertools.pairwise(names):
+        is_about_it = is_about_it or (text in ("it", "them") and earlier not in PREPOSITIONS)
+    if _has(_subject(before), _BODY):
+        # Without a subject of its own, a clause has that of the clause before.
+        return is_about_it or (DETERMINERS | SUBJECTS).isdisjoint(texts[:1])
+    return is_about_it and _has(_object(before), _BODY)
+
+
+def _brings_back(before: Sequence[Word], after: Sequence[Word]) -> bool:
+    """Returns whether a part of the body goes back: "pulls the fist back", "the head comes up again"."""
+    direct = list(itertools.takewhile(lambda word: word.text not in PREPOSITIONS, after))
+    parts = [place for place, word in enumerate(direct) if _BODY & word.bases]
+    # "Back" alone says so: "throws a punch, then pulls the fist back".
+    returns = _RETURNS if _has(before, _BODY) or _has(_subject(after), _BODY) else frozenset({"back"})
+    return bool(parts) and _has(after[parts[0] + 1 :], returns)
+
+
+def _subject(words: Sequence[Word]) -> list[Word]:
+    return list(itertools.takewhile(lambda word: not word.action and word.text not in AUXILIARIES, words))
+
+
+def _object(words: Sequence[Word]) -> list[Word]:
+    """Returns the first words after the verb that are no particle, up to a preposition: "the box", "the left hand"."""
+    rest = words[len(_subject(words)) + 1 :]
+    rest = list(itertools.dropwhile(lambda word: word.text in PREPOSITIONS | _PARTICLES or bool(word.action), rest))
+    return list(itertools.takewhile(lambda word: word.text not in PREPOSITIONS, rest))
+
+
+def fill_in(first: str, second: str) -> tuple[str, str] | None:
+    """Returns two clauses of which one only names another side, in full; None if neither does so.
+
+    "Waves with the left hand" and "the same with the right" become "waves with the left hand" and "waves with the right
+    hand".
+    """
+    if _only_other_side(first):
+        pair = None if _only_other_side(second) else _both_sides(second, first)
+        return pair and pair[::-1]
+    return _both_sides(first, second) if _only_other_side(second) else None
+
+
+def name_part(clause: str, other: str) -> str:
+    """Returns a clause with the part of the body that only the other one names: "the left" may be the left hand."""
+    named = re.findall(r"\b(?:left|right) (\w+)", other, re.IGNORECASE)
+    parts = [part for part in named if forms(part.lower()) & _BODY]
+    return _NO_NOUN.sub(rf"\g<side> {parts[0]}", clause) if parts else clause
+
+
+def _only_other_side(clause: str) -> bool:
+    texts = [word for word in words_of(_SAME.sub(" ", clause)) if not (_FILLERS | _BODY) & word.bases]
+    return len(texts) == 1 and texts[0].text in SIDES | _OTHER
+
+
+def _both_sides(full: str, clause: str) -> tuple[str, str] | None:
+    """Returns a clause, and the same for the side that another clause names."""
+    full = re.sub(r",? first\b,?", "", full)
+    named = _sides(words_of(clause))
+    sides = _sides(words_of(full))
+    if not sides and not named and _ONE.search(full):  # "one hand, then the other"
+        return _ONE.sub(r"the left \g<part>", full), _ONE.sub(r"the right \g<part>", full)
+    if len(sides) != 1 or sides == named:
+        return None
+    return full, _SIDE.sub(lambda side: "right" if side[0].lower() == "left" else "left", full)
+
+
+def _has(words: Iterable[Word], wanted: frozenset[str]) -> bool:
+    return any(wanted & word.bases for word in words)
+
+
+def _sides(words: Iterable[Word]) -> set[str]:
+    return {word.text for word in words} & SIDES
