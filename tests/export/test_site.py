@@ -4,6 +4,7 @@ import contextlib
 import copy
 import functools
 import http.server
+import itertools
 import json
 import re
 import shutil
@@ -177,7 +178,10 @@ def test_words_are_named_that_python_follows_and_the_page_does_not(modules):
     files = [yaml.safe_load((folder / name).read_text()) for name in ("sequence.yaml", "quantities.yaml")]
     entries = [entry for file in files for part in file.values() for entry in part]
     texts = [entry if isinstance(entry, str) else entry["text"] for entry in entries]
-    followed = [text for text in texts if MotionRequest(captions=(text,)).in_turn(known).is_plain is False]
+    requests = [MotionRequest(captions=(text,)).in_turn(known) for text in texts]
+    # A pace is known to the model itself; Python only takes the best of some samples.
+    is_followed = [request.lengths != (None,) or request.times != (None,) for request in requests]
+    followed = list(itertools.compress(texts, is_followed))
     assert 150 < len(followed) < len(texts)
     code = "return given.map(sentence.leftToModel);"
     unnamed = [text for text, words in zip(followed, modules("sentence", code, followed), strict=True) if not words]
