@@ -19,8 +19,6 @@ from t2m_jax.text.quantities import Times
 
 _CANDIDATE_STREAM = 2**30 + 2
 """In place of a sample's number, in keys for the candidates of a motion."""
-
-
 COUNT_CANDIDATES = 16
 """Samples to choose from by a count."""
 PACE_CANDIDATES = 4
@@ -31,10 +29,18 @@ SHORTEST_SECONDS = 1.2
 """Shortest motion that is made by ending one."""
 
 
-def candidate_keys(key: Key[jax.Array, ""], count: int) -> Key[jax.Array, " C"]:
-    """Returns the keys of `count` candidates for a motion. The first one is the motion without a choice."""
+def candidate_keys(key: Key[jax.Array, ""], wanted: Times | SaidPace) -> Key[jax.Array, " C"]:
+    """Returns the keys of the candidates for a motion. The first one is the motion without a choice."""
     stream = jax.random.fold_in(key, _CANDIDATE_STREAM)
+    count = COUNT_CANDIDATES if isinstance(wanted, Times) else PACE_CANDIDATES
     return jnp.stack([key, *(jax.random.fold_in(stream, number) for number in range(1, count))])
+
+
+def choose(model: ModelParts, candidates: Sequence[Codes], wanted: Times | SaidPace, *, is_free: bool) -> Codes:
+    """Returns the codes of the candidate that does what is wanted; see `choose_by_count` and `choose_by_pace`."""
+    if isinstance(wanted, Times):
+        return choose_by_count(model, candidates, wanted, is_free=is_free)
+    return choose_by_pace(model, candidates, wanted)
 
 
 def choose_by_count(model: ModelParts, candidates: Sequence[Codes], times: Times, *, is_free: bool = True) -> Codes:

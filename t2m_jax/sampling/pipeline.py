@@ -141,9 +141,9 @@ class TextToMotion:
         """Returns an iterator over the motion of a request while it is generated.
 
         Each piece continues where the one before it ends. Pieces are as decoded, because a clean-up needs the whole
-        motion: together they are the motion that `make` returns with `raw=True`. Of one sentence, there is a piece for
+        motion: together they are the motion that `make` returns with `raw=True`. If it `is_plain`, there is a piece for
         each row of codes, when its frames are final (see `TokenizerConfig.decoder_context`); the last ones come
-        together. Of several, pieces have some seconds, say which sentences begin in them, and need hardly any memory.
+        together. Otherwise, pieces have some seconds, say which sentences begin in them, and need hardly any memory.
 
         Args:
             request: What is asked for; not a change of a motion.

@@ -9,13 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Key
 
-from t2m_jax.sampling.choosing import (
-    COUNT_CANDIDATES,
-    PACE_CANDIDATES,
-    candidate_keys,
-    choose_by_count,
-    choose_by_pace,
-)
+from t2m_jax.sampling.choosing import candidate_keys, choose
 from t2m_jax.sampling.decode import Codes
 from t2m_jax.sampling.loop import Given, Sampling
 from t2m_jax.sampling.model import ModelParts
@@ -42,26 +36,25 @@ class Segment(NamedTuple):
     """The codes that stand where `kept` is True."""
     kept: Bool[np.ndarray, "B N"] | None = None
     """For each motion; the others are sampled."""
-    times: Times | None = None
-    """How often something is done. Of several samples, the one that does it so often is taken."""
-    pace: SaidPace | None = None
-    """How fast; of several samples, the slowest or the fastest one is taken, unless `times` decide."""
+    wanted: Times | SaidPace | None = None
+    """How often something is done, or how fast. Of several samples, the one that does so is taken."""
 
 
 def split_segments(
-    prompt: Prompt, num_rows: int, *, limit: int, times: Times | None = None, pace: SaidPace | None = None
+    prompt: Prompt, num_rows: int, *, limit: int, wanted: Times | SaidPace | None = None
 ) -> list[Segment]:
     """Returns the segments of a sentence. A motion that is longer than `limit` rows has several, which continue it.
 
     Only a motion of one segment can be chosen by how often something is done; the warning of a longer one says so.
     """
     if num_rows <= limit:
-        return [Segment(prompt, num_rows, True, times=times, pace=pace)]
-    if times is not None:
-        said = f"{prompt.text!r}: too long to choose a sample by its count ({times.action} {times.number} times)"
+        return [Segment(prompt, num_rows, True, wanted=wanted)]
+    if isinstance(wanted, Times):
+        said = f"{prompt.text!r}: too long to choose a sample by its count ({wanted.action} {wanted.number} times)"
         prompt = prompt._replace(warning=" ".join(filter(None, (prompt.warning, said))))
+        wanted = None
     lengths = [min(limit, num_rows - done) for done in range(0, num_rows, limit)]
-    return [Segment(prompt, rows, not number, pace=pace) for number, rows in enumerate(lengths)]
+    return [Segment(prompt, rows, not number, wanted=wanted) for number, rows in enumerate(lengths)]
 
 
 def rows_of_seconds(model: ModelParts, seconds: float) -> int:
@@ -112,25 +105,17 @@ def sample_segments(
             before = [codes[:0] for codes in before]
         # Teacher forcing for the context: its rows are given, and the generator continues after them.
         context = [codes[-context_rows(model) :] for codes in before]
-        if segment.times is None and segment.pace is None:
+        if segment.wanted is None:
             new = sample(segment, context, own_keys)
         else:
-            count = PACE_CANDIDATES if segment.times is None else COUNT_CANDIDATES
-            tried = [candidate_keys(key, count) for key in own_keys]
-            found = [sample(segment, [own] * count, tries) for own, tries in zip(context, tried, strict=True)]
-            new = [_choose(model, candidates, segment) for candidates in found]
+            tried = [candidate_keys(key, segment.wanted) for key in own_keys]
+            found = [sample(segment, [own] * len(tries), tries) for own, tries in zip(context, tried, strict=True)]
+            # A length that was asked for stays.
+            is_free = not segment.num_rows
+            new = [choose(model, candidates, segment.wanted, is_free=is_free) for candidates in found]
         # A short segment alone may have fewer rows than a context, so the old context stays in front of it.
         before = [np.concatenate(codes) for codes in zip(context, new, strict=True)]
         yield new
-
-
-def _choose(model: ModelParts, candidates: Sequence[Codes], segment: Segment) -> Codes:
-    """Returns the codes of the sample that does what a segment says: how often, or else how fast."""
-    if segment.times is not None:
-        # A length that was asked for stays.
-        return choose_by_count(model, candidates, segment.times, is_free=not segment.num_rows)
-    assert segment.pace is not None
-    return choose_by_pace(model, candidates, segment.pace)
 
 
 def _sample_segment(

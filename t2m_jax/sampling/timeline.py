@@ -19,6 +19,7 @@ from t2m_jax.sampling.model import ModelParts
 from t2m_jax.sampling.prompts import KeyBatch, Prompt, batches_of_keys
 from t2m_jax.sampling.request import MotionRequest
 from t2m_jax.sampling.segments import Segment, most_rows, rows_of_seconds, sample_segments, split_segments
+from t2m_jax.text.quantities import Times
 
 SAMPLING_SHARE = 0.7
 """Share of the time for a motion of several sentences that sampling takes; the rest is decoding and the clean-up."""
@@ -79,8 +80,9 @@ def _read_chain(
     # Only this skeleton can be counted.
     times = request.times if model.skeleton == HUMANML3D else (None,) * len(prompts)
     segments = (
-        split_segments(prompt, own, limit=limit, times=times, pace=pace)
-        for prompt, own, times, pace in zip(prompts, rows, times, request.paces, strict=True)
+        # A count is more than a pace: "slowly jumps three times".
+        split_segments(prompt, own, limit=limit, wanted=count or pace)
+        for prompt, own, count, pace in zip(prompts, rows, times, request.paces, strict=True)
     )
     return list(itertools.chain.from_iterable(segments)), start
 
@@ -156,9 +158,9 @@ def _warnings(
     downsample = model.config.tokenizer.downsample
     # What is continued comes first in `placed`, and has no segments.
     for segment, piece in zip(segments, placed[len(placed) - len(segments) :], strict=True):
-        if segment.times is not None:
+        if isinstance(segment.wanted, Times):
             own = positions[downsample * piece.first :][: downsample * len(piece.codes)]
-            found.append(missed_count(segment.times, own, sentence=segment.prompt.text))
+            found.append(missed_count(segment.wanted, own, sentence=segment.prompt.text))
     return list(dict.fromkeys(filter(None, found)))
 
 

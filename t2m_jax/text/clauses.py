@@ -13,6 +13,7 @@ from t2m_jax.text.verbs import (
     SIDES,
     SUBJECTS,
     Word,
+    bases_of,
     forms,
     word_set,
     words_of,
@@ -50,8 +51,8 @@ _SAME = re.compile(
     r"\b(?:the )?same(?: thing)?\b|\brepeat\w* (?:it |this |that )?",
     re.IGNORECASE,
 )
-"""What stands for the verb of the other clause."""
-_SIDE = re.compile(r"\b(left|right)\b", re.IGNORECASE)
+"""Words in place of the verb of the other clause: "does the same"."""
+_LEFT_OR_RIGHT = re.compile(r"\b(left|right)\b", re.IGNORECASE)
 _NO_NOUN = re.compile(
     r"(?<!\bat )(?<!\bon )(?<!\bto )(?<!\bfrom )\b(?P<side>(?:the|his|her|its|their|your|my) (?:left|right))(?: one)?"
     r"(?=$|,| is\b| was\b| has\b)",
@@ -72,8 +73,9 @@ def only_ends(first: str, second: str) -> bool:
 
 def _stands_again(before: Sequence[Word], after: Sequence[Word]) -> bool:
     """Returns whether a bend ends: "bows, then stands upright"."""
-    bends = _has(before, _BENDS) or (_has(before, _TURNS) and _has(before, _BODY))
-    return bends and (_has(after, _UNBENDS) or (_has(after, _UPRIGHT) and _has(after, _STANDS)))
+    first, second = bases_of(before), bases_of(after)
+    bends = _BENDS & first or (_TURNS & first and _BODY & first)
+    return bool(bends and (_UNBENDS & second or (_UPRIGHT & second and _STANDS & second)))
 
 
 def _moves_it(before: Sequence[Word], after: Sequence[Word]) -> bool:
@@ -81,13 +83,13 @@ def _moves_it(before: Sequence[Word], after: Sequence[Word]) -> bool:
     texts = [word.text for word in after]
     # A pronoun behind another thing is that thing ("raises a hand and waves it"), and the first word may be the person.
     names = list(itertools.takewhile(lambda text: text not in DETERMINERS, texts))
-    is_about_it = texts[:1] in (["it"], ["they"]) and _has(after[1:2], AUXILIARIES | _RETURNS)
-    for earlier, text in itertools.pairwise(names):
-        is_about_it = is_about_it or (text in ("it", "them") and earlier not in PREPOSITIONS)
-    if _has(_subject(before), _BODY):
+    pronouns = [text for earlier, text in itertools.pairwise(names) if earlier not in PREPOSITIONS]
+    is_moved = texts[:1] in (["it"], ["they"]) and not (AUXILIARIES | _RETURNS).isdisjoint(bases_of(after[1:2]))
+    is_about_it = is_moved or not {"it", "them"}.isdisjoint(pronouns)
+    if _BODY & bases_of(_subject(before)):
         # Without a subject of its own, a clause has that of the clause before.
         return is_about_it or (DETERMINERS | SUBJECTS).isdisjoint(texts[:1])
-    return is_about_it and _has(_object(before), _BODY)
+    return is_about_it and bool(_BODY & bases_of(_object(before)))
 
 
 def _brings_back(before: Sequence[Word], after: Sequence[Word]) -> bool:
@@ -95,8 +97,8 @@ def _brings_back(before: Sequence[Word], after: Sequence[Word]) -> bool:
     direct = list(itertools.takewhile(lambda word: word.text not in PREPOSITIONS, after))
     parts = [place for place, word in enumerate(direct) if _BODY & word.bases]
     # "Back" alone says so: "throws a punch, then pulls the fist back".
-    returns = _RETURNS if _has(before, _BODY) or _has(_subject(after), _BODY) else frozenset({"back"})
-    return bool(parts) and _has(after[parts[0] + 1 :], returns)
+    returns = _RETURNS if _BODY & (bases_of(before) | bases_of(_subject(after))) else {"back"}
+    return bool(parts) and not bases_of(after[parts[0] + 1 :]).isdisjoint(returns)
 
 
 def _subject(words: Sequence[Word]) -> list[Word]:
@@ -143,11 +145,7 @@ def _both_sides(full: str, clause: str) -> tuple[str, str] | None:
         return _ONE.sub(r"the left \g<part>", full), _ONE.sub(r"the right \g<part>", full)
     if len(sides) != 1 or sides == named:
         return None
-    return full, _SIDE.sub(lambda side: "right" if side[0].lower() == "left" else "left", full)
-
-
-def _has(words: Iterable[Word], wanted: frozenset[str]) -> bool:
-    return any(wanted & word.bases for word in words)
+    return full, _LEFT_OR_RIGHT.sub(lambda side: "right" if side[0].lower() == "left" else "left", full)
 
 
 def _sides(words: Iterable[Word]) -> set[str]:

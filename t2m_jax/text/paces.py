@@ -3,7 +3,7 @@
 import re
 from typing import Literal, NamedTuple
 
-from t2m_jax.text.verbs import Word, word_set, words_of
+from t2m_jax.text.verbs import bases_of, word_set, words_of
 
 _Speed = Literal["slow", "fast"]
 
@@ -23,7 +23,7 @@ _NOUNS = (
 _MORE = r"(?:,| and|, and)? (?:big|calm|careful|easy|energetic|lazy|light|little|long|short|small|steady|tiny)"
 _SPEEDS = "pace|rate|speed|tempo"
 _ALONE = r"(?=$|[.,;!?]| (?:and|as if|as though|with|along|over|across|through|toward|towards|down|up|in|on|around)\b)"
-"""What follows an adjective that stands for an adverb: "punches fast"."""
+"""What follows an adjective that is used as an adverb: "punches fast"."""
 
 
 def _pattern(*parts: str) -> re.Pattern[str]:
@@ -113,15 +113,11 @@ def said_pace(caption: str) -> SaidPace | None:
     is_fast = _is_said("fast", _PACES["slow"].sub(",", own))
     if is_slow == is_fast:
         return None
-    gaits = [gait for gait, verbs in _GAITS.items() if _has(words_of(own), verbs)]
+    gaits = [gait for gait, words in _GAITS.items() if words & bases_of(words_of(own))]
     return SaidPace(is_slow, gaits[0] if len(gaits) == 1 else "")
 
 
 def _is_said(speed: _Speed, text: str) -> bool:
-    if any(word.action and _has([word], _VERBS[speed]) for word in words_of(text)):
+    if _VERBS[speed] & bases_of(word for word in words_of(text) if word.action):
         return True
     return any(not _NEGATED.search(text[: found.start()]) for found in _PACES[speed].finditer(text))
-
-
-def _has(words: list[Word], wanted: frozenset[str]) -> bool:
-    return any(wanted & word.bases for word in words)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from t2m_jax.text.clauses import fill_in, name_part, only_ends
 from t2m_jax.text.coverage import has_action
-from t2m_jax.text.verbs import BODY_PARTS, SIDES, Word, forms, word_set, words_of
+from t2m_jax.text.verbs import BODY_PARTS, SIDES, bases_of, forms, word_set, words_of
 
 _PERSON = r"(?:he|she|it|they|you|somebody|someone)"
 _JUST = r"(?:(?:right|just|only|shortly|soon|immediately|directly|straight) )?"
@@ -30,7 +30,7 @@ GOING = word_set("go head hurry jog march move pace run step stride stroll walk 
 RUNNING = word_set("jog run")
 TURNING = word_set("back bend turn")
 """Verbs that say no more than another direction."""
-_BACK = word_set("180 around back backward backwards opposite")
+_REVERSALS = word_set("180 around back backward backwards opposite")
 _SIDE = re.compile(r"\b(?:left|right|around|corner)\b", re.IGNORECASE)
 
 _NEGATED = re.compile(r"\b(?:not|never)\b|n't\b", re.IGNORECASE)
@@ -76,8 +76,9 @@ def split_sequence(caption: str, known: Collection[str]) -> tuple[str, ...]:
     """Returns the actions of a sentence in the order in which they happen, each as a sentence.
 
     It is cut at words such as `then`, `before`, `after` and `followed by`, and in a list of verbs, if there is an
-    action on both sides: "runs after the bus" is one action, and so is walking around a corner. Other sentences are
-    returned whole, also those with `not`.
+    action on both sides: "runs after the bus" is one action, and so are walking around a corner and raising a hand and
+    lowering it. What only names another side is filled in: "waves with the left hand, then the right" is two waves.
+    Other sentences are returned whole, also those with `not`.
 
     Args:
         caption: A checked sentence.
@@ -116,12 +117,12 @@ def _with_corners(actions: Iterable[str], known: Collection[str]) -> list[str]:
 
 def _is_corner(action: str, neighbor: str, known: Collection[str]) -> bool:
     """Returns whether an action is nothing but another direction of somebody who goes, which its neighbor says."""
-    going = GOING & _bases(words_of(neighbor))
+    going = GOING & bases_of(words_of(neighbor))
     # Of two turns, neither is the corner of the other.
     if not going or not _SIDE.search(action) or _SIDE.search(neighbor):
         return False
     words = words_of(action)
-    ways = GOING & _bases(words) & set(known)
+    ways = GOING & bases_of(words) & set(known)
     others = set(known) - TURNING - ways
     if any(word.action and others & word.bases for word in words):
         return False
@@ -130,12 +131,8 @@ def _is_corner(action: str, neighbor: str, known: Collection[str]) -> bool:
     names_part = any(text in SIDES and BODY_PARTS & forms(after) for text, after in itertools.pairwise(texts))
     # "Turns left and walks on" is a corner after "walks", but not after "runs"; "turns around and walks back" is none.
     is_same_gait = bool(ways & RUNNING) == bool(going & RUNNING)
-    is_turn = bool(TURNING & _bases(words) and SIDES & set(texts)) and _BACK.isdisjoint(texts)
+    is_turn = bool(TURNING & bases_of(words) and SIDES & set(texts)) and _REVERSALS.isdisjoint(texts)
     return not names_part and (not ways or (is_same_gait and is_turn))
-
-
-def _bases(words: Iterable[Word]) -> frozenset[str]:
-    return frozenset().union(*(word.bases for word in words))
 
 
 def _cuts(text: str, is_known: Callable[[str], bool]) -> Iterator[tuple[str, str]]:

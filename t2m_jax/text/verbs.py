@@ -6,7 +6,7 @@ A general tagger is a heavy dependency and confuses nouns and verbs where captio
 import functools
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from t2m_jax.text.prompts import straighten_quotes
@@ -89,6 +89,11 @@ def words_of(caption: str) -> list[Word]:
 def forms(word: str) -> frozenset[str]:
     """Returns a word and its basic forms."""
     return frozenset({word, *itertools.chain.from_iterable(readings(word).values())})
+
+
+def bases_of(words: Iterable[Word]) -> frozenset[str]:
+    """Returns the basic forms of words, and the words."""
+    return frozenset().union(*(word.bases for word in words))
 
 
 def _actions(clause: Sequence[str]) -> list[str]:

@@ -5,7 +5,6 @@ import pytest
 
 from t2m_jax.motion.skeleton import KIT_ML
 from t2m_jax.sampling.choosing import (
-    COUNT_CANDIDATES,
     PACE_CANDIDATES,
     candidate_keys,
     choose_by_count,
@@ -33,11 +32,11 @@ def model():
     return TextToMotion(tiny.random_bundle())
 
 
-def candidates_of(model, caption, count):
+def candidates_of(model, caption, wanted):
     """Returns the codes that a sentence may give with seed 3."""
     parts = model.parts
-    keys = candidate_keys(sample_key(3, caption, 0), count)
-    texts = parts.text_encoder([caption] * count)
+    keys = candidate_keys(sample_key(3, caption, 0), wanted)
+    texts = parts.text_encoder([caption] * len(keys))
     sampled = parts.sample_codes(texts, keys, model.parts.sampling(SamplingOptions().make_strategy()))
     lengths = np.asarray(sampled.code_lengths)
     return [codes[:length] for codes, length in zip(np.asarray(sampled.codes), lengths, strict=True)]
@@ -45,7 +44,7 @@ def candidates_of(model, caption, count):
 
 @pytest.fixture(scope="module")
 def candidates(model):
-    return candidates_of(model, JUMPS, COUNT_CANDIDATES)
+    return candidates_of(model, JUMPS, TIMES)
 
 
 def misses(model, codes):
@@ -84,7 +83,7 @@ def test_a_missed_count_is_said(model):
 
 
 def test_a_count_in_a_motion_that_is_too_long_for_it_is_said(model):
-    segments = split_segments(Prompt(JUMPS, JUMPS, "told before", ()), 30, limit=12, times=TIMES)
+    segments = split_segments(Prompt(JUMPS, JUMPS, "told before", ()), 30, limit=12, wanted=TIMES)
     assert [segment.num_rows for segment in segments] == [12, 12, 6]
     expected = f"told before {JUMPS!r}: too long to choose a sample by its count (jump 3 times)"
     assert {segment.prompt.warning for segment in segments} == {expected}
@@ -103,9 +102,9 @@ def test_motion_of_other_skeletons_is_not_counted(model, monkeypatch):
 @pytest.mark.parametrize(("words", "best"), [("slowly", np.argmin), ("fast", np.argmax)])
 def test_the_slowest_or_fastest_motion_is_taken(model, words, best):
     caption = f"a person waves {words}"
-    candidates = candidates_of(model, caption, PACE_CANDIDATES)
+    candidates = candidates_of(model, caption, SaidPace(words == "slowly", ""))
     speeds = [mean_speed(model.decode(codes, raw=True).positions) for codes in candidates]
-    assert len(set(speeds)) > 1
+    assert len(speeds) == PACE_CANDIDATES and len(set(speeds)) > 1
     chosen = candidates[best(speeds)]
     (motion,) = model.generate(caption, seed=3)
     np.testing.assert_array_equal(motion.codes, chosen)
@@ -141,7 +140,7 @@ def test_a_fast_walk_is_not_a_run(model, monkeypatch):
 
 def test_a_count_is_more_than_a_pace(model):
     caption = "a person slowly jumps 3 times"
-    candidates = candidates_of(model, caption, COUNT_CANDIDATES)
+    candidates = candidates_of(model, caption, TIMES)
     (motion,) = model.generate(caption, seed=3)
     np.testing.assert_array_equal(motion.codes, choose_by_count(model.parts, candidates, TIMES))
 
