@@ -28,7 +28,7 @@ class YamlFile(NamedTuple):
     """The line of every key, counted from 1, by the keys that lead to it."""
 
 
-def load_yaml(path: str | Path) -> YamlFile:
+def load_yaml(path: str | Path, *, max_bytes: int = MAX_FILE_BYTES) -> YamlFile:
     """Returns the contents of a YAML file of `field: value` lines.
 
     Raises:
@@ -41,8 +41,8 @@ def load_yaml(path: str | Path) -> YamlFile:
         raise UserError(f"{path}: is a folder; give a YAML file")
     if not path.is_file() and not str(path).startswith(GIVEN):
         raise UserError(f"{path}: is a pipe or device; give a YAML file")
-    if path.stat().st_size > MAX_FILE_BYTES:
-        raise UserError(f"{path}: is larger than {MAX_FILE_BYTES // 1000} kB; give a config file")
+    if path.stat().st_size > max_bytes:
+        raise UserError(f"{path}: is larger than {max_bytes // 1000} kB; give a config file")
     try:
         loader = _Loader(path.read_text(encoding="utf-8"))
         root = loader.get_single_node()

@@ -220,7 +220,7 @@ def load_training_data(folder: Path) -> dict[str, Any] | None:
         numbers = found.values() if isinstance(found, dict) else [found]
         if type(found) is not kind or not all(type(number) is int and number >= 0 for number in numbers):
             raise UserError(f"{path}: {name}: expected numbers from 0, got {reprlib.repr(found)}")
-    for name in ("captions", "learned", "missing"):
+    for name in ("captions", "learned", "missing", "taught"):
         sentences = (data or {}).get(name, [])
         if not isinstance(sentences, list) or not all(isinstance(sentence, str) for sentence in sentences):
             raise UserError(f"{path}: {name}: expected a list of sentences, got {reprlib.repr(sentences)}")

@@ -40,6 +40,7 @@ COMMANDS = {
     "train": "train a model from a config file",
     "evaluate": "measure the quality of a model on data",
     "benchmark": "measure a model on open data, with a packaged evaluator",
+    "teach": "teach a model other words for what it knows",
     "plot": "draw the loss curves of runs in one figure",
     "bundle": "combine runs to one model that can be shared, and push it to the hub",
     "models": "list packaged and downloaded models, and show their cards",

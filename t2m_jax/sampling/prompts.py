@@ -60,7 +60,7 @@ def read_prompts(captions: Sequence[str], knowledge: Knowledge, encoder: TextEnc
     prompts = []
     for caption in captions:
         text = check_prompt(caption)
-        read, corrected = correct_spelling(text, knowledge.words)
+        read, corrected = correct_spelling(text, knowledge.words, rare=knowledge.taught)
         # Some encoders cut long sentences, and the warning names what is not read.
         read_part = encoder.read_part(read) if isinstance(encoder, CuttingTextEncoder) else read
         given: dict[str, Any] = {"typed": text, "corrected": corrected, "countable": COUNTED_ACTIONS}

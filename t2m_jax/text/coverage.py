@@ -59,6 +59,8 @@ class Knowledge(NamedTuple):
     meanings: Meanings | None = None
     """Finds those of the actions that are nearest to another one, and what the data lack, if the model has a sentence
     encoder."""
+    taught: frozenset[str] = frozenset()
+    """Those of the words that no caption taught, but sentences that mean what captions do (`t2m teach`)."""
 
 
 class Coverage(NamedTuple):
@@ -128,10 +130,13 @@ def make_knowledge(training_data: Mapping[str, Any] | None, embed: Embed | None 
     clips = min(MIN_CLIPS, CLIPS_SHARE * training_data.get("num_clips", 0))
     known = tuple(sorted((name for name in actions if actions[name] >= clips), key=lambda name: -actions[name]))
     contrast = {name: training_data.get(name, ()) for name in ("learned", "missing")}
+    in_captions = frozenset(word for word, count in words.items() if count >= uses)
+    taught = frozenset(training_data.get("taught", ()))
     return Knowledge(
-        words=frozenset(word for word, count in words.items() if count >= uses),
+        words=in_captions | taught,
         actions=known,
         meanings=None if embed is None else Meanings(known, embed, **contrast),
+        taught=taught - in_captions,
     )
 
 
@@ -188,25 +193,28 @@ def _problems(words: Sequence[Word], unknown: Sequence[Word], knowledge: Knowled
         yield from subject_problems(words)
     if not knowledge.actions or not all(found.is_same for found in nearest.values()):
         return
-    missing = "" if is_foreign else _missing(words, unknown, knowledge)
+    missing = "" if is_foreign else _missing(words, knowledge)
     if missing:
         yield f"the training data have no motion like {missing!r}"
     elif not nearest and not has_action(words, knowledge.actions):
         yield from _no_action(words, knowledge)
 
 
-def _missing(words: Sequence[Word], unknown: Sequence[Word], knowledge: Knowledge) -> str:
+def _missing(words: Sequence[Word], knowledge: Knowledge) -> str:
     """Returns a plain sentence for what a prompt asks and the model did not learn, "" if there is none."""
-    if knowledge.meanings is None:
+    meanings = knowledge.meanings
+    if meanings is None:
         return ""
     text = _joined(words)
-    missing = knowledge.meanings.missing(text)
-    if missing or not unknown:
+    missing = meanings.missing(text)
+    # That "the bolt of the door" was in a sentence about waving says nothing about tightening bolts.
+    captions = knowledge._replace(words=knowledge.words - knowledge.taught)
+    if missing or not _unknown_words(words, captions):
         return missing
-    activity = knowledge.meanings.activity(text)
+    activity = meanings.activity(text)
     in_activity = words_of(activity)
     # The captions may have taught it, although nothing says so in plain sentences.
-    is_learned = has_action(in_activity, knowledge.actions) and not _unknown_words(in_activity, knowledge)
+    is_learned = has_action(in_activity, captions.actions) and not _unknown_words(in_activity, captions)
     return "" if is_learned else activity
 
 

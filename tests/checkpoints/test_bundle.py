@@ -208,6 +208,7 @@ def test_weights_that_are_not_finite_are_refused(copy):
         '{"captions": ["a person walks", 3]}',
         '{"learned": "a person walks"}',
         '{"missing": [3]}',
+        '{"taught": {"boing": 3}}',
     ],
 )
 def test_training_data_that_are_damaged_are_refused(copy, content):

@@ -82,15 +82,18 @@ def test_the_stages_of_a_folder_fit(folder, tokenizer, generator):
 @pytest.mark.parametrize(("model", "motion"), [("demo", "all"), ("demo-free", "all-free")])
 def test_the_script_of_the_packaged_models_fits_their_configs(model, motion):
     script = (REPOSITORY / "configs" / "demo" / "make.sh").read_text(encoding="utf-8").replace("$name", model)
-    *trainings, bundle = (shlex.split(line)[1:] for line in script.splitlines() if line.startswith("t2m "))
+    *trainings, teaching = (shlex.split(line)[1:] for line in script.splitlines() if line.startswith("t2m "))
     tokenizer, generator = (config_of(kind, str(REPOSITORY / path), options) for _, kind, path, *options in trainings)
     assert (f"{tokenizer.data}", f"{generator.data}") == (f"data/{motion}", f"data/{model}")
     assert generator.vqvae == tokenizer.run
     for name in ("num_codes", "num_quantizers"):
         assert getattr(generator.model, name) == getattr(tokenizer.model, name)
     card = f"configs/{model}/card.md"
-    assert bundle == ["bundle", f"{generator.run}", f"t2m_jax/bundles/{model}", "--card", card]
-    assert (REPOSITORY / bundle[-1]).is_file()
+    sentences = f"{DATA.relative_to(REPOSITORY)}/sentences.yaml"
+    destination = f"t2m_jax/bundles/{model}"
+    data = f"{generator.data}"
+    assert teaching == ["teach", f"{generator.run}", sentences, destination, "--data", data, "--card", card]
+    assert (REPOSITORY / sentences).is_file() and (REPOSITORY / card).is_file()
 
 
 @pytest.mark.parametrize("path", sorted(DATA.glob("*.csv")), ids=lambda path: path.stem)

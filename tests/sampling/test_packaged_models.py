@@ -14,7 +14,7 @@ from t2m_jax.text import PromptWarning
 
 FOLDER = Path(str(importlib.resources.files("t2m_jax"))) / "bundles"
 FIRST_CODES = {
-    "demo": [18, 223, 424, 474, 95, 152, 183, 465],
+    "demo": [18, 190, 125, 183, 424, 183, 424, 183],
     "demo-free": [322, 399, 132, 271, 402],
     "demo-t2m-gpt": [222, 222, 97, 245, 3, 150, 150, 150],
 }

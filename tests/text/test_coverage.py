@@ -35,6 +35,14 @@ def test_the_demo_knows_what_it_can_show(demo):
     assert len(warned(PROMPTS["warn"], demo)) >= 20
 
 
+def test_taught_words_are_known():
+    record = {"words": dict.fromkeys(["a", "person", "walks"], MIN_USES), "actions": {"walk": 99}, "num_clips": 99}
+    prompt = "boing boing boing boing, a person walks"
+    assert warned([prompt], make_knowledge(record)) == [prompt]
+    knowledge = make_knowledge(record | {"taught": ["boing", "walks"]})
+    assert warned([prompt], knowledge) == [] and knowledge.taught == {"boing"}
+
+
 def test_numbers_that_are_followed_have_an_effect(demo):
     for prompt in ("a person walks for seventeen seconds", "a person kicks nineteen times"):
         assert not check_coverage(prompt, demo, read_part=prompt).warning

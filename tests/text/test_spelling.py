@@ -53,6 +53,12 @@ def test_exchanged_letters_are_likelier_than_a_missing_one():
     assert correct_spelling("raht", frozenset({"rath", "raght"}))[1] == {"raht": "rath"}
 
 
+def test_a_rare_word_is_no_mistake_and_no_mistake_is_read_as_one():
+    rare = frozenset({"walkers"})
+    assert correct_spelling("a person walkes", KNOWN | rare)[1] == {"walkes": "walkers"}
+    assert correct_spelling("a person walkes by walkers", KNOWN | rare, rare=rare)[1] == {"walkes": "walks"}
+
+
 def test_many_words_that_are_none_are_not_corrected_and_cost_little():
     prompt = " ".join(f"wlaks{letter}" for letter in "abcd")
     before = readings.cache_info().currsize

@@ -34,6 +34,7 @@ from t2m_jax.sampling.programs import begin_motions, begin_slots
 from t2m_jax.sampling.stopping import StopAtEnd, StopAtThreshold
 from t2m_jax.sampling.strategies import Temperature
 from t2m_jax.text.bpe import CaptionTokens
+from t2m_jax.text.caption_states import StateTable
 from t2m_jax.text.word_vectors import Vocabulary
 from t2m_jax.train import LoopConfig, OptimizerConfig, TrainVqVaeConfig
 from t2m_jax.train.evaluator import init_matching_state
@@ -41,6 +42,8 @@ from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from t2m_jax.train.gpt import TrainGptConfig, init_gpt_state
 from t2m_jax.train.hifigpt import TrainHiFiGptConfig, init_hifigpt_state
 from t2m_jax.train.movement import init_movement_state
+from t2m_jax.train.optimizer import first_state
+from t2m_jax.train.teaching import TeachingConfig
 from t2m_jax.train.vqvae import init_vqvae_state
 from tests.tiny import CAPTION_ENCODER, GPT, VQVAE, random_variables, walking_normalizer
 from tests.tiny import HIFIGPT as TINY_HIFIGPT
@@ -429,6 +432,28 @@ def _() -> Case:
 @case("train.hifigpt.validate")
 def _() -> Case:
     return Case((hifigpt_state(), code_bank(2), first_steps()), {"config": HIFIGPT_TRAINING}, **TRAINING_TOLERANCE)
+
+
+def state_table() -> StateTable:
+    """Returns the states of three captions, of four, six and two tokens."""
+    lengths = np.array([4, 6, 2], np.int32)
+    starts = np.cumsum(lengths, dtype=np.int32) - lengths
+    states = normal(1, 12, STATE_ENCODER.state_dim).astype(jnp.float16)
+    return jax.tree.map(jnp.asarray, StateTable(states, starts, lengths, np.arange(3), np.arange(8)))
+
+
+@case("train.teaching.embed_rows")
+def _() -> Case:
+    params = init_network(STATE_ENCODER, jax.random.key(0))["params"]
+    return Case((params, state_table(), jnp.array([2, 0])), {"network": STATE_ENCODER, "size": 4})
+
+
+@case("train.teaching.teach_step")
+def _() -> Case:
+    config = TeachingConfig(network=STATE_ENCODER, optimizer=OPTIMIZER)
+    state = first_state(init_network(STATE_ENCODER, jax.random.key(0))["params"], OPTIMIZER)
+    inputs = (state_table(), jnp.array([2, 0]), normal(2, 2, 16), jax.random.key(1))
+    return Case((state, *inputs), {"config": config, "size": 6}, **TRAINING_TOLERANCE)
 
 
 @case("train.movement.init_movement_state")

@@ -1,0 +1,258 @@
+"""Teaching a model other words for what it knows: `t2m teach`.
+
+The network that reads captions learns to give a new sentence the text embedding of one that it understands
+(distillation; Hinton et al., arXiv 1503.02531; here by the squared error of embeddings). The generator stays as it is,
+so no motion is needed, and a CPU takes minutes.
+"""
+
+import dataclasses
+import functools
+import itertools
+import random
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, Key
+from tqdm import tqdm
+
+from t2m_jax.checkpoints.bundle import Bundle
+from t2m_jax.checkpoints.text_encoder import SentenceStatesConfig, trained_network
+from t2m_jax.errors import UserError
+from t2m_jax.models.caption_encoder import NetworkConfig, network_module
+from t2m_jax.models.rows import apply_rows
+from t2m_jax.sampling.text_encoders import SentenceStates
+from t2m_jax.text.bpe import CaptionTokens, tokenize_captions
+from t2m_jax.text.caption_states import StateTable
+from t2m_jax.train.lessons import Lesson, vary_lessons, with_taught_words
+from t2m_jax.train.optimizer import Metrics, OptimizerConfig, TrainState, descend, first_state
+from t2m_jax.train.streams import stream_key
+
+BATCH_SIZE = 96
+"""Half of a batch are lessons, and half are captions that keep their meaning."""
+SHORT = (16, 24)
+"""Tokens of batches of short sentences; the others have room for the longest that the network reads."""
+EMBEDDED_AT_ONCE = 256
+"""Sentences whose targets are computed together."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TeachingConfig:
+    """What a step of teaching reads."""
+
+    network: NetworkConfig
+    """Sizes of the network that reads captions."""
+    optimizer: OptimizerConfig
+    """Optimizer and schedule."""
+
+
+class Taught(NamedTuple):
+    """A model that was taught, and how well it understands sentences that it was not taught."""
+
+    bundle: Bundle
+    right_before: int
+    """Held-out sentences whose text embedding was nearest to that of their meaning, among all meanings."""
+    right_after: int
+
+
+class _Book(NamedTuple):
+    """All sentences as the network reads them; other arrays name them by their rows."""
+
+    captions: CaptionTokens | StateTable
+    lengths: Int[np.ndarray, " M"]
+    """Tokens of each."""
+    rows: dict[str, int]
+
+    def find(self, sentences: Iterable[str]) -> Int[np.ndarray, " B"]:
+        """Returns the rows of sentences."""
+        return np.array([self.rows[sentence] for sentence in sentences], np.int32)
+
+
+def _rows_at(captions: CaptionTokens | StateTable, rows: Int[Array, " B"], size: int) -> tuple[Any, Any]:
+    """Returns the first `size` tokens of some sentences, or their states, and the mask of what is used."""
+    if isinstance(captions, StateTable):
+        states, mask, _ = captions._replace(places=captions.places[:size]).batch(rows)
+        return states, mask
+    return captions.tokens[rows, :size], captions.mask[rows, :size]
+
+
+@functools.partial(jax.jit, static_argnames=("network", "size"))
+def embed_rows(
+    params: Any, captions: CaptionTokens | StateTable, rows: Int[Array, " B"], *, network: NetworkConfig, size: int
+) -> Float[Array, "B E"]:
+    """Returns the text embeddings of some sentences, of which at most `size` tokens are read."""
+    return network_module(network).apply({"params": params}, *_rows_at(captions, rows, size), train=False)
+
+
+@functools.partial(jax.jit, static_argnames=("config", "size"), donate_argnums=0)
+def teach_step(
+    state: TrainState,
+    captions: CaptionTokens | StateTable,
+    rows: Int[Array, " B"],
+    targets: Float[Array, "B E"],
+    key: Key[Array, ""],
+    *,
+    config: TeachingConfig,
+    size: int,
+) -> tuple[TrainState, Metrics]:
+    """Returns the state after one update, and the loss before it.
+
+    The loss is the mean squared distance of the text embeddings from their targets, relative to the targets' norms.
+
+    Args:
+        state: Its `params` are those of the network.
+        captions: All sentences.
+        rows: Those of the batch.
+        targets: The embeddings that they are to get.
+        key: For dropout; consumed.
+        config: Sizes and optimizer.
+        size: Tokens that are read.
+    """
+    inputs = _rows_at(captions, rows, size)
+    keys = jax.random.split(key, len(rows))
+
+    def measure(params: Any) -> tuple[Metrics, dict[str, Any]]:
+        found = apply_rows(network_module(config.network), {"params": params}, *inputs, keys=keys)
+        errors = jnp.sum((found - targets) ** 2, axis=-1) / jnp.sum(targets**2, axis=-1)
+        return {"loss": jnp.mean(errors)}, {}
+
+    return descend(state, measure, config.optimizer)
+
+
+def teach(
+    bundle: Bundle,
+    lessons: Sequence[Lesson],
+    kept: Sequence[str],
+    *,
+    held_out: Sequence[Lesson] = (),
+    num_steps: int,
+    seed: int,
+) -> Taught:
+    """Returns the model with a network that understands new sentences.
+
+    Args:
+        bundle: The model.
+        lessons: New sentences.
+        kept: Captions that keep their meaning.
+        held_out: Sentences that are only measured.
+        num_steps: Updates.
+        seed: Of variations, batches and dropout.
+
+    Raises:
+        UserError: The model has no network that reads captions, as with CLIP.
+    """
+    network = trained_network(bundle.config.text_encoder)
+    if network is None:
+        raise UserError("its text encoder was trained by others and stays as it is, so it cannot be taught")
+    varied = tuple(vary_lessons(lessons, random.Random(f"lessons {seed}")))
+    book = _read(bundle, network, [text for lesson in (*varied, *held_out) for text in lesson] + list(kept))
+    params = jax.device_put(bundle.variables["text_encoder"]["params"])
+    embeddings = _embed(params, book, np.arange(len(book.rows)), network)
+    targets = embeddings.copy()
+    targets[book.find(lesson.sentence for lesson in varied)] = embeddings[book.find(lesson.like for lesson in varied)]
+    # Few updates hardly overfit, and drawing the masks of dropout would take a third of the time on a CPU.
+    config = TeachingConfig(network=dataclasses.replace(network, dropout=0.0), optimizer=_optimizer(num_steps))
+    batches = itertools.islice(_draw_batches(book, varied, kept, seed=seed), num_steps)
+    params = _train(params, book, targets, batches, config=config, seed=seed)
+
+    meanings = tuple(dict.fromkeys(lesson.meaning for lesson in (*lessons, *held_out)))
+    answers = [meanings.index(lesson.meaning) for lesson in held_out]
+    asked = book.find(lesson.sentence for lesson in held_out)
+    keys = embeddings[book.find(meanings)]
+    understood = (embeddings[asked], _embed(params, book, asked, network))
+    right = [_count_nearest(found, keys, answers) for found in understood]
+    variables = bundle.variables | {"text_encoder": {"params": jax.device_get(params)}}
+    data = with_taught_words(bundle.training_data, lessons)
+    return Taught(bundle._replace(variables=variables, training_data=data), *right)
+
+
+def _read(bundle: Bundle, network: NetworkConfig, sentences: Iterable[str]) -> _Book:
+    """Returns the sentences as the model's network reads them, each once."""
+    texts = tuple(dict.fromkeys(sentences))
+    rows = {text: row for row, text in enumerate(texts)}
+    if not isinstance(bundle.config.text_encoder, SentenceStatesConfig):
+        assert bundle.bpe is not None
+        tokens = tokenize_captions(bundle.bpe, texts, max_length=network.max_length)
+        return _Book(jax.device_put(tokens), np.sum(tokens.mask, axis=1), rows)
+    encoder = SentenceStates(bundle.config.text_encoder.encoder, state_dim=bundle.config.text_encoder.network.state_dim)
+    found = {text: states[: network.max_length] for text, states in encoder.read_all(texts)}
+    lengths = np.array([len(found[text]) for text in texts], np.int32)
+    states = np.concatenate([found[text] for text in texts])
+    starts = np.cumsum(lengths, dtype=np.int32) - lengths
+    numbers = np.arange(len(texts), dtype=np.int32)
+    table = StateTable(states, starts, lengths, numbers, np.arange(network.max_length, dtype=np.int32))
+    return _Book(jax.device_put(table), lengths, rows)
+
+
+def _embed(params: Any, book: _Book, rows: Int[np.ndarray, " B"], network: NetworkConfig) -> Float[np.ndarray, "B E"]:
+    """Returns the text embeddings of sentences, those with few tokens first."""
+    order = np.argsort(book.lengths[rows], kind="stable")
+    embeddings = np.zeros((len(rows), network.text_dim), np.float32)
+    for first in range(0, len(rows), EMBEDDED_AT_ONCE):
+        places = order[first : first + EMBEDDED_AT_ONCE]
+        # The last ones are filled up, because programs are compiled for their shape.
+        batch = np.resize(rows[places], EMBEDDED_AT_ONCE)
+        size = _size(int(book.lengths[batch].max()), network)
+        found = embed_rows(params, book.captions, batch, network=network, size=size)
+        embeddings[places] = found[: len(places)]
+    return embeddings
+
+
+def _size(length: int, network: NetworkConfig) -> int:
+    """Returns how many tokens are read of sentences of at most `length`."""
+    return next((size for size in SHORT if length <= size < network.max_length), network.max_length)
+
+
+def _draw_batches(
+    book: _Book, lessons: Sequence[Lesson], kept: Iterable[str], *, seed: int
+) -> Iterator[Int[np.ndarray, " B"]]:
+    """Yields the sentences of each batch: lessons of about the same length, and as many captions that are not longer.
+
+    Of a meaning with four times as many lessons, twice as many are drawn.
+    """
+    generator = np.random.default_rng(seed)
+    counts = Counter(lesson.meaning for lesson in lessons)
+    shares = np.array([counts[lesson.meaning] ** -0.5 for lesson in lessons])
+    taught = book.find(lesson.sentence for lesson in lessons)
+    kept_rows = book.find(kept)
+    groups = np.searchsorted(SHORT, book.lengths[taught])
+    num_kept = BATCH_SIZE // 2
+    while True:
+        group = groups[generator.choice(len(taught), p=shares / shares.sum())]
+        fitting = shares * (groups == group)
+        drawn = generator.choice(taught, BATCH_SIZE - num_kept, p=fitting / fitting.sum())
+        short = kept_rows[book.lengths[kept_rows] <= book.lengths[drawn].max()]
+        yield np.concatenate([drawn, generator.choice(short, num_kept)] if len(short) else [drawn, drawn])
+
+
+def _train(
+    params: Any,
+    book: _Book,
+    targets: Float[np.ndarray, "M E"],
+    batches: Iterable[Int[np.ndarray, " B"]],
+    *,
+    config: TeachingConfig,
+    seed: int,
+) -> Any:
+    """Returns the parameters after an update for each batch."""
+    state = first_state(params, config.optimizer)
+    for step, rows in enumerate(tqdm(list(batches), desc="teaching", unit="update", disable=None)):
+        key = jax.random.fold_in(stream_key(seed, "dropout"), step)
+        size = _size(int(book.lengths[rows].max()), config.network)
+        state, _ = teach_step(state, book.captions, rows, targets[rows], key, config=config, size=size)
+    return state.params
+
+
+def _optimizer(num_steps: int) -> OptimizerConfig:
+    warmup = min(50, num_steps // 10)
+    decay = (warmup, num_steps)
+    return OptimizerConfig(learning_rate=3e-4, warmup_steps=warmup, cosine=decay, betas=(0.9, 0.98), clip_norm=1.0)
+
+
+def _count_nearest(found: Float[np.ndarray, "B E"], meanings: Float[np.ndarray, "K E"], answers: Sequence[int]) -> int:
+    """Returns how many embeddings are nearest, by their angle, to that of their own meaning."""
+    directions = meanings / np.linalg.norm(meanings, axis=1, keepdims=True)
+    return int(np.sum((found @ directions.T).argmax(axis=1) == answers))
