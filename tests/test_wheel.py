@@ -57,6 +57,7 @@ NOT_RUN = {
     "docs/performance.md": "minutes of measurements of the machine; tests/bench runs small ones",
     "docs/systems.md": "the package that the page describes is not installed; tests/third_system runs the commands",
     "CUDA_VISIBLE_DEVICES": "needs two GPUs; tests/devices and test_distributed.py have virtual ones",
+    "my-demo": "reading thousands of sentences takes minutes; tests/train teaches small models",
     "t2m export": "needs the extra `onnx`; tests/export exports small models",
     "t2m serve": "it serves until it is stopped; tests/serving starts servers",
     "--distributed": "needs a cluster; test_distributed.py starts processes",
