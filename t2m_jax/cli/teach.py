@@ -38,7 +38,8 @@ def run(args: argparse.Namespace) -> None:
     from t2m_jax.errors import naming
     from t2m_jax.files.reading import load_text
     from t2m_jax.files.writing import check_new
-    from t2m_jax.train.lessons import kept_captions, load_lessons
+    from t2m_jax.sampling.pipeline import TextToMotion
+    from t2m_jax.train.lessons import kept_captions, known_meanings, load_lessons
     from t2m_jax.train.teaching import teach
 
     check_new(args.destination)
@@ -48,6 +49,10 @@ def run(args: argparse.Namespace) -> None:
     card = default_card(Path(args.model)) if is_run(Path(args.model)) else bundle.card
     if args.card is not None:
         card = load_text(args.card)
+    with naming(args.sentences):
+        known = known_meanings([*lessons, *held_out], TextToMotion(bundle).knowledge)
+    lessons = tuple(lesson for lesson in lessons if lesson.meaning in known)
+    held_out = tuple(lesson for lesson in held_out if lesson.meaning in known)
     dataset = None if args.data is None else open_dataset(args.data)
     kept = kept_captions(dataset, bundle.training_data, seed=args.seed)
     with naming(args.model):

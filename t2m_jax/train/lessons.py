@@ -1,5 +1,6 @@
 """Lessons of `t2m teach`: new sentences, each with one that the model understands and that asks for the same motion."""
 
+import logging
 import random
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
@@ -15,12 +16,14 @@ from t2m_jax.data.captioning.wordings import load_wordings
 from t2m_jax.data.folder import Dataset
 from t2m_jax.errors import UserError, naming
 from t2m_jax.motion.mirroring import mirror_caption
-from t2m_jax.text.coverage import DIRECTIONS, NUMBERS, make_knowledge
+from t2m_jax.text.coverage import DIRECTIONS, NUMBERS, Knowledge, check_coverage, make_knowledge
 from t2m_jax.text.prompts import check_prompt
 from t2m_jax.text.rewording import reword
 from t2m_jax.text.sequence import split_sequence
 from t2m_jax.text.verbs import words_of
 from t2m_jax.yaml_file import load_yaml
+
+logger = logging.getLogger(__name__)
 
 MAX_FILE_BYTES = 2_000_000
 """Largest file of lessons that is read: 30,000 sentences. PyYAML needs seconds for it."""
@@ -86,6 +89,22 @@ def _with_mirrored(lesson: Lesson) -> list[Lesson]:
     # "wave L" has no word for a side that would be found.
     has_side = mirrored.sentence != lesson.sentence and mirrored.meaning != lesson.meaning
     return [lesson, mirrored] if has_side else [lesson]
+
+
+def known_meanings(lessons: Iterable[Lesson], knowledge: Knowledge) -> frozenset[str]:
+    """Returns the meanings of lessons that a model can know; a line in the log names each other one.
+
+    Raises:
+        UserError: There is none.
+    """
+    found = dict.fromkeys(lesson.meaning for lesson in lessons)
+    warnings = {meaning: check_coverage(meaning, knowledge, read_part=meaning).warning for meaning in found}
+    for warning in filter(None, warnings.values()):
+        logger.warning("%s; the sentences under it are not taught", warning)
+    known = frozenset(meaning for meaning, warning in warnings.items() if not warning)
+    if not known:
+        raise UserError("the model knows none of the meanings; it can only learn other words for what it knows")
+    return known
 
 
 def vary_lessons(lessons: Iterable[Lesson], generator: random.Random) -> Iterator[Lesson]:

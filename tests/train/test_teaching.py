@@ -16,9 +16,17 @@ from t2m_jax.data.importers.synthetic import write_synthetic_dataset
 from t2m_jax.errors import UserError
 from t2m_jax.models.caption_encoder import StateEncoderConfig
 from t2m_jax.sampling.text_encoders import make_text_encoder
-from t2m_jax.text.coverage import make_knowledge
+from t2m_jax.text.coverage import MIN_USES, make_knowledge
 from t2m_jax.text.encoder import TextEncoder
-from t2m_jax.train.lessons import HELD_OUT_EVERY, NUM_REWORDED, Lesson, kept_captions, load_lessons, vary_lessons
+from t2m_jax.train.lessons import (
+    HELD_OUT_EVERY,
+    NUM_REWORDED,
+    Lesson,
+    kept_captions,
+    known_meanings,
+    load_lessons,
+    vary_lessons,
+)
 from t2m_jax.train.teaching import teach
 from tests.sentence_golden import BERT
 from tests.tiny import BUNDLE, CAPTIONS, random_bundle
@@ -118,6 +126,16 @@ def test_kept_captions_of_a_data_set_are_those_of_its_training_clips(tmp_path):
     kept = kept_captions(dataset, None, seed=0)
     training = {caption.text for name in dataset.names("train") for caption in dataset.captions(name)}
     assert kept and set(kept) <= training
+
+
+def test_what_a_model_does_not_know_is_not_taught(caplog):
+    record = {"words": dict.fromkeys(["a", "person", "walks", "forward"], MIN_USES), "actions": {"walk": 9}}
+    knowledge = make_knowledge(record | {"num_clips": 9})
+    assert known_meanings(LESSONS, knowledge) == {WALK}
+    (said,) = caplog.messages
+    assert WAVE in said and said.endswith("the sentences under it are not taught")
+    with pytest.raises(UserError, match="knows none of the meanings"):
+        known_meanings(LESSONS[2:], knowledge)
 
 
 def distances(encoder: TextEncoder, sentences, targets):
