@@ -46,9 +46,8 @@ def run(args: argparse.Namespace) -> None:
     check_seed(args.seed)
     lessons, held_out = load_lessons(args.sentences)
     bundle = load_model(args.model)
-    card = default_card(Path(args.model)) if is_run(Path(args.model)) else bundle.card
-    if args.card is not None:
-        card = load_text(args.card)
+    own_card = default_card(Path(args.model)) if is_run(Path(args.model)) else bundle.card
+    card = own_card if args.card is None else load_text(args.card)
     with naming(args.sentences):
         known = known_meanings([*lessons, *held_out], TextToMotion(bundle).knowledge)
     lessons = tuple(lesson for lesson in lessons if lesson.meaning in known)

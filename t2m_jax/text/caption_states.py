@@ -96,7 +96,13 @@ def open_state_table(
     Raises:
         UserError: The states cannot be written anywhere.
     """
-    stored = _find_or_make(places, encoder, sorted(set(captions)), read)
+    return table_from_states(
+        _find_or_make(places, encoder, sorted(set(captions)), read), captions, max_length=max_length
+    )
+
+
+def table_from_states(stored: StoredStates, captions: Sequence[str], *, max_length: int) -> StateTable:
+    """Returns the table of captions whose texts are stored; of a caption, `max_length` tokens are used."""
     number = {text: place for place, text in enumerate(stored.texts)}
     lengths = np.array(stored.lengths, np.int32)
     starts = np.cumsum(lengths, dtype=np.int32) - lengths

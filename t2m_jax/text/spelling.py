@@ -25,13 +25,12 @@ def correct_spelling(
         known: Words that may have been meant, in lower case; all forms of them may.
         rare: Those of them that hardly anybody means: they are no mistakes, but no mistake is read as one of them.
     """
-    usual = known - rare
     suspects = {found[0] for found in _WORD.finditer(prompt) if _may_be_mistake(found, known)}
     if len(suspects) > MOST_MISTAKES:
         return prompt, {}
     read = {}
     for word in suspects:
-        other = next((one for one in _one_mistake_away(word.lower()) if not usual.isdisjoint(forms(one))), None)
+        other = next((one for one in _one_mistake_away(word.lower()) if known & forms(one) - rare), None)
         if other is not None:
             read[word] = other
     return _WORD.sub(lambda found: read.get(found[0], found[0]), prompt), read

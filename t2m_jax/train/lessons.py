@@ -61,27 +61,31 @@ def load_lessons(path: Path) -> tuple[tuple[Lesson, ...], tuple[Lesson, ...]]:
     table = load_yaml(path, max_bytes=MAX_FILE_BYTES).data
     with naming(path):
         for meaning, sentences in table.items():
-            for number, sentence in enumerate(_checked_sentences(meaning, sentences), 1):
+            for number, lesson in enumerate(_lessons_of(meaning, sentences), 1):
                 group = held_out if number % HELD_OUT_EVERY == 0 else taught
-                for lesson in _with_mirrored(Lesson(sentence, meaning, meaning)):
-                    known = meanings.setdefault(lesson.sentence.lower(), lesson.meaning)
-                    if known != lesson.meaning:
-                        raise UserError(f"{lesson.sentence!r} is under {known!r} and under {lesson.meaning!r}")
-                    group.append(lesson)
+                for one in _with_mirrored(lesson):
+                    known = meanings.setdefault(one.sentence.lower(), one.meaning)
+                    if known != one.meaning:
+                        raise UserError(f"{one.sentence!r} is under {known!r} and under {one.meaning!r}")
+                    group.append(one)
         if not taught:
             raise UserError("has no sentences; give lists of new sentences by one that the model understands")
     return tuple(dict.fromkeys(taught)), tuple(dict.fromkeys(held_out))
 
 
-def _checked_sentences(meaning: Any, sentences: Any) -> Iterator[str]:
+def _lessons_of(meaning: Any, sentences: Any) -> list[Lesson]:
+    """Returns the lessons of one entry of a file.
+
+    Raises:
+        UserError: It is no sentence with a list of others.
+    """
     if not isinstance(meaning, str) or not isinstance(sentences, list):
         raise UserError(f"{meaning!r}: expected a sentence with a list of others, such as `a person waves: [say hi]`")
-    for sentence in (meaning, *sentences):
+    for sentence in sentences:
         if not isinstance(sentence, str):
-            raise UserError(f"{meaning!r}: {sentence!r} is no sentence; put it in quotes")
-        checked = check_prompt(sentence)
-        if sentence is not meaning:
-            yield checked
+            raise UserError(f"{meaning!r}: {sentence!r} is not a sentence; put it in quotes")
+    meaning = check_prompt(meaning)
+    return [Lesson(check_prompt(sentence), meaning, meaning) for sentence in sentences]
 
 
 def _with_mirrored(lesson: Lesson) -> list[Lesson]:
@@ -159,7 +163,8 @@ def kept_captions(dataset: Dataset | None, training_data: Mapping[str, Any] | No
     generator = np.random.default_rng(seed)
     if dataset is None:
         captions = (training_data or {}).get("captions", ())
-        found = [text for caption in captions for text in (caption, *_rewordings(caption, generator))]
+        reworded = [reword(caption, generator) for caption in captions for _ in range(NUM_REWORDED)]
+        found = [*captions, *reworded]
     else:
         names = dataset.names("train")
         drawn = generator.permutation(len(names))[:NUM_KEPT]
@@ -183,7 +188,3 @@ def with_taught_words(training_data: Mapping[str, Any] | None, lessons: Iterable
     words = {text for text in found - NUMBERS - DIRECTIONS if text.isalpha() and len(text) > 1}
     taught = words.union(training_data.get("taught", ())) - make_knowledge({**training_data, "taught": ()}).words
     return {**training_data, "taught": sorted(taught)}
-
-
-def _rewordings(caption: str, generator: np.random.Generator) -> list[str]:
-    return [reword(caption, generator) for _ in range(NUM_REWORDED)]

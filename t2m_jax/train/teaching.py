@@ -7,7 +7,6 @@ so no motion is needed, and a CPU takes minutes.
 
 import dataclasses
 import functools
-import itertools
 import random
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -26,7 +25,7 @@ from t2m_jax.models.caption_encoder import NetworkConfig, network_module
 from t2m_jax.models.rows import apply_rows
 from t2m_jax.sampling.text_encoders import SentenceStates
 from t2m_jax.text.bpe import CaptionTokens, tokenize_captions
-from t2m_jax.text.caption_states import StateTable
+from t2m_jax.text.caption_states import StateTable, StoredStates, table_from_states
 from t2m_jax.train.lessons import Lesson, vary_lessons, with_taught_words
 from t2m_jax.train.optimizer import Metrics, OptimizerConfig, TrainState, descend, first_state
 from t2m_jax.train.streams import stream_key
@@ -58,40 +57,45 @@ class Taught(NamedTuple):
     right_after: int
 
 
-class _Book(NamedTuple):
-    """All sentences as the network reads them; other arrays name them by their rows."""
+class _Sentences(NamedTuple):
+    """All sentences as the network reads them, each once; other arrays name them by their numbers."""
 
+    network: NetworkConfig
     captions: CaptionTokens | StateTable
     lengths: Int[np.ndarray, " M"]
     """Tokens of each."""
-    rows: dict[str, int]
+    numbers: dict[str, int]
 
-    def find(self, sentences: Iterable[str]) -> Int[np.ndarray, " B"]:
-        """Returns the rows of sentences."""
-        return np.array([self.rows[sentence] for sentence in sentences], np.int32)
+    def find(self, texts: Iterable[str]) -> Int[np.ndarray, " B"]:
+        """Returns the numbers of sentences."""
+        return np.array([self.numbers[text] for text in texts], np.int32)
+
+    def size(self, length: int) -> int:
+        """Returns the tokens of a batch whose sentences have at most `length`."""
+        return next((size for size in SHORT if length <= size < self.network.max_length), self.network.max_length)
 
 
-def _rows_at(captions: CaptionTokens | StateTable, rows: Int[Array, " B"], size: int) -> tuple[Any, Any]:
+def _inputs_at(captions: CaptionTokens | StateTable, numbers: Int[Array, " B"], size: int) -> tuple[Any, Any]:
     """Returns the first `size` tokens of some sentences, or their states, and the mask of what is used."""
     if isinstance(captions, StateTable):
-        states, mask, _ = captions._replace(places=captions.places[:size]).batch(rows)
+        states, mask, _ = captions._replace(places=captions.places[:size]).batch(numbers)
         return states, mask
-    return captions.tokens[rows, :size], captions.mask[rows, :size]
+    return captions.tokens[numbers, :size], captions.mask[numbers, :size]
 
 
 @functools.partial(jax.jit, static_argnames=("network", "size"))
-def embed_rows(
-    params: Any, captions: CaptionTokens | StateTable, rows: Int[Array, " B"], *, network: NetworkConfig, size: int
+def embed_sentences(
+    params: Any, captions: CaptionTokens | StateTable, numbers: Int[Array, " B"], *, network: NetworkConfig, size: int
 ) -> Float[Array, "B E"]:
     """Returns the text embeddings of some sentences, of which at most `size` tokens are read."""
-    return network_module(network).apply({"params": params}, *_rows_at(captions, rows, size), train=False)
+    return network_module(network).apply({"params": params}, *_inputs_at(captions, numbers, size), train=False)
 
 
 @functools.partial(jax.jit, static_argnames=("config", "size"), donate_argnums=0)
 def teach_step(
     state: TrainState,
     captions: CaptionTokens | StateTable,
-    rows: Int[Array, " B"],
+    numbers: Int[Array, " B"],
     targets: Float[Array, "B E"],
     key: Key[Array, ""],
     *,
@@ -105,14 +109,14 @@ def teach_step(
     Args:
         state: Its `params` are those of the network.
         captions: All sentences.
-        rows: Those of the batch.
+        numbers: Those of the batch.
         targets: The embeddings that they are to get.
         key: For dropout; consumed.
         config: Sizes and optimizer.
         size: Tokens that are read.
     """
-    inputs = _rows_at(captions, rows, size)
-    keys = jax.random.split(key, len(rows))
+    inputs = _inputs_at(captions, numbers, size)
+    keys = jax.random.split(key, len(numbers))
 
     def measure(params: Any) -> tuple[Metrics, dict[str, Any]]:
         found = apply_rows(network_module(config.network), {"params": params}, *inputs, keys=keys)
@@ -142,72 +146,63 @@ def teach(
         seed: Of variations, batches and dropout.
 
     Raises:
-        UserError: The model has no network that reads captions, as with CLIP.
+        UserError: The model has no network that reads captions, as with CLIP, or its weights did not stay finite.
     """
     network = trained_network(bundle.config.text_encoder)
     if network is None:
         raise UserError("its text encoder was trained by others and stays as it is, so it cannot be taught")
     varied = tuple(vary_lessons(lessons, random.Random(f"lessons {seed}")))
-    book = _read(bundle, network, [text for lesson in (*varied, *held_out) for text in lesson] + list(kept))
-    params = jax.device_put(bundle.variables["text_encoder"]["params"])
-    embeddings = _embed(params, book, np.arange(len(book.rows)), network)
+    sentences = _read(bundle, network, [text for lesson in (*varied, *held_out) for text in lesson] + list(kept))
+    before = jax.device_put(bundle.variables["text_encoder"]["params"])
+    embeddings = _embed(before, sentences, np.arange(len(sentences.numbers)))
     targets = embeddings.copy()
-    targets[book.find(lesson.sentence for lesson in varied)] = embeddings[book.find(lesson.like for lesson in varied)]
-    # Few updates hardly overfit, and drawing the masks of dropout would take a third of the time on a CPU.
-    config = TeachingConfig(network=dataclasses.replace(network, dropout=0.0), optimizer=_optimizer(num_steps))
-    batches = itertools.islice(_draw_batches(book, varied, kept, seed=seed), num_steps)
-    params = _train(params, book, targets, batches, config=config, seed=seed)
+    taught = sentences.find(lesson.sentence for lesson in varied)
+    targets[taught] = embeddings[sentences.find(lesson.like for lesson in varied)]
+    batches = _draw_batches(sentences, varied, kept, seed=seed)
+    after = _train(before, sentences, targets, batches, num_steps=num_steps, seed=seed)
 
     meanings = tuple(dict.fromkeys(lesson.meaning for lesson in (*lessons, *held_out)))
     answers = [meanings.index(lesson.meaning) for lesson in held_out]
-    asked = book.find(lesson.sentence for lesson in held_out)
-    keys = embeddings[book.find(meanings)]
-    understood = (embeddings[asked], _embed(params, book, asked, network))
-    right = [_count_nearest(found, keys, answers) for found in understood]
-    variables = bundle.variables | {"text_encoder": {"params": jax.device_get(params)}}
+    asked = sentences.find(lesson.sentence for lesson in held_out)
+    keys = embeddings[sentences.find(meanings)]
+    right = [_count_nearest(found, keys, answers) for found in (embeddings[asked], _embed(after, sentences, asked))]
+    variables = bundle.variables | {"text_encoder": {"params": jax.device_get(after)}}
     data = with_taught_words(bundle.training_data, lessons)
     return Taught(bundle._replace(variables=variables, training_data=data), *right)
 
 
-def _read(bundle: Bundle, network: NetworkConfig, sentences: Iterable[str]) -> _Book:
-    """Returns the sentences as the model's network reads them, each once."""
+def _read(bundle: Bundle, network: NetworkConfig, sentences: Iterable[str]) -> _Sentences:
+    """Returns the sentences as the model's network reads them."""
     texts = tuple(dict.fromkeys(sentences))
-    rows = {text: row for row, text in enumerate(texts)}
-    if not isinstance(bundle.config.text_encoder, SentenceStatesConfig):
+    numbers = {text: number for number, text in enumerate(texts)}
+    config = bundle.config.text_encoder
+    if not isinstance(config, SentenceStatesConfig):
         assert bundle.bpe is not None
         tokens = tokenize_captions(bundle.bpe, texts, max_length=network.max_length)
-        return _Book(jax.device_put(tokens), np.sum(tokens.mask, axis=1), rows)
-    encoder = SentenceStates(bundle.config.text_encoder.encoder, state_dim=bundle.config.text_encoder.network.state_dim)
-    found = {text: states[: network.max_length] for text, states in encoder.read_all(texts)}
-    lengths = np.array([len(found[text]) for text in texts], np.int32)
-    states = np.concatenate([found[text] for text in texts])
-    starts = np.cumsum(lengths, dtype=np.int32) - lengths
-    numbers = np.arange(len(texts), dtype=np.int32)
-    table = StateTable(states, starts, lengths, numbers, np.arange(network.max_length, dtype=np.int32))
-    return _Book(jax.device_put(table), lengths, rows)
+        return _Sentences(network, jax.device_put(tokens), np.sum(tokens.mask, axis=1), numbers)
+    found = dict(SentenceStates(config.encoder, state_dim=config.network.state_dim).read_all(texts))
+    stored = StoredStates(np.concatenate(list(found.values())), list(found), list(map(len, found.values())))
+    table = table_from_states(stored, texts, max_length=network.max_length)
+    lengths = np.minimum(np.asarray(table.lengths)[table.numbers], network.max_length)
+    return _Sentences(network, jax.device_put(table), lengths, numbers)
 
 
-def _embed(params: Any, book: _Book, rows: Int[np.ndarray, " B"], network: NetworkConfig) -> Float[np.ndarray, "B E"]:
+def _embed(params: Any, sentences: _Sentences, numbers: Int[np.ndarray, " B"]) -> Float[np.ndarray, "B E"]:
     """Returns the text embeddings of sentences, those with few tokens first."""
-    order = np.argsort(book.lengths[rows], kind="stable")
-    embeddings = np.zeros((len(rows), network.text_dim), np.float32)
-    for first in range(0, len(rows), EMBEDDED_AT_ONCE):
+    order = np.argsort(sentences.lengths[numbers], kind="stable")
+    embeddings = np.zeros((len(numbers), sentences.network.text_dim), np.float32)
+    for first in range(0, len(numbers), EMBEDDED_AT_ONCE):
         places = order[first : first + EMBEDDED_AT_ONCE]
         # The last ones are filled up, because programs are compiled for their shape.
-        batch = np.resize(rows[places], EMBEDDED_AT_ONCE)
-        size = _size(int(book.lengths[batch].max()), network)
-        found = embed_rows(params, book.captions, batch, network=network, size=size)
+        batch = np.resize(numbers[places], EMBEDDED_AT_ONCE)
+        size = sentences.size(int(sentences.lengths[batch].max()))
+        found = embed_sentences(params, sentences.captions, batch, network=sentences.network, size=size)
         embeddings[places] = found[: len(places)]
     return embeddings
 
 
-def _size(length: int, network: NetworkConfig) -> int:
-    """Returns how many tokens are read of sentences of at most `length`."""
-    return next((size for size in SHORT if length <= size < network.max_length), network.max_length)
-
-
 def _draw_batches(
-    book: _Book, lessons: Sequence[Lesson], kept: Iterable[str], *, seed: int
+    sentences: _Sentences, lessons: Sequence[Lesson], kept: Iterable[str], *, seed: int
 ) -> Iterator[Int[np.ndarray, " B"]]:
     """Yields the sentences of each batch: lessons of about the same length, and as many captions that are not longer.
 
@@ -216,33 +211,39 @@ def _draw_batches(
     generator = np.random.default_rng(seed)
     counts = Counter(lesson.meaning for lesson in lessons)
     shares = np.array([counts[lesson.meaning] ** -0.5 for lesson in lessons])
-    taught = book.find(lesson.sentence for lesson in lessons)
-    kept_rows = book.find(kept)
-    groups = np.searchsorted(SHORT, book.lengths[taught])
+    taught = sentences.find(lesson.sentence for lesson in lessons)
+    stay = sentences.find(kept)
+    sizes = np.array([sentences.size(length) for length in sentences.lengths[taught].tolist()])
     num_kept = BATCH_SIZE // 2
     while True:
-        group = groups[generator.choice(len(taught), p=shares / shares.sum())]
-        fitting = shares * (groups == group)
+        size = sizes[generator.choice(len(taught), p=shares / shares.sum())]
+        fitting = shares * (sizes == size)
         drawn = generator.choice(taught, BATCH_SIZE - num_kept, p=fitting / fitting.sum())
-        short = kept_rows[book.lengths[kept_rows] <= book.lengths[drawn].max()]
-        yield np.concatenate([drawn, generator.choice(short, num_kept)] if len(short) else [drawn, drawn])
+        short = stay[sentences.lengths[stay] <= sentences.lengths[drawn].max()]
+        yield np.concatenate([drawn, generator.choice(short, num_kept)]) if len(short) else drawn
 
 
 def _train(
     params: Any,
-    book: _Book,
+    sentences: _Sentences,
     targets: Float[np.ndarray, "M E"],
-    batches: Iterable[Int[np.ndarray, " B"]],
+    batches: Iterator[Int[np.ndarray, " B"]],
     *,
-    config: TeachingConfig,
+    num_steps: int,
     seed: int,
 ) -> Any:
-    """Returns the parameters after an update for each batch."""
+    """Returns the parameters after `num_steps` updates."""
+    # Few updates hardly overfit, and drawing the masks of dropout would take a third of the time on a CPU.
+    network = dataclasses.replace(sentences.network, dropout=0.0)
+    config = TeachingConfig(network=network, optimizer=_optimizer(num_steps))
     state = first_state(params, config.optimizer)
-    for step, rows in enumerate(tqdm(list(batches), desc="teaching", unit="update", disable=None)):
+    for step in tqdm(range(num_steps), desc="teaching", unit="update", disable=None):
+        numbers = next(batches)
         key = jax.random.fold_in(stream_key(seed, "dropout"), step)
-        size = _size(int(book.lengths[rows].max()), config.network)
-        state, _ = teach_step(state, book.captions, rows, targets[rows], key, config=config, size=size)
+        size = sentences.size(int(sentences.lengths[numbers].max()))
+        state, _ = teach_step(state, sentences.captions, numbers, targets[numbers], key, config=config, size=size)
+    if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(state.params)):
+        raise UserError("its text network did not stay finite, so nothing was taught; are its weights damaged?")
     return state.params
 
 

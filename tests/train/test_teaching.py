@@ -26,6 +26,7 @@ from t2m_jax.train.lessons import (
     known_meanings,
     load_lessons,
     vary_lessons,
+    with_taught_words,
 )
 from t2m_jax.train.teaching import teach
 from tests.sentence_golden import BERT
@@ -43,6 +44,7 @@ a person waves with the left hand:
   - wave L
 a person walks forward:
   - off she goes
+  - left foot, right foot
 """
 
 
@@ -61,6 +63,7 @@ def test_a_side_is_a_lesson_for_both_sides(tmp_path):
         Lesson("right-handed hello", right, right),
         Lesson("wave L", WAVE, WAVE),
         Lesson("off she goes", WALK, WALK),
+        Lesson("left foot, right foot", WALK, WALK),
     )
 
 
@@ -78,7 +81,7 @@ def test_every_tenth_sentence_of_a_meaning_is_held_out(tmp_path):
         ("", "has no sentences"),
         ("a person waves: hello", "expected a sentence with a list"),
         ("3: [hello]", "expected a sentence with a list"),
-        ("a person waves: [3]", "3 is no sentence"),
+        ("a person waves: [3]", "3 is not a sentence"),
         ("a person waves: ['?!']", "has no words"),
         ("a person waves: [hello]\na person bows: [Hello]", "under 'a person waves' and under 'a person bows'"),
         ("a person waves: []", "has no sentences"),
@@ -128,6 +131,15 @@ def test_kept_captions_of_a_data_set_are_those_of_its_training_clips(tmp_path):
     assert kept and set(kept) <= training
 
 
+def test_words_that_lessons_teach():
+    record = {"words": dict.fromkeys(["a", "person", "walks"], MIN_USES), "taught": ["boing"]}
+    sentences = ("a rambler walks", "a rambler hikes", "hikes L twice north", "a person vaults")
+    lessons = [Lesson(sentence, WALK, WALK) for sentence in sentences] + [Lesson("a person vaults", WAVE, WAVE)]
+    # Not "vaults", a verb that no meaning has twice.
+    assert with_taught_words(record, lessons)["taught"] == ["boing", "hikes", "rambler"]
+    assert with_taught_words(None, lessons) is None
+
+
 def test_what_a_model_does_not_know_is_not_taught(caplog):
     record = {"words": dict.fromkeys(["a", "person", "walks", "forward"], MIN_USES), "actions": {"walk": 9}}
     knowledge = make_knowledge(record | {"num_clips": 9})
@@ -171,6 +183,20 @@ def test_a_network_over_token_states_is_taught():
     reads = SentenceStatesConfig(encoder=SentenceReference(name=f"{BERT}"), network=network)
     bundle = random_bundle(dataclasses.replace(BUNDLE, text_encoder=reads))._replace(bpe=None)
     check_taught(bundle, num_steps=600)
+
+
+def test_weights_that_do_not_stay_finite_are_refused():
+    bundle = random_bundle()
+    # All text embeddings are zero, and nothing is near to that, relative to it.
+    params = jax.tree.map(np.zeros_like, bundle.variables["text_encoder"])
+    with pytest.raises(UserError, match="did not stay finite"):
+        teach(
+            bundle._replace(variables=bundle.variables | {"text_encoder": params}),
+            LESSONS,
+            CAPTIONS,
+            num_steps=2,
+            seed=0,
+        )
 
 
 def test_an_encoder_of_others_is_not_taught():

@@ -442,7 +442,7 @@ def state_table() -> StateTable:
     return jax.tree.map(jnp.asarray, StateTable(states, starts, lengths, np.arange(3), np.arange(8)))
 
 
-@case("train.teaching.embed_rows")
+@case("train.teaching.embed_sentences")
 def _() -> Case:
     params = init_network(STATE_ENCODER, jax.random.key(0))["params"]
     return Case((params, state_table(), jnp.array([2, 0])), {"network": STATE_ENCODER, "size": 4})
