@@ -4,10 +4,12 @@ Each line of the input is a JSON list: `sh` or `python`, and the code. The answe
 code prints goes to the standard error. The process runs where only the package is installed, so it imports no tests.
 """
 
+import contextlib
 import gc
 import json
 import os
 import shlex
+import subprocess
 import sys
 import traceback
 
@@ -29,6 +31,20 @@ def run(language: str, code: str) -> int:
         traceback.print_exc()
         return 1
     return 0
+
+
+@contextlib.contextmanager
+def shared_process(python, folder, environment, log):
+    """Gives the body a function that runs code in a process for all, and returns the exit code as a text."""
+    options = {"cwd": folder, "env": environment, "stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": log}
+    with subprocess.Popen([python, "-P", __file__], text=True, **options) as process:
+
+        def run(language, code):
+            process.stdin.write(json.dumps([language, code]) + "\n")
+            process.stdin.flush()
+            return process.stdout.readline().strip()
+
+        yield run
 
 
 if __name__ == "__main__":

@@ -1,7 +1,5 @@
 """The package as users get it: a wheel in a new environment, in which the commands of the pages run as written."""
 
-import contextlib
-import json
 import os
 import re
 import shutil
@@ -20,9 +18,9 @@ from tests.conftest import REPOSITORY
 from tests.documents import PAGES, code_blocks, commands, name_of
 from tests.motion.character_files import write_character
 from tests.motion.rig.test_retarget import BANDAI
+from tests.one_process import shared_process
 from tests.sentence_golden import wide_encoder
 
-RUNNER = REPOSITORY / "tests" / "one_process.py"
 TRAINING = "--loop.num_steps 2 --loop.batch_size 4 --loop.validate_every 0"
 # Parts of commands with options that make them short. Options of all parts are added.
 SHORTENED = {
@@ -96,20 +94,6 @@ def need_process(found):
         kinds.setdefault(re.search(r"t2m (train|[a-z]+( [a-z]+(?= |$))?)", code)[1], code)
     rest = {code for code in shell if "evaluate generation" in code or code[:4] != "t2m " or SHELL & set(code)}
     return {*commands(FIRST_COMMANDS), *kinds.values()} | rest
-
-
-@contextlib.contextmanager
-def shared_process(python, folder, environment, log):
-    """Gives the body a function that runs code in a process for all, and returns the exit code as a text."""
-    options = {"cwd": folder, "env": environment, "stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": log}
-    with subprocess.Popen([python, "-P", RUNNER], text=True, **options) as process:
-
-        def run(language, code):
-            process.stdin.write(json.dumps([language, code]) + "\n")
-            process.stdin.flush()
-            return process.stdout.readline().strip()
-
-        yield run
 
 
 @pytest.fixture(scope="module")
@@ -250,7 +234,7 @@ def what_git_ignores(folder, names):
     return {name for name in names if name in top or name == "__pycache__" or re.match(r"\.(venv|\w+_cache)", name)}
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.skipif(os.name == "nt", reason="the Makefile needs a shell of Unix")
 def test_the_first_commands_run_in_a_fresh_clone(tmp_path):
     clone = tmp_path / "clone"

@@ -135,6 +135,7 @@ def losses(run):
         return [float(row["loss"]) for row in csv.DictReader(file)]
 
 
+@pytest.mark.release
 def test_a_run_that_is_killed_on_eight_devices_goes_on_with_two_and_one(folder):
     finish(start("die", folder, devices=8, at=11), status=9)
     assert len(losses(folder / "run")) == 11

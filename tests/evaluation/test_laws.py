@@ -147,6 +147,7 @@ def test_statistics_that_are_far_off_are_refused(task, dataset, factor, shift):
         make_task(dataset, other.evaluator, PROTOCOL, split="train", seed=0, unit=4)
 
 
+@pytest.mark.release
 def test_statistics_that_are_a_little_off_change_motion_and_not_text(task, model, dataset, before):
     other = with_statistics(task, rescaled(dataset.normalizer, 1.2, 0.1))
     make_task(dataset, other.evaluator, PROTOCOL, split="train", seed=0, unit=4)
@@ -159,6 +160,7 @@ def test_statistics_that_are_a_little_off_change_motion_and_not_text(task, model
     assert np.all(np.any(motion != motion_after, axis=1))
 
 
+@pytest.mark.release
 def test_another_unit_of_the_features_changes_no_embedding(task, before):
     """Features, statistics of model and evaluator, all twice as large: a power of two, so nothing is rounded."""
     clips = [clip._replace(features=2 * clip.features) for clip in task.samples.clips]
@@ -202,6 +204,7 @@ def test_a_protocol_is_told_from_another_by_what_it_changes(task, model, before)
     assert changed(before["generated"], after["generated"]) >= {"fid", "diversity", "matching_score"}
 
 
+@pytest.mark.release
 def test_labels_change_what_reads_labels(task, model, before):
     alike = task._replace(samples=task.samples._replace(labels=np.zeros(32, np.int32)))
     after = figures(alike, model)

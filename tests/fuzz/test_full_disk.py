@@ -10,7 +10,8 @@ from tests.fuzz.processes import prepare
 pytestmark = pytest.mark.slow
 COMMANDS = {" ".join(command.arguments[:2]) + f" {command.result}": command for command in all_commands()}
 # Trainings take a minute each; what they write is written by the others, too.
-NAMES = [pytest.param(name, marks=[pytest.mark.release] if name.startswith("train") else []) for name in COMMANDS]
+LONG = {name for name in COMMANDS if name.startswith("train") or name.endswith(".bvh")}
+NAMES = [pytest.param(name, marks=[pytest.mark.release] if name in LONG else []) for name in COMMANDS]
 
 
 @pytest.fixture(scope="module")

@@ -9,3 +9,12 @@ from tests import tiny
 @pytest.fixture(scope="module", params=["gpt", pytest.param("hifigpt", marks=pytest.mark.slow)])
 def model(request):
     return TextToMotion(tiny.random_bundle(tiny.BUNDLES[request.param]))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Leaves slow tests with T2M-GPT to `make test-release`: fast tests show this system, and slow ones T2M-HiFiGPT."""
+    for item in items:
+        parameters = item.callspec.params if hasattr(item, "callspec") else {}
+        if item.path.parent.name == "sampling" and parameters.get("model") == "gpt" and item.get_closest_marker("slow"):
+            item.add_marker(pytest.mark.release)

@@ -192,7 +192,8 @@ def test_a_tokenizer_without_latents_is_refused(model, monkeypatch):
         model.direct(CAPTION, ["0.2 root=0,0"])
 
 
-@pytest.mark.parametrize("name", ["demo", pytest.param("demo-t2m-gpt", marks=pytest.mark.release)])
+@pytest.mark.release
+@pytest.mark.parametrize("name", ["demo", "demo-t2m-gpt"])
 def test_packaged_models_meet_reachable_targets(name):
     """Places that another sample of the sentence has."""
     model = load(name)

@@ -20,7 +20,7 @@ from tests.serving.test_page import (  # noqa: F401 - fixtures
 )
 from tests.serving.test_stranger import BOW, replace_second
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.release
 TURN = "a person turns around"
 ROW = 8
 """Frames of a row of codes of the demo model."""

@@ -160,6 +160,7 @@ def test_each_recipe_trains_both_stages_at_reduced_size(recipe, data, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_the_recipe_of_hifigpt_trains_both_stages_at_reduced_size(data, tmp_path):
     """With CLIP, which no other test of this system has."""
     places, faster = {"data": data, "loop": LONG}, {"learning_rate": 2e-3}
