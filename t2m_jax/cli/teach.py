@@ -40,12 +40,14 @@ def run(args: argparse.Namespace) -> None:
     from t2m_jax.files.writing import check_new
     from t2m_jax.sampling.pipeline import TextToMotion
     from t2m_jax.train.lessons import kept_captions, known_meanings, load_lessons
-    from t2m_jax.train.teaching import teach
+    from t2m_jax.train.teaching import teach, teachable_network
 
     check_new(args.destination)
     check_seed(args.seed)
     lessons, held_out = load_lessons(args.sentences)
     bundle = load_model(args.model)
+    with naming(args.model):
+        teachable_network(bundle)  # before an encoder such as CLIP is loaded
     own_card = default_card(Path(args.model)) if is_run(Path(args.model)) else bundle.card
     card = own_card if args.card is None else load_text(args.card)
     with naming(args.sentences):

@@ -126,6 +126,18 @@ def teach_step(
     return descend(state, measure, config.optimizer)
 
 
+def teachable_network(bundle: Bundle) -> NetworkConfig:
+    """Returns the sizes of a model's network that reads captions.
+
+    Raises:
+        UserError: The model has none, as with CLIP.
+    """
+    network = trained_network(bundle.config.text_encoder)
+    if network is None:
+        raise UserError("its text encoder was trained by others and stays as it is, so it cannot be taught")
+    return network
+
+
 def teach(
     bundle: Bundle,
     lessons: Sequence[Lesson],
@@ -148,9 +160,7 @@ def teach(
     Raises:
         UserError: The model has no network that reads captions, as with CLIP, or its weights did not stay finite.
     """
-    network = trained_network(bundle.config.text_encoder)
-    if network is None:
-        raise UserError("its text encoder was trained by others and stays as it is, so it cannot be taught")
+    network = teachable_network(bundle)
     varied = tuple(vary_lessons(lessons, random.Random(f"lessons {seed}")))
     sentences = _read(bundle, network, [text for lesson in (*varied, *held_out) for text in lesson] + list(kept))
     before = jax.device_put(bundle.variables["text_encoder"]["params"])

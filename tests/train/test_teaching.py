@@ -199,13 +199,17 @@ def test_weights_that_do_not_stay_finite_are_refused():
         )
 
 
-def test_an_encoder_of_others_is_not_taught():
-    clip = BundleConfig(
-        tokenizer=BUNDLE.tokenizer, generator=BUNDLE.generator, text_encoder=SentenceReference(name="minilm")
-    )
-    bundle = random_bundle()._replace(config=clip)
+def test_an_encoder_of_others_is_neither_taught_nor_loaded(tmp_path, capsys):
+    """There is no encoder of this name, so to load it would fail with another message."""
+    reference = SentenceReference(name="nowhere")
+    config = BundleConfig(tokenizer=BUNDLE.tokenizer, generator=BUNDLE.generator, text_encoder=reference)
+    variables = {role: tree for role, tree in random_bundle().variables.items() if role != "text_encoder"}
+    bundle = random_bundle()._replace(config=config, bpe=None, variables=variables)
     with pytest.raises(UserError, match="cannot be taught"):
         teach(bundle, LESSONS, CAPTIONS, num_steps=1, seed=0)
+    save_bundle(tmp_path / "model", bundle, card="")
+    assert main(["teach", f"{tmp_path / 'model'}", f"{write(tmp_path, FILE)}", f"{tmp_path / 'new'}"]) == 2
+    assert "model: its text encoder was trained by others" in capsys.readouterr().err
 
 
 def test_the_command_writes_a_model_that_generates(tmp_path, capsys):
