@@ -3,7 +3,8 @@
     python docs/measure/claims.py reports
 
 Prints Markdown: a table of tokenizers, a table of generators, and the differences of docs/results.md. All intervals are
-95 % by Student's t over trainings; a difference has that of Welch's test. Names without a report are left out.
+95 % by Student's t over trainings; a difference has that of Welch's test, or of the paired test if both are measured of
+the same trainings. Names without a report are left out.
 """
 
 import argparse
@@ -42,6 +43,8 @@ DIFFERENCES = (
     *(("hifigpt-rows", f"hifigpt-data-{share}") for share in (0.25, 0.5)),
 )
 """What is compared with what: the claims of the two papers."""
+SAME_TRAININGS = ("hifigpt-guidance-", "hifigpt-stop-")
+"""Names that begin so are measured of the trainings of `hifigpt-rows`, with other options."""
 COMPARED = ("r_precision_1", "fid", "mpjpe_mm", FOLLOWING_COLUMN)
 """By which figures."""
 
@@ -79,9 +82,10 @@ def line_of(name: str, figures: Figures) -> TableLine:
     return TableLine(name, "generated", SEEDS, cells)
 
 
-def difference(left: list[float], right: list[float]) -> str:
+def difference(left: list[float], right: list[float], *, is_paired: bool) -> str:
     """Returns the difference of two means with its interval, and whether it can be told from none."""
-    interval = stats.ttest_ind(left, right, equal_var=False).confidence_interval()
+    test = stats.ttest_rel(left, right) if is_paired else stats.ttest_ind(left, right, equal_var=False)
+    interval = test.confidence_interval()
     middle = (interval.low + interval.high) / 2
     says = "more" if interval.low > 0 else "less" if interval.high < 0 else "cannot be said"
     return f"{middle:+.3f} ± {(interval.high - interval.low) / 2:.3f} | {says}"
@@ -101,7 +105,8 @@ def main() -> None:
     for left, right in DIFFERENCES:
         for metric in COMPARED:
             if metric in found.get(left, {}) and metric in found.get(right, {}):
-                told = difference(found[left][metric], found[right][metric])
+                is_paired = right.startswith(SAME_TRAININGS)
+                told = difference(found[left][metric], found[right][metric], is_paired=is_paired)
                 sys.stdout.write(f"| {left} | {right} | {metric} | {told} |\n")
 
 
