@@ -114,7 +114,7 @@ def test_a_killed_training_ends_as_one_that_was_not_killed(training, tmp_path):
     def finished():
         return any(name.isdigit() and int(name) > reached + 2 for name in names(run) - before)
 
-    for moment in (partial, finished):
+    for moment in (finished, partial):
         before = names(run)
         process = start(training, *(["--resume"] if is_run(run) else []))
         wait_for(process, moment)
