@@ -2,6 +2,7 @@
 
 Each line of the input is a JSON list: `sh` or `python`, and the code. The answer is a line with the exit code. What the
 code prints goes to the standard error. The process runs where only the package is installed, so it imports no tests.
+Tests start it with `shared_process`.
 """
 
 import contextlib

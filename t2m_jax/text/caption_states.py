@@ -96,9 +96,8 @@ def open_state_table(
     Raises:
         UserError: The states cannot be written anywhere.
     """
-    return table_from_states(
-        _find_or_make(places, encoder, sorted(set(captions)), read), captions, max_length=max_length
-    )
+    stored = _find_or_make(places, encoder, sorted(set(captions)), read)
+    return table_from_states(stored, captions, max_length=max_length)
 
 
 def table_from_states(stored: StoredStates, captions: Sequence[str], *, max_length: int) -> StateTable:

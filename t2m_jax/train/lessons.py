@@ -77,7 +77,7 @@ def _lessons_of(meaning: Any, sentences: Any) -> list[Lesson]:
     """Returns the lessons of one entry of a file.
 
     Raises:
-        UserError: It is no sentence with a list of others.
+        UserError: It is not a sentence with a list of others.
     """
     if not isinstance(meaning, str) or not isinstance(sentences, list):
         raise UserError(f"{meaning!r}: expected a sentence with a list of others, such as `a person waves: [say hi]`")

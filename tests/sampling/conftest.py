@@ -13,7 +13,7 @@ def model(request):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Leaves slow tests with T2M-GPT to `make test-release`: fast tests show this system, and slow ones T2M-HiFiGPT."""
+    """Leaves slow tests with T2M-GPT to `make test-release`: they run with T2M-HiFiGPT, and tests/cli has journeys."""
     for item in items:
         parameters = item.callspec.params if hasattr(item, "callspec") else {}
         if item.path.parent.name == "sampling" and parameters.get("model") == "gpt" and item.get_closest_marker("slow"):

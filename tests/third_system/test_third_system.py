@@ -41,12 +41,9 @@ def t2m(folder):
     path = os.pathsep.join([f"{DISTRIBUTION}", f"{DISTRIBUTION.parents[2]}", os.environ.get("PYTHONPATH", "")])
     environment = os.environ | {"PYTHONPATH": path, "JAX_COMPILATION_CACHE_DIR": os.environ[PROGRAMS]}
     printed = folder / "printed.txt"
-    with (
-        printed.open("wb") as log,
-        shared_process(sys.executable, folder, environment, log) as run,
-    ):
+    with printed.open("wb") as log, shared_process(sys.executable, folder, environment, log) as run:
 
-        def t2m(*arguments, **fields):
+        def run_command(*arguments, **fields):
             options = [text for name, value in fields.items() for text in (f"--{name}", f"{value}")]
             before = printed.stat().st_size
             status = run("sh", shlex.join(["t2m", *map(str, arguments), *options]))
@@ -54,7 +51,7 @@ def t2m(folder):
             assert status == "0", said
             return said
 
-        yield t2m
+        yield run_command
 
 
 @pytest.mark.slow
@@ -64,16 +61,7 @@ def test_train_bundle_load_generate_evaluate(folder, t2m):
     (folder / "bigram.yaml").write_text(yaml.safe_dump(sizes))
     evaluation = {"evaluation.evaluator": "evaluator", "evaluation.every": 3, "evaluation.metric": "r_precision_1"}
     t2m("train", "lookup", "lookup.yaml", data="data", run="lookup", **LOOP, **evaluation)
-    t2m(
-        "train",
-        "bigram",
-        "bigram.yaml",
-        data="data",
-        vqvae="lookup",
-        run="bigram",
-        **LOOP,
-        **evaluation,
-    )
+    t2m("train", "bigram", "bigram.yaml", data="data", vqvae="lookup", run="bigram", **LOOP, **evaluation)
     assert (folder / "bigram" / "pictures" / "6.png").is_file()
     t2m("bundle", "bigram", "lookup", "model")
     assert "kind: bigram" in (folder / "model" / "bundle.yaml").read_text()

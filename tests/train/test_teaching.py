@@ -200,7 +200,7 @@ def test_weights_that_do_not_stay_finite_are_refused():
 
 
 def test_an_encoder_of_others_is_neither_taught_nor_loaded(tmp_path, capsys):
-    """There is no encoder of this name, so to load it would fail with another message."""
+    """No encoder has this name, so loading it would fail with another message."""
     reference = SentenceReference(name="nowhere")
     config = BundleConfig(tokenizer=BUNDLE.tokenizer, generator=BUNDLE.generator, text_encoder=reference)
     variables = {role: tree for role, tree in random_bundle().variables.items() if role != "text_encoder"}
