@@ -44,17 +44,32 @@ def load_yaml(path: str | Path, *, max_bytes: int = MAX_FILE_BYTES) -> YamlFile:
     if path.stat().st_size > max_bytes:
         raise UserError(f"{path}: is larger than {max_bytes // 1000} kB; give a config file")
     try:
-        loader = _Loader(path.read_text(encoding="utf-8"))
-        root = loader.get_single_node()
-        return YamlFile({} if root is None else loader.construct_document(root), _key_lines(root, ()))
+        text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise UserError(f"{path}: not a text file in UTF-8 (byte {error.start})") from error
+    return parse_yaml(text, source=str(path))
+
+
+def parse_yaml(text: str, *, source: str) -> YamlFile:
+    """Returns the contents of `field: value` lines.
+
+    Args:
+        text: The lines; who calls this bounds their size.
+        source: What messages name.
+
+    Raises:
+        UserError: This is not YAML, or it uses a feature of YAML that is not needed here.
+    """
+    try:
+        loader = _Loader(text)
+        root = loader.get_single_node()
+        return YamlFile({} if root is None else loader.construct_document(root), _key_lines(root, ()))
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        where = f"{path}:{mark.line + 1}" if mark else f"{path}"
+        where = f"{source}:{mark.line + 1}" if mark else source
         raise UserError(f"{where}: cannot read this YAML: {error.problem or error.context}") from error
     except (yaml.YAMLError, ValueError) as error:  # numbers such as 0b_ or of 5000 digits raise ValueError
-        raise UserError(f"{path}: cannot read this YAML: {' '.join(str(error).split())}") from error
+        raise UserError(f"{source}: cannot read this YAML: {' '.join(str(error).split())}") from error
 
 
 def yaml_text(data: dict[str, Any]) -> str:

@@ -1,10 +1,9 @@
 """A bundle: one folder that contains a complete text-to-motion model and can be shared."""
 
+import contextlib
 import dataclasses
 import functools
 import importlib.resources
-import itertools
-import re
 import reprlib
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -36,6 +35,7 @@ from t2m_jax.models.system import find_generator_config, find_tokenizer_config, 
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
 from t2m_jax.motion.skeleton import skeleton_from_name
 from t2m_jax.text.bpe import TOKENIZER_FILE, load_bpe, save_bpe
+from t2m_jax.yaml_file import MAX_FILE_BYTES, parse_yaml
 
 CONFIG_FILE = "bundle.yaml"
 WEIGHTS_FILE = "weights.safetensors"
@@ -128,21 +128,25 @@ def bundle_path(name_or_path: str | Path) -> Path:
 
 def card_license(card: str) -> str:
     """Returns the license in the metadata of a card, as on the Hugging Face hub; `NO_LICENSE` if it has none."""
-    found = re.search(r"^license: *[\"']?([\w.-]+)[\"']? *$", _card_metadata(card), re.MULTILINE)
-    return found[1] if found else NO_LICENSE
+    found = _card_metadata(card).get("license")
+    return found if isinstance(found, str) else NO_LICENSE
 
 
 def card_examples(card: str) -> tuple[str, ...]:
     """Returns the sentences under `widget` in the metadata of a card, as on the Hugging Face hub."""
-    _, _, widget = f"\n{_card_metadata(card)}".partition("\nwidget:\n")
-    items = itertools.takewhile(lambda line: line.lstrip().startswith("- text:"), widget.splitlines())
-    return tuple(item.partition("text:")[2].strip().strip("\"'") for item in items)
+    items = _card_metadata(card).get("widget")
+    texts = [item.get("text") for item in items if isinstance(item, dict)] if isinstance(items, list) else []
+    return tuple(text for text in texts if isinstance(text, str))
 
 
-def _card_metadata(card: str) -> str:
-    """Returns what is between the first two lines `---` of a card, empty if it does not begin with one."""
+def _card_metadata(card: str) -> dict[Any, Any]:
+    """Returns the YAML between the first two lines `---` of a card, empty if there is none that can be read."""
     start, _, rest = card.partition("---\n")
-    return "" if start else rest.partition("\n---\n")[0]
+    text = "" if start else rest.partition("\n---\n")[0]
+    # A card may come from the hub. Whatever is wrong with it, the model can be used.
+    with contextlib.suppress(UserError):
+        return parse_yaml(text[:MAX_FILE_BYTES], source=CARD_FILE).data
+    return {}
 
 
 def load_bundle_config(folder: Path) -> BundleConfig:

@@ -52,8 +52,7 @@ class SplitCounts:
     longest: int
     """Frames of its longest clip."""
     out_of_range: int
-    """Clips shorter than the data set's `min_frames` (training skips them) or longer than its `max_frames` (training
-    cuts them)."""
+    """Clips that are too short or too long to be learned whole (see `DatasetInfo.fits`)."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -254,7 +253,7 @@ def _count_clips(clips: Mapping[str, AuditedClip], info: DatasetInfo) -> SplitCo
         captions=sum(len(clip.captions) for clip in clips.values()),
         shortest=min(frames, default=0),
         longest=max(frames, default=0),
-        out_of_range=sum(not info.min_frames <= length <= info.max_frames for length in frames),
+        out_of_range=sum(not info.fits(length) for length in frames),
     )
 
 

@@ -41,7 +41,8 @@ class DatasetInfo:
     min_frames: int = 1
     """Shorter clips are not used for training."""
     max_frames: int = 196
-    """Longest motion that a model of this data should see. Longer clips are stored whole and cut during training."""
+    """Longest motion that a model of this data should see. Longer clips are stored whole: tokenizers learn windows of
+    them, and generators leave them out, with captions of their parts, unless `long_clips` is `windows`."""
     licence: str = ""
     """License of the motion."""
     source: str = ""

@@ -3,12 +3,15 @@
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from t2m_jax.data.files import FEATURES, MIRROR_PREFIX, POSITIONS, SPLITS, TEXTS
 from t2m_jax.data.folder import Dataset, DatasetInfo, open_dataset
 from t2m_jax.data.index import ClipIndex, IndexEntry, load_index, save_index
 from t2m_jax.data.writer import ImportReport, finish_folder, new_folder
 from t2m_jax.errors import UserError
 from t2m_jax.files.reading import load_array, reading
+from t2m_jax.motion.features import positions_from_features
 
 
 def merge_datasets(sources: Sequence[str | Path], destination: str | Path) -> ImportReport:
@@ -46,12 +49,17 @@ def merge_datasets(sources: Sequence[str | Path], destination: str | Path) -> Im
 
 
 def copy_clip(name: str, dataset: Dataset, folder: Path) -> int:
-    """Copies the files of a clip and returns its number of frames."""
-    for part in (f"{FEATURES}/{name}.npy", f"{POSITIONS}/{name}.npy", f"{TEXTS}/{name}.txt"):
+    """Copies the files of a clip, with positions that follow from its features if it has none; returns its frames."""
+    positions = f"{POSITIONS}/{name}.npy"
+    has_positions = (dataset.folder / positions).exists()
+    for part in (f"{FEATURES}/{name}.npy", f"{TEXTS}/{name}.txt", *([positions] if has_positions else [])):
         with reading(dataset.folder / part):
             contents = (dataset.folder / part).read_bytes()
         (folder / part).write_bytes(contents)
-    return len(load_array(folder / FEATURES / f"{name}.npy", mmap=True))
+    features = load_array(folder / FEATURES / f"{name}.npy", mmap=True)
+    if not has_positions:
+        np.save(folder / positions, positions_from_features(features, dataset.skeleton))
+    return len(features)
 
 
 def _merged_info(datasets: Sequence[Dataset]) -> DatasetInfo:

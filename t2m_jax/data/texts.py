@@ -11,7 +11,7 @@ from t2m_jax.files.writing import save_text
 
 
 class Caption(NamedTuple):
-    """One sentence about a clip, or about the part from `start` to `end` (seconds) if `end` is after `start`."""
+    """One sentence about a clip, or about the part from `start` to `end` (seconds) if one of them is not zero."""
 
     text: str
     tokens: tuple[str, ...] = ()

@@ -5,13 +5,13 @@ A model that learns new motion alone forgets what it knew. If it also learns wha
 """
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from t2m_jax.data.folder import DatasetInfo
-from t2m_jax.data.texts import Caption
+from t2m_jax.data.texts import Caption, format_caption
 from t2m_jax.data.writer import ImportReport, check_count, finish_folder, new_folder, write_clip
 from t2m_jax.errors import UserError
 from t2m_jax.motion.features import features_from_positions
@@ -36,12 +36,15 @@ def write_replay(
         seed: Draws the sentences, and motion.
 
     Raises:
-        UserError: There are no sentences, the number is not from 1 to `MAX_NEW_CLIPS`, or the destination exists.
+        UserError: There are no sentences, one has a `#`, the number is not from 1 to `MAX_NEW_CLIPS`, or the
+            destination exists.
     """
     known = list(dict.fromkeys(sentences or (model.training_data or {}).get("captions", ())))
     if not known:
         raise UserError("the model has no record of its captions; give sentences (`--sentences FILE`)")
     check_count("num-clips", num_clips, least=1)
+    for sentence in known:  # before hours of sampling
+        format_caption(Caption(sentence))
     known = [known[place] for place in np.random.default_rng(seed).permutation(len(known))]
     info = DatasetInfo(
         name="replay", skeleton=model.skeleton.name, fps=model.skeleton.fps, licence=model.license, source=model.source
@@ -63,13 +66,14 @@ def write_replay(
     return ImportReport(len(splits["train"]), num_frames, sizes, left_out, ())
 
 
-def _generate(model: TextToMotion, sentences: Sequence[str], num_clips: int, *, seed: int) -> list[Motion]:
-    """Returns motions of the sentences, and then of the same sentences with the next seed, until there are enough."""
-    motions: list[Motion] = []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PromptWarning)  # its own captions have rare words, too
-        while len(motions) < num_clips:
-            repeat, first = divmod(len(motions), len(sentences))
-            asked = sentences[first : first + min(BATCH, num_clips - len(motions))]
-            motions += model.generate(asked, seed=seed + repeat)
-    return motions
+def _generate(model: TextToMotion, sentences: Sequence[str], num_clips: int, *, seed: int) -> Iterator[Motion]:
+    """Yields motions of the sentences, and then of the same sentences with the next seed, until there are enough."""
+    done = 0
+    while done < num_clips:
+        repeat, first = divmod(done, len(sentences))
+        asked = sentences[first : first + min(BATCH, num_clips - done)]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PromptWarning)  # its own captions have rare words, too
+            motions = model.generate(asked, seed=seed + repeat)
+        done += len(motions)
+        yield from motions

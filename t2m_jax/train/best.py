@@ -21,7 +21,7 @@ def is_better(metric: str, value: float, than: float) -> bool:
 class BestWeights:
     """Keeps the weights with the best value of one metric, which are then loaded from the run.
 
-    A resumed run repeats some measurements with the same values. They are not better, so the weights do not change.
+    A resumed run repeats some measurements, which do not change the weights.
     """
 
     def __init__(self, run: Path, *, metric: str = "loss", sampling: str | None = None, evaluator: str | None = None):
@@ -46,6 +46,8 @@ class BestWeights:
 
     def consider(self, step: int, figures: Mapping[str, float], fields: Mapping[str, Any]) -> None:
         """Keeps the weights (fields of a training state) if they are the best so far."""
+        if self.best is not None and step == self.best.step:
+            return  # measured again by a resumed run; a GPU may round the figure otherwise
         value = figures[self._metric]
         if math.isfinite(value) and (self.best is None or is_better(self._metric, value, self.best.value)):
             self.best = Best(

@@ -224,6 +224,9 @@ def test_training_data_that_are_damaged_are_refused(copy, content):
         ("---\ntags:\n- motion\nlicense: mit\nlanguage: en\n---\n", "mit"),
         ("# mine\n---\nlicense: mit\n---\n", "unknown"),
         ("---\ntags: []\n---\nlicense: mit\n---\n", "unknown"),
+        ("---\nlicense: cc-by-4.0  # of the data\n---\n", "cc-by-4.0"),
+        ("---\nlicense: [mit, gpl]\n---\n", "unknown"),
+        ("---\nlicense: mit\nlicense: gpl\n---\n", "unknown"),
         ("", "unknown"),
         ("---\n" + "a\n" * 100_000, "unknown"),
     ],
@@ -239,7 +242,7 @@ def test_examples_are_those_of_the_card_or_captions(copy):
     assert bundle._replace(training_data=None).examples == ()
     bundle = bundle._replace(training_data={"captions": captions}, card="# mine\n---\nwidget:\n- text: he walks\n---\n")
     assert bundle.examples == captions[:5]
-    metadata = 'license: mit\nwidget:\n- text: he walks\n  - text: "she: waves"\ntags: []'
+    metadata = 'license: mit\nwidget:\n- text: he walks\n- example_title: b\n  text: "she: waves"\n- 1\ntags: []'
     assert bundle._replace(card=f"---\n{metadata}\n---\n").examples == ("he walks", "she: waves")
 
 

@@ -87,6 +87,45 @@ def test_a_rest_pose_in_front_is_dropped(tmp_path, away):
     assert np.linalg.norm(np.diff(joints, axis=0), axis=-1).max() < 0.2
 
 
+def test_times_of_captions_follow_when_a_rest_pose_is_dropped(tmp_path):
+    """30 of 75 frames, a second, are a T-pose, out of which the figure jumps with its arms down."""
+    source = write_clips(tmp_path / "source", [])
+    lines = write_bvh(source / "a.bvh", num_frames=75).read_text().split("\n")
+    joints = [line.split()[1] for line in lines if line.strip().startswith(("ROOT", "JOINT"))]
+    first = lines.index("Frame Time:\t0.0333333") + 1
+    lines[first : first + 30] = [lines[first]] * 30
+    for number in range(first + 30, first + 75):
+        cells = lines[number].split()
+        for joint, angle in (("UpperArm_L", "-70"), ("UpperArm_R", "70")):
+            cells[6 * joints.index(joint) + 3] = angle
+        lines[number] = " ".join(cells)
+    (source / "a.bvh").write_text("\n".join(lines))
+    rows = "a,he stands,0.2,0.9\na,he walks,1.5,2\na,he goes on,2,\na,he glides,,\na,he is gone,7,9\n"
+    (source / "captions.csv").write_text("file,caption,start,end\n" + rows)
+    report = import_bvh_folder(source, tmp_path / "data")
+    found = {caption.text: (caption.start, caption.end) for caption in open_dataset(tmp_path / "data").captions("a")}
+    assert found == {"he walks": (0.5, 1.0), "he goes on": (1.0, 1.5), "he glides": (0.0, 0.0)}
+    assert any("a caption about what the motion does not have was left out" in note for note in report.notes)
+
+
+def test_a_clip_whose_captions_come_after_its_end_is_left_out(tmp_path):
+    """As if somebody had given frames."""
+    source = write_clips(tmp_path / "source", ["a", "b"])
+    (source / "captions.csv").write_text("file,caption,start,end\na,he walks,30,45\nb,he walks,0.5,1\n")
+    report = import_bvh_folder(source, tmp_path / "data")
+    assert "a.bvh: its captions are about none of its 1.50 s; give times in seconds" in report.left_out["a"]
+
+
+@pytest.mark.parametrize("name", ["!", "a" * 200 + "/" + "b" * 30])
+def test_a_path_that_gives_no_clip_name_is_named(tmp_path, name):
+    source = write_clips(tmp_path / "source", ["good", name])
+    with pytest.raises(
+        UserError, match=f"{name}: the name of a clip has 1 to 220 bytes of letters and digits; rename it"
+    ):
+        import_bvh_folder(source, tmp_path / "data", caption_from_name=True)
+    assert not (tmp_path / "data").exists()
+
+
 @pytest.mark.slow
 def test_the_seed_decides_the_split(tmp_path):
     source = write_clips(tmp_path / "source", [f"walk{letter}" for letter in "abcdefghijkl"])

@@ -91,6 +91,9 @@ def test_several_captions_in_a_row(tmp_path):
         ("b,?!", "captions.csv:3: the caption '?!' has no words"),
         ("b,he waves,one,2", "captions.csv:3: 'one' is not a time"),
         ("b,he waves,1e999,2", "captions.csv:3: '1e999' is not a time"),
+        ("b,he waves,3,1", "captions.csv:3: 3 to 1 s: the end must be after the start"),
+        ("b,he waves,2,2", "captions.csv:3: 2 to 2 s: the end must be after the start"),
+        ("b,he waves,-1,2", "captions.csv:3: -1 to 2 s: the end must be after the start"),
     ],
 )
 def test_a_broken_row_costs_no_other_row(tmp_path, row, says):
@@ -114,6 +117,20 @@ def test_short_names_of_several_files_are_refused(tmp_path):
     table = load_caption_table(path, keys=("x/walk", "y/walk"))
     assert [c.text for row in find_entries(table, ("x/walk", "walk")) for c in row.captions] == ["she walks"]
     assert "captions.csv:2: 2 files are called walk; write the folder" in table.entries["walk"][0].problem
+
+
+def test_the_short_name_of_one_file_is_its_path_if_it_has_no_folder(tmp_path):
+    path = tmp_path / "captions.csv"
+    path.write_text("file,caption\nwalk.bvh,he walks\n")
+    table = load_caption_table(path, keys=("walk", "sub/walk"))
+    assert [c.text for row in find_entries(table, ("walk",)) for c in row.captions] == ["he walks"]
+    assert not find_entries(table, ("sub/walk", "walk"))
+
+
+@pytest.mark.parametrize("column", ["start_frame", "Start (frames)", "from [ms]"])
+def test_times_that_are_not_seconds_are_refused(tmp_path, column):
+    with pytest.raises(UserError, match=r"captions\.csv:1: times are seconds, but the column '.*' has others"):
+        read(tmp_path, f"file,caption,{column},end\na,{WALK},30,90\n")
 
 
 def test_a_row_of_one_file_is_not_taken_for_another(tmp_path):
@@ -204,6 +221,14 @@ def test_divisions_that_cannot_be(tmp_path, options, says):
     with pytest.raises(UserError, match=says):
         import_bvh_folder(source, tmp_path / "data", caption_from_name=True, **options)
     assert not (tmp_path / "data").exists()
+
+
+def test_a_table_may_give_only_captions_and_splits(tmp_path):
+    source = write_clips(tmp_path / "source", ["a", "b", "c"])
+    (source / "captions.csv").write_text("file,caption,split\na,he walks,train\nb,she runs,test\nc,he waves,dev\n")
+    report = import_bvh_folder(source, tmp_path / "data")
+    assert report.split_sizes == {"train": 2, "val": 0, "test": 2}
+    assert "split 'dev' is not train, val, test" in report.left_out["c"]
 
 
 def test_all_of_a_split_may_go_to_training(tmp_path):

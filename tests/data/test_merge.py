@@ -1,3 +1,5 @@
+import shutil
+
 import numpy as np
 import pytest
 
@@ -47,6 +49,15 @@ def test_labels_and_licenses_are_kept(folders, tmp_path):
     assert index.label("Mclip_3") == "turns right" and index.source("clip_3") == "clip_3.bvh"
     made = open_dataset(folders[0]).info
     assert info.name == f"{made.name} and source" and info.licence == made.licence
+
+
+def test_positions_that_a_data_set_lacks_are_made(folders, tmp_path):
+    merge_datasets(folders[1:], tmp_path / "copy")
+    shutil.rmtree(tmp_path / "copy" / "new_joints")
+    merge_datasets([tmp_path / "copy"], tmp_path / "again")
+    for name in open_dataset(folders[1]).names("train"):
+        whole, made = (np.load(folder / f"new_joints/{name}.npy") for folder in (folders[1], tmp_path / "again"))
+        np.testing.assert_allclose(made, whole, atol=1e-6)
 
 
 def test_refusals(folders, tmp_path):

@@ -13,8 +13,11 @@ from t2m_jax.data.index import load_index
 from t2m_jax.data.merge import merge_datasets
 from t2m_jax.errors import UserError
 from tests.data.bvh_files import write_bvh
+from tests.motion.glb_files import write_person
+from tests.motion.rig.test_retarget import BANDAI
 
 HEADER = "file,start,end,action,person,split,caption\n"
+PARTS_HEADER = "file,start,end,action,person,part,caption\n"
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +84,34 @@ def test_a_wrong_row_costs_its_clip(source, tmp_path, lines, words):
     assert re.search(words, reason)
 
 
+PARTS = "".join(
+    f"{name},{start / 4},{start / 4 + 0.5},walk,,,\n" for name in ("long", "short", "third") for start in range(4)
+)
+
+
+def test_parts_of_a_recording_stay_in_one_split(source, tmp_path):
+    (tmp_path / "table.csv").write_text(PARTS_HEADER + PARTS)
+    report = import_bvh_folder(source, tmp_path / "data", captions=tmp_path / "table.csv")
+    assert report.split_sizes == {"train": 8, "val": 8, "test": 8}
+    dataset = open_dataset(tmp_path / "data")
+    for split in report.split_sizes:
+        assert len({name.rpartition("_")[0] for name in dataset.names(split) if name[0] != "M"}) == 1
+
+
+def test_parts_of_too_few_recordings_are_divided(source, tmp_path):
+    (tmp_path / "table.csv").write_text(PARTS_HEADER + PARTS.partition("short")[0])
+    report = import_bvh_folder(source, tmp_path / "data", captions=tmp_path / "table.csv", split="50/25/25")
+    assert report.split_sizes == {"train": 4, "val": 2, "test": 2}
+
+
+def test_lists_may_name_parts(source, tmp_path):
+    (tmp_path / "table.csv").write_text(PARTS_HEADER + PARTS.partition("short")[0])
+    for split, names in (("train", "long_1\nlong_2\n"), ("val", "long_3\n"), ("test", "long_4\n")):
+        (tmp_path / f"{split}.txt").write_text(names)
+    report = import_bvh_folder(source, tmp_path / "data", captions=tmp_path / "table.csv", split=tmp_path)
+    assert report.split_sizes == {"train": 4, "val": 2, "test": 2}
+
+
 def test_origins_are_kept_by_merging(source, tmp_path):
     (tmp_path / "info.yaml").write_text("name: Walks\nlicence: CC0\n")
     (tmp_path / "table.csv").write_text(HEADER + "short,,,walk,bob,train,\n")
@@ -118,6 +149,12 @@ def test_a_frozen_table_gives_its_captions_alone(source, tmp_path):
         "a person walks",
     ]
     assert load_index(tmp_path / "data").label("short") == "walk, happy"
+
+
+def test_a_frozen_table_may_name_an_animation(tmp_path):
+    write_person(tmp_path / "source/figure.glb", BANDAI, {"Turn": 90.0, "Bow": 30.0}, seconds=2.0)
+    report = frozen(tmp_path / "source", tmp_path, "figure/Turn,walk,ann,train,,he turns,\n")
+    assert report.num_clips == 2 and report.left_out == {}
 
 
 @pytest.mark.parametrize(

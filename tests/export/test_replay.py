@@ -48,6 +48,8 @@ def test_a_sentence_that_comes_twice_gives_two_motions(model, tmp_path):
 def test_a_model_without_captions_needs_sentences(tmp_path):
     with pytest.raises(UserError, match="no record of its captions; give sentences"):
         write_replay(TextToMotion(random_bundle()), tmp_path / "old", num_clips=4)
+    with pytest.raises(UserError, match="the text format cannot store '#'"):
+        write_replay(TextToMotion(random_bundle()), tmp_path / "old", num_clips=4, sentences=["he waves", "he # walks"])
     assert not (tmp_path / "old").exists()
 
 

@@ -12,7 +12,14 @@ from jaxtyping import Float
 
 from t2m_jax.config import load_config
 from t2m_jax.data.folder import DatasetInfo, first_names
-from t2m_jax.data.importers.caption_files import Source, clip_name, find_captions, find_table, unused_entries
+from t2m_jax.data.importers.caption_files import (
+    Source,
+    captions_within,
+    clip_name,
+    find_captions,
+    find_table,
+    unused_entries,
+)
 from t2m_jax.data.importers.caption_table import CaptionTable, find_entries
 from t2m_jax.data.importers.division import EIGHTY, Division
 from t2m_jax.data.importers.table_parts import TablePart, find_parts, has_parts
@@ -89,6 +96,8 @@ class _Prepared(NamedTuple):
     positions: Float[np.ndarray, "T 22 3"]
     rig: str
     left_is_left: bool
+    begin: float
+    """Seconds that were cut before it."""
     steps: tuple[str, ...]
     """What the report says, each with the names of all clips of which it holds."""
 
@@ -115,7 +124,7 @@ def _prepare(motion: Source, clip: RigClip, *, rig: str | None, up: Up) -> _Prep
     exchanged = sides_note(positions)
     if exchanged:
         steps.append(f"{exchanged}; see the sheet")
-    return _Prepared(positions, table.name, not exchanged, tuple(steps))
+    return _Prepared(positions, table.name, not exchanged, rest / clip.fps, tuple(steps))
 
 
 def _find_up(path: Path, clip: RigClip, table: Rig) -> Literal["y", "z"]:
@@ -195,6 +204,8 @@ class _Converter:
             self.left_out[self._add(Source(path, None))] = str(error)
             return
         for motion, clip in motions.items():
+            if self.options.frozen and not find_entries(self.table, motion.keys(self.source)):
+                continue  # an archive has more than a table names
             try:
                 parts = self._parts(motion)
             except UserError as error:
@@ -225,10 +236,13 @@ class _Converter:
         Raises:
             UserError: It has no captions or no split, or it cannot be converted.
         """
-        group = self.division.group(motion, part.split)
+        group = self.division.group(motion, part)
         with naming(motion):
             ready = _prepare(motion, part.cut(clip), rig=self.options.rig, up=self.options.up)
-            said = part.all_captions(ready.positions, frozen=self.options.frozen)
+            found = part.all_captions(ready.positions, frozen=self.options.frozen)
+            said = captions_within(found, begin=ready.begin, seconds=len(ready.positions) / HUMANML3D.fps)
+        if len(said) < len(found):
+            self.steps["a caption about what the motion does not have was left out"].append(part.name)
         self.num_frames += 2 * write_twins(folder, part.name, ready.positions, captions=said, skeleton=HUMANML3D)
         self.groups[part.name] = group
         if has_parts(self.table):
@@ -303,8 +317,8 @@ def import_bvh_folder(source: str | Path, destination: str | Path, **options: An
     table = find_table(source, Path(given.captions) if given.captions else None, files=files)
     division = Division(given.split, given.split_by, source, table, given.seed)
     division.check()
-    if given.frozen:  # an archive has more than a table names
-        files = [path for path in files if find_entries(table, Source(path, None).keys(source))]
+    if given.frozen:  # animations are only known when their file is read
+        files = [p for p in files if p.suffix.lower() == ".glb" or find_entries(table, Source(p, None).keys(source))]
         if not files:
             raise UserError(f"{source}: has no file of the table {given.captions}")
     convert = _Converter(source, table, division, given)

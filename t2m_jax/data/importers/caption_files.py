@@ -5,6 +5,7 @@ from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import NamedTuple
 
+from t2m_jax.data.files import MAX_NAME
 from t2m_jax.data.importers.caption_table import (
     BYTE_ORDER_MARK,
     CaptionTable,
@@ -12,12 +13,15 @@ from t2m_jax.data.importers.caption_table import (
     find_entries,
     load_caption_table,
     tagged_caption,
+    with_span,
 )
 from t2m_jax.data.texts import Caption, parse_caption
 from t2m_jax.errors import UserError
 from t2m_jax.files.reading import load_text
 
 CAPTION_FILES = ("captions.csv", "captions.txt")
+LONGEST_NAME = MAX_NAME - 20
+"""Bytes of a clip's name: mirrored twins, and what is composed of clips, have longer ones."""
 
 
 class Source(NamedTuple):
@@ -43,8 +47,14 @@ class Source(NamedTuple):
 
 
 def clip_name(key: str) -> str:
-    """Returns the clip name of a motion by its key, without a leading M, which marks mirrored twins."""
+    """Returns the clip name of a motion by its key, without a leading M, which marks mirrored twins.
+
+    Raises:
+        UserError: The key has no letters or digits, or is too long.
+    """
     name = re.sub(r"[^\w-]+", "_", key).strip("_")
+    if not 0 < len(name.encode()) <= LONGEST_NAME:
+        raise UserError(f"{key}: the name of a clip has 1 to {LONGEST_NAME} bytes of letters and digits; rename it")
     return f"m{name[1:]}" if name.startswith("M") else name
 
 
@@ -76,7 +86,7 @@ def find_captions(motion: Source, folder: Path, *, table: CaptionTable, from_nam
     for number, line in enumerate(text.split("\n"), start=1):
         place = f"{beside}:{number}"
         if line.count("#") == 3:
-            caption = parse_caption(line, source=place)
+            caption = with_span(parse_caption(line, source=place), source=place)
             captions.append(caption._replace(tokens=caption.tokens or caption_tokens(caption.text, source=place)))
         elif line.strip():
             captions.append(tagged_caption(line, source=place))
@@ -91,6 +101,25 @@ def find_captions(motion: Source, folder: Path, *, table: CaptionTable, from_nam
         raise UserError(problem or f"{motion}: no caption; {advice}")
     # A caption may be in the table and in the text file.
     return tuple(dict.fromkeys(captions))
+
+
+def captions_within(captions: Iterable[Caption], *, begin: float, seconds: float) -> tuple[Caption, ...]:
+    """Returns captions with times counted from `begin`, without those about other parts than the `seconds` from there.
+
+    Raises:
+        UserError: None is left.
+    """
+    kept = []
+    for caption in captions:
+        start = max(round(caption.start - begin, 3), 0.0)
+        end = round(caption.end - begin, 3) if caption.end else seconds
+        if caption.whole_clip:
+            kept.append(caption)
+        elif start < min(end, seconds):
+            kept.append(caption._replace(start=start, end=end))
+    if not kept:
+        raise UserError(f"its captions are about none of its {begin + seconds:.2f} s; give times in seconds")
+    return tuple(kept)
 
 
 def unused_entries(table: CaptionTable, motions: Iterable[Source], folder: Path) -> list[str]:

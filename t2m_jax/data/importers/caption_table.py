@@ -34,6 +34,8 @@ SPLIT = "split"
 """Columns of tables whose rows are clips (see `table_parts`)."""
 DIGEST = "sha256"
 """Column with the first digits of the SHA-256 of each motion file."""
+NOT_SECONDS = frozenset({"frame", "frames", "ms", "msec", "milliseconds"})
+"""Words in the name of a column of times that are not seconds."""
 MOTION_SUFFIXES = re.compile(r"\.(bvh|glb|amc|fbx|npy|npz|c3d)$", re.IGNORECASE)
 
 
@@ -69,13 +71,24 @@ def tagged_caption(text: str, *, source: str, start: str = "", end: str = "") ->
     """Returns a caption with tokens from plain text.
 
     Raises:
-        UserError: The text has a `#` or no words, or a time is not a number.
+        UserError: The text has a `#` or no words, a time is not a number, or the end is before the start.
     """
     if "#" in text:
         raise UserError(f"{source}: the caption has a '#', which the text format cannot store; remove it")
     text = " ".join(text.split())
     line = f"{text}#{' '.join(caption_tokens(text, source=source))}#{start.strip() or 0.0}#{end.strip() or 0.0}"
-    return parse_caption(line, source=source)
+    return with_span(parse_caption(line, source=source), source=source)
+
+
+def with_span(caption: Caption, *, source: str) -> Caption:
+    """Returns a caption of a part of a motion or of all of it; an end of zero is the end of the motion.
+
+    Raises:
+        UserError: Its times are no part of a motion.
+    """
+    if caption.start < 0 or 0 != caption.end <= caption.start:
+        raise UserError(f"{source}: {caption.start:g} to {caption.end:g} s: the end must be after the start")
+    return caption
 
 
 def caption_tokens(text: str, *, source: str) -> tuple[str, ...]:
@@ -122,7 +135,8 @@ def load_caption_table(path: Path, *, keys: Collection[str] = ()) -> CaptionTabl
     num_files = Counter(map(_last_part, keys))
     for row in found:
         name = _last_part(row.file)
-        by_name[name].append(_refuse_if_ambiguous(row, num_files[name]))
+        # A file of the folder itself has no other path than its name.
+        by_name[name].append(row if row.file in keys else _refuse_if_ambiguous(row, num_files[name]))
     return CaptionTable(dict(by_name), columns, frozenset(keys), notes)
 
 
@@ -214,6 +228,9 @@ def _read_header(path: Path, cells: Sequence[str], delimiter: str) -> _Layout | 
     if found["file"] is None or not captions:
         return None
     times = {role: place for role in ("start", "end") if (place := found[role]) is not None}
+    for place in times.values():
+        if not NOT_SECONDS.isdisjoint(names[place].split("_")):
+            raise UserError(f"{path}:1: times are seconds, but the column {cells[place]!r} has others; convert it")
     used = (found["file"], *captions, *times.values())
     others = {cell: place for place, cell in enumerate(cells) if place not in used}
     notes = (f"{path}: captions are read from {', '.join(repr(cells[place]) for place in captions)}",)

@@ -9,6 +9,7 @@ from pathlib import Path
 from t2m_jax.data.files import SPLITS, read_names
 from t2m_jax.data.importers.caption_files import Source, clip_name
 from t2m_jax.data.importers.caption_table import SPLIT, CaptionTable, find_entries
+from t2m_jax.data.importers.table_parts import TablePart
 from t2m_jax.data.splits import parse_shares, split_by_hash, split_groups
 from t2m_jax.errors import UserError
 
@@ -62,11 +63,12 @@ class Division:
         if self.is_in_table or Path(self.split).is_dir():
             return {split: [name for name, group in groups.items() if group == split] for split in SPLITS}
         shares = parse_shares(str(self.split))
-        if self.split_by is None:
-            return split_by_hash([list(groups)], seed=str(self.seed), shares=shares)
         members: dict[str, list[str]] = defaultdict(list)
         for name, group in groups.items():
             members[group].append(name)
+        has_parts = len(SPLITS) <= len(members) < len(groups)
+        if self.split_by is None and not has_parts:
+            return split_by_hash([list(groups)], seed=str(self.seed), shares=shares)
         return split_groups(members, shares=shares, seed=str(self.seed))
 
     @functools.cached_property
@@ -78,28 +80,36 @@ class Division:
             raise UserError(f"{self.split}: {twice[0]} is in two lists or twice in one; name each clip once")
         return {clip_name(name): split for split, name in listed}
 
-    def group(self, motion: Source, split: str = "") -> str:
-        """Returns what the clips that stay together with a motion have in common with it, or its split.
+    def group(self, motion: Source, part: TablePart) -> str:
+        """Returns what a clip has in common with those that stay in its split, or the split itself if it is given.
 
         Args:
-            motion: The motion.
-            split: What its rows say in the column `split`.
+            motion: The motion of the clip.
+            part: The part of the motion that it is.
 
         Raises:
-            UserError: The clip is in no list, or its rows have several values or none.
+            UserError: The clip is in no list, its rows have several values or none, or another split.
         """
         if self.is_in_table:
-            if not split:
-                raise UserError(f"{motion}: its rows have no {SPLIT}; write {', '.join(SPLITS)} into all")
+            split = part.split or self._cell(motion, SPLIT)
+            if split not in SPLITS:
+                raise UserError(f"{motion}: split {split!r} is not {', '.join(SPLITS)}")
             return split
         if Path(self.split).is_dir():
-            name = clip_name(motion.key(self.source))
-            if name not in self._homes:
-                raise UserError(f"{motion}: {name} is in no list of {self.split}")
-            return self._homes[name]
-        if self.split_by is None or self.split_by == BY_FOLDER:
+            if part.name not in self._homes:
+                raise UserError(f"{motion}: {part.name} is in no list of {self.split}")
+            return self._homes[part.name]
+        if self.split_by is None:
+            # Parts of one recording are alike, and may show the same frames.
+            return clip_name(motion.key(self.source))
+        if self.split_by == BY_FOLDER:
             return motion.path.parent.relative_to(self.source).as_posix()
-        values = {row.cells[self.split_by] for row in find_entries(self.table, motion.keys(self.source))}
+        return self._cell(motion, self.split_by)
+
+    def _cell(self, motion: Source, column: str) -> str:
+        """Returns what all rows of a motion say in a column."""
+        values = {row.cells[column] for row in find_entries(self.table, motion.keys(self.source))}
         if len(values) != 1 or not all(values):
-            raise UserError(f"{motion}: its rows have {len(values)} values of {self.split_by}; write one into all")
+            said = " and ".join(sorted(values - {""})) or f"no {column}"
+            raise UserError(f"{motion}: its rows have {said}; write one {column} into all")
         return values.pop()

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import tqdm
 
-from t2m_jax.data.files import FEATURES, POSITIONS, SPLITS, TEXTS, clip_or_reason
+from t2m_jax.data.files import SPLITS, TEXTS, clip_or_reason
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.index import INDEX
+from t2m_jax.data.merge import copy_clip
 from t2m_jax.data.texts import save_captions
 from t2m_jax.data.writer import ImportReport, finish_folder, new_folder
 
@@ -35,9 +36,7 @@ def import_humanml3d(source: str | Path, destination: str | Path) -> ImportRepor
             if isinstance(clip, str):
                 left_out[name] = clip
                 continue
-            for file in (f"{FEATURES}/{name}.npy", f"{POSITIONS}/{name}.npy", f"{TEXTS}/{name}.txt"):
-                if (dataset.folder / file).exists():
-                    shutil.copyfile(dataset.folder / file, folder / file)
+            copy_clip(name, dataset, folder)
             # Once more, without the broken lines.
             if clip.captions.problems:
                 save_captions(folder / TEXTS / f"{name}.txt", clip.captions.captions)
