@@ -185,6 +185,14 @@ def check_amounts(config: Any, *names: str) -> None:
             raise ValueError(f"{name}: {value} is not a number from 0 up")
 
 
+def check_shares(config: Any, *names: str, with_one: bool = True) -> None:
+    """Raises `ValueError` if a number in one of the fields is not from 0 to 1 (or to below 1), like `check_sizes`."""
+    for name in names:
+        value = getattr(config, name)
+        if not (0 <= value < 1 or (with_one and value == 1)):
+            raise ValueError(f"{name}: {value} is not a number from 0 to {'' if with_one else 'below '}1")
+
+
 def check_seed(seed: int) -> None:
     """Raises `UserError` if a seed is not from 0 to 2**32 - 1: keys of JAX ignore the bits above."""
     if not 0 <= seed < 2**32:

@@ -20,11 +20,12 @@ from t2m_jax.checkpoints import load_trained_evaluator
 from t2m_jax.data import open_dataset
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation import EvaluationTask, embed_plan_captions, embed_plan_motions, find_protocol, make_task
+from t2m_jax.evaluation.benchmark import UNIT
 from t2m_jax.evaluation.report import format_table, load_report
 from t2m_jax.evaluation.report.charts import check_chart, save_chart, table_chart
 from t2m_jax.evaluation.report.tables import BENCHMARK_COLUMNS, Cell, Table, TableLine
-from t2m_jax.evaluation.run import unit_vectors
 from t2m_jax.metrics import fid, matching_score, r_precision
+from t2m_jax.motion.rotations import unit_vectors
 
 SHOWN = ("r_precision_1", "r_precision_3", "fid", "fid_normalized", "matching_score")
 
@@ -54,7 +55,7 @@ def lines(data: str, evaluators: list[str], *, num_repeats: int) -> Iterator[Tab
     for name in evaluators:
         evaluator = load_trained_evaluator(name)
         for split in ("test", "val"):
-            task = make_task(dataset, evaluator, find_protocol("benchmark"), split=split, seed=0, unit=4)
+            task = make_task(dataset, evaluator, find_protocol("benchmark"), split=split, seed=0, unit=UNIT)
             found = [real_metrics(task, repeat) for repeat in range(num_repeats)]
             values = {metric: np.array([one[metric] for one in found]) for metric in SHOWN}
             yield make_line(f"real motion, {Path(name).name}, {split}", values)

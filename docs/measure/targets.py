@@ -145,7 +145,8 @@ def fill_gap(model: TextToMotion, trial: Trial, seed: int) -> Gap:
     """Returns a motion between two poses of a clip that are one to three seconds apart."""
     clip, fps = trial.motion, trial.motion.fps
     generator = np.random.default_rng(seed)
-    size = int(generator.integers(fps, min(3 * fps, clip.num_frames - 2) + 1))
+    longest = min(3 * fps, clip.num_frames - 2)
+    size = int(generator.integers(min(fps, longest), longest + 1))
     first = int(generator.integers(0, clip.num_frames - size - 1))
     real = ground_positions(clip.positions[first : first + size + 2], clip.skeleton)
     targets = []

@@ -61,7 +61,7 @@ def memory_rate(mesh: Mesh) -> float:
     increase = jax.jit(lambda values: values + 1, donate_argnums=0)
 
     def rate(size: int) -> tuple[float, float]:
-        numbers = place(jnp.ones((mesh.size, size // mesh.size), jnp.float32), mesh, by_rows=True)
+        numbers = place(jnp.ones((mesh.size, size), jnp.float32), mesh, by_rows=True)
 
         def call() -> Any:
             nonlocal numbers

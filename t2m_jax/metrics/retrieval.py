@@ -34,6 +34,8 @@ def ranks_of_batches(
         # The dot product of the published codes would be rounded: equal distances would differ, small squares be
         # negative.
         distances = jnp.sqrt(jnp.sum(differences**2, axis=-1))
+        # No comparison with NaN holds, so what is broken would be nearer than all.
+        distances = jnp.where(jnp.isnan(distances), jnp.inf, distances)
         own = jnp.diagonal(distances)[:, None]
         others = labels[:, None] != labels[None, :]
         return PartnerRanks(jnp.sum((distances < own) & others, axis=1), jnp.sum((distances == own) & others, axis=1))

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from t2m_jax.config import check_limits, check_sizes
+from t2m_jax.config import check_limits, check_shares, check_sizes
 from t2m_jax.models.projection import WEIGHT_INIT
 from t2m_jax.models.transformer import LAYER_NORM_EPSILON, Block
 
@@ -48,6 +48,7 @@ class CaptionEncoderConfig:
         check_sizes(self)
         check_limits(self, vocabulary_size=1_000_000, max_length=4096, embed_dim=16_384, num_layers=64, mlp_ratio=64)
         check_limits(self, text_dim=65_536)
+        check_shares(self, "dropout", with_one=False)
         if self.embed_dim % self.num_heads:
             raise ValueError(f"num_heads: {self.num_heads} does not divide embed_dim {self.embed_dim}")
 
@@ -81,11 +82,9 @@ class StateEncoderConfig:
         check_sizes(self)
         check_limits(self, state_dim=16_384, max_length=4096, embed_dim=16_384, num_layers=64, mlp_ratio=64)
         check_limits(self, text_dim=65_536)
+        check_shares(self, "dropout", "token_dropout", with_one=False)
         if self.embed_dim % self.num_heads:
             raise ValueError(f"num_heads: {self.num_heads} does not divide embed_dim {self.embed_dim}")
-        for name in ("dropout", "token_dropout"):
-            if not 0 <= getattr(self, name) < 1:
-                raise ValueError(f"{name}: {getattr(self, name)} is not a probability from 0 to below 1")
 
 
 NetworkConfig = CaptionEncoderConfig | StateEncoderConfig
@@ -99,8 +98,7 @@ def embed_hidden(
         block = Block(config.num_heads, config.mlp_ratio, config.dropout, name=f"block_{layer}")
         hidden, _ = block(hidden, mask[:, None, None, :], train=train)
     hidden = nn.LayerNorm(epsilon=LAYER_NORM_EPSILON, name="final_norm")(hidden)
-    # The mean over the tokens. A caption without tokens gets zeros and not NaN.
-    weights = mask / jnp.maximum(mask.sum(axis=1, keepdims=True), 1)
+    weights = mask / mask.sum(axis=1, keepdims=True)
     pooled = jnp.einsum("bs,bsw->bw", weights.astype(hidden.dtype), hidden)
     return nn.Dense(config.text_dim, kernel_init=WEIGHT_INIT, name="projection")(pooled)
 

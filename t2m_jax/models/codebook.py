@@ -54,15 +54,6 @@ RULES: dict[str, CodebookRule] = {
 }
 
 
-class Limits(NamedTuple):
-    """The numbers of a rule."""
-
-    decay: float
-    """Share of the old averages that a step keeps."""
-    threshold: float
-    """A code is dead if its count (averaged, if the rule averages) is below this."""
-
-
 class CodebookState(NamedTuple):
     """The collection `codebook`: what a codebook that is not trained by gradient keeps between steps.
 
@@ -132,7 +123,8 @@ def update_codebook(
     candidates: Float[Array, "K C"] | None,
     *,
     rule: CodebookRule,
-    limits: Limits,
+    decay: float,
+    threshold: float,
 ) -> CodebookState:
     """Returns the codebook after one step of a rule that averages, resets, or does both.
 
@@ -141,13 +133,14 @@ def update_codebook(
         batch_hits: Sums and counts.
         candidates: Row k replaces code k if that code is dead; None if the rule does not reset, or draws.
         rule: Whether to average and whether to reset.
-        limits: Its numbers.
+        decay: Share of the old averages that a step keeps.
+        threshold: A code is dead if its count (averaged, if the rule averages) is below this.
     """
-    kept = limits.decay if rule.averages else 0.0
+    kept = decay if rule.averages else 0.0
     ema_sum, ema_count = (
         kept * old + (1.0 - kept) * new for old, new in zip((state.ema_sum, state.ema_count), batch_hits, strict=True)
     )
-    alive = ema_count >= (LEAST_COUNT if candidates is None else limits.threshold)
+    alive = ema_count >= (LEAST_COUNT if candidates is None else threshold)
     codebook = state.codebook
     if rule.averages:
         # The count of a dead code may be 0 or denormal. Dividing by it would give NaN, also in the unused branch.

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from t2m_jax.config import check_limits, check_sizes
+from t2m_jax.config import check_limits, check_shares, check_sizes
 from t2m_jax.keys import new_key
 from t2m_jax.models.recurrent import BiGru
 
@@ -59,10 +59,9 @@ class EvaluatorConfig:
         check_limits(self, feature_dim=65_536, movement_hidden=65_536, movement_dim=65_536, motion_hidden=65_536)
         check_limits(self, text_hidden=65_536, embedding_dim=65_536, word_dim=65_536, num_words=1_000_000)
         check_limits(self, num_parts_of_speech=1000)
+        check_shares(self, "dropout", with_one=False)
         if self.feature_dim <= NUM_CONTACTS:
             raise ValueError(f"feature_dim: {self.feature_dim} is not more than the {NUM_CONTACTS} foot contacts")
-        if not 0 <= self.dropout < 1:
-            raise ValueError(f"dropout: {self.dropout} is not a rate from 0 to below 1")
 
 
 class HalvingConv(nn.Module):

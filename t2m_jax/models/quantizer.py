@@ -17,7 +17,6 @@ from t2m_jax.masks import masked_mean
 from t2m_jax.models.codebook import (
     RULES,
     CodebookState,
-    Limits,
     QuantizerKind,
     candidate_codes,
     count_codes,
@@ -261,9 +260,10 @@ class Quantizer(nn.Module):
         candidates = None
         if rule.resets and not rule.redraws:
             candidates = candidate_codes(vectors.reshape(-1, self.code_dim), counted.reshape(-1), draw)
-        limits = Limits(self.ema_decay, self.reset_threshold)
         batch_hits = hits(vectors, codes, counted, num_codes=self.num_codes)
-        state = update_codebook(state, batch_hits, candidates, rule=rule, limits=limits)
+        state = update_codebook(
+            state, batch_hits, candidates, rule=rule, decay=self.ema_decay, threshold=self.reset_threshold
+        )
         if not rule.redraws:
             return state, jnp.zeros(len(codes))
         return redraw_dead(state, make_pool(vectors, counted), draw, threshold=self.reset_threshold, depth=len(codes))

@@ -144,8 +144,7 @@ class SentenceEncoder(nn.Module):
         return hidden
 
     def _pool(self, hidden: Float[Array, "B S W"], mask: Bool[Array, "B S"]) -> Float[Array, "B E"]:
-        # A caption of no tokens has an embedding of zeros and not NaN.
-        weights = mask / jnp.maximum(mask.sum(axis=1, keepdims=True), 1)
+        weights = mask / mask.sum(axis=1, keepdims=True)
         pooled = hidden[:, 0] if self.config.pooling == "cls" else jnp.einsum("bs,bsw->bw", weights, hidden)
         if not self.config.normalize:
             return pooled

@@ -12,7 +12,7 @@ import flax.linen as nn
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from t2m_jax.config import check_limits, check_sizes
+from t2m_jax.config import check_limits, check_shares, check_sizes
 from t2m_jax.models.codebook import QuantizerKind
 from t2m_jax.models.convolution import GROUPS, Decoder, Encoder, NormKind, ResidualStack, halve_mask
 from t2m_jax.models.quantizer import CodebookUpdate, CommitmentKind, Quantizer
@@ -74,6 +74,7 @@ class VqVaeConfig:
         check_sizes(self)
         check_limits(self, feature_dim=65_536, num_codes=1_000_000, code_dim=65_536, width=65_536)
         check_limits(self, num_stages=8, depth=16, dilation_growth=16, num_quantizers=64)
+        check_shares(self, "ema_decay", "depth_dropout")
         if self.dilation_growth ** (self.depth - 1) > MAX_DILATION:
             raise ValueError(f"dilation_growth: with depth {self.depth}, convolutions would span {MAX_DILATION} frames")
         if self.norm == "GN" and self.width % GROUPS:
@@ -82,8 +83,6 @@ class VqVaeConfig:
             raise ValueError(f"codebook_update: per_depth needs quantizer ema or ema_redraw, not {self.quantizer}")
         if self.quantizer == "ema_redraw" and not 0 <= self.reset_threshold <= 1:
             raise ValueError(f"reset_threshold: {self.reset_threshold} is not between 0 and 1, as ema_redraw needs")
-        if not 0 <= self.depth_dropout <= 1:
-            raise ValueError(f"depth_dropout: {self.depth_dropout} is not a probability between 0 and 1")
 
     @property
     def downsample(self) -> int:

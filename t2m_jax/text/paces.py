@@ -82,7 +82,7 @@ _OTHERS = _pattern(
     r"\b(?:the|a|an|some|his|her) (?:slow|quick|rapid|fast|swift)(?:ly |-(?!paced))\w+(?:ing|ed)\b",
 )
 """What is said of something else: "as the sun slowly sets", "a quickly spinning wheel"."""
-_NEGATED = re.compile(r"\b(?:not|never|nor|neither|less|without|n't)(?: [\w-]+){0,3} $", re.IGNORECASE)
+_NEGATED = re.compile(r"(?:\b(?:not|never|nor|neither|less|without)|n['\u2019]t)(?: [\w-]+){0,3} $", re.IGNORECASE)
 _GAITS = {
     "walk": word_set("amble dawdle march mosey plod saunter step stride stroll trudge walk"),
     "run": word_set("dash jog race run sprint"),

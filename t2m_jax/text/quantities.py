@@ -12,33 +12,45 @@ LONGEST = 600.0
 MOST_TIMES = 20
 """Most times that a sentence can ask for; more are no motion of some seconds."""
 
-_TO_TWENTY = """one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen sixteen
-seventeen eighteen nineteen twenty"""
-_VALUES = {word: float(number) for number, word in enumerate(re.split(r"\s", _TO_TWENTY), 1)} | {
-    "thirty": 30.0,
-    "forty": 40.0,
-    "fifty": 50.0,
-    "sixty": 60.0,
-    "a couple of": 2.0,
-    "a couple": 2.0,
-    "half a dozen": 6.0,
-    "a dozen": 12.0,
-    "half an": 0.5,
-    "half a": 0.5,
-    "a quarter of a": 0.25,
-    "once": 1.0,
-    "twice": 2.0,
-    "thrice": 3.0,
-    "a single": 1.0,
-    "a double": 2.0,
-    "a triple": 3.0,
+_TO_NINETEEN_WORDS = """one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen
+sixteen seventeen eighteen nineteen"""
+_TENS = ("twenty", "thirty", "forty", "fifty", "sixty", "seventy", "eighty", "ninety")
+_TO_NINETEEN = {word: float(number) for number, word in enumerate(_TO_NINETEEN_WORDS.split(), 1)}
+_TO_HUNDRED = {
+    tens + rest: value + 10 * number
+    for number, tens in enumerate(_TENS, 2)
+    for rest, value in {"": 0.0, **{f" {word}": _TO_NINETEEN[word] for word in [*_TO_NINETEEN][:9]}}.items()
 }
+_VALUES = (
+    _TO_NINETEEN
+    | _TO_HUNDRED
+    | {
+        "a hundred": 100.0,
+        "one hundred": 100.0,
+        "a couple of": 2.0,
+        "a couple": 2.0,
+        "half a dozen": 6.0,
+        "a dozen": 12.0,
+        "half an": 0.5,
+        "half a": 0.5,
+        "a quarter of a": 0.25,
+        "once": 1.0,
+        "twice": 2.0,
+        "thrice": 3.0,
+        "a single": 1.0,
+        "a double": 2.0,
+        "a triple": 3.0,
+    }
+)
 _ADVERBS = ("once", "twice", "thrice")
 _SINGULAR = ("one", "1", "a single", "a double", "a triple")
 """Numbers before a noun that is not a plural."""
 # The longest first, so that "half a dozen" is not "half a".
-_NUMBER = "|".join([r"\d{1,6}(?:[.,]\d{1,6})?", *sorted(_VALUES.keys() - set(_ADVERBS), key=len, reverse=True)])
-_START = r"(?<![\w.,/-])"
+_WORDS = [word.replace(" ", "[ -]") for word in sorted(_VALUES.keys() - set(_ADVERBS), key=len, reverse=True)]
+# "1,200" is a thousand, and "1,2" is not.
+_NUMBER = "|".join([r"\d{1,6}(?:\.\d{1,6}|,(?!\d{3}\b)\d{1,6})?", *_WORDS])
+# Not the end of a larger number.
+_START = r"(?<![\w.,/-])(?<!hundred )(?<!hundred and )(?<!thousand )"
 
 
 def _pattern(*parts: str) -> re.Pattern[str]:
@@ -59,6 +71,9 @@ _NO_LENGTH_BEFORE = _pattern(
     r"[ -]+(?:long )?(?:after|ago|apart|before|break|delay|each|gap|in(?:to)?\b(?! \w)|in,|interval|late|mark|pause|",
     r"rest|time ?out|too)",
 )
+_DECADE_AFTER = _pattern(r"\b(?:his|her|their|my|your|the|early|mid|late)[ -]$")
+_DECADE_BEFORE = _pattern(r" (?:clothe|dance|disco|fashion|hip|look|movie|music|outfit|rock|show|style|television|tv)")
+"""What stands around "70s" if it is a decade or an age."""
 _PAUSES = word_set("freeze hesitate hold pause rest wait")
 _TIMES = _pattern(
     rf"{_START}(?:(?P<number>{_NUMBER}) (?:times?|reps?|repetitions?)|(?P<adverb>{'|'.join(_ADVERBS)})|",
@@ -141,8 +156,11 @@ def _find_time(caption: str) -> re.Match[str] | None:
     if len(found) != 1 or _is_pause(caption):
         return None
     (time,) = found
-    is_other = _NO_LENGTH_AFTER.search(caption[: time.start()]) or _NO_LENGTH_BEFORE.match(caption[time.end() :])
-    return None if is_other else time
+    before = caption[: time.start()]
+    after = caption[time.end() :]
+    is_other = _NO_LENGTH_AFTER.search(before) or _NO_LENGTH_BEFORE.match(after)
+    is_decade = not time["unit"] and (_DECADE_AFTER.search(before) or _DECADE_BEFORE.match(after))
+    return None if is_other or is_decade else time
 
 
 def _is_pause(caption: str) -> bool:
@@ -162,7 +180,7 @@ def _find_times(caption: str) -> re.Match[str] | None:
 
 def _value(number: str) -> float:
     """Returns the value of a number in digits or words."""
-    number = number.lower()
+    number = number.lower().replace("-", " ")
     return _VALUES[number] if number in _VALUES else float(number.replace(",", "."))
 
 
@@ -171,10 +189,13 @@ def _counted_verb(caption: str, countable: Collection[str]) -> tuple[float, str]
     times = _find_times(caption)
     if times is None:
         return None
+    number = times["number"] or times["adverb"] or times["before"] or times["after"]
     for text in (caption[: times.start()], caption):
-        for word in reversed(words_of(text)):
-            if found := sorted(word.bases & set(countable)):
-                return _value(times["number"] or times["adverb"] or times["before"] or times["after"]), found[0]
+        words = words_of(text)[::-1]
+        actions = [word.action for word in words if word.action in countable]
+        # "Kicks the box twice" is about kicks. Some actions are only seen as nouns.
+        if found := actions or [base for word in words for base in sorted(word.bases & set(countable))]:
+            return _value(number), found[0]
     return None
 
 

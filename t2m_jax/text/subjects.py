@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Iterator, Sequence
 
-from t2m_jax.text.verbs import LIGHT_VERBS, Word, readings, word_set
+from t2m_jax.text.verbs import LIGHT_VERBS, PREPOSITIONS, SUBJECTS, Word, readings, word_set
 
 ANIMALS = word_set(
     """alligator ant ape bear bee beetle bird bug bull butterfly camel cat caterpillar cheetah chicken chimp chimpanzee
@@ -23,6 +23,8 @@ PERSON = word_set(
     father opponent partner person player runner sister soldier stranger student teenager twin woman worker"""
 )
 """In their basic forms."""
+DOING = word_set("do execute perform")
+"""Verbs before the name of an exercise."""
 SEVERAL = word_set("two three four five six seven eight nine ten both several many some few couple pair group crowd")
 CROWDS = word_set("people crowd duo trio couple")
 OTHERS = word_set("opponent partner")
@@ -41,7 +43,12 @@ def subject_problems(words: Sequence[Word]) -> Iterator[str]:
 
 def _animal(words: Sequence[Word]) -> str:
     """Returns the first animal that moves, and is not met, carried or imitated."""
+    has_person = False
     for place, word in enumerate(_subject(words)):
+        # "Does a bear crawl", "a man in a bear suit"
+        if not DOING.isdisjoint(word.bases) or (has_person and word.text in PREPOSITIONS):
+            break
+        has_person |= _is_person(word) or word.text in SUBJECTS
         following = readings(words[place + 1].text).keys() if place + 1 < len(words) else set()
         # "a dog walker"
         is_described = following == {"NOUN"}

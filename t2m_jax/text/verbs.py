@@ -57,6 +57,10 @@ class Word(NamedTuple):
     """Basic form, if the word is a verb here or a noun for what a person does; otherwise empty."""
 
 
+_NEGATED = {"can": "can not", "won": "will not", "shan": "shall not"}
+"""What an irregular word before "'t" means."""
+
+
 # With a limit, because a server is asked for any word, and spelling tries hundreds for one that it does not know.
 @functools.lru_cache(maxsize=20_000)
 def readings(word: str) -> dict[str, tuple[str, ...]]:
@@ -75,8 +79,10 @@ def inflected(word: str, tag: str) -> str:
 
 
 def words_of(caption: str) -> list[Word]:
-    """Returns the words and numbers of a caption, without punctuation."""
-    tokens = _TOKENS.findall(re.sub(r"'(s|t|re|ve|m|ll|d)\b", " ", straighten_quotes(caption.lower())))
+    """Returns the words and numbers of a caption, without punctuation; of "can't", both words."""
+    text = re.sub(r"\b(can|won|shan)'t\b", lambda found: _NEGATED[found[1]], straighten_quotes(caption.lower()))
+    text = re.sub(r"n't\b", " not", text)
+    tokens = _TOKENS.findall(re.sub(r"'(s|re|ve|m|ll|d)\b", " ", text))
     starts = itertools.accumulate(token in CLAUSE_STARTS or not token[0].isalnum() for token in tokens)
     clauses = itertools.groupby(zip(starts, tokens, strict=True), key=lambda pair: pair[0])
     found: list[Word] = []

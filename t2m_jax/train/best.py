@@ -49,6 +49,7 @@ class BestWeights:
         if self.best is not None and step == self.best.step:
             return  # measured again by a resumed run; a GPU may round the figure otherwise
         value = figures[self._metric]
+        # Nothing compares as better than NaN: as the first value it would stay the best.
         if math.isfinite(value) and (self.best is None or is_better(self._metric, value, self.best.value)):
             self.best = Best(
                 step=step, metric=self._metric, value=value, sampling=self._sampling, evaluator=self._evaluator

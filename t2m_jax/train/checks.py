@@ -98,7 +98,7 @@ def _is_same(config: Any, name: str, saved: Any, value: Any) -> bool:
     if name == "data":
         return run_info(config.run).data is not None  # its contents are compared by `check_same_data`
     if None in (saved, value):
-        return False
+        return False  # with a file or without is another training, and not a file that moved
     with contextlib.suppress(UserError):  # there is nothing
         # The run has a copy of its tokenizer, which says what the path meant when it was started.
         if name == "vqvae":
@@ -196,6 +196,10 @@ def fitting_weights(source: Path, weights: Mapping[str, Any], like: Mapping[str,
     given = traverse_util.flatten_dict(dict(weights), sep="/")
     merged = traverse_util.flatten_dict(dict(like), sep="/", keep_empty_nodes=True)
     fitting = {name: given[name] for name in merged.keys() & given.keys() if given[name].shape == merged[name].shape}
+    # Codes, sums, counts and the flag belong together: half of them is a codebook of zeros that counts as initialized.
+    codebook = {name for name in merged if name.startswith("codebook/")}
+    if not codebook <= fitting.keys():
+        fitting = {name: array for name, array in fitting.items() if name not in codebook}
     if not fitting:
         raise UserError(f"init: no array of {source} has a name and a shape of this config")
     logger.info("%d of %d arrays start from %s, the others at random", len(fitting), len(merged), source)

@@ -117,8 +117,7 @@ def matching_train_step(
     for name, part in trained.items():
         updates, opt_state[name] = make_optimizer(config.optimizer).update(gradient[name], state.opt_state[name], part)
         params = params | optax.apply_updates(part, updates)
-        squares = [jnp.sum(leaf**2) for leaf in jax.tree.leaves(gradient[name])]
-        metrics[f"{name}_gradient_norm"] = jnp.sqrt(sum(squares, jnp.zeros(())))
+        metrics[f"{name}_gradient_norm"] = optax.global_norm(gradient[name])
     return TrainState(state.step + 1, params, opt_state), metrics
 
 
@@ -203,7 +202,8 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
         validation = Validation(bank, len(validated), functools.partial(validate, **options), plan("validation"))
 
     def init() -> TrainState:
-        if is_restored:  # only the shapes matter
+        if is_restored:
+            # A checkpoint is about to replace these weights, and the movement run may have been removed.
             movements = jax.tree.map(jnp.zeros_like, evaluator_shapes(config.model)["params"][MOVEMENTS])
         else:
             movements = train_movements(config, dataset, normalizer, train, held_out, resume=resume)

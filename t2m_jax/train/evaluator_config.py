@@ -83,3 +83,9 @@ class TrainEvaluatorConfig(EvaluatorStepConfig, NormalizedConfig):
         super().__post_init__()
         check_sizes(self, "min_count", "movement_steps")
         check_amounts(self, "patience")
+        if self.word_vectors is not None and self.init is not None:
+            raise ValueError("word_vectors: init has vectors of its words; leave one of the two out")
+        # The movement encoder is trained before anything looks at the devices again.
+        devices = self.sharding.devices
+        if devices != "auto" and self.movement_batch_size % devices:
+            raise ValueError(f"movement_batch_size: {self.movement_batch_size} is not a multiple of {devices} devices")

@@ -164,6 +164,7 @@ def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
         if config.sharding.devices != "auto":
             choose_devices(config.sharding, batch_size=config.loop.batch_size)
         state = None
+        # A run that ended before its first checkpoint starts from `init` again, as it did the first time.
         if config.init is not None and not (resume and has_checkpoint(config.run)):
             state = setup.init()
             given = setup.start_from(config.init)
@@ -195,11 +196,14 @@ def open_evaluation(setup: Setup) -> EvaluationTask | None:
     """Returns what a run is evaluated on, None if it has no evaluator.
 
     Raises:
-        UserError: The evaluator is missing or does not fit the data, or the validation split is too small.
+        UserError: The evaluator is missing or does not fit the data, the validation split is too small, or the training
+            is to end by its validation loss.
     """
     evaluation = setup.evaluation
     if evaluation is None or evaluation.config.evaluator is None:
         return None
+    if setup.patience:
+        raise UserError("patience: counts validation losses, but the evaluator chooses the weights; set it to 0")
     return open_held_out(setup.dataset, evaluation.config.evaluator, seed=evaluation.config.seed, unit=evaluation.unit)
 
 
@@ -288,17 +292,12 @@ def measure_validation(
             scores = mean_over_batches(
                 lambda batch: devices.measure(validation.measure, state, take(1), batch), num_batches
             )
-        return Measured(scores, is_last=_is_over(best, state, scores, setup))
+        if best is None:
+            return Measured(scores)
+        best.consider(int(state.step), scores, setup.weights(state))
+        return Measured(scores, is_last=best.is_over(int(state.step), patience=setup.patience))
 
     return Measurement("val", "validation", loop.validate_every, measure)
-
-
-def _is_over(best: BestWeights | None, state: Any, metrics: Mapping[str, float], setup: Setup) -> bool:
-    """Keeps the weights if they are the best, and returns whether no better ones came for long enough."""
-    if best is None:
-        return False
-    best.consider(int(state.step), metrics, setup.weights(state))
-    return best.is_over(int(state.step), patience=setup.patience)
 
 
 def measure_evaluation(setup: Setup, held_out: EvaluationTask, best: BestWeights | None) -> Measurement:
@@ -315,7 +314,9 @@ def measure_evaluation(setup: Setup, held_out: EvaluationTask, best: BestWeights
         source = evaluation.source(state, held_out.samples.clips)
         metrics = held_out_metrics(held_out, source)
         picture = render_poster(sample_motions(held_out, source, count=NUM_PICTURED))
-        return Measured(metrics, picture, is_last=_is_over(best, state, metrics, setup))
+        if best is not None:
+            best.consider(int(state.step), metrics, setup.weights(state))
+        return Measured(metrics, picture)
 
     how = f"{HELD_OUT}, {evaluation.sampling}" if evaluation.sampling else HELD_OUT
     return Measurement("evaluation", f"evaluation ({how})", evaluation.config.every, measure)

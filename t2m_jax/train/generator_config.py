@@ -83,7 +83,7 @@ class TrainGeneratorConfig(GeneratorStepConfig, ExperimentConfig):
     all actions of the data set's `index.csv`, and 0.5 is between. Of a label such as `walk, happy`, only the action
     counts. A motion of several actions is drawn as often as their mean; motions without a label are one action."""
     balance_limit: float = 10.0
-    """How many times as often as the average a motion is drawn at most."""
+    """Largest weight of a motion in these draws, as a multiple of the mean weight without this limit."""
     single_share: float | None = None
     """Share of the draws that motions of one action have which is done once, as the labels of `index.csv` say. The rest
     are those of several actions, in turn or at once, of counted and of timed ones. null draws by `balance` alone."""

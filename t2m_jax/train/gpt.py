@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from t2m_jax.config import check_shares
 from t2m_jax.data.banks.codes import Captions, CodeBank
 from t2m_jax.data.banks.order import row_keys, split_each
 from t2m_jax.devices import own_rows, split_rows
@@ -46,8 +47,7 @@ class GptStepConfig(GeneratorStepConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if isinstance(self.tau, float) and not 0 <= self.tau <= 1:
-            raise ValueError(f"tau: {self.tau} is not a share between 0 and 1")
+        check_shares(self, "drop_probability", *(["tau"] if isinstance(self.tau, float) else []))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -11,6 +11,7 @@ import optax
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
+from t2m_jax.config import check_shares
 from t2m_jax.data.banks.codes import Captions, CodeBank, CodeBatch
 from t2m_jax.data.banks.order import row_keys, split_each
 from t2m_jax.devices import global_rows, global_sum, own_rows, split_rows
@@ -68,9 +69,7 @@ class HiFiGptStepConfig(GeneratorStepConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("tau", "condition_dropout"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name}: {getattr(self, name)} is not a probability between 0 and 1")
+        check_shares(self, "tau", "condition_dropout")
         if self.condition_dropout == 0 and self.model.guidance_scale != 1:
             raise ValueError("condition_dropout: without it, guidance means nothing; set model.guidance_scale to 1")
         if self.contrastive_weight and self.text_network is None:

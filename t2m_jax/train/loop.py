@@ -21,6 +21,8 @@ from t2m_jax.errors import ENDING_SIGNALS, Interruption, UserError, handling_sig
 from t2m_jax.train.config import LoopConfig
 from t2m_jax.train.log import MetricLog
 
+MOST_CALLS = 1000
+"""Calls after which their metrics go to the host: on a device, each takes kilobytes."""
 Metrics = Mapping[str, jax.Array]
 
 
@@ -64,15 +66,21 @@ class Call(NamedTuple):
     """Number of updates."""
 
 
+def join_calls(calls: Sequence[Call]) -> Call:
+    """Returns one call that has the updates of several, with its metrics on the host."""
+    # One transfer for all calls: the host does not wait for each update.
+    fetched = [(jax.device_get(call.metrics), call.updates) for call in calls]
+    metrics = {name: np.concatenate([found[name][:count] for found, count in fetched]) for name in fetched[0][0]}
+    return Call(metrics, sum(call.updates for call in calls))
+
+
 def mean_metrics(calls: Sequence[Call], *, first_step: int) -> dict[str, float]:
     """Returns the mean of each metric over consecutive steps, the first of which is `first_step`.
 
     Raises:
         UserError: A loss is not finite; the message names the step.
     """
-    # One transfer for all calls since the last row: the host does not wait for each update.
-    fetched = [(jax.device_get(call.metrics), call.updates) for call in calls]
-    values = {name: np.concatenate([metrics[name][:count] for metrics, count in fetched]) for name in fetched[0][0]}
+    values = join_calls(calls).metrics
     # Of every step and not of the mean, so that the message can name the first one.
     for step, loss in enumerate(values["loss"], start=first_step):
         if not math.isfinite(loss):
@@ -135,12 +143,15 @@ def run_loop(
             state, metrics = update(state, count)
             step += count
             calls.append(Call(metrics, count))
+            if len(calls) > MOST_CALLS:
+                calls = [join_calls(calls)]
             asked = asked_to_stop(step)
             due = [one for one in measurements if is_due(step, one.every, last=total)]
             is_kept = asked is not None or step == total or is_due(step, config.checkpoint_every, last=total)
             if due or is_kept or is_due(step, config.log_every, last=total):  # first: it raises if a loss is not finite
                 _log_updates(log, step, calls, speed, progress)
                 calls = []
+            # Before the checkpoint: a run that is killed in between measures again, with the same figures.
             is_over = _log_measurements(log, step, due, state) or asked is not None
             if is_kept or is_over:
                 checkpoints.save(step, state)

@@ -234,5 +234,6 @@ class Devices:
         sharding = NamedSharding(self.mesh, spec)
         if jax.process_count() == 1:
             return jax.device_put(leaf, sharding, may_alias=may_alias)
+        # `device_put` cannot reach the devices of other processes: each process fills its own.
         values = np.asarray(leaf)
         return jax.make_array_from_callback(values.shape, sharding, lambda index: values[index])

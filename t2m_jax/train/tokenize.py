@@ -169,7 +169,8 @@ def encode_clips(
         clips: The motions.
         info: Limits of lengths.
         tokenizer: Encodes the motions.
-        offsets: Frames at which the first code may start: all that leave the same number of codes, or one per clip.
+        offsets: Frames at which the first code may start: all that leave the same number of codes or one fewer, or one
+            per clip.
             With "hold", as many are added as would be cut, where the feet stand (`fill_rows`).
         timed_captions: Codes for a caption with times: of those frames alone, or cut out of the codes of the clip.
         long_clips: Leave out clips that are too long (the original), or cut them into windows that overlap by half.
@@ -285,7 +286,7 @@ def balanced_weights(actions: Sequence[Sequence[str]], *, power: float, limit: f
         actions: Of each motion, at least one.
         power: The weight of an action is the number of motions that have it to the power of minus this. A motion of
             several actions has the mean of their weights.
-        limit: Largest weight of a motion, as a multiple of the mean.
+        limit: Largest weight of a motion, as a multiple of the mean of all weights before they are limited.
     """
     counts = Counter(action for names in actions for action in set(names))
     weights = np.array([np.mean([float(counts[action]) ** -power for action in names]) for names in actions])

@@ -158,6 +158,13 @@ def test_one_motion_for_all_texts_is_at_chance():
     np.testing.assert_allclose(r_precision(text, same), np.arange(1, 4) / 32, rtol=1e-5)
 
 
+def test_what_is_not_a_number_is_found_by_nobody():
+    """All comparisons with NaN are false, as if it were nearest."""
+    text = embeddings(0)
+    np.testing.assert_allclose(r_precision(text, text.at[3].set(jnp.nan)), 1 - 1 / len(text), rtol=1e-5)
+    np.testing.assert_allclose(r_precision(text, jnp.full_like(text, jnp.nan)), np.arange(1, 4) / 32, rtol=1e-5)
+
+
 def test_equal_captions_share_their_place():
     text = jnp.concatenate([jnp.zeros((4, 16)), 100.0 + 50.0 * embeddings(0, 28)])
     motion = text.at[:4].add(embeddings(1, 4))

@@ -13,7 +13,6 @@ from t2m_jax.models.codebook import (
     CANDIDATE_NOISE,
     RULES,
     CodebookState,
-    Limits,
     candidate_codes,
     hits,
     initial_codebook,
@@ -55,7 +54,7 @@ def test_golden_sequence(golden_dir, name):
         np.testing.assert_array_equal(codes.reshape(arrays["code_idx"][step].shape), arrays["code_idx"][step])
         batch_hits = hits(rows[None], codes[None], jnp.ones((1, len(rows)), bool), num_codes=num_codes)
         candidates = jnp.asarray(arrays["reset_candidates"][step]) if RULES[GOLDEN[name]].resets else None
-        state = update_codebook(state, batch_hits, candidates, rule=RULES[GOLDEN[name]], limits=Limits(decay, 1.0))
+        state = update_codebook(state, batch_hits, candidates, rule=RULES[GOLDEN[name]], decay=decay, threshold=1.0)
         np.testing.assert_allclose(state.codebook, arrays["codebook_after"][step], atol=1e-5)
         np.testing.assert_allclose(state.ema_count, arrays["code_count_after"][step], atol=1e-6)
         if RULES[GOLDEN[name]].averages:
@@ -136,7 +135,7 @@ def test_averages_of_codes_that_nobody_chose_for_ages_keep_their_place():
     """Counts that decayed to nothing must not turn into a ratio of leftovers."""
     state = CodebookState(jnp.ones((3, 2)), jnp.full((3, 2), 1e-38), jnp.full(3, 1e-39), jnp.array(True))
     rule = RULES["ema"]
-    moved = update_codebook(state, (jnp.zeros((3, 2)), jnp.zeros(3)), None, rule=rule, limits=Limits(0.99, 1.0))
+    moved = update_codebook(state, (jnp.zeros((3, 2)), jnp.zeros(3)), None, rule=rule, decay=0.99, threshold=1.0)
     np.testing.assert_array_equal(moved.codebook, 1.0)
 
 
@@ -171,7 +170,7 @@ def test_zero_counts_stay_finite_in_value_and_gradient():
     def total(sums):
         candidates = jnp.full((3, 2), 5.0)
         updated = update_codebook(
-            state, (sums, jnp.zeros(3)), candidates, rule=RULES["ema_reset"], limits=Limits(0.99, 1.0)
+            state, (sums, jnp.zeros(3)), candidates, rule=RULES["ema_reset"], decay=0.99, threshold=1.0
         )
         return jnp.sum(updated.codebook), updated.codebook
 

@@ -13,7 +13,6 @@ from t2m_jax.errors import UserError
 from t2m_jax.models.codebook import (
     RULES,
     CodebookState,
-    Limits,
     candidate_codes,
     hits,
     initial_codebook,
@@ -121,7 +120,7 @@ def test_one_depth_is_the_plain_layer_bit_for_bit(kind):
         codes = nearest_codes(rows, state.codebook)
         batch_hits = hits(rows[None], codes[None], mask[None], num_codes=16)
         candidates = candidate_codes(rows, mask, noise[1]) if RULES[kind].resets else None
-        state = update_codebook(state, batch_hits, candidates, rule=RULES[kind], limits=Limits(0.9, 1.0))
+        state = update_codebook(state, batch_hits, candidates, rule=RULES[kind], decay=0.9, threshold=1.0)
         output, variables = module.apply(variables, LATENTS, MASK, train=True, noise=noise, mutable=["codebook"])
         np.testing.assert_array_equal(output.codes.reshape(-1), codes)
         chex.assert_trees_all_equal(CodebookState(**variables["codebook"]), state)
@@ -208,7 +207,7 @@ def test_decoder_context_is_as_long_as_needed():
     [
         ({"quantizer": "ema_reset", "codebook_update": "per_depth"}, "codebook_update: per_depth needs quantizer"),
         ({"reset_threshold": 2.0}, "reset_threshold: 2.0 is not between 0 and 1"),
-        ({"depth_dropout": 1.5}, "depth_dropout: 1.5 is not a probability"),
+        ({"depth_dropout": 1.5}, "depth_dropout: 1.5 is not a number from 0 to 1"),
         ({"num_quantizers": 0}, "num_quantizers"),
     ],
 )

@@ -44,6 +44,8 @@ def speed_of(caption):
         ("waves as the sun slowly sets", None),
         ("walks while the others run fast", None),
         ("walks, not too fast", None),
+        ("isn't walking slowly", None),
+        ("doesn’t run fast", None),
         ("walks without being in a hurry", None),
         ("walks slowly, then fast", None),
         ("walks and slows down", None),

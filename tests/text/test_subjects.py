@@ -18,6 +18,8 @@ def problems(caption):
         ("make the horse gallop", "horse"),
         ("a small bird quickly flies away", "bird"),
         ("an elephant", "elephant"),
+        ("In the park a dog runs", "dog"),
+        ("a group of cats sleeps", "cats"),
     ],
 )
 def test_animals_that_move_are_named(caption, animal):
@@ -34,6 +36,11 @@ def test_animals_that_move_are_named(caption, animal):
         "as a cat would, she sneaks",
         "a person ducks",
         "a crane operator raises a hand",
+        "a person does a bear crawl",
+        "someone performs a duck walk",
+        "doing donkey kicks",
+        "a man in a bear suit walks",
+        "a girl on a horse waves",
     ],
 )
 def test_people_with_animals_are_people(caption):

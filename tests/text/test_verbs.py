@@ -41,6 +41,18 @@ def test_the_actions_of_a_caption(caption, actions):
     assert [word.action for word in words_of(caption) if word.action] == actions
 
 
+@pytest.mark.parametrize(
+    ("caption", "words"),
+    [
+        ("she can't walk", "she can not walk"),
+        ("he won’t stop", "he will not stop"),
+        ("it doesn't, I'd say", "it does not i say"),
+    ],
+)
+def test_short_forms_keep_their_negation(caption, words):
+    assert [word.text for word in words_of(caption)] == words.split()
+
+
 def test_words_have_their_basic_forms():
     words = {word.text: word.bases for word in words_of("A woman’s feet moved 3,5 m anti-clockwise, 90 degrees")}
     assert list(words) == ["a", "woman", "feet", "moved", "3,5", "m", "anti-clockwise", "90", "degrees"]

@@ -230,6 +230,13 @@ def test_a_validation_split_of_less_than_a_batch_is_refused_before_training(refu
     assert "do not fill a batch of 32" in refusal(data=runs.data)
 
 
+def test_patience_is_refused_beside_an_evaluator(training, tmp_path):
+    config = dataclasses.replace(training("gpt", tmp_path / "run"), patience=3)
+    with pytest.raises(UserError, match="patience: counts validation losses, but the evaluator chooses the weights"):
+        train(config)
+    assert not (tmp_path / "run").exists()
+
+
 @pytest.mark.parametrize(
     ("schema", "fields", "says"),
     [

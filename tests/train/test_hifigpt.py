@@ -177,7 +177,7 @@ def test_corruption_replaces_rows_or_codes(kind):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"tau": 1.5}, "tau: 1.5 is not a probability"),
+        ({"tau": 1.5}, "tau: 1.5 is not a number from 0 to 1"),
         ({"condition_dropout": 0.0}, "condition_dropout: without it, guidance means nothing"),
         ({"num_parts": 3}, "num_parts: 3 does not divide"),
         ({"contrastive_weight": 0.5, "text_encoder": "clip"}, "contrastive_weight: the clip encoder is not trained"),

@@ -16,7 +16,17 @@ from t2m_jax.checkpoints.run import Checkpoints
 from t2m_jax.errors import Interruption, UserError
 from t2m_jax.train.config import LoopConfig
 from t2m_jax.train.log import MetricLog
-from t2m_jax.train.loop import Call, Measured, Measurement, Speed, mean_metrics, next_multiple, run_loop, stop_requests
+from t2m_jax.train.loop import (
+    Call,
+    Measured,
+    Measurement,
+    Speed,
+    join_calls,
+    mean_metrics,
+    next_multiple,
+    run_loop,
+    stop_requests,
+)
 
 
 class Counter(NamedTuple):
@@ -217,6 +227,14 @@ def test_a_finished_state_is_left_alone(tmp_path):
     again = run_loop(tmp_path, state, counting(), config=loop())
     assert again is state
     assert (tmp_path / "train.csv").read_bytes() == written
+
+
+def test_metrics_of_many_updates_go_to_the_host_before_they_are_logged(tmp_path, monkeypatch):
+    monkeypatch.setattr("t2m_jax.train.loop.MOST_CALLS", 3)
+    joined = []
+    monkeypatch.setattr("t2m_jax.train.loop.join_calls", lambda calls: joined.append(len(calls)) or join_calls(calls))
+    run_loop(tmp_path, START, counting(), config=loop(log_every=0, checkpoint_every=0))
+    assert max(joined) == 4 and [row["loss"] for row in rows(tmp_path)] == [5.5]
 
 
 def test_means_are_over_the_steps():

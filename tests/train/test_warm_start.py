@@ -140,6 +140,18 @@ def test_arrays_that_fit_are_taken_and_the_others_stay():
     assert_same(merged, expected, rtol=0)
 
 
+@pytest.mark.parametrize("shape", [(2, 3), (3, 2)])
+def test_half_of_a_codebook_is_not_taken(shape):
+    """It would be a codebook of zeros that counts as initialized."""
+    other, size = (
+        {"codebook": np.full(some, fill), "ema_count": np.full(some[0], fill), "initialised": np.array(fill == 1)}
+        for some, fill in (((2, 2), 1.0), (shape, 0.0))
+    )
+    weights = {"params": {"a": np.zeros(2)}, "codebook": size}
+    merged = fitting_weights(Path("demo"), {"params": {"a": np.ones(2)}, "codebook": other}, weights)
+    assert_same(merged, {"params": {"a": np.ones(2)}, "codebook": size}, rtol=0)
+
+
 @pytest.mark.slow
 def test_a_generator_takes_the_tokenizer_of_its_init_and_other_motion_than_this_learned(runs, tmp_path, caplog):
     other = tmp_path / "other"
