@@ -40,6 +40,9 @@ class _Bone(NamedTuple):
     """Its columns in the motion: rx, ry, rz, tx, ty or tz."""
 
 
+_RADIANS_PER_UNIT = {"degrees": float(np.deg2rad(1.0)), "radians": 1.0}
+
+
 class _Skeleton(NamedTuple):
     bones: Mapping[str, _Bone]
     parents: Mapping[str, str]
@@ -65,7 +68,7 @@ def load_amc(path: Path | str, *, fps: float = AMC_FPS) -> RigClip:
     names = (ROOT, *figure.parents)
     parents = (-1, *(names.index(parent) for parent in figure.parents.values()))
     # Bones without a line in the motion do not turn.
-    values = _read_motion(path, figure)
+    values, figure = _read_motion(path, figure)
     num_frames = len(values[ROOT])
     rotations = np.empty((num_frames, len(names), 3, 3), np.float32)
     # A joint is where its bone begins, which is where its parent's bone ends.
@@ -96,7 +99,8 @@ def find_skeleton(path: Path) -> Path:
         UserError: There is none, or there are several.
     """
     found = sorted(file for file in path.parent.glob("*") if file.suffix.lower() == ".asf")
-    named = [file for file in found if path.stem.lower().startswith(file.stem.lower())]
+    # No letter or digit may follow: 10.asf is not that of 100_01.amc.
+    named = [file for file in found if re.match(rf"{re.escape(file.stem)}(?![^\W_])", path.stem, re.IGNORECASE)]
     if len(found) != 1 and len(named) != 1:
         problem = "there is no .asf file next to it" if not found else f"no one of {len(found)} .asf files has its name"
         # One wrong choice would give a motion with another person's bones, which nobody would notice.
@@ -217,12 +221,15 @@ def _read_hierarchy(lines: list[_Line], bones: Mapping[str, _Bone]) -> dict[str,
     return parents
 
 
-def _read_motion(path: Path, figure: _Skeleton) -> dict[str, Float[np.ndarray, "T F"]]:
-    """Returns the values of each bone that moves."""
+def _read_motion(path: Path, figure: _Skeleton) -> tuple[dict[str, Float[np.ndarray, "T F"]], _Skeleton]:
+    """Returns the values of each bone that moves, and the skeleton with their unit of angles."""
     names = {ROOT, *figure.parents}
     frames: list[dict[str, list[float]]] = []
     for place, words in _lines(path):
         if words[0].startswith(":"):
+            figure = figure._replace(
+                radians_per_unit=_RADIANS_PER_UNIT.get(words[0][1:].lower(), figure.radians_per_unit)
+            )
             continue
         if len(words) == 1 and re.fullmatch(r"\d+", words[0]):
             frames.append({})
@@ -238,4 +245,4 @@ def _read_motion(path: Path, figure: _Skeleton) -> dict[str, Float[np.ndarray, "
     for number, frame in enumerate(frames, start=1):
         if frame.keys() != frames[0].keys():
             raise UserError(f"{path}: frame {number} has other bones than the first one; is the file cut?")
-    return {name: np.array([frame[name] for frame in frames]) for name in frames[0]}
+    return {name: np.array([frame[name] for frame in frames]) for name in frames[0]}, figure

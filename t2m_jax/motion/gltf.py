@@ -105,16 +105,16 @@ def _load(path: Path, fps: float | None, choose: Callable[[Mapping[str, str]], l
         animations = _titles(glb.tree.get("animations", []))
         if not animations:
             raise UserError("has no animation")
-        nodes = find_nodes(glb.tree)
         # A length of 1 has another meaning only in files of this package.
         unit = 0.01 if own_extra(glb.tree, glb.tree.get("asset", {}), "units") == "cm" else 1.0
-        nodes = nodes._replace(scales=nodes.scales * unit)
         clips: dict[str, RigClip] = {}
         room = MAX_POSES
         owners = {str(node.get("name")) for node in glb.tree.get("nodes", [])}
         captions = {title: _caption(glb.tree, animation, title, owners) for title, animation in animations.items()}
         for title in choose(captions):
             animation = animations[title]
+            nodes = find_nodes(glb.tree, animation)
+            nodes = nodes._replace(scales=nodes.scales * unit)
             with np.errstate(over="ignore", invalid="ignore"):  # what is too large is then found not to be finite
                 rate = fps or _own_rate(glb.tree, animation)
                 clip = _sample(glb, nodes, animation, fps=rate or DENSE_FPS, room=room)

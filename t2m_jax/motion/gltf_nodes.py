@@ -38,13 +38,19 @@ class Nodes(NamedTuple):
     """Of each joint's parent and all nodes above it."""
     is_person: bool
     """Whether the file names the bones of a person, as VRM files do."""
+    notes: tuple[str, ...] = ()
+    """What was left out."""
 
 
-def find_nodes(tree: Mapping[str, Any]) -> Nodes:
+def find_nodes(tree: Mapping[str, Any], animation: Mapping[str, Any] | None = None) -> Nodes:
     """Returns the joints and the nodes above them.
 
-    Joints are the bones that a VRM file names, or the joints of all skins or, in files that have only an animation, the
-    nodes that it moves and those below them.
+    Joints are the bones that a VRM file names, or the joints of skins or, in files that have only animations, the
+    nodes that these move and those below them.
+
+    Args:
+        tree: The contents of the file.
+        animation: The one for which joints are needed: of several figures, the one that it moves.
 
     Raises:
         UserError: There are none.
@@ -52,8 +58,8 @@ def find_nodes(tree: Mapping[str, Any]) -> Nodes:
     nodes = tree.get("nodes", [])
     above = {child: number for number, node in enumerate(nodes) for child in node.get("children", [])}
     bones = _human_bones(tree)
-    skinned = {joint for skin in tree.get("skins", []) for joint in skin["joints"]}
-    wanted = set(bones) or skinned or _animated(tree, nodes)
+    skinned, notes = _skinned(tree, nodes, animation)
+    wanted = set(bones) or skinned or _animated(tree.get("animations", []), nodes)
     if not wanted:
         raise UserError(
             "has neither a skin nor an animation of a node, so it is not known which of its nodes are joints"
@@ -80,7 +86,7 @@ def find_nodes(tree: Mapping[str, Any]) -> Nodes:
         scales[place] = 1.0 if parent < 0 else scales[parent] * poses[parent][2]
     names = tuple(bones.get(number) or str(nodes[number].get("name", f"node_{number}")) for number in order)
     translations, rotations, _ = map(np.stack, zip(*poses, strict=True))
-    return Nodes(names, parents, numbers, translations, rotations, scales, bool(bones))
+    return Nodes(names, parents, numbers, translations, rotations, scales, bool(bones), notes)
 
 
 def rest_clip(nodes: Nodes) -> RigClip:
@@ -97,6 +103,7 @@ def rest_clip(nodes: Nodes) -> RigClip:
         fps=1.0,
         metres_per_unit=1.0,
         is_person=nodes.is_person,
+        notes=nodes.notes,
     )
 
 
@@ -112,12 +119,32 @@ def _human_bones(tree: Mapping[str, Any]) -> dict[int, str]:
     return {}
 
 
-def _animated(tree: Mapping[str, Any], nodes: Sequence[Mapping[str, Any]]) -> set[int]:
+def _skinned(
+    tree: Mapping[str, Any], nodes: Sequence[Mapping[str, Any]], animation: Mapping[str, Any] | None
+) -> tuple[set[int], tuple[str, ...]]:
+    """Returns the joints of the skins that an animation moves, and what is to be said of other figures."""
+    skins = [set(skin["joints"]) for skin in tree.get("skins", [])]
+    if animation is not None:
+        moved = _animated([animation], nodes)
+        skins = [joints for joints in skins if joints & moved] or skins
+    owners: dict[Any, int] = {}
+    notes: tuple[str, ...] = ()
+    for joints in skins:
+        names = {nodes[joint].get("name", joint): joint for joint in joints}
+        if any(owners.get(name, joint) != joint for name, joint in names.items()):
+            # By their names, the joints of both could not be told apart, and a motion would have limbs of each.
+            notes = ("the file has several figures with equal names of joints; only the first is read",)
+        else:
+            owners |= names
+    return set(owners.values()), notes
+
+
+def _animated(animations: Sequence[Mapping[str, Any]], nodes: Sequence[Mapping[str, Any]]) -> set[int]:
     """Returns the nodes that animations turn or move, and those below them, which may be tips of limbs."""
     found: set[int] = set()
     waiting = [
         channel["target"]["node"]
-        for animation in tree.get("animations", [])
+        for animation in animations
         for channel in animation["channels"]
         if channel["target"]["path"] in ("translation", "rotation") and "node" in channel["target"]
     ]

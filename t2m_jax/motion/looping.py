@@ -25,8 +25,9 @@ LARGEST_DIFFERENCE = 0.25
 """Largest difference between the ends of a loop. With less alike poses, the blend would be another motion."""
 ACCELERATION_SECONDS_2 = 0.01
 """A difference of 1 m/s² counts as much as a difference of this many meters."""
+LONGEST_SECONDS = 60.0
 MOST_STARTS = 1000
-"""Frames that are tried as the start of a loop, evenly spaced if there are more, so that memory is bounded."""
+"""Longest loop, and frames that are tried as its start, evenly spaced if there are more: they bound time and memory."""
 
 
 class Loop(NamedTuple):
@@ -61,14 +62,17 @@ def find_loop(positions: Clip, *, fps: float) -> Loop:
     starts = np.arange(0, count - shortest, max(1, count // MOST_STARTS))
     # Where joints hardly accelerate, a seam shows least.
     jumps = np.sqrt(np.mean(np.sum(accelerations[starts] ** 2, axis=-1), axis=-1)) * VELOCITY_SECONDS / fps
-    costs = cdist(moments[starts], moments) + jumps[:, None]
-    lengths = np.arange(count) - starts[:, None]
-    costs[lengths < shortest] = np.inf
-    row, end = np.unravel_index(np.where(costs <= costs.min() + TOLERANCE, lengths, -1).argmax(), costs.shape)
-    difference = float(np.linalg.norm((moments[starts[row]] - moments[end]).reshape(-1, 9)[:, :6]))
+    lengths = np.arange(shortest, min(count, round(LONGEST_SECONDS * fps)))
+    costs = np.full((len(starts), len(lengths)), np.inf)
+    for row, start in enumerate(starts):
+        ends = moments[start + shortest : start + shortest + len(lengths)]
+        costs[row, : len(ends)] = cdist(moments[[start]], ends)[0] + jumps[row]
+    row, column = np.unravel_index(np.where(costs <= costs.min() + TOLERANCE, lengths, -1).argmax(), costs.shape)
+    start, end = starts[row], starts[row] + lengths[column]
+    difference = float(np.linalg.norm((moments[start] - moments[end]).reshape(-1, 9)[:, :6]))
     if difference > LARGEST_DIFFERENCE:
         raise UserError(f"loop: no part of the motion repeats; the most alike poses differ by {difference:.2f} m")
-    return Loop(int(starts[row]), int(end), difference)
+    return Loop(int(start), int(end), difference)
 
 
 def close_loop(positions: Clip, loop: Loop, *, fps: float, skeleton: Skeleton) -> Clip:

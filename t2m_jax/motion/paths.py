@@ -107,8 +107,7 @@ def route_along(positions: Clip, waypoints: Sequence[Sequence[float | int]], *, 
     """
     points = check_waypoints(waypoints)
     old, way = _smooth_path(positions, fps)
-    curve, curve_way = _curve(points, way[-1] + LOOK_AHEAD)
-    length = curve_way[-2]  # the last piece is the straight line after the path
+    curve, curve_way, length = _curve(points, way[-1] + LOOK_AHEAD)
     if way[-1] < REACHED * length:
         seconds = len(positions) / fps * length / way[-1]
         logger.warning(
@@ -144,19 +143,24 @@ def _smooth_path(positions: Clip, fps: float) -> tuple[Places, Way]:
     return smooth, way
 
 
-def _curve(points: Float[np.ndarray, "N 2"], length: float) -> tuple[Places, Way]:
-    """Returns a smooth curve through points on the ground, extended to a length, and the way to each of its points."""
+def _curve(points: Float[np.ndarray, "N 2"], length: float) -> tuple[Places, Way, float]:
+    """Returns a smooth curve through points on the ground that is at least as long as `length`.
+
+    If the points end before, it goes straight on. Also the way to each of its points, and the length up to the last of
+    `points`.
+    """
     from scipy.interpolate import CubicSpline  # here, because it takes long to import
 
     knots = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     # Natural: it does not bend at its ends, and so continues smoothly into the straight line after the last point.
     spline = CubicSpline(knots, points, bc_type="natural")
-    parameters = np.linspace(0, knots[-1], max(2, round(knots[-1] / SPLINE_STEP)))
-    flat = spline(parameters)
-    end = spline(knots[-1], 1)
+    # The way between two points is as long as the line or longer. What follows `length` is not needed, and may be long.
+    last = min(knots[-1], length)
+    flat = spline(np.linspace(0, last, max(2, round(last / SPLINE_STEP))))
+    end = spline(last, 1)
     flat = np.append(flat, flat[-1:] + end / np.linalg.norm(end) * length, axis=0)
     way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(flat, axis=0), axis=1)))
-    return np.stack([flat[:, 0], 0 * way, flat[:, 1]], axis=1), way
+    return np.stack([flat[:, 0], 0 * way, flat[:, 1]], axis=1), way, float(way[-2] + knots[-1] - last)
 
 
 def _at(path: Places, way: Way, wanted: Way) -> Places:

@@ -30,6 +30,8 @@ SOLE = 0.02
 """Height of the balls of the feet above the floor."""
 ALIKE = np.cos(np.deg2rad(15.0))
 """Bones from the pelvis to the hips, and from the chest to the collars, are as SMPL's if they are so near to them."""
+FLOOR = (-0.02, 0.1)
+"""Heights of the lowest joint of who is on the floor, in meters."""
 STANDS = 0.8
 """Figures in a file with Y up are this much along Y on average (cosine). AMASS has Z up."""
 _SPINE = {
@@ -141,8 +143,13 @@ def clip_from_smpl(
 
 
 def up_of_smpl(clip: RigClip) -> Literal["y", "z"]:
-    """Returns the axis that points up. The rest pose does not tell: it is along Y in both cases."""
+    """Returns the axis that points up. The rest pose does not tell: it is along Y in both cases.
+
+    Who lies or crawls along Y has a body along Y, too, but then it is on the floor along Z.
+    """
     positions = clip.positions
     ankles = positions[:, [_INDEX["left_ankle"], _INDEX["right_ankle"]]].mean(axis=1)
     upward = unit_vectors(positions[:, _INDEX["neck"]] - ankles).mean(axis=0)
-    return "y" if upward[1] > STANDS else "z"
+    lowest = np.median(positions.min(axis=1), axis=0)
+    _, y_has_floor, z_has_floor = (FLOOR[0] < lowest) & (lowest < FLOOR[1])
+    return "y" if upward[1] > STANDS and (y_has_floor or not z_has_floor) else "z"

@@ -78,6 +78,7 @@ def _best_path(evidence: Twists, stiffness: float, fps: float) -> Angles:
     """Returns the best sequence of twists on a grid of angles (dynamic programming)."""
     step = 2 * np.pi / NUM_ANGLES
     reach = max(1, int(np.deg2rad(MAX_DEGREES_PER_SECOND) / fps / step))
+    reach = min(reach, NUM_ANGLES // 2)  # any angle
     moves = np.arange(-reach, reach + 1)
     move_costs = stiffness * (moves * step) ** 2
     angles = np.arange(NUM_ANGLES) * step

@@ -9,7 +9,7 @@ from t2m_jax import Motion
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
 from t2m_jax.motion.skeleton import HUMANML3D
-from t2m_jax.motion.smpl import OFFSETS, clip_from_smpl
+from t2m_jax.motion.smpl import OFFSETS, clip_from_smpl, up_of_smpl
 
 NAMES = HUMANML3D.joint_names
 # The skeleton of SMPL's mean body, as simulations of physics have it, with its slightly different sides.
@@ -133,6 +133,20 @@ def test_what_is_wrong_is_named(tmp_path, file, change, message):
     np.savez(tmp_path / "a.npz", **{name: value for name, value in (file | change).items() if value is not None})
     with pytest.raises(UserError, match=rf"a\.npz: {message}"):
         Motion.load(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize(
+    ("places", "up"),
+    [
+        ([(0.0, 0.9, 0.1)], "z"),  # lies on the floor with the head toward +Y
+        ([(0.0, 0.9 + step / 10, 0.1) for step in range(30)], "z"),  # slides along
+        ([(0.0, 1.15, 0.0)], "y"),  # stands on the floor
+        ([(0.3, 1.35, 0.5)], "y"),  # stands above it
+    ],
+)
+def test_who_lies_along_y_is_not_raised(places, up):
+    clip = clip_from_smpl(np.zeros((len(places), 156)), np.array(places), fps=20.0)
+    assert up_of_smpl(clip) == up
 
 
 def test_other_skeletons_are_refused(tmp_path, kit_walk):

@@ -87,6 +87,23 @@ def test_the_skeleton_is_found_by_its_name(tmp_path):
         load_amc(path)
 
 
+def test_a_longer_number_is_another_name(tmp_path):
+    path = write_acclaim(tmp_path).rename(tmp_path / "100_01.amc")
+    (tmp_path / "02.asf").rename(tmp_path / "100.asf")
+    (tmp_path / "10.asf").write_text("another")
+    assert load_amc(path).num_frames == 2
+    (tmp_path / "100.asf").rename(tmp_path / "20.asf")
+    with pytest.raises(UserError, match=r"100_01\.amc: no one of 2 \.asf files has its name"):
+        load_amc(path)
+
+
+def test_a_motion_may_have_another_unit_of_angles_than_its_skeleton(tmp_path):
+    degrees = load_amc(write_acclaim(tmp_path))
+    amc = ":RADIANS\n" + AMC.replace(":DEGREES\n", "").replace("thigh 30 0", f"thigh {np.deg2rad(30)} 0")
+    radians = load_amc(write_acclaim(tmp_path, amc=amc))
+    np.testing.assert_allclose(radians.rotations[0, 1], degrees.rotations[0, 1], atol=1e-6)
+
+
 def test_limbs_point_as_in_the_same_recording_as_bvh(shared_data):
     """The BVH files were made from these, on another figure; limbs have the same directions within two degrees."""
     from t2m_jax.motion.bvh import load_bvh

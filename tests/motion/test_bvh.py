@@ -158,6 +158,7 @@ def test_the_unit_is_told_from_the_size_of_the_figure(tmp_path, scale, metres_pe
     ("written", "fps"),
     [
         *(("0.0333333", 30), ("0.033", 30), ("0.016667", 60), ("0.008333", 120), ("0.05", 20), ("1", 1), ("5e-2", 20)),
+        *(("0.016666", 60), ("0.0083", 120), ("3.33333e-02", 30), ("0.04", 25)),
         *(("0.04170", 1 / 0.0417), ("0.0333667", 1 / 0.0333667), ("0.08", 12.5)),
     ],
 )
@@ -337,6 +338,8 @@ def test_other_skeletons_and_bad_places_are_refused(tmp_path):
     motion = Motion(positions=walking_positions(3), fps=20.0)
     with pytest.raises(UserError, match="does not exist"):
         save_bvh(tmp_path / "no" / "walk.bvh", motion)
+    with pytest.raises(UserError, match=r"walk\.bvh: 0\.5 frames a second are too few for a BVH file"):
+        save_bvh(tmp_path / "walk.bvh", Motion(positions=walking_positions(3), fps=0.5))
     kit = Motion(positions=np.ones((3, KIT_ML.num_joints, 3), np.float32), fps=12.5, skeleton=KIT_ML)
     with pytest.raises(UserError, match="skeleton humanml3d, not kit_ml"):
         save_bvh(tmp_path / "kit.bvh", kit)

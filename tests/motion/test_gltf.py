@@ -72,6 +72,34 @@ def test_rotations_may_be_integers_and_nodes_may_be_matrices(tmp_path):
     np.testing.assert_allclose(hand_of(writer, tmp_path, fps=1.0), [[2, 1, 1], [0, 1, 1]], atol=1e-3)
 
 
+def two_figures(path, *, moved):
+    """Two figures of the same rig, each with a skin, of which an animation turns some."""
+    writer = GlbWriter()
+    roots = []
+    for _ in range(2):
+        numbers = {}
+        for name, (parent, offset) in BANDAI.items():
+            numbers[name] = writer.joint(name, numbers.get(parent), translation=[part / 100 for part in offset])
+        roots.append(numbers[next(iter(BANDAI))])
+    joints = writer.tree["skins"][0]["joints"]
+    writer.tree["skins"] = [{"joints": joints[: len(BANDAI)]}, {"joints": joints[len(BANDAI) :]}]
+    writer.animation("a", [(roots[one], "rotation", [0, 1], about_y([0, 90]), "LINEAR", "f4") for one in moved])
+    return writer.save(path)
+
+
+@pytest.mark.parametrize("figure", [0, 1])
+def test_of_two_figures_the_one_that_moves_is_read(tmp_path, figure):
+    clip = load_gltf(two_figures(tmp_path / "two.glb", moved=[figure]), fps=20.0)["a"]
+    assert len(clip.joint_names) == len(BANDAI) and not clip.notes
+    positions = retarget(clip).positions
+    assert np.linalg.norm(positions[-1] - positions[0], axis=-1).max() > 0.5
+
+
+def test_of_two_figures_that_move_the_first_is_read_and_it_is_said(tmp_path):
+    clip = load_gltf(two_figures(tmp_path / "two.glb", moved=[0, 1]), fps=20.0)["a"]
+    assert len(clip.joint_names) == len(BANDAI) and "only the first is read" in clip.notes[0]
+
+
 def test_a_rig_is_found_and_a_person_stands(tmp_path):
     path = write_person(tmp_path / "person.glb", BANDAI, {"a": 10.0, "Armature|a": 20.0})
     clip = load_gltf(path, fps=20.0)["a"]

@@ -107,6 +107,12 @@ def test_a_long_motion_is_searched_in_bounded_memory(monkeypatch):
     assert found.start % 6 == 0 and (found.end - found.start) % 16 == 0
 
 
+def test_loops_have_at_most_a_minute(monkeypatch):
+    monkeypatch.setattr("t2m_jax.motion.looping.LONGEST_SECONDS", 2.0)
+    found = find_loop(periodic(), fps=20.0)
+    assert found.end - found.start == 32  # two periods of 16, and not three
+
+
 def test_other_skeletons_loop():
     positions = np.repeat(make().positions[:1, :21], 60, axis=0)
     motion = Motion(positions, 12.5, skeleton=KIT_ML)

@@ -9,7 +9,7 @@ from t2m_jax import Motion
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
 from t2m_jax.motion.features import bone_vectors, facing
-from t2m_jax.motion.paths import route_along, turned_route
+from t2m_jax.motion.paths import _curve, route_along, turned_route
 from t2m_jax.motion.skeleton import HUMANML3D
 
 
@@ -85,6 +85,16 @@ def test_a_path_leads_through_its_points_and_straight_on():
     expected = np.unwrap(np.arctan2(forward[:, 0], forward[:, 2]))
     # The synthetic walk is straight, so its heading changes as the path does.
     np.testing.assert_allclose(change[5:-5] - change[5], expected[5:-4] - expected[5], atol=0.1)
+
+
+def test_points_far_beyond_the_end_of_a_motion_cost_nothing():
+    motion = make()
+    near = [(0.0, 0.0), (0.0, 50.0)]
+    far = near + 10 * [(900.0, 60.0), (900.0, 900.0), (-900.0, 900.0), (-900.0, -900.0), (900.0, -900.0)]
+    routes = [route_along(motion.positions, points, fps=20.0) for points in (near, far)]
+    np.testing.assert_allclose(routes[0].new, routes[1].new, atol=0.5)  # the curve bends before the next point
+    curve, _, length = _curve(np.array(far), 3.0)
+    assert len(curve) < 1000 and length > 20_000
 
 
 def test_the_path_that_a_motion_has_changes_little():

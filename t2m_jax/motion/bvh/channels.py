@@ -3,6 +3,7 @@
 import contextlib
 import re
 from collections.abc import Sequence
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -95,7 +96,8 @@ def _frame_rate(text: str, path: Path, *, line: int) -> float:
         raise UserError(f'{path}:{line}: bad frame time "{text}"; it must be seconds per frame, 0.0001 to 1')
     # Frame times have few digits, so 0.0333 means 30 and not 30.03 frames per second.
     nearest = max(round(1 / seconds), 1)
-    decimals = len(text.partition(".")[2]) if "e" not in text.lower() else 9
-    same_digits = round(1 / nearest, decimals) == round(seconds, decimals)
+    # Whether rounded or cut: 0.016666 means 60, too.
+    last_digit = 10.0 ** int(Decimal(text).as_tuple().exponent)
+    same_digits = abs(1 / nearest - seconds) < last_digit
     close = abs(nearest * seconds - 1) < _RATE_TOLERANCE
     return float(nearest) if same_digits and close else 1 / seconds

@@ -48,6 +48,8 @@ def save_bvh(
     """
     if motion.skeleton.joint_names != HUMANML3D.joint_names:
         raise UserError(f"{path}: BVH files are written for the skeleton {HUMANML3D.name}, not {motion.skeleton.name}")
+    if motion.fps < 1:
+        raise UserError(f"{path}: {motion.fps:g} frames a second are too few for a BVH file; give it 1 or more")
     rig = fit_rig(motion.positions, fps=motion.fps)
     scale = UNITS_PER_METER[units]
     joints = _hierarchy_lines(scale * rig.offsets, rig_joint_names(names), depth=int(root_bone))

@@ -104,8 +104,7 @@ def _fused_side(words: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
             if rest and rest != whole:
                 return side, (rest,)
     for letter, side in (("l", "left"), ("r", "right")):
-        for text, others in ((words[0], words[1:]), (words[-1], words[:-1])):
-            at_start = others == words[1:]
+        for text, others, at_start in ((words[0], words[1:], True), (words[-1], words[:-1], False)):
             rest = text.removeprefix(letter) if at_start else text.removesuffix(letter)
             if rest != text and (rest in known or "".join((rest, *others) if at_start else (*others, rest)) in known):
                 return side, (rest, *others) if at_start else (*others, rest)
