@@ -16,6 +16,7 @@ import reprlib
 import types
 import typing
 from collections.abc import Callable, Mapping, Sequence
+from numbers import Integral
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union
 
@@ -194,7 +195,9 @@ def check_shares(config: Any, *names: str, with_one: bool = True) -> None:
 
 
 def check_seed(seed: int) -> None:
-    """Raises `UserError` if a seed is not from 0 to 2**32 - 1: keys of JAX ignore the bits above."""
+    """Raises `UserError` if a seed is no whole number from 0 to 2**32 - 1: keys of JAX ignore the bits above."""
+    if not isinstance(seed, Integral):
+        raise UserError(f"seed: {seed!r} is not a whole number")
     if not 0 <= seed < 2**32:
         raise UserError(f"seed: {seed} is not between 0 and {2**32 - 1}")
 

@@ -297,7 +297,7 @@ sys.exit(program.main(["fake"]))
 
 
 def test_a_reader_that_leaves_is_no_error():
-    shell = f"{sys.executable} -m t2m_jax.cli --help | head -c 1; exit ${{PIPESTATUS[0]}}"
+    shell = f"{sys.executable} -m t2m_jax --help | head -c 1; exit ${{PIPESTATUS[0]}}"
     result = subprocess.run(["bash", "-c", shell], capture_output=True, text=True, check=False)
     assert result.returncode in (0, 141)
     assert (result.stdout, result.stderr) == ("u", "")
@@ -378,6 +378,6 @@ def test_the_log_is_printable():
 @pytest.mark.skipif(os.name == "nt", reason="uses a shell of POSIX")
 @pytest.mark.parametrize("arguments", ["evaluate --help", "check demo"])
 def test_a_closed_standard_output_is_no_error(arguments):
-    command = f"{sys.executable} -m t2m_jax.cli {arguments} >&-"
+    command = f"{sys.executable} -m t2m_jax {arguments} >&-"
     result = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
     assert (result.returncode, result.stderr) == (0, "")

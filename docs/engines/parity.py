@@ -19,7 +19,7 @@ from sampler import Noise, OnnxModel
 from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.loop import STOP_STREAM, Sampling
-from t2m_jax.sampling.strategies import Greedy, Temperature
+from t2m_jax.sampling.request import SamplingOptions
 
 WHO = ("a person", "somebody", "the old man", "a woman")
 WHAT = (
@@ -66,7 +66,7 @@ def compare(model: TextToMotion, graphs: OnnxModel, sentences: list[str], *, gre
 
     Distances are of motions whose codes are the same.
     """
-    sampling = model.parts.sampling(Greedy() if greedy else Temperature())
+    sampling = model.parts.sampling(SamplingOptions(temperature=0.0 if greedy else 1.0))
     counts = {
         "motions": 0,
         "rows": 0,

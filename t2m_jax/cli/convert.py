@@ -22,6 +22,7 @@ from t2m_jax.errors import UserError
 _MODEL_FILES = ("vqvae", "gpt", "mean", "std")
 _MODEL_OPTIONS = ("num_heads", "dilation_growth", "activation", "norm", "quantizer", "ema_decay", "reset_threshold")
 _EVALUATOR_FILES = ("evaluator", "mean", "std", "words", "word_vectors")
+_A_MODEL = "a model"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,14 +42,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for name, help_ in files.items():
         parser.add_argument(option_of(name), type=Path, metavar="FILE", help=help_)
     parser.add_argument("--encoder", metavar="NAME_OR_FOLDER", help="sentence encoder of which to make a small copy")
-    parser.add_argument("--num-heads", type=int, default=16, help="attention heads of the GPT (default: %(default)s)")
+    parser.add_argument("--num-heads", type=int, help="attention heads of the GPT (default: 16)")
     vqvae = parser.add_argument_group("options of the VQ-VAE that its file does not contain")
-    vqvae.add_argument("--dilation-growth", type=int, default=3, help="ratio of dilations (default: %(default)s)")
-    vqvae.add_argument("--activation", choices=["relu", "silu", "gelu"], default="relu", help="default: %(default)s")
+    vqvae.add_argument("--dilation-growth", type=int, help="ratio of dilations (default: 3)")
+    vqvae.add_argument("--activation", choices=["relu", "silu", "gelu"], help="default: relu")
     vqvae.add_argument("--norm", choices=["LN", "GN"], help="if it has one of the two (default: LN)")
     vqvae.add_argument("--quantizer", choices=["ema", "reset", "ema_reset"], help="codebook rule (default: ema_reset)")
-    vqvae.add_argument("--ema-decay", type=float, default=0.99, help="in further training (default: %(default)s)")
-    vqvae.add_argument("--reset-threshold", type=float, default=1.0, help="in further training (default: %(default)s)")
+    vqvae.add_argument("--ema-decay", type=float, help="in further training (default: 0.99)")
+    vqvae.add_argument("--reset-threshold", type=float, help="in further training (default: 1.0)")
     parser.add_argument(
         "--clip", metavar="NAME_OR_FOLDER", help="text encoder; a folder is copied (default: ViT-B/32 by its hub name)"
     )
@@ -78,17 +79,19 @@ def run(args: argparse.Namespace) -> None:
         save_evaluator(args.destination, load_official_evaluator(files))
         following = f"t2m evaluate generation --data DATA --evaluator {folder}"
     else:
-        _convert_model(args, _check_files(args, "a model", _MODEL_FILES))
+        _convert_model(args, _check_files(args, _A_MODEL, _MODEL_FILES))
         following = f't2m generate "a man walks in a circle" --model {folder}'
     sys.stdout.write(f"{args.destination}\n")
     show_next(following)
 
 
 def _check_files(args: argparse.Namespace, task: str, wanted: tuple[str, ...]) -> list[Path]:
-    """Returns the files of a task. Raises `UserError` if some are missing, or are given that are not needed."""
-    given = [name for name in dict.fromkeys((*_MODEL_FILES, *_EVALUATOR_FILES)) if getattr(args, name) is not None]
-    # A file too many is probably a mistake: nobody gives one to see it ignored.
-    extra = [option_of(name) for name in given if name not in wanted]
+    """Returns the files of a task. Raises `UserError` if some are missing, or an option is given that is not read."""
+    known = dict.fromkeys((*_MODEL_FILES, *_EVALUATOR_FILES, *_MODEL_OPTIONS, "clip", "card"))
+    given = [name for name in known if getattr(args, name) is not None]
+    # What is too much is probably a mistake: nobody gives it to see it ignored.
+    read = {*wanted, *((*_MODEL_OPTIONS, "clip", "card") if task == _A_MODEL else ())}
+    extra = [option_of(name) for name in given if name not in read]
     missing = [option_of(name) for name in wanted if name not in given]
     if extra:
         raise UserError(f"convert: {', '.join(extra)} cannot be used with {task}; leave it out")
@@ -107,7 +110,8 @@ def _convert_model(args: argparse.Namespace, paths: list[Path]) -> None:
     # Before the weights are read, which takes longest.
     check_new(args.destination)
     files = OfficialFiles(*paths)
-    bundle = load_official(files, **{name: getattr(args, name) for name in _MODEL_OPTIONS})
+    given = {name: getattr(args, name) for name in _MODEL_OPTIONS}
+    bundle = load_official(files, **{name: value for name, value in given.items() if value is not None})
     clip = None
     # A folder is copied into the model. A name is only noted, and found again when the model is loaded.
     if args.clip is not None and Path(args.clip).is_dir():

@@ -2,12 +2,13 @@
 
 import argparse
 import contextlib
+import functools
 import itertools
 import shlex
 import sys
 import warnings
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,7 +57,10 @@ def run(args: argparse.Namespace) -> None:
     from t2m_jax.motion.formats import check_motion_output
     from t2m_jax.text.coverage import PromptWarning
 
+    said: list[str] = []
+
     def show_warning(message: Warning | str, *_: object, **__: object) -> None:
+        said.append(str(message))
         sys.stderr.write(f"t2m: warning: {one_line(str(message))}\n")
 
     _check_quotes(args.text)
@@ -74,7 +78,8 @@ def run(args: argparse.Namespace) -> None:
         warnings.simplefilter("always", PromptWarning)
         warnings.showwarning = show_warning  # type: ignore[assignment]  # it needs the message only
         made = TextToMotion.load(args.model).make(*requests)
-        motions = map(changes.apply, _show_distances(requests, made) if requests[0].targets else made)
+        told = _show_distances(requests, made) if requests[0].targets else _show_misses(made, said, show_warning)
+        motions = map(changes.apply, told)
         written = list(_write(motions, options, count, character))
     pages = [path for path in written if path.suffix == ".html"]
     # The file of a character may have other animations, too.
@@ -127,6 +132,17 @@ def _targets(args: argparse.Namespace) -> "Iterator[Target]":
             raise UserError(f"--pose {time} {file}: {time!r} is not a number of seconds") from None
         name, *exact = file.rsplit(" ", 1) if file.endswith(" exact") else [file]
         yield read_target((seconds, load_motion(name), *exact))
+
+
+def _show_misses(
+    motions: "Iterator[Motion]", said: list[str], show_warning: Callable[[str], None]
+) -> "Iterator[Motion]":
+    """Yields motions, and says what they miss that was not said of their sentences before they were made."""
+    for motion in motions:
+        missed = functools.reduce(lambda text, known: text.replace(known, ""), said, motion.warning).strip()
+        if missed:
+            show_warning(missed)
+        yield motion
 
 
 def _show_distances(requests: "list[MotionRequest]", motions: "Iterator[Motion]") -> "Iterator[Motion]":

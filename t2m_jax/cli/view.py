@@ -161,4 +161,4 @@ def run(args: argparse.Namespace) -> None:
     chosen = [part for pair in given.items() if pair[1] is not None for part in pair]
     again = ["t2m", "view", *map(str, args.files), *chosen, *(["--join"] if args.join else [])]
     pages = [output for output in args.outputs if output.suffix == ".html"]
-    show_next(f"open {pages[0]} in a browser" if pages else f"{shlex.join(again)} -o motion.html")
+    show_next(f"open {shlex.quote(str(pages[0]))} in a browser" if pages else f"{shlex.join(again)} -o motion.html")

@@ -130,7 +130,7 @@ class Generation:
         keys = sample_keys(key, jnp.asarray(items), jnp.asarray(numbers))
         # Motions may end at once, unlike those that users generate.
         options = self.options
-        sampling = self.model.parts.sampling(options.make_strategy(), min_codes=0, stop_rule=options.stop_rule)
+        sampling = self.model.parts.sampling(options, min_codes=0)
         codes = generate_many(
             self.model,
             text,

@@ -6,6 +6,7 @@ import chex
 import numpy as np
 from jaxtyping import Float
 
+from t2m_jax.motion.features import facing
 from t2m_jax.motion.skeleton import HUMANML3D
 
 WALKING_SPEED = 0.3
@@ -35,10 +36,8 @@ class Facts(NamedTuple):
 
 def heading_angles(positions: Float[np.ndarray, "T 22 3"]) -> Float[np.ndarray, " T"]:
     """Returns the direction that hips and shoulders face, in radians about +Y from +Z, without jumps of a full turn."""
-    joints = {name: positions[:, index] for index, name in enumerate(HUMANML3D.joint_names)}
-    across = joints["left_hip"] - joints["right_hip"] + joints["left_shoulder"] - joints["right_shoulder"]
-    forward = np.cross(across, np.array([0.0, 1.0, 0.0]))
-    return np.unwrap(np.arctan2(forward[:, 0], forward[:, 2]))
+    ahead = facing(positions, HUMANML3D)
+    return np.unwrap(np.arctan2(ahead[:, 0], ahead[:, 2]))
 
 
 def _count_waves(sway: Float[np.ndarray, " T"]) -> int:

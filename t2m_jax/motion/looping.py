@@ -64,9 +64,9 @@ def find_loop(positions: Clip, *, fps: float) -> Loop:
     jumps = np.sqrt(np.mean(np.sum(accelerations[starts] ** 2, axis=-1), axis=-1)) * VELOCITY_SECONDS / fps
     lengths = np.arange(shortest, min(count, round(LONGEST_SECONDS * fps)))
     costs = np.full((len(starts), len(lengths)), np.inf)
-    for row, start in enumerate(starts):
-        ends = moments[start + shortest : start + shortest + len(lengths)]
-        costs[row, : len(ends)] = cdist(moments[[start]], ends)[0] + jumps[row]
+    for number, first in enumerate(starts + shortest):
+        ends = moments[first : first + len(lengths)]
+        costs[number, : len(ends)] = cdist(moments[[first - shortest]], ends)[0] + jumps[number]
     row, column = np.unravel_index(np.where(costs <= costs.min() + TOLERANCE, lengths, -1).argmax(), costs.shape)
     start, end = starts[row], starts[row] + lengths[column]
     difference = float(np.linalg.norm((moments[start] - moments[end]).reshape(-1, 9)[:, :6]))

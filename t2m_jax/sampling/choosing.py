@@ -36,23 +36,23 @@ def candidate_keys(key: Key[jax.Array, ""], wanted: Times | SaidPace) -> Key[jax
     return jnp.stack([key, *(jax.random.fold_in(stream, number) for number in range(1, count))])
 
 
-def choose(model: ModelParts, candidates: Sequence[Codes], wanted: Times | SaidPace, *, is_free: bool) -> Codes:
+def choose(model: ModelParts, candidates: Sequence[Codes], wanted: Times | SaidPace, *, most_rows: int) -> Codes:
     """Returns the codes of the candidate that does what is wanted; see `choose_by_count` and `choose_by_pace`."""
     if isinstance(wanted, Times):
-        return choose_by_count(model, candidates, wanted, is_free=is_free)
+        return choose_by_count(model, candidates, wanted, most_rows=most_rows)
     return choose_by_pace(model, candidates, wanted)
 
 
-def choose_by_count(model: ModelParts, candidates: Sequence[Codes], times: Times, *, is_free: bool = True) -> Codes:
+def choose_by_count(model: ModelParts, candidates: Sequence[Codes], times: Times, *, most_rows: int) -> Codes:
     """Returns the codes of the first motion that shows an action as often as asked for, or nearest to that.
 
-    If none does and their length `is_free`, they are cut after the last time, or one time is repeated.
+    If none does, they are cut after the last time, or one time is repeated up to `most_rows`; 0 keeps their lengths.
     """
     shown = _decoded(model, candidates)
     best, misses = _nearest(times, shown)
-    if not misses or not is_free:
+    if not misses or not most_rows:
         return candidates[best]
-    sizes = {"downsample": model.config.tokenizer.downsample, "most_rows": model.config.generator.max_codes}
+    sizes = {"downsample": model.config.tokenizer.downsample, "most_rows": most_rows}
     fitted = [fit_count(codes, times, positions, **sizes) for codes, positions in zip(candidates, shown, strict=True)]
     other, fewer = _nearest(times, _decoded(model, fitted))
     return fitted[other] if fewer < misses else candidates[best]

@@ -31,7 +31,7 @@ from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skating import skating
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.motion.targets import FACING, ROOT, Target, check_targets, distances, missed_targets, seen_from_root
-from t2m_jax.sampling.batches import fill_up, round_up
+from t2m_jax.sampling.batches import round_up
 from t2m_jax.sampling.decode import pad_codes
 from t2m_jax.sampling.loop import Sampling
 from t2m_jax.sampling.model import ModelParts
@@ -217,14 +217,7 @@ def direct(model: ModelParts, request: MotionRequest, prompt: Prompt) -> list[Mo
     rough = [dataclasses.replace(target, exact=False) for target in request.targets]
     sampling = _long_enough(model, request)
     samples = [Sample(prompt, request.seed, number) for number in range(request.candidates)]
-    filled = fill_up(samples)
-    texts = model.text_encoder([sample.prompt.read for sample in filled])
-    keys = jnp.stack([sample.key for sample in filled])
-    found = model.sample_codes(texts, keys, sampling, guidance_scale=request.options.guidance_scale)
-    ends = np.asarray(found.code_lengths)
-    codes = [rows[:end] for rows, end in zip(np.asarray(found.codes), ends, strict=True)]
-    size = {"size": sampling.max_codes, "batch": len(filled)}
-    candidates = model.decode_samples(samples, codes[: len(samples)], clean=not request.options.raw, **size)
+    candidates = model.make_samples(samples, sampling, request.options)
     ranked = sorted(candidates, key=functools.partial(cost_of, rough))
     moved = [
         approach_targets(model, one, rough, size=sampling.max_codes, clean=not request.options.raw)
@@ -245,14 +238,13 @@ def _long_enough(model: ModelParts, request: MotionRequest) -> Sampling:
     Raises:
         UserError: An option or the time of a target does not fit the model.
     """
-    options = request.options
     rate = model.skeleton.fps / model.config.tokenizer.downsample
-    longest = options.max_codes or model.config.generator.max_codes
+    longest = request.options.max_codes or model.config.generator.max_codes
     last = max(request.targets, key=lambda target: target.until or target.seconds)
     seconds = (last.until or last.seconds) + SECONDS_AFTER
     if seconds * rate > longest:
         raise last.error(f"the longest motion for a sentence has {longest / rate:.1f} s")
-    sampling = model.sampling(options.make_strategy(), max_codes=options.max_codes, stop_rule=options.stop_rule)
+    sampling = model.sampling(request.options)
     least = min(round_up(math.ceil(seconds * rate), ROW_STEP), sampling.max_codes)
     return sampling._replace(min_codes=max(sampling.min_codes, least))
 

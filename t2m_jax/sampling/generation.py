@@ -4,12 +4,8 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
-import jax.numpy as jnp
-import numpy as np
-
 from t2m_jax.errors import UserError
 from t2m_jax.motion.motion import Motion
-from t2m_jax.sampling.batches import fill_up
 from t2m_jax.sampling.decode import GrowingMotion, split_rows
 from t2m_jax.sampling.directing import direct
 from t2m_jax.sampling.inbetween import redo, vary
@@ -27,15 +23,6 @@ ReadRequest = tuple[MotionRequest, Sequence[Prompt]]
 """A request and the prompts of its sentences."""
 
 
-def find_sampling(model: ModelParts, options: SamplingOptions) -> Sampling:
-    """Returns how codes are sampled with some options.
-
-    Raises:
-        UserError: An option does not fit the model.
-    """
-    return model.sampling(options.make_strategy(), max_codes=options.max_codes, stop_rule=options.stop_rule)
-
-
 def make_motions(
     model: ModelParts, requests: Sequence[ReadRequest], on_progress: OnProgress | None
 ) -> Iterator[Motion]:
@@ -49,7 +36,7 @@ def make_motions(
     # A list, so that options are checked now, and not when the first motion is taken.
     progress = _Progress(sum(request.num_samples for request, _ in requests), on_progress)
     batches = [
-        _make_group(model, list(group), find_sampling(model, options), progress.tell) for (_, options), group in groups
+        _make_group(model, list(group), model.sampling(options), progress.tell) for (_, options), group in groups
     ]
     return _unpack(itertools.chain.from_iterable(batches), progress)
 
@@ -101,14 +88,7 @@ def _make_together(model: ModelParts, group: Sequence[ReadRequest], sampling: Sa
         Sample(prompt, request.seed, number) for request, (prompt,) in group for number in range(request.num_samples)
     )
     while batch := list(itertools.islice(samples, MAX_BATCH)):
-        filled = fill_up(batch)
-        embedding = model.text_encoder([sample.prompt.read for sample in filled])
-        keys = jnp.stack([sample.key for sample in filled])
-        sampled = model.sample_codes(embedding, keys, sampling, guidance_scale=options.guidance_scale)
-        lengths = np.asarray(sampled.code_lengths)
-        rows = np.asarray(sampled.codes)
-        codes = [rows[number, : lengths[number]] for number in range(len(batch))]
-        yield model.decode_samples(batch, codes, size=sampling.max_codes, batch=len(filled), clean=not options.raw)
+        yield model.make_samples(batch, sampling, options)
 
 
 def make_rows(model: ModelParts, sample: Sample, options: SamplingOptions) -> Iterator[Motion]:
@@ -117,12 +97,12 @@ def make_rows(model: ModelParts, sample: Sample, options: SamplingOptions) -> It
     Raises:
         UserError: An option does not fit the model, or the stop rule needs all rows first.
     """
-    sampling = find_sampling(model, options)
+    sampling = model.sampling(options)
     # The rule of the highest score cuts a motion when all rows are known, and then nothing is left to stream.
     if not sampling.stop_rule.ends_early:
         if options.stop_rule is not None:
             raise UserError(f"stop-rule: {options.stop_rule!r} needs all rows first; use threshold for a stream")
-        sampling = find_sampling(model, dataclasses.replace(options, stop_rule="threshold"))
+        sampling = model.sampling(dataclasses.replace(options, stop_rule="threshold"))
     return _make_rows(model, sample, sampling, options.guidance_scale)
 
 

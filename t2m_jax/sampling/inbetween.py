@@ -176,7 +176,9 @@ def _with_middle(motion: Motion, middle: Middle, frames: Span, prompt: Prompt) -
         fps=motion.fps,
         skeleton=motion.skeleton,
     )
-    old = list(zip(motion.part_starts, motion.part_captions, strict=True)) or [(0, motion.caption)]
+    old = list(zip(motion.part_starts, motion.part_captions, strict=True))
+    if not old or old[0][0] > 0:  # a motion without a sentence may have been continued
+        old.insert(0, (0, "" if old else motion.caption))
     parts = {start: caption for start, caption in old if start < frames.first} | {frames.first: prompt.text}
     if frames.last < motion.num_frames:
         end = frames.first + middle.last - middle.first

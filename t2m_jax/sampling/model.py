@@ -19,6 +19,7 @@ from t2m_jax.models.system import make_module
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import skeleton_from_name
+from t2m_jax.sampling.batches import fill_up
 from t2m_jax.sampling.decode import Codes, decode_motions
 from t2m_jax.sampling.loop import Given, SampledCodes, Sampling
 from t2m_jax.sampling.programs import (
@@ -30,9 +31,9 @@ from t2m_jax.sampling.programs import (
     sampling_variables,
 )
 from t2m_jax.sampling.prompts import Sample
+from t2m_jax.sampling.request import SamplingOptions
 from t2m_jax.sampling.slots import Slots
 from t2m_jax.sampling.stopping import find_stop_rule
-from t2m_jax.sampling.strategies import Strategy, Temperature
 from t2m_jax.sampling.text_encoders import StatesTextEncoder, make_text_encoder
 from t2m_jax.text.coverage import make_knowledge
 from t2m_jax.text.encoder import TextEncoder
@@ -105,25 +106,20 @@ class ModelParts:
         """The tokenizer with its statistics."""
         return TrainedTokenizer(self.config.tokenizer, self._variables["tokenizer"], self._normalizer)
 
-    def sampling(
-        self,
-        strategy: Strategy | None = None,
-        *,
-        max_codes: int | None = None,
-        min_codes: int | None = None,
-        stop_rule: str | None = None,
-    ) -> Sampling:
-        """Returns how codes are sampled; what is not given is the model's own.
+    def sampling(self, options: SamplingOptions | None = None, *, min_codes: int | None = None) -> Sampling:
+        """Returns how codes are sampled with some options; `min_codes` is by default the model's own.
 
         Raises:
             UserError: The length or the stop rule does not fit the model.
         """
+        options = options or SamplingOptions()
         longest = self.config.generator.max_codes
         shortest = self._rest.min_codes if min_codes is None else min_codes
-        if max_codes is not None and not 1 <= max_codes <= longest:
-            raise UserError(f"max-codes: {max_codes} is not between 1 and {longest}")
-        rule = find_stop_rule(self.config.generator, stop_rule)
-        return Sampling(strategy or Temperature(), rule, max_codes or longest, min(shortest, max_codes or longest))
+        if options.max_codes is not None and not 1 <= options.max_codes <= longest:
+            raise UserError(f"max-codes: {options.max_codes} is not between 1 and {longest}")
+        rule = find_stop_rule(self.config.generator, options.stop_rule)
+        most = options.max_codes or longest
+        return Sampling(options.make_strategy(), rule, most, min(shortest, most))
 
     def guidance_scale(self, given: float | None = None) -> float | None:
         """Returns the strength of the classifier-free guidance: as given, or the model's own; None for none."""
@@ -218,6 +214,17 @@ class ModelParts:
             raise UserError(f"codes: must be between 0 and {config.num_codes - 1}")
         (motion,) = decode_motions(self.tokenizer, [codes], skeleton=self.skeleton, clean=not raw)
         return dataclasses.replace(motion, caption=caption, seed=0)
+
+    def make_samples(self, samples: Sequence[Sample], sampling: Sampling, options: SamplingOptions) -> list[Motion]:
+        """Returns the motions of samples that are made together."""
+        filled = fill_up(samples)
+        texts = self.text_encoder([sample.prompt.read for sample in filled])
+        keys = jnp.stack([sample.key for sample in filled])
+        sampled = self.sample_codes(texts, keys, sampling, guidance_scale=options.guidance_scale)
+        ends = np.asarray(sampled.code_lengths)
+        codes = [rows[:end] for rows, end in zip(np.asarray(sampled.codes), ends, strict=True)][: len(samples)]
+        sizes = {"size": sampling.max_codes, "batch": len(filled)}
+        return self.decode_samples(samples, codes, clean=not options.raw, **sizes)
 
     def decode_samples(
         self, samples: Sequence[Sample], codes: Sequence[Codes], *, size: int, batch: int, clean: bool

@@ -17,7 +17,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.targets import Target, read_target
 from t2m_jax.sampling.compilation import use_compilation_cache
-from t2m_jax.sampling.generation import OnProgress, find_sampling, make_motions, make_rows
+from t2m_jax.sampling.generation import OnProgress, make_motions, make_rows
 from t2m_jax.sampling.model import ModelParts
 from t2m_jax.sampling.prompts import Sample, read_prompts
 from t2m_jax.sampling.request import MotionRequest, SamplingOptions, sentences
@@ -126,14 +126,15 @@ class TextToMotion:
             on_progress: Called with the number of motions that are ready, of which parts count, and that of all.
 
         Warns:
-            PromptWarning: The model cannot know what a sentence asks for. The motions say so, too.
+            PromptWarning: The model cannot know what a sentence asks for. The motions say so, too, and what they miss.
 
         Raises:
             UserError: A request does not fit the model, such as a motion of another skeleton.
         """
         turns = [request.in_turn(self.knowledge.actions) for request in requests]
         captions = [caption for request in turns for caption in request.captions]
-        prompts = iter(read_prompts(captions, self.knowledge, self.text_encoder))
+        notes = [note for request in turns for note in request.notes]
+        prompts = iter(read_prompts(captions, self.knowledge, self.text_encoder, notes=notes))
         read = [(request, list(itertools.islice(prompts, len(request.captions)))) for request in turns]
         return make_motions(self.parts, read, on_progress)
 
@@ -155,14 +156,14 @@ class TextToMotion:
         Raises:
             UserError: The request does not fit the model, or it cannot be made in pieces.
         """
-        if request.span is not None or request.strength is not None or request.targets:
+        if request.is_bound:
             raise UserError("stream: a change of a motion, or one with targets, has no pieces; use make")
         request = request.in_turn(self.knowledge.actions)
         prompts = read_prompts(request.captions, self.knowledge, self.text_encoder)
         first = Sample(prompts[0], request.seed, sample)
         if request.is_plain:
             return make_rows(self.parts, first, request.options)
-        return make_chain_pieces(self.parts, request, prompts, first.key, find_sampling(self.parts, request.options))
+        return make_chain_pieces(self.parts, request, prompts, first.key, self.parts.sampling(request.options))
 
     def generate(
         self,
@@ -182,9 +183,8 @@ class TextToMotion:
             on_progress: As in `make`.
             **options: Of `SamplingOptions`, such as `temperature=0.7`.
         """
-        return list(
-            self.generate_each(captions, seed=seed, num_samples=num_samples, on_progress=on_progress, **options)
-        )
+        counts = {"seed": seed, "num_samples": num_samples}
+        return list(self.generate_each(captions, on_progress=on_progress, **counts, **options))
 
     def generate_each(
         self,

@@ -1,5 +1,6 @@
 """Prompts, with what the model knows of them, and the keys of their samples."""
 
+import inspect
 import warnings
 import zlib
 from collections.abc import Iterator, Sequence
@@ -48,8 +49,10 @@ class Sample(NamedTuple):
         return sample_key(self.seed, self.prompt.text, self.number)
 
 
-def read_prompts(captions: Sequence[str], knowledge: Knowledge, encoder: TextEncoder) -> list[Prompt]:
-    """Returns the prompts of sentences, cleaned and checked.
+def read_prompts(
+    captions: Sequence[str], knowledge: Knowledge, encoder: TextEncoder, *, notes: Sequence[str] | None = None
+) -> list[Prompt]:
+    """Returns the prompts of sentences, cleaned and checked; `notes` are warnings about each that are known before.
 
     Warns:
         PromptWarning: The model cannot know what a sentence asks for.
@@ -58,19 +61,26 @@ def read_prompts(captions: Sequence[str], knowledge: Knowledge, encoder: TextEnc
         UserError: A sentence cannot be used.
     """
     prompts = []
-    for caption in captions:
+    for caption, note in zip(captions, notes or [""] * len(captions), strict=True):
         text = check_prompt(caption)
         read, corrected = correct_spelling(text, knowledge.words, rare=knowledge.taught)
         # Some encoders cut long sentences, and the warning names what is not read.
         read_part = encoder.read_part(read) if isinstance(encoder, CuttingTextEncoder) else read
         given: dict[str, Any] = {"typed": text, "corrected": corrected, "countable": COUNTED_ACTIONS}
         coverage = check_coverage(read, knowledge, read_part=read_part, **given)
-        prompts.append(Prompt(text, read, *coverage))
+        warning = " ".join(filter(None, (coverage.warning, note)))
+        prompts.append(Prompt(text, read, warning, coverage.unknown_words))
     # Each once, however many sentences have it.
     for warning in dict.fromkeys(prompt.warning for prompt in prompts):
         if warning:
-            warnings.warn(warning, PromptWarning, stacklevel=5)
+            warnings.warn(warning, PromptWarning, stacklevel=_level_outside())
     return prompts
+
+
+def _level_outside() -> int:
+    """Returns the stack level of the code that uses the package, as its caller would count it for a warning."""
+    names = [frame.frame.f_globals.get("__name__", "") for frame in inspect.stack(context=0)[1:]]
+    return next((level for level, name in enumerate(names, 1) if not name.startswith("t2m_jax.")), 1)
 
 
 def sample_key(seed: int, caption: str, sample: int) -> Key[Array, ""]:

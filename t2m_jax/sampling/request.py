@@ -5,6 +5,7 @@ import functools
 import itertools
 import math
 from collections.abc import Collection, Sequence
+from numbers import Integral, Real
 from typing import Literal
 
 from t2m_jax.config import check_seed
@@ -28,8 +29,8 @@ MAX_SECONDS = 3600.0
 
 def check_seconds(seconds: float) -> None:
     """Raises `UserError` if a length is not a number of seconds up to `MAX_SECONDS`."""
-    if not 0 < seconds <= MAX_SECONDS:
-        raise UserError(f"seconds: {seconds:g} is not a number above 0, up to {MAX_SECONDS:g}")
+    if not (isinstance(seconds, Real) and 0 < seconds <= MAX_SECONDS):
+        raise UserError(f"seconds: {seconds} is not a number above 0, up to {MAX_SECONDS:g}")
 
 
 def sentences(captions: Sequence[str]) -> tuple[str, ...]:
@@ -66,7 +67,7 @@ class SamplingOptions:
     """Whether a sentence is sampled as it is. By default, one of several actions in turn ("walks, then waves") is
     sampled action by action, if there is a record of the actions that the model knows; "for five seconds" sets the
     length; of "kicks twice", that of 16 samples is taken, or made by a cut or a repetition, that shows it twice; and of
-    "walks slowly", the slowest of 4 samples."""
+    "walks slowly", the slowest of 4 samples. Changes of a motion and targets decide all this themselves."""
 
     def __post_init__(self) -> None:
         """Checks each field.
@@ -128,7 +129,7 @@ class MotionRequest:
         # The only way to set a field of a frozen dataclass.
         object.__setattr__(self, "captions", tuple(check_prompt(caption) for caption in sentences(self.captions)))
         check_seed(self.seed)
-        if not 1 <= self.num_samples <= MAX_SAMPLES:
+        if not (isinstance(self.num_samples, Integral) and 1 <= self.num_samples <= MAX_SAMPLES):
             raise UserError(f"num-samples: {self.num_samples} is not a whole number from 1 to {MAX_SAMPLES:,}")
         if self.seconds is not None:
             check_seconds(self.seconds)
@@ -150,24 +151,47 @@ class MotionRequest:
         is_alone = len(self.captions) == 1 and self.start is None and not self.targets
         return is_alone and self.lengths == self.times == self.paces == (None,)
 
+    @property
+    def is_bound(self) -> bool:
+        """Whether another motion or targets decide how long, how often and how fast something is done."""
+        return bool(self.targets) or self.span is not None or self.strength is not None
+
     @functools.cached_property
     def lengths(self) -> tuple[float | None, ...]:
         """Seconds of each sentence: `seconds`, or what it says itself; None leaves its length to the model."""
-        if self.seconds is not None or self.options.whole:
+        if self.seconds is not None or self.options.whole or self.is_bound:
             return (self.seconds,) * len(self.captions)
         return tuple(map(said_seconds, self.captions))
 
     @functools.cached_property
     def times(self) -> tuple[Times | None, ...]:
         """How often each sentence says that something is done; None if it does not say so."""
-        if self.options.whole:
+        if self.options.whole or self.is_bound:
             return (None,) * len(self.captions)
         return tuple(said_times(caption, COUNTED_ACTIONS) for caption in self.captions)
 
     @functools.cached_property
     def paces(self) -> tuple[SaidPace | None, ...]:
         """Whether each sentence says that something is done slowly or fast."""
-        return (None,) * len(self.captions) if self.options.whole else tuple(map(said_pace, self.captions))
+        if self.options.whole or self.is_bound:
+            return (None,) * len(self.captions)
+        return tuple(map(said_pace, self.captions))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What each sentence says that is not followed, in a line; empty if there is nothing."""
+        return tuple(map(self._note, self.captions))
+
+    def _note(self, caption: str) -> str:
+        if self.options.whole or not self.is_bound:
+            return ""
+        said = {
+            "length": self.seconds is None and said_seconds(caption) is not None,
+            "number of times": said_times(caption, COUNTED_ACTIONS) is not None,
+            "pace": said_pace(caption) is not None,
+        }
+        parts = ", ".join(name for name, is_said in said.items() if is_said)
+        return f"{caption!r}: not followed in a change of a motion or with targets: {parts}" if parts else ""
 
     def in_turn(self, known: Collection[str]) -> "MotionRequest":
         """Returns the request with a sentence for each action that its sentences say in turn (see `split_sequence`).
@@ -175,7 +199,7 @@ class MotionRequest:
         `known` are the actions that the model knows. All sentences together have the same `seconds`. Requests with
         `options.whole`, `targets`, `span` or `strength` stay as they are.
         """
-        if self.options.whole or self.targets or self.span is not None or self.strength is not None:
+        if self.options.whole or self.is_bound:
             return self
         actions = tuple(itertools.chain.from_iterable(split_sequence(caption, known) for caption in self.captions))
         # Each sentence says one action, so that `seconds` is the length of each already.
@@ -218,7 +242,7 @@ class MotionRequest:
                 raise UserError(f"targets: are for a new motion of one sentence, or a span to redo; leave out {name}")
 
     def _check_candidates(self) -> None:
-        if not 1 <= self.candidates <= MAX_BATCH:
+        if not (isinstance(self.candidates, Integral) and 1 <= self.candidates <= MAX_BATCH):
             raise UserError(f"candidates: {self.candidates} is not a whole number from 1 to {MAX_BATCH}")
         if self.num_samples > self.candidates:
             raise UserError(

@@ -111,8 +111,8 @@ def sample_segments(
             tried = [candidate_keys(key, segment.wanted) for key in own_keys]
             found = [sample(segment, [own] * len(tries), tries) for own, tries in zip(context, tried, strict=True)]
             # A length that was asked for stays.
-            is_free = not segment.num_rows
-            new = [choose(model, candidates, segment.wanted, is_free=is_free) for candidates in found]
+            most_rows = 0 if segment.num_rows else sampling.max_codes
+            new = [choose(model, candidates, segment.wanted, most_rows=most_rows) for candidates in found]
         # A short segment alone may have fewer rows than a context, so the old context stays in front of it.
         before = [np.concatenate(codes) for codes in zip(context, new, strict=True)]
         yield new
@@ -132,10 +132,11 @@ def _sample_segment(
     # A given length may need all rows that the generator can sample, whatever the longest free length is.
     longest = model.config.generator.max_codes
     limit = longest if segment.num_rows else min(longest, sampling.max_codes + int(lengths.max()))
+    least = min(limit, sampling.min_codes + int(lengths.max()))  # rows of the context count, too
     sampled = model.sample_codes(
         model.text_encoder([segment.prompt.read] * len(context)),
         keys,
-        sampling._replace(max_codes=limit),
+        sampling._replace(max_codes=limit, min_codes=least),
         guidance_scale=guidance_scale,
         given=_given(segment, context, max_codes=limit),
     )

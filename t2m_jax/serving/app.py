@@ -216,6 +216,7 @@ class _Server:
                 )
         # To read long sentences takes longer than others should wait.
         asked = await to_thread.run_sync(schema.motion_request(fields, start).in_turn, self.jobs.model["actions"])
+        schema.check_lengths(asked)
         key = request.query_params.get("keep")
         if key is not None:
             self.kept.check(key)  # no other request may come between this and `start`

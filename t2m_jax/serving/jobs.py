@@ -88,7 +88,7 @@ class Job:
     request: MotionRequest
     tries: int = 0
     start: float = 0.0
-    """When the process got it."""
+    """When the process began to work on it, or got it."""
     is_started: bool = False
     """Whether the process has begun to work on it."""
     timer: asyncio.TimerHandle | None = None
@@ -218,8 +218,11 @@ class Jobs:
             self._on_state(name, json.loads(data))
             return
         if number in self.running:  # it may have been canceled
-            self.running[number].is_started = True
-            self.running[number].events.put_nowait(Event(name, data))
+            job = self.running[number]
+            if not job.is_started:
+                job.is_started = True
+                self._start_timer(job)  # anew: it may have waited for another request
+            job.events.put_nowait(Event(name, data))
         if name in (*FINAL_EVENTS, "dropped"):
             self.running.pop(number, None)
             self._forget(number)
@@ -268,7 +271,15 @@ class Jobs:
         self.running.clear()
         self._loop.call_later(RESTART_SECONDS, self._start_process)
 
+    def _start_timer(self, job: Job) -> None:
+        job.stop_timer()
+        job.start = self._loop.time()
+        job.timer = self._loop.call_later(WORK_SECONDS, self._on_timeout, job)
+
     def _on_timeout(self, job: Job) -> None:
+        if not job.is_started and any(other.is_started for other in self._sent.values()):
+            self._start_timer(job)  # it waits for that one, which has a limit of its own
+            return
         if self.running.pop(job.number, None) is not None:
             job.tell("failed", {"error": f"it took longer than {WORK_SECONDS:g} s; ask for less"})
         if self._process is not None:
@@ -282,8 +293,7 @@ class Jobs:
             job.tries += 1
             self.running[job.number] = job
             self._sent[job.number] = job
-            job.start = self._loop.time()
-            job.timer = self._loop.call_later(WORK_SECONDS, self._on_timeout, job)
+            self._start_timer(job)
             self._send(Task(job.number, job.request))
         if len(self.waiting) < num_before:
             self._tell_positions()

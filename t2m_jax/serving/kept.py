@@ -96,11 +96,16 @@ class KeptAnswers:
         if answer is not None:
             answer.task.cancel()
 
+    def _forget_answer(self, key: str, answer: _Answer) -> None:
+        """Ends this answer, but not a newer one with its key."""
+        if self._answers.get(key) is answer:
+            self.forget(key)
+
     def _on_end(self, key: str, answer: _Answer) -> None:
         """Limits the time and the memory of answers that nobody may ever read."""
         if answer.task.cancelled():
             return
-        asyncio.get_running_loop().call_later(KEEP_SECONDS, self.forget, key)
+        asyncio.get_running_loop().call_later(KEEP_SECONDS, self._forget_answer, key, answer)
         ended = {key: answer.size for key, answer in self._answers.items() if answer.is_ended}
         while sum(ended.values()) > MAX_KEPT and len(ended) > 1:
             oldest = next(iter(ended))

@@ -20,7 +20,6 @@ from t2m_jax.export.html import scene_record
 from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.decode import GrowingMotion
-from t2m_jax.sampling.loop import Sampling
 from t2m_jax.sampling.programs import SLOT_ROWS
 from t2m_jax.sampling.prompts import Sample, read_prompts
 from t2m_jax.sampling.request import MotionRequest, SamplingOptions
@@ -115,7 +114,7 @@ class Scheduler:
             _call(self.editing, self._edit, task)
             return
         with self._failing(task):
-            self._sampling(task.request.options)
+            self.model.parts.sampling(task.request.options)  # refuses what does not fit the model
             (prompt,) = read_prompts(task.request.captions, self.model.knowledge, self.model.text_encoder)
             self.embed(prompt.read)  # here, because an error would concern one request only
             for number in range(task.request.num_samples):
@@ -162,7 +161,7 @@ class Scheduler:
         if self.waiting and not self.active:
             # Options are compiled into the program of the slots, so all motions of a batch have the same.
             self.group = options = self.waiting[0].task.request.options
-            sampling = self._sampling(options)
+            sampling = self.model.parts.sampling(options)
             self.slots = self.model.parts.slots(self.num_slots, sampling, guidance_scale=options.guidance_scale)
         if self.slots is None:
             return
@@ -182,9 +181,6 @@ class Scheduler:
     def _grow(self) -> GrowingMotion:
         longest = self.model.config.generator.max_codes
         return GrowingMotion(self.model.tokenizer, skeleton=self.model.skeleton, step=SLOT_ROWS, max_codes=longest)
-
-    def _sampling(self, options: SamplingOptions) -> Sampling:
-        return self.model.parts.sampling(options.make_strategy(), stop_rule=options.stop_rule)
 
     def _limit_programs(self, options: SamplingOptions) -> None:
         """Forgets all compiled programs if there are too many; those that are still needed come back from the disk."""

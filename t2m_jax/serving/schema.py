@@ -258,14 +258,21 @@ def motion_request(fields: Mapping[str, Any], start: Motion | None) -> MotionReq
         start: The motion in `start`.
 
     Raises:
-        UserError: Fields do not go together, or ask for too much.
+        UserError: Fields do not go together.
     """
     values = dict(fields) | {"start": start, "targets": fields.get("targets") or ()}
     # JSON may say 0.7 as 0.7000000000000001, which would be a program of its own.
     values |= {name: round(fields[name], 2) for name in ("temperature", "top_p") if fields.get(name) is not None}
     if fields.get("seed") is None:
         values["seed"] = secrets.randbelow(2**32)
-    request = record_from(MotionRequest, values)
-    if request.seconds and request.seconds * len(request.captions) * request.num_samples > MAX_TOTAL_SECONDS:
+    return record_from(MotionRequest, values)
+
+
+def check_lengths(request: MotionRequest) -> None:
+    """Raises `UserError` if a request asks for more seconds than the server makes, in a field or in its sentences."""
+    lengths = [seconds for seconds in request.lengths if seconds is not None]
+    longest = LIMITS["seconds"]["le"]
+    if max(lengths, default=0) > longest:
+        raise UserError(f"seconds: {max(lengths):g} for a sentence are more than {longest:g}")
+    if sum(lengths) * request.num_samples > MAX_TOTAL_SECONDS:
         raise UserError(f"seconds: all motions together would be longer than {MAX_TOTAL_SECONDS:g} seconds")
-    return request

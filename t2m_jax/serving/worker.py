@@ -12,7 +12,7 @@ from typing import Any, get_args
 from t2m_jax.errors import UserError
 from t2m_jax.motion.reaching import exact_joints
 from t2m_jax.sampling import TextToMotion
-from t2m_jax.sampling.request import StopRuleName
+from t2m_jax.sampling.request import SamplingOptions, StopRuleName
 from t2m_jax.serving.answers import ModelData
 from t2m_jax.serving.messages import NO_JOB, Cancel
 from t2m_jax.serving.scheduler import Scheduler
@@ -80,6 +80,6 @@ def _stop_rules(model: TextToMotion) -> list[str]:
     found = []
     for name in get_args(StopRuleName):
         with contextlib.suppress(UserError):
-            model.parts.sampling(stop_rule=name)
+            model.parts.sampling(SamplingOptions(stop_rule=name))
             found.append(name)
     return found

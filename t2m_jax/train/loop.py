@@ -60,7 +60,7 @@ class Speed(NamedTuple):
 class Call(NamedTuple):
     """The updates of one call."""
 
-    metrics: Metrics
+    metrics: Mapping[str, Any]
     """Of each update, in arrays that may have more rows."""
     updates: int
     """Number of updates."""

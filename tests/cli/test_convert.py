@@ -149,6 +149,9 @@ def test_what_does_not_fit_together_is_refused(refusal, published, tmp_path, bun
     assert "--vqvae, --gpt, --mean, --std cannot be used with --export-official" in refusal(
         *arguments(published, *export, out)
     )
+    assert "--num-heads, --card cannot be used with --export-official" in refusal(
+        *arguments({}, *export, "--num-heads=2", "--card", tmp_path / "card.md", out)
+    )
     assert "no such model" in refusal(*arguments({}, "--export-official", tmp_path / "no", out))
     assert not out.exists()
     assert "exists already" in refusal(*arguments({}, *export, tmp_path / "theirs"))

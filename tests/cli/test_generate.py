@@ -259,6 +259,15 @@ def test_what_the_model_does_not_know_is_one_line_and_in_the_file(tmp_path, caps
         assert (motion.warning, motion.unknown_words) == (warning, words)
 
 
+def test_what_a_motion_misses_is_said_once(bundle_folder, tmp_path, capsys):
+    output = tmp_path / "out.npz"
+    command = ["generate", "a person kicks nineteen times", "--model", f"{bundle_folder}", "-o", f"{output}"]
+    assert main(command) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("t2m: warning: ")]
+    assert len([line for line in lines if re.search(r"kick is counted \d+ times; try another seed", line)]) == 1
+    assert all(line.removeprefix("t2m: warning: ") in load_motion(output).warning for line in lines)
+
+
 def test_several_motions_are_numbered(bundle_folder, tmp_path, capsys):
     output = tmp_path / "many.npz"
     texts = ["a person walks", "someone waves"]

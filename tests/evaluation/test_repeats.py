@@ -34,7 +34,7 @@ from t2m_jax.evaluation.task import EvaluationTask, Samples, load_samples, make_
 from t2m_jax.metrics.quality import MotionQuality
 from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
 from t2m_jax.sampling import TextToMotion
-from t2m_jax.sampling.strategies import Temperature
+from t2m_jax.sampling.request import SamplingOptions
 from t2m_jax.text.word_vectors import vocabulary_from_captions
 from tests.tiny import random_bundle, random_variables, walking_normalizer
 
@@ -230,7 +230,7 @@ def test_lengths_can_be_those_of_real_motion(generation):
         generation.model,
         np.zeros((3, 12), np.float32),
         sample_keys(jax.random.key(0), jnp.arange(3), jnp.arange(3)),
-        sampling=generation.model.parts.sampling(Temperature(), max_codes=40, min_codes=0),
+        sampling=generation.model.parts.sampling(SamplingOptions(max_codes=40), min_codes=0),
         lengths=np.array([40, 164, 400]),
         exact=True,
     )
@@ -243,7 +243,7 @@ def test_what_is_expected_of_the_lengths_changes_no_motion(generation):
     text = generator.normal(size=(40, 12)).astype(np.float32)
     keys = sample_keys(jax.random.key(5), jnp.arange(40), jnp.arange(40))
     model, longest = generation.model, generation.model.config.generator.max_codes
-    sampling = model.parts.sampling(Temperature(), max_codes=longest, min_codes=0)
+    sampling = model.parts.sampling(SamplingOptions(max_codes=longest), min_codes=0)
     found = generate_many(model, text, keys, sampling=sampling, lengths=generator.integers(4, 160, 40))
     whole = model.parts.sample_codes(jnp.asarray(text), keys, sampling)
     lengths = np.asarray(whole.code_lengths)

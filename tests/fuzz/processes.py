@@ -49,7 +49,7 @@ LOOP = [
 def start(arguments: Sequence[str], folder: Path) -> subprocess.Popen[str]:
     """Returns a running `t2m`."""
     return subprocess.Popen(
-        [sys.executable, "-m", "t2m_jax.cli", *arguments],
+        [sys.executable, "-m", "t2m_jax", *arguments],
         cwd=folder,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

@@ -25,6 +25,7 @@ pytestmark = pytest.mark.slow
 
 JUMPS = "a person jumps 3 times"
 TIMES = Times("jump", frozenset({"left", "right"}), 3)
+MOST_ROWS = tiny.GPT.max_codes
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +38,7 @@ def candidates_of(model, caption, wanted):
     parts = model.parts
     keys = candidate_keys(sample_key(3, caption, 0), wanted)
     texts = parts.text_encoder([caption] * len(keys))
-    sampled = parts.sample_codes(texts, keys, model.parts.sampling(SamplingOptions().make_strategy()))
+    sampled = parts.sample_codes(texts, keys, model.parts.sampling())
     lengths = np.asarray(sampled.code_lengths)
     return [codes[:length] for codes, length in zip(np.asarray(sampled.codes), lengths, strict=True)]
 
@@ -55,9 +56,15 @@ def misses(model, codes):
 def test_the_motion_with_the_asked_count_is_taken(model, candidates):
     least = min(misses(model, codes) for codes in candidates)
     first = next(codes for codes in candidates if misses(model, codes) == least)
-    np.testing.assert_array_equal(choose_by_count(model.parts, candidates, TIMES), first)
+    np.testing.assert_array_equal(choose_by_count(model.parts, candidates, TIMES, most_rows=MOST_ROWS), first)
     (motion,) = model.generate(JUMPS, seed=3)
     np.testing.assert_array_equal(motion.codes, first)
+
+
+def test_a_counted_motion_is_not_longer_than_asked_for(model):
+    for seed in range(3):
+        (motion,) = model.generate(JUMPS, seed=seed, max_codes=8, raw=True)
+        assert len(motion.codes) <= 8
 
 
 def test_a_sentence_that_is_read_whole_gives_the_first_candidate(model, candidates):
@@ -142,7 +149,7 @@ def test_a_count_is_more_than_a_pace(model):
     caption = "a person slowly jumps 3 times"
     candidates = candidates_of(model, caption, TIMES)
     (motion,) = model.generate(caption, seed=3)
-    np.testing.assert_array_equal(motion.codes, choose_by_count(model.parts, candidates, TIMES))
+    np.testing.assert_array_equal(motion.codes, choose_by_count(model.parts, candidates, TIMES, most_rows=MOST_ROWS))
 
 
 def test_speed_is_the_mean_of_all_joints():

@@ -182,6 +182,13 @@ def test_later_sentences_move_with_the_end_of_a_middle(model, walk):
     assert redone.part_starts == (0, 24, 40, 64) and redone.part_captions == ("a", "d", "b", "c")
 
 
+def test_a_motion_may_have_no_sentence_at_its_beginning(model, walk):
+    """Such as one that was continued."""
+    chain = dataclasses.replace(walk, part_starts=(48,), part_captions=("c",))
+    (redone,) = model.redo(chain, (0.4, 1.2), "b", num_candidates=2)
+    assert redone.part_starts == (0, 8, 24, 48) and redone.part_captions == ("", "b", "", "c")
+
+
 def test_the_best_middles_come_first(model, walk):
     best, second = model.redo(walk, (1.2, 2.4), CAPTION, num_samples=2, num_candidates=4)
     (alone,) = model.redo(walk, (1.2, 2.4), CAPTION, num_candidates=4)

@@ -19,7 +19,7 @@ from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 from t2m_jax.sampling import Greedy, TextToMotion, TopK, encode_motions
 from t2m_jax.sampling.model import ModelParts
 from t2m_jax.sampling.prompts import MAX_BATCH, read_prompts, sample_key
-from t2m_jax.sampling.request import MAX_SAMPLES
+from t2m_jax.sampling.request import MAX_SAMPLES, SamplingOptions
 from t2m_jax.text.coverage import PromptWarning
 from t2m_jax.text.encoder import TextEncoder
 from tests.jit import process_of_user
@@ -79,7 +79,7 @@ def test_a_motion_is_complete(model, eight):
 @pytest.mark.parametrize(("frames", "rows"), [(0, 1), (27, 6), (10**6, BUNDLE.generator.max_codes)])
 def test_no_motion_is_shorter_than_nearly_all_clips_of_training(bundle, frames, rows):
     parts = TextToMotion(bundle._replace(training_data={"shortest_frames": frames})).parts
-    assert (parts.sampling().min_codes, parts.sampling(max_codes=2).min_codes) == (rows, min(rows, 2))
+    assert (parts.sampling().min_codes, parts.sampling(SamplingOptions(max_codes=2)).min_codes) == (rows, min(rows, 2))
     assert parts.sampling(min_codes=0).min_codes == 0
 
 
@@ -261,8 +261,9 @@ def test_a_model_warns_of_what_it_does_not_know(bundle):
         jump, walk = model.generate(["a person jumps", "a plumber walks forward"])
     assert jump.unknown_words == ("jumps",) and "jumps" in jump.warning
     assert walk.unknown_words == ("plumber",) and walk.warning == ""
-    with pytest.warns(PromptWarning, match="jumps"):
+    with pytest.warns(PromptWarning, match="jumps") as found:
         next(model.stream("a person jumps"))
+    assert found[0].filename == __file__
     limit = bundle.config.text_encoder.max_length
     with pytest.warns(PromptWarning, match=r"too long, so cut after '.*person wal"):
         model.generate("a person walks " * limit)

@@ -51,7 +51,7 @@ def test_options_that_no_model_has_are_one_line(options, said):
         ({"captions": ("walk", " ")}, "no words"),
         ({"seed": -1}, "seed: -1 is not between 0 and"),
         ({"num_samples": 0}, "num-samples: 0 is not a whole number from 1 to 1,000,000"),
-        ({"seconds": 0.0}, "seconds: 0 is not a number above 0, up to 3600"),
+        ({"seconds": 0.0}, "seconds: 0.0 is not a number above 0, up to 3600"),
         ({"seconds": NAN}, "seconds: nan"),
         ({"span": (0.0, 1.0)}, "span: changes a motion; give it as start"),
         ({"strength": 0.5}, "strength: changes a motion; give it as start"),
@@ -82,6 +82,33 @@ def test_requests_that_no_model_can_answer_are_one_line(fields, said):
     with pytest.raises(UserError, match=said) as refused:
         MotionRequest(**{"captions": ("walk",)} | fields)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.slow  # the fast tests check types by themselves
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"seconds": "3"}, "seconds: 3 is not a number above 0"),
+        ({"num_samples": 2.5}, "num-samples: 2.5 is not a whole number"),
+        ({"seed": 1.5}, "seed: 1.5 is not a whole number"),
+        ({"start": WALK, "span": (0.0, 1.0), "candidates": 2.5}, "candidates: 2.5 is not a whole number"),
+    ],
+)
+def test_numbers_of_another_type_are_refused(fields, said):
+    with pytest.raises(UserError, match=said):
+        MotionRequest(captions=("walk",), **fields)
+
+
+@pytest.mark.parametrize("bound", [{"span": (0.0, 1.0)}, {"strength": 0.5}])
+def test_a_change_of_a_motion_says_what_it_does_not_follow(bound):
+    caption = "a person slowly kicks twice for 3 seconds"
+    request = MotionRequest(captions=(caption,), start=WALK, **bound)
+    assert request.lengths == request.times == request.paces == (None,)
+    assert request.notes == (
+        f"'{caption}': not followed in a change of a motion or with targets: length, number of times, pace",
+    )
+    assert MotionRequest(captions=("walk",), start=WALK, **bound).notes == ("",)
+    assert MotionRequest(captions=(caption,), start=WALK).notes == ("",)
 
 
 def test_sentences_are_cleaned():

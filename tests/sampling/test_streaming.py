@@ -9,6 +9,7 @@ import pytest
 from t2m_jax.errors import UserError
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling import model as sampling_model
+from t2m_jax.sampling.request import SamplingOptions
 from t2m_jax.sampling.strategies import Greedy
 from tests import tiny
 
@@ -76,7 +77,7 @@ def test_what_cannot_be_streamed_is_refused(model):
 def test_a_stop_rule_of_other_scores_is_refused(model):
     wrong = "end" if stop_rule(model) else "argmax"
     with pytest.raises(UserError, match=f"stop-rule: '{wrong}' does not fit this model; use"):
-        model.parts.sampling(stop_rule=wrong)
+        model.parts.sampling(SamplingOptions(stop_rule=wrong))
 
 
 @pytest.mark.slow

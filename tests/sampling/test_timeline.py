@@ -12,7 +12,7 @@ from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.motion.joining import FADE_SECONDS
 from t2m_jax.sampling.loop import Given
 from t2m_jax.sampling.prompts import sample_key
-from t2m_jax.sampling.request import MotionRequest
+from t2m_jax.sampling.request import MotionRequest, SamplingOptions
 from t2m_jax.sampling.segments import context_rows
 from tests import tiny
 
@@ -24,7 +24,7 @@ FIRST, SECOND, THIRD = tiny.CAPTIONS[:3]
 def sample(model, *, known=None, num_codes=0, num_rows=0, **options):
     """Codes of four motions, with `num_codes` rows of `known` [4, N, R], and their lengths."""
     keys = jnp.stack([sample_key(7, FIRST, number) for number in range(4)])
-    sampling = model.parts.sampling(**options)
+    sampling = model.parts.sampling(SamplingOptions(**options))
     given = None
     if known is not None:
         is_known = jnp.arange(known.shape[1])[None] < jnp.full((4, 1), num_codes)

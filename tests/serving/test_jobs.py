@@ -242,6 +242,24 @@ def test_a_request_that_takes_too_long_fails_and_the_process_is_killed(monkeypat
     with_queue(test)
 
 
+def test_the_time_of_a_request_begins_when_the_one_before_it_ends(monkeypatch):
+    monkeypatch.setattr(module, "WORK_SECONDS", 0.2)
+
+    async def test(jobs):
+        first, second, process = jobs.submit(CHAIN), jobs.submit(CHAIN), jobs._process
+        await asyncio.sleep(0.1)
+        jobs.say("started", {}, first.number)
+        await asyncio.sleep(0.15)  # longer than the limit since the second one was sent
+        jobs.finish(jobs.sent[0])
+        jobs.say("started", {}, second.number)
+        await asyncio.sleep(0.15)
+        assert not process.killed and names(first)[-1] == "done" and "failed" not in names(second)
+        await asyncio.sleep(0.1)
+        assert process.killed and names(second)[-1] == "failed"
+
+    with_queue(test)
+
+
 def test_a_model_that_cannot_be_loaded_is_an_error():
     class Refused(QueueOnly):
         def _start_process(self):

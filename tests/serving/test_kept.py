@@ -86,6 +86,21 @@ def test_answers_are_not_kept_forever(monkeypatch):
     asyncio.run(test())
 
 
+def test_the_end_of_a_forgotten_answer_does_not_end_a_newer_one_with_its_key(monkeypatch):
+    async def test():
+        answers = KeptAnswers()
+        await texts(answers.start(KEYS[0], answer(events_of("a"))))
+        await asyncio.sleep(0)
+        answers.forget(KEYS[0])
+        await asyncio.sleep(0.03)
+        await texts(answers.start(KEYS[0], answer(events_of("b"))))
+        await asyncio.sleep(0.03)
+        assert await texts(answers.follow(KEYS[0]))
+
+    monkeypatch.setattr(kept, "KEEP_SECONDS", 0.05)
+    asyncio.run(test())
+
+
 @pytest.mark.parametrize("key", ["", "short", "x" * 65, "x" * 15 + "/", "x" * 15 + "é"])
 def test_keys_are_long_and_plain(key):
     with pytest.raises(HTTPException, match="keep: a key has 16 to 64"):

@@ -15,6 +15,7 @@ from t2m_jax.serving.schema import (
     FileParameters,
     MotionBody,
     SceneParameters,
+    check_lengths,
     decode_base64,
     motion_request,
     read_body,
@@ -95,7 +96,6 @@ def test_all_sampling_options_reach_the_record():
         ({"seconds": 0}, "request: seconds: input should be greater than 0, not 0"),
         ({"seconds": float("inf")}, "request: seconds: input should be a finite number, not inf"),
         ({"seconds": float("nan")}, "request: seconds: input should be a finite number, not nan"),
-        ({"captions": ["a person walks"] * 11, "seconds": 60}, "seconds: all motions together"),
         ({"guidance_scale": -1}, "request: guidance_scale: "),
         ({"strength": 1.5}, "request: strength: "),
         ({"temperature": 0.75}, "request: temperature: input should be a multiple of 0.1, not 0.75"),
@@ -115,6 +115,23 @@ def test_what_cannot_be_used_is_named(fields, message):
     with pytest.raises(UserError) as caught:
         request_of(GOOD | fields)
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        (
+            {"captions": ["a person walks"] * 11, "seconds": 60},
+            "seconds: all motions together would be longer",
+        ),
+        ({"captions": ["a person walks for ten minutes"]}, "seconds: 600 for a sentence are more than 60"),
+        ({"captions": ["walks for a minute"] * 11}, "seconds: all motions together"),
+        ({"captions": ["walks for a minute, then waves for 500 seconds"]}, "seconds: 500 for a sentence are more"),
+    ],
+)
+def test_lengths_in_words_have_limits_too(fields, message):
+    with pytest.raises(UserError, match=message):
+        check_lengths(request_of(GOOD | fields).in_turn(["walk", "wave"]))
 
 
 @pytest.mark.parametrize(

@@ -59,7 +59,7 @@ def training(request, data, tmp_path):
 
 def start(config, *options):
     """Starts the real program."""
-    command = [sys.executable, "-m", "t2m_jax.cli", "train", config.stem, f"{config}", *options]
+    command = [sys.executable, "-m", "t2m_jax", "train", config.stem, f"{config}", *options]
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
 
 

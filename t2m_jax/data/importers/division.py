@@ -66,6 +66,7 @@ class Division:
         members: dict[str, list[str]] = defaultdict(list)
         for name, group in groups.items():
             members[group].append(name)
+        # Of fewer recordings than splits, parts are divided, although they are alike.
         has_parts = len(SPLITS) <= len(members) < len(groups)
         if self.split_by is None and not has_parts:
             return split_by_hash([list(groups)], seed=str(self.seed), shares=shares)

@@ -52,7 +52,7 @@ export function setValues(form, values) {
     if (value === undefined) continue;
     if (control.type === "checkbox") control.checked = value;
     else if (control.type === "radio") control.checked = control.value === value;
-    else if (control.tagName !== "SELECT" || [...control.options].some((option) => option.value === value)) control.value = value;
+    else if (control.tagName !== "SELECT" || [...control.options].some((option) => option.value === String(value))) control.value = value;
   }
 }
 
