@@ -90,7 +90,8 @@ def main() -> None:
     columns = tuple(column for column in BENCHMARK_COLUMNS if column.metric in SHOWN)
     found = [*lines(args.data, args.evaluators, num_repeats=args.num_repeats), *map(report_line, args.reports)]
     table = Table({}, columns, (TableLine("", "real", args.num_repeats, {}), *found))
-    sys.stdout.write(format_table(table._replace(lines=tuple(found)), style="markdown") + "\n")
+    printed = format_table(table._replace(lines=tuple(found)), style="markdown")
+    sys.stdout.write(printed.replace("Mean and 95 % interval over", "Mean, and what 95 % are in, of") + "\n")
     if args.plot:
         figure = table_chart(table)
         figure.supxlabel("Means, and what 95 % of the repeats are in.", fontsize="x-small")

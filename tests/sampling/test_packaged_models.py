@@ -15,7 +15,7 @@ from t2m_jax.text import PromptWarning
 FOLDER = Path(str(importlib.resources.files("t2m_jax"))) / "bundles"
 FIRST_CODES = {
     "demo": [18, 190, 125, 183, 424, 183, 424, 183],
-    "demo-free": [322, 399, 132, 271, 402],
+    "demo-free": [322, 495, 177, 271, 402, 177, 37, 213],
     "demo-t2m-gpt": [222, 222, 97, 245, 3, 150, 150, 150],
 }
 """The first codes of the first rows of one motion, so that a change of what a seed gives is noticed."""
