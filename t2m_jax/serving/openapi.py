@@ -9,6 +9,9 @@ from pydantic import BaseModel, TypeAdapter
 from t2m_jax.serving import answers, schema
 from t2m_jax.yaml_file import load_yaml
 
+POST_ERRORS = ("400", "401", "403", "408", "413", "429", "503")
+"""Answers to any request with a body that cannot be used now."""
+
 
 def openapi() -> dict[str, Any]:
     """Returns the description as plain data."""
@@ -27,6 +30,12 @@ def openapi() -> dict[str, Any]:
     }
     for path, model in models.items():
         found["paths"][path]["post"]["parameters"] = _parameters(model)
+    for response in found["components"]["responses"].values():
+        response["content"] = {"application/json": {"schema": {"$ref": "#/components/schemas/ErrorData"}}}
+    for path in ("/motions", *models):
+        found["paths"][path]["post"]["responses"] |= {
+            code: {"$ref": f"#/components/responses/{code}"} for code in POST_ERRORS
+        }
     events = [f"- `{name}`: {kind.__doc__} See the schema `{kind.__name__}`." for name, kind in answers.EVENTS.items()]
     texts = {"events": "\n".join(events), "bytes": f"{schema.MAX_BODY:,}"}
     texts["character"] = f"{schema.MAX_CHARACTER_BODY:,}"
