@@ -33,9 +33,9 @@ def run(args: argparse.Namespace) -> None:
     from t2m_jax.checkpoints.model import load_model
     from t2m_jax.checkpoints.run import is_run
     from t2m_jax.checkpoints.text_encoder import included_encoder
-    from t2m_jax.config import check_seed
     from t2m_jax.data.folder import open_dataset
     from t2m_jax.errors import naming
+    from t2m_jax.field_checks import check_seed
     from t2m_jax.files.reading import load_text
     from t2m_jax.files.writing import check_new
     from t2m_jax.sampling.pipeline import TextToMotion

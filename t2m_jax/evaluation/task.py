@@ -8,13 +8,13 @@ import numpy as np
 from jaxtyping import Int
 
 from t2m_jax.checkpoints.evaluator import TrainedEvaluator
-from t2m_jax.config import check_seed
 from t2m_jax.data.checks import check_feature_dim, check_statistics
 from t2m_jax.data.folder import Clip, Dataset, samples_from_clip
 from t2m_jax.data.index import load_index
 from t2m_jax.devices import put_everywhere
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.protocols import Plan, Protocol, make_plan
+from t2m_jax.field_checks import check_seed
 from t2m_jax.files.arrays import fingerprint
 from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT
 

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from t2m_jax.config import check_limits, check_shares, check_sizes
+from t2m_jax.field_checks import check_limits, check_shares, check_sizes
 from t2m_jax.models.projection import WEIGHT_INIT
 from t2m_jax.models.transformer import LAYER_NORM_EPSILON, Block
 

@@ -8,7 +8,7 @@ import flax.linen as nn
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from t2m_jax.config import check_limits, check_sizes
+from t2m_jax.field_checks import check_limits, check_sizes
 from t2m_jax.models.projection import WEIGHT_INIT
 from t2m_jax.models.transformer import Attention, layer_norm
 

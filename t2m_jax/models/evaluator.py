@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from t2m_jax.config import check_limits, check_shares, check_sizes
+from t2m_jax.field_checks import check_limits, check_shares, check_sizes
 from t2m_jax.keys import new_key
 from t2m_jax.models.recurrent import BiGru
 

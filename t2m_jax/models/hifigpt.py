@@ -13,7 +13,7 @@ import flax.linen as nn
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from t2m_jax.config import check_limits, check_shares, check_sizes
+from t2m_jax.field_checks import check_limits, check_shares, check_sizes
 from t2m_jax.models.projection import WEIGHT_INIT, Projection
 from t2m_jax.models.system import Draw, Part, Randomness, draw_depths, draw_each, log_probabilities
 from t2m_jax.models.transformer import LAYER_NORM_EPSILON, Block, LayerCache, empty_cache, read_causal, read_one

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from t2m_jax.config import check_limits, check_shares, check_sizes
 from t2m_jax.errors import UserError
+from t2m_jax.field_checks import check_limits, check_shares, check_sizes
 from t2m_jax.models.projection import WEIGHT_INIT, Projection
 from t2m_jax.models.system import Draw, Part, Randomness, draw_each, log_probabilities
 from t2m_jax.models.transformer import LAYER_NORM_EPSILON, Block, LayerCache, empty_cache, read_causal, read_one

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from t2m_jax.config import check_amounts, check_limits, check_sizes
+from t2m_jax.field_checks import check_amounts, check_limits, check_sizes
 from t2m_jax.models.projection import WEIGHT_INIT
 from t2m_jax.models.transformer import Attention, layer_norm
 

@@ -12,7 +12,7 @@ import flax.linen as nn
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from t2m_jax.config import check_limits, check_shares, check_sizes
+from t2m_jax.field_checks import check_limits, check_shares, check_sizes
 from t2m_jax.models.codebook import QuantizerKind
 from t2m_jax.models.convolution import GROUPS, Decoder, Encoder, NormKind, ResidualStack, halve_mask
 from t2m_jax.models.quantizer import CodebookUpdate, CommitmentKind, Quantizer

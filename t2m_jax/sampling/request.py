@@ -8,8 +8,8 @@ from collections.abc import Collection, Sequence
 from numbers import Integral, Real
 from typing import Literal
 
-from t2m_jax.config import check_seed
 from t2m_jax.errors import UserError
+from t2m_jax.field_checks import check_seed
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.repetitions import COUNTED_ACTIONS
 from t2m_jax.motion.targets import Target

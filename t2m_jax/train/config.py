@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from t2m_jax.config import check_amounts, check_limits, check_seed, check_sizes
+from t2m_jax.field_checks import check_amounts, check_limits, check_seed, check_sizes
 
 EvaluationMetric = Literal["fid", "matching_score", "r_precision_1", "r_precision_2", "r_precision_3"]
 """Metrics that can choose weights: a larger value is always better, or always worse. Diversity is not one of them."""

@@ -202,8 +202,7 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
         validation = Validation(bank, len(validated), functools.partial(validate, **options), plan("validation"))
 
     def init() -> TrainState:
-        if is_restored:
-            # A checkpoint is about to replace these weights, and the movement run may have been removed.
+        if is_restored:  # a checkpoint replaces these weights, and the movement run may have been removed
             movements = jax.tree.map(jnp.zeros_like, evaluator_shapes(config.model)["params"][MOVEMENTS])
         else:
             movements = train_movements(config, dataset, normalizer, train, held_out, resume=resume)

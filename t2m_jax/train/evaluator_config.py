@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from t2m_jax.config import check_amounts, check_limits, check_sizes
+from t2m_jax.field_checks import check_amounts, check_limits, check_sizes
 from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT, EvaluatorConfig
 from t2m_jax.text.word_vectors import MIN_COUNT
 from t2m_jax.train.config import MAX_WINDOW, LoopConfig, NormalizedConfig, StepConfig

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal
 
 from t2m_jax.checkpoints.encoder_files import PACKAGED_ENCODERS
 from t2m_jax.checkpoints.text_encoder import CLIP_NAME
-from t2m_jax.config import check_sizes
+from t2m_jax.field_checks import check_sizes
 from t2m_jax.models.caption_encoder import CaptionEncoderConfig, NetworkConfig, StateEncoderConfig
 from t2m_jax.models.rows import Precision
 from t2m_jax.train.config import ExperimentConfig, GenerationEvaluationConfig, StepConfig

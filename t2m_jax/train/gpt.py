@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from t2m_jax.config import check_shares
 from t2m_jax.data.banks.codes import Captions, CodeBank
 from t2m_jax.data.banks.order import row_keys, split_each
 from t2m_jax.devices import own_rows, split_rows
+from t2m_jax.field_checks import check_shares
 from t2m_jax.losses import TokenMean, token_accuracy, token_loss, token_weights
 from t2m_jax.models.motion_gpt import MotionGpt, MotionGptConfig
 from t2m_jax.models.rows import Precision, apply_rows, in_precision

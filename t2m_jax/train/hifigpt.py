@@ -11,11 +11,11 @@ import optax
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
-from t2m_jax.config import check_shares
 from t2m_jax.data.banks.codes import Captions, CodeBank, CodeBatch
 from t2m_jax.data.banks.order import row_keys, split_each
 from t2m_jax.devices import global_rows, global_sum, own_rows, split_rows
 from t2m_jax.errors import UserError
+from t2m_jax.field_checks import check_shares
 from t2m_jax.losses import TokenMean, infonce_loss, mean_weights, stop_loss, token_accuracy, token_loss
 from t2m_jax.models.contrastive import ContrastiveHead
 from t2m_jax.models.hifigpt import HiFiGpt, HiFiGptConfig

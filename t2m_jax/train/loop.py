@@ -74,6 +74,11 @@ def join_calls(calls: Sequence[Call]) -> Call:
     return Call(metrics, sum(call.updates for call in calls))
 
 
+def join_many(calls: list[Call]) -> list[Call]:
+    """Returns the calls, or one for all of them if there are too many."""
+    return calls if len(calls) <= MOST_CALLS else [join_calls(calls)]
+
+
 def mean_metrics(calls: Sequence[Call], *, first_step: int) -> dict[str, float]:
     """Returns the mean of each metric over consecutive steps, the first of which is `first_step`.
 
@@ -142,16 +147,13 @@ def run_loop(
             count = next_count(step, config, measurements)
             state, metrics = update(state, count)
             step += count
-            calls.append(Call(metrics, count))
-            if len(calls) > MOST_CALLS:
-                calls = [join_calls(calls)]
+            calls = join_many([*calls, Call(metrics, count)])
             asked = asked_to_stop(step)
             due = [one for one in measurements if is_due(step, one.every, last=total)]
             is_kept = asked is not None or step == total or is_due(step, config.checkpoint_every, last=total)
             if due or is_kept or is_due(step, config.log_every, last=total):  # first: it raises if a loss is not finite
                 _log_updates(log, step, calls, speed, progress)
                 calls = []
-            # Before the checkpoint: a run that is killed in between measures again, with the same figures.
             is_over = _log_measurements(log, step, due, state) or asked is not None
             if is_kept or is_over:
                 checkpoints.save(step, state)

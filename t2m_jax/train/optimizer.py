@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int
 
-from t2m_jax.config import check_amounts
 from t2m_jax.devices import global_mean
+from t2m_jax.field_checks import check_amounts
 
 Metrics = dict[str, Float[Array, ""]]
 

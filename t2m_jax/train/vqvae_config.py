@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from t2m_jax.config import check_limits
+from t2m_jax.field_checks import check_limits
 from t2m_jax.losses import ReconstructionKind, VelocityKind
 from t2m_jax.models.rows import Precision
 from t2m_jax.models.vqvae import RvqVaeConfig, VqVaeConfig

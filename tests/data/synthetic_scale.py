@@ -16,13 +16,13 @@ import numpy as np
 from jaxtyping import Float
 from tqdm import tqdm
 
-from t2m_jax.config import check_seed
 from t2m_jax.data.captioning.captions import Labels, write_captions
 from t2m_jax.data.files import FEATURES, TEXTS
 from t2m_jax.data.importers.synthetic import FEWEST_CLIPS, FPS, KINDS, make_motion
 from t2m_jax.data.splits import split_by_hash
 from t2m_jax.data.texts import Caption, save_captions
 from t2m_jax.data.writer import ImportReport, check_count, mirror, new_folder, with_twins
+from t2m_jax.field_checks import check_seed
 from t2m_jax.files.writing import save_text
 from t2m_jax.motion.facts import measure
 from t2m_jax.motion.features import features_from_positions

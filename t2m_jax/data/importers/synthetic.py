@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.config import check_seed
 from t2m_jax.data.captioning.captions import Labels, write_captions
 from t2m_jax.data.folder import DatasetInfo
 from t2m_jax.data.index import IndexEntry, save_index
 from t2m_jax.data.splits import split_by_hash
 from t2m_jax.data.writer import ImportReport, check_count, finish_folder, new_folder, with_twins, write_twins
 from t2m_jax.errors import UserError
+from t2m_jax.field_checks import check_seed
 from t2m_jax.motion.facts import measure
 from t2m_jax.motion.joining import fade
 from t2m_jax.motion.skeleton import HUMANML3D
