@@ -1,7 +1,7 @@
 """Write a model for programs without Python: `t2m export onnx MODEL DIR` or `t2m export page MODEL DIR`.
 
 The folder of `onnx` has ONNX graphs, the tokenizer of sentences, and a manifest that says how to use them.
-docs/engines.md describes them, with a sampler of a hundred lines. That of `page` is a web page that runs the graphs in
+docs/engines.md describes them, with a small sampler. That of `page` is a web page that runs the graphs in
 the browser (docs/page.md). Both need the extra `onnx`: pip install 't2m-jax[onnx]'.
 """
 
