@@ -119,7 +119,9 @@ def _add_protocol_arguments(parser: argparse.ArgumentParser, *, needs_evaluator:
     evaluator = "folder of an evaluator, or run of `t2m train evaluator`" + ("" if needs_evaluator else " (optional)")
     parser.add_argument("--evaluator", required=needs_evaluator, metavar="E", help=evaluator)
     parser.add_argument(
-        "--protocol", default="t2m-gpt", help="t2m-gpt (default), t2m-gpt-paper, text-to-motion, momask or strict"
+        "--protocol",
+        default="t2m-gpt",
+        help="t2m-gpt (default), t2m-gpt-paper, text-to-motion, benchmark, momask or strict",
     )
     parser.add_argument("--num-repeats", type=positive, default=20, help="repeats (default: 20)")
     parser.add_argument("--batch", type=int, default=32, help="pairs ranked together, for small splits (default: 32)")

@@ -117,7 +117,8 @@ def matching_train_step(
     for name, part in trained.items():
         updates, opt_state[name] = make_optimizer(config.optimizer).update(gradient[name], state.opt_state[name], part)
         params = params | optax.apply_updates(part, updates)
-        metrics[f"{name}_gradient_norm"] = optax.global_norm(gradient[name])
+        squares = [jnp.sum(leaf**2) for leaf in jax.tree.leaves(gradient[name])]
+        metrics[f"{name}_gradient_norm"] = jnp.sqrt(sum(squares, jnp.zeros(())))
     return TrainState(state.step + 1, params, opt_state), metrics
 
 

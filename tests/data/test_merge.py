@@ -20,7 +20,8 @@ def folders(tmp_path_factory):
     write_synthetic_dataset(folder / "made", num_clips=20, seed=0)
     for seed in range(8):
         write_bvh(folder / "source" / f"clip_{seed}.bvh", seed=seed)
-    import_bvh_folder(folder / "source", folder / "own", caption_from_name=True)
+    (folder / "info.yaml").write_text("name: source\nlicence: CC0\n")
+    import_bvh_folder(folder / "source", folder / "own", caption_from_name=True, info=folder / "info.yaml")
     save_index(folder / "own", [IndexEntry(f"clip_{seed}", f"clip_{seed}.bvh", "turns left") for seed in range(8)])
     return folder / "made", folder / "own"
 
@@ -48,7 +49,7 @@ def test_labels_and_licenses_are_kept(folders, tmp_path):
     index, info = load_index(tmp_path / "all"), open_dataset(tmp_path / "all").info
     assert index.label("Mclip_3") == "turns right" and index.source("clip_3") == "clip_3.bvh"
     made = open_dataset(folders[0]).info
-    assert info.name == f"{made.name} and source" and info.licence == made.licence
+    assert info.name == f"{made.name} and source" and info.licence == f"{made.licence}; CC0"
 
 
 def test_positions_that_a_data_set_lacks_are_made(folders, tmp_path):

@@ -63,8 +63,8 @@ def test_a_part_is_what_the_file_shows_at_its_time(source, tmp_path):
     imported(source, tmp_path / "cut", "long,1,3,walk,,train,\n")
     whole = open_dataset(tmp_path / "data").features("long")
     part = open_dataset(tmp_path / "cut" / "data").features("long")
-    heights = slice(3, 4)
-    np.testing.assert_allclose(part[2:-2, heights], whole[22:57, heights], atol=5e-3)
+    limbs = slice(4, 67)  # they swing; the root glides
+    np.testing.assert_allclose(part[2:-2, limbs], whole[22:57, limbs], atol=5e-3)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """Gaps in real motion, filled by a model and by interpolation."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -54,11 +56,16 @@ def test_an_interpolation_keeps_bones_and_hardly_accelerates(positions):
 
 
 @pytest.mark.filterwarnings("ignore::t2m_jax.text.coverage.PromptWarning")
-def test_a_model_is_measured_on_the_clips_that_are_long_enough(model, tmp_path):
+def test_a_model_is_measured_on_the_clips_that_are_long_enough(model, tmp_path, monkeypatch):
     write_synthetic_dataset(tmp_path / "data", num_clips=20, seed=6)
     dataset = open_dataset(tmp_path / "data")
     figures = evaluate_inbetween(model, dataset, split="train", seconds=0.4, num_clips=2)
     assert figures.num_clips == 2 and figures.real.acceleration_error == 0
     assert figures.generated.deviation_mm > 0 and figures.generated != figures.interpolated
+    # A model that gives the clip back is as good as the clip.
+    parts = {"part_starts": (0, 20, 28), "part_captions": ("a", "b", "a")}
+    monkeypatch.setattr(model, "redo", lambda motion, *_, **__: [dataclasses.replace(motion, **parts)])
+    figures = evaluate_inbetween(model, dataset, split="train", seconds=0.4, num_clips=2)
+    assert figures.generated == figures.real != figures.interpolated
     with pytest.raises(UserError, match="split train has no clip of 10040 frames with a caption"):
         evaluate_inbetween(model, dataset, split="train", seconds=500.0, num_clips=2)

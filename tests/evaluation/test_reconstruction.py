@@ -1,5 +1,6 @@
 """Reconstruction figures: against a plain NumPy computation, whatever the batch."""
 
+import dataclasses
 import functools
 
 import jax
@@ -13,9 +14,12 @@ from t2m_jax.data.importers.synthetic import write_synthetic_dataset
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation import reconstruction
 from t2m_jax.evaluation.reconstruction import evaluate_reconstruction, reconstruct_batch
+from t2m_jax.metrics.quality import measure_errors, measure_quality
 from t2m_jax.models.vqvae import VqVae
 from t2m_jax.motion.features import positions_from_features
 from tests.tiny import VQVAE, random_bundle
+
+DRIFTS = ("global_mpjpe_mm", "acceleration_error_mm", "path_drift_mm", "heading_drift_degrees")
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +43,8 @@ def report(tokenizer, dataset):
 @pytest.mark.slow
 def test_figures_equal_a_plain_computation(tokenizer, dataset, report):
     encode, decode = (jax.jit(functools.partial(VqVae(VQVAE).apply, method=name)) for name in ("encode", "decode"))
-    errors, per_clip, used = [], [], set()
+    errors, per_clip, counts = [], [], np.zeros(VQVAE.num_codes)
+    measured = []
     for clip in dataset.clips("test"):
         features = clip.features[: len(clip.features) // 4 * 4]
         codes = encode(tokenizer.variables, jnp.asarray(tokenizer.normalizer.normalize(features))[None])
@@ -48,10 +53,22 @@ def test_figures_equal_a_plain_computation(tokenizer, dataset, report):
         distance = np.linalg.norm((found - found[:, :1]) - (wanted - wanted[:, :1]), axis=-1).mean(axis=-1)
         errors.append(distance)
         per_clip.append(distance.mean())
-        used |= set(np.ravel(codes).tolist())
+        counts += np.bincount(np.ravel(codes), minlength=VQVAE.num_codes)
+        pair = [jnp.asarray(one[None], jnp.float32) for one in (found, wanted)]
+        mask = jnp.ones((1, len(found)), bool)
+        qualities = [measure_quality(one, mask, skeleton=dataset.skeleton) for one in pair]
+        measured.append([*measure_errors(*pair, mask, skeleton=dataset.skeleton), *np.concatenate(qualities)])
     np.testing.assert_allclose(report.mpjpe_mm, 1000 * np.concatenate(errors).mean(), rtol=1e-3)
     np.testing.assert_allclose(report.mpjpe_median_clip_mm, 1000 * np.median(per_clip), rtol=1e-3)
-    assert report.codebook_usage == len(used) / VQVAE.num_codes
+    assert report.codebook_usage == np.mean(counts > 0)
+    shares = counts[counts > 0] / counts.sum()
+    np.testing.assert_allclose(report.perplexity, np.exp(-np.sum(shares * np.log(shares))), rtol=1e-4)
+    _, *drifts = np.mean(measured, axis=0).ravel()[:5] * [1000, 1000, 1000, 1000, 1]
+    found = [getattr(report, name) for name in DRIFTS]
+    np.testing.assert_allclose(found, drifts, rtol=1e-2)
+    both = (report.quality, report.real_quality)
+    qualities = [value for quality in both for value in dataclasses.astuple(quality)]
+    np.testing.assert_allclose(qualities, np.mean(measured, axis=0).ravel()[5:], rtol=1e-2, atol=1e-4)
     assert report.num_clips == len(errors)
     assert report.num_frames == sum(map(len, errors))
 

@@ -63,14 +63,14 @@ def test_the_terminal_shows_columns_in_line(two):
     )
 
 
-@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
-def test_a_table_is_drawn(tmp_path, suffix, capsys):
+@pytest.mark.parametrize(("suffix", "start"), [("png", b"\x89PNG\r"), ("svg", b"<?xml"), ("pdf", b"%PDF-")])
+def test_a_table_is_drawn(tmp_path, suffix, start, capsys):
     paths = [tmp_path / f"{name}.json" for name in ("first", "a$b_c$d")]
     for path, fid in zip(paths, (0.1, 0.2), strict=True):
         save_report(path, report(real=REAL | FITS, fid=(fid, 0.01), diversity=(9.0, 0.1), **FITS))
     plot = tmp_path / f"plot.{suffix}"
     assert main(["evaluate", "table", *map(str, paths), "--plot", f"{plot}"]) == 0
-    assert plot.read_bytes()[:5] in (b"\x89PNG\r", b"<?xml", b"%PDF-")
+    assert plot.read_bytes().startswith(start)
     assert "FID" in capsys.readouterr().out
 
 

@@ -123,6 +123,8 @@ def test_kit_is_measured_in_meters():
     np.testing.assert_allclose(measure_quality(positions, mask, skeleton=KIT_ML).jerk, 6e-3 * 12.5**3, rtol=1e-3)
     found = measure_errors(positions, jnp.tile(positions[:, :1], (1, 8, 1, 1)), mask, skeleton=KIT_ML)
     np.testing.assert_allclose(found.path_drift, 0.343, rtol=1e-3)
+    gliding = jnp.asarray(np.abs(pose) * [1, 0, 1] + np.arange(8)[:, None, None] * [40.0, 0.0, 0.0], jnp.float32)
+    np.testing.assert_allclose(measure_quality(gliding, mask, skeleton=KIT_ML).skating_speed, 0.04 * 12.5, rtol=1e-3)
 
 
 def test_one_frame_and_an_empty_clip_have_finite_figures():

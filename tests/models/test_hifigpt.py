@@ -68,12 +68,14 @@ def test_sampled_rows_are_those_of_the_whole_sequence(name, scale):
     given = None if scale is None else jnp.float32(scale)
     sampled = generate_codes(variables, TEXT, KEYS, given, generator=module, sampling=sampling)
     with_text = compiled_apply(module, variables, sampled.codes, TEXT, train=False)
-    logits = with_text.code_logits
+    logits, stops = with_text.code_logits, with_text.stop_logits
     if scale is not None:
         without = compiled_apply(module, variables, sampled.codes, jnp.zeros_like(TEXT), train=False)
         logits = without.code_logits + scale * (logits - without.code_logits)
+        stops = without.stop_logits + scale * (stops - without.stop_logits)
     for row, length in enumerate(sampled.code_lengths):
         np.testing.assert_array_equal(jnp.argmax(logits[row, :length], axis=-1), sampled.codes[row, :length])
+        assert jnp.argmax(stops[row, :length]) + 1 == length
 
 
 @pytest.mark.slow

@@ -451,5 +451,6 @@ def test_a_long_motion_is_cleaned_as_a_short_one():
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 40, 199, 200, 201, 361, 1000])
 def test_windows_cover_motions_of_all_lengths(count):
-    positions = np.resize(make_motion("walk", seed=2, num_frames=100), (count, 22, 3))
-    assert clean_long(positions, skeleton=HUMANML3D, size=200).shape == (count, 22, 3)
+    positions = make_motion("walk", seed=2, num_frames=max(count, 40))[:count]
+    found = clean_long(positions, skeleton=HUMANML3D, size=200)
+    assert np.linalg.norm(found - positions, axis=-1).max() < 0.2

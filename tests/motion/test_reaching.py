@@ -8,7 +8,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.motion.features import bone_vectors, ground_positions
 from t2m_jax.motion.joining import place_positions
 from t2m_jax.motion.motion import Motion
-from t2m_jax.motion.reaching import check_exact, faded, reach_exactly
+from t2m_jax.motion.reaching import check_exact, faded, limbs_of, reach_exactly
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 from t2m_jax.motion.targets import distances, read_target, seen_from_root, targets_from_text
 from t2m_jax.motion.torso import hub_bones
@@ -130,4 +130,6 @@ def test_what_cannot_be_exact_is_refused(joint):
 
 
 def test_other_skeletons_have_limbs():
+    limbs = limbs_of(KIT_ML)
+    assert sorted(limbs) == ["LF", "LMrot", "LW", "RF", "RMrot", "RW"]  # toes, ankles and wrists
     check_exact(targets_from_text("1 root=0,0 exact"), KIT_ML)

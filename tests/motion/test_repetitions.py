@@ -102,6 +102,11 @@ def test_the_judge_counts_mirrored_motion_alike(action):
         assert count_action(action, Motion(positions, 20.0)) == count_action(twin, mirrored)
 
 
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_the_judge_counts_kicks_of_both_feet(side):
+    assert count_action("kick", Motion(moved(f"{side}_ankle", 1, 0.8, 3), 20.0)) == 3
+
+
 def test_small_peaks_beside_large_ones_do_not_count():
     values = np.array([0.0, 1.0, 0.0, 0.3, 0.0, 0.9, 0.0])
     assert find_peaks(values, least=0.1) == [1, 5]

@@ -151,14 +151,3 @@ def test_motions_that_cannot_be_joined_are_refused():
         make() + Motion(np.zeros((4, 21, 3)), 20.0, skeleton=KIT_ML)
     with pytest.raises(TypeError):
         make() + 3
-
-
-def test_every_readable_format_is_loaded(tmp_path):
-    motion = make(caption="walks")
-    for name in ("a.npz", "a.bvh"):
-        motion.save(tmp_path / name)
-        found = Motion.load(tmp_path / name)
-        assert type(found) is Motion and found.num_frames == 60
-        np.testing.assert_allclose(found.positions, motion.positions, atol=0.05)
-    with pytest.raises(UserError, match="cannot read motions"):
-        Motion.load(tmp_path / "a.txt")

@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from t2m_jax.motion import rotations
 from t2m_jax.motion.rotations import (
     continuous_quaternions,
     euler_from_matrix,
@@ -247,8 +246,3 @@ def test_jit_changes_nothing(function):
     compiled = assert_jit_equals_eager(jax.jit(function), quaternions, vectors, atol=1e-5)
     plain = function(np.asarray(quaternions), np.asarray(vectors))
     np.testing.assert_allclose(plain, compiled, atol=1e-5)
-
-
-def test_a_wrong_last_axis_is_refused():
-    with pytest.raises(TypeError):
-        rotations.quaternion_inverse(np.zeros((2, 3), np.float32))

@@ -3,6 +3,7 @@
 import csv
 import logging
 import os
+import re
 import signal
 from typing import NamedTuple
 
@@ -111,7 +112,10 @@ def test_the_log_shows_learning_rate_and_speed(tmp_path, caplog):
         run_loop(tmp_path, START, counting(), config=loop(), speed=speed)
     assert [row["learning_rate"] for row in rows(tmp_path)] == [2.0, 2.5, 4.0, 5.0]
     assert not any("second" in name for name in rows(tmp_path)[0]), "speeds differ from run to run"
-    assert sum("steps_per_second" in message and "frames_per_second" in message for message in caplog.messages) == 4
+    found = [re.search(r"steps_per_second (\S+), frames_per_second (\S+)", message) for message in caplog.messages]
+    speeds = [(float(one[1]), float(one[2])) for one in found if one]
+    assert len(speeds) == 4
+    np.testing.assert_allclose([frames / steps for steps, frames in speeds], 64, rtol=0.01)
 
 
 def test_a_picture_is_kept_with_each_measurement(tmp_path):

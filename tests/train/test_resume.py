@@ -111,6 +111,9 @@ def test_the_step_counts(runs, tmp_path):
     for part in ("params", "codebook", "opt_state"):
         same = jax.tree.map(np.array_equal, early[part], late[part])
         assert not all(jax.tree.leaves(same))
+    for part in ("encoder", "decoder"):
+        same = jax.tree.map(np.array_equal, early["params"]["params"][part], late["params"]["params"][part])
+        assert not any(jax.tree.leaves(same)), part
 
 
 @pytest.mark.slow

@@ -56,7 +56,7 @@ def test_what_lies_past_the_end_teaches_nothing():
     other, spoiled_metrics = step(state, spoiled, jax.random.key(4))
     for name in metrics:
         np.testing.assert_array_equal(metrics[name], spoiled_metrics[name], err_msg=name)
-    for left, right in zip(jax.tree.leaves(one.params), jax.tree.leaves(other.params), strict=True):
+    for left, right in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
         np.testing.assert_array_equal(left, right)
 
 

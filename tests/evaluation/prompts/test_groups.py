@@ -10,7 +10,7 @@ from t2m_jax.data import make_motion, open_dataset, write_synthetic_dataset
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.prompts import groups as prompt_groups
 from t2m_jax.evaluation.prompts.following import RULES, requests
-from t2m_jax.evaluation.prompts.groups import composed_tests, pace_tests
+from t2m_jax.evaluation.prompts.groups import clip_speeds, composed_tests, pace_tests
 from t2m_jax.evaluation.prompts.recognition import manner_tests
 from t2m_jax.evaluation.prompts.sentences import held_out_paces
 from t2m_jax.motion.motion import Motion
@@ -47,10 +47,13 @@ def at_speed(speed):
 
 
 @pytest.mark.slow
-def test_limits_are_shares_of_real_clips(tests_of_pace):
+def test_limits_are_shares_of_real_clips(dataset, tests_of_pace):
     assert list(tests_of_pace) == [f"{content} {pace.name}" for content in CONTENTS for pace in held_out_paces()]
     slowest, slow, fast = (limit(tests_of_pace[f"walk {pace}"]) for pace in ("very slowly", "slowly", "fast"))
     assert 0 < slowest < slow < fast
+    speeds = clip_speeds(dataset, CONTENTS)["walk"]
+    shares = [pace.share for pace in held_out_paces()]
+    np.testing.assert_allclose((slowest, slow, fast), np.quantile(speeds, shares), atol=6e-3)
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """A classifier of actions on procedural motions, and the tests that it judges."""
 
+import numpy as np
 import pytest
 
 from t2m_jax.data import make_motion, open_dataset, write_synthetic_dataset
@@ -30,7 +31,7 @@ def test_new_motions_are_recognized(dataset):
     assert {"walk", "wave-left-hand"} <= set(classifier.classes)
     for kind in classifier.classes:
         assert sum(classifier.sees(kind, motion_of(kind, 1000 + seed)) for seed in range(5)) >= 4, kind
-    assert accuracy and all(0 <= share <= 1 for share in accuracy.values())
+    assert np.mean(list(accuracy.values())) > 0.8
     assert not any(classifier.sees(kind, motion_of("walk", 0)[:1]) for kind in classifier.classes)
 
 
