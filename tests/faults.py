@@ -75,8 +75,8 @@ FAULTS = (
     Fault(
         "an inverted decay of the codebook's averages",
         "models/codebook.py",
-        "kept = limits.decay if rule.averages else 0.0",
-        "kept = 1.0 - limits.decay if rule.averages else 0.0",
+        "kept = decay if rule.averages else 0.0",
+        "kept = 1.0 - decay if rule.averages else 0.0",
         "models/test_golden_rvq.py::test_codebook_updates",
     ),
     Fault(
