@@ -29,8 +29,10 @@ MAX_SECONDS = 3600.0
 
 def check_seconds(seconds: float) -> None:
     """Raises `UserError` if a length is not a number of seconds up to `MAX_SECONDS`."""
-    if not (isinstance(seconds, Real) and 0 < seconds <= MAX_SECONDS):
-        raise UserError(f"seconds: {seconds} is not a number above 0, up to {MAX_SECONDS:g}")
+    is_number = isinstance(seconds, Real)
+    if not (is_number and 0 < seconds <= MAX_SECONDS):
+        given = f"{seconds:g}" if is_number else repr(seconds)
+        raise UserError(f"seconds: {given} is not a number above 0, up to {MAX_SECONDS:g}")
 
 
 def sentences(captions: Sequence[str]) -> tuple[str, ...]:

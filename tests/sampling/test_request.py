@@ -51,7 +51,7 @@ def test_options_that_no_model_has_are_one_line(options, said):
         ({"captions": ("walk", " ")}, "no words"),
         ({"seed": -1}, "seed: -1 is not between 0 and"),
         ({"num_samples": 0}, "num-samples: 0 is not a whole number from 1 to 1,000,000"),
-        ({"seconds": 0.0}, "seconds: 0.0 is not a number above 0, up to 3600"),
+        ({"seconds": 0.0}, "seconds: 0 is not a number above 0, up to 3600"),
         ({"seconds": NAN}, "seconds: nan"),
         ({"span": (0.0, 1.0)}, "span: changes a motion; give it as start"),
         ({"strength": 0.5}, "strength: changes a motion; give it as start"),
@@ -88,7 +88,7 @@ def test_requests_that_no_model_can_answer_are_one_line(fields, said):
 @pytest.mark.parametrize(
     ("fields", "said"),
     [
-        ({"seconds": "3"}, "seconds: 3 is not a number above 0"),
+        ({"seconds": "3"}, "seconds: '3' is not a number above 0"),
         ({"num_samples": 2.5}, "num-samples: 2.5 is not a whole number"),
         ({"seed": 1.5}, "seed: 1.5 is not a whole number"),
         ({"start": WALK, "span": (0.0, 1.0), "candidates": 2.5}, "candidates: 2.5 is not a whole number"),
