@@ -22,7 +22,6 @@ from t2m_jax.errors import UserError
 _MODEL_FILES = ("vqvae", "gpt", "mean", "std")
 _MODEL_OPTIONS = ("num_heads", "dilation_growth", "activation", "norm", "quantizer", "ema_decay", "reset_threshold")
 _EVALUATOR_FILES = ("evaluator", "mean", "std", "words", "word_vectors")
-_A_MODEL = "a model"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,19 +78,20 @@ def run(args: argparse.Namespace) -> None:
         save_evaluator(args.destination, load_official_evaluator(files))
         following = f"t2m evaluate generation --data DATA --evaluator {folder}"
     else:
-        _convert_model(args, _check_files(args, _A_MODEL, _MODEL_FILES))
+        _convert_model(args, _check_files(args, "a model", _MODEL_FILES, (*_MODEL_OPTIONS, "clip", "card")))
         following = f't2m generate "a man walks in a circle" --model {folder}'
     sys.stdout.write(f"{args.destination}\n")
     show_next(following)
 
 
-def _check_files(args: argparse.Namespace, task: str, wanted: tuple[str, ...]) -> list[Path]:
+def _check_files(
+    args: argparse.Namespace, task: str, wanted: tuple[str, ...], options: tuple[str, ...] = ()
+) -> list[Path]:
     """Returns the files of a task. Raises `UserError` if some are missing, or an option is given that is not read."""
     known = dict.fromkeys((*_MODEL_FILES, *_EVALUATOR_FILES, *_MODEL_OPTIONS, "clip", "card"))
     given = [name for name in known if getattr(args, name) is not None]
     # What is too much is probably a mistake: nobody gives it to see it ignored.
-    read = {*wanted, *((*_MODEL_OPTIONS, "clip", "card") if task == _A_MODEL else ())}
-    extra = [option_of(name) for name in given if name not in read]
+    extra = [option_of(name) for name in given if name not in (*wanted, *options)]
     missing = [option_of(name) for name in wanted if name not in given]
     if extra:
         raise UserError(f"convert: {', '.join(extra)} cannot be used with {task}; leave it out")

@@ -2,7 +2,6 @@
 
 import argparse
 import contextlib
-import functools
 import itertools
 import shlex
 import sys
@@ -139,9 +138,11 @@ def _show_misses(
 ) -> "Iterator[Motion]":
     """Yields motions, and says what they miss that was not said of their sentences before they were made."""
     for motion in motions:
-        missed = functools.reduce(lambda text, known: text.replace(known, ""), said, motion.warning).strip()
-        if missed:
-            show_warning(missed)
+        missed = motion.warning
+        for known in said:
+            missed = missed.replace(known, "")
+        if missed.strip():
+            show_warning(missed.strip())
         yield motion
 
 

@@ -27,6 +27,7 @@ ROOT = "root"
 _Line = tuple[str, list[str]]
 """Where a line is, for error messages, and its words."""
 _AXES = "xyz"
+_RADIANS = {"deg": float(np.deg2rad(1.0)), "rad": 1.0}
 
 
 class _Bone(NamedTuple):
@@ -38,9 +39,6 @@ class _Bone(NamedTuple):
     """The frame in which it turns."""
     freedoms: tuple[str, ...]
     """Its columns in the motion: rx, ry, rz, tx, ty or tz."""
-
-
-_RADIANS_PER_UNIT = {"degrees": float(np.deg2rad(1.0)), "radians": 1.0}
 
 
 class _Skeleton(NamedTuple):
@@ -164,7 +162,7 @@ def _read_skeleton(path: Path) -> _Skeleton:
     if not MIN_UNIT <= length <= 1 / MIN_UNIT:
         raise UserError(f"{units['length'][0]}: length is {length:g}; expected {MIN_UNIT:g} to {1 / MIN_UNIT:g}")
     metres = METERS_PER_INCH / length
-    radians = 1.0 if units.get("angle", ("", []))[1][1:2] == ["rad"] else float(np.deg2rad(1.0))
+    radians = _RADIANS["rad" if units.get("angle", ("", []))[1][1:2] == ["rad"] else "deg"]
     bones = {ROOT: _make_bone(_fields(sections[":root"]), metres=metres, radians=radians, is_root=True)}
     fields: dict[str, _Line] = {}
     for place, words in sections[":bonedata"][1:]:
@@ -227,9 +225,8 @@ def _read_motion(path: Path, figure: _Skeleton) -> tuple[dict[str, Float[np.ndar
     frames: list[dict[str, list[float]]] = []
     for place, words in _lines(path):
         if words[0].startswith(":"):
-            figure = figure._replace(
-                radians_per_unit=_RADIANS_PER_UNIT.get(words[0][1:].lower(), figure.radians_per_unit)
-            )
+            unit = _RADIANS.get(words[0][1:4].lower(), figure.radians_per_unit)
+            figure = figure._replace(radians_per_unit=unit)
             continue
         if len(words) == 1 and re.fullmatch(r"\d+", words[0]):
             frames.append({})

@@ -111,9 +111,12 @@ def _load(path: Path, fps: float | None, choose: Callable[[Mapping[str, str]], l
         room = MAX_POSES
         owners = {str(node.get("name")) for node in glb.tree.get("nodes", [])}
         captions = {title: _caption(glb.tree, animation, title, owners) for title, animation in animations.items()}
-        for title in choose(captions):
+        chosen = choose(captions)
+        several = len(glb.tree.get("skins", [])) > 1  # only then, animations may move other figures
+        shared = None if several else find_nodes(glb.tree)
+        for title in chosen:
             animation = animations[title]
-            nodes = find_nodes(glb.tree, animation)
+            nodes = shared or find_nodes(glb.tree, animation)
             nodes = nodes._replace(scales=nodes.scales * unit)
             with np.errstate(over="ignore", invalid="ignore"):  # what is too large is then found not to be finite
                 rate = fps or _own_rate(glb.tree, animation)

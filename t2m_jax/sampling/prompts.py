@@ -79,8 +79,12 @@ def read_prompts(
 
 def _level_outside() -> int:
     """Returns the stack level of the code that uses the package, as its caller would count it for a warning."""
-    names = [frame.frame.f_globals.get("__name__", "") for frame in inspect.stack(context=0)[1:]]
-    return next((level for level, name in enumerate(names, 1) if not name.startswith("t2m_jax.")), 1)
+    level = 0
+    frame = inspect.currentframe()
+    while frame is not None and frame.f_globals.get("__name__", "").startswith("t2m_jax."):
+        level += 1
+        frame = frame.f_back
+    return level
 
 
 def sample_key(seed: int, caption: str, sample: int) -> Key[Array, ""]:

@@ -158,24 +158,29 @@ class MotionRequest:
         """Whether another motion or targets decide how long, how often and how fast something is done."""
         return bool(self.targets) or self.span is not None or self.strength is not None
 
+    @property
+    def reads_quantities(self) -> bool:
+        """Whether sentences are cut into actions in turn, and say how long, how often and how fast."""
+        return not (self.options.whole or self.is_bound)
+
     @functools.cached_property
     def lengths(self) -> tuple[float | None, ...]:
         """Seconds of each sentence: `seconds`, or what it says itself; None leaves its length to the model."""
-        if self.seconds is not None or self.options.whole or self.is_bound:
+        if self.seconds is not None or not self.reads_quantities:
             return (self.seconds,) * len(self.captions)
         return tuple(map(said_seconds, self.captions))
 
     @functools.cached_property
     def times(self) -> tuple[Times | None, ...]:
         """How often each sentence says that something is done; None if it does not say so."""
-        if self.options.whole or self.is_bound:
+        if not self.reads_quantities:
             return (None,) * len(self.captions)
         return tuple(said_times(caption, COUNTED_ACTIONS) for caption in self.captions)
 
     @functools.cached_property
     def paces(self) -> tuple[SaidPace | None, ...]:
         """Whether each sentence says that something is done slowly or fast."""
-        if self.options.whole or self.is_bound:
+        if not self.reads_quantities:
             return (None,) * len(self.captions)
         return tuple(map(said_pace, self.captions))
 
@@ -201,7 +206,7 @@ class MotionRequest:
         `known` are the actions that the model knows. All sentences together have the same `seconds`. Requests with
         `options.whole`, `targets`, `span` or `strength` stay as they are.
         """
-        if self.options.whole or self.is_bound:
+        if not self.reads_quantities:
             return self
         actions = tuple(itertools.chain.from_iterable(split_sequence(caption, known) for caption in self.captions))
         # Each sentence says one action, so that `seconds` is the length of each already.

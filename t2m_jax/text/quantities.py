@@ -12,36 +12,27 @@ LONGEST = 600.0
 MOST_TIMES = 20
 """Most times that a sentence can ask for; more are no motion of some seconds."""
 
-_TO_NINETEEN_WORDS = """one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen
-sixteen seventeen eighteen nineteen"""
+_ONES = ("one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
+_TEENS = """ten eleven twelve thirteen fourteen fifteen sixteen seventeen eighteen nineteen"""
 _TENS = ("twenty", "thirty", "forty", "fifty", "sixty", "seventy", "eighty", "ninety")
-_TO_NINETEEN = {word: float(number) for number, word in enumerate(_TO_NINETEEN_WORDS.split(), 1)}
-_TO_HUNDRED = {
-    tens + rest: value + 10 * number
-    for number, tens in enumerate(_TENS, 2)
-    for rest, value in {"": 0.0, **{f" {word}": _TO_NINETEEN[word] for word in [*_TO_NINETEEN][:9]}}.items()
+_TO_HUNDRED = [*_ONES, *_TEENS.split(), *(f"{tens} {one}".strip() for tens in _TENS for one in ("", *_ONES))]
+_VALUES = {word: float(number) for number, word in enumerate(_TO_HUNDRED, 1)} | {
+    "a hundred": 100.0,
+    "one hundred": 100.0,
+    "a couple of": 2.0,
+    "a couple": 2.0,
+    "half a dozen": 6.0,
+    "a dozen": 12.0,
+    "half an": 0.5,
+    "half a": 0.5,
+    "a quarter of a": 0.25,
+    "once": 1.0,
+    "twice": 2.0,
+    "thrice": 3.0,
+    "a single": 1.0,
+    "a double": 2.0,
+    "a triple": 3.0,
 }
-_VALUES = (
-    _TO_NINETEEN
-    | _TO_HUNDRED
-    | {
-        "a hundred": 100.0,
-        "one hundred": 100.0,
-        "a couple of": 2.0,
-        "a couple": 2.0,
-        "half a dozen": 6.0,
-        "a dozen": 12.0,
-        "half an": 0.5,
-        "half a": 0.5,
-        "a quarter of a": 0.25,
-        "once": 1.0,
-        "twice": 2.0,
-        "thrice": 3.0,
-        "a single": 1.0,
-        "a double": 2.0,
-        "a triple": 3.0,
-    }
-)
 _ADVERBS = ("once", "twice", "thrice")
 _SINGULAR = ("one", "1", "a single", "a double", "a triple")
 """Numbers before a noun that is not a plural."""

@@ -79,7 +79,7 @@ def inflected(word: str, tag: str) -> str:
 
 
 def words_of(caption: str) -> list[Word]:
-    """Returns the words and numbers of a caption, without punctuation; of "can't", both words."""
+    """Returns the words and numbers of a caption, without punctuation; "can't" is "can not"."""
     text = re.sub(r"\b(can|won|shan)'t\b", lambda found: _NEGATED[found[1]], straighten_quotes(caption.lower()))
     text = re.sub(r"n't\b", " not", text)
     tokens = _TOKENS.findall(re.sub(r"'(s|re|ve|m|ll|d)\b", " ", text))

@@ -87,5 +87,5 @@ class TrainEvaluatorConfig(EvaluatorStepConfig, NormalizedConfig):
             raise ValueError("word_vectors: init has vectors of its words; leave one of the two out")
         # The movement encoder is trained before anything looks at the devices again.
         devices = self.sharding.devices
-        if devices != "auto" and self.movement_batch_size % devices:
+        if self.init is None and devices != "auto" and self.movement_batch_size % devices:
             raise ValueError(f"movement_batch_size: {self.movement_batch_size} is not a multiple of {devices} devices")

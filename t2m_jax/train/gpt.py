@@ -47,7 +47,9 @@ class GptStepConfig(GeneratorStepConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_shares(self, "drop_probability", *(["tau"] if isinstance(self.tau, float) else []))
+        check_shares(self, "drop_probability")
+        if isinstance(self.tau, float):
+            check_shares(self, "tau")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

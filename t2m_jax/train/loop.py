@@ -74,9 +74,11 @@ def join_calls(calls: Sequence[Call]) -> Call:
     return Call(metrics, sum(call.updates for call in calls))
 
 
-def join_many(calls: list[Call]) -> list[Call]:
-    """Returns the calls, or one for all of them if there are too many."""
-    return calls if len(calls) <= MOST_CALLS else [join_calls(calls)]
+def add_call(calls: list[Call], call: Call) -> None:
+    """Adds a call to a list, of which all become one if there are too many."""
+    calls.append(call)
+    if len(calls) > MOST_CALLS:
+        calls[:] = [join_calls(calls)]
 
 
 def mean_metrics(calls: Sequence[Call], *, first_step: int) -> dict[str, float]:
@@ -147,7 +149,7 @@ def run_loop(
             count = next_count(step, config, measurements)
             state, metrics = update(state, count)
             step += count
-            calls = join_many([*calls, Call(metrics, count)])
+            add_call(calls, Call(metrics, count))
             asked = asked_to_stop(step)
             due = [one for one in measurements if is_due(step, one.every, last=total)]
             is_kept = asked is not None or step == total or is_due(step, config.checkpoint_every, last=total)
