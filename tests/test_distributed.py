@@ -166,7 +166,7 @@ def test_options_that_do_not_fit_are_refused(options, tmp_path, capsys):
 @pytest.mark.release
 def test_the_command_ends_if_the_coordinator_does_not_answer(tmp_path):
     address = free_address()
-    command = [sys.executable, "-m", "t2m_jax.cli", "train", "vqvae", "official", "--run", str(tmp_path / "run")]
+    command = [sys.executable, "-m", "t2m_jax", "train", "vqvae", "official", "--run", str(tmp_path / "run")]
     options = ["--data", str(tmp_path), "--coordinator", address, "--num-processes", "2", "--process-id", "1"]
     result = subprocess.run([*command, *options, "--heartbeat", "5"], capture_output=True, text=True, timeout=60)
     assert result.returncode != 0 and address.rpartition(":")[2] in result.stderr
@@ -175,7 +175,7 @@ def test_the_command_ends_if_the_coordinator_does_not_answer(tmp_path):
 @pytest.mark.slow
 @pytest.mark.release
 def test_the_command_says_that_there_is_no_cluster(tmp_path):
-    command = [sys.executable, "-m", "t2m_jax.cli", "train", "vqvae", "official", "--run", str(tmp_path / "run")]
+    command = [sys.executable, "-m", "t2m_jax", "train", "vqvae", "official", "--run", str(tmp_path / "run")]
     result = subprocess.run([*command, "--distributed"], capture_output=True, text=True, timeout=60)
     assert result.returncode == 2
     (line,) = result.stderr.splitlines()

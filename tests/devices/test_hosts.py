@@ -33,7 +33,7 @@ def folder(tmp_path_factory):
 
 
 def start(folder, *options, devices):
-    command = [sys.executable, "-m", "t2m_jax.cli", "train", "vqvae", f"{folder / 'vqvae.yaml'}", *map(str, options)]
+    command = [sys.executable, "-m", "t2m_jax", "train", "vqvae", f"{folder / 'vqvae.yaml'}", *map(str, options)]
     environment = os.environ | {"JAX_NUM_CPU_DEVICES": f"{devices}", "T2M_JAX_NO_COMPILATION_CACHE": "1"}
     return subprocess.Popen(
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
