@@ -65,8 +65,9 @@ def full_size_systems() -> list[MeasuredSystem]:
 def benchmark_sampling(system: MeasuredSystem, *, batch: int, peaks: Peaks) -> BenchResult:
     """Returns how long it takes to sample a batch of motions of up to `NUM_CODES` rows, none of which ends earlier.
 
-    A step samples one row of codes for every motion, and has to read all weights at least once. Encoding and decoding
-    as many frames as these rows stand for is timed separately.
+    A step samples one row of codes for every motion. It reads the weights of each product once for all motions, those
+    of a residual tier again for each depth. Encoding and decoding as many frames as these rows stand for is timed
+    separately.
 
     Args:
         system: Generator and tokenizer.
@@ -88,9 +89,11 @@ def benchmark_sampling(system: MeasuredSystem, *, batch: int, peaks: Peaks) -> B
     sample = functools.partial(generate_codes, generator=make_module(config), sampling=sampling)
     program = compile_program(lambda: generate_codes.lower(*arguments, **sample.keywords))
     timing = time_calls(lambda: program.compiled(*arguments))
-    weights = sum(leaf.nbytes for leaf in jax.tree.leaves(arguments[0]))
     # The loop over chunks is counted once, whatever its length.
     flops = count_flops(sample, *arguments) / CHUNK
+    sequences = batch * (1 if scale is None else 2)
+    # With each weight of four bytes, a sequence is multiplied and added up once.
+    weights = 4 * flops / (2 * sequences)
     step = timing.median / num_codes
     downsample = system.tokenizer.downsample
     figures = (

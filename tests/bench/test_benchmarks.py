@@ -7,6 +7,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import pytest
+from flax.traverse_util import flatten_dict
 
 from t2m_jax.bench import data as data_module
 from t2m_jax.bench import evaluate as evaluate_module
@@ -102,6 +103,11 @@ def test_sampling_with_several_codes_per_row():
     assert row.name == "tiny, 20 rows, batch 2", "no motion is longer"
     assert row["codes"].value == pytest.approx(3 * 1e3 / row["per row"].value)
     assert row["per row"].value == pytest.approx(8 * row["per frame"].value)
+    kernels = flatten_dict(system.variables["generator"]["params"], sep="/")
+    repeats = {"temporal": 1, "residual": 3, "head": 3}
+    read = sum(repeats.get(name.split("/")[0], 0) * leaf.nbytes for name, leaf in kernels.items() if leaf.ndim == 2)
+    moved = row["of memory peak"].value / 100 * PEAKS.memory * row["per step"].value / 1e3
+    assert 1 < moved / read < 1.4, "each depth reads the weights of its tier again; caches are small"
 
 
 def test_encoding_and_decoding(monkeypatch):
