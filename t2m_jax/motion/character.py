@@ -29,7 +29,7 @@ from t2m_jax.motion.rotations import (
     quaternion_multiply,
     rotate_vectors,
 )
-from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.motion.skeleton import HUMANML3D, JOINT
 
 logger = logging.getLogger(__name__)
 
@@ -163,7 +163,7 @@ class Character:
         moved = {above[-1]: 0}
         for name, place in self.index.items():
             if name not in ("pelvis", *ENDS):
-                moved.setdefault(place, HUMANML3D.joint_names.index(name))
+                moved.setdefault(place, JOINT[name])
         return moved
 
 

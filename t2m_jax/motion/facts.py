@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.motion.features import facing
-from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.motion.skeleton import HUMANML3D, JOINT
 
 WALKING_SPEED = 0.3
 """Meters per second of the root above which a clip counts as traveling."""
@@ -61,7 +61,7 @@ def _count_waves(sway: Float[np.ndarray, " T"]) -> int:
 
 def sways(positions: Float[np.ndarray, "T 22 3"], headings: Float[np.ndarray, " T"]) -> Float[np.ndarray, "2 T"]:
     """Returns how far the left and the right wrist are from the root to the actor's left, in meters."""
-    wrists = positions[:, [HUMANML3D.joint_names.index(f"{side}_wrist") for side in ("left", "right")]]
+    wrists = positions[:, [JOINT[f"{side}_wrist"] for side in ("left", "right")]]
     body_left = np.stack([np.cos(headings), np.zeros_like(headings), -np.sin(headings)], axis=-1)
     return np.einsum("twc,tc->wt", wrists - positions[:, :1], body_left)
 

@@ -18,10 +18,9 @@ from t2m_jax.motion.rotations import (
     slerp,
     unit_vectors,
 )
-from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.motion.skeleton import HUMANML3D, JOINT
 from t2m_jax.motion.twist import limb_rotations
 
-_INDEX = {name: i for i, name in enumerate(HUMANML3D.joint_names)}
 _PARENTS = HUMANML3D.parents
 _X, _Y, _Z = np.eye(3)
 RIGID_SWEEPS = 20
@@ -52,12 +51,12 @@ class _Limb(NamedTuple):
     hinge_axis: Float[np.ndarray, "3"]
 
 
-PELVIS = _Hub(*(_INDEX[name] for name in ("pelvis", "left_hip", "right_hip", "spine1")))
-CHEST = _Hub(*(_INDEX[name] for name in ("spine3", "left_collar", "right_collar", "neck")))
+PELVIS = _Hub(*(JOINT[name] for name in ("pelvis", "left_hip", "right_hip", "spine1")))
+CHEST = _Hub(*(JOINT[name] for name in ("spine3", "left_collar", "right_collar", "neck")))
 # Knees bend backwards. The elbows of a T-pose with palms down bend forwards.
-LEGS = tuple(_Limb(_INDEX[f"{s}_hip"], _INDEX[f"{s}_knee"], _INDEX[f"{s}_ankle"], _X) for s in ("left", "right"))
+LEGS = tuple(_Limb(JOINT[f"{s}_hip"], JOINT[f"{s}_knee"], JOINT[f"{s}_ankle"], _X) for s in ("left", "right"))
 ARMS = tuple(
-    _Limb(_INDEX[f"{s}_shoulder"], _INDEX[f"{s}_elbow"], _INDEX[f"{s}_wrist"], axis)
+    _Limb(JOINT[f"{s}_shoulder"], JOINT[f"{s}_elbow"], JOINT[f"{s}_wrist"], axis)
     for s, axis in (("left", -_Y), ("right", _Y))
 )
 
@@ -91,7 +90,7 @@ def fit_rig(positions: Float[np.ndarray, "T J 3"], *, fps: float) -> FittedRig:
     offsets = _rest_offsets(targets)
     fit = _Fit(_rigid_positions(targets, offsets), offsets)
     fit.turn_hub(PELVIS)
-    spine = (_INDEX["spine1"], _INDEX["spine2"])
+    spine = (JOINT["spine1"], JOINT["spine2"])
     for joint in spine:
         fit.swing(joint)
     fit.turn_hub(CHEST)
@@ -186,7 +185,7 @@ def _rest_offsets(positions: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, "J
     bones = positions - positions[:, np.maximum(_PARENTS, 0)]
     offsets = np.zeros(bones.shape[1:])
     for name, direction in REST_DIRECTIONS.items():
-        offsets[_INDEX[name]] = direction
+        offsets[JOINT[name]] = direction
     for hub in (PELVIS, CHEST):
         # The mean of the bones in the hub's own frame: X from right to left, Y toward the joint above.
         across = unit_vectors(bones[:, hub.left] - bones[:, hub.right])

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.motion.facts import heading_angles, sways
-from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.motion.skeleton import JOINT
 
 SHARE = 0.4
 """Part of the range of a signal that a peak must have, so that the small swing after a jump does not count."""
@@ -21,17 +21,13 @@ Positions = Float[np.ndarray, "T J 3"]
 Signal = Float[np.ndarray, " T"]
 
 
-def _joint(positions: Positions, name: str) -> Float[np.ndarray, "T 3"]:
-    return positions[:, HUMANML3D.joint_names.index(name)]
-
-
 def _height(positions: Positions, name: str) -> Signal:
-    return _joint(positions, name)[:, 1]
+    return positions[:, JOINT[name], 1]
 
 
 def _arm(positions: Positions, side: str) -> Float[np.ndarray, "T 3"]:
     """Returns the wrist, seen from its shoulder."""
-    return _joint(positions, f"{side}_wrist") - _joint(positions, f"{side}_shoulder")
+    return positions[:, JOINT[f"{side}_wrist"]] - positions[:, JOINT[f"{side}_shoulder"]]
 
 
 def _reach(positions: Positions, side: str) -> Signal:
@@ -48,14 +44,14 @@ def _sway(positions: Positions, side: str) -> Signal:
 
 
 def _hands_meet(positions: Positions) -> Signal:
-    apart = np.linalg.norm(_joint(positions, "left_wrist") - _joint(positions, "right_wrist"), axis=-1)
+    apart = np.linalg.norm(positions[:, JOINT["left_wrist"]] - positions[:, JOINT["right_wrist"]], axis=-1)
     # Hanging arms are farther apart than hands between two claps, which would then be too small to count.
     return -np.minimum(apart, APART)
 
 
 def _stride(positions: Positions) -> Signal:
     """Returns how far the ankles are apart over the ground."""
-    return np.linalg.norm((_joint(positions, "left_ankle") - _joint(positions, "right_ankle"))[:, ::2], axis=-1)
+    return np.linalg.norm((positions[:, JOINT["left_ankle"]] - positions[:, JOINT["right_ankle"]])[:, ::2], axis=-1)
 
 
 SIGNALS: dict[str, Callable[[Positions, str], Signal]] = {

@@ -186,6 +186,8 @@ KIT_ML = Skeleton(
 )
 # fmt: on
 
+JOINT = {name: number for number, name in enumerate(HUMANML3D.joint_names)}
+"""Number of each joint of `HUMANML3D`."""
 SKELETONS = (HUMANML3D, KIT_ML)
 
 

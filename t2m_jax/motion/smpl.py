@@ -20,7 +20,7 @@ from t2m_jax.motion.rotations import (
     rotate_vectors,
     unit_vectors,
 )
-from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.motion.skeleton import HUMANML3D, JOINT
 
 NUM_JOINTS = 52
 """Joints of SMPL+H, as in AMASS: the 22 of HumanML3D in the same order, and those of the hands."""
@@ -64,7 +64,6 @@ OFFSETS = np.array([_offset(name) for name in HUMANML3D.joint_names], np.float32
 
 Physics simulations of SMPL's skeleton publish them. These are the means of both sides.
 """
-_INDEX = {name: joint for joint, name in enumerate(HUMANML3D.joint_names)}
 _TO_Z_UP = np.array([1.0, 1.0, 0.0, 0.0]) / np.sqrt(2)
 
 
@@ -92,7 +91,7 @@ def smpl_from_motion(motion: Motion) -> SmplPoses:
     local[:, 0] = quaternion_multiply(_TO_Z_UP, movement.turns[:, 0])
     above = movement.turns[:, HUMANML3D.parents[1:]]
     local[:, 1:] = quaternion_multiply(quaternion_inverse(above), movement.turns[:, 1:])
-    local[:, [_INDEX[name] for name in ENDS]] = (1.0, 0.0, 0.0, 0.0)
+    local[:, [JOINT[name] for name in ENDS]] = (1.0, 0.0, 0.0, 0.0)
     poses = np.zeros((motion.num_frames, NUM_JOINTS, 3))
     rotations = Rotation.from_quat(local.reshape(-1, 4)[:, [1, 2, 3, 0]])
     poses[:, : HUMANML3D.num_joints] = rotations.as_rotvec().reshape(*local.shape[:2], 3)
@@ -104,7 +103,7 @@ def _has_joints_of_smpl(motion: Motion) -> bool:
     """Returns whether hips and collars are where SMPL has them, as in HumanML3D and in what is learned from it."""
     own = fit_rig(motion.positions, fps=motion.fps).offsets
     for name in ("pelvis", "spine3"):
-        children = list(HUMANML3D.children(_INDEX[name]))
+        children = list(HUMANML3D.children(JOINT[name]))
         bones, wanted = unit_vectors(own[children]), unit_vectors(OFFSETS[children])
         turned = wanted @ rigid_rotations(wanted, bones).T
         if not (np.sum(turned * bones, axis=-1) > ALIKE).all():
@@ -148,8 +147,8 @@ def up_of_smpl(clip: RigClip) -> Literal["y", "z"]:
     Who lies or crawls along Y has a body along Y, too, but then it is on the floor along Z.
     """
     positions = clip.positions
-    ankles = positions[:, [_INDEX["left_ankle"], _INDEX["right_ankle"]]].mean(axis=1)
-    upward = unit_vectors(positions[:, _INDEX["neck"]] - ankles).mean(axis=0)
+    ankles = positions[:, [JOINT["left_ankle"], JOINT["right_ankle"]]].mean(axis=1)
+    upward = unit_vectors(positions[:, JOINT["neck"]] - ankles).mean(axis=0)
     lowest = np.median(positions.min(axis=1), axis=0)
     _, y_has_floor, z_has_floor = (FLOOR[0] < lowest) & (lowest < FLOOR[1])
     return "y" if upward[1] > STANDS and (y_has_floor or not z_has_floor) else "z"

@@ -12,7 +12,7 @@ import scipy.signal
 from jaxtyping import Float
 
 from t2m_jax.motion.motion import Motion
-from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.motion.skeleton import HUMANML3D, JOINT
 
 SHORTEST_BEAT = 0.2
 """Seconds between two peaks that count as two."""
@@ -40,13 +40,9 @@ class Curve(NamedTuple):
     """Shortest time between two peaks."""
 
 
-def _joint(positions: Positions, name: str) -> Float[np.ndarray, "T 3"]:
-    return positions[:, HUMANML3D.joint_names.index(name)]
-
-
 def _height(name: str, *, sign: int = 1) -> Measure:
     """Returns a function that measures the height of a joint, or its depth with `sign` -1."""
-    return lambda positions: sign * _joint(positions, name)[:, 1]
+    return lambda positions: sign * positions[:, JOINT[name], 1]
 
 
 def _lower_hand(positions: Positions) -> Values:
@@ -55,36 +51,36 @@ def _lower_hand(positions: Positions) -> Values:
 
 
 def _hand(side: str) -> Measure:
-    return lambda positions: (_joint(positions, f"{side}_wrist") - _joint(positions, f"{side}_shoulder"))[:, 1]
+    return lambda positions: (positions[:, JOINT[f"{side}_wrist"]] - positions[:, JOINT[f"{side}_shoulder"]])[:, 1]
 
 
 def _lower_foot(positions: Positions) -> Values:
     """Height of the lower foot. The pelvis would also rise after each landing."""
-    return np.min([_joint(positions, f"{side}_foot")[:, 1] for side in ("left", "right")], axis=0)
+    return np.min([positions[:, JOINT[f"{side}_foot"], 1] for side in ("left", "right")], axis=0)
 
 
 def _hand_speed(positions: Positions) -> Values:
     """Speed of the wrist that becomes faster, relative to the pelvis, in m/s."""
-    wrists = [_joint(positions, f"{side}_wrist") - positions[:, 0] for side in ("left", "right")]
+    wrists = [positions[:, JOINT[f"{side}_wrist"]] - positions[:, 0] for side in ("left", "right")]
     speeds = [np.linalg.norm(np.diff(wrist, axis=0, prepend=wrist[:1]), axis=1) for wrist in wrists]
     return max(speeds, key=np.max) * HUMANML3D.fps
 
 
 def _feet_apart(positions: Positions) -> Values:
-    feet = [_joint(positions, f"{side}_ankle")[:, 1] for side in ("left", "right")]
+    feet = [positions[:, JOINT[f"{side}_ankle"], 1] for side in ("left", "right")]
     # Above the other foot, so that a jump is no kick.
     return np.abs(feet[0] - feet[1])
 
 
 def _closeness(positions: Positions) -> Values:
-    return -np.linalg.norm(_joint(positions, "left_wrist") - _joint(positions, "right_wrist"), axis=1)
+    return -np.linalg.norm(positions[:, JOINT["left_wrist"]] - positions[:, JOINT["right_wrist"]], axis=1)
 
 
 def _reach(side: str) -> Measure:
     """Returns a function that measures how far a wrist is from its shoulder over the ground."""
 
     def measure(positions: Positions) -> Values:
-        arm = _joint(positions, f"{side}_wrist") - _joint(positions, f"{side}_shoulder")
+        arm = positions[:, JOINT[f"{side}_wrist"]] - positions[:, JOINT[f"{side}_shoulder"]]
         return np.linalg.norm(arm[:, [0, 2]], axis=1)
 
     return measure
@@ -95,10 +91,10 @@ def _sway(side: str) -> Measure:
 
     def measure(positions: Positions) -> Values:
         other = "left" if side == "right" else "right"
-        across = _joint(positions, f"{other}_shoulder") - _joint(positions, f"{side}_shoulder")
+        across = positions[:, JOINT[f"{other}_shoulder"]] - positions[:, JOINT[f"{side}_shoulder"]]
         across = across * [1.0, 0.0, 1.0]
         across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-6)
-        sway = np.sum((_joint(positions, f"{side}_wrist") - positions[:, 0]) * across, axis=1)
+        sway = np.sum((positions[:, JOINT[f"{side}_wrist"]] - positions[:, 0]) * across, axis=1)
         # A hand on its way up or down does not wave.
         return np.where(_hand(side)(positions) > -0.05, sway, np.nan)
 

@@ -19,7 +19,7 @@ from t2m_jax.motion.rotations import (
     rotate_vectors,
     unit_vectors,
 )
-from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.motion.skeleton import HUMANML3D, JOINT
 
 Quaternion = Float[np.ndarray, "4"]
 Matrices = Float[np.ndarray, "T 22 3 3"]
@@ -38,7 +38,6 @@ SAME = np.sin(np.deg2rad(1.0))
 """A bone is where the T-pose has it if it is at most this far ahead of it (sine)."""
 NEARLY = np.sin(np.deg2rad(5.0))
 """The same above it, since measured bodies are not quite symmetric."""
-_INDEX = {name: i for i, name in enumerate(HUMANML3D.joint_names)}
 _X, _Y, _Z = np.eye(3)
 _OUT = {"left": _X, "right": -_X}
 
@@ -74,7 +73,7 @@ def align(
 
 
 def _bone(rest: Rest, side: str, first: str, last: str) -> Float[np.ndarray, "3"]:
-    return rest[_INDEX[f"{side}_{last}"]] - rest[_INDEX[f"{side}_{first}"]]
+    return rest[JOINT[f"{side}_{last}"]] - rest[JOINT[f"{side}_{first}"]]
 
 
 def _swing(start: Quaternion, bone: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]) -> Quaternion:
@@ -98,14 +97,14 @@ def _frames(
 ) -> Float[np.ndarray, "T 3 3"]:
     """Returns axes of the trunk as columns: to the left, along the line between two points, and ahead."""
     up = unit_vectors(high - low)
-    across = joints[:, _INDEX["left_hip"]] - joints[:, _INDEX["right_hip"]]
+    across = joints[:, JOINT["left_hip"]] - joints[:, JOINT["right_hip"]]
     across = unit_vectors(across - np.sum(across * up, axis=-1, keepdims=True) * up)
     return np.stack([across, up, np.cross(across, up)], axis=-1)
 
 
 def _trunk_frames(joints: Joints) -> Float[np.ndarray, "T 3 3"]:
-    middle = (joints[:, _INDEX["left_hip"]] + joints[:, _INDEX["right_hip"]]) / 2
-    return _frames(joints, middle, joints[:, _INDEX["neck"]])
+    middle = (joints[:, JOINT["left_hip"]] + joints[:, JOINT["right_hip"]]) / 2
+    return _frames(joints, middle, joints[:, JOINT["neck"]])
 
 
 def _inverse_frame(rest: Rest) -> Quaternion:
@@ -128,9 +127,9 @@ def follow_trunk(turns: Quaternions, positions: Joints, rest: Rest) -> None:
         positions: The motion.
         rest: The joints of the body.
     """
-    middle = (rest[_INDEX["left_hip"]] + rest[_INDEX["right_hip"]]) / 2
+    middle = (rest[JOINT["left_hip"]] + rest[JOINT["right_hip"]]) / 2
     trunk = quaternion_multiply(quaternion_from_matrix(_trunk_frames(positions)), _inverse_frame(rest))
-    chain = [_INDEX[name] for name in SPINE[:-1]]
+    chain = [JOINT[name] for name in SPINE[:-1]]
     places = rest[chain]
     bones = places - np.concatenate([middle[None], places[:-1]])
     first = rotate_vectors(turns[:, 0], bones[0] + bones[1])
@@ -142,12 +141,12 @@ def follow_trunk(turns: Quaternions, positions: Joints, rest: Rest) -> None:
     reach = along + np.sqrt(np.maximum(np.sum(now**2, axis=-1, keepdims=True) - beside, 0))
     turn = quaternion_between(now, reach * line - first)
     for name in (*SPINE[1:], "left_collar", "right_collar"):
-        turns[:, _INDEX[name]] = quaternion_multiply(turn, turns[:, _INDEX[name]])
+        turns[:, JOINT[name]] = quaternion_multiply(turn, turns[:, JOINT[name]])
 
 
 def is_t_pose(rest: Rest) -> bool:
     """Returns whether spine and collars are straight as in the T-pose, as in files of this package."""
-    spine = rest[[_INDEX[name] for name in SPINE]]
+    spine = rest[[JOINT[name] for name in SPINE]]
     collars = np.stack([_bone(rest, side, "collar", "shoulder") for side in _OUT])
     if not np.linalg.norm(spine[1] - spine[0]) > 0:
         return False
@@ -166,11 +165,11 @@ def _mean_posture(turns: Matrices, positions: Joints) -> dict[str, Quaternion]:
     counted = _upright(trunk)
     found = {}
     for name in SPINE:
-        up = np.einsum("tba,tb->ta", trunk, turns[:, _INDEX[name], :, 1])[counted]
+        up = np.einsum("tba,tb->ta", trunk, turns[:, JOINT[name], :, 1])[counted]
         pitch = float(np.median(np.arctan2(up[:, 2], up[:, 1])))
         found[name] = _about_x(float(np.clip(pitch, -MAX_LEAN, MAX_LEAN)))
-    chest = turns[counted, _INDEX["spine3"]]
-    bones = [np.einsum("tba,tb->ta", chest, turns[counted, _INDEX[f"{side}_collar"], :, 0]) for side in _OUT]
+    chest = turns[counted, JOINT["spine3"]]
+    bones = [np.einsum("tba,tb->ta", chest, turns[counted, JOINT[f"{side}_collar"], :, 0]) for side in _OUT]
     # Mirrored, because the T-pose has the right one at -X.
     left = bones[0].mean(axis=0) + bones[1].mean(axis=0) * np.array([1.0, -1.0, -1.0])
     found["left_collar"] = quaternion_between(_X, left)
@@ -196,7 +195,7 @@ def _align_t_pose(offsets: Rest, rest: Rest) -> dict[str, Quaternion]:
     """Returns the turns of spine and collars for a rest pose with the same directions as the T-pose."""
     found: dict[str, Quaternion] = {}
     for name in ("pelvis", "spine1", "spine2", "spine3", "neck", "left_collar", "right_collar"):
-        joint = _INDEX[name]
+        joint = JOINT[name]
         children = list(HUMANML3D.children(joint))
         bones = rest[children] - rest[joint]
         if len(children) > 1:

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from t2m_jax.motion.rotations import unit_vectors
-from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.motion.skeleton import JOINT
 
 Up = Literal["auto", "y", "z"]
 """The axis that points up: found from the figure, or given."""
@@ -32,14 +32,10 @@ MAX_REST_SECONDS = 2.0
 """Longest T-pose before a motion."""
 
 
-def _joint(positions: Float[np.ndarray, "T 22 3"], name: str) -> Float[np.ndarray, "T 3"]:
-    return positions[:, HUMANML3D.joint_names.index(name)]
-
-
 def _upward(positions: Float[np.ndarray, "T 22 3"]) -> Float[np.ndarray, "T 3"]:
     """Returns the direction from the feet to the neck."""
-    feet = (_joint(positions, "left_ankle") + _joint(positions, "right_ankle")) / 2
-    return unit_vectors(_joint(positions, "neck") - feet)
+    feet = (positions[:, JOINT["left_ankle"]] + positions[:, JOINT["right_ankle"]]) / 2
+    return unit_vectors(positions[:, JOINT["neck"]] - feet)
 
 
 def find_up(positions: Float[np.ndarray, "T 22 3"], rest: Float[np.ndarray, "22 3"]) -> Literal["y", "z"] | None:
@@ -89,11 +85,11 @@ def left_is_left(positions: Float[np.ndarray, "T 22 3"]) -> Bool[np.ndarray, " T
     """
     left = np.zeros_like(positions[:, 0])
     for side in ("left", "right"):
-        hip, knee, ankle, foot = (_joint(positions, f"{side}_{name}") for name in ("hip", "knee", "ankle", "foot"))
+        hip, knee, ankle, foot = (positions[:, JOINT[f"{side}_{name}"]] for name in ("hip", "knee", "ankle", "foot"))
         thigh, shin, sole = map(unit_vectors, (knee - hip, ankle - knee, foot - ankle))
         left += np.cross(thigh, shin) + np.cross(sole, shin)
     # Turned axes of the limbs against the line between the hips: the same direction if left is left.
-    across = _joint(positions, "left_hip") - _joint(positions, "right_hip")
+    across = positions[:, JOINT["left_hip"]] - positions[:, JOINT["right_hip"]]
     return np.sum(across * left, axis=-1) > 0
 
 
@@ -131,12 +127,12 @@ def _jumps(speeds: Float[np.ndarray, " S"], step: int, *, ratio: float) -> bool:
 
 def _in_t_pose(positions: Float[np.ndarray, "T 22 3"]) -> Bool[np.ndarray, " T"]:
     """Returns for each frame whether the arms are spread and the legs are straight."""
-    across = unit_vectors(_joint(positions, "left_shoulder") - _joint(positions, "right_shoulder"))
+    across = unit_vectors(positions[:, JOINT["left_shoulder"]] - positions[:, JOINT["right_shoulder"]])
     up = _upward(positions)
     found = np.ones(len(positions), bool)
     for side, sign in (("left", 1.0), ("right", -1.0)):
         hip, ankle, shoulder, wrist = (
-            _joint(positions, f"{side}_{name}") for name in ("hip", "ankle", "shoulder", "wrist")
+            positions[:, JOINT[f"{side}_{name}"]] for name in ("hip", "ankle", "shoulder", "wrist")
         )
         found &= np.sum(unit_vectors(wrist - shoulder) * across, axis=-1) * sign > T_POSE
         found &= np.sum(unit_vectors(hip - ankle) * up, axis=-1) > T_POSE

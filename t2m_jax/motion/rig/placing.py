@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from t2m_jax.motion.kinematics import line_to
 from t2m_jax.motion.rotations import unit_vectors
-from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.motion.skeleton import HUMANML3D, JOINT
 
 World = Float[np.ndarray, "T S 3"]
 """Positions of the joints of a file."""
@@ -18,9 +18,7 @@ Placed = dict[str, Float[np.ndarray, "T 3"]]
 """Positions by the names of HumanML3D's joints."""
 
 _SPINE = ("pelvis", "spine1", "spine2", "spine3", "neck")
-SPINE_HEIGHTS = dict(
-    zip(_SPINE, np.cumsum([HUMANML3D.bone_lengths[HUMANML3D.joint_names.index(name)] for name in _SPINE]), strict=True)
-)
+SPINE_HEIGHTS = dict(zip(_SPINE, np.cumsum([HUMANML3D.bone_lengths[JOINT[name]] for name in _SPINE]), strict=True))
 """Length of the template's bones from the pelvis to each joint of the spine."""
 # Place of a collar joint that the rig does not have: the part of the way from spine3 to the neck, and from there to
 # the shoulder.

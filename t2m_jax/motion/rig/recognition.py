@@ -13,7 +13,7 @@ from t2m_jax.motion.rig.clip import MAX_JOINTS, RigClip
 from t2m_jax.motion.rig.placing import Joints
 from t2m_jax.motion.rig.rigs import OPTIONAL_JOINTS, Rig, find_table, match_rig, refusal
 from t2m_jax.motion.rotations import unit_vectors
-from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.motion.skeleton import HUMANML3D, JOINT
 
 SIDES = ("left", "right")
 STATURE_PER_LEG = 2.07
@@ -169,9 +169,7 @@ def check_is_person(bones: Bones, joints: Mapping[str, int], positions: Joints) 
 
 def _is_on_all_fours(positions: Joints) -> bool:
     """Returns whether the trunk is level, or the hands are near the floor, in nearly all frames."""
-    neck, pelvis, left, right = (
-        positions[:, HUMANML3D.joint_names.index(name)] for name in ("neck", "pelvis", "left_wrist", "right_wrist")
-    )
+    neck, pelvis, left, right = (positions[:, JOINT[name]] for name in ("neck", "pelvis", "left_wrist", "right_wrist"))
     is_level = np.abs(unit_vectors(neck - pelvis)[:, 1]) < LEVEL
     floor = positions[..., 1].min(axis=1)
     hands = np.maximum(left[:, 1], right[:, 1]) - floor < LOW_HANDS * (neck[:, 1] - floor)

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rotations import unit_vectors
-from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.motion.skeleton import JOINT
 
 LOW = 0.05
 """A foot stands if it is about as low as in this share of the frames."""
@@ -32,8 +32,7 @@ LONGER = 0.2
 
 _FLAT = np.array([1.0, 0.0, 1.0])
 _UP = np.array([0.0, 1.0, 0.0])
-_INDEX = {name: i for i, name in enumerate(HUMANML3D.joint_names)}
-_ANKLES, _FEET, _HIPS = ([_INDEX[f"{side}_{name}"] for side in ("left", "right")] for name in ("ankle", "foot", "hip"))
+_ANKLES, _FEET, _HIPS = ([JOINT[f"{side}_{name}"] for side in ("left", "right")] for name in ("ankle", "foot", "hip"))
 
 Joints = Float[np.ndarray, "T 22 3"]
 Rest = Float[np.ndarray, "22 3"]
@@ -52,7 +51,7 @@ class Stance(NamedTuple):
 
 def leg_length(joints: Float[np.ndarray, "22 3"]) -> float:
     """Returns the mean length of thigh and shin."""
-    hips, knees = ([_INDEX[f"{side}_{name}"] for side in ("left", "right")] for name in ("hip", "knee"))
+    hips, knees = ([JOINT[f"{side}_{name}"] for side in ("left", "right")] for name in ("hip", "knee"))
     thighs, shins = joints[knees] - joints[hips], joints[_ANKLES] - joints[knees]
     return float((np.linalg.norm(thighs, axis=1) + np.linalg.norm(shins, axis=1)).mean())
 

@@ -19,7 +19,7 @@ from t2m_jax.motion.rotations import (
     rotate_vectors,
     unit_vectors,
 )
-from t2m_jax.motion.skeleton import HUMANML3D
+from t2m_jax.motion.skeleton import HUMANML3D, JOINT
 
 MAX_DROP = 0.2
 """Most that hips are lowered so that feet reach the floor, in lengths of a leg."""
@@ -27,12 +27,11 @@ DROP_SECONDS = 0.4
 """Time before and after a step in which hips are lowered for it, twice."""
 STRETCH = 0.9999
 """Largest share of a leg's length between hip and ankle."""
-_INDEX = {name: i for i, name in enumerate(HUMANML3D.joint_names)}
-_LEGS = tuple(tuple(_INDEX[f"{side}_{name}"] for name in ("hip", "knee", "ankle")) for side in ("left", "right"))
-_FEET = [_INDEX["left_foot"], _INDEX["right_foot"]]
+_LEGS = tuple(tuple(JOINT[f"{side}_{name}"] for name in ("hip", "knee", "ankle")) for side in ("left", "right"))
+_FEET = [JOINT["left_foot"], JOINT["right_foot"]]
 _HIPS = [leg[0] for leg in _LEGS]
 _SPINE = ("spine1", "spine2", "spine3")
-_PELVIS = _INDEX["pelvis"]
+_PELVIS = JOINT["pelvis"]
 _UP = np.array([0.0, 1.0, 0.0])
 
 Vectors = Float[np.ndarray, "T 3"]
@@ -97,10 +96,10 @@ def transfer(
 def _share_spine(turns: Float[np.ndarray, "T 22 4"], bones: Container[str]) -> None:
     """Turns the highest bone of the spine as the chest, and what was placed on a bone as that bone."""
     highest = max((name for name in _SPINE if name in bones), default=_SPINE[0])
-    turns[:, _INDEX[highest]] = turns[:, _INDEX[_SPINE[-1]]]
+    turns[:, JOINT[highest]] = turns[:, JOINT[_SPINE[-1]]]
     for below, name in itertools.pairwise(("pelvis", *_SPINE)):
         if name not in bones:
-            turns[:, _INDEX[name]] = turns[:, _INDEX[below]]
+            turns[:, JOINT[name]] = turns[:, JOINT[below]]
 
 
 def _turned(turns: Float[np.ndarray, "T 22 4"], joint: int, vector: Float[np.ndarray, "3"]) -> Vectors:
