@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from t2m_jax.data.importers import bvh
 from t2m_jax.data.importers.bvh import find_motion_files, import_bvh_folder, open_motion_file
 from t2m_jax.errors import UserError
 from t2m_jax.motion.bvh import load_bvh, save_bvh
@@ -88,6 +89,13 @@ def test_an_import_says_what_it_turned_and_takes_the_users_word(tmp_path):
     report = import_bvh_folder(source, tmp_path / "z", caption_from_name=True, up="z")
     heights = [np.ptp(np.load(tmp_path / up / "new_joints/a.npy")[0, :, 1]) for up in "yz"]
     assert heights[0] < 1 < heights[1]
+
+
+def test_an_import_says_that_it_turned_a_figure(clip, tmp_path, monkeypatch):
+    for up, degrees in (("y", 0.0), ("z", 90.0)):
+        monkeypatch.setattr(bvh, "load_bvh", lambda path, rig, by=degrees: turned(clip, "x", by, rest=True))
+        report = import_bvh_folder(tmp_path, tmp_path / "data" / up, caption_from_name=True)
+        assert any("Z was up; turned" in note for note in report.notes) == (up == "z")
 
 
 def test_left_is_left_until_it_is_mirrored():
